@@ -25,6 +25,9 @@ Sections = Mapping[str, Mapping[str, str | typer.Typer]]
 
 OPTION_SECTIONS = {
     "Drive": ("road", "speed_kmh", "mode", "length", "vehicle", "sensors", "grade"),
+    "Measured drive": (
+        "columns", "units", "invert", "offset", "description", "save_description",
+    ),
     "Running": (
         "seed", "seeds", "workers", "dask", "plan", "again", "probes", "isolation", "time_limit",
         "memory_limit", "checkpoint", "log",

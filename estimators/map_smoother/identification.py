@@ -274,9 +274,8 @@ def _parts(
             f"{drive.name}: {duration:.1f} s {where}are too short to identify a vehicle; give "
             f"{MIN_DURATION / FIT_SHARE:.0f} s or more"
         )
-    fitted, rest = (
-        replace(drive, record=_slice(record, *x)) for x in ((first, middle), (middle, last))
-    )
+    parts = slice(first, middle), slice(middle, last)
+    fitted, rest = (replace(drive, record=record.select(part)) for part in parts)
     speed = float(fitted.record.v.mean())
     if speed < MIN_SPEED:
         raise CalibrationError(
@@ -291,14 +290,6 @@ def _parts(
             f"instruments' noise of {noise:.2f} m/s²; drive a rougher road or faster"
         )
     return fitted, rest
-
-
-def _slice(record: Record, first: int, last: int) -> Record:
-    part = slice(first, last)
-    return replace(
-        record, t=record.t[part], a=record.a[:, part], v=record.v[part], s=record.s[part],
-        spring_stiff=record.spring_stiff[part], damper_high=record.damper_high[part],
-    )  # fmt: skip
 
 
 def _objective(drive: CalibrationDrive, car: VehicleParameters, smoother: MapSmoother) -> Objective:

@@ -203,15 +203,6 @@ def _middle(record: Record) -> Record:
     reach = 0.5 * CHECKED_LENGTH
     middle = 0.5 * (record.s[0] + record.s[-1])
     inside = np.flatnonzero(np.abs(record.s - middle) <= reach)
-    part = slice(int(inside[0]), int(inside[-1]) + 1)
-    s = record.s[part] - record.s[part][0]
-    return replace(
-        record,
-        t=record.t[part] - record.t[part][0],
-        a=record.a[:, part],
-        v=record.v[part],
-        s=s,
-        spring_stiff=record.spring_stiff[part],
-        damper_high=record.damper_high[part],
-        length=float(s[-1]),
-    )
+    part = record.select(slice(int(inside[0]), int(inside[-1]) + 1))
+    s = part.s - part.s[0]
+    return replace(part, t=part.t - part.t[0], s=s, length=float(s[-1]))

@@ -90,15 +90,21 @@ def benchmark_row(
     return row | numbers
 
 
-def median_time(run: Callable[[], object], times: int = 5) -> float:
-    """Return the median time [s] of `run`, after one warm-up run."""
+def median_time(
+    run: Callable[[], object], times: int = 5, clock: Callable[[], float] = time.perf_counter
+) -> float:
+    """Return the median time [s] of `run` by a `clock`, after one warm-up run."""
     run()
     spans = []
     for _ in range(times):
-        begin = time.perf_counter()
+        begin = clock()
         run()
-        spans.append(time.perf_counter() - begin)
+        spans.append(clock() - begin)
     return statistics.median(spans)
+
+
+cpu_time = partial(median_time, clock=time.process_time)
+"""Median CPU time [s] of what runs on one core, which other work on the machine hardly changes."""
 
 
 def run_in_new_process(code: str, **variables: str) -> str:
@@ -117,7 +123,7 @@ def integrator_speed() -> list[dict[str, Any]]:
     """Compare the fixed-step integrator with peers of at least its accuracy."""
     problem = IntegrationProblem(COMPARISON_DURATION)
     reference = problem.scipy("DOP853", 1e-9)
-    seconds = median_time(lambda: problem.fixed_step(0.001), 21)
+    seconds = cpu_time(lambda: problem.fixed_step(0.001), 21)
     accuracy = relative_error(problem.fixed_step(0.001), reference)
     error = f"{100 * accuracy:.2f} %"
     rows = [
@@ -135,7 +141,7 @@ def integrator_speed() -> list[dict[str, Any]]:
         except PeerError as missing:
             rows.append(benchmark_row(f"against {name}", f"skipped: {missing}"))
             continue
-        peer_seconds = median_time(partial(solve, rtol), 3)
+        peer_seconds = cpu_time(partial(solve, rtol), 3)
         rows.append(_against(f"{name} (rtol {rtol:g})", peer_seconds / seconds, aim, COMPILED_NOTE))
     try:
         _, peer_seconds = problem.octave(1e-3)
@@ -154,13 +160,9 @@ def _one_vehicle() -> dict[str, Any]:
     """Time a drive of 10 s, and bound it by the machine's measured throughput and latency."""
     problem = IntegrationProblem(10.0)
     commands = np.full(problem.t.size, encode_command("ride"), dtype=np.uint8)
-    spans = []
-    for _ in range(31):
-        drive = problem.new_drive()
-        begin = time.process_time()
-        drive.advance(commands)
-        spans.append(time.process_time() - begin)
-    factor, machine = 10.0 / statistics.median(spans), measure_machine()
+    drives = iter([problem.new_drive() for _ in range(32)])
+    factor = 10.0 / cpu_time(lambda: next(drives).advance(commands), 31)
+    machine = measure_machine()
     ns = 1e6 / factor
     # at best every multiplication is part of a multiply-add
     instructions = STEP_ADDITIONS + STEP_COMPARISONS
@@ -168,17 +170,13 @@ def _one_vehicle() -> dict[str, Any]:
     chain = 1e9 * (CHAIN_MULTIPLY_ADDS * machine.multiply_add + CHAIN_DIVISIONS * machine.division)
     return benchmark_row(
         "one vehicle, one core, 1 ms step, all signals written",
-        f"{factor:.0f} x real time",
-        ">= 4000 x",
-        factor,
+        f"{factor:.0f} x real time", ">= 4000 x", factor,
         f"a step takes {ns:.0f} ns. It is at least {instructions} instructions, which take "
         f"{throughput:.0f} ns if they wait for nothing; its longest chain, {CHAIN_MULTIPLY_ADDS} "
         f"multiply-adds and {CHAIN_DIVISIONS} divisions that wait for each other, takes "
         f"{chain:.0f} ns; look-ups in tables and moves come on top",
-        factor=factor,
-        throughput=throughput,
-        chain=chain,
-    )
+        factor=factor, throughput=throughput, chain=chain,
+    )  # fmt: skip
 
 
 def fleet_throughput() -> list[dict[str, Any]]:
@@ -189,13 +187,13 @@ def fleet_throughput() -> list[dict[str, Any]]:
 
     def rate(threads: int, columns) -> float:
         fleet = Fleet([problem.new_drive(0.001) for _ in range(FLEET_SIZE)], threads, columns)
-        signals = fleet.allocate_signals(steps)
-        return FLEET_SIZE * steps * 0.001 / median_time(lambda: fleet.advance(commands, signals), 9)
+        signals, timed = fleet.allocate_signals(steps), cpu_time if threads == 1 else median_time
+        return FLEET_SIZE * steps * 0.001 / timed(lambda: fleet.advance(commands, signals), 9)
 
     one, two, whole = rate(1, accelerations), rate(2, accelerations), rate(1, range(29))
     bare = _kernel_alone(problem, commands[:LANES].T)
     alone = problem.new_drive(0.001)
-    single = steps * 0.001 / median_time(lambda: alone.advance(commands[0]), 9)
+    single = steps * 0.001 / cpu_time(lambda: alone.advance(commands[0]), 9)
     unit = "vehicle-seconds per second"
     machine = measure_machine()
     ns, peak = 1e6 / one, 2e-9 * machine.one_thread
@@ -242,7 +240,7 @@ def _kernel_alone(problem: IntegrationProblem, commands: np.ndarray) -> float:
     def run() -> None:
         integrate_lanes(block.lanes, block.roads, inputs, fleet.columns, signals)
 
-    return 1e9 * median_time(run, 21) / (LANES * len(commands))
+    return 1e9 * cpu_time(run, 21) / (LANES * len(commands))
 
 
 def _own_roads() -> dict[str, Any]:
@@ -258,7 +256,7 @@ def _own_roads() -> dict[str, Any]:
     fleet = Fleet(drives, 1, range(ACCELERATION, ACCELERATION + 7))
     commands = np.full((FLEET_SIZE, steps), encode_command(MODE), dtype=np.uint8)
     signals = fleet.allocate_signals(steps)
-    ns = 1e9 * median_time(lambda: fleet.advance(commands, signals), 9) / (FLEET_SIZE * steps)
+    ns = 1e9 * cpu_time(lambda: fleet.advance(commands, signals), 9) / (FLEET_SIZE * steps)
     return benchmark_row(
         f"{FLEET_SIZE} vehicles over a class-D road each at {3.6 * SPEED:g} km/h, one core",
         f"{ns:.0f} ns per vehicle and ms; {share:.0f} % of the blocks' steps, "
@@ -279,10 +277,10 @@ def _vector_environment(fleet_rate: float, kernel_ns: float) -> list[dict[str, A
         for _ in range(steps):
             envs.step(actions)
 
-    rate = N_ENVIRONMENTS * steps * envs.setup.interval / median_time(drive, 9)
+    rate = N_ENVIRONMENTS * steps * envs.setup.interval / cpu_time(drive, 9)
     noise, streams = aligned_zeros(3, 50), np.random.default_rng(0).spawn(LANES)
     state = np.stack([generator_state(stream) for stream in streams], axis=1)
-    drawing = 1e9 * median_time(lambda: fill_normal(state, LANES, noise), 99) / (50 * LANES)
+    drawing = 1e9 * cpu_time(lambda: fill_normal(state, LANES, noise), 99) / (50 * LANES)
     ns, percent = 1e6 / rate, 100.0 * rate / fleet_rate
     why = (
         f"of {ns:.0f} ns per vehicle and ms the kernel of the drive alone takes {kernel_ns:.0f}, "
@@ -312,24 +310,21 @@ def environment_overhead() -> list[dict[str, Any]]:
     setup, commands = env.setup, np.zeros(50, dtype=np.uint8)
     surface = setup.road.realise(np.random.default_rng(0))
     drive = DriveSimulator(setup.plant, setup.car, surface, 14.5 / 3.6)
-    step = median_time(lambda: [env.step(0) for _ in range(100)], 9) / 100
-    motion = median_time(lambda: [drive.advance(commands) for _ in range(100)], 9) / 100
+    step = cpu_time(lambda: [env.step(0) for _ in range(100)], 9) / 100
+    motion = cpu_time(lambda: [drive.advance(commands) for _ in range(100)], 9) / 100
     rest = 1e6 * (step - motion)
     fleet = Fleet([DriveSimulator(setup.plant, setup.car, surface, 14.5 / 3.6)], 1, range(29))
     signals, one = fleet.allocate_signals(50), commands[None]
-    block = median_time(lambda: [fleet.advance(one, signals) for _ in range(100)], 9) / 100
+    block = cpu_time(lambda: [fleet.advance(one, signals) for _ in range(100)], 9) / 100
     return [
         benchmark_row("environment step of 50 ms", f"{1e6 * step:.0f} µs", microseconds=1e6 * step),
         benchmark_row(
-            "the same beyond the drive alone",
-            f"{rest:.0f} µs",
-            "<= 15 µs",
-            rest,
+            "the same beyond the drive alone", f"{rest:.0f} µs", "<= 15 µs", rest,
             "for results equal to the vector environment, one vehicle is simulated in a block of "
             f"eight lanes, which takes {1e6 * (block - motion):.0f} µs more than the drive alone",
             microseconds=rest,
         ),
-    ]
+    ]  # fmt: skip
 
 
 PPO_SCRIPT = """

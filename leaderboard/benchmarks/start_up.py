@@ -86,9 +86,6 @@ def start_up_cost() -> list[dict[str, Any]]:
         benchmark_row("libraries of the environment, imported alone", f"{imports:.2f} CPU-s"),
         benchmark_row(
             "memory gained in the last 50 minutes of an hour's driving",
-            f"{grown:.1f} MiB",
-            "<= 5 MiB",
-            grown,
-            mib=grown,
+            f"{grown:.1f} MiB", "<= 5 MiB", grown, mib=grown,
         ),
-    ]
+    ]  # fmt: skip

@@ -42,8 +42,8 @@ CORES = os.cpu_count() or 1
 IsolationOption = Annotated[
     str,
     typer.Option(
-        help="bubblewrap; process: every entry has your rights; auto: bubblewrap where it is "
-        "available, else processes for the estimators of this package only."
+        help="Isolation of entries: bubblewrap; process: with your rights; auto: bubblewrap where "
+        "it is available, else processes, for the estimators of this package only."
     ),
 ]
 
@@ -93,12 +93,15 @@ def leaderboard(
         bool,
         typer.Option(
             "--attainable",
-            help="Also what is attainable on each test drive through the nonlinear vehicle: "
-            "seconds per drive, once.",
+            help="Also compute the attainable error of each test drive with the nonlinear vehicle: "
+            "some seconds per drive, once.",
         ),
     ] = False,
     probes: Annotated[
-        bool, typer.Option("--probes", help="Probe entries without a card, on this machine.")
+        bool,
+        typer.Option(
+            "--probes", help="Also run the conformance probes of new entries, on this machine."
+        ),
     ] = False,
     workers: Annotated[int, typer.Option(help="Jobs at a time on this machine.", min=1)] = CORES,
     dask: Annotated[

@@ -30,11 +30,10 @@ from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 from road_envs.vehicle.suspension import check_modes
 
 DEFAULT_VEHICLE, DEFAULT_SENSORS = "land_rover_defender_110", "paper"
-PANEL = "Measured drives"
 
 
 def _option(text: str, **settings: Any) -> Any:
-    return typer.Option(help=text, rich_help_panel=PANEL, **settings)
+    return typer.Option(help=text, **settings)
 
 
 RecordFile = Annotated[

@@ -43,7 +43,9 @@ def identify(
     ] = 1.0,
     structure: Annotated[
         bool,
-        typer.Option(help="Identify a frame and what else the vehicle's file leaves out, too."),
+        typer.Option(
+            "--structure", help="Also identify what the vehicle's file leaves out, such as a frame."
+        ),
     ] = False,
     options: DriveOptions,
     out: Annotated[Path | None, typer.Option(help="Write the identified vehicle (.yaml).")] = None,

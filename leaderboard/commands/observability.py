@@ -57,7 +57,9 @@ def observability(
     ] = None,
     mode: Annotated[
         list[str] | None,
-        typer.Option(help="Mode, as in simulate; may be given again. By default all of the car."),
+        typer.Option(
+            help="Mode, as in `simulate`; may be given again. Default: those of the vehicle."
+        ),
     ] = None,
     road_class: Annotated[str, typer.Option(help="ISO 8608 class of the road, A to H.")] = "D",
     noise: Annotated[
@@ -76,8 +78,10 @@ def observability(
     attainable: Annotated[
         bool,
         typer.Option(
-            help="Also what the nonlinear vehicle allows, by the band of the data, the bound of "
-            "van Trees, and the floor of linear estimators, to which friction is noise."
+            "--attainable",
+            help="Also compute the attainable error of the nonlinear vehicle by the bandwidth of "
+            "the data, its van Trees bound, and the bound of linear estimators, to which friction "
+            "is noise.",
         ),
     ] = False,
     out: Annotated[Path | None, typer.Option(help="Plot over spatial frequency to write.")] = None,

@@ -58,8 +58,8 @@ MemoryLimit = Annotated[
 Isolation = Annotated[
     str,
     typer.Option(
-        help="Of policies from outside. bubblewrap; process: they have your rights; auto: "
-        "bubblewrap where it is available, else they are refused."
+        help="Isolation of policies from other packages: bubblewrap; process: with your rights; "
+        "auto: bubblewrap where it is available, else they are refused."
     ),
 ]
 
@@ -96,7 +96,9 @@ def policies(
     ] = None,
     kept: Annotated[
         Path | None,
-        typer.Option("--from", help="Kept policies.json: draw its page or plot, simulate nothing."),
+        typer.Option(
+            "--from", help="Draw the page or plot of a stored policies.json; simulate nothing."
+        ),
     ] = None,
     time_limit: TimeLimit = PolicyLimits.seconds,
     memory_limit: MemoryLimit = PolicyLimits.memory,

@@ -57,7 +57,10 @@ Seed = Annotated[int, typer.Option(help="Seed of the road, and of the sensors' n
 Vehicle = Annotated[str, typer.Option(help="Vehicle: shipped name or YAML path.")]
 Sensors = Annotated[str, typer.Option(help="Instruments: shipped name or YAML path.")]
 Grade = Annotated[
-    str, typer.Option(help="Field car: S0 (the car as described) to S3, drawn by the seed.")
+    str,
+    typer.Option(
+        help="Grade of the perturbed vehicle: S0 (as described) to S3; the seed draws it."
+    ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 
@@ -171,40 +174,47 @@ def train(
         if road or not profile:
             raise ConfigError("give the --profile of the drives' roads, and no --road")
         facts = _train_on_drives(chosen, records, profile, out, seed, options)
-        print_json(facts) if json else print_facts({"estimator": estimator, **facts})
-        return
-    if road is None:
-        facts = _pretrain(chosen, estimator, out, drives, seed, options.vehicle or DEFAULT_VEHICLE)
-        print_json(facts) if json else print_facts(facts)
-        return
+    elif road is None:
+        vehicle = options.vehicle or DEFAULT_VEHICLE
+        facts = _pretrain(chosen, estimator, out, drives, seed, vehicle)
+    else:
+        facts = _train_on_roads(chosen, road, length, drives or 1, out, seed, options)
+    facts = {"estimator": estimator, **facts, "written": [str(out)]}
+    print_json(facts) if json else print_facts(facts)
+
+
+def _train_on_roads(
+    estimator: Trainable,
+    roads: list[str],
+    length: float | None,
+    drives: int,
+    out: Path,
+    seed: int,
+    options: DriveOptions,
+) -> dict[str, Any]:
+    """Fit an estimator to simulated drives over roads and return the facts to print."""
     car = load_vehicle(options.vehicle or DEFAULT_VEHICLE)
-    instruments, drives = load_instruments(options.sensors or "ideal"), drives or 1
     pairs: list[tuple[Record, Profile]] = []
     with progress_bar() as progress:
-        for k, (name, i) in enumerate((name, i) for name in road for i in range(drives)):
-            progress(f"simulating {name}", 0.5 * k / (len(road) * drives))
+        for k, (name, i) in enumerate((name, i) for name in roads for i in range(drives)):
+            progress(f"simulating {name}", 0.5 * k / (len(roads) * drives))
             pair = simulate_record(
                 name,
                 length=length,
                 vehicle=car,
                 speed_kmh=options.speed_kmh or 14.5,
                 mode=parse_mode(options.mode),
-                instruments=instruments,
+                instruments=options.sensors or "ideal",
                 seed=seed + i,
             )
             pairs.append(pair)
-        progress(f"training {estimator}", 0.5)
-        fitted = chosen.fit([r for r, _ in pairs], [z for _, z in pairs], car, seed)
+        progress("training", 0.5)
+        fitted = estimator.fit([r for r, _ in pairs], [z for _, z in pairs], car, seed)
     weights_io.save(fitted, out)
-    facts = {
-        "estimator": estimator,
-        "drives": len(pairs),
-        "metres": float(sum(r.length for r, _ in pairs)),
-        "written": [str(out)],
-    }
+    facts: dict[str, Any] = {"drives": len(pairs), "metres": float(sum(r.length for r, _ in pairs))}
     if isinstance(fitted, StaticLm | Narx):
         facts |= {"epochs": fitted.training.epochs, "stopped_by": fitted.training.stop}
-    print_json(facts) if json else print_facts(facts)
+    return facts
 
 
 def _train_on_drives(
@@ -226,7 +236,7 @@ def _train_on_drives(
     if isinstance(fitted, CalibratedFir):
         facts |= fitted.summary()
     notes = dict.fromkeys(note for f in files for note in f.measured.notes)
-    return {**facts, "notes": list(notes), "written": [str(out)]}
+    return {**facts, "notes": list(notes)}
 
 
 def _pretrain(
@@ -248,13 +258,8 @@ def _pretrain(
     kept = f"the last stored state of the training is beside {out}; the same command continues"
     with on_interrupt(kept), progress_bar() as progress:
         pretraining.train(estimator, name, corpus, seed, out, command_line(), progress)
-    return {
-        "estimator": name,
-        "drives": corpus.number,
-        "corpus": corpus.digest,
-        "cpu_seconds": time.process_time() - begin,
-        "written": [str(out)],
-    }
+    seconds = time.process_time() - begin
+    return {"drives": corpus.number, "corpus": corpus.digest, "cpu_seconds": seconds}
 
 
 def command_line() -> str:

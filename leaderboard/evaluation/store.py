@@ -130,7 +130,8 @@ def load_rows(out: Path, task: Task) -> list[Result]:
 
     An unreadable file becomes a row with a failure.
     """
-    return [_row_or_failure(path, task) for path in _row_files(out, task.name)]
+    paths = sorted((out / "results" / task.name).glob("*.json"))
+    return [_row_or_failure(path, task) for path in paths if path.name[0] != "."]
 
 
 def row_checksum(result: Result) -> str:
@@ -213,10 +214,6 @@ def _stored_result(path: Path, checksum: str, identity: str) -> Result:
     if current != checksum and (not identity or result.identity != identity):
         raise RowChangedError(f"{path}: {ROW_REPLACED}")
     return result
-
-
-def _row_files(out: Path, task: str) -> list[Path]:
-    return sorted(p for p in (out / "results" / task).glob("*.json") if p.name[0] != ".")
 
 
 def read(path: Path) -> tuple[Result, str]:

@@ -94,9 +94,9 @@ class Metric:
     blank: str = UNDEFINED
     compute: Callable[[ScoredEstimate], float] | None = None
 
-    def format_value(self, value: float) -> str:
-        """Return the value as text; `blank` if it is not finite."""
-        if not np.isfinite(value):
+    def format_value(self, value: float | None) -> str:
+        """Return the value as text; `blank` if it is missing or not finite."""
+        if value is None or not np.isfinite(value):
             return self.blank
         rounded = round(self.factor * value, self.digits) + 0.0  # no minus before a zero
         return f"{rounded:{'+' if self.better == 'zero' else ''}.{self.digits}f}"

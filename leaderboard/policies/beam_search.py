@@ -39,7 +39,8 @@ def search_actions(setup: EnvSetup, starts: Sequence[EpisodeStart]) -> np.ndarra
     fleet = setup.make_fleet(size * len(starts))
     for i, start in enumerate(starts):
         for k in range(size):
-            logger = DataLogger(setup.instruments, setup.car, setup.options.step, _unused_rng())
+            rng = np.random.default_rng(0)  # of sensor noise, which the search does not read
+            logger = DataLogger(setup.instruments, setup.car, setup.options.step, rng)
             fleet.start(i * size + k, start.drive, logger, start.speed_kmh)
     first = fleet.advance(np.full(fleet.n_vehicles, starts[0].command_byte, dtype=np.uint8))
     if len({start.drive.steps_left for start in starts}) > 1:
@@ -99,8 +100,3 @@ def _backtrack(chosen, parents, best, n_hold, intervals) -> np.ndarray:
         if t > 0:
             car = parents[t - 1][car]
     return np.repeat(np.array(branches[::-1]), n_hold, axis=0)[:intervals]
-
-
-def _unused_rng() -> np.random.Generator:
-    """Return a generator for sensor noise, which the search does not read."""
-    return np.random.default_rng(0)

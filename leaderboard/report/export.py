@@ -20,9 +20,11 @@ from road_envs._atomic_io import write_text
 
 FOLDER = "export"
 ROW_FIELDS = ("board", "task", "group", "estimator", "state", "causal", "text")
-SCORE_FIELDS = ("rank", "rank_causal", "low", "high", *SCORES)
-GRADE_FIELDS = ("grade_S0", "grade_S1", "grade_S2", "grade_S3", "slope", "slope_low", "slope_high")
-COST_FIELDS = ("train_seconds", "calibrate_seconds", "estimate_ms_per_100m", "parameters")
+NUMBER_FIELDS = (
+    "rank", "rank_causal", "low", "high", *SCORES,
+    "grade_S0", "grade_S1", "grade_S2", "grade_S3", "slope", "slope_low", "slope_high",
+    "train_seconds", "calibrate_seconds", "estimate_ms_per_100m", "parameters",
+)  # fmt: skip
 BIBLIOGRAPHY = """@software{{road_recon,
   title = {{RoadRecon: road profile reconstruction from vehicle responses}},
   version = {{{version}}},
@@ -83,28 +85,16 @@ def as_json(views: Sequence[BoardView]) -> list[dict[str, Any]]:
 def as_csv(view: BoardView) -> str:
     """Return one line for each row and group; undefined scores are empty."""
     text = io.StringIO()
-    writer = csv.DictWriter(
-        text, [*ROW_FIELDS, *SCORE_FIELDS, *GRADE_FIELDS, *COST_FIELDS], lineterminator="\n"
-    )
+    writer = csv.DictWriter(text, [*ROW_FIELDS, *NUMBER_FIELDS], lineterminator="\n")
     writer.writeheader()
     for section in view.sections:
         for row in section.rows:
             for group, values in {ALL_RUNS: row.values, **row.groups}.items():
-                known = {
-                    name: values.get(name) for name in (*SCORE_FIELDS, *GRADE_FIELDS, *COST_FIELDS)
-                }
-                writer.writerow(
-                    {
-                        "board": view.board,
-                        "task": section.task,
-                        "group": group,
-                        "estimator": row.name,
-                        "state": row.state,
-                        "causal": "" if row.causal is None else str(row.causal).lower(),
-                        "text": row.message,
-                        **{name: "" if x is None else f"{x:.6g}" for name, x in known.items()},
-                    }
-                )
+                causal = "" if row.causal is None else str(row.causal).lower()
+                texts = view.board, section.task, group, row.name, row.state, causal, row.message
+                known = {k: x for k in NUMBER_FIELDS if (x := values.get(k)) is not None}
+                numbers = {name: f"{x:.6g}" for name, x in known.items()}
+                writer.writerow({**dict(zip(ROW_FIELDS, texts, strict=True)), **numbers})
     return text.getvalue()
 
 

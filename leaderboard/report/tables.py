@@ -140,10 +140,16 @@ def _section(board: Board, task: Task, definition: BoardDefinition) -> Section:
     rows = [
         _scored_row(r, x, definition, board.card(r)) for r, x in zip(scored, tables, strict=True)
     ] + _bound_rows(values, definition)
-    rows.sort(
-        key=lambda row: (row.state != "scored", _inf_if_none(row.values[definition.ranks_by]))
-    )
-    claim = [_claim_row(task.claimed_level_error)] if task.claimed_level_error is not None else []
+
+    def place(row: Row) -> tuple[bool, float]:
+        score = row.values[definition.ranks_by]
+        return row.state != "scored", np.inf if score is None else score
+
+    rows.sort(key=place)
+    claim = []
+    if (level := task.claimed_level_error) is not None:
+        text = SCORES[EQ_12_RAW].format_value(level)
+        claim = [Row(CLAIM_ROW, "claim", {EQ_12_RAW: text}, {EQ_12_RAW: level})]
     failed = [Row(r.estimator, "failed", message=r.failure or "") for r in board.failed(task)]
     stale = [Row(r.estimator, "stale", message=why) for r, why in board.stale(task)]
     return Section(
@@ -196,9 +202,7 @@ def _aggregate(
             scores["nrmse"][part], scores["bound_nrmse"][part]
         )
     values[ALL_RUNS] |= {
-        "train_seconds": _finite_or_none(float(np.mean(result.train_seconds)))
-        if result.parameters
-        else None,
+        "train_seconds": float(np.mean(result.train_seconds)) if result.parameters else None,
         "estimate_ms_per_100m": result.estimate_ms_per_100m,
         "calibrate_seconds": result.calibrate_seconds,
         "parameters": result.parameters or None,
@@ -265,16 +269,16 @@ def _scored_row(
 ) -> Row:
     mine, entry = table.values[ALL_RUNS], result.role == "entry"
     cells = {
-        name: COLUMNS[name].format_value(_nan_if_none(x))
+        name: COLUMNS[name].format_value(x)
         for name, x in {**dict.fromkeys(RANK_COLUMNS.values()), **mine}.items()
         if name in COLUMNS
     }
     cells |= {
         "slope_interval": interval_text(mine.get("slope_low"), mine.get("slope_high"), "slope"),
         "interval": interval_text(mine["low"], mine["high"], definition.ranks_by),
-        "states": _states_text(mine),
+        "states": "/".join(f"{mine[x]:.0f}" for x in TRAINING_STATES if x in mine),
         "probes": card.passed_count if card else "",
-        "calibrates": _yes_or_no(result.calibrates if entry else None),
+        "calibrates": {True: "yes", False: "no", None: ""}[result.calibrates if entry else None],
     }
     state: RowState = "scored" if entry else "baseline"
     groups = {name: x for name, x in table.values.items() if name != ALL_RUNS}
@@ -292,14 +296,9 @@ def _bound_rows(values: Mapping[str, GroupValues], definition: BoardDefinition) 
             continue
         groups = {group: {"nrmse": x.get(key)} for group, x in bounded[0].items()}
         mine = groups.pop(ALL_RUNS)
-        cells = {"nrmse": SCORES[key].format_value(_nan_if_none(mine["nrmse"]))}
+        cells = {"nrmse": SCORES[key].format_value(mine["nrmse"])}
         rows.append(Row(name, "baseline", cells, mine, groups=groups))
     return rows
-
-
-def _claim_row(level_error: float) -> Row:
-    text = SCORES[EQ_12_RAW].format_value(level_error)
-    return Row(CLAIM_ROW, "claim", {EQ_12_RAW: text}, {EQ_12_RAW: level_error})
 
 
 def sanity_warnings(rows: Sequence[Row]) -> list[str]:
@@ -365,14 +364,6 @@ def _training_states(scores: Mapping[str, np.ndarray]) -> dict[str, float | None
     return dict(zip(TRAINING_STATES, map(float, counts), strict=True))
 
 
-def _yes_or_no(value: bool | None) -> str:
-    return "" if value is None else "yes" if value else "no"
-
-
-def _states_text(values: Mapping[str, float | None]) -> str:
-    return "/".join(_format_number(values[name], 0) for name in TRAINING_STATES if name in values)
-
-
 def interval_text(low: float | None, high: float | None, score: str) -> str:
     """Return the text of an interval of a score."""
     if low is None or high is None:
@@ -380,17 +371,5 @@ def interval_text(low: float | None, high: float | None, score: str) -> str:
     return "–".join(COLUMNS[score].format_value(x) for x in (low, high))
 
 
-def _format_number(value: float | None, digits: int) -> str:
-    return "" if value is None else f"{value:.{digits}f}"
-
-
 def _finite_or_none(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
-
-
-def _nan_if_none(value: float | None) -> float:
-    return np.nan if value is None else value
-
-
-def _inf_if_none(value: float | None) -> float:
-    return np.inf if value is None else value

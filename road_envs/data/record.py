@@ -6,7 +6,7 @@ that of the paper's sensors RF, LR, RR. SI units.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -163,6 +163,12 @@ class Record:
     def fs(self) -> float:
         """Sampling rate [Hz]."""
         return float((self.t.size - 1) / (self.t[-1] - self.t[0]))
+
+    def select(self, samples: slice | np.ndarray) -> "Record":
+        """Return the record of some samples, a slice or a mask (N,)."""
+        over_time = ("t", "v", "s", "spring_stiff", "damper_high")
+        parts = {name: getattr(self, name)[samples] for name in over_time}
+        return replace(self, a=self.a[:, samples], **parts)
 
     def interpolate(self, stations: np.ndarray, signals: np.ndarray) -> np.ndarray:
         """Return `signals` (k, N) of this record interpolated to `stations` of the front axle."""

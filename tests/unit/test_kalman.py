@@ -168,10 +168,7 @@ def test_missing_clipped_and_dropped_samples_cost_little_and_are_noted():
     assert any("of the samples are missing" in note for note in damaged.notes)
     keep = rng.random(record.t.size) > 0.02
     keep[[0, -1]] = True
-    fewer = Record(
-        record.t[keep], record.a[:, keep], record.v[keep], record.s[keep],
-        record.spring_stiff[keep], record.damper_high[keep], record.length,
-    )  # fmt: skip
+    fewer = record.select(keep)
     dropped = create("kalman_lag").estimate(fewer, DEFENDER)
     assert error(dropped, truth) < 1.5 * error(estimate_of("kalman_lag"), truth)
     assert any("the clock is uneven" in note for note in dropped.notes)
@@ -212,10 +209,7 @@ def switched():
 def test_a_record_may_begin_and_end_in_the_middle_of_a_road():
     record, truth = drive()
     inside = (record.s > 20.0) & (record.s < 80.0)
-    cut = Record(
-        record.t[inside], record.a[:, inside], record.v[inside], record.s[inside],
-        record.spring_stiff[inside], record.damper_high[inside], record.length,
-    )  # fmt: skip
+    cut = record.select(inside)
     for name in ("kalman_lag", "kalman_rts"):
         estimate = create(name).estimate(cut, DEFENDER)
         s = profile_stations(record.length)

@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from leaderboard.benchmarks.machine import (
     CHAINS,
@@ -21,6 +22,7 @@ from leaderboard.benchmarks.speed import (
     STEP_COMPARISONS,
     STEP_DIVISIONS,
     STEP_MULTIPLICATIONS,
+    benchmark_row,
 )
 
 COUNT = Path(__file__).parents[1] / "support" / "count_operations.py"
@@ -61,3 +63,18 @@ def test_the_bench_states_the_operations_of_a_step_as_counted():
         "chain_multiply_adds": CHAIN_MULTIPLY_ADDS,
         "chain_divisions": CHAIN_DIVISIONS,
     }
+
+
+@pytest.mark.parametrize(
+    ("aim", "value", "met"),
+    [
+        (">= 90 %", 90.0, True),
+        (">= 90 %", 89.9, False),
+        ("<= 5 MiB", 5.0, True),
+        ("< 3 s", 3.0, False),
+    ],
+)
+def test_an_aim_is_met_by_its_own_relation_and_only_a_missed_one_says_why(aim, value, met):
+    row = benchmark_row("speed", "as measured", aim, value, "its limit", rate=value)
+    assert (row["met"], row.get("why"), row["rate"]) == (met, None if met else "its limit", value)
+    assert benchmark_row("speed", "as measured")["met"] is None

@@ -59,7 +59,7 @@ CARS = {"linear": linear_car(), "defender": DEFENDER}
 
 
 @cache
-def drive(car="defender", road="iso_d", mode="ride", speed_kmh=54.0, seed=1, length=150.0):
+def drive(car="defender", road="iso_d", mode="ride", speed_kmh=54.0, seed=1, length=100.0):
     surface = with_length(load_road(road), length).realise(np.random.default_rng(seed))
     given = {"ride": "ride", "handling": "handling", "split": SPLIT}[mode]
     return simulate_record(
