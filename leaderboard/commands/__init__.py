@@ -4,6 +4,7 @@ import contextlib
 import json
 import math
 import os
+import shlex
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -39,10 +40,10 @@ def parse_pairs(option: str, text: str) -> dict[str, str]:
     return {key.strip(): value.strip() for key, _, value in pairs}
 
 
-def parse_settings(pairs: list[str]) -> dict[str, Any]:
+def parse_settings(pairs: list[str] | None) -> dict[str, Any]:
     """Parse settings from "key=value" pairs with YAML values. Raises ConfigError."""
     settings = {}
-    for pair in pairs:
+    for pair in pairs or ():
         key, equals, value = pair.partition("=")
         if not (key and equals):
             raise ConfigError(f"a setting must have the form key=value, got {pair!r}")
@@ -156,3 +157,34 @@ def describe_duration(seconds: float) -> str:
         return f"{seconds:.0f} s"
     minutes = round(seconds / 60.0)
     return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+def command_line() -> str:
+    """Return the command line without the folder of the program."""
+    return shlex.join(["road-recon", *sys.argv[1:]])
+
+
+def print_facts(facts: dict[str, Any]) -> None:
+    """Print a table of facts and then the notes."""
+    table = Table(show_header=False, box=None, pad_edge=False)
+    for key, value in facts.items():
+        if key != "notes" and value not in ([], {}, None):
+            table.add_row(key, _text(value))
+    console.print(table)
+    print_notes(facts.get("notes", ()))
+
+
+def print_notes(notes: Iterable[str]) -> None:
+    """Print notes, one per line."""
+    for note in notes:
+        console.print(f"- {note}", highlight=False, markup=False)
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, dict):
+        return ", ".join(f"{k} {_text(v)}" for k, v in value.items())
+    if isinstance(value, list | tuple):
+        return ", ".join(_text(v) for v in value)
+    return str(value)

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from leaderboard.commands import check_output_path, console, progress_bar
-from leaderboard.commands.simulate import Length, Vehicle
+from leaderboard.commands.options import Length, Vehicle
 from leaderboard.report import animation
 
 

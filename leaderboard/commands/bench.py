@@ -21,7 +21,7 @@ from leaderboard.benchmarks.integrators import PeerError
 from leaderboard.benchmarks.machine import measure_machine
 from leaderboard.benchmarks.speed import benchmark_row, median_time, run_in_new_process
 from leaderboard.commands import check_output_path, console, notices, print_json, progress_bar
-from leaderboard.commands.simulate import Json
+from leaderboard.commands.options import Json
 from leaderboard.evaluation.entry import needs_training
 from road_envs.config import ConfigError
 from road_envs.data.recording import simulate_record

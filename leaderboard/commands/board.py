@@ -3,7 +3,7 @@
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import Annotated
 
 import typer
 
@@ -17,7 +17,7 @@ from leaderboard.commands import (
     print_json,
     progress_bar,
 )
-from leaderboard.commands.simulate import Json
+from leaderboard.commands.options import Isolation, Json, MemoryLimit, TimeLimit, parse_limits
 from leaderboard.evaluation.entries import resolve_entries
 from leaderboard.evaluation.entry import Entry
 from leaderboard.evaluation.evaluate import SEEDS
@@ -34,18 +34,10 @@ from leaderboard.running.board import Board, RunRequest, render_with_retry, run_
 from leaderboard.running.dask_executor import DaskExecutor
 from leaderboard.running.executors import Executor, ProcessExecutor
 from leaderboard.sandbox.client import SandboxClient
-from leaderboard.sandbox.limits import Isolation, Limits
+from leaderboard.sandbox.limits import Limits
 from road_envs.config import ConfigError, names, validate_choice
 
 CORES = os.cpu_count() or 1
-
-IsolationOption = Annotated[
-    str,
-    typer.Option(
-        help="Isolation of entries: bubblewrap; process: with your rights; auto: bubblewrap where "
-        "it is available, else processes, for the estimators of this package only."
-    ),
-]
 
 
 def leaderboard(
@@ -111,11 +103,9 @@ def leaderboard(
         Path | None,
         typer.Option(help="Write job files for `run-job` into this folder, run nothing."),
     ] = None,
-    time_limit: Annotated[
-        float, typer.Option(help="Time limit of an entry per condition in seconds.")
-    ] = Limits.seconds,
-    memory_limit: Annotated[float, typer.Option(help="Memory limit in GiB.")] = Limits.memory,
-    isolation: IsolationOption = "auto",
+    time_limit: TimeLimit = Limits.seconds,
+    memory_limit: MemoryLimit = Limits.memory,
+    isolation: Isolation = "auto",
     out: Annotated[Path, typer.Option(help="Folder for results and site.")] = Path(
         "out/leaderboard"
     ),
@@ -206,12 +196,3 @@ def _entries(names: Sequence[str] | None, without: Sequence[str], limits: Limits
         return resolve_entries(chosen, None)
     with SandboxClient(limits) as sandbox:
         return resolve_entries(chosen, sandbox)
-
-
-def parse_limits(seconds: float, memory: float, isolation: str) -> Limits:
-    """Return the limits of the command line. Raises ConfigError."""
-    choice: Any = validate_choice("isolation", isolation, list(get_args(Isolation)))
-    try:
-        return Limits(seconds=seconds, memory=memory, isolation=choice)
-    except ValueError as error:
-        raise ConfigError(f"limits: {error}") from None

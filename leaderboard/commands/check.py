@@ -9,8 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from leaderboard.commands import console, import_from_here, print_json
-from leaderboard.commands.board import IsolationOption, parse_limits
-from leaderboard.commands.simulate import Json
+from leaderboard.commands.options import Isolation, Json, MemoryLimit, TimeLimit, parse_limits
 from leaderboard.conformance.checks import RUN_TIME_LIMIT, check_entry
 from leaderboard.conformance.probes import PROBES, CheckResult
 from leaderboard.evaluation.entries import resolve_entries
@@ -29,11 +28,9 @@ def check_estimator(
         str,
         typer.Argument(help="Installed name, module:Class, or path of a wheel or trained file."),
     ],
-    time_limit: Annotated[
-        float, typer.Option(help="Time limit of an entry per condition in seconds.")
-    ] = Limits.seconds,
-    memory_limit: Annotated[float, typer.Option(help="Memory limit in GiB.")] = Limits.memory,
-    isolation: IsolationOption = "auto",
+    time_limit: TimeLimit = Limits.seconds,
+    memory_limit: MemoryLimit = Limits.memory,
+    isolation: Isolation = "auto",
     json: Json = False,
 ) -> None:
     """Check whether an estimator is ready for a board; exit status 1 if a check fails.

@@ -11,8 +11,15 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from leaderboard.commands import console, print_json, progress_bar, to_json
-from leaderboard.commands.simulate import Json, command_line, print_facts
+from leaderboard.commands import (
+    command_line,
+    console,
+    print_facts,
+    print_json,
+    progress_bar,
+    to_json,
+)
+from leaderboard.commands.options import Json
 from leaderboard.policies.episodes import DATASETS_PATH, write_episodes
 from road_envs import __version__
 from road_envs._atomic_io import write_text

@@ -17,7 +17,9 @@ from leaderboard.commands import (
     import_from_here,
     make_table,
     parse_settings,
+    print_facts,
     print_json,
+    print_notes,
 )
 from leaderboard.commands.drive_files import (
     DriveOptions,
@@ -29,7 +31,7 @@ from leaderboard.commands.drive_files import (
     read_passes,
     with_drive_options,
 )
-from leaderboard.commands.simulate import Json, print_facts, print_notes
+from leaderboard.commands.options import Json, Settings
 from leaderboard.metrics.alignment import Alignment, align
 from leaderboard.metrics.api import UNDEFINED
 from leaderboard.metrics.registry import PRINTED_SCORES, SCORES, compute_scores
@@ -55,9 +57,7 @@ def estimate(
     records: RecordFiles,
     truth: Annotated[Path | None, typer.Option(help="True profile (.csv), to score.")] = None,
     options: DriveOptions,
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", help="Setting of the estimator, key=value.")
-    ] = None,
+    settings: Settings = None,
     out: Annotated[Path | None, typer.Option(help="Write the estimate (.csv).")] = None,
     plot: Annotated[Path | None, typer.Option(help="Draw the estimate (.png).")] = None,
     json: Json = False,
@@ -72,7 +72,7 @@ def estimate(
     v [m/s] or v_kmh, and mode; speed and mode can be given as options instead.
     """
     check_output_path(out, ".csv"), check_output_path(plot, ".png", ".svg", ".pdf")
-    given = parse_settings(settings or [])
+    given = parse_settings(settings)
     import_from_here([estimator])
     estimators.make_estimator(estimator, **given)  # a wrong name is told before a file is read
     drives = read_passes(records, options)

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from leaderboard.commands import console, print_json
-from leaderboard.commands.simulate import Json
+from leaderboard.commands.options import Json
 from leaderboard.evaluation import hidden_seeds
 from leaderboard.evaluation.tasks import load_task, shipped_tasks
 from road_envs.config import ConfigError

@@ -12,14 +12,14 @@ from estimators.api import CalibrationDrive
 from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.identification import IdentificationResult
 from estimators.map_smoother.identification import identify as identify_vehicle
-from leaderboard.commands import check_output_path, console, print_json
+from leaderboard.commands import check_output_path, console, print_json, print_notes
 from leaderboard.commands.drive_files import (
     DriveOptions,
     read_drive,
     read_profiles,
     with_drive_options,
 )
-from leaderboard.commands.simulate import Json, print_notes
+from leaderboard.commands.options import Json, KnownRoads
 from leaderboard.report import identification_plot
 from road_envs.vehicle.parameters import write_vehicle
 
@@ -34,10 +34,7 @@ FAR = 3.0
 def identify(
     *,
     records: Annotated[list[Path], typer.Argument(help="Calibration drives of one vehicle.")],
-    profile: Annotated[
-        list[str] | None,
-        typer.Option(help="Known road of each drive in turn (.csv, .crg, ...), or one for all."),
-    ] = None,
+    profile: KnownRoads = None,
     survey_error_mm: Annotated[
         float, typer.Option(help="Standard deviation of a profile's heights in mm.", min=0.01)
     ] = 1.0,

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from leaderboard.commands import check_output_folder, console, print_json
-from leaderboard.commands.simulate import Json
+from leaderboard.commands.options import Json
 from leaderboard.running import jobs
 
 

@@ -20,7 +20,7 @@ from leaderboard.commands import (
     print_json,
     progress_bar,
 )
-from leaderboard.commands.simulate import Json, Sensors, Vehicle
+from leaderboard.commands.options import Json, Sensors, Vehicle
 from leaderboard.report import plots
 from road_envs.analysis.information_bound import (
     Posterior,

@@ -12,7 +12,7 @@ from leaderboard.commands import (
     print_json,
     progress_bar,
 )
-from leaderboard.commands.simulate import Json
+from leaderboard.commands.options import Json
 
 
 def paper(

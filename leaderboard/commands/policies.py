@@ -24,17 +24,18 @@ from leaderboard.commands import (
     progress_bar,
     to_json,
 )
-from leaderboard.commands.simulate import Json
+from leaderboard.commands.options import Isolation, Json, MemoryLimit, TimeLimit, parse_limits
 from leaderboard.policies import comparison, grid_search
 from leaderboard.policies import page as policy_page
 from leaderboard.policies.comparison import PolicyResult
-from leaderboard.policies.policy_process import PolicyLimits, PolicyProcess
+from leaderboard.policies.policy_process import POLICY_LIMITS, PolicyProcess
 from leaderboard.policies.ride_metrics import METRICS
 from leaderboard.policies.scenarios import load_scenarios
 from leaderboard.policies.store import RowStore
 from leaderboard.policies.summary import REFERENCE, format_metric, summarize_results
 from leaderboard.policies.training_study import evaluate_study, study_lines, train_seeds
 from leaderboard.sandbox import bubblewrap
+from leaderboard.sandbox.limits import Limits
 from road_envs._atomic_io import write_text
 from road_envs.config import ConfigError, validate_choice
 from road_envs.policies import FILE_SUFFIX, REGISTRY, make_policy, names, runs_foreign_code
@@ -47,21 +48,6 @@ SWEPT_WEIGHTS = (15.0, 30.0, 300.0, 2000.0)
 """Information weights of the sensing policies in the Pareto plot. Each gives a different policy at
 some speed of the league scenarios; weight 0 is the policy `ride`.
 """
-
-
-TimeLimit = Annotated[
-    float, typer.Option(help="Time limit of a policy per case in seconds.", min=0.001)
-]
-MemoryLimit = Annotated[
-    float, typer.Option(help="Memory limit in GiB of a policy in a process of its own.", min=0.1)
-]
-Isolation = Annotated[
-    str,
-    typer.Option(
-        help="Isolation of policies from other packages: bubblewrap; process: with your rights; "
-        "auto: bubblewrap where it is available, else they are refused."
-    ),
-]
 
 
 def policies(
@@ -100,8 +86,8 @@ def policies(
             "--from", help="Draw the page or plot of a stored policies.json; simulate nothing."
         ),
     ] = None,
-    time_limit: TimeLimit = PolicyLimits.seconds,
-    memory_limit: MemoryLimit = PolicyLimits.memory,
+    time_limit: TimeLimit = POLICY_LIMITS.seconds,
+    memory_limit: MemoryLimit = POLICY_LIMITS.memory,
     isolation: Isolation = "auto",
     json: Json = False,
 ) -> None:
@@ -115,8 +101,8 @@ def policies(
         )
     chosen = load_scenarios(scenarios)
     seeds = chosen.test_seeds(roads)
-    limits = PolicyLimits(seconds=time_limit, memory=memory_limit)
-    entries = _entries(policy, isolation, limits)
+    limits = parse_limits(time_limit, memory_limit, isolation)
+    entries = _entries(policy, limits)
     validate_choice("reference", reference, list(entries) if policy else [*entries, REFERENCE])
     if sweep:
         entries |= {
@@ -160,10 +146,10 @@ def policies(
 
 
 def chosen_isolation(isolation: str) -> Any:
-    """Return "bubblewrap" or "process" by the option; None if neither may be used. Raises
-    ConfigError.
+    """Return "bubblewrap" or "process" by the option; None if neither may be used.
+
+    Raises ConfigError.
     """
-    validate_choice("isolation", isolation, ["auto", "bubblewrap", "process"])
     if isolation == "process":
         return isolation
     obstacle = bubblewrap.obstacle()
@@ -186,13 +172,14 @@ def policy_reference(reference: str, isolation: str) -> str:
     return reference
 
 
-def _entries(references: list[str] | None, isolation: str, limits: PolicyLimits) -> dict[str, Any]:
+def _entries(references: list[str] | None, limits: Limits) -> dict[str, Any]:
     """Return the policies by name, those of other packages in processes. Raises ConfigError."""
     if references is None:
-        references = [*(names() if chosen_isolation(isolation) else REGISTRY), comparison.ORACLE]
+        isolated = chosen_isolation(limits.isolation)
+        references = [*(names() if isolated else REGISTRY), comparison.ORACLE]
     entries: dict[str, Any] = {}
     for reference in references:
-        policy_reference(reference, isolation)
+        policy_reference(reference, limits.isolation)
         name = reference.rpartition(":")[2]
         name = Path(name).stem if name.endswith(FILE_SUFFIX) else name
         if name in entries:
@@ -200,7 +187,7 @@ def _entries(references: list[str] | None, isolation: str, limits: PolicyLimits)
         if reference == comparison.ORACLE:
             entries[name] = None
         elif runs_foreign_code(reference):
-            own = dataclasses.replace(limits, isolation=chosen_isolation(isolation))
+            own = dataclasses.replace(limits, isolation=chosen_isolation(limits.isolation))
             entries[name] = PolicyProcess(reference, limits=own)
         else:
             entries[name] = make_policy(reference)

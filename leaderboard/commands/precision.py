@@ -27,7 +27,7 @@ from leaderboard.commands import (
     print_json,
     progress_bar,
 )
-from leaderboard.commands.simulate import Json
+from leaderboard.commands.options import Json
 from leaderboard.report import plots
 from leaderboard.report.figures import rounded
 from road_envs.config import ConfigError

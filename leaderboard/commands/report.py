@@ -14,6 +14,7 @@ from leaderboard.commands import (
     make_table,
     parse_settings,
     print_json,
+    print_notes,
     progress_bar,
 )
 from leaderboard.commands.drive_files import (
@@ -23,7 +24,7 @@ from leaderboard.commands.drive_files import (
     read_drive,
     with_drive_options,
 )
-from leaderboard.commands.simulate import Json, print_notes
+from leaderboard.commands.options import Json, Settings
 from leaderboard.drive_report.analysis import SEGMENT_LENGTHS, DriveResult, analyse
 from leaderboard.drive_report.conditions import load_conditions
 from leaderboard.drive_report.export import write_geojson, write_tables
@@ -53,9 +54,7 @@ def report(
         str, typer.Option(help="Condition categories: shipped name or YAML path.")
     ] = "hpms",
     options: DriveOptions,
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", help="Setting of the estimator, key=value.")
-    ] = None,
+    settings: Settings = None,
     json: Json = False,
 ) -> None:
     """Report IRI, ISO class, condition and obstacles of a driven road: a page, CSV, GeoJSON.
@@ -70,7 +69,7 @@ def report(
     check_output_folder(out)
     names = _names(drives)
     import_from_here([estimator])
-    categories, chosen = load_conditions(conditions), parse_settings(settings or [])
+    categories, chosen = load_conditions(conditions), parse_settings(settings)
     read: list[tuple[str, MeasuredRecord, Estimate]] = []
     cars = []
     with progress_bar() as progress:

@@ -7,7 +7,7 @@ import numpy as np
 import typer
 
 from leaderboard.commands import check_output_path, console, make_table, print_json
-from leaderboard.commands.simulate import Json, Length, Seed
+from leaderboard.commands.options import Json, Length, Seed
 from leaderboard.report import plots
 from road_envs import config
 from road_envs.analysis.roughness import (

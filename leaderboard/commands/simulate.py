@@ -1,15 +1,11 @@
 """Commands `simulate` and `train`: simulate a drive, train an estimator."""
 
-import shlex
-import sys
 import time
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, cast
 
 import numpy as np
 import typer
-from rich.table import Table
 
 import estimators
 from estimators import registry, weights_io
@@ -19,10 +15,11 @@ from estimators.networks.narx import Narx
 from estimators.networks.static_lm import StaticLm
 from leaderboard.commands import (
     check_output_path,
-    console,
+    command_line,
     on_interrupt,
     parse_mode,
     parse_settings,
+    print_facts,
     print_json,
     progress_bar,
 )
@@ -32,6 +29,18 @@ from leaderboard.commands.drive_files import (
     read_drive,
     read_profiles,
     with_drive_options,
+)
+from leaderboard.commands.options import (
+    Json,
+    KnownRoads,
+    Length,
+    Mode,
+    Road,
+    Seed,
+    Sensors,
+    Settings,
+    Speed,
+    Vehicle,
 )
 from leaderboard.evaluation import pretraining
 from leaderboard.report import plots
@@ -44,25 +53,12 @@ from road_envs.roads import realise_road, write_csv
 from road_envs.sensing.data_logger import load_instruments
 from road_envs.vehicle.parameters import load_vehicle
 
-Road = Annotated[str, typer.Option(help="Road: shipped name, YAML path or surface file.")]
-Speed = Annotated[float, typer.Option(help="Speed in km/h.")]
-Mode = Annotated[
-    str | None,
-    typer.Option(
-        help="Mode of the struts: ride, handling, ..., or front=ride,rear=handling; passive."
-    ),
-]
-Length = Annotated[float | None, typer.Option(help="Another length of the road in metres.")]
-Seed = Annotated[int, typer.Option(help="Seed of the road, and of the sensors' noise.", min=0)]
-Vehicle = Annotated[str, typer.Option(help="Vehicle: shipped name or YAML path.")]
-Sensors = Annotated[str, typer.Option(help="Instruments: shipped name or YAML path.")]
 Grade = Annotated[
     str,
     typer.Option(
         help="Grade of the perturbed vehicle: S0 (as described) to S3; the seed draws it."
     ),
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 
 
 def simulate(
@@ -138,10 +134,7 @@ def train(
     out: Annotated[
         Path, typer.Option(help="File for the fitted estimator (.npz or .safetensors).")
     ],
-    profile: Annotated[
-        list[str] | None,
-        typer.Option(help="Known road of each drive in turn (.csv, .crg, ...), or one for all."),
-    ] = None,
+    profile: KnownRoads = None,
     road: Annotated[
         list[str] | None,
         typer.Option(help="Training road; may be given again. Default: the shipped corpus."),
@@ -152,9 +145,7 @@ def train(
         typer.Option(help="Drives on each road with different seeds, or of the corpus.", min=1),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the training.", min=0)] = 1,
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", help="Setting of the estimator, key=value.")
-    ] = None,
+    settings: Settings = None,
     options: DriveOptions,
     json: Json = False,
 ) -> None:
@@ -167,7 +158,7 @@ def train(
     called again.
     """
     check_output_path(out, ".npz", ".safetensors")
-    chosen = estimators.create(estimator, **parse_settings(settings or []))
+    chosen = estimators.create(estimator, **parse_settings(settings))
     if not isinstance(chosen, Trainable):
         raise ConfigError(f"{estimator} is not trainable; use it in `estimate` by its name")
     if records:
@@ -260,34 +251,3 @@ def _pretrain(
         pretraining.train(estimator, name, corpus, seed, out, command_line(), progress)
     seconds = time.process_time() - begin
     return {"drives": corpus.number, "corpus": corpus.digest, "cpu_seconds": seconds}
-
-
-def command_line() -> str:
-    """Return the command line without the folder of the program."""
-    return shlex.join(["road-recon", *sys.argv[1:]])
-
-
-def print_facts(facts: dict[str, Any]) -> None:
-    """Print a table of facts and then the notes."""
-    table = Table(show_header=False, box=None, pad_edge=False)
-    for key, value in facts.items():
-        if key != "notes" and value not in ([], {}, None):
-            table.add_row(key, _text(value))
-    console.print(table)
-    print_notes(facts.get("notes", ()))
-
-
-def print_notes(notes: Iterable[str]) -> None:
-    """Print notes, one per line."""
-    for note in notes:
-        console.print(f"- {note}", highlight=False, markup=False)
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    if isinstance(value, dict):
-        return ", ".join(f"{k} {_text(v)}" for k, v in value.items())
-    if isinstance(value, list | tuple):
-        return ", ".join(_text(v) for v in value)
-    return str(value)

@@ -21,8 +21,9 @@ from typing import Any
 import numpy as np
 
 from leaderboard.conformance.probes import CheckResult
-from leaderboard.policies.policy_process import PolicyLimits, PolicyProcess
+from leaderboard.policies.policy_process import POLICY_LIMITS, PolicyProcess
 from leaderboard.policies.scenarios import load_scenarios
+from leaderboard.sandbox.limits import Limits
 from road_envs.config import ConfigError
 from road_envs.envs.options import EnvSetup
 from road_envs.policies import create
@@ -49,13 +50,12 @@ COMPARISON = "league"
 
 
 def check_policy(
-    reference: str, settings: Mapping[str, Any] | None = None, limits: PolicyLimits | None = None
+    reference: str, settings: Mapping[str, Any] | None = None, limits: Limits = POLICY_LIMITS
 ) -> list[CheckResult]:
     """Run all checks of the policy `reference`, as `make_policy` takes it.
 
     Stops after the first check of a policy that does not run.
     """
-    limits = limits or PolicyLimits()
     with PolicyProcess(reference, settings, limits) as policy:
         try:
             first = roll_out(policy, dict(OPTIONS), SEEDS)
@@ -172,7 +172,7 @@ def _damaged_sensors(policy: PolicyProcess, observations: np.ndarray) -> Verdict
     return True, "one accelerometer dead, one saturated: valid actions"
 
 
-def _costs(limits: PolicyLimits, seconds: Sequence[float], memory: float) -> list[CheckResult]:
+def _costs(limits: Limits, seconds: Sequence[float], memory: float) -> list[CheckResult]:
     """Check time and memory against the limits, for the longest case of COMPARISON.
 
     `seconds` are those of each call with the vehicles of SEEDS; the longest call, which may prepare

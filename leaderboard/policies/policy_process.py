@@ -11,9 +11,9 @@ import pickle
 import sys
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +23,6 @@ from leaderboard.sandbox import bubblewrap, entry_files, messages
 from leaderboard.sandbox.guest import Guest
 from leaderboard.sandbox.limits import GIB, Limits, guest_environment
 from road_envs._atomic_io import TempFolder
-from road_envs.config import Positive, Settings
 from road_envs.policies import entry_point, runs_foreign_code
 from road_envs.policies.api import PolicyContext, PolicyError
 
@@ -31,16 +30,10 @@ STARTUP_SECONDS = 60.0
 """Time [s] in which the process must have loaded its libraries and the policy."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class PolicyLimits(Settings):
-    """Limits of a policy: `seconds` for all vehicles of a case, `memory` [GiB].
-
-    `isolation` is "process", or "bubblewrap", which is for code from outside this package.
-    """
-
-    seconds: Positive = 120.0
-    memory: Positive = 2.0
-    isolation: Literal["process", "bubblewrap"] = "process"
+POLICY_LIMITS = Limits(seconds=120.0, memory=2.0, isolation="process")
+"""Limits of a policy: the time is that for all vehicles of a case. Only code from outside this
+package is run with the isolation "bubblewrap".
+"""
 
 
 class PolicyProcess:
@@ -54,10 +47,10 @@ class PolicyProcess:
         self,
         reference: str,
         settings: Mapping[str, Any] | None = None,
-        limits: PolicyLimits | None = None,
+        limits: Limits = POLICY_LIMITS,
     ):
         self.reference, self.settings = reference, dict(settings or {})
-        self.limits = limits or PolicyLimits()
+        self.limits = limits
         self.act_seconds: list[float] = []  # of each call
         self.peak_memory, self._n_vehicles = 0.0, 0
         self._guest: Guest | None = None
@@ -111,15 +104,12 @@ class PolicyProcess:
             words = bubblewrap.command(
                 words,
                 environment,
-                self._limits(self.limits.seconds),
+                self.limits,
                 {code: bubblewrap.ENTRY},
                 {},
                 becomes_nobody=setup.user is not None,
             )
         return Guest(words, environment, Path.cwd())
-
-    def _limits(self, seconds: float) -> Limits:
-        return Limits(seconds=seconds, memory=self.limits.memory)
 
     def _code(self) -> Path | None:
         """Return a folder with a copy of the code, which is not imported here; None for our own.
@@ -151,12 +141,12 @@ class PolicyProcess:
             if self._guest is None:
                 self._guest = self._start()
             if task == "reset":
-                self._guest.start_run(self._limits(STARTUP_SECONDS))
+                self._guest.start_run(replace(self.limits, seconds=STARTUP_SECONDS))
             head, actions = self._guest.call(messages.encode({"do": task}, [data]), size_of_actions)
             self.peak_memory = max(self.peak_memory, self._guest.peak_memory)
             failure = messages.text(head["failure"]) if "failure" in head else None
             if task == "reset":
-                self._guest.start_run(self._limits(self.limits.seconds))
+                self._guest.start_run(self.limits)
         except BaseException as error:
             self.close()
             if isinstance(error, EntryError):

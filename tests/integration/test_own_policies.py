@@ -1,5 +1,6 @@
 """Policies of other people: by class, by file, in a process of their own, checked and compared."""
 
+import dataclasses
 import json
 import signal
 import socket
@@ -14,7 +15,7 @@ from bad_policies import Lateral
 from leaderboard.conformance import policy_checks
 from leaderboard.conformance.policy_checks import OPTIONS, SEEDS, check_policy
 from leaderboard.policies.comparison import compare
-from leaderboard.policies.policy_process import PolicyLimits, PolicyProcess
+from leaderboard.policies.policy_process import POLICY_LIMITS, PolicyProcess
 from leaderboard.policies.scenarios import load_scenarios
 from leaderboard.policies.store import RowStore
 from leaderboard.sandbox import bubblewrap
@@ -48,7 +49,7 @@ class Spy:
         return [0] * len(observations)
 """
 SHORT = {**OPTIONS, "length": 10.0}
-LIMITS = PolicyLimits(seconds=5.0, memory=1.5)
+LIMITS = dataclasses.replace(POLICY_LIMITS, seconds=5.0, memory=1.5)
 
 
 @pytest.fixture(autouse=True)
@@ -84,7 +85,7 @@ def test_a_policy_in_a_process_acts_as_it_does_here():
 )
 def test_a_policy_beyond_its_limits_ends_in_a_sentence(reference, sentence):
     with pytest.raises(PolicyError, match=sentence):
-        drive(reference, PolicyLimits(seconds=2.0, memory=1.5))
+        drive(reference, dataclasses.replace(POLICY_LIMITS, seconds=2.0, memory=1.5))
 
 
 def test_a_process_that_failed_is_replaced_at_the_next_episode():
@@ -173,7 +174,7 @@ def test_policies_compares_a_class_and_a_file_beside_shipped_ones(
 @pytest.mark.skipif(bubblewrap.obstacle() is not None, reason="bubblewrap cannot be used here")
 def test_a_policy_inside_bubblewrap_sees_its_code_and_nothing_else(tmp_path, monkeypatch):
     (tmp_path / "secret.txt").write_text("seeds")
-    limits = PolicyLimits(seconds=30.0, isolation="bubblewrap")
+    limits = dataclasses.replace(POLICY_LIMITS, seconds=30.0, isolation="bubblewrap")
     with socket.create_server(("127.0.0.1", 0)) as server:
         secret, port = str(tmp_path / "secret.txt"), server.getsockname()[1]
         keys = str(Path.home() / ".ssh")

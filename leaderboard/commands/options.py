@@ -1,0 +1,53 @@
+"""Options that several commands share, and the limits of guests from them."""
+
+from typing import Annotated, Any, get_args
+
+import typer
+
+from leaderboard.sandbox import limits
+from leaderboard.sandbox.limits import Limits
+from road_envs.config import ConfigError, validate_choice
+
+Road = Annotated[str, typer.Option(help="Road: shipped name, YAML path or surface file.")]
+Speed = Annotated[float, typer.Option(help="Speed in km/h.")]
+Mode = Annotated[
+    str | None,
+    typer.Option(
+        help="Mode of the struts: ride, handling, ..., or front=ride,rear=handling; passive."
+    ),
+]
+Length = Annotated[float | None, typer.Option(help="Another length of the road in metres.")]
+Seed = Annotated[int, typer.Option(help="Seed of the road, and of the sensors' noise.", min=0)]
+Vehicle = Annotated[str, typer.Option(help="Vehicle: shipped name or YAML path.")]
+Sensors = Annotated[str, typer.Option(help="Instruments: shipped name or YAML path.")]
+Settings = Annotated[
+    list[str] | None, typer.Option("--set", help="Setting, key=value; may be given again.")
+]
+KnownRoads = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--profile", help="Known road of each drive in turn (.csv, .crg, ...), or one for all."
+    ),
+]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
+TimeLimit = Annotated[
+    float,
+    typer.Option(help="Time limit in seconds, of an entry per condition or a policy per case."),
+]
+MemoryLimit = Annotated[float, typer.Option(help="Memory limit in GiB.")]
+Isolation = Annotated[
+    str,
+    typer.Option(
+        help="Isolation of code from other packages: bubblewrap; process: with your rights; auto: "
+        "bubblewrap where it is available, else the code is refused."
+    ),
+]
+
+
+def parse_limits(seconds: float, memory: float, isolation: str) -> Limits:
+    """Return the limits of the command line. Raises ConfigError."""
+    choice: Any = validate_choice("isolation", isolation, list(get_args(limits.Isolation)))
+    try:
+        return Limits(seconds=seconds, memory=memory, isolation=choice)
+    except ValueError as error:
+        raise ConfigError(f"limits: {error}") from None
