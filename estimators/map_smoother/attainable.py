@@ -28,15 +28,16 @@ from estimators.map_smoother.gauss_newton import MapSolution, update_prior
 from estimators.map_smoother.objective import Linearization, Objective
 from estimators.map_smoother.posterior_sampling import band_pass, draw_deviations, interior
 from estimators.map_smoother.preconditioner import StationaryHessian, stationary_hessian
-from estimators.map_smoother.windows import initial_window_state, window_objective
-from estimators.preprocessing import mask_record
+from estimators.map_smoother.windows import whole_objective
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.data.record import Profile, Record, scored_band
-from road_envs.sensing.instruments import instruments_of
 from road_envs.vehicle.parameters import VehicleParameters
 
 CG_ITERATIONS, CG_TOLERANCE = 400, 1e-3
 """Of one sample; the error in the band has converged within a per cent."""
+
+DRAWS = 2
+"""Samples of each posterior."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,8 +79,6 @@ def attainable_error(
     bandwidth: float = 100.0,
     instruments: str = "paper",
     noise_density: float | None = None,
-    draws: int = 2,
-    seed: int = 0,
 ) -> float:
     """Return the attainable in-band NRMSE [-], both wheel paths pooled, on the road of `truth`.
 
@@ -95,7 +94,7 @@ def attainable_error(
     lin = objective.linearize(x)
     stationary = stationary_hessian(objective)  # that of the measurements, for any prior
     lin = update_prior(lin, stationary, 1.0)
-    return _relative_error(lin, stationary, [lin.x], draws, seed)
+    return _relative_error(lin, stationary, [lin.x])
 
 
 def van_trees_error(
@@ -107,8 +106,6 @@ def van_trees_error(
     instruments: str = "paper",
     noise_density: float | None = None,
     roads: int = 16,
-    draws: int = 2,
-    seed: int = 0,
 ) -> float:
     """Return the least in-band NRMSE [-] of any estimator, both wheel paths pooled, over the roads
     of a Gaussian `prior`.
@@ -116,17 +113,13 @@ def van_trees_error(
     The information is averaged over that many `roads`; other arguments as in `attainable_error`.
     """
     objective = whole_drive(record, car, prior, bandwidth, instruments, noise_density)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     points = [rng.standard_normal(objective.size) for _ in range(roads)]
     at = [objective.linearize(x) for x in points]
-    return _relative_error(
-        ExpectedInformation(at), stationary_hessian(objective), points, draws, seed
-    )
+    return _relative_error(ExpectedInformation(at), stationary_hessian(objective), points)
 
 
-def _relative_error(
-    lin: Any, stationary: StationaryHessian, points: Sequence[np.ndarray], draws: int, seed: int
-) -> float:
+def _relative_error(lin: Any, stationary: StationaryHessian, points: Sequence[np.ndarray]) -> float:
     """Return the root of the mean power in the scored band of samples of the posterior of `lin`, a
     linearization or several, over that of the roads of `points`.
     """
@@ -134,7 +127,7 @@ def _relative_error(
     road = objective.road
     low, high = scored_band(float(objective.inputs.v.mean()))
     inside = (road.n >= low) & (road.n <= high)
-    middle, rng = interior(road.free, round(1.0 / (low * road.ds))), np.random.default_rng(seed)
+    middle, rng = interior(road.free, round(1.0 / (low * road.ds))), np.random.default_rng(0)
 
     def power(x: np.ndarray) -> float:
         c = band_pass(road.apply(objective.split(x)[0]), inside)[:, middle]
@@ -142,7 +135,7 @@ def _relative_error(
 
     solution = MapSolution(lin, stationary, noise_scale=1.0)
     solve = solution.inverse_hessian(CG_ITERATIONS, CG_TOLERANCE)
-    error = np.mean([power(dx) for dx in draw_deviations(lin, solve, rng, draws)])
+    error = np.mean([power(dx) for dx in draw_deviations(lin, solve, rng, DRAWS)])
     return float(np.sqrt(error / np.mean([power(x) for x in points])))
 
 
@@ -155,12 +148,8 @@ def whole_drive(
     noise_density: float | None = None,
 ) -> Objective:
     """Return the objective of a drive as one window, with block means up to `bandwidth` [Hz]."""
-    sensors = instruments_of(record, instruments)
-    record, valid, _ = mask_record(record, sensors)
     estimator = MapSmoother(
         instruments=instruments, noise_density=noise_density, data_rate=2.0 * bandwidth
     )
-    model = estimator.measurement_model(record, car, sensors)
-    drive = estimator.prepare_drive(record, valid, car, sensors, readings_per_unknown=0.0)
-    blocks = drive.a.shape[1] // drive.block_size
-    return window_objective(model, drive, prior, initial_window_state(drive), 0, blocks)
+    model, drive, _ = estimator.prepare(record, car, readings_per_unknown=0.0)
+    return whole_objective(model, drive, prior)

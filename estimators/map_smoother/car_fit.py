@@ -85,10 +85,10 @@ class CarFit:
         """Posterior standard deviations (P,) in units of the tolerances; 1: not determined."""
         return np.sqrt(np.diag(self.covariance))
 
-    def summary(self, most: int = 4) -> str:
-        """Return the best determined changes of the vehicle in percent."""
+    def summary(self) -> str:
+        """Return the four best determined changes of the vehicle in percent."""
         change = 100.0 * np.expm1(self.space.std * self.x[: self.space.size])
-        clear = np.argsort(-np.abs(self.x / self.std)[: self.space.size])[:most]
+        clear = np.argsort(-np.abs(self.x / self.std)[: self.space.size])[:4]
         return ", ".join(f"{self.space.names[i]} {change[i]:+.0f} %" for i in clear)
 
 

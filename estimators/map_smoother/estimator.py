@@ -61,7 +61,7 @@ from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.speed_error import distance_scale, estimate_speed_error
 from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
 from estimators.map_smoother.wheel_liftoff import distance_in_air
-from estimators.map_smoother.windows import MARGIN, PreparedDrive, reconstruct, split_windows
+from estimators.map_smoother.windows import MARGIN, PreparedDrive, reconstruct
 from estimators.preprocessing import clipped_signs, mask_record
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.analysis.roughness import CLASSES
@@ -181,17 +181,8 @@ class MapSmoother(CalibratedByIdentification):
 
         `uncertainty` is that of a vehicle that was identified.
         """
-        instruments = instruments_of(record, self.instruments)
-        record, valid, notes = mask_record(record, instruments)
-        model = self.measurement_model(record, car, instruments)
-        model = replace(model, speed_std=instruments.speed_error)
-        drive = self.prepare_drive(record, valid, car, instruments)
-        prior, band = RoadPrior(G_d0=self.G_d0, w=self.w), scored_band(float(drive.inputs.v.mean()))
-        rate, blocks = 1.0 / (drive.steps_per_block * drive.inputs.h), drive.a.shape[1]
-        blocks //= drive.block_size
-        windows = split_windows(blocks, round(self.window * rate), round(self.overlap * rate))
-
-        findings = _Findings()
+        model, drive, notes = self.prepare(record, car, speed_unknown=True)
+        band, findings = scored_band(float(drive.inputs.v.mean())), _Findings()
 
         def adapt_car(solution: MapSolution, solver: GaussNewton) -> MapSolution:
             fit = fit_if_due([solution], car, solver)
@@ -222,7 +213,8 @@ class MapSmoother(CalibratedByIdentification):
             uncertain = VehicleUncertainty.of_fit(fit) if fit else uncertainty
             return posterior_mean_and_std(solution, band, self.draws, uncertain)
 
-        result, noise_scales = reconstruct(model, drive, prior, windows, solve)
+        windows = drive.split(self.window, self.overlap)
+        result, noise_scales = reconstruct(model, drive, self.road_prior, windows, solve)
         noise_scale = findings.noise_scale = float(max(noise_scales))
         s = profile_stations(record.length)
         z, std = result.at_stations(drive, s)
@@ -267,7 +259,31 @@ class MapSmoother(CalibratedByIdentification):
         corrected, identified = [record for record, _ in known], [car for _, car in known]
         return estimate_jointly(self, corrected, identified, start, names)
 
-    def measurement_model(
+    @property
+    def road_prior(self) -> RoadPrior:
+        """The road's prior."""
+        return RoadPrior(G_d0=self.G_d0, w=self.w)
+
+    def prepare(
+        self,
+        record: Record,
+        car: VehicleParameters,
+        readings_per_unknown: float = READINGS_PER_UNKNOWN,
+        speed_unknown: bool = False,
+    ) -> tuple[MeasurementModel, PreparedDrive, tuple[str, ...]]:
+        """Return the model of vehicle and instruments, the prepared drive and notes on the record.
+
+        Raises ConfigError, RecordError.
+        """
+        instruments = instruments_of(record, self.instruments)
+        record, valid, notes = mask_record(record, instruments)
+        model = self._measurement_model(record, car, instruments)
+        if speed_unknown:
+            model = replace(model, speed_std=instruments.speed_error)
+        drive = self._prepare_drive(record, valid, car, instruments, readings_per_unknown)
+        return model, drive, notes
+
+    def _measurement_model(
         self, record: Record, car: VehicleParameters, instruments: Instruments
     ) -> MeasurementModel:
         """Return the model of the vehicle and its instruments."""
@@ -281,13 +297,13 @@ class MapSmoother(CalibratedByIdentification):
             bandwidth=record.bandwidth,
         )  # fmt: skip
 
-    def prepare_drive(
+    def _prepare_drive(
         self,
         record: Record,
         valid: np.ndarray,
         car: VehicleParameters,
         instruments: Instruments,
-        readings_per_unknown: float = READINGS_PER_UNKNOWN,
+        readings_per_unknown: float,
     ) -> PreparedDrive:
         """Return the drive of a masked record with its `valid` samples (k, N)."""
         inputs = build_model_inputs(record, instruments, car, self.step)

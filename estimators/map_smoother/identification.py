@@ -36,9 +36,7 @@ from estimators.map_smoother.marginal_likelihood import NO_ERRORS
 from estimators.map_smoother.objective import Objective
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty, inflated_std
-from estimators.map_smoother.windows import initial_window_state, window_objective
-from estimators.preprocessing import mask_record
-from road_envs.analysis.information_bound import RoadPrior
+from estimators.map_smoother.windows import whole_objective
 from road_envs.data.record import Record
 from road_envs.sensing.instruments import instruments_of
 from road_envs.vehicle.parameters import Tolerance, VehicleParameters
@@ -294,19 +292,12 @@ def _parts(
 
 def _objective(drive: CalibrationDrive, car: VehicleParameters, smoother: MapSmoother) -> Objective:
     """Return the objective of a drive as one window."""
-    instruments = instruments_of(drive.record, smoother.instruments)
-    readings = READINGS_PER_UNKNOWN
-    if drive.profile is not None:  # slow readings tell of waves that a survey measures well
+    readings, is_measured = READINGS_PER_UNKNOWN, drive.profile is not None
+    if is_measured:  # slow readings tell of waves that a survey measures well
         smoother, readings = replace(smoother, level_ends=False, data_rate=KNOWN_DATA_RATE), 0.0
-    record, valid, _ = mask_record(drive.record, instruments)
-    model = smoother.measurement_model(record, car, instruments)
-    if drive.profile is None:  # on a profile the speed is one of the instruments' errors
-        model = replace(model, speed_std=instruments.speed_error)
-    prepared = smoother.prepare_drive(record, valid, car, instruments, readings)
-    blocks = prepared.a.shape[1] // prepared.block_size
-    prior = RoadPrior(G_d0=smoother.G_d0, w=smoother.w)
-    state = initial_window_state(prepared)
-    objective = window_objective(model, prepared, prior, state, 0, blocks)
+    # on a profile the speed is one of the instruments' errors
+    model, prepared, _ = smoother.prepare(drive.record, car, readings, not is_measured)
+    objective = whole_objective(model, prepared, smoother.road_prior)
     return on_profile(objective, drive)
 
 

@@ -36,13 +36,9 @@ from estimators.map_smoother.windows import (
     advance,
     initial_window_state,
     nodes_under,
-    split_windows,
     window_objective,
 )
-from estimators.preprocessing import mask_record
-from road_envs.analysis.information_bound import RoadPrior
 from road_envs.data.record import Estimate, Record, scored_band
-from road_envs.sensing.instruments import instruments_of
 from road_envs.vehicle.parameters import VehicleParameters
 
 if TYPE_CHECKING:
@@ -80,14 +76,9 @@ class PreparedPass:
     drive: PreparedDrive
 
     @property
-    def blocks(self) -> int:
-        """Number of its block means of each sensor."""
-        return self.drive.a.shape[1] // self.drive.block_size
-
-    @property
     def block_stations(self) -> np.ndarray:
         """Stations [m] at which the blocks begin."""
-        return self.drive.inputs.s[:: 2 * self.drive.steps_per_block][: self.blocks]
+        return self.drive.inputs.s[:: 2 * self.drive.steps_per_block][: self.drive.blocks]
 
 
 @dataclass(eq=False)
@@ -173,10 +164,7 @@ def prepare_passes(
     """Return the passes on common nodes, the finest that any of them needs, and notes."""
     passes, notes = [], list[str]()
     for record, car, name in zip(records, cars, names, strict=True):
-        instruments = instruments_of(record, smoother.instruments)
-        record, valid, told = mask_record(record, instruments)
-        model = smoother.measurement_model(record, car, instruments)
-        drive = smoother.prepare_drive(record, valid, car, instruments)
+        model, drive, told = smoother.prepare(record, car)
         passes.append(PreparedPass(name, car, model, drive))
         notes += [f"{name}: {note}" for note in told]
     drives = [one.drive for one in passes]
@@ -252,21 +240,19 @@ def joint_windows(
     Those of the pass that takes longest are even, of `window` and `overlap` [s]; the windows of the
     others begin and end at the same stations.
     """
-    longest = max(passes, key=lambda one: one.blocks * one.drive.block_size)
-    rate = 1.0 / (longest.drive.steps_per_block * longest.drive.inputs.h)
-    even = split_windows(longest.blocks, round(window * rate), round(overlap * rate))
+    longest = max(passes, key=lambda one: one.drive.blocks * one.drive.block_size)
     starts = longest.block_stations
 
     def at(one: PreparedPass, block: int) -> int:
         if one is longest or block == 0:
             return block
         if block >= starts.size:
-            return one.blocks
+            return one.drive.blocks
         return int(np.searchsorted(one.block_stations, starts[block]))
 
     return [
         tuple((at(one, begin), at(one, after), at(one, end)) for one in passes)
-        for begin, after, end in even
+        for begin, after, end in longest.drive.split(window, overlap)
     ]
 
 
@@ -279,7 +265,7 @@ def reconstruct_passes(
     and its standard deviation (2, K).
     """
     passes = list(passes)
-    prior = RoadPrior(G_d0=smoother.G_d0, w=smoother.w)
+    prior = smoother.road_prior
     states = [initial_window_state(one.drive) for one in passes]
     for windows in joint_windows(passes, smoother.window, smoother.overlap):
         members = [k for k, (begin, _, end) in enumerate(windows) if end - begin >= MIN_BLOCKS]

@@ -49,6 +49,18 @@ class PreparedDrive:
         """Steps in a block."""
         return self.block_size * self.inputs.decimation
 
+    @property
+    def blocks(self) -> int:
+        """Number of block means of each sensor."""
+        return self.a.shape[1] // self.block_size
+
+    def split(self, window: float, overlap: float) -> list[tuple[int, int, int]]:
+        """Split the drive into windows of `window` and `overlap` [s]: begin, begin of the next one,
+        and end of each, in blocks.
+        """
+        rate = 1.0 / (self.steps_per_block * self.inputs.h)
+        return split_windows(self.blocks, round(window * rate), round(overlap * rate))
+
     def node_at(self, s: float) -> int:
         """Return the node at the station `s` [m] or just before it."""
         return int((s - self.origin) / self.ds)
@@ -149,6 +161,11 @@ def window_objective(
     road = road.scale_density(np.interp(road.n, window_state.n, window_state.density_scale))
     vehicle = window_state.vehicle_state, window_state.initial_std
     return Objective(model, window_state.strut_state, *vehicle, road, inputs, measurements)
+
+
+def whole_objective(model: MeasurementModel, drive: PreparedDrive, prior: RoadPrior) -> Objective:
+    """Return the objective of a drive as one window."""
+    return window_objective(model, drive, prior, initial_window_state(drive), 0, drive.blocks)
 
 
 def nodes_under(drive: PreparedDrive, wheelbase: float, begin: int, end: int) -> tuple[int, int]:

@@ -21,7 +21,6 @@ from estimators.map_smoother.marginal_likelihood import (
 from estimators.map_smoother.objective import Objective
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.windows import initial_window_state, window_objective
-from estimators.preprocessing import mask_record
 from leaderboard.metrics.heights import nrmse
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.data.record import Profile, scored_band
@@ -48,9 +47,7 @@ def calibration_drive(grade="S1", seed=2, length=100.0, kmh=54.0):
 
 def short_objective() -> Objective:
     record = calibration_drive()[0].record
-    smoother = MapSmoother()
-    drive = smoother.prepare_drive(*mask_record(record, PAPER)[:2], DEFENDER, PAPER)
-    model = smoother.measurement_model(record, DEFENDER, PAPER)
+    model, drive, _ = MapSmoother().prepare(record, DEFENDER)
     return window_objective(model, drive, RoadPrior(), initial_window_state(drive), 0, 600)
 
 

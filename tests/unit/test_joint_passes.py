@@ -156,7 +156,7 @@ def test_windows_of_all_passes_end_at_the_same_stations_and_join():
             one.block_stations[begin] for one, (begin, _, _) in zip(passes, window, strict=True)
         ]
         assert np.ptp(begins) < 0.1
-    assert [last for _, _, last in windows[-1]] == [one.blocks for one in passes]
+    assert [last for _, _, last in windows[-1]] == [one.drive.blocks for one in passes]
     whole = estimate_passes(smoother, records, DEFENDER)
     parts = estimate_passes(replace(smoother, window=2.2, overlap=0.8), records, DEFENDER)
     assert error(parts, truth) < 1.25 * error(whole, truth)

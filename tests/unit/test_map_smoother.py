@@ -24,8 +24,7 @@ from estimators.map_smoother.gauss_newton import (
 from estimators.map_smoother.objective import Objective
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.road_prior import RoadTransform
-from estimators.map_smoother.windows import initial_window_state, window_objective
-from estimators.preprocessing import mask_record
+from estimators.map_smoother.windows import whole_objective
 from leaderboard.metrics.heights import band_pass, nrmse
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.data.record import Record, scored_band
@@ -64,11 +63,8 @@ def drive_record(mode="handling", kmh=54.0, length=40.0, density=0.01, road_clas
 
 def objective_of(record: Record, car: VehicleParameters = DEFENDER, **settings) -> Objective:
     """The objective of a whole record as one window."""
-    estimator = MapSmoother(**settings)
-    model = estimator.measurement_model(record, car, PAPER)
-    drive = estimator.prepare_drive(*mask_record(record, PAPER)[:2], car, PAPER)
-    blocks = drive.a.shape[1] // drive.block_size
-    return window_objective(model, drive, PRIOR, initial_window_state(drive), 0, blocks)
+    model, drive, _ = MapSmoother(**settings).prepare(record, car)
+    return whole_objective(model, drive, PRIOR)
 
 
 def error(estimate, profile, record) -> float:

@@ -9,7 +9,6 @@ from vehicle_fixtures import DEFENDER, smooth_road
 from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.preconditioner import linear_responses
 from estimators.map_smoother.windows import initial_window_state, window_objective
-from estimators.preprocessing import mask_record
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.data.recording import simulate_record
 from road_envs.sensing.instruments import load_instruments
@@ -28,9 +27,7 @@ def objective_of(variation, blocks=120):
     car = replace(DEFENDER, variation=variation)
     road = smooth_road(length=20.0, height=0.01)
     record, _ = simulate_record(road, vehicle=car, speed_kmh=36.0, seed=1)
-    smoother = MapSmoother()
-    drive = smoother.prepare_drive(*mask_record(record, PAPER)[:2], car, PAPER)
-    model = smoother.measurement_model(record, car, PAPER)
+    model, drive, _ = MapSmoother().prepare(record, car)
     return window_objective(model, drive, RoadPrior(), initial_window_state(drive), 0, blocks)
 
 

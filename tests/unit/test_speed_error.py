@@ -11,8 +11,7 @@ from estimators.map_smoother.gauss_newton import GaussNewton, minimize
 from estimators.map_smoother.objective import Objective
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.speed_error import distance_scale, estimate_speed_error
-from estimators.map_smoother.windows import initial_window_state, window_objective
-from estimators.preprocessing import mask_record
+from estimators.map_smoother.windows import whole_objective
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.data.recording import simulate_record
 from road_envs.roads.iso8608 import Iso8608
@@ -29,12 +28,8 @@ def objective_of(too_fast: float, length: float = 20.0) -> Objective:
     first, factor = record.s[0], 1.0 + too_fast
     s = first + factor * (record.s - first)
     record = replace(record, s=s, v=factor * record.v, length=factor * record.length)
-    smoother = MapSmoother()
-    record, valid, _ = mask_record(record, PAPER)
-    drive = smoother.prepare_drive(record, valid, DEFENDER, PAPER)
-    model = replace(smoother.measurement_model(record, DEFENDER, PAPER), speed_std=SPEED_STD)
-    blocks = drive.a.shape[1] // drive.block_size
-    return window_objective(model, drive, RoadPrior(), initial_window_state(drive), 0, blocks)
+    model, drive, _ = MapSmoother().prepare(record, DEFENDER)
+    return whole_objective(replace(model, speed_std=SPEED_STD), drive, RoadPrior())
 
 
 def test_the_derivative_by_the_speed_is_that_of_drives_and_has_its_transpose():

@@ -26,7 +26,6 @@ from estimators.map_smoother.tangent_likelihood import (
     trace_sample,
 )
 from estimators.map_smoother.windows import initial_window_state, window_objective
-from estimators.preprocessing import mask_record
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.data.recording import simulate_record
 from road_envs.roads.iso8608 import Iso8608
@@ -42,9 +41,7 @@ SPACE = ParameterSpace(DEFENDER, FULL.names[:6], FULL.std[:6])
 def solution() -> MapSolution:
     surface = Iso8608(road_class="D", length=20.0).realise(np.random.default_rng(5))
     record, _ = simulate_record(surface, vehicle=DEFENDER, speed_kmh=54.0, mode="handling", seed=5)
-    smoother = MapSmoother()
-    drive = smoother.prepare_drive(*mask_record(record, PAPER)[:2], DEFENDER, PAPER)
-    model = smoother.measurement_model(record, DEFENDER, PAPER)
+    model, drive, _ = MapSmoother().prepare(record, DEFENDER)
     objective = window_objective(model, drive, RoadPrior(), initial_window_state(drive), 0, 200)
     return minimize(objective, GaussNewton(stationary_hessian(objective)), adapt_prior=False)
 
