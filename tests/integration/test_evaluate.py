@@ -160,8 +160,8 @@ def test_truth_plus_noise_has_exactly_its_noise_level():
 @pytest.mark.parametrize("delay", [0.4, 1.0])
 def test_memory_is_the_training_road_without_its_delay(delay):
     """Its error is the noise of the copy inside the band; that of `mean` is the delay."""
-    belgian = {"kind": "fixed", "seed": 8, "road": "belgian_like"}
-    copy = {"kind": "altered", "noise": 0.1, "delay": delay, "road": belgian}
+    belgian = {"kind": "fixed_seed", "seed": 8, "road": "belgian_like"}
+    copy = {"kind": "noisy_copy", "noise": 0.1, "delay": delay, "road": belgian}
     t = task(
         training={"roads": [copy], "seeds": [1], "length": 60.0, "noise": False},
         test={"roads": [belgian], "seeds": [11], "length": 60.0},
