@@ -179,7 +179,7 @@ def test_memory_is_the_training_road_without_its_delay(delay):
         # interpolation between the samples of the noise takes off some of it
         assert 0.6 * expected < remembered[k] < 1.2 * expected
     assert (out_of_place > 0.9).all()
-    assert found["memory"].role == "sentinel"
+    assert found["memory"].role == "baseline"
     assert "memory" in baseline_names(t) and "memory" not in baseline_names(task())
 
 
@@ -205,7 +205,7 @@ def test_every_board_has_the_baselines(tmp_path):
     (t,) = result.tasks
     assert {r.estimator for r in result.scored(t)} == {"reader", *BASELINES}
     roles = {r.estimator: r.role for r in result.scored(t)}
-    assert roles["reader"] == "entry" and roles["flat"] == "sentinel"
+    assert roles["reader"] == "entry" and roles["flat"] == "baseline"
 
 
 def test_progress_of_a_board_counts_up_to_its_end(tmp_path):
