@@ -86,15 +86,11 @@ class WindowFilter:
         if adaptive[NOISE_SCALE] <= lost_noise_scale(adaptive[SIGNAL_POWER]):
             passed = self._passed[0][i], self._passed[1][i]
             update_roughness(road, joint, adaptive, state.jumps.square, passed)
-        oldest, end = schedule.oldest[i : i + 2]
-        nodes = np.arange(oldest, end)
-        begun, leaving = state.jumps.begin(nodes + road.n_nodes), road.road_entries(nodes)
-        rows = joint.P[leaving]
-        rows[:, n + begun] = 0.0
-        left = state.x[leaving], rows[:, :n], rows[:, n:]
-        heights = self._heights[0][i], self._heights[1][i]
-        scale = adaptive[ROUGHNESS_SCALE]
-        advance_nodes(road, joint, self.bands, heights, i, (oldest, end), scale)
+        oldest, end = schedule.oldest[i], schedule.oldest[i + 1]
+        state.jumps.begin(np.arange(oldest, end) + road.n_nodes)
+        heights, scale = (self._heights[0][i], self._heights[1][i]), adaptive[ROUGHNESS_SCALE]
+        mean, rows = advance_nodes(road, joint, self.bands, heights, i, (oldest, end), scale)
+        left = mean, rows[:, :n], rows[:, n:]
         first, last = (int(edge) for edge in schedule.edges[i : i + 2])
         parts = [self._filter_part(i, first, last, left)]
         nothing = left[0][:0], left[1][:0], left[2][:0]

@@ -15,10 +15,26 @@ def advance_nodes(
     """Add the oldest `nodes` to the `heights` of which they are a part, and replace them by new
     ones. Both are numbers from a first one to a last one (excluded). Heights of which the first
     nodes leave in this `window` begin.
+
+    Return mean (4 + 2 M,) and rows of P (4 + 2 M, n + m) of the retired-node sums and these M nodes
+    before, without the directions of the candidates that the new nodes replace.
     """
+    n, columns, first_sum = joint.x.size, joint.P.shape[1], node_entry(road, 0) - N_SUMS
+    count, m = nodes[1] - nodes[0], columns - n
+    mean, rows = np.empty(N_SUMS + 2 * count), np.empty((N_SUMS + 2 * count, columns))
+    for i in range(mean.size):
+        at = first_sum + i
+        if i >= N_SUMS:
+            at = node_entry(road, nodes[0] + (i - N_SUMS) // 2) + i % 2
+        mean[i] = joint.x[at]
+        for k in range(columns):
+            rows[i, k] = joint.P[at, k]
+        for k in range(2 * count):
+            rows[i, n + (2 * (nodes[0] + road.n_nodes) + k) % m] = 0.0
     add_to_heights(road, joint, bands, heights, window, nodes)
     for node in range(nodes[0], nodes[1]):
         add_node(road, joint, node + road.n_nodes - 1, scale)
+    return mean, rows
 
 
 @kernel(inline=False)

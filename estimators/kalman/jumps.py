@@ -138,13 +138,12 @@ class RoadJumps:
         near = np.zeros(nodes, dtype=bool)
         return cls(score, information, np.zeros((nodes, 2)), near, length, reach)
 
-    def begin(self, nodes: np.ndarray) -> np.ndarray:
-        """Replace the oldest candidates by those of new `nodes` (M,); return which (2 M,)."""
+    def begin(self, nodes: np.ndarray) -> None:
+        """Replace the oldest candidates by those of new `nodes` (M,)."""
         candidates = (2 * nodes[:, None] + np.arange(2)).ravel() % self.score.size
         self.score[candidates] = 0.0
         self.information[candidates] = 0.0
         self.information[:, candidates] = 0.0
-        return candidates
 
     def add(self, node: int, side: int, step: float) -> None:
         """Add a `step` [m] at a `node` in a wheel path."""

@@ -119,11 +119,6 @@ class RoadProcess(NamedTuple):
         """Return the entries (2 M,) of mean and half difference of the `nodes` (M,)."""
         return ((self.first_node + 2 * (nodes % self.n_nodes))[:, None] + np.arange(2)).ravel()
 
-    def road_entries(self, nodes: np.ndarray) -> np.ndarray:
-        """Return the entries (4 + 2 M,) of the retired-node sums and of `nodes` (M,)."""
-        sums = np.arange(self.first_sum, self.first_node)
-        return np.concatenate([sums, self.node_entries(nodes)])
-
 
 @kernel
 def node_entry(road: RoadProcess, k):
@@ -212,20 +207,23 @@ def add_node(road: RoadProcess, joint: JointState, newest, scale):
 
 
 @kernel(inline=False)
-def transpose_nodes(road: RoadProcess, nodes, r):
-    """Replace `r` (n, M) by F' r of the steps in which the `nodes` from a first one to a last one
-    (excluded) are replaced.
+def transpose_nodes(road: RoadProcess, nodes, r, columns):
+    """Replace `columns` of `r` (n, M) by F' r of the steps in which the `nodes` are replaced; of
+    both, numbers from a first one to a last one (excluded).
     """
     after = np.empty((6, r.shape[1]))
     for node in range(nodes[1] - 1, nodes[0] - 1, -1):
         entries, sources, factors = node_law(road, node + road.n_nodes - 1)
         for e in range(6):
-            for i in range(r.shape[1]):
+            for i in range(columns[0], columns[1]):
                 after[e, i], r[entries[e], i] = r[entries[e], i], 0.0
         for e in range(6):
             for k in range(factors.shape[1]):
-                for i in range(r.shape[1]):
-                    r[sources[e, k], i] += factors[e, k] * after[e, i]
+                source, factor = sources[e, k], factors[e, k]
+                if factor == 0.0:
+                    continue
+                for i in range(columns[0], columns[1]):
+                    r[source, i] += factor * after[e, i]
 
 
 @kernel(inline=False)

@@ -23,7 +23,6 @@ import numpy as np
 
 from estimators.kalman.filtered import BandVariance, FilteredWindow, NodesAtEmission
 from estimators.kalman.road_process import RoadProcess, transpose_nodes
-from estimators.kalman.state import N_SUMS
 
 
 def smooth_backward(
@@ -41,26 +40,30 @@ def smooth_backward(
     variances of `bands` in the windows before the number `corrected` are smoothed, too.
     """
     times, n = nodes.times, road.n_states
-    live = np.zeros(1 if entering is None else 0, dtype=int)
-    r, N, steps = np.zeros((n, live.size)), np.zeros((n, n)), dict[int, np.ndarray]()
+    # a column for each moment from the first to the last (excluded), of which low to high are live
+    first, last = (0, 1) if entering is None else (entering.start, entering.stop)
+    r, N, steps = np.zeros((n, last - first)), np.zeros((n, n)), dict[int, np.ndarray]()
+    low = 0 if entering is None else last - first
     for window in reversed(windows):
         i, local, U, vehicle = window.index, window.local, window.U, len(window.transition)
+        high = min(int(np.searchsorted(times.first, i, side="right")), last) - first
+        live = r[:, low:high]
         for step in window.accepted:
-            steps[id(step)] = step.size + step.added * (step.direction[:n] @ r)
+            # 0 at moments before, when the step is not yet known
+            steps[id(step)] = np.zeros(last - first)
+            steps[id(step)][low:high] = step.size + step.added * (step.direction[:n] @ live)
         steps = {id(step): steps[id(step)] for step, *_ in window.corrections}
-        moved, r[:vehicle] = window.transition.T @ r[:vehicle], 0.0
-        r[local] += moved + U.T @ (window.innovation[:, None] - window.W @ r)
+        moved = window.transition.T @ live[:vehicle]
+        live[:vehicle] = 0.0
+        live[local] += moved + U.T @ (window.innovation[:, None] - window.W @ live)
         for step, change, _ in window.corrections:
-            r[local] -= np.outer(change, steps[id(step)])
+            live[local] -= np.outer(change, steps[id(step)][low:high])
         if entering is not None:
             emitted = times.within(window.blocks)
-            new = np.arange(max(emitted.start, entering.start), min(emitted.stop, entering.stop))
-            new = new[times.first[new] <= i]
-            start = np.zeros((n, new.size))
-            start[local] = nodes.adjoint[new, : local.size].T
-            r, live = np.concatenate([start, r], axis=1), np.concatenate([new, live])
-            # a step is not known before it is accepted
-            steps = {k: np.append(np.zeros(new.size), size) for k, size in steps.items()}
+            start, stop = max(emitted.start, first), min(emitted.stop, last)
+            low = start - first
+            r[local, low : max(stop - first, low)] = nodes.adjoint[start:stop, : local.size].T
+            live = r[:, low:high]
         if bands is not None:
             D = window.error_derivative()
             moved = N @ D
@@ -76,22 +79,19 @@ def smooth_backward(
         if window.leaving.size == 0:
             continue
         left_nodes = int(oldest[i]), int(oldest[i + 1])
-        transpose_nodes(road, left_nodes, r)
+        transpose_nodes(road, left_nodes, r, (low, high))
         if bands is not None:
-            transpose_nodes(road, left_nodes, N)
+            transpose_nodes(road, left_nodes, N, (0, n))
             N = N.T.copy()
-            transpose_nodes(road, left_nodes, N)
+            transpose_nodes(road, left_nodes, N, (0, n))
             N = 0.5 * (N + N.T)  # the asymmetry of rounding would grow from window to window
-        if live.size == 0:
+        if low >= high:
             continue
-        left = window.leaving[:, None] + window.covariance @ r
+        left = window.leaving[:, None] + window.covariance @ live
         for step, _, direction in window.corrections:
-            left += np.outer(direction, steps[id(step)])
-        at = 2 + oldest[i] - times.base[live]
-        leave = left[N_SUMS:].reshape(-1, 2, live.size)
-        nodes.c[live[:, None], at[:, None] + np.arange(leave.shape[0])] = leave.transpose(2, 0, 1)
-        done = times.first[live] == i
-        if done.any():
-            nodes.c[live[done], :2] = left[:N_SUMS, done].T.reshape(-1, 2, 2)
-            live, r = live[~done], r[:, ~done].copy()
-            steps = {k: size[~done] for k, size in steps.items()}
+            left += np.outer(direction, steps[id(step)][low:high])
+        left, moments = left.T.reshape(high - low, -1, 2), np.arange(first + low, first + high)
+        at = 2 + oldest[i] - times.base[moments, None] + np.arange(left.shape[1] - 2)
+        nodes.c[moments[:, None], at] = left[:, 2:]
+        done = times.first[moments] == i
+        nodes.c[moments[done], :2] = left[done, :2]
