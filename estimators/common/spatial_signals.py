@@ -14,8 +14,8 @@ FILTER_REACH to either side: a causal input stays causal up to 2 FILTER_REACH. V
 three motions are integrals over time, high-passed at 0.3 Hz.
 
 A body that twists or bends is not rigid, and then the three motions are not what they are called.
-How front and roll compare with rear, frequency by frequency, tells such a vehicle from a rigid one
-on any road: `spectrum` has the logarithms of these ratios.
+How front and roll compare with rear, frequency by frequency, separates such a vehicle from a rigid
+one on any road: `spectrum` has the logarithms of these ratios.
 """
 
 from itertools import pairwise

@@ -1,4 +1,4 @@
-"""Reconstruction without a vehicle model: responses identified on a known stretch, then inverted.
+"""Reconstruction without a vehicle model: responses identified on a known road, then inverted.
 
 A calibration drive over a measured profile gives the impulse responses from the road to the sensors
 (`impulse_responses.py`), for any vehicle and any number of accelerometers at any places. On another

@@ -112,8 +112,8 @@ def adapt_vehicle(
     instruments: Instruments,
     passes: int,
 ) -> AdaptedVehicle | None:
-    """Return the vehicle that a `segment` of a `record` tells of; None if it may well be `car`, or
-    if no other explains more.
+    """Return the most probable vehicle on a `segment` of a `record`; None if it may well be `car`,
+    or if no other explains more.
 
     `model` is that of the segment for `car`, `passes` those of the estimate. A vehicle is never
     adapted if its file gives no tolerances, the record has fewer than LEAST_CHANNELS channels, or

@@ -7,7 +7,6 @@ routine of SciPy gets the analytic Jacobian; torch-levenberg-marquardt computes 
 `torch.func`. All use one thread: the training here takes no more, so that several run side by side.
 """
 
-import statistics
 import time
 from collections.abc import Callable
 from typing import NamedTuple
@@ -18,6 +17,7 @@ from scipy.optimize import least_squares
 from estimators.networks import levenberg_marquardt as lm
 from estimators.preprocessing import sample_profile, spatial_accelerations
 from leaderboard.benchmarks.integrators import CAR, PeerError
+from leaderboard.benchmarks.speed import cpu_time
 from road_envs._extras import optional_import
 from road_envs.data.record import profile_stations
 from road_envs.data.recording import simulate_record
@@ -67,13 +67,7 @@ def train_ours(given: Samples, epochs: int) -> lm.LmResult:
 
 def time_ours(given: Samples, epochs: int) -> float:
     """Return the median CPU time [s] of some trainings, after a first one."""
-    train_ours(given, epochs)
-    spans = []
-    for _ in range(3):
-        begin = time.process_time()
-        train_ours(given, epochs)
-        spans.append(time.process_time() - begin)
-    return statistics.median(spans)
+    return cpu_time(lambda: train_ours(given, epochs), 3)
 
 
 def time_scipy(given: Samples, error: float) -> float:

@@ -24,7 +24,7 @@ from leaderboard.evaluation.evaluate import SEEDS
 from leaderboard.evaluation.results import isolation_notice
 from leaderboard.evaluation.surface_tasks import surface_tasks
 from leaderboard.evaluation.tasks import Task, load_task, shipped_tasks
-from leaderboard.metrics.baselines import SENTINELS
+from leaderboard.metrics.baselines import ALL_BASELINES
 from leaderboard.report.attainable import with_attainable
 from leaderboard.report.cache import Report, build_report
 from leaderboard.report.sentences import check_board
@@ -188,7 +188,7 @@ def _entries(names: Sequence[str] | None, without: Sequence[str], limits: Limits
     for name in without:
         validate_choice("estimator", name, estimators.names())
     unavailable = estimators.without_weights()
-    excluded = {*SENTINELS, *unavailable, *without}
+    excluded = {*ALL_BASELINES, *unavailable, *without}
     chosen = names or [name for name in estimators.names() if name not in excluded]
     if unavailable and not names:
         notices.print(f"excluded, no weights in this package: {', '.join(unavailable)}")

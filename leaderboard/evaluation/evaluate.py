@@ -31,7 +31,7 @@ from leaderboard.evaluation.test_data import (
     simulate_drives,
 )
 from leaderboard.metrics import heights
-from leaderboard.metrics.baselines import MEMORY, SENTINELS, memory, truth_plus_noise
+from leaderboard.metrics.baselines import ALL_BASELINES, MEMORY, memory, truth_plus_noise
 from leaderboard.metrics.bound import nrmse_bound
 from leaderboard.metrics.registry import compute_scores
 from road_envs.data.record import Estimate
@@ -146,7 +146,7 @@ def evaluate_entry(
         task=task.name,
         task_digest=task.digest,
         estimator=entry.name,
-        role="sentinel" if entry.name in SENTINELS else "entry",
+        role="baseline" if entry.name in ALL_BASELINES else "entry",
         settings=entry.settings,
         package_version=package_version(),
         metric_version=heights.VERSION,

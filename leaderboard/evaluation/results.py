@@ -20,8 +20,8 @@ from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics import heights
 from road_envs.config import Settings
 
-FORMAT = 4
-Role = Literal["entry", "sentinel"]
+FORMAT = 5
+Role = Literal["entry", "baseline"]
 ISOLATED = ("bubblewrap",)
 """Values of `Result.isolation` of entries without access to files, network and other processes."""
 

@@ -23,7 +23,7 @@ from leaderboard.evaluation.results import FORMAT, DriveScores, Result
 from leaderboard.evaluation.tasks import Task
 from leaderboard.json_values import nan_to_none
 from leaderboard.metrics import heights
-from leaderboard.metrics.baselines import SENTINELS
+from leaderboard.metrics.baselines import ALL_BASELINES
 from road_envs._atomic_io import write_text
 from road_envs.config import ConfigError, Settings, build
 
@@ -157,7 +157,7 @@ def _row_or_failure(path: Path, task: Task) -> Result:
             task=task.name,
             task_digest=task.digest,
             estimator=path.stem,
-            role="sentinel" if path.stem in SENTINELS else "entry",
+            role="baseline" if path.stem in ALL_BASELINES else "entry",
             settings={},
             package_version=package_version(),
             metric_version=heights.VERSION,

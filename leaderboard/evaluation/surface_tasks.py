@@ -78,7 +78,7 @@ def surface_tasks(path: Path) -> list[Task]:
         "name": f"{stem}_paper",
         "title": f"{path.stem}: trained on an altered copy of itself, as the paper does",
         "board": "measured",
-        "training": {"roads": [{"kind": "altered", "road": road}], "seeds": [1], "noise": False},
+        "training": {"roads": [{"kind": "noisy_copy", "road": road}], "seeds": [1], "noise": False},
         "trains_on_test_road": True,
         "note": note,
     }

@@ -22,7 +22,7 @@ TRUTH_PLUS_NOISE = "truth_plus_noise"
 MEMORY = "memory"
 BASELINES = ("flat", "mean", "unrelated_road", TRUTH_PLUS_NOISE)
 """Baselines of every task."""
-SENTINELS = (*BASELINES, MEMORY)
+ALL_BASELINES = (*BASELINES, MEMORY)
 """Names of all baselines; no entry may have one of them."""
 NOISE_LEVEL = 0.02
 """Ratio of the noise of `truth_plus_noise` to the truth, both as in-band RMS."""

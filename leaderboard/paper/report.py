@@ -77,7 +77,7 @@ def numbers(study: Study, command: str) -> dict[str, Any]:
                     }
                     for training in scenario.trainings
                 ],
-                "sentinels": {n: [_rounded(x) for x in xs] for n, xs in scenario.baselines.items()},
+                "baselines": {n: [_rounded(x) for x in xs] for n, xs in scenario.baselines.items()},
             }
             for scenario in study.scenarios
         ],

@@ -15,7 +15,7 @@ from leaderboard.evaluation.evaluate import SEEDS
 from leaderboard.evaluation.results import Result
 from leaderboard.evaluation.store import RowChangedError, load_rows
 from leaderboard.evaluation.tasks import Task
-from leaderboard.metrics.baselines import BASELINES, MEMORY, SENTINELS, TRUTH_PLUS_NOISE
+from leaderboard.metrics.baselines import ALL_BASELINES, BASELINES, MEMORY, TRUTH_PLUS_NOISE
 from leaderboard.running.executors import Executor
 from leaderboard.running.jobs import to_packed_text
 from leaderboard.running.plan import Plan, PlannedRow, make_jobs
@@ -210,9 +210,9 @@ def write_jobs(request: RunRequest, out: Path, folder: Path) -> int:
 def create_baselines() -> dict[str, Estimator | None]:
     """Return all baselines by name; None is one that the evaluation makes from the truth."""
     made = (TRUTH_PLUS_NOISE, MEMORY)
-    return {name: None if name in made else create(name) for name in SENTINELS}
+    return {name: None if name in made else create(name) for name in ALL_BASELINES}
 
 
 def baseline_names(task: Task) -> tuple[str, ...]:
     """Return the baselines of a task: `memory` where it trains on its test road."""
-    return SENTINELS if task.trains_on_test_road else BASELINES
+    return ALL_BASELINES if task.trains_on_test_road else BASELINES

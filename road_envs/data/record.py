@@ -156,7 +156,7 @@ class Record:
 
     @property
     def bandwidth(self) -> float:
-        """Frequency [Hz] up to which the accelerations tell of the motion."""
+        """Frequency [Hz] up to which the accelerations contain the motion."""
         return np.inf if self.low_pass is None else self.low_pass.bandwidth
 
     @property

@@ -20,19 +20,17 @@ from road_envs._registry import PluginWarning, Registry
 from road_envs.config import ConfigError, Settings, build
 from road_envs.policies.add import AccelerationDriven
 from road_envs.policies.api import Policy, PolicyContext, PolicyError
-from road_envs.policies.dqn import Dqn
 from road_envs.policies.fixed import FixedHandling, FixedHandlingRide, FixedRide, FixedRideHandling
 from road_envs.policies.greedy_information import GreedyInformation
 from road_envs.policies.groundhook import Groundhook
 from road_envs.policies.network_policy import NetworkPolicy
-from road_envs.policies.ppo import Ppo
-from road_envs.policies.ppo_sensing import PpoSensing
 from road_envs.policies.preview import Preview
 from road_envs.policies.random_switching import RandomSwitching
 from road_envs.policies.roll_angle import RollAngle
 from road_envs.policies.rrms import RunningRmsPolicy
 from road_envs.policies.sh_add import SkyhookAdd
 from road_envs.policies.skyhook import Skyhook
+from road_envs.policies.trained import Dqn, Ppo, PpoSensing
 
 __all__ = [
     "REGISTRY",

@@ -39,22 +39,22 @@ __all__ = [
 
 KINDS.update(
     {
-        "altered": NoisyCopy,
         "belgian": Belgian,
         "bumps": Bumps,
+        "concatenated": Concatenated,
         "defects": Defects,
-        "fixed": FixedSeed,
+        "fixed_seed": FixedSeed,
         "flat": Flat,
         "iso8608": Iso8608,
-        "joined": Concatenated,
         "measured": Measured,
+        "noisy_copy": NoisyCopy,
         "offset": Offset,
         "potholes": Potholes,
         "random_level": RandomLevel,
-        "repeated": Tiled,
-        "run_in": WithAprons,
         "scaled": Scaled,
-        "summed": Superposed,
-        "sweep": SineSweep,
+        "sine_sweep": SineSweep,
+        "superposed": Superposed,
+        "tiled": Tiled,
+        "with_aprons": WithAprons,
     }
 )

@@ -71,7 +71,8 @@ SUM_COMFORT, SUM_RATTLE, SUM_TYRE_LOAD, SUM_A_X, SUM_A_Y, N_SUMS = range(6)
 class FleetState(NamedTuple):
     """State that every vehicle keeps between control intervals; blocks first, lanes last.
 
-    Coordinates `q` and rates `v` (B, 7), `strut_state` (B, 4, 3), command `delay_line` (B, D),
+    Coordinates `q` and rates `v` (B, 7), `strut_state` (B, 4, 3) and `valves` (B, 2) as in
+    `lanes.LaneBuffers`, command `delay_line` (B, D),
     filter states `antialias_state` (B, n, k, 2) and `wk_state` (B, m, 1, 2), `sensor_rows`
     (B, k, 3) as `instrumented_fleet.sensor_rows` returns them for k sensors, and `noise_state`
     (B, 4) as `normal_numbers.generator_state`. `counts` (B, 2): steps done, steps in total.
@@ -82,6 +83,7 @@ class FleetState(NamedTuple):
     q: np.ndarray
     v: np.ndarray
     strut_state: np.ndarray
+    valves: np.ndarray
     delay_line: np.ndarray
     antialias_state: np.ndarray
     wk_state: np.ndarray
@@ -304,7 +306,7 @@ def advance_blocks(blocks, state, parameters, inputs, workspace, output):
     n, h = delayed.shape[0], parameters.h
     scratch = LaneScratch(
         step_workspace(stack_rows(WORKSPACE_ROWS)), stack_rows(16), stack_rows(2), stack_rows(2),
-        stack_rows(2), stack_rows(32), stack_rows(N_SIGNALS),
+        stack_rows(32), stack_rows(N_SIGNALS),
     )  # fmt: skip
     signals, sums = stack_rows(N_SIGNALS), stack_rows(N_SUMS)
     for b in blocks:
@@ -322,7 +324,7 @@ def advance_blocks(blocks, state, parameters, inputs, workspace, output):
         delay_commands(state.delay_line[b], parameters.delay, inputs.commands[b : b + 1], delayed)
         vehicles = LaneBuffers(
             parameters.lane_constants, parameters.constants, parameters.alpha, parameters.velocity,
-            parameters.displacement, state.strut_state[b], q, v,
+            parameters.displacement, state.strut_state[b], state.valves[b], q, v,
         )  # fmt: skip
         a_xy = a_xy[b % a_xy.shape[0]]
         manoeuvre = a_xy.shape[0] > NO_MANOEUVRE.shape[0]
@@ -333,8 +335,6 @@ def advance_blocks(blocks, state, parameters, inputs, workspace, output):
             put(sums, j, 0.0)
         for k in range(lanes):
             events[k, ROLLOVER] = events[k, NONFINITE_STEP] = -1
-        put(scratch.valves, 0, 1.0)
-        put(scratch.valves, 1, 0.0)
         for i in range(n):
             take_step(vehicles, roads, drive_inputs, i, scratch, signals, None)
             find_failures(signals, i, events)

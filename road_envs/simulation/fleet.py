@@ -105,15 +105,17 @@ def delay_commands(delay_line, delay, commands, delayed_commands):
     steps. The first `delay` rows of `delay_line` (D, LANES) are pending ones, oldest first.
     """
     n, last = delayed_commands.shape[0], commands.shape[0] - 1
-    for k in range(LANES):
-        d = delay[k]
-        for i in range(min(d, n)):
-            delayed_commands[i, k] = delay_line[i, k]
-        for i in range(d, n):
-            delayed_commands[i, k] = commands[min(i - d, last), k]
-        for i in range(d):
-            sent = i + n - d
-            delay_line[i, k] = delay_line[i + n, k] if sent < 0 else commands[min(sent, last), k]
+    for i in range(n):
+        for k in range(LANES):
+            sent = i - delay[k]
+            delayed_commands[i, k] = delay_line[i, k] if sent < 0 else commands[min(sent, last), k]
+    for i in range(delay_line.shape[0]):
+        for k in range(LANES):
+            sent = i + n - delay[k]
+            if sent < 0:
+                delay_line[i, k] = delay_line[i + n, k]
+            elif i < delay[k]:
+                delay_line[i, k] = commands[min(sent, last), k]
 
 
 @kernel(inline=False, count_references=False)
@@ -143,14 +145,12 @@ class LaneScratch(NamedTuple):
     """Scratch of `take_step`, on the stack of its caller: all but `work` are rows of lanes.
 
     `road` (16,); `front` (2,): heights under the front wheels at the beginning of the last step;
-    `valves` (2,): 1 where those of a lane move, at the start everywhere, and their last commands;
     `steep` (2,): which lanes are, and zeros; `motions` (32,): two Motions; `unused` (32,): signals.
     """
 
     work: StepWorkspace
     road: np.ndarray
     front: np.ndarray
-    valves: np.ndarray
     steep: np.ndarray
     motions: np.ndarray
     unused: np.ndarray
@@ -165,7 +165,7 @@ def take_step(lanes, roads, inputs, n, scratch, signals, flexible):
     p, q, strut_state = lanes.lane_constants[0], lanes.q, lanes.strut_state
     vehicle = VehicleBuffers(lanes.lane_constants, lanes.velocity, lanes.displacement, strut_state)
     motion, s, speed, h = Motion(q, lanes.v), inputs.s, inputs.v, inputs.h
-    road, valves, steep, motions = scratch.road, scratch.valves, scratch.steep, scratch.motions
+    road, valves, steep, motions = scratch.road, lanes.valves, scratch.steep, scratch.motions
     manoeuvre = inputs.a_xy.shape[0] > NO_MANOEUVRE.shape[0]
     before, whole = Motion(motions[:8], motions[8:16]), Motion(motions[16:24], motions[24:])
     sample_roads(p, roads, s[2 * n], speed[2 * n], road, 0)
@@ -215,11 +215,9 @@ def integrate_lanes(lanes, roads, inputs, columns, out, flexible=None):
     """
     scratch = LaneScratch(
         step_workspace(stack_rows(WORKSPACE_ROWS)), stack_rows(16), stack_rows(2), stack_rows(2),
-        stack_rows(2), stack_rows(32), stack_rows(N_FLEXIBLE_SIGNALS),
+        stack_rows(32), stack_rows(N_FLEXIBLE_SIGNALS),
     )  # fmt: skip
     signals = stack_rows(N_FLEXIBLE_SIGNALS)
-    put(scratch.valves, 0, 1.0)
-    put(scratch.valves, 1, 0.0)
     for n in range(inputs.commands.shape[0]):
         take_step(lanes, roads, inputs, n, scratch, signals, flexible)
         # writing more columns than the caches hold takes as long as the step itself

@@ -158,7 +158,7 @@ class InstrumentedFleet:
         self._set_road(b, k, drive)
         state = self.state
         state.q[b, :, k], state.v[b, :, k] = drive.state[:N_DOF], drive.state[N_DOF:]
-        state.strut_state[b, :, :, k] = drive.strut_state
+        state.strut_state[b, :, :, k], state.valves[b, 0, k] = drive.strut_state, 1.0
         state.delay_line[b, :, k] = drive.delay_line
         state.antialias_state[b, ..., k], state.wk_state[b, ..., k] = 0.0, 0.0
         state.sensor_rows[b, ..., k] = sensor_rows(logger)
@@ -298,6 +298,7 @@ def _initial_state(
         q=aligned_zeros(blocks, N_DOF),
         v=aligned_zeros(blocks, N_DOF),
         strut_state=aligned_zeros(blocks, 4, 3),
+        valves=aligned_zeros(blocks, 2),
         delay_line=np.zeros((blocks, delay, LANES), dtype=np.uint8),
         antialias_state=aligned_zeros(blocks, antialias_sections, sensors, 2),
         wk_state=aligned_zeros(blocks, wk_sections, 1, 2),
@@ -307,5 +308,6 @@ def _initial_state(
         kinematics=aligned_zeros(blocks, 4),
         road_layout=aligned_zeros(blocks, 5),
     )
+    state.valves[:, 0] = 1.0
     state.road_layout[:, ROAD_SIZE], state.road_layout[:, ROAD_PER_DS] = 4.0 + 2.0 * PAD, 1.0
     return state

@@ -82,7 +82,8 @@ class LaneBuffers(NamedTuple):
 
     `lane_constants` (1,) as of `transpose_constants`; for the valves, which move lane by lane, the
     same as `constants` (LANES,) and the factors `alpha` (LANES,) of `suspension.advance_valve`;
-    tables `velocity` and `displacement`; `strut_state` (4, 3, LANES); `q`, `v` (7, LANES), or
+    tables `velocity` and `displacement`; `strut_state` (4, 3, LANES); `valves` (2, LANES): 1 where
+    those of a lane may move, as at the start, and their last commands; `q`, `v` (7, LANES), or
     (8, LANES) if flexible.
     """
 
@@ -92,6 +93,7 @@ class LaneBuffers(NamedTuple):
     velocity: np.ndarray
     displacement: np.ndarray
     strut_state: np.ndarray
+    valves: np.ndarray
     q: np.ndarray
     v: np.ndarray
 
@@ -122,6 +124,7 @@ def lane_buffers(
         velocity=np.concatenate([plant.velocity for plant in distinct]),
         displacement=np.concatenate([plant.displacement for plant in distinct]),
         strut_state=aligned_copy(np.stack(strut_states, axis=-1)),
+        valves=aligned_copy(np.repeat([[1.0], [0.0]], LANES, axis=1)),
         q=aligned_copy(q),
         v=aligned_copy(v),
     )

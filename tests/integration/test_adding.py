@@ -115,7 +115,7 @@ ADDITIONS = {
     ),
     "policy": (
         "road_envs/policies/added.py", POLICY, "road_envs/policies/__init__.py",
-        "from road_envs.policies.dqn import", '    "add": AccelerationDriven,\n',
+        "from road_envs.policies.fixed import", '    "add": AccelerationDriven,\n',
         "from road_envs import policies\nprint(type(policies.create('added')).__name__)",
         "Added",
     ),

@@ -77,7 +77,7 @@ def test_planned_jobs_need_no_other_file(tmp_path):
     surface = with_length(load_road("iso_d"), 16.0).realise(np.random.default_rng(3))
     write_csv(surface, given / "road.csv")
     (given / "elsewhere.py").write_text(wheels.module())
-    changed = {"kind": "altered", "road": {"kind": "measured", "path": str(given / "road.csv")}}
+    changed = {"kind": "noisy_copy", "road": {"kind": "measured", "path": str(given / "road.csv")}}
     t = task(
         car=str(given / "car.yaml"),
         training={"roads": [changed], "seeds": [1]},

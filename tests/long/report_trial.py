@@ -65,7 +65,7 @@ def road(letter: str, seed: int) -> dict:
     ]  # fmt: skip
     ground = {"kind": "iso8608", "road_class": letter, "length": LENGTH}
     return {
-        "kind": "summed",
+        "kind": "superposed",
         "roads": [ground, {"kind": "defects", "length": LENGTH, "defects": defects}],
     }
 

@@ -115,7 +115,7 @@ leaves = st.one_of(
         lambda x, n: {"kind": "iso8608", "road_class": "E", "length": x, "n_min": n, "ds": 0.05},
         st.floats(0.5, 9.0), st.floats(0.1, 1.0),
     ),
-    st.just({"kind": "sweep", "length": 6.0, "n_start": 0.3, "n_end": 2.0, "amplitude": 0.1,
+    st.just({"kind": "sine_sweep", "length": 6.0, "n_start": 0.3, "n_end": 2.0, "amplitude": 0.1,
              "amplitude_end": 0.01, "taper": 0.0}),
     st.just("bump_asymmetric"),
 )  # fmt: skip
@@ -124,16 +124,17 @@ metres = st.floats(0.0, 5.0)
 
 def wrapped(road):
     return st.one_of(
-        st.builds(lambda r, a, b: {"kind": "run_in", "road": r, "before": a, "after": b},
+        st.builds(lambda r, a, b: {"kind": "with_aprons", "road": r, "before": a, "after": b},
                   road, metres, metres),
         st.builds(lambda r, a, b: {"kind": "offset", "road": r, "left": a, "right": b},
                   road, metres, metres),
         st.builds(lambda r, a, b: {"kind": "scaled", "road": r, "height_factor": a,
                                    "length_factor": b}, road, st.floats(-2.0, -0.1),
                   st.floats(0.3, 3.0)),
-        st.builds(lambda r, a, b: {"kind": "repeated", "road": r, "length": a, "repeat": b},
+        st.builds(lambda r, a, b: {"kind": "tiled", "road": r, "length": a, "repeat": b},
                   road, st.floats(2.0, 60.0), st.sampled_from(["repeat", "mirror"])),
-        st.builds(lambda k, r: {"kind": k, "roads": r}, st.sampled_from(["joined", "summed"]),
+        st.builds(lambda k, r: {"kind": k, "roads": r},
+                  st.sampled_from(["concatenated", "superposed"]),
                   st.lists(road, min_size=1, max_size=3)),
     )  # fmt: skip
 
@@ -183,16 +184,16 @@ def test_a_road_made_of_one_other_can_be_resized(road):
         ({"name": "iso_b_potholes", "length": 30.0}, "follows from its other settings"),
         ({"name": "washboard_oblique", "length": "30"}, "length must be a number"),
         ({"name": "washboard_oblique", "length": 0.1}, "length: must be positive"),
-        ({"kind": "joined", "roads": []}, "roads: must have at least 1 element"),
-        ({"kind": "summed", "roads": []}, "roads: must have at least 1 element"),
-        ({"kind": "summed", "roads": ["flat", "flot"]}, "did you mean 'flat'"),
-        ({"kind": "joined", "roads": "flat"}, "roads"),
-        ({"kind": "run_in", "road": "flat", "before": -1.0}, "before: must not be negative"),
+        ({"kind": "concatenated", "roads": []}, "roads: must have at least 1 element"),
+        ({"kind": "superposed", "roads": []}, "roads: must have at least 1 element"),
+        ({"kind": "superposed", "roads": ["flat", "flot"]}, "did you mean 'flat'"),
+        ({"kind": "concatenated", "roads": "flat"}, "roads"),
+        ({"kind": "with_aprons", "road": "flat", "before": -1.0}, "before: must not be negative"),
         ({"kind": "offset", "road": "flat", "right": float("inf")}, "right: must be finite"),
         ({"kind": "scaled", "road": "flat", "height_factor": 0.0}, "height_factor must not be 0"),
         ({"kind": "scaled", "road": "flat", "length_factor": -1.0}, "length_factor"),
-        ({"kind": "repeated", "road": "flat", "length": 5.0, "repeat": "none"}, "repeat"),
-        ({"kind": "repeated", "road": "flat", "length": 0.0}, "length: must be positive"),
+        ({"kind": "tiled", "road": "flat", "length": 5.0, "repeat": "none"}, "repeat"),
+        ({"kind": "tiled", "road": "flat", "length": 0.0}, "length: must be positive"),
     ],
 )
 def test_an_invalid_composition_is_named_in_one_sentence(source, reason):
@@ -215,7 +216,8 @@ def test_a_road_with_too_many_samples_is_rejected_when_drawn(road):
 
 def test_nested_file_paths_are_relative_to_their_yaml_file(tmp_path):
     (tmp_path / "short.csv").write_text("".join(f"{k},{k % 3}\n" for k in range(9)))
-    text = "kind: joined\nroads: [flat, {kind: scaled, road: {kind: measured, path: short.csv}}]\n"
+    scaled = "{kind: scaled, road: {kind: measured, path: short.csv}}"
+    text = f"kind: concatenated\nroads: [flat, {scaled}]\n"
     (tmp_path / "road.yaml").write_text(text)
     assert load_road(tmp_path / "road.yaml").length == 108.0
 

@@ -74,7 +74,7 @@ def test_obstacles_raise_no_doubt():
     bump = {"shape": "half_sine", "at": 60.0, "length": 0.9, "height": 0.03}
     defects = {"kind": "defects", "length": 80.0, "defects": [hump, bump]}
     ground = {"kind": "iso8608", "road_class": "C", "length": 80.0}
-    road = {"kind": "summed", "roads": [ground, defects]}
+    road = {"kind": "superposed", "roads": [ground, defects]}
     record = drive(road, 50, "handling", "S2", seed=2, length=None)
     assert check_notes(record, DEFENDER, "paper") == ()
 

@@ -7,10 +7,17 @@ import numpy as np
 import pytest
 from scipy.signal import welch
 
+from leaderboard.drive_report import analysis
 from leaderboard.drive_report.analysis import analyse
 from leaderboard.drive_report.conditions import Conditions, load_conditions
 from leaderboard.drive_report.export import write_geojson
-from leaderboard.drive_report.obstacles import CERTAIN, FALSE_ALARMS, HEIGHT_STD, detect
+from leaderboard.drive_report.obstacles import (
+    CERTAIN,
+    FALSE_ALARMS,
+    HEIGHT_STD,
+    DetectedObstacle,
+    detect,
+)
 from leaderboard.drive_report.posterior_iri import MODEL_STD, posterior_iri, unit_error
 from road_envs.analysis.roughness import iri
 from road_envs.config import ConfigError
@@ -141,6 +148,17 @@ def test_a_deep_hole_leaves_no_rims_as_bumps():
     (hole,) = detect(Estimate(one.s, z))
     assert hole.side == "right" and hole.height == pytest.approx(-0.05, rel=0.02)
     assert hole.length == pytest.approx(1.0, abs=0.06)
+
+
+def test_an_obstacle_of_little_confidence_is_called_possible(monkeypatch):
+    found = [
+        DetectedObstacle(40.0 * k, height, 0.002, 1.0, "left", confidence)
+        for k, (height, confidence) in enumerate([(0.03, 0.97), (-0.03, 0.97), (-0.03, 0.99)], 1)
+    ]
+    monkeypatch.setattr(analysis, "detect", lambda estimate: found)
+    result = analyse("d", MeasuredRecord(drive()), estimate("street"), HPMS)
+    kinds = [row["kind"] for row in result.obstacles]
+    assert kinds == ["possible bump", "possible hole", "hole"]
 
 
 def test_the_place_of_an_obstacle_is_as_uncertain_as_the_driven_distance():

@@ -163,7 +163,9 @@ def test_a_long_surface_is_truncated(tmp_path):
 
 def test_a_path_in_a_yaml_file_is_relative_to_it(tmp_path):
     crg_path(tmp_path, wavy())
-    settings = "kind: fixed\nseed: 0\nroad: {kind: measured, path: surface.crg, length: 15.0}\n"
+    settings = (
+        "kind: fixed_seed\nseed: 0\nroad: {kind: measured, path: surface.crg, length: 15.0}\n"
+    )
     (tmp_path / "road.yaml").write_text(settings)
     assert load_road(tmp_path / "road.yaml").length == 15.0
 

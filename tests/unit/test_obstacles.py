@@ -229,5 +229,5 @@ def test_the_twist_road_tilts_the_axles_in_opposite_directions():
 def test_an_invalid_sweep_is_named_in_one_sentence(setting, reason):
     sound = {"n_start": 0.1, "n_end": 1.0, "amplitude": 0.01, "amplitude_end": 0.01}
     with pytest.raises(ConfigError) as error:
-        load_road({"kind": "sweep", **sound, **setting})
+        load_road({"kind": "sine_sweep", **sound, **setting})
     assert reason in str(error.value)

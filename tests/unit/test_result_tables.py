@@ -126,7 +126,7 @@ def test_entries_better_than_truth_plus_noise_and_inconsistent_baselines_are_fla
         "better is below the bound of a linear car without friction, from data below 25 Hz, on "
         f"{shares.mean():.0%} of its drives"
     )
-    (note,) = flagged(dataclasses.replace(result_of("reader"), estimator="flat", role="sentinel"))
+    (note,) = flagged(dataclasses.replace(result_of("reader"), estimator="flat", role="baseline"))
     assert note.startswith("the evaluation is faulty: flat scores 0.1")
 
 

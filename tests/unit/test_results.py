@@ -83,13 +83,13 @@ INVALID = [
     (lambda text: "[" * 100_000, "damaged, not valid JSON"),
     (lambda text: "[]", "not a result (it has no format)"),
     (lambda text: "{}", "not a result (it has no format)"),
-    (lambda text: '{"format": 4}', "does not begin with its checksum"),
+    (lambda text: '{"format": 5}', "does not begin with its checksum"),
     (lambda text: json.dumps(json.loads(text)), "does not begin with its checksum"),
-    (replaced('"format": 4', '"format": 1'), "written in format 1, this version reads 4"),
-    (replaced('"format": 4', '"format": 9'), "written in format 9 by a newer version"),
+    (replaced('"format": 5', '"format": 1'), "written in format 1, this version reads 5"),
+    (replaced('"format": 5', '"format": 9'), "written in format 9 by a newer version"),
     (replaced('"role": "entry"', '"role": "king"'), "modified since it was written, by hand or"),
     (with_valid_checksum(replaced('"role": "entry"', '"role": "king"')), "role: "),
-    (with_valid_checksum(replaced('"format": 4', '"format": 4, "score": 1')), "score: unknown key"),
+    (with_valid_checksum(replaced('"format": 5', '"format": 5, "score": 1')), "score: unknown key"),
     (with_valid_checksum(replaced('"seeds": [1, 2, 3]', '"seeds": ["1"]')), "seeds"),
     (
         with_valid_checksum(replaced('"drive": [0, 1, 2, 3, 4, 0, 1, 2, 3, 4]', '"drive": [0]')),
@@ -145,7 +145,7 @@ def test_the_content_digest_ignores_only_timings_and_environment():
 def test_rows_that_ran_without_isolation_are_named():
     flat, reader = result_of("flat"), result_of("reader")
     isolated = dataclasses.replace(reader, isolation="bubblewrap")
-    assert flat.role == "sentinel" and isolation_notice([flat, isolated]) is None
+    assert flat.role == "baseline" and isolation_notice([flat, isolated]) is None
     mixed = dataclasses.replace(reader, isolation="bubblewrap or process")
     for run in (reader, mixed):
         assert isolation_notice([flat, run]).startswith("Run without isolation: reader. These ")

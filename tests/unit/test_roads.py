@@ -86,12 +86,12 @@ def test_every_kind_of_road_is_shipped_or_read_from_a_file():
         ({"kind": "bumps", "layout": "large_small", "spacing": 0.9}, "overlap"),
         ({"kind": "bumps", "layout": "small", "small": {"height": 0.1, "ramp": 0.0, "top": 1.0}},
          "small.ramp: must be positive, got 0.0 m"),
-        ({"kind": "fixed", "seed": 1}, "road: missing"),
-        ({"kind": "fixed", "road": "flat", "seed": -1}, "seed"),
-        ({"kind": "fixed", "road": "flat", "seed": 1.5}, "seed"),
-        ({"kind": "fixed", "seed": 1, "road": {"kind": "flat", "lenght": 3.0}}, "'length'"),
-        ({"kind": "fixed", "seed": 1, "road": {"kind": "altered", "road": "iso_x"}}, "'iso_x'"),
-        ({"kind": "altered", "road": "flat", "noise": -0.1}, "noise"),
+        ({"kind": "fixed_seed", "seed": 1}, "road: missing"),
+        ({"kind": "fixed_seed", "road": "flat", "seed": -1}, "seed"),
+        ({"kind": "fixed_seed", "road": "flat", "seed": 1.5}, "seed"),
+        ({"kind": "fixed_seed", "seed": 1, "road": {"kind": "flat", "lenght": 3.0}}, "'length'"),
+        ({"kind": "scaled", "road": {"kind": "noisy_copy", "road": "iso_x"}}, "'iso_x'"),
+        ({"kind": "noisy_copy", "road": "flat", "noise": -0.1}, "noise"),
         ({"kind": "flat", "length": float("nan")}, "length"),
         ({"name": "iso_d", "w": 3.0}, "unknown ['w']"),
         ({"name": "bump_small", "length": 300.0}, "bumps"),
@@ -110,9 +110,9 @@ def test_an_invalid_road_is_named_in_one_sentence(source, reason):
 
 
 def test_a_nested_road_may_be_a_name_or_a_mapping():
-    by_name = load_road({"kind": "fixed", "seed": 3, "road": "iso_d"})
+    by_name = load_road({"kind": "fixed_seed", "seed": 3, "road": "iso_d"})
     mapping = {"kind": "iso8608", "road_class": "D", "length": 100.0}
-    assert by_name == load_road({"kind": "fixed", "seed": 3, "road": mapping})
+    assert by_name == load_road({"kind": "fixed_seed", "seed": 3, "road": mapping})
 
 
 def test_a_shipped_road_can_be_loaded_with_another_length():

@@ -330,7 +330,7 @@ def test_two_kinds_of_road_with_the_same_settings_have_different_digests():
     inner = {"road": "iso_d"}
     digests = {
         task(test={"roads": [{"kind": kind, **inner}], "seeds": [11]}).digest
-        for kind in ("scaled", "run_in", "offset")
+        for kind in ("scaled", "with_aprons", "offset")
     }
     assert len(digests) == 3
 
