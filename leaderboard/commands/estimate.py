@@ -74,7 +74,7 @@ def estimate(
     check_output_path(out, ".csv"), check_output_path(plot, ".png", ".svg", ".pdf")
     given = parse_settings(settings)
     import_from_here([estimator])
-    estimators.make_estimator(estimator, **given)  # a wrong name is told before a file is read
+    estimators.make_estimator(estimator, **given)  # a wrong name ends it before a file is read
     drives = read_passes(records, options)
     drive = drives[0]
     chosen = make_drive_estimator(estimator, drive, given)

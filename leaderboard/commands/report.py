@@ -119,8 +119,8 @@ def report(
     write_page([*road, *results], categories, about, agreement, page)
     files = [str(path) for path in (page, *written)]
     if json:
-        told = {"drives": [_facts(result) for result in results], "agreement": agreement}
-        print_json({**told, "road": _facts(road[0]) if road else None, "written": files})
+        facts = {"drives": [_facts(result) for result in results], "agreement": agreement}
+        print_json({**facts, "road": _facts(road[0]) if road else None, "written": files})
         return
     for result in (*road, *results):
         _print(result)

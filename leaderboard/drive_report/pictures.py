@@ -14,7 +14,7 @@ from road_envs.analysis.roughness import displacement_psd, smooth_psd
 from road_envs.data.record import scored_band
 
 CONDITION_COLOURS = ("#009E73", "#F0C000", "#D55E00", "#7B2D26", "#3D1410")
-"""Colours of the categories, from the best: told apart by lightness, too."""
+"""Colours of the categories, from the best: distinct by lightness, too."""
 
 ROWS, ROW_LENGTH, OVERLAP = 6, 50.0, 3.0
 """Largest number of rows of the strip, the least length [m] of one, and by how much [m] it begins
