@@ -151,13 +151,21 @@ class Objective:
 
     def with_car(self, car: VehicleParameters) -> "Objective":
         """Return the objective for another vehicle, which begins as far from its equilibrium."""
-        plant, bending = build_plant(car), sensed_bending(car, self.model.locations)
-        strut_state, level = settled_strut_state(int(self.inputs.commands[0])), np.zeros(4)
-        change = equilibrium(plant, strut_state, level)
-        change -= equilibrium(self.model.plant, strut_state, level)
-        contact = car.variation.contact_length
-        model = replace(self.model, plant=plant, bending=bending, contact_length=contact)
-        return replace(self, model=model, initial_state=self.initial_state + change)
+        model = replace(
+            self.model,
+            plant=build_plant(car),
+            bending=sensed_bending(car, self.model.locations),
+            contact_length=car.variation.contact_length,
+        )
+        new = replace(self, model=model)
+        change = new._level_equilibrium - self._level_equilibrium
+        return replace(new, initial_state=self.initial_state + change)
+
+    @cached_property
+    def _level_equilibrium(self) -> np.ndarray:
+        """Equilibrium (14,) of the vehicle on a level road, in the first strut states."""
+        strut_state = settled_strut_state(int(self.inputs.commands[0]))
+        return equilibrium(self.model.plant, strut_state, np.zeros(4))
 
     def simulate(self, x: np.ndarray, plant: Plant | None = None) -> Tape:
         """Return the taped motion on the road of `x`. Raises ArithmeticError if not finite."""

@@ -193,20 +193,25 @@ def displacement_tables(
 
     def tabulated(key: tuple[int, float, float]) -> np.ndarray:
         axle, gas, factor = key
-        laws: list[Law] = [car.bump_stops[axle]]
+        bump_stop = car.bump_stops[axle]
         if isinstance(car.strut, Strut):
-            laws.insert(0, car.strut.bushing.scaled(factor))
-        else:
-            strut = (car.strut.front, car.strut.rear)[axle]
-            laws.append(_spring_deficit(strut, car.strut_loads[axle], gas))
-            if strut.bushing is not None:
-                laws.append(strut.at_wheel(strut.bushing).scaled(factor))
+            return _displacement_table(car.strut.bushing, factor, bump_stop)
+        strut = (car.strut.front, car.strut.rear)[axle]
+        laws: list[Law] = [bump_stop, _spring_deficit(strut, car.strut_loads[axle], gas)]
+        if strut.bushing is not None:
+            laws.append(strut.at_wheel(strut.bushing).scaled(factor))
         return tabulate(laws, E_0, E_STEP, E_CELLS)
 
     factors = zip(variation.gas if car.is_passive else UNIT_FACTORS, variation.bushing, strict=True)
     keys = [(w // 2, *pair) for w, pair in enumerate(factors)]
     distinct = list(dict.fromkeys(keys))
     return np.stack([tabulated(key) for key in distinct]), [distinct.index(key) for key in keys]
+
+
+@lru_cache(maxsize=64)
+def _displacement_table(bushing: Curve, factor: float, bump_stop: Curve) -> np.ndarray:
+    """Tabulate a bushing scaled by `factor` plus a bump stop."""
+    return tabulate((bushing.scaled(factor), bump_stop), E_0, E_STEP, E_CELLS)
 
 
 def _spring_deficit(strut: PassiveStrut, load: float, factor: float) -> Law:
