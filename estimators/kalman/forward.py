@@ -12,6 +12,10 @@ The variance of a height that is emitted later than some of its nodes leave need
 its error with the state at every moment. Heights are therefore further rows below P, to which the
 nodes are added as they leave. Beside both are a column for the direction of each candidate step of
 the road (`jumps.py`), which moves as the error does, and is tested at the window's end.
+
+Operations of a window of 24 blocks at 14.5 km/h, in millions, with 173 states, 55 of them local, 34
+heights and 24 candidates: 7.1 in the local filter, beside the linearization of the blocks, 5.9 in
+P - W' W, 1.9 in W, 0.3 in Phi P, 0.4 for new nodes and heights, and 0.8 for the smoother.
 """
 
 import numpy as np

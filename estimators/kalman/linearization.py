@@ -88,7 +88,8 @@ def simulate_block(
     out = stack_array(N_FLEXIBLE_SIGNALS)
     n_dof = model.strut_rows.shape[1]
     end = block.end_state
-    end[:] = local.x[: end.size]
+    for i in range(end.size):
+        end[i] = local.x[i]
     vehicle = VehicleBuffers(model.constants, model.velocity, model.displacement, local.strut_state)
     motion, bending = Motion(end[:n_dof], end[n_dof : 2 * n_dof]), end[2 * n_dof :]
     road, x, (node, height, slope) = np.empty(16), local.x, weights
@@ -113,7 +114,8 @@ def simulate_block(
         step_with_derivative(vehicle, motion, step_inputs, work, out, rows[k], model.flexible)
         if (first + k) % model.decimation == 0:
             samples += 1
-            acceleration[:N_DOF] = out[ACCELERATION : ACCELERATION + N_DOF]
+            for i in range(N_DOF):
+                acceleration[i] = out[ACCELERATION + i]
             if n_dof > N_DOF:
                 acceleration[N_DOF] = out[TWIST + 2]
             bent = 0.0

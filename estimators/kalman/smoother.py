@@ -6,11 +6,11 @@ covariance at any moment are
     x + P r,     P - P N P
 
 Only the covariances of the nodes that leave with the state must be stored, and no matrix is
-inverted. A window moves the vehicle's error by Phi, updates the rest by its innovations, of
-covariance W with the state, and has the derivative D of the error by the local error. Through it
+inverted. The innovations of a window have the derivative U by the local error e, and the covariance
+W with the state; the vehicle's error then is Phi e. The error of the state has the derivative D by
+e: Phi in the rows of the vehicle, 1 - W' U in the others, with 1 for the local entries. Hence
 
     r[local] = D' r' + U' innovation,     N[local, local] = D' N' D + U' U,     N[:, local] = N' D
-    D' r' = r'[local] + U' (innovation - W r') of the rest + Phi' r'[vehicle]
 
 and through a step x' = F x of the nodes r = F' r', N = F' N' F (de Jong 1989, J. Am. Stat. Assoc.
 84, 1085; Durbin & Koopman, "Time Series Analysis by State Space Methods", 2012, section 4.4).
