@@ -60,7 +60,7 @@ def attainable_errors(
     path = cache_home() / "attainable" / f"{key.hexdigest()[:32]}.json"
     if (known := store.load_cached(path, FORMAT)) is None:
         drives = simulate(task, task.test, condition)
-        # text, as in the file: sorted numbers would have another checksum
+        # keys as text: a file of JSON has no others
         errors = {str(d.index): drive_error(task, condition, d, task.vehicle) for d in drives}
         known = nan_to_none({"format": FORMAT, "errors": errors})
         write_text(path, store.with_checksum(known))
