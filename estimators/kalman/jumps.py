@@ -18,7 +18,6 @@ beginning, and the others are conditioned on it, until none exceeds MIN_LOG_RATI
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -96,7 +95,8 @@ def add_information(score, information, response, innovation):
                 information[c, d] += share * response[s, d]
 
 
-class AcceptedStep(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class AcceptedStep:
     """A step of `size` [m] of the `candidate` at a `node`, in the `direction` (k,), its `variance`
     [m²] by the innovations and the one `added` [m²] to the state, and the information (m,) [1/m²]
     that the innovations have on it and each other candidate, `cross`.

@@ -22,6 +22,7 @@ are emitted, which begins there, and ends as the last of its nodes leaves.
 import numpy as np
 
 from estimators.kalman.filtered import BandVariance, FilteredWindow, NodesAtEmission
+from estimators.kalman.jumps import AcceptedStep
 from estimators.kalman.road_process import RoadProcess, transpose_nodes
 
 
@@ -42,7 +43,7 @@ def smooth_backward(
     times, n = nodes.times, road.n_states
     # a column for each moment from the first to the last (excluded), of which low to high are live
     first, last = (0, 1) if entering is None else (entering.start, entering.stop)
-    r, N, steps = np.zeros((n, last - first)), np.zeros((n, n)), dict[int, np.ndarray]()
+    r, N, steps = np.zeros((n, last - first)), np.zeros((n, n)), dict[AcceptedStep, np.ndarray]()
     low = 0 if entering is None else last - first
     for window in reversed(windows):
         i, local, U, vehicle = window.index, window.local, window.U, len(window.transition)
@@ -50,14 +51,14 @@ def smooth_backward(
         live = r[:, low:high]
         for step in window.accepted:
             # 0 at moments before, when the step is not yet known
-            steps[id(step)] = np.zeros(last - first)
-            steps[id(step)][low:high] = step.size + step.added * (step.direction[:n] @ live)
-        steps = {id(step): steps[id(step)] for step, *_ in window.corrections}
+            steps[step] = np.zeros(last - first)
+            steps[step][low:high] = step.size + step.added * (step.direction[:n] @ live)
+        steps = {step: steps[step] for step, *_ in window.corrections}
         moved = window.transition.T @ live[:vehicle]
         live[:vehicle] = 0.0
         live[local] += moved + U.T @ (window.innovation[:, None] - window.W @ live)
         for step, change, _ in window.corrections:
-            live[local] -= np.outer(change, steps[id(step)][low:high])
+            live[local] -= np.outer(change, steps[step][low:high])
         if entering is not None:
             emitted = times.within(window.blocks)
             start, stop = max(emitted.start, first), min(emitted.stop, last)
@@ -89,7 +90,7 @@ def smooth_backward(
             continue
         left = window.leaving[:, None] + window.covariance @ live
         for step, _, direction in window.corrections:
-            left += np.outer(direction, steps[id(step)][low:high])
+            left += np.outer(direction, steps[step][low:high])
         left, moments = left.T.reshape(high - low, -1, 2), np.arange(first + low, first + high)
         at = 2 + oldest[i] - times.base[moments, None] + np.arange(left.shape[1] - 2)
         nodes.c[moments[:, None], at] = left[:, 2:]
