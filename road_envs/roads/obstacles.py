@@ -38,7 +38,7 @@ class Defect(Settings):
     height: Annotated[Finite, "m", "of the crest, or of the floor of a hole (negative)"]
     edge: Annotated[NonNegative, "m", "length of either edge of a pothole"] = 0.0
     side: Annotated[Literal["left", "right", "both"], "", "wheel path"] = "both"
-    count: Annotated[Count, "", "number of defects in the row"] = 1
+    count: Annotated[Count, Field(le=10**9), "", "number of defects in the row"] = 1
     spacing: Annotated[NonNegative, "m", "between the middles of the row"] = 0.0
     growth: Annotated[Positive, "", "height relative to the previous one"] = 1.0
 

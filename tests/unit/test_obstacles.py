@@ -83,6 +83,7 @@ HOLE = {"shape": "pothole", "at": 10.0, "length": 1.0, "height": -0.05, "edge": 
         ({**BUMP, "at": 0.4}, "from -0.1 to 0.9 m are not on a road of 100 m"),
         ({**BUMP, "count": 10, "spacing": 10.0}, "from 9.5 to 100.5 m"),
         ({**BUMP, "count": 0}, "count: must be at least 1"),
+        ({**BUMP, "count": 10**400, "spacing": 1.0}, "count: must be at most 1e+09"),
         ({**BUMP, "count": 3}, "overlap"),
         ({**BUMP, "count": 1_000_000_000, "spacing": 1e-9}, "overlap"),
         ({**BUMP, "count": 1_000_000_000, "spacing": 1.0}, "are not on a road"),
