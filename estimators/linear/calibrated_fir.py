@@ -141,13 +141,10 @@ class CalibratedFir(Settings):
         """Identify the responses from drives over known roads; `seed` is unused. Of `car` only the
         wheelbase is used, unless it is a setting. Raises RecordError, CalibrationError.
         """
-        pairs = zip(records, truths, strict=True)
-        names = (f"drive {i + 1}" if len(records) > 1 else "the drive" for i in range(len(records)))
-        drives = [
-            CalibrationDrive(record, truth, name=name)
-            for (record, truth), name in zip(pairs, names, strict=False)
-        ]
-        return self._identify(drives, car)
+        names = [f"drive {i}" for i in range(1, len(records) + 1)]
+        names = names if len(records) > 1 else ["the drive"]
+        rows = zip(records, truths, names, strict=True)
+        return self._identify([CalibrationDrive(r, z, name=name) for r, z, name in rows], car)
 
     def calibrate(self, drives: Sequence[CalibrationDrive], car: VehicleParameters) -> Self:
         """Identify the responses from the drives over measured roads, starting from those of `fit`

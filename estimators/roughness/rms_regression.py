@@ -32,7 +32,7 @@ from scipy.optimize import minimize
 
 from estimators.common.spatial_signals import N_MOTIONS, body_motions
 from estimators.preprocessing import clean_record
-from estimators.roughness.spectral import class_probabilities, scored_octaves
+from estimators.roughness.spectral import class_probabilities, most_probable, scored_octaves
 from road_envs.analysis.roughness import displacement_psd, octave_levels
 from road_envs.data.record import Profile, Record
 
@@ -58,7 +58,7 @@ class RoughnessEstimate(NamedTuple):
     @property
     def letter(self) -> str:
         """The most probable class."""
-        return max(self.probability, key=lambda name: self.probability[name])
+        return most_probable(self.probability)
 
 
 class Standardizer(NamedTuple):

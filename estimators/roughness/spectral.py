@@ -11,6 +11,7 @@ class limits at twice the geometric means (ISO 8608, table C.1).
 Limitations: wheels leaving the ground; roads too short to have a level.
 """
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -59,7 +60,7 @@ class ClassPosterior(NamedTuple):
     @property
     def letter(self) -> str:
         """The most probable class."""
-        return max(self.probability, key=lambda name: self.probability[name])
+        return most_probable(self.probability)
 
 
 class _OctaveLevels(NamedTuple):
@@ -96,7 +97,10 @@ def classify_record(
         levels,
         stds,
         class_probabilities(log_level, log_std),
-        tuple(_likeliest(np.log(x), s) for x, s in zip(levels, stds, strict=True)),
+        tuple(
+            most_probable(class_probabilities(float(np.log(x)), float(s)))
+            for x, s in zip(levels, stds, strict=True)
+        ),
     )
 
 
@@ -107,10 +111,9 @@ def class_probabilities(log_level: float, log_std: float) -> dict[str, float]:
     return dict(zip(CLASSES, (float(p) for p in np.diff(below)), strict=True))
 
 
-def _likeliest(log_level: float, log_std: float) -> str:
+def most_probable(probability: Mapping[str, float]) -> str:
     """Return the letter of the most probable class."""
-    probability = class_probabilities(log_level, log_std)
-    return max(probability, key=lambda name: probability[name])
+    return max(probability, key=probability.__getitem__)
 
 
 def scored_octaves(v: float) -> np.ndarray:

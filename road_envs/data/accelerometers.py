@@ -6,10 +6,10 @@ axes are vertical, positive upwards.
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, TypeAdapter
 
 from road_envs.config import Settings, build
 
@@ -79,14 +79,7 @@ def to_plain(layout: Mapping[str, Accelerometer] | None) -> dict[str, Any] | Non
     """Return a layout as plain values for JSON or YAML, without fields at their defaults."""
     if layout is None:
         return None
-    return {
-        name: {
-            f.name: getattr(sensor, f.name)
-            for f in fields(sensor)
-            if getattr(sensor, f.name) != f.default
-        }
-        for name, sensor in layout.items()
-    }
+    return TypeAdapter(Layout).dump_python(dict(layout), exclude_defaults=True)
 
 
 def from_plain(plain: Mapping[str, Any] | None, where: str) -> dict[str, Accelerometer] | None:

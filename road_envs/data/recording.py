@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from road_envs._atomic_io import atomic_write
+from road_envs._atomic_io import atomic_write, write_text
 from road_envs._extras import optional_import
 from road_envs._reading import parsing, read_parquet
 from road_envs.config import ConfigError
@@ -136,8 +136,7 @@ def _write_csv(path: Path, record: Record, provenance: Mapping[str, object], mod
     ):
         cells = ["" if np.isnan(x) else f"{x:.4f}" for x in a]
         lines.append(",".join([f"{t:.6g}", *cells, f"{v:.4f}", f"{s:.4f}", front, rear]))
-    with atomic_write(path) as partial:
-        partial.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_text(path, "\n".join(lines) + "\n")
 
 
 def is_record(path: Path) -> bool:

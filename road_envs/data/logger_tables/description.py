@@ -1,16 +1,17 @@
 """Description of a drive: what the columns of a table mean, and what the table does not say."""
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import yaml
+from pydantic import TypeAdapter
 
-from road_envs._atomic_io import atomic_write
+from road_envs._atomic_io import write_text
 from road_envs.config import ConfigError, Finite, Positive, Settings, build, read_yaml
 from road_envs.config import validate_choice as validate
-from road_envs.data.accelerometers import Layout, column, to_plain
+from road_envs.data.accelerometers import Layout, column
 from road_envs.data.logger_tables import units
 from road_envs.data.record import SENSORS
 
@@ -90,12 +91,10 @@ class DriveDescription(Settings):
 
     def updated(self, **changes: Any) -> "DriveDescription":
         """Return the description with `changes`; None changes nothing, mappings are merged."""
-        data = {f.name: getattr(self, f.name) for f in fields(self)}
-        for key, value in changes.items():
-            if value is None:
-                continue
-            data[key] = {**data[key], **value} if key in ("columns", "units") else value
-        return DriveDescription(**data)
+        given = {key: value for key, value in changes.items() if value is not None}
+        for key in given.keys() & {"columns", "units"}:
+            given[key] = {**getattr(self, key), **given[key]}
+        return replace(self, **given)
 
 
 def read_description(path: Path) -> DriveDescription:
@@ -109,13 +108,6 @@ def read_description(path: Path) -> DriveDescription:
 
 def write_description(path: Path, description: DriveDescription) -> None:
     """Write a description as YAML, without what was left open."""
-    data = {f.name: getattr(description, f.name) for f in fields(description)}
-    data["accelerometers"] = to_plain(description.accelerometers)
-    data = {key: value for key, value in data.items() if value not in (None, {}, ())}
-    text = yaml.safe_dump(_plain(data), sort_keys=False, allow_unicode=True)
-    with atomic_write(path) as partial:
-        partial.write_text(text, encoding="utf-8")
-
-
-def _plain(data: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: list(value) if isinstance(value, tuple) else value for key, value in data.items()}
+    adapter = TypeAdapter(DriveDescription)
+    data = adapter.dump_python(description, mode="json", exclude_defaults=True)
+    write_text(path, yaml.safe_dump(data, sort_keys=False, allow_unicode=True))

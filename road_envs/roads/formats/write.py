@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from road_envs._atomic_io import atomic_write
+from road_envs._atomic_io import atomic_write, write_text
 from road_envs._extras import optional_import
 from road_envs.analysis.roughness import TRACK
 from road_envs.config import ConfigError
@@ -35,9 +35,7 @@ def write_csv(surface: Surface, path: str | Path) -> None:
         for s, left, right in zip(surface.s, *surface.z, strict=True)
     ]
     remarks = [f"# {line}" for line in _remarks(surface)]
-    with atomic_write(path) as partial:
-        text = "\n".join([*remarks, "distance,left,right", *rows, ""])
-        partial.write_text(text, encoding="utf-8")
+    write_text(path, "\n".join([*remarks, "distance,left,right", *rows, ""]))
 
 
 def write_parquet(surface: Surface, path: str | Path) -> None:
@@ -87,8 +85,7 @@ def write_erd(surface: Surface, path: str | Path) -> None:
         *(f"{left:.6f} {right:.6f}" for left, right in 1e3 * surface.z.T),
         "",
     ]
-    with atomic_write(path) as partial:
-        partial.write_text("\n".join(lines), encoding="ascii")
+    write_text(path, "\n".join(lines))
 
 
 WRITERS: dict[str, Callable[[Surface, str | Path], None]] = {
