@@ -65,9 +65,9 @@ def train_ours(given: Samples, epochs: int) -> lm.LmResult:
     return lm.train(given.start, given.x, given.t, split, lm.TrainlmOptions(max_epochs=epochs))
 
 
-def time_ours(given: Samples, epochs: int) -> float:
-    """Return the median CPU time [s] of some trainings, after a first one."""
-    return cpu_time(lambda: train_ours(given, epochs), 3)
+def time_ours(given: Samples) -> float:
+    """Return the median CPU time [s] of some trainings of EPOCHS, after a first one."""
+    return cpu_time(lambda: train_ours(given, EPOCHS), 3)
 
 
 def time_scipy(given: Samples, error: float) -> float:
