@@ -20,7 +20,7 @@ from scipy.signal import welch
 from road_envs.data.record import LowPass, Record
 
 TAPER = 1.2
-"""Where the spectrum of accelerations that were filtered ends, over the bandwidth."""
+"""Frequency at which the spectrum of filtered accelerations ends, over the bandwidth."""
 
 GAP_REACH, END_REACH = 2.0, 5.0
 """Periods of the cut-off around a gap and at the ends of a record in which what is not measured

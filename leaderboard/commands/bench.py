@@ -144,7 +144,7 @@ LIMITS = {
     "kalman_lag": "for each of 9 300 blocks of 3 ms the tangent of three steps along 32 to 40 "
     "directions, and 0.7 million operations in products of matrices of 50 to 200 columns, 6 GFLOP",
 }
-"""What a missed target is spent on."""
+"""Work behind each time, the reason of a missed target."""
 
 FULL_BOARD_METRES, FULL_BOARD_PACE = 420 * 300.0, 0.61
 """Metres that `leaderboard --board new_road --full` drives, and its mean time for one of them
