@@ -32,9 +32,11 @@ KnownRoads = Annotated[
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 TimeLimit = Annotated[
     float,
-    typer.Option(help="Time limit in seconds, of an entry per condition or a policy per case."),
+    typer.Option(
+        help="Time limit in seconds, of an entry per condition or a policy per case.", min=0.001
+    ),
 ]
-MemoryLimit = Annotated[float, typer.Option(help="Memory limit in GiB.")]
+MemoryLimit = Annotated[float, typer.Option(help="Memory limit in GiB.", min=0.1)]
 Isolation = Annotated[
     str,
     typer.Option(

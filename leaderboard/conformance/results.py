@@ -11,7 +11,7 @@ import hashlib
 import json
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -59,8 +59,8 @@ def find_card(
 ) -> EstimatorCard | None:
     """Return the card of this version of an estimator; None if it is missing or damaged."""
     identity = card_identity(estimator, settings, code)
-    data = store.load_cached(_path(out, identity), FORMAT, identity=identity)
-    return None if data is None else build(EstimatorCard, data, "card")
+    make = partial(build, EstimatorCard, where="card")
+    return store.load_cached(_path(out, identity), FORMAT, make, identity=identity)
 
 
 def probe_entries(

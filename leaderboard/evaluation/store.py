@@ -11,11 +11,11 @@ assembled again. Each file begins with a checksum of the rest.
 import dataclasses
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, overload
+from typing import Any, TypeVar, overload
 
 from leaderboard.evaluation.code_version import evaluation_version
 from leaderboard.evaluation.provenance import package_version
@@ -26,6 +26,8 @@ from leaderboard.metrics import heights
 from leaderboard.metrics.baselines import ALL_BASELINES
 from road_envs._atomic_io import write_text
 from road_envs.config import ConfigError, Settings, build
+
+T = TypeVar("T")
 
 CHECKSUM_PREFIX = '{\n "sha256": "'
 CHECKSUM_SUFFIX = '",\n'
@@ -260,16 +262,19 @@ def read_checked_json(path: Path, version: int) -> tuple[dict[str, Any], str]:
     return data, str(checksum)
 
 
-def load_cached(path: Path, version: int, **key: str) -> dict[str, Any] | None:
-    """Return the content of a file written by `with_checksum` in format `version`.
+def load_cached(
+    path: Path, version: int, make: Callable[[dict[str, Any]], T], **key: str
+) -> T | None:
+    """Return what `make` builds of a file written by `with_checksum` in format `version`.
 
-    None if it is missing or damaged, or if a field of the `key` differs: it is computed again.
+    None if it is missing or damaged, if its content is of another kind, or if a field of the `key`
+    differs: it is computed again.
     """
     try:
         data, _ = read_checked_json(path, version)
-    except ConfigError:
+        return make(data) if key.items() <= data.items() else None
+    except (ConfigError, LookupError, TypeError, ValueError, AttributeError):
         return None
-    return data if key.items() <= data.items() else None
 
 
 def _columns(drives: Sequence[DriveScores]) -> dict[str, Any]:

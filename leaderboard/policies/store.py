@@ -50,16 +50,17 @@ class RowStore:
 
     def load(self, name: str, policy: object) -> PolicyResult | None:
         """Return the row of a policy; None if there is none, or none that is valid."""
-        data = store.load_cached(self._path(name), FORMAT, key=self._key(name, policy))
-        if data is None:
-            return None
-        metrics, errors = (  # null is NaN
-            {key: np.array(x, dtype=float) for key, x in data[group].items()}
-            for group in ("metrics", "errors")
-        )
-        timeline = {key: np.array(x) for key, x in data["timeline"].items()}
-        shown = Timeline(**timeline) if timeline else None
-        return PolicyResult(name, metrics, errors, None, tuple(data["notes"]), shown)
+
+        def make(data: dict[str, Any]) -> PolicyResult:
+            metrics, errors = (  # null is NaN
+                {key: np.array(x, dtype=float) for key, x in data[group].items()}
+                for group in ("metrics", "errors")
+            )
+            timeline = {key: np.array(x) for key, x in data["timeline"].items()}
+            shown = Timeline(**timeline) if timeline else None
+            return PolicyResult(name, metrics, errors, None, tuple(data["notes"]), shown)
+
+        return store.load_cached(self._path(name), FORMAT, make, key=self._key(name, policy))
 
     def save(self, result: PolicyResult, policy: object) -> None:
         """Store a row, whole or not at all; a failed one is not stored."""

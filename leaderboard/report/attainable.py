@@ -9,7 +9,8 @@ drives of perturbed vehicles have none: what they leave unexplained is not noise
 import dataclasses
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -58,13 +59,18 @@ def attainable_errors(
     versions = evaluation_version(), module_version(attainable_error.__module__)
     key = hashlib.sha256(json.dumps([task.digest, condition.label, *versions]).encode())
     path = cache_home() / "attainable" / f"{key.hexdigest()[:32]}.json"
-    if (known := store.load_cached(path, FORMAT)) is None:
+    if (known := store.load_cached(path, FORMAT, _errors)) is None:
         drives = simulate(task, task.test, condition)
         # keys as text: a file of JSON has no others
         errors = {str(d.index): drive_error(task, condition, d, task.vehicle) for d in drives}
-        known = nan_to_none({"format": FORMAT, "errors": errors})
-        write_text(path, store.with_checksum(known))
-    return {int(k): np.nan if x is None else x for k, x in known["errors"].items()}
+        data = nan_to_none({"format": FORMAT, "errors": errors})
+        write_text(path, store.with_checksum(data))
+        known = _errors(data)
+    return known
+
+
+def _errors(data: Mapping[str, Any]) -> dict[int, float]:
+    return {int(k): np.nan if x is None else x for k, x in data["errors"].items()}
 
 
 def drive_error(

@@ -13,7 +13,7 @@ import hashlib
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 from leaderboard.evaluation import store
@@ -51,9 +51,9 @@ class Report:
 def build_report(board: Board, out: Path | None = None) -> Report:
     """Return the report of a board, from the cache under `out` if nothing has changed."""
     key = report_key(board)
-    cached = None if out is None else store.load_cached(out / CACHE_FILE, FORMAT, key=key)
-    if cached is not None:
-        return build(Report, cached, CACHE_FILE)
+    make = partial(build, Report, where=CACHE_FILE)
+    if out and (cached := store.load_cached(out / CACHE_FILE, FORMAT, make, key=key)) is not None:
+        return cached
     views = tuple(board_views(board))
     return Report(views, tuple(findings(views)), key)
 
