@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Protocol, Self, TypeVar, runtime_checkable
 
 import numpy as np
 
-from road_envs.data.record import Estimate, Profile, Record, profile_stations
+from road_envs.records.record import Estimate, Profile, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
 T = TypeVar("T")

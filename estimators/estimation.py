@@ -11,9 +11,9 @@ import numpy as np
 
 from estimators import pretrained_weights, registry, weights_io
 from estimators.api import Estimator, Pretrained, check_class, check_estimate
-from road_envs.config import ConfigError, build
-from road_envs.data.accelerometers import Accelerometer
-from road_envs.data.record import Estimate, Record
+from road_envs.core.config import ConfigError, build
+from road_envs.records.accelerometers import Accelerometer
+from road_envs.records.record import Estimate, Record
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 from road_envs.vehicle.suspension import check_modes

@@ -2,7 +2,7 @@
 
 Each pass is estimated singly. The single estimates are aligned with that of the first pass by
 cross-correlation in the band that both resolve, which maps the stations of each odometer to those
-of the first (`road_envs.analysis.alignment`). Then the road is estimated from all passes together
+of the first (`estimators.common.alignment`). Then the road is estimated from all passes together
 by an estimator that can (`JointEstimator`). For any other it is the mean of the single estimates,
 weighted by inverse variance at each station where they have standard deviations.
 
@@ -22,12 +22,12 @@ from typing import NamedTuple, Protocol, Self, runtime_checkable
 import numpy as np
 
 from estimators.api import Estimator, check_estimate
+from estimators.common.alignment import MIN_OVERLAP, StationMap, identity_map, map_stations
 from estimators.common.odometer import calibrate_odometer
 from estimators.estimation import resolve_estimator, training_notes
-from road_envs.analysis.alignment import MIN_OVERLAP, StationMap, identity_map, map_stations
-from road_envs.analysis.roughness import band_pass
-from road_envs.config import ConfigError
-from road_envs.data.record import PROFILE_SPACING, Estimate, Record, scored_band
+from road_envs.core.config import ConfigError
+from road_envs.records.record import PROFILE_SPACING, Estimate, Record, scored_band
+from road_envs.records.roughness import band_pass
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 
 Vehicle = str | Path | VehicleParameters

@@ -9,7 +9,7 @@ needs every sample the second, which also limits how much of a channel may be mi
 A sample is valid if it is finite, below the instruments' range, and not within the reach of the
 anti-alias filter from one that is not. Samples at standstill are valid, as the vehicle model
 explains them; a note says how long the vehicle stood. A low-pass that the accelerations have passed
-is undone (`estimators.common.low_pass`).
+is undone (`estimators.low_pass`).
 """
 
 import dataclasses
@@ -18,8 +18,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import binary_dilation
 
-from estimators.common.low_pass import undo_low_pass
-from road_envs.data.record import (
+from estimators.low_pass import undo_low_pass
+from road_envs.kernels.filters import preprocess_accelerations
+from road_envs.records.record import (
     F_C,
     PROFILE_SPACING,
     SENSORS,
@@ -27,7 +28,6 @@ from road_envs.data.record import (
     Record,
     profile_stations,
 )
-from road_envs.sensing.filters import preprocess_accelerations
 from road_envs.sensing.instruments import Instruments
 
 FS_MIN = 2.4 * F_C

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from road_envs._atomic_io import atomic_write
-from road_envs._extras import optional_import
-from road_envs._reading import parsing
+from road_envs.core.atomic_io import atomic_write
+from road_envs.core.extras import optional_import
+from road_envs.core.reading import parsing
 
 FOLDER = Path(__file__).parent / "weights"
 SUFFIX = ".safetensors"

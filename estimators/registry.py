@@ -26,7 +26,7 @@ from estimators.networks.tcn import Tcn, TcnCausal
 from estimators.pretrained_weights import load_pretrained
 from estimators.wiener.iterated_wiener import IteratedWiener
 from estimators.wiener.wiener import Wiener
-from road_envs._registry import PluginWarning, Registry
+from road_envs.core.registry import PluginWarning, Registry
 
 __all__ = [
     "ENTRY_POINT_GROUP",

@@ -16,9 +16,9 @@ import numpy as np
 from estimators import pretrained_weights
 from estimators.api import Estimator, Trainable
 from estimators.registry import available, create
-from road_envs._atomic_io import atomic_write
-from road_envs._reading import parsing, read_npz
 from road_envs._version import __version__
+from road_envs.core.atomic_io import atomic_write
+from road_envs.core.reading import parsing, read_npz
 
 FORMAT = "roadrecon estimator 1"
 WEIGHT_PREFIX = "weights."

@@ -18,7 +18,7 @@ from estimators.wiener.segments import dominant_modes
 from leaderboard import run_task
 from leaderboard.conformance.probes import probe_estimator
 from road_envs import Estimate, Record, load_vehicle, simulate_record
-from road_envs.data.record import PROFILE_SPACING, profile_stations
+from road_envs.records.record import PROFILE_SPACING, profile_stations
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.linear_model import frequency_response, gaussian_damping, linearise
 from road_envs.vehicle.parameters import VehicleParameters

@@ -18,8 +18,8 @@ import pandas as pd
 from scipy.signal import lfilter
 
 from road_envs import simulate_record
-from road_envs.data.logger_tables.description import DriveDescription, write_description
-from road_envs.data.logger_tables.units import STANDARD_GRAVITY
+from road_envs.drives.logger_tables.description import DriveDescription, write_description
+from road_envs.records.units import STANDARD_GRAVITY
 from road_envs.roads import realise_road, write_csv
 from road_envs.sensing.instruments import load_instruments
 

@@ -20,9 +20,9 @@ from estimators.api import Estimator
 from leaderboard.evaluation import evaluate
 from leaderboard.evaluation.tasks import Task, load_task
 from leaderboard.metrics.registry import PRINTED_SCORES, SCORES, compute_scores
-from road_envs._extras import optional_import
-from road_envs.config import ConfigError
-from road_envs.data.record import Estimate, Profile
+from road_envs.core.config import ConfigError
+from road_envs.core.extras import optional_import
+from road_envs.records.record import Estimate, Profile
 
 
 @dataclass(frozen=True)

@@ -57,7 +57,6 @@ class RoadRecon(LazyGroup):
             "leaderboard": "board:leaderboard",
             "run-job": "jobs:run_job",
             "season": "hidden_seeds:season",
-            "paper": "paper:paper",
         },
         "Switching policies": {
             "policies": "policies:policies",

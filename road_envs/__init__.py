@@ -12,20 +12,20 @@ import gymnasium
 from road_envs._version import __version__
 
 if TYPE_CHECKING:
-    from road_envs.data.record import Estimate, Profile, Record
-    from road_envs.data.recording import simulate_record
+    from road_envs.drives.recording import simulate_record
+    from road_envs.records.record import Estimate, Profile, Record
     from road_envs.roads import load_road
     from road_envs.vehicle.parameters import load_vehicle
 
 ID = "RoadRecon-v0"
 
 _PUBLIC = {
-    "Estimate": "road_envs.data.record",
-    "Profile": "road_envs.data.record",
-    "Record": "road_envs.data.record",
+    "Estimate": "road_envs.records.record",
+    "Profile": "road_envs.records.record",
+    "Record": "road_envs.records.record",
     "load_road": "road_envs.roads",
     "load_vehicle": "road_envs.vehicle.parameters",
-    "simulate_record": "road_envs.data.recording",
+    "simulate_record": "road_envs.drives.recording",
 }
 """Names of the Python interface, by the module that is imported when one is first used."""
 

@@ -9,7 +9,7 @@ import importlib.util
 import sys
 from pathlib import Path
 
-from road_envs._extras import missing_extra
+from road_envs.core.extras import missing_extra
 
 SIBLINGS = ("estimators", "leaderboard")
 

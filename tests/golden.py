@@ -29,16 +29,16 @@ from leaderboard.evaluation.evaluate import run_task
 from leaderboard.evaluation.test_data import simulate_drives
 from road_envs.analysis.comfort import weighted_rms
 from road_envs.analysis.information_bound import RoadPrior, bound
-from road_envs.analysis.roughness import iri
-from road_envs.data.recording import simulate_record
+from road_envs.drives.recording import simulate_record
+from road_envs.records.roughness import iri
 from road_envs.roads import load_road
 from road_envs.sensing.data_logger import load_instruments
+from road_envs.sensing.perturbed_vehicle import perturb_vehicle
 from road_envs.simulation.adaptive_drive import simulate_adaptive
 from road_envs.simulation.drive import DriveSimulator, simulate
 from road_envs.simulation.fleet import Fleet, select_vehicle
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.parameters import load_vehicle
-from road_envs.vehicle.perturbed_vehicle import perturb_vehicle
 from road_envs.vehicle.suspension import encode_command
 
 MIXED = {"front": "ride", "rear": "handling"}

@@ -32,8 +32,8 @@ from typing import NamedTuple
 
 import yaml
 
-from road_envs._atomic_io import write_text
-from road_envs._code_digest import cache_home, closure, code_digest, digest, find_source
+from road_envs.core.atomic_io import write_text
+from road_envs.core.code_digest import cache_home, closure, code_digest, digest, find_source
 
 ROOT = Path(__file__).resolve().parent.parent
 COPIED = ("road_envs", "estimators", "leaderboard", "configs", "tests", "docs", "pyproject.toml")
@@ -174,7 +174,9 @@ def run_tests(tree: Path, caches: Path, *tests: str) -> tuple[int, str]:
 
 def kernel_folders(tree: Path) -> list[str]:
     """Return the folders in which the kernels of a tree are cached, one for each package."""
-    from road_envs._numba import _kernel_files  # not before: the import of numba takes a second
+    from road_envs.kernels._numba import (
+        _kernel_files,  # not before: the import of numba takes a second
+    )
 
     closure.cache_clear()
     find_source.cache_clear()

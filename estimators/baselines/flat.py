@@ -6,8 +6,8 @@ from typing import ClassVar
 import numpy as np
 
 from estimators.preprocessing import mask_record
-from road_envs.config import Settings
-from road_envs.data.record import Estimate, Record, profile_stations
+from road_envs.core.config import Settings
+from road_envs.records.record import Estimate, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
 

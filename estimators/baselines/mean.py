@@ -14,8 +14,8 @@ import numpy as np
 
 from estimators.api import copy_with, require_fitted, validate_weights
 from estimators.preprocessing import mask_record, sample_profile
-from road_envs.config import Settings
-from road_envs.data.record import Estimate, Profile, Record, profile_stations
+from road_envs.core.config import Settings
+from road_envs.records.record import Estimate, Profile, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
 

@@ -20,9 +20,9 @@ from scipy.fft import irfft, rfftfreq
 
 from estimators.api import copy_with, require_fitted, validate_weights
 from estimators.preprocessing import mask_record
-from road_envs.analysis.roughness import FIT_BAND, N_0, displacement_psd, fit_line, smooth_psd
-from road_envs.config import Settings
-from road_envs.data.record import PROFILE_SPACING, Estimate, Profile, Record, profile_stations
+from road_envs.core.config import Settings
+from road_envs.records.record import PROFILE_SPACING, Estimate, Profile, Record, profile_stations
+from road_envs.records.roughness import FIT_BAND, N_0, displacement_psd, fit_line, smooth_psd
 from road_envs.vehicle.parameters import VehicleParameters
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from road_envs._extras import optional_import
+from road_envs.core.extras import optional_import
 
 
 @contextmanager

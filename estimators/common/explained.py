@@ -12,8 +12,8 @@ from estimators.common.bending import sensed_bending
 from estimators.common.footprint import Footprint
 from estimators.common.model_inputs import ModelInputs, build_model_inputs, rest_state
 from estimators.common.spline import sample_under_wheels
-from road_envs.data.record import F_C, PROFILE_SPACING, Record, profile_stations
-from road_envs.sensing.filters import preprocess_accelerations
+from road_envs.kernels.filters import preprocess_accelerations
+from road_envs.records.record import F_C, PROFILE_SPACING, Record, profile_stations
 from road_envs.sensing.instruments import Instruments
 from road_envs.simulation.tape import linearize_drive
 from road_envs.vehicle.equations import build_plant

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from road_envs.data.record import Record
+from road_envs.records.record import Record
 from road_envs.sensing.instruments import Instruments
 from road_envs.vehicle.equations import N_DOF, build_plant, equilibrium
 from road_envs.vehicle.parameters import VehicleParameters

@@ -26,7 +26,7 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 
-from road_envs.data.record import DistanceScale, Estimate, Record, profile_stations
+from road_envs.records.record import DistanceScale, Estimate, Record, profile_stations
 
 LENGTHS = (0.5, 100.0)
 """Least and greatest L [m] that is looked for; it must be passed within the record."""

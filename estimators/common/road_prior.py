@@ -8,7 +8,7 @@ import numpy as np
 from scipy.fft import rfftfreq
 
 from road_envs.analysis.information_bound import RoadPrior
-from road_envs.analysis.roughness import root_coherence
+from road_envs.records.roughness import root_coherence
 
 N_MIN = 0.01
 """Spatial frequency [cycles/m] below which the density of the increments is constant, for any

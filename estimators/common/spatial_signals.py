@@ -25,7 +25,8 @@ import numpy as np
 from scipy import signal
 
 from estimators.preprocessing import sample_profile
-from road_envs.data.record import (
+from road_envs.kernels.filters import preprocess_accelerations
+from road_envs.records.record import (
     F_C,
     PROFILE_SPACING,
     SCORED_F_MAX,
@@ -33,7 +34,6 @@ from road_envs.data.record import (
     Record,
     profile_stations,
 )
-from road_envs.sensing.filters import preprocess_accelerations
 
 DECIMATION = 6
 SPACING = DECIMATION * PROFILE_SPACING

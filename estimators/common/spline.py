@@ -8,7 +8,7 @@ given as node numbers x = (s - s_0) / ds, from the second node to the last but t
 
 import numpy as np
 
-from road_envs._numba import kernel
+from road_envs.kernels._numba import kernel
 
 
 @kernel

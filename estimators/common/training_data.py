@@ -11,7 +11,7 @@ from estimators.common.spatial_signals import (
     to_spatial,
 )
 from estimators.preprocessing import clean_record
-from road_envs.data.record import Profile, Record
+from road_envs.records.record import Profile, Record
 
 SPEED_RANGE = 1.35, 20.5
 """Lowest and highest speed [m/s] of the training drives."""

@@ -43,7 +43,6 @@ from scipy.ndimage import minimum_filter1d
 from estimators.api import LAG
 from estimators.common.block_means import MIN_NOISE_DENSITY, block_means
 from estimators.common.explained import reduce_unexplained, trusted_share, untrusted_note
-from estimators.common.identified_vehicle import CalibratedByIdentification
 from estimators.common.model_inputs import antialias_delay, build_model_inputs
 from estimators.common.odometer import calibrate_stations
 from estimators.kalman.monitoring import (
@@ -63,6 +62,7 @@ from estimators.kalman.pipeline import (
 )
 from estimators.kalman.profile_output import ProfileOutput
 from estimators.kalman.state import NOISE_SCALE, ROUGHNESS_SCALE
+from estimators.map_smoother.identified_vehicle import CalibratedByIdentification
 from estimators.preprocessing import (
     ANTIALIAS_SPREAD,
     SPEED_MIN,
@@ -71,9 +71,15 @@ from estimators.preprocessing import (
     mask_record,
 )
 from road_envs.analysis.information_bound import RoadPrior
-from road_envs.analysis.roughness import CLASSES
-from road_envs.config import Positive
-from road_envs.data.record import PROFILE_SPACING, Estimate, Record, profile_stations, scored_band
+from road_envs.core.config import Positive
+from road_envs.records.record import (
+    PROFILE_SPACING,
+    Estimate,
+    Record,
+    profile_stations,
+    scored_band,
+)
+from road_envs.records.roughness import CLASSES
 from road_envs.sensing.instruments import instruments_of, on_axle
 from road_envs.vehicle.parameters import VehicleParameters
 

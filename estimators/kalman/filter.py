@@ -34,7 +34,7 @@ from estimators.kalman.state import (
     StepTest,
     WindowPart,
 )
-from road_envs._numba import kernel
+from road_envs.kernels._numba import kernel
 
 MAX_NIS = 16.0
 """Greatest normalized innovation squared per measurement; greater innovations are scaled down to

@@ -16,7 +16,7 @@ from functools import lru_cache
 import numpy as np
 
 from estimators.kalman.state import FilterModel, LocalState
-from road_envs._numba import kernel
+from road_envs.kernels._numba import kernel
 from road_envs.vehicle.force_curves import gaussian_smoothed, interpolate_tables
 from road_envs.vehicle.suspension import DAMPING_HIGH, V_0, V_STEP
 

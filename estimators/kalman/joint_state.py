@@ -5,7 +5,7 @@ import numpy as np
 from estimators.kalman.filtered import BandVariance
 from estimators.kalman.road_process import RoadProcess, add_node, node_entry
 from estimators.kalman.state import N_SUMS, JointState, LocalState, WindowPart
-from road_envs._numba import kernel
+from road_envs.kernels._numba import kernel
 
 
 @kernel(inline=False)

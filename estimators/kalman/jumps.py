@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimators.kalman.state import NOISE_SCALE, LocalState, StepTest
-from road_envs._numba import kernel
+from road_envs.kernels._numba import kernel
 
 JUMP_LENGTH = 0.3
 """Length [m] of road behind the newest node on which nodes are candidates."""

@@ -11,7 +11,9 @@ import numpy as np
 
 from estimators.common.spline import height_weights, slope_weights
 from estimators.kalman.state import FilterInputs, FilterModel, LinearizedBlock, LocalState
-from road_envs._numba import kernel
+from road_envs.kernels._numba import kernel
+from road_envs.kernels.simd import LANES, broadcast
+from road_envs.kernels.simd_arrays import add, get, put, stack_array, stack_rows
 from road_envs.simulation.rosenbrock import (
     ACCELERATION,
     N_FLEXIBLE_SIGNALS,
@@ -22,8 +24,6 @@ from road_envs.simulation.rosenbrock import (
     update_valves,
 )
 from road_envs.simulation.sensitivity import TAPE_ROW_SIZE, step_with_derivative, tangent_step
-from road_envs.simulation.simd import LANES, broadcast
-from road_envs.simulation.simd_arrays import add, get, put, stack_array, stack_rows
 from road_envs.vehicle.equations import N_DOF, THETA, Z_B, Motion
 from road_envs.vehicle.suspension import VehicleBuffers
 

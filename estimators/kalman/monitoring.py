@@ -12,7 +12,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import convolve
 
-from road_envs.data.record import PROFILE_SPACING
+from road_envs.records.record import PROFILE_SPACING
 
 NIS_CELL = 0.25
 """Length of road [m] over which the NIS is averaged."""

@@ -38,7 +38,7 @@ from estimators.kalman.windows import (
     schedule_windows,
 )
 from road_envs.analysis.information_bound import RoadPrior
-from road_envs.data.record import F_C, Record, profile_stations, scored_band
+from road_envs.records.record import F_C, Record, profile_stations, scored_band
 from road_envs.sensing.instruments import Instruments
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import settled_strut_state

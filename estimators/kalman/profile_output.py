@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from road_envs._numba import kernel
+from road_envs.kernels._numba import kernel
 
 N_DETREND = 0.1
 """Spatial frequency [cycles/m] at which half the height is emitted; the scored band begins at 0.2.

@@ -22,8 +22,8 @@ from estimators.kalman.state import (
     ROUGHNESS_WEIGHT,
     JointState,
 )
-from road_envs._numba import kernel
 from road_envs.analysis.information_bound import RoadPrior
+from road_envs.kernels._numba import kernel
 
 AR_LENGTH = 2.0
 """Length [m] of road from which the next node is predicted."""

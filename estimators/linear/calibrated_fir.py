@@ -60,9 +60,8 @@ from estimators.linear.road_posterior import (
     solve,
 )
 from estimators.preprocessing import RecordError, clean_record, sample_profile
-from road_envs.analysis.roughness import band_pass
-from road_envs.config import Settings
-from road_envs.data.record import (
+from road_envs.core.config import Settings
+from road_envs.records.record import (
     PROFILE_SPACING,
     Estimate,
     Profile,
@@ -70,6 +69,7 @@ from road_envs.data.record import (
     profile_stations,
     scored_band,
 )
+from road_envs.records.roughness import band_pass
 from road_envs.vehicle.parameters import VehicleParameters
 
 WINDOW = 200.0

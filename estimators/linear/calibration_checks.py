@@ -14,7 +14,7 @@ from estimators.linear.impulse_responses import (
     road_drive,
     sample_times,
 )
-from road_envs.data.record import F_C, Profile
+from road_envs.records.record import F_C, Profile
 
 LENGTH_MIN = 25.0
 """Shortest distance [m] that is of use, of all drives in one state together: five of the longest

@@ -68,8 +68,8 @@ from estimators.linear.fir_bank import (
 )
 from estimators.preprocessing import clean_record, sample_profile, spatial_accelerations
 from estimators.pretrained_weights import load_pretrained
-from road_envs.config import Settings
-from road_envs.data.record import (
+from road_envs.core.config import Settings
+from road_envs.records.record import (
     F_C,
     PROFILE_SPACING,
     SENSORS,

@@ -26,8 +26,8 @@ from scipy.optimize import minimize
 
 from estimators.common.blas import single_blas_thread
 from estimators.common.least_squares import LeastSquaresSums
-from road_envs.data.record import F_C, Profile, Record
-from road_envs.sensing.filters import preprocess_accelerations
+from road_envs.kernels.filters import preprocess_accelerations
+from road_envs.records.record import F_C, Profile, Record
 
 RATE = 62.5
 """Rate [Hz] of signals and taps, 2.5 times the bandwidth F_C."""

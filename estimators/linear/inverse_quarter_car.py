@@ -48,8 +48,8 @@ from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
 from estimators.preprocessing import RecordError, clean_record
 from estimators.wiener.segments import dominant_modes
-from road_envs.config import Settings
-from road_envs.data.record import F_C, Estimate, Record, profile_stations
+from road_envs.core.config import Settings
+from road_envs.records.record import F_C, Estimate, Record, profile_stations
 from road_envs.sensing.instruments import SensorLocation, instruments_of
 from road_envs.vehicle.equations import Plant, build_plant
 from road_envs.vehicle.linear_model import gaussian_damping, strut_forces

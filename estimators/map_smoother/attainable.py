@@ -30,7 +30,7 @@ from estimators.map_smoother.posterior_sampling import band_pass, draw_deviation
 from estimators.map_smoother.preconditioner import StationaryHessian, stationary_hessian
 from estimators.map_smoother.windows import whole_objective
 from road_envs.analysis.information_bound import RoadPrior
-from road_envs.data.record import Profile, Record, scored_band
+from road_envs.records.record import Profile, Record, scored_band
 from road_envs.vehicle.parameters import VehicleParameters
 
 CG_ITERATIONS, CG_TOLERANCE = 400, 1e-3

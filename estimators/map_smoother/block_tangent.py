@@ -23,11 +23,11 @@ from estimators.common.block_means import BlockMeans
 from estimators.common.model_inputs import ModelInputs
 from estimators.common.spline import height_weights, locate_node, slope_weights
 from estimators.map_smoother.road_prior import RoadTransform
-from road_envs._numba import kernel
+from road_envs.kernels._numba import kernel
+from road_envs.kernels.simd import LANES, broadcast, sum_lanes
+from road_envs.kernels.simd_arrays import get, put, stack_rows
 from road_envs.simulation.rosenbrock import WORKSPACE_ROWS, StepInputs, step_workspace
 from road_envs.simulation.sensitivity import tangent_step
-from road_envs.simulation.simd import LANES, broadcast, sum_lanes
-from road_envs.simulation.simd_arrays import get, put, stack_rows
 from road_envs.simulation.tape import Tape
 from road_envs.vehicle.equations import Motion
 

@@ -37,10 +37,9 @@ from estimators.api import CalibrationError, copy_with
 from estimators.common.bending import sensed_bending
 from estimators.common.block_means import MIN_NOISE_DENSITY
 from estimators.common.explained import reduce_unexplained
-from estimators.common.identified_vehicle import CalibratedByIdentification
-from estimators.common.low_pass import bridge
 from estimators.common.model_inputs import MOVING_STD, REST_STD, build_model_inputs, rest_state
 from estimators.common.odometer import calibrate_odometer
+from estimators.low_pass import bridge
 from estimators.map_smoother.car_fit import (
     STRUCTURE_POWER,
     CarFit,
@@ -54,6 +53,7 @@ from estimators.map_smoother.gauss_newton import (
     MapSolution,
     minimize,
 )
+from estimators.map_smoother.identified_vehicle import CalibratedByIdentification
 from estimators.map_smoother.objective import MeasurementModel, Objective
 from estimators.map_smoother.passes import estimate_jointly
 from estimators.map_smoother.posterior_sampling import posterior_mean_and_std
@@ -64,9 +64,9 @@ from estimators.map_smoother.wheel_liftoff import distance_in_air
 from estimators.map_smoother.windows import MARGIN, PreparedDrive, reconstruct
 from estimators.preprocessing import clipped_signs, mask_record
 from road_envs.analysis.information_bound import RoadPrior
-from road_envs.analysis.roughness import CLASSES
-from road_envs.config import STRICT
-from road_envs.data.record import Estimate, Record, profile_stations, scored_band
+from road_envs.core.config import STRICT
+from road_envs.records.record import Estimate, Record, profile_stations, scored_band
+from road_envs.records.roughness import CLASSES
 from road_envs.sensing.instruments import Instruments, instruments_of, on_axle
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.linear_model import linearise

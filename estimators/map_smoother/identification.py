@@ -37,7 +37,7 @@ from estimators.map_smoother.objective import Objective
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty, inflated_std
 from estimators.map_smoother.windows import whole_objective
-from road_envs.data.record import Record
+from road_envs.records.record import Record
 from road_envs.sensing.instruments import instruments_of
 from road_envs.vehicle.parameters import Tolerance, VehicleParameters
 from road_envs.vehicle.tolerances import ParameterSpace, has_absent_elements, parameter_space

@@ -10,8 +10,8 @@ from scipy.ndimage import spline_filter1d
 from estimators.api import CalibrationDrive, CalibrationError
 from estimators.map_smoother.objective import Objective
 from road_envs.analysis.information_bound import RoadPrior
-from road_envs.analysis.roughness import N_0, displacement_psd
-from road_envs.data.record import Profile
+from road_envs.records.record import Profile
+from road_envs.records.roughness import N_0, displacement_psd
 
 MIN_CORRELATION = 0.5
 """Least correlation of the readings with those expected on the known road."""

@@ -38,7 +38,7 @@ from estimators.map_smoother.windows import (
     nodes_under,
     window_objective,
 )
-from road_envs.data.record import Estimate, Record, scored_band
+from road_envs.records.record import Estimate, Record, scored_band
 from road_envs.vehicle.parameters import VehicleParameters
 
 if TYPE_CHECKING:

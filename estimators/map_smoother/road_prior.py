@@ -18,7 +18,7 @@ from scipy.ndimage import spline_filter1d
 from estimators.common.road_prior import increment_amplitude
 from estimators.common.spline import evaluate_spline
 from road_envs.analysis.information_bound import RoadPrior
-from road_envs.data.record import Profile
+from road_envs.records.record import Profile
 
 N_FLAT = 0.02
 """Spatial frequency [cycles/m] below which the prior is no higher than there. Longer waves are

@@ -12,7 +12,7 @@ import numpy as np
 
 from estimators.map_smoother.gauss_newton import MapSolution
 from estimators.map_smoother.objective import MeasurementModel
-from road_envs.data.record import DistanceScale
+from road_envs.records.record import DistanceScale
 
 CG_ITERATIONS, CG_TOLERANCE = 100, 0.05
 """Iterations of conjugate gradients for the variance, at most, and where they end."""

@@ -28,7 +28,7 @@ from road_envs.vehicle.tolerances import scale_parameters
 
 UNKNOWN_STD_INFLATION = 4.0
 """Factor on posterior standard deviations over unmeasured roads, for what Laplace's approximation
-and the road's estimated prior leave out (`leaderboard/benchmarks/identified_parameters.py`)."""
+and the road's estimated prior leave out (`studies/identified_parameters.py`)."""
 
 GAIN_STD = 0.012
 """Standard deviation of the gain of an accelerometer that was not identified: within 2 % of 1 by

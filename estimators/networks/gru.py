@@ -15,7 +15,7 @@ from typing import Annotated, Any, ClassVar
 from estimators.api import LAG
 from estimators.networks.inputs import N_CONDITIONS, N_INPUTS
 from estimators.networks.sequence_estimator import KernelSize, SequenceEstimator
-from road_envs.config import Count
+from road_envs.core.config import Count
 
 WARM_UP_STATIONS = 60
 """Stations of warm-up."""

@@ -9,8 +9,8 @@ import numpy as np
 from estimators.api import copy_with, require_fitted, validate_weights
 from estimators.networks import levenberg_marquardt as lm
 from estimators.preprocessing import clean_record, sample_profile, spatial_accelerations
-from road_envs.config import Count, Settings
-from road_envs.data.record import SENSORS, Profile, Record, profile_stations
+from road_envs.core.config import Count, Settings
+from road_envs.records.record import SENSORS, Profile, Record, profile_stations
 
 PATHS = 2
 

@@ -14,7 +14,7 @@ Attribute names are keys of the shipped weight files.
 
 from collections.abc import Sequence
 
-from road_envs._extras import optional_import
+from road_envs.core.extras import optional_import
 
 with optional_import("a neural network"):
     import torch

@@ -25,9 +25,9 @@ from estimators.api import copy_with, require_fitted
 from estimators.networks import levenberg_marquardt as lm
 from estimators.networks.lm_estimator import PATHS, FittedNetwork, LmEstimator, training_data
 from estimators.preprocessing import clean_record, spatial_accelerations
-from road_envs._numba import kernel
-from road_envs.config import Count
-from road_envs.data.record import SENSORS, Estimate, Profile, Record, profile_stations
+from road_envs.core.config import Count
+from road_envs.kernels._numba import kernel
+from road_envs.records.record import SENSORS, Estimate, Profile, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
 HELD_OUT_SHARE = 0.15

@@ -73,9 +73,9 @@ from estimators.networks.trainer import (
 )
 from estimators.preprocessing import clean_record
 from estimators.pretrained_weights import load_pretrained
-from road_envs._extras import optional_import
-from road_envs.config import Count, Settings
-from road_envs.data.record import Estimate, Profile, Record, profile_stations
+from road_envs.core.config import Count, Settings
+from road_envs.core.extras import optional_import
+from road_envs.records.record import Estimate, Profile, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
 NETWORK_PREFIX = "network."

@@ -21,8 +21,8 @@ import numpy as np
 from estimators.api import copy_with, require_fitted
 from estimators.networks.lm_estimator import FittedNetwork, LmEstimator, training_data
 from estimators.preprocessing import clean_record, spatial_accelerations
-from road_envs.config import Count
-from road_envs.data.record import Estimate, Profile, Record, profile_stations
+from road_envs.core.config import Count
+from road_envs.records.record import Estimate, Profile, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
 

@@ -26,7 +26,7 @@ from scipy.optimize import minimize
 from scipy.special import expit
 
 from estimators.common.spatial_signals import SPACING
-from road_envs.data.record import scored_band
+from road_envs.records.record import scored_band
 
 COVERAGE_LEVELS = ((0.5, 0.6745), (0.9, 1.6449))
 """Coverage probabilities, and the Gaussian bounds in standard deviations."""

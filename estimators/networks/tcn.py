@@ -16,7 +16,7 @@ from pydantic import Field
 from estimators.api import LAG
 from estimators.networks.inputs import N_CONDITIONS, N_INPUTS
 from estimators.networks.sequence_estimator import SequenceEstimator
-from road_envs.config import Count
+from road_envs.core.config import Count
 
 
 @dataclass(frozen=True, kw_only=True)

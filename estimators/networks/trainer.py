@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from estimators.networks.inputs import MIRROR_SIGNS, NetworkInputs
-from road_envs._extras import optional_import
+from road_envs.core.extras import optional_import
 
 LOSS_MAX = 4.0
 WARM_UP_STEPS = 100

@@ -33,8 +33,8 @@ from scipy.optimize import minimize
 from estimators.common.spatial_signals import N_MOTIONS, body_motions
 from estimators.preprocessing import clean_record
 from estimators.roughness.spectral import class_probabilities, most_probable, scored_octaves
-from road_envs.analysis.roughness import displacement_psd, octave_levels
-from road_envs.data.record import Profile, Record
+from road_envs.records.record import Profile, Record
+from road_envs.records.roughness import displacement_psd, octave_levels
 
 N_INPUTS = 1 + N_MOTIONS
 SLOPE_STD = 3.0

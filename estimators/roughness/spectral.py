@@ -28,9 +28,9 @@ from estimators.wiener.spectral_model import (
     windowed_spectrum,
 )
 from road_envs.analysis.information_bound import RoadPrior, posterior
-from road_envs.analysis.roughness import CLASSES
 from road_envs.analysis.statistical_linearization import hermitian
-from road_envs.data.record import SCORED_F_MAX, Record, scored_band
+from road_envs.records.record import SCORED_F_MAX, Record, scored_band
+from road_envs.records.roughness import CLASSES
 from road_envs.sensing.instruments import instruments_of
 from road_envs.vehicle.parameters import VehicleParameters
 

@@ -31,7 +31,7 @@ from estimators.wiener.spectral_model import (
 )
 from road_envs.analysis.information_bound import equivalent_damping, strut_rate_std
 from road_envs.analysis.statistical_linearization import hermitian
-from road_envs.data.record import F_C, Record
+from road_envs.records.record import F_C, Record
 from road_envs.sensing.instruments import Instruments
 from road_envs.vehicle.linear_model import (
     frequency_response,

@@ -33,7 +33,7 @@ from estimators.wiener.spectral_model import (
     signal_psd,
     windowed_spectrum,
 )
-from road_envs.data.record import F_C, Record
+from road_envs.records.record import F_C, Record
 from road_envs.sensing.instruments import Instruments, instruments_of
 from road_envs.vehicle.parameters import VehicleParameters
 

@@ -32,7 +32,7 @@ from estimators.wiener.spectral_model import (
 )
 from road_envs.analysis.information_bound import posterior
 from road_envs.analysis.statistical_linearization import NonlinearResidual, hermitian
-from road_envs.data.record import F_C
+from road_envs.records.record import F_C
 
 F_DATUM = 0.1
 """Lowest frequency [Hz] that is estimated."""

@@ -11,9 +11,9 @@ from itertools import pairwise
 import numpy as np
 from scipy import signal
 
-from estimators.common.low_pass import bridge
+from estimators.low_pass import bridge
 from estimators.preprocessing import SPEED_MIN, MaskedRecord
-from road_envs.data.record import PROFILE_SPACING, Record
+from road_envs.records.record import PROFILE_SPACING, Record
 from road_envs.vehicle.struts import MODES, Modes
 
 STATION_RATE = 100.0

@@ -21,7 +21,7 @@ from estimators.wiener.spectral_model import (
     SpectralModel,
     fit_hyperparameters,
 )
-from road_envs.data.record import (
+from road_envs.records.record import (
     F_C,
     PROFILE_SPACING,
     Estimate,

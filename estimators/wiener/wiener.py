@@ -14,10 +14,10 @@ segment. Friction limits the accuracy: with linear struts the error would reach 
 from dataclasses import dataclass
 from typing import ClassVar
 
-from estimators.common.identified_vehicle import CalibratedByIdentification
+from estimators.map_smoother.identified_vehicle import CalibratedByIdentification
 from estimators.wiener.smoother import smooth_record
-from road_envs.config import Positive
-from road_envs.data.record import Estimate, Record
+from road_envs.core.config import Positive
+from road_envs.records.record import Estimate, Record
 from road_envs.vehicle.parameters import VehicleParameters
 
 

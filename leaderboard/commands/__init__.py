@@ -18,7 +18,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from leaderboard.json_values import nan_to_none
-from road_envs.config import ConfigError
+from road_envs.core.config import ConfigError
 
 console = Console(markup=False, emoji=False)
 notices = Console(stderr=True, markup=False, emoji=False)

@@ -15,17 +15,17 @@ import typer
 from rich.table import Table
 
 import estimators
-from leaderboard.benchmarks import levenberg_marquardt, speed, start_up
-from leaderboard.benchmarks import scaling as cost_by_work
-from leaderboard.benchmarks.identification_speed import identification_speed
-from leaderboard.benchmarks.integrators import PeerError
-from leaderboard.benchmarks.machine import measure_machine
-from leaderboard.benchmarks.speed import benchmark_row, median_time, run_in_new_process
+from leaderboard.bench import levenberg_marquardt, speed, start_up
+from leaderboard.bench import scaling as cost_by_work
+from leaderboard.bench.identification_speed import identification_speed
+from leaderboard.bench.integrators import PeerError
+from leaderboard.bench.machine import measure_machine
+from leaderboard.bench.speed import benchmark_row, median_time, run_in_new_process
 from leaderboard.commands import check_output_path, console, notices, print_json, progress_bar
 from leaderboard.commands.options import Json
-from leaderboard.evaluation.entry import needs_training
-from road_envs.config import ConfigError
-from road_envs.data.recording import simulate_record
+from leaderboard.entries.entry import needs_training
+from road_envs.core.config import ConfigError
+from road_envs.drives.recording import simulate_record
 from road_envs.roads import load_road, with_length
 from road_envs.sensing.data_logger import load_instruments
 from road_envs.vehicle.parameters import load_vehicle
@@ -212,7 +212,7 @@ def _passes() -> list[dict[str, Any]]:
 DRIVES_SCRIPT = """
 import resource, time
 import numpy as np
-from road_envs.data.recording import simulate_record
+from road_envs.drives.recording import simulate_record
 from road_envs.roads import load_road
 from road_envs.sensing.data_logger import load_instruments
 from road_envs.vehicle.parameters import load_vehicle

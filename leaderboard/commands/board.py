@@ -18,8 +18,8 @@ from leaderboard.commands import (
     progress_bar,
 )
 from leaderboard.commands.options import Isolation, Json, MemoryLimit, TimeLimit, parse_limits
-from leaderboard.evaluation.entries import resolve_entries
-from leaderboard.evaluation.entry import Entry
+from leaderboard.entries.entries import resolve_entries
+from leaderboard.entries.entry import Entry
 from leaderboard.evaluation.evaluate import SEEDS
 from leaderboard.evaluation.results import isolation_notice
 from leaderboard.evaluation.surface_tasks import surface_tasks
@@ -35,7 +35,7 @@ from leaderboard.running.dask_executor import DaskExecutor
 from leaderboard.running.executors import Executor, ProcessExecutor
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
-from road_envs.config import ConfigError, names, validate_choice
+from road_envs.core.config import ConfigError, names, validate_choice
 
 CORES = os.cpu_count() or 1
 

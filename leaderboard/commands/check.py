@@ -12,7 +12,7 @@ from leaderboard.commands import console, import_from_here, print_json
 from leaderboard.commands.options import Isolation, Json, MemoryLimit, TimeLimit, parse_limits
 from leaderboard.conformance.checks import RUN_TIME_LIMIT, check_entry
 from leaderboard.conformance.probes import PROBES, CheckResult
-from leaderboard.evaluation.entries import resolve_entries
+from leaderboard.entries.entries import resolve_entries
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
 

@@ -16,7 +16,7 @@ from leaderboard.commands.options import (
     parse_limits,
 )
 from leaderboard.commands.policies import chosen_isolation, policy_reference
-from leaderboard.conformance.policy_checks import check_policy as run_checks
+from leaderboard.policies.policy_checks import check_policy as run_checks
 from leaderboard.policies.policy_process import POLICY_LIMITS
 
 

@@ -22,12 +22,12 @@ from leaderboard.commands import (
 from leaderboard.commands.options import Json
 from leaderboard.policies.episodes import DATASETS_PATH, write_episodes
 from road_envs import __version__
-from road_envs._atomic_io import write_text
-from road_envs._extras import optional_import
-from road_envs.config import ConfigError
-from road_envs.data.accelerometers import column
-from road_envs.data.record import Profile, Record
-from road_envs.data.training_corpus import Corpus
+from road_envs.core.atomic_io import write_text
+from road_envs.core.config import ConfigError
+from road_envs.core.extras import optional_import
+from road_envs.drives.training_corpus import Corpus
+from road_envs.records.accelerometers import column
+from road_envs.records.record import Profile, Record
 
 FORMAT = "roadrecon dataset 1"
 SPLITS = ("train", "validation", "test")
@@ -50,7 +50,7 @@ configs:
 
 {number} simulated drives of a Land Rover Defender with switchable suspension over {metres:.0f} m of
 road, with the true heights of both wheel paths. Road, speed, strut states, vehicle, noise and gains
-are drawn for each drive (`road_envs.data.training_corpus`); a third of the vehicles have flexible
+are drawn for each drive (`road_envs.drives.training_corpus`); a third of the vehicles have flexible
 bodies or faulty instruments. No drive is one of the benchmark.
 
 - `SPLIT_records.parquet`: one row per sample: `drive`, `t` [s], `a_rf`, `a_lr`, `a_rr` (vertical

@@ -14,15 +14,15 @@ from estimators.common.odometer import to_true_distance
 from estimators.estimation import FILE_SUFFIXES
 from estimators.wiener.drive_check import check_notes
 from leaderboard.commands import check_output_path, parse_mode, parse_pairs
-from road_envs.config import ConfigError
-from road_envs.data.logger_tables.description import (
+from road_envs.core.config import ConfigError
+from road_envs.drives.logger_tables.description import (
     DriveDescription,
     read_description,
     write_description,
 )
-from road_envs.data.measured_record import MeasuredRecord, read_measured_record
-from road_envs.data.record import Estimate, Profile, Record
-from road_envs.data.recording import is_record, read_record
+from road_envs.drives.measured_record import MeasuredRecord, read_measured_record
+from road_envs.drives.recording import is_record, read_record
+from road_envs.records.record import Estimate, Profile, Record
 from road_envs.roads import load_road, realise_road
 from road_envs.roads.measured import Measured
 from road_envs.sensing.instruments import load_instruments

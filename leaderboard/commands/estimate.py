@@ -36,9 +36,9 @@ from leaderboard.metrics.alignment import Alignment, align
 from leaderboard.metrics.api import UNDEFINED
 from leaderboard.metrics.registry import PRINTED_SCORES, SCORES, compute_scores
 from leaderboard.report import plots
-from road_envs.config import validate_choice
-from road_envs.data.record import Profile, Record
-from road_envs.data.training_corpus import Corpus, drives_in_mode
+from road_envs.core.config import validate_choice
+from road_envs.drives.training_corpus import Corpus, drives_in_mode
+from road_envs.records.record import Profile, Record
 from road_envs.roads import Surface, load_road, realise_road, write_csv
 from road_envs.roads.measured import Measured
 

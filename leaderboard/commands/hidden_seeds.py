@@ -10,7 +10,7 @@ from leaderboard.commands import console, print_json
 from leaderboard.commands.options import Json
 from leaderboard.evaluation import hidden_seeds
 from leaderboard.evaluation.tasks import load_task, shipped_tasks
-from road_envs.config import ConfigError
+from road_envs.core.config import ConfigError
 
 RANDOM_ROAD_BOARDS = ("new_road", "field", "class")
 """Boards with random roads."""

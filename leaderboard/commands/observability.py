@@ -28,10 +28,10 @@ from road_envs.analysis.information_bound import (
     bound,
     equivalent_damping,
 )
-from road_envs.analysis.roughness import CLASSES
-from road_envs.config import ConfigError, validate_choice
-from road_envs.data.record import F_C, scored_band
-from road_envs.data.recording import simulate_record
+from road_envs.core.config import ConfigError, validate_choice
+from road_envs.drives.recording import simulate_record
+from road_envs.records.record import F_C, scored_band
+from road_envs.records.roughness import CLASSES
 from road_envs.roads.iso8608 import Iso8608
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle

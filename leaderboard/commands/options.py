@@ -6,7 +6,7 @@ import typer
 
 from leaderboard.sandbox import limits
 from leaderboard.sandbox.limits import Limits
-from road_envs.config import ConfigError, validate_choice
+from road_envs.core.config import ConfigError, validate_choice
 
 Road = Annotated[str, typer.Option(help="Road: shipped name, YAML path or surface file.")]
 Speed = Annotated[float, typer.Option(help="Speed in km/h.")]

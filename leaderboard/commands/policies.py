@@ -36,8 +36,8 @@ from leaderboard.policies.summary import REFERENCE, format_metric, summarize_res
 from leaderboard.policies.training_study import evaluate_study, study_lines, train_seeds
 from leaderboard.sandbox import bubblewrap
 from leaderboard.sandbox.limits import Limits
-from road_envs._atomic_io import write_text
-from road_envs.config import ConfigError, validate_choice
+from road_envs.core.atomic_io import write_text
+from road_envs.core.config import ConfigError, validate_choice
 from road_envs.policies import FILE_SUFFIX, REGISTRY, make_policy, names, runs_foreign_code
 from road_envs.policies.greedy_information import GreedyInformation
 

@@ -12,7 +12,7 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from leaderboard.benchmarks.integrators import (
+from leaderboard.bench.integrators import (
     MODE,
     SPEED,
     IntegrationProblem,
@@ -30,7 +30,7 @@ from leaderboard.commands import (
 from leaderboard.commands.options import Json
 from leaderboard.report import plots
 from leaderboard.report.figures import rounded
-from road_envs.config import ConfigError
+from road_envs.core.config import ConfigError
 from road_envs.roads import load_road
 
 OURS = ("ours, constant step", "ours, adaptive")

@@ -30,9 +30,9 @@ from leaderboard.drive_report.conditions import load_conditions
 from leaderboard.drive_report.export import write_geojson, write_tables
 from leaderboard.drive_report.page import write_page
 from leaderboard.drive_report.passes import ReportedPass, align_passes, compare, join
-from road_envs.config import ConfigError
-from road_envs.data.measured_record import MeasuredRecord
-from road_envs.data.record import Estimate
+from road_envs.core.config import ConfigError
+from road_envs.drives.measured_record import MeasuredRecord
+from road_envs.records.record import Estimate
 from road_envs.sensing.instruments import instruments_of, load_instruments
 
 Drives = Annotated[

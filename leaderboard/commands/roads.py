@@ -9,15 +9,15 @@ import typer
 from leaderboard.commands import check_output_path, console, make_table, print_json
 from leaderboard.commands.options import Json, Length, Seed
 from leaderboard.report import plots
-from road_envs import config
-from road_envs.analysis.roughness import (
+from road_envs.core import config
+from road_envs.core.config import ConfigError
+from road_envs.records.roughness import (
     displacement_psd,
     fit_line,
     iri,
     roughness_class,
     smooth_psd,
 )
-from road_envs.config import ConfigError
 from road_envs.roads import Surface, load_road, realise_road
 from road_envs.roads.formats.write import WRITERS, write, write_crg
 

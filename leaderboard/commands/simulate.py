@@ -44,11 +44,11 @@ from leaderboard.commands.options import (
 )
 from leaderboard.evaluation import pretraining
 from leaderboard.report import plots
-from road_envs.analysis.roughness import iri
-from road_envs.config import ConfigError
-from road_envs.data.record import Profile, Record
-from road_envs.data.recording import simulate_record, write_record
-from road_envs.data.training_corpus import Corpus
+from road_envs.core.config import ConfigError
+from road_envs.drives.recording import simulate_record, write_record
+from road_envs.drives.training_corpus import Corpus
+from road_envs.records.record import Profile, Record
+from road_envs.records.roughness import iri
 from road_envs.roads import realise_road, write_csv
 from road_envs.sensing.data_logger import load_instruments
 from road_envs.vehicle.parameters import load_vehicle

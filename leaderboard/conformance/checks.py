@@ -23,13 +23,13 @@ from functools import cache
 import numpy as np
 
 from leaderboard.conformance.probes import CheckResult, evaluate_probes, perturbed_records
-from leaderboard.evaluation.entry import Entry, EntryError, TrainingRun
+from leaderboard.entries.entry import Entry, EntryError, TrainingRun
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.metrics.registry import compute_scores
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
-from road_envs.data.record import Profile, Record
-from road_envs.data.recording import simulate_record
+from road_envs.drives.recording import simulate_record
+from road_envs.records.record import Profile, Record
 from road_envs.roads import load_road
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle

@@ -27,8 +27,8 @@ import numpy as np
 
 from estimators.api import Estimator, Trainable, declared_lag
 from leaderboard.metrics.heights import band_pass, correlation
-from road_envs.config import Settings
-from road_envs.data.record import SENSORS, Estimate, Profile, Record, scored_band
+from road_envs.core.config import Settings
+from road_envs.records.record import SENSORS, Estimate, Profile, Record, scored_band
 from road_envs.sensing.instruments import Instruments, load_instruments
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import WHEELS

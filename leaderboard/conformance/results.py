@@ -16,13 +16,13 @@ from pathlib import Path
 from typing import Any
 
 from leaderboard.conformance.probes import CheckResult, count_passed
+from leaderboard.entries.entry import BUILTIN, Entry, EntryError
 from leaderboard.evaluation import store
-from leaderboard.evaluation.entry import BUILTIN, Entry, EntryError
 from leaderboard.evaluation.provenance import package_version
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
-from road_envs._code_digest import closure, digest
-from road_envs.config import Settings, build
+from road_envs.core.code_digest import closure, digest
+from road_envs.core.config import Settings, build
 
 FORMAT = 1
 CHECKS_MODULE = "leaderboard.conformance.checks"

@@ -13,8 +13,8 @@ from typing import Literal
 
 import estimators
 from road_envs import policies
-from road_envs._atomic_io import write_text
-from road_envs.config import ConfigError
+from road_envs.core.atomic_io import write_text
+from road_envs.core.config import ConfigError
 
 Example = Literal["estimator", "learner", "policy"]
 

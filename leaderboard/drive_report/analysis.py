@@ -9,13 +9,13 @@ from estimators.wiener.segments import dominant_modes
 from leaderboard.drive_report.conditions import Conditions
 from leaderboard.drive_report.obstacles import CERTAIN, DetectedObstacle, detect
 from leaderboard.drive_report.posterior_iri import IriPosterior, posterior_iri
-from road_envs.analysis.roughness import (
+from road_envs.drives.measured_record import MeasuredRecord
+from road_envs.records.record import Estimate, scored_band
+from road_envs.records.roughness import (
     displacement_psd,
     octave_levels,
     roughness_class,
 )
-from road_envs.data.measured_record import MeasuredRecord
-from road_envs.data.record import Estimate, scored_band
 from road_envs.vehicle.struts import MODES, Modes
 
 SEGMENT_LENGTHS = (10.0, 20.0, 100.0)

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import numpy as np
 
-from road_envs.config import ConfigError, Positive, Settings, load
+from road_envs.core.config import ConfigError, Positive, Settings, load
 
 
 @dataclass(frozen=True, kw_only=True)

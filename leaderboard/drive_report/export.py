@@ -8,8 +8,8 @@ import numpy as np
 
 from leaderboard.drive_report.analysis import DriveResult
 from leaderboard.json_values import nan_to_none
-from road_envs._atomic_io import atomic_write, write_text
-from road_envs._extras import optional_import
+from road_envs.core.atomic_io import atomic_write, write_text
+from road_envs.core.extras import optional_import
 
 VERTEX_SPACING = 2.0
 """Distance [m] of the vertices of a segment's line."""

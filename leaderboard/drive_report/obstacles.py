@@ -25,7 +25,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from leaderboard.metrics.obstacles import MERGE_GAP
-from road_envs.data.record import Estimate
+from road_envs.records.record import Estimate
 
 SPANS = (0.6, 1.0, 1.6, 2.5, 4.0, 6.3)
 """Spans [m] of the straightedge: from a pothole that swallows a tyre to a speed hump."""

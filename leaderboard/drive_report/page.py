@@ -13,8 +13,8 @@ from leaderboard.drive_report.obstacles import CERTAIN, FALSE_ALARMS
 from leaderboard.drive_report.posterior_iri import MODEL_STD
 from leaderboard.report.rendering import render
 from road_envs import __version__
-from road_envs._atomic_io import write_text
-from road_envs.data.record import scored_band
+from road_envs.core.atomic_io import write_text
+from road_envs.records.record import scored_band
 
 TABLE_ROWS = 200
 """Largest number of segments that the page lists; the files have all."""

@@ -8,6 +8,7 @@ import numpy as np
 
 import estimators.passes
 from estimators.api import Estimator
+from estimators.common.alignment import identity_map
 from estimators.passes import AlignedPass
 from leaderboard.drive_report.analysis import DriveResult
 from leaderboard.metrics.agreement import (
@@ -16,10 +17,9 @@ from leaderboard.metrics.agreement import (
     iri_filtered_correlation,
     repeatability,
 )
-from road_envs.analysis.alignment import identity_map
-from road_envs.config import ConfigError
-from road_envs.data.measured_record import MeasuredRecord
-from road_envs.data.record import Estimate
+from road_envs.core.config import ConfigError
+from road_envs.drives.measured_record import MeasuredRecord
+from road_envs.records.record import Estimate
 from road_envs.vehicle.parameters import VehicleParameters
 
 MIN_SEGMENTS = 3

@@ -10,8 +10,8 @@ from leaderboard.drive_report.conditions import Conditions
 from leaderboard.metrics.heights import band_pass
 from leaderboard.report.plots import COLOURS, SIDES, draw_classes
 from leaderboard.report.svg import inline_svg
-from road_envs.analysis.roughness import displacement_psd, smooth_psd
-from road_envs.data.record import scored_band
+from road_envs.records.record import scored_band
+from road_envs.records.roughness import displacement_psd, smooth_psd
 
 CONDITION_COLOURS = ("#009E73", "#F0C000", "#D55E00", "#7B2D26", "#3D1410")
 """Colours of the categories, from the best: distinct by lightness, too."""

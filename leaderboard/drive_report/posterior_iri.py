@@ -21,8 +21,8 @@ from scipy.fft import irfft, next_fast_len, rfftfreq
 from scipy.ndimage import uniform_filter1d
 
 from leaderboard.metrics.heights import band_pass
-from road_envs.analysis.roughness import golden_car
-from road_envs.data.record import Estimate, scored_band
+from road_envs.records.record import Estimate, scored_band
+from road_envs.records.roughness import golden_car
 
 IRI_BAND = (0.04, 2.0)
 """Band [cycles/m] over which the error is continued: 25 to 0.5 m, the waves that the golden car

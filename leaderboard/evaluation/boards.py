@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Literal
 
-from road_envs import config
-from road_envs.config import Positive, Settings
+from road_envs.core import config
+from road_envs.core.config import Positive, Settings
 
 Division = Literal["offline", "causal"]
 

@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from estimators.api import Estimator
-from leaderboard.evaluation.code_version import evaluation_version
-from leaderboard.evaluation.entry import (
+from leaderboard.entries.code_version import evaluation_version
+from leaderboard.entries.entry import (
     BUILTIN,
     Calibrations,
     Entry,
@@ -21,6 +21,7 @@ from leaderboard.evaluation.entry import (
     get_settings,
     reconstruct_all,
 )
+from leaderboard.evaluation.bound import nrmse_bound
 from leaderboard.evaluation.provenance import describe_environment, package_version
 from leaderboard.evaluation.results import DriveScores, Result, Trace, merge_parts, quantize_heights
 from leaderboard.evaluation.tasks import Condition, Task, training_delays
@@ -32,9 +33,8 @@ from leaderboard.evaluation.test_data import (
 )
 from leaderboard.metrics import heights
 from leaderboard.metrics.baselines import ALL_BASELINES, MEMORY, memory, truth_plus_noise
-from leaderboard.metrics.bound import nrmse_bound
 from leaderboard.metrics.registry import compute_scores
-from road_envs.data.record import Estimate
+from road_envs.records.record import Estimate
 from road_envs.simulation.drive import SimulationError
 
 SEEDS = (1, 2, 3)

@@ -19,9 +19,9 @@ import yaml
 
 from leaderboard.evaluation.provenance import package_version
 from leaderboard.evaluation.tasks import SEED_STRIDE, Task, load_task
-from road_envs._atomic_io import write_text
-from road_envs._reading import parsing
-from road_envs.config import ConfigError, Settings, build, find, read_yaml
+from road_envs.core.atomic_io import write_text
+from road_envs.core.config import ConfigError, Settings, build, find, read_yaml
+from road_envs.core.reading import parsing
 
 COMMITMENT = "commitment.json"
 MIN_SALT_LENGTH = 12

@@ -16,7 +16,7 @@ from estimators import pretrained_weights, weights_io
 from estimators.api import DeviationCalibratable, Pretrained
 from leaderboard.evaluation.evaluate import get_settings
 from leaderboard.evaluation.provenance import package_version
-from road_envs.data.training_corpus import Corpus
+from road_envs.drives.training_corpus import Corpus
 
 Progress = Callable[[str, float], None]
 SIMULATION_SHARE = 0.15

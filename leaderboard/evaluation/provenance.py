@@ -9,7 +9,7 @@ from importlib import metadata
 from pathlib import Path
 
 import road_envs
-from road_envs._code_digest import PACKAGES, ROOT
+from road_envs.core.code_digest import PACKAGES, ROOT
 
 LIBRARIES = ("numpy", "scipy", "numba", "torch")
 

@@ -14,11 +14,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from leaderboard.evaluation.code_version import evaluation_version
+from leaderboard.entries.code_version import evaluation_version
 from leaderboard.evaluation.provenance import package_version
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics import heights
-from road_envs.config import Settings
+from road_envs.core.config import Settings
 
 FORMAT = 5
 Role = Literal["entry", "baseline"]

@@ -17,15 +17,15 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar, overload
 
-from leaderboard.evaluation.code_version import evaluation_version
+from leaderboard.entries.code_version import evaluation_version
 from leaderboard.evaluation.provenance import package_version
 from leaderboard.evaluation.results import FORMAT, DriveScores, Result
 from leaderboard.evaluation.tasks import Task
 from leaderboard.json_values import nan_to_none
 from leaderboard.metrics import heights
 from leaderboard.metrics.baselines import ALL_BASELINES
-from road_envs._atomic_io import write_text
-from road_envs.config import ConfigError, Settings, build
+from road_envs.core.atomic_io import write_text
+from road_envs.core.config import ConfigError, Settings, build
 
 T = TypeVar("T")
 

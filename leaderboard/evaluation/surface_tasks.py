@@ -7,15 +7,15 @@ import numpy as np
 
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics.heights import scored_band
-from road_envs.analysis.roughness import (
+from road_envs.core.config import ConfigError, build
+from road_envs.records.record import PROFILE_SPACING, profile_stations
+from road_envs.records.roughness import (
     detrend_linear,
     displacement_psd,
     fit_line,
     roughness_class,
     smooth_psd,
 )
-from road_envs.config import ConfigError, build
-from road_envs.data.record import PROFILE_SPACING, profile_stations
 from road_envs.roads import Surface, load_road, realise_road
 from road_envs.simulation.drive import SimulationError, simulate
 from road_envs.vehicle.parameters import load_vehicle

@@ -21,19 +21,19 @@ from pydantic import Field
 
 from leaderboard.evaluation.boards import BoardDefinition, shipped_boards
 from leaderboard.json_values import to_json_types
-from road_envs import config
-from road_envs.config import ConfigError, Count, Positive, Settings
+from road_envs.core import config
+from road_envs.core.config import ConfigError, Count, Positive, Settings
 from road_envs.roads import Road, with_length
 from road_envs.roads.api import AnyRoad
 from road_envs.roads.composite import NoisyCopy
 from road_envs.roads.measured import Measured
 from road_envs.sensing.data_logger import Instruments, load_instruments
-from road_envs.vehicle.parameters import DEFAULT_STEP, Step, VehicleParameters, load_vehicle
-from road_envs.vehicle.perturbed_vehicle import (
+from road_envs.sensing.perturbed_vehicle import (
     PerturbedVehicle,
     load_plant_mismatch,
     perturb_vehicle,
 )
+from road_envs.vehicle.parameters import DEFAULT_STEP, Step, VehicleParameters, load_vehicle
 from road_envs.vehicle.suspension import encode_command
 
 Grade = Literal["S0", "S1", "S2", "S3"]

@@ -9,10 +9,10 @@ import numpy as np
 
 from estimators.api import CalibrationDrive
 from leaderboard.evaluation.tasks import Condition, DriveSet, Task, individual_seed
-from road_envs.data.record import LowPass, Profile, Record
-from road_envs.data.recording import simulate_record
+from road_envs.drives.recording import simulate_record
+from road_envs.kernels.filters import LOW_PASS_ORDER, preprocess_accelerations
+from road_envs.records.record import LowPass, Profile, Record
 from road_envs.roads import Road
-from road_envs.sensing.filters import LOW_PASS_ORDER, preprocess_accelerations
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.signal import correlate, correlation_lags
 
 from leaderboard.metrics.api import ScoredEstimate, metric
-from road_envs.analysis.roughness import golden_car, iri
+from road_envs.records.roughness import golden_car, iri
 
 SEGMENT_LENGTH = 100.0
 """Length [m] of the segments whose IRI is compared."""

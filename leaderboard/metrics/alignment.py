@@ -2,7 +2,7 @@
 
 The stations of a measured drive are those of its odometer or of a speed that was integrated, so
 they differ from those of a levelled or profiled road by an unknown distance: that of the largest
-correlation of their slopes in the scored band (`road_envs.analysis.alignment`).
+correlation of their slopes in the scored band (`estimators.common.alignment`).
 """
 
 import dataclasses
@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from road_envs.analysis.alignment import MIN_OVERLAP, SEARCHED, is_match, lag_correlations
-from road_envs.analysis.roughness import band_pass
-from road_envs.config import ConfigError
-from road_envs.data.record import Estimate, Profile, scored_band
+from estimators.common.alignment import MIN_OVERLAP, SEARCHED, is_match, lag_correlations
+from road_envs.core.config import ConfigError
+from road_envs.records.record import Estimate, Profile, scored_band
+from road_envs.records.roughness import band_pass
 from road_envs.roads import Surface
 
 

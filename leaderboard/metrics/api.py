@@ -19,8 +19,8 @@ from typing import Any, Literal, TypeVar, cast
 import numpy as np
 
 from leaderboard.metrics import heights
-from road_envs.analysis.roughness import displacement_psd
-from road_envs.data.record import Estimate, Profile
+from road_envs.records.record import Estimate, Profile
+from road_envs.records.roughness import displacement_psd
 
 UNDEFINED = "–"
 """Text of a score that is not defined."""

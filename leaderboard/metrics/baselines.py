@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from leaderboard.metrics.heights import Band, band_pass
-from road_envs.data.record import Estimate, Profile
+from road_envs.records.record import Estimate, Profile
 
 TRUTH_PLUS_NOISE = "truth_plus_noise"
 MEMORY = "memory"

@@ -28,12 +28,12 @@ from scipy import signal
 from scipy.fft import rfft, rfftfreq
 from scipy.special import ndtr, ndtri
 
-from road_envs.analysis.roughness import Band as Band
-from road_envs.analysis.roughness import band_pass as band_pass
-from road_envs.data.record import SCORED_F_MAX as SCORED_F_MAX
-from road_envs.data.record import SCORED_N_MAX as SCORED_N_MAX
-from road_envs.data.record import SCORED_N_MIN as SCORED_N_MIN
-from road_envs.data.record import scored_band as scored_band
+from road_envs.records.record import SCORED_F_MAX as SCORED_F_MAX
+from road_envs.records.record import SCORED_N_MAX as SCORED_N_MAX
+from road_envs.records.record import SCORED_N_MIN as SCORED_N_MIN
+from road_envs.records.record import scored_band as scored_band
+from road_envs.records.roughness import Band as Band
+from road_envs.records.roughness import band_pass as band_pass
 
 VERSION = 3
 """Version of the metrics: raised whenever a score of the same two profiles changes, which makes

@@ -4,7 +4,7 @@ import numpy as np
 
 from leaderboard.metrics import agreement, detection, level, pointwise, spectra
 from leaderboard.metrics.api import Metric, ScoredEstimate
-from road_envs.data.record import Estimate, Profile
+from road_envs.records.record import Estimate, Profile
 
 MODULES = (
     pointwise,

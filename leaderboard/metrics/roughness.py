@@ -9,7 +9,7 @@ from. Ratios of densities are 10 log10(estimate / truth) [dB], clipped to +-60 d
 import numpy as np
 
 from leaderboard.metrics.heights import SCORED_F_MAX, Band
-from road_envs.analysis.roughness import (
+from road_envs.records.roughness import (
     CLASSES,
     band_means,
     fit_line,

@@ -11,11 +11,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from road_envs.config import ConfigError
+from road_envs.core.config import ConfigError
+from road_envs.envs.control_step import OUT_REWARD
+from road_envs.envs.instrumented_fleet import InstrumentedFleet
 from road_envs.envs.options import EnvSetup, EpisodeStart
 from road_envs.sensing.data_logger import DataLogger
-from road_envs.simulation.control_step import OUT_REWARD
-from road_envs.simulation.instrumented_fleet import InstrumentedFleet
 from road_envs.vehicle.suspension import encode_command
 
 BEAM_WIDTH = 16

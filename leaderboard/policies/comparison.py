@@ -18,22 +18,22 @@ import numpy as np
 from gymnasium.utils import seeding
 
 from estimators.api import Estimator
-from leaderboard.evaluation.entry import EntryError, needs_training, reconstruct
+from leaderboard.entries.entry import EntryError, needs_training, reconstruct
+from leaderboard.evaluation.bound import fit_spectrum, pooled_bound
 from leaderboard.metrics import heights
-from leaderboard.metrics.bound import fit_spectrum, pooled_bound
 from leaderboard.policies import beam_search
 from leaderboard.policies.ride_metrics import METRICS, ride_metrics, state_time_shares
 from leaderboard.policies.scenarios import Case, Scenarios
 from leaderboard.policies.timeline import Timeline
-from road_envs.data.record import Profile, Record, scored_band
-from road_envs.data.recording import true_profile
+from road_envs.drives.recording import true_profile
+from road_envs.envs.instrumented_fleet import InstrumentedFleet
 from road_envs.envs.options import EnvSetup, EpisodeStart
+from road_envs.kernels.simd import LANES
 from road_envs.policies.api import Policy, PolicyContext
 from road_envs.policies.rollout import Rollout, roll_out
+from road_envs.records.record import Profile, Record, scored_band
 from road_envs.simulation.drive import Trajectory
 from road_envs.simulation.fleet import Fleet, select_vehicle
-from road_envs.simulation.instrumented_fleet import InstrumentedFleet
-from road_envs.simulation.simd import LANES
 from road_envs.vehicle.suspension import MODES, decode_commands
 
 ORACLE = "oracle"

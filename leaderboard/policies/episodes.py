@@ -11,7 +11,7 @@ import gymnasium
 import numpy as np
 
 from road_envs import __version__
-from road_envs._extras import optional_import
+from road_envs.core.extras import optional_import
 from road_envs.policies import make_policy
 from road_envs.policies.rollout import roll_out
 

@@ -14,9 +14,9 @@ import numpy as np
 import yaml
 
 from leaderboard.policies.scenarios import Scenarios
-from road_envs import config
-from road_envs._atomic_io import atomic_write
-from road_envs.config import ConfigError
+from road_envs.core import config
+from road_envs.core.atomic_io import atomic_write
+from road_envs.core.config import ConfigError
 from road_envs.policies import PolicySettings, create
 from road_envs.policies.rollout import roll_out
 

@@ -12,7 +12,7 @@ from leaderboard.policies.summary import PARETO_METRICS, format_metric
 from leaderboard.policies.timeline import Timeline, drive_chart
 from leaderboard.report.figures import QUIET, Chart, axis, chart
 from leaderboard.report.rendering import file_name, render, write_static
-from road_envs._atomic_io import write_text
+from road_envs.core.atomic_io import write_text
 from road_envs.policies.greedy_information import GreedyInformation
 
 COLOURS = {"Pareto-optimal": "#D55E00", "dominated": "#0072B2", "oracle": "#808080"}

@@ -17,12 +17,13 @@ from typing import Any
 
 import numpy as np
 
-from leaderboard.evaluation.entry import EntryError
+from leaderboard.entries import entry_files
+from leaderboard.entries.entry import EntryError
 from leaderboard.policies.policy_worker import PolicySetup
-from leaderboard.sandbox import bubblewrap, entry_files, messages
+from leaderboard.sandbox import bubblewrap, messages
 from leaderboard.sandbox.guest import Guest
 from leaderboard.sandbox.limits import GIB, Limits, guest_environment
-from road_envs._atomic_io import TempFolder
+from road_envs.core.atomic_io import TempFolder
 from road_envs.policies import entry_point, runs_foreign_code
 from road_envs.policies.api import PolicyContext, PolicyError
 

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from leaderboard.evaluation.entry import describe_error
+from leaderboard.entries.entry import describe_error
 from leaderboard.sandbox import messages, processes, worker
 from road_envs.policies import make_policy
 

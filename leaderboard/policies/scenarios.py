@@ -11,8 +11,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from road_envs import config
-from road_envs.config import ConfigError, Positive, Settings
+from road_envs.core import config
+from road_envs.core.config import ConfigError, Positive, Settings
 from road_envs.envs.options import EnvSetup, Weights
 
 

@@ -21,8 +21,8 @@ from leaderboard.json_values import nan_to_none
 from leaderboard.policies.comparison import PolicyResult
 from leaderboard.policies.scenarios import Scenarios
 from leaderboard.policies.timeline import Timeline
-from road_envs import config
-from road_envs._code_digest import closure, digest
+from road_envs.core import config
+from road_envs.core.code_digest import closure, digest
 
 FORMAT = 1
 MODULES = ("leaderboard.policies.comparison", "road_envs.policies", "estimators")

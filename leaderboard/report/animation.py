@@ -12,9 +12,9 @@ import gymnasium
 import numpy as np
 
 import road_envs
-from road_envs._atomic_io import atomic_write
-from road_envs._extras import optional_import
-from road_envs.config import ConfigError
+from road_envs.core.atomic_io import atomic_write
+from road_envs.core.config import ConfigError
+from road_envs.core.extras import optional_import
 
 if TYPE_CHECKING:
     from PIL.Image import Image

@@ -15,18 +15,18 @@ from typing import Any
 import numpy as np
 
 from estimators.map_smoother.attainable import attainable_error
+from leaderboard.entries.code_version import evaluation_version, module_version
 from leaderboard.evaluation import store
-from leaderboard.evaluation.code_version import evaluation_version, module_version
+from leaderboard.evaluation.bound import fit_spectrum
 from leaderboard.evaluation.results import DriveScores, Result
 from leaderboard.evaluation.tasks import Condition, Task
 from leaderboard.evaluation.test_data import DriveSimulation, RecordedDrive, simulate_drives
 from leaderboard.json_values import nan_to_none
-from leaderboard.metrics.bound import fit_spectrum
 from leaderboard.running.board import Board
-from road_envs._atomic_io import write_text
-from road_envs._code_digest import cache_home
 from road_envs.analysis.information_bound import RoadPrior
-from road_envs.data.record import scored_band
+from road_envs.core.atomic_io import write_text
+from road_envs.core.code_digest import cache_home
+from road_envs.records.record import scored_band
 from road_envs.vehicle.parameters import VehicleParameters
 
 FORMAT = 1

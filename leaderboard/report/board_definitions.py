@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.metrics.api import Metric
 from leaderboard.metrics.registry import SCORES
-from road_envs.config import validate_choice
-from road_envs.vehicle.perturbed_vehicle import GRADES
+from road_envs.core.config import validate_choice
+from road_envs.sensing.perturbed_vehicle import GRADES
 
 WORST = "worst"
 TAIL = {"above_0.3": 0.3, "above_1": 1.0}

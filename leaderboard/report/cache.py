@@ -21,9 +21,9 @@ from leaderboard.evaluation.provenance import package_version
 from leaderboard.report.sentences import findings
 from leaderboard.report.tables import BoardView, board_views
 from leaderboard.running.board import Board
-from road_envs._atomic_io import write_text
-from road_envs._code_digest import closure, digest
-from road_envs.config import build
+from road_envs.core.atomic_io import write_text
+from road_envs.core.code_digest import closure, digest
+from road_envs.core.config import build
 
 CACHE_FILE = ".shown.json"
 FORMAT = 2

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 
 from leaderboard.evaluation.boards import BoardDefinition
+from leaderboard.evaluation.bound import third_octave_bound
 from leaderboard.evaluation.results import Result, Trace
 from leaderboard.evaluation.tasks import Condition, Task
 from leaderboard.metrics.bootstrap import MIN_ROADS, Strata, count_roads, performance_profile
-from leaderboard.metrics.bound import third_octave_bound
 from leaderboard.metrics.heights import band_pass, scored_band
 from leaderboard.metrics.obstacles import Obstacle, match_obstacles, true_obstacles
 from leaderboard.metrics.registry import SCORES
@@ -33,7 +33,7 @@ from leaderboard.report.figures import (
     upright,
 )
 from leaderboard.report.tables import SPECTRUM_SCORES, Row
-from road_envs.analysis.roughness import CLASSES, N_0, displacement_psd, smooth_psd
+from road_envs.records.roughness import CLASSES, N_0, displacement_psd, smooth_psd
 
 RAW_SPACING, IN_BAND_SPACING = 0.05, 0.1
 """Least spacing [m] at which raw and band-passed heights are drawn."""

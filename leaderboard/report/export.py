@@ -16,7 +16,7 @@ from typing import Any
 from leaderboard.evaluation.provenance import package_version
 from leaderboard.metrics.registry import SCORES
 from leaderboard.report.tables import ALL_RUNS, BoardView, Row, Section, nonempty_columns
-from road_envs._atomic_io import write_text
+from road_envs.core.atomic_io import write_text
 
 FOLDER = "export"
 ROW_FIELDS = ("board", "task", "group", "estimator", "state", "causal", "text")

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from leaderboard.metrics.heights import band_pass
-from road_envs._atomic_io import atomic_write
-from road_envs._extras import optional_import
 from road_envs.analysis.information_bound import Posterior
-from road_envs.analysis.roughness import CLASSES, N_0, displacement_psd, smooth_psd
-from road_envs.data.record import Estimate, Profile, Record, scored_band
+from road_envs.core.atomic_io import atomic_write
+from road_envs.core.extras import optional_import
+from road_envs.records.record import Estimate, Profile, Record, scored_band
+from road_envs.records.roughness import CLASSES, N_0, displacement_psd, smooth_psd
 from road_envs.roads import Surface
 
 COLOURS = {"left": "#0072B2", "right": "#D55E00", "truth": "#222222", "sensor": "#009E73"}

@@ -7,8 +7,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from road_envs._atomic_io import atomic_write
-from road_envs._extras import optional_import
+from road_envs.core.atomic_io import atomic_write
+from road_envs.core.extras import optional_import
 
 STATIC = Path(__file__).parent / "static"
 """Style, scripts and pictures that all pages of a site share."""

@@ -14,8 +14,8 @@ from leaderboard.metrics.baselines import MEMORY
 from leaderboard.metrics.level import EQ_12_RAW, STATE_LIMITS
 from leaderboard.report.board_definitions import BOUND_NAME, COLUMNS, WORST, board_columns
 from leaderboard.report.tables import BOUND_ROW, TRAINING_STATES, BoardView, Row
-from road_envs.config import validate_choice
-from road_envs.data.record import PROFILE_SPACING, profile_stations
+from road_envs.core.config import validate_choice
+from road_envs.records.record import PROFILE_SPACING, profile_stations
 from road_envs.roads import load_road
 
 PAPER_NETWORK = "static_lm"

@@ -28,7 +28,7 @@ from leaderboard.report.sentences import UNRELATED_ROAD, unrelated_level_errors
 from leaderboard.report.table_data import table_data
 from leaderboard.report.tables import LIMIT_ROWS, BoardView, Section, nonempty_columns
 from leaderboard.running.board import Board
-from road_envs._atomic_io import write_text
+from road_envs.core.atomic_io import write_text
 
 MAX_DRAWN = 8
 """Number of entries of a task that are drawn, best first."""

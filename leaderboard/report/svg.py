@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from leaderboard.report.plots import make_figure
-from road_envs._extras import optional_import
+from road_envs.core.extras import optional_import
 
 STYLE: Any = {
     "svg.fonttype": "none",

@@ -43,8 +43,8 @@ from leaderboard.report.board_definitions import (
 )
 from leaderboard.report.run_groups import ScoreSlice, run_groups
 from leaderboard.running.board import Board
+from road_envs.sensing.perturbed_vehicle import GRADES
 from road_envs.vehicle.parameters import load_vehicle
-from road_envs.vehicle.perturbed_vehicle import GRADES
 
 RowState = Literal["scored", "baseline", "claim", "failed", "stale"]
 CLAIM_ROW = "paper's claim"

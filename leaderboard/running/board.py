@@ -9,8 +9,8 @@ from estimators import create
 from estimators.api import Estimator
 from leaderboard.conformance import results as conformance_results
 from leaderboard.conformance.results import EstimatorCard
-from leaderboard.evaluation.entries import entry_refit_per_case, make_entry, registered_entry
-from leaderboard.evaluation.entry import Entry
+from leaderboard.entries.entries import entry_refit_per_case, make_entry, registered_entry
+from leaderboard.entries.entry import Entry
 from leaderboard.evaluation.evaluate import SEEDS
 from leaderboard.evaluation.results import Result
 from leaderboard.evaluation.store import RowChangedError, load_rows
@@ -20,8 +20,13 @@ from leaderboard.running.executors import Executor
 from leaderboard.running.jobs import to_packed_text
 from leaderboard.running.plan import Plan, PlannedRow, make_jobs
 from leaderboard.sandbox.limits import Limits
-from road_envs._atomic_io import atomic_write, remove_stale_partials, remove_stale_temp, write_text
-from road_envs.config import ConfigError
+from road_envs.core.atomic_io import (
+    atomic_write,
+    remove_stale_partials,
+    remove_stale_temp,
+    write_text,
+)
+from road_envs.core.config import ConfigError
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,9 @@ from leaderboard.evaluation import store
 from leaderboard.running import executors, jobs
 from leaderboard.running.executors import ProcessExecutor
 from leaderboard.running.jobs import Job, JobDone
-from road_envs._atomic_io import TempFolder, remove_stale_temp
-from road_envs._extras import optional_import
-from road_envs.config import ConfigError
+from road_envs.core.atomic_io import TempFolder, remove_stale_temp
+from road_envs.core.config import ConfigError
+from road_envs.core.extras import optional_import
 
 SCHEDULER_TIMEOUT = 20.0
 """Timeout [s] for connecting to the scheduler, and for its first worker."""

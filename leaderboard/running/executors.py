@@ -16,15 +16,15 @@ from queue import SimpleQueue
 from threading import Lock
 from typing import Protocol
 
+from leaderboard.entries.entry import Entry
 from leaderboard.evaluation import evaluate
-from leaderboard.evaluation.entry import Entry
 from leaderboard.running import jobs
 from leaderboard.running.jobs import Job, JobDone
 from leaderboard.sandbox import processes
 from leaderboard.sandbox.guest import describe_exit
 from leaderboard.sandbox.limits import THREAD_VARIABLES
-from road_envs._atomic_io import TempFolder
-from road_envs.config import ConfigError, build
+from road_envs.core.atomic_io import TempFolder
+from road_envs.core.config import ConfigError, build
 
 
 class Executor(Protocol):

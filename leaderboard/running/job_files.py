@@ -9,10 +9,10 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from leaderboard.evaluation.entry import BUILTIN, Entry, EntryError
-from leaderboard.sandbox import entry_files
-from road_envs import config
-from road_envs.config import ConfigError
+from leaderboard.entries import entry_files
+from leaderboard.entries.entry import BUILTIN, Entry, EntryError
+from road_envs.core import config
+from road_envs.core.config import ConfigError
 
 FOLDER = "files"
 """Folder of the copies, beside the file of the job."""

@@ -21,9 +21,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from leaderboard.entries.code_version import evaluation_version
+from leaderboard.entries.entry import Entry, TrainingRun
 from leaderboard.evaluation import evaluate, store
-from leaderboard.evaluation.code_version import evaluation_version
-from leaderboard.evaluation.entry import Entry, TrainingRun
 from leaderboard.evaluation.evaluate import (
     ConditionData,
     EntryRunner,
@@ -40,8 +40,8 @@ from leaderboard.running import job_files
 from leaderboard.sandbox import processes
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
-from road_envs._atomic_io import remove_stale_temp
-from road_envs.config import ConfigError, Settings, build
+from road_envs.core.atomic_io import remove_stale_temp
+from road_envs.core.config import ConfigError, Settings, build
 
 
 @dataclass(frozen=True, kw_only=True)

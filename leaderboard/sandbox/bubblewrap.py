@@ -19,7 +19,7 @@ from functools import cache
 from pathlib import Path
 
 from leaderboard.sandbox.limits import GIB, Limits
-from road_envs._code_digest import PACKAGES, ROOT
+from road_envs.core.code_digest import PACKAGES, ROOT
 
 HOME = Path("/tmp/guest")
 """Working folder of a guest."""

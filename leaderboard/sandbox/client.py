@@ -18,7 +18,8 @@ import numpy as np
 
 import estimators
 from estimators.api import CalibrationDrive, DeclaresLibraries, check_estimate
-from leaderboard.evaluation.entry import (
+from leaderboard.entries import entry_files
+from leaderboard.entries.entry import (
     MAX_LAG,
     Calibrations,
     Entry,
@@ -26,14 +27,14 @@ from leaderboard.evaluation.entry import (
     TrainingRun,
     reconstruct_all,
 )
-from leaderboard.sandbox import bubblewrap, entry_files, messages, processes, worker
+from leaderboard.sandbox import bubblewrap, messages, processes, worker
 from leaderboard.sandbox.guest import Guest
 from leaderboard.sandbox.limits import Limits, guest_environment
-from road_envs import _numba
-from road_envs._atomic_io import TempFolder
-from road_envs._code_digest import cache_home
-from road_envs.config import ConfigError
-from road_envs.data.record import Estimate, Profile, Record, profile_stations
+from road_envs.core.atomic_io import TempFolder
+from road_envs.core.code_digest import cache_home
+from road_envs.core.config import ConfigError
+from road_envs.kernels import _numba
+from road_envs.records.record import Estimate, Profile, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
 LARGEST_HEIGHT = 1e6

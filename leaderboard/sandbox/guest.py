@@ -13,7 +13,7 @@ from pathlib import Path
 from signal import Signals
 from typing import Any
 
-from leaderboard.evaluation.entry import EntryError
+from leaderboard.entries.entry import EntryError
 from leaderboard.sandbox import messages, processes
 from leaderboard.sandbox.limits import GIB, Limits
 

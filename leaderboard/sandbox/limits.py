@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from road_envs._code_digest import ROOT
-from road_envs.config import Count, Positive, Settings
+from road_envs.core.code_digest import ROOT
+from road_envs.core.config import Count, Positive, Settings
 
 GIB = 2**30
 

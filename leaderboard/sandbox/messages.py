@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 
 from estimators.api import CalibrationDrive
-from leaderboard.evaluation.entry import EntryError
-from road_envs.data.accelerometers import from_plain, to_plain
-from road_envs.data.record import LowPass, Profile, Record
+from leaderboard.entries.entry import EntryError
+from road_envs.records.accelerometers import from_plain, to_plain
+from road_envs.records.record import LowPass, Profile, Record
 
 HEAD_SIZE = struct.Struct(">I")
 MAX_HEAD = 1 << 16

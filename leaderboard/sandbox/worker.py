@@ -24,7 +24,7 @@ from typing import Any, NoReturn
 
 from leaderboard.sandbox import processes
 from leaderboard.sandbox.limits import GIB, Limits
-from road_envs.config import Settings, build
+from road_envs.core.config import Settings, build
 
 SERVED = 64
 """Exit status of a child that has served its requests until the end."""
@@ -81,7 +81,7 @@ def _preload(libraries: Sequence[str], implementations: bool) -> None:
     """
     import gc
 
-    import leaderboard.evaluation.entry
+    import leaderboard.entries.entry
     import leaderboard.sandbox.messages  # noqa: F401
 
     if implementations:
@@ -167,7 +167,7 @@ def become(user: int | None) -> None:
 
 
 def _serve(setup: Setup, replies: int, start: dict[str, Any]) -> None:
-    from leaderboard.evaluation.entry import EntryError, LocalSession, describe_error
+    from leaderboard.entries.entry import EntryError, LocalSession, describe_error
     from leaderboard.sandbox import messages
     from road_envs.vehicle.parameters import VehicleParameters
 
@@ -257,7 +257,7 @@ def load_package(folder: Path, settings: dict[str, Any]) -> tuple[str, Any]:
     from importlib import metadata
 
     from estimators.api import ENTRY_POINT_GROUP, check_class
-    from leaderboard.evaluation.entry import EntryError
+    from leaderboard.entries.entry import EntryError
 
     for wheel in folder.glob("*.whl"):
         folder = Path(os.environ["HOME"]) / "entry"
@@ -279,7 +279,7 @@ def load_package(folder: Path, settings: dict[str, Any]) -> tuple[str, Any]:
 def describe(estimator: Any) -> dict[str, Any]:
     """Return what an estimator says about itself, as JSON types."""
     from estimators.api import declared_lag
-    from leaderboard.evaluation.entry import get_settings
+    from leaderboard.entries.entry import get_settings
 
     return {
         "settings": json.loads(json.dumps(get_settings(estimator), default=str)),

@@ -32,15 +32,15 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from road_envs.analysis.roughness import CLASSES, N_0, TRACK, TrackWidth, root_coherence
 from road_envs.analysis.statistical_linearization import (
     hermitian,
     nonlinear_residual,
     residual_force_psd,
     sensor_psd,
 )
-from road_envs.config import Positive, Settings
-from road_envs.data.record import F_C, scored_band
+from road_envs.core.config import Positive, Settings
+from road_envs.records.record import F_C, scored_band
+from road_envs.records.roughness import CLASSES, N_0, TRACK, TrackWidth, root_coherence
 from road_envs.sensing.instruments import Instruments
 from road_envs.vehicle.equations import Plant, build_plant
 from road_envs.vehicle.linear_model import (

@@ -9,11 +9,8 @@ import numpy as np
 from pydantic import Field
 
 from road_envs.analysis.information_bound import BoundTable, RoadPrior
-from road_envs.config import ConfigError, NonNegative, Positive, Settings, SmallestFirst, build
-from road_envs.roads import load_road, with_length
-from road_envs.roads.surface import Surface
-from road_envs.sensing.data_logger import DataLogger, load_instruments
-from road_envs.simulation.control_step import (
+from road_envs.core.config import ConfigError, NonNegative, Positive, Settings, SmallestFirst, build
+from road_envs.envs.control_step import (
     MAX_EXTENSION,
     MAX_EXTENSION_RATE,
     MAX_PLANAR,
@@ -21,9 +18,12 @@ from road_envs.simulation.control_step import (
     N_STRUT_SIGNALS,
     StepOutput,
 )
+from road_envs.envs.failures import ANGLES, MAX_ANGLE
+from road_envs.envs.instrumented_fleet import InstrumentedFleet
+from road_envs.roads import load_road, with_length
+from road_envs.roads.surface import Surface
+from road_envs.sensing.data_logger import DataLogger, load_instruments
 from road_envs.simulation.drive import DriveSimulator
-from road_envs.simulation.failures import ANGLES, MAX_ANGLE
-from road_envs.simulation.instrumented_fleet import InstrumentedFleet
 from road_envs.simulation.manoeuvres import load_manoeuvre
 from road_envs.simulation.speed import MAX_SPEED_KMH
 from road_envs.vehicle.equations import DOF, build_plant

@@ -7,17 +7,17 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from road_envs.config import ConfigError, validate_choice
-from road_envs.envs.options import EnvSetup, EpisodeStart
-from road_envs.simulation.control_step import (
+from road_envs.core.config import ConfigError, validate_choice
+from road_envs.envs.control_step import (
     OUTPUT_COLUMNS,
     TRUE_LOADS,
     TRUE_PROFILE,
     TRUE_S,
     StepOutput,
 )
+from road_envs.envs.failures import END_OF_ROAD
+from road_envs.envs.options import EnvSetup, EpisodeStart
 from road_envs.simulation.drive import DriveSimulator
-from road_envs.simulation.failures import END_OF_ROAD
 
 RENDERED_HISTORY = 4.0
 """Length of the acceleration traces in a rendered frame [s]."""

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from road_envs._extras import optional_import
-from road_envs.config import ConfigError
+from road_envs.core.config import ConfigError
+from road_envs.core.extras import optional_import
 from road_envs.envs.vector import RoadReconVectorEnv
 
 with optional_import("Stable-Baselines3 environments"):

@@ -9,9 +9,9 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from road_envs.config import ConfigError, validate_choice
+from road_envs.core.config import ConfigError, validate_choice
+from road_envs.envs.control_step import OUT_REWARD, OUTPUT_COLUMNS, StepOutput
 from road_envs.envs.options import EnvOptions, EnvSetup
-from road_envs.simulation.control_step import OUT_REWARD, OUTPUT_COLUMNS, StepOutput
 
 
 class RoadReconVectorEnv(VectorEnv):

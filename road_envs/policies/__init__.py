@@ -15,9 +15,9 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-from road_envs import config
-from road_envs._registry import PluginWarning, Registry
-from road_envs.config import ConfigError, Settings, build
+from road_envs.core import config
+from road_envs.core.config import ConfigError, Settings, build
+from road_envs.core.registry import PluginWarning, Registry
 from road_envs.policies.add import AccelerationDriven
 from road_envs.policies.api import Policy, PolicyContext, PolicyError
 from road_envs.policies.fixed import FixedHandling, FixedHandlingRide, FixedRide, FixedRideHandling

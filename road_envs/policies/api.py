@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from road_envs.config import ConfigError
+from road_envs.core.config import ConfigError
 from road_envs.envs.options import EnvSetup
 from road_envs.sensing.instruments import Instruments
 from road_envs.vehicle.parameters import VehicleParameters

@@ -8,7 +8,7 @@ over it suffice.
 
 import numpy as np
 
-from road_envs.config import ConfigError
+from road_envs.core.config import ConfigError
 from road_envs.policies.api import PolicyContext
 
 MIN_LEVER = 0.1

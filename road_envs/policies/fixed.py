@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from road_envs.config import Settings
+from road_envs.core.config import Settings
 from road_envs.policies.api import PolicyContext
 
 

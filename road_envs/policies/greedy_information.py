@@ -12,7 +12,7 @@ import numpy as np
 
 from road_envs.analysis.comfort import wk
 from road_envs.analysis.information_bound import BoundTable, RoadPrior, equivalent_damping
-from road_envs.config import NonNegative, Settings
+from road_envs.core.config import NonNegative, Settings
 from road_envs.policies.api import PolicyContext
 from road_envs.vehicle.linear_model import frequency_response, linearise
 from road_envs.vehicle.parameters import VehicleParameters

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from road_envs._reading import parsing, read_npz
-from road_envs.config import ConfigError, Settings, folder, validate_choice
+from road_envs.core.config import ConfigError, Settings, folder, validate_choice
+from road_envs.core.reading import parsing, read_npz
 from road_envs.envs.options import ACTIONS
 from road_envs.policies.api import PolicyContext
 from road_envs.policies.features import FeatureExtractor, n_features

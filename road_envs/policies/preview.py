@@ -10,7 +10,7 @@ from typing import Annotated
 
 import numpy as np
 
-from road_envs.config import Positive
+from road_envs.core.config import Positive
 from road_envs.policies.api import PolicyContext
 from road_envs.policies.rrms import RunningRmsPolicy
 from road_envs.policies.wheelbase_preview import WheelbasePreview

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import numpy as np
 
-from road_envs.config import NonNegative, Positive, Settings
+from road_envs.core.config import NonNegative, Positive, Settings
 from road_envs.policies.api import PolicyContext
 from road_envs.policies.body_motion import roll_from_extensions
 

@@ -16,10 +16,10 @@ from typing import Any, Literal
 import gymnasium
 import numpy as np
 
-from road_envs._atomic_io import atomic_write
-from road_envs._extras import optional_import
-from road_envs._reading import parsing
-from road_envs.config import ConfigError, Count, Settings
+from road_envs.core.atomic_io import atomic_write
+from road_envs.core.config import ConfigError, Count, Settings
+from road_envs.core.extras import optional_import
+from road_envs.core.reading import parsing
 from road_envs.envs.sb3 import ArrayVecEnv, RoadReconVecEnv
 from road_envs.policies.api import PolicyContext
 from road_envs.policies.features import MAX_FEATURE, FeatureExtractor, n_features

@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from road_envs.config import Positive, Settings
+from road_envs.core.config import Positive, Settings
 from road_envs.policies.api import PolicyContext
 from road_envs.policies.body_motion import BodyMotionEstimator
 

@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from road_envs.data.record import SENSORS
+from road_envs.records.record import SENSORS
 from road_envs.roads.surface import Surface
 from road_envs.simulation.drive import DriveSimulator, Trajectory
 from road_envs.vehicle.equations import AXLE, PHI, THETA, Z_B

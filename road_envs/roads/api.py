@@ -8,7 +8,7 @@ from typing import Annotated, Any, Protocol, runtime_checkable
 import numpy as np
 from pydantic import PlainValidator
 
-from road_envs.config import ConfigError, build, find, read_yaml, validate_choice
+from road_envs.core.config import ConfigError, build, find, read_yaml, validate_choice
 from road_envs.roads.measured import SURFACE_SUFFIXES, Measured, check_slopes
 from road_envs.roads.surface import Surface
 

@@ -17,8 +17,8 @@ import numpy as np
 import scipy
 from pydantic import Field
 
-from road_envs.analysis.roughness import N_0, TRACK, TrackWidth, root_coherence
-from road_envs.config import Finite, NonNegative, Positive, Settings
+from road_envs.core.config import Finite, NonNegative, Positive, Settings
+from road_envs.records.roughness import N_0, TRACK, TrackWidth, root_coherence
 from road_envs.roads.iso8608 import cell_centres, cell_edges, check_band, power_law, synthesise
 from road_envs.roads.surface import DEFAULT_LENGTH, RoadLength, SampleSpacing, Surface
 

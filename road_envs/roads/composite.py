@@ -11,8 +11,8 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field
 
-from road_envs.config import Finite, NonNegative, Positive, Settings, SmallestFirst
-from road_envs.data.record import PROFILE_SPACING
+from road_envs.core.config import Finite, NonNegative, Positive, Settings, SmallestFirst
+from road_envs.records.record import PROFILE_SPACING
 from road_envs.roads.api import AnyRoad, with_length
 from road_envs.roads.measured import tile_heights
 from road_envs.roads.surface import DEFAULT_LENGTH, RoadLength, Surface, check_size

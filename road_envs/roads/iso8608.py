@@ -20,8 +20,8 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from road_envs.analysis.roughness import CLASSES, N_0, TRACK, TrackWidth, root_coherence
-from road_envs.config import Positive, Settings
+from road_envs.core.config import Positive, Settings
+from road_envs.records.roughness import CLASSES, N_0, TRACK, TrackWidth, root_coherence
 from road_envs.roads.nonstationary import RoughnessVariation
 from road_envs.roads.surface import DEFAULT_LENGTH, RoadLength, SampleSpacing, Surface, check_size
 

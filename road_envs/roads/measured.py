@@ -15,9 +15,9 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from road_envs._reading import parsing
-from road_envs.analysis.roughness import TRACK, TrackWidth
-from road_envs.config import Finite, NonNegative, Positive, Settings
+from road_envs.core.config import Finite, NonNegative, Positive, Settings
+from road_envs.core.reading import parsing
+from road_envs.records.roughness import TRACK, TrackWidth
 from road_envs.roads.formats import erd, opencrg, table
 from road_envs.roads.formats.opencrg import CurvedGrid, SurfaceFileError, read_bytes
 from road_envs.roads.formats.table import WheelPaths

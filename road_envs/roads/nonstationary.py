@@ -18,7 +18,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from road_envs.config import Finite, Settings
+from road_envs.core.config import Finite, Settings
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,7 +18,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from road_envs.config import Count, Finite, NonNegative, Positive, Settings, SmallestFirst
+from road_envs.core.config import Count, Finite, NonNegative, Positive, Settings, SmallestFirst
 from road_envs.roads.surface import DEFAULT_LENGTH, RoadLength, Surface, check_size
 from road_envs.roads.trapezoids import SAMPLE_SPACING, SIDES, Trapezoid
 

@@ -19,7 +19,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from road_envs.config import NonNegative, Positive, Settings
+from road_envs.core.config import NonNegative, Positive, Settings
 from road_envs.roads.surface import DEFAULT_LENGTH, RoadLength, SampleSpacing, Surface, check_size
 
 PathSigns = Literal["in_phase", "antiphase", "left", "right"]

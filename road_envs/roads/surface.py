@@ -11,8 +11,8 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from road_envs._numba import kernel
-from road_envs.config import ConfigError, Positive
+from road_envs.core.config import ConfigError, Positive
+from road_envs.kernels._numba import kernel
 
 PAD = 3
 """Number of repeated samples at each end of `Surface.padded`; spares the kernel a special case."""

@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from road_envs.config import Positive, Settings
+from road_envs.core.config import Positive, Settings
 from road_envs.roads.surface import SampleSpacing, Surface, check_size
 
 Layout = Literal["small", "large_small", "asymmetric"]

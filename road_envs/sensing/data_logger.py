@@ -6,8 +6,8 @@ samples -> constant trend removed -> 25 Hz low-pass        (`filters.preprocess_
 
 import numpy as np
 
-from road_envs import config
-from road_envs.sensing.filters import butterworth_sos, sosfilt_kernel
+from road_envs.core import config
+from road_envs.kernels.filters import butterworth_sos, sosfilt_kernel
 from road_envs.sensing.instruments import ANTIALIAS_ORDER, Instruments
 from road_envs.sensing.instruments import load_instruments as load_instruments
 from road_envs.sensing.sensor_faults import NO_FAULTS, JitteredSampler, SensorFaults

@@ -11,10 +11,10 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from road_envs import config
-from road_envs.config import NonNegative, Positive, Settings
-from road_envs.data.accelerometers import Accelerometer, Layout
-from road_envs.data.record import Record
+from road_envs.core import config
+from road_envs.core.config import NonNegative, Positive, Settings
+from road_envs.records.accelerometers import Accelerometer, Layout
+from road_envs.records.record import Record
 from road_envs.vehicle.parameters import VehicleParameters
 
 ANTIALIAS_ORDER = 4

@@ -17,7 +17,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from road_envs.config import ConfigError, Count, Finite, NonNegative, Settings
+from road_envs.core.config import ConfigError, Count, Finite, NonNegative, Settings
 from road_envs.vehicle.parameters import GRAVITY
 
 PerSensor = tuple[Finite, ...]

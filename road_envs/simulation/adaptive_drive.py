@@ -27,7 +27,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from road_envs._numba import kernel
+from road_envs.kernels._numba import kernel
+from road_envs.kernels.simd_arrays import stack_array
 from road_envs.roads.surface import Surface
 from road_envs.simulation.block_elimination import solve_factored
 from road_envs.simulation.drive import DriveSimulator, SimulationError, Trajectory
@@ -43,7 +44,6 @@ from road_envs.simulation.rosenbrock import (
     step,
     step_workspace,
 )
-from road_envs.simulation.simd_arrays import stack_array
 from road_envs.vehicle.equations import (
     N_DOF,
     Motion,

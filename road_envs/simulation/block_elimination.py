@@ -4,8 +4,8 @@ What remains is a 3 x 3 system for the body (Schur complement). The matrix M + h
 `rosenbrock` is never assembled. With LANES vehicles every array has the lanes as its last axis.
 """
 
-from road_envs._numba import kernel
-from road_envs.simulation.simd_arrays import add, get, put
+from road_envs.kernels._numba import kernel
+from road_envs.kernels.simd_arrays import add, get, put
 from road_envs.vehicle.equations import AXLE, PHI, THETA, Z_B
 from road_envs.vehicle.parameters import GRAVITY
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from road_envs.config import ConfigError
+from road_envs.core.config import ConfigError
 from road_envs.roads.surface import Surface, enveloped
 from road_envs.simulation import rosenbrock
 from road_envs.simulation.manoeuvres import Manoeuvre

@@ -12,8 +12,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from road_envs._numba import kernel
-from road_envs.config import ConfigError
+from road_envs.core.config import ConfigError
+from road_envs.kernels._numba import kernel
+from road_envs.kernels.simd import (
+    LANES,
+    any_positive,
+    equals_one,
+    if_positive,
+    integer_part,
+    maximum,
+    minimum,
+)
+from road_envs.kernels.simd_arrays import get, load_four, put, stack_rows
 from road_envs.roads.surface import PAD, Surface, catmull_rom
 from road_envs.simulation.drive import DriveInputs, DriveSimulator
 from road_envs.simulation.lanes import (
@@ -32,16 +42,6 @@ from road_envs.simulation.rosenbrock import (
     step,
     step_workspace,
 )
-from road_envs.simulation.simd import (
-    LANES,
-    any_positive,
-    equals_one,
-    if_positive,
-    integer_part,
-    maximum,
-    minimum,
-)
-from road_envs.simulation.simd_arrays import get, load_four, put, stack_rows
 from road_envs.simulation.substeps import SUBSTEPS, interpolate, mark_steep
 from road_envs.vehicle.equations import Motion
 from road_envs.vehicle.suspension import VehicleBuffers

@@ -11,7 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from road_envs._numba import kernel
+from road_envs.kernels._numba import kernel
+from road_envs.kernels.simd import LANES, broadcast
+from road_envs.kernels.simd_arrays import get, put, stack_array, stack_rows
 from road_envs.simulation.rosenbrock import (
     ACCELERATION,
     N_FLEXIBLE_SIGNALS,
@@ -23,8 +25,6 @@ from road_envs.simulation.rosenbrock import (
     step_workspace,
     update_valves,
 )
-from road_envs.simulation.simd import LANES, broadcast
-from road_envs.simulation.simd_arrays import get, put, stack_array, stack_rows
 from road_envs.vehicle.equations import N_DOF, PLANT_DTYPE, Motion, Plant
 from road_envs.vehicle.suspension import VehicleBuffers
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Protocol
 import numpy as np
 from pydantic import Field
 
-from road_envs.config import ConfigError, Finite, Positive, Settings, build, validate_choice
+from road_envs.core.config import ConfigError, Finite, Positive, Settings, build, validate_choice
 
 
 class Manoeuvre(Protocol):

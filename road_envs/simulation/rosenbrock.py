@@ -21,10 +21,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from road_envs._numba import kernel
+from road_envs.kernels._numba import kernel
+from road_envs.kernels.simd_arrays import add, get, put, stack_array
 from road_envs.roads.surface import height_and_slope
 from road_envs.simulation.block_elimination import factorize, solve_factored
-from road_envs.simulation.simd_arrays import add, get, put, stack_array
 from road_envs.simulation.substeps import SUBSTEPS, interpolate, is_steep
 from road_envs.vehicle.equations import (
     N_DOF,

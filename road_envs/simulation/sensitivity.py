@@ -29,7 +29,8 @@ the first right-hand side by the compression u, and F_U, minus that of the secon
 Last come the factors of W.
 """
 
-from road_envs._numba import kernel
+from road_envs.kernels._numba import kernel
+from road_envs.kernels.simd_arrays import add, get, put
 from road_envs.simulation.block_elimination import solve_factored
 from road_envs.simulation.rosenbrock import (
     EXTENSION,
@@ -38,7 +39,6 @@ from road_envs.simulation.rosenbrock import (
     flexible_step,
     step,
 )
-from road_envs.simulation.simd_arrays import add, get, put
 from road_envs.vehicle.equations import (
     N_DOF,
     PHI,

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import numpy as np
 
-from road_envs.config import Finite, NonNegative, Settings
+from road_envs.core.config import Finite, NonNegative, Settings
 
 MAX_SPEED_KMH = 200.0
 """Largest speed [km/h] at which a drive is simulated."""

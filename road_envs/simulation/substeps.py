@@ -7,9 +7,9 @@ body's acceleration at a step of 1 ms falls from 5.9 to 0.4 % (the paper's large
 from 3.2 to 1.6 % (potholes) and from 2.8 to 1.5 % (class F); roads up to class D are as before.
 """
 
-from road_envs._numba import kernel
-from road_envs.simulation.simd import any_positive, if_positive, maximum
-from road_envs.simulation.simd_arrays import get, put
+from road_envs.kernels._numba import kernel
+from road_envs.kernels.simd import any_positive, if_positive, maximum
+from road_envs.kernels.simd_arrays import get, put
 
 SUBSTEPS = 4
 """Parts of a step on a steep road, an even number."""

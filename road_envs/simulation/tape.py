@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from road_envs._numba import kernel
+from road_envs.kernels._numba import kernel
+from road_envs.kernels.simd_arrays import stack_array
 from road_envs.simulation.rosenbrock import (
     ACCELERATION,
     TWIST,
@@ -24,7 +25,6 @@ from road_envs.simulation.sensitivity import (
     step_with_derivative,
     tangent_step,
 )
-from road_envs.simulation.simd_arrays import stack_array
 from road_envs.vehicle.equations import N_DOF, Motion, Plant
 
 

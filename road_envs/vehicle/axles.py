@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import Tag
 
-from road_envs.config import Finite, NonNegative, Positive, Settings, by_kind
+from road_envs.core.config import Finite, NonNegative, Positive, Settings, by_kind
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -43,8 +43,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from road_envs._numba import kernel
-from road_envs.simulation.simd_arrays import add, get, stack_array, stack_rows
+from road_envs.kernels._numba import kernel
+from road_envs.kernels.simd_arrays import add, get, stack_array, stack_rows
 from road_envs.vehicle.parameters import GRAVITY, VehicleParameters, VehicleVariation
 from road_envs.vehicle.suspension import (
     VehicleBuffers,

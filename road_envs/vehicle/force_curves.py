@@ -13,10 +13,10 @@ from typing import Annotated
 
 import numpy as np
 
-from road_envs._numba import kernel
-from road_envs.config import Finite, Settings
-from road_envs.simulation.simd import integer_part, maximum, minimum
-from road_envs.simulation.simd_arrays import load_four
+from road_envs.core.config import Finite, Settings
+from road_envs.kernels._numba import kernel
+from road_envs.kernels.simd import integer_part, maximum, minimum
+from road_envs.kernels.simd_arrays import load_four
 
 
 @dataclass(frozen=True, kw_only=True)

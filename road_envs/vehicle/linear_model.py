@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from road_envs._numba import kernel
+from road_envs.kernels._numba import kernel
 from road_envs.vehicle.equations import (
     DOF,
     N_DOF,

@@ -16,9 +16,9 @@ from typing import Annotated, Literal
 import yaml
 from pydantic import Field
 
-from road_envs import config
-from road_envs._atomic_io import write_text
-from road_envs.config import Finite, Fraction, NonNegative, Positive, Settings
+from road_envs.core import config
+from road_envs.core.atomic_io import write_text
+from road_envs.core.config import Finite, Fraction, NonNegative, Positive, Settings
 from road_envs.vehicle.axles import AnyAxle, Axle, IndependentWheels
 from road_envs.vehicle.force_curves import Curve
 from road_envs.vehicle.struts import (

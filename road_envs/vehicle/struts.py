@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Tag
 
-from road_envs.config import NonNegative, Positive, Settings, by_kind
+from road_envs.core.config import NonNegative, Positive, Settings, by_kind
 from road_envs.vehicle.force_curves import Curve
 
 ATMOSPHERE = 101325.0

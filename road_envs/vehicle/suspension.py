@@ -32,11 +32,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from road_envs._numba import kernel
-from road_envs.config import ConfigError, validate_choice
-from road_envs.data.record import Record
-from road_envs.simulation.simd import equals_one, if_positive, is_zero_or_one, maximum, power
-from road_envs.simulation.simd_arrays import get
+from road_envs.core.config import ConfigError, validate_choice
+from road_envs.kernels._numba import kernel
+from road_envs.kernels.simd import equals_one, if_positive, is_zero_or_one, maximum, power
+from road_envs.kernels.simd_arrays import get
+from road_envs.records.record import Record
 from road_envs.vehicle.force_curves import (
     Curve,
     Law,

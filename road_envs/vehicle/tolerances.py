@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from road_envs.config import ConfigError
+from road_envs.core.config import ConfigError
 from road_envs.vehicle.force_curves import Curve
 from road_envs.vehicle.parameters import BendingMode, TorsionalFrame, VehicleParameters
 from road_envs.vehicle.suspension import WHEELS

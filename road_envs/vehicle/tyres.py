@@ -1,8 +1,8 @@
 """Force law of a tyre: a spring, which may be progressive, and a damper; a tyre never pulls."""
 
-from road_envs._numba import kernel
-from road_envs.simulation.simd import if_positive
-from road_envs.simulation.simd_arrays import get
+from road_envs.kernels._numba import kernel
+from road_envs.kernels.simd import if_positive
+from road_envs.kernels.simd_arrays import get
 from road_envs.vehicle.parameters import VehicleParameters, VehicleVariation
 
 

@@ -14,7 +14,7 @@ from leaderboard.report.cache import build_report
 from leaderboard.report.figures import rounded
 from leaderboard.report.site import write_site
 from leaderboard.running.board import Board
-from road_envs._atomic_io import write_text
+from road_envs.core.atomic_io import write_text
 
 ROWS = """[...document.querySelectorAll('#task-%s tbody tr')].filter(r => !r.hidden)
 .map(r => r.dataset.name)"""

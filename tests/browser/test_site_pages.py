@@ -11,7 +11,7 @@ import pytest
 from example_site import ENTRIES, board, built, results, site, tasks, text_of
 from html_checker import HtmlChecker
 
-from leaderboard.evaluation.entry import Entry
+from leaderboard.entries.entry import Entry
 from leaderboard.evaluation.store import row_path, save
 from leaderboard.report import export
 from leaderboard.report.cache import CACHE_FILE, build_report
@@ -19,7 +19,7 @@ from leaderboard.report.sentences import findings, unrelated_level_errors
 from leaderboard.report.site import file_name, render_pages, write_site
 from leaderboard.report.tables import board_views
 from leaderboard.running.board import Board, create_baselines, load_board
-from road_envs._atomic_io import write_text
+from road_envs.core.atomic_io import write_text
 
 
 def test_every_page_is_well_formed_and_all_its_links_resolve(written):

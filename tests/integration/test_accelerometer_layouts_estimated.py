@@ -11,9 +11,9 @@ import estimators
 from estimators import registry
 from estimators.preprocessing import RecordError
 from leaderboard.metrics.heights import nrmse
-from road_envs.data.accelerometers import Accelerometer
-from road_envs.data.record import scored_band
-from road_envs.data.recording import simulate_record
+from road_envs.drives.recording import simulate_record
+from road_envs.records.accelerometers import Accelerometer
+from road_envs.records.record import scored_band
 from road_envs.sensing.instruments import load_instruments
 
 PAPER, HUBS = load_instruments("paper"), load_instruments("axle_ends")

@@ -14,7 +14,7 @@ import yaml
 
 from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.report.sentences import check_board
-from road_envs.config import ConfigError, build
+from road_envs.core.config import ConfigError, build
 
 ROOT = Path(__file__).parents[2]
 
@@ -26,7 +26,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from road_envs.data.record import Estimate, profile_stations
+from road_envs.records.record import Estimate, profile_stations
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +65,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from road_envs.config import Settings
+from road_envs.core.config import Settings
 from road_envs.roads.surface import Surface
 
 
@@ -129,7 +129,7 @@ ADDITIONS = {
     "metric": (
         "leaderboard/metrics/added.py", METRIC, "leaderboard/metrics/registry.py",
         "from leaderboard.metrics import ", "    level,\n",
-        "from road_envs.data.record import Estimate, Profile\nimport numpy as np\n"
+        "from road_envs.records.record import Estimate, Profile\nimport numpy as np\n"
         "from leaderboard.metrics.registry import SCORES, compute_scores\n"
         "from leaderboard.evaluation.boards import shipped_boards\n"
         "from leaderboard.report.board_definitions import board_columns\n"

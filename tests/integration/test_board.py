@@ -31,7 +31,7 @@ from leaderboard.evaluation.store import part_path, row_path
 from leaderboard.running import board as board_module
 from leaderboard.running import jobs
 from leaderboard.running.board import load_board, run_board, write_jobs
-from road_envs.config import ConfigError
+from road_envs.core.config import ConfigError
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -12,9 +12,10 @@ from estimators import create, estimate
 from leaderboard import score
 from leaderboard.evaluation.evaluate import run_task
 from leaderboard.evaluation.tasks import load_task
-from road_envs import config, load_vehicle, simulate_record
-from road_envs.config import ConfigError
-from road_envs.data.training_corpus import Corpus, perturb_parameters
+from road_envs import load_vehicle, simulate_record
+from road_envs.core import config
+from road_envs.core.config import ConfigError
+from road_envs.drives.training_corpus import Corpus, perturb_parameters
 from road_envs.vehicle.parameters import write_vehicle
 
 VEHICLES = config.names("vehicles")

@@ -10,8 +10,8 @@ import pytest
 
 from leaderboard import cli
 from leaderboard.lazy_commands import help_line
-from road_envs.config import ConfigError
-from road_envs.data.recording import read_record
+from road_envs.core.config import ConfigError
+from road_envs.drives.recording import read_record
 from road_envs.roads import load_road
 
 DRIVE = ("--road", "iso_c", "--length", "30", "--speed-kmh", "36")
@@ -246,7 +246,7 @@ def test_invalid_input_gives_one_sentence_and_writes_no_file(road_recon, tmp_pat
 
 
 def test_debug_shows_the_traceback(monkeypatch):
-    from road_envs.config import ConfigError
+    from road_envs.core.config import ConfigError
 
     monkeypatch.setattr(sys, "argv", ["road-recon", "--debug", "simulate", "--road", "belgiun"])
     with pytest.raises(ConfigError):

@@ -13,7 +13,7 @@ from leaderboard.commands.check import summarize
 from leaderboard.conformance import checks
 from leaderboard.conformance.checks import UNINTENDED_ERRORS, check_drives, check_entry
 from leaderboard.conformance.probes import PROBES, CheckResult
-from leaderboard.evaluation.entries import resolve_entries
+from leaderboard.entries.entries import resolve_entries
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
 

@@ -15,14 +15,14 @@ from estimators import pretrained_weights
 from leaderboard.conformance import results as conformance_results
 from leaderboard.conformance.probes import PROBES
 from leaderboard.conformance.results import EstimatorCard, find_card, probe_entries
-from leaderboard.evaluation import store
-from leaderboard.evaluation.entries import (
+from leaderboard.entries.entries import (
     entry_refit_per_case,
     make_entry,
     registered_entry,
     resolve_entries,
 )
-from leaderboard.evaluation.entry import Entry
+from leaderboard.entries.entry import Entry
+from leaderboard.evaluation import store
 from leaderboard.evaluation.evaluate import run_task
 from leaderboard.evaluation.store import NewerFormatError, read_checked_json
 from leaderboard.evaluation.tasks import load_task

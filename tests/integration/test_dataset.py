@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from leaderboard import cli
-from road_envs.data.training_corpus import Corpus
+from road_envs.drives.training_corpus import Corpus
 
 
 def run(monkeypatch, capsys, *words):

@@ -21,7 +21,7 @@ from estimators.api import (
     validate_weights,
 )
 from estimators.weights_io import load, save
-from road_envs.data.record import Estimate, Profile, Record, profile_stations
+from road_envs.records.record import Estimate, Profile, Record, profile_stations
 from road_envs.vehicle.parameters import load_vehicle
 
 CAR = load_vehicle("land_rover_defender_110")

@@ -9,15 +9,15 @@ from fakes import fake_drives, task
 from in_process import InProcessExecutor
 
 import estimators
-from leaderboard.evaluation.entries import make_entry
-from leaderboard.evaluation.entry import EntryError, needs_training, reconstruct
+from leaderboard.entries.entries import make_entry
+from leaderboard.entries.entry import EntryError, needs_training, reconstruct
 from leaderboard.evaluation.evaluate import run_task
 from leaderboard.evaluation.store import row_path
 from leaderboard.evaluation.test_data import simulate_drives
 from leaderboard.metrics.baselines import BASELINES, NOISE_LEVEL, truth_plus_noise
 from leaderboard.metrics.heights import nrmse, scored_band
 from leaderboard.running.board import RunRequest, baseline_names, load_board, run_board
-from road_envs.config import ConfigError
+from road_envs.core.config import ConfigError
 from road_envs.simulation.drive import SimulationError
 
 

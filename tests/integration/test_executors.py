@@ -17,9 +17,9 @@ from hostile import Hostile
 from in_process import InProcessExecutor
 
 from estimators import create
+from leaderboard.entries.entries import make_entry
+from leaderboard.entries.entry import Entry
 from leaderboard.evaluation import store
-from leaderboard.evaluation.entries import make_entry
-from leaderboard.evaluation.entry import Entry
 from leaderboard.metrics.baselines import BASELINES
 from leaderboard.running import dask_executor as cluster_module
 from leaderboard.running import executors, jobs
@@ -28,7 +28,7 @@ from leaderboard.running.dask_executor import DaskExecutor
 from leaderboard.running.executors import EvaluatorError, ProcessExecutor
 from leaderboard.sandbox import bubblewrap
 from leaderboard.sandbox.limits import Limits
-from road_envs.config import ConfigError
+from road_envs.core.config import ConfigError
 from road_envs.roads import load_road, with_length
 from road_envs.roads.formats.write import write_csv
 from road_envs.vehicle.parameters import load_vehicle, write_vehicle

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from estimators.api import EstimateError
-from leaderboard.evaluation.entry import EntryError
+from leaderboard.entries.entry import EntryError
 from leaderboard.sandbox import messages
 from leaderboard.sandbox.client import _RemoteSession, call
 from leaderboard.sandbox.guest import Guest
 from leaderboard.sandbox.limits import Limits
-from road_envs.data.record import Record, profile_stations
+from road_envs.records.record import Record, profile_stations
 
 READY = messages.encode({})
 ECHO = """

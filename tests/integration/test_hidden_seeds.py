@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 from leaderboard.cli import app
 from leaderboard.evaluation import hidden_seeds
 from leaderboard.evaluation.tasks import load_task
-from road_envs.config import ConfigError
+from road_envs.core.config import ConfigError
 
 SALT = "correct horse battery"
 

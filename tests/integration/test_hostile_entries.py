@@ -16,7 +16,7 @@ from in_process import InProcessExecutor
 from wheels import encrypt, module, write_wheel
 
 from estimators import create
-from leaderboard.evaluation.entries import NAME, RESERVED, make_entry, resolve_entries
+from leaderboard.entries.entries import NAME, RESERVED, make_entry, resolve_entries
 from leaderboard.evaluation.results import content_digest, isolation_notice
 from leaderboard.metrics.baselines import BASELINES
 from leaderboard.running.board import RunRequest, run_board

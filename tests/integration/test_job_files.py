@@ -16,18 +16,18 @@ from board_runs import (
 from fakes import fake_drives, task
 from in_process import InProcessExecutor
 
+from leaderboard.entries import entry_files
+from leaderboard.entries.entry import Entry
 from leaderboard.evaluation import store
-from leaderboard.evaluation.entry import Entry
 from leaderboard.evaluation.results import content_digest
 from leaderboard.evaluation.store import part_path
 from leaderboard.evaluation.tasks import shipped_tasks
 from leaderboard.metrics.baselines import BASELINES
 from leaderboard.running import job_files, jobs, plan
 from leaderboard.running.board import RunRequest, write_jobs
-from leaderboard.sandbox import entry_files
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
-from road_envs.config import ConfigError, build
+from road_envs.core.config import ConfigError, build
 from road_envs.roads import load_road, with_length
 from road_envs.roads.formats.write import write_csv
 from road_envs.vehicle.parameters import load_vehicle, write_vehicle

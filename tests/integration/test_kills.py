@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import pytest
 from board_runs import Counting, make_request
 
-from leaderboard.evaluation import entry
+from leaderboard.entries import entry
 from leaderboard.evaluation.results import content_digest
 from leaderboard.report.cache import build_report
 from leaderboard.report.site import write_site

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from bad_policies import Lateral
 
-from leaderboard.conformance import policy_checks
-from leaderboard.conformance.policy_checks import OPTIONS, SEEDS, check_policy
+from leaderboard.policies import policy_checks
 from leaderboard.policies.comparison import compare
+from leaderboard.policies.policy_checks import OPTIONS, SEEDS, check_policy
 from leaderboard.policies.policy_process import POLICY_LIMITS, PolicyProcess
 from leaderboard.policies.scenarios import load_scenarios
 from leaderboard.policies.store import RowStore
 from leaderboard.sandbox import bubblewrap
-from road_envs.config import ConfigError
+from road_envs.core.config import ConfigError
 from road_envs.policies import create, make_policy
 from road_envs.policies.api import PolicyError
 from road_envs.policies.rollout import roll_out

@@ -6,17 +6,21 @@ from functools import cache
 
 import numpy as np
 import pytest
+import typer
 from fakes import fake_drives
 from html_checker import HtmlChecker
 from typer.testing import CliRunner
 
 from estimators.networks.static_lm import StaticLm
-from leaderboard.cli import app
 from leaderboard.metrics.registry import SCORES
-from leaderboard.paper import claims as statements
-from leaderboard.paper import report, study
-from leaderboard.paper.figures import paper_figures, select_sessions
 from leaderboard.report.svg import page_figure
+from studies.paper import claims as statements
+from studies.paper import report, study
+from studies.paper.__main__ import paper
+from studies.paper.figures import paper_figures, select_sessions
+
+app = typer.Typer()
+app.command()(paper)
 
 TRAININGS = 3
 
@@ -263,7 +267,7 @@ def test_the_report_is_written_as_page_and_json(tmp_path, monkeypatch):
     monkeypatch.setattr(
         report, "paper_figures", lambda found: few
     )  # the tests above draw all of them
-    page, numbers = report.write_report(made(), tmp_path, "road-recon paper --trainings 3")
+    page, numbers = report.write_report(made(), tmp_path, "python -m studies.paper --trainings 3")
     text = page.read_text()
     parser = HtmlChecker()
     parser.feed(text)
@@ -288,10 +292,10 @@ def test_the_command_prints_the_findings_and_the_paths_of_the_report(tmp_path, m
         study, "run_study", lambda trainings, progress: requested.append(trainings) or made()
     )
     monkeypatch.setattr(report, "write_report", lambda found, out, command: [out / command])
-    done = CliRunner().invoke(app, ["paper", "--trainings", "3", "--out", str(tmp_path)])
+    done = CliRunner().invoke(app, ["--trainings", "3", "--out", str(tmp_path)])
     output = "".join(done.stdout.split())  # wherever the terminal breaks the lines
     assert requested == [3] and "equation12asitisprinted" in output
-    assert "road-reconpaper--trainings3" in output
+    assert "python-mstudies.paper--trainings3" in output
     (tmp_path / "file").write_text("")
-    refused = CliRunner().invoke(app, ["paper", "--out", str(tmp_path / "file")])
+    refused = CliRunner().invoke(app, ["--out", str(tmp_path / "file")])
     assert "is a file" in str(refused.exception)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from road_envs.data.recording import read_record, simulate_record, true_profile, write_record
+from road_envs.drives.recording import read_record, simulate_record, true_profile, write_record
 from road_envs.roads import Surface, realise_road, write_csv
 
 ROAD = realise_road("iso_c", 3, 45.0)

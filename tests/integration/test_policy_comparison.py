@@ -24,8 +24,8 @@ from leaderboard.policies.ride_metrics import (
 from leaderboard.policies.scenarios import Scenarios, load_scenarios
 from leaderboard.policies.summary import case_mean, paired_difference, pareto, summarize_results
 from leaderboard.policies.timeline import MODE_NAMES, Timeline, drive_chart
-from road_envs.config import ConfigError, build, names
-from road_envs.data.recording import simulate_record
+from road_envs.core.config import ConfigError, build, names
+from road_envs.drives.recording import simulate_record
 from road_envs.envs.options import EnvSetup
 from road_envs.envs.vector import RoadReconVectorEnv
 from road_envs.policies import create

@@ -8,7 +8,7 @@ from leaderboard.policies import grid_search
 from leaderboard.policies.grid_search import return_rates
 from leaderboard.policies.scenarios import Scenarios
 from leaderboard.policies.training_study import evaluate_study, study_lines, train_seeds
-from road_envs.config import ConfigError, build
+from road_envs.core.config import ConfigError, build
 from road_envs.envs.vector import RoadReconVectorEnv
 from road_envs.policies import PolicyContext
 from road_envs.policies.features import (

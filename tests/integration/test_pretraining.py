@@ -11,16 +11,16 @@ import pytest
 
 from estimators import REGISTRY, create, pretrained_weights, weights_io
 from estimators.api import check_estimate
+from leaderboard.entries.entry import needs_training
 from leaderboard.evaluation import pretraining
-from leaderboard.evaluation.entry import needs_training
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.evaluation.test_data import simulate_drives
 from leaderboard.metrics.heights import band_pass, nrmse, scored_band
-from road_envs.data import training_corpus
-from road_envs.data.training_corpus import Corpus, perturb_parameters
+from road_envs.drives import training_corpus
+from road_envs.drives.training_corpus import Corpus, perturb_parameters
 from road_envs.roads import Iso8608
+from road_envs.sensing.perturbed_vehicle import load_plant_mismatch
 from road_envs.simulation.drive import SimulationError
-from road_envs.vehicle.perturbed_vehicle import load_plant_mismatch
 
 CORPUS = Corpus(number=6, shortest=20, longest=30)
 PRETRAINED = [path.stem for path in sorted(pretrained_weights.FOLDER.glob("*.safetensors"))]

@@ -11,10 +11,10 @@ from fake_estimators import Learner
 
 import estimators
 from leaderboard.conformance.probes import PROBES, count_passed, perturbed_records, probe_estimator
-from road_envs.data.record import Estimate, profile_stations
-from road_envs.data.recording import simulate_record
+from road_envs.drives.recording import simulate_record
+from road_envs.kernels.filters import preprocess_accelerations
+from road_envs.records.record import Estimate, profile_stations
 from road_envs.roads import Surface, load_road
-from road_envs.sensing.filters import preprocess_accelerations
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import load_vehicle
 

@@ -11,8 +11,8 @@ from test_estimator_contract import CAR, SMALL
 from estimators import REGISTRY, create
 from estimators.api import Estimator, Pretrained, Trainable, check_estimate
 from estimators.preprocessing import RecordError, mask_record
-from road_envs.data.record import Profile, Record
-from road_envs.data.recording import simulate_record
+from road_envs.drives.recording import simulate_record
+from road_envs.records.record import Profile, Record
 from road_envs.roads import load_road
 
 QUICK = {

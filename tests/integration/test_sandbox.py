@@ -18,12 +18,12 @@ from fakes import fake_drives, task
 from hostile import poisoned_kernels
 
 from estimators.api import CalibrationDrive
-from leaderboard.evaluation import entries
-from leaderboard.evaluation.entry import Entry, EntryError, LocalSession, reconstruct_all
+from leaderboard.entries import entries
+from leaderboard.entries.entry import Entry, EntryError, LocalSession, reconstruct_all
 from leaderboard.sandbox import bubblewrap, limits
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
-from road_envs.config import ConfigError
+from road_envs.core.config import ConfigError
 
 MODES = ["process"] if bubblewrap.obstacle() else ["bubblewrap", "process"]
 """Each guest takes a second: the second mode is slow, and `test_executors.py` has attacks in it."""

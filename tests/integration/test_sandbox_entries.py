@@ -6,8 +6,8 @@ from dataclasses import replace
 import pytest
 from test_sandbox import LIMITS, MODES, drives
 
-from leaderboard.evaluation import entries
-from leaderboard.evaluation.entry import EntryError
+from leaderboard.entries import entries
+from leaderboard.entries.entry import EntryError
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.guest import describe_exit
 from leaderboard.sandbox.limits import Limits

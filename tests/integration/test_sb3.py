@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from road_envs.config import ConfigError
+from road_envs.core.config import ConfigError
 from road_envs.envs.sb3 import RoadReconVecEnv
 from road_envs.envs.vector import RoadReconVectorEnv
 

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from leaderboard.cli import app
 from leaderboard.conformance.scaffold import write_package
 from leaderboard.evaluation.store import load
-from road_envs.config import ConfigError
+from road_envs.core.config import ConfigError
 
 ROOT = Path(__file__).parents[2]
 

@@ -13,8 +13,8 @@ from estimators.baselines.random_road import FittedRoad, draw_road, fit_spectrum
 from estimators.common.least_squares import LeastSquaresSums, cross_validate
 from estimators.linear import fir_ridge
 from estimators.preprocessing import spatial_accelerations
-from road_envs.analysis.roughness import displacement_psd
-from road_envs.data.record import PROFILE_SPACING, Profile, profile_stations
+from road_envs.records.record import PROFILE_SPACING, Profile, profile_stations
+from road_envs.records.roughness import displacement_psd
 
 
 def test_flat_is_flat():

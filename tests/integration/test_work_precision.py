@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from leaderboard import cli
-from leaderboard.benchmarks import integrators
-from leaderboard.benchmarks.integrators import (
+from leaderboard.bench import integrators
+from leaderboard.bench.integrators import (
     EXPLICIT_METHODS,
     IntegrationProblem,
     PeerError,

@@ -16,9 +16,9 @@ import pytest
 import yaml
 
 from leaderboard import cli
-from road_envs import config
-from road_envs.data.measured_record import read_measured_record
-from road_envs.data.recording import simulate_record, write_record
+from road_envs.core import config
+from road_envs.drives.measured_record import read_measured_record
+from road_envs.drives.recording import simulate_record, write_record
 from road_envs.roads import realise_road, write_csv
 
 

@@ -26,8 +26,8 @@ import yaml
 from leaderboard import cli
 from leaderboard.drive_report.obstacles import detect
 from leaderboard.drive_report.posterior_iri import posterior_iri
-from road_envs.analysis.roughness import displacement_psd
-from road_envs.data.record import Estimate, profile_stations
+from road_envs.records.record import Estimate, profile_stations
+from road_envs.records.roughness import displacement_psd
 from road_envs.roads import realise_road
 from road_envs.roads.surface import Surface
 

@@ -15,7 +15,7 @@ from fakes import fake_drives, task
 
 from leaderboard.evaluation import store
 from leaderboard.evaluation.evaluate import run_task
-from road_envs._atomic_io import write_text
+from road_envs.core.atomic_io import write_text
 
 TASKS = 10
 MEMORY_LIMIT = 1.0

@@ -9,7 +9,7 @@ from leaderboard.evaluation import pretraining
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.evaluation.test_data import simulate_drives
 from leaderboard.metrics.heights import nrmse, scored_band
-from road_envs.data.training_corpus import Corpus
+from road_envs.drives.training_corpus import Corpus
 
 SEED_SPREAD = 0.05
 """Relative change of the mean NRMSE that another seed or order of summation may cause."""

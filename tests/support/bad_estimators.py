@@ -10,7 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from road_envs.data.record import Estimate, profile_stations
+from road_envs.records.record import Estimate, profile_stations
 
 
 @dataclass(frozen=True, kw_only=True)

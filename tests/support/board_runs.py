@@ -7,7 +7,7 @@ from fake_estimators import Learner, Reader
 from fakes import fake_drives, task
 from in_process import InProcessExecutor
 
-from leaderboard.evaluation.entries import make_entry
+from leaderboard.entries.entries import make_entry
 from leaderboard.metrics.baselines import BASELINES
 from leaderboard.running.board import RunRequest, run_board
 

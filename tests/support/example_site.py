@@ -13,7 +13,7 @@ from leaderboard.report.cache import build_report
 from leaderboard.report.site import render_pages, write_site
 from leaderboard.report.tables import board_views
 from leaderboard.running.board import Board, create_baselines
-from road_envs.data.record import Estimate
+from road_envs.records.record import Estimate
 
 POLICIES = Path(__file__).parents[2] / "docs" / "policies"
 ENTRIES = ("static_lm", "reader", "online", "broken")

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from estimators.api import CalibrationDrive, CalibrationError, NotFittedError
-from road_envs.data.record import Estimate, Profile, Record, profile_stations
+from road_envs.records.record import Estimate, Profile, Record, profile_stations
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,8 +8,8 @@ import numpy as np
 
 from leaderboard.evaluation.tasks import Condition, DriveSet, Task
 from leaderboard.evaluation.test_data import RecordedDrive
-from road_envs.config import build
-from road_envs.data.record import Profile, Record, profile_stations
+from road_envs.core.config import build
+from road_envs.records.record import Profile, Record, profile_stations
 
 RATE = 400.0
 

@@ -17,7 +17,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from road_envs.data.record import Estimate, profile_stations
+from road_envs.records.record import Estimate, profile_stations
 
 POISON = b"the code of a hostile entry"
 
@@ -156,11 +156,11 @@ def does_stop_parent(where, record):
 
 
 def does_patch_evaluation(where, record):
-    import leaderboard.evaluation.entry
+    import leaderboard.entries.entry
     from leaderboard.metrics import heights
 
     heights.nrmse = lambda *a, **k: 0.0
-    leaderboard.evaluation.entry.check_estimate = lambda *a, **k: None
+    leaderboard.entries.entry.check_estimate = lambda *a, **k: None
     stations = profile_stations(record.length)
     return Estimate(stations, np.full((2, stations.size), np.nan))
 
@@ -203,7 +203,7 @@ def does_write_elsewhere(where, record):
 
 
 def does_poison_kernels(where, record):
-    from road_envs import _numba
+    from road_envs.kernels import _numba
 
     (_numba.CACHE / "hostile.nbc").write_bytes(POISON)
     paths = [path.resolve() for path in _numba.CACHE.rglob("*.nbi")]
@@ -214,7 +214,7 @@ def does_poison_kernels(where, record):
 
 def poisoned_kernels():
     """Return the files of the shared cache of kernels that `does_poison_kernels` has written."""
-    from road_envs import _numba
+    from road_envs.kernels import _numba
 
     files = [path for path in _numba.CACHE.rglob("*") if path.is_file()]
     return [path for path in files if path.read_bytes() == POISON]

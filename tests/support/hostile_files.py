@@ -17,21 +17,21 @@ from estimators import create, weights_io
 from leaderboard.evaluation import hidden_seeds
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.policies.scenarios import load_scenarios
-from road_envs import config
-from road_envs.config import ConfigError, find
-from road_envs.data.logger_tables.description import (
+from road_envs.core import config
+from road_envs.core.config import ConfigError, find
+from road_envs.drives.logger_tables.description import (
     DriveDescription,
     read_description,
     write_description,
 )
-from road_envs.data.measured_record import MeasuredRecord, read_measured_record
-from road_envs.data.recording import read_record, simulate_record, write_record
+from road_envs.drives.measured_record import MeasuredRecord, read_measured_record
+from road_envs.drives.recording import read_record, simulate_record, write_record
 from road_envs.policies import PolicySettings
 from road_envs.policies.network_policy import read_policy_network
 from road_envs.roads import load_road
 from road_envs.sensing.instruments import load_instruments
+from road_envs.sensing.perturbed_vehicle import load_plant_mismatch
 from road_envs.vehicle.parameters import load_vehicle
-from road_envs.vehicle.perturbed_vehicle import load_plant_mismatch
 
 HUGE = "9" * 5000
 SCALARS = (

@@ -5,8 +5,8 @@ from pathlib import Path
 
 from estimators import make_estimator
 from estimators.api import Estimator
+from leaderboard.entries.entry import Entry, TrainingRun
 from leaderboard.evaluation import evaluate
-from leaderboard.evaluation.entry import Entry, TrainingRun
 from leaderboard.evaluation.evaluate import ConditionData
 from leaderboard.evaluation.test_data import DriveSimulation, simulate_drives
 from leaderboard.running import jobs

@@ -7,7 +7,7 @@ MODULE = """
 from dataclasses import dataclass
 from typing import Any, ClassVar
 import numpy as np
-from road_envs.data.record import Estimate, profile_stations
+from road_envs.records.record import Estimate, profile_stations
 {head}
 
 @dataclass(frozen=True, kw_only=True)

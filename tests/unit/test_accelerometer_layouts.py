@@ -10,16 +10,16 @@ import yaml
 from scipy import signal
 from vehicle_fixtures import DEFENDER, smooth_road
 
-from road_envs.config import ConfigError
-from road_envs.data.accelerometers import Accelerometer, from_plain, to_plain
-from road_envs.data.logger_tables.description import (
+from road_envs.core.config import ConfigError
+from road_envs.drives.logger_tables.description import (
     DriveDescription,
     read_description,
     write_description,
 )
-from road_envs.data.measured_record import read_measured_record
-from road_envs.data.recording import read_record, simulate_record, write_record
+from road_envs.drives.measured_record import read_measured_record
+from road_envs.drives.recording import read_record, simulate_record, write_record
 from road_envs.envs.road_recon import RoadReconEnv
+from road_envs.records.accelerometers import Accelerometer, from_plain, to_plain
 from road_envs.sensing.data_logger import load_instruments
 from road_envs.sensing.instruments import ANTIALIAS_ORDER, instruments_of
 from road_envs.simulation.drive import simulate

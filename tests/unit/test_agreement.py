@@ -10,8 +10,8 @@ from leaderboard.metrics.agreement import (
     repeatability,
 )
 from leaderboard.metrics.registry import compute_scores
-from road_envs.analysis.roughness import iri
-from road_envs.data.record import PROFILE_SPACING, Estimate, Profile, profile_stations
+from road_envs.records.record import PROFILE_SPACING, Estimate, Profile, profile_stations
+from road_envs.records.roughness import iri
 from road_envs.roads import realise_road
 
 RATINGS = [[9, 2, 5, 8], [6, 1, 3, 2], [8, 4, 6, 8], [7, 1, 2, 6], [10, 5, 6, 9], [6, 2, 4, 7]]

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from leaderboard.metrics.alignment import align
-from road_envs.config import ConfigError
-from road_envs.data.record import PROFILE_SPACING, Estimate, profile_stations
+from road_envs.core.config import ConfigError
+from road_envs.records.record import PROFILE_SPACING, Estimate, profile_stations
 from road_envs.roads import Surface, realise_road
 
 ROAD = realise_road("iso_c", 4, 200.0)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs/architecture.md").read_text(encoding="utf-8")
-PACKAGES = ("road_envs", "estimators", "leaderboard")
+PACKAGES = ("road_envs", "estimators", "leaderboard", "studies")
 
 
 def named_paths() -> set[str]:
@@ -31,13 +31,17 @@ def test_every_package_is_on_the_page():
     assert sorted(folders - words) == []
 
 
-def test_the_layers_on_the_page_are_those_of_the_contract():
+def test_the_rooms_in_the_picture_are_those_of_the_contracts():
+    """A line of rooms for each layer, in order, below the name of the package."""
     contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
-    (layers,) = (
-        contract["layers"]
-        for contract in contracts["contracts"]
-        if contract["type"] == "layers" and "road_envs.roads" in str(contract["layers"])
-    )
-    block = PAGE.split("## Who may import whom")[1].split("```")[1]
-    lines = [line.strip() for line in block.splitlines()[1:] if line.strip()]
-    assert lines == [layer.replace("road_envs.", "") for layer in layers]
+    picture = PAGE.split("```")[1]
+    for package in ("road_envs", "leaderboard"):
+        (layers,) = (
+            contract["layers"]
+            for contract in contracts["contracts"]
+            if contract["name"].startswith(f"rooms of {package}")
+        )
+        drawn = picture.partition(f" {package} ")[2].partition("──")[0]
+        lines = [line.strip() for line in drawn.splitlines() if line.strip()]
+        assert lines == [layer.replace(f"{package}.", "") for layer in layers]
+        assert len(layers) <= 12

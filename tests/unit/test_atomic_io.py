@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from road_envs import _atomic_io
-from road_envs._atomic_io import (
+from road_envs.core import atomic_io
+from road_envs.core.atomic_io import (
     TempFolder,
     atomic_write,
     remove_stale_partials,
@@ -42,8 +42,8 @@ def test_a_failed_write_leaves_only_the_old_file(tmp_path, error, durable):
 def test_a_durable_file_is_flushed_before_the_replacement(tmp_path, monkeypatch):
     done = []
     fsync, replace = os.fsync, os.replace
-    monkeypatch.setattr(_atomic_io.os, "fsync", lambda handle: (done.append("disk"), fsync(handle)))
-    monkeypatch.setattr(_atomic_io.os, "replace", lambda *a: (done.append("place"), replace(*a)))
+    monkeypatch.setattr(atomic_io.os, "fsync", lambda handle: (done.append("disk"), fsync(handle)))
+    monkeypatch.setattr(atomic_io.os, "replace", lambda *a: (done.append("place"), replace(*a)))
     write_text(tmp_path / "a" / "name.txt", "text", durable=True)
     assert done == ["disk", "place", "disk"]  # the file, then its folder
     assert (tmp_path / "a" / "name.txt").read_text() == "text"
@@ -69,7 +69,7 @@ def test_concurrent_writers_of_one_file_do_not_mix(tmp_path):
 
 KILLED = """
 import os, sys
-from road_envs._atomic_io import atomic_write
+from road_envs.core.atomic_io import atomic_write
 with atomic_write(sys.argv[1]) as partial:
     partial.write_text("half")
     os.kill(os.getpid(), 9)
@@ -92,7 +92,7 @@ def test_only_partial_files_of_dead_writers_are_removed(tmp_path):
 
 HOLDS = """
 import sys, time
-from road_envs._atomic_io import TempFolder
+from road_envs.core.atomic_io import TempFolder
 with TempFolder() as folder:
     (folder / "large").mkdir()
     (folder / "large" / "file").write_text("text")
@@ -114,9 +114,9 @@ def holder(tmp_path):
 
 
 def test_temporary_folders_of_dead_owners_are_removed(tmp_path, monkeypatch):
-    monkeypatch.setattr(_atomic_io.tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(atomic_io.tempfile, "tempdir", str(tmp_path))
     (tmp_path / "road-recon-my-road").mkdir()  # such as a user's package
-    (tmp_path / f"{_atomic_io.TEMP_PREFIX}of-somebody").mkdir()  # without a lock file
+    (tmp_path / f"{atomic_io.TEMP_PREFIX}of-somebody").mkdir()  # without a lock file
     others = sorted(tmp_path.iterdir())
     living, his = holder(tmp_path)
     dead, left = holder(tmp_path)

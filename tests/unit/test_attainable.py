@@ -17,8 +17,8 @@ from estimators.map_smoother.gauss_newton import MapSolution
 from estimators.map_smoother.posterior_sampling import band_pass, draw_deviations, interior
 from estimators.map_smoother.preconditioner import stationary_hessian
 from road_envs.analysis.information_bound import RoadPrior
-from road_envs.analysis.roughness import CLASSES
-from road_envs.data.recording import simulate_record
+from road_envs.drives.recording import simulate_record
+from road_envs.records.roughness import CLASSES
 
 PRIOR = RoadPrior(G_d0=CLASSES["D"])
 

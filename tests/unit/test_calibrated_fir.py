@@ -23,9 +23,9 @@ from estimators.linear.impulse_responses import (
 )
 from estimators.linear.road_posterior import Nodes, normal_equations, prior_bands, solve
 from estimators.preprocessing import RecordError
-from road_envs.analysis.roughness import band_pass
-from road_envs.data.accelerometers import Accelerometer
-from road_envs.data.record import PROFILE_SPACING, Profile, Record, profile_stations, scored_band
+from road_envs.records.accelerometers import Accelerometer
+from road_envs.records.record import PROFILE_SPACING, Profile, Record, profile_stations, scored_band
+from road_envs.records.roughness import band_pass
 from road_envs.vehicle.parameters import load_vehicle
 
 CAR = load_vehicle("land_rover_defender_110")

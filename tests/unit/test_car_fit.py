@@ -23,12 +23,12 @@ from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.windows import initial_window_state, window_objective
 from leaderboard.metrics.heights import nrmse
 from road_envs.analysis.information_bound import RoadPrior
-from road_envs.data.record import Profile, scored_band
-from road_envs.data.recording import simulate_record
+from road_envs.drives.recording import simulate_record
+from road_envs.records.record import Profile, scored_band
 from road_envs.roads.iso8608 import Iso8608
 from road_envs.sensing.instruments import load_instruments
+from road_envs.sensing.perturbed_vehicle import perturb_vehicle
 from road_envs.vehicle.equations import THETA
-from road_envs.vehicle.perturbed_vehicle import perturb_vehicle
 from road_envs.vehicle.tolerances import ParameterSpace, parameter_space
 
 PAPER, MIXED = load_instruments("paper"), {"front": "ride", "rear": "handling"}

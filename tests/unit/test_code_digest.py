@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from road_envs import _code_digest
-from road_envs._code_digest import ROOT, closure, code_digest, digest, importers
+from road_envs.core.code_digest import ROOT, closure, code_digest, digest, find_source, importers
 
 CODE = b'''"""A module."""
 
@@ -91,7 +90,10 @@ def test_a_module_is_made_of_what_it_imports_wherever_the_statement_stands(tmp_p
 
 def test_what_was_parsed_is_remembered_and_a_damaged_memory_is_made_again(tmp_path):
     """In processes of their own, whose cache folder is `tmp_path`."""
-    code = "from road_envs import _code_digest as d; print(d.digest(d.closure('road_envs.config')))"
+    code = (
+        "from road_envs.core import code_digest as d; "
+        "print(d.digest(d.closure('road_envs.core.config')))"
+    )
     environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
 
     def run():
@@ -119,7 +121,7 @@ def test_a_kernel_is_compiled_again_when_code_changes_and_not_for_a_comment(tmp_
     package.mkdir()
     (package / "__init__.py").touch()
     source = textwrap.dedent("""
-        from road_envs._numba import kernel
+        from road_envs.kernels._numba import kernel
 
         FACTOR = 2.0
 
@@ -150,7 +152,7 @@ def test_processes_that_start_together_compile_a_kernel_once(tmp_path):
     package.mkdir()
     (package / "__init__.py").touch()
     (package / "law.py").write_text(
-        "from road_envs._numba import kernel\n"
+        "from road_envs.kernels._numba import kernel\n"
         "@kernel\ndef twice(x):\n    return 2.0 * x\n"
         "@kernel\ndef four_times(x):\n    return twice(twice(x))\n"
     )
@@ -168,5 +170,5 @@ def test_processes_that_start_together_compile_a_kernel_once(tmp_path):
 
 def test_every_module_of_this_project_is_found_by_its_name():
     for name in ("road_envs", "estimators.api", "leaderboard.cli"):
-        assert _code_digest.find_source(name) in closure(name)
+        assert find_source(name) in closure(name)
         assert all(path.is_relative_to(ROOT) for path in closure(name))

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from road_envs.config import ConfigError
+from road_envs.core.config import ConfigError
 from road_envs.roads import Road, load_road, with_length
 from road_envs.roads.composite import (
     Concatenated,

@@ -7,8 +7,8 @@ from typing import Literal
 
 import pytest
 
-from road_envs import config
-from road_envs.config import (
+from road_envs.core import config
+from road_envs.core.config import (
     ConfigError,
     Positive,
     Settings,
@@ -19,8 +19,8 @@ from road_envs.config import (
     validate_choice,
 )
 from road_envs.sensing.data_logger import Instruments
+from road_envs.sensing.perturbed_vehicle import PlantMismatch
 from road_envs.vehicle.parameters import VehicleParameters
-from road_envs.vehicle.perturbed_vehicle import PlantMismatch
 from road_envs.vehicle.struts import Valve
 
 DEFENDER = read_yaml(config.find("vehicles", "land_rover_defender_110"))

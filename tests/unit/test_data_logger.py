@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from scipy import signal
 from vehicle_fixtures import CARS, DEFENDER
 
-from road_envs import config
-from road_envs.config import ConfigError
-from road_envs.data.record import SENSORS
+from road_envs.core import config
+from road_envs.core.config import ConfigError
+from road_envs.kernels.filters import butterworth_sos, preprocess_accelerations, sosfilt_kernel
+from road_envs.records.record import SENSORS
 from road_envs.sensing.data_logger import DataLogger, load_instruments
-from road_envs.sensing.filters import butterworth_sos, preprocess_accelerations, sosfilt_kernel
 from road_envs.simulation.drive import Trajectory
 from road_envs.simulation.rosenbrock import ACCELERATION, N_SIGNALS
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from vehicle_fixtures import CARS, DEFENDER, PLANTS, smooth_road
 
-from road_envs.config import ConfigError
+from road_envs.core.config import ConfigError
 from road_envs.roads.surface import Surface
 from road_envs.simulation.drive import (
     APRON_LENGTH,

@@ -8,8 +8,8 @@ from vehicle_fixtures import DEFENDER
 
 from estimators.wiener import drive_check
 from estimators.wiener.drive_check import DOUBTED_SCALE, check_notes, without_obstacles
-from road_envs.data.record import Record
-from road_envs.data.recording import simulate_record
+from road_envs.drives.recording import simulate_record
+from road_envs.records.record import Record
 from road_envs.vehicle.struts import MODES
 
 

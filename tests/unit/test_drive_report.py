@@ -19,10 +19,10 @@ from leaderboard.drive_report.obstacles import (
     detect,
 )
 from leaderboard.drive_report.posterior_iri import MODEL_STD, posterior_iri, unit_error
-from road_envs.analysis.roughness import iri
-from road_envs.config import ConfigError
-from road_envs.data.measured_record import MeasuredRecord
-from road_envs.data.record import PROFILE_SPACING, Estimate, Record, profile_stations
+from road_envs.core.config import ConfigError
+from road_envs.drives.measured_record import MeasuredRecord
+from road_envs.records.record import PROFILE_SPACING, Estimate, Record, profile_stations
+from road_envs.records.roughness import iri
 from road_envs.roads import realise_road
 
 HPMS = load_conditions("hpms")

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from oracles_roads import erd_file
 
-from road_envs.config import ConfigError
+from road_envs.core.config import ConfigError
 from road_envs.roads import load_road
 from road_envs.roads.formats.erd import parse_header, parse_numbers
 from road_envs.roads.formats.opencrg import SurfaceFileError

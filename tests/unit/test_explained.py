@@ -9,8 +9,8 @@ from vehicle_fixtures import DEFENDER
 import estimators
 from estimators.common.explained import reduce_unexplained, trusted_share, untrusted_note
 from leaderboard.metrics.heights import nrmse
-from road_envs.data.record import PROFILE_SPACING, scored_band
-from road_envs.data.recording import simulate_record
+from road_envs.drives.recording import simulate_record
+from road_envs.records.record import PROFILE_SPACING, scored_band
 from road_envs.sensing.instruments import load_instruments
 
 PAPER = load_instruments("paper")

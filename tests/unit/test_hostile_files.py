@@ -21,9 +21,9 @@ from hostile_files import (
     write_drive,
 )
 
-from road_envs._reading import parsing, read_npz
-from road_envs.config import ConfigError, read_yaml
-from road_envs.data.recording import read_record
+from road_envs.core.config import ConfigError, read_yaml
+from road_envs.core.reading import parsing, read_npz
+from road_envs.drives.recording import read_record
 
 YAML = (
     "vehicle", "road", "composite road", "instruments", "task", "field", "scenarios",

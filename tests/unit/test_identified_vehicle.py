@@ -8,9 +8,9 @@ from vehicle_fixtures import DEFENDER, smooth_road
 
 from estimators import create
 from estimators.api import Calibratable, CalibrationDrive, CalibrationError
-from estimators.common import identified_vehicle
-from estimators.common.identified_vehicle import IdentifiedVehicle, identify_once
-from road_envs.data.recording import simulate_record
+from estimators.map_smoother import identified_vehicle
+from estimators.map_smoother.identified_vehicle import IdentifiedVehicle, identify_once
+from road_envs.drives.recording import simulate_record
 
 OTHER = replace(DEFENDER, m_b=1.1 * DEFENDER.m_b)
 FOUND = IdentifiedVehicle(car=OTHER, gain=(1.02, 0.98, 1.0), displacement=0.15)

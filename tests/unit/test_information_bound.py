@@ -24,7 +24,7 @@ from road_envs.analysis.information_bound import (
     posterior,
     strut_rate_std,
 )
-from road_envs.data.record import scored_band
+from road_envs.records.record import scored_band
 from road_envs.roads import load_road, with_length
 from road_envs.sensing.instruments import load_instruments
 from road_envs.simulation.drive import simulate

@@ -18,9 +18,9 @@ from estimators.linear.inverse_quarter_car import (
     weigh_by_road,
 )
 from leaderboard.metrics.heights import band_pass, nrmse
-from road_envs.config import ConfigError
-from road_envs.data.record import PROFILE_SPACING, scored_band
-from road_envs.data.recording import simulate_record
+from road_envs.core.config import ConfigError
+from road_envs.drives.recording import simulate_record
+from road_envs.records.record import PROFILE_SPACING, scored_band
 from road_envs.roads import load_road, with_length
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.equations import build_plant

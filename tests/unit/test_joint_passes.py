@@ -14,9 +14,9 @@ from estimators.map_smoother.passes import joint_windows, prepare_passes, recons
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.passes import estimate_passes
 from leaderboard.metrics.heights import band_pass, nrmse
-from road_envs.config import ConfigError
-from road_envs.data.record import scored_band
-from road_envs.data.recording import simulate_record
+from road_envs.core.config import ConfigError
+from road_envs.drives.recording import simulate_record
+from road_envs.records.record import scored_band
 from road_envs.roads import realise_road
 
 MIXED = {"front": "ride", "rear": "handling"}

@@ -27,9 +27,9 @@ from estimators.preprocessing import RecordError
 from leaderboard.conformance.probes import probe_estimator
 from leaderboard.metrics.heights import band_pass, nrmse, uncertainty
 from road_envs.analysis.information_bound import RoadPrior
-from road_envs.analysis.roughness import displacement_psd
-from road_envs.data.record import PROFILE_SPACING, Record, profile_stations, scored_band
-from road_envs.data.recording import simulate_record, true_profile
+from road_envs.drives.recording import simulate_record, true_profile
+from road_envs.records.record import PROFILE_SPACING, Record, profile_stations, scored_band
+from road_envs.records.roughness import displacement_psd
 from road_envs.roads import load_road, with_length
 from road_envs.sensing.data_logger import DataLogger
 from road_envs.sensing.instruments import load_instruments

@@ -30,7 +30,7 @@ from estimators.kalman.profile_output import HALF_WINDOW, VARIANCE_STRIDE, decay
 from estimators.kalman.road_process import fit_ar_model
 from estimators.kalman.state import ROUGHNESS_SUM, ROUGHNESS_WEIGHT, LinearizedBlock, LocalState
 from road_envs.analysis.information_bound import RoadPrior
-from road_envs.data.record import Record
+from road_envs.records.record import Record
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.body_bending import modal_force, section, shape
 from road_envs.vehicle.force_curves import Curve

@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 from vehicle_fixtures import DEFENDER, VARIED, VARIED_FLEXIBLE, VARIED_PLANTS, smooth_road
 
+from road_envs.kernels.simd import LANES
+from road_envs.kernels.simd_arrays import stack_array, stack_rows
 from road_envs.simulation.drive import DriveSimulator
 from road_envs.simulation.lanes import SharedInputs, drive_variants
 from road_envs.simulation.rosenbrock import ACCELERATION, TWIST
-from road_envs.simulation.simd import LANES
-from road_envs.simulation.simd_arrays import stack_array, stack_rows
 from road_envs.simulation.tape import linearize_drive
 from road_envs.vehicle.equations import build_plant, equilibrium
 from road_envs.vehicle.suspension import encode_command, settled_strut_state

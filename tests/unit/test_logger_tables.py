@@ -5,14 +5,14 @@ import pandas as pd
 import pytest
 from vehicle_fixtures import DEFENDER
 
-from road_envs.config import ConfigError
-from road_envs.data.logger_tables.description import (
+from road_envs.core.config import ConfigError
+from road_envs.drives.logger_tables.description import (
     DriveDescription,
     read_description,
     write_description,
 )
-from road_envs.data.logger_tables.units import STANDARD_GRAVITY, factor, split_header
-from road_envs.data.measured_record import read_measured_record
+from road_envs.drives.measured_record import read_measured_record
+from road_envs.records.units import STANDARD_GRAVITY, factor, split_header
 
 BASE = DEFENDER.wheelbase
 T = np.arange(6000) / 100.0

@@ -11,12 +11,12 @@ from test_map_smoother import PAPER, drive_record, error, objective_of
 
 from estimators import create
 from estimators.api import CalibrationDrive
-from estimators.common.low_pass import find_low_pass
+from estimators.low_pass import find_low_pass
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.preprocessing import mask_record
 from leaderboard.sandbox import messages
-from road_envs.data.record import LowPass, Record
-from road_envs.data.recording import read_record, simulate_record, write_record
+from road_envs.drives.recording import read_record, simulate_record, write_record
+from road_envs.records.record import LowPass, Record
 from road_envs.vehicle.parameters import load_vehicle
 
 

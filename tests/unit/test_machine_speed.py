@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from leaderboard.benchmarks.machine import (
+from leaderboard.bench.machine import (
     CHAINS,
     LANES,
     dependent_divisions,
@@ -15,7 +15,7 @@ from leaderboard.benchmarks.machine import (
     measure_machine,
     multiply_adds,
 )
-from leaderboard.benchmarks.speed import (
+from leaderboard.bench.speed import (
     CHAIN_DIVISIONS,
     CHAIN_MULTIPLY_ADDS,
     STEP_ADDITIONS,

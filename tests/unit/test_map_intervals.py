@@ -13,8 +13,8 @@ from estimators.map_smoother.posterior_sampling import add_liftoff_errors, band_
 from estimators.map_smoother.wheel_liftoff import LiftoffError, road_below_light_wheels
 from leaderboard.metrics.heights import band_pass as in_band
 from leaderboard.metrics.heights import error_over_truth, uncertainty
-from road_envs.data.record import PROFILE_SPACING, scored_band
-from road_envs.data.recording import simulate_record
+from road_envs.drives.recording import simulate_record
+from road_envs.records.record import PROFILE_SPACING, scored_band
 
 DS, SIZE = 0.05, 1200
 

@@ -27,8 +27,8 @@ from estimators.map_smoother.road_prior import RoadTransform
 from estimators.map_smoother.windows import whole_objective
 from leaderboard.metrics.heights import band_pass, nrmse
 from road_envs.analysis.information_bound import RoadPrior
-from road_envs.data.record import Record, scored_band
-from road_envs.data.recording import simulate_record
+from road_envs.drives.recording import simulate_record
+from road_envs.records.record import Record, scored_band
 from road_envs.roads.iso8608 import Iso8608
 from road_envs.roads.trapezoids import Bumps, Trapezoid
 from road_envs.sensing.instruments import load_instruments

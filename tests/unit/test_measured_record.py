@@ -12,11 +12,11 @@ from vehicle_fixtures import DEFENDER
 
 import estimators
 from leaderboard.metrics.heights import band_pass
-from road_envs.config import ConfigError
-from road_envs.data.logger_tables.units import STANDARD_GRAVITY
-from road_envs.data.measured_record import read_measured_record
-from road_envs.data.record import scored_band
-from road_envs.data.recording import is_record, simulate_record, write_record
+from road_envs.core.config import ConfigError
+from road_envs.drives.measured_record import read_measured_record
+from road_envs.drives.recording import is_record, simulate_record, write_record
+from road_envs.records.record import scored_band
+from road_envs.records.units import STANDARD_GRAVITY
 from road_envs.roads import load_road
 from road_envs.sensing.data_logger import load_instruments
 

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles_roads import crg_file
 
-from road_envs.config import ConfigError
+from road_envs.core.config import ConfigError
 from road_envs.roads import load_road, with_length, write_csv
 from road_envs.roads.formats.opencrg import SurfaceFileError
 from road_envs.roads.measured import Measured

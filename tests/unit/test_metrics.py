@@ -12,8 +12,8 @@ from scipy.fft import next_fast_len
 from leaderboard.metrics import heights, roughness
 from leaderboard.metrics.obstacles import detect_obstacles, obstacle_scores
 from leaderboard.metrics.registry import SCORES, compute_scores
-from road_envs.analysis.roughness import displacement_psd
-from road_envs.data.record import PROFILE_SPACING, Estimate, Profile, profile_stations
+from road_envs.records.record import PROFILE_SPACING, Estimate, Profile, profile_stations
+from road_envs.records.roughness import displacement_psd
 
 DS = PROFILE_SPACING
 BAND = (0.2, 1.8)

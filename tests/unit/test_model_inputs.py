@@ -11,8 +11,8 @@ from estimators.common.block_means import block_means
 from estimators.common.model_inputs import antialias_delay, build_model_inputs
 from estimators.common.spline import evaluate_spline, sample_under_wheels
 from estimators.preprocessing import mask_record
-from road_envs.data.record import Record
-from road_envs.data.recording import simulate_record
+from road_envs.drives.recording import simulate_record
+from road_envs.records.record import Record
 from road_envs.roads.iso8608 import Iso8608
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.suspension import encode_command

@@ -6,7 +6,7 @@ from oracles_roads import iso_density, segment_spectrum
 from scipy.signal import butter, sosfiltfilt
 from scipy.stats import gamma, kstest, lognorm
 
-from road_envs.config import ConfigError
+from road_envs.core.config import ConfigError
 from road_envs.roads import load_road
 from road_envs.roads.iso8608 import Iso8608
 from road_envs.roads.nonstationary import RoughnessVariation

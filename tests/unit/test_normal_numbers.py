@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from road_envs.simulation.normal_numbers import fill_normal, generator_state
-from road_envs.simulation.simd import LANES
+from road_envs.kernels.normal_numbers import fill_normal, generator_state
+from road_envs.kernels.simd import LANES
 
 
 def drawn(rng, lane, shape):

@@ -5,7 +5,7 @@ import pytest
 from gymnasium.utils import seeding
 
 from road_envs.analysis.information_bound import RoadPrior, bound
-from road_envs.config import ConfigError
+from road_envs.core.config import ConfigError
 from road_envs.envs.road_recon import RoadReconEnv
 from road_envs.vehicle.equations import PHI, THETA, build_plant
 from road_envs.vehicle.parameters import GRAVITY

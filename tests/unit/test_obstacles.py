@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from oracles_roads import half_sine, sweep_height, trapezoid
 
-from road_envs.config import ConfigError
+from road_envs.core.config import ConfigError
 from road_envs.roads import load_road
 from road_envs.roads.obstacles import Defect, Defects, Potholes
 from road_envs.roads.sine_sweep import SineSweep

@@ -13,8 +13,8 @@ from estimators.common.odometer import (
     calibrate_odometer_online,
     to_true_distance,
 )
-from road_envs.data.record import DistanceScale, Estimate, Record, profile_stations
-from road_envs.data.recording import simulate_record
+from road_envs.drives.recording import simulate_record
+from road_envs.records.record import DistanceScale, Estimate, Record, profile_stations
 from road_envs.roads import realise_road
 from road_envs.vehicle.parameters import load_vehicle
 

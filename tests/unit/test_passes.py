@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import estimators
+from estimators.common.alignment import identity_map
 from estimators.passes import AlignedPass, align_passes, combine, estimate_passes
 from leaderboard.metrics.heights import nrmse
-from road_envs.analysis.alignment import identity_map
-from road_envs.config import ConfigError
-from road_envs.data.record import Estimate, Record, profile_stations, scored_band
-from road_envs.data.recording import simulate_record
+from road_envs.core.config import ConfigError
+from road_envs.drives.recording import simulate_record
+from road_envs.records.record import Estimate, Record, profile_stations, scored_band
 from road_envs.roads import realise_road
 
 ROAD = realise_road("iso_c", 4, 120.0)

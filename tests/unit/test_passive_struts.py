@@ -8,16 +8,16 @@ import pytest
 from oracles_wheels import FourWheels, four_wheel_frequencies, quarter_car_frequencies
 from vehicle_fixtures import DEFENDER, compute_accelerations
 
-from road_envs import config
-from road_envs.config import ConfigError
+from road_envs.core import config
+from road_envs.core.config import ConfigError
 from road_envs.roads.surface import Surface
+from road_envs.sensing.perturbed_vehicle import perturb_vehicle
 from road_envs.simulation.drive import APRON_LENGTH, simulate
 from road_envs.vehicle.axles import IndependentWheels
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.force_curves import Curve
 from road_envs.vehicle.linear_model import linearise, natural_modes, strut_forces
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
-from road_envs.vehicle.perturbed_vehicle import perturb_vehicle
 from road_envs.vehicle.struts import AirSpring, CoilSpring
 from road_envs.vehicle.suspension import encode_command, settled_strut_state
 from road_envs.vehicle.tolerances import parameter_space

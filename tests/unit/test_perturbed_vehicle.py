@@ -11,22 +11,22 @@ from scipy.integrate import quad
 from scipy.interpolate import CubicHermiteSpline
 from vehicle_fixtures import DEFENDER, smooth_road
 
-from road_envs import config
-from road_envs.config import ConfigError, build, read_yaml
-from road_envs.data.record import Record
-from road_envs.data.recording import simulate_record, true_profile
+from road_envs.core import config
+from road_envs.core.config import ConfigError, build, read_yaml
+from road_envs.drives.recording import simulate_record, true_profile
+from road_envs.records.record import Record
 from road_envs.roads.surface import Surface, enveloped
 from road_envs.sensing.data_logger import DataLogger, load_instruments
-from road_envs.sensing.sensor_faults import NO_FAULTS, SensorFaults
-from road_envs.simulation.drive import APRON_LENGTH, DriveSimulator
-from road_envs.simulation.rosenbrock import TWIST
-from road_envs.vehicle.equations import build_plant, equilibrium
-from road_envs.vehicle.perturbed_vehicle import (
+from road_envs.sensing.perturbed_vehicle import (
     GRADES,
     PlantMismatch,
     load_plant_mismatch,
     perturb_vehicle,
 )
+from road_envs.sensing.sensor_faults import NO_FAULTS, SensorFaults
+from road_envs.simulation.drive import APRON_LENGTH, DriveSimulator
+from road_envs.simulation.rosenbrock import TWIST
+from road_envs.vehicle.equations import build_plant, equilibrium
 from road_envs.vehicle.suspension import encode_command
 
 ROAD, ROUGH = smooth_road(length=20.0, height=0.01), smooth_road(height=0.03)

@@ -13,7 +13,7 @@ from scipy.signal import butter, sosfiltfilt
 
 import road_envs.policies as policies
 from road_envs.analysis.information_bound import RoadPrior
-from road_envs.config import ConfigError
+from road_envs.core.config import ConfigError
 from road_envs.envs.options import EnvSetup
 from road_envs.envs.vector import RoadReconVectorEnv
 from road_envs.policies import REGISTRY, available, create

@@ -7,7 +7,7 @@ import pytest
 from test_estimator_contract import drive, fit
 
 from estimators.preprocessing import RecordError, clean_record, clipped_signs, mask_record
-from road_envs.data.record import Record
+from road_envs.records.record import Record
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import load_vehicle
 

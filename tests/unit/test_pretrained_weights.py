@@ -9,7 +9,7 @@ from estimators import create, pretrained_weights
 from estimators.common.training_data import training_example
 from estimators.linear.fir_bank import fit_bank
 from estimators.networks.inputs import window_span
-from road_envs.data.training_corpus import Corpus
+from road_envs.drives.training_corpus import Corpus
 
 RARE = (
     *(79, 264, 344, 578, 648, 674, 835, 858, 1033, 1040, 1050, 1103, 1195, 1251),

@@ -12,8 +12,8 @@ from estimators import create, estimate, make_estimator
 from leaderboard import plot, run_task, score
 from leaderboard.metrics.registry import PRINTED_SCORES, SCORES, compute_scores
 from road_envs import simulate_record
-from road_envs.config import ConfigError
-from road_envs.data.record import Estimate
+from road_envs.core.config import ConfigError
+from road_envs.records.record import Estimate
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles_roads import CLASS_MEANS, iso_density, isotropic_root_coherence, segment_spectrum
 
-from road_envs.analysis.roughness import root_coherence
+from road_envs.records.roughness import root_coherence
 from road_envs.roads import load_road, with_length
 from road_envs.roads.iso8608 import Iso8608
 

@@ -9,15 +9,15 @@ import pyarrow.parquet as pq
 import pytest
 from vehicle_fixtures import DEFENDER, smooth_road
 
-from road_envs.config import ConfigError
-from road_envs.data import recording
-from road_envs.data.record import PROFILE_SPACING, Record, profile_stations
-from road_envs.data.recording import (
+from road_envs.core.config import ConfigError
+from road_envs.drives import recording
+from road_envs.drives.recording import (
     read_record,
     simulate_record,
     true_profile,
     write_record,
 )
+from road_envs.records.record import PROFILE_SPACING, Record, profile_stations
 from road_envs.sensing.data_logger import load_instruments
 from road_envs.simulation.drive import APRON_LENGTH
 

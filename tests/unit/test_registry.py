@@ -24,8 +24,8 @@ from estimators.baselines.flat import FlatEstimator
 from estimators.baselines.mean import Mean
 from estimators.weights_io import StorageError, load, save
 from leaderboard.sandbox import worker
-from road_envs.config import ConfigError
-from road_envs.data.record import Estimate, Profile, profile_stations
+from road_envs.core.config import ConfigError
+from road_envs.records.record import Estimate, Profile, profile_stations
 
 
 @dataclass(frozen=True, kw_only=True)

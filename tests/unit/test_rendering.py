@@ -16,7 +16,7 @@ import road_envs  # registers the environment
 from leaderboard.commands.animate import animate as animate_command
 from leaderboard.report.animation import animate
 from leaderboard.report.rendering import STATIC
-from road_envs.config import ConfigError
+from road_envs.core.config import ConfigError
 from road_envs.envs.road_recon import RoadReconEnv
 from road_envs.rendering import HEIGHT, WIDTH, Scene, panels, render_frame, style
 from road_envs.rendering.scene import free_travel

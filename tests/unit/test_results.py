@@ -23,8 +23,8 @@ from leaderboard.evaluation.store import (
 from leaderboard.metrics.registry import SCORES
 from leaderboard.report.tables import board_views
 from leaderboard.running.board import ATTEMPTS, Board, RunRequest, load_board, render_with_retry
-from road_envs import _atomic_io
-from road_envs.config import ConfigError
+from road_envs.core import atomic_io
+from road_envs.core.config import ConfigError
 
 
 def edited(tmp_path, change):
@@ -211,7 +211,7 @@ def test_an_interrupted_write_leaves_only_the_old_file(tmp_path, monkeypatch):
     def interrupted(*names):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(_atomic_io.os, "replace", interrupted)
+    monkeypatch.setattr(atomic_io.os, "replace", interrupted)
     with pytest.raises(KeyboardInterrupt):
         save(result_of("reader"), tmp_path)
     assert path.read_text() == before and list(path.parent.iterdir()) == [path]

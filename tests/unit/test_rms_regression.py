@@ -18,9 +18,9 @@ from estimators.roughness.rms_regression import (
     predict_gp,
     roughness_level,
 )
-from road_envs.analysis.roughness import roughness_class
-from road_envs.data.record import Profile, profile_stations
-from road_envs.data.training_corpus import Corpus, drives_in_mode
+from road_envs.drives.training_corpus import Corpus, drives_in_mode
+from road_envs.records.record import Profile, profile_stations
+from road_envs.records.roughness import roughness_class
 
 THETA = np.array([-0.3, 0.5, 0.2, 1.0, -0.1, -1.2])
 

@@ -14,7 +14,7 @@ from scipy.signal import sosfilt
 
 import road_envs
 from road_envs.analysis.comfort import wk_sos
-from road_envs.config import ConfigError
+from road_envs.core.config import ConfigError
 from road_envs.envs.options import ACTIONS
 from road_envs.envs.road_recon import RoadReconEnv
 from road_envs.roads import load_road

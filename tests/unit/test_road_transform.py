@@ -7,7 +7,7 @@ import pytest
 
 from estimators.map_smoother.road_prior import N_FLAT, RoadTransform, padded_size, prior_amplitude
 from road_envs.analysis.information_bound import RoadPrior
-from road_envs.analysis.roughness import displacement_psd
+from road_envs.records.roughness import displacement_psd
 
 PRIOR = RoadPrior()
 NODES = padded_size(4000)

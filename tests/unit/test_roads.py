@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles_roads import trapezoid
 
-from road_envs.config import ConfigError, find, names, read_yaml
-from road_envs.data.record import profile_stations
+from road_envs.core.config import ConfigError, find, names, read_yaml
+from road_envs.records.record import profile_stations
 from road_envs.roads import KINDS, Road, load_road, with_length
 from road_envs.roads.belgian import Belgian
 from road_envs.roads.composite import FixedSeed, Flat, NoisyCopy

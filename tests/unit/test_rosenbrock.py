@@ -24,7 +24,7 @@ from vehicle_fixtures import (
     vectors,
 )
 
-from road_envs._numba import kernel
+from road_envs.kernels._numba import kernel
 from road_envs.roads.surface import Surface
 from road_envs.simulation.drive import DriveSimulator
 from road_envs.simulation.rosenbrock import ACCELERATION, EXTENSION, LOAD, TWIST

@@ -6,7 +6,7 @@ import numpy as np
 
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.report.run_groups import FRAME_BANDS, run_groups
-from road_envs.vehicle.perturbed_vehicle import perturb_vehicle
+from road_envs.sensing.perturbed_vehicle import perturb_vehicle
 
 
 def test_runs_are_grouped_by_the_frequency_of_the_frame():

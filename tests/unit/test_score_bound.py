@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from fakes import task
 
+from leaderboard.evaluation.bound import fit_spectrum, nrmse_bound, third_octave_bound
 from leaderboard.evaluation.tasks import load_task
-from leaderboard.metrics.bound import fit_spectrum, nrmse_bound, third_octave_bound
 from leaderboard.metrics.registry import compute_scores
 from leaderboard.metrics.roughness import THIRD_OCTAVES
 from road_envs.analysis.information_bound import RoadPrior, bound
-from road_envs.data.record import Estimate, Profile, profile_stations
+from road_envs.records.record import Estimate, Profile, profile_stations
 from road_envs.roads import load_road
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import load_vehicle

@@ -24,8 +24,8 @@ from leaderboard.metrics.bootstrap import (
 )
 from leaderboard.metrics.obstacles import detect_obstacles, obstacle_scores, true_obstacles
 from leaderboard.metrics.registry import SCORES, compute_scores
-from road_envs.analysis.roughness import displacement_psd
-from road_envs.data.record import PROFILE_SPACING, Estimate, Profile, profile_stations
+from road_envs.records.record import PROFILE_SPACING, Estimate, Profile, profile_stations
+from road_envs.records.roughness import displacement_psd
 
 STORED = Path(__file__).parents[1] / "data" / "scores.json"
 CASES = {"late": 1, "quiet": 2, "loud": 3}

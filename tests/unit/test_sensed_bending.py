@@ -10,7 +10,7 @@ from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.preconditioner import linear_responses
 from estimators.map_smoother.windows import initial_window_state, window_objective
 from road_envs.analysis.information_bound import RoadPrior
-from road_envs.data.recording import simulate_record
+from road_envs.drives.recording import simulate_record
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle import body_bending
 from road_envs.vehicle.parameters import BendingMode, TorsionalFrame, VehicleVariation

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from vehicle_fixtures import DEFENDER
 
 from estimators.preprocessing import clean_record, spatial_accelerations
-from road_envs.data.record import Record
+from road_envs.records.record import Record
 from road_envs.sensing.data_logger import DataLogger, load_instruments
 from road_envs.sensing.sensor_faults import NO_FAULTS, JitteredSampler, SensorFaults
 from road_envs.simulation.drive import Trajectory

@@ -19,7 +19,7 @@ from estimators.common.spatial_signals import (
 )
 from estimators.linear import fir_bank
 from estimators.linear.fir_bank import KNOTS, FirBank, fit_bank
-from road_envs.data.record import PROFILE_SPACING, Profile, profile_stations
+from road_envs.records.record import PROFILE_SPACING, Profile, profile_stations
 
 
 def interior(x: np.ndarray) -> np.ndarray:

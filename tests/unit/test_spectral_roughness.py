@@ -8,8 +8,8 @@ from scipy import stats
 from test_wiener import DEFENDER, drive
 
 from estimators.roughness.spectral import class_probabilities, classify_record
-from road_envs.analysis.roughness import CLASSES, band_means, displacement_psd, roughness_class
-from road_envs.data.record import PROFILE_SPACING
+from road_envs.records.record import PROFILE_SPACING
+from road_envs.records.roughness import CLASSES, band_means, displacement_psd, roughness_class
 
 
 @pytest.mark.parametrize(("road", "mode"), [("iso_b", "ride"), ("iso_d", "split")])

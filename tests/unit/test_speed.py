@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
-from road_envs.config import ConfigError
+from road_envs.core.config import ConfigError
 from road_envs.roads import load_road
 from road_envs.simulation.drive import APRON_LENGTH, DriveSimulator, simulate
 from road_envs.simulation.speed import SpeedProfile, constant_speed, speed_ramp, stop_and_go

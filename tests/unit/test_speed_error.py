@@ -13,7 +13,7 @@ from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.speed_error import distance_scale, estimate_speed_error
 from estimators.map_smoother.windows import whole_objective
 from road_envs.analysis.information_bound import RoadPrior
-from road_envs.data.recording import simulate_record
+from road_envs.drives.recording import simulate_record
 from road_envs.roads.iso8608 import Iso8608
 from road_envs.sensing.instruments import load_instruments
 

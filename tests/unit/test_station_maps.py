@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from road_envs.analysis.alignment import StationMap, map_stations
-from road_envs.data.record import PROFILE_SPACING, profile_stations
+from estimators.common.alignment import StationMap, map_stations
+from road_envs.records.record import PROFILE_SPACING, profile_stations
 from road_envs.roads import realise_road
 
 BAND = (0.2, 1.5)

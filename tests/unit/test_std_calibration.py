@@ -21,8 +21,8 @@ from estimators.networks.std_calibration import (
 )
 from leaderboard.evaluation import pretraining
 from leaderboard.metrics.heights import band_pass, scored_band
-from road_envs.data.record import PROFILE_SPACING
-from road_envs.data.training_corpus import Corpus
+from road_envs.drives.training_corpus import Corpus
+from road_envs.records.record import PROFILE_SPACING
 
 
 def conditions(rng: np.random.Generator, size: int = 1) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 import json
 
-from leaderboard.benchmarks.study import run_study, study_parser
+from studies.study import run_study, study_parser
 
 
 def test_results_that_are_kept_are_not_computed_again(tmp_path, capsys):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from road_envs.config import ConfigError
+from road_envs.core.config import ConfigError
 from road_envs.envs.road_recon import RoadReconEnv
 from road_envs.roads import load_road
 from road_envs.roads.surface import MAX_RISE, RISE_LENGTH, Surface

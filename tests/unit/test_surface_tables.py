@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from road_envs.config import ConfigError
+from road_envs.core.config import ConfigError
 from road_envs.roads import load_road
 from road_envs.roads.formats.opencrg import SurfaceFileError, parse
 from road_envs.roads.formats.table import parse_parquet

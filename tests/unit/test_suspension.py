@@ -7,8 +7,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from vehicle_fixtures import CARS, DEFENDER, PLANTS, VARIED, VARIED_PLANTS, strut_states
 
-from road_envs import config
-from road_envs.config import ConfigError
+from road_envs.core import config
+from road_envs.core.config import ConfigError
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import (
     DAMPING_HIGH,

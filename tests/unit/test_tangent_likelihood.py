@@ -27,7 +27,7 @@ from estimators.map_smoother.tangent_likelihood import (
 )
 from estimators.map_smoother.windows import initial_window_state, window_objective
 from road_envs.analysis.information_bound import RoadPrior
-from road_envs.data.recording import simulate_record
+from road_envs.drives.recording import simulate_record
 from road_envs.roads.iso8608 import Iso8608
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.tolerances import ParameterSpace, parameter_space

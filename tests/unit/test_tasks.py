@@ -12,11 +12,11 @@ from leaderboard.evaluation import tasks, test_data
 from leaderboard.evaluation.surface_tasks import surface_class
 from leaderboard.evaluation.tasks import Condition, load_task, shipped_tasks
 from leaderboard.evaluation.test_data import simulate_drives
-from road_envs.config import ConfigError, folder, names
-from road_envs.data.record import profile_stations
-from road_envs.data.recording import simulate_record
+from road_envs.core.config import ConfigError, folder, names
+from road_envs.drives.recording import simulate_record
+from road_envs.records.record import profile_stations
 from road_envs.roads import KINDS, load_road
-from road_envs.vehicle.perturbed_vehicle import load_plant_mismatch
+from road_envs.sensing.perturbed_vehicle import load_plant_mismatch
 
 DRIVES = {"roads": ["iso_d"], "seeds": [1, 2]}
 

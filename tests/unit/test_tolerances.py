@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from vehicle_fixtures import DEFENDER
 
-from road_envs import config
-from road_envs.config import ConfigError
+from road_envs.core import config
+from road_envs.core.config import ConfigError
+from road_envs.sensing.perturbed_vehicle import load_plant_mismatch, perturb_vehicle
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.linear_model import gaussian_damping
 from road_envs.vehicle.parameters import BendingMode, Tolerance, TorsionalFrame, load_vehicle
-from road_envs.vehicle.perturbed_vehicle import load_plant_mismatch, perturb_vehicle
 from road_envs.vehicle.tolerances import parameter_space, scale_parameters
 
 SPACE, FLEXIBLE = parameter_space(DEFENDER), parameter_space(DEFENDER, structure=True)

@@ -10,11 +10,11 @@ from gymnasium.vector import AutoresetMode
 from vector_checker import VectorCheckError, check_vector_env
 
 import road_envs
-from road_envs.config import ConfigError
+from road_envs.core.config import ConfigError
+from road_envs.envs.instrumented_fleet import InstrumentedFleet
 from road_envs.envs.road_recon import RoadReconEnv
 from road_envs.envs.vector import RoadReconVectorEnv
-from road_envs.simulation.instrumented_fleet import InstrumentedFleet
-from road_envs.simulation.simd import LANES
+from road_envs.kernels.simd import LANES
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.parameters import TorsionalFrame, VehicleVariation
 

@@ -11,8 +11,8 @@ from estimators.common.spatial_signals import SpatialSignals
 from estimators.common.training_data import training_example
 from estimators.common.vehicle_correction import NOTE, Prediction, fit_corrections
 from leaderboard.metrics.heights import nrmse
-from road_envs.data.record import Profile, Record, scored_band
-from road_envs.data.recording import simulate_record
+from road_envs.drives.recording import simulate_record
+from road_envs.records.record import Profile, Record, scored_band
 from road_envs.roads import realise_road
 from road_envs.vehicle.parameters import load_vehicle
 

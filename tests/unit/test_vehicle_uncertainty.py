@@ -8,15 +8,15 @@ from test_map_smoother import drive_record, objective_of, perturb
 from vehicle_fixtures import DEFENDER
 
 from estimators.api import copy_with
-from estimators.common.identified_vehicle import IdentifiedVehicle
 from estimators.map_smoother.car_fit import CarFit
 from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.gauss_newton import MapSolution
+from estimators.map_smoother.identified_vehicle import IdentifiedVehicle
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.vehicle_uncertainty import UNKNOWN_STD_INFLATION, VehicleUncertainty
 from leaderboard.metrics.heights import band_pass, uncertainty
-from road_envs.config import build
-from road_envs.data.record import PROFILE_SPACING, scored_band
+from road_envs.core.config import build
+from road_envs.records.record import PROFILE_SPACING, scored_band
 from road_envs.vehicle.parameters import Tolerance
 from road_envs.vehicle.tolerances import parameter_space
 

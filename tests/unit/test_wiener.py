@@ -28,14 +28,14 @@ from estimators.wiener.spectral_model import (
 from leaderboard.metrics.heights import band_pass, nrmse
 from road_envs.analysis.information_bound import RoadPrior, bound
 from road_envs.analysis.statistical_linearization import NonlinearResidual
-from road_envs.config import ConfigError
-from road_envs.data.record import PROFILE_SPACING, profile_stations, scored_band
-from road_envs.data.recording import simulate_record
+from road_envs.core.config import ConfigError
+from road_envs.drives.recording import simulate_record
+from road_envs.records.record import PROFILE_SPACING, profile_stations, scored_band
 from road_envs.roads import load_road, with_length
 from road_envs.roads.surface import Surface, enveloped
 from road_envs.sensing.instruments import load_instruments
+from road_envs.sensing.perturbed_vehicle import perturb_vehicle
 from road_envs.vehicle.force_curves import Curve
-from road_envs.vehicle.perturbed_vehicle import perturb_vehicle
 from road_envs.vehicle.struts import ModeCurves
 
 PAPER = load_instruments("paper")

@@ -13,7 +13,7 @@ from estimators.wiener.adaptation import fisher_scoring, responses
 from estimators.wiener.iteration import Iterate
 from estimators.wiener.spectral_model import SensedVehicle, build_model
 from road_envs.analysis.information_bound import equivalent_damping
-from road_envs.data.recording import simulate_record
+from road_envs.drives.recording import simulate_record
 from road_envs.vehicle.linear_model import frequency_response, linearise
 from road_envs.vehicle.tolerances import parameter_space
 

@@ -23,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
-from road_envs.data.logger_tables.units import FACTORS, normalise
+from road_envs.records.units import FACTORS, normalise
 from road_envs.roads.formats.opencrg import (
     MAX_LENGTH,
     SurfaceFileError,

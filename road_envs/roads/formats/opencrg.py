@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from road_envs.config import ConfigError
+from road_envs.core.config import ConfigError
 
 RECORD = 80
 """Characters or bytes of one record."""

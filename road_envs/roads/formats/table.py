@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from road_envs._extras import optional_import
-from road_envs._reading import MAX_COMPRESSION
-from road_envs.config import ConfigError
-from road_envs.data.logger_tables import units
+from road_envs.core.config import ConfigError
+from road_envs.core.extras import optional_import
+from road_envs.core.reading import MAX_COMPRESSION
+from road_envs.records import units
 from road_envs.roads.formats.opencrg import MAX_LENGTH, SurfaceFileError, checked_heights
 
 EVEN_TOLERANCE = 1e-3

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from road_envs._atomic_io import atomic_write, write_text
-from road_envs._extras import optional_import
-from road_envs.analysis.roughness import TRACK
-from road_envs.config import ConfigError
+from road_envs.core.atomic_io import atomic_write, write_text
+from road_envs.core.config import ConfigError
+from road_envs.core.extras import optional_import
+from road_envs.records.roughness import TRACK
 from road_envs.roads.formats.opencrg import RECORD, WIDTHS
 from road_envs.roads.surface import Surface
 

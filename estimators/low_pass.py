@@ -1,0 +1,106 @@
+"""Records whose accelerations were low-passed before they came here.
+
+Such a filter weakens signal and noise alike. Up to its bandwidth it is undone, which leaves signals
+and white noise as they were sampled; above, nothing is known. An estimator that took the silence
+there for a measurement would look for a vehicle that explains it.
+
+A filter that the record does not name is noticed where the accelerations end: within an octave
+below MAX_CORNER they fall by FALL or more, which neither vehicle nor road do, to less than SILENCE
+of the noise of the instruments. It is taken for the Butterworth filter without phase behind which
+the spectrum follows a power law best.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+from scipy.ndimage import binary_dilation
+from scipy.signal import welch
+
+from road_envs.records.record import LowPass, Record
+
+TAPER = 1.2
+"""Frequency at which the spectrum of filtered accelerations ends, over the bandwidth."""
+
+GAP_REACH, END_REACH = 2.0, 5.0
+"""Periods of the cut-off around a gap and at the ends of a record in which what is not measured
+exceeds the noise: a gap is bridged, and beyond the ends the signals are guessed."""
+
+FALL, SILENCE = 1e-3, 1e-2
+"""Ratio of the power densities at both ends of an octave, and share of the noise's."""
+
+MIN_CORNER, MAX_CORNER = 10.0, 100.0
+"""Range of the corner [Hz] of a filter that is not named; estimators use no more."""
+
+ORDERS, CORNER_RATIOS = (3, 4, 5, 6, 8, 10), np.geomspace(0.8, 1.4, 60)
+"""Orders that are tried, and corners over the frequency at which the fall begins."""
+
+WELCH_SECONDS = 0.5
+"""Length [s] of the periodograms: their lines are 2 Hz apart."""
+
+
+def undo_low_pass(
+    record: Record, valid: np.ndarray, noise_density: float = 0.0
+) -> tuple[Record, np.ndarray, tuple[str, ...]]:
+    """Return a record whose accelerations are as sampled up to its bandwidth, which samples of them
+    are `valid` (k, N), and notes.
+
+    Its low-pass is then one without an order. `noise_density` [(m/s²)/sqrt(Hz)] of the
+    accelerometers, by which a filter that the record does not name is noticed; 0: it is not.
+    """
+    fs, low_pass, a = record.fs, record.low_pass, bridge(record.a)
+    named = low_pass is not None
+    if not named and noise_density > 0.0:
+        low_pass = find_low_pass(a, fs, noise_density)
+    if low_pass is None or low_pass.order is None or low_pass.bandwidth >= 0.5 * fs:
+        return record, valid, ()
+    gap, reach = (int(np.ceil(x * fs / low_pass.f_c)) for x in (GAP_REACH, END_REACH))
+    reach = min(reach, a.shape[1] // 4)
+    end = low_pass.bandwidth
+    padded = np.pad(a, ((0, 0), (reach, reach)), mode="reflect", reflect_type="odd")
+    size = next_fast_len(padded.shape[1], real=True)
+    f = rfftfreq(size, 1.0 / fs)
+    taper = np.clip((TAPER - f / end) / (TAPER - 1.0), 0.0, 1.0)
+    inverse = np.sin(0.5 * np.pi * taper) ** 2 / np.maximum(low_pass.gain(f, fs), 1e-6)
+    # the beginning is that of the padded signal's end on the circle: both are level
+    undone = irfft(inverse * rfft(padded, size), size)[:, reach : reach + a.shape[1]]
+    near = binary_dilation(~valid, np.ones((1, 2 * gap + 1)))
+    near[:, :reach] = near[:, -reach:] = True
+    undone[np.isnan(record.a)] = np.nan
+    guess = "" if named else f", as it seems with order {low_pass.order}"
+    note = (
+        f"the accelerations were low-passed at {low_pass.f_c:.3g} Hz{guess}: the filter is undone "
+        f"up to {end:.0f} Hz, and nothing above is used"
+    )
+    return replace(record, a=undone, low_pass=LowPass(end, None)), valid & ~near, (note,)
+
+
+def bridge(a: np.ndarray) -> np.ndarray:
+    """Return signals (k, N), interpolated where they are not finite; 0 if none is."""
+    t, good = np.arange(a.shape[1]), np.isfinite(a)
+    pairs = zip(a, good, strict=True)
+    return np.array([np.interp(t, t[g], x[g]) if g.any() else np.zeros(t.size) for x, g in pairs])
+
+
+def find_low_pass(a: np.ndarray, fs: float, noise_density: float) -> LowPass | None:
+    """Return the low-pass that accelerations (k, N) seem to have passed, None if they have not."""
+    size = min(round(WELCH_SECONDS * fs), a.shape[1])
+    f, S = welch(a, fs, window="blackmanharris", nperseg=size, axis=1)
+    used = (f >= MIN_CORNER) & (f <= 0.4 * fs)
+    f, S = f[used], S[:, used].max(axis=0)
+    above = np.maximum.accumulate(S[::-1])[::-1]  # greatest density from each frequency on
+    low = f <= min(MAX_CORNER, 0.5 * f[-1])
+    silent = np.interp(2.0 * f[low], f, above)
+    found = np.flatnonzero((silent < FALL * S[low]) & (silent < SILENCE * noise_density**2))
+    if not found.size:
+        return None
+    begin = f[found[0]]
+    near = (f >= 0.5 * begin) & (f <= 2.0 * begin)
+    power_law = np.stack([np.ones(near.sum()), np.log(f[near])], axis=1)
+
+    def misfit(low_pass: LowPass) -> float:
+        log = np.log(S[near]) - 2.0 * np.log(low_pass.gain(f[near], fs))
+        line = np.linalg.lstsq(power_law, log, rcond=None)[0]
+        return float(np.sum((log - power_law @ line) ** 2))
+
+    return min((LowPass(float(r * begin), m) for m in ORDERS for r in CORNER_RATIOS), key=misfit)

@@ -1,0 +1,150 @@
+"""Calibration of the estimators that have a model of the vehicle: they all identify it alike.
+
+The drives of one vehicle identify its parameters, and over a measured road the gains of its sensors
+and the displacement of its odometer too (`estimators.map_smoother.identification`). What was
+identified is remembered in the user's cache, since several estimators are often calibrated with the
+same drives.
+"""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field, fields, replace
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+
+from estimators.api import CalibrationDrive, CalibrationError, copy_with
+from road_envs.core.atomic_io import write_text
+from road_envs.core.code_digest import cache_home, closure, digest
+from road_envs.core.config import ConfigError, Settings, build
+from road_envs.records.accelerometers import to_plain
+from road_envs.records.record import Record
+from road_envs.vehicle.parameters import VehicleParameters
+
+if TYPE_CHECKING:
+    from estimators.map_smoother.identification import IdentificationResult
+    from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
+
+IDENTIFICATION = "estimators.map_smoother.identification"
+"""Module that identifies vehicles; imported when it is needed, since estimators import this one."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class IdentifiedVehicle:
+    """A vehicle with its instruments: `gain` of each accelerometer, and `displacement` [m] that its
+    odometer lacks; `covariance` as in `VehicleUncertainty`, of the parameters that have tolerances.
+    """
+
+    car: VehicleParameters
+    gain: tuple[float, ...] = (1.0, 1.0, 1.0)
+    displacement: float = 0.0
+    covariance: tuple[tuple[float, ...], ...] = ()
+
+    @classmethod
+    def of(cls, result: "IdentificationResult") -> Self:
+        """Return what an identification has found."""
+        return cls(
+            car=result.car,
+            gain=result.sensor_gains,
+            displacement=result.displacement,
+            covariance=tuple(map(tuple, result.uncertainty.covariance.tolist())),
+        )
+
+    @property
+    def uncertainty(self) -> "VehicleUncertainty | None":
+        """Uncertainty of the vehicle, None if nothing is said about it."""
+        from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
+
+        if not self.covariance:
+            return None
+        return VehicleUncertainty(self.car, tuple(self.car.tolerances), np.array(self.covariance))
+
+    def correct(self, record: Record) -> Record:
+        """Return the record without these errors of the instruments. Raises CalibrationError."""
+        if len(record.a) != len(self.gain):
+            raise CalibrationError(
+                f"calibrated with {len(self.gain)} accelerometers, and the record has "
+                f"{len(record.a)}: calibrate with the same"
+            )
+        a = record.a / np.array(self.gain)[:, None]
+        return replace(record, a=a, s=record.s + self.displacement)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibratedByIdentification(Settings):
+    """Part of an estimator with a model of the vehicle, that of `instruments`: `calibrate`."""
+
+    instruments: str = "paper"
+    identified: IdentifiedVehicle | None = field(
+        default=None, init=False, repr=False, compare=False
+    )
+
+    def calibrate(self, drives: Sequence[CalibrationDrive], car: VehicleParameters) -> Self:
+        """Return a copy for the vehicle of these drives. Raises CalibrationError, ConfigError."""
+        return copy_with(self, identified=identify_once(drives, car, self.instruments))
+
+    def as_identified(
+        self, record: Record, car: VehicleParameters
+    ) -> tuple[Record, VehicleParameters]:
+        """Return record and vehicle as identified; as they are without calibration."""
+        known = self.identified
+        return (record, car) if known is None else (known.correct(record), known.car)
+
+
+def identify_once(
+    drives: Sequence[CalibrationDrive], car: VehicleParameters, instruments: str
+) -> IdentifiedVehicle:
+    """Identify a vehicle, or return what was identified from the same drives before.
+
+    Raises CalibrationError, ConfigError.
+    """
+    path = cache_home() / "identified" / f"{_drives_digest(drives, car, instruments)}.json"
+    with suppress(OSError, ValueError, ConfigError):
+        return build(IdentifiedVehicle, json.loads(path.read_text(encoding="utf-8")), str(path))
+    found = _identify(drives, car, instruments)
+    with suppress(OSError):  # a cache that cannot be written is no reason to fail
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_text(path, json.dumps(asdict(found)))
+    return found
+
+
+def _identify(
+    drives: Sequence[CalibrationDrive], car: VehicleParameters, instruments: str
+) -> IdentifiedVehicle:
+    from estimators.map_smoother.estimator import MapSmoother
+    from estimators.map_smoother.identification import identify
+
+    smoother = MapSmoother(adapt=False, instruments=instruments)
+    try:
+        result = identify(drives, car, smoother, structure=None)
+    except ArithmeticError as error:
+        raise CalibrationError(f"the vehicle cannot be identified: {error}") from error
+    return IdentifiedVehicle.of(result)
+
+
+def _drives_digest(
+    drives: Sequence[CalibrationDrive], car: VehicleParameters, instruments: str
+) -> str:
+    """Return a digest of all that an identification depends on, its code included."""
+    total = hashlib.sha256(json.dumps([asdict(car), instruments, _code()]).encode())
+    if Path(instruments).is_file():
+        total.update(Path(instruments).read_bytes())
+    for drive in drives:
+        record, profile = drive.record, drive.profile
+        total.update(json.dumps([to_plain(record.sensors), record.low_pass]).encode())
+        signals = [f.name for f in fields(record) if f.name not in ("sensors", "low_pass")]
+        arrays = [getattr(record, name) for name in signals]
+        arrays += [] if profile is None else [profile.s, profile.z, drive.survey_std]
+        for array in map(np.asarray, arrays):
+            total.update(f"{array.dtype} {array.shape}".encode())
+            total.update(np.ascontiguousarray(array).tobytes())
+    return total.hexdigest()[:32]
+
+
+@cache
+def _code() -> str:
+    return digest(closure(IDENTIFICATION))

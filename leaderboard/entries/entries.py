@@ -1,0 +1,173 @@
+"""Entries from the names of estimators, with the settings and versions that identify them.
+
+Estimators of this package are constructed here. An entry from outside (a wheel, a folder, a file, a
+class of another package) is not loaded by the evaluation: a guest describes it, and of that only
+settings, causality and lag are used.
+"""
+
+import hashlib
+import itertools
+import json
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+import estimators
+from estimators import pretrained_weights
+from estimators.api import Estimator, Pretrained, Trainable, declared_lag, refits_per_case
+from leaderboard.entries import entry_files
+from leaderboard.entries.code_version import module_version
+from leaderboard.entries.entry import BUILTIN, Entry, EntryError, get_settings, needs_training
+
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,39}")
+"""Pattern of the name of a row. It is part of the names of files and of addresses of pages."""
+
+RESERVED = frozenset(
+    {
+        *estimators.REGISTRY,
+        BUILTIN,
+        "bound",
+        "attainable",
+        "truth",
+        "truth_plus_noise",
+        "memory",
+        "index",
+    }
+)
+"""Names of rows and pages that an entry from outside cannot have, in lower case."""
+
+
+class SupportsDescribe(Protocol):
+    """Describes estimators that this process does not load, such as `SandboxClient`."""
+
+    def describe(self, reference: str) -> dict[str, Any]: ...
+
+
+def describe(reference: str, estimator: Estimator) -> dict[str, Any]:
+    """Return settings, causality, lag [m] and version of an estimator, as JSON types."""
+    return {
+        "settings": json.loads(json.dumps(get_settings(estimator), default=str)),
+        "causal": estimator.causal,
+        "lag": declared_lag(estimator),
+        "code": _code_of(reference, estimator),
+    }
+
+
+def _code_of(reference: str, estimator: Estimator) -> str:
+    if not entry_files.is_ours(reference):
+        return entry_files.snapshot(reference, None)
+    code, weights = module_version(type(estimator).__module__), _included_weights(estimator)
+    return code if weights is None else f"{code}+{_arrays_digest(weights)}"
+
+
+def make_entry(name: str, estimator: Estimator | None) -> Entry:
+    """Return the entry of an estimator of this process; None is made by the evaluation."""
+    if estimator is None:
+        return Entry(name=name, reference=BUILTIN)
+    cls: Any = type(estimator)
+    registered = next((key for key, known in estimators.REGISTRY.items() if known is cls), None)
+    reference = registered or f"{cls.__module__}:{cls.__qualname__}"
+    return Entry(name=name, reference=reference, **describe(reference, estimator))
+
+
+def resolve_entries(names: Sequence[str], describer: SupportsDescribe | None) -> list[Entry]:
+    """Return entries by registered name, "module:Class", or path of a wheel, folder or .npz.
+
+    Entries from outside this package need a `describer`. One that cannot be constructed, or whose
+    name is not allowed or taken, gives an entry with a failure, so that every entry has its row.
+    Raises ConfigError for an unknown name.
+    """
+    references = [entry_files.find_reference(name) for name in names]
+    entries: list[Entry] = []
+    for name, reference in zip(names, references, strict=True):
+        if name in estimators.REGISTRY or describer is None:
+            entries.append(make_entry(name, estimators.create(name)))
+        else:
+            taken = {entry.name.lower() for entry in entries}
+            entries.append(_outside_entry(name, reference, taken, describer))
+    return entries
+
+
+def registered_entry(name: str, each_case: bool) -> Entry | None:
+    """Return the entry of an estimator of this package as it is now; None for any other name."""
+    if name not in estimators.REGISTRY:
+        return None
+    entry = make_entry(name, estimators.create(name))
+    return entry_refit_per_case(entry) if each_case else entry
+
+
+def entry_refit_per_case(entry: Entry) -> Entry:
+    """Return the entry for tasks whose protocol trains on each case separately.
+
+    An estimator that can be fitted to a case in seconds is used without its pretrained weights.
+    """
+    if entry.failure is not None or entry.reference not in estimators.REGISTRY:
+        return entry
+    if not refits_per_case(estimators.create(entry.reference, **entry.settings)):
+        return entry
+    settings = {**entry.settings, "shipped": False}
+    return make_entry(entry.name, estimators.create(entry.reference, **settings))
+
+
+def _outside_entry(
+    given: str, reference: str, taken: set[str], describer: SupportsDescribe
+) -> Entry:
+    try:
+        known = describer.describe(reference)
+    except EntryError as error:
+        name = _free_name(_name_of(given), taken)
+        return Entry(name=name, reference=reference, failure=str(error))
+    name = known.pop("name", None) or _name_of(given)
+    if not NAME.fullmatch(name):
+        reason = "a name has up to 40 letters, digits, _ and -, and begins with a letter"
+    elif name.lower() in RESERVED:
+        reason = f"the name {name} is reserved"
+    elif name.lower() in taken:
+        reason = f"another entry has the name {name}"
+    else:
+        return Entry(name=name, reference=reference, **known)
+    return Entry(
+        name=_free_name(_name_of(given), taken),
+        reference=reference,
+        failure=f"its entry cannot be named so: {reason}",
+    )
+
+
+def _name_of(given: str) -> str:
+    """Return the name of an entry that has been given as a path, "module:Class" or name."""
+    is_class = entry_files.CLASS_REFERENCE.fullmatch(given)
+    path = Path(given)
+    if is_class:
+        return given.rpartition(":")[2].rpartition(".")[2]
+    return path.name.partition("-")[0] if path.suffix == ".whl" else path.stem
+
+
+def _free_name(name: str, taken: set[str]) -> str:
+    """Return an allowed name like `name` that is neither reserved nor taken."""
+    name = re.sub(r"[^A-Za-z0-9_-]", "_", name)[:30]
+    name = name if NAME.fullmatch(name) else f"entry_{name}"
+    choices = itertools.chain([name], (f"{name}_{k}" for k in itertools.count(2)))
+    return next(x for x in choices if x.lower() not in taken | RESERVED)
+
+
+def _included_weights(estimator: Any) -> Mapping[str, np.ndarray] | None:
+    """Return the weights that an estimator already has; None if it has none or will be trained."""
+    if not isinstance(estimator, Trainable):
+        return None
+    if isinstance(estimator, Pretrained) and estimator.name in estimators.REGISTRY:
+        if estimator.fitted_state is None and estimator == estimators.create(estimator.name):
+            # read from the file of the package: no network has to be built for it
+            return pretrained_weights.load_pretrained(estimator.name)
+    return None if needs_training(estimator) else estimator.weights()
+
+
+def _arrays_digest(arrays: Mapping[str, np.ndarray]) -> str:
+    total = hashlib.sha256()
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        total.update(f"{name} {array.dtype} {array.shape}".encode())
+        total.update(array.tobytes())
+    return total.hexdigest()[:16]

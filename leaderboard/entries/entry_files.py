@@ -1,0 +1,110 @@
+"""Code of entries from outside this package: found, copied and hashed, never imported.
+
+An entry is run from a snapshot, and its version is the digest of that snapshot, so what was hashed
+is what runs. Links are not followed, and only regular files count.
+"""
+
+import hashlib
+import importlib.util
+import os
+import re
+from collections.abc import Iterator
+from importlib import metadata
+from pathlib import Path
+
+import estimators
+from leaderboard.entries.entry import EntryError
+from road_envs.core.code_digest import DIGITS, PACKAGES
+from road_envs.core.config import ConfigError, validate_choice
+
+WEIGHTS_SUFFIXES = (".npz", ".safetensors")
+MAX_FILES, MAX_SIZE, MAX_DEPTH = 20_000, 2**31, 32
+"""Limits of a snapshot: number of files, their size [bytes] together, depth of folders."""
+
+CLASS_REFERENCE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
+"""Pattern of a reference to a class of an importable module, "module:Class"."""
+
+
+def is_ours(reference: str) -> bool:
+    """Return whether a reference names an estimator of this package."""
+    return reference in estimators.REGISTRY or (
+        CLASS_REFERENCE.fullmatch(reference) is not None
+        and reference.partition(":")[0].partition(".")[0] in PACKAGES
+    )
+
+
+def find_reference(name: str) -> str:
+    """Return the reference of what a user has named: a path, "module:Class" or an installed name.
+
+    Raises ConfigError for a file that does not exist and for an unknown name.
+    """
+    path = Path(name)
+    if path.suffix in (*WEIGHTS_SUFFIXES, ".whl") or os.sep in name:
+        if not path.exists():
+            choices = "a wheel, a folder of an installed package, or a file from `train`"
+            raise ConfigError(f"{name}: no such file; give {choices}")
+        return str(path.resolve())
+    if CLASS_REFERENCE.fullmatch(name):
+        return name
+    validate_choice("estimator", name, estimators.names())
+    if name in estimators.REGISTRY:
+        return name
+    plugins = metadata.entry_points(group=estimators.ENTRY_POINT_GROUP)
+    return next(entry.value for entry in plugins if entry.name == name)
+
+
+def snapshot(reference: str, folder: Path | None) -> str:
+    """Copy the code of an entry into the new `folder`, if any, and return its digest.
+
+    Raises EntryError.
+    """
+    total = hashlib.sha256()
+    count = size = 0
+    try:
+        for source, name in list_files(reference):
+            count += 1
+            size += source.stat().st_size
+            if count > MAX_FILES or size > MAX_SIZE:
+                raise EntryError(
+                    f"its code has more than {MAX_FILES} files or {MAX_SIZE >> 30} GiB"
+                )
+            content = source.read_bytes()
+            if folder is not None:
+                (folder / name).parent.mkdir(parents=True, exist_ok=True)
+                (folder / name).write_bytes(content)
+            total.update(f"{name} {hashlib.sha256(content).hexdigest()}\n".encode())
+    except (OSError, ValueError) as error:
+        raise EntryError(f"its code cannot be read: {error}"[:300]) from None
+    return total.hexdigest()[:DIGITS]
+
+
+def list_files(reference: str) -> Iterator[tuple[Path, str]]:
+    """Yield the files of an entry with their names in the snapshot, in order. Raises EntryError."""
+    if not CLASS_REFERENCE.fullmatch(reference):
+        path = Path(reference)
+        yield from _walk(path, "") if path.is_dir() else [(path, path.name)]
+        return
+    top = reference.partition(":")[0].partition(".")[0]
+    spec = importlib.util.find_spec(top)
+    folders = [Path(x) for x in (spec.submodule_search_locations or ())] if spec else []
+    if not folders and (spec is None or spec.origin is None or not Path(spec.origin).is_file()):
+        raise EntryError(f"cannot be constructed: there is no module {top!r}")
+    if not folders:
+        assert spec is not None and spec.origin is not None
+        yield Path(spec.origin), Path(spec.origin).name
+    for folder in folders:
+        yield from _walk(folder, f"{top}/")
+
+
+def _walk(root: Path, prefix: str) -> Iterator[tuple[Path, str]]:
+    """Yield the regular files below a folder, without bytecode; links are left out."""
+    left = [(root, prefix, 0)]
+    while left:
+        folder, prefix, depth = left.pop()
+        if depth > MAX_DEPTH:
+            raise EntryError(f"its folders are nested more than {MAX_DEPTH} deep")
+        for entry in sorted(os.scandir(folder), key=lambda entry: entry.name):
+            if entry.is_dir(follow_symlinks=False) and entry.name != "__pycache__":
+                left.append((Path(entry.path), f"{prefix}{entry.name}/", depth + 1))
+            elif entry.is_file(follow_symlinks=False):
+                yield Path(entry.path), prefix + entry.name

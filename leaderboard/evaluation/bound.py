@@ -1,0 +1,88 @@
+"""Lower bound on the NRMSE of a drive, given the task's instruments and the road driven.
+
+The bound (`road_envs.analysis.information_bound`) holds for linear estimators that know the nominal
+car and its instruments, on a Gaussian road with the spectrum of the realised one: a line fitted to
+its density inside the scored band, rounded to 1 dB and to 0.1 in waviness. Nonlinear estimators,
+and roads that are not Gaussian (such as single obstacles), may do better than the bound.
+"""
+
+import json
+from functools import lru_cache
+
+import numpy as np
+
+from leaderboard.evaluation.tasks import Condition, Task
+from leaderboard.metrics.roughness import THIRD_OCTAVES
+from road_envs.analysis.information_bound import RoadPrior, bound
+from road_envs.records.record import Profile, scored_band
+from road_envs.records.roughness import CLASSES, displacement_psd, fit_line, smooth_psd
+from road_envs.sensing.instruments import load_instruments
+from road_envs.vehicle.parameters import load_vehicle
+
+N_FREQUENCIES = 1001
+"""Frequencies over the scored band: enough for three digits of the bound."""
+
+WAVINESS_LIMITS = (1.0, 4.0)
+"""Limits of the waviness fitted to a density."""
+
+
+def nrmse_bound(task: Task, condition: Condition, truth: Profile) -> float:
+    """Return the least in-band NRMSE [-] on a road like `truth`; NaN on a level road."""
+    v = condition.speed_kmh / 3.6
+    road = fit_spectrum(truth, scored_band(v))
+    if road is None:
+        return np.nan
+    return pooled_bound(task.car, task.instruments, condition.simulator_mode, v, *road)
+
+
+def third_octave_bound(task: Task, condition: Condition) -> list[float]:
+    """Return the least NRMSE [-] in each of THIRD_OCTAVES on an ISO road (w = 2) of class D."""
+    v, edge = condition.speed_kmh / 3.6, 2.0 ** (1 / 6)  # half a third octave
+    car, instruments = load_vehicle(task.car), load_instruments(task.instruments)
+    n = np.geomspace(THIRD_OCTAVES[0] / edge, THIRD_OCTAVES[-1] * edge, 15 * 60)
+    prior = RoadPrior(G_d0=CLASSES["D"])
+    posterior = bound(car, condition.simulator_mode, v, instruments, prior, n=n)
+    errors = []
+    for centre in THIRD_OCTAVES:
+        inside = (n >= centre / edge) & (n < centre * edge)
+        wrong = np.trapezoid(posterior.path_psd[inside].sum(axis=1), n[inside])
+        road = np.real(np.trace(posterior.prior[inside], axis1=1, axis2=2))
+        errors.append(float(np.sqrt(wrong / np.trapezoid(road, n[inside]))))
+    return errors
+
+
+def fit_spectrum(truth: Profile, band: tuple[float, float]) -> tuple[float, float] | None:
+    """Fit level [dB re 1 m³ at n0] and waviness of a road inside `band`; None on a level road.
+
+    Both are rounded, to 1 dB and to 0.1.
+    """
+    n, G = smooth_psd(*displacement_psd(truth.z, truth.ds))
+    G = G.mean(axis=0)
+    inside = (n >= band[0]) & (n <= band[1]) & (G > 0.0)
+    if inside.sum() < 2:
+        return None
+    _, w = fit_line(n, G, band=band)
+    w = round(float(np.clip(w, *WAVINESS_LIMITS)), 1)
+    level, _ = fit_line(n, G, w=w, band=band)  # refit the level to the rounded waviness
+    return round(10.0 * np.log10(level)), w
+
+
+def pooled_bound(
+    car: str, instruments: str, mode: str | dict[str, str], v: float, level: float, w: float
+) -> float:
+    """Return the least in-band NRMSE [-] at `v` [m/s] on a road of `level` [dB] and waviness `w`.
+
+    `level` and `w` are rounded as `fit_spectrum` returns them, so that results can be cached.
+    """
+    # the mode may be a dict, which a cache cannot hash
+    return _pooled_bound(car, instruments, json.dumps(mode), v, level, w)
+
+
+@lru_cache(maxsize=4096)
+def _pooled_bound(
+    car: str, instruments: str, command: str, v: float, level: float, w: float
+) -> float:
+    vehicle, prior = load_vehicle(car), RoadPrior(G_d0=10.0 ** (level / 10.0), w=w)
+    n = np.linspace(*scored_band(v), N_FREQUENCIES)
+    mode = json.loads(command)
+    return bound(vehicle, mode, v, load_instruments(instruments), prior, n=n).pooled

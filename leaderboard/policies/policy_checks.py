@@ -1,0 +1,200 @@
+"""Conformance checks of a switching policy, one sentence for each check.
+
+    runs           valid actions for every interval of a lane change on a rough road
+    actions        the action spaces "vehicle" and "axle"; the policy may refuse them
+    observations   without the groups "planar" and "struts"; the policy may refuse to
+    repeat         driven twice: the same actions
+    reset          a policy that has driven before acts like a new one
+    vehicles       a vehicle driven alone is commanded as among others
+    unchanged      the observations that it is given are left as they are
+    sensors        a dead and a saturated accelerometer
+    time, memory   the limits of a comparison
+
+The result of a check that does not apply or that is refused is neither passed nor failed. The
+policy runs in a process of its own that is given observations and nothing else: it cannot see the
+road ahead, later observations or its score.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from leaderboard.conformance.probes import CheckResult
+from leaderboard.policies.policy_process import POLICY_LIMITS, PolicyProcess
+from leaderboard.policies.scenarios import load_scenarios
+from leaderboard.sandbox.limits import Limits
+from road_envs.core.config import ConfigError
+from road_envs.envs.options import EnvSetup
+from road_envs.policies import create
+from road_envs.policies.api import PolicyContext, PolicyError, validate_actions
+from road_envs.policies.rollout import POLICY_SEED, roll_out
+
+OPTIONS: Mapping[str, Any] = {
+    "road": "iso_d",
+    "speed_kmh": 54.0,
+    "length": 60.0,
+    "control": "states",
+    "control_rate": 50.0,
+    "manoeuvre": {"kind": "lane_change", "offset": 2.0},
+    "observe": ["accelerations", "planar", "struts"],
+}
+SEEDS = range(4)
+"""Seeds of the roads, one for each vehicle."""
+
+REFUSALS = ("ConfigError", "ValueError", "NotImplementedError")
+"""Errors by which a policy may refuse an action space or an observation on purpose."""
+
+COMPARISON = "league"
+"""Scenarios for which the run time is predicted."""
+
+
+def check_policy(
+    reference: str, settings: Mapping[str, Any] | None = None, limits: Limits = POLICY_LIMITS
+) -> list[CheckResult]:
+    """Run all checks of the policy `reference`, as `make_policy` takes it.
+
+    Stops after the first check of a policy that does not run.
+    """
+    with PolicyProcess(reference, settings, limits) as policy:
+        try:
+            first = roll_out(policy, dict(OPTIONS), SEEDS)
+        except (PolicyError, ConfigError) as error:
+            return [CheckResult("runs", False, str(error))]
+        seconds = list(policy.act_seconds)
+        reward = {"own": first.returns.mean()}
+        for name in ("fixed_ride", "fixed_handling"):
+            reward[name] = roll_out(create(name), dict(OPTIONS), SEEDS).returns.mean()
+        results = [
+            CheckResult(
+                "runs",
+                True,
+                f"{len(SEEDS)} lane changes on class D, in a process of its own: return "
+                f"{reward['own']:.2f}, always ride {reward['fixed_ride']:.2f}, always handling "
+                f"{reward['fixed_handling']:.2f}",
+            ),
+            _attempt("actions", lambda: _action_spaces(policy), policy),
+            _attempt("observations", lambda: _fewer_observations(policy), policy),
+            _attempt("repeat", lambda: _repeat(reference, settings, limits, first.actions), policy),
+            _attempt("reset", lambda: _reset(policy, first.actions), policy),
+            _attempt("vehicles", lambda: _alone(policy, first.actions), policy),
+            _attempt("unchanged", lambda: _unchanged(policy), policy),
+            _attempt("sensors", lambda: _damaged_sensors(policy, first.observations), policy),
+        ]
+        return [*results, *_costs(limits, seconds, policy.peak_memory)]
+
+
+Verdict = tuple[bool | None, str]
+
+
+def _attempt(name: str, check: Callable[[], Verdict], policy: PolicyProcess) -> CheckResult:
+    try:
+        passed, message = check()
+    except (PolicyError, ConfigError) as error:
+        passed, message = False, str(error)
+        policy.close()  # the next check begins with a new process
+    return CheckResult(name, passed, message)
+
+
+def _with_refusals(attempts: Mapping[str, Callable[[], object]]) -> Verdict:
+    """Run attempts by description; a refusal by an error of REFUSALS is noted, not failed."""
+    refused = []
+    for what, attempt in attempts.items():
+        try:
+            attempt()
+        except PolicyError as error:
+            if not str(error).startswith(REFUSALS):
+                return False, f"{what}: {error}"
+            refused.append(f"{what} refused: {str(error).partition(': ')[2]}")
+    return (None, "; ".join(refused)) if refused else (True, f"{', '.join(attempts)}: valid")
+
+
+def _action_spaces(policy: PolicyProcess) -> Verdict:
+    return _with_refusals(
+        {c: lambda c=c: _short(policy, control=c) for c in ("vehicle", "axle")}  # type: ignore[misc]
+    )
+
+
+def _fewer_observations(policy: PolicyProcess) -> Verdict:
+    return _with_refusals(
+        {"accelerations alone": lambda: _short(policy, observe=["accelerations"])}
+    )
+
+
+def _short(policy: PolicyProcess, **changed: Any) -> None:
+    roll_out(policy, {**OPTIONS, "length": 10.0, **changed}, SEEDS[:2], store_observations=False)
+
+
+def _repeat(reference, settings, limits, actions: np.ndarray) -> Verdict:
+    with PolicyProcess(reference, settings, limits) as fresh:
+        return _compare(roll_out(fresh, dict(OPTIONS), SEEDS).actions, actions, "driven twice")
+
+
+def _reset(policy: PolicyProcess, actions: np.ndarray) -> Verdict:
+    again = roll_out(policy, dict(OPTIONS), SEEDS).actions
+    return _compare(again, actions, "after other drives")
+
+
+def _alone(policy: PolicyProcess, actions: np.ndarray) -> Verdict:
+    alone = roll_out(policy, dict(OPTIONS), SEEDS[:1]).actions
+    passed, message = _compare(alone[:, 0], actions[: len(alone), 0], "driven alone")
+    if passed:
+        return True, message
+    return None, f"{message}: a comparison depends on which roads are driven together"
+
+
+def _compare(found: np.ndarray, expected: np.ndarray, when: str) -> Verdict:
+    if found.shape != expected.shape:
+        return False, f"{when}: another number of intervals"
+    different = int(np.count_nonzero(found != expected))
+    return different == 0, f"{when}: {different} of {expected.size} actions differ"
+
+
+def _unchanged(policy: PolicyProcess) -> Verdict:
+    """Let the policy act once in a new episode, and compare the observations with before."""
+    setup, rng = EnvSetup({**OPTIONS, "truth": False}), np.random.default_rng(0)
+    observations = rng.standard_normal((2, setup.observation_space.shape[0])).astype(np.float32)
+    policy.reset(PolicyContext.from_setup(setup, 2, POLICY_SEED))
+    changed = policy.changes(observations)
+    return not changed, "the observations were changed in place" if changed else "not changed"
+
+
+def _damaged_sensors(policy: PolicyProcess, observations: np.ndarray) -> Verdict:
+    setup = EnvSetup({**OPTIONS, "truth": False})
+    context = PolicyContext.from_setup(setup, len(SEEDS), POLICY_SEED)
+    slices = setup.observation_slices
+    policy.reset(context)
+    for k, row in enumerate(observations[:50]):
+        damaged = row.copy()
+        damaged[:, slices["RF"]] = 0.0
+        damaged[:, slices["LR"]] = setup.instruments.range * (-1.0) ** k
+        validate_actions(policy.act(damaged), context)
+    return True, "one accelerometer dead, one saturated: valid actions"
+
+
+def _costs(limits: Limits, seconds: Sequence[float], memory: float) -> list[CheckResult]:
+    """Check time and memory against the limits, for the longest case of COMPARISON.
+
+    `seconds` are those of each call with the vehicles of SEEDS; the longest call, which may prepare
+    tables, counts once.
+    """
+    scenarios = load_scenarios(COMPARISON)
+    slowest = min(case.speed_kmh for case in scenarios.cases)
+    calls = scenarios.control_rate * scenarios.length / (slowest / 3.6)
+    once = max(seconds)
+    per_call = (sum(seconds) - once) / max(len(seconds) - 1, 1)
+    predicted = once + per_call * calls * scenarios.test.number / len(SEEDS)
+    return [
+        CheckResult(
+            "time",
+            predicted < limits.seconds,
+            f"{once:.2g} s once and {1e6 * per_call / len(SEEDS):.0f} µs per vehicle and "
+            f"interval: at most {predicted:.2g} s for a case of {COMPARISON}, the limit is "
+            f"{limits.seconds:g} s",
+        ),
+        CheckResult(
+            "memory",
+            memory < limits.memory,
+            f"peak {memory:.2f} GiB, the limit is {limits.memory:g} GiB",
+        ),
+    ]

@@ -1,0 +1,186 @@
+"""Digests of source code that change when the code does, and not with its comments or docstrings.
+
+A file counts by its syntax tree without docstrings. Which files belong together is found by
+following import statements. Both are remembered by the content of the file, so that a process
+that finds nothing changed parses nothing.
+"""
+
+import ast
+import hashlib
+import json
+import os
+import sys
+import tempfile
+from collections.abc import Iterable
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+from road_envs.core.atomic_io import write_text
+
+ROOT = Path(__file__).parents[2]
+"""Folder that holds the packages of this project."""
+
+PACKAGES = ("road_envs", "estimators", "leaderboard", "studies")
+
+DIGITS = 16
+"""Hex digits of a digest."""
+
+LARGEST_MEMORY = 1000
+"""Most files that are remembered from one process to the next."""
+
+
+class Source(NamedTuple):
+    """One Python file: digest of its code, and what it imports of this project.
+
+    `imports` holds "a" for `import a` and "a:b" for `from a import b`.
+    """
+
+    digest: str
+    imports: tuple[str, ...]
+
+    def files(self, root: Path) -> list[Path]:
+        """Files that it imports: of "a:b" the module a.b, or a where b is none."""
+        found = []
+        for name in self.imports:
+            module, _, inner = name.partition(":")
+            path = inner and find_source(f"{module}.{inner}", root)
+            found.append(path or find_source(module, root))
+        return [path for path in found if path]
+
+
+def cache_home() -> Path:
+    """Folder for what can be computed again: XDG_CACHE_HOME, ~/.cache or the temporary folder."""
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    try:
+        home.mkdir(parents=True, exist_ok=True)
+        usable = os.access(home, os.W_OK)
+    except OSError:
+        usable = False
+    return (home if usable else Path(tempfile.gettempdir())) / "road-recon"
+
+
+def code_digest(text: bytes) -> str:
+    """Digest of Python source without docstrings, comments and layout.
+
+    Raises SyntaxError if the text is no Python.
+    """
+    return _parse(text).digest
+
+
+@cache
+def closure(*modules: str, root: Path = ROOT) -> tuple[Path, ...]:
+    """Return the files of this project that `modules` reach by imports, their own among them."""
+    found: dict[Path, None] = {}
+    front = [path for module in modules if (path := find_source(module, root))]
+    while front:
+        path = front.pop()
+        if path not in found:
+            found[path] = None
+            front += _source(path).files(root)
+    _save_memory()
+    return tuple(found)
+
+
+def importers(folder: Path, module: str) -> list[Path]:
+    """Return the files below `folder` that import something from `module`."""
+    spelt = module.rpartition(".")[2].encode()  # most files need no parsing
+    paths = (path for path in sorted(folder.rglob("*.py")) if spelt in path.read_bytes())
+    return [
+        path
+        for path in paths
+        if any(name.partition(":")[0] == module for name in _source(path).imports)
+    ]
+
+
+def digest(paths: Iterable[Path], root: Path = ROOT) -> str:
+    """Return a digest of names and contents of files, in any order of `paths`.
+
+    Python files count by their code, others by every byte.
+    """
+    total = hashlib.sha256()
+    for path in sorted(set(paths)):
+        name = path.relative_to(root) if path.is_relative_to(root) else Path(path.name)
+        if path.suffix == ".py":
+            content = _source(path).digest
+        else:
+            content = hashlib.sha256(path.read_bytes()).hexdigest()
+        total.update(f"{name.as_posix()} {content}\n".encode())
+    _save_memory()
+    return total.hexdigest()[:DIGITS]
+
+
+@cache
+def find_source(module: str, root: Path = ROOT) -> Path | None:
+    """Return the file of a module of this project; None for any other module."""
+    if module.partition(".")[0] not in PACKAGES:
+        return None
+    path = root.joinpath(*module.split("."))
+    choices = (path.with_suffix(".py"), path / "__init__.py")
+    return next((choice for choice in choices if choice.is_file()), None)
+
+
+def _is_text(statement: ast.AST) -> bool:
+    """Return True for a bare string: a docstring of a module, class, function or name."""
+    return (
+        isinstance(statement, ast.Expr)
+        and isinstance(statement.value, ast.Constant)
+        and isinstance(statement.value.value, str)
+    )
+
+
+def _source(path: Path) -> Source:
+    """Digest and imports of a file, parsed only if its content was never met before."""
+    text = path.read_bytes()
+    key = hashlib.sha256(text).hexdigest()
+    known = _memory()
+    if key not in known:
+        try:
+            known[key] = _parse(text)
+        except SyntaxError:  # in somebody else's package; it counts by every byte
+            known[key] = Source(key[:DIGITS], ())
+        _parsed.append(key)
+    return known[key]
+
+
+def _parse(text: bytes) -> Source:
+    """Return digest and imports of this project's packages, wherever the statements stand."""
+    tree, names = ast.parse(text), dict[str, None]()
+    for node in ast.walk(tree):
+        body = getattr(node, "body", None)
+        if isinstance(body, list):
+            node.body = [s for s in body if not _is_text(s)] or [ast.Pass()]  # type: ignore[attr-defined]
+        if isinstance(node, ast.Import):
+            names.update(dict.fromkeys(alias.name for alias in node.names))
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            names.update(dict.fromkeys(f"{node.module}:{alias.name}" for alias in node.names))
+    own = (name for name in names if name.partition(":")[0].partition(".")[0] in PACKAGES)
+    return Source(hashlib.sha256(ast.dump(tree).encode()).hexdigest()[:DIGITS], tuple(own))
+
+
+_parsed: list[str] = []
+"""Contents that this process has parsed and not saved."""
+
+
+def _memory_file() -> Path:
+    return cache_home() / f"sources-{sys.version_info[0]}{sys.version_info[1]}.json"
+
+
+@cache
+def _memory() -> dict[str, Source]:
+    try:
+        stored = json.loads(_memory_file().read_text(encoding="utf-8"))
+        return {key: Source(value[0], tuple(value[1])) for key, value in stored.items()}
+    except (OSError, ValueError, TypeError, AttributeError, IndexError, KeyError):
+        return {}  # none there, or a damaged one: it is made again
+
+
+def _save_memory() -> None:
+    """Write what was parsed, whole or not at all; where that fails it is parsed again next time."""
+    if not _parsed:
+        return
+    _parsed.clear()
+    entries = dict(list(_memory().items())[-LARGEST_MEMORY:])
+    with suppress(OSError):
+        write_text(_memory_file(), json.dumps(entries))

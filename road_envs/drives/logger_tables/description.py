@@ -1,0 +1,113 @@
+"""Description of a drive: what the columns of a table mean, and what the table does not say."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import yaml
+from pydantic import TypeAdapter
+
+from road_envs.core.atomic_io import write_text
+from road_envs.core.config import ConfigError, Finite, Positive, Settings, build, read_yaml
+from road_envs.core.config import validate_choice as validate
+from road_envs.records import units
+from road_envs.records.accelerometers import Layout, column
+from road_envs.records.record import SENSORS
+
+
+class Quantity(NamedTuple):
+    """A quantity of a drive: its kind of unit (None: text) and other names of its column."""
+
+    kind: str | None
+    aliases: tuple[str, ...] = ()
+
+
+QUANTITIES = {
+    "t": Quantity("time", ("time", "timestamp", "datetime", "date_time", "timestamps")),
+    "v": Quantity("speed", ("speed", "velocity", "vehicle_speed", "gps_speed")),
+    "s": Quantity("distance", ("distance", "odometer", "chainage", "station")),
+    "lat": Quantity("angle", ("latitude", "gps_lat", "gps_latitude")),
+    "lon": Quantity("angle", ("lng", "long", "longitude", "gps_lon", "gps_longitude")),
+    "mode": Quantity(None),
+    "mode_front": Quantity(None),
+    "mode_rear": Quantity(None),
+}
+"""Signals that a table can hold beside its accelerations: time, speed, odometer, position (WGS 84),
+and state of the struts.
+"""
+
+PREFIX = column("")
+"""Beginning of the name of every acceleration."""
+
+
+def quantities(accelerometers: Iterable[str]) -> dict[str, Quantity]:
+    """Return the signals of a table with the accelerations of these accelerometers."""
+    return {column(name): Quantity("acceleration") for name in accelerometers} | QUANTITIES
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriveDescription(Settings):
+    """Meaning of the columns of a table, and values that hold for the whole drive.
+
+    The accelerations are `a_NAME` for each of the `accelerometers`, or of the instruments `sensors`
+    if none are described: by default a_rf, a_lr and a_rr on the body.
+    """
+
+    columns: Annotated[dict[str, str], "", "header of each quantity"] = field(default_factory=dict)
+    units: Annotated[dict[str, str], "", "unit of each quantity"] = field(default_factory=dict)
+    invert: Annotated[tuple[str, ...], "", "accelerations whose axis points down"] = ()
+    speed_kmh: Annotated[Positive | None, "km/h", "speed of the whole drive"] = None
+    mode: Annotated[str | dict[str, str] | None, "", "state of the struts"] = None
+    offset: Annotated[Finite | None, "m", "chainage of the front axle at the first sample"] = None
+    vehicle: Annotated[str | None, "", "vehicle: shipped name or YAML path"] = None
+    sensors: Annotated[str | None, "", "instruments: shipped name or YAML path"] = None
+    accelerometers: Annotated[
+        Layout | None, "", "places of the accelerometers by name, if not those of the instruments"
+    ] = None
+    low_pass: Annotated[
+        Positive | None, "Hz", "of the accelerations: Butterworth, order 4, forwards and backwards"
+    ] = None
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.accelerometers is not None or self.sensors is None:
+            self.check_names(self.accelerometers or SENSORS)
+        for quantity, unit in self.units.items():
+            kind = "acceleration" if quantity.startswith(PREFIX) else QUANTITIES[quantity].kind
+            if kind is None:
+                raise ConfigError(f"units: {quantity} has no unit")
+            units.factor(kind, unit)
+
+    def check_names(self, accelerometers: Iterable[str]) -> None:
+        """Raise ConfigError if a quantity is none of a table with these `accelerometers`."""
+        known = quantities(accelerometers)
+        for name, given in (("columns", self.columns), ("units", self.units)):
+            for quantity in given:
+                validate(f"quantity in {name}", quantity, list(known))
+        for name in self.invert:
+            accelerations = [x for x in known if x.startswith(PREFIX)]
+            validate("acceleration in invert", name, accelerations)
+
+    def updated(self, **changes: Any) -> "DriveDescription":
+        """Return the description with `changes`; None changes nothing, mappings are merged."""
+        given = {key: value for key, value in changes.items() if value is not None}
+        for key in given.keys() & {"columns", "units"}:
+            given[key] = {**getattr(self, key), **given[key]}
+        return replace(self, **given)
+
+
+def read_description(path: Path) -> DriveDescription:
+    """Read a description; vehicle and instruments beside it are found. Raises ConfigError."""
+    data = read_yaml(path)
+    for key in ("vehicle", "sensors"):
+        if isinstance(name := data.get(key), str) and (path.parent / name).is_file():
+            data[key] = str(path.parent / name)
+    return build(DriveDescription, data, str(path))
+
+
+def write_description(path: Path, description: DriveDescription) -> None:
+    """Write a description as YAML, without what was left open."""
+    adapter = TypeAdapter(DriveDescription)
+    data = adapter.dump_python(description, mode="json", exclude_defaults=True)
+    write_text(path, yaml.safe_dump(data, sort_keys=False, allow_unicode=True))

@@ -1,0 +1,217 @@
+"""Tables of data loggers: CSV dialects, Parquet and MDF4 files as columns by header.
+
+In text, columns are separated by semicolon, tab, bar, comma or spaces; except with commas, a
+decimal comma is recognised. Lines before the header, which has as many cells as the rows below it,
+are skipped, and a row of units below it is joined to it. A table that is read is a mapping of
+stripped headers to columns.
+"""
+
+import io
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from contextlib import redirect_stdout
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from road_envs.core.config import ConfigError, shown
+from road_envs.core.extras import optional_import
+from road_envs.core.reading import parsing, read_parquet
+from road_envs.records.units import is_unit
+
+SNIFFED_CHARACTERS = 10_000
+"""Number of characters that are searched for a decimal comma."""
+
+SNIFFED_LINES = 60
+"""Number of lines among which the header is looked for."""
+
+DELIMITERS = (";", "\t", "|", ",", " ")
+"""Separators of columns, in the order in which they are tried."""
+
+MAX_BYTES = 2**29
+"""Largest text that is read: three hours of ten columns at 500 Hz."""
+
+MAX_COLUMNS, MAX_HEADER = 4096, 200
+"""Most columns of a table, and most characters of a header."""
+
+LARGEST = 1e12
+"""Greater numbers, in SI units, are none of a drive; their squares and sums would overflow."""
+
+SPREADSHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
+"""First bytes of spreadsheets, which are also those of archives."""
+
+Table = Mapping[str, Any]
+"""Columns of a table by header, as pyarrow arrays."""
+
+
+def read_table(path: Path) -> Table:
+    """Read the columns of a table by header. Raises ConfigError."""
+    with optional_import("a table as CSV or Parquet"):
+        import pyarrow as pa
+
+    suffix = path.suffix.lower()
+    with parsing(path, ConfigError, "no readable table"):
+        if suffix == ".parquet":
+            table = read_parquet(path)
+        elif suffix in (".mf4", ".mdf"):
+            table = pa.Table.from_pandas(_read_mdf(path), preserve_index=False)
+        else:
+            if (size := path.stat().st_size) > MAX_BYTES:
+                raise ConfigError(
+                    f"{size / 2**20:.0f} MiB; at most {MAX_BYTES / 2**20:.0f} MiB of text are "
+                    "read: write it as Parquet, or cut it into shorter drives"
+                )
+            table = _read_text(path.read_bytes())
+        names = [" ".join(name.split()) for name in table.column_names]
+        _check_headers(names)
+    return dict(zip(names, table.columns, strict=True))
+
+
+def _check_headers(names: Sequence[str]) -> None:
+    if len(names) > MAX_COLUMNS:
+        raise ConfigError(f"{len(names)} columns; at most {MAX_COLUMNS} are read")
+    if (longest := max(map(len, names), default=0)) > MAX_HEADER:
+        raise ConfigError(f"a header of {longest} characters; at most {MAX_HEADER} are read")
+    count = Counter(name.lower() for name in names)
+    if duplicates := [name for name in names if count[name.lower()] > 1]:
+        raise ConfigError(f"the column {duplicates[0]} is duplicated")
+
+
+def numeric_values(column: Any) -> np.ndarray:
+    """Return a column as numbers (N,), NaN for empty cells. Raises ValueError naming the row."""
+    import pandas as pd
+    import pyarrow as pa
+
+    kind = column.type
+    if pa.types.is_boolean(kind) or pa.types.is_temporal(kind):
+        raise ValueError(f"it holds {kind} values, not numbers")
+    if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind):
+        x = np.array(column.cast(pa.float64(), safe=False).to_numpy(), dtype=float)
+    else:
+        cells = column.to_pandas()
+        x = pd.to_numeric(cells, errors="coerce").to_numpy(dtype=float)
+        wrong = np.flatnonzero(np.isnan(x) & cells.notna().to_numpy())
+        if wrong.size:
+            raise ValueError(f"row {wrong[0] + 1}: {shown(cells.iloc[wrong[0]])} is not a number")
+    return np.where(np.isfinite(x), x, np.nan)
+
+
+def to_si(x: np.ndarray, factor: float) -> np.ndarray:
+    """Return `factor` times the numbers `x` (N,). Raises ValueError if one cannot be measured."""
+    if (large := np.flatnonzero(np.abs(x) > LARGEST / factor)).size:
+        raise ValueError(f"row {large[0] + 1}: {x[large[0]]:.6g} is too large: check its unit")
+    return factor * x
+
+
+def _read_text(data: bytes) -> Any:
+    with optional_import("a table as CSV or Parquet"):
+        from pyarrow import csv
+
+    text = _decode(data).replace("\r\n", "\n").replace("\r", "\n")
+    if "\0" in text:
+        raise ValueError(
+            "it has zero bytes: no text in UTF-8, UTF-16 with its mark, or Windows-1252"
+        )
+    head, delimiter, rest = _find_header(text)
+    names = [cell.strip().strip('"') for cell in head.split(delimiter)]
+    _check_headers(names)
+    units, _, below = rest.partition("\n")
+    cells = [cell.strip(' "[]()') for cell in units.split(delimiter)]
+    if len(cells) == len(names) and any(cells) and all(is_unit(cell) for cell in cells if cell):
+        pairs = zip(names, cells, strict=True)
+        names, rest = [f"{name} [{unit}]" if unit else name for name, unit in pairs], below
+    comma = delimiter != "," and re.search(r"\d,\d", rest[:SNIFFED_CHARACTERS]) is not None
+    return csv.read_csv(
+        io.BytesIO(rest.encode()),
+        read_options=csv.ReadOptions(column_names=names),
+        parse_options=csv.ParseOptions(delimiter=delimiter),
+        convert_options=csv.ConvertOptions(
+            decimal_point="," if comma else ".", strings_can_be_null=True
+        ),
+    )
+
+
+def _find_header(text: str) -> tuple[str, str, str]:
+    """Return the line of headers, the separator of columns, and the text below.
+
+    The separator is the first that the last sniffed lines have equally often; the header is the
+    first line that has it as often as they do.
+    """
+    start = 0
+    while text.startswith("#", start):
+        start = text.find("\n", start) + 1 or len(text)
+    lines: list[tuple[int, str]] = []
+    while len(lines) < SNIFFED_LINES and start < len(text):
+        end = text.find("\n", start)
+        end = len(text) if end < 0 else end
+        lines.append((start, text[start:end]))
+        start = end + 1
+    shown = [(at, line) for at, line in lines if line.strip()]
+    if not shown:
+        return "", ",", ""
+    complete = [line for _, line in shown][: -1 if len(shown) > 2 else None]
+    last = complete[-(len(complete) + 1) // 2 :]
+    counts = {mark: _cells(last[-1], mark) for mark in DELIMITERS}
+    regular = [
+        m for m in DELIMITERS if counts[m] > 1 and all(_cells(x, m) == counts[m] for x in last)
+    ]
+    at, head = shown[0]
+    if regular:
+        delimiter = regular[0]
+        at, head = next(x for x in shown if _cells(x[1], delimiter) == counts[delimiter])
+    else:
+        delimiter = next((m for m in DELIMITERS if m in head), ",")
+    rest = text[at + len(head) + 1 :]
+    if delimiter == " ":
+        head, rest = (re.sub(r" +", " ", re.sub(r"(?m)^ +| +$", "", x)) for x in (head, rest))
+    return head, delimiter, rest
+
+
+def _cells(line: str, mark: str) -> int:
+    """Return the number of cells of a line; separators in quotes are none."""
+    line = re.sub(r'"[^"]*"', "", line)
+    return len(line.split()) if mark == " " else line.count(mark) + 1
+
+
+def _decode(data: bytes) -> str:
+    """Return the text of a file in UTF-8, UTF-16 with its mark, or else Windows-1252."""
+    if data[:4] in SPREADSHEETS:
+        raise ConfigError("a spreadsheet or an archive: save its sheet as CSV")
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return data.decode("utf-16")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("cp1252")
+
+
+def _read_mdf(path: Path) -> Any:
+    """Return the channels of an MDF file as a data frame with the column `t` [s].
+
+    Channels of other rates have empty cells at times at which they were not sampled.
+    """
+    with optional_import("a measurement file (MDF)"):
+        from asammdf import MDF
+        from asammdf.blocks.utils import MdfException
+
+    import pandas as pd
+
+    channels: dict[str, Any] = {}
+    try:
+        with redirect_stdout(io.StringIO()), MDF(path) as file:  # it prints what is damaged
+            for signal in file.iter_channels():
+                samples = np.asarray(signal.samples)
+                if samples.ndim > 1 or samples.dtype.names:
+                    continue
+                if samples.dtype.kind == "S":
+                    samples = np.char.decode(samples, "utf-8", "replace")
+                name = f"{signal.name} [{signal.unit}]" if signal.unit else signal.name
+                channels.setdefault(name, pd.Series(samples, signal.timestamps))
+    except MdfException as error:
+        raise ConfigError(f"{path}: no readable MDF file: {error}") from None
+    frame = pd.DataFrame(channels)
+    if "t" not in map(str.lower, frame.columns):
+        frame.insert(0, "t", frame.index.to_numpy(dtype=float))
+    return frame

@@ -1,0 +1,194 @@
+"""Records of measured drives, from the tables of other data loggers.
+
+The table is text, Parquet or MDF4, with a header of column names and one row for each sample:
+
+| quantity | column |
+|---|---|
+| `t` | time [s], time since 1970, or calendar time in ISO 8601 |
+| `a_rf`, `a_lr`, `a_rr` | vertical accelerations of the body, upwards, at right front, left and right rear [m/s²]; others by the description |
+| `v` | speed [m/s] |
+| `s` | odometer [m]; without it the speed is integrated |
+| `lat`, `lon` | position [°]; without `v` and `s`, the distance is that of the positions |
+| `mode`, or `mode_front` and `mode_rear` | state of the struts (`ride`, `handling`, ...) |
+
+Other columns are ignored. A header may contain its unit: `a_rf [g]`, `speed (km/h)`, `v_kmh`. Other
+names and units, accelerometers at other places, axes that point down, and one speed or mode for the
+whole drive are given by a `DriveDescription`. An empty cell is a lost sample of an acceleration; speed, odometer and position
+are interpolated between the rows that hold them. A clock that jitters is resampled.
+"""  # noqa: E501
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from road_envs.core.config import ConfigError
+from road_envs.drives.logger_tables.channels import Channels, Findings
+from road_envs.drives.logger_tables.clock import (
+    MAX_LOST_SHARE,
+    check_rate,
+    read_clock,
+    resample,
+)
+from road_envs.drives.logger_tables.description import DriveDescription
+from road_envs.drives.logger_tables.motion import read_motion
+from road_envs.drives.logger_tables.table import Table, read_table
+from road_envs.records.accelerometers import column
+from road_envs.records.record import LowPass, Record
+from road_envs.sensing.instruments import load_instruments
+from road_envs.vehicle.parameters import VehicleParameters
+from road_envs.vehicle.suspension import decode_commands, encode_command
+
+
+class MeasuredRecord(NamedTuple):
+    """Record of a drive, and what a report needs beside it.
+
+    `notes` are assumptions and corrections; `chainage` [m] is that of station 0 of the record in
+    the distances of the user; `position` (2, N) are latitude and longitude [°] at the samples, if
+    known; `fs` [Hz] is the rate at which the accelerations were sampled; `has_distance`:
+    the speed agrees with an odometer or with positions.
+    """
+
+    record: Record
+    notes: tuple[str, ...] = ()
+    chainage: float = 0.0
+    position: np.ndarray | None = None
+    fs: float = np.inf
+    has_distance: bool = False
+
+
+def read_measured_record(
+    path: Path,
+    wheelbase: float,
+    *,
+    speed_kmh: float | None = None,
+    mode: str | Mapping[str, str] | None = None,
+    description: DriveDescription | None = None,
+    car: VehicleParameters | None = None,
+) -> MeasuredRecord:
+    """Read the record of a measured drive of a vehicle of this `wheelbase` [m].
+
+    `speed_kmh` and `mode` apply to the whole drive, as those of the `description` do; each is
+    required if the table does not hold it. A speed besides that of the table is invalid, and so is
+    a mode that differs from it. Modes are those of the `car`, by
+    default of a 4S4 suspension; a car with passive struts needs none. The road extends from the
+    position of the rear axle at the first sample to that of the front axle at the last. Raises one
+    ConfigError that lists all problems, with the columns, and the rows if there are any.
+    """
+    chosen = (description or DriveDescription()).updated(speed_kmh=speed_kmh, mode=mode)
+    table = read_table(path)
+    try:
+        return _to_record(table, wheelbase, chosen, car)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from None
+
+
+def _to_record(
+    table: Table, wheelbase: float, description: DriveDescription, car: VehicleParameters | None
+) -> MeasuredRecord:
+    findings = Findings()
+    instruments = load_instruments(description.sensors or "paper")
+    if description.accelerometers is not None:
+        instruments = replace(instruments, accelerometers=description.accelerometers)
+    layout = instruments.layout
+    channels = Channels(table, description, findings, layout)
+    clock = read_clock(channels, findings)
+    found = [channels.acceleration(column(name)) for name in layout]
+    given = [x for x in found if x is not None]
+    commands = _commands(channels, findings, car)
+    if clock is None or not given:
+        findings.raise_problems()
+    assert clock is not None
+    a = np.array(given)
+    sampled = np.isfinite(a).any(axis=0)  # the other rows are those of slower sensors
+    names = [
+        channels.headers[column(x)] for x, a in zip(layout, found, strict=True) if a is not None
+    ]
+    _check_different(dict(zip(names, a[:, sampled], strict=True)), findings)
+    sampled &= _new_samples(a, findings)
+    t = clock.t[sampled]
+    dt = check_rate(t, findings)
+    motion = read_motion(channels, clock.t, t, findings)
+    findings.raise_problems()
+    assert motion is not None and commands is not None
+    start = float(t[0])
+    even, a = resample(t - start, a[:, sampled], dt, findings)
+    if (share := float(np.isnan(a).any(axis=0).mean())) > MAX_LOST_SHARE:
+        raise ConfigError(
+            f"{share:.0%} of the samples are lost; at most {MAX_LOST_SHARE:.0%} may be"
+        )
+    v, s = (np.interp(even, t - start, x) for x in (motion.v, motion.s))
+    position = motion.position
+    if position is not None:
+        position = np.array([np.interp(even, t - start, x) for x in position])
+    before = np.searchsorted(clock.t - start, even + 0.5 * dt) - 1  # a state holds until the next
+    stiff, high = decode_commands(commands[np.clip(before, 0, commands.size - 1)])
+    chainage = (s[0] if description.offset is None else description.offset) - wheelbase
+    s = s - s[0] + wheelbase
+    low_pass = None if description.low_pass is None else LowPass(description.low_pass)
+    record = Record(even, a, v, s, stiff, high, float(s[-1]), layout, low_pass)
+    has_distance = "s" in channels or position is not None
+    notes = tuple(findings.notes)
+    return MeasuredRecord(record, notes, float(chainage), position, 1.0 / dt, has_distance)
+
+
+def _check_different(columns: Mapping[str | None, np.ndarray], findings: Findings) -> None:
+    """Add a problem for each two columns (N,) that are equal."""
+    for (one, x), (other, y) in itertools.combinations(columns.items(), 2):
+        if np.array_equal(x, y, equal_nan=True):
+            findings.problems.append(f"{one} and {other} are equal in all rows")
+
+
+def _new_samples(a: np.ndarray, findings: Findings) -> np.ndarray:
+    """Return which rows (N,) of channels (K, N) are samples: all, or those with new values where a
+    logger repeats those of slower sensors.
+    """
+    new = np.r_[True, (np.diff(np.nan_to_num(a), axis=1) != 0.0).any(axis=0)]
+    rows = float(np.median(np.diff(np.flatnonzero(np.r_[new, True]))))
+    if rows < 2.0:  # a vehicle that stands repeats its samples, too, but not between new ones
+        return np.ones(new.size, dtype=bool)
+    findings.notes.append(
+        f"the accelerations are repeated for {rows:g} rows each; the first of equal rows are the "
+        "samples"
+    )
+    return new
+
+
+def _commands(
+    channels: Channels, findings: Findings, car: VehicleParameters | None
+) -> np.ndarray | None:
+    """Return the command bytes (N,) of the strut states, None if unknown."""
+    mode, size = channels.description.mode, len(next(iter(channels.table.values()), ()))
+    given = [name for name in ("mode", "mode_front", "mode_rear") if name in channels]
+    if car is not None and car.is_passive and not given and mode is None:
+        mode = "passive"
+    if given not in ([], ["mode"], ["mode_front", "mode_rear"]) or not (given or mode):
+        problem = f"given as {', '.join(given)}" if given else "missing"
+        findings.problems.append(
+            f"the state of the struts is {problem}: give the column mode, or mode_front and "
+            f"mode_rear, or one mode for the whole drive (--mode); {channels.list_columns()}"
+        )
+        return None
+    try:
+        whole = np.full(size, encode_command(mode, car), dtype=np.uint8) if mode else None
+        if whole is not None and not given:
+            return whole
+        columns = [channels.texts(name) for name in (given if len(given) == 2 else given * 2)]
+        pairs = list(zip(*columns, strict=True))
+        encoded = {
+            pair: encode_command(dict(zip(("front", "rear"), pair, strict=True)), car)
+            for pair in set(pairs)
+        }
+        commands = np.array([encoded[pair] for pair in pairs], dtype=np.uint8)
+        if whole is not None and (commands != whole).any():
+            raise ConfigError(
+                f"the mode {mode} is given for the whole drive (--mode), and the table has other "
+                f"ones in {' and '.join(given)}: leave out --mode"
+            )
+        return commands
+    except ConfigError as error:
+        findings.problems.append(str(error))
+        return None

@@ -1,0 +1,290 @@
+"""Perturbed vehicles with plant-model mismatch, for tests, and for training on other individuals.
+
+It substitutes for the paper's unpublished measurements. A seed draws one manufactured vehicle with
+the force laws of the nominal one and deviations where the paper found its own model wrong. The
+grades are cumulative for the same seed:
+
+| grade | adds |
+|---|---|
+| S0 | nothing: the nominal vehicle, bit for bit |
+| S1 | manufacture: masses, inertias, friction; gas, damper, friction and bushing of each strut |
+| S2 | structure: tyres that envelop the road, are progressive and differ in pressure; roll |
+|    | stiffness of the bushings; a body that twists (`parameters.TorsionalFrame`) and bends |
+|    | (`body_bending`), each at its own frequency |
+| S3 | instruments: position, tilt, gain, offset, speed error, clock jitter, lost samples |
+
+The magnitudes are in `configs/field/*.yaml` and assumed. From S1 on the integrator takes finer
+steps than on the nominal vehicle, so that its error differs from that of an estimator's model.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+
+from road_envs.core import config
+from road_envs.core.config import Fraction, NonNegative, Positive, Settings, SmallestFirst
+from road_envs.sensing.sensor_faults import (
+    NO_FAULTS,
+    DropoutLength,
+    DropoutRate,
+    Jitter,
+    PerSensor,
+    PositionFixLength,
+    SensorFaults,
+)
+from road_envs.vehicle.axles import IndependentWheels
+from road_envs.vehicle.equations import Plant, build_plant
+from road_envs.vehicle.parameters import (
+    BendingMode,
+    PerWheel,
+    Step,
+    TorsionalFrame,
+    VehicleParameters,
+)
+from road_envs.vehicle.suspension import WHEELS
+from road_envs.vehicle.tolerances import scale_parameters
+
+GRADES = ("S0", "S1", "S2", "S3")
+
+Range = Annotated[tuple[Fraction, Fraction], SmallestFirst]
+PositiveRange = Annotated[tuple[Positive, Positive], SmallestFirst]
+MANUFACTURE_LEVEL, STRUCTURE_LEVEL, INSTRUMENT_LEVEL = 1, 2, 3
+"""Index of the grade that adds each group of deviations, and second key of its random stream."""
+
+PERTURBATION_STREAM = 9
+"""First key of the random streams of a perturbed vehicle. Sensor noise is drawn from the seed
+itself, so that it is the same under every grade."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ManufacturingTolerances(Settings):
+    """Relative deviations of one vehicle from its parameters.
+
+    A pair is the smallest and the largest magnitude, of either sign; a number is the largest.
+    """
+
+    mass: Annotated[Range, "", "of the body and of each axle"]
+    inertia: Annotated[Range, "", "of the same"]
+    friction: Annotated[Range, "", "common to all struts"]
+    strut_gas: Annotated[Fraction, "", "of each strut's gas pressure"]
+    strut_damper: Annotated[Fraction, "", "of each damper's force"]
+    strut_friction: Annotated[Fraction, "", "of each strut's friction, in addition"]
+    strut_bushing: Annotated[Fraction, "", "of each bushing's force"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameRange(Settings):
+    """Range of the frames of vehicles of one kind; frequencies are uniform in their logarithm."""
+
+    f: Annotated[PositiveRange, "Hz", "of the torsion mode, as in `parameters.TorsionalFrame`"]
+    zeta: Annotated[Range, "", "its damping ratio"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class BendingRange(FrameRange):
+    """Range of the vertical bending modes of bodies."""
+
+    length: Annotated[Positive, "m", "of the beam, as in `body_bending.BendingMode`"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class UnmodelledStructure(Settings):
+    """Structural effects that the nominal equations of motion leave out."""
+
+    contact_length: Annotated[NonNegative, "m", "contact length of the tyres"]
+    tyre_progression: Annotated[NonNegative, "1/m", "as in `parameters.VehicleVariation`"]
+    tyre_pressure: Annotated[Fraction, "", "largest relative deviation of each tyre's pressure"]
+    tyre_pressure_effect: Annotated[
+        NonNegative, "", "relative change of stiffness per relative change of pressure"
+    ]
+    roll_stiffness: Annotated[
+        tuple[NonNegative, NonNegative], "N m/rad", "of the bushings, front and rear"
+    ]
+    frame: FrameRange | None
+    bending: BendingRange | None
+
+    def __post_init__(self):
+        super().__post_init__()
+        if not self.tyre_pressure * self.tyre_pressure_effect < 1:
+            raise ValueError(
+                "tyre_pressure times tyre_pressure_effect must be below 1, "
+                f"got {self.tyre_pressure} x {self.tyre_pressure_effect}"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorFaultLimits(Settings):
+    """Largest magnitudes of the sensor faults; the last four are the values themselves."""
+
+    place: Annotated[NonNegative, "m", "position of each accelerometer, in x and in y"]
+    tilt: Annotated[NonNegative, "rad", "of its axis from the vertical"]
+    gain: Annotated[Fraction, "", "relative error of its sensitivity"]
+    offset: Annotated[NonNegative, "m/s²", "of its reading"]
+    speed: Annotated[Fraction, "", "relative error of the speed signal, constant over a drive"]
+    position_fix_length: PositionFixLength
+    jitter: Jitter
+    dropout_rate: DropoutRate
+    dropout_length: DropoutLength
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlantMismatch(Settings):
+    """Magnitudes of the deviations of perturbed vehicles from the nominal one."""
+
+    name: str
+    step: Step
+    manufacture: ManufacturingTolerances
+    structure: UnmodelledStructure
+    instruments: SensorFaultLimits
+    sources: dict[str, str]
+
+
+@dataclass(frozen=True)
+class PerturbedVehicle:
+    """One perturbed vehicle: parameters with their variation, and sensor faults.
+
+    `step` [s]: longest step of the integrator.
+    """
+
+    grade: str
+    car: VehicleParameters
+    faults: SensorFaults = NO_FAULTS
+    step: float = np.inf
+
+    @cached_property
+    def plant(self) -> Plant:
+        """The vehicle as kernels read it."""
+        return build_plant(self.car)
+
+
+def load_plant_mismatch(name: str | Path = "assumed") -> PlantMismatch:
+    """Load the magnitudes by shipped name or YAML path. Raises ConfigError."""
+    return config.load(PlantMismatch, "field", name)
+
+
+def perturb_vehicle(
+    car: VehicleParameters,
+    grade: str,
+    seed: int | np.random.SeedSequence,
+    plant_mismatch: PlantMismatch | None = None,
+    accelerometers: int = 3,
+) -> PerturbedVehicle:
+    """Draw the perturbed vehicle of a `seed`, with the deviations up to `grade`.
+
+    All grades of one seed share their random draws. `plant_mismatch`: magnitudes, by default the
+    shipped "assumed" ones. `accelerometers`: their number. Raises ConfigError.
+    """
+    level = GRADES.index(config.validate_choice("grade", grade, list(GRADES)))
+    if level == 0:
+        return PerturbedVehicle(grade, car)
+    mismatch = load_plant_mismatch() if plant_mismatch is None else plant_mismatch
+    vehicle = _with_tolerances(
+        PerturbedVehicle(grade, car, step=mismatch.step), mismatch.manufacture, seed
+    )
+    if level >= STRUCTURE_LEVEL:
+        vehicle = _with_structure(vehicle, mismatch.structure, seed)
+    if level >= INSTRUMENT_LEVEL:
+        faults = _draw_sensor_faults(mismatch.instruments, seed, accelerometers)
+        vehicle = replace(vehicle, faults=faults)
+    return vehicle
+
+
+def _seed_sequence(seed: int | np.random.SeedSequence, group: int) -> np.random.SeedSequence:
+    root = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
+    return np.random.SeedSequence(
+        root.entropy, spawn_key=(*root.spawn_key, PERTURBATION_STREAM, group)
+    )
+
+
+def _two_sided_factor(rng: np.random.Generator) -> Callable[..., float]:
+    """Return a function that draws a factor 1 ± x, with x between `least` and `most`."""
+
+    def factor(least: float, most: float) -> float:
+        return 1.0 + float(rng.choice((-1.0, 1.0)) * rng.uniform(least, most))
+
+    return factor
+
+
+def _four_factors(rng: np.random.Generator, most: float) -> PerWheel:
+    """Draw factors between 1 - `most` and 1 + `most`."""
+    a, b, c, d = (1.0 + rng.uniform(-most, most, 4)).tolist()
+    return a, b, c, d
+
+
+def _with_tolerances(
+    vehicle: PerturbedVehicle, limits: ManufacturingTolerances, seed: int | np.random.SeedSequence
+) -> PerturbedVehicle:
+    rng = np.random.default_rng(_seed_sequence(seed, MANUFACTURE_LEVEL))
+    factor = _two_sided_factor(rng)
+
+    mass, inertia = limits.mass, limits.inertia
+    factors = {"m_b": factor(*mass), "I_xx": factor(*inertia), "I_yy": factor(*inertia)}
+    for axle in ("front", "rear"):
+        factors |= {f"{axle}.m": factor(*mass), f"{axle}.I_xx": factor(*inertia)}
+        if isinstance(getattr(vehicle.car, axle), IndependentWheels):  # it follows from the mass
+            del factors[f"{axle}.I_xx"]
+    common, each = factor(*limits.friction), _four_factors(rng, limits.strut_friction)
+    struts = {
+        "gas": _four_factors(rng, limits.strut_gas),
+        "damper": _four_factors(rng, limits.strut_damper),
+        "friction": [common * one for one in each],
+        "bushing": _four_factors(rng, limits.strut_bushing),
+    }
+    for name, values in struts.items():
+        for wheel, value in zip(WHEELS, values, strict=True):
+            factors[f"variation.{name}.{wheel}"] = value
+    return replace(vehicle, car=scale_parameters(vehicle.car, factors))
+
+
+def _with_structure(
+    vehicle: PerturbedVehicle, limits: UnmodelledStructure, seed: int | np.random.SeedSequence
+) -> PerturbedVehicle:
+    rng = np.random.default_rng(_seed_sequence(seed, STRUCTURE_LEVEL))
+    car = vehicle.car
+    variation = replace(
+        car.variation,
+        tyre=_four_factors(rng, limits.tyre_pressure * limits.tyre_pressure_effect),
+        tyre_progression=limits.tyre_progression,
+        roll_stiffness=limits.roll_stiffness,
+        contact_length=limits.contact_length,
+        frame=None if limits.frame is None else TorsionalFrame(**_draw_mode(rng, limits.frame)),
+        bending=None
+        if (b := limits.bending) is None
+        else BendingMode(**_draw_mode(rng, b), length=b.length),
+    )
+    return replace(vehicle, car=replace(car, variation=variation))
+
+
+def _draw_mode(rng: np.random.Generator, limits: FrameRange) -> dict[str, float]:
+    """Draw frequency and damping ratio of a mode."""
+    f = float(np.exp(rng.uniform(*np.log(limits.f))))
+    return {"f": f, "zeta": float(rng.uniform(*limits.zeta))}
+
+
+def _draw_sensor_faults(
+    limits: SensorFaultLimits, seed: int | np.random.SeedSequence, k: int
+) -> SensorFaults:
+    """Draw the faults of `k` accelerometers."""
+    stream = _seed_sequence(seed, INSTRUMENT_LEVEL)
+    rng = np.random.default_rng(stream)
+
+    def draw(most: float, centre: float = 0.0) -> PerSensor:
+        return tuple((centre + rng.uniform(-most, most, k)).tolist())
+
+    return SensorFaults(
+        dx=draw(limits.place),
+        dy=draw(limits.place),
+        tilt=draw(limits.tilt),
+        gain=draw(limits.gain, 1.0),
+        offset=draw(limits.offset),
+        speed=float(rng.uniform(-limits.speed, limits.speed)),
+        position_fix_length=limits.position_fix_length,
+        jitter=limits.jitter,
+        dropout_rate=limits.dropout_rate,
+        dropout_length=limits.dropout_length,
+        seed=tuple(int(x) for x in stream.generate_state(4)),
+    )

@@ -1,0 +1,58 @@
+"""Shared parts of the studies: errors of estimators, and results that are not computed again."""
+
+import argparse
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from estimators.estimation import estimate
+from leaderboard.api import score
+from road_envs.records.record import Profile, Record
+from road_envs.vehicle.parameters import VehicleParameters
+
+Row = dict[str, Any]
+
+
+def in_band_errors(
+    names: Sequence[str],
+    drive: tuple[Record, Profile],
+    car: VehicleParameters,
+    speed_kmh: float | None = None,
+) -> list[float]:
+    """Return the NRMSE [-] of estimators on a drive, in the band of `speed_kmh` if given."""
+    record, truth = drive
+    estimates = (estimate(name, record, car) for name in names)
+    return [score(each, truth, speed_kmh=speed_kmh)["nrmse"] for each in estimates]
+
+
+def study_parser(description: str) -> argparse.ArgumentParser:
+    """Return a parser of the file of results and of the plot."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("results", type=Path, help="one line of JSON for each case")
+    parser.add_argument("--plot", type=Path)
+    return parser
+
+
+def run_study(
+    chosen: argparse.Namespace,
+    cases: Sequence[Row],
+    compute: Callable[..., Row],
+    summary: Callable[[list[Row]], str],
+    draw: Callable[[list[Row], Path], None],
+) -> None:
+    """Append `compute(**case)` of the cases that are missing; print and draw all results.
+
+    `chosen` are the parsed options of `study_parser`. A row begins with its case.
+    """
+    path: Path = chosen.results
+    text = path.read_text(encoding="utf-8") if path.exists() else ""
+    rows = [json.loads(line) for line in text.splitlines()]
+    for case in cases:
+        if not any(case.items() <= row.items() for row in rows):
+            rows.append(case | compute(**case))
+            with path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(rows[-1]) + "\n")
+    print(summary(rows))
+    if chosen.plot:
+        draw(rows, chosen.plot)
