@@ -14,7 +14,7 @@ from oracles_roads import (
     segment_spectrum,
 )
 
-from road_envs.roads import roughness
+from road_envs.records import roughness
 from road_envs.roads.iso8608 import Iso8608
 
 MEASURED = Path(__file__).parents[3] / "shared" / "roads" / "iri_sorel" / "profile_1.txt"
