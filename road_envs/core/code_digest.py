@@ -22,7 +22,10 @@ from road_envs.core.atomic_io import write_text
 ROOT = Path(__file__).parents[2]
 """Folder that holds the packages of this project."""
 
-PACKAGES = ("road_envs", "estimators", "leaderboard", "studies")
+PACKAGES = ("road_envs", "estimators", "leaderboard")
+
+DIGESTED = (*PACKAGES, "studies")
+"""Packages whose imports of one another are followed; the studies exist in a checkout alone."""
 
 DIGITS = 16
 """Hex digits of a digest."""
@@ -114,7 +117,7 @@ def digest(paths: Iterable[Path], root: Path = ROOT) -> str:
 @cache
 def find_source(module: str, root: Path = ROOT) -> Path | None:
     """Return the file of a module of this project; None for any other module."""
-    if module.partition(".")[0] not in PACKAGES:
+    if module.partition(".")[0] not in DIGESTED:
         return None
     path = root.joinpath(*module.split("."))
     choices = (path.with_suffix(".py"), path / "__init__.py")
@@ -155,7 +158,7 @@ def _parse(text: bytes) -> Source:
             names.update(dict.fromkeys(alias.name for alias in node.names))
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
             names.update(dict.fromkeys(f"{node.module}:{alias.name}" for alias in node.names))
-    own = (name for name in names if name.partition(":")[0].partition(".")[0] in PACKAGES)
+    own = (name for name in names if name.partition(":")[0].partition(".")[0] in DIGESTED)
     return Source(hashlib.sha256(ast.dump(tree).encode()).hexdigest()[:DIGITS], tuple(own))
 
 
