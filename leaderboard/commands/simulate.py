@@ -47,6 +47,7 @@ from leaderboard.report import plots
 from road_envs.core.config import ConfigError
 from road_envs.drives.recording import simulate_record, write_record
 from road_envs.drives.training_corpus import Corpus
+from road_envs.plants.driving import simulate_on_plant
 from road_envs.records.record import Profile, Record
 from road_envs.records.roughness import iri
 from road_envs.roads import realise_road, write_csv
@@ -57,6 +58,14 @@ Grade = Annotated[
     str,
     typer.Option(
         help="Grade of the perturbed vehicle: S0 (as described) to S3; the seed draws it."
+    ),
+]
+
+Plant = Annotated[
+    str,
+    typer.Option(
+        help="Vehicle model: own, or that of another project, mujoco or commonroad, which needs "
+        "the extra plants and a vehicle with passive struts."
     ),
 ]
 
@@ -71,6 +80,7 @@ def simulate(
     vehicle: Vehicle = "land_rover_defender_110",
     sensors: Sensors = "paper",
     grade: Grade = "S0",
+    plant: Plant = "own",
     out: Annotated[Path | None, typer.Option(help="Write the record (.parquet, .csv).")] = None,
     truth: Annotated[Path | None, typer.Option(help="Write the true profile (.csv).")] = None,
     plot: Annotated[Path | None, typer.Option(help="Draw profile and record (.png).")] = None,
@@ -84,15 +94,14 @@ def simulate(
     )
     surface, car = realise_road(road, seed, length), load_vehicle(vehicle)
     struts = parse_mode(mode) or next(iter(car.modes))
-    record, profile = simulate_record(
-        surface,
-        vehicle=car,
-        speed_kmh=speed_kmh,
-        mode=struts,
-        instruments=load_instruments(sensors),
-        seed=seed,
-        grade=grade,
-    )
+    common: dict[str, Any] = {"vehicle": car, "speed_kmh": speed_kmh, "seed": seed}
+    common["instruments"] = load_instruments(sensors)
+    if plant == "own":
+        record, profile = simulate_record(surface, mode=struts, grade=grade, **common)
+    elif grade != "S0":
+        raise ConfigError(f"the plant {plant} has no grades: leave out --grade {grade}")
+    else:
+        record, profile = simulate_on_plant(plant, surface, **common)
     settings: dict[str, Any] = {
         "road": road,
         "speed_kmh": speed_kmh,
@@ -100,6 +109,7 @@ def simulate(
         "vehicle": vehicle,
         "sensors": sensors,
         "grade": grade,
+        "plant": plant,
         "seed": seed,
     }
     if out:

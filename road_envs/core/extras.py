@@ -12,6 +12,7 @@ EXTRAS = {
     "dask": ("distributed",),
     "mdf": ("asammdf",),
     "minari": ("minari",),
+    "plants": ("mujoco", "vehiclemodels"),
 }
 """Top-level modules of other packages, by the extra that brings them."""
 

@@ -76,6 +76,10 @@ class DataLogger:
             a += np.array(
                 [shape(self.bending.mode, at.x) * (at.axle is None) * q for at in self.locations]
             )
+        return self.digitise(a)
+
+    def digitise(self, a: np.ndarray) -> np.ndarray:
+        """Return the samples (k, n) of true accelerations `a` (k, N) [m/s²] at the sensors."""
         if self.faults is not NO_FAULTS:
             a = self.faults.apply(a)
         if self.noise_std.any():  # drawn time step by time step, so that chunks equal the whole

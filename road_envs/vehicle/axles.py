@@ -6,7 +6,7 @@ Axes after ISO 8855: x ahead, y left, z up.
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from pydantic import Tag
+from pydantic import Field, Tag
 
 from road_envs.core.config import Finite, NonNegative, Positive, Settings, by_kind
 
@@ -62,3 +62,41 @@ AnyAxle = Annotated[
     Annotated[Axle, Tag("solid")] | Annotated[IndependentWheels, Tag("independent")],
     by_kind("solid"),
 ]
+
+PerAxle = tuple[Positive, Positive]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SideMotion(Settings):
+    """What holds the body sideways: the tyres' side forces, through the axles' roll centres.
+
+    Pairs are front and rear. Without it a body rolls about its centre of mass, as if the tyres
+    could slide sideways. Values beyond the ranges are those of no road vehicle.
+    """
+
+    I_zz: Annotated[float, Field(ge=100, le=1e6), "kg m²", "yaw inertia of the body"]
+    wheel_radius: Annotated[float, Field(ge=0.15, le=0.8), "m", "height of the wheels' centres"]
+    roll_centre: Annotated[
+        tuple[
+            Annotated[float, Field(ge=-0.3, le=1.5)],
+            Annotated[float, Field(ge=-0.3, le=1.5)],
+        ],
+        "m",
+        "height of each axle's roll centre, where it holds the body sideways",
+    ]
+    C_alpha: Annotated[
+        tuple[
+            Annotated[float, Field(ge=5e3, le=5e5)],
+            Annotated[float, Field(ge=5e3, le=5e5)],
+        ],
+        "N/rad",
+        "cornering stiffness of one tyre",
+    ]
+    relaxation: Annotated[
+        tuple[
+            Annotated[float, Field(ge=0.05, le=2.0)],
+            Annotated[float, Field(ge=0.05, le=2.0)],
+        ],
+        "m",
+        "relaxation length of the tyres",
+    ]

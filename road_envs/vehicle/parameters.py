@@ -19,7 +19,7 @@ from pydantic import Field
 from road_envs.core import config
 from road_envs.core.atomic_io import write_text
 from road_envs.core.config import Finite, Fraction, NonNegative, Positive, Settings
-from road_envs.vehicle.axles import AnyAxle, Axle, IndependentWheels
+from road_envs.vehicle.axles import AnyAxle, Axle, IndependentWheels, SideMotion
 from road_envs.vehicle.force_curves import Curve
 from road_envs.vehicle.struts import (
     MODES,
@@ -129,6 +129,7 @@ class VehicleParameters(Settings):
     ]
     sources: dict[str, str]
     valve: Annotated[Valve, "", "of 4S4 struts; a car with passive struts has none"] = NO_VALVE
+    side: SideMotion | None = None
     variation: VehicleVariation = NOMINAL
     tolerances: dict[str, Tolerance] = field(default_factory=dict)
 
