@@ -10,6 +10,8 @@ So PATCHES replace three groups of terms in its source, and nothing else:
 - the slip of a tyre is that of its axle: its own side speed (states 16 and 21) and roll
 - struts are at the distance of the vehicle file, which differs from the wheels' on a solid axle
 
+Two of its tyre's numbers are 0 here, p_hy1 and p_vy1 (ply steer and conicity): the package gives
+them the sign of the camber, and that jump of 110 N makes a car roll on a level road.
 Struts are linear here: `as_driven` returns the vehicle that this plant has, for those who are told
 it.
 """
@@ -23,8 +25,8 @@ from typing import Any
 
 import numpy as np
 
-from road_envs.core.extras import optional_import
 from road_envs.core.config import ConfigError
+from road_envs.core.extras import optional_import
 from road_envs.plants.side_values import side_values
 from road_envs.roads.surface import Surface
 from road_envs.sensing.instruments import SensorLocation
@@ -107,6 +109,7 @@ class CommonRoadCar:
         self.p = setup_vehicle_parameters(TEMPLATES.get(car.name, 2))
         for name, value in _parameters(self.car).items():
             setattr(self.p, name, value)
+        self.p.tire.p_hy1 = self.p.tire.p_vy1 = 0.0
         # its heave is down and its pitch nose up
         self.rows = np.array([(-1.0, at.y, at.x) for at in locations])
 

@@ -8,9 +8,9 @@ import numpy as np
 
 from road_envs.core import config
 from road_envs.core.config import ConfigError
-from road_envs.records.record import Profile, Record, profile_stations
 from road_envs.plants.commonroad_car import CommonRoadCar
 from road_envs.plants.mujoco_car import MujocoCar
+from road_envs.records.record import Profile, Record, profile_stations
 from road_envs.roads import Road, realise_road
 from road_envs.roads.surface import Surface, enveloped
 from road_envs.sensing.data_logger import DataLogger

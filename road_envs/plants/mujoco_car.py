@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from road_envs.core.extras import optional_import
 from road_envs.core.config import ConfigError
+from road_envs.core.extras import optional_import
 from road_envs.plants.side_values import side_values
 from road_envs.roads.surface import Surface
 from road_envs.sensing.instruments import SensorLocation

@@ -9,11 +9,11 @@ from scipy.signal import csd, welch
 
 from road_envs.core import extras
 from road_envs.core.config import ConfigError
+from road_envs.drives.recording import simulate_record
 from road_envs.plants import commonroad_car
 from road_envs.plants.commonroad_car import CommonRoadCar, as_driven
 from road_envs.plants.driving import PLANTS, simulate_on_plant
 from road_envs.plants.mujoco_car import MujocoCar
-from road_envs.drives.recording import simulate_record
 from road_envs.roads import realise_road
 from road_envs.roads.surface import Surface
 from road_envs.sensing.instruments import SensorLocation
@@ -58,7 +58,10 @@ def test_heave_and_pitch_agree_with_our_simulator(plant, name):
 def test_roll_of_commonroad_is_that_of_the_table():
     # ratios to a body that rolls about its centre of mass, as measured by others with this car
     # (BMW, 36 km/h): 1.65, 1.58, 0.37, 0.47, 0.59
-    found, expected = driven("commonroad", CARS["bmw_320i"])[1], ours(as_driven(CARS["bmw_320i"]))[1]
+    found, expected = (
+        driven("commonroad", CARS["bmw_320i"])[1],
+        ours(as_driven(CARS["bmw_320i"]))[1],
+    )
     f, power = welch(expected, 1e3, nperseg=3000)
     gain = np.abs(csd(expected, found, 1e3, nperseg=3000)[1]) / power
     table = {0.67: 1.65, 1.0: 1.58, 3.0: 0.37, 4.0: 0.47, 5.0: 0.59}
@@ -77,8 +80,9 @@ def test_the_plants_roll_as_each_other_and_not_as_ours(name):
 @pytest.mark.parametrize("name", CARS)
 @pytest.mark.parametrize("plant", PLANTS)
 def test_a_car_on_a_level_road_stays_at_rest(plant, name):
-    motion = driven(plant, CARS[name], LEVEL, duration=2.0)
-    assert np.abs(motion).max() < 0.03 if plant == "commonroad" else 1e-6
+    # free wheels of CommonRoad brake by a thousandth of g while they settle
+    motion = driven(plant, CARS[name], LEVEL, duration=2.0)[:, 100:]
+    assert np.abs(motion).max() < 3e-3
 
 
 def test_struts_and_tyres_of_mujoco_carry_the_weight():
@@ -119,7 +123,9 @@ print([m for m in {ours} if "road_envs." + m in sys.modules])"""
     assert done.stdout.strip() == "[]"
 
 
-@pytest.mark.parametrize(("plant", "module"), [("mujoco", "mujoco"), ("commonroad", "vehiclemodels")])
+@pytest.mark.parametrize(
+    ("plant", "module"), [("mujoco", "mujoco"), ("commonroad", "vehiclemodels")]
+)
 def test_a_missing_extra_is_named(monkeypatch, plant, module):
     for name in [m for m in sys.modules if m.partition(".")[0] == module]:
         monkeypatch.delitem(sys.modules, name)
@@ -131,7 +137,7 @@ def test_a_missing_extra_is_named(monkeypatch, plant, module):
 def test_other_equations_of_commonroad_are_refused(monkeypatch):
     patches = (*commonroad_car.PATCHES, (r"no such term", "", 1))
     monkeypatch.setattr(commonroad_car, "PATCHES", patches)
-    with pytest.raises(ImportError, match="other equations than 3.0.2"):
+    with pytest.raises(ImportError, match="other equations than"):
         CommonRoadCar(CARS["bmw_320i"], POINTS)
 
 
