@@ -1,22 +1,10 @@
-"""Values as JSON types: NaN and infinity become null, settings what `config.build` parses."""
+"""Settings as JSON types that `config.build` parses."""
 
 import dataclasses
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 from road_envs.roads import KINDS
-
-
-def nan_to_none(value: Any) -> Any:
-    """Return `value` with None for every number that is not finite, through dicts and lists."""
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    if isinstance(value, Mapping):
-        return {key: nan_to_none(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [nan_to_none(item) for item in value]
-    return value
 
 
 def _fields(value: Any) -> dict[str, Any]:

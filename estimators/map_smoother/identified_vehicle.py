@@ -9,18 +9,17 @@ same drives.
 import hashlib
 import json
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields, replace
-from functools import cache
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
 from estimators.api import CalibrationDrive, CalibrationError, copy_with
-from road_envs.core.atomic_io import write_text
-from road_envs.core.code_digest import cache_home, closure, digest
-from road_envs.core.config import ConfigError, Settings, build
+from road_envs.core.artifacts import Kind
+from road_envs.core.code_digest import cache_home
+from road_envs.core.config import Settings, build
 from road_envs.records.accelerometers import to_plain
 from road_envs.records.record import Record
 from road_envs.vehicle.parameters import VehicleParameters
@@ -29,8 +28,7 @@ if TYPE_CHECKING:
     from estimators.map_smoother.identification import IdentificationResult
     from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
 
-IDENTIFICATION = "estimators.map_smoother.identification"
-"""Module that identifies vehicles; imported when it is needed, since estimators import this one."""
+IDENTIFIED = Kind("identified vehicle", 1, ("estimators.map_smoother.identification",))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,14 +100,14 @@ def identify_once(
 
     Raises CalibrationError, ConfigError.
     """
-    path = cache_home() / "identified" / f"{_drives_digest(drives, car, instruments)}.json"
-    with suppress(OSError, ValueError, ConfigError):
-        return build(IdentifiedVehicle, json.loads(path.read_text(encoding="utf-8")), str(path))
-    found = _identify(drives, car, instruments)
-    with suppress(OSError):  # a cache that cannot be written is no reason to fail
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_text(path, json.dumps(asdict(found)))
-    return found
+    files = [path for path in [Path(instruments)] if path.is_file()]
+    identity = IDENTIFIED.identity(asdict(car), instruments, _drives_digest(drives), files=files)
+    return IDENTIFIED.find_or_make(
+        cache_home(),
+        identity,
+        lambda: asdict(_identify(drives, car, instruments)),
+        partial(build, IdentifiedVehicle, where="identified vehicle"),
+    )
 
 
 def _identify(
@@ -126,13 +124,9 @@ def _identify(
     return IdentifiedVehicle.of(result)
 
 
-def _drives_digest(
-    drives: Sequence[CalibrationDrive], car: VehicleParameters, instruments: str
-) -> str:
-    """Return a digest of all that an identification depends on, its code included."""
-    total = hashlib.sha256(json.dumps([asdict(car), instruments, _code()]).encode())
-    if Path(instruments).is_file():
-        total.update(Path(instruments).read_bytes())
+def _drives_digest(drives: Sequence[CalibrationDrive]) -> str:
+    """Digest of the records and the profiles of the drives."""
+    total = hashlib.sha256()
     for drive in drives:
         record, profile = drive.record, drive.profile
         total.update(json.dumps([to_plain(record.sensors), record.low_pass]).encode())
@@ -143,8 +137,3 @@ def _drives_digest(
             total.update(f"{array.dtype} {array.shape}".encode())
             total.update(np.ascontiguousarray(array).tobytes())
     return total.hexdigest()[:32]
-
-
-@cache
-def _code() -> str:
-    return digest(closure(IDENTIFICATION))

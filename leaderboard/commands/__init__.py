@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from leaderboard.json_values import nan_to_none
+from road_envs.core.artifacts import nan_to_none
 from road_envs.core.config import ConfigError
 
 console = Console(markup=False, emoji=False)

@@ -7,26 +7,20 @@ the probes, so a card is never modified. A damaged card is ignored. The name fol
 """
 
 import dataclasses
-import hashlib
-import json
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from leaderboard.conformance.probes import CheckResult, count_passed
 from leaderboard.entries.entry import BUILTIN, Entry, EntryError
-from leaderboard.evaluation import store
-from leaderboard.evaluation.provenance import package_version
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
-from road_envs.core.code_digest import closure, digest
+from road_envs.core.artifacts import Kind
 from road_envs.core.config import Settings, build
 
-FORMAT = 1
-CHECKS_MODULE = "leaderboard.conformance.checks"
-"""Module that imports, directly or not, all code that determines a card."""
+CARD = Kind("card", 1, ("leaderboard.conformance.checks",))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +34,6 @@ class EstimatorCard(Settings):
     drive: str
     probes: tuple[CheckResult, ...] = ()
     failure: str | None = None
-    format: int = FORMAT
 
     @property
     def passed_count(self) -> str:
@@ -50,8 +43,7 @@ class EstimatorCard(Settings):
 
 def card_identity(estimator: str, settings: Mapping[str, Any], code: str) -> str:
     """Return the digest of all inputs of a card."""
-    inputs = [FORMAT, package_version(), _checks_version(), estimator, dict(settings), code]
-    return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()[:32]
+    return CARD.identity(estimator, dict(settings), code)
 
 
 def find_card(
@@ -60,7 +52,7 @@ def find_card(
     """Return the card of this version of an estimator; None if it is missing or damaged."""
     identity = card_identity(estimator, settings, code)
     make = partial(build, EstimatorCard, where="card")
-    return store.load_cached(_path(out, identity), FORMAT, make, identity=identity)
+    return CARD.find(_path(out, identity), identity, lambda x: make(x | {"identity": identity}))
 
 
 def probe_entries(
@@ -83,8 +75,8 @@ def probe_entries(
         for identity, entry in missing.items():
             report(f"probing {entry.name}")
             card = _probe_entry(identity, entry, sandbox)
-            text = store.with_checksum(dataclasses.asdict(card))
-            store.write_durable(_path(out, identity), text)
+            content = dataclasses.asdict(card)
+            CARD.write(_path(out, identity), content, content.pop("identity"))
     return len(missing)
 
 
@@ -106,8 +98,3 @@ def _probe_entry(identity: str, entry: Entry, sandbox: SandboxClient) -> Estimat
 
 def _path(out: Path, identity: str) -> Path:
     return out / "cards" / f"{identity}.json"
-
-
-@cache
-def _checks_version() -> str:
-    return digest(closure(CHECKS_MODULE))

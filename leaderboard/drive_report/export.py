@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from leaderboard.drive_report.analysis import DriveResult
-from leaderboard.json_values import nan_to_none
+from road_envs.core.artifacts import nan_to_none
 from road_envs.core.atomic_io import atomic_write, write_text
 from road_envs.core.extras import optional_import
 

@@ -14,13 +14,14 @@ from typing import Any, Literal
 
 import numpy as np
 
-from leaderboard.entries.code_version import evaluation_version
+from leaderboard.entries.code_version import EVALUATION_MODULE, evaluation_version
 from leaderboard.evaluation.provenance import package_version
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics import heights
+from road_envs.core.artifacts import Kind
 from road_envs.core.config import Settings
 
-FORMAT = 5
+RESULT = Kind("result", 5, (EVALUATION_MODULE,))
 Role = Literal["entry", "baseline"]
 ISOLATED = ("bubblewrap",)
 """Values of `Result.isolation` of entries without access to files, network and other processes."""
@@ -116,7 +117,6 @@ class Result(Settings):
     peak_memory: float | None = None  # [GiB] of the entry's processes, libraries included
     isolation: str = "none"  # of the entry: none, process, bubblewrap
     environment: dict[str, str] = dataclasses.field(default_factory=dict)
-    format: int = FORMAT
 
     def arrays(self, names: Iterable[str]) -> dict[str, np.ndarray]:
         """Return scores by name as (R, C, S): roads, conditions, training seeds.

@@ -9,28 +9,21 @@ assembled again. Each file begins with a checksum of the rest.
 """
 
 import dataclasses
-import hashlib
-import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, TypeVar, overload
+from typing import Any, overload
 
 from leaderboard.entries.code_version import evaluation_version
 from leaderboard.evaluation.provenance import package_version
-from leaderboard.evaluation.results import FORMAT, DriveScores, Result
+from leaderboard.evaluation.results import RESULT, DriveScores, Result
 from leaderboard.evaluation.tasks import Task
-from leaderboard.json_values import nan_to_none
 from leaderboard.metrics import heights
 from leaderboard.metrics.baselines import ALL_BASELINES
+from road_envs.core.artifacts import HEADER, text_checksum
 from road_envs.core.atomic_io import write_text
 from road_envs.core.config import ConfigError, Settings, build
-
-T = TypeVar("T")
-
-CHECKSUM_PREFIX = '{\n "sha256": "'
-CHECKSUM_SUFFIX = '",\n'
 
 ROW_REPLACED = "another run has replaced it by a different result; read the board again"
 
@@ -40,10 +33,6 @@ CACHED_ROWS = 8
 
 class RowChangedError(ConfigError):
     """A row that another run has replaced by a different one since it was read."""
-
-
-class NewerFormatError(ConfigError):
-    """A file in a newer format: this version can neither read nor overwrite it."""
 
 
 @dataclass(frozen=True)
@@ -72,32 +61,24 @@ def part_path(out: Path, identity: str) -> Path:
 def save(result: Result, out: Path) -> Path:
     """Write a result atomically to its row file and return the path."""
     path = row_path(out, result.task, result.estimator)
-    write_durable(path, to_text(result))
+    write_text(path, to_text(result), durable=True)
     return path
 
 
-def write_durable(path: Path, text: str) -> None:
-    """Write the text of a result atomically, flushed to disk before it becomes visible."""
-    write_text(path, text, durable=True)
+def save_part(text: str, out: Path, identity: str) -> None:
+    """Write the text of a part atomically."""
+    write_text(part_path(out, identity), text, durable=True)
 
 
 def to_text(result: Result) -> str:
-    """Return a result as JSON text that begins with its checksum."""
+    """Text of a result as an artifact."""
     large: dict[str, Any] = {
         "drives": _columns(result.drives),
         "traces": [vars(trace) for trace in result.traces],
     }
-    names = [f.name for f in dataclasses.fields(result)]
-    return with_checksum(
-        {n: large[n] if n in large else nan_to_none(getattr(result, n)) for n in names}
-    )
-
-
-def with_checksum(data: Mapping[str, Any]) -> str:
-    """Return `data`, which has a key `format`, as JSON text that begins with its checksum."""
-    rest = _dump_by_lines(dict(data))[2:] + "\n"
-    blank = f"{CHECKSUM_PREFIX}{'0' * 64}{CHECKSUM_SUFFIX}{rest}"
-    return blank.replace("0" * 64, text_checksum(blank), 1)
+    names = [f.name for f in dataclasses.fields(result) if f.name not in HEADER]
+    content = {name: large.get(name, getattr(result, name)) for name in names}
+    return RESULT.to_text(content, result.identity)
 
 
 def load(path: Path) -> Result:
@@ -142,13 +123,6 @@ def row_checksum(result: Result) -> str:
     return (
         drives.checksum if isinstance(drives, _StoredSequence) else text_checksum(to_text(result))
     )
-
-
-def text_checksum(text: str) -> str:
-    """Return the checksum of the text of a result, ignoring the one written in it."""
-    return hashlib.sha256(
-        text[len(CHECKSUM_PREFIX) + 64 + len(CHECKSUM_SUFFIX) :].encode()
-    ).hexdigest()
 
 
 def _row_or_failure(path: Path, task: Task) -> Result:
@@ -220,61 +194,12 @@ def _stored_result(path: Path, checksum: str, identity: str) -> Result:
 
 def read(path: Path) -> tuple[Result, str]:
     """Read a row or a part, whatever its name, and the checksum of its file. Raises ConfigError."""
-    data, checksum = read_checked_json(path, FORMAT)
+    data, checksum = RESULT.read(path)
     drives = build(_DriveColumns, data.pop("drives", {}), f"{path}: drives")
     result = build(Result, data, str(path))
     return dataclasses.replace(
         result, drives=_drive_scores(drives, path), traces=tuple(result.traces)
     ), checksum
-
-
-def read_checked_json(path: Path, version: int) -> tuple[dict[str, Any], str]:
-    """Return content and checksum of a file written by `with_checksum` in format `version`.
-
-    Raises NewerFormatError for a newer format, ConfigError for any other fault.
-    """
-    try:
-        text = path.read_text(encoding="utf-8")
-        data = json.loads(text)
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}") from None
-    except (ValueError, RecursionError) as error:
-        raise ConfigError(f"{path}: damaged, not valid JSON: {error}") from None
-    if not isinstance(data, dict) or not isinstance(data.get("format"), int):
-        raise ConfigError(f"{path}: not a result (it has no format)")
-    if data["format"] > version:
-        raise NewerFormatError(
-            f"{path}: written in format {data['format']} by a newer version, this version reads "
-            f"{version}; use the newer version, or another folder"
-        )
-    if data["format"] < version:
-        raise ConfigError(
-            f"{path}: written in format {data['format']}, this version reads {version}; "
-            "evaluate again"
-        )
-    checksum = data.pop("sha256", None)
-    if not text.startswith(f"{CHECKSUM_PREFIX}{checksum}{CHECKSUM_SUFFIX}"):
-        raise ConfigError(f"{path}: not a result (it does not begin with its checksum)")
-    if text_checksum(text) != checksum:
-        raise ConfigError(
-            f"{path}: modified since it was written, by hand or by a disk fault; evaluate again"
-        )
-    return data, str(checksum)
-
-
-def load_cached(
-    path: Path, version: int, make: Callable[[dict[str, Any]], T], **key: str
-) -> T | None:
-    """Return what `make` builds of a file written by `with_checksum` in format `version`.
-
-    None if it is missing or damaged, if its content is of another kind, or if a field of the `key`
-    differs: it is computed again.
-    """
-    try:
-        data, _ = read_checked_json(path, version)
-        return make(data) if key.items() <= data.items() else None
-    except (ConfigError, LookupError, TypeError, ValueError, AttributeError):
-        return None
 
 
 def _columns(drives: Sequence[DriveScores]) -> dict[str, Any]:
@@ -296,14 +221,3 @@ def _drive_scores(table: _DriveColumns, path: Path) -> tuple[DriveScores, ...]:
         )
         for k, place in enumerate(zip(*columns, strict=True))
     )
-
-
-def _dump_by_lines(value: Any, depth: int = 2) -> str:
-    """Return JSON with one line for each key down to `depth`; deeper levels are not split."""
-    if depth and isinstance(value, dict) and value:
-        indent = " " * (3 - depth)
-        lines = [
-            f"{indent}{json.dumps(k)}: {_dump_by_lines(v, depth - 1)}" for k, v in value.items()
-        ]
-        return "{\n" + ",\n".join(lines) + "\n" + indent[1:] + "}"
-    return json.dumps(value, allow_nan=False)

@@ -5,34 +5,22 @@ code and the configurations are the same. Rows of policies of other packages are
 what they depend on is not known.
 """
 
-import json
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
-from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from leaderboard.evaluation import store
-from leaderboard.json_values import nan_to_none
 from leaderboard.policies.comparison import PolicyResult
 from leaderboard.policies.scenarios import Scenarios
 from leaderboard.policies.timeline import Timeline
 from road_envs.core import config
-from road_envs.core.code_digest import closure, digest
+from road_envs.core.artifacts import Kind
 
-FORMAT = 1
-MODULES = ("leaderboard.policies.comparison", "road_envs.policies", "estimators")
-"""Modules whose code, with all that they import, a row depends on."""
-
-
-@cache
-def _code() -> str:
-    sources = {path for module in MODULES for path in closure(module)}
-    return digest([*sources, *(path for path in config.folder().rglob("*") if path.is_file())])
+ROW = Kind("policy row", 1, ("leaderboard.policies.comparison", "road_envs.policies", "estimators"))
 
 
 class RowStore:
@@ -60,7 +48,7 @@ class RowStore:
             shown = Timeline(**timeline) if timeline else None
             return PolicyResult(name, metrics, errors, None, tuple(data["notes"]), shown)
 
-        return store.load_cached(self._path(name), FORMAT, make, key=self._key(name, policy))
+        return ROW.find(self._path(name), self._identity(name, policy), make)
 
     def save(self, result: PolicyResult, policy: object) -> None:
         """Store a row, whole or not at all; a failed one is not stored."""
@@ -68,20 +56,17 @@ class RowStore:
             return
         timeline = result.timeline._asdict() if result.timeline is not None else {}
         groups = {"metrics": result.metrics, "errors": result.errors, "timeline": timeline}
-        data = {
-            "format": FORMAT,
-            "key": self._key(result.policy, policy),
+        content = {
             "notes": list(result.notes),
             **{group: {n: x.tolist() for n, x in each.items()} for group, each in groups.items()},
         }
-        text = store.with_checksum(nan_to_none(data))
-        store.write_durable(self._path(result.policy), text)
+        ROW.write(self._path(result.policy), content, self._identity(result.policy, policy))
 
     def _path(self, name: str) -> Path:
         return self.folder / f"{re.sub(r'[^a-zA-Z0-9._-]', '_', name)}.json"
 
-    def _key(self, name: str, policy: object) -> str:
+    def _identity(self, name: str, policy: object) -> str:
         network = getattr(policy, "network", None)
         learned = sha256(network.to_bytes()).hexdigest() if network is not None else ""
-        parts = [*self._about, name, repr(policy), learned, _code()]
-        return sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
+        files = [path for path in config.folder().rglob("*") if path.is_file()]
+        return ROW.identity(*self._about, name, repr(policy), learned, files=files)

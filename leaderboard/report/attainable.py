@@ -7,29 +7,26 @@ drives of perturbed vehicles have none: what they leave unexplained is not noise
 """
 
 import dataclasses
-import hashlib
-import json
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
 from estimators.map_smoother.attainable import attainable_error
-from leaderboard.entries.code_version import evaluation_version, module_version
-from leaderboard.evaluation import store
 from leaderboard.evaluation.bound import fit_spectrum
 from leaderboard.evaluation.results import DriveScores, Result
 from leaderboard.evaluation.tasks import Condition, Task
 from leaderboard.evaluation.test_data import DriveSimulation, RecordedDrive, simulate_drives
-from leaderboard.json_values import nan_to_none
 from leaderboard.running.board import Board
 from road_envs.analysis.information_bound import RoadPrior
-from road_envs.core.atomic_io import write_text
+from road_envs.core.artifacts import Kind
 from road_envs.core.code_digest import cache_home
 from road_envs.records.record import scored_band
 from road_envs.vehicle.parameters import VehicleParameters
 
-FORMAT = 1
+ATTAINABLE = Kind(
+    "attainable error", 1, ("leaderboard.evaluation.evaluate", attainable_error.__module__)
+)
 BANDWIDTH = 100.0
 """Bandwidth [Hz] of the data; the estimators of this package use no more."""
 
@@ -56,17 +53,15 @@ def attainable_errors(
     task: Task, condition: Condition, simulate: DriveSimulation = simulate_drives
 ) -> dict[int, float]:
     """Return the attainable in-band NRMSE [-] by test drive; NaN where it is not defined."""
-    versions = evaluation_version(), module_version(attainable_error.__module__)
-    key = hashlib.sha256(json.dumps([task.digest, condition.label, *versions]).encode())
-    path = cache_home() / "attainable" / f"{key.hexdigest()[:32]}.json"
-    if (known := store.load_cached(path, FORMAT, _errors)) is None:
+
+    def compute() -> dict[str, dict[str, float]]:
         drives = simulate(task, task.test, condition)
         # keys as text: a file of JSON has no others
         errors = {str(d.index): drive_error(task, condition, d, task.vehicle) for d in drives}
-        data = nan_to_none({"format": FORMAT, "errors": errors})
-        write_text(path, store.with_checksum(data))
-        known = _errors(data)
-    return known
+        return {"errors": errors}
+
+    identity = ATTAINABLE.identity(task.digest, condition.label)
+    return ATTAINABLE.find_or_make(cache_home(), identity, compute, _errors)
 
 
 def _errors(data: Mapping[str, Any]) -> dict[int, float]:

@@ -71,7 +71,7 @@ class DaskExecutor:
                     futures.add(again)
                 continue
             for done, text in results:
-                store.write_durable(store.part_path(out, done.identity), text)
+                store.save_part(text, out, done.identity)
                 yield done
 
     def _submit(self, job: Job) -> Any:

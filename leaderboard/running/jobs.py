@@ -13,7 +13,6 @@ libraries that estimators of this package use, stay for the jobs that follow.
 
 import contextlib
 import dataclasses
-import hashlib
 import json
 import sys
 from collections.abc import Iterable, Iterator, Sequence
@@ -31,7 +30,7 @@ from leaderboard.evaluation.evaluate import (
     simulate_condition,
 )
 from leaderboard.evaluation.provenance import package_version
-from leaderboard.evaluation.results import FORMAT, Result, content_digest
+from leaderboard.evaluation.results import RESULT, Result, content_digest
 from leaderboard.evaluation.tasks import Task
 from leaderboard.evaluation.test_data import DriveSimulation, simulate_drives
 from leaderboard.json_values import to_json_types
@@ -73,17 +72,14 @@ class JobDone(Settings):
 
 def result_identity(task: Task, condition: int | None, entry: Entry, seeds: Sequence[int]) -> str:
     """Return the digest of all inputs of a result; of a whole row if `condition` is None."""
-    inputs = {
-        "format": FORMAT,
-        "task": task.digest,
-        "condition": None if condition is None else task.conditions[condition].label,
-        "entry": [entry.name, entry.reference, entry.settings, entry.code],
-        "seeds": list(seeds),
-        "package": package_version(),
-        "metrics": heights.VERSION,
-        "evaluation_code": evaluation_version(),
-    }
-    return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()[:32]
+    return RESULT.identity(
+        task.digest,
+        None if condition is None else task.conditions[condition].label,
+        [entry.name, entry.reference, entry.settings, entry.code],
+        list(seeds),
+        package_version(),
+        heights.VERSION,
+    )
 
 
 def to_text(job: Job) -> str:
@@ -148,7 +144,7 @@ def store_result(result: Result, job: Job, entry: Entry, out: Path) -> JobDone:
     """Store the result of an entry of a job."""
     identity = result_identity(job.task, job.condition, entry, job.seeds)
     result = dataclasses.replace(result, identity=identity)
-    store.write_durable(store.part_path(out, identity), store.to_text(result))
+    store.save_part(store.to_text(result), out, identity)
     return JobDone(
         identity=identity,
         task=job.task.name,

@@ -10,10 +10,10 @@ from pathlib import Path
 from leaderboard.entries.entry import Entry
 from leaderboard.evaluation import store
 from leaderboard.evaluation.results import ISOLATED, content_digest, merge_parts
-from leaderboard.evaluation.store import NewerFormatError
 from leaderboard.evaluation.tasks import Task
 from leaderboard.running.jobs import Job, JobDone, result_identity
 from leaderboard.sandbox.limits import Limits
+from road_envs.core.artifacts import NewerFormatError
 from road_envs.core.config import ConfigError
 
 

@@ -27,10 +27,12 @@ from fakes import fake_drives
 from in_process import InProcessExecutor
 
 from leaderboard.evaluation import evaluate, store
+from leaderboard.evaluation.results import RESULT
 from leaderboard.evaluation.store import part_path, row_path
 from leaderboard.running import board as board_module
 from leaderboard.running import jobs
 from leaderboard.running.board import load_board, run_board, write_jobs
+from road_envs.core.artifacts import text_checksum
 from road_envs.core.config import ConfigError
 
 
@@ -77,10 +79,18 @@ def test_a_change_reruns_only_the_results_that_depend_on_it(tmp_path, change, co
     assert run(tmp_path)[1] == []  # the earlier results are still stored
 
 
-@pytest.mark.parametrize("name", ["package_version", "evaluation_version"])
-def test_another_package_or_evaluation_version_reruns_everything(tmp_path, monkeypatch, name):
+@pytest.mark.parametrize(
+    ("name", "other"),
+    [
+        ("package_version", lambda: "another"),
+        ("RESULT", dataclasses.replace(RESULT, modules=("road_envs.core.config",))),
+    ],
+)
+def test_another_package_or_evaluation_version_reruns_everything(
+    tmp_path, monkeypatch, name, other
+):
     run(tmp_path)
-    monkeypatch.setattr(jobs, name, lambda: "another")
+    monkeypatch.setattr(jobs, name, other)
     assert len(run(tmp_path)[1]) == PARTS
 
 
@@ -268,7 +278,7 @@ class Meddler(Counting):
             self.times -= 1
             path = self.target(out)
             text = path.read_text().replace('"nrmse": [', '"nrmse": [-')
-            path.write_text(text.replace(json.loads(text)["sha256"], store.text_checksum(text)))
+            path.write_text(text.replace(json.loads(text)["sha256"], text_checksum(text)))
 
 
 def part(out):

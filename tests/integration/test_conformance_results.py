@@ -14,7 +14,7 @@ import estimators
 from estimators import pretrained_weights
 from leaderboard.conformance import results as conformance_results
 from leaderboard.conformance.probes import PROBES
-from leaderboard.conformance.results import EstimatorCard, find_card, probe_entries
+from leaderboard.conformance.results import CARD, EstimatorCard, find_card, probe_entries
 from leaderboard.entries.entries import (
     entry_refit_per_case,
     make_entry,
@@ -22,9 +22,7 @@ from leaderboard.entries.entries import (
     resolve_entries,
 )
 from leaderboard.entries.entry import Entry
-from leaderboard.evaluation import store
 from leaderboard.evaluation.evaluate import run_task
-from leaderboard.evaluation.store import NewerFormatError, read_checked_json
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.report.cache import build_report
 from leaderboard.report.site import render_pages
@@ -32,6 +30,7 @@ from leaderboard.report.terminal import print_tables
 from leaderboard.running.board import Board, RunRequest, load_board, run_board
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
+from road_envs.core.artifacts import NewerFormatError
 
 LIMITS = Limits(seconds=20.0, memory=1.0)
 ENTRIES = {"Valid": 5, "NonDeterministic": 4, "Broken": None}
@@ -76,7 +75,7 @@ def test_a_card_is_valid_only_for_its_code_settings_and_probe_version(probed, mo
     assert find_card(out, "Valid", {}, code + "x") is None
     assert find_card(out, "Valid", {"gain": 2}, code) is None
     assert find_card(out, "Dicey", {}, code) is None
-    monkeypatch.setattr(conformance_results, "_checks_version", lambda: "edited")
+    monkeypatch.setattr(conformance_results, "CARD", dataclasses.replace(CARD, modules=()))
     assert find_card(out, "Valid", {}, code) is None
 
 
@@ -85,8 +84,9 @@ def test_a_damaged_card_is_ignored_and_made_again(probed):
     valid = entries["Valid"]
     path = out / "cards" / f"{conformance_results.card_identity('Valid', {}, valid.code)}.json"
     text = path.read_text()
-    content, _ = read_checked_json(path, conformance_results.FORMAT)
-    other = store.with_checksum({key: x for key, x in content.items() if key != "code"})
+    content, _ = CARD.read(path)
+    identity = content.pop("identity")
+    other = CARD.to_text({key: x for key, x in content.items() if key != "code"}, identity)
     damaged_texts = (text.replace('"passed": true', '"passed": null', 1), text[:200], "{}", "")
     for damaged in (*damaged_texts, other):
         path.write_text(damaged)
@@ -94,7 +94,7 @@ def test_a_damaged_card_is_ignored_and_made_again(probed):
     assert probe_entries([valid], out, LIMITS) == 1 and path.read_text() == text
     path.write_text(text.replace('"format": 1', '"format": 2'))
     with pytest.raises(NewerFormatError):
-        read_checked_json(path, conformance_results.FORMAT)
+        CARD.read(path)
     assert find_card(out, "Valid", {}, valid.code) is None
     path.write_text(text)
 
@@ -186,9 +186,8 @@ def test_cards_are_made_only_on_request_and_loaded_if_they_exist(tmp_path, monke
         code=entry.code,
         drive="a road",
     )
-    store.write_durable(
-        conformance_results._path(tmp_path, identity), store.with_checksum(dataclasses.asdict(card))
-    )
+    content = dataclasses.asdict(card)
+    CARD.write(conformance_results._path(tmp_path, identity), content, content.pop("identity"))
     assert load_board([task()], tmp_path).cards == {identity: card}
 
 

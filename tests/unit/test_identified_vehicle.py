@@ -47,7 +47,7 @@ def test_a_vehicle_is_identified_once_for_the_same_drives(identified, tmp_path):
         before = len(identified)
         identify_once(drives, car, instruments)
         assert len(identified) == before + 1
-    for path in (tmp_path / "identified").iterdir():
+    for path in (tmp_path / "identified_vehicle").iterdir():
         path.write_text("{", encoding="utf-8")
     assert identify_once([first], DEFENDER, "paper") == FOUND and len(identified) == 7
 

@@ -12,18 +12,17 @@ from fakes import task
 from leaderboard.evaluation import results
 from leaderboard.evaluation.results import content_digest, isolation_notice
 from leaderboard.evaluation.store import (
-    CHECKSUM_PREFIX,
     RowChangedError,
     load,
     load_rows,
     row_path,
     save,
-    text_checksum,
 )
 from leaderboard.metrics.registry import SCORES
 from leaderboard.report.tables import board_views
 from leaderboard.running.board import ATTEMPTS, Board, RunRequest, load_board, render_with_retry
 from road_envs.core import atomic_io
+from road_envs.core.artifacts import CHECKSUM_PREFIX, text_checksum
 from road_envs.core.config import ConfigError
 
 
