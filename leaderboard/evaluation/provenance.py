@@ -28,7 +28,10 @@ def source_digest() -> str:
 
 @cache
 def describe_environment() -> dict[str, str]:
-    """Return Python, libraries, source digest, commit (in a checkout), processor and system."""
+    """Return what may decide the digits of a result: versions, commit (in a checkout), machine.
+
+    `blas` is the kernel that BLAS has chosen for the processor, `threads` how many share a product.
+    """
     libraries = {name: release for name in LIBRARIES if (release := _library(name))}
     commit = _commit(ROOT)
     return {
@@ -37,6 +40,7 @@ def describe_environment() -> dict[str, str]:
         "code": source_digest(),
         **({"commit": commit} if commit else {}),
         "processor": f"{_processor()}, {os.cpu_count()} cores",
+        **_blas(),
         "system": f"{platform.system()} {platform.machine()}",
     }
 
@@ -46,6 +50,22 @@ def _library(name: str) -> str | None:
         return metadata.version(name)
     except metadata.PackageNotFoundError:
         return None
+
+
+def _blas() -> dict[str, str]:
+    """Return the kernels and the number of threads of the BLAS libraries of NumPy and SciPy."""
+    import scipy.linalg  # noqa: F401  loads the BLAS of SciPy
+
+    try:
+        from threadpoolctl import threadpool_info
+    except ImportError:  # no extra is installed
+        return {}
+    pools = [pool for pool in threadpool_info() if pool["user_api"] == "blas"]
+    kernels = dict.fromkeys(
+        f"{pool['internal_api']} {pool.get('architecture', '')}".strip() for pool in pools
+    )
+    threads = max((pool["num_threads"] for pool in pools), default=1)
+    return {"blas": ", ".join(kernels) or "unknown", "threads": str(threads)}
 
 
 def _commit(folder: Path) -> str | None:

@@ -183,7 +183,11 @@ RUN_DEPENDENT = frozenset(
 
 
 def content_digest(result: Result) -> str:
-    """Return a digest of the reproducible fields of a result."""
+    """Return a digest of the reproducible fields of a result, to the last bit.
+
+    It tells whether a stored result was altered. Two runs of the same inputs need not have one
+    digest, as another processor rounds otherwise: `comparison.disagreements` compares them.
+    """
     names = sorted(f.name for f in dataclasses.fields(result) if f.name not in RUN_DEPENDENT)
     values = [getattr(result, name) for name in names]
     plain = [[vars(x) for x in v] if _is_dataclass_sequence(v) else v for v in values]

@@ -20,9 +20,30 @@ THREAD_VARIABLES = (
     "VECLIB_MAXIMUM_THREADS",
     "NUMBA_NUM_THREADS",
 )
-"""Set to 1, so that sums have the same order on every machine and times can be compared."""
+"""Set to 1 in the processes of jobs and in guests, so that sums have the same order in both and
+times can be compared.
+"""
 
-INHERITED_VARIABLES = ("PATH", "TZ", "VIRTUAL_ENV", "LD_LIBRARY_PATH")
+KERNEL_VARIABLES = (
+    "OPENBLAS_CORETYPE",
+    "MKL_CBWR",
+    "MKL_ENABLE_INSTRUCTIONS",
+    "BLIS_ARCH_TYPE",
+    "NPY_DISABLE_CPU_FEATURES",
+    "NPY_ENABLE_CPU_FEATURES",
+    "NUMBA_CPU_NAME",
+    "NUMBA_CPU_FEATURES",
+    "ATEN_CPU_CAPABILITY",
+    "DNNL_MAX_CPU_ISA",
+    "ONEDNN_MAX_CPU_ISA",
+    "OMP_DYNAMIC",
+    "OMP_SCHEDULE",
+)
+"""Variables that choose the kernels of BLAS, NumPy, Numba and torch and the schedule of OpenMP: a
+guest has those of its judge, so that both compute with the same ones.
+"""
+
+INHERITED_VARIABLES = ("PATH", "TZ", "VIRTUAL_ENV", "LD_LIBRARY_PATH", *KERNEL_VARIABLES)
 """Environment variables that a guest inherits."""
 
 Isolation = Literal["auto", "bubblewrap", "process"]

@@ -17,7 +17,8 @@ from wheels import encrypt, module, write_wheel
 
 from estimators import create
 from leaderboard.entries.entries import NAME, RESERVED, make_entry, resolve_entries
-from leaderboard.evaluation.results import content_digest, isolation_notice
+from leaderboard.evaluation.comparison import disagreements
+from leaderboard.evaluation.results import isolation_notice
 from leaderboard.metrics.baselines import BASELINES
 from leaderboard.running.board import RunRequest, run_board
 from leaderboard.running.executors import ProcessExecutor
@@ -259,7 +260,8 @@ def row_of(board, name):
 def test_no_content_of_an_honest_row_changes(boards):
     board, alone, _ = boards
     for name in (*HONEST, *BASELINES):
-        assert content_digest(row_of(board, name)) == content_digest(row_of(alone, name))
+        # guests and this process have the same kernels, if not the same number of threads
+        assert disagreements(row_of(board, name), row_of(alone, name)) == []
     assert row_of(board, "reader").isolation == "bubblewrap"
     assert isolation_notice(board.results[board.tasks[0].name]) is None
 

@@ -1,0 +1,103 @@
+"""Results are compared at a tolerance; the kernels that decide their digits are recorded."""
+
+import dataclasses
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fake_results import result_of
+
+from leaderboard.evaluation.comparison import (
+    OTHER_KERNELS,
+    SAME_KERNELS,
+    disagreements,
+    distance,
+    largest_distance,
+)
+from leaderboard.metrics.registry import SCORES
+from leaderboard.sandbox.limits import guest_environment
+
+READER = result_of("reader")
+
+
+def with_scores(change):
+    """The reader's result with the scores of its last drive changed."""
+    *others, last = READER.drives
+    return dataclasses.replace(
+        READER, drives=(*others, dataclasses.replace(last, scores=change(last.scores)))
+    )
+
+
+def scaled(name, factor):
+    return with_scores(lambda scores: scores | {name: factor * scores[name]})
+
+
+@pytest.mark.parametrize("tolerance", [SAME_KERNELS, OTHER_KERNELS])
+def test_a_score_may_differ_by_the_tolerance_and_not_by_more(tolerance):
+    assert disagreements(READER, scaled("nrmse", 1.0 + 0.9 * tolerance), tolerance) == []
+    (found,) = disagreements(READER, scaled("nrmse", 1.0 + 1.2 * tolerance), tolerance)
+    assert "nrmse differs by" in found and READER.drives[-1].road in found
+
+
+def test_small_scores_are_compared_at_their_printed_digits():
+    """The bias of a density is printed as 0.0 dB: 100 steps are 10 dB."""
+    assert distance("dsd_bias_db", 0.0, 0.04) == pytest.approx(0.004)
+    assert distance("nrmse", 0.0, 0.001) == pytest.approx(0.01)
+    assert distance("nrmse", 2.0, 2.002) == pytest.approx(0.001, rel=1e-2)
+
+
+def test_a_score_that_only_one_result_has_disagrees_at_any_tolerance():
+    lacking = with_scores(lambda scores: {k: x for k, x in scores.items() if k != "r"})
+    assert len(disagreements(READER, lacking, 1.0)) == 1
+    assert distance("r", None, None) == 0.0 and distance("r", 0.0, None) == np.inf
+
+
+def test_scores_that_jump_at_a_threshold_are_compared_with_the_same_kernels_only():
+    assert SCORES["class_exact"].discrete and not SCORES["nrmse"].discrete
+    jumped = with_scores(lambda scores: scores | {"class_exact": scores["class_exact"] - 0.5})
+    assert disagreements(READER, jumped, OTHER_KERNELS) == []
+    assert len(disagreements(READER, jumped, SAME_KERNELS)) == 1
+    scores = {"nrmse": 1.0, "class_exact": 1.0}, {"nrmse": 1.002, "class_exact": 0.5}
+    assert largest_distance(*scores).score == "nrmse"
+    assert largest_distance(*scores, discrete=True).score == "class_exact"
+
+
+def test_times_and_machine_are_not_compared_and_all_else_is():
+    other = dataclasses.replace(READER, environment={}, peak_memory=9.0, train_seconds=(9.0,))
+    assert disagreements(READER, other) == []
+    for change in ({"parameters": 2}, {"failure": "it failed"}, {"drives": READER.drives[1:]}):
+        assert len(disagreements(READER, dataclasses.replace(READER, **change))) == 1
+    first, *others = READER.traces
+    for step, count in ((1, 0), (2, 1)):  # 0.01 mm is the rounding of what is stored
+        moved = tuple(tuple(z + step for z in path) for path in first.estimate)
+        traces = (dataclasses.replace(first, estimate=moved), *others)
+        assert len(disagreements(READER, dataclasses.replace(READER, traces=traces))) == count
+
+
+KERNELS = """
+import json, numpy
+from leaderboard.evaluation.provenance import describe_environment
+print(json.dumps(describe_environment()))
+"""
+
+
+@pytest.mark.parametrize("kernel", ["Haswell", "Sandybridge"])
+def test_a_guest_computes_with_the_kernels_of_its_judge_and_they_are_recorded(kernel, monkeypatch):
+    monkeypatch.setenv("OPENBLAS_CORETYPE", kernel)
+    environment = guest_environment(Path("/tmp"), whole_path=True)
+    assert environment["OPENBLAS_CORETYPE"] == kernel
+    found = subprocess.run(
+        [sys.executable, "-c", KERNELS],
+        env=environment | {"HOME": os.environ.get("HOME", "/")},
+        capture_output=True,
+        check=True,
+        timeout=60,
+    )
+    facts = json.loads(found.stdout)
+    if not facts["blas"].startswith("openblas"):
+        pytest.skip(f"BLAS is {facts['blas']}")
+    assert kernel.lower() in facts["blas"].lower() and facts["threads"] == "1"
