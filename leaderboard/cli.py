@@ -56,6 +56,7 @@ class RoadRecon(LazyGroup):
         "Leaderboard": {
             "leaderboard": "board:leaderboard",
             "run-job": "jobs:run_job",
+            "verify": "verify:verify",
             "season": "hidden_seeds:season",
         },
         "Switching policies": {

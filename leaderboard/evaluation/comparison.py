@@ -79,7 +79,7 @@ def _differing_fields(a: Result, b: Result) -> Iterator[str]:
 
 
 def _differing_drives(a: Result, b: Result, tolerance: float) -> Iterator[str]:
-    drives, others = ({_place(drive): drive for drive in result.drives} for result in (a, b))
+    drives, others = ({run_key(drive): drive for drive in result.drives} for result in (a, b))
     for place in dict.fromkeys([*drives, *others]):
         if place not in drives or place not in others:
             yield f"{place}: driven once only"
@@ -90,7 +90,8 @@ def _differing_drives(a: Result, b: Result, tolerance: float) -> Iterator[str]:
             yield f"{place}: {score} differs by {value:.1e}"
 
 
-def _place(drive: DriveScores) -> tuple[str, int, str, int, int]:
+def run_key(drive: DriveScores) -> tuple[str, int, str, int, int]:
+    """Return what tells a run from the others of its entry: two results have it once each."""
     return drive.condition, drive.drive, drive.road, drive.road_seed, drive.seed
 
 

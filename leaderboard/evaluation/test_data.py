@@ -1,7 +1,7 @@
 """Simulated drives over a task's roads under one condition, each record with its true profile."""
 
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,14 +32,19 @@ DriveSimulation = Callable[[Task, DriveSet, Condition], Iterator[RecordedDrive]]
 """Function that simulates drives: `simulate_drives`, or a faster substitute in tests."""
 
 
-def simulate_drives(task: Task, drives: DriveSet, condition: Condition) -> Iterator[RecordedDrive]:
+def simulate_drives(
+    task: Task, drives: DriveSet, condition: Condition, chosen: Container[int] | None = None
+) -> Iterator[RecordedDrive]:
     """Yield a drive of the task's vehicle for each road and seed.
 
     A seed realises the same road under every condition, and draws the vehicle that drives there;
     `calibration` holds other drives of it. Sensor noise has a separate random stream for each seed
-    and condition. Raises ConfigError, SimulationError.
+    and condition. Of the test drives only the `chosen` indices are simulated, if given. Raises
+    ConfigError, SimulationError.
     """
     for index, road, seed in task.drives_of(drives, condition):
+        if chosen is not None and drives is task.test and index not in chosen:
+            continue
         drive = simulate_drive(task, drives, condition, road, seed)
         calibration = calibration_drives(task, condition, seed) if drives is task.test else ()
         yield dataclasses.replace(drive, index=index, calibration=calibration)

@@ -79,4 +79,5 @@ def _shown(board: Board) -> Iterator[list[object]]:
                 result.failure,
                 board.stale_reason(task, result),
                 card and [card.identity, card.failure, card.passed_count],
+                [dataclasses.asdict(x) for x in board.verified.get(result.identity, ())],
             ]

@@ -43,6 +43,7 @@ from leaderboard.report.board_definitions import (
 )
 from leaderboard.report.run_groups import ScoreSlice, run_groups
 from leaderboard.running.board import Board
+from leaderboard.running.verification import kernel_notes
 from road_envs.sensing.perturbed_vehicle import GRADES
 from road_envs.vehicle.parameters import load_vehicle
 
@@ -160,6 +161,7 @@ def _section(board: Board, task: Task, definition: BoardDefinition) -> Section:
             *_protocol_notes(task, scored),
             *_surface_notes(task, [*scored, *board.failed(task)]),
             *sanity_warnings(rows),
+            *kernel_notes(scored, board.verified),
         ),
         {kind_of_group: tuple(named) for kind_of_group, named in groups.items()},
         tuple(condition.label for condition in task.conditions),

@@ -19,6 +19,7 @@ from leaderboard.metrics.baselines import ALL_BASELINES, BASELINES, MEMORY, TRUT
 from leaderboard.running.executors import Executor
 from leaderboard.running.jobs import to_packed_text
 from leaderboard.running.plan import Plan, PlannedRow, make_jobs
+from leaderboard.running.verification import Verified, load_verified, save_definition
 from leaderboard.sandbox.limits import Limits
 from road_envs.core.atomic_io import (
     atomic_write,
@@ -79,13 +80,15 @@ Rendered = TypeVar("Rendered")
 class Board:
     """Tasks in order with all their stored results: scored, failed and stale.
 
-    `entries` are the current versions of the entries by task and name; `cards` are by identity.
+    `entries` are the current versions of the entries by task and name; `cards` are by identity,
+    and what was `verified` by the identity of the row.
     """
 
     tasks: tuple[Task, ...]
     results: Mapping[str, Sequence[Result]]
     entries: Mapping[tuple[str, str], Entry] = field(default_factory=dict)
     cards: Mapping[str, EstimatorCard] = field(default_factory=dict)
+    verified: Mapping[str, Sequence[Verified]] = field(default_factory=dict)
 
     def scored(self, task: Task) -> list[Result]:
         """Return the current results of a task that have scores."""
@@ -141,7 +144,7 @@ def load_board(tasks: Sequence[Task], out: Path, rows: Sequence[PlannedRow] = ()
         for r in versions.values()
     ]
     by_identity = {card.identity: card for card in cards if card is not None}
-    return Board(tuple(tasks), results, entries, by_identity)
+    return Board(tuple(tasks), results, entries, by_identity, load_verified(out))
 
 
 def render_with_retry(
@@ -174,6 +177,8 @@ def run_board(
     remove_stale_temp()
     rows = request.rows()
     plan = Plan(rows, out, request.resume)
+    for task in request.sized_tasks():
+        save_definition(task, out)
     for _ in range(ATTEMPTS):
         jobs = make_jobs(plan.missing(), executor.workers, request.limits)
         total = sum(len(job.entries) for job in jobs)

@@ -1,0 +1,241 @@
+"""Verification of a folder of results: a random share of its drives, run again and compared.
+
+    <out>/definitions/<digest>.json   each task that was run, by the digest that its results name
+    <out>/verified.json               how far rows are from what was found here
+
+A drive is simulated, estimated and scored again with what a row names: task, entry,
+settings, training seeds. All rows of a task are run on the same drives. A row whose code or task
+is not the present one cannot be run again, which is said instead.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from leaderboard.entries.entries import make_entry, registered_entry
+from leaderboard.entries.entry import Entry
+from leaderboard.evaluation import store
+from leaderboard.evaluation.comparison import (
+    OTHER_KERNELS,
+    SAME_KERNELS,
+    Distance,
+    largest_distance,
+    run_key,
+)
+from leaderboard.evaluation.evaluate import (
+    ConditionData,
+    EntryRunner,
+    evaluate_entry,
+    simulate_condition,
+)
+from leaderboard.evaluation.provenance import describe_environment
+from leaderboard.evaluation.results import Result
+from leaderboard.evaluation.tasks import Condition, Task
+from leaderboard.evaluation.test_data import RecordedDrive, simulate_drives
+from leaderboard.json_values import to_json_types
+from leaderboard.metrics.baselines import MEMORY, TRUTH_PLUS_NOISE
+from road_envs.core.artifacts import Kind
+from road_envs.core.config import ConfigError, Settings, build
+
+DEFINITION, VERIFICATION = Kind("task", 1), Kind("verification", 1)
+SHARE = 0.1
+"""Share of the drives of a task that are run again."""
+
+DECIDE_DIGITS = ("numpy", "scipy", "numba", "torch", "processor", "blas")
+"""Parts of the environment of a result that decide its last digits."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Verified(Settings):
+    """A row and what its drives had when they were run again on the machine `kernels`.
+
+    `distance` is the largest of the `runs` (drives times training seeds), that of `score`. With a
+    `reason` the row was not run again, or failed.
+    """
+
+    task: str
+    estimator: str
+    identity: str  # of the row
+    kernels: str
+    tolerance: float = OTHER_KERNELS
+    runs: int = 0
+    score: str = ""
+    distance: float = 0.0
+    reason: str = ""
+
+    @property
+    def agrees(self) -> bool:
+        """Whether every run is within the tolerance."""
+        return not self.reason and self.distance <= self.tolerance
+
+
+def kernels_of(environment: Mapping[str, str]) -> str:
+    """Return processor and BLAS kernel of an environment, whose number of cores decides nothing."""
+    processor = environment.get("processor", "unknown processor").rpartition(", ")
+    return f"{processor[0] or processor[2]}, {environment.get('blas', 'unknown BLAS')}"
+
+
+def save_definition(task: Task, out: Path) -> None:
+    """Write a task under its digest, so that its results can be verified."""
+    path = out / "definitions" / f"{task.digest}.json"
+    if not path.exists():
+        DEFINITION.write(path, {"task": to_json_types(task)}, task.digest)
+
+
+def load_definitions(out: Path) -> list[Task]:
+    """Tasks of a folder of results, by name. Raises ConfigError for a damaged or foreign file."""
+    tasks = []
+    for path in (out / "definitions").glob("*.json"):
+        data, _ = DEFINITION.read(path)
+        task = build(Task, data["task"], str(path))
+        if task.digest != path.stem:
+            raise ConfigError(
+                f"{path}: the task {task.name}, or a file that it names, is not the one that was "
+                "run; verify where it is"
+            )
+        tasks.append(task)
+    return sorted(tasks, key=lambda task: (task.name, task.digest))
+
+
+def load_verified(out: Path) -> dict[str, list[Verified]]:
+    """What was verified in a folder, by the identity of the row; nothing if it is damaged."""
+
+    def parse(data: Mapping[str, Any]) -> list[Verified]:
+        return [build(Verified, row, "verified.json") for row in data["rows"]]
+
+    by_row: dict[str, list[Verified]] = {}
+    for row in VERIFICATION.find(out / "verified.json", "", parse) or []:
+        by_row.setdefault(row.identity, []).append(row)
+    return by_row
+
+
+def save_verified(found: Iterable[Verified], out: Path) -> None:
+    """Add to what was verified in a folder; what is found on the same kernels is replaced."""
+    earlier = [row for rows in load_verified(out).values() for row in rows]
+    rows = {(row.identity, row.kernels): row for row in [*earlier, *found] if not row.reason}
+    content = {"rows": [dataclasses.asdict(row) for row in rows.values()]}
+    VERIFICATION.write(out / "verified.json", content)
+
+
+def verify_folder(
+    out: Path,
+    run: EntryRunner,
+    entries: Sequence[Entry] = (),
+    *,
+    share: float = SHARE,
+    seed: int | None = None,
+    simulate: Callable[..., Iterator[RecordedDrive]] = simulate_drives,
+    report: Callable[[str], None] = lambda text: None,
+) -> list[Verified]:
+    """Run a random `share` of the drives of each task under `out` again, with all its rows.
+
+    `entries` are those of other packages. Raises ConfigError if there is nothing to be verified.
+    """
+    tasks = load_definitions(out)
+    rows = [(task, row) for task in tasks for row in store.load_rows(out, task)]
+    rows = [(task, row) for task, row in rows if row.task_digest == task.digest]
+    given = {entry.name: entry for entry in entries}
+    if not rows:
+        raise ConfigError(f"{out}: no results with the task that they were made with")
+    found: list[Verified] = []
+    rng = np.random.default_rng(seed)
+    for task in tasks:
+        scored = [row for known, row in rows if known is task and row.failure is None]
+        drives = sorted({(x.condition, x.drive) for row in scored for x in row.drives})
+        count = math.ceil(share * len(drives))
+        chosen = {drives[k] for k in rng.choice(len(drives), count, replace=False)}
+        data = {}
+        for condition in task.conditions:
+            if picked := {drive for label, drive in chosen if label == condition.label}:
+                report(f"{task.name}: simulating, {condition.label}")
+                some = partial(simulate, chosen=picked)
+                data[condition] = simulate_condition(task, condition, some)
+        for row in scored:
+            report(f"{task.name}: {row.estimator}")
+            entry = given.get(row.estimator) or _own_entry(row.estimator, task)
+            found.append(_verify_row(task, row, entry, data, run))
+    return found
+
+
+def _verify_row(
+    task: Task,
+    row: Result,
+    entry: Entry | None,
+    data: Mapping[Condition, ConditionData | str],
+    run: EntryRunner,
+) -> Verified:
+    """Run an entry again on the drives of each condition and compare with its row."""
+    found = Verified(
+        task=task.name,
+        estimator=row.estimator,
+        identity=row.identity,
+        kernels=kernels_of(describe_environment()),
+        tolerance=_tolerance(row),
+        reason=row.stale_reason(task) or _other_entry(row, entry) or "",
+    )
+    if entry is None or found.reason:
+        return found
+    stored = {run_key(drive): drive.scores for drive in row.drives}
+    worst, runs = Distance("", 0.0), 0
+    for condition, drives in data.items():
+        made = evaluate_entry(task, condition, drives, entry, row.seeds, run)
+        if made.failure is not None:
+            return dataclasses.replace(found, reason=made.failure)
+        for drive in made.drives:
+            discrete = found.tolerance <= SAME_KERNELS
+            known = stored.get(run_key(drive), {})
+            away = largest_distance(known, drive.scores, discrete=discrete)
+            worst, runs = max(worst, away, key=lambda x: x.value), runs + 1
+    return dataclasses.replace(found, runs=runs, score=worst.score, distance=worst.value)
+
+
+def _own_entry(name: str, task: Task) -> Entry | None:
+    """Return the entry of an estimator of this package, as its board would run it."""
+    if name in (MEMORY, TRUTH_PLUS_NOISE):
+        return make_entry(name, None)
+    return registered_entry(name, task.trains_on_test_road)
+
+
+def _other_entry(row: Result, entry: Entry | None) -> str | None:
+    """Return why an entry is not that of a row; None if it is."""
+    if entry is None:
+        return "not of this package: give it with --estimator"
+    if entry.failure is not None:
+        return entry.failure
+    if entry.code != row.code:
+        return "its code or its weights have changed"
+    return None if entry.settings == row.settings else "made with other settings"
+
+
+def _tolerance(row: Result) -> float:
+    """Return the tolerance for what was made with the kernels of `row` and is made again here."""
+    here = describe_environment()
+    same = all(row.environment.get(name) == here.get(name) for name in DECIDE_DIGITS)
+    return SAME_KERNELS if same else OTHER_KERNELS
+
+
+def kernel_notes(
+    results: Sequence[Result], verified: Mapping[str, Sequence[Verified]]
+) -> list[str]:
+    """Return a note on the rows of a task that are not known to agree with the kernels of most.
+
+    A row agrees if it was made with them, or verified on them within the tolerance.
+    """
+    made = {result.estimator: kernels_of(result.environment) for result in results}
+    if len(set(made.values())) < 2:
+        return []
+    usual = max(set(made.values()), key=lambda x: (list(made.values()).count(x), x))
+    notes: dict[str, list[str]] = {}
+    for result in results:
+        again = [x for x in verified.get(result.identity, ()) if x.kernels == usual]
+        if made[result.estimator] == usual or any(x.agrees for x in again):
+            continue
+        text = f"ran on {made[result.estimator]}, the others on {usual}: "
+        text += f"{again[0].distance:.1e} apart there" if again else "not verified there"
+        notes.setdefault(text, []).append(result.estimator)
+    return [f"{', '.join(names)} {text}." for text, names in notes.items()]
