@@ -7,7 +7,7 @@ export PYTHONDONTWRITEBYTECODE :=
 # in the order of tests/conftest.py
 WORKERS := -n logical --no-loadscope-reorder
 
-.PHONY: leaderboard policies test suite test-processes test-long test-lowest lint bench mutants docs clean
+.PHONY: leaderboard policies test suite test-processes test-long test-lowest lint bench mutants docs results results-check clean
 
 # the comparison of policies, which uses one core, runs beside the first board
 leaderboard: BOARD := out/leaderboard
@@ -20,9 +20,17 @@ leaderboard: $(READY)
 policies: $(READY)
 	$(VENV)/bin/road-recon policies --scenarios league --sweep --out out/policies
 
-# side by side: mypy uses one core
+# side by side: mypy uses one core; which kept figures are not of today's program is a list, no failure
 test: $(READY)
 	$(MAKE) --jobs=2 lint suite
+	-@$(VENV)/bin/python -m studies.results check
+
+# the figures of README and docs that are not of today's program, made again; NAMES="field bench" for some
+results: $(READY)
+	$(VENV)/bin/python -m studies.results make $(NAMES)
+
+results-check: $(READY)
+	$(VENV)/bin/python -m studies.results check $(NAMES)
 
 suite: $(READY)
 	$(VENV)/bin/pytest $(WORKERS)

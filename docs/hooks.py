@@ -14,16 +14,30 @@ from typer.cli import get_docs_for_click
 
 from leaderboard.cli import app
 from leaderboard.metrics.registry import SCORES
+from studies import results
 
 ROOT = Path(__file__).parents[1]
 
 
+QUOTE = re.compile(r"<!-- from\s+([^>]+?) -->")
+PICTURE = re.compile(r"!\[[^\]]*\]\((?:\.\./)*(?:docs/)?(images/[^)]+)\)")
+
+
 def on_page_markdown(markdown: str, **kwargs: Any) -> str:
-    """Replace the markers of a page."""
+    """Replace the markers of a page, and mark figures that are not of today's program."""
+    markdown = QUOTE.sub(lambda found: found[0] + _mark(found[1].split(", ")), markdown)
+    markdown = PICTURE.sub(lambda found: found[0] + _mark([f"docs/{found[1]}"]), markdown)
     for marker, content in (("<!-- commands -->", _commands), ("<!-- scores -->", _scores)):
         if marker in markdown:
             markdown = markdown.replace(marker, content())
     return re.sub(r"<!-- modules: ([\w.]+) -->", lambda found: _modules(found[1]), markdown)
+
+
+def _mark(outputs: list[str]) -> str:
+    """Say by what program stale outputs were made; nothing for those of today's program."""
+    names = dict.fromkeys(name for path in outputs if (name := results.result_of(path)))
+    reasons = dict.fromkeys(reason for name in names if (reason := results.stale_reason(name)))
+    return "".join(f' <span class="stale">{reason}</span>' for reason in reasons)
 
 
 def _commands() -> str:

@@ -137,7 +137,7 @@ def _strut_tables(car: VehicleParameters) -> list[tuple[np.ndarray, ...]]:
         if strut.bushing is not None:
             F -= _interpolate(strut.at_wheel(strut.bushing), e)
         losses = [strut.at_wheel(curve) for curve in (strut.damper, strut.friction)]
-        tables.append((e, F, rate, sum(_interpolate(curve, rate) for curve in losses)))
+        tables.append((e, F, rate, np.sum([_interpolate(curve, rate) for curve in losses], axis=0)))
     return tables
 
 

@@ -52,7 +52,7 @@ INVALID = [
 def test_an_invalid_file_is_refused_with_its_name_and_found_by_nobody(tmp_path, change, message):
     path = tmp_path / "a.json"
     KIND.write(path, {"mass": 3.5}, "me")
-    assert KIND.find(path, "me", dict) == {"mass": 3.5}
+    assert KIND.find(path, "me", dict) == {"mass": 3.5} and KIND.find(path, "you", dict) is None
     path.write_text(change(path.read_text()))
     with pytest.raises(ConfigError) as error:
         KIND.read(path)

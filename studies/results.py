@@ -1,0 +1,209 @@
+"""Kept results: the figures, tables and pictures of README and docs, and whether they are of today.
+
+    python -m studies.results check [NAME ...]      name those that are stale; some seconds
+    python -m studies.results make [NAME ...]       make the stale ones again
+
+`studies/results.yaml` lists them: commands, outputs, and the modules whose code, with all that they
+import, decides the figures. A result that is made leaves an artifact in `docs/made`, which says by
+which commit, when, on what machine and in how long. A result is stale when its commands, that code,
+the configurations or an output differ from it.
+
+Unfinished work stays in `out/results` under the identity of the result, and studies that keep their
+rows go on there.
+"""
+
+import argparse
+import hashlib
+import shlex
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any
+
+from leaderboard.evaluation.provenance import describe_environment
+from road_envs.core.artifacts import Kind
+from road_envs.core.atomic_io import write_text
+from road_envs.core.code_digest import ROOT
+from road_envs.core.config import ConfigError, Positive, Settings, build, read_yaml, validate_choice
+
+LIST = Path(__file__).with_suffix(".yaml")
+MADE = ROOT / "docs" / "made"
+WORK = ROOT / "out" / "results"
+CONFIGS = ("conditions", "field", "roads", "sensors", "vehicles")
+"""Folders of `configs` that every result depends on."""
+
+STDOUT, STDOUT_JSON = "stdout.txt", "stdout.json"
+"""What all commands print, each below a line `$ command`; and what the last one prints, alone."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class KeptResult(Settings):
+    """A result, made by `commands` in a folder of its own, which they call {work}.
+
+    `outputs` names the file of the checkout that each file of that folder becomes.
+    """
+
+    commands: tuple[str, ...]
+    outputs: dict[str, str]
+    modules: tuple[str, ...]
+    minutes: Annotated[Positive, "min", "processor time on two cores, roughly"]
+    configs: tuple[str, ...] = ()
+    needs: str = ""
+    """Path beside the checkout without which it cannot be made."""
+
+    def identity(self) -> str:
+        """Identity of what would be made now."""
+        folders = [ROOT / "configs" / name for name in (*CONFIGS, *self.configs)]
+        files = [path for folder in folders for path in folder.rglob("*") if path.is_file()]
+        kind = Kind("kept result", 1, self.modules)
+        return kind.identity(self.commands, self.outputs, files=files)
+
+
+KEPT = Kind("kept result", 1)
+
+
+@cache
+def known_results() -> dict[str, KeptResult]:
+    """All kept results by name, in the order of the list. Raises ConfigError."""
+    listed = read_yaml(LIST)
+    return {name: build(KeptResult, data, f"{LIST.name}: {name}") for name, data in listed.items()}
+
+
+@cache
+def stale_reason(name: str) -> str | None:
+    """Why a result is not of today's program, in a few words; None if it is."""
+    result = known_results()[name]
+    try:
+        made, _ = KEPT.read(MADE / f"{name}.json")
+    except ConfigError:
+        return "made by an unknown program"
+    for path, digest in made["outputs"].items():
+        if file_digest(ROOT / path) != digest:
+            return f"{path} differs from what {made['commit']} made"
+    if made["identity"] != result.identity():
+        return f"made by {made['commit']}, code has changed since"
+    return None
+
+
+def result_of(path: str) -> str | None:
+    """Name of the result that has the output `path`; None if none has."""
+    for name, result in known_results().items():
+        if path in result.outputs.values():
+            return name
+    return None
+
+
+def file_digest(path: Path) -> str:
+    """Digest of a file by its bytes; that of a missing file is empty."""
+    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
+
+
+def make_result(name: str, report: Any = print) -> float:
+    """Run the commands of a result, put its outputs in place, and return the time [s] taken.
+
+    Raises ConfigError if a command fails or an output is missing; then nothing is replaced.
+    """
+    result = known_results()[name]
+    identity = result.identity()
+    work = WORK / f"{name}-{identity[:12]}"
+    work.mkdir(parents=True, exist_ok=True)
+    begin, printed = time.monotonic(), []
+    for command in result.commands:
+        report(f"  $ {command}")
+        text = _run(shlex.split(command.replace("{work}", str(work))), work / "log.txt")
+        printed.append(f"$ {command.replace('{work}/', '')}\n{text.rstrip()}\n")
+        write_text(work / STDOUT_JSON, text)
+    write_text(work / STDOUT, "\n".join(printed))
+    if missing := [file for file in result.outputs if not (work / file).is_file()]:
+        raise ConfigError(f"{name}: its commands have not written {', '.join(missing)}")
+    seconds = time.monotonic() - begin
+    for file, target in result.outputs.items():
+        (ROOT / target).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(work / file, ROOT / target)
+    environment = describe_environment()
+    content = {
+        "commands": list(result.commands),
+        "commit": environment.get("commit", "no commit")[:7],
+        "made": time.strftime("%Y-%m-%d"),
+        "seconds": round(seconds),
+        "machine": {k: environment[k] for k in ("processor", "python", "numpy")},
+        "outputs": {path: file_digest(ROOT / path) for path in result.outputs.values()},
+    }
+    KEPT.write(MADE / f"{name}.json", content, identity)
+    return seconds
+
+
+def _run(words: Sequence[str], log: Path) -> str:
+    """Output of a command of this Python's environment. Raises ConfigError if it fails."""
+    programs = Path(sys.executable).parent
+    own = {"python": sys.executable, "road-recon": str(programs / "road-recon")}
+    with log.open("ab") as errors:
+        done = subprocess.run(
+            [own.get(words[0], words[0]), *words[1:]],
+            cwd=ROOT,
+            stdout=subprocess.PIPE,
+            stderr=errors,
+            text=True,
+            check=False,
+        )
+    if done.returncode:
+        raise ConfigError(f"{shlex.join(words)} ended with status {done.returncode}, see {log}")
+    return done.stdout
+
+
+def _check(names: Iterable[str]) -> int:
+    """Print the stale results; return their number."""
+    stale = {name: reason for name in names if (reason := stale_reason(name))}
+    for name, reason in stale.items():
+        result = known_results()[name]
+        places = ", ".join(result.outputs.values())
+        print(f"stale: {name} ({places}): {reason}; about {result.minutes:g} min")
+    minutes = sum(known_results()[name].minutes for name in stale)
+    if stale:
+        print(f"{len(stale)} kept results are stale: `make results`, about {minutes:.0f} min")
+    else:
+        print("every kept result is of today's program")
+    return len(stale)
+
+
+def _make(names: Iterable[str], results: Mapping[str, KeptResult]) -> int:
+    """Make the stale results, the shortest first; return the number of those that failed."""
+    stale = sorted((n for n in names if stale_reason(n)), key=lambda n: results[n].minutes)
+    left, failed = sum(results[n].minutes for n in stale), 0
+    for name in stale:
+        print(f"{name}: about {results[name].minutes:g} min, {left:.0f} min left", flush=True)
+        left -= results[name].minutes
+        needs = results[name].needs
+        if needs and not (ROOT / needs).exists():
+            print(f"  not made: it needs {needs}", flush=True)
+            continue
+        try:
+            print(f"  made in {make_result(name) / 60.0:.1f} min", flush=True)
+        except ConfigError as error:
+            failed += 1
+            print(f"  failed: {error}", flush=True)
+    return failed
+
+
+def main() -> None:
+    """Command line; see the module."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("action", choices=("check", "make"))
+    parser.add_argument("names", nargs="*", metavar="NAME", help="default: all")
+    chosen = parser.parse_args()
+    try:
+        results = known_results()
+        names = [validate_choice("result", name, results) for name in chosen.names] or [*results]
+    except ConfigError as error:
+        parser.error(str(error))
+    count = _check(names) if chosen.action == "check" else _make(names, results)
+    sys.exit(bool(count))
+
+
+if __name__ == "__main__":
+    main()

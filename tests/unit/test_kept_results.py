@@ -1,0 +1,116 @@
+"""Kept results: which are stale and why, how they are made, and that pages quote nothing else."""
+
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+from road_envs.core.config import ConfigError
+from studies import results
+from studies.results import KEPT, KeptResult
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("**/*.md"))]
+SCRIPT = "import sys, pathlib; pathlib.Path(sys.argv[1]).write_text('7'); print('seven')"
+
+
+@pytest.fixture
+def kept(tmp_path, monkeypatch):
+    """One result, `seven`, in an empty checkout."""
+    (tmp_path / "write.py").write_text(SCRIPT)
+    made = KeptResult(
+        commands=("python write.py {work}/a.csv",),
+        outputs={"stdout.txt": "docs/seven.txt", "a.csv": "docs/seven.csv"},
+        modules=("road_envs.core.units",),
+        minutes=0.1,
+    )
+    for name, value in {
+        "ROOT": tmp_path,
+        "MADE": tmp_path / "docs" / "made",
+        "WORK": tmp_path / "out",
+        "known_results": lambda: {"seven": made},
+        "stale_reason": results.stale_reason.__wrapped__,
+    }.items():
+        monkeypatch.setattr(results, name, value)
+    return made
+
+
+def test_a_result_is_stale_until_it_is_made_and_then_of_today(kept, tmp_path, capsys):
+    assert results.stale_reason("seven") == "made by an unknown program"
+    results.make_result("seven", report=lambda line: None)
+    assert results.stale_reason("seven") is None
+    assert (tmp_path / "docs/seven.csv").read_text() == "7"
+    assert (tmp_path / "docs/seven.txt").read_text() == "$ python write.py a.csv\nseven\n"
+    data, _ = KEPT.read(tmp_path / "docs/made/seven.json")
+    assert data["identity"] == kept.identity() and data["commit"]
+    assert results._check(["seven"]) == 0 and "today's program" in capsys.readouterr().out
+
+
+def test_an_edited_output_and_changed_code_make_it_stale(kept, tmp_path, monkeypatch, capsys):
+    results.make_result("seven", report=lambda line: None)
+    (tmp_path / "docs/seven.csv").write_text("8")
+    assert "docs/seven.csv differs from what" in results.stale_reason("seven")
+    (tmp_path / "docs/seven.csv").write_text("7")
+    monkeypatch.setattr(KeptResult, "identity", lambda self: "another")
+    assert results.stale_reason("seven").endswith("code has changed since")
+    assert results._check(["seven"]) == 1
+    assert "stale: seven (docs/seven.txt, docs/seven.csv): made by" in capsys.readouterr().out
+
+
+def test_a_configuration_that_changes_changes_the_identity(kept, tmp_path):
+    before = kept.identity()
+    road = tmp_path / "configs" / "roads" / "new.yaml"
+    road.parent.mkdir(parents=True)
+    road.write_text("kind: iso8608")
+    assert kept.identity() != before
+
+
+@pytest.mark.parametrize(
+    ("script", "message"),
+    [("raise SystemExit(3)", "ended with status 3"), ("print(1)", "have not written a.csv")],
+)
+def test_a_result_that_fails_replaces_nothing(kept, tmp_path, script, message):
+    results.make_result("seven", report=lambda line: None)
+    (tmp_path / "write.py").write_text(script)
+    (tmp_path / "out").rename(tmp_path / "gone")
+    with pytest.raises(ConfigError, match=message):
+        results.make_result("seven", report=lambda line: None)
+    assert results.stale_reason("seven") is None
+
+
+def test_a_result_whose_need_is_absent_is_skipped_and_named(kept, capsys):
+    needy = KeptResult(commands=(), outputs={}, modules=(), minutes=1.0, needs="../nowhere")
+    assert results._make(["seven"], {"seven": needy}) == 0
+    assert "not made: it needs ../nowhere" in capsys.readouterr().out
+
+
+def test_the_list_is_valid_and_its_modules_exist():
+    known = results.known_results()
+    assert len(known) > 15
+    for name, result in known.items():
+        assert result.modules, name
+        for module in result.modules:
+            assert results.Kind("x", 1, (module,)).identity() != results.Kind("x", 1).identity()
+            assert (ROOT / (module.replace(".", "/") + ".py")).is_file(), module
+    outputs = [path for result in known.values() for path in result.outputs.values()]
+    assert len(outputs) == len(set(outputs))
+
+
+def test_every_output_that_a_page_quotes_or_shows_is_of_a_kept_result():
+    quoted = set()
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        for found in re.findall(r"<!-- from\s+([^>]+?) -->", text):
+            quoted |= set(found.split(", "))
+        for found in re.findall(r"\]\((?:\.\./)*(?:docs/)?(images/[^)]+)\)", text):
+            quoted.add(f"docs/{found}")
+    assert len(quoted) > 15
+    assert sorted(path for path in quoted if results.result_of(path) is None) == []
+
+
+def test_an_unknown_name_is_refused_with_the_choices(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["results", "check", "feild"])
+    with pytest.raises(SystemExit):
+        results.main()
+    assert "feild" in capsys.readouterr().err
