@@ -130,7 +130,7 @@ def _strut_tables(car: VehicleParameters) -> list[tuple[np.ndarray, ...]]:
     """Return force over extension, and force over its rate, of the struts of both axles."""
     if not isinstance(car.strut, PassiveStruts):
         raise ConfigError(f"{car.name} has struts that are switched: a plant needs passive ones")
-    tables = []
+    tables: list[tuple[np.ndarray, ...]] = []
     for strut, load in zip((car.strut.front, car.strut.rear), car.strut_loads, strict=True):
         e, rate = np.linspace(-0.3, 0.3, 2401), np.linspace(-4.0, 4.0, 4001)
         F = strut.spring_force(e, load)[0] - _interpolate(strut.at_wheel(strut.bump_stop), e)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from road_envs.core.code_digest import find_source
 from road_envs.core.config import ConfigError
 from studies import results
 from studies.results import KEPT, KeptResult
@@ -92,7 +93,7 @@ def test_the_list_is_valid_and_its_modules_exist():
         assert result.modules, name
         for module in result.modules:
             assert results.Kind("x", 1, (module,)).identity() != results.Kind("x", 1).identity()
-            assert (ROOT / (module.replace(".", "/") + ".py")).is_file(), module
+            assert find_source(module), module
     outputs = [path for result in known.values() for path in result.outputs.values()]
     assert len(outputs) == len(set(outputs))
 
