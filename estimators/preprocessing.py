@@ -1,10 +1,12 @@
 """Checks and cleaning of records: refusal of unusable ones, validity of samples, notes.
 
-Two views follow the same rules. An estimator that can leave samples out takes the first, one that
-needs every sample the second, which also limits how much of a channel may be missing:
+Three views follow the same rules. An estimator that can leave samples out takes the first, one
+whose model predicts samples at any time the second, one that needs every sample the third, which
+also limits how much of a channel may be missing:
 
     mask_record(record, instruments)   an even clock, and which samples are valid
-    clean_record(record)               the same, with missing samples interpolated
+    restore_times(masked, record, ...) the same, with each sample at its own time
+    clean_record(record)               an even clock, with missing samples interpolated
 
 A sample is valid if it is finite, below the instruments' range, and not within the reach of the
 anti-alias filter from one that is not. Samples at standstill are valid, as the vehicle model
@@ -55,6 +57,11 @@ to lose, and few enough for the measured samples to decide the estimate.
 CLOCK_JITTER_MAX = 0.01
 """Relative deviation of a time step from the median above which the clock is resampled: a sample
 is then taken at most a tenth of a millimetre off at 36 km/h and 1 kHz.
+"""
+
+GAP_JITTERS = 6.0
+"""Median deviations of the time steps by which a step may be longer without a lost sample: four
+standard deviations.
 """
 
 RANGE_SHARE = 0.98
@@ -109,15 +116,15 @@ def mask_record(record: Record, instruments: Instruments | None = None) -> Maske
         if share > 0.0
     ]
     size = np.abs(np.where(finite, record.a, 0.0))
-    ranges = instruments.ranges if instruments else np.full(len(names), np.inf)
-    out_of_range = size >= RANGE_SHARE * ranges[:, None]
+    out_of_range = np.zeros(size.shape, dtype=bool)
+    if instruments is not None:
+        out_of_range = _is_out_of_range(size, instruments)
     gap_notes += [
         f"{name} is {x[np.isfinite(x)][0]:g} in all samples: the sensor is dead"
         for name, x in zip(names, record.a, strict=True)
         if np.isfinite(x).any() and np.nanmax(x) == np.nanmin(x)
     ]
-    spread = np.ones((1, 2 * ANTIALIAS_SPREAD + 1))
-    valid = ~binary_dilation(~finite | out_of_range, spread)
+    valid = _is_valid(finite, out_of_range)
     clipping_notes = _clipping_notes(names, size, out_of_range)
     density = instruments.noise_densities.max() if instruments else 0.0
     record, valid, filter_notes = undo_low_pass(record, valid, density)
@@ -125,9 +132,37 @@ def mask_record(record: Record, instruments: Instruments | None = None) -> Maske
     return MaskedRecord(record, valid, notes)
 
 
+def restore_times(masked: MaskedRecord, record: Record, instruments: Instruments) -> MaskedRecord:
+    """Return a `masked` record with the samples of an uneven clock as and when they were measured,
+    in the `record` that it was made from; lost ones are NaN at the times that they should have.
+
+    A record whose samples a low-pass has mixed stays resampled.
+    """
+    if masked.record.low_pass is not None or _is_even(np.diff(record.t)):
+        return masked
+    found, _ = _check_drive(_with_lost_samples(_fill_odometer(record)[0]))
+    finite = np.isfinite(found.a)
+    found = dataclasses.replace(found, a=np.where(finite, found.a, np.nan))
+    out_of_range = _is_out_of_range(np.nan_to_num(np.abs(found.a)), instruments)
+    return MaskedRecord(found, _is_valid(finite, out_of_range), masked.notes)
+
+
+def _is_out_of_range(size: np.ndarray, instruments: Instruments) -> np.ndarray:
+    """Return which samples of this `size` (k, N) [m/s²] the instruments clip."""
+    return np.asarray(size >= RANGE_SHARE * instruments.ranges[:, None])
+
+
+def _is_valid(finite: np.ndarray, out_of_range: np.ndarray) -> np.ndarray:
+    """Return which samples (k, N) the anti-alias filter has not mixed with one that is missing or
+    out of range.
+    """
+    spread = np.ones((1, 2 * ANTIALIAS_SPREAD + 1))
+    return np.asarray(~binary_dilation(~finite | out_of_range, spread))
+
+
 def clipped_signs(record: Record, instruments: Instruments) -> np.ndarray:
     """Return 1 and -1 where a sample (k, N) is at the upper and lower end of the range, else 0."""
-    clipped = np.abs(np.nan_to_num(record.a)) >= RANGE_SHARE * instruments.ranges[:, None]
+    clipped = _is_out_of_range(np.abs(np.nan_to_num(record.a)), instruments)
     return clipped * np.sign(np.nan_to_num(record.a))
 
 
@@ -240,30 +275,58 @@ def _fill_odometer(record: Record) -> tuple[Record, list[str]]:
     return dataclasses.replace(record, v=filled["v"], s=filled["s"]) if notes else record, notes
 
 
+def _is_even(steps: np.ndarray) -> bool:
+    """Return whether the time steps (N - 1,) are those of an even clock."""
+    dt = float(np.median(steps))
+    return bool(np.abs(steps - dt).max() <= CLOCK_JITTER_MAX * dt)
+
+
+def _on_clock(record: Record, t: np.ndarray, a: np.ndarray) -> Record:
+    """Return the record at the times `t` (M,) with accelerations `a` (k, M)."""
+    # strut states are switches: the last known value holds, it is not interpolated
+    before = np.searchsorted(record.t, t + 0.5 * float(np.median(np.diff(t)))) - 1
+    return dataclasses.replace(
+        record,
+        t=t,
+        a=a,
+        v=np.interp(t, record.t, record.v),
+        s=np.interp(t, record.t, record.s),
+        spring_stiff=record.spring_stiff[before],
+        damper_high=record.damper_high[before],
+    )
+
+
+def _with_lost_samples(record: Record) -> Record:
+    """Return the record of an uneven clock with lost samples as NaN.
+
+    A step counts as one interval unless it is longer than the jitter of the others makes likely.
+    """
+    steps = np.diff(record.t)
+    if _is_even(steps):
+        return record
+    dt = float(np.median(steps))
+    jitter = float(np.median(np.abs(steps - dt))) / dt
+    intervals = np.maximum(np.round(steps / dt), 1.0).astype(int)
+    intervals[steps < dt * max(1.5, 1.0 + GAP_JITTERS * jitter)] = 1
+    cell = np.concatenate([[0], np.cumsum(intervals)])
+    t = np.interp(np.arange(cell[-1] + 1), cell, record.t)
+    a = np.full((len(record.a), t.size), np.nan)
+    a[:, cell] = record.a
+    return _on_clock(record, t, a)
+
+
 def _resample_evenly(record: Record) -> tuple[Record, list[str]]:
     """Return the record on an even clock at its median time step, and notes.
 
     Accelerations are NaN where samples were lost or dropped.
     """
     steps = np.diff(record.t)
-    dt = float(np.median(steps))
-    if np.abs(steps - dt).max() <= CLOCK_JITTER_MAX * dt:
+    if _is_even(steps):
         return record, []
+    dt = float(np.median(steps))
     t = record.t[0] + dt * np.arange(int((record.t[-1] - record.t[0]) / dt + 1e-6) + 1)
-    # strut states are switches: the last known value holds, it is not interpolated
-    before = np.searchsorted(record.t, t + 0.5 * dt) - 1
-    resampled = dataclasses.replace(
-        record,
-        t=t,
-        a=np.array([_resample(t, record.t, x, dt) for x in record.a]),
-        v=np.interp(t, record.t, record.v),
-        s=np.interp(t, record.t, record.s),
-        spring_stiff=record.spring_stiff[before],
-        damper_high=record.damper_high[before],
-    )
-    return resampled, [
-        f"the clock is uneven (longest step {steps.max():.3f} s); the record is resampled"
-    ]
+    a = np.array([_resample(t, record.t, x, dt) for x in record.a])
+    return _on_clock(record, t, a), [f"the clock is uneven (longest step {steps.max():.3f} s)"]
 
 
 def _resample(t: np.ndarray, t_old: np.ndarray, x: np.ndarray, dt: float) -> np.ndarray:

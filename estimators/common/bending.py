@@ -7,12 +7,11 @@ the frequency domain the body's heave and pitch are those of two more sensors, B
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.signal import sosfilt
 
-from estimators.common.block_means import BlockMeans
 from road_envs.sensing.instruments import SensorLocation
 from road_envs.vehicle import body_bending
 from road_envs.vehicle.equations import THETA, Z_B
@@ -40,13 +39,13 @@ class SensedBending:
         return self.shape[:, None] * sosfilt(body_bending.section(self.mode, step), force)
 
     def extended(
-        self, measurements: BlockMeans, sensor_rows: np.ndarray
-    ) -> tuple[BlockMeans, np.ndarray]:
-        """Return measurements and sensor rows with the modal force as the last sensor."""
-        weight = measurements.sample_weight
-        mean = np.full((1, *weight.shape[1:]), 1.0 / weight.shape[2])
-        longer = replace(measurements, sample_weight=np.concatenate([weight, mean]))
-        return longer, self.extended_rows(sensor_rows)
+        self, sample_weight: np.ndarray, sensor_rows: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return weights (S + 1, J, b) of the samples in block means, and sensor rows (S + 1, 7),
+        with the modal force as the last sensor.
+        """
+        mean = np.full((1, *sample_weight.shape[1:]), 1.0 / sample_weight.shape[2])
+        return np.concatenate([sample_weight, mean]), self.extended_rows(sensor_rows)
 
     def extended_rows(self, sensor_rows: np.ndarray) -> np.ndarray:
         """Return sensor rows (S + 1, 7) with the modal force as the last sensor."""

@@ -43,6 +43,10 @@ class BlockMeans:
         """Return the means (S, J) of other samples `a` (S, J b) with the same weights."""
         return np.einsum("sjb,sjb->sj", self.sample_weight, a.reshape(self.sample_weight.shape))
 
+    def average_transpose(self, means: np.ndarray) -> np.ndarray:
+        """Apply the transpose of `average`: from means (S, J) to samples (S, J b)."""
+        return (self.sample_weight * means[:, :, None]).reshape(means.shape[0], -1)
+
     def residual(self, predicted: np.ndarray) -> np.ndarray:
         """Return the means (S, J) of measured less `predicted` (S, J b) samples [m/s²].
 

@@ -19,7 +19,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimators.common.block_means import BlockMeans
 from estimators.common.model_inputs import ModelInputs
 from estimators.common.spline import height_weights, locate_node, slope_weights
 from estimators.map_smoother.road_prior import RoadTransform
@@ -229,12 +228,14 @@ def build_block_tangent(
     tape: Tape,
     road: RoadTransform,
     inputs: ModelInputs,
-    measurements: BlockMeans,
+    sample_weight: np.ndarray,
     sensor_rows: np.ndarray,
     wheelbase: float,
 ) -> BlockTangent:
-    """Return the tangent of a taped motion, measured by sensors of `sensor_rows` (S, 7)."""
-    sensors, blocks, block = measurements.sample_weight.shape
+    """Return the tangent of a taped motion in the means over blocks of `sample_weight` (S, J, b),
+    of sensors of `sensor_rows` (S, 7).
+    """
+    sensors, blocks, block = sample_weight.shape
     n_states = tape.end.size
     blocks_per_chunk = (N_ROWS - n_states) // sensors
     steps_per_block = block * inputs.decimation
@@ -248,7 +249,7 @@ def build_block_tangent(
     first = np.minimum(low - 1, road.size - width)
     P = np.empty((begin.size, 4 * width + n_states, N_ROWS), dtype=np.float32)
     track = NodeTrack(x, inputs.v / road.ds, wheelbase_nodes, first, width, road.size, n_states)
-    sampling = Sampling(inputs.decimation, measurements.sample_weight, sensor_rows)
+    sampling = Sampling(inputs.decimation, sample_weight, sensor_rows)
     flexible = (True,) if tape.plant.flexible else ()
     fill_chunk_matrices(tape.plant.constants, tape.rows, tape.h, track, sampling, P, *flexible)
     P = P.reshape(*P.shape[:2], N_ROWS // LANES, LANES)

@@ -37,8 +37,15 @@ from estimators.api import CalibrationError, copy_with
 from estimators.common.bending import sensed_bending
 from estimators.common.block_means import MIN_NOISE_DENSITY
 from estimators.common.explained import reduce_unexplained
-from estimators.common.model_inputs import MOVING_STD, REST_STD, build_model_inputs, rest_state
+from estimators.common.model_inputs import (
+    MOVING_STD,
+    REST_STD,
+    build_model_inputs,
+    is_even,
+    rest_state,
+)
 from estimators.common.odometer import calibrate_odometer
+from estimators.common.sensor_filter import SensorFilter, is_only_a_delay
 from estimators.low_pass import bridge
 from estimators.map_smoother.car_fit import (
     STRUCTURE_POWER,
@@ -62,7 +69,12 @@ from estimators.map_smoother.speed_error import distance_scale, estimate_speed_e
 from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
 from estimators.map_smoother.wheel_liftoff import distance_in_air
 from estimators.map_smoother.windows import MARGIN, PreparedDrive, reconstruct
-from estimators.preprocessing import clipped_signs, mask_record
+from estimators.preprocessing import (
+    MaskedRecord,
+    clipped_signs,
+    mask_record,
+    restore_times,
+)
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.core.config import STRICT
 from road_envs.records.record import Estimate, Record, profile_stations, scored_band
@@ -83,6 +95,10 @@ noise is overestimated, and a fitted vehicle is biased."""
 AXLE_READINGS_PER_UNKNOWN = 1.0
 """The same where a sensor is on an axle: the tyre passes on waves that the nodes cannot hold, and
 longer means keep them out."""
+
+DELAY_NOISE_DENSITY = 5e-3
+"""Noise density [(m/s²)/sqrt(Hz)] below which sensors on the body show that an anti-alias filter is
+more than a delay."""
 
 F_RESOLVED = 70.0
 """Frequency [Hz] that the nodes resolve at any speed, within NODE_SPACING_RANGE."""
@@ -276,12 +292,12 @@ class MapSmoother(CalibratedByIdentification):
         Raises ConfigError, RecordError.
         """
         instruments = instruments_of(record, self.instruments)
-        record, valid, notes = mask_record(record, instruments)
-        model = self._measurement_model(record, car, instruments)
+        masked = restore_times(mask_record(record, instruments), record, instruments)
+        model = self._measurement_model(masked.record, car, instruments)
         if speed_unknown:
             model = replace(model, speed_std=instruments.speed_error)
-        drive = self._prepare_drive(record, valid, car, instruments, readings_per_unknown)
-        return model, drive, notes
+        model, drive = self._prepare_drive(masked, car, instruments, model, readings_per_unknown)
+        return model, drive, masked.notes
 
     def _measurement_model(
         self, record: Record, car: VehicleParameters, instruments: Instruments
@@ -299,14 +315,29 @@ class MapSmoother(CalibratedByIdentification):
 
     def _prepare_drive(
         self,
-        record: Record,
-        valid: np.ndarray,
+        masked: MaskedRecord,
         car: VehicleParameters,
         instruments: Instruments,
+        model: MeasurementModel,
         readings_per_unknown: float,
-    ) -> PreparedDrive:
-        """Return the drive of a masked record with its `valid` samples (k, N)."""
-        inputs = build_model_inputs(record, instruments, car, self.step)
+    ) -> tuple[MeasurementModel, PreparedDrive]:
+        """Return the `model`, with the anti-alias filter where it does more than delay the samples,
+        and the drive of a masked record.
+        """
+        record, valid, v = masked.record, masked.valid, float(masked.record.v.mean())
+        ds = float(np.clip(0.5 * v / F_RESOLVED, *NODE_SPACING_RANGE))
+        unknowns = 2.0 * v / ds  # per second
+        rate = max(self.data_rate, readings_per_unknown * unknowns / len(record.a))
+        is_on_axle = on_axle(model.locations)
+        if is_on_axle and readings_per_unknown > 0.0:
+            rate = AXLE_READINGS_PER_UNKNOWN * unknowns / len(record.a)
+        block = max(1, round(record.fs / rate))
+        precise = is_on_axle or instruments.noise_densities.min() < DELAY_NOISE_DENSITY
+        filtered = precise or not (is_even(record) and is_only_a_delay(instruments))
+        inputs = build_model_inputs(record, instruments, car, self.step, filtered)
+        if filtered:
+            rate = record.fs / block
+            model = replace(model, filter=SensorFilter.of(instruments, inputs.h, rate))
         censored = clipped_signs(record, instruments)
         if np.isfinite(record.bandwidth):  # what is left of a gap lies between its ends
             a = bridge(record.a)
@@ -315,12 +346,6 @@ class MapSmoother(CalibratedByIdentification):
         # the mean over the drive is mostly sensor bias
         mean = np.sum(a, axis=1, where=valid) / np.maximum(valid.sum(axis=1), 1)
         a -= mean[:, None]
-        ds = float(np.clip(0.5 * inputs.v.mean() / F_RESOLVED, *NODE_SPACING_RANGE))
-        unknowns = 2.0 * float(inputs.v.mean()) / ds  # per second
-        rate = max(self.data_rate, readings_per_unknown * unknowns / len(record.a))
-        if on_axle(instruments.locations(car)) and readings_per_unknown > 0.0:
-            rate = AXLE_READINGS_PER_UNKNOWN * unknowns / len(record.a)
-        block = max(1, round(record.fs / rate))
         origin = inputs.s[0] - car.wheelbase - (MARGIN + 1) * ds
         middle = origin + ds * (np.arange(int((inputs.s[-1] - origin) / ds) + 2 * MARGIN) - 0.5)
         level = self.level_ends and record.s[0] <= 0.0
@@ -329,7 +354,11 @@ class MapSmoother(CalibratedByIdentification):
         rest = rest_state(car, inputs)
         typical = REST_STD if level else MOVING_STD
         initial_std = np.repeat(typical[[0, -1]], rest.size // 2)  # of a frame's twist, too
-        return PreparedDrive(a, valid, censored, block, inputs, rest, initial_std, origin, ds, free)
+        if model.filter is not None and not level:  # what the filter held before is not known
+            valid = valid & (np.arange(valid.shape[1]) >= model.filter.memory * record.fs)
+        return model, PreparedDrive(
+            a, valid, censored, block, inputs, rest, initial_std, origin, ds, free
+        )
 
 
 @dataclass(eq=False)

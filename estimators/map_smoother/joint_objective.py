@@ -160,8 +160,7 @@ class JointLinearization:
         information = []
         for one in self.passes[1:]:
             measurements = one.objective.measurements
-            slope = one.objective.footprint.apply(self._slope)
-            uniform = one.block_tangent.apply(np.zeros(one.tape.end.size), slope)
+            uniform = one.read_road(np.zeros(one.tape.end.size), self._slope)
             power = np.sum(measurements.sample_count * uniform**2, axis=0)
             s = one.objective.inputs.s[:: one.objective.inputs.s.size // power.size][: power.size]
             hats = [np.interp(s, self.at.knots, unit) for unit in np.eye(self.at.knots.size)]
@@ -215,9 +214,7 @@ class JointLinearization:
         roads = [dc + (shift @ self._hats) * self._slope if shift.any() else dc for shift in shifts]
         rows = zip(self.passes, start, roads, bias, strict=True)
         return [
-            one.objective.in_band(
-                one.block_tangent.apply(first, one.objective.footprint.apply(c)) + offset[:, None]
-            )
+            one.objective.in_band(one.read_road(first, c) + offset[:, None])
             for one, first, c, offset in rows
         ]
 
@@ -227,8 +224,7 @@ class JointLinearization:
         for k, (one, values) in enumerate(zip(self.passes, means, strict=True)):
             o = one.objective
             values = o.in_band(values)
-            start, c = one.block_tangent.apply_transpose(values)
-            c = o.footprint.apply_transpose(c)
+            start, c = one.read_road_transpose(values)
             own += [o.initial_std * start, o.model.bias_std * values.sum(axis=1)]
             total += c
             if k and self.at.n_shifts:

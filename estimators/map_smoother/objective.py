@@ -23,6 +23,7 @@ from estimators.common.bending import SensedBending, sensed_bending
 from estimators.common.block_means import BlockMeans
 from estimators.common.footprint import Footprint
 from estimators.common.model_inputs import REST_STD, ModelInputs
+from estimators.common.sensor_filter import SampledFilter, SensorFilter
 from estimators.common.spline import sample_under_wheels
 from estimators.map_smoother.block_tangent import BlockTangent, build_block_tangent
 from estimators.map_smoother.road_prior import RoadTransform
@@ -43,7 +44,8 @@ class MeasurementModel:
     unit of each coordinate's; `noise_variance` [(m/s²)²] of a sample; prior standard deviation
     `bias_std` [m/s²] of the sensor biases; the `bending` of the body, None if it is stiff; the
     `contact_length` [m] over which the tyres envelop the road; the relative standard deviation
-    `speed_std` of the speed; the `bandwidth` [Hz] of the measurements, which say nothing above it.
+    `speed_std` of the speed; the `bandwidth` [Hz] of the measurements, which say nothing above it;
+    the anti-alias `filter`, None where it only delays, as the inputs of the drive then say.
     """
 
     plant: Plant
@@ -57,12 +59,14 @@ class MeasurementModel:
     contact_length: float = 0.0
     speed_std: float = 0.0
     bandwidth: float = np.inf
+    filter: SensorFilter | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Objective:
     """Cost function of one window of a drive, which begins about the vehicle state `initial_state`
-    (14,), with the prior standard deviation `initial_std` (14,), and with `strut_state` (4, 3).
+    (14,), with the prior standard deviation `initial_std` (14,), with `strut_state` (4, 3) and, if
+    the model has a filter, with its `filter_state` (n, S, 2); None: at rest.
     """
 
     model: MeasurementModel
@@ -72,6 +76,7 @@ class Objective:
     road: RoadTransform
     inputs: ModelInputs
     measurements: BlockMeans
+    filter_state: np.ndarray | None = None
 
     @property
     def size(self) -> int:
@@ -201,11 +206,18 @@ class Objective:
             inverse_variance = self.information
         return Linearization(self, x, tape, residual, inverse_variance, frequency_weights)
 
-    def state_after(self, x: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return vehicle state (14,) and strut state (4, 3) after `steps` on the road of `x`."""
+    def state_after(
+        self, x: np.ndarray, steps: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """Return vehicle state (14,), strut state (4, 3) and that of the anti-alias filter after
+        `steps` on the road of `x`.
+        """
         part = replace(self, inputs=self.inputs.slice_steps(0, steps))
-        tape = part.simulate(x)
-        return tape.end, tape.strut_state
+        tape, filter_state = part.simulate(x), None
+        if (low_pass := self.model.filter) is not None:
+            sensed = self._at_sensors(tape.acceleration, self.inputs.h)
+            _, filter_state = low_pass.filter(sensed, self._filter_state_of(low_pass))
+        return tape.end, tape.strut_state, filter_state
 
     @property
     def information(self) -> np.ndarray:
@@ -230,16 +242,40 @@ class Objective:
         f = rfftfreq(means.shape[1], self.block_duration)
         return apply_frequency_weights(f <= self.model.bandwidth, means)
 
-    def sense(self, acceleration: np.ndarray) -> np.ndarray:
+    def sense(self, acceleration: np.ndarray, follows: bool = True) -> np.ndarray:
         """Return the samples (S, T) [m/s²] of sensors without bias from the accelerations (N, 7) of
-        the coordinates.
+        the coordinates, which follow those before the window, or zeros.
         """
-        inputs, model = self.inputs, self.model
-        samples = acceleration[:: inputs.decimation][: self.measurements.n_samples]
-        sensed = model.sensor_rows @ samples.T
-        if model.bending is not None:
-            sensed += model.bending.at_samples(samples, inputs.h * inputs.decimation)
-        return sensed
+        inputs, sampled = self.inputs, self.sampled_filter
+        if sampled is None:
+            samples = acceleration[:: inputs.decimation][: self.measurements.n_samples]
+            return self._at_sensors(samples, inputs.h * inputs.decimation)
+        sensed = self._at_sensors(acceleration, inputs.h)
+        start = (
+            self._filter_state_of(sampled.filter)
+            if follows
+            else sampled.filter.at_rest(len(sensed))
+        )
+        return sampled.read(sensed, start)
+
+    def _at_sensors(self, acceleration: np.ndarray, step: float) -> np.ndarray:
+        """Return the accelerations (S, N) at the sensors from those of the coordinates (N, 7)."""
+        sensed, bending = self.model.sensor_rows @ acceleration.T, self.model.bending
+        return sensed if bending is None else sensed + bending.at_samples(acceleration, step)
+
+    def _filter_state_of(self, low_pass: SensorFilter) -> np.ndarray:
+        """Return the state (n, S, 2) of the anti-alias filter at the first step."""
+        if self.filter_state is not None:
+            return self.filter_state
+        return low_pass.at_rest(len(self.model.sensor_rows))
+
+    @cached_property
+    def sampled_filter(self) -> SampledFilter | None:
+        """The anti-alias filter at the samples, None if it only delays them."""
+        if self.model.filter is None:
+            return None
+        at = self.inputs.sample_steps(self.measurements.n_samples)
+        return SampledFilter(self.model.filter, at, self.inputs.n_steps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -294,10 +330,14 @@ class Linearization:
     def block_tangent(self) -> BlockTangent:
         """The tangent at this point, as matrices."""
         o, model = self.objective, self.objective.model
-        sensors = o.measurements, model.sensor_rows
+        inputs, rows, weight = o.inputs, model.sensor_rows, o.measurements.sample_weight
+        if o.sampled_filter is not None:  # means of groups of steps, which the filter then samples
+            groups, group = o.sampled_filter.n_groups, o.sampled_filter.filter.group
+            inputs = replace(inputs, decimation=1)
+            weight = np.full((len(rows), groups, group), 1.0 / group)
         if model.bending is not None:
-            sensors = model.bending.extended(*sensors)
-        return build_block_tangent(self.tape, o.road, o.inputs, *sensors, o.wheelbase(self.x))
+            weight, rows = model.bending.extended(weight, rows)
+        return build_block_tangent(self.tape, o.road, inputs, weight, rows, o.wheelbase(self.x))
 
     @cached_property
     def speed_sensitivity(self) -> np.ndarray:
@@ -306,18 +346,45 @@ class Linearization:
         c = o.road.coefficients(o.split(self.x)[0])
         one, other = (o.road_under_wheels(c, o.wheelbase(self.x + d)) for d in (unit, -unit))
         motion, _ = self.tape.tangent(np.zeros(self.tape.end.size), one - other)
-        return o.measurements.average(o.sense(motion)) / (2.0 * SPEED_DIFFERENCE)
+        change = o.measurements.average(o.sense(motion, follows=False))
+        return change / (2.0 * SPEED_DIFFERENCE)
 
     def tangent(self, dx: np.ndarray) -> np.ndarray:
         """Return the change (S, J) of the predicted block means by a small `dx`."""
         o = self.objective
         u, start, bias = o.split(dx)
-        means = self.block_tangent.apply(start, o.footprint.apply(o.road.apply(u)))
-        if o.model.bending is not None:
-            means = o.model.bending.sense(means, o.block_duration)
+        means = self.read_road(start, o.road.apply(u))
         if o.is_speed_unknown:
             means += dx[-1] * self.speed_sensitivity
         return o.in_band(means + bias[:, None])
+
+    def read_road(self, start: np.ndarray, c: np.ndarray) -> np.ndarray:
+        """Return the change (S, J) of the block means, not limited to the bandwidth, by those of
+        the first vehicle state (14,) and of the road's coefficients `c` (2, K).
+        """
+        o = self.objective
+        means = self.block_tangent.apply(start, o.footprint.apply(c))
+        if o.model.bending is not None:
+            means = o.model.bending.sense(means, self._mean_duration)
+        if o.sampled_filter is not None:
+            means = o.measurements.average(o.sampled_filter.apply(means))
+        return means
+
+    def read_road_transpose(self, means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Apply the transpose of `read_road`: from block means (S, J) to (14,) and (2, K)."""
+        o = self.objective
+        if o.sampled_filter is not None:
+            means = o.sampled_filter.apply_transpose(o.measurements.average_transpose(means))
+        if o.model.bending is not None:
+            means = o.model.bending.sense_transpose(means, self._mean_duration)
+        start, c = self.block_tangent.apply_transpose(means)
+        return start, o.footprint.apply_transpose(c)
+
+    @property
+    def _mean_duration(self) -> float:
+        """Duration [s] of a mean in the block tangent."""
+        o = self.objective
+        return o.block_duration if o.model.filter is None else o.inputs.h * o.model.filter.group
 
     def adjoint(self, means: np.ndarray) -> np.ndarray:
         """Apply the transpose of `tangent`: from block means (S, J) to `x`."""
@@ -326,10 +393,7 @@ class Linearization:
         rest = o.model.bias_std * means.sum(axis=1)
         if o.is_speed_unknown:
             rest = np.append(rest, np.sum(self.speed_sensitivity * means))
-        if o.model.bending is not None:
-            means = o.model.bending.sense_transpose(means, o.block_duration)
-        start, c = self.block_tangent.apply_transpose(means)
-        c = o.footprint.apply_transpose(c)
+        start, c = self.read_road_transpose(means)
         return np.concatenate([o.road.apply_transpose(c).ravel(), o.initial_std * start, rest])
 
     def draw_noise(self, rng: np.random.Generator) -> np.ndarray:

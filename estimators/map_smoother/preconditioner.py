@@ -284,8 +284,10 @@ def _sensed(objective: Objective, H: np.ndarray, f: np.ndarray) -> np.ndarray:
     model = objective.model
     if model.bending is not None:
         H = model.bending.response(H, f)
-    enveloped = np.sinc(f / objective.inputs.v.mean() * model.contact_length)
-    return enveloped[:, None, None] * H @ TO_WHEEL_PATHS
+    response = np.sinc(f / objective.inputs.v.mean() * model.contact_length)
+    if model.filter is not None:
+        response = response * model.filter.response(f)
+    return response[:, None, None] * H @ TO_WHEEL_PATHS
 
 
 def _decode_mode(byte: int) -> dict[str, str]:

@@ -71,7 +71,8 @@ class WindowState:
     """Result of the windows so far. Coefficients `c` (2, K) [m] of the road, final before the node
     `first_free_node` and level from there on, and the `std` (2, K) [m] of their error;
     `vehicle_state` (14,), its standard deviation `initial_std` (14,) and `strut_state` (4, 3) where
-    the next window begins; `density_scale` of the road's prior at the frequencies `n` [cycles/m].
+    the next window begins; `density_scale` of the road's prior at the frequencies `n` [cycles/m];
+    `filter_state` of the anti-alias filter there, None at rest or if it only delays.
     """
 
     c: np.ndarray
@@ -82,6 +83,7 @@ class WindowState:
     strut_state: np.ndarray
     n: np.ndarray
     density_scale: np.ndarray
+    filter_state: np.ndarray | None = None
 
     def at_stations(self, drive: PreparedDrive, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return heights and standard deviations (2, M) [m] at the stations `s` (M,) [m]."""
@@ -146,6 +148,9 @@ def window_objective(
     inputs = drive.inputs.slice_steps(begin * drive.steps_per_block, end * drive.steps_per_block)
     samples = slice(begin * drive.block_size, end * drive.block_size)
     a, valid, censored = (x[:, samples] for x in (drive.a, drive.valid, drive.censored))
+    if inputs.offset is not None:  # samples beyond the first or last step are not predicted
+        at = inputs.sample_steps(a.shape[1])
+        valid = valid & (at > -1.0) & (at < inputs.n_steps)
     bridged = np.isfinite(model.bandwidth)
     measurements = block_means(a, valid, drive.block_size, censored, bridged)
     first, last = nodes or nodes_under(drive, model.wheelbase, begin, end)
@@ -160,7 +165,10 @@ def window_objective(
     road = RoadTransform(origin, drive.ds, c, free, amplitude, np.ones_like(c))
     road = road.scale_density(np.interp(road.n, window_state.n, window_state.density_scale))
     vehicle = window_state.vehicle_state, window_state.initial_std
-    return Objective(model, window_state.strut_state, *vehicle, road, inputs, measurements)
+    filter_state = window_state.filter_state
+    return Objective(
+        model, window_state.strut_state, *vehicle, road, inputs, measurements, filter_state
+    )
 
 
 def whole_objective(model: MeasurementModel, drive: PreparedDrive, prior: RoadPrior) -> Objective:
@@ -189,8 +197,9 @@ def advance(
     low = round((road.origin - drive.origin) / drive.ds)
     first, last = max(window_state.first_free_node, low), min(low + road.size, size)
     state, strut_state = window_state.vehicle_state, window_state.strut_state
+    filter_state = None
     if steps is not None:
-        state, strut_state = objective.state_after(x, steps)
+        state, strut_state, filter_state = objective.state_after(x, steps)
         # up to the nodes that carry the front axle now
         last = drive.node_at(objective.inputs.s[2 * steps]) + 3
     c, std, here = window_state.c.copy(), window_state.std.copy(), slice(first - low, last - low)
@@ -199,4 +208,5 @@ def advance(
     c[:, last:], std[:, last:] = c[:, last - 1 : last], std[:, last - 1 : last]
     scale = (road.amplitude[0] / prior_amplitude(prior, road.size, road.ds)[0]) ** 2
     scale *= np.mean(road.local[:, road.free > 0] ** 2)
-    return WindowState(c, std, last, state, np.zeros_like(state), strut_state, road.n, scale)
+    known = state, np.zeros_like(state), strut_state
+    return WindowState(c, std, last, *known, road.n, scale, filter_state)
