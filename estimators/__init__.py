@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from estimators.api import ENTRY_POINT_GROUP
-    from estimators.estimation import estimate, make_estimator
+    from estimators.estimation import estimate
+    from estimators.lookup import make_estimator
     from estimators.passes import estimate_passes
     from estimators.registry import (
         REGISTRY,
@@ -24,7 +25,7 @@ _MODULES = {
     "ENTRY_POINT_GROUP": "api",
     "estimate": "estimation",
     "estimate_passes": "passes",
-    "make_estimator": "estimation",
+    "make_estimator": "lookup",
 }
 """Modules of the public names that are not in `registry`."""
 

@@ -24,7 +24,7 @@ import numpy as np
 from estimators.api import Estimator, check_estimate
 from estimators.common.alignment import MIN_OVERLAP, StationMap, identity_map, map_stations
 from estimators.common.odometer import calibrate_odometer
-from estimators.estimation import resolve_estimator, training_notes
+from estimators.lookup import resolve_estimator, training_notes
 from road_envs.core.config import ConfigError
 from road_envs.records.record import PROFILE_SPACING, Estimate, Record, scored_band
 from road_envs.records.roughness import band_pass

@@ -11,7 +11,7 @@ import typer
 import estimators
 from estimators.api import Estimator
 from estimators.common.odometer import to_true_distance
-from estimators.estimation import FILE_SUFFIXES
+from estimators.lookup import FILE_SUFFIXES
 from estimators.wiener.drive_check import check_notes
 from leaderboard.commands import check_output_path, parse_mode, parse_pairs
 from road_envs.core.config import ConfigError
