@@ -26,7 +26,7 @@ Sections = Mapping[str, Mapping[str, str | typer.Typer]]
 OPTION_SECTIONS = {
     "Drive": ("road", "speed_kmh", "mode", "length", "vehicle", "sensors", "grade"),
     "Measured drive": (
-        "columns", "units", "invert", "offset", "description", "save_description",
+        "at", "track", "columns", "units", "invert", "offset", "description", "save_description",
     ),
     "Running": (
         "seed", "seeds", "workers", "dask", "plan", "again", "probes", "isolation", "time_limit",

@@ -61,9 +61,9 @@ def pytest_xdist_make_scheduler(config, log):
 @pytest.fixture
 def unchecked(monkeypatch):
     """Let commands read tables without trying other descriptions, which takes a second each."""
-    from leaderboard.commands import drive_files
+    from leaderboard.drive_report import drive_estimates
 
-    monkeypatch.setattr(drive_files, "check_notes", lambda *_, **__: ())
+    monkeypatch.setattr(drive_estimates, "check_notes", lambda *_, **__: ())
 
 
 @pytest.fixture

@@ -25,18 +25,18 @@ from leaderboard.commands.drive_files import (
     DriveOptions,
     RecordFile,
     RecordFiles,
-    estimate_drive,
-    make_drive_estimator,
     read_drive,
     read_passes,
     with_drive_options,
 )
 from leaderboard.commands.options import Json, Settings
+from leaderboard.drive_report.drive_estimates import estimate_drive, make_drive_estimator
 from leaderboard.metrics.alignment import Alignment, align
 from leaderboard.metrics.api import UNDEFINED
 from leaderboard.metrics.registry import PRINTED_SCORES, SCORES, compute_scores
 from leaderboard.report import plots
 from road_envs.core.config import validate_choice
+from road_envs.drives.reading import same_instruments
 from road_envs.drives.training_corpus import Corpus, drives_in_mode
 from road_envs.records.record import Profile, Record
 from road_envs.roads import Surface, load_road, realise_road, write_csv
@@ -82,7 +82,8 @@ def estimate(
         drive, result = estimate_drive(chosen, drive)
         notes = list(drive.measured.notes)
     else:
-        names = [path.name for path in records]
+        same_instruments(drives)
+        names = [each.label for each in drives]
         pairs = zip(names, drives, strict=True)
         notes = [f"{name}: {note}" for name, each in pairs for note in each.measured.notes]
         measured, cars = [each.measured.record for each in drives], [each.car for each in drives]

@@ -1,6 +1,5 @@
 """Command `identify`: a vehicle's parameters from calibration drives."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,11 +14,11 @@ from estimators.map_smoother.identification import identify as identify_vehicle
 from leaderboard.commands import check_output_path, console, print_json, print_notes
 from leaderboard.commands.drive_files import (
     DriveOptions,
-    read_drive,
-    read_profiles,
+    read_passes,
     with_drive_options,
 )
 from leaderboard.commands.options import Json, KnownRoads
+from leaderboard.drive_report.drive_estimates import read_profiles
 from leaderboard.report import identification_plot
 from road_envs.vehicle.parameters import write_vehicle
 
@@ -55,16 +54,11 @@ def identify(
     those with tolerances in the vehicle's file. The last third of each drive is held out.
     """
     check_output_path(out, ".yaml", ".yml"), check_output_path(plot, ".png", ".svg", ".pdf")
-    files = [
-        read_drive(
-            path, replace(options, save_description=options.save_description if k == 0 else None)
-        )
-        for k, path in enumerate(records)
-    ]
+    files = read_passes(records, options)
     profiles = read_profiles(profile or [], [file.measured for file in files])
     drives = [
-        CalibrationDrive(file.measured.record, known, 1e-3 * survey_error_mm, path.name)
-        for path, file, known in zip(records, files, profiles, strict=True)
+        CalibrationDrive(file.measured.record, known, 1e-3 * survey_error_mm, file.name)
+        for file, known in zip(files, profiles, strict=True)
     ]
     smoother = MapSmoother(adapt=False, instruments=files[0].sensors)
     result = identify_vehicle(drives, files[0].car, smoother, structure)
@@ -73,11 +67,11 @@ def identify(
         names = ", ".join(path.name for path in records)
         write_vehicle(out, result.car, f"Identified by `road-recon identify` from {names}.")
     if plot:
-        identification_plot.draw_identification(result, [p.name for p in records], plot)
+        identification_plot.draw_identification(result, [f.name for f in files], plot)
     if json:
         print_json({**_facts(result), "notes": notes})
         return
-    _print(result, [path.name for path in records])
+    _print(result, [file.name for file in files])
     print_notes([*notes, *(f"written: {path}" for path in (out, plot) if path)])
 
 

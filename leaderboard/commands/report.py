@@ -1,12 +1,10 @@
 """Command `report`: roughness, condition and obstacles of a driven road, as a page and files."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-import estimators
 from leaderboard.commands import (
     check_output_folder,
     console,
@@ -17,27 +15,15 @@ from leaderboard.commands import (
     print_notes,
     progress_bar,
 )
-from leaderboard.commands.drive_files import (
-    DriveOptions,
-    estimate_drive,
-    make_drive_estimator,
-    read_drive,
-    with_drive_options,
-)
+from leaderboard.commands.drive_files import KINDS, DriveOptions, read_passes, with_drive_options
 from leaderboard.commands.options import Json, Settings
-from leaderboard.drive_report.analysis import SEGMENT_LENGTHS, DriveResult, analyse
+from leaderboard.drive_report.analysis import DriveResult
 from leaderboard.drive_report.conditions import load_conditions
-from leaderboard.drive_report.export import write_geojson, write_tables
-from leaderboard.drive_report.page import write_page
-from leaderboard.drive_report.passes import ReportedPass, align_passes, compare, join
-from road_envs.core.config import ConfigError
-from road_envs.drives.measured_record import MeasuredRecord
-from road_envs.records.record import Estimate
-from road_envs.sensing.instruments import instruments_of, load_instruments
+from leaderboard.drive_report.report import ReportSettings, make_report, write_report
 
 Drives = Annotated[
     list[Path],
-    typer.Argument(help="Records or tables of drives (.csv, .parquet, .mf4); several passes."),
+    typer.Argument(help=f"Drives, each {KINDS}; several are passes."),
 ]
 
 
@@ -63,60 +49,21 @@ def report(
     NAME_segments, NAME_obstacles (.csv, .parquet), NAME_heights (.parquet) and, if the drive has
     positions, NAME.geojson.
     """
-    if segment not in SEGMENT_LENGTHS:
-        allowed = ", ".join(f"{x:g}" for x in SEGMENT_LENGTHS)
-        raise ConfigError(f"--segment must be one of {allowed} m, got {segment:g} m")
     check_output_folder(out)
-    names = _names(drives)
     import_from_here([estimator])
-    categories, chosen = load_conditions(conditions), parse_settings(settings)
-    read: list[tuple[str, MeasuredRecord, Estimate]] = []
-    cars = []
+    chosen = ReportSettings(
+        conditions=load_conditions(conditions),
+        estimator=estimator,
+        settings=parse_settings(settings),
+        segment=segment,
+    )
     with progress_bar() as progress:
-        for k, path in enumerate(drives):
-            progress(f"reading {path.name}", k / len(drives))
-            drive = read_drive(path, options)
-            options = replace(options, save_description=None)  # once
-            records = [*(measured.record for _, measured, _ in read), drive.measured.record]
-            estimators.passes.refuse_repetitions(records, [str(file) for file in drives[: k + 1]])
-            progress(f"estimating {path.name}", (k + 0.2) / len(drives))
-            one = make_drive_estimator(estimator, drive, chosen)
-            drive, found = estimate_drive(one, drive)
-            read.append((names[k], drive.measured, found))
-            cars.append(drive.car)
-        passes, instruments = align_passes(read), load_instruments(drive.sensors)
-        progress("joining the passes" if len(drives) > 1 else "writing the report", 1.0)
-        joined = join(one, passes, cars)
-
-    def analysed(each: ReportedPass) -> DriveResult:
-        distance = each.estimate.distance
-        ranges = instruments_of(each.measured.record, drive.sensors).ranges
-        return analyse(
-            each.name,
-            each.measured,
-            each.estimate,
-            categories,
-            segment=segment,
-            modes=drive.car.modes,
-            clipping=ranges[:, None],
-            distance_std=distance.std if distance else instruments.speed_error,
-        )
-
-    results = [analysed(each) for each in passes]
-    road = [analysed(joined)] if joined else []
-    agreement = compare([r for r, one in zip(results, passes, strict=True) if one.aligned])
-    out.mkdir(parents=True, exist_ok=True)
-    written = []
-    for result in (*road, *results):
-        written += write_tables(result, out, result.name)
-        written += write_geojson(result, out, result.name)
-    about = {
-        "estimator": estimator,
-        "vehicle": drive.car.name,
-        "sensors": drive.sensors,
-    }
-    page = out / "index.html"
-    write_page([*road, *results], categories, about, agreement, page)
+        progress("reading", 0.0)
+        read = read_passes(drives, options)
+        made = make_report(read, chosen, progress)
+    results, agreement = made.drives, made.agreement
+    road = [made.road] if made.road else []
+    page, *written = write_report(made, chosen, out)
     files = [str(path) for path in (page, *written)]
     if json:
         facts = {"drives": [_facts(result) for result in results], "agreement": agreement}
@@ -127,15 +74,6 @@ def report(
     if agreement:
         _print_agreement(agreement)
     console.print(f"written: {page} and {len(written)} tables")
-
-
-def _names(drives: list[Path]) -> list[str]:
-    """Return a name for each drive: its stem, numbered where stems are equal."""
-    stems = [path.stem for path in drives]
-    return [
-        stem if stems.count(stem) == 1 else f"{stem}_{stems[: k + 1].count(stem)}"
-        for k, stem in enumerate(stems)
-    ]
 
 
 def _print_agreement(agreement: dict[str, Any]) -> None:

@@ -23,13 +23,7 @@ from leaderboard.commands import (
     print_json,
     progress_bar,
 )
-from leaderboard.commands.drive_files import (
-    DEFAULT_VEHICLE,
-    DriveOptions,
-    read_drive,
-    read_profiles,
-    with_drive_options,
-)
+from leaderboard.commands.drive_files import DriveOptions, read_passes, with_drive_options
 from leaderboard.commands.options import (
     Json,
     KnownRoads,
@@ -42,9 +36,11 @@ from leaderboard.commands.options import (
     Speed,
     Vehicle,
 )
+from leaderboard.drive_report.drive_estimates import read_profiles
 from leaderboard.evaluation import pretraining
 from leaderboard.report import plots
 from road_envs.core.config import ConfigError
+from road_envs.drives.reading import DEFAULT_VEHICLE
 from road_envs.drives.recording import simulate_record, write_record
 from road_envs.drives.training_corpus import Corpus
 from road_envs.plants.driving import simulate_on_plant
@@ -227,7 +223,7 @@ def _train_on_drives(
     options: DriveOptions,
 ) -> dict[str, Any]:
     """Fit an estimator to drives in files and return the facts to print. Raises ConfigError."""
-    files = [read_drive(path, options) for path in paths]
+    files = read_passes(paths, options)
     truths = [
         cast(Profile, truth) for truth in read_profiles(profiles, [f.measured for f in files])
     ]

@@ -36,11 +36,20 @@ from road_envs.drives.logger_tables.clock import (
 from road_envs.drives.logger_tables.description import DriveDescription
 from road_envs.drives.logger_tables.motion import read_motion
 from road_envs.drives.logger_tables.table import Table, read_table
+from road_envs.drives.mount import Levelled, level
+from road_envs.drives.places import DEVICE, SEAT_NOTE
+from road_envs.drives.recordings.recording import Recording, Series
 from road_envs.records.accelerometers import column
 from road_envs.records.record import LowPass, Record
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import decode_commands, encode_command
+
+ONE_DEVICE = (
+    "one phone will do: record its three axes x, y and z, from which the vertical one is found, or "
+    "name a vertical column with --columns a_phone=NAME and its place with --at dashboard"
+)
+"""What to do where a table has no acceleration that is known."""
 
 
 class MeasuredRecord(NamedTuple):
@@ -81,24 +90,61 @@ def read_measured_record(
     chosen = (description or DriveDescription()).updated(speed_kmh=speed_kmh, mode=mode)
     table = read_table(path)
     try:
-        return _to_record(table, wheelbase, chosen, car)
+        return to_measured_record(table, wheelbase, chosen, car)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
 
 
-def _to_record(
+def recording_to_record(
+    recording: Recording,
+    wheelbase: float,
+    description: DriveDescription,
+    car: VehicleParameters | None = None,
+) -> MeasuredRecord:
+    """Return the record of a device with three axes, turned upright. Raises ConfigError."""
+    upright = level(recording)
+    seat = (SEAT_NOTE,) if description.at == "seat" else ()
+    drive = to_measured_record(_joined_table(upright, recording.track), wheelbase, description, car)
+    return drive._replace(notes=(*upright.notes, *recording.notes, *seat, *drive.notes))
+
+
+def _joined_table(upright: Levelled, track: Series | None) -> Table:
+    """Return the vertical acceleration and the track as one table, empty where either has no row.
+
+    Times are rounded to a microsecond, so that equal ones are one row.
+    """
+    import pyarrow as pa
+
+    fast = np.round(upright.t, 6)
+    slow = np.zeros(0) if track is None else np.round(track.t, 6)
+    t = np.union1d(fast, slow)
+    columns = {"t [s]": t, f"{column(DEVICE)} [m/s2]": np.full(t.size, np.nan)}
+    columns[f"{column(DEVICE)} [m/s2]"][np.searchsorted(t, fast)] = upright.vertical
+    if track is not None:
+        for name, x in zip(("lat", "lon", "v [m/s]", "s [m]"), track.x.T, strict=True):
+            if np.isfinite(x).any():
+                columns[name] = np.full(t.size, np.nan)
+                columns[name][np.searchsorted(t, slow)] = x
+    return {name: pa.array(x) for name, x in columns.items()}
+
+
+def to_measured_record(
     table: Table, wheelbase: float, description: DriveDescription, car: VehicleParameters | None
 ) -> MeasuredRecord:
+    """Return the record in a table, as `read_measured_record` does. Raises ConfigError."""
     findings = Findings()
-    instruments = load_instruments(description.sensors or "paper")
-    if description.accelerometers is not None:
-        instruments = replace(instruments, accelerometers=description.accelerometers)
+    one_device = description.layout is not None and description.accelerometers is None
+    instruments = load_instruments(description.sensors or ("phone" if one_device else "paper"))
+    if description.layout is not None:
+        instruments = replace(instruments, accelerometers=description.layout)
     layout = instruments.layout
     channels = Channels(table, description, findings, layout)
     clock = read_clock(channels, findings)
     found = [channels.acceleration(column(name)) for name in layout]
     given = [x for x in found if x is not None]
     commands = _commands(channels, findings, car)
+    if not given and description.layout is None:
+        findings.problems.append(ONE_DEVICE)
     if clock is None or not given:
         findings.raise_problems()
     assert clock is not None

@@ -130,12 +130,12 @@ def test_empty_cells_and_missing_rows_become_lost_samples(tmp_path):
 @given(st.integers(0, 2**32 - 1))
 def test_an_uneven_clock_is_resampled(tmp_path_factory, seed):
     t = T + 0.002 * np.random.default_rng(seed).uniform(-1.0, 1.0, T.size)
-    columns = changed(t=t, a_rf=3.0 * t, v=5.0 + t)
+    columns = changed(t=t, a_rf=0.5 * (t - 1.0), v=5.0 + t)
     measured = read_measured_record(table(tmp_path_factory.mktemp("d") / "d.csv", columns), BASE)
     record, notes = measured.record, measured.notes
     steps = np.diff(record.t)
     np.testing.assert_allclose(steps, steps[0], rtol=1e-9)
-    np.testing.assert_allclose(record.a[0], 3.0 * (record.t + t[0]), atol=1e-6)
+    np.testing.assert_allclose(record.a[0], 0.5 * (record.t + t[0] - 1.0), atol=1e-6)
     assert not np.isnan(record.a).any() and "uneven" in notes[0]
 
 
@@ -193,8 +193,10 @@ def spoilt(column, k, value):
         ({"v": 30.0 * CHANNELS["v"]}, {}, "is it in km/h (--units v=km/h)?"),
         ({"s": 36.0 * T}, {}, "11.93 m by the speed and 71.64 m by the odometer"),
         ({"a_rf": np.full(200, np.nan)}, {}, "the column a_rf holds no number"),
-        ({"a_rf": np.where(T < 1.0, np.nan, T)}, {}, "50% of the samples are lost"),
-        ({"a_rf": -9.8 + T}, {}, "invert its sign with --invert a_rf"),
+        ({"a_rf": np.where(T < 1.0, np.nan, T - 1.5)}, {}, "50% of the samples are lost"),
+        ({"a_rf": -9.8 + 0.1 * T}, {}, "invert its sign with --invert a_rf"),
+        ({"a_rf": 8.04 + CHANNELS["a_rf"]}, {}, "an axis 35 degrees from the vertical"),
+        ({"a_rf": -0.6 + 0.1 * np.sin(63.0 * T)}, {}, "Give all three axes (x, y, z)"),
         ({"a_rf": 0.0 * T}, {}, "a_rf is 0 in all rows: the sensor is dead"),
         ({"a_rf": 1.0 + 0.1 * np.sin(9.0 * T)}, {}, "as of gravity in g: say --units a_rf=g"),
         ({"a_rf": 0.01 * np.sin(9.0 * T)}, {}, "less than any driven car"),

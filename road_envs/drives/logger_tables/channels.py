@@ -17,8 +17,15 @@ from road_envs.drives.logger_tables.table import Table, numeric_values, to_si
 from road_envs.records import units
 from road_envs.records.record import SENSORS
 
-GRAVITY_THRESHOLD = 0.5 * units.STANDARD_GRAVITY
-"""A channel includes gravity if the magnitude of its mean exceeds this value [m/s²]."""
+GRAVITY_THRESHOLD = 9.5
+"""Least mean [m/s²] of a vertical channel that includes gravity: an axis 14 degrees from the
+vertical has as much, and reads accelerations 3 % too low.
+"""
+
+UPRIGHT_THRESHOLD = 0.5
+"""Largest magnitude of the mean [m/s²] of a channel without gravity: the offset of a sensor, or a
+part of gravity by which the axis is tilted.
+"""
 
 GRAVITY_MAX = 1.5 * units.STANDARD_GRAVITY
 """Greatest mean of a channel [m/s²]: gravity, and the offset of a sensor."""
@@ -158,6 +165,13 @@ class Channels:
                 f"{name} has a mean of {mean:.4g} and an RMS of {spread:.3g} m/s², more than any "
                 f"car: give its unit (--units {quantity}=mg), and scale raw counts by the data "
                 "sheet of the sensor"
+            )
+        elif UPRIGHT_THRESHOLD < abs(mean) < GRAVITY_THRESHOLD:
+            tilt = np.degrees(np.arccos(abs(mean) / units.STANDARD_GRAVITY))
+            problems.append(
+                f"{name} has a mean of {mean:.2f} m/s², neither 0 nor gravity: an axis "
+                f"{tilt:.0f} degrees from the vertical, or an offset. Give all three axes (x, y, "
+                "z), from which the vertical is found, or subtract an offset that you know"
             )
         elif mean < -GRAVITY_THRESHOLD:
             problems.append(

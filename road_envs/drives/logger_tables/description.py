@@ -11,8 +11,9 @@ from pydantic import TypeAdapter
 from road_envs.core.atomic_io import write_text
 from road_envs.core.config import ConfigError, Finite, Positive, Settings, build, read_yaml
 from road_envs.core.config import validate_choice as validate
+from road_envs.drives.places import DEVICE, parse_place
 from road_envs.records import units
-from road_envs.records.accelerometers import Layout, column
+from road_envs.records.accelerometers import Accelerometer, Layout, column
 from road_envs.records.record import SENSORS
 
 
@@ -36,6 +37,9 @@ QUANTITIES = {
 """Signals that a table can hold beside its accelerations: time, speed, odometer, position (WGS 84),
 and state of the struts.
 """
+
+DEFAULT_PLACE = "dashboard"
+"""Place of one device if none is given, which a note says."""
 
 PREFIX = column("")
 """Beginning of the name of every acceleration."""
@@ -69,15 +73,32 @@ class DriveDescription(Settings):
         Positive | None, "Hz", "of the accelerations: Butterworth, order 4, forwards and backwards"
     ] = None
 
+    at: Annotated[
+        str | None, "", "place of one device: dashboard, floor, seat, trunk, bumper, or metres"
+    ] = None
+    iri_factor: Annotated[
+        Positive | None, "", "true IRI over that of a report, by a stretch of known IRI"
+    ] = None
+    iri_factor_std: Annotated[Positive | None, "", "relative standard deviation of it"] = None
+
     def __post_init__(self):
         super().__post_init__()
-        if self.accelerometers is not None or self.sensors is None:
-            self.check_names(self.accelerometers or SENSORS)
+        if self.at is not None and self.accelerometers is not None:
+            raise ConfigError("give the place of one device (at) or accelerometers, not both")
+        if self.layout is not None or self.sensors is None:
+            self.check_names(self.layout or SENSORS)
         for quantity, unit in self.units.items():
             kind = "acceleration" if quantity.startswith(PREFIX) else QUANTITIES[quantity].kind
             if kind is None:
                 raise ConfigError(f"units: {quantity} has no unit")
             units.factor(kind, unit)
+
+    @property
+    def layout(self) -> dict[str, Accelerometer] | None:
+        """The accelerometers that are described: several, or the one device at a place."""
+        if self.at is None and column(DEVICE) not in self.columns:
+            return self.accelerometers
+        return self.accelerometers or {DEVICE: parse_place(self.at or DEFAULT_PLACE)}
 
     def check_names(self, accelerometers: Iterable[str]) -> None:
         """Raise ConfigError if a quantity is none of a table with these `accelerometers`."""

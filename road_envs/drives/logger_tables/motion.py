@@ -81,7 +81,8 @@ def read_motion(
     if v is None and s is None and track is None:
         findings.problems.append(
             "the speed is missing: give one of the columns v [m/s], v_kmh, s [m], or lat and lon, "
-            f"or one speed for the whole drive (--speed-kmh); {channels.list_columns()}"
+            "a track beside it (--track FILE.gpx), or one speed for the whole drive (--speed-kmh); "
+            f"{channels.list_columns()}"
         )
         return None
     if s is None and v is None and position is not None:
@@ -158,11 +159,11 @@ def _at(
         findings.notes.append(f"{header}: values every {interval:.3g} s are interpolated")
     known, x = t_rows[good], x[good]
     if name != "v" and known.size > 1:
-        known, x = _continued(known, x, t[0], t[-1])
+        known, x = continued(known, x, t[0], t[-1])
     return np.interp(t, known, x)
 
 
-def _continued(
+def continued(
     t: np.ndarray, x: np.ndarray, begin: float, end: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return values `x` (N,) at times `t`, extended linearly to `begin` and `end` [s]."""

@@ -42,6 +42,9 @@ LARGEST = 1e12
 SPREADSHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
 """First bytes of spreadsheets, which are also those of archives."""
 
+UNNAMED_INDEX = "__index_level_0__"
+"""Name that pandas gives an unnamed index in a Parquet file; the index of a drive is its time."""
+
 Table = Mapping[str, Any]
 """Columns of a table by header, as pyarrow arrays."""
 
@@ -63,9 +66,22 @@ def read_table(path: Path) -> Table:
                     f"{size / 2**20:.0f} MiB; at most {MAX_BYTES / 2**20:.0f} MiB of text are "
                     "read: write it as Parquet, or cut it into shorter drives"
                 )
-            table = _read_text(path.read_bytes())
-        names = [" ".join(name.split()) for name in table.column_names]
-        _check_headers(names)
+            table = _parse_table(path.read_bytes())
+        return _by_header(table)
+
+
+def parse_text(data: bytes) -> Table:
+    """Return the columns of a table of text by header. Raises ConfigError, ValueError."""
+    if len(data) > MAX_BYTES:
+        raise ConfigError(f"{len(data) / 2**20:.0f} MiB; at most {MAX_BYTES / 2**20:.0f} are read")
+    return _by_header(_parse_table(data))
+
+
+def _by_header(table: Any) -> Table:
+    names = [" ".join(name.split()) for name in table.column_names]
+    if UNNAMED_INDEX in names and not {"t", "time"} & {name.lower() for name in names}:
+        names[names.index(UNNAMED_INDEX)] = "t"
+    _check_headers(names)
     return dict(zip(names, table.columns, strict=True))
 
 
@@ -105,11 +121,11 @@ def to_si(x: np.ndarray, factor: float) -> np.ndarray:
     return factor * x
 
 
-def _read_text(data: bytes) -> Any:
+def _parse_table(data: bytes) -> Any:
     with optional_import("a table as CSV or Parquet"):
         from pyarrow import csv
 
-    text = _decode(data).replace("\r\n", "\n").replace("\r", "\n")
+    text = decode(data).replace("\r\n", "\n").replace("\r", "\n")
     if "\0" in text:
         raise ValueError(
             "it has zero bytes: no text in UTF-8, UTF-16 with its mark, or Windows-1252"
@@ -175,8 +191,11 @@ def _cells(line: str, mark: str) -> int:
     return len(line.split()) if mark == " " else line.count(mark) + 1
 
 
-def _decode(data: bytes) -> str:
-    """Return the text of a file in UTF-8, UTF-16 with its mark, or else Windows-1252."""
+def decode(data: bytes) -> str:
+    """Return the text of a file in UTF-8, UTF-16 with its mark, or else Windows-1252.
+
+    Raises ConfigError for a spreadsheet or an archive, UnicodeDecodeError.
+    """
     if data[:4] in SPREADSHEETS:
         raise ConfigError("a spreadsheet or an archive: save its sheet as CSV")
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):

@@ -1,0 +1,121 @@
+"""A report of one or more drives: estimates, one road of all passes, and the files of the page."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import estimators
+from estimators.api import Estimator
+from leaderboard.drive_report.analysis import SEGMENT_LENGTHS, DriveResult, analyse
+from leaderboard.drive_report.conditions import Conditions
+from leaderboard.drive_report.drive_estimates import estimate_drive, make_drive_estimator
+from leaderboard.drive_report.export import write_geojson, write_tables
+from leaderboard.drive_report.page import write_page
+from leaderboard.drive_report.passes import ReportedPass, align_passes, compare, join
+from road_envs.core.config import ConfigError
+from road_envs.drives.reading import DriveFile, same_instruments
+from road_envs.sensing.instruments import instruments_of, load_instruments
+
+Progress = Callable[[str, float], None]
+"""Takes what is being done and the share done, 0 to 1."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReportSettings:
+    """What a report is made with: an estimator with its settings, categories, segments [m]."""
+
+    conditions: Conditions
+    estimator: str = "map_smoother"
+    settings: dict[str, Any]
+    segment: float = 100.0
+
+    def __post_init__(self):
+        if self.segment not in SEGMENT_LENGTHS:
+            allowed = ", ".join(f"{x:g}" for x in SEGMENT_LENGTHS)
+            raise ConfigError(f"--segment must be one of {allowed} m, got {self.segment:g} m")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RoadReport:
+    """Results by drive, the road of all passes if there are several, and their agreement."""
+
+    drives: list[DriveResult]
+    road: DriveResult | None
+    agreement: dict[str, Any] | None
+    vehicle: str
+    sensors: str
+
+    @property
+    def results(self) -> list[DriveResult]:
+        """All results, that of the road of all passes first."""
+        return [*([self.road] if self.road else []), *self.drives]
+
+
+def make_report(
+    drives: Sequence[DriveFile], chosen: ReportSettings, progress: Progress
+) -> RoadReport:
+    """Return the report of drives; several are passes over one road where they match.
+
+    Raises ConfigError, RecordError.
+    """
+    sensors = same_instruments(drives)
+    records, names = [d.measured.record for d in drives], [d.label for d in drives]
+    estimators.passes.refuse_repetitions(records, names)
+    read, one = [], None
+    metres = [max(record.length, 1.0) for record in records]
+    for k, drive in enumerate(drives):
+        progress(f"estimating {drive.name}", 0.95 * sum(metres[:k]) / sum(metres))
+        one = make_drive_estimator(chosen.estimator, drive, chosen.settings)
+        drive, found = estimate_drive(one, drive)
+        read.append((drive.name, drive.measured, found))
+    assert one is not None
+    passes = align_passes(read)
+    progress("joining the passes" if len(drives) > 1 else "writing the report", 0.95)
+    joined = _join(one, passes, drives)
+    results = [_analysed(p, d, chosen) for p, d in zip(passes, drives, strict=True)]
+    compared = [r for r, p in zip(results, passes, strict=True) if p.aligned]
+    return RoadReport(
+        drives=results,
+        road=_analysed(joined, drives[0], chosen) if joined else None,
+        agreement=compare(compared),
+        vehicle=", ".join(dict.fromkeys(drive.car.name for drive in drives)),
+        sensors=sensors,
+    )
+
+
+def _join(
+    one: Estimator, passes: list[ReportedPass], drives: Sequence[DriveFile]
+) -> ReportedPass | None:
+    return join(one, passes, [drive.car for drive in drives])
+
+
+def _analysed(each: ReportedPass, drive: DriveFile, chosen: ReportSettings) -> DriveResult:
+    distance = each.estimate.distance
+    speed_error = load_instruments(drive.sensors).speed_error
+    ranges = instruments_of(each.measured.record, drive.sensors).ranges
+    return analyse(
+        each.name,
+        each.measured,
+        each.estimate,
+        chosen.conditions,
+        segment=chosen.segment,
+        modes=drive.car.modes,
+        clipping=ranges[:, None],
+        distance_std=distance.std if distance else speed_error,
+    )
+
+
+def write_report(report: RoadReport, chosen: ReportSettings, folder: Path) -> list[Path]:
+    """Write the page and the files of a report into a folder; return them, the page first."""
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    for result in report.results:
+        written += write_tables(result, folder, result.name)
+        written += write_geojson(result, folder, result.name)
+    about = {
+        "estimator": chosen.estimator, "vehicle": report.vehicle, "sensors": report.sensors,
+    }  # fmt: skip
+    page = folder / "index.html"
+    write_page(report.results, chosen.conditions, about, report.agreement, page)
+    return [page, *written]

@@ -1,0 +1,224 @@
+"""Drives from files: records of this package, tables of loggers, and recordings of phones.
+
+    drive = read_drive(Path("drive.zip"), vehicle="bmw_320i")
+    drive.measured.record, drive.measured.notes
+
+A file can hold several drives (`read_drives`), and several files can be passes over one road, of
+which each has its own description (`read_passes`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from road_envs.core.config import ConfigError
+from road_envs.drives.logger_tables.description import (
+    DEFAULT_PLACE,
+    DriveDescription,
+    read_description,
+)
+from road_envs.drives.measured_record import (
+    MeasuredRecord,
+    recording_to_record,
+    to_measured_record,
+)
+from road_envs.drives.recording import is_record, read_record
+from road_envs.drives.recordings.formats import read_source, read_track
+from road_envs.drives.recordings.recording import Recording, drives_of
+from road_envs.records.record import Record
+from road_envs.sensing.instruments import load_instruments
+from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
+from road_envs.vehicle.suspension import check_modes
+
+DEFAULT_VEHICLE, DEFAULT_SENSORS, DEVICE_SENSORS = "land_rover_defender_110", "paper", "phone"
+"""Vehicle and instruments of the paper's drives, and the instruments of one device."""
+
+
+class DriveFile(NamedTuple):
+    """A drive that was read, with its described vehicle and instruments.
+
+    `name` is that of its file without suffix, numbered where the file holds several drives, and
+    `label` what messages call it; `description` is what was given and found; `is_table` is False
+    for a record of this package.
+    """
+
+    name: str
+    label: str
+    measured: MeasuredRecord
+    vehicle: str
+    car: VehicleParameters
+    sensors: str
+    is_table: bool
+    description: DriveDescription
+
+    @property
+    def knows_distance(self) -> bool:
+        """Whether the speed is confirmed by an odometer, by positions, or by the description."""
+        return self.measured.has_distance or self.description.speed_kmh is not None
+
+    def with_notes(self, *notes: str) -> "DriveFile":
+        """The drive with further notes."""
+        noted = self.measured._replace(notes=(*self.measured.notes, *notes))
+        return self._replace(measured=noted)
+
+
+def read_drive(
+    path: Path,
+    description: Path | DriveDescription | None = None,
+    *,
+    track: Path | None = None,
+    **changes: Any,
+) -> DriveFile:
+    """Read the one drive in a file; see `read_drives`. Raises ConfigError if it holds several."""
+    found = read_drives(path, description, track=track, **changes)
+    if len(found) > 1:
+        names = ", ".join(drive.name for drive in found)
+        raise ConfigError(
+            f"{path} holds {len(found)} drives ({names}), which its pauses part: `report` reads "
+            "them all; for this, cut the file"
+        )
+    return found[0]
+
+
+def read_drives(
+    path: Path,
+    description: Path | DriveDescription | None = None,
+    *,
+    track: Path | None = None,
+    **changes: Any,
+) -> list[DriveFile]:
+    """Read the drives in a file or folder: a record, a table, or a recording of a phone.
+
+    `changes` are fields of a DriveDescription, such as `vehicle` and `at`; they take precedence
+    over the `description`. `track` is a file with speed or positions for a recording without.
+    Raises ConfigError.
+    """
+    described = read_description(description) if isinstance(description, Path) else description
+    chosen = (described or DriveDescription()).updated(**changes)
+    if path.exists() and not path.is_dir() and is_record(path):
+        given = [key for key, value in changes.items() if value is not None]
+        return [_read_record(path, chosen, given, described is not None, track)]
+    source = read_source(path, chosen)
+    if not isinstance(source, Recording):
+        if track is not None:
+            raise ConfigError(
+                f"--track is for recordings of three axes, and {path} has named accelerations: "
+                "give it the columns of speed or position"
+            )
+        return [_read_table(path, source, chosen)]
+    if chosen.vehicle is None:
+        raise ConfigError(
+            f"{path}: say which vehicle was driven: --vehicle with a shipped name (road-recon "
+            "lists them with an unknown one) or a file of your own"
+        )
+    try:
+        if track is not None:
+            source = source.with_track(*read_track(track), track.name)
+        car = load_vehicle(chosen.vehicle)
+        parts = drives_of(source)
+        labels = [path.name] if len(parts) == 1 else [part.name for part in parts]
+        pairs = zip(parts, labels, strict=True)
+        return [_of_recording(part, label, chosen, car) for part, label in pairs]
+    except ConfigError as error:
+        raise ConfigError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
+
+
+def _of_recording(
+    part: Recording, label: str, chosen: DriveDescription, car: VehicleParameters
+) -> DriveFile:
+    notes: tuple[str, ...] = ()
+    if chosen.at is None:
+        notes = (f"the device is taken to lie on the {DEFAULT_PLACE} (--at says where it lay)",)
+    chosen = chosen.updated(at=chosen.at or DEFAULT_PLACE, sensors=chosen.sensors or DEVICE_SENSORS)
+    measured = recording_to_record(part, car.wheelbase, chosen, car)
+    drive = DriveFile(
+        part.name, label, measured, str(chosen.vehicle), car, str(chosen.sensors), True, chosen
+    )
+    return drive.with_notes(*notes)
+
+
+def _read_table(path: Path, table: Any, chosen: DriveDescription) -> DriveFile:
+    name = chosen.vehicle or DEFAULT_VEHICLE
+    car = load_vehicle(name)
+    try:
+        measured = to_measured_record(table, car.wheelbase, chosen, car)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from None
+    one_device = chosen.layout is not None and chosen.accelerometers is None
+    sensors = chosen.sensors or (DEVICE_SENSORS if one_device else DEFAULT_SENSORS)
+    return DriveFile(path.stem, path.name, measured, name, car, sensors, True, chosen)
+
+
+def _read_record(
+    path: Path, chosen: DriveDescription, given: list[str], is_described: bool, track: Path | None
+) -> DriveFile:
+    """Read a record of this package, which takes a vehicle and instruments only."""
+    needless = [key for key in given if key not in ("vehicle", "sensors")]
+    if needless or is_described or track:
+        options = [*needless, *(["track"] if track else [])]
+        left = ", ".join(f"--{x.replace('_', '-')}" for x in options) or "the description"
+        raise ConfigError(f"{path} contains all that belongs to the drive: leave out {left}")
+    name = chosen.vehicle or DEFAULT_VEHICLE
+    car = load_vehicle(name)
+    record = with_layout(read_record(path)[0], chosen.sensors, path)
+    check_modes(record, car)
+    sensors = chosen.sensors or DEFAULT_SENSORS
+    return DriveFile(
+        path.stem, path.name, MeasuredRecord(record), name, car, sensors, False, chosen
+    )
+
+
+def with_layout(record: Record, sensors: str | None, path: Path) -> Record:
+    """Return a record with the accelerometers of the instruments `sensors`, if they are given.
+
+    Raises ConfigError if they have other names.
+    """
+    if sensors is None:
+        return record
+    layout = load_instruments(sensors).layout
+    if tuple(layout) != record.channels:
+        raise ConfigError(
+            f"{path} has the accelerometers {', '.join(record.channels)}, and the instruments "
+            f"{sensors} have {', '.join(layout)}: give those of the drive, or leave out --sensors"
+        )
+    return replace(record, sensors=layout)
+
+
+def read_passes(
+    paths: Sequence[Path],
+    description: Path | DriveDescription | None = None,
+    *,
+    track: Path | None = None,
+    **changes: Any,
+) -> list[DriveFile]:
+    """Read the drives in several files. Raises ConfigError.
+
+    Without a description for all, each is read by the one beside it with its own name and the
+    suffix .yaml, if there is one; a note says so. Names that are equal are numbered.
+    """
+    drives: list[DriveFile] = []
+    for path in paths:
+        own = path.with_suffix(".yaml")
+        alone = len(paths) == 1 or description is not None or not own.exists()
+        if alone or path == own or (path.is_file() and is_record(path)):
+            drives += read_drives(path, description, track=track, **changes)
+            continue
+        found = read_drives(path, own, track=track, **changes)
+        drives += [drive.with_notes(f"read by the description {own.name}") for drive in found]
+    names = [drive.name for drive in drives]
+    return [
+        drive if names.count(drive.name) == 1
+        else drive._replace(name=f"{drive.name}_{names[: k + 1].count(drive.name)}")
+        for k, drive in enumerate(drives)
+    ]  # fmt: skip
+
+
+def same_instruments(drives: Sequence[DriveFile]) -> str:
+    """Return the instruments of passes that are joined. Raises ConfigError if they differ."""
+    if len(sensors := {drive.sensors for drive in drives}) > 1:
+        raise ConfigError(
+            f"passes of one road need the same instruments, got {', '.join(sorted(sensors))}: give "
+            "one for all (--sensors)"
+        )
+    return sensors.pop()

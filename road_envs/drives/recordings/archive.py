@@ -1,0 +1,111 @@
+"""Zip files and folders of recording apps, as texts by name; bounded, whatever they claim."""
+
+import io
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path, PurePosixPath
+
+from road_envs.core.config import ConfigError
+
+MAX_MEMBERS = 2000
+"""Most files of an archive or a folder."""
+
+MAX_UNPACKED = 2**29
+"""Most bytes of all files together: an hour of six sensors at 400 Hz."""
+
+MAX_RATIO, RATIO_FREE = 100, 2**20
+"""Largest ratio of unpacked to packed bytes of a file of more than RATIO_FREE bytes. Tables of
+sensors shrink to a third to a tenth.
+"""
+
+ZIP = b"PK\x03\x04"
+"""First bytes of a zip file."""
+
+READ = (".csv", ".json", ".txt", ".gpx")
+"""Ends of the names of members that are read."""
+
+
+def is_zip(path: Path) -> bool:
+    """Whether a file begins as a zip file does, and is no spreadsheet of one."""
+    if path.is_dir():
+        return False
+    with path.open("rb") as file:
+        if file.read(4) != ZIP:
+            return False
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return "[Content_Types].xml" not in archive.namelist()
+    except (zipfile.BadZipFile, NotImplementedError, ValueError, OSError):
+        return True  # damaged: reading it says so
+
+
+def read_members(path: Path) -> Mapping[str, bytes]:
+    """Return the tables in a zip file or a folder, by their path below the common folder.
+
+    Raises ConfigError; a damaged archive may raise an exception of any class, so call it inside
+    `parsing`.
+    """
+    members = _of_folder(path) if path.is_dir() else _of_zip(path.read_bytes())
+    names = [PurePosixPath(name) for name in members]
+    # apps put everything into one folder named after the recording, or into none
+    while (
+        names
+        and len({name.parts[0] for name in names}) == 1
+        and all(len(name.parts) > 1 for name in names)
+    ):
+        names = [PurePosixPath(*name.parts[1:]) for name in names]
+    return dict(zip(map(str, names), members.values(), strict=True))
+
+
+def _of_folder(folder: Path) -> dict[str, bytes]:
+    files = [p for p in sorted(folder.rglob("*")) if p.is_file() and not p.is_symlink()]
+    files = [p for p in files if p.suffix.lower() in READ]
+    if len(files) > MAX_MEMBERS:
+        raise ConfigError(f"a folder of {len(files)} tables; at most {MAX_MEMBERS} are read")
+    _check_total(sum(p.stat().st_size for p in files))
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in files}
+
+
+def _of_zip(data: bytes) -> dict[str, bytes]:
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        members = [m for m in archive.infolist() if not m.is_dir()]
+        if len(members) > MAX_MEMBERS:
+            raise ConfigError(f"an archive of {len(members)} files; at most {MAX_MEMBERS} are read")
+        for member in members:
+            _check_name(member.filename)
+        wanted = [m for m in members if PurePosixPath(m.filename).suffix.lower() in READ]
+        wanted = [m for m in wanted if not m.filename.startswith("__MACOSX/")]
+        if not wanted:
+            inside = any(m.filename.lower().endswith(".zip") for m in members)
+            hint = "; archives inside an archive are not opened: unpack it" if inside else ""
+            raise ConfigError(f"an archive without tables ({', '.join(READ)}){hint}")
+        _check_total(sum(m.file_size for m in wanted))
+        for member in wanted:
+            _check_compression(member)
+        # at most the stated size is unpacked: `read` ends there and compares the checksum
+        return {m.filename: archive.read(m) for m in wanted}
+
+
+def _check_name(name: str) -> None:
+    parts = PurePosixPath(name.replace("\\", "/")).parts
+    if ".." in parts or name.startswith(("/", "\\")) or ":" in name[:3]:
+        raise ConfigError(f"the archive holds {name[:80]!r}, a path that leaves its folder")
+
+
+def _check_total(size: int) -> None:
+    if size > MAX_UNPACKED:
+        raise ConfigError(
+            f"{size / 2**20:.0f} MiB of tables; at most {MAX_UNPACKED / 2**20:.0f} MiB are read: "
+            "cut the recording into shorter drives"
+        )
+
+
+def _check_compression(member: zipfile.ZipInfo) -> None:
+    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise ConfigError(f"{member.filename} is compressed by another method than deflate")
+    if member.flag_bits & 1:
+        raise ConfigError(f"{member.filename} is encrypted: unpack the archive")
+    if member.file_size > max(RATIO_FREE, MAX_RATIO * member.compress_size):
+        raise ConfigError(
+            f"{member.filename} is more than {MAX_RATIO} times as large when unpacked: no recording"
+        )

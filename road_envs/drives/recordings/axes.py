@@ -1,0 +1,100 @@
+"""Tables with the three axes of one accelerometer: which columns they are, and their unit."""
+
+import re
+from typing import NamedTuple
+
+import numpy as np
+
+from road_envs.core.config import ConfigError
+from road_envs.drives.logger_tables.channels import Channels, Findings
+from road_envs.drives.logger_tables.clock import read_clock
+from road_envs.drives.logger_tables.description import PREFIX, DriveDescription
+from road_envs.drives.logger_tables.table import Table, numeric_values
+from road_envs.drives.recordings.recording import Recording, Series
+from road_envs.records import units
+
+AXIS = re.compile(r"(?P<before>.*?)[ _.\-]*(?P<axis>[xyz])(?P<after>[ _.\-]*(acc\w*)?)")
+"""A name of an axis: "acc_x", "ax", "accelerationX", "linear_acceleration.x", "x_accel", "x"."""
+
+LINEAR = ("linear", "user", "without gravity", "no gravity", "nograv")
+"""Words in the name of an acceleration without gravity; not in messages of ROS, whose
+`linear_acceleration` includes it.
+"""
+
+
+class Axes(NamedTuple):
+    """Headers of the three axes, in their order x, y, z, and whether the name says `linear`."""
+
+    headers: tuple[str, str, str]
+    linear: bool
+
+
+def find_axes(table: Table, description: DriveDescription) -> Axes | None:
+    """Return the columns of the three axes of one accelerometer; None if there are none.
+
+    A table with a column of an acceleration of this package, or that is described, has none.
+    """
+    if any(name.startswith(PREFIX) for name in description.columns) or description.accelerometers:
+        return None
+    groups: dict[str, dict[str, str]] = {}
+    for header in table:
+        name = units.split_header(header)[0].strip().lower()
+        if name in ("a_rf", "a_lr", "a_rr", "a_phone"):
+            return None
+        found = AXIS.fullmatch(name)
+        key = found and re.sub(r"[^a-z]+", " ", found["before"] + " " + found["after"]).strip()
+        if found and key is not None and ("acc" in key or key in ("", "a")):
+            groups.setdefault(key, {})[found["axis"]] = header
+    complete = {key: axes for key, axes in groups.items() if len(axes) == 3}
+    if not complete:
+        return None
+
+    # gravity tells the mount: axes that include it come first, then those that are named
+    def rank(key: str) -> tuple[bool, bool]:
+        return _is_linear(key), "acc" not in key
+
+    best = min(complete, key=rank)
+    x, y, z = (complete[best][axis] for axis in "xyz")
+    return Axes((x, y, z), _is_linear(best))
+
+
+def _is_linear(key: str) -> bool:
+    return any(word in key for word in LINEAR) and key != "linear acceleration"
+
+
+def to_recording(
+    name: str, table: Table, axes: Axes, description: DriveDescription, track_needed: bool = True
+) -> Recording:
+    """Return the recording in a table with three axes. Raises ConfigError."""
+    findings = Findings()
+    channels = Channels(table, description, findings)
+    clock = read_clock(channels, findings)
+    x = np.column_stack([_acceleration(table, h, findings) for h in axes.headers])
+    columns = [
+        channels.numbers(key) if key in channels else None for key in ("lat", "lon", "v", "s")
+    ]
+    findings.raise_problems()
+    assert clock is not None
+    nothing = np.full(clock.t.size, np.nan)
+    track = np.column_stack([nothing if c is None else c for c in columns])
+    slow, fast = np.isfinite(track).any(axis=1), np.isfinite(x).all(axis=1)
+    return Recording(
+        name=name,
+        app="table",
+        acceleration=Series(clock.t[fast], x[fast]),
+        track=Series(clock.t[slow], track[slow]) if slow.any() else None,
+        lacks_gravity=axes.linear,
+        unit_named=any(units.split_header(h)[1] for h in axes.headers),
+        epoch=clock.epoch,
+        notes=tuple(findings.notes),
+    )
+
+
+def _acceleration(table: Table, header: str, findings: Findings) -> np.ndarray:
+    try:
+        x = numeric_values(table[header])
+        unit = units.split_header(header)[1]
+        return x * (units.factor("acceleration", unit) if unit else 1.0)
+    except (ValueError, ConfigError) as error:
+        findings.problems.append(f"the column {header}: {error}")
+        return np.full(len(table[header]), np.nan)

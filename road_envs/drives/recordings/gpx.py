@@ -1,0 +1,82 @@
+"""Tracks in GPX 1.0 and 1.1 (https://www.topografix.com/GPX/1/1/): points with their times.
+
+A speed is that of `<speed>` (GPX 1.0, and extensions of Garmin and others) where all points have
+one; otherwise it is left open, and follows from the positions.
+"""
+
+import re
+from xml.etree import ElementTree
+
+import numpy as np
+
+from road_envs.core.config import ConfigError
+from road_envs.drives.recordings.recording import Series
+
+MAX_POINTS = 1_000_000
+"""Most points of a track: eleven days of one a second."""
+
+
+def is_gpx(data: bytes) -> bool:
+    """Whether a file begins as a GPX file does."""
+    return re.search(rb"<(\w+:)?gpx[\s>]", data[:2000]) is not None
+
+
+def parse_gpx(data: bytes) -> tuple[Series, float]:
+    """Return the track (N, 4) of all points in the order of their times, and its epoch [s].
+
+    Raises ConfigError.
+    """
+    if re.search(rb"<!(DOCTYPE|ENTITY)", data):
+        raise ConfigError("a GPX file with a document type or entities is not read")
+    try:
+        root = ElementTree.fromstring(data)
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise ConfigError(f"no readable GPX file: {error}") from None
+    points = [p for p in root.iter() if _local(p) == "trkpt"]
+    points = points or [p for p in root.iter() if _local(p) in ("rtept", "wpt")]
+    if not 2 <= len(points) <= MAX_POINTS:
+        raise ConfigError(f"a GPX file of {len(points)} points; 2 to {MAX_POINTS} are read")
+    stamps = [_text(p, "time") for p in points]
+    if None in stamps:
+        raise ConfigError(f"point {stamps.index(None) + 1} of the GPX file has no time")
+    t = _seconds([str(x) for x in stamps])
+    rows = [[_number(p.get("lat")), _number(p.get("lon")), _number(_text(p, "speed")), np.nan]
+            for p in points]  # fmt: skip
+    x, order = np.array(rows), np.argsort(t, kind="stable")
+    t, x = t[order], x[order]
+    new = np.r_[True, np.diff(t) > 0.0]
+    t, x = t[new], x[new]
+    if np.isnan(x[:, :2]).any():
+        k = int(np.flatnonzero(np.isnan(x[:, :2]).any(axis=1))[0])
+        raise ConfigError(f"point {k + 1} of the GPX file has no latitude and longitude")
+    if np.isnan(x[:, 2]).any():
+        x[:, 2] = np.nan
+    return Series(t - t[0], x), float(t[0])
+
+
+def _seconds(stamps: list[str]) -> np.ndarray:
+    """Return seconds since 1970 of times in ISO 8601. Raises ConfigError."""
+    import pandas as pd
+
+    times = pd.to_datetime(pd.Series(stamps), utc=True, format="ISO8601", errors="coerce")
+    if times.isna().any():
+        k = int(np.flatnonzero(times.isna().to_numpy())[0])
+        raise ConfigError(f"the time {stamps[k][:60]!r} of point {k + 1} is not in ISO 8601")
+    return times.astype("datetime64[ns, UTC]").astype("int64").to_numpy() * 1e-9
+
+
+def _local(element: ElementTree.Element) -> str:
+    """Return the name of an element without its namespace."""
+    return str(element.tag).rpartition("}")[2]
+
+
+def _text(point: ElementTree.Element, name: str) -> str | None:
+    return next((e.text for e in point.iter() if _local(e) == name and e.text), None)
+
+
+def _number(text: str | None) -> float:
+    try:
+        x = float(text) if text is not None else np.nan
+    except ValueError:
+        return np.nan
+    return x if np.isfinite(x) else np.nan

@@ -1,0 +1,86 @@
+"""Recordings of phyphox: a zip file or a folder of one CSV file for each sensor.
+
+After the export that the app's file format describes (https://phyphox.org/wiki, "Phyphox file
+format", and the files `meta/time.csv` and `meta/device.csv`): `Accelerometer.csv` with "Time (s)"
+and "X (m/s^2)" to "Z (m/s^2)", or `Raw Data.csv` with "Acceleration x (m/s^2)" and so on; "Linear"
+accelerations are without gravity. `Location.csv` has "Latitude (°)", "Longitude (°)" and
+"Velocity (m/s)". Times are those of the experiment, which stand still while it is paused;
+`meta/time.csv` has a row START or PAUSE with the time of the experiment and the system's [s since
+1970] for each.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from road_envs.core.config import ConfigError
+from road_envs.drives.logger_tables.table import Table
+from road_envs.drives.recordings.member_tables import find_member, number_column, parse_member
+from road_envs.drives.recordings.recording import Recording, Series
+
+AXES = (("X", "Y", "Z"), ("Acceleration x", "Acceleration y", "Acceleration z"))
+LINEAR_AXES = tuple(f"Linear Acceleration {axis}" for axis in "xyz")
+WITH_GRAVITY = ("Accelerometer.csv", "Acceleration.csv", "Raw Data.csv")
+LINEAR = ("Linear Accelerometer.csv", "Linear Acceleration.csv")
+
+
+def is_phyphox(members: Mapping[str, bytes]) -> bool:
+    """Whether an archive is an export of phyphox."""
+    name = find_member(members, *WITH_GRAVITY, *LINEAR)
+    return name is not None and b"Time (s)" in members[name][:200]
+
+
+def read_phyphox(name: str, members: Mapping[str, bytes]) -> Recording:
+    """Return the recording in the tables of an export. Raises ConfigError."""
+    file = find_member(members, *WITH_GRAVITY) or find_member(members, *LINEAR)
+    assert file is not None
+    table = parse_member(file, members[file])
+    lacks = file.rsplit("/", 1)[-1] in LINEAR
+    a = next((x for axes in AXES if (x := _axes(table, axes, file)) is not None), None)
+    if a is None:
+        a, lacks = _axes(table, LINEAR_AXES, file), True
+    if a is None:
+        raise ConfigError(f"{file} lacks the columns X, Y and Z; it has {', '.join(table)}")
+    location = find_member(members, "Location.csv", "GPS.csv")
+    track = None if location is None else _track(location, members[location])
+    epoch, breaks = _events(members)
+    return Recording(
+        name=name, app="phyphox", acceleration=a, track=track, lacks_gravity=lacks, epoch=epoch,
+        breaks=breaks,
+    )  # fmt: skip
+
+
+def _axes(table: Table, axes: tuple[str, ...], file: str) -> Series | None:
+    t = number_column(table, "Time", "time", file)
+    columns = [number_column(table, axis, "acceleration", file) for axis in axes]
+    found = [x for x in columns if x is not None]
+    return None if t is None or len(found) < 3 else Series(t, np.column_stack(found))
+
+
+def _track(file: str, data: bytes) -> Series | None:
+    table = parse_member(file, data)
+    t = number_column(table, "Time", "time", file)
+    if t is None:
+        return None
+    columns = [
+        number_column(table, "Latitude", "angle", file),
+        number_column(table, "Longitude", "angle", file),
+        number_column(table, "Velocity", "speed", file),
+        None,
+    ]
+    nothing = np.full(t.size, np.nan)
+    return Series(t, np.column_stack([nothing if x is None else x for x in columns]))
+
+
+def _events(members: Mapping[str, bytes]) -> tuple[float | None, tuple[float, ...]]:
+    """Return the time since 1970 at the zero of the experiment, and its times of pauses [s]."""
+    if (file := find_member(members, "time.csv")) is None:
+        return None, ()
+    table = parse_member(file, members[file])
+    t = number_column(table, "experiment time", "time", file)
+    system = number_column(table, "system time", "time", file)
+    events = [str(x).strip().upper() for x in table.get("event", ())]
+    if t is None or system is None or len(events) != t.size or not t.size:
+        return None, ()
+    pauses = tuple(float(x) for x, kind in zip(t[:-1], events[:-1], strict=True) if kind == "PAUSE")
+    return float(system[0] - t[0]), pauses

@@ -1,0 +1,165 @@
+"""What a recording holds, whichever app or logger wrote it: three axes, a track, a clock.
+
+All times are in seconds on one clock, whose zero is that of the recording; `epoch` [s] is the time
+since 1970 at its zero where the file tells. Values that are not known are NaN.
+"""
+
+import itertools
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from road_envs.core.config import ConfigError
+
+LONGEST_PAUSE = 2.0
+"""Time [s] without acceleration from which on a recording is another drive: a second of loss is a
+gap, and at 10 m/s two seconds are more than the waves that an estimator joins.
+"""
+
+SHORTEST_DRIVE = 8.0
+"""Shortest part [s] that is a drive; shorter ones are left out, with a note."""
+
+STANDING_SPEED, KEPT_STANDING = 0.5, 2.0
+"""Speed [m/s] below which a vehicle stands, and the time [s] of standing that is kept at each end:
+before and behind it the phone is handled.
+"""
+
+MOST_REPEATED = 0.01
+"""Largest share of samples whose time is that of the sample before; they are left out."""
+
+
+@dataclass(frozen=True)
+class Series:
+    """Values `x` (N, K) at the times `t` (N,) [s]."""
+
+    t: np.ndarray
+    x: np.ndarray
+
+    def between(self, begin: float, end: float) -> "Series":
+        """The samples from `begin` to `end` [s]."""
+        inside = (self.t >= begin) & (self.t <= end)
+        return Series(self.t[inside], self.x[inside])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recording:
+    """Accelerations (N, 3) [m/s²] along the axes of a device, with gravity unless it `lacks` it.
+
+    The `track` (M, 4) holds latitude and longitude [°], speed [m/s] and odometer [m]. `unit_named`:
+    the file tells the unit of the accelerations. `breaks` [s] are times at which the recording was
+    paused although its clock goes on.
+    """
+
+    name: str
+    app: str
+    acceleration: Series
+    track: Series | None = None
+    lacks_gravity: bool = False
+    unit_named: bool = True
+    epoch: float | None = None
+    breaks: tuple[float, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def with_track(self, track: Series, epoch: float | None, source: str) -> "Recording":
+        """The recording with the `track` of another file, whose zero is at `epoch`.
+
+        Times since 1970 are compared where both files have them, otherwise both clocks are taken to
+        begin together. Raises ConfigError if the two do not overlap.
+        """
+        shift, common = 0.0, "both clocks are taken to begin together"
+        if epoch is not None and self.epoch is not None:
+            shift, common = epoch - self.epoch, "joined by the time since 1970"
+        t = track.t + shift
+        begin, end = self.acceleration.t[0], self.acceleration.t[-1]
+        overlap = min(end, t[-1]) - max(begin, t[0])
+        if overlap < SHORTEST_DRIVE:
+            raise ConfigError(
+                f"the track {source} and the accelerations overlap by {max(overlap, 0.0):.3g} s: "
+                f"the track lasts from {t[0]:.6g} to {t[-1]:.6g} s on the clock of the "
+                f"accelerations, which last from {begin:.6g} to {end:.6g} s"
+            )
+        notes = (*self.notes, f"speed and positions are those of {source}, {common}")
+        return replace(self, track=Series(t, track.x), notes=notes)
+
+
+def drives_of(recording: Recording) -> list[Recording]:
+    """Return the drives of a recording: the parts between pauses, without standing at their ends.
+
+    Each is named after the recording, with its number if there are several. Raises ConfigError if
+    none lasts SHORTEST_DRIVE.
+    """
+    recording = replace(recording, acceleration=_increasing(recording.acceleration))
+    t = recording.acceleration.t
+    steps = np.flatnonzero(np.diff(t) > LONGEST_PAUSE) + 1
+    paused = np.searchsorted(t, recording.breaks)
+    edges = np.unique(np.concatenate([[0], steps, paused, [t.size]]))
+    parts, short = [], 0
+    for first, last in itertools.pairwise(edges):
+        part = _without_standing(_cut(recording, slice(int(first), int(last))))
+        span = part.acceleration.t[-1] - part.acceleration.t[0] if part.acceleration.t.size else 0.0
+        if span < SHORTEST_DRIVE:
+            short += 1
+        else:
+            parts.append(part)
+    if not parts:
+        raise ConfigError(
+            f"no part of the recording lasts {SHORTEST_DRIVE:g} s in motion: it has {t.size} "
+            f"samples in {edges.size - 1} parts"
+        )
+    notes = [f"{short} parts shorter than {SHORTEST_DRIVE:g} s are left out"] if short else []
+    if len(parts) == 1:
+        return [replace(parts[0], notes=(*parts[0].notes, *notes))]
+    told = f"the recording is split at its pauses into {len(parts)} drives"
+    return [
+        replace(part, name=f"{part.name}_{k}", notes=(told, *part.notes, *notes))
+        for k, part in enumerate(parts, 1)
+    ]
+
+
+def _increasing(series: Series) -> Series:
+    """Return a series without the few samples that repeat the time before. Raises ConfigError."""
+    series = Series(series.t[known := np.isfinite(series.t)], series.x[known])
+    if not series.t.size:
+        raise ConfigError("the recording has no acceleration with a time")
+    steps = np.diff(series.t)
+    if (steps < 0.0).any():
+        k = int(np.argmin(steps))
+        raise ConfigError(
+            f"the clock of the accelerations jumps back by {-steps[k]:.3g} s after sample {k + 1}: "
+            "cut the file there"
+        )
+    new = np.r_[True, steps > 0.0]
+    if (repeated := 1.0 - float(new.mean())) > MOST_REPEATED:
+        raise ConfigError(
+            f"{repeated:.0%} of the accelerations have the time of the one before: the clock is "
+            "rounded; write it with more decimals"
+        )
+    return Series(series.t[new], series.x[new])
+
+
+def _cut(recording: Recording, part: slice) -> Recording:
+    a = Series(recording.acceleration.t[part], recording.acceleration.x[part])
+    track = recording.track
+    if track is not None and a.t.size:
+        track = track.between(a.t[0] - LONGEST_PAUSE, a.t[-1] + LONGEST_PAUSE)
+    return replace(recording, acceleration=a, track=track if track and track.t.size else None)
+
+
+def _without_standing(recording: Recording) -> Recording:
+    """Return a recording that begins and ends shortly before and behind the motion."""
+    if recording.track is None:
+        return recording
+    known = np.isfinite(recording.track.x[:, 2])
+    t, v = recording.track.t[known], recording.track.x[known, 2]
+    moving = t[v > STANDING_SPEED]
+    if not moving.size:
+        return recording
+    a = recording.acceleration
+    begin, end = moving[0] - KEPT_STANDING, moving[-1] + KEPT_STANDING
+    part = a.between(begin, end)
+    left = (a.t[-1] - a.t[0]) - (part.t[-1] - part.t[0]) if part.t.size else 0.0
+    notes = recording.notes
+    if left > 1.0:
+        notes = (*notes, f"{left:.0f} s of standing before and behind the drive are left out")
+    track = recording.track.between(begin - LONGEST_PAUSE, end + LONGEST_PAUSE)
+    return replace(recording, acceleration=part, track=track, notes=notes)
