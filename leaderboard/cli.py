@@ -58,6 +58,7 @@ class RoadRecon(LazyGroup):
             "run-job": "jobs:run_job",
             "verify": "verify:verify",
             "season": "hidden_seeds:season",
+            "clean": "clean:clean",
         },
         "Switching policies": {
             "policies": "policies:policies",

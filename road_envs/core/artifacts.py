@@ -1,12 +1,13 @@
 """Artifacts: whatever is kept because it took time to make, and is made again when it is stale.
 
-An artifact is a JSON file of four header lines and its content:
+An artifact is a JSON file of five header lines and its content:
 
     {
      "sha256": "...",        checksum of everything below
      "kind": "card",         what it is, and the version of its format
      "format": 1,
-     "identity": "...",      digest of kind, format, plain inputs and the code that makes it
+     "made_by": ["...", ...] digest of the code that makes it, and the modules where it begins
+     "identity": "...",      digest of kind, format, that code and plain inputs
      ...                     the content, a line for each key
     }
 
@@ -34,7 +35,7 @@ T = TypeVar("T")
 IDENTITY_DIGITS = 32
 CHECKSUM_PREFIX = '{\n "sha256": "'
 CHECKSUM_SUFFIX = '",\n'
-HEADER = ("sha256", "kind", "format", "identity")
+HEADER = ("sha256", "kind", "format", "made_by", "identity")
 
 
 class NewerFormatError(ConfigError):
@@ -72,7 +73,8 @@ class Kind:
         """
         if taken := [key for key in HEADER if key in content]:
             raise ValueError(f"{taken[0]} is a key of the header of an artifact")
-        data = {"kind": self.name, "format": self.format, "identity": identity}
+        code = [code_version(*self.modules), *self.modules]
+        data = {"kind": self.name, "format": self.format, "made_by": code, "identity": identity}
         rest = _dump_by_lines(nan_to_none({**data, **content}))[2:] + "\n"
         blank = f"{CHECKSUM_PREFIX}{'0' * 64}{CHECKSUM_SUFFIX}{rest}"
         return blank.replace("0" * 64, text_checksum(blank), 1)
@@ -115,9 +117,8 @@ class Kind:
             raise ConfigError(
                 f"{path}: modified since it was written, by hand or by a disk fault; make it again"
             )
-        del data["format"]
-        data.pop("kind", None)
-        return data, str(checksum)
+        content = {key: x for key, x in data.items() if key not in HEADER or key == "identity"}
+        return content, str(checksum)
 
     def find(self, path: Path, identity: str, make: Callable[[dict[str, Any]], T]) -> T | None:
         """Build `make(content)` of the artifact at `path`, if it has this identity.
@@ -176,6 +177,24 @@ def is_artifact(path: Path) -> bool:
         return False
     start = len(CHECKSUM_PREFIX)
     return text.startswith(CHECKSUM_PREFIX) and text_checksum(text) == text[start : start + 64]
+
+
+def clean(folder: Path, delete: bool = True) -> list[Path]:
+    """Delete the undamaged artifacts below `folder` that other code has made; returns their paths.
+
+    Files that are no artifacts, or say nothing of their code, stay. With `delete` False all stay.
+    """
+    found = [path for path in sorted(folder.rglob("*.json")) if _is_stale(path)]
+    for path in found if delete else ():
+        path.unlink(missing_ok=True)
+    return found
+
+
+def _is_stale(path: Path) -> bool:
+    if not is_artifact(path):
+        return False
+    digest_then, *modules = json.loads(path.read_text(encoding="utf-8")).get("made_by") or [""]
+    return bool(modules) and digest_then != code_version(*modules)
 
 
 def _dump_by_lines(value: Any, depth: int = 2) -> str:

@@ -96,6 +96,23 @@ def test_content_of_another_shape_is_not_found(tmp_path):
     assert KIND.find(tmp_path / "a.json", "me", lambda data: data["mass"]) is None
 
 
+def test_clean_deletes_what_other_code_has_made_and_nothing_else(tmp_path, monkeypatch):
+    today = Kind("weighing", 2, ("road_envs.core.config",))
+    today.write(tmp_path / "today.json", {"mass": 1})
+    KIND.write(tmp_path / "without_code.json", {"mass": 1})
+    (tmp_path / "foreign.json").write_text('{"made_by": ["0", "road_envs.core.config"]}')
+    with monkeypatch.context() as patch:
+        patch.setattr(artifacts, "code_version", lambda *modules: "before")
+        today.write(tmp_path / "deep" / "stale.json", {"mass": 1})
+        today.write(tmp_path / "damaged.json", {"mass": 1})
+    (tmp_path / "damaged.json").write_text((tmp_path / "damaged.json").read_text()[:-5])
+    stale = tmp_path / "deep" / "stale.json"
+    assert artifacts.clean(tmp_path, delete=False) == [stale] and stale.exists()
+    assert artifacts.clean(tmp_path) == [stale] and not stale.exists()
+    left = {path.name for path in tmp_path.rglob("*.json")}
+    assert left == {"today.json", "without_code.json", "foreign.json", "damaged.json"}
+
+
 def test_a_file_of_somebody_else_is_no_artifact(tmp_path):
     (tmp_path / "a.json").write_text('{"sha256": "0"}')
     (tmp_path / "b.bin").write_bytes(b"\xff\xfe")
