@@ -27,6 +27,7 @@ from leaderboard.evaluation.tasks import Task, load_task, shipped_tasks
 from leaderboard.metrics.baselines import ALL_BASELINES
 from leaderboard.report.attainable import with_attainable
 from leaderboard.report.cache import Report, build_report
+from leaderboard.report.rendering import BOARD_PAGE, write_pending
 from leaderboard.report.sentences import check_board
 from leaderboard.report.site import write_site
 from leaderboard.report.terminal import as_json, print_tables
@@ -137,6 +138,7 @@ def leaderboard(
         notices.print(f"job files written to {plan}: {write_jobs(request, out, plan)}")
         return
     executor: Executor = DaskExecutor(dask) if dask else ProcessExecutor(workers)
+    write_pending(out / BOARD_PAGE, "Estimators", f"leaderboard --out {out}")
     kept = f"results of finished jobs are kept in {out}; the same command continues"
     with on_interrupt(kept), progress_bar() as progress:
         evaluated = run_board(

@@ -34,6 +34,7 @@ from leaderboard.policies.scenarios import load_scenarios
 from leaderboard.policies.store import RowStore
 from leaderboard.policies.summary import REFERENCE, format_metric, summarize_results
 from leaderboard.policies.training_study import evaluate_study, study_lines, train_seeds
+from leaderboard.report.rendering import POLICY_PAGE, write_pending
 from leaderboard.sandbox import bubblewrap
 from leaderboard.sandbox.limits import Limits
 from road_envs.core.atomic_io import write_text
@@ -114,6 +115,8 @@ def policies(
     keepable = {n: p for n, p in entries.items() if store and not isinstance(p, PolicyProcess)}
     rows = {n: store.load(n, p) for n, p in keepable.items()} if store else {}
     finished = {n: row for n, row in rows.items() if row is not None}
+    if out:
+        write_pending(out / POLICY_PAGE, "Switching policies", f"policies --out {out}")
     kept_rows = f"finished policies are kept in {out}; the same command continues" if out else ""
 
     def keep(result: PolicyResult) -> None:

@@ -44,7 +44,7 @@ class PerformanceProfile(NamedTuple):
 
 
 class Rank(NamedTuple):
-    """Rank of an entry, 1 + the number of entries that are significantly better, and its score."""
+    """Rank of an entry, the place of the first entry of its group, and its score."""
 
     rank: int
     score: Interval
@@ -174,20 +174,21 @@ def count_roads(scores: np.ndarray) -> int:
 def rank_entries(scores: Mapping[str, np.ndarray], strata: Strata | None = None) -> dict[str, Rank]:
     """Rank the entries by their `scores` (R, C, S), lower is better; best first.
 
-    An entry is significantly better if the 95 % interval of the paired difference lies below 0,
-    that is, if it is ahead in 97.5 % of the replicates. Entries without a significant difference
-    share a rank. A score that is NaN comes last.
+    In the order of their interquartile means, an entry shares the rank of the entry that leads the
+    group above it, unless that one is significantly better: then it leads the next group and its
+    rank is its place, as in 1 2 2 2 5. An entry is significantly better if the 95 % interval of the
+    paired difference lies below 0, that is, if it is ahead in 97.5 % of the replicates. A score
+    that is NaN comes last.
     """
-    if not scores:
-        return {}
     made = {name: resample([x], strata=strata) for name, x in scores.items()}
-    drawn = np.stack([x.replicates for x in made.values()])  # (N, B)
-    drawn[np.isnan(drawn).any(axis=1)] = np.inf  # an undefined score loses every comparison
-    ranks = 1 + np.sum(np.mean(drawn[:, None] > drawn, axis=2) > QUANTILES[1], axis=1)
-    rows = {
-        name: Rank(int(rank), x.interval())
-        for (name, x), rank in zip(made.items(), ranks, strict=True)
-    }
-    last = np.inf
-    by_mean = sorted(rows.items(), key=lambda row: np.nan_to_num(row[1].score.mean, nan=last))
-    return dict(by_mean)
+    means = {name: np.nan_to_num(x.interval().mean, nan=np.inf) for name, x in made.items()}
+    ranks: dict[str, Rank] = {}
+    rank, leader = 0, np.empty(0)
+    for place, name in enumerate(sorted(made, key=lambda name: means[name]), start=1):
+        drawn = made[name].replicates
+        if np.isnan(drawn).any():  # an undefined score loses every comparison
+            drawn = np.full(drawn.size, np.inf)
+        if rank == 0 or np.mean(drawn > leader) > QUANTILES[1]:
+            rank, leader = place, drawn
+        ranks[name] = Rank(rank, made[name].interval())
+    return ranks

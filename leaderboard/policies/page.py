@@ -11,7 +11,13 @@ from leaderboard.policies.ride_metrics import METRICS
 from leaderboard.policies.summary import PARETO_METRICS, format_metric
 from leaderboard.policies.timeline import Timeline, drive_chart
 from leaderboard.report.figures import QUIET, Chart, axis, chart
-from leaderboard.report.rendering import file_name, render, write_static
+from leaderboard.report.rendering import (
+    BOARD_PAGE,
+    POLICY_PAGE,
+    file_name,
+    render,
+    write_static,
+)
 from road_envs.core.atomic_io import write_text
 from road_envs.policies.greedy_information import GreedyInformation
 
@@ -46,7 +52,7 @@ SWEEP_PREFIX = "information "
 def write_policy_page(data: dict[str, Any], timelines: Mapping[str, Timeline], out: Path) -> Path:
     """Write policies.html and pareto.png under `out`; return the path of the page."""
     draw_pareto(data, out / "pareto.png")
-    page = out / "policies.html"
+    page = out / POLICY_PAGE
     write_static(out)
     write_text(page, render_page(data, timelines, out))
     return page
@@ -75,7 +81,7 @@ def render_page(
         format_metric=format_metric,
         pareto=pareto_chart(data) if first else None,
         drives=drive_chart(timelines) if timelines else None,
-        board=bool(out and (out / "index.html").exists()),
+        board=bool(out and (out / BOARD_PAGE).exists()),
         policies=True,
     )
 

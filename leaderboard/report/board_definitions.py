@@ -37,8 +37,9 @@ class Column:
 _DERIVED = (
     Metric(
         key="rank", label="rank", digits=0, blank="",
-        help="1 + number of entries that are significantly better: entries whose paired difference "
-        "includes 0 share a rank. None from fewer than five roads.",
+        help="In the order of the score, entries share the rank of the best of them unless it is "
+        "significantly better (95 % interval of the paired difference below 0); the next group has "
+        "its place as rank. None from fewer than five roads.",
     ),
     Metric(
         key="rank_causal", label="rank among causal entries", head="among causal", digits=0,
@@ -49,7 +50,9 @@ _DERIVED = (
         help="95 % interval of the interquartile mean, by a bootstrap over roads within their "
         "families, then over training seeds. None from fewer than five roads.",
     ),
-    Metric(key=WORST, label="worst drive", head="worst", help="Largest score of any drive."),
+    Metric(key=WORST, label="worst drive", head="worst",
+        help="Largest score of any drive. None from fewer than five roads.",
+    ),
     *(
         Metric(
             key=key, label=f"drives above {limit:g}", head=f"> {limit:g}", unit="%", factor=100.0,

@@ -81,7 +81,7 @@ def _certainty_sentence(best: Row, others: Sequence[Row], section: Section) -> s
         return f"The first place is not decided: these drives cannot tell {names} from it."
     return (
         "The first place is decided: resampling the roads leaves every other entry behind. Entries "
-        "that the drives cannot tell apart share a rank."
+        "that the drives cannot tell from the best of them share its rank."
     )
 
 
@@ -96,8 +96,7 @@ def _format(key: str, value: float) -> str:
 
 def _scored(section: Section, key: str) -> list[Row]:
     """Return the scored rows, best first."""
-    rows = [r for r in section.rows if r.state == "scored" and r.values.get(key) is not None]
-    return sorted(rows, key=lambda row: row.values[key] or 0.0)
+    return [r for r in section.rows if r.state == "scored" and r.values.get(key) is not None]
 
 
 def ranking_chart(section: Section, definition: BoardDefinition) -> Chart | None:

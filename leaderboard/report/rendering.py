@@ -7,11 +7,15 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from road_envs.core.atomic_io import atomic_write
+from road_envs.core.atomic_io import atomic_write, write_text
 from road_envs.core.extras import optional_import
 
 STATIC = Path(__file__).parent / "static"
 """Style, scripts and pictures that all pages of a site share."""
+
+
+BOARD_PAGE, POLICY_PAGE = "index.html", "policies.html"
+"""Pages of the board and of the comparison of policies; those that are there are linked to."""
 
 
 def file_name(estimator: str) -> str:
@@ -47,6 +51,17 @@ def _environment() -> Any:
 def render(template: str, **values: Any) -> str:
     """Render a template of `leaderboard/report/templates`. Raises MissingExtraError."""
     return _environment().get_template(template).render(values)
+
+
+def write_pending(page: Path, title: str, command: str) -> None:
+    """Write a page that says which command will write it, unless there is one.
+
+    The board and the comparison of policies of one folder link to each other, whichever ends first.
+    """
+    if not page.exists():
+        write_static(page.parent)
+        own = {"title": title, "command": command, "root": "", "board": False, "policies": False}
+        write_text(page, render("site/pending.html", **own))
 
 
 def write_static(out: Path) -> list[str]:

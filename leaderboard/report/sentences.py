@@ -175,10 +175,11 @@ def _described(rows: Sequence[Row], view: BoardView, limit: str = "") -> str:
     """Return name, ranking score and worst drive of an entry."""
     form = COLUMNS[view.definition.ranks_by]
     score = form.format_value(_mean(rows, form.key)) + (f"\u00a0{form.unit}" if form.unit else "")
-    worst = max(row.values.get(WORST) or 0.0 for row in rows)
+    worst = max((x for row in rows if (x := row.values.get(WORST)) is not None), default=None)
+    tail = "" if worst is None else f", {COLUMNS[WORST].format_value(worst)} on its worst drive"
     return (
-        f"{rows[0].name}, with {form.label} {score}{limit}, {COLUMNS[WORST].format_value(worst)} "
-        f"on its worst drive, and correlation {_mean(rows, 'r'):.2f}"
+        f"{rows[0].name}, with {form.label} {score}{limit}{tail}, and correlation "
+        f"{_mean(rows, 'r'):.2f}"
     )
 
 

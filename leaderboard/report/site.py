@@ -23,7 +23,7 @@ from leaderboard.metrics.baselines import NOISE_LEVEL
 from leaderboard.report import cache, estimator_page, export, overview
 from leaderboard.report.cache import Report
 from leaderboard.report.charts import task_charts
-from leaderboard.report.rendering import file_name, render, write_static
+from leaderboard.report.rendering import BOARD_PAGE, POLICY_PAGE, file_name, render, write_static
 from leaderboard.report.sentences import UNRELATED_ROAD, unrelated_level_errors
 from leaderboard.report.table_data import table_data
 from leaderboard.report.tables import LIMIT_ROWS, BoardView, Section, nonempty_columns
@@ -33,9 +33,6 @@ from road_envs.core.atomic_io import write_text
 MAX_DRAWN = 8
 """Number of entries of a task that are drawn, best first."""
 
-POLICY_PAGE = "policies.html"
-"""Page of the comparison of policies, which the pages link to if it is there."""
-
 PAGE_FOLDERS = ("tasks", "estimators")
 
 
@@ -44,7 +41,7 @@ def write_site(board: Board, report: Report, out: Path) -> Path:
 
     Nothing is written if the site in `out` already shows this report.
     """
-    index = out / "index.html"
+    index = out / BOARD_PAGE
     if report.pages and all(_size(out / name) == size for name, size in report.pages.items()):
         return index
     (out / cache.CACHE_FILE).unlink(missing_ok=True)  # an interrupted build is repeated
@@ -90,7 +87,7 @@ def render_pages(board: Board, report: Report, policies: bool = False) -> Iterat
             f"estimators/{file_name(name)}",
             render("site/estimator.html", **linked, **_estimator(board, report.views, name, own)),
         )
-    yield "index.html", render("site/index.html", **linked, **_index(board, report))
+    yield BOARD_PAGE, render("site/index.html", **linked, **_index(board, report))
 
 
 def _index(board: Board, report: Report) -> dict[str, Any]:

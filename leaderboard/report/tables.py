@@ -142,9 +142,9 @@ def _section(board: Board, task: Task, definition: BoardDefinition) -> Section:
         _scored_row(r, x, definition, board.card(r)) for r, x in zip(scored, tables, strict=True)
     ] + _bound_rows(values, definition)
 
-    def place(row: Row) -> tuple[bool, float]:
-        score = row.values[definition.ranks_by]
-        return row.state != "scored", np.inf if score is None else score
+    def place(row: Row) -> tuple[bool, float, float]:
+        rank, score = row.values.get("rank"), row.values[definition.ranks_by]
+        return row.state != "scored", rank or np.inf, np.inf if score is None else score
 
     rows.sort(key=place)
     claim = []
@@ -217,12 +217,13 @@ def _aggregate(
 
 
 def _tail(ranked: np.ndarray) -> dict[str, float | None]:
-    """Return the worst drive and the shares of drives above the thresholds of TAIL."""
+    """Worst drive, of MIN_ROADS roads or more, and shares of drives above the limits of TAIL."""
     runs = ranked[~np.isnan(ranked)]
     if not runs.size:
         return dict.fromkeys([WORST, *TAIL])
     shares = {name: float(np.mean(runs > limit)) for name, limit in TAIL.items()}
-    return {WORST: float(runs.max()), **shares}
+    worst = float(runs.max()) if count_roads(ranked) >= MIN_ROADS else None
+    return {WORST: worst, **shares}
 
 
 def _share_below(error: np.ndarray, bound: np.ndarray) -> float | None:

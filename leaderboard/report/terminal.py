@@ -29,8 +29,9 @@ LEGEND = (
     f"drives above. The row bound is the {BOUND_NAME}. "
     "eq. 12: error of the RMS level alone, as printed, and about the mean; it is that of the "
     "longest waves, which kalman_lag for one cuts off. "
-    "Entries without a significant difference share a rank; no rank or interval from fewer than 5 "
-    "roads. Dim rows: baselines. 5/5 beside a name: probes passed, of those that apply (--probes)."
+    "Entries share the rank of the best of them unless it is significantly better. No rank, "
+    "interval or worst drive from fewer than 5 roads. Dim rows: baselines. 5/5 beside a name: "
+    "probes passed, of those that apply (--probes)."
 )
 
 
@@ -83,7 +84,7 @@ def _family_table(view: BoardView, section: Section) -> Table | None:
     if not names or view.definition.ranks_by != "nrmse":
         return None
     table = Table(
-        title="NRMSE by family of roads: interquartile mean (worst drive)",
+        title="NRMSE by family of roads: interquartile mean (worst drive of 5 roads or more)",
         title_justify="left", box=None, padding=(0, 1, 0, 0), pad_edge=False,
     )  # fmt: skip
     table.add_column("estimator", no_wrap=True)

@@ -5,6 +5,7 @@ import dataclasses
 import io
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,8 +14,10 @@ from html_checker import HtmlChecker
 
 from leaderboard.entries.entry import Entry
 from leaderboard.evaluation.store import row_path, save
+from leaderboard.policies.page import render_page
 from leaderboard.report import export
 from leaderboard.report.cache import CACHE_FILE, build_report
+from leaderboard.report.rendering import write_pending
 from leaderboard.report.sentences import findings, unrelated_level_errors
 from leaderboard.report.site import file_name, render_pages, write_site
 from leaderboard.report.tables import board_views
@@ -81,6 +84,26 @@ def test_the_site_is_built_from_stored_results(tmp_path, written):
     path = built(load_board(tasks(), tmp_path), tmp_path)
     assert path == tmp_path / "index.html"
     assert path.read_text() == (written / "index.html").read_text()
+
+
+POLICIES = json.loads((Path(__file__).parents[2] / "docs/policies/policies.json").read_text())
+
+
+def test_board_and_policies_of_one_folder_link_to_each_other_whichever_ends_first(tmp_path):
+    index, policies = tmp_path / "index.html", tmp_path / "policies.html"
+    assert 'href="index.html"' not in render_page(POLICIES, out=tmp_path)
+    write_pending(index, "Estimators", "leaderboard --out here")
+    write_pending(policies, "Switching policies", "policies --out here")
+    assert "road-recon leaderboard --out here" in text_of(index.read_text())
+    parser = HtmlChecker()
+    parser.feed(index.read_text())
+    assert parser.open == [] and not [x for x in parser.addresses if x.endswith(".html")]
+    first = render_page(POLICIES, out=tmp_path)
+    assert 'href="index.html"' in first
+    last = built(Board(tuple(tasks()[:1]), {"held_out": results()["held_out"]}), tmp_path)
+    assert 'href="policies.html"' in last.read_text()
+    write_pending(index, "Estimators", "leaderboard --out here")
+    assert "reader" in index.read_text()
 
 
 def test_pages_of_removed_tasks_and_entries_are_deleted(tmp_path):

@@ -257,20 +257,27 @@ def test_replicates_do_not_depend_on_the_batch_size(monkeypatch):
     np.testing.assert_allclose(bootstrap(scores, 0), whole, rtol=0.0, atol=1e-12)
 
 
-def test_a_rank_is_one_plus_the_number_of_significantly_better_entries():
+def test_a_rank_is_the_place_of_the_best_entry_that_is_not_significantly_better():
     rng = np.random.default_rng(5)
     road = rng.standard_normal((12, 2, 1))
     scores = {
-        f"entry {k}": road + 0.12 * k + 0.3 * rng.standard_normal((12, 2, 3)) for k in range(6)
+        f"entry {k}": road + 0.12 * k + 0.3 * rng.standard_normal((12, 2, 3))
+        for k in (3, 0, 5, 1, 4, 2)
     }
     drawn = {name: bootstrap(x, 0) for name, x in scores.items()}
-    ranks = {name: 1 for name in scores}
-    for name, mine in drawn.items():
-        for other in drawn.values():
-            _, high = np.quantile(other - mine, [0.025, 0.975])
-            ranks[name] += bool(high < 0.0)
-    assert {name: row.rank for name, row in rank_entries(scores).items()} == ranks
-    assert len(set(ranks.values())) > 2
+    order = sorted(scores, key=lambda name: oracle.interquartile_mean(scores[name].ravel()))
+    ranks, leader = {}, order[0]
+    for place, name in enumerate(order, start=1):
+        _, high = np.quantile(drawn[leader] - drawn[name], [0.025, 0.975])
+        leader = name if high < 0.0 else leader
+        ranks[name] = place if leader == name else ranks[leader]
+    found = rank_entries(scores)
+    assert {name: row.rank for name, row in found.items()} == ranks
+    assert list(found) == order
+    # as in a competition: never a smaller rank below a greater one, and no place is lost
+    seen = [row.rank for row in found.values()]
+    assert seen == sorted(seen) and all(rank == 1 + seen.index(rank) for rank in seen)
+    assert len(set(seen)) in (3, 4, 5)
 
 
 def test_the_slope_equals_that_of_polyfit_and_its_interval_is_paired():

@@ -107,12 +107,15 @@ class BoardTable {
     const place = (row) => {
       const line = this.rowData.get(row.dataset.name);
       const value = key === "name" ? line.name : line.message ? null : this.value(line, by);
-      return { group: groupOf[line.state], value };
+      // by default in the order of the ranks, where there are any
+      const rank = key || line.state !== "scored" ? 0 : this.value(line, "rank") ?? Infinity;
+      return { group: groupOf[line.state], rank, value };
     };
     const sign = down ? -1 : 1;
     this.rows.sort((a, b) => {
       const [p, q] = [place(a), place(b)];
       if (p.group !== q.group) return p.group - q.group;
+      if (p.rank !== q.rank) return p.rank < q.rank ? -1 : 1;
       if (p.value === null || q.value === null) return (p.value === null) - (q.value === null);
       return sign * (p.value < q.value ? -1 : p.value > q.value ? 1 : 0);
     });
