@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from road_envs.roads import load_road
     from road_envs.vehicle.parameters import load_vehicle
 
-ID = "RoadRecon-v0"
+ID, SAFE_ID = "RoadRecon-v0", "RoadRecon/Safe4S4-v1"
 
 _PUBLIC = {
     "Estimate": "road_envs.records.record",
@@ -31,6 +31,7 @@ _PUBLIC = {
 
 __all__ = [
     "ID",
+    "SAFE_ID",
     "Estimate",
     "Profile",
     "Record",
@@ -40,13 +41,17 @@ __all__ = [
     "simulate_record",
 ]
 
-if ID not in gymnasium.registry:
-    gymnasium.register(
-        id=ID,
-        entry_point="road_envs.envs.road_recon:RoadReconEnv",
-        vector_entry_point="road_envs.envs.vector:RoadReconVectorEnv",
-        max_episode_steps=100_000,
-    )
+for _id, _single, _vector in (
+    (ID, "road_recon:RoadReconEnv", "vector:RoadReconVectorEnv"),
+    (SAFE_ID, "safe4s4:Safe4S4Env", "safe4s4:Safe4S4VectorEnv"),
+):
+    if _id not in gymnasium.registry:
+        gymnasium.register(
+            id=_id,
+            entry_point=f"road_envs.envs.{_single}",
+            vector_entry_point=f"road_envs.envs.{_vector}",
+            max_episode_steps=100_000,
+        )
 
 
 def __getattr__(name: str) -> Any:

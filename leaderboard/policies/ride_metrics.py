@@ -10,7 +10,7 @@ from leaderboard.metrics.api import Metric
 from road_envs.analysis import comfort
 from road_envs.simulation.drive import Trajectory
 from road_envs.vehicle.equations import PHI, Z_B
-from road_envs.vehicle.force_curves import Curve
+from road_envs.vehicle.force_curves import zero_force_range
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import decode_commands
 
@@ -114,7 +114,7 @@ def ride_metrics(
 
 def count_bump_stop_hits(extension: np.ndarray, car: VehicleParameters) -> int:
     """Count how often a strut reaches a bump stop, from extensions (N, 4) [m]."""
-    limits = np.array([_zero_force_range(curve) for curve in car.bump_stops for _ in range(2)])
+    limits = np.array([zero_force_range(curve) for curve in car.bump_stops for _ in range(2)])
     hits = 0
     for beyond in (extension < limits[:, 0], extension > limits[:, 1]):
         # an excursion counts at its first sample only
@@ -134,12 +134,6 @@ def state_time_shares(commands: np.ndarray) -> dict[tuple[bool, ...], float]:
     for state, count in zip(states.tolist(), counts.tolist(), strict=True):
         total[tuple(state)] = total.get(tuple(state), 0.0) + count / len(commands)
     return total
-
-
-def _zero_force_range(curve: Curve) -> tuple[float, float]:
-    """Return the extensions [m] between which a bump stop exerts no force."""
-    free = [x for x, F in zip(curve.x, curve.F, strict=True) if F == 0.0]
-    return min(free), max(free)
 
 
 def _rms(x: np.ndarray) -> float:

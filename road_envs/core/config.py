@@ -51,6 +51,10 @@ class ConfigError(ValueError):
     """Invalid input. The message is one sentence that names the value and the valid choices."""
 
 
+class UnknownKeyError(ConfigError, TypeError):
+    """Unknown key or keyword argument: a TypeError as well, as Python raises for unknown ones."""
+
+
 class Settings:
     """Base class of dataclasses of settings.
 
@@ -208,7 +212,9 @@ def build(cls: type[T], data: Mapping[str, Any], where: str) -> T:
     try:
         return _adapter(cast(Any, cls)).validate_json(text, strict=True)
     except ValidationError as error:
-        raise ConfigError(f"{where}: {_describe(error.errors(), cls)}") from None
+        unknown = any(one["type"] == UNKNOWN_KEY for one in error.errors())
+        kind = UnknownKeyError if unknown else ConfigError
+        raise kind(f"{where}: {_describe(error.errors(), cls)}") from None
     except ConfigError as error:
         raise ConfigError(f"{where}: {error}") from None
 

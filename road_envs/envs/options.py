@@ -9,16 +9,25 @@ import numpy as np
 from pydantic import Field
 
 from road_envs.analysis.information_bound import BoundTable, RoadPrior
-from road_envs.core.config import ConfigError, NonNegative, Positive, Settings, SmallestFirst, build
+from road_envs.core.config import (
+    ConfigError,
+    NonNegative,
+    Positive,
+    Settings,
+    SmallestFirst,
+    UnknownKeyError,
+    build,
+)
 from road_envs.envs.control_step import (
     MAX_EXTENSION,
     MAX_EXTENSION_RATE,
     MAX_PLANAR,
     N_PLANAR,
     N_STRUT_SIGNALS,
+    OUTPUT_COLUMNS,
     StepOutput,
 )
-from road_envs.envs.failures import ANGLES, MAX_ANGLE
+from road_envs.envs.failures import ANGLES, MAX_ANGLE, NONFINITE_STEP, ROLLOVER
 from road_envs.envs.instrumented_fleet import InstrumentedFleet
 from road_envs.roads import load_road, with_length
 from road_envs.roads.surface import Surface
@@ -48,6 +57,9 @@ Speed = Annotated[float, Field(gt=0, le=MAX_SPEED_KMH)]
 
 RESERVED_NAMES = {"speed", "front", "rear", "planar", "extension", "extension_rate"}
 """Parts of an observation that are no accelerometers."""
+
+MAX_STEPS = 1_000_000
+"""Largest number of integrator steps in a control interval: 240 MB of signals are kept."""
 
 MAX_OBSERVED_SPEED = 100.0
 """Upper limit of the observed speed [m/s]."""
@@ -103,6 +115,12 @@ class EnvOptions(Settings):
                 f"observe needs 'accelerations' and no duplicates, got {list(self.observe)}"
             )
         per_interval = 1.0 / (self.control_rate * self.step)
+        if per_interval > MAX_STEPS:
+            raise ValueError(
+                f"a control interval must have at most {MAX_STEPS} integrator steps: with "
+                f"control_rate = {self.control_rate} Hz and step = {self.step} s it has "
+                f"{per_interval:.3g}"
+            )
         if per_interval < 1.0 or abs(per_interval - round(per_interval)) > 1e-6:
             raise ValueError(
                 f"control_rate must give a whole number of integrator steps of {self.step} s, "
@@ -126,6 +144,8 @@ class EpisodeStart(NamedTuple):
 
 class EnvSetup:
     """Objects built from the keyword arguments of the environments. Raises ConfigError."""
+
+    output_columns = OUTPUT_COLUMNS
 
     def __init__(self, options: dict[str, Any]):
         if isinstance(options.get("weights"), Weights):
@@ -260,7 +280,9 @@ class EnvSetup:
         """Return the options with those of one episode. Raises ConfigError on unknown ones."""
         known = {"speed_kmh": self.options.speed_kmh, "mode": self.options.mode}
         if extra := options.keys() - known.keys():
-            raise ConfigError(f"unknown reset options {sorted(extra)}; known: {', '.join(known)}")
+            raise UnknownKeyError(
+                f"unknown reset options {sorted(extra)}; known: {', '.join(known)}"
+            )
         return build(EnvOptions, known | options, "reset options")
 
     def start_episode(
@@ -300,7 +322,25 @@ class EnvSetup:
                     raise
         return surface
 
-    def failure_reason(self, output: StepOutput, i: int, road: str) -> str:
+    @cached_property
+    def info_columns(self) -> dict[str, int]:
+        """Columns of `StepOutput.values` that `info` holds, by name."""
+        omitted = {"reward"}
+        if not self.options.weights.unresolved_variance:
+            omitted.add("unresolved_variance")
+        return {name: j for j, name in enumerate(self.output_columns) if name not in omitted}
+
+    def rewards(self, values: np.ndarray) -> np.ndarray:
+        """Return the rewards (N,) in the values (N, columns) of an interval."""
+        return values[:, self.output_columns.index("reward")]
+
+    @staticmethod
+    def failure_code(output: StepOutput, i: int) -> int:
+        """Return 0 if the episode of environment `i` goes on, else ROLLOVER or NONFINITE_STEP."""
+        _, rollover, nonfinite_step = output.events[i].tolist()
+        return NONFINITE_STEP if nonfinite_step >= 0 else ROLLOVER if rollover >= 0 else 0
+
+    def failure_text(self, output: StepOutput, i: int, road: str) -> str:
         """Return why the episode of environment `i` on `road` has failed; empty if it has not."""
         _, rollover, nonfinite_step = output.events[i].tolist()
         if nonfinite_step < 0 and rollover < 0:

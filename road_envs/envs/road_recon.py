@@ -9,7 +9,6 @@ import numpy as np
 
 from road_envs.core.config import ConfigError, validate_choice
 from road_envs.envs.control_step import (
-    OUTPUT_COLUMNS,
     TRUE_LOADS,
     TRUE_PROFILE,
     TRUE_S,
@@ -93,7 +92,8 @@ class RoadReconEnv(gymnasium.Env):
     ## Episode End
     The episode is truncated when the rear axle has left the road and the apron after it. It is
     terminated when the body or an axle has rolled or pitched by more than 45 degrees, beyond the
-    model's small angles, or when the motion is no longer finite; `info["reason"]` says which.
+    model's small angles, or when the motion is no longer finite: `info["reason"]` is then 1 or
+    2, else 0, and the attribute `failure` says it in words.
 
     ## Arguments
     ```python
@@ -134,6 +134,7 @@ class RoadReconEnv(gymnasium.Env):
       stiff gas spring is softer, so that episodes over obstacles differ from those of 0.1.0.
     """
 
+    setup_class: type[EnvSetup] = EnvSetup
     metadata: dict[str, Any] = {  # noqa: RUF012 - as the base class has it; each instance copies it
         "render_modes": ["rgb_array"],
         "render_fps": 20,
@@ -142,7 +143,7 @@ class RoadReconEnv(gymnasium.Env):
     def __init__(self, render_mode: str | None = None, **options: Any):
         if render_mode is not None:
             validate_choice("render mode", render_mode, self.metadata["render_modes"])
-        self.setup = EnvSetup(options)
+        self.setup = self.setup_class(options)
         self.render_mode = render_mode
         rate = self.setup.options.control_rate
         self.metadata = self.metadata | {"render_fps": rate}
@@ -150,7 +151,9 @@ class RoadReconEnv(gymnasium.Env):
         self.action_space = self.setup.action_space
         self.fleet = self.setup.make_fleet(keep_signals=render_mode is not None)
         self._start: EpisodeStart | None = None
+        self._failed: tuple[StepOutput, str] | None = None
         self._command_byte = 0
+        self._reward_column = self.setup.output_columns.index("reward")
         self._history: deque[np.ndarray] = deque(maxlen=ceil(RENDERED_HISTORY * rate))
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
@@ -167,11 +170,13 @@ class RoadReconEnv(gymnasium.Env):
         if self._start is None:
             raise gymnasium.error.ResetNeeded("call reset before step")
         n = len(self.setup.command_bytes)  # the common kind first: `contains` takes a while
-        if not (0 <= action < n if type(action) is int else self.action_space.contains(action)):
+        if isinstance(action, bool) or not (
+            0 <= action < n if type(action) is int else self.action_space.contains(action)
+        ):
             raise ConfigError(f"the action must be one of 0 to {n - 1}, got {action!r}")
         output = self._advance(int(self.setup.command_bytes[action]))
         reward, info = self._info(output, self._start)
-        terminated = info["reason"] != ""
+        terminated = info["reason"] != 0
         truncated = not terminated and bool(output.events[0, END_OF_ROAD])
         return output.observation[0], reward, terminated, truncated, info
 
@@ -199,6 +204,14 @@ class RoadReconEnv(gymnasium.Env):
         self.fleet.write_back(0, self._start.drive)
         return self._start.drive
 
+    @property
+    def failure(self) -> str:
+        """Why the episode was terminated, in words; empty if it was not."""
+        if self._failed is None:
+            return ""
+        output, road = self._failed
+        return self.setup.failure_text(output, 0, road)
+
     def split(self, observation: np.ndarray) -> dict[str, np.ndarray]:
         """Return the parts of an observation by name.
 
@@ -218,11 +231,11 @@ class RoadReconEnv(gymnasium.Env):
 
     def _info(self, output: StepOutput, start: EpisodeStart) -> tuple[float, dict[str, Any]]:
         """Return the reward and `info`."""
-        info: dict[str, Any] = dict(zip(OUTPUT_COLUMNS, output.values[0].tolist(), strict=True))
-        reward = info.pop("reward")
-        if self.setup.options.weights.unresolved_variance == 0.0:
-            del info["unresolved_variance"]
-        info["reason"] = self.setup.failure_reason(output, 0, start.surface.name)
+        row = output.values[0].tolist()
+        info: dict[str, Any] = {name: row[j] for name, j in self.setup.info_columns.items()}
+        reward = row[self._reward_column]
+        info["reason"] = self.setup.failure_code(output, 0)
+        self._failed = (output, start.surface.name) if info["reason"] else None
         if self.setup.options.truth:
             truth = output.truth[0]
             info["s"], info["profile"] = truth[TRUE_S], truth[TRUE_PROFILE:TRUE_LOADS]

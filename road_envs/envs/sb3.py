@@ -91,7 +91,7 @@ class RoadReconVecEnv(ArrayVecEnv):
             rows[i]["terminal_observation"] = infos["final_obs"][i]
             rows[i]["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i])
             if final["reason"][i]:
-                rows[i]["reason"] = final["reason"][i]
+                rows[i]["reason"] = self.env.failures[i]
         return observations, rewards.astype(np.float32), dones, rows
 
     def close(self) -> None:

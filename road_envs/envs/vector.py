@@ -1,5 +1,6 @@
 """Vector environment of `RoadRecon-v0`, which advances all vehicles in the lanes of one fleet."""
 
+import copy
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,9 +10,24 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from road_envs.core.config import ConfigError, validate_choice
-from road_envs.envs.control_step import OUT_REWARD, OUTPUT_COLUMNS, StepOutput
+from road_envs.core.config import ConfigError, shown, validate_choice
+from road_envs.envs.control_step import StepOutput
 from road_envs.envs.options import EnvOptions, EnvSetup
+
+MAX_ENVS = 100_000
+"""Most vehicles of one vector environment: with the shortest roads they need some gigabytes."""
+
+KEPT = (
+    "_generators",
+    "_seeds",
+    "_roads",
+    "failures",
+    "_elapsed",
+    "_done",
+    "_observations",
+    "fleet",
+)
+"""Attributes that change from step to step."""
 
 
 class RoadReconVectorEnv(VectorEnv):
@@ -36,10 +52,12 @@ class RoadReconVectorEnv(VectorEnv):
     `reset(seed=..., options=...)` takes one seed or a seed for each environment, and the options
     of `RoadReconEnv.reset`; with `DISABLED` also `reset_mask` (num_envs,) bool, the environments to
     reset. `info` has the keys of the scalar environment, with a row for each environment, and for
-    each key a mask `_key` (num_envs,) of the valid rows. `SAME_STEP` adds `final_obs` and
+    each key a mask `_key` (num_envs,) of the valid rows; `failures` says why episodes were
+    terminated. `SAME_STEP` adds `final_obs` and
     `final_info` of the ended episodes. Only the scalar environment renders.
     """
 
+    setup_class: type[EnvSetup] = EnvSetup
     metadata: dict[str, Any] = {  # noqa: RUF012 - as the base class has it; each instance copies it
         "render_modes": [],
         "autoreset_mode": AutoresetMode.NEXT_STEP,
@@ -60,13 +78,18 @@ class RoadReconVectorEnv(VectorEnv):
                 f"a vector environment has no render_mode {render_mode!r}; render with "
                 f"gym.make('RoadRecon-v0', render_mode='rgb_array')"
             )
-        for name, value in (("num_envs", num_envs), ("threads", threads)):
-            if not (isinstance(value, int) and value >= 1):
+        steps = 1 if max_episode_steps is None else max_episode_steps
+        for name, value in (
+            ("num_envs", num_envs), ("threads", threads), ("max_episode_steps", steps),
+        ):  # fmt: skip
+            if isinstance(value, bool) or not (isinstance(value, int) and value >= 1):
                 raise ConfigError(f"{name} must be a whole number of at least 1, got {value!r}")
+            if value > MAX_ENVS and name != "max_episode_steps":
+                raise ConfigError(f"{name} must be at most {MAX_ENVS}, got {value}")
         if not isinstance(autoreset_mode, AutoresetMode):
             known = {mode.value: mode for mode in AutoresetMode}
             autoreset_mode = known[validate_choice("autoreset mode", autoreset_mode, known)]
-        self.setup = EnvSetup(options)
+        self.setup = self.setup_class(options)
         self.num_envs, self.max_episode_steps = num_envs, max_episode_steps
         self.autoreset_mode = autoreset_mode
         self.metadata = self.metadata | {"autoreset_mode": autoreset_mode}
@@ -78,7 +101,7 @@ class RoadReconVectorEnv(VectorEnv):
         self.fleet = self.setup.make_fleet(num_envs, threads)
         self._generators: list[np.random.Generator] = []
         self._seeds: list[int] = []
-        self._roads = [""] * num_envs
+        self._roads, self.failures = [""] * num_envs, [""] * num_envs
         self._elapsed = np.zeros(num_envs, dtype=np.int64)
         self._done = np.zeros(num_envs, dtype=bool)
         self._observations = np.zeros((num_envs, 0))
@@ -119,6 +142,8 @@ class RoadReconVectorEnv(VectorEnv):
         if not self._generators:
             raise gymnasium.error.ResetNeeded("call reset before step")
         commands = self.setup.command_bytes[self._validate_actions(actions)]
+        if any(self.failures):
+            self.failures = [""] * self.num_envs
         restarted = self._done
         if restarted.any():
             if self.autoreset_mode == AutoresetMode.DISABLED:
@@ -135,7 +160,8 @@ class RoadReconVectorEnv(VectorEnv):
         truncated = output.end_of_road & ~terminated & ~restarted
         if self.max_episode_steps is not None:
             truncated |= (self._elapsed >= self.max_episode_steps) & ~restarted
-        rewards = np.where(restarted, 0.0, output.values[:, OUT_REWARD])
+        rewards = self.setup.rewards(output.values).copy()
+        rewards[restarted] = 0.0
         self._done = terminated | truncated
         observations = output.observation
         if self.autoreset_mode == AutoresetMode.SAME_STEP and self._done.any():
@@ -143,6 +169,25 @@ class RoadReconVectorEnv(VectorEnv):
             self._done = np.zeros(self.num_envs, dtype=bool)
         self._keep(observations)
         return observations, rewards, terminated, truncated, infos
+
+    def state(self) -> dict[str, Any]:
+        """Return a copy of all that changes, for `set_state`."""
+        return copy.deepcopy({name: getattr(self, name) for name in KEPT})
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on from a `state` of an environment with the same options, to the bit.
+
+        Raises ConfigError on anything else.
+        """
+        if not (isinstance(state, dict) and set(state) == set(KEPT)):
+            raise ConfigError(f"the state must be one that state() returned, got {shown(state)}")
+        if state["fleet"].n_vehicles != self.num_envs:
+            raise ConfigError(
+                f"the state is of {state['fleet'].n_vehicles} environments; there are "
+                f"{self.num_envs}"
+            )
+        for name, value in copy.deepcopy(state).items():
+            setattr(self, name, value)
 
     def _keep(self, observations: np.ndarray) -> None:
         """Keep a copy of the observations for a reset of other environments."""
@@ -187,17 +232,12 @@ class RoadReconVectorEnv(VectorEnv):
 
     def _infos(self, output: StepOutput, mask: np.ndarray) -> dict[str, Any]:
         """Return the infos of the environments in `mask`; other rows are zero."""
-        omitted = {"reward"}
-        if not self.setup.options.weights.unresolved_variance:
-            omitted.add("unresolved_variance")
         values = output.values if mask.all() else np.where(mask[:, None], output.values, 0.0)
-        infos: dict[str, Any] = {
-            name: values[:, j] for j, name in enumerate(OUTPUT_COLUMNS) if name not in omitted
-        }
-        infos["reason"] = np.full(self.num_envs, "", dtype=object)
-        infos["reason"][~mask] = None
+        infos: dict[str, Any] = {name: values[:, j] for name, j in self.setup.info_columns.items()}
+        infos["reason"] = np.zeros(self.num_envs, dtype=np.int64)
         for i in np.flatnonzero(mask & output.failed):
-            infos["reason"][i] = self.setup.failure_reason(output, int(i), self._roads[i])
+            infos["reason"][i] = self.setup.failure_code(output, int(i))
+            self.failures[i] = self.setup.failure_text(output, int(i), self._roads[i])
         if self.setup.options.truth:
             rows = {"s": output.s, "profile": output.profile, "loads": output.loads}
             for name, array in rows.items():

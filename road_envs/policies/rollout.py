@@ -56,11 +56,11 @@ def roll_out(
     total = envs.fleet.steps_left.max() / envs.fleet.steps
     while running.any():
         selected_actions = validate_actions(policy.act(observations), context)
-        observations, rewards, terminated, truncated, infos = envs.step(selected_actions)
+        observations, rewards, terminated, truncated, _ = envs.step(selected_actions)
         returns += np.where(running, rewards, 0.0)
         intervals += running
         for i in np.flatnonzero(running & terminated):
-            reasons[i] = infos["reason"][i]
+            reasons[i] = envs.failures[i]
         running &= ~(terminated | truncated)
         actions.append(selected_actions.copy())
         earned.append(rewards.copy())

@@ -184,6 +184,10 @@ class DriveSimulator:
         """Number of steps until the drive is finished."""
         return max(self._total - self.steps, 0)
 
+    def limit_duration(self, duration: float) -> None:
+        """End the drive after `duration` [s], if it is not at the end of its road before."""
+        self._total = min(self._total, round(duration / self.step))
+
     @property
     def is_finished(self) -> bool:
         """True once the rear axle has left the surface and its apron."""

@@ -240,7 +240,7 @@ class _Block:
             self.h,
         )
         self.flexible = (True,) if lane_drives[0].plant.flexible else ()
-        self.roads = _road_buffers([drive.surface for drive in lane_drives])
+        self.roads = road_buffers([drive.surface for drive in lane_drives])
         self.constant_speed_inputs = _constant_speed_inputs(lane_drives)
         # kept for the next call: the kernel of the system clears fresh memory page by page
         self.half_steps = aligned_zeros(2, 0)
@@ -298,7 +298,8 @@ def _constant_speed_inputs(
     return np.array([d.start for d in drives]), np.array([d.speed_profile.v[0] for d in drives])
 
 
-def _road_buffers(surfaces: Sequence[Surface]) -> RoadBuffers:
+def road_buffers(surfaces: Sequence[Surface]) -> RoadBuffers:
+    """Return the roads of LANES vehicles; a surface that several share is stored once."""
     sizes = np.array([surface.padded.shape[1] for surface in surfaces])
     distinct = list({id(surface): surface for surface in surfaces}.values())
     first = np.cumsum([0, *(surface.padded.size for surface in distinct)])

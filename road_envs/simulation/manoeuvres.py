@@ -10,7 +10,15 @@ from typing import Annotated, Any, Protocol
 import numpy as np
 from pydantic import Field
 
-from road_envs.core.config import ConfigError, Finite, Positive, Settings, build, validate_choice
+from road_envs.core.config import (
+    ConfigError,
+    Finite,
+    NonNegative,
+    Positive,
+    Settings,
+    build,
+    validate_choice,
+)
 
 
 class Manoeuvre(Protocol):
@@ -76,17 +84,45 @@ class LaneChange(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Fishhook(Settings):
+    """Turn that is reversed at once: build-up, dwell, reversal, hold, release.
+
+    It has the shape of NHTSA's fixed-timing fishhook (49 CFR 575.106), as the lateral acceleration
+    that follows the steering; the J-turn of the same programme is a SteadyTurn with a short
+    `build_up`.
+    """
+
+    a_y: Annotated[Finite, "m/s²", "lateral acceleration of the first turn, less the second"] = 4.5
+    begin: Annotated[Finite, "s", "time at which the first turn begins"] = 1.0
+    build_up: Annotated[Positive, "s", "duration of the first build-up; the reversal takes two"] = (
+        0.5
+    )
+    dwell: Annotated[NonNegative, "s", "duration of the first turn"] = 0.25
+    hold: Annotated[NonNegative, "s", "duration of the second turn"] = 3.0
+
+    def at(self, t: np.ndarray) -> np.ndarray:
+        """Return a_x and a_y (N, 2) [m/s²] at the times `t` (N,) [s]."""
+        reversal = self.begin + self.build_up + self.dwell
+        rise = _smooth_step((t - self.begin) / self.build_up)
+        fall = _smooth_step((t - reversal) / (2.0 * self.build_up))
+        release = _smooth_step((t - reversal - 2.0 * self.build_up - self.hold) / self.build_up)
+        return _lateral(self.a_y * (rise - 2.0 * fall + release))
+
+
+@dataclass(frozen=True, kw_only=True)
 class Slalom(Settings):
     """Sinusoidal lateral acceleration, with a smooth start over the first period."""
 
     a_y: Annotated[Finite, "m/s²", "amplitude"] = 3.0
     period: Annotated[Positive, "s", "period of the sine"] = 3.0
     begin: Annotated[Finite, "s", "time at which it begins"] = 1.0
+    periods: Annotated[float, Field(gt=0), "", "number of periods"] = np.inf
 
     def at(self, t: np.ndarray) -> np.ndarray:
         """Return a_x and a_y (N, 2) [m/s²] at the times `t` (N,) [s]."""
         x = (t - self.begin) / self.period
-        return _lateral(self.a_y * _smooth_step(x) * np.sin(2.0 * np.pi * x))
+        envelope = _smooth_step(x) - _smooth_step(x - self.periods)
+        return _lateral(self.a_y * envelope * np.sin(2.0 * np.pi * x))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,9 +140,21 @@ class Braking(Settings):
         return np.stack([-turn.at(t)[..., 1], np.zeros_like(t)], axis=-1)
 
 
+@dataclass(frozen=True)
+class Successive:
+    """Manoeuvres one after the other in one drive: the sum of their accelerations."""
+
+    parts: tuple[Manoeuvre, ...]
+
+    def at(self, t: np.ndarray) -> np.ndarray:
+        """Return a_x and a_y (N, 2) [m/s²] at the times `t` (N,) [s]."""
+        return np.sum([part.at(t) for part in self.parts], axis=0)
+
+
 KINDS: dict[str, type] = {
     "steady_turn": SteadyTurn,
     "lane_change": LaneChange,
+    "fishhook": Fishhook,
     "slalom": Slalom,
     "braking": Braking,
 }

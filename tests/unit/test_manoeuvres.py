@@ -15,6 +15,7 @@ from road_envs.simulation.manoeuvres import (
     LaneChange,
     Slalom,
     SteadyTurn,
+    Successive,
     load_manoeuvre,
 )
 from road_envs.simulation.speed import speed_ramp
@@ -125,3 +126,18 @@ def test_an_unknown_manoeuvre_or_setting_is_rejected_with_the_choices():
         load_manoeuvre({"kind": "slalom", "a_z": 1.0})
     with pytest.raises(ConfigError, match="needs a key 'kind'"):
         load_manoeuvre({"a_y": 1.0})
+
+
+def test_a_fishhook_reverses_and_ends():
+    t = np.array([0.9, 1.6, 2.9, 4.7, 6.5])
+    a_y = load_manoeuvre({"kind": "fishhook", "a_y": 4.0}).at(t)[:, 1]
+    assert a_y == pytest.approx([0.0, 4.0, -4.0, -4.0, 0.0])
+
+
+def test_successive_manoeuvres_add_up_and_a_slalom_ends():
+    turn, slalom = load_manoeuvre("steady_turn"), Slalom(periods=2.0)
+    t = np.linspace(0.0, 15.0, 300)
+    both = Successive((turn, slalom)).at(t)
+    np.testing.assert_array_equal(both, turn.at(t) + slalom.at(t))
+    assert np.abs(slalom.at(t[t > 1.0 + 3.0 * 3.0])).max() < 1e-12
+    assert slalom.at(t[t < 7.0])[:, 1].max() > 2.0

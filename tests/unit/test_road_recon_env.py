@@ -217,6 +217,22 @@ def test_an_unknown_reset_option_and_an_invalid_action_are_rejected():
     env.reset(seed=0)
     with pytest.raises(ConfigError, match="one of 0 to 1, got 2"):
         env.step(2)
+    with pytest.raises(ConfigError, match="one of 0 to 1, got True"):
+        env.step(True)
+
+
+def test_unknown_keywords_raise_what_wrappers_of_other_libraries_expect():
+    # TorchRL passes `frameskip` and tries again without it on a TypeError only
+    with pytest.raises(TypeError, match="frameskip"):
+        make(**SHORT, frameskip=1)
+    env = make(**SHORT)
+    with pytest.raises(TypeError, match="unknown reset options"):
+        env.reset(options={"sped": 3.0})
+
+
+def test_a_step_that_makes_intervals_endless_is_rejected():
+    with pytest.raises(ConfigError, match=r"at most 1000000 integrator steps.*step = 1e-12 s"):
+        make(**SHORT, step=1e-12)
 
 
 def test_nonfinite_motion_terminates_with_a_reason():
@@ -224,8 +240,8 @@ def test_nonfinite_motion_terminates_with_a_reason():
     env.reset(seed=0)
     env.fleet.state.q[0, 0, 0] = np.inf
     observation, _, terminated, truncated, info = env.step(0)
-    assert (terminated, truncated) == (True, False)
-    assert "no longer finite" in info["reason"]
+    assert (terminated, truncated, info["reason"]) == (True, False, 2)
+    assert "no longer finite" in env.unwrapped.failure
     assert env.observation_space.contains(observation)
 
 
@@ -234,8 +250,8 @@ def test_a_rollover_terminates_with_a_reason():
     env.reset(seed=0)
     env.fleet.state.q[0, 1, 0] = 0.9
     _, _, terminated, truncated, info = env.step(0)
-    assert (terminated, truncated) == (True, False)
-    assert "phi passed 45 degrees at t = 0.050 s" in info["reason"]
+    assert (terminated, truncated, info["reason"]) == (True, False, 1)
+    assert "phi passed 45 degrees at t = 0.050 s" in env.unwrapped.failure
 
 
 @pytest.mark.processes

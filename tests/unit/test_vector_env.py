@@ -13,6 +13,7 @@ import road_envs
 from road_envs.core.config import ConfigError
 from road_envs.envs.instrumented_fleet import InstrumentedFleet
 from road_envs.envs.road_recon import RoadReconEnv
+from road_envs.envs.safe4s4 import Safe4S4VectorEnv
 from road_envs.envs.vector import RoadReconVectorEnv
 from road_envs.kernels.simd import LANES
 from road_envs.vehicle.equations import build_plant
@@ -128,8 +129,9 @@ def test_a_failed_vehicle_reports_a_reason_and_does_not_affect_others():
     observation, reward, terminated, truncated, infos = envs.step(np.zeros(3, dtype=int))
     expected = healthy.step(np.zeros(3, dtype=int))
     assert terminated.tolist() == [False, True, True] and not truncated.any()
-    assert infos["reason"][0] == "" and "no longer finite" in infos["reason"][1]
-    assert "phi passed 45 degrees at t = 0.050 s" in infos["reason"][2]
+    assert infos["reason"].tolist() == [0, 2, 1]
+    assert "no longer finite" in envs.failures[1]
+    assert "phi passed 45 degrees at t = 0.050 s" in envs.failures[2]
     assert np.isfinite(observation).all() and np.isfinite(reward).all()
     np.testing.assert_array_equal(observation[0], expected[0][0])
     observation, *_ = envs.step(np.zeros(3, dtype=int))  # NEXT_STEP: both restart
@@ -165,6 +167,10 @@ def test_invalid_input_is_rejected_in_one_sentence():
         envs.reset(seed=[1, 2])
     with pytest.raises(ConfigError, match="num_envs must be a whole number"):
         vector(num_envs=0)
+    with pytest.raises(ConfigError, match="num_envs must be at most 100000, got 1000000000"):
+        vector(num_envs=10**9)
+    with pytest.raises(ConfigError, match="max_episode_steps must be a whole number"):
+        vector(max_episode_steps=0)
     with pytest.raises(ConfigError, match="unknown autoreset mode"):
         vector(autoreset_mode="never")
     with pytest.raises(ConfigError, match="render with"):
@@ -271,3 +277,26 @@ def test_a_fleet_of_several_blocks_has_no_last_interval_and_a_flexible_frame_is_
     plant = build_plant(setup.car, variation=frame)
     with pytest.raises(ConfigError, match="does not support a flexible frame"):
         InstrumentedFleet(plant, setup.car, setup.instruments, step=0.001, steps=50)
+
+
+@pytest.mark.parametrize("options", [SHORT, None], ids=["RoadRecon-v0", "Safe4S4-v1"])
+def test_a_state_is_continued_to_the_bit(options):
+    envs = Safe4S4VectorEnv(3) if options is None else vector(options)
+    envs.reset(seed=2)
+    for _ in range(5):
+        envs.step(np.array([0, 3, 1]))
+    state = envs.state()
+    first = [envs.step(np.array([1, 0, 2])) for _ in range(25)]
+    envs.reset(seed=9)
+    for _ in range(2):  # the state itself is not changed by going on from it
+        envs.set_state(state)
+        for one in first:
+            for a, b in zip(one[:4], envs.step(np.array([1, 0, 2]))[:4], strict=True):
+                np.testing.assert_array_equal(a, b)
+
+
+def test_a_foreign_state_is_rejected():
+    with pytest.raises(ConfigError, match="one that state"):
+        vector().set_state({"q": 1})
+    with pytest.raises(ConfigError, match="of 2 environments; there are 3"):
+        vector().set_state(vector(num_envs=2).state())

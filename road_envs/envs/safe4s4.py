@@ -1,0 +1,201 @@
+"""Gymnasium environment `RoadRecon/Safe4S4-v1`: comfort, never on two wheels."""
+
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, NamedTuple
+
+import gymnasium
+import numpy as np
+
+from road_envs.core.config import Positive, Settings, build
+from road_envs.envs.individual_fleet import SAFETY_COLUMNS, IndividualFleet
+from road_envs.envs.options import MAX_OBSERVED_SPEED, EnvSetup
+from road_envs.envs.road_recon import RoadReconEnv
+from road_envs.envs.safe_drives import (
+    SafeDrive,
+    draw_drive,
+    individual_car,
+    load_benchmark,
+    realise_surface,
+    split_key,
+)
+from road_envs.envs.vector import RoadReconVectorEnv
+from road_envs.roads.surface import Surface
+from road_envs.sensing.data_logger import DataLogger
+from road_envs.simulation.drive import DriveSimulator
+from road_envs.vehicle.equations import build_plant
+from road_envs.vehicle.suspension import encode_command
+
+REWARD_TERMS = ("comfort", "tyre_load", "cost")
+"""Terms of the vector reward, each with a minus sign."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SafeOptions(Settings):
+    """Keyword arguments of the environment; `Safe4S4Env` documents them."""
+
+    split: Literal["train", "test", "sealed"] = "train"
+    seal: str | None = None
+    control_rate: Annotated[Positive, "Hz", "rate of the actions"] = 20.0
+    vector_reward: bool = False
+
+    def __post_init__(self):
+        super().__post_init__()
+        split_key(self.split, self.seal)
+
+
+class SafeStart(NamedTuple):
+    """Start of one episode: its description, and what was drawn for it."""
+
+    command_byte: int
+    surface: Surface
+    drive: DriveSimulator
+    description: SafeDrive
+
+
+class Safe4S4Setup(EnvSetup):
+    """Objects built from the keyword arguments of the benchmark. Raises ConfigError."""
+
+    output_columns = SAFETY_COLUMNS
+
+    def __init__(self, options: dict[str, Any]):
+        self.safe = build(SafeOptions, options, "RoadRecon/Safe4S4-v1")
+        self.benchmark = load_benchmark()
+        super().__init__(
+            {
+                "road": "flat",
+                "control": "states",
+                "control_rate": self.safe.control_rate,
+                "observe": ["accelerations", "planar", "struts"],
+                "truth": False,
+            }
+        )
+
+    def make_fleet(self, n_vehicles: int = 1, threads: int = 1, keep_signals: bool = False):
+        """Return an `IndividualFleet`, one vehicle for each environment."""
+        step = self.options.step
+        return IndividualFleet(
+            self.car,
+            self.instruments,
+            step=step,
+            steps=round(self.interval / step),
+            n_vehicles=n_vehicles,
+            top_speed=MAX_OBSERVED_SPEED,
+            threads=threads,
+        )
+
+    def rewards(self, values: np.ndarray) -> np.ndarray:
+        """Return the rewards (N,), or (N, 3) as a vector, in the values of an interval."""
+        if not self.safe.vector_reward:
+            return super().rewards(values)
+        return -values[:, [self.output_columns.index(name) for name in REWARD_TERMS]]
+
+    def episode_options(self, options: dict[str, Any]) -> Any:
+        """Return the fields of `SafeDrive` that a reset fixes. Raises ConfigError."""
+        draw_drive(self.benchmark, self.safe.split, np.random.default_rng(0), options)
+        return dict(options)
+
+    def start_episode(self, fleet, i: int, random: np.random.Generator, o: Any) -> SafeStart:
+        """Put vehicle `i` at the start of a drive drawn from `random`; fields `o` are fixed."""
+        fixed = o if isinstance(o, dict) else {}
+        start, logger = self.prepare(random, fixed)
+        fleet.start(i, start.drive, logger, start.description.speed_kmh)
+        return start
+
+    def prepare(
+        self, random: np.random.Generator, fixed: dict[str, Any]
+    ) -> tuple[SafeStart, DataLogger]:
+        """Draw a drive from `random`, and return its start and its instruments."""
+        # one stream per cause, of entropy that differs between the splits
+        key = split_key(self.safe.split, self.safe.seal)
+        root = np.random.SeedSequence([key, *random.integers(2**32, size=4).tolist()])
+        drive_seed, road_seed, car_seed, sensor_seed = root.spawn(4)
+        description = draw_drive(
+            self.benchmark, self.safe.split, np.random.default_rng(drive_seed), fixed
+        )
+        surface = realise_surface(description, np.random.default_rng(road_seed), self.car)
+        k, step = len(self.instruments.accelerometers), self.options.step
+        car, faults = individual_car(description, self.car, car_seed, k)
+        drive = DriveSimulator(
+            build_plant(car, manoeuvres=True), car, surface, description.speed_profile, None, step,
+            description.manoeuvre,
+        )  # fmt: skip
+        drive.limit_duration(description.duration)
+        logger = DataLogger(self.instruments, car, step, np.random.default_rng(sensor_seed), faults)
+        return SafeStart(encode_command(None, car), surface, drive, description), logger
+
+
+class Safe4S4Env(RoadReconEnv):
+    """Benchmark of semi-active switching: comfort, never on two wheels.
+
+    ## Description
+    A vehicle with the 4S4 suspension of `RoadReconEnv` drives for 20 to 30 s over a rough track
+    whose ISO class changes on the way, with bumps, a severe manoeuvre (double lane change of
+    ISO 3888-1, J-turn or fishhook) and a gentle one (steady turn, slalom, or braking with falling
+    speed). Environment, distribution of the drives and reward are frozen: a change of any is
+    another version.
+
+    ## Action Space
+    `Discrete(16)`: front + 4 * rear with 0 ride, 1 handling, 2 soft spring and high damping,
+    3 stiff spring and low damping.
+
+    ## Observation Space
+    That of `RoadReconEnv` with `observe=["accelerations", "planar", "struts"]`.
+
+    ## Rewards
+    Minus `comfort`: the time integral [m²/s³] of the squared W_k-weighted vertical acceleration at
+    the front seats, which holds heave, pitch and roll (ISO 2631-1); the mean over both seats, so
+    that left and right are equal. Integrals of squares add up, whatever the control rate.
+    Safety is a constraint: `info["cost"]` is the time [s] within the interval for which both wheels
+    of a side have been off the ground for more than 20 ms, or a strut is at its bump stop. With
+    `vector_reward` the reward is minus (`comfort`, `tyre_load`, `cost`), `reward_space` its space.
+
+    `info` also holds `t` [s], `station` [m], `speed_kmh`, `tyre_load` [s] (integral of the squared
+    load over static load, above 0.4 Hz, so without its quasi-static share), `stop` [s] at a bump
+    stop, `lift_off` [s] with a side off the ground, the largest `load_transfer` ratio
+    |left - right| / (left + right) and `roll` [rad] of the interval, and `reason`.
+
+    ## Starting State
+    Each reset draws from its seed a `SafeDrive`, the road, the individual car with its payload and
+    the sensor noise and faults, each from its own stream. `reset(options={...})` fixes any field of
+    `SafeDrive`; the others stay as they are drawn.
+
+    ## Episode End
+    Truncated when the time of the drive is over; terminated as in `RoadReconEnv`.
+
+    ## Arguments
+    | keyword | default | meaning |
+    |---|---|---|
+    | `split` | `"train"` | `"train"`, `"test"` (public) or `"sealed"`, with own random numbers |
+    | `seal` | `None` | the secret text of the sealed test |
+    | `control_rate` | `20.0` | actions per second [Hz] |
+    | `vector_reward` | `False` | whether the reward is a vector (MO-Gymnasium) |
+
+    ## Version History
+    * v1: first release.
+    """
+
+    setup_class = Safe4S4Setup
+    metadata: dict[str, Any] = {"render_modes": [], "render_fps": 20}  # noqa: RUF012
+
+    def __init__(self, render_mode: str | None = None, **options: Any):
+        super().__init__(render_mode, **options)
+        self._is_vector = self.setup.safe.vector_reward
+        if self._is_vector:
+            self.reward_space = gymnasium.spaces.Box(-np.inf, 0.0, (3,), dtype=np.float64)
+
+    def _info(self, output, start):
+        reward, info = super()._info(output, start)
+        return (self.setup.rewards(output.values)[0] if self._is_vector else reward), info
+
+    @property
+    def description(self) -> SafeDrive:
+        """Description of the drive of this episode."""
+        if self._start is None:
+            raise gymnasium.error.ResetNeeded("call reset before reading the description")
+        return self._start.description
+
+
+class Safe4S4VectorEnv(RoadReconVectorEnv):
+    """Batch of `Safe4S4Env`; keywords of both classes."""
+
+    setup_class = Safe4S4Setup
