@@ -5,7 +5,7 @@ interface of `InstrumentedFleet`, so that the environments run on either.
 """
 
 from math import ceil
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -231,9 +231,8 @@ class IndividualFleet:
         """
         N, n = self.n_vehicles, self.steps
         chosen = np.ones(N, dtype=bool) if mask is None else mask
-        bytes_ = np.zeros(len(self.blocks) * LANES, dtype=np.uint8)
-        bytes_[:N] = commands
-        bytes_ = bytes_.reshape(-1, LANES)
+        bytes_ = np.zeros((len(self.blocks), LANES), dtype=np.uint8)
+        bytes_.reshape(-1)[:N] = commands
         moving = np.unique(np.flatnonzero(chosen) // LANES).tolist()
         for b in moving:
             self.blocks[b].build(self.step)
@@ -300,7 +299,7 @@ class IndividualFleet:
         failures = events.reshape(-1, 3)[:N].copy()
         diverged = failures[:, NONFINITE_STEP] >= 0
         rows = np.where(diverged, 0.0, rows)
-        lanes = [one for block in self.blocks for one in block.lane_drives][:N]
+        lanes: list[Any] = [one for block in self.blocks for one in block.lane_drives][:N]
         done = np.concatenate([block.done for block in self.blocks])[:N]
         at = [min(2 * int(d), one.s.size - 1) for one, d in zip(lanes, done, strict=True)]
         s, v = (

@@ -145,7 +145,7 @@ class EpisodeStart(NamedTuple):
 class EnvSetup:
     """Objects built from the keyword arguments of the environments. Raises ConfigError."""
 
-    output_columns = OUTPUT_COLUMNS
+    output_columns: tuple[str, ...] = OUTPUT_COLUMNS
 
     def __init__(self, options: dict[str, Any]):
         if isinstance(options.get("weights"), Weights):
@@ -253,7 +253,7 @@ class EnvSetup:
 
     def make_fleet(
         self, n_vehicles: int = 1, threads: int = 1, keep_signals: bool = False
-    ) -> InstrumentedFleet:
+    ) -> Any:
         """Return an `InstrumentedFleet` at rest, one vehicle for each environment."""
         o = self.options
         by_command = self.unresolved_variance_by_command
@@ -276,7 +276,7 @@ class EnvSetup:
             threads=threads,
         )
 
-    def episode_options(self, options: dict[str, Any]) -> EnvOptions:
+    def episode_options(self, options: dict[str, Any]) -> Any:
         """Return the options with those of one episode. Raises ConfigError on unknown ones."""
         known = {"speed_kmh": self.options.speed_kmh, "mode": self.options.mode}
         if extra := options.keys() - known.keys():
@@ -286,8 +286,8 @@ class EnvSetup:
         return build(EnvOptions, known | options, "reset options")
 
     def start_episode(
-        self, fleet: InstrumentedFleet, i: int, random: np.random.Generator, o: EnvOptions
-    ) -> EpisodeStart:
+        self, fleet: Any, i: int, random: np.random.Generator, o: Any
+    ) -> Any:
         """Put vehicle `i` at the start of an episode drawn from `random`."""
         # one stream per cause; new streams go to the end, so that old seeds keep their roads
         road_rng, speed_rng, sensor_rng = random.spawn(3)

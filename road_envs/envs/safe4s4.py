@@ -94,7 +94,7 @@ class Safe4S4Setup(EnvSetup):
         draw_drive(self.benchmark, self.safe.split, np.random.default_rng(0), options)
         return dict(options)
 
-    def start_episode(self, fleet, i: int, random: np.random.Generator, o: Any) -> SafeStart:
+    def start_episode(self, fleet: Any, i: int, random: np.random.Generator, o: Any) -> Any:
         """Put vehicle `i` at the start of a drive drawn from `random`; fields `o` are fixed."""
         fixed = o if isinstance(o, dict) else {}
         start, logger = self.prepare(random, fixed)
@@ -175,6 +175,7 @@ class Safe4S4Env(RoadReconEnv):
     """
 
     setup_class = Safe4S4Setup
+    setup: Safe4S4Setup
     metadata: dict[str, Any] = {"render_modes": [], "render_fps": 20}  # noqa: RUF012
 
     def __init__(self, render_mode: str | None = None, **options: Any):
@@ -192,7 +193,8 @@ class Safe4S4Env(RoadReconEnv):
         """Description of the drive of this episode."""
         if self._start is None:
             raise gymnasium.error.ResetNeeded("call reset before reading the description")
-        return self._start.description
+        start: Any = self._start
+        return start.description
 
 
 class Safe4S4VectorEnv(RoadReconVectorEnv):
