@@ -251,9 +251,7 @@ class EnvSetup:
             share[encode_command(action)] = error**2
         return share
 
-    def make_fleet(
-        self, n_vehicles: int = 1, threads: int = 1, keep_signals: bool = False
-    ) -> Any:
+    def make_fleet(self, n_vehicles: int = 1, threads: int = 1, keep_signals: bool = False) -> Any:
         """Return an `InstrumentedFleet` at rest, one vehicle for each environment."""
         o = self.options
         by_command = self.unresolved_variance_by_command
@@ -285,9 +283,7 @@ class EnvSetup:
             )
         return build(EnvOptions, known | options, "reset options")
 
-    def start_episode(
-        self, fleet: Any, i: int, random: np.random.Generator, o: Any
-    ) -> Any:
+    def start_episode(self, fleet: Any, i: int, random: np.random.Generator, o: Any) -> Any:
         """Put vehicle `i` at the start of an episode drawn from `random`."""
         # one stream per cause; new streams go to the end, so that old seeds keep their roads
         road_rng, speed_rng, sensor_rng = random.spawn(3)
