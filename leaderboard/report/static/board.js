@@ -3,13 +3,6 @@
 
 const DASH = "–";
 
-/** Format a number as Score.format_value does. */
-function printed(value, form) {
-  if (value === null || value === undefined) return form.blank;
-  const text = (form.factor * value).toFixed(form.digits).replace(/^-(0(\.0*)?)$/, "$1");
-  return (form.sign && !text.startsWith("-") ? "+" : "") + text;
-}
-
 /** Filter settings in the fragment of the address, so that a view can be shared as a link. */
 function readState() {
   return Object.fromEntries(new URLSearchParams(location.hash.slice(1)));
@@ -37,12 +30,11 @@ class BoardTable {
     return this.data.groups;
   }
 
-  /** Return the value of a cell in the selected group and division. */
-  value(line, key) {
-    const numbers = line.groups[this.group];
-    if (!numbers) return null;
+  /** Return number and text of a cell in the selected group and division. */
+  cell(line, key) {
+    const numbers = line.groups[this.group] ?? {};
     const name = key === "rank" && this.division === "causal" ? "rank_causal" : key;
-    return numbers[name] ?? null;
+    return numbers[name] ?? [null, line.sparse ? "" : this.data.columns[key]?.blank ?? ""];
   }
 
   show(state) {
@@ -67,18 +59,14 @@ class BoardTable {
     for (const cell of row.querySelectorAll("td[data-key]")) {
       const column = this.data.columns[cell.dataset.key];
       if (cell.dataset.key === "interval") this.drawInterval(cell, line);
-      else if (column.format) {
-        const value = this.value(line, cell.dataset.key);
-        cell.textContent = value === null && line.sparse ? "" : printed(value, column.format);
-      }
+      else if (column) [, cell.textContent] = this.cell(line, cell.dataset.key);
       else if (this.group) cell.textContent = ""; // known for all runs together only
       else cell.textContent = line.cells[cell.dataset.key] ?? "";
     }
   }
 
   drawInterval(cell, line) {
-    const [low, high] = ["low", "high"].map((key) => this.value(line, key));
-    const form = this.data.columns[this.data.ranks_by].format;
+    const [[low, from], [high, to]] = ["low", "high"].map((key) => this.cell(line, key));
     cell.replaceChildren();
     if (low === null || high === null) return;
     const at = [low, high].map((x) => (100 * Math.min(x, this.data.scale)) / this.data.scale);
@@ -89,7 +77,7 @@ class BoardTable {
     if (this.data.flat) bar.style.setProperty("--one", `${(100 * this.data.flat) / this.data.scale}%`);
     const text = document.createElement("span");
     text.className = "ends";
-    text.textContent = `${printed(low, form)}${DASH}${printed(high, form)}`;
+    text.textContent = `${from}${DASH}${to}`;
     cell.append(bar, text);
   }
 
@@ -106,9 +94,9 @@ class BoardTable {
     const groupOf = { claim: 0, scored: 1, baseline: key ? 1 : 2, failed: 3, stale: 4 };
     const place = (row) => {
       const line = this.rowData.get(row.dataset.name);
-      const value = key === "name" ? line.name : line.message ? null : this.value(line, by);
+      const value = key === "name" ? line.name : line.message ? null : this.cell(line, by)[0];
       // by default in the order of the ranks, where there are any
-      const rank = key || line.state !== "scored" ? 0 : this.value(line, "rank") ?? Infinity;
+      const rank = key || line.state !== "scored" ? 0 : this.cell(line, "rank")[0] ?? Infinity;
       return { group: groupOf[line.state], rank, value };
     };
     const sign = down ? -1 : 1;
