@@ -7,7 +7,8 @@ export PYTHONDONTWRITEBYTECODE :=
 # in the order of tests/conftest.py
 WORKERS := -n logical --no-loadscope-reorder
 
-.PHONY: leaderboard policies test suite test-processes test-long test-lowest lint bench mutants docs results results-check clean
+.PHONY: leaderboard policies test suite test-processes test-long test-lowest test-versions package lint bench mutants docs \
+	results results-check clean
 
 # the run of the README's table; the comparison of policies, which uses one core, runs beside it
 leaderboard: BOARD := out/leaderboard
@@ -46,6 +47,20 @@ test-lowest:
 	.venv-lowest/bin/pip install --quiet --constraint constraints-lowest.txt --editable '.[test]'
 	.venv-lowest/bin/pytest $(WORKERS) tests/unit
 
+# on each interpreter that is at hand, without torch: tests that need it skip themselves
+VERSIONS ?= python3.12 python3.13
+test-versions: $(addprefix test-,$(VERSIONS))
+
+test-python%:
+	@if ! python$* -c '' 2>/dev/null; then echo "python$*: not at hand, skipped"; exit 0; fi; \
+	set -e; python$* -m venv .venv-$*; \
+	.venv-$*/bin/pip install --quiet --constraint constraints.txt --editable '.[test-without-torch]'; \
+	.venv-$*/bin/pytest $(WORKERS)
+
+package: $(READY)
+	$(VENV)/bin/pip install --quiet --constraint constraints.txt build
+	$(VENV)/bin/python tests/package.py
+
 lint: $(READY)
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
@@ -72,4 +87,4 @@ $(READY): pyproject.toml constraints.txt
 	touch $@
 
 clean:
-	rm -rf $(VENV) out build dist
+	rm -rf .venv .venv-* out build dist

@@ -12,6 +12,10 @@ also is not safe against two writers.)
 
 A kernel that is called by another one is a part of it: it gets no machine code, no wrapper for
 Python and no place in the cache of its own, which halves the time to a first step.
+
+This is the one module that imports private parts of Numba (below `numba.core` and `numba.np`); what
+others need of them, they import from here. They may change with any release, so `pyproject.toml`
+has an upper bound of Numba's version.
 """
 
 import logging
@@ -23,19 +27,37 @@ from pathlib import Path
 from typing import Any, TypeVar, overload
 
 import numba
-from numba.core import caching, compiler, sigutils, types
+from numba.core import caching, cgutils, compiler, sigutils, types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.runtime import rtsys
 from numba.core.targetconfig import ConfigStack
-from numba.core.typing.templates import make_concrete_template
+from numba.core.typing.templates import (
+    AbstractTemplate,
+    infer_global,
+    make_concrete_template,
+    signature,
+)
+from numba.np.random import _constants as ziggurat
 
 from road_envs.core.atomic_io import exclusive_lock
 from road_envs.core.code_digest import cache_home, closure, digest, importers
 
+__all__ = [  # of Numba's private parts, those that other modules of this folder need
+    "AbstractTemplate", "cgutils", "infer_global", "populate_array", "signature", "ziggurat",
+]  # fmt: skip
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 HERE = Path(__file__).parents[1]
+
+
+def populate_array(*args: Any, **fields: Any) -> Any:
+    """Fill the structure of an array, as `numba.np.arrayobj.populate_array`."""
+    from numba.np import arrayobj  # slow to import, and needed only where a kernel is compiled
+
+    return arrayobj.populate_array(*args, **fields)
+
 
 MAX_WAIT = 300.0
 """Longest wait [s] for another process that compiles a kernel; then it is compiled here too."""

@@ -11,30 +11,23 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import extending
-from numba.core import types
-from numba.np.random._constants import (
-    fi_double,
-    ki_double,
-    wi_double,
-    ziggurat_nor_inv_r,
-    ziggurat_nor_r,
-)
+from numba import extending, types
 
-from road_envs.kernels._numba import kernel
+from road_envs.kernels._numba import kernel, ziggurat
 
 intrinsic: Any = extending.intrinsic  # its annotations count the typing context as an argument
 
 MULTIPLIER = 0x2360ED051FC65DA44385DF649FCCF645
 """Of the congruential generator (`PCG_DEFAULT_MULTIPLIER_128`)."""
 
-DENSITIES = fi_double
+DENSITIES = ziggurat.fi_double
 """Of the normal distribution at the edges of the 256 layers."""
-WIDTHS, LIMITS = np.append(wi_double, -wi_double), np.tile(ki_double.astype(np.int64), 2)
+WIDTHS = np.append(ziggurat.wi_double, -ziggurat.wi_double)
+LIMITS = np.tile(ziggurat.ki_double.astype(np.int64), 2)
 """Of the layers, for both signs: width per unit of the 52 bits, and the greatest place at which a
 number is accepted without looking at the density."""
 
-TAIL, INVERSE_TAIL = ziggurat_nor_r, ziggurat_nor_inv_r
+TAIL, INVERSE_TAIL = ziggurat.ziggurat_nor_r, ziggurat.ziggurat_nor_inv_r
 LAYER_BITS, SIGNED_LAYER_BITS, PLACE_SHIFT, PLACE_BITS = 0xFF, 0x1FF, 9, (1 << 52) - 1
 
 

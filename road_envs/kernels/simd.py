@@ -15,10 +15,10 @@ from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
-from numba import extending
-from numba.core import types
-from numba.core.typing.templates import AbstractTemplate, infer_global, signature
+from numba import extending, types
 from numba.extending import lower_builtin, models, overload, register_model
+
+from road_envs.kernels._numba import AbstractTemplate, infer_global, signature
 
 intrinsic: Any = extending.intrinsic  # its annotations count the typing context as an argument
 

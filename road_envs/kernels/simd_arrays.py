@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba.core import cgutils, types
-from numba.core.typing.templates import signature
+from numba import types
 from numba.extending import lower_builtin
 
+from road_envs.kernels._numba import cgutils, populate_array, signature
 from road_envs.kernels.simd import (
     FLAGS,
     INT32,
@@ -57,8 +57,6 @@ def _register_on_stack(function: Any, *lanes: int) -> None:
 
     @lower_builtin(function, types.IntegerLiteral)
     def lower(context, builder, signature, values):
-        from numba.np.arrayobj import populate_array  # needed, and slow to import, only here
-
         shape = signature.args[0].literal_value, *lanes
         strides = [8 * int(np.prod(shape[i + 1 :])) for i in range(len(shape))]
         store = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), int(np.prod(shape))))

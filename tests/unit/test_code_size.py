@@ -1,4 +1,4 @@
-"""Limits of the packages' code: arguments of a function, lines of a file."""
+"""Limits of the packages' code: arguments, lines of a file, private parts of Numba."""
 
 import ast
 from pathlib import Path
@@ -34,3 +34,18 @@ def test_no_function_but_a_kernel_has_more_than_seven_positional_arguments():
 def test_no_file_is_much_longer_than_400_lines():
     sizes = {p: p.read_text(encoding="utf-8").count("\n") for p in FILES}
     assert {str(p.relative_to(ROOT)): n for p, n in sizes.items() if n > MAX_LINES} == {}
+
+
+def imported(path: Path) -> set[str]:
+    """Names of the modules that a file imports, wherever the statement stands."""
+    nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+    plain = {each.name for node in nodes if isinstance(node, ast.Import) for each in node.names}
+    return plain | {str(node.module) for node in nodes if isinstance(node, ast.ImportFrom)}
+
+
+def test_one_file_leans_on_private_parts_of_numba():
+    private = ("numba.core", "numba.np")
+    files = {
+        str(p.relative_to(ROOT)) for p in FILES if any(x.startswith(private) for x in imported(p))
+    }
+    assert files == {"road_envs/kernels/_numba.py"}
