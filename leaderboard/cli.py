@@ -4,8 +4,9 @@ Invalid input ends with one sentence on standard error and exit code 2; `--debug
 traceback.
 """
 
+import re
 import sys
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import typer
 
@@ -43,6 +44,7 @@ class RoadRecon(LazyGroup):
             "roads": roads,
             "animate": "animate:animate",
         },
+        "Names": {"list": "listing:list_names"},
         "Estimates": {
             "report": "report:report",
             "estimate": "estimate:estimate",
@@ -94,20 +96,71 @@ def _options(
 def main() -> None:
     """Run the command line; the entry point of the package."""
     try:
-        app(prog_name="road-recon")
+        status = app(prog_name="road-recon", standalone_mode=False)
     except Exception as error:
-        if "--debug" in sys.argv or not _is_input_error(error):
+        if type(error).__name__ == "NoArgsIsHelpError":
+            error.show()
+        elif isinstance(error, USAGE_ERROR):
+            sys.stderr.write(f"error: {_usage_sentence(error)}\n")
+        elif "--debug" in sys.argv or not _is_input_error(error):
             raise
-        sys.stderr.write(f"error: {_sentence(error)}\n")
+        else:
+            sys.stderr.write(f"error: {_sentence(error)}\n")
         raise SystemExit(2) from None
+    raise SystemExit(status or 0)
+
+
+USAGE_ERROR: Any = typer.BadParameter.__mro__[1]
+"""Class of errors in the words of a command line, which Typer does not export."""
+
+PARSER_WORDS = (
+    (
+        r"Input should be a valid integer.*|.* is not a valid integer( range)?\.",
+        "must be a whole number",
+    ),
+    (r"Input should be a valid number.*|.* is not a valid float( range)?\.", "must be a number"),
+    (r"Input should be greater than or equal to (\S+)", r"must be at least \1"),
+    (r"Input should be less than or equal to (\S+)", r"must be at most \1"),
+)
+"""What Typer writes of a value, and the words of the other messages of this package."""
+
+
+def _usage_sentence(error: Any) -> str:
+    """Return one sentence on words that the command line does not understand."""
+    text = (
+        " ".join(error.format_message().split())
+        .removesuffix(".")
+        .replace("'. Did you mean", "': did you mean")
+    )
+    text = text[:1].lower() + text[1:]
+    if found := re.fullmatch(r"invalid value for '(.+?)'(?: /.*?)?: (.*)", text):
+        option, text = found[1], found[2]
+        for pattern, words in PARSER_WORDS:
+            text = re.sub(pattern, words, text)
+        text = f"{option} {text}" + _given(option)
+    context = getattr(error, "ctx", None)
+    command = context.command_path if context else "road-recon"
+    return f"{text}; try '{command} --help'"
+
+
+def _given(option: str) -> str:
+    """Return what was given for an option; empty if it cannot be found."""
+    words = sys.argv[1:]
+    for k, word in enumerate(words):
+        name, equals, value = word.partition("=")
+        if name == option and (equals or k + 1 < len(words)):
+            return f", got {(value if equals else words[k + 1])!r}"
+    return ""
 
 
 def _is_input_error(error: Exception) -> bool:
     """Return whether an error is caused by invalid input, and reported without traceback."""
     from estimators.api import NotFittedError
+    from road_envs.core.extras import MissingExtraError
     from road_envs.simulation.drive import SimulationError
 
-    return isinstance(error, NotFittedError | SimulationError | ValueError | OSError)
+    known = NotFittedError | SimulationError | MissingExtraError | ValueError | OSError
+    return isinstance(error, known)
 
 
 def _sentence(error: BaseException) -> str:

@@ -13,7 +13,7 @@ from road_envs.vehicle.parameters import VehicleParameters
 
 @dataclass(frozen=True, kw_only=True)
 class FlatEstimator(Settings):
-    """Zero everywhere; its in-band error is the level of the truth by definition."""
+    """Baseline: zero everywhere; its in-band error is the level of the truth by definition."""
 
     causal: ClassVar[bool] = True
 

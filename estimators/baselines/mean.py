@@ -21,7 +21,7 @@ from road_envs.vehicle.parameters import VehicleParameters
 
 @dataclass(frozen=True, kw_only=True)
 class Mean(Settings):
-    """The mean training road, independent of the record."""
+    """Baseline: the mean training road, independent of the record."""
 
     causal: ClassVar[bool] = True
     uses_seed: ClassVar[bool] = False

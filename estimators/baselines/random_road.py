@@ -36,7 +36,7 @@ class FittedRoad(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class UnrelatedRoad(Settings):
-    """A random road as rough as the training roads, independent of the record."""
+    """Baseline: a random road as rough as the training roads, independent of the record."""
 
     causal: ClassVar[bool] = True
 

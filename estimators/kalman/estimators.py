@@ -201,7 +201,7 @@ def _output_std(
 
 @dataclass(frozen=True, kw_only=True)
 class Kalman(_KalmanSettings):
-    """Filter that emits a station when the front axle is `lag` [m] past it."""
+    """Extended Kalman filter that emits a station when the front axle is `lag` [m] past it."""
 
     causal: ClassVar[bool] = True
 
@@ -215,7 +215,7 @@ class Kalman(_KalmanSettings):
 
 @dataclass(frozen=True, kw_only=True)
 class KalmanLag(Kalman):
-    """Fixed-lag smoother."""
+    """Extended Kalman filter, as a smoother of the last 10 m: usable while driving."""
 
     lag: Lag = 10.0
     std_factor: StdFactor = 0.87
@@ -223,7 +223,7 @@ class KalmanLag(Kalman):
 
 @dataclass(frozen=True, kw_only=True)
 class KalmanRts(_KalmanSettings):
-    """Smoother of the whole drive."""
+    """Extended Kalman filter and Rauch-Tung-Striebel smoother of the whole drive."""
 
     causal: ClassVar[bool] = False
 

@@ -115,7 +115,7 @@ class VehicleResponses(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class CalibratedFir(Settings):
-    """Road of a vehicle that is known by calibration drives alone."""
+    """Linear window over distance for a vehicle that is known by calibration drives alone."""
 
     causal: ClassVar[bool] = False
     uses_seed: ClassVar[bool] = False

@@ -101,8 +101,8 @@ class Taps(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class FirRidge(Settings):
-    """The shipped bank; or, once fitted, a window of `reach` [m] to either side of the station.
-    With `shipped=False` it must be fitted.
+    """Linear window over distance: the shipped bank; or, once fitted, one window of `reach` [m]
+    to either side of the station. With `shipped=False` it must be fitted.
     """
 
     causal: ClassVar[bool] = False

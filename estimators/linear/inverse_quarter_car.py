@@ -104,7 +104,8 @@ class QuarterCars(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class InverseQuarterCar(Settings):
-    """For a vehicle with these `instruments`; below `f_low` [Hz] nothing is estimated.
+    """Inverse of a quarter car at each corner, for a vehicle with these `instruments`. Below
+    `f_low` [Hz] nothing is estimated.
 
     `weigh`: lines are weighted by what is plausible of a road; if not, the inverse is plain.
     """

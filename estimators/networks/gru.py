@@ -36,7 +36,7 @@ class _Recurrent(SequenceEstimator, abc.ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class Gru(_Recurrent):
-    """Offline variant: uses the whole drive."""
+    """Recurrent network over stations; offline: uses the whole drive."""
 
     name: ClassVar[str] = "gru"
     causal: ClassVar[bool] = False
@@ -44,7 +44,7 @@ class Gru(_Recurrent):
 
 @dataclass(frozen=True, kw_only=True)
 class GruCausal(_Recurrent):
-    """Causal variant: uses the drive until the front axle is LAG beyond the station."""
+    """Recurrent network over stations; causal: uses the drive until LAG beyond the station."""
 
     name: ClassVar[str] = "gru_causal"
     causal: ClassVar[bool] = True

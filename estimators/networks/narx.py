@@ -36,7 +36,9 @@ HELD_OUT_SHARE = 0.15
 
 @dataclass(frozen=True, kw_only=True)
 class Narx(LmEstimator):
-    """A network with `delays` heights fed back; after fitting, `training` holds the history."""
+    """The paper's network with `delays` of its heights fed back (NARX). After fitting, `training`
+    holds the history.
+    """
 
     range_name: ClassVar[str] = "heights"
     n_errors: ClassVar[int] = 2

@@ -28,7 +28,7 @@ from road_envs.vehicle.parameters import VehicleParameters
 
 @dataclass(frozen=True, kw_only=True)
 class StaticLm(LmEstimator):
-    """A static network; after fitting, `training` holds history and stop reason."""
+    """The paper's static network. After fitting, `training` holds history and stop reason."""
 
     range_name: ClassVar[str] = "outputs"
 

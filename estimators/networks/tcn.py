@@ -39,7 +39,7 @@ class _Convolutional(SequenceEstimator, abc.ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class Tcn(_Convolutional):
-    """Offline variant: uses the whole drive."""
+    """Convolutional network over stations; offline: uses the whole drive."""
 
     name: ClassVar[str] = "tcn"
     causal: ClassVar[bool] = False
@@ -47,7 +47,7 @@ class Tcn(_Convolutional):
 
 @dataclass(frozen=True, kw_only=True)
 class TcnCausal(_Convolutional):
-    """Causal variant: uses the drive until the front axle is LAG beyond the station."""
+    """Convolutional network over stations; causal: uses the drive until LAG beyond the station."""
 
     name: ClassVar[str] = "tcn_causal"
     causal: ClassVar[bool] = True

@@ -24,7 +24,7 @@ from road_envs.vehicle.parameters import VehicleParameters
 
 @dataclass(frozen=True, kw_only=True)
 class IteratedWiener(CalibratedByIdentification):
-    """Up to `passes` passes of the smoother for a vehicle with these `instruments`."""
+    """Up to `passes` passes of the Wiener smoother for a vehicle with these `instruments`."""
 
     causal: ClassVar[bool] = False
 

@@ -23,7 +23,7 @@ from road_envs.vehicle.parameters import VehicleParameters
 
 @dataclass(frozen=True, kw_only=True)
 class Wiener(CalibratedByIdentification):
-    """One pass of the smoother for a vehicle with these `instruments`."""
+    """One pass of the Wiener smoother for a vehicle with these `instruments`."""
 
     causal: ClassVar[bool] = False
 

@@ -12,9 +12,9 @@ from leaderboard.report import animation
 
 def animate(
     out: Annotated[Path, typer.Option(help="Picture to write (.gif or .webp).")],
-    road: Annotated[str, typer.Option(help="Road: shipped name, YAML path or surface file.")] = (
-        "belgian"
-    ),
+    road: Annotated[
+        str, typer.Option(help="Road: a name of `road-recon list roads`, YAML or surface file.")
+    ] = ("belgian"),
     vehicle: Vehicle = "land_rover_defender_110",
     speed_kmh: Annotated[float, typer.Option(help="Speed in km/h.")] = 54.0,
     length: Length = None,

@@ -45,7 +45,9 @@ def leaderboard(
     *,
     task: Annotated[
         list[str] | None,
-        typer.Option(help="Task: shipped name or YAML path; may be given again."),
+        typer.Option(
+            help="Task: a name of `road-recon list tasks`, or a YAML path; may be given again."
+        ),
     ] = None,
     board: Annotated[
         list[str] | None,
@@ -60,8 +62,8 @@ def leaderboard(
     estimator: Annotated[
         list[str] | None,
         typer.Option(
-            help="Estimator: name, module:Class, or path of a wheel, an installed package or a "
-            "file from `train`; may be given again. Default: all."
+            help="Estimator: a name of `road-recon list estimators`, module:Class, or path of a "
+            "wheel, an installed package or a file from `train`; may be given again. Default: all."
         ),
     ] = None,
     without: Annotated[

@@ -19,7 +19,7 @@ from leaderboard.commands import (
     progress_bar,
     to_json,
 )
-from leaderboard.commands.options import Json
+from leaderboard.commands.options import Json, Sensors
 from leaderboard.policies.episodes import DATASETS_PATH, write_episodes
 from road_envs import __version__
 from road_envs.core.atomic_io import write_text
@@ -71,7 +71,7 @@ def dataset(
     out: Annotated[Path, typer.Option(help="Folder of the data set; it must not exist.")],
     drives: Annotated[int, typer.Option(help="Number of drives.", min=10)] = 200,
     seed: Annotated[int, typer.Option(help="Seed of the drives.", min=0)] = 2,
-    sensors: Annotated[str, typer.Option(help="Instruments: shipped name or YAML.")] = "paper",
+    sensors: Sensors = "paper",
     episodes: Annotated[
         str | None,
         typer.Option(help="Write episodes of this switching policy instead, for Minari."),

@@ -6,20 +6,34 @@ import typer
 
 from leaderboard.sandbox import limits
 from leaderboard.sandbox.limits import Limits
-from road_envs.core.config import ConfigError, validate_choice
+from road_envs.core.config import ConfigError, names, validate_choice
+from road_envs.vehicle.struts import MODES, PASSIVE_MODES
 
-Road = Annotated[str, typer.Option(help="Road: shipped name, YAML path or surface file.")]
+
+def shipped(kind: str) -> str:
+    """Return the shipped names of a kind of configuration for the help of an option."""
+    return ", ".join(names(kind))
+
+
+Road = Annotated[
+    str,
+    typer.Option(
+        help="Road: a name of `road-recon list roads`, a YAML path or a surface file "
+        "(.crg, .erd, .csv, .parquet)."
+    ),
+]
 Speed = Annotated[float, typer.Option(help="Speed in km/h.")]
 Mode = Annotated[
     str | None,
     typer.Option(
-        help="Mode of the struts: ride, handling, ..., or front=ride,rear=handling; passive."
+        help=f"Mode of the struts: {', '.join([*MODES, *PASSIVE_MODES])}, or "
+        "front=MODE,rear=MODE. Default: the vehicle's first."
     ),
 ]
 Length = Annotated[float | None, typer.Option(help="Another length of the road in metres.")]
 Seed = Annotated[int, typer.Option(help="Seed of the road, and of the sensors' noise.", min=0)]
-Vehicle = Annotated[str, typer.Option(help="Vehicle: shipped name or YAML path.")]
-Sensors = Annotated[str, typer.Option(help="Instruments: shipped name or YAML path.")]
+Vehicle = Annotated[str, typer.Option(help=f"Vehicle: {shipped('vehicles')}, or a YAML path.")]
+Sensors = Annotated[str, typer.Option(help=f"Instruments: {shipped('sensors')}, or a YAML path.")]
 Settings = Annotated[
     list[str] | None, typer.Option("--set", help="Setting, key=value; may be given again.")
 ]

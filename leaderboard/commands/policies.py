@@ -56,12 +56,13 @@ def policies(
     policy: Annotated[
         list[str] | None,
         typer.Option(
-            help="Policy: name, module:Class, or a file from `train-policy`; may be given again. "
-            "Default: all of this package, and installed ones where they can be isolated."
+            help="Policy: a name of `road-recon list policies`, module:Class, or a file from "
+            "`train-policy`; may be given again. Default: all of this package, and installed "
+            "ones where they can be isolated."
         ),
     ] = None,
     scenarios: Annotated[
-        str, typer.Option(help="Scenarios: shipped name (quick, league) or YAML path.")
+        str, typer.Option(help="Scenarios: a name of `road-recon list scenarios`, or a YAML path.")
     ] = "quick",
     estimator: Annotated[
         list[str] | None,

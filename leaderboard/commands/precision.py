@@ -51,7 +51,7 @@ def precision(
     ] = 3.0,
     road: Annotated[
         str | None,
-        typer.Option(help="Road: shipped name, YAML path or surface file; default: class D."),
+        typer.Option(help="Road: a name of `road-recon list roads`, YAML or surface file."),
     ] = None,
     max_step: Annotated[
         float, typer.Option(help="Longest step in seconds of adaptive solvers.")

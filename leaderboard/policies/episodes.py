@@ -41,12 +41,12 @@ def write_episodes(
     The data set lies in `folder`, Minari's folder of data sets, under the name in the facts;
     `options` are those of the environment. Raises ConfigError, and what the policy raises.
     """
+    options = {**OPTIONS, **options}
+    policy, name = make_policy(reference), reference.rpartition(":")[2].lower()
     with optional_import("a data set of episodes"):
         import minari
         from minari.data_collector import EpisodeBuffer
 
-    options = {**OPTIONS, **options}
-    policy, name = make_policy(reference), reference.rpartition(":")[2].lower()
     buffers, returns = [], []
     for first in range(0, number, BATCH):
         seeds = range(seed + first, seed + min(first + BATCH, number))

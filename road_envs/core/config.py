@@ -207,7 +207,9 @@ def build(cls: type[T], data: Mapping[str, Any], where: str) -> T:
     try:
         # JSON mode converts lists to tuples but keeps "16e-6", which YAML reads as a string
         text = json.dumps(data, default=str)
-    except (TypeError, ValueError, RecursionError) as error:  # a date as a key, or a cycle
+    except TypeError:  # a date as a key
+        raise ConfigError(f"{where}: a key must be text or a number") from None
+    except (ValueError, RecursionError) as error:  # a cycle
         raise ConfigError(f"{where}: {error}") from None
     try:
         return _adapter(cast(Any, cls)).validate_json(text, strict=True)
@@ -284,11 +286,33 @@ def _describe(errors: Sequence[Mapping[str, Any]], cls: type) -> str:
             f"must {allowed}, got {shown(value)}{unit and f' {unit}'}{meaning and f' ({meaning})'}"
         )
     else:
-        expected = first["msg"][0].lower() + first["msg"][1:]
-        text = f"{expected}, got {shown(value)} ({_type_name(value)})"
+        text = f"{_expected(first)}, got {shown(value)} ({_type_name(value)})"
     at = ".".join(map(str, loc))
     more = f" (and {len(places) - 1} more)" if len(places) > 1 else ""
     return (f"{at}: {text}" if at else text) + more
+
+
+EXPECTED = {
+    "bool": "true or false",
+    "dataclass": "a mapping of keys to values",
+    "dict": "a mapping of keys to values",
+    "float": "a number",
+    "int": "a whole number",
+    "list": "a list",
+    "string": "text",
+    "tuple": "a list",
+}
+"""What a value must be, by the first word of Pydantic's type of the error."""
+
+
+def _expected(error: Mapping[str, Any]) -> str:
+    """Return what a value must be, in the words of a YAML file instead of Pydantic's."""
+    if error["type"] == "literal_error":
+        return f"must be {error['ctx']['expected']}"
+    if "too_long" in error["type"]:
+        return f"must have at most {error['ctx']['max_length']} elements"
+    expected = EXPECTED.get(error["type"].partition("_")[0])
+    return f"must be {expected}" if expected else "is of a wrong kind"
 
 
 def _place(error: Mapping[str, Any], cls: type) -> tuple[Any, ...]:

@@ -74,6 +74,9 @@ def read_parquet(path: Path) -> Any:
     with optional_import("a table as CSV or Parquet"):
         import pyarrow.parquet as pq
 
+    with path.open("rb") as file:
+        if file.read(4) != b"PAR1":
+            raise ValueError("it does not begin with PAR1")
     size = path.stat().st_size
     with pq.ParquetFile(
         path, thrift_string_size_limit=size, thrift_container_size_limit=size

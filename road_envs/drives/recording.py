@@ -155,7 +155,7 @@ def is_record(path: Path) -> bool:
 
 def read_record(path: Path) -> tuple[Record, dict[str, object]]:
     """Read a record and its provenance from Parquet. Raises ConfigError if invalid."""
-    with parsing(path, ConfigError, "no readable Parquet file"):
+    with parsing(path, ConfigError, "damaged, or no Parquet file"):
         table = read_parquet(path)
     with parsing(path, ConfigError, "not a RoadRecon record"):
         about = json.loads((table.schema.metadata or {})[b"roadrecon"])

@@ -9,7 +9,9 @@ import pandas as pd
 import pytest
 
 from leaderboard import cli
+from leaderboard.commands.listing import KINDS
 from leaderboard.lazy_commands import help_line
+from road_envs.core import config
 from road_envs.core.config import ConfigError
 from road_envs.drives.recording import read_record
 from road_envs.roads import load_road
@@ -243,6 +245,59 @@ def test_invalid_input_gives_one_sentence_and_writes_no_file(road_recon, tmp_pat
     for word in message:
         assert word in err
     assert out == "" and list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("simulate", "--seed", "x"), "--seed must be a whole number, got 'x'; try 'road-recon "),
+        (("simulate", "--seed=-1"), "--seed must be at least 0, got '-1'; try"),
+        (("simulate", "--length", "abc"), "--length must be a number, got 'abc'; try"),
+        (("simulate", "--colour"), "no such option: --colour"),
+        (("simulat",), "no such command 'simulat': did you mean 'simulate'"),
+        (("classify",), "missing argument 'record'; try 'road-recon classify --help'"),
+        (("list", "vehicels"), "unknown kind of names 'vehicels' (did you mean 'vehicles'?)"),
+    ],
+)  # fmt: skip
+def test_words_that_the_command_line_does_not_know_get_one_sentence_too(road_recon, words, message):
+    code, out, err = road_recon(*words)
+    assert (code, out) == (2, "") and err.startswith(f"error: {message}")
+    assert err.count("\n") == 1 and "Input should" not in err
+
+
+def test_a_missing_extra_is_a_sentence_and_leaves_nothing(road_recon, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "minari", None)
+    code, _, err = road_recon("dataset", "--out", "d", "--drives", "10", "--episodes", "skyhook")
+    assert code == 2 and err.startswith("error: ") and "road-envs[minari]" in err
+    assert err.count("error") == 1 and "Traceback" not in err and list(tmp_path.iterdir()) == []
+    code, _, err = road_recon("dataset", "--out", "d", "--episodes", "skihook")
+    assert code == 2 and "unknown policy 'skihook' (did you mean 'skyhook'?)" in err
+
+
+def test_bytes_that_are_no_parquet_file_are_called_damaged(road_recon, tmp_path):
+    (tmp_path / "d.parquet").write_bytes(np.random.default_rng(1).bytes(5000))
+    for words in (("classify", "d.parquet"), ("simulate", "--road", "d.parquet")):
+        code, _, err = road_recon(*words)
+        assert code == 2 and err.startswith("error: d.parquet: damaged, or no Parquet file")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_of_names_is_listed_with_a_line_on_each(road_recon, kind):
+    code, out, _ = road_recon("list", kind, "--json")
+    lines = json.loads(out)
+    assert code == 0 and lines and all(len(text) > 5 for text in lines.values())
+    if kind != "policies":  # whose files have settings of some policies
+        assert set(config.names(kind)) <= set(lines)
+    code, out, _ = road_recon("list", kind)
+    assert code == 0 and all(name in out for name in lines)
+
+
+def test_the_help_names_the_vehicles_the_sensors_and_the_modes(road_recon):
+    _, out, _ = road_recon("simulate", "--help")
+    shown = " ".join(out.split())
+    for kind in ("vehicles", "sensors"):
+        assert ", ".join(config.names(kind)) in shown
+    assert "ride, handling, soft_high, stiff_low, passive" in shown
 
 
 def test_debug_shows_the_traceback(monkeypatch):

@@ -7,6 +7,10 @@ from typing import Literal
 
 import pytest
 
+from leaderboard.drive_report.conditions import Conditions
+from leaderboard.evaluation.boards import BoardDefinition
+from leaderboard.evaluation.tasks import Task
+from leaderboard.policies.scenarios import Scenarios
 from road_envs.core import config
 from road_envs.core.config import (
     ConfigError,
@@ -18,6 +22,7 @@ from road_envs.core.config import (
     read_yaml,
     validate_choice,
 )
+from road_envs.policies import PolicySettings
 from road_envs.sensing.data_logger import Instruments
 from road_envs.sensing.perturbed_vehicle import PlantMismatch
 from road_envs.vehicle.parameters import VehicleParameters
@@ -59,16 +64,16 @@ VEHICLE_FAULTS = [
     ("frnt", {}, "car.yaml: frnt: unknown key, did you mean 'front'; known: I_xx, I_yy, front"),
     ("strut.damper.ride.G", [1.0], "car.yaml: strut.damper.ride.G: unknown key; known: F, x"),
     (2024, 1.0, "car.yaml: 2024: unknown key; known: I_xx"),
-    (datetime.date(2024, 1, 1), 1.0, "car.yaml: keys must be str"),
+    (datetime.date(2024, 1, 1), 1.0, "car.yaml: a key must be text or a number"),
     ("m_b", GONE, "car.yaml: m_b: missing"),
     ("strut.damper.ride.F", GONE, "car.yaml: strut.damper.ride.F: missing"),
-    ("m_b", "16e-6", "car.yaml: m_b: input should be a valid number, got '16e-6' (text)"),
-    ("m_b", True, "car.yaml: m_b: input should be a valid number, got True (true/false)"),
-    ("m_b", None, "car.yaml: m_b: input should be a valid number, got None (nothing)"),
-    ("m_b", [1.0], "car.yaml: m_b: input should be a valid number, got [1.0] (a list)"),
-    ("name", 110, "car.yaml: name: input should be a valid string, got 110 (a whole number)"),
-    ("strut", None, "car.yaml: strut: input should be an object, got None (nothing)"),
-    ("strut.bushing.x", "abc", "car.yaml: strut.bushing.x: input should be a valid array"),
+    ("m_b", "16e-6", "car.yaml: m_b: must be a number, got '16e-6' (text)"),
+    ("m_b", True, "car.yaml: m_b: must be a number, got True (true/false)"),
+    ("m_b", None, "car.yaml: m_b: must be a number, got None (nothing)"),
+    ("m_b", [1.0], "car.yaml: m_b: must be a number, got [1.0] (a list)"),
+    ("name", 110, "car.yaml: name: must be text, got 110 (a whole number)"),
+    ("strut", None, "car.yaml: strut: must be a mapping of keys to values, got None (nothing)"),
+    ("strut.bushing.x", "abc", "car.yaml: strut.bushing.x: must be a list"),
     ("m_b", -1.0, "car.yaml: m_b: must be positive, got -1.0 kg (sprung mass)"),
     ("m_b", float("nan"), "car.yaml: m_b: must be finite, got nan kg"),
     ("I_yy", float("inf"), "car.yaml: I_yy: must be finite, got inf kg m²"),
@@ -81,7 +86,7 @@ VEHICLE_FAULTS = [
     ("rear.x", 1.4, "the front axle must be ahead of the centre of mass"),
     ("front.x", float("inf"), "car.yaml: front.x: must be finite, got inf m"),
     ("tyre_static_deflection", -0.01, "tyre_static_deflection: must not be negative, got -0.01 m"),
-    ("tyre_static_deflection", "static", "input should be 'equilibrium', got 'static'"),
+    ("tyre_static_deflection", "static", "must be 'equilibrium', got 'static'"),
     (
         "strut.bushing.x",
         [0.0, 1.0],
@@ -113,7 +118,7 @@ def test_an_invalid_vehicle_value_is_named_in_one_sentence(path, value, message)
         ("accelerometers.RF.mounted", "front axle", "has no 'axle' and no 'ahead'"),
         ("accelerometers.RF.range", 0.0, "must be positive, got 0.0 m/s²"),
         ("accelerometers", {}, "give 1 to 32 accelerometers, got 0"),
-        ("accelerometers.RF.axle", "middle", "input should be 'front' or 'rear', got 'middle'"),
+        ("accelerometers.RF.axle", "middle", "must be 'front' or 'rear', got 'middle'"),
         ("accelerometers.RF.y", float("nan"), "accelerometers.RF.y: must be finite, got nan m"),
         ("fs", 600.0, "f_alias 333.0 must be below fs / 2 = 300.0"),
         ("fs", -1.0, "fs: must be positive, got -1.0 Hz (sampling rate)"),
@@ -238,8 +243,51 @@ def test_numbers_are_checked_strictly_and_lists_become_tuples():
 
     thing = build(Thing, {"x": 2, "y": [1, 2.5]}, "here")
     assert thing == Thing(x=2.0, y=(1.0, 2.5)) and isinstance(thing.x, float)
-    with pytest.raises(ConfigError, match=r"here: n: input should be a valid integer, got 2\.0"):
+    with pytest.raises(ConfigError, match=r"here: n: must be a whole number, got 2\.0"):
         build(Thing, {"x": 2, "y": [], "n": 2.0}, "here")
+
+
+WRONG = ("text", 3, -7.5, True, None, [], {}, [1, 2], {"a": 1}, [[1.0]], 1e400)
+KINDS = {
+    "vehicles": VehicleParameters,
+    "sensors": Instruments,
+    "field": PlantMismatch,
+    "tasks": Task,
+    "boards": BoardDefinition,
+    "scenarios": Scenarios,
+    "conditions": Conditions,
+    "policies": PolicySettings,
+}
+FOREIGN_WORDS = ("input should", "valid ", "pydantic", "dict", "tuple", "str ", "nonetype")
+"""Of Pydantic and of Python, which a user of YAML files need not know."""
+
+
+def places(data, where=()):
+    inside = data if isinstance(data, list) else ()
+    for key, value in data.items() if isinstance(data, dict) else enumerate(inside):
+        yield (*where, key)
+        yield from places(value, (*where, key))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_wrong_value_at_any_key_is_described_in_words_of_a_yaml_file(kind):
+    data = read_yaml(config.find(kind, names(kind)[-1]))
+    every = max(1, sum(1 for _ in places(data)) // 60)
+    described = 0
+    for where in list(places(data))[::every]:
+        for value in WRONG:
+            wrong = copy.deepcopy(data)
+            owner = wrong
+            for key in where[:-1]:
+                owner = owner[key]
+            owner[where[-1]] = value
+            try:
+                build(KINDS[kind], wrong, "file.yaml")
+            except ConfigError as error:
+                text = str(error).lower()
+                assert [word for word in FOREIGN_WORDS if word in text] == [], text
+                described += 1
+    assert described > 10
 
 
 # --- shipped configurations -----------------------------------------------------------------------

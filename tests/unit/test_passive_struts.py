@@ -263,7 +263,7 @@ DATA, DEFENDER_DATA = (
         ("front.kind", "rigid", "front: unknown kind 'rigid'; known: solid, independent"),
         ("front.m", -1.0, "front.m: must be positive, got -1.0 kg (unsprung mass, both wheels"),
         ("strut.kind", "active", "strut: unknown kind 'active'; known: 4s4, passive"),
-        ("strut.rear", 1.0, "strut.rear: input should be an object, got 1.0"),
+        ("strut.rear", 1.0, "strut.rear: must be a mapping of keys to values, got 1.0"),
         ("strut.rear.spring.kind", "air", "strut.rear.spring.k: unknown key; known: A, kind, n_p"),
         ("strut.rear.spring.k", 0.0, "strut.rear.spring.k: must be positive, got 0.0 N/m (rate)"),
         ("valve", DEFENDER_DATA["valve"], "passive struts have no valve"),

@@ -353,7 +353,7 @@ def test_an_unknown_grade_raises_config_error_with_the_known_ones(grade):
         (
             "instruments.dropout_length",
             2.5,
-            "dropout_length: input should be a valid integer, got 2.5",
+            "dropout_length: must be a whole number, got 2.5",
         ),
         ("instruments.offset", -1.0, "offset: must not be negative"),
         ("step", 0.1, "step: must be at most 0.01, got 0.1 s"),

@@ -165,9 +165,9 @@ def about(table, text):
 
 
 DAMAGE = {
-    "cut short": (lambda p: p.write_bytes(p.read_bytes()[:-100]), "no readable Parquet file"),
-    "not Parquet": (lambda p: p.write_text("t,a_rf\n0,1\n"), "no readable Parquet file"),
-    "empty": (lambda p: p.write_bytes(b""), "no readable Parquet file"),
+    "cut short": (lambda p: p.write_bytes(p.read_bytes()[:-100]), "damaged, or no Parquet file"),
+    "not Parquet": (lambda p: p.write_text("t,a_rf\n0,1\n"), "damaged, or no Parquet file"),
+    "empty": (lambda p: p.write_bytes(b""), "damaged, or no Parquet file"),
     "gone": (lambda p: p.unlink(), "cannot be read: "),
     "a foreign table": (
         lambda p: pq.write_table(pa.table({"x": [1.0]}), p), "not a RoadRecon record"

@@ -97,7 +97,7 @@ def test_settings_reach_the_estimator():
         ("static_lm", {"hiden": 7}, r"unknown setting of static_lm 'hiden' .*known: .*hidden"),
         ("static_lm", {"fitted_state": 7}, "unknown setting of static_lm 'fitted_state'"),
         ("flat", {"height": 1.0}, "unknown setting of flat 'height'"),
-        ("static_lm", {"hidden": "many"}, "static_lm.*hidden: .*valid integer, got 'many'"),
+        ("static_lm", {"hidden": "many"}, "static_lm.*hidden: .*a whole number, got 'many'"),
         ("static_lm", {"hidden": 0}, "hidden: must be at least 1, got 0"),
         ("static_lm", {"division": "odd"}, "static_lm.*division: .*'random' or 'block'"),
         ("fir_ridge", {"reach": -1.0}, "reach: must be positive, got -1.0 m"),

@@ -99,7 +99,7 @@ def parse_parquet(data: bytes) -> WheelPaths:
         raise
     except (pa.ArrowException, OSError, ValueError, TypeError, OverflowError) as error:
         reason = " ".join(str(error).split())
-        raise SurfaceFileError(f"not a readable Parquet file: {reason}") from None
+        raise SurfaceFileError(f"damaged, or no Parquet file: {reason}") from None
     return resample_evenly(columns[0], checked_heights(np.array([columns[1], columns[-1]])))
 
 
