@@ -99,7 +99,7 @@ def main() -> None:
         status = app(prog_name="road-recon", standalone_mode=False)
     except Exception as error:
         if type(error).__name__ == "NoArgsIsHelpError":
-            error.show()
+            error.show()  # type: ignore[attr-defined]
         elif isinstance(error, USAGE_ERROR):
             sys.stderr.write(f"error: {_usage_sentence(error)}\n")
         elif "--debug" in sys.argv or not _is_input_error(error):
