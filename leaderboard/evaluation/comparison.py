@@ -9,9 +9,6 @@ apart: relative to the larger one, and absolute where both are small. A printed 
 last digit of the score's column, 0.001 for an NRMSE. A digest of rounded values would do no better
 than one of all bits: of many values, one always lies at a boundary.
 
-    SAME_KERNELS    of two processes with the same kernels, which differ in nothing else
-    OTHER_KERNELS   of two processors or kernels
-
 The largest distances that were measured by forcing the kernels of OpenBLAS (Haswell, Sandybridge,
 SkylakeX) are 1.7e-3 of `map_smoother`, 3.5e-4 of `wiener`, 1.7e-4 of `iterated_wiener`, 9e-8 of
 `tcn`, and below 1e-9 of the others. A `discrete` score jumps by a whole step where a value crosses
@@ -28,7 +25,10 @@ from leaderboard.evaluation.results import RUN_DEPENDENT, DriveScores, Result
 from leaderboard.metrics.registry import SCORES
 
 SAME_KERNELS = 1e-9
+"""Tolerance of two processes with the same processor, kernels and libraries."""
+
 OTHER_KERNELS = 5e-3
+"""Tolerance of two processors or kernels: three times the largest distance that was measured."""
 
 PRINTED_STEPS = 100
 """Steps of the last printed digit that a smaller score is taken relative to."""

@@ -14,9 +14,14 @@ from typing import NamedTuple
 import numpy as np
 
 REPLICATES = 2000
+"""Replicates of an interval or a rank: its quantiles leave 50 of them on each side."""
+
 CONFIDENCE = 0.95
 """Level of every interval."""
+
 QUANTILES = (0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2)
+"""Shares of the replicates below the lower and the upper end of an interval."""
+
 MIN_ROADS = 5
 """Least number of roads for an interval or a rank: with two, the interval is their two scores."""
 
@@ -57,6 +62,8 @@ def interquartile_mean(x: np.ndarray, axis: int = -1) -> np.ndarray:
     """
     x = np.moveaxis(np.sort(x, axis=axis), axis, -1)  # NaNs are sorted to the end
     count = np.sum(~np.isnan(x), axis=-1, keepdims=True)
+    # the k-th smallest value covers the ranks k to k + 1: it counts with the part of that interval
+    # that lies between the quartiles, at 1/4 and 3/4 of the count
     rank = np.arange(x.shape[-1])
     weight = np.clip(np.minimum(rank + 1, 0.75 * count) - np.maximum(rank, 0.25 * count), 0.0, 1.0)
     total = weight.sum(axis=-1)
@@ -146,6 +153,8 @@ def _replicate_scores(
     scores: np.ndarray, seed: int, replicates: int, strata: Strata | None
 ) -> Iterator[np.ndarray]:
     """Yield the resampled scores (b, R C S) in batches of replicates."""
+    # indices of the roads (B, R), drawn stratum by stratum, and of the seeds (B, S): the streams of
+    # both are apart, so that entries with other numbers of seeds still share their roads
     R, _, S = scores.shape
     road_rng, seed_rng = np.random.default_rng(seed).spawn(2)
     drawn = [
@@ -156,6 +165,8 @@ def _replicate_scores(
     seeds = seed_rng.integers(S, size=(replicates, S))
     size = max(1, MAX_BATCH_SCORES // scores.size)
     for k in range(0, replicates, size):
+        # scores (b, R, S, C): each road of a replicate with each of its seeds; a seed is a trained
+        # estimator, which is drawn for all roads at once
         part = slice(k, k + size)
         resampled = scores[roads[part, :, None], :, seeds[part, None, :]]
         yield resampled.reshape(len(resampled), -1)

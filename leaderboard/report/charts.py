@@ -35,8 +35,11 @@ from leaderboard.report.figures import (
 from leaderboard.report.tables import SPECTRUM_SCORES, Row
 from road_envs.records.roughness import CLASSES, N_0, displacement_psd, smooth_psd
 
-RAW_SPACING, IN_BAND_SPACING = 0.05, 0.1
-"""Least spacing [m] at which raw and band-passed heights are drawn."""
+RAW_SPACING = 0.05
+"""Least spacing [m] at which raw heights are drawn."""
+
+IN_BAND_SPACING = 0.1
+"""Least spacing [m] at which band-passed heights are drawn: 5 points of the shortest wave."""
 
 KINDS = ("inside", "raw")
 """Drawn heights: inside the scored band, and about their median, as no sensor knows the datum."""
@@ -45,7 +48,11 @@ N_SHOWN = 2
 """Number of entries, best first, whose lines are shown at first."""
 
 CLASS_FREQUENCIES = (0.05, 10.0)
+"""Range [cycles/m] of the chart of densities."""
+
 THRESHOLDS = 41
+"""Points of a performance profile, from 0 to the scale of the board."""
+
 REPLICATES = 300
 """Bootstrap replicates of a performance profile: enough for a drawn line."""
 

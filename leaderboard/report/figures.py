@@ -29,8 +29,13 @@ DRAWN_HEIGHT_LIMIT = 3.0
 """Drawn heights are clipped to +- this [m]."""
 
 N_COLOURS = 7
-DASHES, OTHER_DASHES = ("solid", "dash", "dot"), ("dashdot", "longdash", "longdashdot")
-"""Dashes of the estimators in FAMILIES, and of all others."""
+"""Number of colours of lines in `static/site.css`: as many as there are FAMILIES."""
+
+DASHES = ("solid", "dash", "dot")
+"""Dashes of the estimators in FAMILIES."""
+
+OTHER_DASHES = ("dashdot", "longdash", "longdashdot")
+"""Dashes of all other estimators."""
 
 FAMILIES = (
     ("map_smoother",),

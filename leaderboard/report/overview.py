@@ -22,11 +22,16 @@ from leaderboard.report.sentences import PAPER_NETWORK, unrelated_level_errors
 from leaderboard.report.tables import BOUND_ROW, Row, Section, interval_text
 
 MAX_BARS = 16
+"""Number of entries in the chart of the ranking, best first."""
+
 BAR_HEIGHT = 19
 """Height of a bar with its gap [pixels]."""
 
-LABEL_HEIGHT, MODEBAR_HEIGHT = 15, 34
-"""Heights of the label of a line and of the buttons above a chart [pixels]."""
+LABEL_HEIGHT = 15
+"""Height of the label of a line [pixels]."""
+
+MODEBAR_HEIGHT = 34
+"""Height of the buttons above a chart [pixels]."""
 
 STRIP_LENGTH = 30.0
 """Length of road [m] that the strip shows at first."""

@@ -14,8 +14,11 @@ STATIC = Path(__file__).parent / "static"
 """Style, scripts and pictures that all pages of a site share."""
 
 
-BOARD_PAGE, POLICY_PAGE = "index.html", "policies.html"
-"""Pages of the board and of the comparison of policies; those that are there are linked to."""
+BOARD_PAGE = "index.html"
+"""Page of the board, which the comparison of policies links to if it is there."""
+
+POLICY_PAGE = "policies.html"
+"""Page of the comparison of policies, which all others link to if it is there."""
 
 
 def file_name(estimator: str) -> str:

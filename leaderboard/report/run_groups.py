@@ -51,5 +51,6 @@ def _frames(task: Task) -> dict[str, ScoreSlice]:
         ]
         for low, high in pairwise(FRAME_BANDS)
     }
+    # column of roads against row of conditions: indexed together, they keep both axes
     at = np.array(flexible)
     return {name: (np.array(members)[:, None], at) for name, members in groups.items() if members}

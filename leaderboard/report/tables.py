@@ -50,8 +50,11 @@ from road_envs.vehicle.parameters import load_vehicle
 RowState = Literal["scored", "baseline", "claim", "failed", "stale"]
 CLAIM_ROW = "paper's claim"
 TRAINING_STATES = ("near_optimal", "sub_optimal", "unstable")
-BOUND_ROW, ATTAINABLE_ROW = "bound", "attainable"
-"""Names of the rows with the information bound of the sensors, and with the attainable error."""
+BOUND_ROW = "bound"
+"""Name of the row with the information bound of the sensors."""
+
+ATTAINABLE_ROW = "attainable"
+"""Name of the row with the attainable error."""
 
 LIMIT_ROWS = (BOUND_ROW, ATTAINABLE_ROW)
 """Names of the rows that are no estimator's."""

@@ -16,6 +16,8 @@ from leaderboard.report.cache import Report
 from leaderboard.report.tables import BoardView, Row, Section, nonempty_columns
 
 CASE_WIDTH = 18
+"""Width of the column with the titles of the tasks that share a table [characters]."""
+
 STYLES = {
     "scored": "bold",
     "baseline": "dim",

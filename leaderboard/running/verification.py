@@ -42,7 +42,9 @@ from leaderboard.metrics.baselines import MEMORY, TRUTH_PLUS_NOISE
 from road_envs.core.artifacts import Kind
 from road_envs.core.config import ConfigError, Settings, build
 
-DEFINITION, VERIFICATION = Kind("task", 1), Kind("verification", 1)
+DEFINITION = Kind("task", 1)
+VERIFICATION = Kind("verification", 1)
+
 SHARE = 0.1
 """Share of the drives of a task that are run again."""
 
