@@ -47,6 +47,7 @@ class RoadRecon(LazyGroup):
         "Names": {"list": "listing:list_names"},
         "Estimates": {
             "report": "report:report",
+            "iri": "iri:iri",
             "estimate": "estimate:estimate",
             "classify": "estimate:classify",
             "identify": "identify:identify",

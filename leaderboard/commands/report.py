@@ -20,6 +20,7 @@ from leaderboard.commands.options import Json, Settings
 from leaderboard.drive_report.analysis import DriveResult
 from leaderboard.drive_report.conditions import load_conditions
 from leaderboard.drive_report.report import ReportSettings, make_report, write_report
+from road_envs.drives.logger_tables.description import write_description
 
 Drives = Annotated[
     list[Path],
@@ -39,6 +40,13 @@ def report(
     conditions: Annotated[
         str, typer.Option(help="Condition categories: shipped name or YAML path.")
     ] = "hpms",
+    known_iri: Annotated[
+        str | None,
+        typer.Option(
+            help="Known IRI in mm/m of the drive, or a table of stretches (begin_m, end_m, iri): "
+            "calibrates this car and mount."
+        ),
+    ] = None,
     options: DriveOptions,
     settings: Settings = None,
     json: Json = False,
@@ -56,6 +64,7 @@ def report(
         estimator=estimator,
         settings=parse_settings(settings),
         segment=segment,
+        known_iri=known_iri,
     )
     with progress_bar() as progress:
         progress("reading", 0.0)
@@ -64,6 +73,8 @@ def report(
     results, agreement = made.drives, made.agreement
     road = [made.road] if made.road else []
     page, *written = write_report(made, chosen, out)
+    if options.save_description:  # with the factor of a known IRI
+        write_description(options.save_description, made.descriptions[0])
     files = [str(path) for path in (page, *written)]
     if json:
         facts = {"drives": [_facts(result) for result in results], "agreement": agreement}

@@ -1,14 +1,22 @@
 """Results of one drive: segments with IRI, class, condition and quality, and obstacles."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from estimators.wiener.segments import dominant_modes
 from leaderboard.drive_report.conditions import Conditions
+from leaderboard.drive_report.mean_path import (
+    path_level_ratio,
+    path_ratio,
+    ratio_std,
+    tells_paths_apart,
+    with_mean_path,
+)
+from leaderboard.drive_report.notes import in_order_of_weight, misfits
 from leaderboard.drive_report.obstacles import CERTAIN, DetectedObstacle, detect
-from leaderboard.drive_report.posterior_iri import IriPosterior, posterior_iri
+from leaderboard.drive_report.posterior_iri import MODEL_STD, IriPosterior, posterior_iri
 from road_envs.drives.measured_record import MeasuredRecord
 from road_envs.records.record import Estimate, scored_band
 from road_envs.records.roughness import (
@@ -39,11 +47,19 @@ WAVES_PER_SEGMENT = 2.0
 """Least number of waves of an octave in a segment."""
 
 
+class KnownFactor(NamedTuple):
+    """True IRI over that of a report for one car and mount, and its relative standard deviation."""
+
+    factor: float
+    std: float
+
+
 @dataclass(frozen=True)
 class DriveResult:
     """A drive: its `segments` and `obstacles` as rows, `estimate`, and facts and notes of it.
 
-    `chainage` [m] is that of station 0 of the estimate; stations of rows are chainages.
+    `chainage` [m] is that of station 0 of the estimate; stations of rows are chainages. With
+    `is_mean_path` the sensors told no left and right (`mean_path.py`).
     """
 
     name: str
@@ -55,6 +71,7 @@ class DriveResult:
     obstacles: list[dict[str, Any]]
     notes: tuple[str, ...]
     facts: dict[str, Any]
+    is_mean_path: bool = False
 
     @property
     def has_position(self) -> bool:
@@ -79,20 +96,36 @@ def analyse(
     clipping: float | np.ndarray = np.inf,
     distance_std: float = 0.0,
     modes: Modes = MODES,
+    known: KnownFactor | None = None,
 ) -> DriveResult:
     """Return the results of a drive by segments of `segment` [m], at whole multiples of it.
 
     `clipping` [m/s²], one or (k, 1), is the magnitude from which on a sample is clipped,
     `distance_std` the relative standard deviation of distances from the first sample. `modes` name
-    the states of the struts.
+    the states of the struts; `known` is the factor of this car and mount by a stretch of known IRI.
     """
     record, v = measured.record, float(np.median(measured.record.v))
+    mean_path = not tells_paths_apart(record.sensors)
+    if mean_path:
+        estimate = with_mean_path(estimate)
     edges = _edges(estimate, measured.chainage, segment, record.s[0])
-    iri = posterior_iri(estimate, v, edges)
-    notes = (*measured.notes, *estimate.notes)
-    result = DriveResult(name, measured, estimate, v, measured.chainage, [], [], notes, {})
+    factor, std = known or KnownFactor(1.0, MODEL_STD)
+    half = posterior_iri(estimate, v, edges, factor=factor, model_std=std) if mean_path else None
+    if mean_path:
+        std = np.hypot(std, ratio_std(np.diff(edges)))
+        factor *= path_ratio()
+    iri = posterior_iri(estimate, v, edges, factor=factor, model_std=std)
+    notes = in_order_of_weight((*estimate.notes, *measured.notes))
+    result = DriveResult(
+        name, measured, estimate, v, measured.chainage, [], [], notes, {}, mean_path
+    )
     for k in range(edges.size - 1):
-        result.segments.append(_segment(result, edges, k, iri, conditions, clipping, modes))
+        row = _segment(result, edges, k, iri, clipping, modes)
+        row["condition"] = conditions.category(row["iri_mean"])
+        if half is not None:
+            row |= {"hri": float(half.median[2, k]), "hri_low": float(half.low[2, k]),
+                    "hri_high": float(half.high[2, k])}  # fmt: skip
+        result.segments.append(row)
     for obstacle in detect(estimate):
         result.obstacles.append(_obstacle(result, obstacle, distance_std))
     result.facts.update(
@@ -101,6 +134,9 @@ def analyse(
         sampled_hz=float(min(measured.fs, record.fs)),
         duration_s=float(record.t[-1]),
         iri_mean=float(np.average(iri.median[2], weights=np.diff(edges))),
+        # errors of segments have common causes: the interval of the mean is the mean interval
+        iri_mean_low=float(np.average(iri.low[2], weights=np.diff(edges))),
+        iri_mean_high=float(np.average(iri.high[2], weights=np.diff(edges))),
     )
     return result
 
@@ -124,7 +160,6 @@ def _segment(
     edges: np.ndarray,
     k: int,
     iri: IriPosterior,
-    conditions: Conditions,
     clipping: float | np.ndarray,
     modes: Modes,
 ) -> dict[str, Any]:
@@ -134,12 +169,15 @@ def _segment(
     inside = inside if inside.size else np.array([int(np.searchsorted(record.s, begin))])
     speed = float(np.mean(record.v[inside]))
     levels = _levels(result.estimate, begin, end, result.v)
+    if result.is_mean_path:
+        levels = {n: path_level_ratio(n) * level for n, level in levels.items()}
     row: dict[str, Any] = {"begin_m": result.chainage + begin, "end_m": result.chainage + end}
     for j, path in enumerate(("left", "right", "mean")):
+        if result.is_mean_path and path != "mean":
+            continue
         row[f"iri_{path}"] = float(iri.median[j, k])
         row[f"iri_{path}_low"] = float(iri.low[j, k])
         row[f"iri_{path}_high"] = float(iri.high[j, k])
-    row["condition"] = conditions.category(row["iri_mean"])
     whole = np.exp(np.mean(np.log(list(levels.values())))) if levels else np.nan
     row["class"] = roughness_class(float(whole)) if levels else ""
     for centre in OCTAVES:
@@ -193,13 +231,18 @@ def _flags(
     return flags
 
 
+def is_certain(result: DriveResult, found: DetectedObstacle) -> bool:
+    """Whether an obstacle is no possible one: its confidence, and a model that fits the record."""
+    return found.confidence >= CERTAIN and not misfits(result.notes)
+
+
 def _obstacle(result: DriveResult, found: DetectedObstacle, distance_std: float) -> dict[str, Any]:
     lat, lon = result.position(found.station)
     distance = distance_std * (found.station - result.measured.record.s[0])
     found = found.in_an_estimate()
     low, high = (found.height + 1.96 * way * found.height_std for way in (-1.0, 1.0))
     return {
-        "kind": ("" if found.confidence >= CERTAIN else "possible ")
+        "kind": ("" if is_certain(result, found) else "possible ")
         + ("bump" if found.height > 0.0 else "hole"),
         "station_m": result.chainage + found.station,
         "station_std_m": float(np.hypot(PLACE_STD, distance)),
@@ -207,7 +250,7 @@ def _obstacle(result: DriveResult, found: DetectedObstacle, distance_std: float)
         "height_low_mm": 1e3 * low,
         "height_high_mm": 1e3 * high,
         "length_m": found.length,
-        "wheel_path": found.side,
+        "wheel_path": "not told" if result.is_mean_path else found.side,
         "confidence": found.confidence,
         "lat": lat,
         "lon": lon,

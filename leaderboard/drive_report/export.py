@@ -26,15 +26,13 @@ def write_tables(result: DriveResult, folder: Path, stem: str) -> list[Path]:
     ]  # fmt: skip
     estimate = result.estimate
     std = np.full_like(estimate.z, np.nan) if estimate.z_std is None else estimate.z_std
-    heights = pd.DataFrame(
-        {
-            "station_m": result.chainage + estimate.s,
-            "left_m": estimate.z[0],
-            "right_m": estimate.z[1],
-            "left_std_m": std[0],
-            "right_std_m": std[1],
-        }
-    )
+    columns_z = {"station_m": result.chainage + estimate.s}
+    if result.is_mean_path:
+        columns_z |= {"mean_m": estimate.z[0], "mean_std_m": std[0]}
+    else:
+        columns_z |= {"left_m": estimate.z[0], "right_m": estimate.z[1]}
+        columns_z |= {"left_std_m": std[0], "right_std_m": std[1]}
+    heights = pd.DataFrame(columns_z)
     tables = {
         "segments": pd.DataFrame(result.segments),
         "obstacles": pd.DataFrame(result.obstacles, columns=columns),

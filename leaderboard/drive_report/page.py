@@ -51,6 +51,11 @@ def _drive(result: DriveResult, conditions: Conditions) -> dict[str, Any]:
     total = sum(lengths.values())
     return {
         "name": result.name,
+        "paths": ("hri", "iri_mean")
+        if result.is_mean_path
+        else ("iri_left", "iri_right", "iri_mean"),
+        "is_mean_path": result.is_mean_path,
+        "sensors": _sensors(result),
         "facts": result.facts,
         "notes": result.notes,
         "segments": result.segments[:TABLE_ROWS],
@@ -66,3 +71,19 @@ def _drive(result: DriveResult, conditions: Conditions) -> dict[str, Any]:
         "density": Markup(pictures.density_chart(result)),
         "map": Markup(track),
     }
+
+
+def _sensors(result: DriveResult) -> str:
+    """Return the number and the places of the accelerometers in words."""
+    layout = result.measured.record.sensors
+    count = len(result.measured.record.channels)
+    at = result.measured.place
+    if at and count == 1:
+        return f"one device at the place {at}"
+    mounted = sorted({sensor.mounted for sensor in layout.values()}) if layout else ["body"]
+    return f"{count} accelerometer{'s' if count > 1 else ''} on the {' and '.join(mounted)}"
+
+
+def _indices(result: DriveResult) -> tuple[str, ...]:
+    """Return the columns of roughness indices that a drive has."""
+    return ("hri", "iri_mean") if result.is_mean_path else ("iri_left", "iri_right", "iri_mean")

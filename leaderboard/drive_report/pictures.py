@@ -33,6 +33,15 @@ def colour(conditions: Conditions, iri: float) -> str:
     return CONDITION_COLOURS[min(conditions.level(iri), len(CONDITION_COLOURS) - 1)]
 
 
+def _sides(result: DriveResult) -> tuple[str, ...]:
+    """Return the wheel paths that are drawn; the mean path has the colour of the first."""
+    return SIDES[:1] if result.is_mean_path else SIDES
+
+
+def _label(result: DriveResult, side: str) -> str:
+    return "mean of both paths" if result.is_mean_path else side
+
+
 def profile_strip(result: DriveResult) -> str:
     """Return the heights of both wheel paths over the chainage, with their 95 % interval."""
     estimate, ds = result.estimate, result.estimate.ds
@@ -49,8 +58,10 @@ def profile_strip(result: DriveResult) -> str:
         for axes, core in zip(panels, np.array_split(np.arange(s.size), rows), strict=True):
             step, more = max(1, core.size // POINTS), round(OVERLAP / ds)
             part = np.arange(max(0, core[0] - more), min(s.size, core[-1] + 1 + more), step)
-            for k, side in enumerate(SIDES):
-                axes.plot(s[part], z[k, part], color=COLOURS[side], lw=0.9, label=side)
+            for k, side in enumerate(_sides(result)):
+                axes.plot(
+                    s[part], z[k, part], color=COLOURS[side], lw=0.9, label=_label(result, side)
+                )
                 if std is not None:
                     low, high = (z[k, part] + f * std[k, part] for f in (-1.96, 1.96))
                     axes.fill_between(s[part], low, high, color=COLOURS[side], alpha=0.2, lw=0)
@@ -79,7 +90,8 @@ def iri_chart(result: DriveResult, conditions: Conditions) -> str:
         axes = figure.subplots()
         segments = result.segments
         edges = [row["begin_m"] for row in segments] + [segments[-1]["end_m"]]
-        top = 1.15 * max(row[f"iri_{p}_high"] for row in segments for p in ("left", "right"))
+        shown = ("mean",) if result.is_mean_path else ("left", "right")
+        top = 1.15 * max(row[f"iri_{p}_high"] for row in segments for p in shown)
         limits = (0.0, *conditions.limits, max(top, 1.2 * conditions.limits[-1]))
         for k, (low, high) in enumerate(pairwise(limits)):
             shade = CONDITION_COLOURS[min(k, len(CONDITION_COLOURS) - 1)]
@@ -89,17 +101,18 @@ def iri_chart(result: DriveResult, conditions: Conditions) -> str:
                     conditions.categories[k], (edges[-1], low), (-3, 2), ha="right", va="bottom",
                     textcoords="offset points", color="0.35", fontsize=8,
                 )  # fmt: skip
-        for side in SIDES:
+        for side in _sides(result):
+            key = "hri" if result.is_mean_path else f"iri_{side}"
             axes.stairs(
-                [row[f"iri_{side}"] for row in segments], edges, baseline=None,
-                color=COLOURS[side], lw=1.2, label=side,
+                [row[key] for row in segments], edges, baseline=None,
+                color=COLOURS[side], lw=1.2, label="HRI" if result.is_mean_path else side,
             )  # fmt: skip
         middle = [0.5 * (row["begin_m"] + row["end_m"]) for row in segments]
         mean = np.array([row["iri_mean"] for row in segments])
         low, high = (np.array([row[f"iri_mean_{x}"] for row in segments]) for x in ("low", "high"))
         axes.errorbar(
             middle, mean, [mean - low, high - mean], fmt="o", ms=3, color="0.1", lw=1.0,
-            capsize=2, label="mean with 95 % interval",
+            capsize=2, label="IRI with 95 % interval",
         )  # fmt: skip
         axes.set(xlabel="chainage [m]", ylabel="IRI [mm/m]", xlim=(edges[0], edges[-1]))
         axes.set_ylim(0.0, top)
@@ -115,11 +128,11 @@ def density_chart(result: DriveResult) -> str:
     def paint(figure: Any) -> None:
         axes = figure.subplots()
         draw_classes(axes)
-        for side, z in zip(SIDES, result.estimate.z, strict=True):
+        for side, z in zip(_sides(result), result.estimate.z, strict=False):
             n, G = smooth_psd(*displacement_psd(z, result.estimate.ds))
             inside = (n >= 0.5 * band[0]) & (n <= band[1])
             axes.plot(n, G, color=COLOURS[side], lw=0.7, alpha=0.5)
-            axes.plot(n[inside], G[inside], color=COLOURS[side], lw=1.6, label=side)
+            axes.plot(n[inside], G[inside], color=COLOURS[side], lw=1.6, label=_label(result, side))
         axes.axvspan(0.02, 0.5 * band[0], color="0.5", alpha=0.12, lw=0)
         axes.axvspan(band[1], 10.0, color="0.5", alpha=0.12, lw=0)
         axes.legend(frameon=False)

@@ -52,10 +52,19 @@ class IriPosterior(NamedTuple):
     high: np.ndarray
 
 
-def posterior_iri(estimate: Estimate, v: float, edges: np.ndarray) -> IriPosterior:
+def posterior_iri(
+    estimate: Estimate,
+    v: float,
+    edges: np.ndarray,
+    *,
+    factor: float = 1.0,
+    model_std: float | np.ndarray = MODEL_STD,
+) -> IriPosterior:
     """Return the IRI of the segments between stations `edges` (K + 1,) [m] of a drive at `v` [m/s].
 
-    Without a standard deviation of the estimate all three values are those of its profile.
+    All values are multiplied by `factor`; `model_std`, one or by segment (K,), is the relative
+    standard deviation by what the posterior does not know. Without a standard deviation of the
+    estimate all three values are those of its profile.
     """
     rng, band = np.random.default_rng(0), scored_band(v)
     index = np.searchsorted(estimate.s, edges)
@@ -71,8 +80,8 @@ def posterior_iri(estimate: Estimate, v: float, edges: np.ndarray) -> IriPosteri
         drawn.append(_segment_iri(estimate.z + error, estimate.ds, index))
     iri = np.array(drawn)
     if known:
-        iri *= np.exp(MODEL_STD * rng.standard_normal((SAMPLES, 1, 1)))
-    return IriPosterior(*np.quantile(iri, QUANTILES, axis=0))
+        iri *= np.exp(model_std * rng.standard_normal((SAMPLES, 1, 1)))
+    return IriPosterior(*np.quantile(factor * iri, QUANTILES, axis=0))
 
 
 def unit_error(

@@ -58,7 +58,7 @@ class MeasuredRecord(NamedTuple):
     `notes` are assumptions and corrections; `chainage` [m] is that of station 0 of the record in
     the distances of the user; `position` (2, N) are latitude and longitude [°] at the samples, if
     known; `fs` [Hz] is the rate at which the accelerations were sampled; `has_distance`:
-    the speed agrees with an odometer or with positions.
+    the speed agrees with an odometer or with positions; `place` is that of one device, in words.
     """
 
     record: Record
@@ -67,6 +67,7 @@ class MeasuredRecord(NamedTuple):
     position: np.ndarray | None = None
     fs: float = np.inf
     has_distance: bool = False
+    place: str = ""
 
 
 def read_measured_record(
@@ -105,7 +106,8 @@ def recording_to_record(
     upright = level(recording)
     seat = (SEAT_NOTE,) if description.at == "seat" else ()
     drive = to_measured_record(_joined_table(upright, recording.track), wheelbase, description, car)
-    return drive._replace(notes=(*upright.notes, *recording.notes, *seat, *drive.notes))
+    notes = (*upright.notes, *recording.notes, *seat, *drive.notes)
+    return drive._replace(notes=notes, place=description.at or "")
 
 
 def _joined_table(upright: Levelled, track: Series | None) -> Table:

@@ -6,6 +6,7 @@ is the density G_d(n0) [m³] at n0 = 0.1 cycles/m of the road G_d = G_d(n0) (n /
 same density at the given frequency.
 """
 
+import itertools
 from functools import cache, lru_cache
 from typing import Annotated
 
@@ -228,3 +229,37 @@ def _golden_modes(ds: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     P = np.linalg.solve(A, (S - np.eye(4)) @ B)
     poles, modes = np.linalg.eig(S)
     return poles, modes, np.linalg.solve(modes, P)
+
+
+IN_PER_MI = 63.36
+"""Inches per mile in 1 mm/m."""
+
+COARSEST = 0.3
+"""Widest spacing [m] of a profile of which the IRI is computed (ASTM E1926: 300 mm, class 2)."""
+
+
+def profile_indices(z: np.ndarray, ds: float, segment: float) -> list[dict[str, float]]:
+    """Return the roughness of both wheel paths `z` (2, N) [m] by segments of `segment` [m].
+
+    Each has `begin_m` and `end_m` [m], and `left`, `right`, `mean` (MRI) and `half_car` (HRI, that
+    of the mean profile; Sayers 1989) [mm/m]. The golden car runs over the whole profile, so that a
+    segment begins with the motion behind the last (ASTM E1926). A rest of less than half a segment
+    belongs to the segment before. Raises ValueError if the spacing is above COARSEST, or the
+    profile is shorter than 11 m.
+    """
+    if ds > COARSEST:
+        raise ValueError(f"a spacing of {ds:g} m; the IRI needs at most {COARSEST:g} m")
+    length = (z.shape[-1] - 1) * ds
+    if length < 11.0:
+        raise ValueError(f"a profile of {length:.3g} m; the IRI needs at least 11 m")
+    motion = 1e3 * np.abs(golden_car(np.stack([z[0], z[1], z.mean(axis=0)]), ds))
+    count = max(1, int(length / segment + 0.5)) if np.isfinite(segment) else 1
+    edges = [k * segment for k in range(count)] if count > 1 else [0.0]
+    index = [min(round(edge / ds), motion.shape[1]) for edge in edges] + [motion.shape[1]]
+    rows = []
+    for k, (i, j) in enumerate(itertools.pairwise(index)):
+        left, right, half = motion[:, i:j].mean(axis=1)
+        end = edges[k + 1] if k + 1 < count else length
+        rows.append({"begin_m": edges[k], "end_m": end, "left": float(left), "right": float(right),
+                     "mean": 0.5 * float(left + right), "half_car": float(half)})  # fmt: skip
+    return rows

@@ -1,0 +1,38 @@
+"""Notes of a report in the order of their weight: what spoils the result comes first."""
+
+import re
+from collections.abc import Iterable
+
+MISFIT = r"does not reproduce|left unexplained|heights are reduced"
+"""Notes of an estimator whose model does not give the measured motion."""
+
+WEIGHTS = (
+    MISFIT,
+    r"fits .* better|moved in its mount|the speed and the wheelbase|without tolerances",
+    r"swings by itself|wheels were in the air|the unit|is in g|check ",
+    r"do not tell left from right",
+    r"known IRI|was adapted|adapted to the drive|one road from|not compared",
+    r"is taken to lie|are read as|is taken as|split at its pauses|left out",
+    r"mounted with|follows the front axle|axle to axle|do not reach|does not reach|lie behind",
+    r"",
+    r"values every|interpolated|resampled|scaled by",
+)
+"""Patterns of notes, the weightiest first; a note has the weight of the first that it matches, and
+the empty one is that of all others.
+"""
+
+
+def misfits(notes: Iterable[str]) -> bool:
+    """Whether a note says that the model does not reproduce the record."""
+    return any(re.search(MISFIT, note) for note in notes)
+
+
+def in_order_of_weight(notes: Iterable[str]) -> tuple[str, ...]:
+    """Return the notes without repetitions, by WEIGHTS; equal ones stay in their order."""
+    return tuple(sorted(dict.fromkeys(notes), key=_weight))
+
+
+def _weight(note: str) -> int:
+    others = WEIGHTS.index("")
+    matches = [k for k, text in enumerate(WEIGHTS) if text and re.search(text, note)]
+    return min(matches, default=others)

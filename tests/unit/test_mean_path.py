@@ -1,0 +1,172 @@
+"""Reports from sensors that tell no roll; known IRI; the order of notes; indices of a profile."""
+
+import json
+
+import numpy as np
+import pytest
+
+from leaderboard.drive_report.analysis import KnownFactor, analyse
+from leaderboard.drive_report.conditions import load_conditions
+from leaderboard.drive_report.known_iri import known_factor, read_known_iri
+from leaderboard.drive_report.mean_path import path_level_ratio, path_ratio, tells_paths_apart
+from leaderboard.drive_report.notes import in_order_of_weight
+from road_envs.core.config import ConfigError
+from road_envs.drives.measured_record import MeasuredRecord
+from road_envs.drives.places import PLACES
+from road_envs.records.accelerometers import Accelerometer
+from road_envs.records.record import Estimate, Record, profile_stations
+from road_envs.records.roughness import golden_car, iri, profile_indices
+from road_envs.roads import realise_road, write_csv
+
+HPMS = load_conditions("hpms")
+ONE = {"PHONE": PLACES["dashboard"]}
+
+
+def result(seed=1, layout=ONE, length=300.0, **options):
+    """The report of a perfect estimate of a road of class C."""
+    surface = realise_road("iso_c", seed, length)
+    s = profile_stations(length)
+    t = np.arange(4001) / 200.0
+    off = np.zeros((t.size, 4), dtype=bool)
+    k = len(layout) if layout else 3
+    a = np.random.default_rng(seed).standard_normal((k, t.size))
+    record = Record(t, a, np.full(t.size, 15.0), 15.0 * t, off, off, length, layout)
+    estimate = Estimate(s, surface.height(s), np.full((2, s.size), 1e-4))
+    return surface, analyse("one", MeasuredRecord(record), estimate, HPMS, **options)
+
+
+def test_the_ratio_of_iri_and_hri_is_that_of_random_roads():
+    ratios = []
+    for seed in range(20):
+        surface = realise_road("iso_b", seed, 500.0)
+        z = surface.height(0.05 * np.arange(9990))
+        motion = np.abs(golden_car(np.stack([*z, z.mean(axis=0)]), 0.05)).mean(axis=1)
+        ratios.append(motion[:2].mean() / motion[2])
+    assert path_ratio() == pytest.approx(np.mean(ratios), rel=0.02)
+    assert 1.15 < path_ratio(2.3, 1.3) < path_ratio() < path_ratio(1.8, 1.8) < 1.4
+    assert path_level_ratio(0.01) == pytest.approx(1.0, abs=0.02)
+    assert path_level_ratio(2.0) == pytest.approx(2.0, abs=0.02)
+
+
+def test_one_sensor_gives_hri_and_an_iri_and_no_left_and_right():
+    errors, inside = [], []
+    for seed in range(12):
+        surface, found = result(seed)
+        true = iri(surface.z, surface.ds, segment=100.0).mean(axis=0)
+        for row, x in zip(found.segments, true, strict=False):
+            assert "iri_left" not in row and row["hri_high"] < row["iri_mean_high"]
+            errors.append(row["iri_mean"] / x - 1.0)
+            inside.append(row["iri_mean_low"] <= x <= row["iri_mean_high"])
+    assert abs(np.mean(errors)) < 0.03 and np.std(errors) < 0.1
+    assert np.mean(inside) > 0.9
+    assert found.is_mean_path and any("do not tell left from right" in n for n in found.notes)
+    assert {o["wheel_path"] for o in found.obstacles} <= {"not told"}
+
+
+def test_the_class_is_that_of_a_wheel_path_and_not_of_the_mean_path():
+    letters = [row["class"] for seed in range(10) for row in result(seed)[1].segments]
+    assert letters.count("C") > 0.9 * len(letters)
+
+
+@pytest.mark.parametrize(
+    ("layout", "apart"),
+    [
+        (None, True),
+        (ONE, False),
+        ({"A": PLACES["dashboard"], "B": PLACES["trunk"]}, False),
+        ({"A": Accelerometer(y=0.3), "B": Accelerometer(y=-0.3)}, True),
+        ({"A": Accelerometer(mounted="rear axle", y=0.3), "B": Accelerometer(y=-0.3)}, False),
+        ({k: Accelerometer(mounted="rear axle", y=y) for k, y in (("A", 0.6), ("B", -0.6))}, True),
+    ],
+)
+def test_sensors_beside_one_another_tell_the_paths_apart(layout, apart):
+    assert tells_paths_apart(layout) == apart
+
+
+def test_with_sensors_on_both_sides_both_paths_are_told():
+    surface, found = result(layout=None)
+    true = iri(surface.z, surface.ds, segment=100.0)
+    assert found.segments[1]["iri_left"] == pytest.approx(true[0, 1], rel=0.05)
+    assert not found.is_mean_path and "hri" not in found.segments[0]
+
+
+def test_obstacles_are_possible_where_the_model_does_not_reproduce_the_record():
+    surface, found = result(layout=None)
+    z = surface.height(profile_stations(300.0))
+    z[:, 4000:4100] += 0.2
+    bad = Estimate(profile_stations(300.0), z, None, ("9.0 times the noise is left unexplained",))
+    measured = found.measured
+    doubted = analyse("one", measured, bad, HPMS).obstacles
+    certain = analyse("one", measured, Estimate(bad.s, z), HPMS).obstacles
+    assert doubted and all(o["kind"].startswith("possible") for o in doubted)
+    assert any(not o["kind"].startswith("possible") for o in certain)
+
+
+def test_a_known_iri_gives_the_factor_of_car_and_mount(tmp_path):
+    _, found = result()
+    mean = found.facts["iri_mean"]
+    known, note = known_factor(found, read_known_iri(f"{1.2 * mean}"))
+    assert known.factor == pytest.approx(1.2, rel=1e-6) and "300 m of known IRI" in note
+    corrected = result(known=known)[1]
+    assert corrected.facts["iri_mean"] == pytest.approx(1.2 * mean, rel=0.03)
+    (tmp_path / "k.csv").write_text(f"begin_m,end_m,iri\n100,200,{found.segments[1]['iri_mean']}\n")
+    short, _ = known_factor(found, read_known_iri(str(tmp_path / "k.csv")))
+    assert short.factor == pytest.approx(1.0) and short.std > known.std
+    assert isinstance(short, KnownFactor)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("-1", "must be an IRI of 0.1 to 30"),
+        ("100", "must be an IRI of 0.1 to 30"),
+        ("nan", "must be an IRI of 0.1 to 30"),
+        ("missing.csv", "missing.csv: cannot be read"),
+        ("29", "more than a car and a mount explain"),
+    ],
+)
+def test_a_known_iri_that_cannot_be_is_refused(text, message):
+    with pytest.raises(ConfigError, match=message):
+        known_factor(result()[1], read_known_iri(text))
+
+
+def test_notes_stand_in_the_order_of_their_weight():
+    notes = (
+        "lat: values every 1 s are interpolated",
+        "something else",
+        "the device is mounted with its z axis 18 degrees from the vertical",
+        "33.8 times the instruments' noise power is left unexplained",
+        "the record fits a speed of 10 km/h better",
+        "lat: values every 1 s are interpolated",
+    )
+    assert in_order_of_weight(notes) == (notes[3], notes[4], notes[2], notes[1], notes[0])
+
+
+def test_indices_of_a_profile_are_those_of_its_paths_and_of_their_mean():
+    surface = realise_road("iso_c", 3, 250.0)
+    rows = profile_indices(surface.z, surface.ds, 100.0)
+    assert [(r["begin_m"], round(r["end_m"])) for r in rows] == [(0, 100), (100, 200), (200, 250)]
+    expected = iri(surface.z, surface.ds, segment=100.0)
+    assert [r["left"] for r in rows[:2]] == pytest.approx(list(expected[0]), rel=1e-6)
+    assert [r["mean"] for r in rows[:2]] == pytest.approx(list(expected.mean(axis=0)), rel=1e-6)
+    half = iri(surface.z.mean(axis=0), surface.ds, segment=100.0)
+    assert [r["half_car"] for r in rows[:2]] == pytest.approx(list(half), rel=1e-6)
+    (whole,) = profile_indices(surface.z, surface.ds, np.inf)
+    assert whole["left"] == pytest.approx(float(iri(surface.z[0], surface.ds)), rel=1e-6)
+    with pytest.raises(ValueError, match=r"at most 0\.3 m"):
+        profile_indices(surface.z, 0.5, 100.0)
+
+
+def test_the_command_iri_reads_a_profile(road_recon, tmp_path):
+    surface = realise_road("iso_c", 3, 250.0)
+    write_csv(surface, tmp_path / "road.csv")
+    code, out, err = road_recon("iri", "road.csv", "--json")
+    assert code == 0, err
+    told = json.loads(out)
+    (whole,) = profile_indices(surface.z, surface.ds, np.inf)
+    assert told["whole"]["mean"] == pytest.approx(whole["mean"], rel=1e-3)
+    assert len(told["segments"]) == 3
+    code, out, _ = road_recon("iri", "road.csv", "--segment", "50")
+    assert code == 0 and out.count("\n│") == 6
+    code, _, err = road_recon("iri", "nowhere.csv")
+    assert code == 2 and "no such file" in err
