@@ -30,6 +30,7 @@ from road_envs.core.artifacts import Kind
 from road_envs.core.atomic_io import write_text
 from road_envs.core.code_digest import ROOT
 from road_envs.core.config import ConfigError, Positive, Settings, build, read_yaml, validate_choice
+from studies.pages import write_pages
 
 LIST = Path(__file__).with_suffix(".yaml")
 MADE = ROOT / "docs" / "made"
@@ -187,6 +188,8 @@ def _make(names: Iterable[str], results: Mapping[str, KeptResult]) -> int:
         except ConfigError as error:
             failed += 1
             print(f"  failed: {error}", flush=True)
+    for page in write_pages():
+        print(f"written: {page.relative_to(ROOT)}; read the sentences beside its tables again")
     return failed
 
 

@@ -30,6 +30,7 @@ def kept(tmp_path, monkeypatch):
         "ROOT": tmp_path,
         "MADE": tmp_path / "docs" / "made",
         "WORK": tmp_path / "out",
+        "write_pages": lambda: [],
         "known_results": lambda: {"seven": made},
         "stale_reason": results.stale_reason.__wrapped__,
     }.items():

@@ -11,7 +11,8 @@ KEPT = (ROOT / "docs/runs/new_road.txt").read_text(encoding="utf-8")
 def rows(text: str) -> dict[str, list[str]]:
     """Return the numbers of each row of the first table, by estimator."""
     table = text[re.search(r"estimator +rank", text).start() :].splitlines()[1:]
-    end = next(k for k, line in enumerate(table) if not line.strip() or line.startswith("```"))
+    ends = (k for k, line in enumerate(table) if not line.strip() or line.startswith("```"))
+    end = next(ends, len(table))
     return {line.split()[0]: line.split()[1:] for line in table[:end]}
 
 

@@ -1,0 +1,51 @@
+"""Tables of README and docs that are copies of kept outputs, written from them.
+
+    <!-- output: docs/runs/new_road.txt 0 -->
+    ```text
+    ...
+    ```
+
+The block of code becomes the output without its commands; a number behind the path takes the one
+part, of those that blank lines separate. `python -m studies.results make` writes all pages.
+"""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+from road_envs.core.atomic_io import write_text
+from road_envs.core.code_digest import ROOT
+from road_envs.core.config import ConfigError
+
+COPY = re.compile(r"(<!-- output: (\S+?)(?: (\d+))? -->\n```text\n)(.*?)(\n```)", re.S)
+
+
+def pages(root: Path = ROOT) -> list[Path]:
+    """README and every page of the docs."""
+    return [root / "README.md", *sorted((root / "docs").glob("**/*.md"))]
+
+
+def with_outputs(text: str, read: Callable[[str], str]) -> str:
+    """Text of a page with its copies as today's outputs are. Raises ConfigError."""
+
+    def copy(found: re.Match[str]) -> str:
+        head, path, part, _, end = found.groups()
+        lines = [line for line in read(path).splitlines() if not line.startswith("$ ")]
+        parts = "\n".join(lines).strip("\n").split("\n\n")
+        if part is not None and int(part) >= len(parts):
+            raise ConfigError(f"{path} has {len(parts)} parts, and a page asks for part {part}")
+        return head + ("\n\n".join(parts) if part is None else parts[int(part)]) + end
+
+    return COPY.sub(copy, text)
+
+
+def write_pages(root: Path = ROOT) -> list[Path]:
+    """Write the copies of all pages; returns the pages that changed. Raises ConfigError."""
+    changed = []
+    for page in pages(root):
+        text = page.read_text(encoding="utf-8")
+        new = with_outputs(text, lambda path: (root / path).read_text(encoding="utf-8"))
+        if new != text:
+            write_text(page, new)
+            changed.append(page)
+    return changed

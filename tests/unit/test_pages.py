@@ -1,0 +1,40 @@
+"""Tables of pages that are copies of kept outputs."""
+
+import pytest
+
+from road_envs.core.code_digest import ROOT
+from road_envs.core.config import ConfigError
+from studies.pages import pages, with_outputs, write_pages
+
+PAGE = "Before.\n\n<!-- output: runs/a.txt 1 -->\n```text\nold\n```\n\nAfter.\n"
+OUTPUT = "$ command --seeds 2\ntable\n1 2\n\nsecond\n3 4\n"
+
+
+def test_a_copy_is_the_part_of_the_output_without_commands():
+    assert with_outputs(PAGE, lambda path: OUTPUT) == PAGE.replace("old", "second\n3 4")
+    whole = PAGE.replace("a.txt 1", "a.txt")
+    assert "```text\ntable\n1 2\n\nsecond\n3 4\n```" in with_outputs(whole, lambda path: OUTPUT)
+
+
+def test_a_part_that_the_output_lacks_is_refused():
+    with pytest.raises(ConfigError, match=r"runs/a.txt has 1 parts, and a page asks for part 1"):
+        with_outputs(PAGE, lambda path: "one")
+
+
+def test_pages_are_written_only_where_they_change(tmp_path):
+    (tmp_path / "docs/deep").mkdir(parents=True)
+    (tmp_path / "runs").mkdir()
+    (tmp_path / "runs/a.txt").write_text(OUTPUT)
+    (tmp_path / "README.md").write_text("No copy.")
+    (tmp_path / "docs/deep/page.md").write_text(PAGE)
+    assert write_pages(tmp_path) == [tmp_path / "docs/deep/page.md"]
+    assert write_pages(tmp_path) == []
+
+
+def test_every_copy_in_readme_and_docs_is_the_kept_output():
+    copies = 0
+    for page in pages():
+        text = page.read_text(encoding="utf-8")
+        copies += text.count("<!-- output: ")
+        assert with_outputs(text, lambda path: (ROOT / path).read_text("utf-8")) == text, page
+    assert copies >= 1
