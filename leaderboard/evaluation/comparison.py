@@ -37,6 +37,10 @@ TRACE_STEPS = 1
 """Difference of the stored heights of two traces, in units of 0.01 mm: that of their rounding."""
 
 
+LARGEST_DISTANCE = 2.0
+"""Distance of a value from its negative; no two values are farther apart."""
+
+
 class Distance(NamedTuple):
     """The score of two results of a drive whose values are the farthest apart, and how far."""
 
@@ -45,9 +49,9 @@ class Distance(NamedTuple):
 
 
 def distance(score: str, a: float | None, b: float | None) -> float:
-    """Return the distance [-] of two values of a score; infinite if only one of them is defined."""
+    """Distance [-] of two values of a score, from 0 to 2; 2 if only one of them is defined."""
     if a is None or b is None:
-        return 0.0 if a is b else np.inf
+        return 0.0 if a is b else LARGEST_DISTANCE
     form = SCORES[score]
     floor = PRINTED_STEPS * 10.0**-form.digits / form.factor
     return abs(a - b) / max(abs(a), abs(b), floor)

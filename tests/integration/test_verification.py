@@ -15,7 +15,7 @@ from leaderboard.evaluation import evaluate, store
 from leaderboard.evaluation.comparison import OTHER_KERNELS, SAME_KERNELS
 from leaderboard.evaluation.provenance import describe_environment
 from leaderboard.metrics.baselines import BASELINES
-from leaderboard.report.cache import build_report
+from leaderboard.report.cache import report_key
 from leaderboard.running.board import create_baselines, load_board
 from leaderboard.running.verification import (
     kernel_notes,
@@ -74,6 +74,16 @@ def test_an_altered_score_is_found_by_its_distance(tmp_path):
     assert [name for name, row in found.items() if not row.agrees] == ["reader"]
     assert found["reader"].score == "nrmse"
     assert found["reader"].distance == pytest.approx(0.01 * score / max(1.01 * score, 0.1))
+
+
+def test_a_score_and_a_drive_that_a_row_lacks_are_as_far_as_can_be_and_kept_so(tmp_path):
+    run(tmp_path)
+    row = store.load(store.row_path(tmp_path, "small", "reader"))
+    store.save(dataclasses.replace(row, drives=row.drives[:-1]), tmp_path)
+    found = verify(tmp_path, share=1.0)
+    assert found["reader"].distance == 2.0 and not found["reader"].agrees
+    save_verified(found.values(), tmp_path)
+    assert load_verified(tmp_path)[row.identity] == [found["reader"]]
 
 
 def test_a_row_of_other_kernels_has_the_wider_tolerance(tmp_path):
@@ -139,9 +149,9 @@ def test_what_was_verified_is_kept_by_row_and_kernels_and_shown(tmp_path):
         save_verified([row, dataclasses.replace(found, reason="stale", identity="x")], tmp_path)
     (rows,) = load_verified(tmp_path).values()
     assert {row.kernels: row.distance for row in rows} == {"A": 0.2, "B": 0.1}
-    before = build_report(board).key
+    before = report_key(board)
     board = load_board(board.tasks, tmp_path, make_request().rows())
-    assert build_report(board).key != before
+    assert report_key(board) != before
     (tmp_path / "verified.json").write_text("{}")
     assert load_verified(tmp_path) == {}
 
