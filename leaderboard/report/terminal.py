@@ -85,8 +85,10 @@ def _family_table(view: BoardView, section: Section) -> Table | None:
     names = section.groups.get("family", ())
     if not names or view.definition.ranks_by != "nrmse":
         return None
+    shown = [row.groups.get(name, {}) for row in section.rows for name in names]
+    worst = " (worst drive)" if any(values.get(WORST) is not None for values in shown) else ""
     table = Table(
-        title="NRMSE by family of roads: interquartile mean (worst drive of 5 roads or more)",
+        title=f"NRMSE by family of roads: interquartile mean{worst}",
         title_justify="left", box=None, padding=(0, 1, 0, 0), pad_edge=False,
     )  # fmt: skip
     table.add_column("estimator", no_wrap=True)
