@@ -130,6 +130,7 @@ def simulate_sensors(
             tape = linearize_drive(
                 plant, strut_state, state, road, inputs.h,
                 commands=inputs.commands[first:last], lag=car.valve.lag,
+                v=inputs.v[2 * first + 1 : 2 * last : 2],
             )  # fmt: skip
         except ArithmeticError:
             break

@@ -103,5 +103,5 @@ def rest_state(car: VehicleParameters, inputs: ModelInputs) -> np.ndarray:
     """
     plant = build_plant(car)
     if car.tyre_static_deflection != "equilibrium":
-        return np.zeros(2 * plant.inertias.size)  # the paper's start, some millimetres off
+        return np.zeros(2 * plant.n_dof)  # the paper's start, some millimetres off
     return equilibrium(plant, settled_strut_state(int(inputs.commands[0])), np.zeros(4))

@@ -34,7 +34,8 @@ def build_model(
     one, locations = build_plant(car), instruments.locations(car)
     line, bending = linearise(one, "ride", locations), sensed_bending(car, locations)
     # a constant force over so short a time as a block moves the vehicle like free masses
-    accel = (line.strut_rows / line.M).T
+    inverse = line.inverse_inertia
+    accel = (line.strut_rows / line.M).T if inverse is None else inverse @ line.strut_rows.T
     time = steps_per_block * model_inputs.h
     force_effect = [line.sensor_rows @ accel, 0.5 * time**2 * accel, time * accel]
     section = np.zeros((0, 6))
@@ -64,6 +65,8 @@ def build_model(
         bending_shape=np.zeros(3) if bending is None else bending.shape,
         bending_section=section.ravel(),
         flexible=True if one.flexible else None,
+        side=True if one.sideways else None,
+        node_spacing=float(node_spacing),
         wheelbase_nodes=car.wheelbase / node_spacing,
         noise_variance=noise_variance,
         noise_time=NOISE_TIME / (steps_per_block * model_inputs.h),

@@ -16,7 +16,8 @@ from road_envs.kernels.simd import LANES, broadcast
 from road_envs.kernels.simd_arrays import add, get, put, stack_array, stack_rows
 from road_envs.simulation.rosenbrock import (
     ACCELERATION,
-    N_FLEXIBLE_SIGNALS,
+    N_SIDE_SIGNALS,
+    SIDE,
     TWIST,
     WORKSPACE_ROWS,
     StepInputs,
@@ -76,7 +77,7 @@ def linearize_block(
     block.factors[:] = 0.0
     for s in range(3):
         block.factors[s, block.end_state.size + s] = 1.0
-    tangent_columns(model, local, first, rows, weights, block)
+    tangent_columns(model, inputs, local, first, rows, weights, block)
 
 
 @kernel(inline=False)
@@ -85,7 +86,7 @@ def simulate_block(
 ):
     """Simulate the block: fill the tape `rows`, `block.end_state` and `block.predicted`."""
     p, work = model.constants[0], step_workspace(stack_array(WORKSPACE_ROWS))
-    out = stack_array(N_FLEXIBLE_SIGNALS)
+    out = stack_array(N_SIDE_SIGNALS)
     n_dof = model.strut_rows.shape[1]
     end = block.end_state
     for i in range(end.size):
@@ -94,7 +95,7 @@ def simulate_block(
     motion, bending = Motion(end[:n_dof], end[n_dof : 2 * n_dof]), end[2 * n_dof :]
     road, x, (node, height, slope) = np.empty(16), local.x, weights
     acceleration = np.empty(n_dof)
-    step_inputs, sensor_rows = StepInputs(road, np.zeros(4), model.h), model.sensor_rows
+    no_manoeuvre, sensor_rows = np.zeros(4), model.sensor_rows
     predicted = np.zeros(3)
     alpha = 1.0 - np.exp(-model.h / model.valve_lag)
     samples = 0
@@ -111,13 +112,20 @@ def simulate_block(
                     road[8 * half + 2 * axle + side] = z
                     road[8 * half + 4 + 2 * axle + side] = rate
         update_valves(p, local.strut_state, motion.q, inputs.commands[first + k], alpha, model.h)
-        step_with_derivative(vehicle, motion, step_inputs, work, out, rows[k], model.flexible)
+        v = inputs.node_rate[2 * (first + k) + 1] * model.node_spacing
+        step_inputs, flags = (
+            StepInputs(road, no_manoeuvre, model.h, v),
+            (model.flexible, model.side),
+        )
+        step_with_derivative(vehicle, motion, step_inputs, work, out, rows[k], *flags)
         if (first + k) % model.decimation == 0:
             samples += 1
             for i in range(N_DOF):
                 acceleration[i] = out[ACCELERATION + i]
-            if n_dof > N_DOF:
+            if model.flexible is not None:
                 acceleration[N_DOF] = out[TWIST + 2]
+            if model.side is not None:
+                acceleration[n_dof - 2], acceleration[n_dof - 1] = out[SIDE + 4], out[SIDE + 5]
             bent = 0.0
             if bending.size > 0:
                 bent = bend(model, acceleration, bending)
@@ -174,7 +182,13 @@ def node_derivatives(weights: AxleWeights, i, direction, road):
 
 @kernel(inline=False)
 def tangent_columns(
-    model: FilterModel, local: LocalState, first, rows, weights: AxleWeights, block
+    model: FilterModel,
+    inputs: FilterInputs,
+    local: LocalState,
+    first,
+    rows,
+    weights: AxleWeights,
+    block,
 ):
     """Write the tangents along the vehicle states and the nodes to `block.factors`."""
     n_dof, n_vehicle, node = model.strut_rows.shape[1], block.end_state.size, weights.node
@@ -193,8 +207,9 @@ def tangent_columns(
         samples += sampled
         for group in range(groups):
             motion = Motion(y[group, :n_dof], y[group, n_dof : 2 * n_dof])
-            changes = StepInputs(road[group], None, h)
-            tangent_step(p, rows[i], motion, changes, work, a, model.flexible)
+            v = inputs.node_rate[2 * (first + i) + 1] * model.node_spacing
+            changes = StepInputs(road[group], None, h, v)
+            tangent_step(p, rows[i], motion, changes, work, a, model.flexible, model.side)
             if sampled:
                 bent = broadcast(0.0)
                 if n_vehicle > 2 * n_dof:

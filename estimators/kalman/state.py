@@ -39,9 +39,9 @@ class FilterModel(NamedTuple):
     constant over a block. `valve_lag` [s]. Bending of the body: modal force
     per heave and pitch acceleration `bending_force` (2,), shape at the sensors `bending_shape`
     (3,), and the coefficients `bending_section` (6,) of its filter, (0,) if the body is stiff.
-    `flexible`: True of a frame that twists, else None.
+    `flexible`: True of a frame that twists, else None; `side` of side motion.
 
-    Road: `wheelbase_nodes`, the wheelbase in nodes.
+    Road: `wheelbase_nodes`, the wheelbase in nodes; `node_spacing` [m].
 
     Measurements: step `h` [s], `steps_per_block`, one sample in `decimation` steps,
     `noise_variance` [(m/s²)²] of a sample, whose factor adapts over `noise_time` blocks.
@@ -64,7 +64,9 @@ class FilterModel(NamedTuple):
     bending_shape: np.ndarray
     bending_section: np.ndarray
     flexible: bool | None
+    side: bool | None
     wheelbase_nodes: float
+    node_spacing: float
     noise_variance: float
     noise_time: float
 

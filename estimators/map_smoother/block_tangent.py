@@ -39,7 +39,8 @@ class NodeTrack(NamedTuple):
 
     At each half step (2 N,): node number `front_node` of the front axle and `node_rate` [nodes/s].
     `first` (M, 2): the first of `width` nodes that each axle passes in a chunk, of `size` in all.
-    `n_states` of the vehicle: 14, or 16 with a flexible frame.
+    `n_states` of the vehicle: 14, or 16 with a flexible frame, four more with side motion; `ds`
+    [m]: distance of the nodes.
     """
 
     front_node: np.ndarray
@@ -49,6 +50,7 @@ class NodeTrack(NamedTuple):
     width: int
     size: int
     n_states: int
+    ds: float
 
 
 @kernel
@@ -88,11 +90,13 @@ class Sampling(NamedTuple):
 
 
 @kernel
-def fill_chunk_matrices(constants, rows, h, track: NodeTrack, sampling: Sampling, P, flexible=None):
+def fill_chunk_matrices(
+    constants, rows, h, track: NodeTrack, sampling: Sampling, P, flexible=None, side=None
+):
     """Write the matrices of all chunks to `P` (M, C, N_ROWS), transposed: a column in each row,
     those of the nodes before those of the states.
 
-    `rows` of the tape; `flexible` as of `sensitivity.tangent_step`.
+    `rows` of the tape; `flexible`, `side` as of `sensitivity.tangent_step`.
     """
     n_states, n_dof = track.n_states, track.n_states // 2
     decimation, sample_weight, sensor_rows = sampling
@@ -115,8 +119,9 @@ def fill_chunk_matrices(constants, rows, h, track: NodeTrack, sampling: Sampling
             at = sample // block
             for group in range((begun + LANES - 1) // LANES):
                 motion = Motion(y[group, :n_dof], y[group, n_dof:])
-                step_inputs = StepInputs(road[group], None, h)
-                tangent_step(p, rows[n], motion, step_inputs, work, a, flexible)
+                v = track.node_rate[2 * n + 1] * track.ds
+                step_inputs = StepInputs(road[group], None, h, v)
+                tangent_step(p, rows[n], motion, step_inputs, work, a, flexible, side)
                 if n % decimation == 0:
                     for i in range(sensors):
                         sensed = broadcast(0.0)
@@ -248,9 +253,11 @@ def build_block_tangent(
     width = int((high - low).max()) + 4
     first = np.minimum(low - 1, road.size - width)
     P = np.empty((begin.size, 4 * width + n_states, N_ROWS), dtype=np.float32)
-    track = NodeTrack(x, inputs.v / road.ds, wheelbase_nodes, first, width, road.size, n_states)
+    track = NodeTrack(
+        x, inputs.v / road.ds, wheelbase_nodes, first, width, road.size, n_states, road.ds
+    )
     sampling = Sampling(inputs.decimation, sample_weight, sensor_rows)
-    flexible = (True,) if tape.plant.flexible else ()
-    fill_chunk_matrices(tape.plant.constants, tape.rows, tape.h, track, sampling, P, *flexible)
+    flags = tape.plant.kernel_flags
+    fill_chunk_matrices(tape.plant.constants, tape.rows, tape.h, track, sampling, P, *flags)
     P = P.reshape(*P.shape[:2], N_ROWS // LANES, LANES)
     return BlockTangent(P, first, width, road.size, (sensors, blocks), n_states)

@@ -118,7 +118,9 @@ def varied_residuals(lin: Linearization, varied: Sequence[Objective]) -> np.ndar
     c = objective.road.coefficients(u)
     road = objective.road_under_wheels(c, objective.wheelbase(lin.x))
     inputs, strut_state = objective.inputs, objective.strut_state
-    shared = SharedInputs(road, inputs.commands, strut_state, objective.model.valve_lag, inputs.h)
+    shared = SharedInputs(
+        road, inputs.commands, strut_state, objective.model.valve_lag, inputs.h, inputs.v[1::2]
+    )
     starts = [one.initial_state + start for one in varied]
     motions = drive_variants([one.model.plant for one in varied], starts, shared)
     left = np.array([one.residual(a, bias) for one, a in zip(varied, motions, strict=True)])

@@ -183,6 +183,7 @@ class Objective:
             self.inputs.h,
             commands=self.inputs.commands,
             lag=self.model.valve_lag,
+            v=self.inputs.v[1::2],
         )
 
     def residual_at(self, x: np.ndarray, plant: Plant | None = None) -> tuple[np.ndarray, Tape]:

@@ -265,7 +265,8 @@ def _linear_model(objective: Objective, mode: dict[str, str]) -> LinearModel:
     model = objective.model
     damping = gaussian_damping(model.plant, mode, DAMPING_RATE)
     locations = {**model.locations, **({} if model.bending is None else BODY)}
-    return linearise(model.plant, mode, locations, damping=damping)
+    v = float(objective.inputs.v.mean())
+    return linearise(model.plant, mode, locations, damping=damping, speed=v)
 
 
 def _start_gramian(objective: Objective) -> np.ndarray:

@@ -157,7 +157,7 @@ def responses(
     v, mode, f, n = segment.v, segment.mode, model.f, model.n
     vehicle = SensedVehicle.of(space.from_vector(x), instruments)
     damping = equivalent_damping(vehicle.plant, mode, v, model.prior)
-    linear = linearise(vehicle.plant, mode, vehicle.points, damping=damping)
+    linear = linearise(vehicle.plant, mode, vehicle.points, damping=damping, speed=v)
     rate = strut_rate_std(linear, v, f, model.S / v)
     from_rate = gaussian_damping(vehicle.plant, mode, rate)
     shifted = DIFFERENCE * np.eye(space.size)
@@ -168,6 +168,7 @@ def responses(
             mode,
             one.points,
             damping=damping * gaussian_damping(one.plant, mode, rate) / from_rate,
+            speed=v,
         )
         for one in others
     ]

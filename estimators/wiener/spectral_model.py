@@ -185,7 +185,7 @@ def build_model(
     n[0] = 0.5 * n[1]  # at 0 the responses vanish and the prior is infinite
     f = n * v
     damping = equivalent_damping(plant, segment.mode, v, prior)
-    linear = linearise(plant, segment.mode, vehicle.points, damping=damping)
+    linear = linearise(plant, segment.mode, vehicle.points, damping=damping, speed=v)
     enveloped = vehicle.envelope(n)[:, None, None]
     H_force, X_force = force_response(linear, f)
     law = nonlinear_residual(plant, segment.mode, damping)

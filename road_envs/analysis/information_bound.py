@@ -228,7 +228,7 @@ def measurement(
         if isinstance(car, Plant):
             raise ValueError("a plant has no sensor locations: give locations")
         locations = instruments.locations(car)
-    model = linearise(car, mode, locations, damping=damping)
+    model = linearise(car, mode, locations, damping=damping, speed=v)
     H = frequency_response(model, v, n=n)
     H[n * v > f_c] = 0.0
     # density over n; the lower limit keeps R regular for noise-free instruments
@@ -257,7 +257,7 @@ def equivalent_damping(
     S = prior.spectrum(f / v) / v
     damping = gaussian_damping(model_plant, mode, 0.1)
     for _ in range(60):
-        model = linearise(model_plant, mode, {}, damping=damping)
+        model = linearise(model_plant, mode, {}, damping=damping, speed=v)
         std = np.maximum(strut_rate_std(model, v, f, S), 1e-6)
         new = gaussian_damping(model_plant, mode, std)
         change = np.abs(np.log(new / damping)).max()

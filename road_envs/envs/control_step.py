@@ -306,7 +306,7 @@ def advance_blocks(blocks, state, parameters, inputs, workspace, output):
     n, h = delayed.shape[0], parameters.h
     scratch = LaneScratch(
         step_workspace(stack_rows(WORKSPACE_ROWS)), stack_rows(16), stack_rows(2), stack_rows(2),
-        stack_rows(32), stack_rows(N_SIGNALS),
+        stack_rows(40), stack_rows(N_SIGNALS),
     )  # fmt: skip
     signals, sums = stack_rows(N_SIGNALS), stack_rows(N_SUMS)
     for b in blocks:
@@ -336,7 +336,7 @@ def advance_blocks(blocks, state, parameters, inputs, workspace, output):
         for k in range(lanes):
             events[k, ROLLOVER] = events[k, NONFINITE_STEP] = -1
         for i in range(n):
-            take_step(vehicles, roads, drive_inputs, i, scratch, signals, None)
+            take_step(vehicles, roads, drive_inputs, i, scratch, signals, None, None)
             find_failures(signals, i, events)
             _measure(
                 parameters, state.sensor_rows[b], state.antialias_state[b], signals, i, workspace

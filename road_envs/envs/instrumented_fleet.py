@@ -101,6 +101,10 @@ class InstrumentedFleet:
                 "an instrumented fleet does not support a flexible frame; use a vehicle variation "
                 "without one"
             )
+        if plant.sideways:
+            raise ConfigError(
+                "an instrumented fleet does not support side motion; use a vehicle without `side`"
+            )
         logger = DataLogger(instruments, car, step, np.random.default_rng(0))
         if steps % logger.decimation:
             raise ConfigError(

@@ -166,7 +166,7 @@ def adaptive_kernel(vehicle, y, surface, inputs, out):
         for k in range(3):
             s = s_0 + v * (now + 0.5 * k * h)
             sample_road(p, surface, s, v, road[8 * k : 8 * k + 8])
-        step(vehicle, motion, StepInputs(road[:16], a_xy, h), work, signals_0)
+        step(vehicle, motion, StepInputs(road[:16], a_xy, h, v), work, signals_0)
         step_error(vehicle, signals_0, y, road, h, work, error)
         max_ratio = 0.0
         for j in range(2 * N_DOF):
@@ -217,9 +217,10 @@ def integrate_adaptive(
             "the simulator must be at its start, without a manoeuvre and at one speed; use "
             "DriveSimulator.advance for other drives"
         )
-    if simulator.plant.flexible:
+    if simulator.plant.kernel_flags:
         raise ValueError(
-            "adaptive steps do not support a flexible frame; use DriveSimulator.advance"
+            "adaptive steps support neither a flexible frame nor side motion; use "
+            "DriveSimulator.advance"
         )
     if not (rtol > 0 and atol > 0 and max_step > 0):
         raise ValueError(

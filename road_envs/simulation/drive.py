@@ -54,7 +54,7 @@ class Trajectory:
 
     @property
     def state(self) -> np.ndarray:
-        """Coordinates and rates (N, 14), as in `equations`."""
+        """Coordinates and rates (N, 14), as in `equations`, but for twist and side motion."""
         return self.signals[:, : 2 * N_DOF]
 
     @property
@@ -75,7 +75,12 @@ class Trajectory:
     @property
     def twist(self) -> np.ndarray:
         """Twist of the frame (N, 3): angle [rad], rate and acceleration; (N, 0) if it is rigid."""
-        return self.signals[:, rosenbrock.TWIST :]
+        return self.signals[:, rosenbrock.TWIST : rosenbrock.N_FLEXIBLE_SIGNALS]
+
+    @property
+    def side(self) -> np.ndarray:
+        """Side motion (N, 6), as from `rosenbrock.SIDE` on; (N, 0) of a vehicle without."""
+        return self.signals[:, rosenbrock.SIDE :]
 
     def vertical_acceleration(self, x: float, y: float, axle: int | None = None) -> np.ndarray:
         """Return the vertical acceleration (N,) [m/s²] of a point at (x, y) [m].
@@ -158,7 +163,7 @@ class DriveSimulator:
     def _at_rest(self) -> np.ndarray:
         if self.car.tyre_static_deflection != "equilibrium":
             # the paper starts there, some millimetres off equilibrium
-            return np.zeros(2 * self.plant.inertias.size)
+            return np.zeros(2 * self.plant.n_dof)
         # stations and heights in the order of wheels FL, FR, RL, RR
         s = self.start - np.array([0.0, 0.0, self.car.wheelbase, self.car.wheelbase])
         heights = self.surface.height(s)[[0, 1, 0, 1], range(4)]
@@ -222,10 +227,10 @@ class DriveSimulator:
         signals = np.empty((n, rosenbrock.n_signals(self.plant)))
         delayed = self.delayed_commands(commands)
         inputs = DriveInputs(s, v, a_xy.ravel(), delayed, self.step)
-        # no argument for a rigid frame: its kernel then compiles without flexible_step
-        flexible = (True,) if signals.shape[1] > rosenbrock.N_SIGNALS else ()
-        road, lag = self.surface.buffers, self.car.valve.lag
-        rosenbrock.integrate(self._vehicle, self.state, road, inputs, lag, signals, *flexible)
+        if signals.shape[1] > rosenbrock.N_FLEXIBLE_SIGNALS:
+            signals[:, rosenbrock.TWIST : rosenbrock.SIDE] = 0.0
+        road, lag, flags = self.surface.buffers, self.car.valve.lag, self.plant.kernel_flags
+        rosenbrock.integrate(self._vehicle, self.state, road, inputs, lag, signals, *flags)
         t = self.step * (self.steps + np.arange(n))
         self.steps += n
         if not np.isfinite(self.state).all():

@@ -17,6 +17,7 @@ from road_envs.kernels._numba import kernel
 from road_envs.kernels.simd import (
     LANES,
     any_positive,
+    broadcast,
     equals_one,
     if_positive,
     integer_part,
@@ -33,13 +34,14 @@ from road_envs.simulation.lanes import (
     update_lane_valves,
 )
 from road_envs.simulation.rosenbrock import (
-    N_FLEXIBLE_SIGNALS,
+    N_SIDE_SIGNALS,
+    SIDE,
+    TWIST,
     WORKSPACE_ROWS,
     StepInputs,
     StepWorkspace,
-    flexible_step,
+    any_step,
     n_signals,
-    step,
     step_workspace,
 )
 from road_envs.simulation.substeps import SUBSTEPS, interpolate, mark_steep
@@ -145,7 +147,7 @@ class LaneScratch(NamedTuple):
     """Scratch of `take_step`, on the stack of its caller: all but `work` are rows of lanes.
 
     `road` (16,); `front` (2,): heights under the front wheels at the beginning of the last step;
-    `steep` (2,): which lanes are, and zeros; `motions` (32,): two Motions; `unused` (32,): signals.
+    `steep` (2,): which lanes are, and zeros; `motions` (40,): two Motions; `unused` (38,): signals.
     """
 
     work: StepWorkspace
@@ -157,17 +159,18 @@ class LaneScratch(NamedTuple):
 
 
 @kernel
-def take_step(lanes, roads, inputs, n, scratch, signals, flexible):
+def take_step(lanes, roads, inputs, n, scratch, signals, flexible, side):
     """Take step `n` of the DriveInputs of LaneBuffers over RoadBuffers; `a_xy` may be NO_MANOEUVRE.
 
-    Its signals go to `signals` (29 or 32, LANES). `flexible` is None for rigid frames.
+    Its signals go to `signals` (29, 32 or 38, LANES). `flexible` is None for rigid frames, and
+    `side` without side motion.
     """
     p, q, strut_state = lanes.lane_constants[0], lanes.q, lanes.strut_state
     vehicle = VehicleBuffers(lanes.lane_constants, lanes.velocity, lanes.displacement, strut_state)
     motion, s, speed, h = Motion(q, lanes.v), inputs.s, inputs.v, inputs.h
     road, valves, steep, motions = scratch.road, lanes.valves, scratch.steep, scratch.motions
     manoeuvre = inputs.a_xy.shape[0] > NO_MANOEUVRE.shape[0]
-    before, whole = Motion(motions[:8], motions[8:16]), Motion(motions[16:24], motions[24:])
+    before, whole = Motion(motions[:10], motions[10:20]), Motion(motions[20:30], motions[30:])
     sample_roads(p, roads, s[2 * n], speed[2 * n], road, 0)
     sample_roads(p, roads, s[2 * n + 1], speed[2 * n + 1], road, 8)
     put(scratch.front, 0, get(road, 0))
@@ -196,30 +199,32 @@ def take_step(lanes, roads, inputs, n, scratch, signals, flexible):
             sample_roads(p, roads, station, rate, road, 8 * half)
         first = (4 * n if manoeuvre else 0) + (2 * (2 * (i - 1) // SUBSTEPS) if i > 0 else 0)
         length = h / SUBSTEPS if i > 0 else h
-        step_inputs = StepInputs(road, inputs.a_xy[first : first + 4], length)
+        a_xy, v = inputs.a_xy[first : first + 4], get(speed, 2 * n + 1)
+        step_inputs = StepInputs(road, a_xy, length, v)
         row = signals if i == begin else scratch.unused
-        if flexible is None:
-            step(vehicle, motion, step_inputs, scratch.work, row)
-        else:
-            flexible_step(vehicle, motion, step_inputs, scratch.work, row)
+        any_step(vehicle, motion, step_inputs, scratch.work, row, flexible, side)
     if end > 1 and begin == 0:
         copy_lanes(whole, motion, steep[0])
 
 
 @kernel(inline=False, count_references=False)
-def integrate_lanes(lanes, roads, inputs, columns, out, flexible=None):
+def integrate_lanes(lanes, roads, inputs, columns, out, flexible=None, side=None):
     """Integrate the DriveInputs of LaneBuffers over RoadBuffers; `a_xy` may be NO_MANOEUVRE.
 
     The signals in `columns` (C,) go to `out` (N, C, LANES).
-    `flexible`, if given: the vehicles have flexible frames, so there are 32 signals.
+    `flexible`, if given: the vehicles have flexible frames, so there are 32 signals; `side`, if
+    given: they have side motion.
     """
     scratch = LaneScratch(
         step_workspace(stack_rows(WORKSPACE_ROWS)), stack_rows(16), stack_rows(2), stack_rows(2),
-        stack_rows(32), stack_rows(N_FLEXIBLE_SIGNALS),
+        stack_rows(40), stack_rows(N_SIDE_SIGNALS),
     )  # fmt: skip
-    signals = stack_rows(N_FLEXIBLE_SIGNALS)
+    signals = stack_rows(N_SIDE_SIGNALS)
+    if flexible is None and side is not None:
+        for j in range(TWIST, SIDE):
+            put(signals, j, broadcast(0.0))
     for n in range(inputs.commands.shape[0]):
-        take_step(lanes, roads, inputs, n, scratch, signals, flexible)
+        take_step(lanes, roads, inputs, n, scratch, signals, flexible, side)
         # writing more columns than the caches hold takes as long as the step itself
         for c in range(columns.size):
             put(out[n], c, get(signals, columns[c]))
@@ -239,7 +244,7 @@ class _Block:
             [drive.car.valve.lag for drive in lane_drives],
             self.h,
         )
-        self.flexible = (True,) if lane_drives[0].plant.flexible else ()
+        self.flags = lane_drives[0].plant.kernel_flags
         self.roads = road_buffers([drive.surface for drive in lane_drives])
         self.constant_speed_inputs = _constant_speed_inputs(lane_drives)
         # kept for the next call: the kernel of the system clears fresh memory page by page
@@ -256,7 +261,7 @@ class _Block:
         sent[:, :own], sent[:, own:] = commands, commands[:, -1:]
         delay_commands(self.delay_line, self.delay, sent, delayed)
         inputs = self.drive_inputs(delayed)
-        integrate_lanes(self.lanes, self.roads, inputs, columns, out, *self.flexible)
+        integrate_lanes(self.lanes, self.roads, inputs, columns, out, *self.flags)
         for drive in self.drives:
             drive.steps += n
 
@@ -337,6 +342,8 @@ class Fleet:
             raise ConfigError(f"the drives of a fleet must have one integrator step, got {steps} s")
         if len({drive.plant.flexible for drive in drives}) > 1:
             raise ConfigError("the cars of a fleet must all have a flexible frame, or none of them")
+        if len({drive.plant.sideways for drive in drives}) > 1:
+            raise ConfigError("the cars of a fleet must all have side motion, or none of them")
         rows = n_signals(drives[0].plant)
         columns = range(rows) if columns is None else columns
         if wrong := [c for c in columns if not 0 <= c < rows]:

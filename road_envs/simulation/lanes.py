@@ -16,12 +16,12 @@ from road_envs.kernels.simd import LANES, broadcast
 from road_envs.kernels.simd_arrays import get, put, stack_array, stack_rows
 from road_envs.simulation.rosenbrock import (
     ACCELERATION,
-    N_FLEXIBLE_SIGNALS,
+    N_SIDE_SIGNALS,
+    SIDE,
     TWIST,
     WORKSPACE_ROWS,
     StepInputs,
-    flexible_step,
-    step,
+    any_step,
     step_workspace,
     update_valves,
 )
@@ -64,7 +64,7 @@ def transpose_constants(constants: np.ndarray) -> np.ndarray:
 def update_lane_valves(constants, strut_state, q, k, byte, alpha, h):
     """Advance the valves of lane `k`, vehicle `constants` (1,); return whether all are settled."""
     # the valve law is written for the arrays of one vehicle: copy the lane out and back
-    own, own_q = stack_rows(4), stack_array(8)[: q.shape[0]]
+    own, own_q = stack_rows(4), stack_array(10)[: q.shape[0]]
     for w in range(strut_state.shape[0]):
         for j in range(strut_state.shape[1]):
             own[w, j] = strut_state[w, j, k]
@@ -83,8 +83,8 @@ class LaneBuffers(NamedTuple):
     `lane_constants` (1,) as of `transpose_constants`; for the valves, which move lane by lane, the
     same as `constants` (LANES,) and the factors `alpha` (LANES,) of `suspension.advance_valve`;
     tables `velocity` and `displacement`; `strut_state` (4, 3, LANES); `valves` (2, LANES): 1 where
-    those of a lane may move, as at the start, and their last commands; `q`, `v` (7, LANES), or
-    (8, LANES) if flexible.
+    those of a lane may move, as at the start, and their last commands; `q`, `v` (7, LANES), or as
+    many as of `equations.Motion`.
     """
 
     lane_constants: np.ndarray
@@ -131,11 +131,12 @@ def lane_buffers(
 
 
 @kernel(inline=False, count_references=False)
-def integrate_on_road(lanes, road, commands, h, out, flexible=None):
+def integrate_on_road(lanes, road, speed, commands, h, out, flexible=None, side=None):
     """Integrate LaneBuffers over the same `road` (N, 16), as in `rosenbrock.StepInputs`.
 
-    `commands` (N,): bytes that reach the valves. The accelerations of the coordinates go to `out`
-    (N, 7, LANES), of `flexible` vehicles to (N, 8, LANES).
+    `speed` (N,) [m/s]; `commands` (N,): bytes that reach the valves. The accelerations of the
+    coordinates go to `out` (N, 7, LANES), (8, LANES) of `flexible` vehicles, with those of `side`
+    motion behind.
     """
     q = lanes.q
     vehicle = VehicleBuffers(
@@ -143,7 +144,7 @@ def integrate_on_road(lanes, road, commands, h, out, flexible=None):
     )
     motion = Motion(q, lanes.v)
     work, inputs = step_workspace(stack_rows(WORKSPACE_ROWS)), stack_rows(16)
-    row = stack_rows(N_FLEXIBLE_SIGNALS)
+    row = stack_rows(N_SIDE_SIGNALS)
     no_manoeuvre = stack_rows(4)
     for j in range(4):
         put(no_manoeuvre, j, 0.0)
@@ -157,11 +158,13 @@ def integrate_on_road(lanes, road, commands, h, out, flexible=None):
                 own, alpha = lanes.constants[k : k + 1], lanes.alpha[k]
                 here = update_lane_valves(own, lanes.strut_state, q, k, commands[n], alpha, h)
                 settled = settled and here
-        if flexible is None:
-            step(vehicle, motion, StepInputs(inputs, no_manoeuvre, h), work, row)
-        else:
-            flexible_step(vehicle, motion, StepInputs(inputs, no_manoeuvre, h), work, row)
+        step_inputs = StepInputs(inputs, no_manoeuvre, h, speed[n])
+        any_step(vehicle, motion, step_inputs, work, row, flexible, side)
+        if flexible is not None:
             put(out[n], N_DOF, get(row, TWIST + 2))
+        if side is not None:
+            put(out[n], q.shape[0] - 2, get(row, SIDE + 4))
+            put(out[n], q.shape[0] - 1, get(row, SIDE + 5))
         for j in range(N_DOF):
             put(out[n], j, get(row, ACCELERATION + j))
 
@@ -171,7 +174,7 @@ class SharedInputs(NamedTuple):
 
     `road` (2 N, 2, 4): heights [m] and rates [m/s] under the wheels at each half step; `commands`
     (N,): bytes that reach the valves, of time constant `lag` [s]; `strut_state` (4, 3) at the
-    start.
+    start; `v` (N,) [m/s]: speed in the middle of each step.
     """
 
     road: np.ndarray
@@ -179,25 +182,27 @@ class SharedInputs(NamedTuple):
     strut_state: np.ndarray
     lag: float
     h: float
+    v: np.ndarray
 
 
 def drive_variants(
     plants: Sequence[Plant], starts: Sequence[np.ndarray], inputs: SharedInputs
 ) -> list[np.ndarray]:
-    """Return the accelerations (N, 7) of the coordinates of each plant; (N, 8) if flexible.
+    """Return the accelerations (N, 7) of the coordinates of each plant; (N, 8) if flexible, two
+    more with side motion.
 
-    `starts` (14,) or (16,): the first state of each. All plants are flexible, or none. A motion
-    that diverges is NaN.
+    `starts` (14,) or (16,): the first state of each. All plants are flexible, or none, and so with
+    side motion. A motion that diverges is NaN.
     """
     steps = inputs.commands.size
     road = np.ascontiguousarray(inputs.road.reshape(steps, 16))
-    flexible, found = (True,) if plants[0].flexible else (), []
-    out = aligned_zeros(steps, plants[0].inertias.size)
+    flags, found = plants[0].kernel_flags, []
+    out, v = aligned_zeros(steps, plants[0].n_dof), np.ascontiguousarray(inputs.v)
     for first in range(0, len(plants), LANES):
         chosen = [min(first + k, len(plants) - 1) for k in range(LANES)]
         own = [plants[i] for i in chosen], [starts[i] for i in chosen]
         shared = [inputs.strut_state] * LANES, [inputs.lag] * LANES
         lanes = lane_buffers(*own, *shared, inputs.h)
-        integrate_on_road(lanes, road, inputs.commands, inputs.h, out, *flexible)
+        integrate_on_road(lanes, road, v, inputs.commands, inputs.h, out, *flags)
         found += [out[:, :, k].copy() for k in range(min(LANES, len(plants) - first))]
     return found

@@ -38,10 +38,21 @@ from road_envs.vehicle.equations import (
     add_tyres,
     add_weight,
     extension,
+    has_twist,
     relative_roll,
+    roll_moments,
     twist_extension,
     twist_moment,
     wheel_height,
+)
+from road_envs.vehicle.side_motion import (
+    add_rolls,
+    advance_side,
+    rolls,
+    side_increments,
+    side_middle,
+    side_rates,
+    side_state,
 )
 from road_envs.vehicle.suspension import advance_valve, strut_force, valves_settled
 from road_envs.vehicle.tyres import tyre_force
@@ -55,9 +66,15 @@ N_SIGNALS = 29
 TWIST, N_FLEXIBLE_SIGNALS = 29, 32
 """Further columns of a flexible vehicle: frame twist [rad], its rate and its acceleration."""
 
+SIDE, N_SIDE_SIGNALS = 32, 38
+"""Further columns of a vehicle with side motion: d_front, d_rear, V, r, V' and r' of `side_motion`;
+those of the twist are 0 if its frame is rigid."""
+
 
 def n_signals(plant: Plant) -> int:
     """Return the number of signals of a vehicle."""
+    if plant.sideways:
+        return N_SIDE_SIGNALS
     return N_FLEXIBLE_SIGNALS if plant.flexible else N_SIGNALS
 
 
@@ -107,18 +124,19 @@ class StepInputs(NamedTuple):
 
     `road` (16,): heights [m] of the road under the four wheels at t, their rates [m/s], and both
     again at t + h/2. `a_xy` (4,): accelerations a_x, a_y [m/s²] of a manoeuvre at t and t + h/2;
-    None where it is not read.
+    None where it is not read. `v` [m/s]: speed at t + h/2, which side motion alone reads.
     """
 
     road: np.ndarray
     a_xy: np.ndarray | None
     h: float
+    v: float
 
 
 @kernel
 def _stage_1_at_wheel(vehicle, motion, inputs, work, out, twist, w):
     """Write the forces of strut and tyre `w` at t, their stiffness and their part of h d df/dt."""
-    road, _, h = inputs
+    road, h = inputs.road, inputs.h
     hd, p = h * D, vehicle.constants[0]
     (q, v), (F, T, dF, dT) = motion, (work.F, work.T, work.dF, work.dT)
     e, rate = extension(p, q, w), extension(p, v, w)
@@ -144,8 +162,10 @@ def _stage_1_at_wheel(vehicle, motion, inputs, work, out, twist, w):
 
 
 @kernel
-def _stage_2_at_wheel(vehicle, inputs, work, twist, w):
-    """Write the forces of strut and tyre `w` in the right-hand side of stage 2."""
+def _stage_2_at_wheel(vehicle, inputs, work, twist, side, w):
+    """Write the forces of strut and tyre `w` in the right-hand side of stage 2; with side motion
+    the forces themselves as well, to `work.dF` and `work.dT`.
+    """
     road, hd = inputs.road, inputs.h * D
     p, r, F, T = vehicle.constants[0], work.r, work.F, work.T
     e, e_dot = extension(p, work.q, w), extension(p, work.v, w)
@@ -157,16 +177,20 @@ def _stage_2_at_wheel(vehicle, inputs, work, twist, w):
     u_dot = get(road, 12 + w) - wheel_height(p, work.v, w)
     load, _, _ = tyre_force(p, w, u, u_dot)
     put(T, w, load - hd * get(work.k_t, w) * wheel_height(p, r, w))
+    if side is not None:
+        put(work.dF, w, force)
+        put(work.dT, w, load)
 
 
 @kernel
-def step(vehicle, motion, inputs, work, out, twist=None):
+def step(vehicle, motion, inputs, work, out, twist=None, side=None):
     """Advance the `motion` of one or LANES vehicles by one step of StepInputs, in place.
 
     The signals at t go to `out` (29,). `twist`, if given: the frame's twist [rad] and its rate at
-    t and at t + h/2 (4 numbers). With LANES vehicles every array has the lanes as its last axis.
+    t and at t + h/2 (4 numbers). `side`, if given: the vehicle has side motion, whose state is the
+    last of `motion`. With LANES vehicles every array has the lanes as its last axis.
     """
-    (q, v), (_, a_xy, h) = motion, inputs
+    (q, v), a_xy, h = motion, inputs.a_xy, inputs.h
     hd, p = h * D, vehicle.constants[0]
     f, g, r, k_q = work.f, work.g, work.r, work.k_q
     F, T, dF, dT = work.F, work.T, work.dF, work.dT
@@ -188,6 +212,16 @@ def step(vehicle, motion, inputs, work, out, twist=None):
     add_tyres(p, T, f)
     a_x, a_y = get(a_xy, 0), get(a_xy, 1)
     add_manoeuvre_moments(p, get(q, PHI), get(q, THETA), a_x, a_y, f)
+    if side is not None:
+        state = side_state(q, v)
+        rates = side_rates(p, rolls(q), rolls(v), rolls(f), state, inputs.v, a_y)
+        add_rolls(f, rates)
+        slopes = side_increments(p, rates, inputs.v, hd)
+        middle = side_middle(state, slopes, h)
+        for j in range(4):
+            put(out, SIDE + j, state[j])
+        put(out, SIDE + 4, rates[5])
+        put(out, SIDE + 5, rates[6])
     for j in range(N_DOF):
         put(g, j, get(f, j))
         put(out, STATE + j, get(q, j))
@@ -210,12 +244,22 @@ def step(vehicle, motion, inputs, work, out, twist=None):
         put(work.v, j, v_mid)
         put(r, j, v_mid - kq)
         put(f, j, -get(p.M, j) * kv)
-    _stage_2_at_wheel(vehicle, inputs, work, twist, 0)
-    _stage_2_at_wheel(vehicle, inputs, work, twist, 1)
-    _stage_2_at_wheel(vehicle, inputs, work, twist, 2)
-    _stage_2_at_wheel(vehicle, inputs, work, twist, 3)
+    _stage_2_at_wheel(vehicle, inputs, work, twist, side, 0)
+    _stage_2_at_wheel(vehicle, inputs, work, twist, side, 1)
+    _stage_2_at_wheel(vehicle, inputs, work, twist, side, 2)
+    _stage_2_at_wheel(vehicle, inputs, work, twist, side, 3)
     front = relative_roll(work.q, 0) + hd * relative_roll(r, 0)
     rear = relative_roll(work.q, 1) + hd * relative_roll(r, 1)
+    if side is not None:
+        own_f, own_r = relative_roll(work.q, 0), relative_roll(work.q, 1)
+        if twist is not None:
+            own_f += get(p.twist_share, 0) * twist[2]
+            own_r += get(p.twist_share, 1) * twist[2]
+        moments = roll_moments(p, work.dF, work.dT, own_f, own_r)
+        at, moving = rolls(work.q), rolls(work.v)
+        rates = side_rates(p, at, moving, moments, middle, inputs.v, get(a_xy, 3))
+        add_rolls(f, rates)
+        advance_side(p, motion, slopes, rates, inputs.v, h, hd)
     if twist is not None:
         front += get(p.twist_share, 0) * twist[2]
         rear += get(p.twist_share, 1) * twist[2]
@@ -231,8 +275,8 @@ def step(vehicle, motion, inputs, work, out, twist=None):
 
 
 @kernel
-def flexible_step(vehicle, motion, inputs, work, out):
-    """`step` of a vehicle with a flexible frame: `motion` (8,) with the twist last, `out` (32,).
+def flexible_step(vehicle, motion, inputs, work, out, side=None):
+    """`step` of a vehicle with a flexible frame: the twist follows the seven coordinates.
 
     The matrix W is block diagonal here: it omits the coupling of the seven rigid coordinates and
     the twist. The formula keeps order 2 with any matrix in place of the Jacobian, since
@@ -256,7 +300,7 @@ def flexible_step(vehicle, motion, inputs, work, out):
     k_v = (moment - hd * rate * psi_dot) * inverse
     k_q = psi_dot + hd * k_v
     psi_mid, psi_mid_dot = psi + 0.5 * h * k_q, psi_dot + 0.5 * h * k_v
-    step(vehicle, motion, inputs, work, out, (psi, psi_dot, psi_mid, psi_mid_dot))
+    step(vehicle, motion, inputs, work, out, (psi, psi_dot, psi_mid, psi_mid_dot), side)
     for w in range(4):
         e = extension(p, work.q, w) + twist_extension(p, psi_mid, w)
         e_dot = extension(p, work.v, w) + twist_extension(p, psi_mid_dot, w)
@@ -270,6 +314,15 @@ def flexible_step(vehicle, motion, inputs, work, out):
     m_v = (moment - inertia * k_v) * inverse
     put(q, N_DOF, psi + h * (k_q + r + hd * m_v))
     put(v, N_DOF, psi_dot + h * (k_v + m_v))
+
+
+@kernel
+def any_step(vehicle, motion, inputs, work, out, flexible, side):
+    """Take the step of a `flexible` frame or of a rigid one, with side motion or without."""
+    if flexible is None:
+        step(vehicle, motion, inputs, work, out, None, side)
+    else:
+        flexible_step(vehicle, motion, inputs, work, out, side)
 
 
 @kernel
@@ -299,15 +352,15 @@ def state_rate(vehicle, surface, s, v, y, out):
 def update_valves(p, strut_state, q, command, alpha, h):
     """Advance the `strut_state` (4, 3) of all struts by one step `h` [s] under a `command` byte.
 
-    `alpha`: see `suspension.advance_valve`; `q` is (7,), or (8,) of a flexible vehicle. Returns
-    whether all valves had settled before.
+    `alpha`: see `suspension.advance_valve`; `q` as of `equations.Motion`. Returns whether all
+    valves had settled before.
     """
     settled = True
     for w in range(4):
         setting = (command >> w) & 1, (command >> (4 + w)) & 1
         if not valves_settled(strut_state, w, setting):
             e = extension(p, q, w)
-            if q.size > N_DOF:
+            if has_twist(q):
                 e += twist_extension(p, q[N_DOF], w)
             advance_valve(p, strut_state, w, e, setting, alpha, h)
             settled = False
@@ -315,17 +368,17 @@ def update_valves(p, strut_state, q, command, alpha, h):
 
 
 @kernel(count_references=False)
-def integrate(vehicle, y, surface, inputs, lag, out, flexible=None):
+def integrate(vehicle, y, surface, inputs, lag, out, flexible=None, side=None):
     """Integrate `drive.DriveInputs`; the state `y` (14,) and the strut state change in place.
 
     `surface`: SurfaceBuffers; `lag` [s]: time constant of the valves. `out` (N, 29): the signals at
-    the beginning of each step. Of a `flexible` vehicle `y` is (16,) and `out` (N, 32). A step on a
-    steep road is divided (`substeps`).
+    the beginning of each step. Of a `flexible` vehicle `y` is (16,) and `out` (N, 32); with `side`
+    motion they are those of `n_signals`. A step on a steep road is divided (`substeps`).
     """
     p, work = vehicle.constants[0], step_workspace(stack_array(WORKSPACE_ROWS))
     road = stack_array(16)
     s, v, a_xy, commands, h = inputs
-    motion, unused = Motion(y[: y.size // 2], y[y.size // 2 :]), stack_array(N_FLEXIBLE_SIGNALS)
+    motion, unused = Motion(y[: y.size // 2], y[y.size // 2 :]), stack_array(N_SIDE_SIGNALS)
     alpha = 1.0 - np.exp(-h / lag)
     for n in range(commands.size):
         sample_road(p, surface, s[2 * n], v[2 * n], road[:8])
@@ -338,9 +391,6 @@ def integrate(vehicle, y, surface, inputs, lag, out, flexible=None):
                 speed = interpolate(v[2 * n : 2 * n + 3], i, half)
                 sample_road(p, surface, station, speed, road[8 * half : 8 * half + 8])
             first = 4 * n + 2 * (2 * i // parts)  # a manoeuvre hardly changes in half a step
-            step_inputs = StepInputs(road, a_xy[first : first + 4], h / parts)
+            step_inputs = StepInputs(road, a_xy[first : first + 4], h / parts, v[2 * n + 1])
             row = out[n] if i == 0 else unused
-            if flexible is None:
-                step(vehicle, motion, step_inputs, work, row)
-            else:
-                flexible_step(vehicle, motion, step_inputs, work, row)
+            any_step(vehicle, motion, step_inputs, work, row, flexible, side)

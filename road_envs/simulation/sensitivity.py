@@ -19,7 +19,8 @@ shortest gas column) the derivative is that of the branch taken by the step; the
 lift-off is neglected. A vehicle exactly at rest is at such a kink, because the friction law has
 opposite curvature for opening and closing struts. The strut state follows the commands, but its
 derivative is neglected: the dependence of a held extension on the road before the switch is
-missing. The adjoint does not support a flexible frame.
+missing. The adjoint supports neither a flexible frame nor side motion. Side motion is linear, so
+its tangent is the same law applied to changes; that by the speed is neglected.
 
 One row of the tape (TAPE_ROW_SIZE,) holds the derivative of one step. Per strut (4 each): K_1, C_1
 and K_2, C_2, stiffness and damping at stages 1 and 2; G_K, G_C and F_K, F_C, minus the derivatives
@@ -36,8 +37,7 @@ from road_envs.simulation.rosenbrock import (
     EXTENSION,
     TWIST,
     D,
-    flexible_step,
-    step,
+    any_step,
 )
 from road_envs.vehicle.equations import (
     N_DOF,
@@ -48,9 +48,19 @@ from road_envs.vehicle.equations import (
     add_tyres,
     extension,
     relative_roll,
+    roll_moments,
     twist_extension,
     twist_moment,
     wheel_height,
+)
+from road_envs.vehicle.side_motion import (
+    add_rolls,
+    advance_side,
+    rolls,
+    side_increments,
+    side_middle,
+    side_rates,
+    side_state,
 )
 from road_envs.vehicle.suspension import strut_curvature, strut_force
 from road_envs.vehicle.tyres import tyre_curvature, tyre_force
@@ -61,18 +71,13 @@ TAPE_ROW_SIZE = 74
 
 
 @kernel
-def step_with_derivative(vehicle, motion, inputs, work, out, row, flexible=None):
-    """Take `rosenbrock.step`, same arguments; write its derivative to `row` (TAPE_ROW_SIZE,).
-
-    Of a `flexible` vehicle, `rosenbrock.flexible_step`.
-    """
-    road, _, h = inputs
+def step_with_derivative(vehicle, motion, inputs, work, out, row, flexible=None, side=None):
+    """Take `rosenbrock.any_step`; write its derivative to `row` (TAPE_ROW_SIZE,)."""
+    road, h = inputs.road, inputs.h
     p, hd, before = vehicle.constants[0], h * D, out[N_DOF : 2 * N_DOF]
     psi_dot = psi_mid = psi_mid_dot = 0.0
-    if flexible is None:
-        step(vehicle, motion, inputs, work, out)
-    else:
-        flexible_step(vehicle, motion, inputs, work, out)
+    any_step(vehicle, motion, inputs, work, out, flexible, side)
+    if flexible is not None:
         psi_dot, moment = out[TWIST + 1], p.frame_inertia * out[TWIST + 2]
         k_v = (moment - hd * p.frame_rate * psi_dot) * _inverse_frame(p, hd)
         psi_mid = out[TWIST] + 0.5 * h * (psi_dot + hd * k_v)
@@ -116,15 +121,15 @@ def _inverse_frame(p, hd):
 
 
 @kernel
-def tangent_step(p, row, motion, inputs, work, a, flexible=None):
+def tangent_step(p, row, motion, inputs, work, a, flexible=None, side=None):
     """Propagate changes `motion` of coordinates and rates through one step, in place.
 
     `inputs`: changes of the StepInputs' road; their `a_xy` is not read. Writes the change of the
     accelerations (7,) at the step's beginning to `a`. For LANES directions at once, all arrays but
     `p` and `row` have the lanes as their last axis. Of a `flexible` vehicle, coordinates, rates and
-    accelerations are (8,).
+    accelerations are (8,), with `side` motion two more.
     """
-    (q, v), (road, _, h) = motion, inputs
+    (q, v), road, h = motion, inputs.road, inputs.h
     hd = h * D
     f, g, r, k_q, F, T, dF, dT = work.f, work.g, work.r, work.k_q, work.F, work.T, work.dF, work.dT
     blocks, body = row[BLOCKS:BODY], row[BODY:TAPE_ROW_SIZE]
@@ -165,6 +170,15 @@ def tangent_step(p, row, motion, inputs, work, a, flexible=None):
     add_tyres(p, dT, g)
     phi, theta = get(q, PHI) + hd * get(v, PHI), get(q, THETA) + hd * get(v, THETA)
     add_manoeuvre_moments(p, phi, theta, 0.0, 0.0, g)
+    if side is not None:  # f and g hold the moments alone, g those of W' k as well
+        state = side_state(q, v)
+        rates = side_rates(p, rolls(q), rolls(v), rolls(f), state, inputs.v, 0.0)
+        add_rolls(f, rates)
+        add_rolls(g, rates)
+        slopes = side_increments(p, rates, inputs.v, hd)
+        middle = side_middle(state, slopes, h)
+        put(a, q.shape[0] - 2, rates[5])
+        put(a, q.shape[0] - 1, rates[6])
     solve_factored(p, blocks, body, g)
     for j in range(N_DOF):
         rate, k_v = get(v, j), get(g, j)
@@ -186,6 +200,8 @@ def tangent_step(p, row, motion, inputs, work, a, flexible=None):
         u_dot = get(road, 12 + w) - wheel_height(p, work.v, w)
         load = row[TK_2 + w] * u + row[TC_2 + w] * u_dot
         put(T, w, load - hd * row[TK_1 + w] * wheel_height(p, r, w) - get(work.t, w))
+        if side is not None:
+            put(dT, w, load)
     front, rear = relative_roll(work.q, 0), relative_roll(work.q, 1)
     if flexible is not None:
         front, rear = front + p.twist_share[0] * psi_mid, rear + p.twist_share[1] * psi_mid
@@ -195,6 +211,11 @@ def tangent_step(p, row, motion, inputs, work, a, flexible=None):
         t_m = t_m * _inverse_frame(p, hd)
         add(q, N_DOF, h * (t_q + t_r + hd * t_m))
         add(v, N_DOF, h * (t_v + t_m))
+    if side is not None:
+        moments = roll_moments(p, dF, dT, front, rear)
+        rates = side_rates(p, rolls(work.q), rolls(work.v), moments, middle, inputs.v, 0.0)
+        add_rolls(f, rates)
+        advance_side(p, motion, slopes, rates, inputs.v, h, hd)
     front, rear = front + hd * relative_roll(r, 0), rear + hd * relative_roll(r, 1)
     add_struts(p, F, front, rear, f)
     add_tyres(p, T, f)

@@ -12,6 +12,7 @@ from road_envs.kernels._numba import kernel
 from road_envs.kernels.simd_arrays import stack_array
 from road_envs.simulation.rosenbrock import (
     ACCELERATION,
+    SIDE,
     TWIST,
     WORKSPACE_ROWS,
     StepInputs,
@@ -29,7 +30,8 @@ from road_envs.vehicle.equations import N_DOF, Motion, Plant
 
 
 class TapeInputs(NamedTuple):
-    """Inputs of N steps of `h` [s]: `road` (N, 16) and `a_xy` (N, 4) as in `rosenbrock.StepInputs`.
+    """Inputs of N steps of `h` [s]: `road` (N, 16), `a_xy` (N, 4) and the speed `v` (N,) as in
+    `rosenbrock.StepInputs`.
 
     `commands` (N,), or (0,) for a constant strut state, and `lag` as in `rosenbrock.integrate`.
     """
@@ -39,10 +41,11 @@ class TapeInputs(NamedTuple):
     commands: np.ndarray
     lag: float
     h: float
+    v: np.ndarray
 
 
 @kernel
-def integrate_with_derivative(vehicle, y, inputs, out, rows, flexible=None):
+def integrate_with_derivative(vehicle, y, inputs, out, rows, flexible=None, side=None):
     """Take the steps of TapeInputs; the state `y` (14,) and the strut state change in place.
 
     Signals go to `out` (N, 29), the derivative to `rows` (N, TAPE_ROW_SIZE).
@@ -55,18 +58,18 @@ def integrate_with_derivative(vehicle, y, inputs, out, rows, flexible=None):
             update_valves(
                 vehicle.constants[0], vehicle.strut_state, motion.q, inputs.commands[n], alpha, h
             )
-        step_inputs = StepInputs(inputs.road[n], inputs.a_xy[n], h)
-        step_with_derivative(vehicle, motion, step_inputs, work, out[n], rows[n], flexible)
+        step_inputs = StepInputs(inputs.road[n], inputs.a_xy[n], h, inputs.v[n])
+        step_with_derivative(vehicle, motion, step_inputs, work, out[n], rows[n], flexible, side)
 
 
 @kernel
-def propagate_tangent(constants, rows, y, road, h, a, flexible=None):
+def propagate_tangent(constants, rows, y, road, h, v, a, flexible=None, side=None):
     """Apply `tangent_step` row by row; write changes of accelerations to `a` (N, 7)."""
     n_dof, p, work = y.size // 2, constants[0], step_workspace(stack_array(WORKSPACE_ROWS))
     motion = Motion(y[:n_dof], y[n_dof:])
     for n in range(rows.shape[0]):
-        changes = StepInputs(road[n], None, h)
-        tangent_step(p, rows[n], motion, changes, work, a[n], flexible)
+        changes = StepInputs(road[n], None, h, v[n])
+        tangent_step(p, rows[n], motion, changes, work, a[n], flexible, side)
 
 
 @kernel
@@ -93,7 +96,7 @@ class Tape:
 
     `signals` (N, 29) at the beginning of each step, laid out as in `rosenbrock`; `end` (14,) and
     `strut_state` (4, 3) after the last step; `rows` (N, TAPE_ROW_SIZE), the derivative of each
-    step of `h` [s].
+    step of `h` [s] at the speeds `v` (N,) [m/s], which side motion alone reads.
     """
 
     plant: Plant
@@ -102,14 +105,19 @@ class Tape:
     end: np.ndarray
     strut_state: np.ndarray
     rows: np.ndarray
+    v: np.ndarray
 
     @property
     def acceleration(self) -> np.ndarray:
-        """Accelerations (N, 7) of the degrees of freedom at the beginning of each step."""
-        rigid = self.signals[:, ACCELERATION : ACCELERATION + N_DOF]
-        if not self.plant.flexible:
-            return rigid
-        return np.column_stack([rigid, self.signals[:, TWIST + 2]])
+        """Accelerations (N, 7) of the degrees of freedom at the beginning of each step, then those
+        of a flexible frame's twist and of side motion.
+        """
+        found = self.signals[:, ACCELERATION : ACCELERATION + N_DOF]
+        if self.plant.flexible:
+            found = np.column_stack([found, self.signals[:, TWIST + 2]])
+        if self.plant.sideways:
+            found = np.column_stack([found, self.signals[:, SIDE + 4 : SIDE + 6]])
+        return found
 
     def tangent(self, start: np.ndarray, road: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return first-order changes of the accelerations (N, 7) and of the final state (14,).
@@ -120,19 +128,19 @@ class Tape:
         """
         y, steps = _checked_copy("start", start, self.end.shape), self.rows.shape[0]
         z = _checked_copy("road", road, (2 * steps, 2, 4)).reshape(steps, 16)
-        a, flexible = np.empty((steps, y.size // 2)), (True,) if self.plant.flexible else ()
-        propagate_tangent(self.plant.constants, self.rows, y, z, self.h, a, *flexible)
+        a, flags = np.empty((steps, y.size // 2)), self.plant.kernel_flags
+        propagate_tangent(self.plant.constants, self.rows, y, z, self.h, self.v, a, *flags)
         return a, y
 
     def adjoint(self, acceleration: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return a cost's gradients by the initial state (14,) and by the road (2 N, 2, 4).
 
         This is the transpose of `tangent`: `acceleration` (N, 7) and `end` (14,) are the cost's
-        gradients by the outputs of `tangent`. Raises ValueError on a wrong shape and on a flexible
-        frame.
+        gradients by the outputs of `tangent`. Raises ValueError on a wrong shape, on a flexible
+        frame and on side motion.
         """
-        if self.plant.flexible:
-            raise ValueError("the adjoint does not support a flexible frame")
+        if self.plant.kernel_flags:
+            raise ValueError("the adjoint supports neither a flexible frame nor side motion")
         y, steps = _checked_copy("end", end, (2 * N_DOF,)), self.rows.shape[0]
         a, road = _checked_copy("acceleration", acceleration, (steps, N_DOF)), np.empty((steps, 16))
         propagate_adjoint(self.plant.constants, self.rows, a, self.h, y, road)
@@ -149,30 +157,33 @@ def linearize_drive(
     *,
     commands: np.ndarray | None = None,
     lag: float = 0.01,
+    v: np.ndarray | None = None,
 ) -> Tape:
     """Simulate N steps of `h` [s] from the state `start` (14,) and record the derivative.
 
     `strut_state` (4, 3) at the start; `road` (2 N, 2, 4): heights [m] and rates [m/s] under the
     wheels at the beginning and the middle of each step; `a_xy` (2 N, 2), if given, a_x and a_y
     [m/s²] of a manoeuvre at the same times; `commands` (N,), if given, the bytes that reach the
-    valves, of time constant `lag` [s]. Without commands the strut state stays constant. Raises
+    valves, of time constant `lag` [s]. Without commands the strut state stays constant. `v` (N,):
+    speed [m/s] in the middle of each step, which a vehicle with side motion needs. Raises
     ValueError on a wrong shape, ArithmeticError if the motion diverges.
     """
     road = np.asarray(road, dtype=float)
     steps = len(road) // 2
     z = _checked_copy("road", road, (2 * steps, 2, 4))
-    y = _checked_copy("start", start, (2 * plant.inertias.size,))
+    y = _checked_copy("start", start, (2 * plant.n_dof,))
+    if v is None and plant.sideways:
+        raise ValueError("a vehicle with side motion needs its speed v")
+    speed = _checked_copy("v", np.zeros(steps) if v is None else v, (steps,))
     a_xy = np.zeros((2 * steps, 2)) if a_xy is None else a_xy
     a_xy_steps = _checked_copy("a_xy", a_xy, (2 * steps, 2))
     strut_state_end = _checked_copy("strut_state", strut_state, (4, 3))
     signals, rows = np.empty((steps, n_signals(plant))), np.empty((steps, TAPE_ROW_SIZE))
     bytes_ = np.zeros(0) if commands is None else _checked_copy("commands", commands, (steps,))
     per_step = z.reshape(steps, 16), a_xy_steps.reshape(steps, 4)
-    inputs = TapeInputs(*per_step, bytes_.astype(np.uint8), float(lag), float(h))
-    # no argument for a rigid frame: its kernel then compiles without flexible_step
-    flexible = (True,) if plant.flexible else ()
+    inputs = TapeInputs(*per_step, bytes_.astype(np.uint8), float(lag), float(h), speed)
     buffers = plant.buffers(strut_state_end)
-    integrate_with_derivative(buffers, y, inputs, signals, rows, *flexible)
+    integrate_with_derivative(buffers, y, inputs, signals, rows, *plant.kernel_flags)
     if not np.isfinite(y).all():
         raise ArithmeticError("the motion diverged (no longer finite); check the road and start")
-    return Tape(plant, float(h), signals, y, strut_state_end, rows)
+    return Tape(plant, float(h), signals, y, strut_state_end, rows, speed)

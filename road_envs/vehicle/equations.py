@@ -46,6 +46,7 @@ import numpy as np
 from road_envs.kernels._numba import kernel
 from road_envs.kernels.simd_arrays import add, get, stack_array, stack_rows
 from road_envs.vehicle.parameters import GRAVITY, VehicleParameters, VehicleVariation
+from road_envs.vehicle.side_motion import SIDE_FIELDS, side_constants, side_jacobian
 from road_envs.vehicle.suspension import (
     VehicleBuffers,
     displacement_tables,
@@ -69,13 +70,14 @@ PLANT_DTYPE = np.dtype(
         *((name, "f8", (2,)) for name in ("x", "delta", "k_roll", "twist_share")),
         *((name, "f8", (4,)) for name in ("y_s", "y_t", "p_A", "k_t", "k_t2", "c_t")),
         *((name, "f8", (4,)) for name in ("velocity_table", "displacement_table")),
+        *SIDE_FIELDS,
     ],
     align=True,
 )
 """The constants of one vehicle as kernels read them. M: masses and inertias of the degrees of
 freedom; y_s, y_t: signed, per wheel; `twist_share`: body roll above each axle per twist of the
 frame; `velocity_table`, `displacement_table`: index of each strut's first table of either kind,
-with an offset where several vehicles share one array of tables."""
+with an offset where several vehicles share one array of tables; those of `side_motion`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +102,24 @@ class Plant:
         return bool(self.constants["frame_inertia"][0] > 0.0)
 
     @property
+    def sideways(self) -> bool:
+        """True if the vehicle has side motion, which adds two deflections and two rates."""
+        return bool(self.constants["relaxation"][0, 0] > 0.0)
+
+    @property
+    def n_dof(self) -> int:
+        """Half the number of states: 7, 1 more of a flexible frame, 2 more with side motion."""
+        return N_DOF + self.flexible + 2 * self.sideways
+
+    @property
+    def kernel_flags(self) -> tuple[bool | None, ...]:
+        """What kernels take as their last arguments, `flexible` and `side`, so that those of a
+        vehicle without either compile without them.
+        """
+        flexible = True if self.flexible else None
+        return (flexible, True) if self.sideways else (True,) if flexible else ()
+
+    @property
     def inertias(self) -> np.ndarray:
         """Masses [kg] and inertias [kg m²] of the coordinates: (7,), or (8,) if flexible."""
         M, torsion = self.constants["M"][0], self.constants["frame_inertia"]
@@ -107,7 +127,8 @@ class Plant:
 
 
 class Motion(NamedTuple):
-    """Coordinates `q` (7,) and rates `v` (7,) of a vehicle; (8,) with a flexible frame.
+    """Coordinates `q` (7,) and rates `v` (7,) of a vehicle; (8,) with a flexible frame, and two
+    more with side motion, which are those of `side_motion`.
 
     With LANES vehicles the lanes are the last axis.
     """
@@ -127,11 +148,12 @@ def build_plant(
     axles = car.axles
     variation = car.variation if variation is None else variation
     sides = (1.0, -1.0)
+    quasi_static = manoeuvres and car.side is None  # else the side forces make the moment
     velocity, velocity_indices = velocity_tables(car, variation)
     displacement, displacement_indices = displacement_tables(car, variation)
     values = {
         "M": [car.m_b, car.I_xx, car.I_yy, *(v for a in axles for v in (a.m, a.I_xx))],
-        "roll_moment": car.m_b * (car.h_cg - car.roll_centre) if manoeuvres else 0.0,
+        "roll_moment": car.m_b * (car.h_cg - car.roll_centre) * quasi_static,
         "pitch_moment": car.m_b * (car.h_cg - car.pitch_centre) if manoeuvres else 0.0,
         "equalisation": car.valve.equalisation,
         "x": [a.x for a in axles],
@@ -145,6 +167,7 @@ def build_plant(
         **gas_constants(car, variation),
         **tyre_constants(car, variation),
         **_frame_constants(car, variation),
+        **side_constants(car, GRAVITY),
     }
     constants = np.zeros(1, dtype=PLANT_DTYPE)
     for name in PLANT_DTYPE.names or ():
@@ -184,6 +207,14 @@ def wheel_height(p, q, w):
 def relative_roll(q, i):
     """Return body roll minus roll of axle `i` [rad] for coordinates `q`, or its rate for rates."""
     return get(q, PHI) - get(q, AXLE + 2 * i + 1)
+
+
+@kernel
+def has_twist(q):
+    """Return whether coordinates `q` have the twist of a flexible frame, behind the seven others:
+    side motion has two more.
+    """
+    return (q.shape[0] - N_DOF) % 2 == 1
 
 
 @kernel
@@ -250,6 +281,16 @@ def twist_moment(p, F, front, rear):
     """
     moment = get(p.twist_share, 0) * axle_roll_moment(p, F, 0, front)
     return moment + get(p.twist_share, 1) * axle_roll_moment(p, F, 1, rear)
+
+
+@kernel
+def roll_moments(p, F, T, front, rear):
+    """Return the generalised forces of strut forces `F` (4,), bushings and tyre loads `T` (4,) on
+    the roll of the body, the front and the rear axle, as `add_struts` and `add_tyres`.
+    """
+    f, r = axle_roll_moment(p, F, 0, front), axle_roll_moment(p, F, 1, rear)
+    t_f = get(p.y_t, 0) * (get(T, 0) - get(T, 1))
+    return f + r, t_f - f, get(p.y_t, 2) * (get(T, 2) - get(T, 3)) - r
 
 
 @kernel
@@ -343,13 +384,23 @@ def stiffness_and_damping(vehicle, motion, z_r, w_r, K, C):
 
 
 def jacobian(
-    plant: Plant, strut_state: np.ndarray, state: np.ndarray, z_r: np.ndarray, w_r: np.ndarray
+    plant: Plant,
+    strut_state: np.ndarray,
+    state: np.ndarray,
+    z_r: np.ndarray,
+    w_r: np.ndarray,
+    speed: float = 0.0,
 ):
-    """Return the Jacobian (14, 14) of the state's rate by the state; (16, 16) if flexible."""
+    """Return the Jacobian (14, 14) of the state's rate by the state; (16, 16) if flexible.
+
+    With side motion there are four more states, and it depends on the `speed` [m/s].
+    """
     M, n = plant.inertias[:, None], plant.inertias.size
     K, C = np.empty((n, n)), np.empty((n, n))
-    motion = Motion(state[:n], state[n:])
+    motion = Motion(state[:n].copy(), state[plant.n_dof : plant.n_dof + n].copy())
     stiffness_and_damping(plant.buffers(strut_state), motion, z_r, w_r, K, C)
+    if plant.sideways:
+        return side_jacobian(plant.constants[0], plant.inertias, K, C, speed)
     return np.block([[np.zeros((n, n)), np.eye(n)], [-K / M, -C / M]])
 
 
@@ -367,17 +418,19 @@ def _pose_on_ground(plant: Plant, z_r: np.ndarray) -> np.ndarray:
 def equilibrium(plant: Plant, strut_state: np.ndarray, z_r: np.ndarray) -> np.ndarray:
     """Return the static equilibrium (14,) on road heights `z_r` (4,) [m], by Newton's method.
 
-    With a flexible frame it is (16,). Raises ArithmeticError if the iteration does not converge,
-    for example because a wheel is off the ground.
+    With a flexible frame it is (16,); with side motion it has four zeros more, as if the road did
+    not lean. Raises ArithmeticError if the iteration does not converge, for example because a wheel
+    is off the ground.
     """
     M, n = plant.inertias, plant.inertias.size
     q, rest, no_rates = _pose_on_ground(plant, z_r), np.zeros(n), np.zeros(4)
+    still = np.zeros(plant.n_dof - n)
     vehicle = plant.buffers(strut_state)
     K, C, a = np.empty((n, n)), np.empty((n, n)), np.empty(n)
     for _ in range(50):
         accelerations(vehicle, Motion(q, rest), z_r, no_rates, a)
         if np.abs(a).max() < 1e-10 * (1.0 + np.abs(z_r).max()):
-            return np.concatenate([q, rest])
+            return np.concatenate([q, still, rest, still])
         stiffness_and_damping(vehicle, Motion(q, rest), z_r, no_rates, K, C)
         try:
             q = q + np.linalg.solve(K, M * a)

@@ -41,6 +41,7 @@ from road_envs.vehicle.equations import (
     wheel_height,
 )
 from road_envs.vehicle.parameters import VehicleParameters
+from road_envs.vehicle.side_motion import inverse_inertia
 from road_envs.vehicle.suspension import (
     WHEELS,
     encode_command,
@@ -67,7 +68,8 @@ class LinearModel:
     accelerations [m/s²]. `M` (7,): masses [kg] and inertias [kg m²] of the coordinates.
     `strut_rows` (4, 7), `sensor_rows` (S, 7): strut extensions and sensor heights as linear
     functions of the coordinates. `wheelbase` [m]. A flexible frame adds an eighth coordinate, so
-    that there are 16 states.
+    that there are 16 states; side motion adds two deflections and two rates (`side_motion`), and
+    the model is that at `speed` [m/s], which is None without it.
     """
 
     A: np.ndarray
@@ -79,6 +81,8 @@ class LinearModel:
     sensor_rows: np.ndarray
     wheelbase: float
     sensors: tuple[str, ...]
+    inverse_inertia: np.ndarray | None = None
+    speed: float | None = None
     states: tuple[str, ...] = (*DOF, *(f"{name}_dot" for name in DOF))
     inputs: tuple[str, ...] = (*(f"z_{w}" for w in WHEELS), *(f"w_{w}" for w in WHEELS))
 
@@ -107,6 +111,7 @@ def linearise(
     z_r: np.ndarray | None = None,
     w_r: np.ndarray | None = None,
     damping: np.ndarray | None = None,
+    speed: float = 0.0,
 ) -> LinearModel:
     """Linearise the vehicle about a `state` (14,), by default its static equilibrium.
 
@@ -114,15 +119,16 @@ def linearise(
     `sensors`: name -> (x, y) [m], ahead and to the left of the body's centre of mass, and the axle
     (0 or 1) if it is mounted there, as in `equations.sensor_row`. `z_r`, `w_r`
     (4,): road heights [m] and rates [m/s] under the wheels, 0 by default. `damping` (4,) [N s/m]
-    replaces the slopes of the struts' force curves. About a state that is not an equilibrium, the
-    model describes deviations from the motion as long as the slopes are constant. Raises ValueError
-    on a wrong shape and ArithmeticError if there is no static equilibrium.
+    replaces the slopes of the struts' force curves. `speed` [m/s]: that of a vehicle with side
+    motion, on which its tyres' forces depend; others do not read it. About a state that is not an
+    equilibrium, the model describes deviations from the motion as long as the slopes are constant.
+    Raises ValueError on a wrong shape and ArithmeticError if there is no static equilibrium.
     """
     plant = car if isinstance(car, Plant) else build_plant(car)
     strut_state = mode if isinstance(mode, np.ndarray) else _settled(car, mode)
     z, w = (np.zeros(4) if v is None else np.array(v, dtype=float) for v in (z_r, w_r))
     y = equilibrium(plant, strut_state, z) if state is None else np.array(state, dtype=float)
-    n = plant.inertias.size
+    n = plant.n_dof
     shapes = [
         ("state", y, (2 * n,)),
         ("z_r", z, (4,)),
@@ -132,17 +138,24 @@ def linearise(
     for name, value, shape in shapes:
         if value.shape != shape:
             raise ValueError(f"{name} must be of shape {shape}, got {value.shape}")
-    A, B = jacobian(plant, strut_state, y, z, w), _road_input_matrix(plant, y, z, w)
+    A, B = jacobian(plant, strut_state, y, z, w, speed), _road_input_matrix(plant, y, z, w)
     if damping is not None:
         A[n:, n:] += _damping_correction(plant, strut_state, y, np.asarray(damping, dtype=float))
-    heights = np.array([sensor_row(*place)[:n] for place in sensors.values()]).reshape(-1, n)
+    own = plant.inertias.size
+    heights = np.array([sensor_row(*place)[:own] for place in sensors.values()]).reshape(-1, own)
+    heights = np.pad(heights, ((0, 0), (0, n - own)))
     axles = plant.constants[0]["x"]
     C, D = heights @ A[n:], heights @ B[n:]
     struts, wheelbase = _as_matrix(extension, plant), float(axles[0] - axles[1])
-    names = (*DOF, "psi")[:n]
+    names = (*DOF, "psi")[:own]
+    rates = tuple(f"{name}_dot" for name in names)
+    more: dict[str, Any] = {"states": (*names, *rates)}
+    if plant.sideways:
+        more["inverse_inertia"] = inverse_inertia(plant.constants[0], plant.inertias)
+        more["speed"] = float(speed)
+        more["states"] = (*names, "d_f", "d_r", *rates, "V", "r")
     return LinearModel(
-        *(A, B, C, D, plant.inertias.copy(), struts, heights, wheelbase, tuple(sensors)),
-        states=(*names, *(f"{name}_dot" for name in names)),
+        *(A, B, C, D, plant.inertias.copy(), struts, heights, wheelbase, tuple(sensors)), **more
     )
 
 
@@ -150,10 +163,17 @@ def _as_matrix(law, plant: Plant) -> np.ndarray:
     """Return a linear function of coordinates and wheel as a matrix (4, n)."""
     p, unit = plant.constants[0], np.eye(N_DOF)
     rows = np.array([[law(p, unit[j], w) for j in range(N_DOF)] for w in range(4)])
-    if not plant.flexible:
-        return rows
-    twist = [twist_extension(p, 1.0, w) if law is extension else 0.0 for w in range(4)]
-    return np.column_stack([rows, twist])
+    if plant.flexible:
+        twist = [twist_extension(p, 1.0, w) if law is extension else 0.0 for w in range(4)]
+        rows = np.column_stack([rows, twist])
+    return np.pad(rows, ((0, 0), (0, plant.n_dof - rows.shape[1])))
+
+
+def _accelerations(plant: Plant, forces: np.ndarray) -> np.ndarray:
+    """Return the accelerations (n, k) of the rates by generalised `forces` (n, k) on them."""
+    if plant.sideways:
+        return inverse_inertia(plant.constants[0], plant.inertias) @ forces
+    return forces / plant.inertias[:, None]
 
 
 def _road_input_matrix(plant: Plant, y: np.ndarray, z: np.ndarray, w: np.ndarray) -> np.ndarray:
@@ -164,7 +184,7 @@ def _road_input_matrix(plant: Plant, y: np.ndarray, z: np.ndarray, w: np.ndarray
     slopes = [tyre_force(plant.constants[0], i, u[i], u_dot[i])[1:] for i in range(4)]
     k_t, c_t = np.array(slopes).T
     B = np.zeros((2 * n, 8))
-    B[n:] = np.hstack([rows.T * k_t, rows.T * c_t]) / plant.inertias[:, None]
+    B[n:] = _accelerations(plant, np.hstack([rows.T * k_t, rows.T * c_t]))
     return B
 
 
@@ -174,7 +194,7 @@ def _damping_correction(plant: Plant, strut_state, y: np.ndarray, target: np.nda
     e, e_dot = rows @ y[: rows.shape[1]], rows @ y[rows.shape[1] :]
     vehicle = plant.buffers(strut_state)
     current = [strut_force(vehicle, w, e[w], e_dot[w])[2] for w in range(4)]
-    return rows.T @ ((np.array(current) - target)[:, None] * rows) / plant.inertias[:, None]
+    return _accelerations(plant, rows.T @ ((np.array(current) - target)[:, None] * rows))
 
 
 def gaussian_damping(
@@ -232,8 +252,10 @@ def natural_modes(model: LinearModel) -> NaturalModes:
 
     M_j phi_j² is the share of a mode's kinetic energy in coordinate j; names are assigned such that
     the sum of these shares is greatest. Raises ArithmeticError if the state is not stable (all
-    wheels off the ground, or a body that tips over).
+    wheels off the ground, or a body that tips over), ValueError if the vehicle has side motion.
     """
+    if model.speed is not None:
+        raise ValueError("natural modes are those of a vehicle without side motion")
     M, n = model.M, model.M.size
     K, C = (-M[:, None] * model.A[n:, part] for part in (slice(n), slice(n, None)))
     square, shapes = scipy.linalg.eigh(0.5 * (K + K.T), np.diag(M))
@@ -274,15 +296,16 @@ def force_response(model: LinearModel, f: np.ndarray) -> tuple[np.ndarray, np.nd
     A positive force pushes the body up and the axle down. Responses of the sensors (F, S, 4)
     [m/s² per N] and of the struts' rates of extension (F, 4, 4) [m/s per N].
     """
-    s = _laplace_variable(f)
-    q = _coordinates(model, s, model.strut_rows.T / model.M[:, None])
+    s, forces = _laplace_variable(f), model.strut_rows.T
+    inverse = model.inverse_inertia
+    q = _coordinates(model, s, forces / model.M[:, None] if inverse is None else inverse @ forces)
     return s**2 * (model.sensor_rows @ q), s * (model.strut_rows @ q)
 
 
 def _road_response(model: LinearModel, f: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return s (F, 1, 1), and the coordinates (F, 7, 4) by the road height under each wheel."""
     s = _laplace_variable(f)
-    of_height, of_rate = np.split(model.B[model.M.size :], 2, axis=1)
+    of_height, of_rate = np.split(model.B[len(model.A) // 2 :], 2, axis=1)
     return s, _coordinates(model, s, of_height + s * of_rate)
 
 
@@ -295,11 +318,37 @@ def _coordinates(model: LinearModel, s: np.ndarray, accelerations: np.ndarray) -
     """Return the coordinates (F, 7, I) under additional `accelerations` (7, I) or (F, 7, I) of them
     at `s` (F, 1, 1).
     """
-    n = model.M.size
+    n = len(model.A) // 2
+    if model.speed is not None:
+        return _states(model, s, accelerations)[:, :n]
     of_coordinates, of_rates = np.split(model.A[n:], 2, axis=1)
     stiffness = s * -of_rates - of_coordinates
     stiffness[:, range(n), range(n)] += s[:, 0] ** 2
     return np.linalg.solve(stiffness, accelerations)
+
+
+def _states(
+    model: LinearModel,
+    s: np.ndarray,
+    of_rates: np.ndarray,
+    of_coordinates: np.ndarray | None = None,
+) -> np.ndarray:
+    """Return the states (F, 2 n, I) under additional rates of change of the rates, and of the
+    coordinates, (n, I) or (F, n, I), at `s` (F, 1, 1).
+
+    The coordinates follow the rates by a diagonal block: 0, or the tyres' relaxation.
+    """
+    n = len(model.A) // 2
+    (relaxing, moving), (stiffness, damping) = (
+        np.split(b, 2, axis=1) for b in np.split(model.A, 2)
+    )
+    follow = 1.0 / (s - np.diag(relaxing)[:, None])  # (F, n, 1)
+    right = of_rates
+    if of_coordinates is not None:
+        right = right + stiffness @ (follow * of_coordinates)
+    v = np.linalg.solve(s * np.eye(n) - damping - stiffness @ (follow * moving), right)
+    q = moving @ v if of_coordinates is None else moving @ v + of_coordinates
+    return np.concatenate([follow * q, v], axis=1)
 
 
 def frequency_response(
@@ -312,6 +361,8 @@ def frequency_response(
     """
     if not (np.isfinite(v) and v > 0):
         raise ValueError(f"the speed must be positive, got {v} m/s")
+    if model.speed is not None and abs(model.speed - v) > 1e-6 * v:
+        raise ValueError(f"a vehicle with side motion linearised at {model.speed:g} m/s, not {v:g}")
     if (f is None) == (n is None):
         raise ValueError(
             "give frequencies either as f [Hz] or as n [cycles/m], not both or neither"
@@ -329,7 +380,9 @@ def response_changes(
     With x = (s - A)^-1 B u the change of the accelerations of the coordinates by dA and dB is that
     by additional accelerations dA x + dB u. `v` [m/s], `f` (F,) [Hz] as in `frequency_response`.
     """
-    n, (s, q) = model.M.size, _road_response(model, f)
+    n, (s, q) = len(model.A) // 2, _road_response(model, f)
+    if model.speed is not None:
+        return _side_response_changes(model, others, v, f)
     u = np.broadcast_to(np.eye(4), (s.size, 4, 4))
     # states, heights and their rates
     paths = combine_wheel_paths(model, v, f, np.concatenate([q, s * q, u, s * u], axis=1))
@@ -337,6 +390,24 @@ def response_changes(
     change = np.array([np.hstack([one.A - model.A, one.B - model.B])[n:] for one in others])
     accelerations = (change.reshape(-1, change.shape[2]) @ paths).reshape(s.size, -1, n, 2)
     return np.moveaxis(sensors[:, None] @ accelerations, 1, 0)
+
+
+def _side_response_changes(
+    model: LinearModel, others: Sequence[LinearModel], v: float, f: np.ndarray
+) -> np.ndarray:
+    """Return `response_changes` with side motion, where the rates of the deflections change too."""
+    n, s = len(model.A) // 2, _laplace_variable(f)
+    of_height, of_rate = np.split(model.B[n:], 2, axis=1)
+    states, u = _states(model, s, of_height + s * of_rate), np.eye(4)
+    u = np.broadcast_to(u, (s.size, 4, 4))
+    paths = combine_wheel_paths(model, v, f, np.concatenate([states, u, s * u], axis=1))
+    change = np.array([np.hstack([one.A - model.A, one.B - model.B]) for one in others])
+    rates = np.moveaxis(
+        (change.reshape(-1, change.shape[2]) @ paths).reshape(s.size, -1, 2 * n, 2), 1, 0
+    )
+    unit = np.eye(2 * n)
+    sensed = s * (model.sensor_rows @ _states(model, s, unit[n:], unit[:n])[:, n:])
+    return sensed @ rates
 
 
 def combine_wheel_paths(

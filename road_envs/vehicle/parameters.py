@@ -109,6 +109,9 @@ class Tolerance(Settings):
 TYRE_DEFLECTION, WHEEL_HOP = (0.003, 0.1), (3.0, 40.0)
 """Plausible static deflections of a tyre [m], and frequencies of an axle on its tyres [Hz]."""
 
+YAW_PER_PITCH = (0.5, 2.0)
+"""Plausible yaw inertias of a body over its pitch inertia."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class VehicleParameters(Settings):
@@ -129,7 +132,7 @@ class VehicleParameters(Settings):
     ]
     sources: dict[str, str]
     valve: Annotated[Valve, "", "of 4S4 struts; a car with passive struts has none"] = NO_VALVE
-    side: SideMotion | None = None
+    side: Annotated[SideMotion | None, "", "side motion; none: free to slide"] = None
     variation: VehicleVariation = NOMINAL
     tolerances: dict[str, Tolerance] = field(default_factory=dict)
 
@@ -229,6 +232,21 @@ def check_plausible(car: VehicleParameters, where: str) -> None:
                 f"{where}: the {end} axle of m = {axle.m:g} kg hops at {hop:.3g} Hz on its tyres; "
                 f"{WHEEL_HOP[0]:g} to {WHEEL_HOP[1]:g} Hz are plausible: check units and masses"
             )
+    if car.side is None:
+        return
+    for end, h in zip(("front", "rear"), car.side.roll_centre, strict=True):
+        if not h < car.h_cg:
+            raise config.ConfigError(
+                f"{where}: the roll centre of the {end} axle, {h:g} m, is above the centre of mass "
+                f"at h_cg = {car.h_cg:g} m; 0 to 0.2 m of independent wheels and 0.3 to 0.6 m of "
+                "solid axles are usual"
+            )
+    ratio = car.side.I_zz / car.I_yy
+    if not YAW_PER_PITCH[0] <= ratio <= YAW_PER_PITCH[1]:
+        raise config.ConfigError(
+            f"{where}: the yaw inertia side.I_zz is {ratio:.3g} times the pitch inertia I_yy; "
+            f"{YAW_PER_PITCH[0]:g} to {YAW_PER_PITCH[1]:g} times are plausible: check units"
+        )
 
 
 def write_vehicle(path: Path, car: VehicleParameters, comment: str = "") -> None:
@@ -236,6 +254,8 @@ def write_vehicle(path: Path, car: VehicleParameters, comment: str = "") -> None
     data = json.loads(json.dumps(asdict(car)))
     if car.is_passive:
         del data["valve"]
+    if car.side is None:
+        del data["side"]
     head = "".join(f"# {line}\n" for line in comment.splitlines())
     text = yaml.safe_dump(data, sort_keys=False, allow_unicode=True, default_flow_style=None)
     write_text(path, head + text)

@@ -1,0 +1,209 @@
+"""Side motion: the tyres hold the axles, and the axles' roll centres hold the body.
+
+Without it (no `axles.SideMotion`) a body rolls about its centre of mass, as if the tyres could
+slide sideways. With it, V is the side speed of the body's centre of mass and r the yaw rate, both
+in axes that go with the vehicle at the speed v. With h_cg, h_a and R the heights of the centre of
+mass, of the roll centre of axle a and of its wheels' centres, the contacts of axle a move sideways
+at
+
+    u_a = V + x_a r + (h_cg - h_a) phi' + h_a phi_a'
+
+and its centre at u_a - R phi_a'. The tyres deflect sideways by d_a, which a relaxation length sigma
+of rolling undoes, and their force follows the deflection (Pacejka, "Tire and Vehicle Dynamics",
+2012, section 5.4, the linear contact line as a spring of rate 2 C_alpha / sigma):
+
+    d_a' = -u_a - (v / sigma) d_a,      F_a = (2 C_alpha / sigma) d_a
+
+It acts on V, r, phi and phi_a with the levers of u_a. At v = 0 the tyres are springs. The masses
+m_a of the axles move with their centres, so that the accelerations of
+
+    w = (phi, phi_front, phi_rear, V, r)
+
+are M^-1 of the generalised forces, with one constant matrix M (5, 5). The static loads W_a of the
+struts and of the tyres, which a body held at its roll centres leans over, add the moments
+
+    sum W_a (h_cg - h_a) phi  to the body,      (W_a h_a + m_a g R) phi_a  to axle a.
+
+In a manoeuvre the vehicle's axes accelerate sideways by a_y, and the moments about the roll axis of
+`equations` are left out: the tyres' forces make them. Yaw of a car that is steered is not modelled.
+
+The state has d_front, d_rear behind the coordinates and V, r behind the rates. In a step of
+`rosenbrock` the deflections are implicit in their relaxation; all else of the side motion is
+explicit, the moments of inertia M^-1 too: the matrix W has those of the roll alone, which are
+smaller. The formula keeps order 2 with any matrix in place of the Jacobian.
+"""
+
+import numpy as np
+
+from road_envs.kernels._numba import kernel
+from road_envs.kernels.simd_arrays import add, get
+
+ROLLS = (1, 4, 6)
+"""Coordinates of the roll of the body, of the front and of the rear axle."""
+
+SIDE_FIELDS = [
+    *((name, "f8", (2,)) for name in ("side_lever", "side_height", "side_rate", "relaxation")),
+    ("side_gravity", "f8", (3,)),
+    ("side_inverse", "f8", (25,)),
+]
+"""Constants: h_cg - h_a, h_a, 2 C_alpha / sigma, sigma (0 without side motion), the moments of the
+static loads per angle, and M^-1."""
+
+
+def side_constants(car, gravity: float) -> dict[str, object]:
+    """Return the constants of a vehicle's side motion, all 0 if it has none."""
+    if car.side is None:
+        return {name: np.zeros(shape) for name, _, shape in SIDE_FIELDS}
+    side, height = car.side, np.array(car.side.roll_centre)
+    lever, x = car.h_cg - height, np.array([axle.x for axle in car.axles])
+    m = np.array([axle.m for axle in car.axles])
+    M = np.diag([car.I_xx, car.front.I_xx, car.rear.I_xx, car.m_b, side.I_zz])
+    for a in range(2):
+        centre = np.array([lever[a], 0.0, 0.0, 1.0, x[a]])
+        centre[1 + a] = height[a] - side.wheel_radius
+        M += m[a] * np.outer(centre, centre)
+    load = 2.0 * np.array(car.strut_loads)
+    leaning = load * height + m * gravity * side.wheel_radius
+    sigma = np.array(side.relaxation)
+    return {
+        "side_lever": lever,
+        "side_height": height,
+        "side_rate": 2.0 * np.array(side.C_alpha) / sigma,
+        "relaxation": sigma,
+        "side_gravity": [float(load @ lever), *leaning],
+        "side_inverse": np.linalg.inv(M).ravel(),
+    }
+
+
+@kernel
+def rolls(q):
+    """Return the entries of `q` (7,) for the roll of the body, the front and the rear axle."""
+    return get(q, 1), get(q, 4), get(q, 6)
+
+
+@kernel
+def add_rolls(out, rates):
+    """Add the first three of `rates`, roll moments, to `out` (7,)."""
+    add(out, 1, rates[0])
+    add(out, 4, rates[1])
+    add(out, 6, rates[2])
+
+
+@kernel
+def side_state(q, v):
+    """Return d_front, d_rear, V, r of coordinates `q` and rates `v`, where they are the last."""
+    n = q.shape[0] - 2
+    return get(q, n), get(q, n + 1), get(v, n), get(v, n + 1)
+
+
+@kernel
+def side_rates(p, angles, angle_rates, moments, state, v, a_y):
+    """Return what the side motion adds to the roll `moments` (3), and the rates of its `state`.
+
+    `angles` [rad] and their rates are those of `rolls`; the added moments give the diagonal masses
+    of `equations` the accelerations that M gives all forces. Linear in all but `v`.
+    """
+    d_f, d_r, V, r = state
+    x_f, x_r, lever_f, lever_r = (
+        get(p.x, 0),
+        get(p.x, 1),
+        get(p.side_lever, 0),
+        get(p.side_lever, 1),
+    )
+    h_f, h_r = get(p.side_height, 0), get(p.side_height, 1)
+    F_f, F_r = get(p.side_rate, 0) * d_f, get(p.side_rate, 1) * d_r
+    body = moments[0] + (lever_f * F_f + lever_r * F_r) + get(p.side_gravity, 0) * angles[0]
+    front = moments[1] + h_f * F_f + get(p.side_gravity, 1) * angles[1]
+    rear = moments[2] + h_r * F_r + get(p.side_gravity, 2) * angles[2]
+    side, yaw = F_f + F_r, x_f * F_f + x_r * F_r
+    to_body = _accelerated(p, 0, body, front, rear, side, yaw)
+    to_front = _accelerated(p, 1, body, front, rear, side, yaw)
+    to_rear = _accelerated(p, 2, body, front, rear, side, yaw)
+    V_rate = _accelerated(p, 3, body, front, rear, side, yaw) - (v * r + a_y)
+    r_rate = _accelerated(p, 4, body, front, rear, side, yaw)
+    u = V + lever_f * angle_rates[0]
+    u_f = u + x_f * r + h_f * angle_rates[1]
+    u = V + lever_r * angle_rates[0]
+    u_r = u + x_r * r + h_r * angle_rates[2]
+    return (
+        get(p.M, 1) * to_body - moments[0],
+        get(p.M, 4) * to_front - moments[1],
+        get(p.M, 6) * to_rear - moments[2],
+        -u_f - v / get(p.relaxation, 0) * d_f,
+        -u_r - v / get(p.relaxation, 1) * d_r,
+        V_rate,
+        r_rate,
+    )
+
+
+@kernel
+def _accelerated(p, row, body, front, rear, side, yaw):
+    """Return one of the five accelerations by the generalised forces."""
+    k = 5 * row
+    a = get(p.side_inverse, k) * body + get(p.side_inverse, k + 1) * front
+    a = a + get(p.side_inverse, k + 2) * rear + get(p.side_inverse, k + 3) * side
+    return a + get(p.side_inverse, k + 4) * yaw
+
+
+@kernel
+def side_increments(p, rates, v, hd):
+    """Return the slopes of the state (4) of the first stage of a step; `hd` [s] is h d."""
+    f, r = 1.0 + hd * v / get(p.relaxation, 0), 1.0 + hd * v / get(p.relaxation, 1)
+    return rates[3] / f, rates[4] / r, rates[5], rates[6]
+
+
+@kernel
+def side_middle(state, k, h):
+    """Return the state half a step `h` [s] later by the slopes `k`."""
+    a = 0.5 * h
+    return state[0] + a * k[0], state[1] + a * k[1], state[2] + a * k[2], state[3] + a * k[3]
+
+
+@kernel
+def advance_side(p, motion, k, rates, v, h, hd):
+    """Add the step of the second stage, of slopes `k` at the first and `rates` at the middle."""
+    q, rate = motion
+    n = q.shape[0] - 2
+    f, r = 1.0 + hd * v / get(p.relaxation, 0), 1.0 + hd * v / get(p.relaxation, 1)
+    add(q, n, h * (k[0] + (rates[3] - k[0]) / f))
+    add(q, n + 1, h * (k[1] + (rates[4] - k[1]) / r))
+    add(rate, n, h * rates[5])
+    add(rate, n + 1, h * rates[6])
+
+
+def contact_rows(p, n: int) -> np.ndarray:
+    """Return u_a (2, n + 2) by the rates of the n coordinates, V and r."""
+    rows = np.zeros((2, n + 2))
+    for a in range(2):
+        rows[a, [1, 4 + 2 * a, n, n + 1]] = p["side_lever"][a], p["side_height"][a], 1.0, p["x"][a]
+    return rows
+
+
+def inverse_inertia(p, M: np.ndarray) -> np.ndarray:
+    """Return the accelerations (n + 2, n + 2) of coordinates, V and r by generalised forces.
+
+    `M` (n,): masses and inertias of the coordinates.
+    """
+    n = M.size
+    inverse, at = np.diag(np.append(1.0 / M, [0.0, 0.0])), [*ROLLS, n, n + 1]
+    inverse[np.ix_(at, at)] = p["side_inverse"].reshape(5, 5)
+    return inverse
+
+
+def side_jacobian(p, M: np.ndarray, K: np.ndarray, C: np.ndarray, v: float) -> np.ndarray:
+    """Return the Jacobian (2 n + 4, 2 n + 4) of the state's rate by the state, at speed `v` [m/s].
+
+    `K`, `C` (n, n): stiffness and damping of the coordinates.
+    """
+    n, rows = M.size, contact_rows(p, M.size)
+    stiffness, damping, inverse = np.zeros((n + 2, n + 2)), np.zeros((n + 2, n + 2)), None
+    stiffness[:n, :n], damping[:n, :n] = K, C
+    stiffness[ROLLS, ROLLS] -= p["side_gravity"]
+    stiffness[:, n:] = -rows.T * p["side_rate"]
+    inverse = inverse_inertia(p, M)
+    relaxing, moving = np.zeros((n + 2, n + 2)), np.eye(n + 2)
+    relaxing[[n, n + 1], [n, n + 1]] = -v / p["relaxation"]
+    moving[n:] = -rows
+    rates = -inverse @ damping
+    rates[n, n + 1] -= v
+    return np.block([[relaxing, moving], [-inverse @ stiffness, rates]])
