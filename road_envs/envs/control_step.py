@@ -35,6 +35,7 @@ from road_envs.simulation.rosenbrock import (
     ACCELERATION,
     EXTENSION,
     LOAD,
+    N_SIDE_SIGNALS,
     N_SIGNALS,
     WORKSPACE_ROWS,
     step_workspace,
@@ -297,18 +298,19 @@ def _write_truth(s, heights, signals, at, truth):
 
 
 @kernel(inline=False, count_references=False)
-def advance_blocks(blocks, state, parameters, inputs, workspace, output):
+def advance_blocks(blocks, state, parameters, inputs, workspace, output, side=None):
     """Advance the `blocks` (indices) by one control interval under IntervalInputs.
 
-    The rows of `output` are the vehicles; the last block may have lanes without one.
+    The rows of `output` are the vehicles; the last block may have lanes without one. `side`, if
+    given: the vehicles have side motion.
     """
     delayed = workspace.delayed
     n, h = delayed.shape[0], parameters.h
     scratch = LaneScratch(
         step_workspace(stack_rows(WORKSPACE_ROWS)), stack_rows(16), stack_rows(2), stack_rows(2),
-        stack_rows(40), stack_rows(N_SIGNALS),
+        stack_rows(40), stack_rows(N_SIDE_SIGNALS),
     )  # fmt: skip
-    signals, sums = stack_rows(N_SIGNALS), stack_rows(N_SUMS)
+    signals, sums = stack_rows(N_SIDE_SIGNALS), stack_rows(N_SUMS)
     for b in blocks:
         rows = slice(b * LANES, min((b + 1) * LANES, output.values.shape[0]))
         lanes = rows.stop - rows.start
@@ -336,7 +338,7 @@ def advance_blocks(blocks, state, parameters, inputs, workspace, output):
         for k in range(lanes):
             events[k, ROLLOVER] = events[k, NONFINITE_STEP] = -1
         for i in range(n):
-            take_step(vehicles, roads, drive_inputs, i, scratch, signals, None, None)
+            take_step(vehicles, roads, drive_inputs, i, scratch, signals, None, side)
             find_failures(signals, i, events)
             _measure(
                 parameters, state.sensor_rows[b], state.antialias_state[b], signals, i, workspace

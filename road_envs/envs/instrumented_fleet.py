@@ -44,7 +44,7 @@ from road_envs.simulation.drive import DriveSimulator, Trajectory
 from road_envs.simulation.fleet import NO_MANOEUVRE, run_in_threads
 from road_envs.simulation.lanes import aligned_copy, aligned_zeros, transpose_constants
 from road_envs.simulation.manoeuvres import Manoeuvre
-from road_envs.vehicle.equations import AXLE, N_DOF, PHI, THETA, Z_B, Plant, sensor_row
+from road_envs.vehicle.equations import AXLE, PHI, THETA, Z_B, Plant, sensor_row
 from road_envs.vehicle.parameters import VehicleParameters
 
 COORDINATES = {None: [Z_B, PHI, THETA], 0: [AXLE, AXLE + 1, THETA], 1: [AXLE + 2, AXLE + 3, THETA]}
@@ -101,10 +101,6 @@ class InstrumentedFleet:
                 "an instrumented fleet does not support a flexible frame; use a vehicle variation "
                 "without one"
             )
-        if plant.sideways:
-            raise ConfigError(
-                "an instrumented fleet does not support side motion; use a vehicle without `side`"
-            )
         logger = DataLogger(instruments, car, step, np.random.default_rng(0))
         if steps % logger.decimation:
             raise ConfigError(
@@ -143,7 +139,8 @@ class InstrumentedFleet:
         self.unresolved_variance = unresolved_variance
         self.unresolved_variance_weight = unresolved_variance_weight
         self.unresolved = np.zeros((n_vehicles, 256 if unresolved_variance else 0))
-        self.state = _initial_state(blocks, delay, len(logger.sos), len(self.parameters.wk_sos), k)
+        sections = len(logger.sos), len(self.parameters.wk_sos)
+        self.state = _initial_state(blocks, plant.n_dof, delay, *sections, k)
         self.road_heights = np.zeros((blocks, LANES * 2 * (4 + 2 * PAD)))
         self._resize_roads(4 + 2 * PAD)
         self._moving = np.arange(blocks)
@@ -161,7 +158,7 @@ class InstrumentedFleet:
         b, k = divmod(i, LANES)
         self._set_road(b, k, drive)
         state = self.state
-        state.q[b, :, k], state.v[b, :, k] = drive.state[:N_DOF], drive.state[N_DOF:]
+        state.q[b, :, k], state.v[b, :, k] = np.split(drive.state, 2)
         state.strut_state[b, :, :, k], state.valves[b, 0, k] = drive.strut_state, 1.0
         state.delay_line[b, :, k] = drive.delay_line
         state.antialias_state[b, ..., k], state.wk_state[b, ..., k] = 0.0, 0.0
@@ -188,8 +185,10 @@ class InstrumentedFleet:
         output, a_xy = self._allocate_output(), self._manoeuvre_inputs()
         inputs = IntervalInputs(self.road_heights, self._commands.reshape(-1, LANES), a_xy)
 
+        side = self.plant.kernel_flags[1:]
+
         def run(job: np.ndarray, workspace: ControlStepWorkspace) -> None:
-            advance_blocks(job, self.state, self.parameters, inputs, workspace, output)
+            advance_blocks(job, self.state, self.parameters, inputs, workspace, output, *side)
 
         n = len(self._workspaces)
         jobs = [moving] if n == 1 else np.array_split(moving, n)
@@ -216,7 +215,7 @@ class InstrumentedFleet:
     def write_back(self, i: int, drive: DriveSimulator) -> None:
         """Copy the motion of vehicle `i` into `drive`."""
         b, k = divmod(i, LANES)
-        drive.state[:N_DOF], drive.state[N_DOF:] = self.state.q[b, :, k], self.state.v[b, :, k]
+        drive.state[:] = np.concatenate([self.state.q[b, :, k], self.state.v[b, :, k]])
         drive.strut_state[:] = self.state.strut_state[b, :, :, k]
         drive.steps = int(self.state.counts[b, STEPS_DONE, k])
         drive.delay_line = self.state.delay_line[b, :, k].copy()
@@ -295,12 +294,17 @@ class InstrumentedFleet:
 
 
 def _initial_state(
-    blocks: int, delay: int, antialias_sections: int, wk_sections: int, sensors: int
+    blocks: int,
+    n_dof: int,
+    delay: int,
+    antialias_sections: int,
+    wk_sections: int,
+    sensors: int,
 ) -> FleetState:
     """Return the state of vehicles at rest on level ground, in all lanes of every block."""
     state = FleetState(
-        q=aligned_zeros(blocks, N_DOF),
-        v=aligned_zeros(blocks, N_DOF),
+        q=aligned_zeros(blocks, n_dof),
+        v=aligned_zeros(blocks, n_dof),
         strut_state=aligned_zeros(blocks, 4, 3),
         valves=aligned_zeros(blocks, 2),
         delay_line=np.zeros((blocks, delay, LANES), dtype=np.uint8),

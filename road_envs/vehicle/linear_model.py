@@ -305,8 +305,13 @@ def force_response(model: LinearModel, f: np.ndarray) -> tuple[np.ndarray, np.nd
 def _road_response(model: LinearModel, f: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return s (F, 1, 1), and the coordinates (F, 7, 4) by the road height under each wheel."""
     s = _laplace_variable(f)
+    return s, _coordinates(model, s, _road_push(model, s))
+
+
+def _road_push(model: LinearModel, s: np.ndarray) -> np.ndarray:
+    """Return the accelerations (F, n, 4) of the rates by the road height under each wheel."""
     of_height, of_rate = np.split(model.B[len(model.A) // 2 :], 2, axis=1)
-    return s, _coordinates(model, s, of_height + s * of_rate)
+    return of_height + s * of_rate
 
 
 def _laplace_variable(f: np.ndarray) -> np.ndarray:
@@ -397,9 +402,7 @@ def _side_response_changes(
 ) -> np.ndarray:
     """Return `response_changes` with side motion, where the rates of the deflections change too."""
     n, s = len(model.A) // 2, _laplace_variable(f)
-    of_height, of_rate = np.split(model.B[n:], 2, axis=1)
-    states, u = _states(model, s, of_height + s * of_rate), np.eye(4)
-    u = np.broadcast_to(u, (s.size, 4, 4))
+    states, u = _states(model, s, _road_push(model, s)), np.broadcast_to(np.eye(4), (s.size, 4, 4))
     paths = combine_wheel_paths(model, v, f, np.concatenate([states, u, s * u], axis=1))
     change = np.array([np.hstack([one.A - model.A, one.B - model.B]) for one in others])
     rates = np.moveaxis(

@@ -176,6 +176,16 @@ class VehicleParameters(Settings):
         return replace(self, variation=replace(self.variation, frame=None))
 
     @property
+    def sliding(self) -> "VehicleParameters":
+        """The vehicle without side motion, as if its tyres could slide sideways; itself if it has
+        none.
+        """
+        if self.side is None:
+            return self
+        rest = {k: t for k, t in self.tolerances.items() if k.partition(".")[0] != "side"}
+        return replace(self, side=None, tolerances=rest)
+
+    @property
     def axles(self) -> tuple[Axle | IndependentWheels, Axle | IndependentWheels]:
         """The axles (front, rear)."""
         return self.front, self.rear

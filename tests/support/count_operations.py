@@ -112,7 +112,7 @@ def count_step() -> dict[str, int]:
     work = StepWorkspace(*(Numbers(np.zeros(size)) for size in sizes))
     q, v = 1e-3 * rng.standard_normal((2, 7))
     road = Numbers(1e-3 * rng.standard_normal(16))
-    inputs, out = StepInputs(road, Numbers(np.zeros(4)), 0.001), Numbers(np.zeros(29))
+    inputs, out = StepInputs(road, Numbers(np.zeros(4)), 0.001, 0.0), Numbers(np.zeros(29))
     COUNTS.clear()
     motion = Motion(Numbers(q), Numbers(v))
     step(vehicle, motion, inputs, work, out)

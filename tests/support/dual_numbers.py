@@ -82,7 +82,7 @@ def main(cases, derivatives):
         work = rosenbrock.step_workspace(np.empty(rosenbrock.WORKSPACE_ROWS, dtype=object))
         y, out = duals(case["y"], case["dy"]), np.empty(rosenbrock.N_SIGNALS, dtype=object)
         road = duals(case["road"], case["droad"])
-        inputs = rosenbrock.StepInputs(road, case["a_xy"], float(case["h"]))
+        inputs = rosenbrock.StepInputs(road, case["a_xy"], float(case["h"]), 0.0)
         vehicle = VehicleBuffers(
             constants, case["velocity"], case["displacement"], case["strut_state"]
         )

@@ -75,7 +75,7 @@ def test_the_compiled_step_and_its_error_equal_the_published_pair(name, mode, h)
     vehicle = simulator.plant.buffers(simulator.strut_state)
     work, before = rosenbrock.step_workspace(np.empty(rosenbrock.WORKSPACE_ROWS)), np.empty(29)
     result, error, under = y.copy(), np.empty(14), np.concatenate([now, later, road(t + h)])
-    inputs = rosenbrock.StepInputs(under[:16], np.zeros(4), h)
+    inputs = rosenbrock.StepInputs(under[:16], np.zeros(4), h, 0.0)
     rosenbrock.step(vehicle, Motion(result[:7], result[7:]), inputs, work, before)
     assert before[25:].min() > 0.0
     adaptive_drive.step_error(vehicle, before, result, under, h, work, error)

@@ -44,7 +44,7 @@ def random_inputs() -> SharedInputs:
     commands = np.zeros(STEPS, dtype=np.uint8)
     commands[100:200] = encode_command("handling")
     commands[200:] = encode_command({"front": "handling", "rear": "ride"})
-    return SharedInputs(road, commands, STRUT_STATE, 0.01, H)
+    return SharedInputs(road, commands, STRUT_STATE, 0.01, H, np.zeros(len(commands)))
 
 
 def test_variants_drive_as_each_of_them_alone():
@@ -72,7 +72,8 @@ def test_flexible_variants_drive_as_the_simulator_does():
     slope = np.stack([(ahead - behind)[w % 2, w] / 2e-6 for w in range(4)], axis=1)
     road = np.stack([z, slope * v[:-1, None]], axis=1)
     commands = np.zeros(2000, dtype=np.uint8)
-    (a,) = drive_variants([plant], [start], SharedInputs(road, commands, STRUT_STATE, 0.01, H))
+    shared = SharedInputs(road, commands, STRUT_STATE, 0.01, H, np.zeros(len(commands)))
+    (a,) = drive_variants([plant], [start], shared)
     signals = drive.advance(commands).signals
     expected = signals[:, [*range(ACCELERATION, ACCELERATION + 7), TWIST + 2]]
     assert a.shape == (2000, 8) and np.ptp(expected[:, 7]) > 1.0

@@ -23,7 +23,7 @@ from road_envs.vehicle.suspension import encode_command, settled_strut_state
 from road_envs.vehicle.tolerances import parameter_space
 
 PASSIVE = [n for n in config.names("vehicles") if load_vehicle(n).is_passive]
-BMW = load_vehicle("bmw_320i")
+BMW = load_vehicle("bmw_320i").sliding
 AIR = AirSpring(kind="air", A=0.012, x=0.16, n_p=1.3)
 P_0 = 101325.0
 
@@ -66,7 +66,7 @@ def air(load, A, x, n):
 
 @pytest.mark.parametrize("name", PASSIVE)
 def test_a_passive_car_rests_at_its_static_lengths(name):
-    car = load_vehicle(name)
+    car = load_vehicle(name).sliding
     z = np.zeros(7)
     out = compute_accelerations(build_plant(car), settled_strut_state(0), z, z)
     assert np.abs(out).max() < 1e-9
@@ -213,7 +213,7 @@ to 15 Hz); those of heavy solid axles are lower, 7 to 11 Hz."""
 
 @pytest.mark.parametrize("name", PASSIVE)
 def test_shipped_cars_have_the_frequencies_and_damping_of_their_kind(name):
-    car = load_vehicle(name)
+    car = load_vehicle(name).sliding
     damping = np.array([5000.0] * 4)  # plays no part in undamped frequencies
     modes = natural_modes(linearise(car, "passive", {}, damping=damping))
     for mode, f in zip(modes.names, modes.f, strict=True):

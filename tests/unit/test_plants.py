@@ -21,7 +21,9 @@ from road_envs.simulation.drive import simulate
 from road_envs.vehicle.parameters import load_vehicle
 
 POINTS = [SensorLocation(0.0, 0.0), SensorLocation(0.0, 1.0), SensorLocation(-1.0, 0.0)]
-CARS = {name: load_vehicle(name) for name in ("bmw_320i", "jeep_cherokee", "volkswagen_vanagon")}
+CARS = {
+    name: load_vehicle(name).sliding for name in ("bmw_320i", "jeep_cherokee", "volkswagen_vanagon")
+}
 CLASS_C = realise_road("iso_c", 1, 60.0)
 LEVEL = Surface(np.zeros((2, 200)), 0.1)
 

@@ -28,8 +28,7 @@ from road_envs.vehicle.linear_model import (
 from road_envs.vehicle.parameters import TorsionalFrame, check_plausible, load_vehicle
 from road_envs.vehicle.suspension import settled_strut_state
 
-PLAIN = load_vehicle("bmw_320i")
-PLAIN = replace(PLAIN, side=None)
+PLAIN = load_vehicle("bmw_320i").sliding
 BMW = replace(PLAIN, side=side_values(PLAIN))
 LINEAR = as_driven(BMW)
 TWISTING = replace(BMW, variation=replace(BMW.variation, frame=TorsionalFrame(f=12.0, zeta=0.08)))
@@ -115,7 +114,7 @@ def test_the_roll_response_is_that_of_the_lagrangian_in_fixed_axes():
 def test_heave_and_pitch_do_not_know_of_side_motion():
     f = np.array([0.7, 1.5, 4.0, 10.0])
     with_it = frequency_response(linearise(LINEAR, "passive", POINTS, speed=V), V, f=f)
-    without = linearise(replace(LINEAR, side=None), "passive", POINTS)
+    without = linearise(LINEAR.sliding, "passive", POINTS)
     expected = frequency_response(without, V, f=f)
     np.testing.assert_allclose(with_it[:, 0] @ [1, 1], expected[:, 0] @ [1, 1], rtol=1e-12)
 
@@ -125,7 +124,7 @@ def test_roll_relative_to_a_free_body_is_that_of_two_foreign_plants():
     # 0.47, 0.59 at 0.67, 1, 3, 4 and 5 Hz; the model lies between or within 30 % of them
     f = np.array([0.67, 1.0, 3.0, 4.0, 5.0])
     car = with_side(LINEAR, C_alpha=(60e3, 50e3))
-    gain = np.abs(roll(car, f) / roll(replace(car, side=None), f))
+    gain = np.abs(roll(car, f) / roll(car.sliding, f))
     low, high = np.array([[1.50, 1.22, 0.24, 0.29, 0.48], [1.65, 1.58, 0.37, 0.47, 0.59]])
     assert (gain > 0.7 * low).all()
     assert (gain < 1.3 * high).all()
