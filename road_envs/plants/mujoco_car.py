@@ -200,7 +200,7 @@ def _solid(i: int, axle: Any, h: float, h_cg: float, radius: float) -> str:
         _sites(2 * i + k, (sign * axle.y_s, radius - h), (sign * axle.y_t, -h))
         for k, sign in enumerate((1.0, -1.0))
     )
-    inertia = f"{axle.I_xx} {axle.I_xx} {axle.I_xx}"  # those about y and z hardly matter
+    inertia = f"{axle.I_xx} {DRAG} {axle.I_xx}"  # it does not pitch with the body
     return f"""<body pos="{axle.x} 0 {h - h_cg}"><joint type="slide" axis="0 0 1"/>
     <joint axis="1 0 0" stiffness="{axle.k_roll}"/>
     <inertial pos="0 0 {radius - h}" mass="{axle.m}" diaginertia="{inertia}"/>

@@ -111,6 +111,7 @@ def linearise(
     z_r: np.ndarray | None = None,
     w_r: np.ndarray | None = None,
     damping: np.ndarray | None = None,
+    *,
     speed: float = 0.0,
 ) -> LinearModel:
     """Linearise the vehicle about a `state` (14,), by default its static equilibrium.
