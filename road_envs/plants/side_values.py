@@ -13,8 +13,8 @@ CORNERING_PER_LOAD = 14.0
 RELAXATION_LENGTH = 0.4
 """Relaxation length [m]; 0.3 to 0.5 m are usual (Pacejka 2012, chapter 7)."""
 
-YAW_PER_PITCH_INERTIA = 1.1
-"""Yaw inertia of a body over its pitch inertia; 1.14 and 1.12 in DOT HS 807 956."""
+YAW_PER_PITCH_INERTIA = 1.0
+"""Yaw inertia of a body over its pitch inertia; 0.96 to 1.08 of the shipped cars."""
 
 
 def side_values(car: VehicleParameters) -> SideMotion:

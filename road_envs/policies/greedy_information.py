@@ -74,7 +74,7 @@ def expected_comfort(
     """Return the W_k-weighted RMS heave acceleration [m/s²] of the linear vehicle at `v` [m/s]."""
     mode = {"front": front, "rear": rear}
     damping = equivalent_damping(car, mode, v, prior)
-    model = linearise(car, mode, {"heave": (0.0, 0.0)}, damping=damping)
+    model = linearise(car, mode, {"heave": (0.0, 0.0)}, damping=damping, speed=v)
     H = frequency_response(model, v, f=FREQUENCIES)
     density = np.real(np.einsum("fsa,fab,fsb->f", H, prior.spectrum(FREQUENCIES / v) / v, H.conj()))
     return float(np.sqrt(np.trapezoid(wk(FREQUENCIES) ** 2 * density, FREQUENCIES)))

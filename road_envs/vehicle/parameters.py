@@ -109,9 +109,6 @@ class Tolerance(Settings):
 TYRE_DEFLECTION, WHEEL_HOP = (0.003, 0.1), (3.0, 40.0)
 """Plausible static deflections of a tyre [m], and frequencies of an axle on its tyres [Hz]."""
 
-YAW_PER_PITCH = (0.5, 2.0)
-"""Plausible yaw inertias of a body over its pitch inertia."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class VehicleParameters(Settings):
@@ -251,11 +248,12 @@ def check_plausible(car: VehicleParameters, where: str) -> None:
                 f"at h_cg = {car.h_cg:g} m; 0 to 0.2 m of independent wheels and 0.3 to 0.6 m of "
                 "solid axles are usual"
             )
-    ratio = car.side.I_zz / car.I_yy
-    if not YAW_PER_PITCH[0] <= ratio <= YAW_PER_PITCH[1]:
+    low, high = abs(car.I_yy - car.I_xx), car.I_yy + car.I_xx
+    if not low <= car.side.I_zz <= high:
         raise config.ConfigError(
-            f"{where}: the yaw inertia side.I_zz is {ratio:.3g} times the pitch inertia I_yy; "
-            f"{YAW_PER_PITCH[0]:g} to {YAW_PER_PITCH[1]:g} times are plausible: check units"
+            f"{where}: side.I_zz = {car.side.I_zz:g} kg m² is the yaw inertia of no rigid body "
+            f"with I_xx = {car.I_xx:g} and I_yy = {car.I_yy:g}: theirs is from {low:g} to "
+            f"{high:g}; it is that of the body, without axles"
         )
 
 
