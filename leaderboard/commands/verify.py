@@ -16,7 +16,6 @@ from leaderboard.commands import (
 )
 from leaderboard.commands.options import Isolation, Json, MemoryLimit, TimeLimit, parse_limits
 from leaderboard.entries.entries import resolve_entries
-from leaderboard.metrics.registry import SCORES
 from leaderboard.running.jobs import in_sandbox
 from leaderboard.running.verification import SHARE, Verified, save_verified, verify_folder
 from leaderboard.sandbox.client import SandboxClient
@@ -44,7 +43,8 @@ def verify(
 ) -> None:
     """Run a random tenth of stored drives again and compare; exit status 1 if one differs.
 
-    Rows of this machine and its kernels are compared at 1e-9, those of others at 5e-3 of a score.
+    Rows of this processor and its kernels are compared in all scores, those of others in the
+    ranking score at a wider tolerance.
     What was found is kept in the folder: boards note rows of other processors without it.
     """
     if not folder.is_dir():
@@ -65,8 +65,9 @@ def verify(
     if json:
         print_json([{**dataclasses.asdict(row), "agrees": row.agrees} for row in found])
     else:
-        heads = ("estimator", "task", "runs", "largest difference", "tolerance", "of", "result")
-        console.print(make_table(heads, map(_cells, found), texts=("task", "of", "result")))
+        heads = ("estimator", "task", "runs", "apart", "tolerance", "score", "result")
+        texts = ("task", "score", "result")
+        console.print(make_table(heads, map(_cells, found), texts=texts, box=None))
         notices.print(_summary(found))
     if any(not row.agrees for row in found if row.runs):
         raise typer.Exit(1)
@@ -76,9 +77,8 @@ def _cells(row: Verified) -> list[str]:
     numbers = (
         [f"{row.runs}", f"{row.distance:.1e}", f"{row.tolerance:.0e}"] if row.runs else [""] * 3
     )
-    score = SCORES[row.score].label if row.score else ""
     verdict = row.reason or ("agrees" if row.agrees else "DIFFERS")
-    return [row.estimator, row.task, *numbers, score, verdict]
+    return [row.estimator, row.task, *numbers, row.score, verdict]
 
 
 def _summary(found: list[Verified]) -> str:

@@ -79,8 +79,7 @@ class Metric:
     `label` names it in full, `head` at the top of a table column, `help` explains it in a sentence
     or two. Values are printed in `unit`; `better` tells which ones are good. It is a column on
     request of each of `boards`, beside those that list it themselves; `blank` stands for a value
-    that is not defined. Columns that a board derives from scores have no `compute`. A `discrete`
-    score counts what lies beyond a threshold: it jumps where a value crosses it by a last bit.
+    that is not defined. Columns that a board derives from scores have no `compute`.
     """
 
     key: str
@@ -93,7 +92,6 @@ class Metric:
     help: str = ""
     boards: tuple[str, ...] = ()
     blank: str = UNDEFINED
-    discrete: bool = False
     compute: Callable[[ScoredEstimate], float] | None = None
 
     def format_value(self, value: float | None) -> str:

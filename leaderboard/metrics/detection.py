@@ -16,46 +16,43 @@ def _obstacles(scored: ScoredEstimate) -> ObstacleScores:
     return found or UNDEFINED_OBSTACLES
 
 
-@metric("bump precision", unit="%", factor=100.0, digits=0, better="high", discrete=True)
+@metric("bump precision", unit="%", factor=100.0, digits=0, better="high")
 def bump_precision(scored: ScoredEstimate) -> float:
     """Share of detected bumps and holes that are there."""
     return scored.shared(_obstacles).precision
 
 
-@metric("bump recall", unit="%", factor=100.0, digits=0, better="high", discrete=True)
+@metric("bump recall", unit="%", factor=100.0, digits=0, better="high")
 def bump_recall(scored: ScoredEstimate) -> float:
     """Share of bumps and holes that are detected."""
     return scored.shared(_obstacles).recall
 
 
-@metric("bump F1", better="high", discrete=True)
+@metric("bump F1", better="high")
 def bump_f1(scored: ScoredEstimate) -> float:
     """F1 score of the detection of bumps and holes, within 0.3 m and on the right wheel path."""
     return scored.shared(_obstacles).f1
 
 
-@metric("bump location error", unit="m", head="location error", discrete=True)
+@metric("bump location error", unit="m", head="location error")
 def bump_location_error(scored: ScoredEstimate) -> float:
     """Mean distance of detected obstacles from their true places."""
     return scored.shared(_obstacles).location_error
 
 
-@metric("bump height error", unit="mm", factor=1000.0, digits=0, head="height error", discrete=True)
+@metric("bump height error", unit="mm", factor=1000.0, digits=0, head="height error")
 def bump_height_error(scored: ScoredEstimate) -> float:
     """Mean absolute error of the height of detected obstacles."""
     return scored.shared(_obstacles).height_error
 
 
-@metric(
-    "relative bump height error",
-    unit="%", factor=100.0, digits=0, head="height error", discrete=True,
-)  # fmt: skip
+@metric("relative bump height error", unit="%", factor=100.0, digits=0, head="height error")
 def bump_height_error_relative(scored: ScoredEstimate) -> float:
     """Mean absolute error of the height of detected obstacles, relative to the true height."""
     return scored.shared(_obstacles).height_error_relative
 
 
-@metric("bumps on the wrong side", digits=1, head="wrong side", discrete=True)
+@metric("bumps on the wrong side", digits=1, head="wrong side")
 def bump_wrong_side(scored: ScoredEstimate) -> float:
     """Number of detected obstacles that only the other wheel path has."""
     return scored.shared(_obstacles).wrong_side

@@ -95,7 +95,7 @@ def r(scored: ScoredEstimate) -> float:
     return scored.shared(_shift).r
 
 
-@metric("best lag", unit="m", better="zero", head="lag", discrete=True)
+@metric("best lag", unit="m", better="zero", head="lag")
 def lag(scored: ScoredEstimate) -> float:
     """Shift within ±0.5 m at which the correlation is largest; positive if the estimate is late."""
     return scored.shared(_shift).lag
@@ -119,19 +119,13 @@ def crps(scored: ScoredEstimate) -> float:
     return scored.shared(_uncertainty).crps
 
 
-@metric(
-    "errors in the 50 % interval",
-    unit="%", factor=100.0, digits=0, better="", head="in 50 %", discrete=True,
-)  # fmt: skip
+@metric("errors in the 50 % interval", unit="%", factor=100.0, digits=0, better="", head="in 50 %")
 def coverage_50(scored: ScoredEstimate) -> float:
     """Share of errors inside the 50 % interval, for estimates with a standard deviation."""
     return scored.shared(_uncertainty).coverage_50
 
 
-@metric(
-    "errors in the 90 % interval",
-    unit="%", factor=100.0, digits=0, better="", head="in 90 %", discrete=True,
-)  # fmt: skip
+@metric("errors in the 90 % interval", unit="%", factor=100.0, digits=0, better="", head="in 90 %")
 def coverage_90(scored: ScoredEstimate) -> float:
     """Share of errors inside the 90 % interval, for estimates with a standard deviation."""
     return scored.shared(_uncertainty).coverage_90

@@ -52,10 +52,7 @@ def dsd_bias_db(scored: ScoredEstimate) -> float:
     return scored.shared(_distance)[1]
 
 
-@metric(
-    "octaves in the true class",
-    unit="%", factor=100.0, digits=0, better="high", head="class", discrete=True,
-)  # fmt: skip
+@metric("octaves in the true class", unit="%", factor=100.0, digits=0, better="high", head="class")
 def class_exact(scored: ScoredEstimate) -> float:
     """Share of octaves from 0.25 to 2 cycles/m whose ISO 8608 class is that of the true road.
 
@@ -66,17 +63,14 @@ def class_exact(scored: ScoredEstimate) -> float:
 
 @metric(
     "octaves within one class",
-    unit="%", factor=100.0, digits=0, better="high", head="within one", discrete=True,
+    unit="%", factor=100.0, digits=0, better="high", head="within one",
 )  # fmt: skip
 def class_within_one(scored: ScoredEstimate) -> float:
     """Share of octaves whose class is at most one from that of the true road."""
     return _share(np.abs(scored.shared(_class_steps)) <= 1)
 
 
-@metric(
-    "fitted class correct",
-    unit="%", factor=100.0, digits=0, better="high", head="fitted", discrete=True,
-)  # fmt: skip
+@metric("fitted class correct", unit="%", factor=100.0, digits=0, better="high", head="fitted")
 def fitted_class(scored: ScoredEstimate) -> float:
     """Share of wheel paths whose class, of a line with w = 2 fitted in band, is the true one."""
     return scored.shared(_fitted)[0]
@@ -127,7 +121,6 @@ CLASS_BY_OCTAVE = tuple(
         factor=100.0,
         digits=0,
         better="high",
-        discrete=True,
         help=f"Share of wheel paths with the true ISO 8608 class in the octave of {n:g} cycles/m.",
         compute=_class_in_octave(k),
     )

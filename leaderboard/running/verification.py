@@ -39,6 +39,7 @@ from leaderboard.evaluation.tasks import Condition, Task
 from leaderboard.evaluation.test_data import RecordedDrive, simulate_drives
 from leaderboard.json_values import to_json_types
 from leaderboard.metrics.baselines import MEMORY, TRUTH_PLUS_NOISE
+from leaderboard.metrics.registry import SCORES
 from road_envs.core.artifacts import Kind
 from road_envs.core.config import ConfigError, Settings, build
 
@@ -183,15 +184,15 @@ def _verify_row(
     if entry is None or found.reason:
         return found
     stored = {run_key(drive): drive.scores for drive in row.drives}
+    same = found.tolerance <= SAME_KERNELS
+    compared = SCORES if same else [task.board_definition.ranks_by]
     worst, runs = Distance("", 0.0), 0
     for condition, drives in data.items():
         made = evaluate_entry(task, condition, drives, entry, row.seeds, run)
         if made.failure is not None:
             return dataclasses.replace(found, reason=made.failure)
         for drive in made.drives:
-            discrete = found.tolerance <= SAME_KERNELS
-            known = stored.get(run_key(drive), {})
-            away = largest_distance(known, drive.scores, discrete=discrete)
+            away = largest_distance(stored.get(run_key(drive), {}), drive.scores, compared)
             worst, runs = max(worst, away, key=lambda x: x.value), runs + 1
     return dataclasses.replace(found, runs=runs, score=worst.score, distance=worst.value)
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import hostile
 import pytest
+from agreement import disagreements
 from fake_estimators import Reader
 from fakes import task
 from hostile import Hostile, poisoned_kernels
@@ -17,7 +18,6 @@ from wheels import encrypt, module, write_wheel
 
 from estimators import create
 from leaderboard.entries.entries import NAME, RESERVED, make_entry, resolve_entries
-from leaderboard.evaluation.comparison import disagreements
 from leaderboard.evaluation.results import isolation_notice
 from leaderboard.metrics.baselines import BASELINES
 from leaderboard.running.board import RunRequest, run_board

@@ -9,10 +9,10 @@ import signal
 from types import SimpleNamespace
 
 import pytest
+from agreement import disagreements
 from board_runs import Counting, make_request
 
 from leaderboard.entries import entry
-from leaderboard.evaluation.comparison import disagreements
 from leaderboard.report.cache import build_report
 from leaderboard.report.site import write_site
 from leaderboard.running.board import run_board

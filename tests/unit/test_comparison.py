@@ -8,16 +8,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from agreement import disagreements
 from fake_results import result_of
 
-from leaderboard.evaluation.comparison import (
-    OTHER_KERNELS,
-    SAME_KERNELS,
-    disagreements,
-    distance,
-    largest_distance,
-)
-from leaderboard.metrics.registry import SCORES
+from leaderboard.evaluation.comparison import SAME_KERNELS, distance, largest_distance
 from leaderboard.sandbox.limits import guest_environment
 
 READER = result_of("reader")
@@ -35,10 +29,9 @@ def scaled(name, factor):
     return with_scores(lambda scores: scores | {name: factor * scores[name]})
 
 
-@pytest.mark.parametrize("tolerance", [SAME_KERNELS, OTHER_KERNELS])
-def test_a_score_may_differ_by_the_tolerance_and_not_by_more(tolerance):
-    assert disagreements(READER, scaled("nrmse", 1.0 + 0.9 * tolerance), tolerance) == []
-    (found,) = disagreements(READER, scaled("nrmse", 1.0 + 1.2 * tolerance), tolerance)
+def test_a_score_may_differ_by_the_tolerance_and_not_by_more():
+    assert disagreements(READER, scaled("nrmse", 1.0 + 0.9 * SAME_KERNELS)) == []
+    (found,) = disagreements(READER, scaled("nrmse", 1.0 + 1.2 * SAME_KERNELS))
     assert "nrmse differs by" in found and READER.drives[-1].road in found
 
 
@@ -49,21 +42,17 @@ def test_small_scores_are_compared_at_their_printed_digits():
     assert distance("nrmse", 2.0, 2.002) == pytest.approx(0.001, rel=1e-2)
 
 
-def test_a_score_that_only_one_result_has_disagrees_at_any_tolerance():
+def test_a_score_that_only_one_result_has_is_at_the_largest_distance():
     lacking = with_scores(lambda scores: {k: x for k, x in scores.items() if k != "r"})
-    assert len(disagreements(READER, lacking, 1.0)) == 1
+    assert len(disagreements(READER, lacking)) == 1
     assert distance("r", None, None) == 0.0
     assert distance("r", 0.0, None) == distance("r", 3.0, -3.0) == 2.0
 
 
-def test_scores_that_jump_at_a_threshold_are_compared_with_the_same_kernels_only():
-    assert SCORES["class_exact"].discrete and not SCORES["nrmse"].discrete
-    jumped = with_scores(lambda scores: scores | {"class_exact": scores["class_exact"] - 0.5})
-    assert disagreements(READER, jumped, OTHER_KERNELS) == []
-    assert len(disagreements(READER, jumped, SAME_KERNELS)) == 1
-    scores = {"nrmse": 1.0, "class_exact": 1.0}, {"nrmse": 1.002, "class_exact": 0.5}
-    assert largest_distance(*scores).score == "nrmse"
-    assert largest_distance(*scores, discrete=True).score == "class_exact"
+def test_the_largest_distance_is_that_of_the_scores_that_are_compared():
+    scores = {"nrmse": 1.0, "r": 1.0}, {"nrmse": 1.002, "r": 0.5}
+    assert largest_distance(*scores) == ("r", 0.5)
+    assert largest_distance(*scores, ["nrmse"]) == ("nrmse", pytest.approx(0.002, rel=1e-2))
 
 
 def test_times_and_machine_are_not_compared_and_all_else_is():
