@@ -41,7 +41,10 @@ class HiddenSeeds(Settings):
 
 
 def commit(salt: str, tasks: Sequence[Task]) -> HiddenSeeds:
-    """Return the hidden test set of a secret `salt`. Raises ConfigError for a short salt."""
+    """Return the hidden test set of a secret `salt`, after a trial of revealing it.
+
+    Raises ConfigError for a short salt and for a task that could not be revealed.
+    """
     if len(salt) < MIN_SALT_LENGTH:
         raise ConfigError(
             f"the salt must have at least {MIN_SALT_LENGTH} characters, got {len(salt)}"
@@ -51,7 +54,10 @@ def commit(salt: str, tasks: Sequence[Task]) -> HiddenSeeds:
         tasks={task.name: task.digest for task in tasks},
         roads={task.name: len(task.test.seeds) for task in tasks},
     )
-    return dataclasses.replace(hidden, commitment=_commitment(salt, hidden))
+    hidden = dataclasses.replace(hidden, commitment=_commitment(salt, hidden))
+    for name in hidden.tasks:
+        build(Task, _hidden_task(salt, hidden, name), f"{name}: it cannot have a season")
+    return hidden
 
 
 def save(hidden: HiddenSeeds, folder: Path) -> Path:
@@ -80,20 +86,37 @@ def reveal(salt: str, folder: Path) -> list[Path]:
     if _commitment(salt, hidden) != hidden.commitment:
         raise ConfigError(f"{folder / COMMITMENT}: the salt does not match the commitment")
     written = []
-    for name, digest in hidden.tasks.items():
-        task = load_task(name)
-        if task.digest != digest:
-            raise ConfigError(f"{name}: the public task has changed since the commitment was made")
-        data: dict[str, Any] = read_yaml(find("tasks", name))
-        data["name"] = f"{name}_{hidden.commitment[:8]}"
-        data["title"] = f"{task.title}; season {hidden.commitment[:8]}"
-        data["test"] = {**data["test"], "seeds": seeds(salt, task, hidden.roads[name])}
-        data["test"].pop("number", None)
+    for data in [_hidden_task(salt, hidden, name) for name in hidden.tasks]:
         path = folder / f"{data['name']}.yaml"
         write_text(path, yaml.safe_dump(data, sort_keys=False, allow_unicode=True))
         load_task(path)
         written.append(path)
     return written
+
+
+def _hidden_task(salt: str, hidden: HiddenSeeds, name: str) -> dict[str, Any]:
+    """Return the YAML object of a task with its hidden seeds, on all of whose roads it is driven.
+
+    A design, which assigns the public drives to conditions, is repeated over the hidden ones.
+    Raises ConfigError if the public task has changed.
+    """
+    task = load_task(name)
+    if task.digest != hidden.tasks[name]:
+        raise ConfigError(f"{name}: the public task has changed since the commitment was made")
+    data: dict[str, Any] = read_yaml(find("tasks", name))
+    test = {**data["test"], "seeds": seeds(salt, task, hidden.roads[name])}
+    test.pop("number", None)
+    if task.test.design:
+        block = len(task.test.roads_and_seeds)
+        repeats = len(task.test.seeds) * len(task.test.roads) // block
+        test["number"] = block * repeats
+        test["design"] = [
+            [block * k + index for k in range(repeats) for index in indices]
+            for indices in task.test.design
+        ]
+    season = hidden.commitment[:8]
+    names = {"name": f"{name}_{season}", "title": f"{task.title}; season {season}"}
+    return {**data, **names, "test": test}
 
 
 def seeds(salt: str, task: Task, count: int) -> list[int]:

@@ -1,13 +1,18 @@
 """Hidden test sets: the commitment fixes them, and the salt reveals and verifies them."""
 
+import dataclasses
 import json
 
 import pytest
+from board_runs import Counting, make_request
+from fake_estimators import Reader
 from typer.testing import CliRunner
 
 from leaderboard.cli import app
 from leaderboard.evaluation import hidden_seeds
 from leaderboard.evaluation.tasks import load_task
+from leaderboard.running.board import run_board
+from road_envs.core import config
 from road_envs.core.config import ConfigError
 
 SALT = "correct horse battery"
@@ -38,6 +43,47 @@ def test_revealed_tasks_differ_from_the_public_ones_only_in_their_seeds(publishe
     ]
     used = public.training.all_seeds | public.test.all_seeds
     assert not hidden.test.all_seeds & used and len(hidden.test.all_seeds) == 50
+
+
+@pytest.mark.parametrize("name", config.names("tasks"))
+def test_every_shipped_task_goes_from_commitment_to_a_scored_row(name, tmp_path):
+    """Committed, submitted, revealed, verified by anyone with the salt, and run."""
+    public = load_task(name)
+    hidden_seeds.save(hidden_seeds.commit(SALT, [public]), tmp_path)
+    (path,) = hidden_seeds.reveal(SALT, tmp_path)
+    hidden = load_task(path)
+    assert hidden.conditions == public.conditions and hidden.board_name == public.board_name
+    assert not hidden.test.all_seeds & (public.training.all_seeds | public.test.all_seeds)
+    drawn = hidden_seeds.seeds(SALT, public, len(public.test.seeds))
+    assert list(hidden.test.seeds) == drawn  # what anyone finds who has the salt
+    driven = [
+        len(t.drives_of(t.test, condition)) for t in (public, hidden) for condition in t.conditions
+    ]
+    half = len(driven) // 2
+    assert driven[half:] >= driven[:half] and min(driven) > 0
+    length = None if hidden.bumps else 16.0  # an obstacle stands where it stands
+    drives = [dataclasses.replace(x, length=length) for x in (hidden.test, hidden.training)]
+    short = dataclasses.replace(hidden, test=drives[0], training=drives[1], bound=False)
+    request = make_request({"reader": Reader()}, short, seeds=(1,), roads=1)
+    board = run_board(request, tmp_path / "out", Counting({"reader": Reader()}))
+    (ran,) = request.sized_tasks()
+    assert "reader" in {row.estimator for row in board.scored(ran)} and not board.failed(ran)
+
+
+def test_the_design_of_the_public_drives_is_repeated_over_the_hidden_ones(tmp_path):
+    hidden_seeds.save(hidden_seeds.commit(SALT, [load_task("new_road")]), tmp_path)
+    hidden = load_task(hidden_seeds.reveal(SALT, tmp_path)[0])
+    assert len(hidden.test.roads_and_seeds) == 60
+    assert hidden.test.design[0] == (0, 5, 12, 17, 24, 29, 36, 41, 48, 53)
+    families = [{hidden.test.families[k % 6] for k in indices} for indices in hidden.test.design]
+    assert set().union(*families) == set(hidden.test.families)
+
+
+def test_a_task_that_could_not_be_revealed_cannot_be_committed(monkeypatch):
+    broken = {**config.read_yaml(config.find("tasks", "class")), "conditions": []}
+    monkeypatch.setattr(hidden_seeds, "read_yaml", lambda path: broken)
+    with pytest.raises(ConfigError, match="class: it cannot have a season: conditions"):
+        hidden_seeds.commit(SALT, [load_task("class")])
 
 
 def test_another_salt_gives_other_seeds_and_another_commitment():
