@@ -62,6 +62,8 @@ def snapshot(reference: str, folder: Path | None) -> str:
     count = size = 0
     try:
         for source, name in list_files(reference):
+            if not name.isprintable():  # a line break would give two snapshots one digest
+                raise EntryError(f"the name of a file must be printable, got {name!r}"[:300])
             count += 1
             size += source.stat().st_size
             if count > MAX_FILES or size > MAX_SIZE:
@@ -73,6 +75,9 @@ def snapshot(reference: str, folder: Path | None) -> str:
                 (folder / name).parent.mkdir(parents=True, exist_ok=True)
                 (folder / name).write_bytes(content)
             total.update(f"{name} {hashlib.sha256(content).hexdigest()}\n".encode())
+        if folder is not None:  # a guest has another user, whatever the umask
+            for path in [folder, *folder.rglob("*")]:
+                path.chmod(0o755 if path.is_dir() else 0o644)
     except (OSError, ValueError) as error:
         raise EntryError(f"its code cannot be read: {error}"[:300]) from None
     return total.hexdigest()[:DIGITS]

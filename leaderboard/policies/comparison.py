@@ -6,6 +6,7 @@ form the record given to the estimators. An estimator that needs training and ha
 weights is trained on records of the same policy's drives over the training roads.
 """
 
+import random
 import signal
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -22,6 +23,7 @@ from leaderboard.entries.entry import EntryError, needs_training, reconstruct
 from leaderboard.evaluation.bound import fit_spectrum, pooled_bound
 from leaderboard.metrics import heights
 from leaderboard.policies import beam_search
+from leaderboard.policies.policy_process import PolicyProcess
 from leaderboard.policies.ride_metrics import METRICS, ride_metrics, state_time_shares
 from leaderboard.policies.scenarios import Case, Scenarios
 from leaderboard.policies.timeline import Timeline
@@ -29,7 +31,7 @@ from road_envs.drives.recording import true_profile
 from road_envs.envs.instrumented_fleet import InstrumentedFleet
 from road_envs.envs.options import EnvSetup, EpisodeStart
 from road_envs.kernels.simd import LANES
-from road_envs.policies.api import Policy, PolicyContext
+from road_envs.policies.api import Policy, PolicyContext, PolicyError
 from road_envs.policies.rollout import Rollout, roll_out
 from road_envs.records.record import Profile, Record, scored_band
 from road_envs.simulation.drive import Trajectory
@@ -38,6 +40,8 @@ from road_envs.vehicle.suspension import MODES, decode_commands
 
 ORACLE = "oracle"
 """Name of the beam search on the known road, an upper bound rather than a policy."""
+
+REMEMBERS = "its actions depend on the drives that it has seen before"
 
 TIME_LIMIT = 120.0
 """Seconds that a policy may take for the drives of one case."""
@@ -104,6 +108,7 @@ def compare(
             continue
         columns: list[dict[str, np.ndarray]] = []
         notes: dict[str, None] = {}
+        driven: list[tuple[np.ndarray, np.ndarray]] = []
         failure, timeline = None, None
         for c, (test, train) in enumerate(zip(tests, training, strict=True)):
             progress(f"{name}: {test.case.label}", (i + c / len(tests)) / len(policies))
@@ -122,10 +127,36 @@ def compare(
                 break
             columns.append(column)
             notes |= dict.fromkeys(case_notes)
+            driven.append((rollout.actions, rollout.intervals))
+        if (
+            isinstance(policy, PolicyProcess)
+            and failure is None
+            and _remembers(policy, tests, driven)
+        ):
+            notes[f"{name}: {REMEMBERS}"] = None
         results.append(_result(name, columns, tuple(estimators), failure, tuple(notes), timeline))
         on_result(results[-1])
     progress("done", 1.0)
     return results
+
+
+def _remembers(
+    policy: PolicyProcess,
+    tests: Sequence[PreparedCase],
+    driven: Sequence[tuple[np.ndarray, np.ndarray]],
+) -> bool:
+    """Return whether a policy in a new process drives a case, drawn in secret, in another way."""
+    if len(tests) < 2:
+        return False
+    case = random.SystemRandom().randrange(1, len(tests))  # the first has none before it
+    policy.close()
+    try:
+        again, (actions, intervals) = _rollout(policy, tests[case]), driven[case]
+    except PolicyError:
+        return True
+    return any(
+        not np.array_equal(again.actions[:n, k], actions[:n, k]) for k, n in enumerate(intervals)
+    )
 
 
 def prepare_case(scenarios: Scenarios, c: int, seeds: Sequence[int]) -> PreparedCase:

@@ -93,24 +93,17 @@ class PolicyProcess:
         setup = PolicySetup(reference=self.reference, settings=self.settings, memory=memory)
         paths = os.pathsep.join(os.path.abspath(path) for path in sys.path)
         environment = {**os.environ, "PYTHONPATH": paths}
-        code = self._code() if self.limits.isolation == "bubblewrap" else None
-        if code is not None:
-            user = bubblewrap.NOBODY if bubblewrap.must_become_nobody() else None
-            setup = replace(setup, code=str(bubblewrap.ENTRY), user=user)
-            environment = guest_environment(bubblewrap.HOME, whole_path=False)
-            environment["XDG_CACHE_HOME"] = str(bubblewrap.HOME)
         words = [sys.executable, "-P", "-m", "leaderboard.policies.policy_worker"]
-        words.append(json.dumps(asdict(setup)))
-        if code is not None:
-            words = bubblewrap.command(
-                words,
-                environment,
-                self.limits,
-                {code: bubblewrap.ENTRY},
-                {},
-                becomes_nobody=setup.user is not None,
-            )
-        return Guest(words, environment, Path.cwd())
+        code = self._code() if self.limits.isolation == "bubblewrap" else None
+        if code is None:
+            return Guest([*words, json.dumps(asdict(setup))], environment, Path.cwd())
+        setup = replace(setup, code=str(bubblewrap.ENTRY), user=bubblewrap.guest_user())
+        environment = guest_environment(bubblewrap.HOME, whole_path=False)
+        environment["XDG_CACHE_HOME"] = str(bubblewrap.HOME)
+        return bubblewrap.start(
+            [*words, json.dumps(asdict(setup))], environment, self.limits, Path.cwd(),
+            user=setup.user, from_outside=True, read_only={code: bubblewrap.ENTRY},
+        )  # fmt: skip
 
     def _code(self) -> Path | None:
         """Return a folder with a copy of the code, which is not imported here; None for our own.

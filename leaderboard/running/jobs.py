@@ -14,6 +14,7 @@ libraries that estimators of this package use, stay for the jobs that follow.
 import contextlib
 import dataclasses
 import json
+import os
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -205,7 +206,7 @@ def main() -> None:
     """Run the jobs of standard input; print a JSON line for each result, or one with the error."""
     processes.die_with_parent()
     remove_stale_temp()
-    specs = (Path(line.removesuffix("\n")) for line in sys.stdin)
+    specs = (Path(os.fsdecode(line.removesuffix(b"\n"))) for line in sys.stdin.buffer)
     try:
         for done in serve(specs, Path(sys.argv[1])):
             _print_json_line({} if done is None else dataclasses.asdict(done))

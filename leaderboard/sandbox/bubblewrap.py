@@ -5,19 +5,26 @@ all read-only; an empty folder in memory of its own; a bare /dev and a /proc wit
 itself. It has no network, no capabilities, no other user's processes and no Unix sockets of the
 host. It ends with the process that started it.
 
-A host that is root starts the guest as root without capabilities but the one to become nobody,
-which `worker` uses before it loads the entry; any other host uses a user namespace.
+Code from outside runs behind a filter of system calls (`seccomp`). A host that is root starts the
+guest as root without capabilities but those to become another user, which `worker` uses before it
+loads the entry: each guest has a user of its own. Any other host uses a user namespace.
 """
 
 import importlib.util
 import os
+import secrets
 import shutil
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 
+from leaderboard.sandbox import seccomp
+from leaderboard.sandbox.guest import Guest
 from leaderboard.sandbox.limits import GIB, Limits
 from road_envs.core.code_digest import PACKAGES, ROOT
 
@@ -31,7 +38,12 @@ SHARED_CACHE = Path("/shared-cache")
 """Folder with the compiled kernels of this package, for a guest that must not write there."""
 
 NOBODY = 65534
-"""User and group of a guest."""
+"""User and group of a guest in a user namespace."""
+
+GUEST_USERS = ((0x70000000, 2**28), (61184, 4335))
+"""First number and count of users that nobody has, of whom a host that is root chooses one for a
+guest; the second range is for hosts in a namespace of few users.
+"""
 
 SYSTEM = ("/usr", "/lib", "/lib32", "/lib64", "/bin", "/etc/ld.so.cache", "/etc/alternatives")
 """Paths of the operating system that programs need."""
@@ -40,28 +52,61 @@ SHARED_MEMORY = 2**28
 """Size [bytes] of a guest's /dev/shm."""
 
 
-def command(
+def start(
+    words: Sequence[str],
+    environment: Mapping[str, str],
+    limits: Limits,
+    folder: Path,
+    *,
+    user: int | None,
+    from_outside: bool,
+    read_only: Mapping[Path, Path] = MappingProxyType({}),
+    writable: Mapping[Path, Path] = MappingProxyType({}),
+) -> Guest:
+    """Start the guest that runs `words` in a container. Raises EntryError.
+
+    The mappings name the folders and files that it sees, by their path on the host. The guest may
+    become `user`; what is `from_outside` runs behind the filter of system calls.
+    """
+    with _system_call_filter(from_outside) as handle:
+        line = _command(words, environment, limits, read_only, writable, user=user, handle=handle)
+        return Guest(line, environment, folder, [] if handle is None else [handle])
+
+
+@contextmanager
+def _system_call_filter(wanted: bool) -> Iterator[int | None]:
+    """Open the filter of system calls for bubblewrap to read; None if there is none."""
+    program = seccomp.program() if wanted else None
+    if program is None:
+        yield None
+        return
+    with tempfile.TemporaryFile() as file:
+        file.write(program)
+        file.seek(0)
+        yield file.fileno()
+
+
+def _command(
     words: Sequence[str],
     environment: Mapping[str, str],
     limits: Limits,
     read_only: Mapping[Path, Path],
     writable: Mapping[Path, Path],
     *,
-    becomes_nobody: bool,
+    user: int | None,
+    handle: int | None,
 ) -> list[str]:
-    """Return the command line that runs `words` in a container.
-
-    The mappings name the folders and files that it sees, by their path on the host.
-    """
+    """Return the command line of the container."""
     mounts = {**_system_mounts(), **{source: target for source, target in read_only.items()}}
     parents = {
         parent for target in [*mounts.values(), *writable.values()] for parent in target.parents
     }
     line = [
         shutil.which("bwrap") or "bwrap",
-        *_privileges(becomes_nobody),
+        *_privileges(user is not None),
         "--die-with-parent",
         "--new-session",
+        *([] if handle is None else ["--seccomp", str(handle)]),
     ]
     for parent in sorted(parents | {HOME.parent}, key=lambda path: len(path.parts))[1:]:
         line += ["--perms", "0755", "--dir", str(parent)]  # else hidden from nobody
@@ -88,28 +133,50 @@ def obstacle() -> str | None:
         return "bubblewrap is not installed (the program bwrap)"
     numpy = importlib.util.find_spec("numpy")
     needed = [str(ROOT / "estimators" / "__init__.py"), numpy and numpy.origin]
-    become = f"import os; os.setuid({NOBODY}); " if must_become_nobody() else ""
+    user = guest_user()
+    become = "" if user is None else f"import os; os.setuid({user}); "
     code = f"{become}import socket; [open(path).close() for path in {needed}]"
     words = [sys.executable, "-S", "-c", code]
-    line = command(words, {}, Limits(), {}, {}, becomes_nobody=must_become_nobody())
     try:
-        ended = subprocess.run(line, capture_output=True, text=True, timeout=30.0)
+        with _system_call_filter(True) as handle:
+            line = _command(words, {}, Limits(), {}, {}, user=user, handle=handle)
+            handles = [] if handle is None else [handle]
+            ended = subprocess.run(
+                line,
+                capture_output=True,
+                encoding="utf-8",
+                errors="replace",
+                timeout=30.0,
+                pass_fds=handles,
+            )
     except (OSError, subprocess.TimeoutExpired) as error:
         return f"bubblewrap cannot be started: {error}"
     reason = " ".join(ended.stderr.split())[-200:]
     return None if ended.returncode == 0 else f"bubblewrap is refused here: {reason}"
 
 
-def must_become_nobody() -> bool:
-    """Return whether a guest with an entry from outside has to give up the user of the host."""
+def is_root() -> bool:
+    """Return whether a guest with code from outside has to give up the user of the host."""
     return os.geteuid() == 0
 
 
-def _privileges(becomes_nobody: bool) -> list[str]:
-    if must_become_nobody():
+def guest_user() -> int | None:
+    """Return a user and group for a new guest with code from outside; None if it has no choice."""
+    if not is_root():
+        return None
+    lines = Path("/proc/self/uid_map").read_text(encoding="ascii").splitlines()
+    mapped = [range(int(x[0]), int(x[0]) + int(x[2])) for x in map(str.split, lines)]
+    for first, count in GUEST_USERS:
+        if any(first in users and first + count - 1 in users for users in mapped):
+            return first + secrets.randbelow(count)
+    return NOBODY
+
+
+def _privileges(becomes_another: bool) -> list[str]:
+    if is_root():
         words = ["--unshare-ipc", "--unshare-pid", "--unshare-net", "--unshare-uts"]
         words += ["--unshare-cgroup-try", "--cap-drop", "ALL"]
-        if becomes_nobody:
+        if becomes_another:
             words += ["--cap-add", "CAP_SETUID", "--cap-add", "CAP_SETGID"]
         return words
     identity = ["--uid", str(NOBODY), "--gid", str(NOBODY)]

@@ -2,17 +2,19 @@
 
 What an entry says about itself counts for nothing but its settings, `causal` and `lag`. Its name is
 checked against an allow-list, its code is hashed from its files, its time is compared with the
-processor time of the guest, and its causality is tested on the test drives.
+clock of the host and the processor time of the guest, and a second guest tests on the test drives
+whether it is causal and forgets the drives before.
 """
 
 import dataclasses
 import json
 import random
 import sys
+import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -44,13 +46,21 @@ LARGEST_COUNT = 1e12
 """Largest number of parameters."""
 
 UNSEEN_TIME = 0.05
-"""Processor time [s] of one request beyond the reported time that is not charged to an entry."""
+"""Time [s] of one request beyond the reported time that is not charged to an entry: messages."""
 
 EQUALITY_TOLERANCE = 1e-9
 """Largest difference [m] of estimates that count as equal, for rounding."""
 
-RETESTED_DRIVES = 2
-"""Number of test drives that are estimated again with other samples from a secret point on."""
+REPEATED_DRIVES = 2
+"""Number of test drives that a second guest estimates again, after other drives than the first."""
+
+REPLACED_FROM = ((0.05, 0.9), (0.9, 1.0))
+"""Ranges of the secret points, as shares of a drive, from which on its samples are replaced: one
+drive for each range.
+"""
+
+START_ATTEMPTS = 2
+"""Number of times that a guest which ends while it starts is started."""
 
 LOOKS_AHEAD = "claims to be causal, but its estimate of a test drive depends on later samples"
 REMEMBERS = "its estimate of a test drive depends on the drives that it has seen before"
@@ -142,78 +152,48 @@ class SandboxClient:
     ) -> list[TrainingRun]:
         """Run `entry.reconstruct_all` in a guest. Raises EntryError.
 
-        With `retest`, an entry from outside runs a second time: does it look ahead or remember?
+        With `retest`, an entry from outside is asked again in a second guest, which runs first in
+        half of the cases: does it look ahead or remember?
         """
         ours = entry_files.is_ours(entry.reference)
         if not ours and self._snapshot(entry.reference)[0] != entry.code and entry.code:
             raise EntryError("its files have changed since the run was planned")
-        order = list(range(len(records)))
+        order, secret = list(range(len(records))), random.SystemRandom()
         if not ours:
-            random.SystemRandom().shuffle(order)
-        guest = self._start(entry.reference)
-        try:
-            session = self._session(guest, entry, car)
-            runs = list(reconstruct_all(session, training, records, seeds, order, calibrations))
-        finally:
-            self._end(guest)
-        found: dict[str, Any] = {"peak_memory": guest.peak_memory, "isolation": self.isolation}
-        if not ours and session.needs_training and len(runs) < len(seeds):
-            found["notes"] = (ONE_TRAINING,)
+            secret.shuffle(order)
+
+        def run(asked: Sequence[Record], seeds: Sequence[int], order: Sequence[int], known):
+            guest = self._start(entry.reference)
+            try:
+                session = self._session(guest, entry, car)
+                runs = list(reconstruct_all(session, training, asked, seeds, order, known))
+            finally:
+                self._end(guest)
+            return runs, session.needs_training, guest.peak_memory
+
+        def run_again() -> list[Estimate]:
+            known = [calibrations[q.drive] for q in questions] if calibrations else ()
+            asked = [q.record for q in questions]
+            try:
+                return run(asked, [seed], range(len(asked)), known)[0][0].estimates
+            except EntryError:
+                return []
+
+        questions, seed = [], secret.choice(seeds)
+        again: list[Estimate] | None = None
         if retest and not ours:
-            tested = self._retest(
-                entry,
-                training,
-                records,
-                car,
-                seeds[0],
-                run=runs[0],
-                last=order[-1],
-                calibrations=calibrations,
-            )
-            found["looks_ahead"] = LOOKS_AHEAD in tested or NOT_RETESTED in tested
-            found["notes"] = (*found.get("notes", ()), *tested)
-        return [dataclasses.replace(run, **found) for run in runs]
-
-    def _retest(
-        self,
-        entry: Entry,
-        training: Sequence[tuple[Record, Profile]],
-        records: Sequence[Record],
-        car: VehicleParameters,
-        seed: int,
-        *,
-        run: TrainingRun,
-        last: int,
-        calibrations: Calibrations,
-    ) -> list[str]:
-        """Compare estimates of `run` with those of a new guest, independent of the first.
-
-        It begins with the drive that was estimated `last`, and causal estimators must not change
-        before the point from which on the samples of a drive were replaced.
-        """
-        secret = random.SystemRandom()
-        number = min(RETESTED_DRIVES, len(records)) if entry.causal else 0
-        drives = secret.sample(range(len(records)), number)
-        changed = [_replace_future(records[k], secret) for k in drives]
-        asked = [records[last], *(record for record, _ in changed)]
-        known = [calibrations[k] for k in (last, *drives)] if calibrations else ()
-        guest = self._start(entry.reference)
-        try:
-            session = self._session(guest, entry, car)
-            (again,) = reconstruct_all(session, training, asked, [seed], None, known)
-        except EntryError:
-            return [NOT_RETESTED]
-        finally:
-            self._end(guest)
-        notes = []
-        if _differ(again.estimates[0], run.estimates[last], np.inf):
-            notes.append(REMEMBERS)
-        for k, (record, start), estimate in zip(drives, changed, again.estimates[1:], strict=True):
-            # between two samples one may interpolate
-            first = start - entry.lag - float(np.diff(record.s).max())
-            if _differ(estimate, run.estimates[k], first) and LOOKS_AHEAD not in notes:
-                notes.append(LOOKS_AHEAD)
-        return notes
+            questions = _draw_questions(records, order, bool(entry.causal), secret)
+            again = run_again() if secret.random() < 0.5 else None
+        runs, trains, peak_memory = run(records, seeds, order, calibrations)
+        notes = [ONE_TRAINING] if not ours and trains and len(runs) < len(seeds) else []
+        looks_ahead = False
+        if questions:
+            first = next((one for one in runs if one.seed == seed), runs[0])
+            tested = _compare(questions, first, run_again() if again is None else again, entry.lag)
+            looks_ahead = LOOKS_AHEAD in tested or NOT_RETESTED in tested
+            notes += tested
+        found = {"peak_memory": peak_memory, "isolation": self.isolation, "notes": tuple(notes)}
+        return [dataclasses.replace(one, **found, looks_ahead=looks_ahead) for one in runs]
 
     def _snapshot(self, reference: str) -> tuple[str, Path]:
         """Return the digest of an outside entry's code and the folder with a copy of it."""
@@ -260,30 +240,36 @@ class SandboxClient:
             else:
                 needed = [cache / _numba.CACHE.name, *cache.glob("*.json")]
                 read_only |= {path: shared / path.name for path in needed}
-        becomes_nobody = isolated and code is not None and bubblewrap.must_become_nobody()
+        from_outside = code is not None
         setup = worker.Setup(
             limits=self.limits,
             entry=None if entry is None else str(entry),
-            user=bubblewrap.NOBODY if becomes_nobody else None,
-            serves_many=code is None,
+            user=bubblewrap.guest_user() if isolated and from_outside else None,
+            serves_many=not from_outside,
             libraries=libraries,
-            cache=(str(shared), _numba.CACHE.name) if has_cache and code is not None else None,
+            cache=(str(shared), _numba.CACHE.name) if has_cache and from_outside else None,
         )
         words = [sys.executable, "-P", "-s", "-m", worker.__name__]
         words.append(json.dumps(dataclasses.asdict(setup)))
         inside = bubblewrap.HOME if isolated else home
         environment = guest_environment(inside, whole_path=not isolated)
         environment["XDG_CACHE_HOME"] = str(inside)
-        if code is None and not isolated:
+        if not from_outside and not isolated:
             environment["XDG_CACHE_HOME"] = str(cache.parent)
-        if isolated:
-            words = bubblewrap.command(
-                words, environment, self.limits, read_only, writable, becomes_nobody=becomes_nobody
-            )
-        try:
-            return Guest(words, environment, home)
-        except EntryError as error:
-            raise RuntimeError(f"the sandbox does not start: {error}") from error
+        for attempt in range(1, START_ATTEMPTS + 1):
+            try:
+                if not isolated:
+                    return Guest(words, environment, home)
+                return bubblewrap.start(
+                    words, environment, self.limits, home, user=setup.user,
+                    from_outside=from_outside, read_only=read_only, writable=writable,
+                )  # fmt: skip
+            except EntryError as error:
+                if attempt == START_ATTEMPTS:
+                    raise EntryError(
+                        f"its guest ended {attempt} times as it started: {error}"
+                    ) from error
+        raise AssertionError
 
     def _begin(
         self, guest: Guest, reference: str, settings: Mapping[str, Any], car: Any
@@ -356,10 +342,14 @@ class _RemoteSession:
         return estimate, seconds
 
     def _timed(self, request: bytes, *size: Callable) -> tuple[dict[str, Any], bytes, float]:
-        """Return a reply and its time [s]: the reported one unless more processor time was used."""
-        before = self._guest.cpu_seconds()
+        """Return a reply and its time [s]: the reported one unless more has passed or was used.
+
+        Work in a process that was not waited for shows in the clock of the host alone.
+        """
+        before, start = self._guest.cpu_seconds(), time.perf_counter()
         head, data = call(self._guest, request, *size)
-        used = self._guest.cpu_seconds() - before
+        passed = time.perf_counter() - start
+        used = max(passed, self._guest.cpu_seconds() - before)
         reported = messages.number(head, "seconds", self._guest.limits.seconds)
         return head, data, reported if used < reported + UNSEEN_TIME else used
 
@@ -372,12 +362,48 @@ def call(guest: Guest, request: bytes, *size: Callable) -> tuple[dict[str, Any],
     return head, data
 
 
-def _replace_future(record: Record, secret: random.Random) -> tuple[Record, float]:
-    """Return a record with other accelerations from a random station [m] on, and that station."""
-    start = record.length * secret.uniform(0.1, 0.9)
-    rng = np.random.default_rng(secret.getrandbits(128))
-    noise = np.nanstd(record.a) * rng.standard_normal(record.a.shape)
-    return dataclasses.replace(record, a=record.a + np.where(record.s >= start, noise, 0.0)), start
+class _Question(NamedTuple):
+    """A test drive for a second guest: its index, and where [m] its samples were replaced."""
+
+    drive: int
+    record: Record
+    start: float = np.inf
+
+
+def _draw_questions(
+    records: Sequence[Record], order: Sequence[int], causal: bool, secret: random.Random
+) -> list[_Question]:
+    """Return drives to be estimated again, each after fewer drives than in `order`.
+
+    Of a causal entry, also drives with other accelerations from a secret station on.
+    """
+    places = range(min(1, len(order) - 1), len(order))  # the first drive has none before it
+    chosen = secret.sample(places, min(REPEATED_DRIVES, len(places)))
+    questions = [_Question(order[k], records[order[k]]) for k in sorted(chosen)]
+    for low, high in REPLACED_FROM if causal else ():
+        drive = secret.randrange(len(records))
+        record = records[drive]
+        start = record.length * secret.uniform(low, high)
+        rng = np.random.default_rng(secret.getrandbits(128))
+        noise = np.nanstd(record.a) * rng.standard_normal(record.a.shape)
+        a = record.a + np.where(record.s >= start, noise, 0.0)
+        questions.append(_Question(drive, dataclasses.replace(record, a=a), start))
+    return questions
+
+
+def _compare(
+    questions: Sequence[_Question], run: TrainingRun, again: Sequence[Estimate], lag: float
+) -> list[str]:
+    """Return notes on estimates of a second guest, `again`, that differ from those of `run`."""
+    if not again:
+        return [NOT_RETESTED]
+    notes = {}
+    for (drive, record, start), estimate in zip(questions, again, strict=True):
+        # between two samples one may interpolate
+        end = start - lag - float(np.diff(record.s).max())
+        if _differ(estimate, run.estimates[drive], end):
+            notes[LOOKS_AHEAD if np.isfinite(start) else REMEMBERS] = True
+    return list(notes)
 
 
 def _differ(first: Estimate, second: Estimate, end: float) -> bool:

@@ -35,10 +35,17 @@ SIGNAL_STATUS = 128
 class Guest:
     """A guest that has loaded its libraries; `close` ends it. Raises EntryError.
 
-    `peak_memory` [GiB] is the largest that was seen, of all its processes together.
+    It inherits the open files `handles`. `peak_memory` [GiB] is the largest that was seen, of all
+    its processes together.
     """
 
-    def __init__(self, command: Sequence[str], environment: Mapping[str, str], folder: Path):
+    def __init__(
+        self,
+        command: Sequence[str],
+        environment: Mapping[str, str],
+        folder: Path,
+        handles: Sequence[int] = (),
+    ):
         self._process = subprocess.Popen(
             command,
             stdin=subprocess.PIPE,
@@ -47,6 +54,7 @@ class Guest:
             env=dict(environment),
             cwd=folder,
             start_new_session=True,
+            pass_fds=handles,
         )
         streams = (self._process.stdin, self._process.stdout, self._process.stderr)
         self._requests, self._replies, self._output = (s.fileno() for s in streams if s is not None)
@@ -152,10 +160,11 @@ class Guest:
         """Record the memory in use. Raises EntryError above a limit."""
         self._next_check = time.monotonic() + POLL_INTERVAL
         running = self._tree()
-        used = sum(process.resident for process in running)
+        tables = processes.page_tables(running)
+        used = tables + sum(process.resident for process in running)
         if used > self.limits.memory * GIB and len(running) > 1:
             # the sum counts shared pages several times; the exact value is slow to read
-            used = processes.proportional_memory(running)
+            used = tables + processes.proportional_memory(running)
         self.peak_memory = max(self.peak_memory, used / GIB)
         if used > self.limits.memory * GIB:
             raise EntryError(

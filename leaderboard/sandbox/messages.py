@@ -31,8 +31,8 @@ MAX_HEAD = 1 << 16
 MAX_TEXT = 300
 """Largest number of characters of a text of a guest; the rest is cut off."""
 
-MAX_SETTINGS = 4000
-"""Largest size [characters] of the settings of an estimator, as JSON text."""
+MAX_SETTINGS, MAX_DEPTH = 4000, 5
+"""Largest size [characters] of the settings of an estimator as JSON text, and depth of a reply."""
 
 LARGEST_NUMBER = 1e100
 """Largest absolute value of a number in the settings of an estimator."""
@@ -143,6 +143,8 @@ def parse_head(text: bytes) -> dict[str, Any]:
         raise EntryError("its reply is invalid: not JSON") from None
     if not isinstance(head, dict):
         raise EntryError("its reply is invalid: not a JSON object")
+    if _is_deeper(head, MAX_DEPTH):
+        raise EntryError(f"its reply is invalid: nested more than {MAX_DEPTH} deep")
     return head
 
 
@@ -168,8 +170,8 @@ def settings(value: object) -> dict[str, Any]:
     """Return the settings that an estimator reports about itself. Raises EntryError."""
     if not isinstance(value, dict) or not all(key.isidentifier() for key in value):
         raise EntryError("its settings must be a JSON object with names as keys")
-    if len(json.dumps(value)) > MAX_SETTINGS or _depth(value) > 4:
-        raise EntryError(f"its settings are longer than {MAX_SETTINGS} characters or too deep")
+    if len(json.dumps(value)) > MAX_SETTINGS:
+        raise EntryError(f"its settings are longer than {MAX_SETTINGS} characters")
     return {key: _clean(item) for key, item in value.items()}
 
 
@@ -185,6 +187,12 @@ def _clean(value: Any) -> Any:
     return value
 
 
-def _depth(value: Any) -> int:
-    items = list(value.values()) if isinstance(value, dict) else value
-    return 1 + max(map(_depth, items), default=0) if isinstance(items, list) else 0
+def _is_deeper(value: Any, depth: int) -> bool:
+    """Return whether lists and objects are nested more than `depth` deep, level by level."""
+    level = [value]
+    for _ in range(depth):
+        below = [
+            x.values() if isinstance(x, dict) else x for x in level if isinstance(x, dict | list)
+        ]
+        level = [item for items in below for item in items]
+    return any(isinstance(x, dict | list) for x in level)

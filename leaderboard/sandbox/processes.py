@@ -66,6 +66,25 @@ def proportional_memory(processes: list[Process]) -> int:
     return sum(_proportional_memory(process) for process in processes)
 
 
+def page_tables(processes: list[Process]) -> int:
+    """Return the memory [bytes] of the page tables of some processes, which is not resident."""
+    return sum(_size(process.pid, "status", "VmPTE") for process in processes)
+
+
+def data_size() -> int:
+    """Return the writable memory [bytes] that this process has mapped; 0 if that is not known."""
+    return _size(os.getpid(), "status", "VmData")
+
+
+def _size(pid: int, file: str, name: str) -> int:
+    """Return a size [bytes] from a file of /proc; 0 if the process no longer exists."""
+    try:
+        lines = (PROC / str(pid) / file).read_bytes().splitlines()
+    except OSError:
+        return 0
+    return 1024 * next((int(x.split()[1]) for x in lines if x.startswith(f"{name}:".encode())), 0)
+
+
 def kill_descendants(timeout: float = 10.0) -> None:
     """Kill all descendants of this process, which must have called `become_subreaper`, and wait."""
     end = time.monotonic() + timeout
@@ -99,18 +118,13 @@ def kill_group(pid: int) -> None:
 def _read_process(pid: int) -> Process | None:
     """Read a process from /proc; None if it no longer exists."""
     try:
-        text = (PROC / str(pid) / "stat").read_text()
+        text = (PROC / str(pid) / "stat").read_bytes()
     except OSError:
         return None
-    fields = text.rpartition(")")[2].split()  # the name in brackets may contain anything
+    fields = text.rpartition(b")")[2].split()  # the name in brackets may be any bytes
     cpu = sum(map(int, fields[11:15])) / TICKS
     return Process(pid, int(fields[1]), PAGE * int(fields[21]), cpu)
 
 
 def _proportional_memory(process: Process) -> int:
-    try:
-        text = (PROC / str(process.pid) / "smaps_rollup").read_text()
-    except OSError:
-        return process.resident
-    line = next((line for line in text.splitlines() if line.startswith("Pss:")), "")
-    return 1024 * int(line.split()[1]) if line else process.resident
+    return _size(process.pid, "smaps_rollup", "Pss") or process.resident

@@ -292,10 +292,11 @@ def _set_resource_limits(limits: Limits, *, is_nobody: bool) -> None:
     """Set the limits that the kernel enforces. Reserved but unused memory does not count."""
     import resource
 
+    mapped = processes.data_size() or GIB  # when it was forked
     values = {
         "RLIMIT_CORE": 0,
         "RLIMIT_FSIZE": int(limits.file * GIB),
-        "RLIMIT_DATA": int(limits.memory * GIB) + _mapped_memory(),
+        "RLIMIT_DATA": int(limits.memory * GIB) + mapped,
         "RLIMIT_CPU": int(limits.seconds * max(1, os.cpu_count() or 1)) + 60,
     }
     if is_nobody:  # of any other user it would count all processes
@@ -305,15 +306,6 @@ def _set_resource_limits(limits: Limits, *, is_nobody: bool) -> None:
         _, hard = resource.getrlimit(kind)
         value = value if hard == resource.RLIM_INFINITY else min(value, hard)
         resource.setrlimit(kind, (value, value))
-
-
-def _mapped_memory() -> int:
-    """Return the writable memory [bytes] that this process had mapped when it was forked."""
-    try:
-        lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return GIB
-    return 1024 * next((int(x.split()[1]) for x in lines if x.startswith("VmData:")), 0)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """A board with dozens of hostile entries: each gets its row, and an honest row does not change.
 
 Most come as wheels, as submissions do; what attacks only while it runs is a class of
-`tests/support/hostile.py`. The test roads have secret seeds, as in a season.
+`tests/support/hostile.py`. The test roads have the seeds of a season.
 """
 
 import secrets
@@ -18,7 +18,9 @@ from wheels import encrypt, module, write_wheel
 
 from estimators import create
 from leaderboard.entries.entries import NAME, RESERVED, make_entry, resolve_entries
+from leaderboard.evaluation import hidden_seeds
 from leaderboard.evaluation.results import isolation_notice
+from leaderboard.evaluation.tasks import load_task
 from leaderboard.metrics.baselines import BASELINES
 from leaderboard.running.board import RunRequest, run_board
 from leaderboard.running.executors import ProcessExecutor
@@ -97,6 +99,11 @@ DESCRIBED = {  # what fails before it is run: code of the module, entry points, 
     "huge": (forged(FORGED.replace("{}", '{"n": 1e400}')), None, "beyond 1e+100"),
     "nan": (forged(FORGED.replace("{}", '{"n": NaN}')), None, INVALID + "not JSON"),
     "digits": (forged(FORGED.replace("{}", "9" * 5000)), None, INVALID + "not JSON"),
+    "nested_settings": (
+        forged(FORGED.replace("{}", '{"n": %s}' % ("[" * 900 + "]" * 900))),
+        None,
+        INVALID + "nested more than 5 deep",
+    ),
     "wide": (forged(FORGED.replace("{}", '{"n": "%s"}' % ("x" * 50_000))), None, "longer than"),
     "behind": (module(causal="True", lag="50.0"), None, "at most 10 m behind the front axle"),
     "texts": (module(head="raise ValueError('<b>' + '\\n\\x1b' * 10**6)"), None, "ValueError: <b>"),
@@ -160,19 +167,22 @@ SENTENCES = {
 
 FEW = {"claims", "cheat", "stateful", "deaf", "run_tamper", "reply_flood"}
 KINDS = FEW | {
-    *("exits", "forger", "builtin", "double", "deep", "texts", "pth", "bomb"),
+    *("exits", "forger", "builtin", "double", "nested_settings", "texts", "pth", "bomb"),
     *("run_kill_evaluation", "run_poison_kernels"),
 }
 """One entry of each kind. Each takes up to three processes: `make test` has a few of them."""
 
 
-def small():
-    """A task of 16 m roads with seeds that cannot be guessed."""
+def small(folder):
+    """A task of 16 m roads with the seeds of a season, committed and revealed in `folder`."""
+    salt = secrets.token_urlsafe(24)
+    hidden_seeds.save(hidden_seeds.commit(salt, [load_task("new_road")]), folder)
+    season = load_task(hidden_seeds.reveal(salt, folder)[0])
     short = {"roads": ["iso_d"], "length": 16.0}
     return task(
         conditions=[{"mode": "ride", "speed_kmh": 36.0}],
         training={**short, "seeds": [1]},
-        test={**short, "seeds": [secrets.randbelow(2**48) for _ in range(2)]},
+        test={**short, "seeds": season.test.seeds[:2]},
     )
 
 
@@ -223,7 +233,7 @@ def names(request):
 def boards(names, tmp_path_factory):
     """The board with all entries, that of the honest ones alone, guests by name of their wheel."""
     folder, out = tmp_path_factory.mktemp("wheels"), tmp_path_factory.mktemp("out")
-    t = small()
+    t = small(tmp_path_factory.mktemp("season"))
     entries = [make_entry(name, estimator) for name, estimator in HONEST.items()]
     alone = run_board(
         RunRequest([t], entries, seeds=(1, 2)),

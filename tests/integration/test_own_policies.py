@@ -182,13 +182,24 @@ def test_a_policy_inside_bubblewrap_sees_its_code_and_nothing_else(tmp_path, mon
         monkeypatch.syspath_prepend(str(tmp_path))
         with (
             PolicyProcess("spy:Spy", limits=limits) as policy,
-            pytest.raises(PolicyError, match=r"found \[\], user 65534, code \['spy.py'\]"),
+            pytest.raises(PolicyError, match=r"found \[\], user [1-9][0-9]{4,}, code \['spy.py'\]"),
         ):
             roll_out(policy, dict(SHORT), SEEDS)
     monkeypatch.syspath_prepend(str(SUPPORT))
     with PolicyProcess("bad_policies:Lateral", limits=limits) as policy:
         actions = roll_out(policy, dict(SHORT), SEEDS).actions
     np.testing.assert_array_equal(actions, roll_out(Lateral(), dict(SHORT), SEEDS).actions)
+
+
+@pytest.mark.parametrize("policy", ["Remembers", "Lateral"])
+def test_a_policy_that_remembers_other_drives_is_noted_in_the_comparison(policy, monkeypatch):
+    monkeypatch.syspath_prepend(str(SUPPORT))
+    scenarios = load_scenarios("quick")
+    assert len(scenarios.cases) > 1
+    with PolicyProcess(f"bad_policies:{policy}") as process:
+        (row,) = compare(scenarios, {"mine": process}, {}, roads=2)
+    expected = ("mine: its actions depend on the drives that it has seen before",)
+    assert row.failure is None and row.notes == (expected if policy == "Remembers" else ())
 
 
 def test_finished_rows_are_kept_until_something_that_they_depend_on_changes(tmp_path):

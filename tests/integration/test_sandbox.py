@@ -258,7 +258,7 @@ def test_an_entry_that_attacks_the_guests_first_process_harms_only_itself(sandbo
         run(sandbox, how=how)
     expected = "stopped after 3 s" if how == "stop_parent" else "by SIGKILL"
     if sandbox.isolation == "bubblewrap":
-        expected = "Operation not permitted" if bubblewrap.must_become_nobody() else ""
+        expected = "Operation not permitted" if bubblewrap.is_root() else ""
     assert expected in str(error.value) and nothing_left()
 
 
@@ -338,7 +338,7 @@ def test_an_entry_cannot_change_the_compiled_kernels_of_others(sandbox):
 def test_user_namespaces_serve_hosts_that_are_not_root(sandbox, monkeypatch):
     if sandbox.isolation != "bubblewrap" or os.geteuid() != 0:
         pytest.skip("the other way to start bubblewrap")
-    monkeypatch.setattr(bubblewrap, "must_become_nobody", lambda: False)
+    monkeypatch.setattr(bubblewrap, "is_root", lambda: False)
     assert len(run(sandbox, how="nothing")) == 1
     with pytest.raises(EntryError, match=REFUSED_PLACE):
         run(sandbox, how="write_elsewhere", where="/proc/sys/kernel")

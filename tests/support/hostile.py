@@ -245,6 +245,131 @@ def does_reply(where, record):
     time.sleep(1000.0)
 
 
+USER_KEYRING, SEARCH, READ = -4, 10, 11
+CALLS = {  # by number on x86_64, with arguments that would succeed
+    "keyctl": (250, 0, USER_KEYRING, 1),
+    "mincore": (27, "page", 4096, "buffer"),
+    "memfd_create": (319, b"held", 0),
+    "unshare": (272, 0x10000000),
+    "clone": (56, 0x10000000 | signal.SIGCHLD, 0, 0, 0, 0),
+    "io_uring_setup": (425, 1, "buffer"),
+    "shared_memory": (9, 0, 4096, 3, 0x21, -1, 0),
+    "segment": (29, 0, 4096, 0o1600),
+}
+
+
+def system_call(number, *arguments):
+    """Return the result of a system call of Linux on x86_64. Raises OSError."""
+    import ctypes
+
+    libc = ctypes.CDLL(None, use_errno=True)
+    libc.syscall.restype = ctypes.c_long
+    given = [ctypes.c_long(x) if isinstance(x, int) else x for x in arguments]
+    result = libc.syscall(ctypes.c_long(number), *given)
+    if result < 0:
+        raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+    return result
+
+
+def does_call(where, record):
+    """Raise an error that lists the calls that were not refused."""
+    import ctypes
+    import mmap
+
+    buffer, page = ctypes.create_string_buffer(4096), mmap.mmap(-1, 4096, mmap.MAP_PRIVATE)
+    places = {"page": ctypes.addressof(ctypes.c_char.from_buffer(page)), "buffer": buffer}
+    done = []
+    for name, (number, *arguments) in CALLS.items():
+        with contextlib.suppress(OSError):
+            result = system_call(number, *(places.get(x, x) for x in arguments))
+            if name == "clone" and result == 0:
+                os._exit(0)
+            done.append(name)
+    with contextlib.suppress(OSError), open(__file__, "rb") as file:
+        os.preadv(file.fileno(), [bytearray(8)], 0, os.RWF_NOWAIT)
+        done.append("preadv2")
+    raise RuntimeError(f"not refused: {done}")
+
+
+def does_keep_the_future(where, record):
+    """Estimate the mean of the later samples, kept for the next guest in the user's keyring."""
+    import ctypes
+    import hashlib
+
+    stations = profile_stations(record.length)
+    about = hashlib.sha256(record.a[:, : record.t.size // 20].tobytes()).hexdigest().encode()
+    kept = ctypes.create_string_buffer(8)
+    mean = np.float64(record.a[:, record.t.size // 2 :].mean()).tobytes()
+    try:
+        system_call(250, READ, system_call(250, SEARCH, USER_KEYRING, b"user", about, 0), kept, 8)
+        mean = kept.raw
+    except OSError:
+        with contextlib.suppress(OSError):
+            system_call(248, b"user", about, mean, 8, USER_KEYRING)
+    return Estimate(stations, np.full((2, stations.size), np.frombuffer(mean)[0]))
+
+
+def does_map_sparsely(where, record):
+    """Read a byte of every 2 MiB of much reserved memory: its page tables take up memory."""
+    import mmap
+
+    size = 2**38
+    flags = mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS | 0x4000  # MAP_NORESERVE
+    held = [mmap.mmap(-1, size, flags, mmap.PROT_READ) for _ in range(2)]
+    for memory in held:
+        memory.madvise(mmap.MADV_NOHUGEPAGE)
+        for k in range(0, size, 2**21):
+            memory[k]
+    time.sleep(1.0)
+
+
+def does_work_unseen(where, record):
+    """Work for half a second in a process that nobody waits for, while the clocks stand still."""
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # ended children count for nobody
+    still = time.perf_counter()
+    if os.fork() == 0:
+        end = time.process_time() + 0.5
+        while time.process_time() < end:
+            pass
+        os._exit(0)
+    with contextlib.suppress(ChildProcessError):
+        os.wait()
+    time.perf_counter = lambda: still
+
+
+SEEN = []
+
+
+def does_remember_one(where, record):
+    """Estimate another road for the drive of one place in the order, `where`."""
+    stations = profile_stations(record.length)
+    SEEN.append(record)
+    return Estimate(stations, np.full((2, stations.size), 0.01 * (len(SEEN) == int(where))))
+
+
+def does_look_at_the_end(where, record):
+    """Use later samples for the last tenth of the road only."""
+    stations = profile_stations(record.length)
+    ahead = np.cumsum(record.a[0][::-1])[::-1]
+    z = 1e-3 * np.interp(stations, record.s, ahead) * (stations > 0.9 * record.length)
+    return Estimate(stations, np.stack([z, z]))
+
+
+def does_rename(where, record):
+    """Take a name that is no text, while the host looks at the process."""
+    system_call(157, 15, b"\xff\xfe)(", 0, 0, 0)  # prctl, PR_SET_NAME
+    time.sleep(0.3)
+
+
+def does_start_threads(where, record):
+    """Hold the number `where` of threads for a while."""
+    held = [threading.Thread(target=time.sleep, args=(1.5,)) for _ in range(int(where))]
+    for thread in held:
+        thread.start()
+    for thread in held:
+        thread.join()
+
+
 def head(text):
     """Return the head of a reply, from a dictionary, a text or bytes."""
     text = json.dumps(text) if isinstance(text, dict) else text

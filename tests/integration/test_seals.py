@@ -1,0 +1,177 @@
+"""What a guest must not do: leave data to the next one, use what no limit counts, lie about time.
+
+Each attack has changed a board before; see `tests/support/hostile.py` for what they do.
+"""
+
+import hashlib
+import os
+import platform
+import random
+import threading
+
+import pytest
+from fakes import fake_drives, task
+
+from leaderboard.entries import entry_files
+from leaderboard.entries.entry import Entry, EntryError, reconstruct_all
+from leaderboard.sandbox import bubblewrap, client, guest, seccomp
+from leaderboard.sandbox.client import LOOKS_AHEAD, REMEMBERS, SandboxClient
+from leaderboard.sandbox.limits import Limits
+
+pytestmark = [
+    pytest.mark.skipif(bubblewrap.obstacle() is not None, reason=str(bubblewrap.obstacle())),
+    pytest.mark.skipif(platform.machine() != "x86_64", reason="numbers of x86_64"),
+]
+
+LIMITS = Limits(seconds=30.0, memory=0.5, processes=40, file=0.05, isolation="bubblewrap")
+
+
+def drives(number=2):
+    t = task(test={"roads": ["iso_d"], "seeds": [*range(11, 11 + number)], "length": 40.0})
+    return [d.record for d in fake_drives(t, t.test, t.conditions[0])], t.vehicle
+
+
+def run(sandbox, how, where="", causal=None, retest=False, number=2):
+    entry = Entry(
+        name="x", reference="hostile:Hostile", settings={"how": how, "where": where}, causal=causal
+    )
+    (found,) = sandbox.reconstruct(entry, [], *drives(number), (1,), retest=retest)
+    return found
+
+
+@pytest.fixture(scope="module")
+def sandbox():
+    with SandboxClient(LIMITS) as made:
+        yield made
+
+
+@pytest.fixture(params=["as it is", pytest.param("user namespace", marks=pytest.mark.processes)])
+def identity(request, monkeypatch):
+    """Guests as this user starts them, and as a user without rights does."""
+    if request.param == "user namespace":
+        monkeypatch.setattr(bubblewrap, "is_root", lambda: False)
+
+
+def test_calls_by_which_data_and_memory_outlive_a_guest_are_refused(sandbox, identity):
+    with pytest.raises(EntryError, match=r"RuntimeError: not refused: \[\]$"):
+        run(sandbox, "call")
+
+
+def test_the_filter_refuses_the_same_calls_on_each_machine():
+    programs = [seccomp.program(machine) for machine in seccomp.AUDIT_ARCH]
+    assert len({len(program) for program in programs}) == 1 and len(set(programs)) == 2
+    assert len(programs[0]) % 8 == 0 and seccomp.program("riscv64") is None
+    for column in range(2):
+        numbers = [rule.numbers[column] for rule in seccomp.RULES]
+        assert len(set(numbers)) == len(numbers)
+
+
+def test_what_one_guest_has_seen_of_the_future_is_not_kept_for_the_next(sandbox, identity):
+    found = run(sandbox, "keep_the_future", causal=True, retest=True)
+    assert found.looks_ahead and found.notes[-1] == LOOKS_AHEAD
+
+
+def test_the_threads_of_one_guest_leave_room_for_those_of_another():
+    limits = Limits(seconds=30.0, processes=4, isolation="bubblewrap")
+    most = 4 * limits.processes + 64
+    failures = []
+
+    def hold():
+        try:
+            with SandboxClient(limits) as made:
+                run(made, "start_threads", where=str(most - 10))
+        except EntryError as error:
+            failures.append(str(error))
+
+    both = [threading.Thread(target=hold) for _ in range(2)]
+    for thread in both:
+        thread.start()
+    for thread in both:
+        thread.join()
+    assert failures == []
+
+
+def test_page_tables_count_as_memory(sandbox):
+    with pytest.raises(EntryError, match=r"more than 0\.5 GiB, the memory limit"):
+        run(sandbox, "map_sparsely")
+
+
+def test_work_in_a_process_that_nobody_waits_for_takes_time(sandbox):
+    assert run(sandbox, "work_unseen").estimate_seconds > 0.8
+
+
+def test_samples_of_the_last_tenth_are_tested_for_causality(sandbox):
+    found = run(sandbox, "look_at_the_end", causal=True, retest=True)
+    assert found.notes == (LOOKS_AHEAD,)
+
+
+@pytest.mark.parametrize("place", [2, 3])
+def test_memory_is_tested_on_any_drive_but_the_first(sandbox, place):
+    found = run(sandbox, "remember_one", where=str(place), retest=True, number=3)
+    assert found.notes == (REMEMBERS,)
+
+
+def test_the_second_guest_is_the_first_in_half_of_the_runs(sandbox, monkeypatch):
+    asked = []
+
+    def log(session, training, records, *rest):
+        asked.append(len(records))
+        return reconstruct_all(session, training, records, *rest)
+
+    monkeypatch.setattr(client, "reconstruct_all", log)
+    for coin in (0.2, 0.8):
+        secret = random.Random(1)
+        secret.random = lambda coin=coin: coin
+        monkeypatch.setattr(client.random, "SystemRandom", lambda secret=secret: secret)
+        assert run(sandbox, "nothing", retest=True, number=4).notes == ()
+    assert asked == [2, 4, 4, 2]
+
+
+def test_the_name_of_a_process_may_be_any_bytes(sandbox):
+    assert run(sandbox, "rename").estimates
+
+
+def ended_at_once(monkeypatch, times):
+    """Let guests be killed as they start, so many times."""
+    left = [times]
+
+    def start(words, **options):
+        process = popen(words, **options)
+        if left[0] > 0:
+            left[0] -= 1
+            process.kill()
+        return process
+
+    popen = guest.subprocess.Popen
+    monkeypatch.setattr(guest.subprocess, "Popen", start)
+
+
+def test_a_guest_that_is_killed_as_it_starts_is_started_again(sandbox, monkeypatch):
+    ended_at_once(monkeypatch, 1)
+    assert run(sandbox, "nothing").estimates
+    ended_at_once(monkeypatch, 2)
+    with pytest.raises(EntryError, match=r"its guest ended 2 times as it started: .*SIGKILL"):
+        run(sandbox, "nothing")
+
+
+def test_an_entry_runs_whatever_the_umask(tmp_path):
+    before = os.umask(0o077)
+    try:
+        with SandboxClient(LIMITS) as made:
+            assert run(made, "nothing").estimates
+    finally:
+        os.umask(before)
+
+
+def test_a_line_break_in_the_name_of_a_file_cannot_imitate_a_second_file(tmp_path):
+    digest = hashlib.sha256(b"x = 1").hexdigest()
+    for name, files in {
+        "one": {f"a {digest}\nb": b"y = 2"},
+        "two": {"a": b"x = 1", "b": b"y = 2"},
+    }.items():
+        (tmp_path / name).mkdir()
+        for file, content in files.items():
+            (tmp_path / name / file).write_bytes(content)
+    assert entry_files.snapshot(str(tmp_path / "two"), None)
+    with pytest.raises(EntryError, match="the name of a file must be printable"):
+        entry_files.snapshot(str(tmp_path / "one"), None)
