@@ -232,6 +232,11 @@ class Task(Settings):
         """Definition of the board of this task."""
         return shipped_boards()[self.board] if isinstance(self.board, str) else self.board
 
+    @property
+    def is_public(self) -> bool:
+        """Whether the test roads can be drawn by anybody: those of a shipped task, not a season."""
+        return self.name in config.names("tasks")
+
     @cached_property
     def vehicle(self) -> VehicleParameters:
         """Nominal parameters of the vehicle. Raises ConfigError."""

@@ -40,8 +40,11 @@ BIBLIOGRAPHY = """@software{{road_recon,
 }}
 """
 LATEX_ESCAPES = str.maketrans(
-    {c: f"\\{c}" for c in "&%$#_{}"} | {"–": "--", "²": "$^2$", "~": "\\~{}"}
+    {c: f"\\{c}" for c in "&%$#_{}"}
+    | {"–": "--", "²": "$^2$", "~": "\\~{}", "^": "\\^{}", "\\": "\\textbackslash{}"}
 )
+FORMULA_SIGNS = ("=", "+", "-", "@", "\t", "\r")
+"""First characters by which a spreadsheet takes a text for a formula."""
 
 
 def write_exports(views: Sequence[BoardView], out: Path) -> list[Path]:
@@ -94,7 +97,8 @@ def as_csv(view: BoardView) -> str:
                 texts = view.board, section.task, group, row.name, row.state, causal, row.message
                 known = {k: x for k in NUMBER_FIELDS if (x := values.get(k)) is not None}
                 numbers = {name: f"{x:.6g}" for name, x in known.items()}
-                writer.writerow({**dict(zip(ROW_FIELDS, texts, strict=True)), **numbers})
+                plain = (f"'{x}" if x.startswith(FORMULA_SIGNS) else x for x in texts)
+                writer.writerow({**dict(zip(ROW_FIELDS, plain, strict=True)), **numbers})
     return text.getvalue()
 
 
@@ -116,7 +120,7 @@ def _tabular(view: BoardView, section: Section) -> str:
     lines += [_latex_row(row, [column.key for column in columns]) for row in section.rows]
     return "\n".join(
         [
-            f"% {section.task}: {section.title}",
+            f"% {section.task}: {' '.join(section.title.split())}",
             f"\\begin{{tabular}}{{l{'r' * len(columns)}}}",
             "\\toprule",
             *lines,
@@ -136,5 +140,4 @@ def _latex_row(row: Row, keys: Sequence[str]) -> str:
 
 
 def _latex_cells(cells: Sequence[str]) -> str:
-    # a backslash would start a LaTeX command
-    return " & ".join(cell.replace("\\", "/").translate(LATEX_ESCAPES) for cell in cells) + " \\\\"
+    return " & ".join(cell.translate(LATEX_ESCAPES) for cell in cells) + " \\\\"

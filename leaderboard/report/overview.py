@@ -84,9 +84,11 @@ def _certainty_sentence(best: Row, others: Sequence[Row], section: Section) -> s
     if tied:
         names = ", ".join(tied)
         return f"The first place is not decided: these drives cannot tell {names} from it."
+    doubt = " Nothing of this holds of an entry that has drawn these public roads again."
     return (
         "The first place is decided: resampling the roads leaves every other entry behind. Entries "
         "that the drives cannot tell from the best of them share its rank."
+        f"{doubt * section.is_public}"
     )
 
 

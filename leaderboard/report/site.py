@@ -26,7 +26,13 @@ from leaderboard.report.charts import task_charts
 from leaderboard.report.rendering import BOARD_PAGE, POLICY_PAGE, file_name, render, write_static
 from leaderboard.report.sentences import UNRELATED_ROAD, unrelated_level_errors
 from leaderboard.report.table_data import table_data
-from leaderboard.report.tables import LIMIT_ROWS, BoardView, Section, nonempty_columns
+from leaderboard.report.tables import (
+    LIMIT_ROWS,
+    PUBLIC_ROADS,
+    BoardView,
+    Section,
+    nonempty_columns,
+)
 from leaderboard.running.board import Board
 from road_envs.core.atomic_io import write_text
 
@@ -109,6 +115,7 @@ def _index(board: Board, report: Report) -> dict[str, Any]:
         "ranked_by": definition.ranks_by,
         "causal": any(row.causal for row in section.rows),
         "notice": isolation_notice(scored),
+        "public": PUBLIC_ROADS if any(task.is_public for task in board.tasks) else None,
         "findings": report.findings,
         "levels": overview.levels_chart(sorted(claims)),
         "claims": claims,
@@ -148,6 +155,7 @@ def _task(board: Board, view: BoardView, section: Section, task: Task) -> dict[s
         "task": task,
         "charts": task_charts(task, view.definition, drawn, rows) if drawn else {},
         "notice": isolation_notice(board.scored(task)),
+        "public": PUBLIC_ROADS if task.is_public else None,
         "left_out": order[MAX_DRAWN:],
         "facts_rows": [
             ("drives", _drive_counts(task, board.scored(task))),

@@ -59,6 +59,11 @@ ATTAINABLE_ROW = "attainable"
 LIMIT_ROWS = (BOUND_ROW, ATTAINABLE_ROW)
 """Names of the rows that are no estimator's."""
 
+PUBLIC_ROADS = (
+    "The test roads of this board are public: an entry can draw them again instead of estimating "
+    "them, and its rank then says nothing. A rank counts only in a sealed season, whose seeds are "
+    "revealed after the entries are in."
+)
 ALL_RUNS = ""
 """Name of the group of all runs."""
 
@@ -100,6 +105,7 @@ class Section:
     notes: tuple[str, ...]
     groups: Mapping[str, tuple[str, ...]]
     conditions: tuple[str, ...] = ()
+    is_public: bool = False  # test roads that anybody can draw
 
 
 @dataclass(frozen=True)
@@ -161,13 +167,15 @@ def _section(board: Board, task: Task, definition: BoardDefinition) -> Section:
         task.heading,
         (*claim, *rows, *failed, *stale),
         (
+            *([PUBLIC_ROADS] if task.is_public else []),
             *_protocol_notes(task, scored),
             *_surface_notes(task, [*scored, *board.failed(task)]),
-            *sanity_warnings(rows),
+            *sanity_warnings(rows, task.is_public),
             *kernel_notes(scored, board.verified),
         ),
         {kind_of_group: tuple(named) for kind_of_group, named in groups.items()},
         tuple(condition.label for condition in task.conditions),
+        task.is_public,
     )
 
 
@@ -307,8 +315,12 @@ def _bound_rows(values: Mapping[str, GroupValues], definition: BoardDefinition) 
     return rows
 
 
-def sanity_warnings(rows: Sequence[Row]) -> list[str]:
-    """Return remarks on scores better than the truth or the bound, and on faulty baselines."""
+def sanity_warnings(rows: Sequence[Row], is_public: bool = False) -> list[str]:
+    """Return remarks on scores better than the truth or the bound, and on faulty baselines.
+
+    On roads that are public, an entry below the bound may have drawn them again.
+    """
+    doubt = ": it knows more than the sensors tell, or has drawn these public roads again"
     error = {row.name: row.values.get("nrmse") for row in rows}
     warnings = []
     best, bound = error.get(TRUTH_PLUS_NOISE), error.get(BOUND_ROW)
@@ -322,7 +334,8 @@ def sanity_warnings(rows: Sequence[Row]) -> list[str]:
                 "it has used the truth, or the evaluation is faulty"
             )
         elif bound is not None and mine < bound:
-            warnings.append(f"{row.name} is below the {BOUND_NAME}, on {below:.0%} of its drives")
+            share = f"on {below:.0%} of its drives{doubt * is_public}"
+            warnings.append(f"{row.name} is below the {BOUND_NAME}, {share}")
     for name, expected in (("flat", 1.0), (TRUTH_PLUS_NOISE, NOISE_LEVEL)):
         mine = error.get(name)
         if mine is not None and abs(mine - expected) > 0.1 * expected:

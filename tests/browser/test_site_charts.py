@@ -12,12 +12,13 @@ from estimators.registry import REGISTRY
 from leaderboard.metrics.baselines import BASELINES
 from leaderboard.metrics.heights import band_pass, scored_band
 from leaderboard.metrics.registry import SCORES
+from leaderboard.report.board_definitions import BELOW_BOUND
 from leaderboard.report.cache import build_report
 from leaderboard.report.charts import task_charts
 from leaderboard.report.figures import line_style
 from leaderboard.report.overview import ranking_chart
 from leaderboard.report.site import render_pages
-from leaderboard.report.tables import Row, board_views
+from leaderboard.report.tables import BOUND_ROW, Row, board_views, sanity_warnings
 from leaderboard.running.board import Board
 
 
@@ -175,7 +176,37 @@ def test_rows_without_isolation_are_named_above_the_ranking():
     }
     made = Board(tuple(tasks()), safe)
     text = text_of(dict(render_pages(made, build_report(made)))["index.html"])
-    assert "without isolation" not in text and "sealed season" in text
+    assert "without isolation" not in text and "sealed season" not in text
+
+
+def test_the_page_of_a_public_board_says_in_its_head_that_ranks_come_from_seasons():
+    """The roads of a shipped task can be drawn by anybody, those of its season cannot."""
+    (held_out, *_), found = tasks(), results()["held_out"]
+    for name, is_public in (("new_road", True), ("new_road_0123abcd", False)):
+        public = dataclasses.replace(held_out, name=name)
+        rows = tuple(dataclasses.replace(r, task_digest=public.digest) for r in found)
+        made = Board((public,), {name: rows})
+        report = build_report(made)
+        pages = dict(render_pages(made, report))
+        for page in ("index.html", f"tasks/{name}.html"):
+            text = text_of(pages[page])
+            head = text[: text.index("Who is best?" if page == "index.html" else "estimator")]
+            assert ("A rank counts only in a sealed season" in head) is is_public, page
+        (section,) = report.views[0].sections
+        (first, *_) = section.notes
+        assert first.startswith("The test roads of this board are public") is is_public
+
+
+def test_the_sentence_on_an_entry_below_the_bound_does_not_comfort_on_public_roads():
+    rows = [
+        Row("redrawn", "scored", values={"nrmse": 0.055, BELOW_BOUND: 1.0}),
+        Row(BOUND_ROW, "baseline", values={"nrmse": 0.24}),
+    ]
+    (public,), (sealed,) = sanity_warnings(rows, True), sanity_warnings(rows, False)
+    assert (
+        public
+        == f"{sealed}: it knows more than the sensors tell, or has drawn these public roads again"
+    )
 
 
 def test_a_flat_estimate_can_be_drawn():

@@ -20,7 +20,7 @@ from leaderboard.report.cache import CACHE_FILE, build_report
 from leaderboard.report.rendering import write_pending
 from leaderboard.report.sentences import findings, unrelated_level_errors
 from leaderboard.report.site import file_name, render_pages, write_site
-from leaderboard.report.tables import board_views
+from leaderboard.report.tables import Row, board_views
 from leaderboard.running.board import Board, create_baselines, load_board
 from road_envs.core.atomic_io import write_text
 
@@ -231,6 +231,21 @@ def test_the_findings_quote_the_scores():
 def test_findings_without_results_are_omitted():
     nothing = Board(tuple(tasks()), {t.name: () for t in tasks()})
     assert len(findings(board_views(nothing))) == 1
+
+
+def test_texts_of_entries_are_no_commands_of_latex_and_no_formulas_of_a_spreadsheet():
+    (view, *_) = board_views(board())
+    (section,) = view.sections
+    hostile = Row("=1+1", "failed", message="=HYPERLINK(1) \\input{/etc/passwd} ^^5cinput a~b")
+    title = "A title\n\\input{x}"
+    shown = dataclasses.replace(section, rows=(hostile,), title=title)
+    view = dataclasses.replace(view, sections=(shown,))
+    tex = export.as_latex(view)
+    assert r"\textbackslash{}input\{" in tex and "^^" not in tex
+    commands = [line for line in tex.splitlines() if not line.startswith("%")]
+    assert r"\input" not in "".join(commands)
+    (row,) = csv.DictReader(io.StringIO(export.as_csv(view)))
+    assert row["estimator"] == "'=1+1" and row["text"].startswith("'=HYPERLINK")
 
 
 def test_the_exports_hold_the_same_numbers(written):
