@@ -1,16 +1,21 @@
-"""Evaluation of estimators and of switching policies; from Python `score`, `plot`, `run_task`."""
+"""Evaluation of estimators and of switching policies.
+
+From Python `score`, `plot`, `run_task`, and in plain arrays `load_task`, `score_arrays`.
+"""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from leaderboard.api import ScoreTable, plot, run_task, score
+    from leaderboard.arrays import load_task, score_arrays
 
-__all__ = ["ScoreTable", "plot", "run_task", "score"]
+__all__ = ["ScoreTable", "load_task", "plot", "run_task", "score", "score_arrays"]
 
 
 def __getattr__(name: str) -> Any:
     """Import the Python interface when it is first used: the command line needs little of it."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module("leaderboard.api"), name)
+    module = "arrays" if name in ("load_task", "score_arrays") else "api"
+    return getattr(import_module(f"leaderboard.{module}"), name)

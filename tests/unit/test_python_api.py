@@ -6,10 +6,12 @@ import sys
 import numpy as np
 import pytest
 from fake_estimators import Broken, Reader
-from fakes import task
+from fakes import fake_drives, task
 
 from estimators import create, estimate, make_estimator
-from leaderboard import plot, run_task, score
+from leaderboard import load_task, plot, run_task, score, score_arrays
+from leaderboard.evaluation import evaluate
+from leaderboard.metrics.bootstrap import interquartile_mean
 from leaderboard.metrics.registry import PRINTED_SCORES, SCORES, compute_scores
 from road_envs import simulate_record
 from road_envs.core.config import ConfigError
@@ -125,3 +127,49 @@ def test_importing_the_packages_loads_neither_kernels_nor_plots():
 def test_arguments_of_another_kind_are_named(drive, call, reason):
     with pytest.raises(TypeError, match=reason):
         call(*drive)
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return load_task(task(), simulate=fake_drives)
+
+
+def test_a_task_is_scored_in_three_lines_without_our_classes(plain):
+    """The first two "accelerations" of the fake drives are the heights of the wheel paths."""
+    heights = [
+        [0.7 * np.interp(drive["stations"], drive["s"], path) for path in drive["a"][:2]]
+        for drive in plain.test
+    ]
+    row = score_arrays(plain, heights)
+    results = evaluate.run_task(task(), {"reader": Reader(gain=0.7)}, (1,), simulate=fake_drives)
+    for name in ("nrmse", "r", "level_error", "iri_error"):
+        expected = interquartile_mean(results[0].values(name).ravel())
+        assert row[name] == pytest.approx(expected, rel=1e-9), name
+    assert 0.25 < row["nrmse"] < 0.35 and np.isnan(row["coverage_90"])
+    std = [np.full_like(z, 0.01) for z in heights]
+    assert np.isfinite(score_arrays(plain, heights, std)["coverage_90"])
+
+
+def test_the_arrays_of_a_task_hold_the_truth_of_training_and_none_of_the_tests(plain):
+    assert {drive["condition"] for drive in plain.test} == {c.label for c in task().conditions}
+    assert len(plain.training) == 4 and len(plain.test) == 10
+    for drive in (*plain.training, *plain.test):
+        assert drive["a"].shape == (3, drive["t"].size) and drive["spring_stiff"].shape[1] == 4
+        assert all(not isinstance(x, Estimate) for x in drive.values())
+    assert all(drive["z"].shape == (2, drive["stations"].size) for drive in plain.training)
+    assert all("z" not in drive for drive in plain.test)
+    assert plain.vehicle["name"] and "_data" not in repr(plain)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (lambda z: z[:-1], "has 10 test drives, got 9 heights"),
+        (lambda z: [*z[:-1], z[-1][:1]], r"test drive 10 needs finite heights of the shape \(2, "),
+        (lambda z: [z[0] * np.nan, *z[1:]], "test drive 1 needs finite heights"),
+    ],
+)
+def test_arrays_of_another_number_or_shape_are_refused(plain, change, sentence):
+    heights = [np.zeros((2, drive["stations"].size)) for drive in plain.test]
+    with pytest.raises(ConfigError, match=sentence):
+        score_arrays(plain, change(heights))

@@ -1,0 +1,126 @@
+"""A task as plain arrays, and the row of a board from plain arrays of heights.
+
+    task = load_task("new_road")
+    heights = [my_method(drive, task.training) for drive in task.test]
+    print(score_arrays(task, heights))
+
+For methods in MATLAB, Julia or JAX that know nothing of the classes of this package. Every drive is
+a dictionary of NumPy arrays; the truth of test drives is kept back and used by `score_arrays`.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from leaderboard.api import ScoreTable
+from leaderboard.entries.entry import Entry, TrainingRun
+from leaderboard.evaluation import tasks
+from leaderboard.evaluation.evaluate import ConditionData, evaluate_entry, simulate_condition
+from leaderboard.evaluation.results import merge_parts
+from leaderboard.evaluation.test_data import DriveSimulation, RecordedDrive, simulate_drives
+from leaderboard.metrics.bootstrap import interquartile_mean
+from leaderboard.metrics.registry import SCORES
+from road_envs.core.config import ConfigError
+from road_envs.records.record import Estimate, profile_stations
+
+
+@dataclass(frozen=True, eq=False)
+class TaskArrays:
+    """The drives of a task. Each is a dictionary with
+
+    `condition` (str), times `t` (N,) [s], accelerations `a` (C, N) [m/s²] of the sensors
+    `channels`, speed `v` (N,) [m/s], station `s` (N,) [m] of the front axle, `spring_stiff` and
+    `damper_high` (N, 4) of the wheels FL, FR, RL, RR, and `stations` (M,) [m]. Those of `training`
+    also have the true heights `z` (2, M) [m] of the left and the right wheel path. A training drive
+    serves the test drives of its condition. `vehicle` has the parameters of the nominal vehicle.
+    """
+
+    name: str
+    training: tuple[dict[str, Any], ...]
+    test: tuple[dict[str, Any], ...]
+    vehicle: dict[str, Any]
+    _data: tuple[ConditionData, ...] = field(repr=False)
+
+
+def load_task(
+    task: str | Path | tasks.Task,
+    *,
+    roads: int | None = None,
+    simulate: DriveSimulation = simulate_drives,
+) -> TaskArrays:
+    """Simulate the drives of a task, of `roads` test drives per condition if that is given.
+
+    Raises ConfigError.
+    """
+    chosen = task if isinstance(task, tasks.Task) else tasks.load_task(task)
+    if roads is not None:
+        chosen = chosen.with_test_drives(roads)
+    data = []
+    for condition in chosen.conditions:
+        made = simulate_condition(chosen, condition, simulate)
+        if isinstance(made, str):
+            raise ConfigError(f"{chosen.name}: {made}")
+        data.append(made)
+    return TaskArrays(
+        chosen.name,
+        tuple(_arrays(part, d, True) for part in data for d in part.training),
+        tuple(_arrays(part, d, False) for part in data for d in part.tests),
+        asdict(chosen.vehicle),
+        tuple(data),
+    )
+
+
+def score_arrays(
+    task: TaskArrays, heights: Sequence[Any], std: Sequence[Any] | None = None
+) -> ScoreTable:
+    """Score heights (2, M) [m] of every test drive, in the order of `task.test`.
+
+    `std`: standard deviations of the same shapes. Returns the row of a board: interquartile means
+    over roads and conditions. Raises ConfigError for another number or shape of arrays.
+    """
+    for what, given in (("heights", heights), ("standard deviations", std)):
+        if given is not None and len(given) != len(task.test):
+            raise ConfigError(
+                f"{task.name} has {len(task.test)} test drives, got {len(given)} {what}"
+            )
+    left = _estimates(task, heights, std)
+
+    def run(entry: Entry, data: ConditionData, seeds: Sequence[int]) -> list[TrainingRun]:
+        return [TrainingRun([next(left) for _ in data.tests], 0.0, 0.0, 0, seeds[0])]
+
+    entry = Entry(name="arrays", reference="arrays")
+    parts = [evaluate_entry(x.task, x.condition, x, entry, (1,), run) for x in task._data]
+    arrays = merge_parts(parts, "").arrays(SCORES)
+    return ScoreTable({name: float(interquartile_mean(x.ravel())) for name, x in arrays.items()})
+
+
+def _arrays(data: ConditionData, drive: RecordedDrive, has_truth: bool) -> dict[str, Any]:
+    record = drive.record
+    names = ("t", "a", "v", "s", "spring_stiff", "damper_high")
+    return {
+        "condition": data.condition.label,
+        "channels": record.channels,
+        **{name: getattr(record, name) for name in names},
+        "stations": profile_stations(record.length),
+        **({"z": drive.truth.z} if has_truth else {}),
+    }
+
+
+def _estimates(
+    task: TaskArrays, heights: Sequence[Any], std: Sequence[Any] | None
+) -> Iterator[Estimate]:
+    """Yield the estimates of all test drives. Raises ConfigError for arrays of another shape."""
+    for k, drive in enumerate(task.test):
+        shape = (2, drive["stations"].size)
+        arrays: list[Any] = []
+        for what, given in (("heights", heights), ("standard deviations", std)):
+            array = None if given is None else np.asarray(given[k], dtype=float)
+            if array is not None and (array.shape != shape or not np.isfinite(array).all()):
+                wanted = f"test drive {k + 1} needs finite {what} of the shape {shape}"
+                raise ConfigError(f"{wanted}, got {array.shape}")
+            arrays.append(array)
+        z, deviation = arrays
+        yield Estimate(drive["stations"], z, deviation)
