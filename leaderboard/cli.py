@@ -4,6 +4,8 @@ Invalid input ends with one sentence on standard error and exit code 2; `--debug
 traceback.
 """
 
+import codecs
+import io
 import re
 import sys
 from typing import Any, ClassVar
@@ -96,6 +98,9 @@ def _options(
 
 def main() -> None:
     """Run the command line; the entry point of the package."""
+    for stream in (sys.stdout, sys.stderr):  # in the locale C: sentences and tables need more
+        if isinstance(stream, io.TextIOWrapper) and codecs.lookup(stream.encoding).name == "ascii":
+            stream.reconfigure(encoding="utf-8")
     try:
         status = app(prog_name="road-recon", standalone_mode=False)
     except Exception as error:
@@ -161,13 +166,18 @@ def _is_input_error(error: Exception) -> bool:
     from road_envs.simulation.drive import SimulationError
 
     known = NotFittedError | SimulationError | MissingExtraError | ValueError | OSError
-    return isinstance(error, known)
+    return isinstance(error, known | MemoryError)
 
 
 def _sentence(error: BaseException) -> str:
     if isinstance(error, OSError) and error.filename:
         return f"{error.filename}: {error.strerror}"
-    return " ".join(str(error).split())
+    said = " ".join(str(error).split())
+    if isinstance(error, OSError):
+        return f"the operating system refused a request: {error.strerror or said}"
+    if isinstance(error, MemoryError):
+        return f"not enough memory ({said or 'no size given'}): give less data, or fewer --workers"
+    return said
 
 
 if __name__ == "__main__":

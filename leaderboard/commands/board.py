@@ -1,6 +1,9 @@
 """Command `leaderboard`: evaluate estimators on tasks, print the tables, write the site."""
 
+import contextlib
+import dataclasses
 import os
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -33,7 +36,8 @@ from leaderboard.report.site import write_site
 from leaderboard.report.terminal import as_json, print_tables
 from leaderboard.running.board import Board, RunRequest, render_with_retry, run_board, write_jobs
 from leaderboard.running.dask_executor import DaskExecutor
-from leaderboard.running.executors import Executor, ProcessExecutor
+from leaderboard.running.executors import ProcessExecutor
+from leaderboard.running.plan import ReplacedRowError, check_owners
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
 from road_envs.core.config import ConfigError, names, validate_choice
@@ -84,6 +88,13 @@ def leaderboard(
     again: Annotated[
         bool, typer.Option("--again", help="Run everything again, including valid stored results.")
     ] = False,
+    replace: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Entry whose stored row may be replaced although other code made it; may be given "
+            "again. A terminal is asked."
+        ),
+    ] = None,
     attainable: Annotated[
         bool,
         typer.Option(
@@ -100,7 +111,10 @@ def leaderboard(
     ] = False,
     workers: Annotated[int, typer.Option(help="Jobs at a time on this machine.", min=1)] = CORES,
     dask: Annotated[
-        str | None, typer.Option(help="Address of a Dask scheduler: run on its cluster instead.")
+        str | None,
+        typer.Option(
+            help="Run on the cluster of the Dask scheduler at this address; local: start one here."
+        ),
     ] = None,
     plan: Annotated[
         Path | None,
@@ -136,13 +150,15 @@ def leaderboard(
     check_output_folder(out)
     entries = _entries(estimator, without or [], limits)
     request = RunRequest(chosen, entries, range(1, seeds + 1), roads, not again, limits, probes)
+    request = dataclasses.replace(request, replace=tuple(replace or ()))
     if plan:
         notices.print(f"job files written to {plan}: {write_jobs(request, out, plan)}")
         return
-    executor: Executor = DaskExecutor(dask) if dask else ProcessExecutor(workers)
+    request = _asked(request, out)
+    made = DaskExecutor(dask, workers) if dask else contextlib.nullcontext(ProcessExecutor(workers))
     write_pending(out / BOARD_PAGE, "Estimators", f"leaderboard --out {out}")
     kept = f"results of finished jobs are kept in {out}; the same command continues"
-    with on_interrupt(kept), progress_bar() as progress:
+    with made as executor, on_interrupt(kept), progress_bar() as progress:
         evaluated = run_board(
             request,
             out,
@@ -166,6 +182,17 @@ def leaderboard(
         if (notice := isolation_notice(scored)) is not None:
             notices.print(notice)
         notices.print(f"page: {page}")
+
+
+def _asked(request: RunRequest, out: Path) -> RunRequest:
+    """Return the request with the consent of whoever sits at a terminal to replace rows."""
+    try:
+        check_owners(request.rows(), out, request.replace)
+    except ReplacedRowError as error:
+        if not (sys.stdin.isatty() and typer.confirm(f"{error}. Replace them?")):
+            raise
+        return dataclasses.replace(request, replace=(*request.replace, *error.names))
+    return request
 
 
 def _tasks(

@@ -63,6 +63,12 @@ class Trace(Settings):
     estimate: tuple[tuple[int, ...], tuple[int, ...]]
     deviation: tuple[tuple[int, ...], tuple[int, ...]] | None = None  # if the estimate has one
 
+    def __post_init__(self):
+        super().__post_init__()
+        given = (*self.truth, *self.estimate, *(self.deviation or ()))
+        if len({len(heights) for heights in given}) > 1:
+            raise ValueError("truth, estimate and deviation must have one number of heights")
+
     @property
     def z_std(self) -> np.ndarray | None:
         """Standard deviation (2, M) [m] of the estimate; None if it has none."""

@@ -18,7 +18,7 @@ from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics.baselines import ALL_BASELINES, BASELINES, MEMORY, TRUTH_PLUS_NOISE
 from leaderboard.running.executors import Executor
 from leaderboard.running.jobs import to_packed_text
-from leaderboard.running.plan import Plan, PlannedRow, make_jobs
+from leaderboard.running.plan import Plan, PlannedRow, check_owners, make_jobs
 from leaderboard.running.verification import Verified, load_verified, save_definition
 from leaderboard.sandbox.limits import Limits
 from road_envs.core.atomic_io import (
@@ -35,7 +35,8 @@ class RunRequest:
     """Request to evaluate `entries` and the baselines on each of `tasks`.
 
     `roads` is the number of test drives per condition on tasks that draw their roads; `resume`
-    keeps stored results whose inputs have not changed; `probes` requests a card of each entry.
+    keeps stored results whose inputs have not changed; `probes` requests a card of each entry;
+    `replace` names entries from outside whose stored rows of other code may be replaced.
     """
 
     tasks: Sequence[Task]
@@ -45,6 +46,7 @@ class RunRequest:
     resume: bool = True
     limits: Limits = field(default_factory=Limits)
     probes: bool = False
+    replace: tuple[str, ...] = ()
 
     def sized_tasks(self) -> list[Task]:
         """Return the tasks with the requested number of roads. Raises ConfigError."""
@@ -170,12 +172,14 @@ def run_board(
 ) -> Board:
     """Run the missing results of a request, store them under `out` and return the whole board.
 
-    Failed results are run again. Raises ConfigError if a file of a newer version would have to be
-    replaced, before anything is run, and the exceptions of the executor.
+    Failed results are run again. Raises ConfigError if a file of a newer version or the row of
+    another entry would have to be replaced, before anything is run, and the exceptions of the
+    executor.
     """
     remove_stale_partials(out)
     remove_stale_temp()
     rows = request.rows()
+    check_owners(rows, out, request.replace)
     plan = Plan(rows, out, request.resume)
     for task in request.sized_tasks():
         save_definition(task, out)
@@ -204,7 +208,9 @@ def write_jobs(request: RunRequest, out: Path, folder: Path) -> int:
 
     Return the number of jobs.
     """
-    plan = Plan(request.rows(), out, request.resume)
+    rows = request.rows()
+    check_owners(rows, out, request.replace)
+    plan = Plan(rows, out, request.resume)
     missing = plan.missing()
     for k, job in enumerate(make_jobs(missing, len(missing) ** 2, request.limits)):
         text, sources = to_packed_text(job)

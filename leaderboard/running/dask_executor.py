@@ -5,6 +5,7 @@ the code of entries travel through the scheduler, as do the results. The schedul
 whose worker dies.
 """
 
+import asyncio
 import dataclasses
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -18,27 +19,37 @@ from road_envs.core.atomic_io import TempFolder, remove_stale_temp
 from road_envs.core.config import ConfigError
 from road_envs.core.extras import optional_import
 
-SCHEDULER_TIMEOUT = 20.0
+LOCAL = "local"
+"""In place of an address: a cluster of processes of this machine, for the time of a run."""
+
+SCHEDULER_TIMEOUT = 4.0
 """Timeout [s] for connecting to the scheduler, and for its first worker."""
 
 
 class DaskExecutor:
-    """Runs jobs on the cluster whose scheduler has `address`, such as "tcp://host:8786"."""
+    """Runs jobs on the cluster whose scheduler has `address`, such as "tcp://host:8786".
 
-    def __init__(self, address: str):
+    With LOCAL it starts `workers` processes of this machine, which end with it.
+    """
+
+    def __init__(self, address: str, workers: int = 1):
         """Raises ConfigError if the scheduler does not answer or has no worker."""
         try:
             with optional_import("running on a cluster"):
-                from distributed import Client
+                from distributed import Client, LocalCluster
         except ImportError:
             raise ConfigError(
                 "Dask is not installed; it comes with the extra: pip install 'road-envs[dask]'"
             ) from None
-        try:
+        self._cluster: Any = None
+        if address == LOCAL:
+            self._cluster = LocalCluster(
+                n_workers=workers, threads_per_worker=1, memory_limit=None, dashboard_address=None
+            )  # fmt: skip
+            self._client = Client(self._cluster, set_as_default=False)
+        else:
+            _check_address(address)
             self._client = Client(address, timeout=SCHEDULER_TIMEOUT, set_as_default=False)
-        except (OSError, ValueError, TypeError) as error:
-            reason = " ".join(str(error).split())
-            raise ConfigError(f"no Dask scheduler answers at {address!r}: {reason}") from None
         try:
             self._client.wait_for_workers(1, timeout=SCHEDULER_TIMEOUT)
         except TimeoutError:
@@ -47,6 +58,14 @@ class DaskExecutor:
             ) from None
         self.workers = sum(self._client.nthreads().values())
         self._sent: dict[str, Any] = {}
+
+    def __enter__(self) -> "DaskExecutor":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._client.close()
+        if self._cluster is not None:
+            self._cluster.close()
 
     def run(self, jobs_: Sequence[Job], out: Path) -> Iterator[JobDone]:
         """Run all jobs and store their results. Raises ConfigError, EvaluatorError of a job."""
@@ -81,6 +100,23 @@ class DaskExecutor:
                 self._sent[name] = self._client.submit(bytes, source.read_bytes(), key=name)
         contents = [self._sent[name] for name in sources]
         return self._client.submit(run_remote_job, text, list(sources), *contents, pure=False)
+
+
+def _check_address(address: str) -> None:
+    """Raise ConfigError if no Dask scheduler answers at an address.
+
+    A client that could not connect would wait for a minute when it is discarded.
+    """
+    from distributed.core import connect
+
+    async def probe() -> None:
+        await (await connect(address, timeout=SCHEDULER_TIMEOUT)).close()
+
+    try:
+        asyncio.run(probe())
+    except Exception as error:  # a server of another protocol may answer anything
+        reason = " ".join(str(error).split())
+        raise ConfigError(f"no Dask scheduler answers at {address!r}: {reason}") from None
 
 
 def run_remote_job(spec: str, names: Sequence[str], *contents: bytes) -> list[tuple[JobDone, str]]:

@@ -2,7 +2,8 @@
 
 import dataclasses
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -11,10 +12,23 @@ from leaderboard.entries.entry import Entry
 from leaderboard.evaluation import store
 from leaderboard.evaluation.results import ISOLATED, content_digest, merge_parts
 from leaderboard.evaluation.tasks import Task
+from leaderboard.running import job_files
 from leaderboard.running.jobs import Job, JobDone, result_identity
 from leaderboard.sandbox.limits import Limits
 from road_envs.core.artifacts import NewerFormatError
 from road_envs.core.config import ConfigError
+
+
+class ReplacedRowError(ConfigError):
+    """Stored rows of other code that a run would replace; `names` are those of their entries."""
+
+    def __init__(self, names: Sequence[str], out: Path):
+        self.names = tuple(names)
+        replace = " ".join(f"--replace {name}" for name in names)
+        super().__init__(
+            f"{out} holds rows of {', '.join(names)} that were made by other code; to replace them "
+            f"give {replace}, else name the entry differently or choose another folder"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +49,29 @@ class PlannedRow:
         """Identities of the parts, one for each condition."""
         conditions = range(len(self.task.conditions))
         return tuple(result_identity(self.task, k, self.entry, self.seeds) for k in conditions)
+
+
+def check_owners(rows: Sequence[PlannedRow], out: Path, replace: Collection[str] = ()) -> None:
+    """Raise ConfigError if a row of an entry from outside would replace that of other code.
+
+    ReplacedRowError unless its name is in `replace`; names may not differ in case only.
+    """
+    asked: dict[str, None] = {}
+    for row in rows:
+        name = row.entry.name
+        path = store.row_path(out, row.task.name, name)
+        others = path.parent.glob("*.json") if job_files.is_from_outside(row.entry) else ()
+        for other in others:
+            if other.stem.lower() != name.lower():
+                continue
+            if other.stem != name:
+                raise ConfigError(f"{other}: {name} differs from it in case only; rename the entry")
+            with suppress(ConfigError):  # a damaged row
+                stored = store.load(path)
+                if stored.failure is None and stored.code != row.entry.code and name not in replace:
+                    asked[name] = None
+    if asked:
+        raise ReplacedRowError(list(asked), out)
 
 
 class Plan:

@@ -17,6 +17,12 @@ from road_envs.roads.api import AnyRoad, with_length
 from road_envs.roads.measured import tile_heights
 from road_envs.roads.surface import DEFAULT_LENGTH, RoadLength, Surface, check_size
 
+MAX_ROADS = 200
+"""Largest number of roads of which one road is composed."""
+
+MAX_LEVEL = 200.0
+"""Largest level [dB] of a road relative to another, up or down: a factor of 1e10."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Flat(Settings):
@@ -177,6 +183,11 @@ class RandomLevel(_Modified):
         tuple[Finite, Finite], SmallestFirst, "dB", "limits of the level relative to the road's"
     ]
 
+    def __post_init__(self):
+        super().__post_init__()
+        if max(map(abs, self.level)) > MAX_LEVEL:
+            raise ValueError(f"level must be within {MAX_LEVEL:g} dB, got {list(self.level)}")
+
     def realise(self, rng: np.random.Generator) -> Surface:
         """Draw the inner road, then its level."""
         surface = self.road.realise(rng)
@@ -206,7 +217,7 @@ class Tiled(Settings):
 class Concatenated(Settings):
     """Consecutive roads; each starts at the final height of the one before it."""
 
-    roads: Annotated[tuple[AnyRoad, ...], Field(min_length=1)]
+    roads: Annotated[tuple[AnyRoad, ...], Field(min_length=1, max_length=MAX_ROADS)]
 
     @property
     def length(self) -> float:
@@ -223,7 +234,7 @@ class Concatenated(Settings):
 class Superposed(Settings):
     """Sum of the heights of several roads; a shorter one is continued at its final height."""
 
-    roads: Annotated[tuple[AnyRoad, ...], Field(min_length=1)]
+    roads: Annotated[tuple[AnyRoad, ...], Field(min_length=1, max_length=MAX_ROADS)]
 
     @property
     def length(self) -> float:
@@ -244,7 +255,7 @@ def superpose(
     `delays` [m] shift the left and the right wheel path of each surface.
     """
     ds = min(surface.ds for surface in surfaces)
-    check_size(length, ds)
+    check_size(length * len(surfaces), ds)  # each is interpolated over the whole length
     s = ds * np.arange(round(length / ds) + 1)
     z = np.zeros((2, s.size))
     for surface, pair in zip(surfaces, delays, strict=True):

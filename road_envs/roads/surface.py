@@ -26,6 +26,9 @@ SampleSpacing = Annotated[Positive, "m", "spacing of the samples"]
 MAX_SAMPLES = 50_000_000
 """Largest number of samples per wheel path: 400 MB."""
 
+MAX_HEIGHT = 10_000.0
+"""Largest height [m] of a surface, up or down; beyond it, heights are in another unit."""
+
 MAX_RISE, RISE_LENGTH = 0.2, 0.05
 """Greatest rise [m] within a length [m] that a wheel climbs: half the radius of about 0.4 m of a
 7.50 R16 tyre. There its contact with a step is 60 degrees from the vertical.
@@ -74,8 +77,8 @@ class Surface:
     """Heights `z` (2, N) [m] of the left and right wheel path with the spacing `ds` [m].
 
     The first sample is at station `start` [m]. `notes` record how the surface was made ("10 m tile
-    mirrored 10 times"). Raises ValueError on heights that are not finite, fewer than 4 samples or a
-    spacing that is not positive.
+    mirrored 10 times"). Raises ValueError on heights that are not finite or beyond MAX_HEIGHT,
+    fewer than 4 samples or a spacing that is not positive.
     """
 
     z: np.ndarray
@@ -90,6 +93,10 @@ class Surface:
             raise ValueError(f"{self.name}: heights must be (2, N) with N >= 4, got {z.shape}")
         if not np.isfinite(z).all():
             raise ValueError(f"{self.name}: heights must be finite, got NaN or infinity")
+        if (highest := float(np.abs(z).max())) > MAX_HEIGHT:
+            raise ValueError(
+                f"{self.name}: heights up to {highest:.4g} m; the limit is {MAX_HEIGHT:g} m"
+            )
         if not (np.isfinite(self.ds) and self.ds > 0):
             raise ValueError(
                 f"{self.name}: the spacing ds must be positive and finite, got {self.ds}"

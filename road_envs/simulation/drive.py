@@ -167,7 +167,11 @@ class DriveSimulator:
         # stations and heights in the order of wheels FL, FR, RL, RR
         s = self.start - np.array([0.0, 0.0, self.car.wheelbase, self.car.wheelbase])
         heights = self.surface.height(s)[[0, 1, 0, 1], range(4)]
-        return equilibrium(self.plant, self.strut_state, heights)
+        try:
+            return equilibrium(self.plant, self.strut_state, heights)
+        except ArithmeticError as error:
+            reason = f"{error}; check its masses, gas springs and force curves"
+            raise SimulationError(f"{self.car.name}: {reason}") from None
 
     @property
     def t(self) -> float:

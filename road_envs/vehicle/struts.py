@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Tag
+from pydantic import Field, Tag
 
-from road_envs.core.config import NonNegative, Positive, Settings, by_kind
+from road_envs.core.config import Positive, Settings, by_kind
 from road_envs.vehicle.force_curves import Curve
 
 ATMOSPHERE = 101325.0
@@ -161,7 +161,7 @@ AnyStruts = Annotated[
 class Valve(Settings):
     """Dynamics between a switching command and the strut: pure delay, then first-order lag."""
 
-    delay: Annotated[NonNegative, "s", "pure delay"]
+    delay: Annotated[float, Field(ge=0.0, le=10.0), "s", "pure delay"]
     lag: Annotated[Positive, "s", "time constant of the valve"]
     equalisation: Annotated[Positive, "s", "time constant of pressure equalisation, valve open"]
 

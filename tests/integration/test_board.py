@@ -26,12 +26,13 @@ from fake_estimators import Broken, Reader
 from fakes import fake_drives
 from in_process import InProcessExecutor
 
+from leaderboard.entries.entry import Entry
 from leaderboard.evaluation import evaluate, store
 from leaderboard.evaluation.results import RESULT
 from leaderboard.evaluation.store import part_path, row_path
 from leaderboard.running import board as board_module
 from leaderboard.running import jobs
-from leaderboard.running.board import load_board, run_board, write_jobs
+from leaderboard.running.board import RunRequest, load_board, run_board, write_jobs
 from road_envs.core.artifacts import text_checksum
 from road_envs.core.config import ConfigError
 
@@ -100,7 +101,8 @@ def test_changed_code_of_an_estimator_reruns_only_that_estimator(tmp_path, monke
     reader, learner = request.entries
     edited = (dataclasses.replace(reader, code="new"), learner)
     executor = Counting()
-    run_board(dataclasses.replace(request, entries=edited), tmp_path, executor)
+    request = dataclasses.replace(request, entries=edited, replace=("reader",))
+    run_board(request, tmp_path, executor)
     assert {entry for entry, _ in executor.ran} == {"reader"}
 
 
@@ -324,3 +326,40 @@ def test_planned_jobs_give_the_results_of_a_run(tmp_path, expected):
     board, ran = run(tmp_path / "out")
     assert ran == [] and rows(board) == expected
     assert write_jobs(make_request(), tmp_path / "out", tmp_path / "more") == 0
+
+
+def outside(name, code):
+    return Entry(name=name, reference=f"/elsewhere/{name}.whl", causal=False, code=code)
+
+
+def run_entry(out, entry, **options):
+    request = RunRequest([small()], [entry], (1,), **options)
+    return run_board(request, out, Counting({entry.name: Reader(gain=0.7)}))
+
+
+def test_the_row_of_another_wheel_is_replaced_only_on_request(tmp_path):
+    run_entry(tmp_path, outside("rival", "0" * 16))
+    path = store.row_path(tmp_path, small().name, "rival")
+    before = path.read_bytes()
+    with pytest.raises(ConfigError, match=r"rows of rival .* other code; .* --replace rival"):
+        run_entry(tmp_path, outside("rival", "1" * 16))
+    with pytest.raises(ConfigError, match="RIVAL differs from it in case only; rename the entry"):
+        run_entry(tmp_path, outside("RIVAL", "1" * 16), replace=("RIVAL",))
+    assert path.read_bytes() == before
+    run_entry(tmp_path, outside("rival", "0" * 16))  # its own row
+    run_entry(tmp_path, outside("rival", "1" * 16), replace=("rival",))
+    assert store.load(path).code == "1" * 16
+
+
+def test_a_row_of_uneven_length_is_a_failed_row_whatever_its_checksum(tmp_path):
+    board, _ = run(tmp_path)
+    path = store.row_path(tmp_path, small().name, "reader")
+    stored = store.load(path)
+    text = store.to_text(stored)
+    first = json.dumps(list(stored.traces[0].estimate[0]))
+    assert first in text
+    cut = text.replace(first, json.dumps(list(stored.traces[0].estimate[0][:-3])), 1)
+    path.write_text(cut.replace(json.loads(text)["sha256"], text_checksum(cut)))
+    again = load_board(board.tasks, tmp_path)
+    (row,) = again.failed(small())
+    assert row.estimator == "reader" and "must have one number of heights" in row.failure

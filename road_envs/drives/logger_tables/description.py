@@ -88,6 +88,8 @@ class DriveDescription(Settings):
         if self.layout is not None or self.sensors is None:
             self.check_names(self.layout or SENSORS)
         for quantity, unit in self.units.items():
+            if not quantity.startswith(PREFIX):
+                validate("quantity in units", quantity, list(QUANTITIES))
             kind = "acceleration" if quantity.startswith(PREFIX) else QUANTITIES[quantity].kind
             if kind is None:
                 raise ConfigError(f"units: {quantity} has no unit")
