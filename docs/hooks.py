@@ -2,9 +2,11 @@
 
 These markers on a page are replaced: `<!-- commands -->` by the help of every command,
 `<!-- scores -->` by the table of scores, `<!-- modules: road_envs.roads -->` by the documentation
-of every module of that package.
+of every module of that package, `<!-- keys: module:Class -->` by the keys of a dataclass.
 """
 
+import dataclasses
+import importlib
 import re
 from pathlib import Path
 from typing import Any
@@ -30,6 +32,7 @@ def on_page_markdown(markdown: str, **kwargs: Any) -> str:
     for marker, content in (("<!-- commands -->", _commands), ("<!-- scores -->", _scores)):
         if marker in markdown:
             markdown = markdown.replace(marker, content())
+    markdown = re.sub(r"<!-- keys: ([\w.:]+) -->", lambda found: _keys(found[1]), markdown)
     return re.sub(r"<!-- modules: ([\w.]+) -->", lambda found: _modules(found[1]), markdown)
 
 
@@ -58,6 +61,19 @@ def _scores() -> str:
     return "\n".join(
         ["| key | score | unit as printed | better | what it is |", "|---|---|---|---|---|", *rows]
     )
+
+
+def _keys(reference: str) -> str:
+    """Return the table of the keys of a dataclass "module:Class"."""
+    module, _, name = reference.partition(":")
+    rows = ["| key | unit | default | meaning |", "|---|---|---|---|"]
+    for f in dataclasses.fields(getattr(importlib.import_module(module), name)):
+        notes: list[Any] = [x for x in getattr(f.type, "__metadata__", ()) if isinstance(x, str)]
+        unit, meaning = (*notes, "", "")[:2]
+        is_empty = f.default is None or f.default is dataclasses.MISSING
+        default = "" if is_empty or f.default in ((), "") else f"`{f.default}`"
+        rows.append(f"| `{f.name}` | {unit} | {default} | {meaning} |")
+    return "\n".join(rows)
 
 
 def _modules(package: str) -> str:

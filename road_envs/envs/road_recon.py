@@ -102,6 +102,7 @@ class RoadReconEnv(gymnasium.Env):
 
     env = gym.make("RoadRecon-v0", road="iso_d", speed_kmh=[14.5, 54.0], control="axle")
     ```
+
     | keyword | default | meaning |
     |---|---|---|
     | `road` | `"belgian"` | shipped name, path of a YAML or surface file, or mapping with `kind` |

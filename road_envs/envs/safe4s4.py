@@ -151,8 +151,8 @@ class Safe4S4Env(RoadReconEnv):
 
     `info` also holds `t` [s], `station` [m], `speed_kmh`, `tyre_load` [s] (integral of the squared
     load over static load, above 0.4 Hz, so without its quasi-static share), `stop` [s] at a bump
-    stop, `lift_off` [s] with a side off the ground, the largest `load_transfer` ratio
-    |left - right| / (left + right) and `roll` [rad] of the interval, and `reason`.
+    stop, `lift_off` [s] with a side off the ground, the largest `load_transfer` ratio,
+    the difference of left and right over their sum, and `roll` [rad] of the interval, and `reason`.
 
     ## Starting State
     Each reset draws from its seed a `SafeDrive`, the road, the individual car with its payload and
@@ -163,6 +163,7 @@ class Safe4S4Env(RoadReconEnv):
     Truncated when the time of the drive is over; terminated as in `RoadReconEnv`.
 
     ## Arguments
+
     | keyword | default | meaning |
     |---|---|---|
     | `split` | `"train"` | `"train"`, `"test"` (public) or `"sealed"`, with own random numbers |

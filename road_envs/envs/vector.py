@@ -41,6 +41,7 @@ class RoadReconVectorEnv(VectorEnv):
         "RoadRecon-v0", num_envs=64, vectorization_mode="vector_entry_point", road="iso_d"
     )
     ```
+
     | keyword | default | meaning |
     |---|---|---|
     | `num_envs` | `1` | number of environments |
