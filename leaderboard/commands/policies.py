@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import json as json_module
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -25,7 +26,7 @@ from leaderboard.commands import (
     to_json,
 )
 from leaderboard.commands.options import Isolation, Json, MemoryLimit, TimeLimit, parse_limits
-from leaderboard.policies import comparison, grid_search
+from leaderboard.policies import best_found, comparison, grid_search, safe_comparison
 from leaderboard.policies import page as policy_page
 from leaderboard.policies.comparison import PolicyResult
 from leaderboard.policies.policy_process import POLICY_LIMITS, PolicyProcess
@@ -40,11 +41,17 @@ from leaderboard.sandbox.limits import Limits
 from road_envs.core.atomic_io import write_text
 from road_envs.core.config import ConfigError, validate_choice
 from road_envs.policies import FILE_SUFFIX, REGISTRY, make_policy, names, runs_foreign_code
+from road_envs.policies.fixed import FixedPair
 from road_envs.policies.greedy_information import GreedyInformation
+from road_envs.policies.safe_rollout import SafeDrives
+from road_envs.vehicle.suspension import MODES
 
 COLUMNS = ("comfort", "tyre_load", "switches_per_km", "return")
 WIDE_COLUMNS = (*COLUMNS, "vdv", "rattle", "stops_per_km", "roll_peak", "dwell", "bound")
 """Columns of the table by default and with --wide; the page has all."""
+SAFE_REFERENCE = "rrms"
+"""Policy of the benchmark that differences refer to by default."""
+
 SWEPT_WEIGHTS = (15.0, 30.0, 300.0, 2000.0)
 """Information weights of the sensing policies in the Pareto plot. Each gives a different policy at
 some speed of the league scenarios; weight 0 is the policy `ride`.
@@ -62,14 +69,27 @@ def policies(
         ),
     ] = None,
     scenarios: Annotated[
-        str, typer.Option(help="Scenarios: a name of `road-recon list scenarios`, or a YAML path.")
-    ] = "quick",
+        str | None,
+        typer.Option(
+            help="Sensing comparison: a name of `road-recon list scenarios`, or a YAML path; without "
+            "them, the public drives of RoadRecon/Safe4S4-v1."
+        ),
+    ] = None,
     estimator: Annotated[
         list[str] | None,
         typer.Option(help="Estimator applied to the records; may be given again."),
     ] = None,
     roads: Annotated[int | None, typer.Option(help="Test roads of each case.", min=2)] = None,
-    reference: Annotated[str, typer.Option(help="Policy that differences refer to.")] = REFERENCE,
+    drives: Annotated[
+        int, typer.Option(help="Public drives of the benchmark, each to both sides.", min=2)
+    ] = safe_comparison.PUBLIC_DRIVES,
+    generations: Annotated[
+        int, typer.Option(help="Generations of the search for the best switching; 0: none.", min=0)
+    ] = best_found.GENERATIONS,
+    seal: Annotated[
+        str | None, typer.Option(help="Secret text of the sealed drives, instead of public ones.")
+    ] = None,
+    reference: Annotated[str | None, typer.Option(help="Policy that differences refer to.")] = None,
     quick: Annotated[
         bool, typer.Option("--quick", help="The quick scenarios, without sweep: half a minute.")
     ] = False,
@@ -97,13 +117,18 @@ def policies(
     if kept:
         _redraw(kept, out)
         return
-    if quick and (scenarios != "quick" or sweep):
+    if quick and (scenarios is not None or sweep):
         raise ConfigError(
             "--quick means the quick scenarios without sweep: leave out --scenarios and --sweep"
         )
-    chosen = load_scenarios(scenarios)
-    seeds = chosen.test_seeds(roads)
     limits = parse_limits(time_limit, memory_limit, isolation)
+    if scenarios is None and not (quick or sweep or estimator or roads):
+        public = safe_comparison.public_drives(drives, seal)
+        _benchmark(policy, public, reference or SAFE_REFERENCE, generations, limits, out, json)
+        return
+    reference = reference or REFERENCE
+    chosen = load_scenarios(scenarios or "quick")
+    seeds = chosen.test_seeds(roads)
     entries = _entries(policy, limits)
     validate_choice("reference", reference, list(entries) if policy else [*entries, REFERENCE])
     if sweep:
@@ -147,6 +172,73 @@ def policies(
     print_json(data) if json else _print(data, WIDE_COLUMNS if wide else COLUMNS)
     if failed := [r.policy for r in results if r.failure]:
         raise ConfigError(f"failed policies: {', '.join(failed)}; the other results are valid")
+
+
+def _benchmark(
+    policy: list[str] | None,
+    drives: SafeDrives,
+    reference: str,
+    generations: int,
+    limits: Limits,
+    out: Path | None,
+    json: bool,
+) -> None:
+    """Compare policies on drives of the benchmark."""
+    check_output_folder(out)
+    drives.threads = min(2, os.cpu_count() or 1)
+    entries = _entries(policy, limits)
+    entries.pop(comparison.ORACLE, None)
+    if policy is None:
+        pairs = {f"{f}/{r}": FixedPair(front=f, rear=r) for r in MODES for f in MODES}  # type: ignore[arg-type]
+        entries = {n: p for n, p in entries.items() if not n.startswith("fixed")} | pairs
+    elif reference not in entries:
+        entries[reference] = make_policy(reference)
+    with contextlib.ExitStack() as processes, on_interrupt(""), progress_bar() as progress:
+        for entry in entries.values():
+            if isinstance(entry, PolicyProcess):
+                processes.enter_context(entry)
+        data = safe_comparison.compare_safely(
+            entries, drives, reference, generations=generations, seconds=limits.seconds,
+            progress=progress,
+        )  # fmt: skip
+    lines = _benchmark_lines(data)
+    if out:
+        write_text(out / "benchmark.json", to_json(data))
+        write_text(out / "benchmark.txt", "\n".join(lines) + "\n")
+    if json:
+        print_json(data)
+    for line in [] if json else lines:
+        console.print(line, soft_wrap=True, highlight=False)
+    if failed := [row["policy"] for row in data["rows"] if row["failure"]]:
+        raise ConfigError(f"failed policies: {', '.join(failed)}; the other results are valid")
+
+
+def _benchmark_lines(data: dict[str, Any]) -> list[str]:
+    """Return the lines of the table, best score first."""
+    lines = [
+        f"{data['benchmark']}, {data['split']}: {data['drives']} drives, half of them mirrored",
+        f"{'policy':20s} score   95 %             comfort viol.  left right unseen    S3  "
+        f"load tr. roll  +/=/- {data['reference']}",
+    ]
+    rows = [row for row in data["rows"] if not row["failure"]]
+    for row in sorted(rows, key=lambda row: -row["score"]["mean"]):
+        g, s = row["groups"], row["score"]
+        left, right, unseen, s3 = (
+            f"{g[name]['score']:6.2f}" if name in g else "   n/a"
+            for name in ("left", "right", "unseen", "S3")
+        )
+        lines.append(
+            f"{row['policy']:20s} {s['mean']:6.3f} {s['low']:7.3f} to {s['high']:6.3f} "
+            f"{row['comfort']['mean']:6.3f} {row['violations']:5.0%} {left} {right} {unseen} {s3} "
+            f"{row['load_transfer']:5.2f} {row['roll']:6.1f}  "
+            f"{row['wins']}/{row['ties']}/{row['losses']}"
+        )
+    lines += [f"{r['policy']} failed: {r['failure']}" for r in data["rows"] if r["failure"]]
+    return [
+        *lines,
+        "score [m²/s⁴]: minus mean-square comfort and the price of violations; higher is better.",
+        f"{safe_comparison.BEST_FOUND}: search on the known road, not attainable.",
+    ]
 
 
 def chosen_isolation(isolation: str) -> Any:
@@ -215,22 +307,22 @@ def _redraw(kept: Path, out: Path | None) -> None:
 
 def tune_policy(
     name: Annotated[str, typer.Argument(help="Policy to tune.")],
-    scenarios: Annotated[
-        str, typer.Option(help="Scenarios whose training roads are used.")
-    ] = "training",
+    drives: Annotated[
+        int, typer.Option(help="Training drives, each to both sides.", min=1)
+    ] = grid_search.TRAINING_DRIVES,
     out: Annotated[Path | None, typer.Option(help="YAML file for the settings.")] = None,
 ) -> None:
-    """Search the settings of a policy on training roads only."""
+    """Search the settings of a policy on training drives only."""
     validate_choice("policy", name, grid_search.GRIDS)
     check_output_path(out, ".yaml", ".yml")
     with progress_bar() as progress:
-        best = grid_search.tune(name, load_scenarios(scenarios), progress)
-    command = f"road-recon tune-policy {name} --scenarios {scenarios}"
+        best = grid_search.tune(name, grid_search.training_drives(drives), progress)
+    command = f"road-recon tune-policy {name} --drives {drives}"
     if out:
         write_text(out, grid_search.as_yaml(best, command))
     for row in best.trials:
         console.print(f"{row.cost:.4f}  {row.settings}")
-    console.print(f"best: {best.settings}, cost {best.cost:.4f} per second")
+    console.print(f"best: {best.settings}, cost {best.cost:.4f} m²/s⁴")
 
 
 def train_policy(

@@ -1,7 +1,7 @@
 """Tuning of policies by grid search, and the training settings of learned policies.
 
-The cost is minus the return per second, averaged over all cases and training roads of the
-scenarios. Test roads are never driven here.
+The cost is minus the mean score of the benchmark (mean square comfort, and the price of violations)
+over drives of the split "train" and their mirror images. Test drives are never driven here.
 """
 
 import itertools
@@ -17,23 +17,29 @@ from leaderboard.policies.scenarios import Scenarios
 from road_envs.core import config
 from road_envs.core.atomic_io import atomic_write
 from road_envs.core.config import ConfigError
+from road_envs.envs.safe4s4 import Safe4S4Setup
 from road_envs.policies import PolicySettings, create
 from road_envs.policies.rollout import roll_out
+from road_envs.policies.safe_rollout import SafeDrives, drive_safely
 
+FIRM = ("handling", "soft_high", "stiff_low")
 TWO_STATE: dict[str, tuple[Any, ...]] = {
     "high": ("soft_high", "handling"),
     "leak": (0.2, 1.0),
-    "bias": (-2.0, -0.5),
+    "bias": (-2.0, -0.5, 2.0),
 }
 GRIDS: dict[str, Mapping[str, tuple[Any, ...]]] = {
-    "rrms": {"window": (0.5, 1.0, 2.0), "ratio": (1.0, 2.0, 3.0)},
-    "preview": {
-        "window": (0.5, 1.0),
-        "ratio": (1.0, 2.0),
-        "bump": (0.02, 0.04, 0.08),
-        "reach": (1.0, 2.0),
+    "fixed": dict.fromkeys(("front", "rear"), ("ride", *FIRM)),
+    "rrms": {"window": (0.25, 0.5, 1.0), "ratio": (0.25, 0.5, 1.0, 2.0), "firm": FIRM},
+    "lateral": {"threshold": (0.3, 0.5, 0.8, 1.2), "hold": (0.0, 0.5, 1.0), "firm": FIRM},
+    "rrms_lateral": {
+        "window": (0.5,),
+        "ratio": (0.5, 1.0),
+        "threshold": (0.8, 1.2),
+        "hold": (0.0, 0.5),
+        "firm": FIRM,
     },
-    "roll_angle": {"threshold": (0.03, 0.05, 0.07, 0.1), "hold": (0.1, 0.5)},
+    "roll_angle": {"threshold": (0.01, 0.02, 0.03), "hold": (0.1, 0.5)},
     "skyhook": TWO_STATE,
     "groundhook": TWO_STATE,
     "add": TWO_STATE,
@@ -42,39 +48,47 @@ GRIDS: dict[str, Mapping[str, tuple[Any, ...]]] = {
 """Grid of settings for every policy that can be tuned."""
 
 
+TUNING_SEED, TRAINING_DRIVES = 1_000_000, 12
+"""First seed of the drives of tuning, and their number; each is driven to both sides."""
+
+
 class Trial(NamedTuple):
-    """Settings and their cost per second."""
+    """Settings and their cost."""
 
     settings: dict[str, Any]
     cost: float
 
 
 class SearchResult(NamedTuple):
-    """The settings of least cost, that cost per second, and all trials."""
+    """The settings of least cost, that cost, and all trials."""
 
     settings: dict[str, Any]
     cost: float
     trials: list[Trial]
 
 
+def training_drives(number: int = TRAINING_DRIVES) -> SafeDrives:
+    """Return drives of the split "train", each followed by its mirror image."""
+    setup = Safe4S4Setup({"split": "train"})
+    return SafeDrives.mirrored(setup, range(TUNING_SEED, TUNING_SEED + number))
+
+
 def tune(
-    name: str, scenarios: Scenarios, progress: Callable[[str, float], None] = lambda text, x: None
+    name: str,
+    drives: SafeDrives,
+    progress: Callable[[str, float], None] = lambda text, x: None,
 ) -> SearchResult:
-    """Evaluate the whole grid of a policy on the training roads."""
+    """Evaluate the whole grid of a policy on training drives."""
     grid = GRIDS[name]
     trials: list[Trial] = []
     choices = list(itertools.product(*grid.values()))
     for k, values in enumerate(choices):
         settings = dict(zip(grid, values, strict=True))
         progress(f"{name}: {settings}", k / len(choices))
-        trials.append(Trial(settings, cost(create(name, **settings), scenarios)))
+        score = drive_safely(create(name, **settings), drives).score
+        trials.append(Trial(settings, -float(score.mean())))
     best = min(trials, key=lambda trial: trial.cost)
     return SearchResult(best.settings, best.cost, trials)
-
-
-def cost(policy: Any, scenarios: Scenarios) -> float:
-    """Return minus the mean return per second over all cases and training roads."""
-    return -float(np.mean(return_rates(policy, scenarios, scenarios.training.seeds)))
 
 
 def return_rates(policy: Any, scenarios: Scenarios, seeds: Sequence[int]) -> np.ndarray:
@@ -89,7 +103,7 @@ def return_rates(policy: Any, scenarios: Scenarios, seeds: Sequence[int]) -> np.
 
 def as_yaml(best: SearchResult, command: str) -> str:
     """Return the text of a settings file for `configs/policies`."""
-    source = f"{command}: cost {best.cost:.4f} per second, best of {len(best.trials)}"
+    source = f"{command}: cost {best.cost:.4f} m²/s⁴, best of {len(best.trials)}"
     return yaml.safe_dump({"settings": best.settings, "source": source}, sort_keys=False)
 
 

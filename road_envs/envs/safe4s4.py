@@ -101,17 +101,26 @@ class Safe4S4Setup(EnvSetup):
         fleet.start(i, start.drive, logger, start.description.speed_kmh)
         return start
 
+    def describe(self, random: np.random.Generator, fixed: dict[str, Any]) -> SafeDrive:
+        """Draw the description of a drive alone, as `prepare` draws it."""
+        return self._draw(random, fixed)[0]
+
+    def _draw(
+        self, random: np.random.Generator, fixed: dict[str, Any]
+    ) -> tuple[SafeDrive, list[np.random.SeedSequence]]:
+        """Draw a description, and the seeds of the road, the car and the sensors."""
+        # one stream per cause, of entropy that differs between the splits
+        key = split_key(self.safe.split, self.safe.seal)
+        root = np.random.SeedSequence([key, *random.integers(2**32, size=4).tolist()])
+        drive_seed, *others = root.spawn(4)
+        rng = np.random.default_rng(drive_seed)
+        return draw_drive(self.benchmark, self.safe.split, rng, fixed), others
+
     def prepare(
         self, random: np.random.Generator, fixed: dict[str, Any]
     ) -> tuple[SafeStart, DataLogger]:
         """Draw a drive from `random`, and return its start and its instruments."""
-        # one stream per cause, of entropy that differs between the splits
-        key = split_key(self.safe.split, self.safe.seal)
-        root = np.random.SeedSequence([key, *random.integers(2**32, size=4).tolist()])
-        drive_seed, road_seed, car_seed, sensor_seed = root.spawn(4)
-        description = draw_drive(
-            self.benchmark, self.safe.split, np.random.default_rng(drive_seed), fixed
-        )
+        description, (road_seed, car_seed, sensor_seed) = self._draw(random, fixed)
         surface = realise_surface(description, np.random.default_rng(road_seed), self.car)
         k, step = len(self.instruments.accelerometers), self.options.step
         car, faults = individual_car(description, self.car, car_seed, k)

@@ -20,9 +20,16 @@ from road_envs.core.config import ConfigError, Settings, build
 from road_envs.core.registry import PluginWarning, Registry
 from road_envs.policies.add import AccelerationDriven
 from road_envs.policies.api import Policy, PolicyContext, PolicyError
-from road_envs.policies.fixed import FixedHandling, FixedHandlingRide, FixedRide, FixedRideHandling
+from road_envs.policies.fixed import (
+    FixedHandling,
+    FixedHandlingRide,
+    FixedPair,
+    FixedRide,
+    FixedRideHandling,
+)
 from road_envs.policies.greedy_information import GreedyInformation
 from road_envs.policies.groundhook import Groundhook
+from road_envs.policies.lateral import LateralThreshold, RrmsLateral
 from road_envs.policies.network_policy import NetworkPolicy
 from road_envs.policies.preview import Preview
 from road_envs.policies.random_switching import RandomSwitching
@@ -47,12 +54,15 @@ ENTRY_POINT_GROUP = "road_envs.policies"
 """Entry-point group under which other packages offer policies."""
 
 REGISTRY: dict[str, type[Policy]] = {
+    "fixed": FixedPair,
     "fixed_ride": FixedRide,
     "fixed_handling": FixedHandling,
     "fixed_ride_handling": FixedRideHandling,
     "fixed_handling_ride": FixedHandlingRide,
     "random": RandomSwitching,
     "rrms": RunningRmsPolicy,
+    "lateral": LateralThreshold,
+    "rrms_lateral": RrmsLateral,
     "roll_angle": RollAngle,
     "skyhook": Skyhook,
     "groundhook": Groundhook,

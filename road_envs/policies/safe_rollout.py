@@ -67,11 +67,24 @@ class SafeDrives:
     """
 
     def __init__(self, setup: Safe4S4Setup, seeds: Sequence[int], fixed: Sequence[Mapping] = ()):
-        self.setup = setup
+        self.setup, self.threads = setup, 1
         self.starts: list[tuple[SafeStart, DataLogger]] = []
         for k, seed in enumerate(seeds):
             own: dict[str, Any] = dict(fixed[k]) if fixed else {}
             self.starts.append(setup.prepare(seeding.np_random(seed)[0], own))
+
+    @classmethod
+    def mirrored(
+        cls, setup: Safe4S4Setup, seeds: Sequence[int], fixed: Sequence[Mapping] = ()
+    ) -> "SafeDrives":
+        """Return drives, each followed by the same one with its manoeuvres to the other side."""
+        sides: list[dict[str, Any]] = []
+        for k, seed in enumerate(seeds):
+            own: dict[str, Any] = dict(fixed[k]) if fixed else {}
+            drawn = setup.describe(seeding.np_random(seed)[0], own)
+            other = drawn.mirrored
+            sides += [own, own | {"side": other.side, "gentle_side": other.gentle_side}]
+        return cls(setup, np.repeat(seeds, 2).tolist(), sides)
 
     def __len__(self) -> int:
         return len(self.starts)
@@ -79,7 +92,7 @@ class SafeDrives:
     def start(self, copies: int = 1, chosen: Sequence[int] | None = None) -> IndividualFleet:
         """Return a fleet at the start of the drives, each in `copies` vehicles in a row."""
         numbers = range(len(self)) if chosen is None else chosen
-        fleet = self.setup.make_fleet(copies * len(numbers))
+        fleet = self.setup.make_fleet(copies * len(numbers), self.threads)
         for i, number in enumerate(numbers):
             start, logger = self.starts[number]
             fleet.start(copies * i, start.drive, logger, start.description.speed_kmh)
