@@ -18,7 +18,7 @@ leaderboard: $(READY)
 	$(VENV)/bin/road-recon leaderboard --board new_road --seeds 2 --out $(BOARD) && { wait $$! || { cat $(BOARD)/policies.log; exit 1; }; } && cat $(BOARD)/policies.txt
 
 policies: $(READY)
-	$(VENV)/bin/road-recon policies --scenarios league --sweep --out out/policies
+	$(VENV)/bin/road-recon policies --out out/policies
 
 # side by side: mypy uses one core; which kept figures are not of today's program is a list, no failure
 test: $(READY)

@@ -71,8 +71,8 @@ def policies(
     scenarios: Annotated[
         str | None,
         typer.Option(
-            help="Sensing comparison: a name of `road-recon list scenarios`, or a YAML path; without "
-            "them, the public drives of RoadRecon/Safe4S4-v1."
+            help="Sensing comparison: a name of `road-recon list scenarios`, or a YAML path; "
+            "without it, the public drives of RoadRecon/Safe4S4-v1."
         ),
     ] = None,
     estimator: Annotated[
@@ -187,7 +187,6 @@ def _benchmark(
     check_output_folder(out)
     drives.threads = min(2, os.cpu_count() or 1)
     entries = _entries(policy, limits)
-    entries.pop(comparison.ORACLE, None)
     if policy is None:
         pairs = {f"{f}/{r}": FixedPair(front=f, rear=r) for r in MODES for f in MODES}  # type: ignore[arg-type]
         entries = {n: p for n, p in entries.items() if not n.startswith("fixed")} | pairs
@@ -258,8 +257,8 @@ def policy_reference(reference: str, isolation: str) -> str:
     """Return a reference to a policy that may be run. Raises ConfigError."""
     import_from_here([reference])
     if ":" not in reference and not reference.endswith(FILE_SUFFIX):
-        validate_choice("policy", reference, [*names(), comparison.ORACLE])
-    foreign = reference != comparison.ORACLE and runs_foreign_code(reference)
+        validate_choice("policy", reference, names())
+    foreign = runs_foreign_code(reference)
     if foreign and chosen_isolation(isolation) is None:
         raise ConfigError(
             f"the policy {reference} is not part of this package, and {bubblewrap.obstacle()}: "
@@ -272,7 +271,7 @@ def _entries(references: list[str] | None, limits: Limits) -> dict[str, Any]:
     """Return the policies by name, those of other packages in processes. Raises ConfigError."""
     if references is None:
         isolated = chosen_isolation(limits.isolation)
-        references = [*(names() if isolated else REGISTRY), comparison.ORACLE]
+        references = list(names() if isolated else REGISTRY)
     entries: dict[str, Any] = {}
     for reference in references:
         policy_reference(reference, limits.isolation)
@@ -280,9 +279,7 @@ def _entries(references: list[str] | None, limits: Limits) -> dict[str, Any]:
         name = Path(name).stem if name.endswith(FILE_SUFFIX) else name
         if name in entries:
             raise ConfigError(f"two policies have the name {name!r}: give each of them once")
-        if reference == comparison.ORACLE:
-            entries[name] = None
-        elif runs_foreign_code(reference):
+        if runs_foreign_code(reference):
             own = dataclasses.replace(limits, isolation=chosen_isolation(limits.isolation))
             entries[name] = PolicyProcess(reference, limits=own)
         else:

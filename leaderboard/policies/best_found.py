@@ -47,7 +47,7 @@ def search(
     beams = np.zeros((T, n), dtype=np.int64)
     for i in range(n):
         progress("beam", 0.2 * i / n)
-        own = beam(drives, i)
+        own = beam(drives, i)[0]
         beams[: len(own), i] = own[:T]
     candidates.append(beams)
     scores = np.array([replay(drives, actions).score for actions in candidates])
@@ -78,8 +78,8 @@ def replay(drives: SafeDrives, actions: np.ndarray, copies: int = 1) -> SafeRoll
     return totals.rollout(actions, setup.interval)
 
 
-def beam(drives: SafeDrives, i: int) -> np.ndarray:
-    """Return actions (T,) of drive number `i` by the stratified beam search."""
+def beam(drives: SafeDrives, i: int) -> tuple[np.ndarray, float]:
+    """Return actions (T,) of drive number `i` by the stratified beam search, and their score."""
     setup, pairs = drives.setup, len(drives.setup.command_bytes)
     size = KEPT_PER_PAIR * pairs * pairs
     fleet = drives.start(size, [i])
@@ -107,7 +107,7 @@ def beam(drives: SafeDrives, i: int) -> np.ndarray:
         if running:
             fleet.copy_vehicles(source)
             score, history = score[source], history[:, source]
-    return np.repeat(best, hold)
+    return np.repeat(best, hold), float(score.max())
 
 
 def _mutate(actions: np.ndarray, rng: np.random.Generator, interval: float) -> None:

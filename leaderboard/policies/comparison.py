@@ -10,7 +10,7 @@ import random
 import signal
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -22,7 +22,6 @@ from estimators.api import Estimator
 from leaderboard.entries.entry import EntryError, needs_training, reconstruct
 from leaderboard.evaluation.bound import fit_spectrum, pooled_bound
 from leaderboard.metrics import heights
-from leaderboard.policies import beam_search
 from leaderboard.policies.policy_process import PolicyProcess
 from leaderboard.policies.ride_metrics import METRICS, ride_metrics, state_time_shares
 from leaderboard.policies.scenarios import Case, Scenarios
@@ -37,9 +36,6 @@ from road_envs.records.record import Profile, Record, scored_band
 from road_envs.simulation.drive import Trajectory
 from road_envs.simulation.fleet import Fleet, select_vehicle
 from road_envs.vehicle.suspension import MODES, decode_commands
-
-ORACLE = "oracle"
-"""Name of the beam search on the known road, an upper bound rather than a policy."""
 
 REMEMBERS = "its actions depend on the drives that it has seen before"
 
@@ -79,7 +75,7 @@ class PreparedCase(NamedTuple):
 
 def compare(
     scenarios: Scenarios,
-    policies: Mapping[str, Policy | None],
+    policies: Mapping[str, Policy],
     estimators: Mapping[str, Estimator],
     *,
     roads: int | None = None,
@@ -90,7 +86,7 @@ def compare(
 ) -> list[PolicyResult]:
     """Simulate every policy on every case; a policy that fails is a row with its failure.
 
-    A policy of None is replaced by the oracle. `roads` limits the number of test roads per case,
+    `roads` limits the number of test roads per case,
     `seconds` the time of a policy for a case. `finished` rows are taken as they are; `on_result` is
     called with each new one. Raises ConfigError on invalid scenarios.
     """
@@ -113,9 +109,11 @@ def compare(
         for c, (test, train) in enumerate(zip(tests, training, strict=True)):
             progress(f"{name}: {test.case.label}", (i + c / len(tests)) / len(policies))
             try:
-                with time_limit(seconds) if policy is not None else nullcontext():
-                    rollout = _rollout(policy, test)
-                    train_rollout = _rollout(policy, train) if train.seeds else None
+                with time_limit(seconds):
+                    rollout = roll_out(policy, test.options, test.seeds)
+                    train_rollout = (
+                        roll_out(policy, train.options, train.seeds) if train.seeds else None
+                    )
                 column, case_notes = _evaluate(test, rollout, train, train_rollout, estimators)
                 if c == scenarios.shown:
                     timeline = Timeline.from_trajectory(
@@ -151,7 +149,8 @@ def _remembers(
     case = random.SystemRandom().randrange(1, len(tests))  # the first has none before it
     policy.close()
     try:
-        again, (actions, intervals) = _rollout(policy, tests[case]), driven[case]
+        again = roll_out(policy, tests[case].options, tests[case].seeds)
+        actions, intervals = driven[case]
     except PolicyError:
         return True
     return any(
@@ -247,26 +246,6 @@ def _restarted_drive(prepared: PreparedCase, k: int, spare_fleet: InstrumentedFl
     drive = prepared.setup.start_episode(spare_fleet, 0, random, prepared.setup.options).drive
     drive.manoeuvre = prepared.setup.manoeuvre  # `start_episode` gives it to the fleet instead
     return drive
-
-
-class _FixedActions:
-    """Policy that replays actions (T, N)."""
-
-    def __init__(self, actions: np.ndarray):
-        self.actions = actions
-
-    def reset(self, context: PolicyContext) -> None:
-        self.step = 0
-
-    def act(self, observations: np.ndarray) -> np.ndarray:
-        self.step += 1
-        return self.actions[self.step - 1]
-
-
-def _rollout(policy: Policy | None, prepared: PreparedCase) -> Rollout:
-    if policy is None:
-        policy = _FixedActions(beam_search.search_actions(prepared.setup, prepared.starts))
-    return roll_out(policy, prepared.options, prepared.seeds)
 
 
 def _evaluate(

@@ -104,7 +104,9 @@ def return_rates(policy: Any, scenarios: Scenarios, seeds: Sequence[int]) -> np.
 def as_yaml(best: SearchResult, command: str) -> str:
     """Return the text of a settings file for `configs/policies`."""
     source = f"{command}: cost {best.cost:.4f} m²/s⁴, best of {len(best.trials)}"
-    return yaml.safe_dump({"settings": best.settings, "source": source}, sort_keys=False)
+    return yaml.safe_dump(
+        {"settings": best.settings, "source": source}, sort_keys=False, allow_unicode=True
+    )
 
 
 def load_training_config(name: str, steps: int | None = None) -> Any:

@@ -168,7 +168,7 @@ def _symbols(rows: list[dict[str, Any]]) -> list[str]:
 
 
 def status(row: dict[str, Any]) -> str:
-    """Return whether a policy is Pareto-optimal, dominated, or the oracle, which is neither."""
+    """Return whether a policy is Pareto-optimal, dominated, or a former "oracle"."""
     return "Pareto-optimal" if row["pareto"] else "dominated" if row["attainable"] else "oracle"
 
 

@@ -1,4 +1,4 @@
-"""Comparison of switching policies: metrics, drives, oracle, statistics, configuration, tuning."""
+"""Comparison of switching policies: metrics, drives, statistics, configuration."""
 
 import io
 import json
@@ -16,7 +16,7 @@ from scipy.stats import trim_mean
 
 import estimators
 from leaderboard.commands import policies as policies_command
-from leaderboard.policies import beam_search, comparison, grid_search
+from leaderboard.policies import comparison
 from leaderboard.policies import page as policy_page
 from leaderboard.policies.ride_metrics import (
     METRICS,
@@ -30,7 +30,6 @@ from road_envs.envs.options import EnvSetup
 from road_envs.envs.vector import RoadReconVectorEnv
 from road_envs.policies import create
 from road_envs.policies.rollout import roll_out
-from road_envs.sensing.data_logger import DataLogger
 from road_envs.vehicle.equations import Z_B
 from road_envs.vehicle.parameters import load_vehicle
 
@@ -184,7 +183,7 @@ def test_the_table_fits_80_columns_and_the_wide_one_has_more_metrics(monkeypatch
             {metric: rng.random((3, 2)) for metric in METRICS},
             {reader: rng.random((3, 2)) for reader in names},
         )
-        for name in ("fixed_ride_handling", "greedy_information", comparison.ORACLE)
+        for name in ("fixed_ride_handling", "greedy_information", "random")
     ]
     rows.append(comparison.PolicyResult("mine", failure="iso_d: RuntimeError: " + 30 * "no idea "))
     data = summarize_results(scenarios(), rows, [101, 102, 103], "greedy_information")
@@ -212,39 +211,6 @@ def test_the_table_fits_80_columns_and_the_wide_one_has_more_metrics(monkeypatch
         assert f"{row['errors']['iterated_wiener']['mean']:.3f} ±" in line
     assert "mine failed: iso_d: RuntimeError" in narrow
     assert "rattle" in wide and "rattle" not in narrow
-
-
-# --- the oracle -----------------------------------------------------------------------------------
-
-
-def test_the_oracle_is_no_worse_than_any_fixed_pair_and_holds_its_commands():
-    prepared = comparison.prepare_case(scenarios(), 1, [101, 102])
-    actions = beam_search.search_actions(prepared.setup, prepared.starts)
-    planned = roll_out(comparison._FixedActions(actions), prepared.options, prepared.seeds)
-    for front, rear in beam_search.MODE_PAIRS:
-        fixed = np.full_like(actions, beam_search.action_index(prepared.setup, (front, rear)))
-        held = roll_out(comparison._FixedActions(fixed), prepared.options, prepared.seeds)
-        assert (planned.returns >= held.returns - 1e-12).all()
-    held_for = round(beam_search.HOLD_TIME / prepared.setup.interval)
-    changes = np.flatnonzero((np.diff(actions, axis=0) != 0).any(axis=1)) + 1
-    assert (changes % held_for == 0).all()
-
-
-def test_copying_vehicles_copies_their_whole_state():
-    prepared = comparison.prepare_case(scenarios(), 0, [101])
-    fleet = prepared.setup.make_fleet(9)
-    start = prepared.starts[0]
-    for i in range(9):
-        logger = DataLogger(prepared.setup.instruments, CAR, 0.001, np.random.default_rng(0))
-        fleet.start(i, start.drive, logger, start.speed_kmh)
-    bytes_ = prepared.setup.command_bytes[np.arange(9)]
-    for _ in range(30):
-        fleet.advance(bytes_)
-    source = np.array([8, 8, 0, 3, 4, 5, 6, 7, 1])
-    beam_search.copy_vehicles(fleet, source)
-    output = fleet.advance(np.zeros(9, dtype=np.uint8))
-    np.testing.assert_array_equal(output.values[0], output.values[1])
-    assert output.values[2, 6] != output.values[0, 6]
 
 
 # --- statistics -----------------------------------------------------------------------------------
@@ -352,26 +318,6 @@ def test_the_error_of_an_invalid_case_names_the_case():
         _ = bad.setups
     with pytest.raises(ConfigError, match="number of roads must be 2 to 3"):
         scenarios().test_seeds(4)
-
-
-# --- tuning ---------------------------------------------------------------------------------------
-
-
-def test_tuning_returns_the_best_of_its_grid_and_uses_training_roads_only(monkeypatch):
-    driven_seeds = []
-
-    def spy(policy, options, seeds, **kwargs):
-        driven_seeds.extend(seeds)
-        return roll_out(policy, options, seeds, **kwargs)
-
-    monkeypatch.setattr(grid_search, "roll_out", spy)
-    monkeypatch.setitem(grid_search.GRIDS, "rrms", {"window": (0.2, 1.0), "ratio": (1.0, 9.0)})
-    best = grid_search.tune("rrms", scenarios())
-    assert set(driven_seeds) == set(scenarios().training.seeds)
-    assert len(best.trials) == 4
-    assert best.cost == min(trial.cost for trial in best.trials)
-    again = grid_search.cost(create("rrms", **best.settings), scenarios())
-    assert again == pytest.approx(best.cost)
 
 
 def test_results_have_exactly_the_listed_metrics():

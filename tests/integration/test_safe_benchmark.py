@@ -50,6 +50,14 @@ def test_no_row_is_above_the_best_found_on_any_drive():
     assert rows[BEST_FOUND].mean() > 0.85 * laws, "no headroom above the laws"
 
 
+def test_the_beam_returns_the_actions_of_its_score():
+    one = public_drives(2)
+    one.starts = one.starts[2:3]
+    actions, score = best_found.beam(one, 0)
+    again = best_found.replay(one, actions[:, None])
+    assert again.score * again.duration == pytest.approx(score)
+
+
 def test_replayed_actions_give_the_same_drives(drives, rollouts):
     again = best_found.replay(drives, rollouts["rrms"].actions)
     np.testing.assert_array_equal(again.score, rollouts["rrms"].score)
@@ -77,7 +85,9 @@ def test_a_policy_that_fails_is_a_row_with_its_failure(drives):
 
 def test_tuning_takes_the_best_of_its_grid_on_training_drives(monkeypatch):
     monkeypatch.setitem(grid_search.GRIDS, "lateral", {"threshold": (0.8, 9.0)})
-    found = grid_search.tune("lateral", grid_search.training_drives(1))
+    drives = grid_search.training_drives(1)
+    assert drives.setup.safe.split == "train"
+    found = grid_search.tune("lateral", drives)
     assert [trial.settings["threshold"] for trial in found.trials] == [0.8, 9.0]
     assert found.cost == min(trial.cost for trial in found.trials)
     assert found.settings == {"threshold": 0.8}
