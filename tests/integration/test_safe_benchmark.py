@@ -1,8 +1,11 @@
 """The benchmark itself: it must decide something, and its line must hold."""
 
+import json
+
 import numpy as np
 import pytest
 
+from leaderboard.commands import policies as policies_command
 from leaderboard.policies import best_found, grid_search
 from leaderboard.policies.safe_comparison import BEST_FOUND, compare_safely, public_drives
 from road_envs.envs.safe4s4 import Safe4S4Env, Safe4S4Setup
@@ -91,3 +94,15 @@ def test_tuning_takes_the_best_of_its_grid_on_training_drives(monkeypatch):
     assert [trial.settings["threshold"] for trial in found.trials] == [0.8, 9.0]
     assert found.cost == min(trial.cost for trial in found.trials)
     assert found.settings == {"threshold": 0.8}
+
+
+def test_the_command_prints_and_writes_the_table(tmp_path, capsys):
+    policies_command.policies(policy=["lateral"], drives=2, generations=0, out=tmp_path)
+    printed = capsys.readouterr().out
+    data = json.loads((tmp_path / "benchmark.json").read_text())
+    assert [row["policy"] for row in data["rows"]] == ["lateral", "rrms"]
+    text = (tmp_path / "benchmark.txt").read_text()
+    assert printed == text and "4 drives" in text
+    for row in data["rows"]:
+        (line,) = (line for line in text.splitlines() if line.startswith(row["policy"] + " "))
+        assert f"{row['score']['mean']:.3f}" in line and f"{row['violations']:.0%}" in line
