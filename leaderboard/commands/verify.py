@@ -59,7 +59,7 @@ def verify(
             entries,
             share=share,
             seed=seed,
-            report=lambda text: progress(text, 0.0),
+            report=progress,
         )
     save_verified(found, folder)
     if json:

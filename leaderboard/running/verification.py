@@ -133,11 +133,12 @@ def verify_folder(
     share: float = SHARE,
     seed: int | None = None,
     simulate: Callable[..., Iterator[RecordedDrive]] = simulate_drives,
-    report: Callable[[str], None] = lambda text: None,
+    report: Callable[[str, float], None] = lambda text, share: None,
 ) -> list[Verified]:
     """Run a random `share` of the drives of each task under `out` again, with all its rows.
 
-    `entries` are those of other packages. Raises ConfigError if there is nothing to be verified.
+    `entries` are those of other packages; `report` is called with each step as it begins and the
+    share of the rows that are done. Raises ConfigError if there is nothing to be verified.
     """
     tasks = load_definitions(out)
     rows = [(task, row) for task in tasks for row in store.load_rows(out, task)]
@@ -155,11 +156,11 @@ def verify_folder(
         data = {}
         for condition in task.conditions:
             if picked := {drive for label, drive in chosen if label == condition.label}:
-                report(f"{task.name}: simulating, {condition.label}")
+                report(f"{task.name}: simulating, {condition.label}", len(found) / len(rows))
                 some = partial(simulate, chosen=picked)
                 data[condition] = simulate_condition(task, condition, some)
         for row in scored:
-            report(f"{task.name}: {row.estimator}")
+            report(f"{task.name}: {row.estimator}", len(found) / len(rows))
             entry = given.get(row.estimator) or _own_entry(row.estimator, task)
             found.append(_verify_row(task, row, entry, data, run))
     return found
