@@ -25,7 +25,7 @@ def test_the_results_table_is_the_kept_output_of_its_command():
 
 
 def test_errors_in_the_text_are_rows_of_the_table():
-    text = README[README.index("NRMSE is the RMS error") : README.index("## Limits")]
+    text = README[README.index("NRMSE: RMS error of") : README.index("## Limits")]
     quoted = re.findall(r"(\d\.\d{3})[\s,(]+worst\s+drive\s+(\d\.\d\d)", text)
     assert len(quoted) >= 4
     assert set(quoted) <= {(row[1], row[3]) for row in rows(KEPT).values() if len(row) > 3}
