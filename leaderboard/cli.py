@@ -72,7 +72,7 @@ class RoadRecon(LazyGroup):
             "tune-policy": "policies:tune_policy",
             "train-policy": "policies:train_policy",
         },
-        "Speed and precision": {"bench": "bench:bench", "precision": "precision:precision"},
+        "Speed": {"bench": "bench:bench"},
     }
 
 

@@ -1,4 +1,4 @@
-"""Test problem of `bench` and `precision`: one drive, for this project and peer integrators.
+"""Test problem of `bench` and of the work-precision study, for our and other integrators.
 
 The drive is on a class-D road, or another one, at 15 m/s in ride mode; the output is the
 acceleration of the body every millisecond. All peers except Octave call the compiled right-hand

@@ -7,24 +7,20 @@ import statistics
 import time
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-import typer
 from rich.table import Table
 
 import estimators
 from leaderboard.bench import levenberg_marquardt, speed, start_up
-from leaderboard.bench import scaling as cost_by_work
 from leaderboard.bench.identification_speed import identification_speed
 from leaderboard.bench.integrators import PeerError
 from leaderboard.bench.machine import measure_machine
 from leaderboard.bench.speed import benchmark_row, median_time, run_in_new_process
-from leaderboard.commands import check_output_path, console, notices, print_json, progress_bar
+from leaderboard.commands import console, notices, print_json, progress_bar
 from leaderboard.commands.options import Json
 from leaderboard.entries.entry import needs_training
-from road_envs.core.config import ConfigError
 from road_envs.drives.recording import simulate_record
 from road_envs.roads import load_road, with_length
 from road_envs.sensing.data_logger import load_instruments
@@ -32,24 +28,9 @@ from road_envs.vehicle.parameters import load_vehicle
 
 
 def bench(
-    scaling: Annotated[
-        bool,
-        typer.Option(
-            "--scaling",
-            help="Instead: time against vehicles, length, entries and rows, with the slopes.",
-        ),
-    ] = False,
-    out: Annotated[
-        Path | None, typer.Option(help="Plot of --scaling to write (.png, .svg or .pdf).")
-    ] = None,
     json: Json = False,
 ) -> None:
     """Measure speed and memory, compare with other packages, and print a table."""
-    if out and not scaling:
-        raise ConfigError("--out is the plot of --scaling: give that too")
-    if scaling:
-        _scaling(out, json)
-        return
     parts: dict[str, Callable[[], list[dict[str, Any]]]] = {
         "integrators": speed.integrator_speed,
         "lanes": speed.fleet_throughput,
@@ -79,30 +60,6 @@ def bench(
     for row in rows:
         if "why" in row:
             notices.print(f"{row['what']}: {row['why']}")
-
-
-def _scaling(out: Path | None, json: bool) -> None:
-    check_output_path(out, ".png", ".svg", ".pdf")
-    curves, measurements = [], cost_by_work.measurements()
-    with progress_bar() as progress:
-        for measure in measurements:
-            curves.append(measure())
-            progress(curves[-1].what, len(curves) / len(measurements))
-    if out:
-        cost_by_work.draw(curves, out)
-    if json:
-        print_json([curve.row() for curve in curves])
-        return
-    heads = ("CPU time of", "from", "to", "slope", "last two")
-    table = Table(*heads, title="road-recon bench --scaling", box=None)
-    for curve in curves:
-        first, last = (
-            f"{1e3 * curve.seconds[k]:.3g} ms, {curve.work[k]:g} {curve.unit}" for k in (0, -1)
-        )
-        table.add_row(curve.what, first, last, f"{curve.slope:.2f}", f"{curve.last_slope:.2f}")
-    console.print(table)
-    if out:
-        notices.print(f"plot: {out}")
 
 
 def _training() -> list[dict[str, Any]]:

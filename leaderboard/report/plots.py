@@ -141,30 +141,6 @@ def _path_part(
     return select
 
 
-def draw_precision(
-    rows: list[dict[str, Any]], ours: tuple[str, ...], drive: str, path: Path
-) -> None:
-    """Plot error over cost of every method, one line each; `ours` are emphasised."""
-
-    def paint(figure: Any) -> None:
-        axes = figure.subplots()
-        for k, name in enumerate(dict.fromkeys(row["method"] for row in rows)):
-            chosen = [row for row in rows if row["method"] == name]
-            cost = [1.0 / row["times_real_time"] for row in chosen]
-            error = [100.0 * row["error"] for row in chosen]
-            style = {"lw": 2.4, "ms": 7} if name in ours else {"lw": 1.1, "ms": 5}
-            axes.loglog(cost, error, "os^Dv<>Pp"[k % 9] + "-", label=name, color=f"C{k}", **style)
-        axes.set(
-            xlabel="seconds of computing for one second of driving",
-            ylabel="error of the body's accelerations [%]",
-            title=f"{drive}: error against cost",
-        )
-        axes.grid(which="major", color="0.9")
-        axes.legend(frameon=False)
-
-    write_figure(paint, (8.5, 5.5), path)
-
-
 LINE_STYLES = (("#D55E00", "-"), ("#0072B2", "--"), ("#009E73", "-."), ("#CC79A7", ":"))
 
 

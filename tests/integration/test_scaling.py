@@ -7,8 +7,8 @@ import pytest
 from fake_estimators import Reader
 from fakes import fake_drives, task
 
-from leaderboard.bench import scaling
 from leaderboard.evaluation.evaluate import run_task
+from studies import scaling
 
 SMALL = task(conditions=[{"mode": "ride", "speed_kmh": 54.0}], bound=False)
 

@@ -6,8 +6,8 @@ import sys
 
 import numpy as np
 import pytest
+import typer
 
-from leaderboard import cli
 from leaderboard.bench import integrators
 from leaderboard.bench.integrators import (
     EXPLICIT_METHODS,
@@ -15,8 +15,8 @@ from leaderboard.bench.integrators import (
     PeerError,
     relative_error,
 )
-from leaderboard.commands import precision
 from road_envs.roads import load_road
+from studies import work_precision as precision
 
 METHODS = (*EXPLICIT_METHODS, "LSODA", "BDF", "Radau")
 
@@ -87,10 +87,10 @@ def test_the_command_measures_plots_and_names_skipped_peers(monkeypatch, tmp_pat
     monkeypatch.setitem(sys.modules, "sksundae.cvode", None)
     monkeypatch.setattr(integrators.shutil, "which", lambda name: None)
     picture = tmp_path / "p.png"
-    words = ["precision", "--out", str(picture), "--duration", "0.6"]
+    words = ["--out", str(picture), "--duration", "0.6"]
     with pytest.raises(SystemExit) as ended:
-        monkeypatch.setattr(sys, "argv", ["road-recon", *words, "--json"])
-        cli.main()
+        monkeypatch.setattr(sys, "argv", ["work_precision", *words, "--json"])
+        typer.run(precision.precision)
     assert not ended.value.code
     rows = json.loads(capsys.readouterr().out)
     done = [row for row in rows if "error" in row]
@@ -104,8 +104,8 @@ def test_the_command_measures_plots_and_names_skipped_peers(monkeypatch, tmp_pat
     ]
     assert picture.read_bytes().startswith(b"\x89PNG")
     with pytest.raises(SystemExit):
-        monkeypatch.setattr(sys, "argv", ["road-recon", *words])
-        cli.main()
+        monkeypatch.setattr(sys, "argv", ["work_precision", *words])
+        typer.run(precision.precision)
     out, err = capsys.readouterr()
     assert "rtol 0.001" in out and "h = 0.125 ms" in out
     assert "Octave ode23s is skipped: Octave is not installed" in " ".join(err.split())

@@ -1,4 +1,7 @@
-"""Command `precision`: work-precision diagram of the integrators and of other packages."""
+"""Work-precision diagram of the integrators and of other packages.
+
+python -m studies.work_precision --out FILE.png
+"""
 
 import functools
 import math
@@ -28,8 +31,8 @@ from leaderboard.commands import (
     progress_bar,
 )
 from leaderboard.commands.options import Json
-from leaderboard.report import plots
 from leaderboard.report.figures import rounded
+from leaderboard.report.plots import write_figure
 from road_envs.core.config import ConfigError
 from road_envs.roads import load_road
 
@@ -78,7 +81,7 @@ def precision(
             except PeerError as error:
                 skipped.append({"method": name, "skipped": str(error)})
     if out is not None:
-        plots.draw_precision(rows, OURS, f"{problem.surface.name}, {SPEED:g} m/s, {MODE}", out)
+        draw_precision(rows, OURS, f"{problem.surface.name}, {SPEED:g} m/s, {MODE}", out)
     if json:
         print_json(rows + skipped)
         return
@@ -118,3 +121,31 @@ def _table(rows: list[dict[str, Any]]) -> Table:
 
     heads = ("method", "setting", "error", "x real time")
     return make_table(heads, map(cells, rows), title="error against cost", texts=("setting",))
+
+
+def draw_precision(
+    rows: list[dict[str, Any]], ours: tuple[str, ...], drive: str, path: Path
+) -> None:
+    """Plot error over cost of every method, one line each; `ours` are emphasised."""
+
+    def paint(figure: Any) -> None:
+        axes = figure.subplots()
+        for k, name in enumerate(dict.fromkeys(row["method"] for row in rows)):
+            chosen = [row for row in rows if row["method"] == name]
+            cost = [1.0 / row["times_real_time"] for row in chosen]
+            error = [100.0 * row["error"] for row in chosen]
+            style = {"lw": 2.4, "ms": 7} if name in ours else {"lw": 1.1, "ms": 5}
+            axes.loglog(cost, error, "os^Dv<>Pp"[k % 9] + "-", label=name, color=f"C{k}", **style)
+        axes.set(
+            xlabel="seconds of computing for one second of driving",
+            ylabel="error of the body's accelerations [%]",
+            title=f"{drive}: error against cost",
+        )
+        axes.grid(which="major", color="0.9")
+        axes.legend(frameon=False)
+
+    write_figure(paint, (8.5, 5.5), path)
+
+
+if __name__ == "__main__":
+    typer.run(precision)

@@ -1,5 +1,7 @@
 """Cost against work: processor time by vehicles, length of the road, entries and rows of a board.
 
+    python -m studies.scaling --out FILE.png
+
 A slope of 1 on logarithmic scales is a cost in proportion to the work. Below 1, a part of the cost
 is the same for any work; above, the cost of a piece of work grows with their number.
 """
@@ -9,13 +11,17 @@ import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+import typer
+from rich.table import Table
 
 import estimators
 from estimators.baselines.flat import FlatEstimator
 from leaderboard.bench.integrators import IntegrationProblem
+from leaderboard.commands import check_output_path, console, notices, print_json, progress_bar
+from leaderboard.commands.options import Json
 from leaderboard.evaluation import evaluate, store
 from leaderboard.evaluation.results import Result
 from leaderboard.evaluation.tasks import Task, load_task
@@ -190,3 +196,35 @@ def draw(curves: Sequence[CostCurve], path: Path) -> None:
             axes.legend(frameon=False, fontsize=7)
 
     write_figure(paint, (10.0, 8.0), path)
+
+
+def scaling(
+    out: Annotated[Path | None, typer.Option(help="Plot to write (.png, .svg or .pdf).")] = None,
+    json: Json = False,
+) -> None:
+    """Measure time against vehicles, length, entries and rows, with the slopes."""
+    check_output_path(out, ".png", ".svg", ".pdf")
+    curves, measured = [], measurements()
+    with progress_bar() as progress:
+        for measure in measured:
+            curves.append(measure())
+            progress(curves[-1].what, len(curves) / len(measured))
+    if out:
+        draw(curves, out)
+    if json:
+        print_json([curve.row() for curve in curves])
+        return
+    heads = ("CPU time of", "from", "to", "slope", "last two")
+    table = Table(*heads, title="cost against work", box=None)
+    for curve in curves:
+        first, last = (
+            f"{1e3 * curve.seconds[k]:.3g} ms, {curve.work[k]:g} {curve.unit}" for k in (0, -1)
+        )
+        table.add_row(curve.what, first, last, f"{curve.slope:.2f}", f"{curve.last_slope:.2f}")
+    console.print(table)
+    if out:
+        notices.print(f"plot: {out}")
+
+
+if __name__ == "__main__":
+    typer.run(scaling)
