@@ -36,6 +36,12 @@ def on_page_markdown(markdown: str, **kwargs: Any) -> str:
     return re.sub(r"<!-- modules: ([\w.]+) -->", lambda found: _modules(found[1]), markdown)
 
 
+def on_post_page(output: str, page: Any, config: Any) -> str:
+    """Take the script for searching from disk out of this folder, not from the network."""
+    root = "../" * page.url.count("/")
+    return output.replace("https://unpkg.com/iframe-worker/shim", f"{root}search_worker.js")
+
+
 def _mark(outputs: list[str]) -> str:
     """Say by what program stale outputs were made; nothing for those of today's program."""
     names = dict.fromkeys(name for path in outputs if (name := results.result_of(path)))
