@@ -374,11 +374,18 @@ def _check_drive(record: Record) -> tuple[Record, list[str]]:
             f"the vehicle stood still for {still:.1f} s; these samples carry no road information"
         )
     for missed, where in (
-        (forward[0], f"the first {forward[0]:.2f} m"),
-        (record.length - forward[-1], f"the last {record.length - forward[-1]:.2f} m"),
+        (
+            forward[0],
+            "the first {:.2f} m lie behind the front axle at the start: at most the rear "
+            "wheels drove over them",
+        ),
+        (
+            record.length - forward[-1],
+            "the last {:.2f} m lie ahead of the front axle at the end: no wheel drove over them",
+        ),
     ):
         if missed > PROFILE_SPACING:
-            notes.append(f"the record does not reach {where} of the road")
+            notes.append(where.format(missed))
     return record, notes
 
 

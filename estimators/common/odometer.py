@@ -153,10 +153,11 @@ def to_true_distance(record: Record, estimate: Estimate) -> tuple[Record, Estima
     z_std = estimate.z_std
     if z_std is not None:
         z_std = np.array([np.interp(old, estimate.s, path) for path in z_std])
+    late = 100.0 * (1.0 / factor - 1.0)
     note = (
-        f"by the time from axle to axle, the speed is {100.0 * (1.0 / factor - 1.0):+.2f} % off "
-        f"(standard deviation {100.0 * std:.2f} %); distances from the first sample are corrected "
-        "by that"
+        f"the rear axle follows the front axle {abs(late):.2f} ± {196.0 * std:.2f} % "
+        f"{'later' if late > 0.0 else 'earlier'} than speed and wheelbase say; distances are "
+        "corrected by that"
     )
     corrected = replace(
         estimate,

@@ -37,6 +37,7 @@ from estimators.api import CalibrationError, copy_with
 from estimators.common.bending import sensed_bending
 from estimators.common.block_means import MIN_NOISE_DENSITY
 from estimators.common.explained import reduce_unexplained
+from estimators.common.misfit import misfit_note
 from estimators.common.model_inputs import (
     MOVING_STD,
     REST_STD,
@@ -184,7 +185,7 @@ class MapSmoother(CalibratedByIdentification):
             return first
         if flexible.noise_scale > STRUCTURE_GAIN * left:
             return first
-        note = f"the vehicle was found to {_describe_modes(found)}, and adapted to the drive"
+        note = f"a frame that can {_describe_modes(found)} was found, and adapted to the drive"
         return replace(second, notes=(*second.notes, note))
 
     def _estimate(
@@ -243,10 +244,7 @@ class MapSmoother(CalibratedByIdentification):
         if findings.fit:
             notes += (f"the vehicle was adapted to the drive: {findings.fit.summary()}",)
         if noise_scale > NOISE_SCALE_WARNING:
-            notes += (
-                f"{noise_scale:.1f} times the instruments' noise power is left unexplained: "
-                "the vehicle may differ from the one described",
-            )
+            notes += (misfit_note(noise_scale),)
         lost = max(LOST_NOISE_SCALE, LOST_POWER_SHARE * float(drive.a.var()) / model.noise_variance)
         distance, doubts = distance_scale(findings.speed_errors, model)
         notes += doubts

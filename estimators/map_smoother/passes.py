@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from estimators.common.misfit import misfit_note
 from estimators.map_smoother.car_fit import CarFit, fit_if_due, is_believed
 from estimators.map_smoother.gauss_newton import (
     NOISE_SCALE_WARNING,
@@ -102,8 +103,7 @@ class _Findings:
             names = ", ".join(passes[k].name for k in members)
             notes.append(f"the vehicle of {names} was adapted to the drives: {fit.summary()}")
         notes += [
-            f"{one.name}: {scale:.1f} times the instruments' noise power is left unexplained: the "
-            "vehicle may differ from the one described"
+            f"{one.name}: {misfit_note(scale)}"
             for one, scale in zip(passes, self.noise_scale, strict=True)
             if scale > NOISE_SCALE_WARNING
         ]

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.fft import irfft
 
 from estimators.common.explained import reduce_unexplained, trusted_share, untrusted_note
+from estimators.common.misfit import misfit_note
 from estimators.common.odometer import calibrate_odometer
 from estimators.preprocessing import mask_record
 from estimators.wiener.adaptation import adapt_vehicle
@@ -84,10 +85,7 @@ def smooth_record(
         weights[:, inside] += weight[inside]
         notes += segment.notes
     if unexplained > NOISE_SCALE_WARNING:
-        notes.append(
-            f"{unexplained:.1f} times the noise power of the instruments and the friction is left "
-            "unexplained: the vehicle or the state of its struts may differ from the one described"
-        )
+        notes.append(misfit_note(unexplained))
     weights = np.maximum(weights, 1e-12)
     z, std = total / weights, std_factor * total_std / weights
     share = trusted_share(masked.record, masked.valid, car, sensors, z)

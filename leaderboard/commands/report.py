@@ -130,7 +130,8 @@ def _print(result: DriveResult) -> None:
         console.print(
             f"{row['kind']} at {row['station_m']:.1f} ± {1.96 * row['station_std_m']:.1f} m: "
             f"{row['height_mm']:+.0f} mm ({row['height_low_mm']:.0f} to "
-            f"{row['height_high_mm']:.0f}), {row['length_m']:.1f} m long, {row['wheel_path']}, "
+            f"{row['height_high_mm']:.0f}), {row['length_m']:.1f} m long, "
+            f"wheel path {row['wheel_path']}, "
             f"confidence {row['confidence']:.2f}"
         )
     print_notes(result.notes)

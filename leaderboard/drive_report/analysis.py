@@ -1,6 +1,6 @@
 """Results of one drive: segments with IRI, class, condition and quality, and obstacles."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -8,8 +8,9 @@ import numpy as np
 from estimators.wiener.segments import dominant_modes
 from leaderboard.drive_report.conditions import Conditions
 from leaderboard.drive_report.mean_path import (
+    HRI_STD,
+    expected_ratio,
     path_level_ratio,
-    path_ratio,
     ratio_std,
     tells_paths_apart,
     with_mean_path,
@@ -110,11 +111,14 @@ def analyse(
         estimate = with_mean_path(estimate)
     edges = _edges(estimate, measured.chainage, segment, record.s[0])
     factor, std = known or KnownFactor(1.0, MODEL_STD)
-    half = posterior_iri(estimate, v, edges, factor=factor, model_std=std) if mean_path else None
+    half, sampled = None, estimate
     if mean_path:
+        sampled = replace(estimate, z_std=np.zeros_like(estimate.z))
+        std = known.std if known else HRI_STD
+        half = posterior_iri(sampled, v, edges, factor=factor, model_std=std)
         std = np.hypot(std, ratio_std(np.diff(edges)))
-        factor *= path_ratio()
-    iri = posterior_iri(estimate, v, edges, factor=factor, model_std=std)
+        factor *= expected_ratio()
+    iri = posterior_iri(sampled, v, edges, factor=factor, model_std=std)
     notes = in_order_of_weight((*estimate.notes, *measured.notes))
     result = DriveResult(
         name, measured, estimate, v, measured.chainage, [], [], notes, {}, mean_path

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterable
 
-MISFIT = r"does not reproduce|left unexplained|heights are reduced"
+MISFIT = r"does not reproduce|times the expected one|heights are reduced"
 """Notes of an estimator whose model does not give the measured motion."""
 
 WEIGHTS = (
@@ -22,9 +22,14 @@ the empty one is that of all others.
 """
 
 
+LARGE_RESIDUAL = 3.0
+"""Residual in times of the sensors' noise from which on obstacles are only possible ones."""
+
+
 def misfits(notes: Iterable[str]) -> bool:
-    """Whether a note says that the model does not reproduce the record."""
-    return any(re.search(MISFIT, note) for note in notes)
+    """Whether a note says that the model is far from reproducing the record."""
+    residuals = [re.search(r"residual ([\d.]+) times", note) for note in notes]
+    return any(float(found[1]) >= LARGE_RESIDUAL for found in residuals if found)
 
 
 def in_order_of_weight(notes: Iterable[str]) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from markupsafe import Markup
 from leaderboard.drive_report import pictures
 from leaderboard.drive_report.analysis import DriveResult
 from leaderboard.drive_report.conditions import Conditions
-from leaderboard.drive_report.obstacles import CERTAIN, FALSE_ALARMS
+from leaderboard.drive_report.obstacles import FALSE_ALARMS
 from leaderboard.drive_report.posterior_iri import MODEL_STD
 from leaderboard.report.rendering import render
 from road_envs import __version__
@@ -61,7 +61,7 @@ def _drive(result: DriveResult, conditions: Conditions) -> dict[str, Any]:
         "segments": result.segments[:TABLE_ROWS],
         "hidden": max(0, len(result.segments) - TABLE_ROWS),
         "obstacles": result.obstacles,
-        "possible": sum(row["confidence"] < CERTAIN for row in result.obstacles),
+        "possible": sum(row["kind"].startswith("possible") for row in result.obstacles),
         "shares": {name: length / total for name, length in lengths.items()},
         "band": scored_band(result.v),
         "has_interval": result.estimate.z_std is not None,
@@ -79,7 +79,7 @@ def _sensors(result: DriveResult) -> str:
     count = len(result.measured.record.channels)
     at = result.measured.place
     if at and count == 1:
-        return f"one device at the place {at}"
+        return f"one device ({at})"
     mounted = sorted({sensor.mounted for sensor in layout.values()}) if layout else ["body"]
     return f"{count} accelerometer{'s' if count > 1 else ''} on the {' and '.join(mounted)}"
 

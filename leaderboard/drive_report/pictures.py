@@ -99,7 +99,8 @@ def iri_chart(result: DriveResult, conditions: Conditions) -> str:
             if low < top:
                 axes.annotate(
                     conditions.categories[k], (edges[-1], low), (-3, 2), ha="right", va="bottom",
-                    textcoords="offset points", color="0.35", fontsize=8,
+                    textcoords="offset points", color="0.35", fontsize=8, zorder=5,
+                    bbox={"facecolor": "white", "alpha": 0.7, "lw": 0, "pad": 1},
                 )  # fmt: skip
         for side in _sides(result):
             key = "hri" if result.is_mean_path else f"iri_{side}"

@@ -56,7 +56,7 @@ CHECKS = {
         values = {"mass": car.m_b, "right": right, "wrong": wrong}
     """,
     "measured_drive.md": """
-        values = {"length": drive.record.length, "class": type(estimated).__name__}
+        values = {"length": record.length, "class": type(estimated).__name__}
     """,
 }
 """Code that collects the values to test at the end of a page, in its own process."""

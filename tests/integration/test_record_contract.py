@@ -103,7 +103,7 @@ NOTED: Damages = {
     "standstill": (stop, ("the vehicle stood still for 0.5 s",)),
     "late start on an uneven clock": (
         lambda r: drop(select(r, r.s > 2.0)),
-        ("the clock is uneven (longest step", "does not reach the first 2."),
+        ("the clock is uneven (longest step", "lie behind the front axle at the start"),
     ),
 }
 """Damaged records that every estimator takes, and a part of each note."""
@@ -117,7 +117,7 @@ NOTED_ALONE: Damages = {
         ("s: 2.0% of the samples are missing",),
     ),
     "uneven clock": (drop, ("the clock is uneven (longest step",)),
-    "late start": (lambda r: select(r, r.s > 2.0), ("does not reach the first 2.",)),
+    "late start": (lambda r: select(r, r.s > 2.0), ("lie behind the front axle at the start",)),
 }
 """Records with one damage each."""
 

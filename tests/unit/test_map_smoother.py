@@ -266,7 +266,7 @@ def test_a_tone_outside_the_model_is_down_weighted_at_its_frequency(monkeypatch)
     tone = 0.5 * np.sin(2.0 * np.pi * 12.0 * record.t + np.array([[0.0], [2.0], [4.0]]))
     estimator, wrong = MapSmoother(adapt=False, draws=0), replace(record, a=record.a + tone)
     reweighted = estimator.estimate(wrong, DEFENDER)
-    assert "left unexplained" in reweighted.notes[-1]
+    assert "does not reproduce the accelerations" in reweighted.notes[-1]
     monkeypatch.setattr(gauss_newton, "REWEIGHTING_STEPS", 0)
     white = estimator.estimate(wrong, DEFENDER)
     assert error(reweighted, truth, record) < 0.8 * error(white, truth, record)

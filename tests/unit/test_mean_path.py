@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from estimators.common.misfit import misfit_note
 from leaderboard.drive_report.analysis import KnownFactor, analyse
 from leaderboard.drive_report.conditions import load_conditions
 from leaderboard.drive_report.known_iri import known_factor, read_known_iri
@@ -49,6 +50,7 @@ def test_the_ratio_of_iri_and_hri_is_that_of_random_roads():
 
 
 def test_one_sensor_gives_hri_and_an_iri_and_no_left_and_right():
+    """The ratio of isotropic roads, as these are, is 2 % above the one that is expected."""
     errors, inside = [], []
     for seed in range(12):
         surface, found = result(seed)
@@ -57,7 +59,7 @@ def test_one_sensor_gives_hri_and_an_iri_and_no_left_and_right():
             assert "iri_left" not in row and row["hri_high"] < row["iri_mean_high"]
             errors.append(row["iri_mean"] / x - 1.0)
             inside.append(row["iri_mean_low"] <= x <= row["iri_mean_high"])
-    assert abs(np.mean(errors)) < 0.03 and np.std(errors) < 0.1
+    assert -0.07 < np.mean(errors) < 0.02 and np.std(errors) < 0.1
     assert np.mean(inside) > 0.9
     assert found.is_mean_path and any("do not tell left from right" in n for n in found.notes)
     assert {o["wheel_path"] for o in found.obstacles} <= {"not told"}
@@ -94,10 +96,11 @@ def test_obstacles_are_possible_where_the_model_does_not_reproduce_the_record():
     surface, found = result(layout=None)
     z = surface.height(profile_stations(300.0))
     z[:, 4000:4100] += 0.2
-    bad = Estimate(profile_stations(300.0), z, None, ("9.0 times the noise is left unexplained",))
+    bad = Estimate(profile_stations(300.0), z, None, (misfit_note(16.0),))
     measured = found.measured
     doubted = analyse("one", measured, bad, HPMS).obstacles
-    certain = analyse("one", measured, Estimate(bad.s, z), HPMS).obstacles
+    near = Estimate(bad.s, z, None, (misfit_note(3.0),))
+    certain = analyse("one", measured, near, HPMS).obstacles
     assert doubted and all(o["kind"].startswith("possible") for o in doubted)
     assert any(not o["kind"].startswith("possible") for o in certain)
 
@@ -135,7 +138,7 @@ def test_notes_stand_in_the_order_of_their_weight():
         "lat: values every 1 s are interpolated",
         "something else",
         "the device is mounted with its z axis 18 degrees from the vertical",
-        "33.8 times the instruments' noise power is left unexplained",
+        misfit_note(33.8),
         "the record fits a speed of 10 km/h better",
         "lat: values every 1 s are interpolated",
     )

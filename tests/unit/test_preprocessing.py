@@ -102,7 +102,10 @@ def test_a_stop_and_a_late_start_are_noted():
     _, notes = clean_record(replace(record, s=s))
     assert "the vehicle stood still for 0.5 s; these samples carry no road information" in notes
     late = select_samples(record, record.s > 3.0)
-    assert clean_record(late)[1] == ("the record does not reach the first 3.04 m of the road",)
+    assert clean_record(late)[1] == (
+        "the first 3.04 m lie behind the front axle at the start: at most the rear wheels drove "
+        "over them",
+    )
 
 
 REFUSED = {
