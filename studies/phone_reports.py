@@ -172,6 +172,14 @@ def summary(results: list[dict]) -> str:
         )
     seconds = [r["seconds"] for r in results]
     km = sum(r["length"] for r in results) / 1000.0
+    for r in results:
+        letter, speed, seed = r["case"]
+        errors = " ".join(f"{100 * x:+.0f}" for x in r["iri"])
+        inside = sum(r["inside"])
+        lines.append(
+            f"{letter}, {speed} km/h, seed {seed}: IRI {errors} % by segment, {inside} of "
+            f"{len(r['inside'])} inside"
+        )
     lines.append(f"processor time {sum(seconds) / km:.0f} s per km")
     return "\n".join(lines)
 

@@ -9,6 +9,7 @@ from estimators.wiener.segments import dominant_modes
 from leaderboard.drive_report.conditions import Conditions
 from leaderboard.drive_report.mean_path import (
     HRI_STD,
+    MISFIT_STD,
     expected_ratio,
     path_level_ratio,
     ratio_std,
@@ -115,6 +116,8 @@ def analyse(
     if mean_path:
         sampled = replace(estimate, z_std=np.zeros_like(estimate.z))
         std = known.std if known else HRI_STD
+        if misfits(estimate.notes):
+            std = float(np.hypot(std, MISFIT_STD))
         half = posterior_iri(sampled, v, edges, factor=factor, model_std=std)
         std = np.hypot(std, ratio_std(np.diff(edges)))
         factor *= expected_ratio()

@@ -85,6 +85,17 @@ def test_sensors_beside_one_another_tell_the_paths_apart(layout, apart):
     assert tells_paths_apart(layout) == apart
 
 
+def test_one_sensor_whose_record_is_not_reproduced_has_a_wider_interval():
+    surface, found = result()
+    z = np.full((2, profile_stations(300.0).size), 1e-4)
+    s = profile_stations(300.0)
+    noted = Estimate(s, surface.height(s), z, (misfit_note(16.0),))
+    wide = analyse("one", found.measured, noted, HPMS).segments[1]
+    narrow = found.segments[1]
+    width = [np.log(row["iri_mean_high"] / row["iri_mean_low"]) for row in (wide, narrow)]
+    assert width[0] > 2.0 * width[1]
+
+
 def test_with_sensors_on_both_sides_both_paths_are_told():
     surface, found = result(layout=None)
     true = iri(surface.z, surface.ds, segment=100.0)
