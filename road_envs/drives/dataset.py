@@ -1,0 +1,149 @@
+"""Data set of simulated drives with their true roads: Parquet files, splits, card, checksums."""
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from road_envs._version import __version__
+from road_envs.core.atomic_io import write_text
+from road_envs.core.extras import optional_import
+from road_envs.drives.training_corpus import Corpus
+from road_envs.records.accelerometers import column
+from road_envs.records.record import Profile, Record
+
+FORMAT = "roadrecon dataset 1"
+SPLITS = ("train", "validation", "test")
+CYCLE = ("train",) * 8 + ("validation", "test")
+"""Split of the drives k = 0, 1, ..., repeated: every prefix of a data set has 80, 10 and 10 %."""
+
+LICENCE = "CC-BY-4.0"
+
+CARD = """---
+license: cc-by-4.0
+pretty_name: RoadRecon drives
+size_categories: [{size}]
+configs:
+- config_name: records
+  data_files: [{{split: train, path: train_records.parquet}},
+    {{split: validation, path: validation_records.parquet}},
+    {{split: test, path: test_records.parquet}}]
+---
+# RoadRecon drives
+
+{number} simulated drives of a Land Rover Defender with switchable suspension over {metres:.0f} m of
+road, with the true heights of both wheel paths. Road, speed, strut states, vehicle, noise and gains
+are drawn for each drive (`road_envs.drives.training_corpus`); a third of the vehicles have flexible
+bodies or faulty instruments. No drive is one of the benchmark.
+
+- `SPLIT_records.parquet`: one row per sample: `drive`, `t` [s], `a_rf`, `a_lr`, `a_rr` (vertical
+  body accelerations, upwards [m/s²]; empty: lost), `v` [m/s], `s` (station of the front axle [m]),
+  `commands` (bit w: stiff spring, bit 4 + w: high damping, at wheel w of FL, FR, RL, RR).
+- `SPLIT_profiles.parquet`: one row per station: `drive`, `station`, `left`, `right` [m].
+- `drives.parquet`: one row per drive: `drive`, `split`, `length_m`, `speed_kmh`, `samples`.
+- `dataset.json`: version, settings, and the SHA-256 of every file.
+
+Splits: train, validation, test; every drive has a road of its own. Made by `{command}` with
+road-envs {version}, corpus {digest}. Licence: {licence}. These are no measured data; the vehicles
+are variants of one model, so an error on it says nothing about another kind of vehicle.
+"""
+
+
+def write_dataset(
+    corpus: Corpus,
+    folder: Path,
+    *,
+    command: str = "road_envs.drives.dataset.write_dataset",
+    progress: Callable[[str, float], None] = lambda text, share: None,
+) -> dict[str, Any]:
+    """Write the drives of a corpus with card and checksums into `folder`; return the facts.
+
+    The card says by which `command`; `progress` is called with a description and the share done.
+    Raises MissingExtraError without pyarrow.
+    """
+    with optional_import("a table as CSV or Parquet"):
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+    rows: list[dict[str, Any]] = []
+    for split in SPLITS:
+        chosen = [k for k in range(corpus.number) if CYCLE[k % len(CYCLE)] == split]
+        writers: dict[str, Any] = {}
+        try:
+            for k in chosen:
+                progress(f"simulating drive {k}", len(rows) / corpus.number)
+                record, truth, _ = corpus.simulate_drive(k)
+                rows.append(_row(k, split, record))
+                for name, columns in _tables(k, record, truth).items():
+                    table = pa.table(columns)
+                    if name not in writers:
+                        path = folder / f"{split}_{name}.parquet"
+                        writers[name] = pq.ParquetWriter(path, table.schema)
+                    writers[name].write_table(table)
+        finally:
+            for writer in writers.values():
+                writer.close()
+    rows.sort(key=lambda row: row["drive"])
+    pq.write_table(pa.Table.from_pylist(rows), folder / "drives.parquet")
+    facts = {
+        "format": FORMAT,
+        "version": __version__,
+        "corpus": corpus.digest,
+        "drives": corpus.number,
+        "metres": float(sum(row["length_m"] for row in rows)),
+        "licence": LICENCE,
+    }
+    card = CARD.format(
+        number=corpus.number,
+        metres=facts["metres"],
+        size="n<1K" if corpus.number < 1000 else "1K<n<10K",
+        command=command,
+        version=__version__,
+        digest=corpus.digest,
+        licence=LICENCE,
+    )
+    (folder / "README.md").write_text(card, encoding="utf-8")
+    files = {
+        path.name: hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.iterdir())
+    }
+    settings = json.loads(json.dumps(asdict(corpus)))
+    write_text(
+        folder / "dataset.json",
+        json.dumps({**facts, "settings": settings, "files": files}, indent=2) + "\n",
+    )
+    return facts
+
+
+def _tables(k: int, record: Record, truth: Profile) -> dict[str, dict[str, Any]]:
+    a = record.a.astype(np.float32)
+    return {
+        "records": {
+            "drive": np.full(record.t.size, k, dtype=np.int32),
+            "t": record.t,
+            **dict(zip(map(column, record.channels), a, strict=True)),
+            "v": record.v.astype(np.float32),
+            "s": record.s,
+            "commands": record.commands,
+        },
+        "profiles": {
+            "drive": np.full(truth.s.size, k, dtype=np.int32),
+            "station": truth.s,
+            "left": truth.z[0].astype(np.float32),
+            "right": truth.z[1].astype(np.float32),
+        },
+    }
+
+
+def _row(k: int, split: str, record: Record) -> dict[str, Any]:
+    return {
+        "drive": k,
+        "split": split,
+        "length_m": float(record.length),
+        "speed_kmh": 3.6 * float(np.median(record.v)),
+        "samples": record.t.size,
+    }
