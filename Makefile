@@ -73,6 +73,11 @@ bench: $(READY)
 mutants: $(READY)
 	$(VENV)/bin/python tests/mutants.py
 
+# ten minutes for each reader; SECONDS=20 for less
+fuzz: SECONDS := 600
+fuzz: $(READY)
+	$(VENV)/bin/python tests/fuzz.py $(SECONDS)
+
 docs: $(READY)
 	$(VENV)/bin/pip install --quiet --constraint constraints.txt --editable '.[docs]'
 	$(VENV)/bin/mkdocs build --strict

@@ -13,6 +13,7 @@ from estimators.api import Pretrained, Trainable
 from estimators.linear.calibrated_fir import CalibratedFir
 from estimators.networks.narx import Narx
 from estimators.networks.static_lm import StaticLm
+from leaderboard import pretraining
 from leaderboard.commands import (
     check_output_path,
     command_line,
@@ -37,7 +38,6 @@ from leaderboard.commands.options import (
     Vehicle,
 )
 from leaderboard.drive_report.drive_estimates import read_profiles
-from leaderboard.evaluation import pretraining
 from leaderboard.report import plots
 from road_envs.core.config import ConfigError
 from road_envs.drives.reading import DEFAULT_VEHICLE

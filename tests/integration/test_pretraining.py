@@ -11,8 +11,8 @@ import pytest
 
 from estimators import REGISTRY, create, pretrained_weights, weights_io
 from estimators.api import check_estimate
+from leaderboard import pretraining
 from leaderboard.entries.entry import needs_training
-from leaderboard.evaluation import pretraining
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.evaluation.test_data import simulate_drives
 from leaderboard.metrics.heights import band_pass, nrmse, scored_band

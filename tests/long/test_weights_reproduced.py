@@ -5,7 +5,7 @@ import pytest
 from test_pretrained_weights import WINDOWS, nearly_equal, read_shipped
 
 from estimators import create
-from leaderboard.evaluation import pretraining
+from leaderboard import pretraining
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.evaluation.test_data import simulate_drives
 from leaderboard.metrics.heights import nrmse, scored_band

@@ -19,7 +19,7 @@ from estimators.networks.std_calibration import (
     in_scored_band,
     std_scale,
 )
-from leaderboard.evaluation import pretraining
+from leaderboard import pretraining
 from leaderboard.metrics.heights import band_pass, scored_band
 from road_envs.drives.training_corpus import Corpus
 from road_envs.records.record import PROFILE_SPACING

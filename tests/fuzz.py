@@ -1,0 +1,219 @@
+"""Fuzzing of every reader: `make fuzz`; arguments: seconds for each (600), names of some.
+
+Samples are mutated by operations of this file alone, which has no part in the tests: on bytes, on
+lines, and on the tree of a JSON or YAML text. A file must be read or refused by the documented
+error in one sentence, within 5 s of processor time. What ends otherwise is kept in `out/fuzz`, and
+the counts in `docs/runs/fuzz.txt`.
+"""
+
+import collections
+import copy
+import json
+import random
+import sys
+import tempfile
+import time
+import traceback
+import zipfile
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+ROOT = Path(__file__).parents[1]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "support")]
+
+from board_runs import run, small  # noqa: E402
+from hostile_files import Reader, readers  # noqa: E402
+
+from leaderboard.entries import entry_files  # noqa: E402
+from leaderboard.entries.entry import Entry, EntryError  # noqa: E402
+from leaderboard.evaluation import store  # noqa: E402
+from leaderboard.report.tables import board_views  # noqa: E402
+from leaderboard.running import jobs  # noqa: E402
+from leaderboard.running.board import load_board  # noqa: E402
+from leaderboard.running.jobs import Job  # noqa: E402
+from leaderboard.sandbox import messages  # noqa: E402
+from road_envs.core.artifacts import text_checksum  # noqa: E402
+from road_envs.core.config import ConfigError  # noqa: E402
+
+NUMBERS = (0, -1, 1e308, -1e-308, 2**31, 2**63, 10**40, 1.5, True, None)
+TEXTS = ("", "\u202e", "\\input{x}", "../x", "\x00", "=1", "a" * 3000, "nan", "1e5", "é")
+KINDS = (list, dict)
+
+
+def mutated_tree(value: Any, rng: random.Random) -> Any:
+    """Return a tree in which one to four nodes are replaced, removed, repeated or nested."""
+    top = [copy.deepcopy(value)]
+    for _ in range(rng.randint(1, 4)):
+        places = list(_places(top))
+        holder, key = rng.choice(places)
+        match rng.randrange(7):
+            case 0:
+                holder[key] = rng.choice(NUMBERS)
+            case 1:
+                holder[key] = rng.choice(TEXTS)
+            case 2:
+                other, name = rng.choice(places)
+                holder[key] = copy.deepcopy(other[name])
+            case 3 if isinstance(holder, dict):
+                holder[rng.choice([*TEXTS, str(key) + "_"])] = holder.pop(key)
+            case 4 if len(holder) > 1 and holder is not top:
+                del holder[key]
+            case 5:
+                for _ in range(rng.choice((1, 5, 300))):
+                    holder[key] = [holder[key]]
+            case _ if isinstance(holder[key], int | float):
+                holder[key] = holder[key] * rng.choice((-1, 1e3, 1e9, 1e-9, 0.5))
+    return top[0]
+
+
+def _places(value: Any) -> Iterator[tuple[Any, Any]]:
+    """Yield container and key of each node, level by level."""
+    left = collections.deque([value])
+    while left:
+        holder = left.popleft()
+        for key in list(holder) if isinstance(holder, dict) else range(len(holder)):
+            yield holder, key
+            if isinstance(holder[key], KINDS):
+                left.append(holder[key])
+
+
+def mutated_bytes(data: bytes, rng: random.Random) -> bytes:
+    """Return a copy with blocks overwritten, moved, cut, or taken as lines or columns."""
+    content = bytearray(data)
+    for _ in range(rng.randint(1, 6)):
+        at, size = rng.randrange(len(content) + 1), rng.choice((1, 2, 4, 8, 64, 500))
+        match rng.randrange(6):
+            case 0:
+                content[at : at + size] = rng.randbytes(size)
+            case 1:
+                content[at : at + size] = b"\xff" * size
+            case 2:
+                to = rng.randrange(len(content) + 1)
+                content[to:to] = content[at : at + size]
+            case 3:
+                del content[at : at + size]
+            case 4:
+                lines = bytes(content).split(b"\n")
+                lines[rng.randrange(len(lines))] = rng.choice(lines)
+                content = bytearray(b"\n".join(lines))
+            case _ if at < len(content):
+                content[at] ^= 1 << rng.randrange(8)
+    return bytes(content)
+
+
+def mutated(sample: bytes, name: str, rng: random.Random) -> bytes:
+    """Return a mutation of a sample; of the tree of a YAML or JSON text two times in three."""
+    if name.endswith(("yaml", "json")) and rng.random() < 0.67:
+        tree = yaml.safe_load(sample) if name.endswith("yaml") else json.loads(sample)
+        with suppress(RecursionError):
+            return json.dumps(mutated_tree(tree, rng), default=str).encode()  # YAML contains JSON
+    return mutated_bytes(sample, rng)
+
+
+def more_readers(folder: Path) -> dict[str, Reader]:
+    """Return readers of rows of a board, jobs, replies of guests and wheels."""
+    board, _ = run(folder / "board")
+    row = store.row_path(folder / "board", small().name, "reader")
+    entry = Entry(name="x", reference="flat")
+    job = jobs.to_text(Job(task=small(), condition=0, entries=(entry,), seeds=(1,)))
+    reply = b'{"settings": {"a": [1, "b", null]}, "causal": true, "lag": 0.5, "seconds": 1.0}'
+    wheel = folder / "x-1.0-py3-none-any.whl"
+    with zipfile.ZipFile(wheel, "w") as archive:
+        archive.writestr("x.py", "x = 1")
+
+    def read_row(path: Path) -> None:
+        """Read a row resealed with its checksum, and the tables of its board."""
+        text = path.read_text(encoding="utf-8", errors="replace")
+        with suppress(ValueError, AttributeError):
+            data = json.loads(text)
+            data.pop("sha256", None)
+            blank = '{\n "sha256": "' + "0" * 64 + '",\n' + json.dumps(data)[1:]
+            text = blank.replace("0" * 64, text_checksum(blank), 1)
+        row.write_text(text, encoding="utf-8")
+        views = board_views(load_board(board.tasks, folder / "board"))
+        broken = [x.message for view in views for s in view.sections for x in s.rows if x.message]
+        if any("cannot be read" in text for text in broken):
+            raise ConfigError(f"{path}: refused")
+
+    def read_reply(path: Path) -> None:
+        head = messages.parse_head(path.read_bytes())
+        messages.settings(head.get("settings"))
+        messages.number(head, "seconds", 10.0)
+
+    def one(read: Callable[[Path], Any], sample: bytes, name: str, error: type[Exception]):
+        return Reader(read, sample, name, error)
+
+    return {
+        "row of a board": one(read_row, row.read_bytes(), "row.json", ConfigError),
+        "job": one(
+            lambda path: jobs.from_text(path.read_text(encoding="utf-8"), str(path), path.parent),
+            job.encode(), "job.json", ValueError,
+        ),
+        "reply of a guest": one(read_reply, reply, "reply.json", EntryError),
+        "snapshot of a wheel": one(
+            lambda path: entry_files.snapshot(str(path), None),
+            wheel.read_bytes(), "x.whl", EntryError,
+        ),
+    }  # fmt: skip
+
+
+def fuzz(
+    name: str, reader: Reader, seconds: float, folder: Path, kept: Path
+) -> tuple[int, int, int]:
+    """Return the numbers of files, of refusals, and of other ends, which are kept."""
+    rng = random.Random(f"fuzz {name}")
+    end, count, refused, faults = time.monotonic() + seconds, 0, 0, 0
+    path = folder / reader.name
+    while time.monotonic() < end:
+        content = mutated(reader.sample, reader.name, rng)
+        path.write_bytes(content)
+        count, began = count + 1, time.process_time()
+        try:
+            reader.read(path)
+        except reader.error as error:
+            refused += 1
+            fault = "\n" in str(error)
+        except BaseException:
+            fault = True
+            traceback.print_exc(limit=-3)
+        else:
+            fault = False
+        if fault or time.process_time() - began > 5.0:
+            faults += 1
+            kept.mkdir(parents=True, exist_ok=True)
+            (kept / f"{name.replace(' ', '_')}_{count}_{reader.name}").write_bytes(content)
+    return count, refused, faults
+
+
+def main() -> None:
+    """Fuzz every reader in turn, print and keep the counts."""
+    seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 600.0
+    lines = [
+        f"{'reader':<22}{'files':>9}{'read':>9}{'refused':>9}{'faults':>8}   ({seconds:g} s each)"
+    ]
+    total = 0
+    with tempfile.TemporaryDirectory() as temp:
+        made = Path(temp, "samples")
+        made.mkdir()
+        found = {**readers(made), **more_readers(made)}
+        chosen = sys.argv[2:] or list(found)
+        found = {name: found[name] for name in chosen}
+        for name, reader in found.items():
+            count, refused, faults = fuzz(name, reader, seconds, Path(temp), ROOT / "out" / "fuzz")
+            total += faults
+            lines.append(
+                f"{name:<22}{count:>9}{count - refused - faults:>9}{refused:>9}{faults:>8}"
+            )
+            print(lines[-1], flush=True)
+    if len(sys.argv) < 3:
+        kept = ROOT / "docs" / "runs" / "fuzz.txt"
+        kept.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    sys.exit(total > 0)
+
+
+if __name__ == "__main__":
+    main()
