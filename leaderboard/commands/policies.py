@@ -2,9 +2,10 @@
 
 import contextlib
 import dataclasses
+import functools
 import json as json_module
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -123,8 +124,8 @@ def policies(
         )
     limits = parse_limits(time_limit, memory_limit, isolation)
     if scenarios is None and not (quick or sweep or estimator or roads):
-        public = safe_comparison.public_drives(drives, seal)
-        _benchmark(policy, public, reference or SAFE_REFERENCE, generations, limits, out, json)
+        draw = functools.partial(safe_comparison.public_drives, drives, seal)
+        _benchmark(policy, draw, reference or SAFE_REFERENCE, generations, limits, out, json)
         return
     reference = reference or REFERENCE
     chosen = load_scenarios(scenarios or "quick")
@@ -176,16 +177,15 @@ def policies(
 
 def _benchmark(
     policy: list[str] | None,
-    drives: SafeDrives,
+    draw: Callable[[], SafeDrives],
     reference: str,
     generations: int,
     limits: Limits,
     out: Path | None,
     json: bool,
 ) -> None:
-    """Compare policies on drives of the benchmark."""
+    """Compare policies on the drives of the benchmark that `draw` returns."""
     check_output_folder(out)
-    drives.threads = min(2, os.cpu_count() or 1)
     entries = _entries(policy, limits)
     if policy is None:
         pairs = {f"{f}/{r}": FixedPair(front=f, rear=r) for r in MODES for f in MODES}  # type: ignore[arg-type]
@@ -196,6 +196,8 @@ def _benchmark(
         for entry in entries.values():
             if isinstance(entry, PolicyProcess):
                 processes.enter_context(entry)
+        drives = draw()
+        drives.threads = min(2, os.cpu_count() or 1)
         data = safe_comparison.compare_safely(
             entries, drives, reference, generations=generations, seconds=limits.seconds,
             progress=progress,
