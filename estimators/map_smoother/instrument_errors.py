@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimators.map_smoother.objective import Objective
-from road_envs.vehicle.equations import sensor_row
+from road_envs.vehicle.linear_model import point_rows
 
 
 @dataclass(frozen=True)
@@ -46,13 +46,9 @@ class InstrumentErrors:
         *of_sensors, displacement, speed = (self.std * x).tolist()
         gain, ahead, left = np.reshape(of_sensors, (3, -1))
         model, inputs = objective.model, objective.inputs
-        factor, n = np.exp(gain), model.sensor_rows.shape[1]
-        rows = np.array(
-            [
-                sensor_row(place.x + dx, place.y + dy, place.axle)[:n]
-                for place, dx, dy in zip(model.locations.values(), ahead, left, strict=True)
-            ]
-        )
+        factor, places = np.exp(gain), zip(model.locations.values(), ahead, left, strict=True)
+        moved = [place._replace(x=place.x + dx, y=place.y + dy) for place, dx, dy in places]
+        rows = point_rows(model.plant, moved)
         rows, bending = factor[:, None] * rows, model.bending
         if bending is not None:
             bending = replace(bending, shape=factor * bending.shape)

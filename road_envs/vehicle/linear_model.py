@@ -20,7 +20,7 @@ damper of the same curves (statistical linearisation: Roberts & Spanos 1990, "Ra
 Statistical Linearization", section 5.2), to be passed to `linearise`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -142,9 +142,7 @@ def linearise(
     A, B = jacobian(plant, strut_state, y, z, w, speed), _road_input_matrix(plant, y, z, w)
     if damping is not None:
         A[n:, n:] += _damping_correction(plant, strut_state, y, np.asarray(damping, dtype=float))
-    own = plant.inertias.size
-    heights = np.array([sensor_row(*place)[:own] for place in sensors.values()]).reshape(-1, own)
-    heights = np.pad(heights, ((0, 0), (0, n - own)))
+    own, heights = plant.inertias.size, point_rows(plant, sensors.values())
     axles = plant.constants[0]["x"]
     C, D = heights @ A[n:], heights @ B[n:]
     struts, wheelbase = _as_matrix(extension, plant), float(axles[0] - axles[1])
@@ -158,6 +156,13 @@ def linearise(
     return LinearModel(
         *(A, B, C, D, plant.inertias.copy(), struts, heights, wheelbase, tuple(sensors)), **more
     )
+
+
+def point_rows(plant: Plant, places: Iterable[tuple[Any, ...]]) -> np.ndarray:
+    """Return the heights (S, n) of points by the coordinates; `places` as of `sensor_row`."""
+    own = plant.inertias.size
+    rows = np.array([sensor_row(*place)[:own] for place in places]).reshape(-1, own)
+    return np.pad(rows, ((0, 0), (0, plant.n_dof - own)))
 
 
 def _as_matrix(law, plant: Plant) -> np.ndarray:

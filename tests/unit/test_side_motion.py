@@ -23,6 +23,7 @@ from road_envs.vehicle.linear_model import (
     frequency_response,
     linearise,
     natural_modes,
+    point_rows,
     response_changes,
 )
 from road_envs.vehicle.parameters import TorsionalFrame, check_plausible, load_vehicle
@@ -399,3 +400,13 @@ def test_a_roll_centre_above_the_centre_of_mass_is_questioned():
 def test_the_papers_car_has_no_side_motion():
     assert DEFENDER.side is None
     assert build_plant(DEFENDER).n_dof == 7
+
+
+@pytest.mark.parametrize("car", [PLAIN, BMW, TWISTING], ids=["sliding", "rigid", "twisting"])
+def test_rows_of_displaced_sensors_are_those_of_the_linear_model(car):
+    places = {"RF": (1.0, -0.4, None), "RR": (-0.9, 0.5, None)}
+    plant = build_plant(car)
+    rows = point_rows(plant, places.values())
+    assert rows.shape == (2, plant.n_dof)
+    np.testing.assert_array_equal(rows, linearise(plant, "passive", places).sensor_rows)
+    np.testing.assert_array_equal(rows[:, :3], [[1.0, -0.4, -1.0], [1.0, 0.5, 0.9]])
