@@ -167,6 +167,7 @@ def test_the_readme_runs_and_gives_what_it_states(tmp_path):
     assert f"`Box({values['observed'][0]},)`" in stated
 
 
+@pytest.mark.processes
 def test_the_report_of_the_readme_is_written(road_recon, tmp_path):
     """The command as it stands, from the folder of the checkout but for its output."""
     (command,) = re.findall(r"^road-recon (report .*)$", README, re.M)
