@@ -89,6 +89,10 @@ VALIDATED = 3
 COVERAGE = ((0.5, 0.6745), (0.9, 1.6449))
 """Probabilities of the intervals that are calibrated, and their Gaussian bounds."""
 
+MAX_HELD_OUT = 0.7
+"""Greatest error on held-out parts of the road, over the road, of responses that are used; 1 is no
+information."""
+
 FAR_SPEED = 1.3
 """Factor between the speeds of calibration and drive from which on a note is given."""
 
@@ -252,6 +256,13 @@ def _identify_state(
     found = identify_responses(data, prior)
     check_responses(found, drives, axles)
     factor, error = _validate(found, drives, axles)
+    if not error <= MAX_HELD_OUT:
+        names = ", ".join(drive.name for drive in drives)
+        raise CalibrationError(
+            f"{names}: on parts of the road that were held out the error is {error:.2f} of the "
+            f"road, and at most {MAX_HELD_OUT} is allowed (1 is no information): give drives over "
+            "a rougher or longer profile, and check that distances and profile belong together"
+        )
     speed = float(np.mean([drive.record.v.mean() for drive in drives]))
     return VehicleResponse(found.responses, _state(drives[0].record), speed, factor, error)
 

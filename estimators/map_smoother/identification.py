@@ -66,6 +66,10 @@ STRUCTURE_GAIN = 0.5
 """Share of the unexplained power of held-out readings that elements which the description leaves
 out may leave at most, to be believed."""
 
+REFUSED_SHARE = 0.5
+"""Share of the power that the described vehicle leaves in the held-out parts from which on an
+identified one is refused, unless it leaves less than STRUCTURE_POWER."""
+
 WHEELBASE_MARGIN = 4.0
 """Distance [m] after the beginning of a profile at which all wheels are on it."""
 
@@ -159,10 +163,24 @@ def identify(
         if first.profile is not None:
             check_profile(_objective(first, car, chosen), first)
     result = _identify(parts, car, chosen, bool(structure))
-    if structure is not None or result.left < STRUCTURE_POWER or not has_absent_elements(car):
-        return result
-    flexible = _identify(parts, car, chosen, True)
-    return flexible if flexible.left < STRUCTURE_GAIN * result.left else result
+    if structure is None and result.left >= STRUCTURE_POWER and has_absent_elements(car):
+        flexible = _identify(parts, car, chosen, True)
+        result = flexible if flexible.left < STRUCTURE_GAIN * result.left else result
+    _refuse_unexplained(result, drives)
+    return result
+
+
+def _refuse_unexplained(result: IdentificationResult, drives: Sequence[CalibrationDrive]) -> None:
+    """Raise CalibrationError if the held-out parts are explained neither well nor much better."""
+    described = float(np.mean([before.power for before, _ in result.unexplained]))
+    if result.left < max(STRUCTURE_POWER, REFUSED_SHARE * described):
+        return
+    raise CalibrationError(
+        f"{', '.join(drive.name for drive in drives)}: the identified vehicle leaves "
+        f"{result.left:.3g} times the noise power unexplained in the parts that were held out, the "
+        f"described one {described:.3g} times: check that distances and profile belong together, "
+        "and give longer drives or other roads"
+    )
 
 
 def _identify(

@@ -12,7 +12,7 @@ import pytest
 from scipy import signal, sparse
 
 from estimators.api import CalibrationDrive, CalibrationError, NotFittedError, check_estimate
-from estimators.linear import impulse_responses, road_posterior
+from estimators.linear import calibrated_fir, impulse_responses, road_posterior
 from estimators.linear.calibrated_fir import CalibratedFir
 from estimators.linear.impulse_responses import (
     N_TAPS,
@@ -335,3 +335,10 @@ def test_the_posterior_module_solves_for_the_most_probable_settings():
             assert other.log_likelihood < best
     assert found[1][1] > found[0][1] + 1.0
     assert abs(found[1][0] - found[0][0]) < 0.7
+
+
+def test_responses_that_tell_nothing_of_a_held_out_road_are_refused(monkeypatch):
+    profile = road(1, 55.0)
+    monkeypatch.setattr(calibrated_fir, "MAX_HELD_OUT", 0.01)
+    with pytest.raises(CalibrationError, match=r"held out the error is 0\.\d+ of the road"):
+        CalibratedFir(wheelbase=WHEELBASE).fit([drive(profile, 10.0)], [profile], CAR, 0)

@@ -1,7 +1,9 @@
 """Vehicle parameters from drives: derivatives, log-determinant, recovery, refusals."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -183,3 +185,17 @@ def test_errors_of_the_instruments_are_applied_to_the_model():
     expected[1, THETA] = -0.012
     np.testing.assert_allclose(rows - objective.model.sensor_rows, expected, atol=1e-12)
     assert readings.apply(objective, np.zeros(0)) is objective
+
+
+@pytest.mark.parametrize(("described", "left", "refused"), [(90.0, 60.0, True), (90.0, 30.0, False),
+                                                            (2.0, 1.9, False)])  # fmt: skip
+def test_an_identification_that_does_not_explain_held_out_readings_is_refused(
+    described, left, refused
+):
+    parts = tuple(SimpleNamespace(power=power) for power in (described, left))
+    result, drives = SimpleNamespace(unexplained=(parts,), left=left), [SimpleNamespace(name="one")]
+    outcome = (
+        pytest.raises(CalibrationError, match=r"one: .* 60 times") if refused else nullcontext()
+    )
+    with outcome:
+        identification._refuse_unexplained(result, drives)
