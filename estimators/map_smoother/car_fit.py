@@ -184,7 +184,12 @@ def fit_if_due(
 
 
 def is_vehicle_unexplained(solution: MapSolution) -> bool:
-    """Return whether what a solution leaves unexplained may be the vehicle, so that a fit is due.
+    """Return whether what a solution leaves unexplained may be the vehicle: a fit is due."""
+    return bool(np.max(solution.noise_scale) >= ADAPT_NOISE_SCALE and can_show_vehicle(solution))
+
+
+def can_show_vehicle(solution: MapSolution) -> bool:
+    """Return whether what a solution leaves unexplained, if anything, may be the vehicle.
 
     On roads that are rough in places and under wheels in the air it is not the vehicle. Sensors on
     an axle measure waves that are too short for the nodes of the road.
@@ -193,8 +198,7 @@ def is_vehicle_unexplained(solution: MapSolution) -> bool:
     if on_axle(lin.objective.model.locations):
         return False
     flown = unloaded_nodes(lin).mean() > MAX_UNLOADED_SHARE
-    uneven = np.ptp(lin.objective.road.local) > 0.0
-    return bool(not flown and not uneven and np.max(solution.noise_scale) >= ADAPT_NOISE_SCALE)
+    return bool(not flown and not lin.objective.road.is_uneven)
 
 
 def is_believed(fit: CarFit, solutions: Sequence[MapSolution]) -> bool:

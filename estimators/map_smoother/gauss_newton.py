@@ -55,6 +55,10 @@ REWEIGHTING_STEPS, WELCH_SEGMENT = 3, 128
 PRIOR_UPDATES = 6
 """Updates of the prior between the steps with the true friction, at most."""
 
+MAX_NOISE_POWER = 10.0
+"""Greatest mean square of the road's noise u under a prior that was updated, over that before or
+over 1, its expectation: 1e5 on the shipped corrugation."""
+
 LOWERING_STEPS = (2, 5)
 """Steps with the true friction before which the road under lifted wheels is lowered if it has
 obstacles: their edges are then found by the steps that follow."""
@@ -207,7 +211,11 @@ def retry_after_liftoff(
 def update_prior(
     lin: Linearization, stationary: StationaryHessian, noise_scale: float
 ) -> Linearization:
-    """Return the linearization under the prior that its own road suggests; the same road."""
+    """Return the linearization under the prior that its own road suggests; the same road.
+
+    The prior stays if the road would be most improbable under the other one: where a road is a
+    single wave the prior would allow hardly any other, and the next step would go anywhere.
+    """
     objective, x = lin.objective, lin.x
     u, _, _ = objective.split(x)
     noise_variance = objective.noise_variance * noise_scale
@@ -216,7 +224,9 @@ def update_prior(
     u = road.convert_noise(u, objective.road)
     local = stationary.local_roughness(road, noise_variance, u, passed_nodes(lin))
     rough = replace(road, local=local)
-    return lin.with_road(rough, rough.convert_noise(u, road))
+    new = lin.with_road(rough, rough.convert_noise(u, road))
+    most = MAX_NOISE_POWER * max(float(x @ x), objective.size)
+    return new if float(new.x @ new.x) < most else lin
 
 
 def line_search(lin: Linearization, dx: Vector, slope: float, plant: Plant | None) -> Linearization:

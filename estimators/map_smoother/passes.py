@@ -147,7 +147,7 @@ def estimate_jointly(
         scale = np.maximum(findings.noise_scale[members], solution.noise_scale)
         findings.noise_scale[members] = scale
         findings.in_air[members] += [distance_in_air(one) for one in solution.linearization.passes]
-        return posterior_mean_and_std(solution, scored_band(slowest), smoother.draws)
+        return posterior_mean_and_std(solution, scored_band(slowest), smoother.draws)[:2]
 
     state = reconstruct_passes(smoother, passes, solve)
     z, std = state.at_stations(passes[0].drive, start.s)

@@ -17,6 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from estimators.map_smoother.car_fit import CarFit
+from estimators.map_smoother.instrument_errors import InstrumentErrors
 from estimators.map_smoother.marginal_likelihood import (
     DIFFERENCE,
     reading_sensitivities,
@@ -24,7 +25,7 @@ from estimators.map_smoother.marginal_likelihood import (
 )
 from estimators.map_smoother.objective import Linearization
 from road_envs.vehicle.parameters import VehicleParameters
-from road_envs.vehicle.tolerances import scale_parameters
+from road_envs.vehicle.tolerances import parameter_space, scale_parameters
 
 UNKNOWN_STD_INFLATION = 4.0
 """Factor on posterior standard deviations over unmeasured roads, for what Laplace's approximation
@@ -46,12 +47,26 @@ def inflated_std(std: np.ndarray, known: bool) -> np.ndarray:
 class VehicleUncertainty:
     """Errors of an identified `car` and its instruments: `covariance` (P + R, P + R) of the
     logarithms of the P parameters `names`, and behind them of the errors of the instruments in the
-    units of `InstrumentErrors`.
+    units of `InstrumentErrors`. `is_prior`: no drive has been compared with the car yet. Errors of
+    the road count `inflation` times.
     """
 
     car: VehicleParameters
     names: tuple[str, ...]
     covariance: np.ndarray
+    is_prior: bool = False
+    inflation: float = 1.0
+
+    @classmethod
+    def of_tolerances(
+        cls, car: VehicleParameters, sensors: tuple[str, ...]
+    ) -> "VehicleUncertainty":
+        """Return that of a vehicle as described, by the tolerances that its file states, and of
+        accelerometers `sensors` as by their data sheet. Raises ConfigError.
+        """
+        space, errors = parameter_space(car), InstrumentErrors(sensors)
+        variance = np.concatenate([space.std**2, _unfitted_variance(errors)])
+        return cls(car, space.names, np.diag(variance), is_prior=True)
 
     @classmethod
     def of_fit(cls, fit: CarFit, known: bool = False) -> "VehicleUncertainty":
@@ -65,11 +80,9 @@ class VehicleUncertainty:
         unit[: space.size] *= space.std
         covariance = unit[:, None] * fit.covariance * unit
         if fit.x.size == space.size:
-            rest = (np.arange(len(errors.names)) < errors.n_fixed).astype(float)
-            gains = slice(len(errors.sensors))
-            rest[gains] = (GAIN_STD / errors.std[gains]) ** 2
-            covariance = np.pad(covariance, (0, rest.size))
-            covariance[space.size :, space.size :] = np.diag(rest)
+            rest = np.diag(_unfitted_variance(errors))
+            covariance = np.pad(covariance, (0, len(rest)))
+            covariance[space.size :, space.size :] = rest
         return cls(fit.car, space.names, covariance)
 
     @cached_property
@@ -90,3 +103,13 @@ class VehicleUncertainty:
         left = varied_residuals(lin, [lin.objective.with_car(car) for car in cars])
         read = reading_sensitivities(lin, lin.objective, np.zeros(of_instruments.shape[1]))
         return (lin.residual - left) / DIFFERENCE + np.tensordot(of_instruments, read, axes=1)
+
+
+def _unfitted_variance(errors: InstrumentErrors) -> np.ndarray:
+    """Return the variances (R,) of errors of the instruments that were not fitted: as by their
+    prior, but for the odometer, of which nothing is known.
+    """
+    variance = (np.arange(len(errors.names)) < errors.n_fixed).astype(float)
+    gains = slice(len(errors.sensors))
+    variance[gains] = (GAIN_STD / errors.std[gains]) ** 2
+    return variance

@@ -108,3 +108,13 @@ def test_intervals_are_wide_where_wheels_fly_and_cover_what_they_say(road, seed)
     assert scores.coverage_90 > 0.75  # rounding alone moves it by some hundredths
     assert estimate.z_std.max() > 10.0 * np.median(estimate.z_std)
     assert error_over_truth(y, a).pooled < 0.3
+
+
+@pytest.mark.parametrize(
+    ("road", "mode"),
+    [("washboard", {"front": "ride", "rear": "handling"}), ("bump_large_small", "handling")],
+)
+def test_no_estimate_rises_beyond_three_times_the_range_of_the_road(road, mode):
+    record, truth = simulate_record(road, speed_kmh=54.0, mode=mode, seed=3)
+    estimate = create("map_smoother").estimate(record, DEFENDER)
+    assert np.ptp(estimate.z, axis=1).max() < 3.0 * np.ptp(truth.z)

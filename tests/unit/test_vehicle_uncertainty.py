@@ -4,7 +4,8 @@ import json
 from dataclasses import asdict, replace
 
 import numpy as np
-from test_map_smoother import drive_record, objective_of, perturb
+import pytest
+from test_map_smoother import MIXED, drive_record, objective_of, perturb
 from vehicle_fixtures import DEFENDER
 
 from estimators.api import copy_with
@@ -16,6 +17,7 @@ from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.vehicle_uncertainty import UNKNOWN_STD_INFLATION, VehicleUncertainty
 from leaderboard.metrics.heights import band_pass, uncertainty
 from road_envs.core.config import build
+from road_envs.drives.recording import simulate_record
 from road_envs.records.record import PROFILE_SPACING, scored_band
 from road_envs.vehicle.parameters import Tolerance
 from road_envs.vehicle.tolerances import parameter_space
@@ -105,3 +107,15 @@ def test_intervals_of_a_wrong_vehicle_cover_the_error_if_they_know_of_it():
         shares.append((scores.coverage_50, scores.coverage_90))
     assert shares[0][0] < 0.4 and shares[0][1] < 0.75
     assert 0.4 < shares[1][0] < 0.75 and 0.8 < shares[1][1] < 0.99
+
+
+@pytest.mark.parametrize(("grade", "widened"), [("S0", False), ("S1", True)])
+def test_the_tolerances_of_a_described_vehicle_count_where_its_error_shows(grade, widened):
+    record, truth = simulate_record(
+        "iso_b", speed_kmh=36.0, mode=MIXED, seed=211, grade=grade, length=60.0
+    )
+    told, known = (MapSmoother(adapt=adapt).estimate(record, DEFENDER) for adapt in (True, False))
+    assert (np.median(told.z_std) > 2.0 * np.median(known.z_std)) == widened
+    assert any("times those of a vehicle that is known" in note for note in told.notes) == widened
+    y, a = (band_pass(z, PROFILE_SPACING, scored_band(10.0)) for z in (truth.z, told.z))
+    assert uncertainty(y, a, told.z_std).coverage_90 > 0.8
