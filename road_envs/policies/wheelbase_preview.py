@@ -37,7 +37,7 @@ class WheelbasePreview:
 
     def __init__(self, context: PolicyContext):
         car, size = context.car, context.n_vehicles
-        model = linearise(car, "ride", {})  # levers and masses do not depend on the mode
+        model = linearise(car.sliding, "ride", {})  # levers and masses do not depend on the mode
         n, body = model.M.size, 3
         self.context, self.body = context, BodyMotionEstimator(context, LEAK)
         self.wheelbase = model.wheelbase

@@ -37,6 +37,7 @@ import numpy as np
 
 from road_envs.kernels._numba import kernel
 from road_envs.kernels.simd_arrays import add, get
+from road_envs.vehicle.parameters import VehicleParameters
 
 ROLLS = (1, 4, 6)
 """Coordinates of the roll of the body, of the front and of the rear axle."""
@@ -50,10 +51,11 @@ SIDE_FIELDS = [
 static loads per angle, and M^-1."""
 
 
-def side_constants(car, gravity: float) -> dict[str, object]:
+def side_constants(car: VehicleParameters, gravity: float) -> dict[str, object]:
     """Return the constants of a vehicle's side motion, all 0 if it has none."""
     if car.side is None:
         return {name: np.zeros(shape) for name, _, shape in SIDE_FIELDS}
+    # each axle's centre moves sideways with phi, its own roll, V and r: it adds its mass to them
     side, height = car.side, np.array(car.side.roll_centre)
     lever, x = car.h_cg - height, np.array([axle.x for axle in car.axles])
     m = np.array([axle.m for axle in car.axles])
@@ -196,7 +198,7 @@ def side_jacobian(p, M: np.ndarray, K: np.ndarray, C: np.ndarray, v: float) -> n
     `K`, `C` (n, n): stiffness and damping of the coordinates.
     """
     n, rows = M.size, contact_rows(p, M.size)
-    stiffness, damping, inverse = np.zeros((n + 2, n + 2)), np.zeros((n + 2, n + 2)), None
+    stiffness, damping = np.zeros((n + 2, n + 2)), np.zeros((n + 2, n + 2))
     stiffness[:n, :n], damping[:n, :n] = K, C
     stiffness[ROLLS, ROLLS] -= p["side_gravity"]
     stiffness[:, n:] = -rows.T * p["side_rate"]
