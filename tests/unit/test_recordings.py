@@ -1,5 +1,6 @@
 """Recordings of phones and loggers are read as they come; mounts and tilts are found."""
 
+import re
 import shutil
 from dataclasses import replace
 
@@ -51,12 +52,23 @@ def test_a_recording_is_read_without_options(name):
     )
 
 
+def _split(text):
+    """The words between the numbers of a text, and the numbers."""
+    pattern = r"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?"
+    return re.split(pattern, text), np.array(re.findall(pattern, text), dtype=float)
+
+
 @pytest.mark.parametrize("name", SAMPLES)
 def test_the_samples_are_those_of_their_generators(name):
     kept, made = (FOLDER / name).read_bytes(), SAMPLES[name](sample())
     assert len(kept) == pytest.approx(len(made), rel=0.05)
     if not name.endswith((".zip", ".parquet")):  # compressed differently by other versions
-        assert kept == made
+        # the texts are the same and the numbers to rounding, which depends on the processor
+        texts, numbers = zip(
+            *(_split(x.decode(errors="replace")) for x in (kept, made)), strict=True
+        )
+        assert texts[0] == texts[1]
+        np.testing.assert_allclose(numbers[0], numbers[1], rtol=1e-9, atol=1e-12)
 
 
 def test_the_two_parts_of_an_acceleration_are_added_and_a_folder_is_read_as_its_archive(tmp_path):
