@@ -7,7 +7,6 @@
 | VBOX (`.vbo`) | `vbox.py` |
 | GPX, as a track beside another file | `gpx.py` |
 | JSON lines | `json_lines.py` |
-| MCAP and bags of ROS 2, with the extra `ros` | `ros_bags.py` |
 | text, Parquet, MDF4 | `road_envs/drives/logger_tables/table.py` |
 """
 
