@@ -4,8 +4,10 @@ One row of ERRORS for an input that is refused, of NOTES for one that is answere
 estimator whose heights are in millimetres is refused in `test_conformance_checks.py`.)
 """
 
+import io
 import json
 import sys
+import zipfile
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -44,6 +46,14 @@ def table(**changes):
 def text(change):
     """Write the drive as d.csv, with the bytes that `change` makes of its text."""
     Path("d.csv").write_bytes(change(drive()[0].to_csv(index=False)))
+
+
+def spreadsheet():
+    """Bytes of a zip file that says of itself to be an Office document."""
+    data = io.BytesIO()
+    with zipfile.ZipFile(data, "w") as archive:
+        archive.writestr("[Content_Types].xml", "<Types/>")
+    return data.getvalue()
 
 
 def surface(text):
@@ -148,8 +158,11 @@ ERRORS = {
         lambda: table(a_rf=lambda d: d.a_rf.where((d.t < 4.0) | (d.t > 7.0))), CLASSIFY,
         "of the samples are lost"),
     "a spreadsheet": (
-        lambda: Path("d.csv").write_bytes(b"PK\x03\x04" + bytes(range(256))), CLASSIFY,
+        lambda: Path("d.csv").write_bytes(spreadsheet()), CLASSIFY,
         "a spreadsheet or an archive: save its sheet as CSV"),
+    "a damaged archive": (
+        lambda: Path("d.csv").write_bytes(b"PK\x03\x04" + bytes(range(256))), CLASSIFY,
+        "a damaged zip file"),
     "UTF-16 without its mark": (
         lambda: text(lambda t: t.encode("utf-16-le")), CLASSIFY, "it has zero bytes: no text in"),
     "a line that is cut off": (

@@ -211,7 +211,7 @@ def test_a_track_of_another_file_is_joined_by_time(tmp_path):
         ("d.zip", _zip({"inner.zip": "PK"}), "archives inside an archive are not opened"),
         ("d.zip", _zip({"notes.csv": "a,b\n1,2\n"}), "an archive of no app that is known"),
         ("d.zip", _zip({f"{k}.csv": "" for k in range(2001)}), "at most 2000 are read"),
-        ("d.zip", b"PK\x03\x04" + b"\x00" * 60, "no readable recording"),
+        ("d.zip", b"PK\x03\x04" + b"\x00" * 60, "a damaged zip file"),
         ("d.gpx", gpx(sample()), "a track without accelerations"),
         ("d.vbo", b"[header]\n[column names]\ntime lat\n[data]\n1 2 3\n", "has 3 values for 2"),
         ("d.jsonl", b'{"a": 1}\n[2]\n', "line 2 is no JSON object"),

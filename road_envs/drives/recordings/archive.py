@@ -67,7 +67,11 @@ def _of_folder(folder: Path) -> dict[str, bytes]:
 
 
 def _of_zip(data: bytes) -> dict[str, bytes]:
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+    try:
+        opened = zipfile.ZipFile(io.BytesIO(data))
+    except zipfile.BadZipFile as error:
+        raise ConfigError(f"a damaged zip file: {error}") from None
+    with opened as archive:
         members = [m for m in archive.infolist() if not m.is_dir()]
         if len(members) > MAX_MEMBERS:
             raise ConfigError(f"an archive of {len(members)} files; at most {MAX_MEMBERS} are read")
