@@ -4,7 +4,7 @@
 
 Each of N individuals is driven over 100 m, of class D and of Belgian paving in turn, in three
 conditions and as each of the grades S0 to S3. The table has the median (and the worst) in-band
-NRMSE of each estimator, as trained (`told`) and after its correction by another 100 m of the same
+NRMSE of each estimator, as trained (`described`) and after its correction by another 100 m of the same
 vehicle in the same condition, levelled with errors of 0.5 mm (`known`). The seeds of the roads and
 individuals are those of no task and of no training.
 """
@@ -73,7 +73,7 @@ def main() -> None:
     for grade, (record, truth), known in drives(chosen.individuals):
         band = scored_band(float(record.v.mean()))
         for name, estimator in estimators.items():
-            variants = {"told": estimator}
+            variants = {"described": estimator}
             try:
                 variants["known"] = estimator.calibrate([known], car)
             except CalibrationError:
@@ -83,7 +83,7 @@ def main() -> None:
                 errors[name, knowledge, grade].append(nrmse(truth.z, z, truth.ds, band).pooled)
     print(f"{'estimator':12s}{'knows':>7s}" + "".join(f"{grade:>14s}" for grade in GRADES))
     for name in estimators:
-        for knowledge in ("told", "known"):
+        for knowledge in ("described", "known"):
             cells = [errors[name, knowledge, grade] for grade in GRADES]
             text = "".join(f"  {np.median(e):5.3f} ({max(e):4.2f})" for e in cells)
             print(f"{name:12s}{knowledge:>7s}{text}")

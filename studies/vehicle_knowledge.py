@@ -7,8 +7,8 @@ One line of JSON for each drive is appended to the results; those that stand the
 again. `--drives` is the number of test drives of each grade and speed, by default those of the
 board. What is known of the vehicle:
 
-| told | its description |
-| adapted | its description, fitted to the very drive: the told division of the board |
+| described | its description |
+| adapted | its description, fitted to the very drive: the described division of the board |
 | blind | fitted to the calibration drives of the blind division |
 | known | fitted to the calibration drive of the known division |
 | true | the individual itself, and of its instruments what their data sheet says |
@@ -33,7 +33,7 @@ from road_envs.sensing.perturbed_vehicle import GRADES
 from studies.study import Row, run_study, study_parser
 
 TICKS = (0.02, 0.03, 0.05, 0.1, 0.2, 0.3, 0.5)
-KNOWLEDGE = ("told", "adapted", "blind", "known", "true", "attainable")
+KNOWLEDGE = ("described", "adapted", "blind", "known", "true", "attainable")
 
 
 def drive_result(grade: str, speed_kmh: float, drive: int) -> Row:
@@ -48,13 +48,13 @@ def drive_result(grade: str, speed_kmh: float, drive: int) -> Row:
         drives = calibration_drives(by, _condition(by, grade, speed_kmh), seed)
         return adapting.calibrate(drives, car)
 
-    told, adapting = MapSmoother(draws=0, adapt=False), MapSmoother(draws=0)
+    described, adapting = MapSmoother(draws=0, adapt=False), MapSmoother(draws=0)
     runs = {
-        "told": (told, car),
+        "described": (described, car),
         "adapted": (adapting, car),
         "blind": (calibrated(blind), car),
         "known": (calibrated(task), car),
-        "true": (told, true),
+        "true": (described, true),
     }
     band = scored_band(speed_kmh / 3.6)
     errors = {}
