@@ -5,8 +5,8 @@
 Each of N individuals is driven over 100 m, of class D and of Belgian paving in turn, in three
 conditions and as each of the grades S0 to S3. The table has the median (and the worst) in-band
 NRMSE of each estimator, as trained (`described`) and after its correction by another 100 m of the
-same vehicle in the same condition, levelled with errors of 0.5 mm (`known`). The seeds of the roads and
-individuals are those of no task and of no training.
+same vehicle in the same condition, levelled with errors of 0.5 mm (`known`). The seeds of the roads
+and individuals are those of no task and of no training.
 """
 
 import argparse
