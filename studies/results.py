@@ -14,6 +14,7 @@ rows go on there.
 
 import argparse
 import hashlib
+import re
 import shlex
 import shutil
 import subprocess
@@ -117,7 +118,9 @@ def make_result(name: str, report: Any = print) -> float:
     for command in result.commands:
         report(f"  $ {command}")
         text = _run(shlex.split(command.replace("{work}", str(work))), work / "log.txt")
-        printed.append(f"$ {command.replace('{work}/', '')}\n{text.rstrip()}\n")
+        shown = re.sub(r" --out \{work\}\S*", "", command).replace("{work}/", "")
+        lines = [f"$ {shown}", *text.rstrip().splitlines()]
+        printed.append("".join(f"{line.rstrip()}\n" for line in lines))
         write_text(work / STDOUT_JSON, text)
     write_text(work / STDOUT, "\n".join(printed))
     if missing := [file for file in result.outputs if not (work / file).is_file()]:

@@ -21,7 +21,7 @@ def kept(tmp_path, monkeypatch):
     """One result, `seven`, in an empty checkout."""
     (tmp_path / "write.py").write_text(SCRIPT)
     made = KeptResult(
-        commands=("python write.py {work}/a.csv",),
+        commands=("python write.py {work}/a.csv --out {work}/b",),
         outputs={"stdout.txt": "docs/seven.txt", "a.csv": "docs/seven.csv"},
         modules=("road_envs.core.units",),
         minutes=0.1,
