@@ -21,13 +21,13 @@ from studies import results
 ROOT = Path(__file__).parents[1]
 
 
-QUOTE = re.compile(r"<!-- from\s+([^>]+?) -->")
+QUOTE = re.compile(r"<!-- (?:from|output:|rows:)\s+([^>]+?) -->")
 PICTURE = re.compile(r"!\[[^\]]*\]\((?:\.\./)*(?:docs/)?(images/[^)]+)\)")
 
 
 def on_page_markdown(markdown: str, **kwargs: Any) -> str:
     """Replace the markers of a page, and mark figures that are not of today's program."""
-    markdown = QUOTE.sub(lambda found: found[0] + _mark(found[1].split(", ")), markdown)
+    markdown = QUOTE.sub(_with_mark, markdown)
     markdown = PICTURE.sub(lambda found: found[0] + _mark([f"docs/{found[1]}"]), markdown)
     for marker, content in (("<!-- commands -->", _commands), ("<!-- scores -->", _scores)):
         if marker in markdown:
@@ -40,6 +40,10 @@ def on_post_page(output: str, page: Any, config: Any) -> str:
     """Take the script for searching from disk out of this folder, not from the network."""
     root = "../" * page.url.count("/")
     return output.replace("https://unpkg.com/iframe-worker/shim", f"{root}search_worker.js")
+
+
+def _with_mark(found: re.Match[str]) -> str:
+    return found[0] + _mark(found[1].replace(",", " ").split())
 
 
 def _mark(outputs: list[str]) -> str:

@@ -6,9 +6,17 @@
     ```
 
 The block of code becomes the output without its commands; a number behind the path takes the one
-part, of those that blank lines separate. `python -m studies.results make` writes all pages.
+part, of those that blank lines separate.
+
+    <!-- rows: docs/runs/bench.json what measured aim met -->
+
+    | ... |
+
+The table becomes these columns of an output that is a list of rows as JSON.
+`python -m studies.results make` writes all pages.
 """
 
+import json
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -18,6 +26,11 @@ from road_envs.core.code_digest import ROOT
 from road_envs.core.config import ConfigError
 
 COPY = re.compile(r"(<!-- output: (\S+?)(?: (\d+))? -->\n```text\n)(.*?)(\n```)", re.S)
+
+
+ROWS = re.compile(r"(<!-- rows: (\S+) ([\w ]+?) -->\n\n)((?:\|.*\n)*)")
+WORDS = {"True": "met", "False": "missed", "None": ""}
+"""How verdicts are written."""
 
 
 def pages(root: Path = ROOT) -> list[Path]:
@@ -36,7 +49,15 @@ def with_outputs(text: str, read: Callable[[str], str]) -> str:
             raise ConfigError(f"{path} has {len(parts)} parts, and a page asks for part {part}")
         return head + ("\n\n".join(parts) if part is None else parts[int(part)]) + end
 
-    return COPY.sub(copy, text)
+    def table(found: re.Match[str]) -> str:
+        head, path, names, _ = found.groups()
+        columns = names.split()
+        cells = [[str(row.get(name, "")) for name in columns] for row in json.loads(read(path))]
+        cells = [[WORDS.get(cell, cell) for cell in row] for row in cells]
+        lines = [columns, ["---"] * len(columns), *cells]
+        return head + "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+    return ROWS.sub(table, COPY.sub(copy, text))
 
 
 def write_pages(root: Path = ROOT) -> list[Path]:

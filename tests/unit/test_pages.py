@@ -21,6 +21,15 @@ def test_a_part_that_the_output_lacks_is_refused():
         with_outputs(PAGE, lambda path: "one")
 
 
+def test_rows_of_json_become_a_table_with_verdicts_in_words():
+    page = "A.\n\n<!-- rows: b.json what met -->\n\n| old |\n|---|\n\nB.\n"
+    rows = '[{"what": "speed", "met": true}, {"what": "size", "met": null, "x": 1}]'
+    table = "| what | met |\n| --- | --- |\n| speed | met |\n| size |  |\n"
+    written = with_outputs(page, lambda path: rows)
+    assert written == f"A.\n\n<!-- rows: b.json what met -->\n\n{table}\nB.\n"
+    assert with_outputs(written, lambda path: rows) == written
+
+
 def test_pages_are_written_only_where_they_change(tmp_path):
     (tmp_path / "docs/deep").mkdir(parents=True)
     (tmp_path / "runs").mkdir()

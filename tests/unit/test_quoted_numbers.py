@@ -74,7 +74,6 @@ def test_enough_pages_name_their_outputs():
         "field.md",
         "observability.md",
         "paper.md",
-        "speed.md",
     } <= set(pages)
     assert len(QUOTING) >= 12
 
