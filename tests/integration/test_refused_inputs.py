@@ -93,7 +93,7 @@ def test_a_board_is_printed_in_the_locale_c_without_utf_8(tmp_path):
         cwd=tmp_path, env=os.environ | plain, capture_output=True, timeout=300,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-500:]
-    assert "Kürze: für alle" in done.stdout.decode()
+    assert "Kürze: Kurz, für alle" in done.stdout.decode()
 
 
 def test_an_address_where_no_scheduler_answers_is_one_sentence_in_ten_seconds(tmp_path):
