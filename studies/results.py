@@ -13,6 +13,7 @@ rows go on there.
 """
 
 import argparse
+import dataclasses
 import hashlib
 import re
 import shlex
@@ -39,8 +40,11 @@ WORK = ROOT / "out" / "results"
 CONFIGS = ("conditions", "field", "roads", "sensors", "vehicles")
 """Folders of `configs` that every result depends on."""
 
+KEPT = Kind("kept result", 1)
+"""Written without modules: `road-recon clean` leaves what is kept in the checkout."""
+
 STDOUT, STDOUT_JSON = "stdout.txt", "stdout.json"
-"""What all commands print, each below a line `$ command`; and what the last one prints, alone."""
+"""Output of all commands, each below a line `$ command`; and what the last one prints, alone."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,11 +66,8 @@ class KeptResult(Settings):
         """Identity of what would be made now."""
         folders = [ROOT / "configs" / name for name in (*CONFIGS, *self.configs)]
         files = [path for folder in folders for path in folder.rglob("*") if path.is_file()]
-        kind = Kind("kept result", 1, self.modules)
+        kind = dataclasses.replace(KEPT, modules=self.modules)
         return kind.identity(self.commands, self.outputs, files=files)
-
-
-KEPT = Kind("kept result", 1)
 
 
 @cache
@@ -78,7 +79,7 @@ def known_results() -> dict[str, KeptResult]:
 
 @cache
 def stale_reason(name: str) -> str | None:
-    """Why a result is not of today's program, in a few words; None if it is."""
+    """Reason why a result is not of today's program, in a few words; None if it is."""
     result = known_results()[name]
     try:
         made, _ = KEPT.read(MADE / f"{name}.json")

@@ -1,4 +1,4 @@
-"""What an estimator says where its model does not reproduce the accelerations of a drive."""
+"""Notes of an estimator where its model does not reproduce the accelerations of a drive."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""What the data logger writes: the anti-alias filter, sampled at the times of the samples.
+"""Samples that the data logger writes: the anti-alias filter, sampled at the times of the samples.
 
 The model gives the acceleration a(t) at each of its steps. The logger low-passes it and samples it
 at times that need not be even,

@@ -1,4 +1,4 @@
-"""What sensors that tell no roll can tell: the mean of both wheel paths, its HRI, and an IRI.
+"""Results of sensors that tell no roll: the mean of both wheel paths, its HRI, and an IRI.
 
 Accelerometers on the centre line of the body, or one of them, feel the mean path; the difference of
 the paths rolls the vehicle, which they do not see. The golden car over the mean path gives the

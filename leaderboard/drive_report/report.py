@@ -36,7 +36,7 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True, kw_only=True)
 class ReportSettings:
-    """What a report is made with: an estimator with its settings, categories, segments [m]."""
+    """Settings of a report: an estimator with its settings, categories, segments [m]."""
 
     conditions: Conditions
     estimator: str = "map_smoother"

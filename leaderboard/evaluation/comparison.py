@@ -60,5 +60,5 @@ def largest_distance(
 
 
 def run_key(drive: DriveScores) -> tuple[str, int, str, int, int]:
-    """What tells a run from the others of its entry: two results have it once each."""
+    """Key of a run among those of its entry: two results have it once each."""
     return drive.condition, drive.drive, drive.road, drive.road_seed, drive.seed

@@ -106,7 +106,7 @@ def load_definitions(out: Path) -> list[Task]:
 
 
 def load_verified(out: Path) -> dict[str, list[Verified]]:
-    """What was verified in a folder, by the identity of the row; nothing if it is damaged."""
+    """Verified rows of a folder, by the identity of the row; nothing if it is damaged."""
 
     def parse(data: Mapping[str, Any]) -> list[Verified]:
         return [build(Verified, row, "verified.json") for row in data["rows"]]

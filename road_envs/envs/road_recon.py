@@ -207,7 +207,7 @@ class RoadReconEnv(gymnasium.Env):
 
     @property
     def failure(self) -> str:
-        """Why the episode was terminated, in words; empty if it was not."""
+        """Reason why the episode was terminated, in words; empty if it was not."""
         if self._failed is None:
             return ""
         output, road = self._failed

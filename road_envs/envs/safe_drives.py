@@ -147,7 +147,7 @@ REST = 1.0
 
 @dataclass(frozen=True, kw_only=True)
 class DriveRanges(Settings):
-    """What the drives of a group are drawn from."""
+    """Ranges from which the drives of a group are drawn."""
 
     road: tuple[RoadClass, ...]
     speed_kmh: Range

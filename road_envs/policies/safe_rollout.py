@@ -28,7 +28,7 @@ costs 5 m²/s⁴, four times what handling costs in comfort [assumed].
 
 @dataclass(frozen=True)
 class SafeRollout:
-    """What N drives of at most T intervals gave.
+    """Signals and costs of N drives of at most T intervals.
 
     `actions` (T, N); `intervals` (N,); `totals` by the names of SAFETY_COLUMNS (N,): sums, of
     EXTREMES the largest value; `failed` (N,): drives that ended in a rollover or diverged;

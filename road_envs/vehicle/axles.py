@@ -68,7 +68,7 @@ PerAxle = tuple[Positive, Positive]
 
 @dataclass(frozen=True, kw_only=True)
 class SideMotion(Settings):
-    """What holds the body sideways: the tyres' side forces, through the axles' roll centres.
+    """Parts that hold the body sideways: the tyres' side forces, through the axles' roll centres.
 
     Pairs are front and rear. Without it a body rolls about its centre of mass, as if the tyres
     could slide sideways. Values beyond the ranges are those of no road vehicle.

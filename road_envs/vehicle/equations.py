@@ -113,7 +113,7 @@ class Plant:
 
     @property
     def kernel_flags(self) -> tuple[bool | None, ...]:
-        """What kernels take as their last arguments, `flexible` and `side`, so that those of a
+        """Last arguments of kernels, `flexible` and `side`, so that those of a
         vehicle without either compile without them.
         """
         flexible = True if self.flexible else None

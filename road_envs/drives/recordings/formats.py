@@ -1,4 +1,4 @@
-"""Which reader reads a file: recognised by its content, without options.
+"""Choice of the reader of a file: recognised by its content, without options.
 
 | file | reader |
 |---|---|

@@ -1,4 +1,4 @@
-"""What a recording holds, whichever app or logger wrote it: three axes, a track, a clock.
+"""Content of a recording, whichever app or logger wrote it: three axes, a track, a clock.
 
 All times are in seconds on one clock, whose zero is that of the recording; `epoch` [s] is the time
 since 1970 at its zero where the file tells. Values that are not known are NaN.
