@@ -19,6 +19,7 @@ from leaderboard.policies.scenarios import Scenarios
 from leaderboard.policies.timeline import Timeline
 from road_envs.core import config
 from road_envs.core.artifacts import Kind
+from road_envs.core.code_digest import digest
 
 ROW = Kind("policy row", 1, ("leaderboard.policies.comparison", "road_envs.policies", "estimators"))
 
@@ -34,7 +35,9 @@ class RowStore:
         estimators: Mapping[str, Any],
     ):
         self.folder = folder
-        self._about = [asdict(scenarios), list(seeds), {n: repr(e) for n, e in estimators.items()}]
+        configs = digest(path for path in config.folder().rglob("*") if path.is_file())
+        learners = {name: repr(estimator) for name, estimator in estimators.items()}
+        self._inputs = [asdict(scenarios), list(seeds), learners, configs]
 
     def load(self, name: str, policy: object) -> PolicyResult | None:
         """Return the row of a policy; None if there is none, or none that is valid."""
@@ -68,5 +71,4 @@ class RowStore:
     def _identity(self, name: str, policy: object) -> str:
         network = getattr(policy, "network", None)
         learned = sha256(network.to_bytes()).hexdigest() if network is not None else ""
-        files = [path for path in config.folder().rglob("*") if path.is_file()]
-        return ROW.identity(*self._about, name, repr(policy), learned, files=files)
+        return ROW.identity(*self._inputs, name, repr(policy), learned)

@@ -1,4 +1,4 @@
-"""Tangent and adjoint of the fixed step: sensitivity of a drive to its road and initial state.
+"""Tangent of the fixed step: sensitivity of a drive to its road and initial state.
 
 `rosenbrock.step` maps the state y = (q, v) and the road's heights and rates at both stage times to
 the next state. The derivative is that of the discrete step, exact up to rounding. With symmetric
@@ -10,17 +10,15 @@ directional derivative,
 For a strut, b maps coordinates to its extension and s = h d c + (h d)² k. So s' contains the
 change of the stiffness k with the extension (gas spring, bushing, stop) and of the damping c with
 its rate (damper, friction). For a tyre, b maps coordinates to the height of the wheel; its
-stiffness changes with its compression, which depends on the road as well. The adjoint is the
-transposed chain in reverse order; since W is symmetric, it uses the same solver (Giles & Pierce
-2000, doi:10.1023/A:1011430410075, section 2).
+stiffness changes with its compression, which depends on the road as well.
 
 Limits. At a kink (wheel lift-off, limit of the tyre's damper, grid point or end of a table,
 shortest gas column) the derivative is that of the branch taken by the step; the small jump of W at
 lift-off is neglected. A vehicle exactly at rest is at such a kink, because the friction law has
 opposite curvature for opening and closing struts. The strut state follows the commands, but its
 derivative is neglected: the dependence of a held extension on the road before the switch is
-missing. The adjoint supports neither a flexible frame nor side motion. Side motion is linear, so
-its tangent is the same law applied to changes; that by the speed is neglected.
+missing. Side motion is linear, so its tangent is the same law applied to changes; that by the speed
+is neglected.
 
 One row of the tape (TAPE_ROW_SIZE,) holds the derivative of one step. Per strut (4 each): K_1, C_1
 and K_2, C_2, stiffness and damping at stages 1 and 2; G_K, G_C and F_K, F_C, minus the derivatives
@@ -225,81 +223,3 @@ def tangent_step(p, row, motion, inputs, work, a, flexible=None, side=None):
     for j in range(N_DOF):
         add(q, j, h * (get(k_q, j) + get(r, j) + hd * get(f, j)))
         add(v, j, h * (get(g, j) + get(f, j)))
-
-
-@kernel
-def reverse_second_stage(p, row, h, work, road):
-    """Reverse the second stage, from the adjoint `work.f` (7,) of m'.
-
-    On entry `work.g`, `work.k_q` and `work.r` hold the contributions of the end state to the
-    adjoints of the first stage; they are completed here. Writes the adjoints of the stage's
-    coordinates and rates to `work.q` and `work.v`, those of extensions and their rates at the
-    beginning to `work.dF` and `work.dT`, and the contributions to the adjoint of the road to
-    `road`, except `road[4:8]`.
-    """
-    hd = h * D
-    f, r, F, T, q, v = work.f, work.r, work.F, work.T, work.q, work.v
-    solve_factored(p, row[BLOCKS:BODY], row[BODY:TAPE_ROW_SIZE], f)
-    q[:], v[:] = 0.0, 0.0
-    add_manoeuvre_moments(p, f[PHI], f[THETA], 0.0, 0.0, q)
-    add_manoeuvre_moments(p, hd * f[PHI], hd * f[THETA], 0.0, 0.0, r)
-    for w in range(4):
-        push, lift = extension(p, f, w), wheel_height(p, f, w)
-        work.dF[w], work.dT[w] = -row[F_K + w] * push, -row[F_C + w] * push
-        road[w] = -row[F_U + w] * lift
-        work.k[w], work.s[w] = -row[K_2 + w] * push, -row[C_2 + w] * push
-        road[8 + w], road[12 + w] = row[TK_2 + w] * lift, row[TC_2 + w] * lift
-        work.k_t[w], work.t[w] = -road[8 + w], -road[12 + w]
-        F[w], T[w] = -hd * row[K_1 + w] * push, -hd * row[TK_1 + w] * lift
-    front, rear = relative_roll(f, 0), relative_roll(f, 1)
-    add_struts(p, work.k, front, rear, q)
-    add_tyres(p, work.k_t, q)
-    add_struts(p, work.s, 0.0, 0.0, v)
-    add_tyres(p, work.t, v)
-    add_struts(p, F, hd * front, hd * rear, r)
-    add_tyres(p, T, r)
-    for j in range(N_DOF):
-        v[j] += r[j]
-        work.k_q[j] += 0.5 * h * q[j] - r[j]
-        work.g[j] += 0.5 * h * v[j] + hd * work.k_q[j] - p.M[j] * f[j]
-
-
-@kernel
-def adjoint_step(p, row, a, h, work, motion, road):
-    """Apply the transpose of `tangent_step`: take the adjoints `motion` one step back.
-
-    `a` (7,) is the adjoint of the accelerations at the step's beginning. Writes the adjoint of the
-    road's heights and rates to `road` (16,), in the same layout.
-    """
-    hd, (q, v) = h * D, motion
-    f, g, F, T = work.f, work.g, work.F, work.T
-    # the update of q and v in `step`, transposed
-    for j in range(N_DOF):
-        work.k_q[j] = work.r[j] = h * q[j]
-        g[j] = h * v[j]
-        f[j] = hd * work.r[j] + g[j]
-    reverse_second_stage(p, row, h, work, road)
-    solve_factored(p, row[BLOCKS:BODY], row[BODY:TAPE_ROW_SIZE], g)
-    for j in range(N_DOF):
-        q[j] += work.q[j]
-        v[j] += work.v[j] + work.k_q[j]
-        f[j] = a[j] / p.M[j]
-    add_manoeuvre_moments(p, f[PHI] + g[PHI], f[THETA] + g[THETA], 0.0, 0.0, q)
-    add_manoeuvre_moments(p, hd * g[PHI], hd * g[THETA], 0.0, 0.0, v)
-    for w in range(4):
-        k_t, c_t = row[TK_1 + w], row[TC_1 + w]
-        first, direct = extension(p, g, w), extension(p, f, w)
-        work.dF[w] -= row[G_K + w] * first + row[K_1 + w] * direct
-        work.dT[w] -= row[G_C + w] * first + row[C_1 + w] * direct
-        first, direct = wheel_height(p, g, w), wheel_height(p, f, w)
-        z = row[G_U + w] * first + k_t * direct + road[w]
-        z_dot = c_t * (first + direct) + hd * k_t * first
-        difference = 2.0 * D * c_t * first
-        road[w], road[4 + w] = z, z_dot - difference
-        road[12 + w] += difference
-        F[w], T[w] = -z, -z_dot
-    front, rear = relative_roll(g, 0), relative_roll(g, 1)
-    add_struts(p, work.dF, front + relative_roll(f, 0), rear + relative_roll(f, 1), q)
-    add_tyres(p, F, q)
-    add_struts(p, work.dT, hd * front, hd * rear, v)
-    add_tyres(p, T, v)

@@ -1,4 +1,4 @@
-"""Drives on tape: simulate once, then apply the derivative of the drive or its transpose.
+"""Drives on tape: simulate once, then apply the derivative of the drive.
 
 `linearize_drive` returns a Tape, one row of `sensitivity` for every step.
 """
@@ -22,7 +22,6 @@ from road_envs.simulation.rosenbrock import (
 )
 from road_envs.simulation.sensitivity import (
     TAPE_ROW_SIZE,
-    adjoint_step,
     step_with_derivative,
     tangent_step,
 )
@@ -70,15 +69,6 @@ def propagate_tangent(constants, rows, y, road, h, v, a, flexible=None, side=Non
     for n in range(rows.shape[0]):
         changes = StepInputs(road[n], None, h, v[n])
         tangent_step(p, rows[n], motion, changes, work, a[n], flexible, side)
-
-
-@kernel
-def propagate_adjoint(constants, rows, a, h, y, road):
-    """Apply `adjoint_step` in reverse order; write the adjoint of the road to `road` (N, 16)."""
-    p, work = constants[0], step_workspace(stack_array(WORKSPACE_ROWS))
-    motion = Motion(y[:N_DOF], y[N_DOF:])
-    for n in range(rows.shape[0] - 1, -1, -1):
-        adjoint_step(p, rows[n], a[n], h, work, motion, road[n])
 
 
 def _checked_copy(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
@@ -131,20 +121,6 @@ class Tape:
         a, flags = np.empty((steps, y.size // 2)), self.plant.kernel_flags
         propagate_tangent(self.plant.constants, self.rows, y, z, self.h, self.v, a, *flags)
         return a, y
-
-    def adjoint(self, acceleration: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return a cost's gradients by the initial state (14,) and by the road (2 N, 2, 4).
-
-        This is the transpose of `tangent`: `acceleration` (N, 7) and `end` (14,) are the cost's
-        gradients by the outputs of `tangent`. Raises ValueError on a wrong shape, on a flexible
-        frame and on side motion.
-        """
-        if self.plant.kernel_flags:
-            raise ValueError("the adjoint supports neither a flexible frame nor side motion")
-        y, steps = _checked_copy("end", end, (2 * N_DOF,)), self.rows.shape[0]
-        a, road = _checked_copy("acceleration", acceleration, (steps, N_DOF)), np.empty((steps, 16))
-        propagate_adjoint(self.plant.constants, self.rows, a, self.h, y, road)
-        return y, road.reshape(2 * steps, 2, 4)
 
 
 def linearize_drive(
