@@ -38,14 +38,6 @@ def test_the_tangent_of_a_flexible_vehicle_equals_the_finite_difference(mode):
     np.testing.assert_allclose(end, expected_end, atol=2e-5 * np.abs(expected_end).max())
 
 
-def test_the_adjoint_refuses_a_flexible_frame():
-    with pytest.raises(ValueError, match="adjoint supports neither a flexible frame"):
-        strut_state = settled_strut_state(encode_command("ride"))
-        start = equilibrium(PLANT, strut_state, np.zeros(4)) + 1e-6
-        tape = linearize_drive(PLANT, strut_state, start, np.zeros((4, 2, 4)), H)
-        tape.adjoint(np.zeros((2, 8)), np.zeros(16))
-
-
 def test_the_inverse_quarter_car_leaves_out_the_frame():
     car = parameter_space(DEFENDER, structure=True).car
     record, _ = simulate_record("iso_c", speed_kmh=30.0, seed=3, vehicle=DEFENDER, length=20.0)

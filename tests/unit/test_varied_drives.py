@@ -1,4 +1,4 @@
-"""Drives of varied vehicles: convergence, SciPy, energy, linear model, adjoint, adaptive steps."""
+"""Drives of varied vehicles: convergence, SciPy, energy, linear model, adaptive steps."""
 
 from dataclasses import replace
 from functools import cache
@@ -31,7 +31,6 @@ from vehicle_fixtures import (
 from road_envs.simulation.adaptive_drive import integrate_adaptive, simulate_adaptive
 from road_envs.simulation.drive import DriveSimulator, Trajectory
 from road_envs.simulation.rosenbrock import ACCELERATION, LOAD, TWIST
-from road_envs.simulation.tape import linearize_drive
 from road_envs.vehicle.equations import build_plant, equilibrium
 from road_envs.vehicle.linear_model import frequency_response, linearise, natural_modes
 from road_envs.vehicle.parameters import TorsionalFrame, VehicleVariation
@@ -243,26 +242,6 @@ def test_a_flexible_frame_adds_a_torsion_mode(mode):
     assert VARIED_FLEXIBLE.frame.f < actual.f[at] < 1.4 * VARIED_FLEXIBLE.frame.f
     assert model.M[7] * actual.shapes[7, at] ** 2 > 0.5
     assert np.isfinite(frequency_response(model, 10.0, f=np.array([1.0, 11.0]))).all()
-
-
-@every_mode
-def test_the_adjoint_of_a_drive_is_the_transpose_of_its_tangent(mode):
-    strut_state, steps, h = settled_strut_state(encode_command(mode)), 400, 0.001
-    start = equilibrium(VARIED_PLANTS["varied"], strut_state, ZEROS)
-    s = 4.0 + SPEED * 0.5 * h * np.arange(2 * steps)
-    stations = np.stack([s, s - CAR.wheelbase])
-    z, slope = ROUGH.height(stations), SPEED * ROUGH.slope(stations)
-    road = np.stack([np.transpose(x, (2, 1, 0)).reshape(-1, 4) for x in (z, slope)], axis=1)
-    tape = linearize_drive(VARIED_PLANTS["varied"], strut_state, start, road, h)
-    assert (tape.signals[:, LOAD:] == 0.0).any()
-    rng = np.random.default_rng(2)
-    for _ in range(3):
-        change = rng.standard_normal(14), 0.1 * rng.standard_normal(road.shape)
-        a, end = rng.standard_normal((steps, 7)), rng.standard_normal(14)
-        da, dend = tape.tangent(*change)
-        back, road_back = tape.adjoint(a, end)
-        forth, size = np.sum(a * da) + end @ dend, np.abs(a * da).sum() + np.abs(end * dend).sum()
-        assert abs(forth - back @ change[0] - np.sum(road_back * change[1])) <= 1e-10 * size
 
 
 def test_adaptive_and_fine_fixed_steps_give_the_same_drive():
