@@ -39,6 +39,8 @@ test-processes: $(READY)
 	$(VENV)/bin/pytest -m "processes and not slow" $(WORKERS)
 
 test-long: test-processes
+	$(VENV)/bin/pip install --quiet --constraint constraints.txt --editable '.[agents]'
+	$(VENV)/bin/pytest $(WORKERS) tests/integration/test_rl_libraries.py tests/integration/test_episodes.py
 	$(VENV)/bin/pytest -m slow -s
 	ROADRECON_EXAMPLES=20 $(VENV)/bin/pytest -m hypothesis
 

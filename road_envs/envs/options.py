@@ -1,8 +1,9 @@
 """Options, spaces and episode starts that the scalar and the vector environment share."""
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 import gymnasium
 import numpy as np
@@ -38,6 +39,8 @@ from road_envs.simulation.speed import MAX_SPEED_KMH
 from road_envs.vehicle.equations import DOF, build_plant
 from road_envs.vehicle.parameters import DEFAULT_STEP, Step, load_vehicle
 from road_envs.vehicle.suspension import MODES, encode_command
+
+T = TypeVar("T")
 
 ACTIONS: dict[str, tuple[Any, ...]] = {
     "vehicle": ("ride", "handling"),
@@ -142,6 +145,20 @@ class EpisodeStart(NamedTuple):
     drive: DriveSimulator
 
 
+def build_options(cls: type[T], options: Mapping[str, Any], where: str) -> T:
+    """Build `cls` from an environment's keyword arguments. Raises ConfigError.
+
+    An unknown one is named in Python's words, by which TorchRL knows what to leave out.
+    """
+    try:
+        return build(cls, options, where)
+    except UnknownKeyError as error:
+        text = str(error)
+        for name in options:
+            text = text.replace(f"{name}: unknown key", f"unexpected keyword argument {name!r}")
+        raise UnknownKeyError(text) from None
+
+
 class EnvSetup:
     """Objects built from the keyword arguments of the environments. Raises ConfigError."""
 
@@ -150,7 +167,7 @@ class EnvSetup:
     def __init__(self, options: dict[str, Any]):
         if isinstance(options.get("weights"), Weights):
             options["weights"] = asdict(options["weights"])
-        self.options = o = build(EnvOptions, options, "RoadRecon-v0")
+        self.options = o = build_options(EnvOptions, options, "RoadRecon-v0")
         self.car = load_vehicle(o.vehicle)
         encode_command(o.mode, self.car)
         if self.car.is_passive and o.control != "vehicle":

@@ -6,9 +6,9 @@ from typing import Annotated, Any, Literal, NamedTuple
 import gymnasium
 import numpy as np
 
-from road_envs.core.config import Positive, Settings, build
+from road_envs.core.config import Positive, Settings
 from road_envs.envs.individual_fleet import SAFETY_COLUMNS, IndividualFleet
-from road_envs.envs.options import MAX_OBSERVED_SPEED, EnvSetup
+from road_envs.envs.options import MAX_OBSERVED_SPEED, EnvSetup, build_options
 from road_envs.envs.road_recon import RoadReconEnv
 from road_envs.envs.safe_drives import (
     SafeDrive,
@@ -58,7 +58,7 @@ class Safe4S4Setup(EnvSetup):
     output_columns = SAFETY_COLUMNS
 
     def __init__(self, options: dict[str, Any]):
-        self.safe = build(SafeOptions, options, "RoadRecon/Safe4S4-v1")
+        self.safe = build_options(SafeOptions, options, "RoadRecon/Safe4S4-v1")
         self.benchmark = load_benchmark()
         super().__init__(
             {
