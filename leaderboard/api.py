@@ -108,6 +108,8 @@ def run_task(
     with optional_import("a DataFrame"):
         import pandas
 
+        from leaderboard.evaluation.scores import scores_table
+
     chosen = task if isinstance(task, Task) else load_task(task)
     if roads is not None:
         chosen = chosen.with_test_drives(roads)
@@ -116,16 +118,10 @@ def run_task(
         name: estimators.make_estimator(entry) if isinstance(entry, str) else entry
         for name, entry in named.items()
     }
-    rows: list[dict[str, Any]] = []
-    for result in evaluate.run_task(chosen, made, seeds, report=report):
-        if result.failure is not None:
-            rows.append({"estimator": result.estimator, "failure": result.failure})
-        for drive in result.drives:
-            place = {"condition": drive.condition, "road": drive.road, "road_seed": drive.road_seed}
-            rows.append(
-                {"estimator": result.estimator, **place, "seed": drive.seed, **drive.scores}
-            )
-    table = pandas.DataFrame(rows)
+    results = evaluate.run_task(chosen, made, seeds, report=report)
+    failed = [(result.estimator, result.failure) for result in results if result.failure]
+    failures = pandas.DataFrame(failed, columns=["estimator", "failure"])
+    table = pandas.concat([scores_table(results), failures], ignore_index=True)
     table.attrs["labels"] = {key: form.label for key, form in SCORES.items()}
     return table
 

@@ -93,8 +93,9 @@ def score_arrays(
 
     entry = Entry(name="arrays", reference="arrays")
     parts = [evaluate_entry(x.task, x.condition, x, entry, (1,), run) for x in task._data]
-    arrays = merge_parts(parts, "").arrays(SCORES)
-    return ScoreTable({name: float(interquartile_mean(x.ravel())) for name, x in arrays.items()})
+    scores = [drive.scores for drive in merge_parts(parts, "").drives]
+    means = interquartile_mean(np.array([[x.get(name, np.nan) for x in scores] for name in SCORES]))
+    return ScoreTable(dict(zip(SCORES, means.tolist(), strict=True)))
 
 
 def _arrays(data: ConditionData, drive: RecordedDrive, has_truth: bool) -> dict[str, Any]:

@@ -8,7 +8,7 @@ is stale: it is reported as such and not compared with the rest.
 import dataclasses
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -123,44 +123,6 @@ class Result(Settings):
     peak_memory: float | None = None  # [GiB] of the entry's processes, libraries included
     isolation: str = "none"  # of the entry: none, process, bubblewrap
     environment: dict[str, str] = dataclasses.field(default_factory=dict)
-
-    def arrays(self, names: Iterable[str]) -> dict[str, np.ndarray]:
-        """Return scores by name as (R, C, S): roads, conditions, training seeds.
-
-        NaN where a road was not driven under a condition and where a score is undefined; `driven`
-        tells them apart. Roads are in the order of the task.
-        """
-        axes = self._axes()
-        arrays = {name: np.full(tuple(map(len, axes)), np.nan) for name in names}
-        for drive, at in zip(self.drives, self._places(axes), strict=True):
-            for name, value in drive.scores.items():
-                if name in arrays:
-                    arrays[name][at] = value
-        return arrays
-
-    def values(self, score: str) -> np.ndarray:
-        """Return one score as in `arrays`."""
-        return self.arrays([score])[score]
-
-    def driven(self) -> np.ndarray:
-        """Return which runs (R, C, S) there are."""
-        axes = self._axes()
-        driven = np.zeros(tuple(map(len, axes)), dtype=bool)
-        for at in self._places(axes):
-            driven[at] = True
-        return driven
-
-    def _axes(self) -> tuple[dict[int | str, int], ...]:
-        axes: tuple[list[int | str], ...] = (
-            sorted({d.drive for d in self.drives}),
-            [d.condition for d in self.drives],
-            [d.seed for d in self.drives],
-        )
-        return tuple({name: k for k, name in enumerate(dict.fromkeys(axis))} for axis in axes)
-
-    def _places(self, axes: tuple[dict[int | str, int], ...]) -> Iterator[tuple[int, ...]]:
-        for d in self.drives:
-            yield axes[0][d.drive], axes[1][d.condition], axes[2][d.seed]
 
     def stale_reason(self, task: Task) -> str | None:
         """Return why this result cannot be compared with current results of `task`, else None."""

@@ -8,6 +8,7 @@ import numpy as np
 from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.bound import third_octave_bound
 from leaderboard.evaluation.results import Result, Trace
+from leaderboard.evaluation.scores import score_arrays, scores_table
 from leaderboard.evaluation.tasks import Condition, Task
 from leaderboard.metrics.bootstrap import MIN_ROADS, Strata, count_roads, performance_profile
 from leaderboard.metrics.heights import band_pass, scored_band
@@ -78,8 +79,11 @@ def task_charts(
         "density": _density_chart(drawn),
         "error": _error_chart(task, {name: rows[name] for name in results}),
     }
-    scores = {name: _with_failures(result, definition.ranks_by) for name, result in results.items()}
-    scores = {name: x for name, x in scores.items() if count_roads(x) >= MIN_ROADS}
+    # a run without a value counts as infinite
+    key = definition.ranks_by
+    runs = {name: scores_table([r]).fillna({key: np.inf}) for name, r in results.items()}
+    arrays = {name: score_arrays(own, [key])[0] for name, own in runs.items()}
+    scores = {name: x for name, x in arrays.items() if count_roads(x) >= MIN_ROADS}
     if scores:
         charts["runs"] = _runs_chart(scores, definition, task.test.strata)
     return charts
@@ -306,10 +310,3 @@ def _runs_chart(
         "yaxis": axis("share of runs [%]", 0.0, 100.0),
     }
     return chart("Share of runs at or below an error", {"": {"data": data}}, layout)
-
-
-def _with_failures(result: Result, name: str) -> np.ndarray:
-    """Return a score (R, C, S) of which a run without a value counts as infinite."""
-    values = result.values(name)
-    values[result.driven() & np.isnan(values)] = np.inf
-    return values

@@ -12,6 +12,7 @@ from scipy.stats import norm
 from estimators.registry import REGISTRY
 from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.results import Result, Trace
+from leaderboard.evaluation.scores import scores_table
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics.api import UNDEFINED
 from leaderboard.metrics.heights import band_pass, scored_band
@@ -181,20 +182,19 @@ def _standardized(trace: Trace) -> np.ndarray:
 
 def worst_drives(task: Task, result: Result, key: str) -> list[tuple[str, ...]]:
     """Return task, road, condition, training seed and error of the worst of several drives."""
-    drives = [drive for drive in result.drives if drive.scores.get(key) is not None]
-    drives.sort(key=lambda drive: -drive.scores[key])
-    if len(drives) < 2:
+    runs = scores_table([result]).dropna(subset=key)
+    if len(runs) < 2:
         return []
     form = COLUMNS[key]
     return [
         (
             task.name,
-            f"{drive.road}, seed {drive.road_seed}",
-            drive.condition,
-            f"{drive.seed}",
-            f"{form.format_value(drive.scores[key])} {form.unit}",
+            f"{run.road}, seed {run.road_seed}",
+            run.condition,
+            f"{run.seed}",
+            f"{form.format_value(run[key])} {form.unit}",
         )
-        for drive in drives[:WORST_DRIVES]
+        for _, run in runs.nlargest(WORST_DRIVES, key).iterrows()
     ]
 
 

@@ -6,12 +6,12 @@
 <out>/export/roadrecon.bib  citation of this project and of the paper
 """
 
-import csv
-import io
 import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+
+import pandas as pd
 
 from leaderboard.evaluation.provenance import package_version
 from leaderboard.metrics.registry import SCORES
@@ -87,19 +87,18 @@ def as_json(views: Sequence[BoardView]) -> list[dict[str, Any]]:
 
 def as_csv(view: BoardView) -> str:
     """Return one line for each row and group; undefined scores are empty."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, [*ROW_FIELDS, *NUMBER_FIELDS], lineterminator="\n")
-    writer.writeheader()
-    for section in view.sections:
-        for row in section.rows:
-            for group, values in {ALL_RUNS: row.values, **row.groups}.items():
-                causal = "" if row.causal is None else str(row.causal).lower()
-                texts = view.board, section.task, group, row.name, row.state, causal, row.message
-                known = {k: x for k in NUMBER_FIELDS if (x := values.get(k)) is not None}
-                numbers = {name: f"{x:.6g}" for name, x in known.items()}
-                plain = (f"'{x}" if x.startswith(FORMULA_SIGNS) else x for x in texts)
-                writer.writerow({**dict(zip(ROW_FIELDS, plain, strict=True)), **numbers})
-    return text.getvalue()
+    lines: list[dict[str, Any]] = [
+        {"board": view.board, "task": section.task, "group": group, "estimator": row.name}
+        | {"state": row.state, "causal": row.causal, "text": row.message, **values}
+        for section in view.sections
+        for row in section.rows
+        for group, values in {ALL_RUNS: row.values, **row.groups}.items()
+    ]
+    table = pd.DataFrame(lines, columns=[*ROW_FIELDS, *NUMBER_FIELDS])
+    table["causal"] = table["causal"].map({True: "true", False: "false"})
+    texts = table[[*ROW_FIELDS]].map(lambda x: f"'{x}" if str(x).startswith(FORMULA_SIGNS) else x)
+    numbers = table[[*NUMBER_FIELDS]].astype(float)
+    return texts.join(numbers).to_csv(index=False, float_format="%.6g", lineterminator="\n")
 
 
 def as_latex(view: BoardView) -> str:

@@ -11,11 +11,13 @@ from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from estimators.lookup import TRAINING_VEHICLE
 from leaderboard.conformance.results import EstimatorCard
 from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.results import Result
+from leaderboard.evaluation.scores import score_arrays, scores_table
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics.api import UNDEFINED
 from leaderboard.metrics.baselines import NOISE_LEVEL, TRUTH_PLUS_NOISE
@@ -70,9 +72,11 @@ ALL_RUNS = ""
 SPECTRUM_SCORES = tuple(name for name in SCORES if name.startswith("error_at_"))
 """Score keys of the third-octave errors."""
 
-ALL_SCORES: ScoreSlice = (slice(None), slice(None))
-GroupValues = dict[str, dict[str, float | None]]
-"""Numbers by group and score."""
+Values = dict[str, float | None]
+"""Numbers by column; None where one is undefined."""
+
+BOUNDED = [[*SCORES].index(name) for name in ("nrmse", "bound_nrmse")]
+"""Positions of the error and of its bound among the scores."""
 
 
 @dataclass(frozen=True)
@@ -85,10 +89,10 @@ class Row:
     name: str
     state: RowState
     cells: dict[str, str] = field(default_factory=dict)
-    values: dict[str, float | None] = field(default_factory=dict)
+    values: Values = field(default_factory=dict)
     message: str = ""
     causal: bool | None = None
-    groups: dict[str, dict[str, float | None]] = field(default_factory=dict)
+    groups: dict[str, Values] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -142,14 +146,14 @@ def nonempty_columns(view: BoardView, *sections: Section) -> list[Column]:
 
 def _section(board: Board, task: Task, definition: BoardDefinition) -> Section:
     groups = run_groups(task)
-    parts = {name: part for parts in groups.values() for name, part in parts.items()}
+    parts: dict[str, ScoreSlice] = {ALL_RUNS: (slice(None), slice(None))}
+    parts |= {name: part for named in groups.values() for name, part in named.items()}
     scored = board.scored(task)
     tables = [_aggregate(result, task, definition, parts) for result in scored]
-    values = {table.name: table.values for table in tables}
-    _rank(tables, parts, values, task.test.strata)
+    _rank(tables, parts, task.test.strata)
     rows = [
         _scored_row(r, x, definition, board.card(r)) for r, x in zip(scored, tables, strict=True)
-    ] + _bound_rows(values, definition)
+    ] + _bound_rows(tables, definition)
 
     def place(row: Row) -> tuple[bool, float, float]:
         rank, score = row.values.get("rank"), row.values[definition.ranks_by]
@@ -183,7 +187,7 @@ class AggregatedScores(NamedTuple):
     """Means of a result by group and score; `ranked` (R, C, S) holds the ranking score."""
 
     name: str
-    values: GroupValues
+    values: dict[str, Values]
     ranked: np.ndarray
     division: tuple[bool, bool]  # ranked among all, among the causal
 
@@ -192,34 +196,33 @@ def _aggregate(
     result: Result, task: Task, definition: BoardDefinition, parts: Mapping[str, ScoreSlice]
 ) -> AggregatedScores:
     """Average the scores of a result over all runs and over each group."""
-    scores, strata = result.arrays(SCORES), task.test.strata
+    runs, strata = scores_table([result]), task.test.strata
+    scores = score_arrays(runs)
     shown = (
-        {*definition.columns, *definition.on_request}
+        {*definition.columns, *definition.on_request, *SPECTRUM_SCORES}
         | {definition.ranks_by, "bound_nrmse", "attainable_nrmse"}
-        | set(SPECTRUM_SCORES)
-    )
-    values: GroupValues = {ALL_RUNS: {name: _mean(scores.get(name)) for name in SCORES}}
-    for group, part in parts.items():
-        values[group] = {name: _mean(x[part]) for name, x in scores.items() if name in shown}
-    ranked = scores[definition.ranks_by]
-    if np.isnan(ranked[result.driven()]).any():  # undefined on a road: the entry ranks last
+    )  # fmt: skip
+    ranked = scores[[*SCORES].index(definition.ranks_by)].copy()
+    if runs[definition.ranks_by].isna().any():  # undefined on a road: the entry ranks last
         ranked[:] = np.nan
-    for group, part in {ALL_RUNS: ALL_SCORES, **parts}.items():
-        mine = ranked[part]
+    values: dict[str, Values] = {}
+    for group, part in parts.items():
+        mine, own = scores[:, *part], ranked[part]
+        means = dict(zip(SCORES, _mean(mine), strict=True))
         score = Interval(np.nan, np.nan, np.nan)
-        if count_roads(mine) >= MIN_ROADS:
-            score = iqm_interval(mine, strata=strata if group == ALL_RUNS else None)
-        values[group] |= {"low": _finite_or_none(score.low), "high": _finite_or_none(score.high)}
-        values[group] |= _tail(mine)
-        values[group][BELOW_BOUND] = _share_below(
-            scores["nrmse"][part], scores["bound_nrmse"][part]
+        if count_roads(own) >= MIN_ROADS:
+            score = iqm_interval(own, strata=strata if group == ALL_RUNS else None)
+        values[group] = _defined(
+            {name: x for name, x in means.items() if group == ALL_RUNS or name in shown}
+            | {"low": score.low, "high": score.high, **_tail(own)}
+            | {BELOW_BOUND: _share_below(*mine[BOUNDED])}
         )
     values[ALL_RUNS] |= {
         "train_seconds": float(np.mean(result.train_seconds)) if result.parameters else None,
         "estimate_ms_per_100m": result.estimate_ms_per_100m,
         "calibrate_seconds": result.calibrate_seconds,
         "parameters": result.parameters or None,
-        **_training_states(scores),
+        **_training_states(runs),
         **_grade_scores(ranked, parts, strata),
     }
     entry = result.role == "entry"
@@ -243,39 +246,34 @@ def _share_below(error: np.ndarray, bound: np.ndarray) -> float | None:
     return float(np.mean(error[known] < bound[known])) if known.any() else None
 
 
-def _grade_scores(
-    ranked: np.ndarray, parts: Mapping[str, ScoreSlice], strata: Strata
-) -> dict[str, float | None]:
+def _grade_scores(ranked: np.ndarray, parts: Mapping[str, ScoreSlice], strata: Strata) -> Values:
     """Return the ranking score on each grade of car, and its slope over the grades."""
     by_grade = {grade: ranked[parts[f"car {grade}"]] for grade in GRADES if f"car {grade}" in parts}
     if len(by_grade) < 2:
         return {}
-    values = {f"grade_{grade}": _mean(x) for grade, x in by_grade.items()}
-    if count_roads(ranked) < MIN_ROADS:
-        return values
-    growth = iqm_slope(list(by_grade.values()), strata=strata)
-    slope = {"slope": growth.mean, "slope_low": growth.low, "slope_high": growth.high}
-    return values | {name: _finite_or_none(x) for name, x in slope.items()}
+    values = {f"grade_{grade}": _mean(x[None])[0] for grade, x in by_grade.items()}
+    if count_roads(ranked) >= MIN_ROADS:
+        growth = iqm_slope(list(by_grade.values()), strata=strata)
+        values |= {"slope": growth.mean, "slope_low": growth.low, "slope_high": growth.high}
+    return _defined(values)
 
 
 def _rank(
-    tables: Sequence[AggregatedScores],
-    parts: Mapping[str, ScoreSlice],
-    values: Mapping[str, GroupValues],
-    strata: Strata,
+    tables: Sequence[AggregatedScores], parts: Mapping[str, ScoreSlice], strata: Strata
 ) -> None:
-    """Write the ranks of the entries in every group into `values`, among all and among the causal.
+    """Add the ranks of the entries in every group, among all and among the causal.
 
     Ranks need at least MIN_ROADS roads.
     """
-    for group, part in {ALL_RUNS: ALL_SCORES, **parts}.items():
+    by_name = {table.name: table for table in tables}
+    for group, part in parts.items():
         for k, key in enumerate(RANK_COLUMNS.values()):
             scores = {x.name: x.ranked[part] for x in tables if x.division[k]}
             if not any(count_roads(x) >= MIN_ROADS for x in scores.values()):
                 continue
             within = strata if group == ALL_RUNS else None
             for name, rank in rank_entries(scores, strata=within).items():
-                values[name][group][key] = rank.rank
+                by_name[name].values[group][key] = rank.rank
 
 
 def _scored_row(
@@ -299,13 +297,13 @@ def _scored_row(
     return Row(result.estimator, state, cells, mine, causal=result.causal, groups=groups)
 
 
-def _bound_rows(values: Mapping[str, GroupValues], definition: BoardDefinition) -> list[Row]:
+def _bound_rows(tables: Sequence[AggregatedScores], definition: BoardDefinition) -> list[Row]:
     """Return the rows of the bound and of the attainable error, as far as they were computed, if
     NRMSE is the ranking score.
     """
     rows = []
     for name, key in ((BOUND_ROW, "bound_nrmse"), (ATTAINABLE_ROW, "attainable_nrmse")):
-        bounded = [v for v in values.values() if v[ALL_RUNS].get(key) is not None]
+        bounded = [x.values for x in tables if x.values[ALL_RUNS].get(key) is not None]
         if not bounded or definition.ranks_by != "nrmse":
             continue
         groups = {group: {"nrmse": x.get(key)} for group, x in bounded[0].items()}
@@ -365,19 +363,16 @@ def _surface_notes(task: Task, results: list[Result]) -> list[str]:
     return [f"Surface: {'; '.join(notes)}."] if notes and task.board_name == "measured" else []
 
 
-def _mean(scores: np.ndarray | None) -> float | None:
-    """Return the interquartile mean; None if no run has the score."""
-    if scores is None:
-        return None
-    values = scores[np.isfinite(scores)]
-    return float(interquartile_mean(values)) if values.size else None
+def _mean(scores: np.ndarray) -> np.ndarray:
+    """Return the interquartile means (K,) of scores (K, R, C, S); NaN if no run has the score."""
+    return interquartile_mean(scores.reshape(len(scores), -1))
 
 
-def _training_states(scores: Mapping[str, np.ndarray]) -> dict[str, float | None]:
+def _training_states(runs: pd.DataFrame) -> Values:
     """Count near-optimal, sub-optimal and unstable runs (Appendix A of the paper)."""
-    error = scores[EQ_12_RAW]
-    if error.shape[-1] < 2:
+    if runs["seed"].nunique() < 2:
         return {}
+    error = runs[EQ_12_RAW]
     near, unstable = np.sum(error < STATE_LIMITS[0]), np.sum(error >= STATE_LIMITS[1])
     counts = (near, error.size - near - unstable, unstable)
     return dict(zip(TRAINING_STATES, map(float, counts), strict=True))
@@ -390,5 +385,6 @@ def interval_text(low: float | None, high: float | None, score: str) -> str:
     return "–".join(COLUMNS[score].format_value(x) for x in (low, high))
 
 
-def _finite_or_none(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
+def _defined(numbers: Mapping[str, float | None]) -> Values:
+    """Return numbers as plain floats, None for those that are not finite."""
+    return {k: float(x) if x is not None and np.isfinite(x) else None for k, x in numbers.items()}

@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pytest
 from example_site import board, lines_of, results, site, tasks, text_of
+from fake_results import run_scores
 
 from estimators.registry import REGISTRY
 from leaderboard.metrics.baselines import BASELINES
@@ -99,7 +100,7 @@ def test_densities_errors_and_performance_profiles_equal_the_scores():
     assert lines["reader"]["y"][5] == pytest.approx(0.1, abs=0.02)  # 0.9 of the truth everywhere
     assert len(lines["bound"]["y"]) == 15 and min(lines["bound"]["y"]) > 0.0
     profile = lines_by_name(chart(page, "runs")["figures"][""])["reader"]
-    below = [100 * np.mean(reader.values("nrmse") <= x) for x in profile["x"]]
+    below = [100 * np.mean(run_scores(reader, "nrmse") <= x) for x in profile["x"]]
     assert profile["y"] == pytest.approx(below, abs=0.1)
     density = chart(page, "density")
     lines = lines_by_name(density["figures"][RIDE])

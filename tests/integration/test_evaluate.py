@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from fake_estimators import Broken, Learner, Reader
+from fake_results import run_scores
 from fakes import fake_drives, task
 from in_process import InProcessExecutor
 
@@ -34,15 +35,17 @@ def board(tmp_path, by_name, t=None, simulate=fake_drives, progress=lambda *_: N
 
 def test_a_scaled_truth_has_the_error_of_its_scale_on_every_drive():
     result = run({"reader": Reader(gain=0.9)})["reader"]
-    np.testing.assert_allclose(result.values("nrmse"), np.full((5, 2, 1), 0.1), atol=0.01)
-    np.testing.assert_allclose(result.values("level_error"), np.full((5, 2, 1), 0.1), atol=0.01)
+    np.testing.assert_allclose(run_scores(result, "nrmse"), np.full((5, 2, 1), 0.1), atol=0.01)
+    np.testing.assert_allclose(
+        run_scores(result, "level_error"), np.full((5, 2, 1), 0.1), atol=0.01
+    )
     assert result.failure is None and result.settings == {"gain": 0.9}
     assert [d.road_seed for d in result.drives] == [11, 12, 13, 14, 15] * 2
 
 
 def test_all_training_seeds_are_stored_and_traces_are_of_the_median_one():
     result = run({"learner": Learner()})["learner"]
-    error = result.values("nrmse")
+    error = run_scores(result, "nrmse")
     assert error.shape == (5, 2, 3) and len(result.train_seconds) == 6
     assert result.parameters == 1
     for condition, trace in enumerate(result.traces):
@@ -52,7 +55,7 @@ def test_all_training_seeds_are_stored_and_traces_are_of_the_median_one():
 
 def test_an_entry_with_deterministic_training_is_trained_once():
     result = run({"learner": Learner(spread=0.0)})["learner"]
-    assert result.values("nrmse").shape == (5, 2, 1)
+    assert run_scores(result, "nrmse").shape == (5, 2, 1)
     assert result.seeds == (1, 2, 3)
 
 
@@ -82,13 +85,15 @@ def test_a_failure_is_a_row_with_the_reason_and_other_rows_are_unaffected(how, m
     assert failed.failure.startswith("ride, 14.5 km/h, estimating test drive 1 of 5, seed 1: ")
     assert failed.drives == failed.traces == ()
     assert results["reader"].failure is None
-    np.testing.assert_allclose(results["reader"].values("nrmse"), 0.1, atol=0.01)
+    np.testing.assert_allclose(run_scores(results["reader"], "nrmse"), 0.1, atol=0.01)
 
 
 def test_an_absurd_estimate_has_finite_large_scores():
     result = run({"absurd": Broken(how="absurd")})["absurd"]
     assert result.failure is None
-    assert (result.values("nrmse") > 1e6).all() and np.isfinite(result.values("iri_error")).all()
+    assert (run_scores(result, "nrmse") > 1e6).all() and np.isfinite(
+        run_scores(result, "iri_error")
+    ).all()
 
 
 def test_a_failed_training_names_the_seed():
@@ -144,8 +149,8 @@ def test_an_estimator_with_weights_is_evaluated_without_training():
     fitted = Learner().fit([first.record], [first.truth], t.vehicle, seed=5)
     assert needs_training(Learner()) and not needs_training(fitted) and not needs_training(Reader())
     result = run({"fitted": fitted})["fitted"]
-    assert result.values("nrmse").shape == (5, 2, 1) and result.parameters == 1
-    np.testing.assert_allclose(result.values("nrmse"), abs(1.0 - fitted.gain), atol=0.01)
+    assert run_scores(result, "nrmse").shape == (5, 2, 1) and result.parameters == 1
+    np.testing.assert_allclose(run_scores(result, "nrmse"), abs(1.0 - fitted.gain), atol=0.01)
 
 
 def test_truth_plus_noise_has_exactly_its_noise_level():
@@ -168,8 +173,8 @@ def test_memory_is_the_training_road_without_its_delay(delay):
         trains_on_test_road=True,
     )
     found = run({"memory": None, "mean": estimators.create("mean")}, t=t, seeds=(1,))
-    remembered = found["memory"].values("nrmse")[0, :, 0]
-    out_of_place = found["mean"].values("nrmse")[0, :, 0]
+    remembered = run_scores(found["memory"], "nrmse")[0, :, 0]
+    out_of_place = run_scores(found["mean"], "nrmse")[0, :, 0]
     (test,) = fake_drives(t, t.test, t.conditions[0])
     noise = np.random.default_rng(3).standard_normal(test.truth.z.shape)
     noise *= 0.1 * test.truth.z.std(axis=1, keepdims=True)
@@ -217,7 +222,7 @@ def test_progress_of_a_board_counts_up_to_its_end(tmp_path):
 
 def test_the_number_of_test_roads_can_be_reduced(tmp_path):
     result = board(tmp_path, {"reader": Reader()}, seeds=(1,), roads=2)
-    assert result.scored(result.tasks[0])[0].values("r").shape[0] == 2
+    assert run_scores(result.scored(result.tasks[0])[0], "r").shape[0] == 2
     with pytest.raises(ConfigError, match="small: number of drives must be 1 to 5, got 9"):
         board(tmp_path, {"reader": Reader()}, roads=9)
 
@@ -225,7 +230,7 @@ def test_the_number_of_test_roads_can_be_reduced(tmp_path):
 def test_two_roads_with_one_name_and_seed_are_scored_separately():
     waviness = {"kind": "iso8608", "road_class": "D", "w": 3.0, "length": 40.0}
     t = task(test={"roads": ["iso_d", waviness], "seeds": [11], "length": 40.0})
-    assert run({"reader": Reader()}, t=t)["reader"].values("r").shape == (2, 2, 1)
+    assert run_scores(run({"reader": Reader()}, t=t)["reader"], "r").shape == (2, 2, 1)
 
 
 def test_results_of_a_changed_task_are_stale(tmp_path):
@@ -245,9 +250,9 @@ def test_a_simulated_drive_is_evaluated(tmp_path):
     result = board(tmp_path, {"learner": Learner()}, t, simulate_drives, seeds=(1,))
     results = {r.estimator: r for r in result.scored(t)}
     assert row_path(tmp_path, "small", "learner").exists()
-    np.testing.assert_allclose(results["flat"].values("nrmse"), 1.0)
-    np.testing.assert_allclose(results["truth_plus_noise"].values("nrmse"), NOISE_LEVEL)
-    assert np.isfinite(results["learner"].values("nrmse")).all()
+    np.testing.assert_allclose(run_scores(results["flat"], "nrmse"), 1.0)
+    np.testing.assert_allclose(run_scores(results["truth_plus_noise"], "nrmse"), NOISE_LEVEL)
+    assert np.isfinite(run_scores(results["learner"], "nrmse")).all()
 
 
 def test_roads_with_and_without_obstacles_are_stored_in_one_part(tmp_path):

@@ -6,6 +6,7 @@ from fake_estimators import Broken, Learner, Reader
 from fakes import fake_drives, task
 
 from leaderboard.evaluation.evaluate import run_task
+from leaderboard.evaluation.scores import score_arrays, scores_table
 from leaderboard.running.board import Board
 
 ENTRIES = {
@@ -28,3 +29,8 @@ def result_of(name):
 
 def board():
     return Board((task(),), {"small": results_by_fakes()})
+
+
+def run_scores(result, score):
+    """One score (R, C, S) of the runs of a result: roads, conditions, training seeds."""
+    return score_arrays(scores_table([result]), [score])[0]

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 from fake_estimators import Reader
-from fake_results import ENTRIES, board, result_of, results_by_fakes
+from fake_results import ENTRIES, board, result_of, results_by_fakes, run_scores
 from fakes import fake_drives, task
 from rich.console import Console
 
@@ -25,7 +25,7 @@ def test_every_condition_has_its_own_score_interval_and_rank():
     assert section.groups == {"condition": tuple(c.label for c in task().conditions)}
     line = next(line for line in section.rows if line.name == "learner")
     for k, label in enumerate(section.groups["condition"]):
-        values = result_of("learner").values("nrmse")[:, k : k + 1]
+        values = run_scores(result_of("learner"), "nrmse")[:, k : k + 1]
         group = line.groups[label]
         assert group["nrmse"] == pytest.approx(interquartile_mean(values.ravel()))
         assert (group["low"], group["high"]) == pytest.approx(iqm_interval(values)[1:])
@@ -38,7 +38,7 @@ def test_each_road_family_has_its_own_scores():
     (result,) = run_task(t, {"reader": Reader()}, (1,), simulate=fake_drives)
     (view,) = board_views(Board((t,), {"small": [result]}))
     line, _ = view.sections[0].rows
-    rough = result.values("level_error")[[1, 3]]
+    rough = run_scores(result, "level_error")[[1, 3]]
     assert line.groups["rough"]["level_error"] == pytest.approx(interquartile_mean(rough.ravel()))
     assert view.sections[0].groups["family"] == ("level", "rough")
 
@@ -114,14 +114,14 @@ def test_entries_better_than_truth_plus_noise_and_inconsistent_baselines_are_fla
     assert view.sections[0].notes == ()
     row = next(row for row in view.sections[0].rows if row.name == "reader")
     reader = result_of("reader")
-    below = np.mean(reader.values("nrmse") < reader.values("bound_nrmse"))
+    below = np.mean(run_scores(reader, "nrmse") < run_scores(reader, "bound_nrmse"))
     assert row.values["below_bound"] == pytest.approx(below) and 0.0 < below < 0.5
     (perfect,) = run_task(task(), {"perfect": Reader(gain=1.0)}, (1,), simulate=fake_drives)
     (note,) = flagged(perfect, result_of("truth_plus_noise"))
     assert note.startswith("perfect scores better than the truth with 2 % noise")
     better = run_task(task(), {"better": Reader(gain=0.96)}, (1,), simulate=fake_drives)
     (note,) = flagged(*better)
-    shares = better[0].values("nrmse") < better[0].values("bound_nrmse")
+    shares = run_scores(better[0], "nrmse") < run_scores(better[0], "bound_nrmse")
     assert note == (
         "better is below the bound of a linear car without friction, from data below 25 Hz, on "
         f"{shares.mean():.0%} of its drives"
