@@ -11,8 +11,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
-
 from leaderboard.evaluation.provenance import package_version
 from leaderboard.metrics.registry import SCORES
 from leaderboard.report.tables import ALL_RUNS, BoardView, Row, Section, nonempty_columns
@@ -87,6 +85,8 @@ def as_json(views: Sequence[BoardView]) -> list[dict[str, Any]]:
 
 def as_csv(view: BoardView) -> str:
     """Return one line for each row and group; undefined scores are empty."""
+    import pandas as pd
+
     lines: list[dict[str, Any]] = [
         {"board": view.board, "task": section.task, "group": group, "estimator": row.name}
         | {"state": row.state, "causal": row.causal, "text": row.message, **values}

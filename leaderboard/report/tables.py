@@ -8,10 +8,9 @@ division) and among the causal ones.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from estimators.lookup import TRAINING_VEHICLE
 from leaderboard.conformance.results import EstimatorCard
@@ -48,6 +47,9 @@ from leaderboard.running.board import Board
 from leaderboard.running.verification import kernel_notes
 from road_envs.sensing.perturbed_vehicle import GRADES
 from road_envs.vehicle.parameters import load_vehicle
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 RowState = Literal["scored", "baseline", "claim", "failed", "stale"]
 CLAIM_ROW = "paper's claim"
@@ -368,7 +370,7 @@ def _mean(scores: np.ndarray) -> np.ndarray:
     return interquartile_mean(scores.reshape(len(scores), -1))
 
 
-def _training_states(runs: pd.DataFrame) -> Values:
+def _training_states(runs: "pd.DataFrame") -> Values:
     """Count near-optimal, sub-optimal and unstable runs (Appendix A of the paper)."""
     if runs["seed"].nunique() < 2:
         return {}
