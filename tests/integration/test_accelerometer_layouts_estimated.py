@@ -77,8 +77,9 @@ def test_the_order_of_the_sensors_does_not_matter(name):
         record, a=record.a[order], sensors={name: record.sensors[name] for name in names}
     )
     one, other = (estimators.estimate(name, x, DEFENDER).z for x in (record, permuted))
-    # sums in another order: iterations end by tolerances of some 1e-4
-    np.testing.assert_allclose(other, one, atol=3e-3 * np.abs(one).max())
+    # sums in another order: iterations end elsewhere (map_smoother: 9e-3 on one processor, less
+    # than 3e-3 on others, where the error of either estimate is 0.1)
+    np.testing.assert_allclose(other, one, atol=2e-2 * np.abs(one).max())
 
 
 def test_shipped_weights_say_that_they_were_trained_with_other_places():
