@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from estimators.api import Estimator, check_estimate
+from estimators.common.manoeuvres import mark_manoeuvres
 from estimators.lookup import resolve_estimator, training_notes
 from estimators.passes import estimate_passes
 from road_envs.core.config import ConfigError
@@ -47,4 +48,5 @@ def estimate(
     found = estimator.estimate(record, car)
     check_estimate(found, record)
     notes = (*found.notes, *training_notes(estimator, record, car))
-    return dataclasses.replace(found, notes=notes, speed=float(np.nanmedian(record.v)))
+    found = dataclasses.replace(found, notes=notes, speed=float(np.nanmedian(record.v)))
+    return mark_manoeuvres(found, record, car.wheelbase)

@@ -153,6 +153,9 @@ def to_true_distance(record: Record, estimate: Estimate) -> tuple[Record, Estima
     z_std = estimate.z_std
     if z_std is not None:
         z_std = np.array([np.interp(old, estimate.s, path) for path in z_std])
+    unsure = estimate.unsure
+    if unsure is not None:
+        unsure = np.interp(old, estimate.s, unsure) > 0.0
     late = 100.0 * (1.0 / factor - 1.0)
     note = (
         f"the rear axle follows the front axle {abs(late):.2f} ± {196.0 * std:.2f} % "
@@ -164,6 +167,7 @@ def to_true_distance(record: Record, estimate: Estimate) -> tuple[Record, Estima
         s=s,
         z=CubicSpline(estimate.s, estimate.z, axis=1)(old),
         z_std=z_std,
+        unsure=unsure,
         notes=(*estimate.notes, note),
         distance=DistanceScale(1.0, std),
     )

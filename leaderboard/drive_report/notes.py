@@ -7,6 +7,7 @@ MISFIT = r"does not reproduce|times the expected one|heights are reduced"
 """Notes of an estimator whose model does not give the measured motion."""
 
 WEIGHTS = (
+    r"heights there are not known",
     MISFIT,
     r"fits .* better|moved in its mount|the speed and the wheelbase|without tolerances",
     r"swings by itself|wheels were in the air|the unit|is in g|check ",

@@ -85,7 +85,12 @@ def _cut(one: ReportedPass, first: Estimate) -> ReportedPass:
         record=replace(record, s=record.s - begin, length=float(s[inside[-1]]) - begin),
         chainage=one.measured.chainage + begin,
     )
-    part = replace(estimate, s=s[inside] - begin, z=z, z_std=std, distance=first.distance)
+    unsure = estimate.unsure
+    if unsure is not None:
+        unsure = np.interp(own[inside], estimate.s, unsure) > 0.0
+    part = replace(
+        estimate, s=s[inside] - begin, z=z, z_std=std, distance=first.distance, unsure=unsure
+    )
     return one._replace(measured=measured, estimate=part)
 
 

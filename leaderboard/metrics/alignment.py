@@ -77,6 +77,7 @@ def align(road: Surface, estimate: Estimate, v: float, chainage: float = 0.0) ->
     inside = slice(begin, end)
     s = ds * np.arange(end - begin)
     std = None if estimate.z_std is None else estimate.z_std[:, inside]
-    part = dataclasses.replace(estimate, s=s, z=estimate.z[:, inside], z_std=std)
+    unsure = None if estimate.unsure is None else estimate.unsure[inside]
+    part = dataclasses.replace(estimate, s=s, z=estimate.z[:, inside], z_std=std, unsure=unsure)
     heights = road.height(chainage + ds * (begin + lag + np.arange(end - begin)))
     return Alignment(Profile(s, heights), part, ds * lag, correlation, before)

@@ -104,13 +104,15 @@ class Estimate(Profile):
 
     `z_std` (2, M) [m], where a method provides it, is the standard deviation of the error in the
     scored band; datum and drift are excluded. `distance` is the scale of the record's odometer, on
-    which the stations are, where a method finds it.
+    which the stations are, where a method finds it. `unsure` (M,) bool marks stations at which the
+    vehicle turned, changed its speed hard or stood; None if it is not known to have done so.
     """
 
     z_std: np.ndarray | None = None
     notes: tuple[str, ...] = ()
     speed: float | None = None  # [m/s] of the drive, where it is known
     distance: DistanceScale | None = None
+    unsure: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,134 @@
+"""Stretches of a drive in which the vehicle turned, changed its speed hard or stood still.
+
+The models of the estimators drive straight ahead without pitching moments, so what a manoeuvre does
+to the struts is taken for road. Two signals show it: the measured speed, and the roll acceleration
+between two sensors of the body, left and right at one distance from the axles. Roads excite little
+roll between 0.2 and 0.9 Hz compared with that above; a turn that begins or ends excites more. Its
+steady part has no vertical acceleration: a beginning and an end close together are taken for one
+turn, and a turn that begins before the record is not seen.
+"""
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+from scipy.ndimage import binary_closing, binary_dilation, gaussian_filter1d, label
+from scipy.signal import butter, sosfiltfilt
+
+from road_envs.records.record import PROFILE_SPACING, Estimate, Record
+from road_envs.sensing.instruments import load_instruments
+
+STANDING = 0.5
+"""Speed [m/s] below which the vehicle stands."""
+
+HARD_CHANGE = 1.5
+"""Longitudinal acceleration [m/s²], of either sign, from which on the body pitches markedly."""
+
+SPEED_WINDOW = 0.5
+"""Standard deviation [s] of the window that smooths the speed before it is differentiated."""
+
+ROLL_BAND, ROAD_BAND = (0.2, 0.9), (1.5, 6.0)
+"""Bands [Hz] of the roll that manoeuvres excite, and of that which roads excite."""
+
+LEAST_ROLL = 0.18
+"""Slow roll acceleration [rad/s²] below which nothing is taken for a turn."""
+
+ROLL_RATIO = 2.0
+"""Slow roll over the RMS of the roll in ROAD_BAND from which on the vehicle turned. Straight drives
+on classes A to D and Belgian paving reach 1.8, turns of 0.2 g in ride 1.4 (Belgian) to 6."""
+
+RELEASE = 0.5
+"""Slow roll at the other end of a turn over that from which on one is found: friction and stiffer
+springs make the release slower than the build-up."""
+
+LEAST_DISTANCE, LEAST_DURATION = 0.8, 8.0
+"""Lateral distance [m] of the two sensors, and duration [s] of a record, below which no roll is
+looked at."""
+
+LONGEST_TURN = 10.0
+"""Longest time [s] between the slow rolls of one turn."""
+
+
+def mark_manoeuvres(estimate: Estimate, record: Record, wheelbase: float) -> Estimate:
+    """Return `estimate` with its `unsure` stations, a note on each stretch before the others, and
+    `z_std` raised there by the RMS of the waves below some metres, unless nothing is found.
+
+    `wheelbase` [m]: stations between both axles belong to a sample.
+    """
+    unsure, notes = np.zeros(estimate.s.size, dtype=bool), list[str]()
+    for during, what in (
+        (turns(record), "turned"),
+        (speed_changes(record), "braked or accelerated hard, or stood"),
+    ):
+        marked = np.zeros(estimate.s.size, dtype=bool)
+        runs, count = label(during)
+        for k in range(1, count + 1):
+            s = record.s[runs == k]
+            marked |= (estimate.s >= s.min() - wheelbase) & (estimate.s <= s.max())
+        unsure |= marked
+        notes += _notes(marked, what)
+    if not unsure.any():
+        return estimate
+    z_std = estimate.z_std
+    if z_std is not None:
+        short = estimate.z - gaussian_filter1d(estimate.z, 1.0 / PROFILE_SPACING, axis=1)
+        level = np.sqrt((short[:, unsure] ** 2).mean(axis=1, keepdims=True))
+        z_std = np.where(unsure, np.hypot(z_std, level), z_std)
+    return replace(estimate, z_std=z_std, unsure=unsure, notes=(*notes, *estimate.notes))
+
+
+def turns(record: Record) -> np.ndarray:
+    """Return at which samples (N,) the vehicle turned, as far as its sensors tell; False if they
+    tell no roll.
+    """
+    roll = _roll_acceleration(record)
+    turned = np.zeros(record.t.size, dtype=bool)
+    if roll is None:
+        return turned
+    slow, road = (
+        sosfiltfilt(butter(2, band, "bandpass", fs=record.fs, output="sos"), roll)
+        for band in (ROLL_BAND, ROAD_BAND)
+    )
+    local = np.sqrt(gaussian_filter1d(road**2, record.fs))
+    limit = np.maximum(LEAST_ROLL, ROLL_RATIO * np.maximum(local, road.std()))
+    weak = binary_dilation(np.abs(slow) > RELEASE * limit, iterations=int(record.fs))
+    gap = int(0.5 * LONGEST_TURN * record.fs)
+    runs, _ = label(binary_closing(np.pad(weak, gap), iterations=gap)[gap:-gap])
+    return (runs > 0) & np.isin(runs, runs[np.abs(slow) > limit])
+
+
+def speed_changes(record: Record) -> np.ndarray:
+    """Return at which samples (N,) the vehicle braked or accelerated hard, or stood."""
+    known = np.isfinite(record.v)
+    if not known.any():
+        return known
+    v = np.interp(record.t, record.t[known], record.v[known])
+    smooth = gaussian_filter1d(v, SPEED_WINDOW * record.fs, mode="nearest")
+    return (v < STANDING) | (np.abs(np.gradient(smooth, record.t)) > HARD_CHANGE)
+
+
+def _roll_acceleration(record: Record) -> np.ndarray | None:
+    """Return the roll acceleration (N,) [rad/s²] of the body; None if no two sensors tell it."""
+    layout = load_instruments("paper").layout if record.sensors is None else record.sensors
+    if len(layout) != len(record.a) or record.t[-1] - record.t[0] < LEAST_DURATION:
+        return None
+    pairs = [
+        (abs(a.y - b.y), i, j)
+        for (i, a), (j, b) in combinations(enumerate(layout.values()), 2)
+        if a.mounted == b.mounted == "body" and (a.axle, a.ahead) == (b.axle, b.ahead)
+    ]
+    distance, left, right = max(pairs, default=(0.0, 0, 0))
+    if distance < LEAST_DISTANCE or record.fs < 4.0 * ROAD_BAND[1]:
+        return None
+    roll = (record.a[left] - record.a[right]) / distance
+    return np.nan_to_num(roll - np.nanmedian(roll)) if np.isfinite(roll).any() else None
+
+
+def _notes(marked: np.ndarray, what: str) -> list[str]:
+    """Return a note for each run of `marked` stations (M,)."""
+    edges = np.flatnonzero(np.diff(np.pad(marked, 1).astype(int)))
+    return [
+        f"between {PROFILE_SPACING * begin:.0f} and {PROFILE_SPACING * end:.0f} m the vehicle "
+        f"{what}: heights there are not known"
+        for begin, end in edges.reshape(-1, 2)
+    ]
