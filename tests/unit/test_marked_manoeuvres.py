@@ -61,7 +61,7 @@ def test_a_stop_is_marked_and_said_first_and_the_interval_is_wider():
 @pytest.mark.parametrize("road", ["iso_a", "iso_b", "iso_c", "iso_d"])
 @pytest.mark.parametrize("speed_kmh", [14.5, 36.0, 100.0])
 def test_straight_drives_are_not_marked(road, speed_kmh):
-    record, _ = simulate_record(road, speed_kmh=speed_kmh, seed=8991, grade="S1", length=150.0)
+    record, _ = simulate_record(road, speed_kmh=speed_kmh, seed=8991, grade="S1", length=300.0)
     assert not turns(record).any() and not speed_changes(record).any()
 
 
