@@ -30,12 +30,13 @@ SPEED_WINDOW = 0.5
 ROLL_BAND, ROAD_BAND = (0.2, 0.9), (1.5, 6.0)
 """Bands [Hz] of the roll that manoeuvres excite, and of that which roads excite."""
 
-LEAST_ROLL = 0.18
-"""Slow roll acceleration [rad/s²] below which nothing is taken for a turn."""
+LEAST_ROLL = 0.25
+"""Slow roll acceleration [rad/s²] below which nothing is taken for a turn. The start of a record
+with biased sensors gives up to 0.2, turns of 0.2 g in ride 0.5 and more."""
 
-ROLL_RATIO = 2.0
+ROLL_RATIO = 2.2
 """Slow roll over the RMS of the roll in ROAD_BAND from which on the vehicle turned. Straight drives
-on classes A to D and Belgian paving reach 1.8, turns of 0.2 g in ride 1.4 (Belgian) to 6."""
+on classes A to D and Belgian paving reach 1.9, turns of 0.2 g in ride 1.4 (Belgian) to 6."""
 
 RELEASE = 0.5
 """Slow roll at the other end of a turn over that from which on one is found: friction and stiffer
