@@ -199,7 +199,7 @@ def read_passes(
     """
     drives: list[DriveFile] = []
     for path in paths:
-        own = path.with_suffix(".yaml")
+        own = path.with_suffix(".yaml") if path.name else path  # "/" has no name
         alone = len(paths) == 1 or description is not None or not own.exists()
         if alone or path == own or (path.is_file() and is_record(path)):
             drives += read_drives(path, description, track=track, **changes)

@@ -308,3 +308,9 @@ def test_a_text_larger_than_half_a_gigabyte_is_refused_unread(tmp_path):
         file.truncate(2**30)  # sparse: no block is written
     with pytest.raises(config.ConfigError, match="1024 MiB; at most 512 MiB of text are read"):
         read_measured_record(path, 2.794)
+
+
+def test_a_folder_without_a_name_is_a_folder_like_any_other(road_recon, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = road_recon("estimate", "wiener", ".")
+    assert code == 2 and "a folder of no app" in err and err.count("\n") == 1
