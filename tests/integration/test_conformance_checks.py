@@ -14,8 +14,13 @@ from leaderboard.conformance import checks
 from leaderboard.conformance.checks import UNINTENDED_ERRORS, check_drives, check_entry
 from leaderboard.conformance.probes import PROBES, CheckResult
 from leaderboard.entries.entries import resolve_entries
+from leaderboard.sandbox import bubblewrap
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
+
+pytestmark = pytest.mark.skipif(
+    bubblewrap.obstacle() is not None, reason=f"needs isolation: {bubblewrap.obstacle()}"
+)
 
 LIMITS = Limits(seconds=20.0, memory=1.0)
 DAMAGED = ("gaps", "clipped", "field", "short", "mode")

@@ -28,9 +28,14 @@ from leaderboard.report.cache import build_report
 from leaderboard.report.site import render_pages
 from leaderboard.report.terminal import print_tables
 from leaderboard.running.board import Board, RunRequest, load_board, run_board
+from leaderboard.sandbox import bubblewrap
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
 from road_envs.core.artifacts import NewerFormatError
+
+pytestmark = pytest.mark.skipif(
+    bubblewrap.obstacle() is not None, reason=f"needs isolation: {bubblewrap.obstacle()}"
+)
 
 LIMITS = Limits(seconds=20.0, memory=1.0)
 ENTRIES = {"Valid": 5, "NonDeterministic": 4, "Broken": None}
