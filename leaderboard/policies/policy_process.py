@@ -5,13 +5,10 @@ stay here. Inside bubblewrap it also has no network, no files but the libraries 
 code, and no rights; otherwise it has those of the user, which protects from mistakes only.
 """
 
-import json
-import os
 import pickle
-import sys
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,17 +16,20 @@ import numpy as np
 
 from leaderboard.entries import entry_files
 from leaderboard.entries.entry import EntryError
-from leaderboard.policies.policy_worker import PolicySetup
-from leaderboard.sandbox import bubblewrap, messages
+from leaderboard.policies import policy_handler
+from leaderboard.sandbox import messages
 from leaderboard.sandbox.guest import Guest
-from leaderboard.sandbox.limits import GIB, Limits, guest_environment
+from leaderboard.sandbox.launch import start_guest
+from leaderboard.sandbox.limits import Limits
 from road_envs.core.atomic_io import TempFolder
-from road_envs.policies import entry_point, runs_foreign_code
+from road_envs.policies import FILE_SUFFIX, entry_point, runs_foreign_code
 from road_envs.policies.api import PolicyContext, PolicyError
 
 STARTUP_SECONDS = 60.0
-"""Time [s] in which the process must have loaded its libraries and the policy."""
+"""Time [s] in which the process must have loaded the policy."""
 
+LONGEST_COMPARISON = 1e5
+"""Time [s] after which the kernel ends a process, which serves all cases of a comparison."""
 
 POLICY_LIMITS = Limits(seconds=120.0, memory=2.0, isolation="process")
 """Limits of a policy: the time is that for all vehicles of a case. Only code from outside this
@@ -50,10 +50,13 @@ class PolicyProcess:
         settings: Mapping[str, Any] | None = None,
         limits: Limits = POLICY_LIMITS,
     ):
-        self.reference, self.settings = reference, dict(settings or {})
+        # its process has another working folder
+        is_file = reference.endswith(FILE_SUFFIX)
+        self.reference = str(Path(reference).absolute()) if is_file else reference
+        self.settings = dict(settings or {})
         self.limits = limits
         self.act_seconds: list[float] = []  # of each call
-        self.peak_memory, self._n_vehicles = 0.0, 0
+        self.peak_memory, self._n_vehicles, self._count = 0.0, 0, 0
         self._guest: Guest | None = None
         self._temp: TempFolder | None = None
 
@@ -81,45 +84,40 @@ class PolicyProcess:
 
     def close(self) -> None:
         """Kill the process and its children."""
-        if self._temp is not None:
-            self._temp.close()
-            self._temp = None
         if self._guest is not None:
             self._guest.close()
             self._guest = None
+        if self._temp is not None:
+            self._temp.close()
+            self._temp = None
 
     def _start(self) -> Guest:
-        memory = int(self.limits.memory * GIB)
-        setup = PolicySetup(reference=self.reference, settings=self.settings, memory=memory)
-        paths = os.pathsep.join(os.path.abspath(path) for path in sys.path)
-        environment = {**os.environ, "PYTHONPATH": paths}
-        words = [sys.executable, "-P", "-m", "leaderboard.policies.policy_worker"]
-        code = self._code() if self.limits.isolation == "bubblewrap" else None
-        if code is None:
-            return Guest([*words, json.dumps(asdict(setup))], environment, Path.cwd())
-        setup = replace(setup, code=str(bubblewrap.ENTRY), user=bubblewrap.guest_user())
-        environment = guest_environment(bubblewrap.HOME, whole_path=False)
-        environment["XDG_CACHE_HOME"] = str(bubblewrap.HOME)
-        return bubblewrap.start(
-            [*words, json.dumps(asdict(setup))], environment, self.limits, Path.cwd(),
-            user=setup.user, from_outside=True, read_only={code: bubblewrap.ENTRY},
-        )  # fmt: skip
+        self._temp = self._temp or TempFolder()
+        self._temp.path.chmod(0o755)  # the process has another user
+        code = self._code(self._temp.path / "code")
+        self._count += 1
+        return start_guest(
+            policy_handler.__name__,
+            self._temp.path / str(self._count),
+            replace(self.limits, seconds=LONGEST_COMPARISON),
+            isolated=code is not None,
+            code=code,
+        )
 
-    def _code(self) -> Path | None:
-        """Return a folder with a copy of the code, which is not imported here; None for our own.
+    def _code(self, folder: Path) -> Path | None:
+        """Return `folder` with a copy of the code, which is not imported here.
 
-        Raises PolicyError.
+        None for a policy of this package and for one that has the rights of the user. Raises
+        PolicyError.
         """
-        if not runs_foreign_code(self.reference):
+        if self.limits.isolation != "bubblewrap" or not runs_foreign_code(self.reference):
             return None
         if ":" not in self.reference:
             self.reference = entry_point(self.reference)
-        if self._temp is None:
-            self._temp = TempFolder()
-            self._temp.path.chmod(0o755)  # the process has another user
-            (self._temp.path / "code").mkdir()
-            entry_files.snapshot(self.reference, self._temp.path / "code")
-        return self._temp.path / "code"
+        if not folder.exists():
+            folder.mkdir()
+            entry_files.snapshot(self.reference, folder)
+        return folder
 
     def _call(self, task: str, data: np.ndarray) -> tuple[dict[str, Any], bytes]:
         """Send a request and return the reply. Raises PolicyError."""
@@ -136,7 +134,9 @@ class PolicyProcess:
                 self._guest = self._start()
             if task == "reset":
                 self._guest.start_run(replace(self.limits, seconds=STARTUP_SECONDS))
-            head, actions = self._guest.call(messages.encode({"do": task}, [data]), size_of_actions)
+            named = {"reference": self.reference, "settings": self.settings}
+            request = messages.encode({"do": task, **(named if task == "reset" else {})}, [data])
+            head, actions = self._guest.call(request, size_of_actions)
             self.peak_memory = max(self.peak_memory, self._guest.peak_memory)
             failure = messages.text(head["failure"]) if "failure" in head else None
             if task == "reset":

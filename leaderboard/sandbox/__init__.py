@@ -1,11 +1,13 @@
-"""Isolation of entries: each runs in a guest process, inside bubblewrap where that is available.
+"""Isolation of foreign code: it runs in guest processes, inside bubblewrap where that is available.
 
-    client      in the host: drives the dialogue, checks every reply, measures time and memory
-    entry_files snapshot and digest of the code of an entry, without importing it
-    bubblewrap  the command line of the container: a minimal, read-only tree without network
-    guest       one guest process: pipes, limits, ending it with everything it has started
-    messages    the format of requests and replies
-    worker      in the guest: loads the estimator and serves requests
+    client             in the host: runs estimators in guests and checks every reply
+    retest             in the host: does an entry look ahead, or remember?
+    launch             start of a guest: what it sees, its environment, its container
+    bubblewrap         the command line of the container: a minimal, read-only tree without network
+    guest              one guest process: pipes, limits, ending it with everything it has started
+    messages           the format of requests and replies
+    worker             in the guest: becomes another user, sets limits, serves requests
+    estimator_handler  in the guest: the requests to an estimator
 
 The host is the process that evaluates. It holds the truth of the test drives, their roads and
 their seeds, and never sends them.

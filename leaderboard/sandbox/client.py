@@ -7,14 +7,13 @@ whether it is causal and forgets the drives before.
 """
 
 import dataclasses
-import json
 import random
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -29,13 +28,19 @@ from leaderboard.entries.entry import (
     TrainingRun,
     reconstruct_all,
 )
-from leaderboard.sandbox import bubblewrap, messages, processes, worker
+from leaderboard.sandbox import bubblewrap, estimator_handler, messages, processes
 from leaderboard.sandbox.guest import Guest
-from leaderboard.sandbox.limits import Limits, guest_environment
+from leaderboard.sandbox.launch import start_guest
+from leaderboard.sandbox.limits import Limits
+from leaderboard.sandbox.retest import (
+    LOOKS_AHEAD,
+    NOT_RETESTED,
+    Question,
+    compare_answers,
+    draw_questions,
+)
 from road_envs.core.atomic_io import TempFolder
-from road_envs.core.code_digest import cache_home
 from road_envs.core.config import ConfigError
-from road_envs.kernels import _numba
 from road_envs.records.record import Estimate, Profile, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
@@ -48,24 +53,7 @@ LARGEST_COUNT = 1e12
 UNSEEN_TIME = 0.05
 """Time [s] of one request beyond the reported time that is not charged to an entry: messages."""
 
-EQUALITY_TOLERANCE = 1e-9
-"""Largest difference [m] of estimates that count as equal, for rounding."""
-
-REPEATED_DRIVES = 2
-"""Number of test drives that a second guest estimates again, after other drives than the first."""
-
-REPLACED_FROM = ((0.05, 0.9), (0.9, 1.0))
-"""Ranges of the secret points, as shares of a drive, from which on its samples are replaced: one
-drive for each range.
-"""
-
-START_ATTEMPTS = 2
-"""Number of times that a guest which ends while it starts is started."""
-
-LOOKS_AHEAD = "claims to be causal, but its estimate of a test drive depends on later samples"
-REMEMBERS = "its estimate of a test drive depends on the drives that it has seen before"
 ONE_TRAINING = "its training does not depend on the seed"
-NOT_RETESTED = "could not be run again to test its causality and its memory"
 
 
 class SandboxClient:
@@ -179,17 +167,19 @@ class SandboxClient:
             except EntryError:
                 return []
 
-        questions, seed = [], secret.choice(seeds)
+        questions: list[Question] = []
+        seed = secret.choice(seeds)
         again: list[Estimate] | None = None
         if retest and not ours:
-            questions = _draw_questions(records, order, bool(entry.causal), secret)
+            questions = draw_questions(records, order, bool(entry.causal), secret)
             again = run_again() if secret.random() < 0.5 else None
         runs, trains, peak_memory = run(records, seeds, order, calibrations)
         notes = [ONE_TRAINING] if not ours and trains and len(runs) < len(seeds) else []
         looks_ahead = False
         if questions:
             first = next((one for one in runs if one.seed == seed), runs[0])
-            tested = _compare(questions, first, run_again() if again is None else again, entry.lag)
+            answers = run_again() if again is None else again
+            tested = compare_answers(questions, first, answers, entry.lag)
             looks_ahead = LOOKS_AHEAD in tested or NOT_RETESTED in tested
             notes += tested
         found = {"peak_memory": peak_memory, "isolation": self.isolation, "notes": tuple(notes)}
@@ -214,7 +204,8 @@ class SandboxClient:
         if entry_files.is_ours(reference):
             kind = estimators.REGISTRY.get(reference)
             libraries = kind.libraries if isinstance(kind, DeclaresLibraries) else ()
-            guest = self._ours.get(libraries) or self._new_guest(None, libraries)
+            loaded = ("estimators.registry", *libraries)
+            guest = self._ours.get(libraries) or self._new_guest(None, loaded)
             self._ours[libraries] = guest
         else:
             guest = self._new_guest(self._snapshot(reference)[1])
@@ -222,59 +213,21 @@ class SandboxClient:
         guest.start_run(self.limits)
         return guest
 
-    def _new_guest(self, code: Path | None, libraries: tuple[str, ...] = ()) -> Guest:
+    def _new_guest(self, code: Path | None, libraries: Sequence[str] = ()) -> Guest:
         self._count += 1
-        home = self._temp.path / str(self._count)
-        home.mkdir()
-        isolated, cache = self._bubblewrap, cache_home()
-        has_cache = (cache / _numba.CACHE.name).is_dir()
-        read_only: dict[Path, Path] = {}
-        writable: dict[Path, Path] = {}
-        entry, shared = code, cache
-        if isolated and code is not None:
-            entry, shared = bubblewrap.ENTRY, bubblewrap.SHARED_CACHE
-            read_only[code] = entry
-        if has_cache and isolated:
-            if code is None:
-                writable[cache] = bubblewrap.HOME / cache.name
-            else:
-                needed = [cache / _numba.CACHE.name, *cache.glob("*.json")]
-                read_only |= {path: shared / path.name for path in needed}
-        from_outside = code is not None
-        setup = worker.Setup(
-            limits=self.limits,
-            entry=None if entry is None else str(entry),
-            user=bubblewrap.guest_user() if isolated and from_outside else None,
-            serves_many=not from_outside,
+        return start_guest(
+            estimator_handler.__name__,
+            self._temp.path / str(self._count),
+            self.limits,
+            isolated=self._bubblewrap,
+            code=code,
             libraries=libraries,
-            cache=(str(shared), _numba.CACHE.name) if has_cache and from_outside else None,
         )
-        words = [sys.executable, "-P", "-s", "-m", worker.__name__]
-        words.append(json.dumps(dataclasses.asdict(setup)))
-        inside = bubblewrap.HOME if isolated else home
-        environment = guest_environment(inside, whole_path=not isolated)
-        environment["XDG_CACHE_HOME"] = str(inside)
-        if not from_outside and not isolated:
-            environment["XDG_CACHE_HOME"] = str(cache.parent)
-        for attempt in range(1, START_ATTEMPTS + 1):
-            try:
-                if not isolated:
-                    return Guest(words, environment, home)
-                return bubblewrap.start(
-                    words, environment, self.limits, home, user=setup.user,
-                    from_outside=from_outside, read_only=read_only, writable=writable,
-                )  # fmt: skip
-            except EntryError as error:
-                if attempt == START_ATTEMPTS:
-                    raise EntryError(
-                        f"its guest ended {attempt} times as it started: {error}"
-                    ) from error
-        raise AssertionError
 
     def _begin(
         self, guest: Guest, reference: str, settings: Mapping[str, Any], car: Any
     ) -> dict[str, Any]:
-        start = {"reference": reference, "settings": dict(settings), "car": car}
+        start = {"do": "start", "reference": reference, "settings": dict(settings), "car": car}
         return call(guest, messages.encode(start))[0]
 
     def _session(self, guest: Guest, entry: Entry, car: VehicleParameters) -> "_RemoteSession":
@@ -360,54 +313,3 @@ def call(guest: Guest, request: bytes, *size: Callable) -> tuple[dict[str, Any],
     if "failure" in head:
         raise EntryError(messages.text(head["failure"]))
     return head, data
-
-
-class _Question(NamedTuple):
-    """A test drive for a second guest: its index, and where [m] its samples were replaced."""
-
-    drive: int
-    record: Record
-    start: float = np.inf
-
-
-def _draw_questions(
-    records: Sequence[Record], order: Sequence[int], causal: bool, secret: random.Random
-) -> list[_Question]:
-    """Return drives to be estimated again, each after fewer drives than in `order`.
-
-    Of a causal entry, also drives with other accelerations from a secret station on.
-    """
-    places = range(min(1, len(order) - 1), len(order))  # the first drive has none before it
-    chosen = secret.sample(places, min(REPEATED_DRIVES, len(places)))
-    questions = [_Question(order[k], records[order[k]]) for k in sorted(chosen)]
-    for low, high in REPLACED_FROM if causal else ():
-        drive = secret.randrange(len(records))
-        record = records[drive]
-        start = record.length * secret.uniform(low, high)
-        rng = np.random.default_rng(secret.getrandbits(128))
-        noise = np.nanstd(record.a) * rng.standard_normal(record.a.shape)
-        a = record.a + np.where(record.s >= start, noise, 0.0)
-        questions.append(_Question(drive, dataclasses.replace(record, a=a), start))
-    return questions
-
-
-def _compare(
-    questions: Sequence[_Question], run: TrainingRun, again: Sequence[Estimate], lag: float
-) -> list[str]:
-    """Return notes on estimates of a second guest, `again`, that differ from those of `run`."""
-    if not again:
-        return [NOT_RETESTED]
-    notes = {}
-    for (drive, record, start), estimate in zip(questions, again, strict=True):
-        # between two samples one may interpolate
-        end = start - lag - float(np.diff(record.s).max())
-        if _differ(estimate, run.estimates[drive], end):
-            notes[LOOKS_AHEAD if np.isfinite(start) else REMEMBERS] = True
-    return list(notes)
-
-
-def _differ(first: Estimate, second: Estimate, end: float) -> bool:
-    """Return whether two estimates differ before the station `end` [m]."""
-    before = first.s < end
-    change = np.abs(first.z - second.z)[:, before]
-    return bool(change.max(initial=0.0) > EQUALITY_TOLERANCE)

@@ -13,7 +13,7 @@ expected.
 import json
 import math
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
@@ -36,6 +36,12 @@ MAX_SETTINGS, MAX_DEPTH = 4000, 5
 
 LARGEST_NUMBER = 1e100
 """Largest absolute value of a number in the settings of an estimator."""
+
+Reply = tuple[dict[str, Any], Sequence[np.ndarray]]
+"""Object and arrays of a reply."""
+
+Handler = Callable[[dict[str, Any], list[np.ndarray]], Reply]
+"""Function of a request and its arrays, in a guest; what it raises is replied as a failure."""
 
 RECORD_ARRAYS = tuple(
     f.name for f in fields(Record) if f.name not in ("length", "sensors", "low_pass")

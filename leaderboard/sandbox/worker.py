@@ -1,27 +1,28 @@
-"""The guest: loads the libraries, then an estimator in a child process, and serves the host.
+"""The guest: loads the libraries, then serves the requests of the host in a child process.
 
     python -P -s -m leaderboard.sandbox.worker SETUP
 
-reads requests from standard input and writes replies to what was its standard output; whatever the
-estimator prints goes to standard error. The code of the estimator is loaded only in the child,
-after all privileges are dropped and the limits of the kernel are set. The host checks
-every reply: see `client`.
+Requests come on standard input, replies go to what was standard output; whatever foreign code
+prints goes to standard error. Of all guests (estimators, switching policies) only the handler of
+requests differs: `estimator_handler`, `leaderboard.policies.policy_handler`. It loads foreign code
+in the child, after all privileges are dropped and the limits of the kernel are set. The host checks
+every reply.
 """
 
 import importlib
 import json
 import os
+import resource
 import signal
 import stat
 import sys
-import zipfile
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from operator import attrgetter
 from pathlib import Path
 from typing import Any, NoReturn
 
+# what compiles kernels is imported after `_link_cache`
 from leaderboard.sandbox import processes
 from leaderboard.sandbox.limits import GIB, Limits
 from road_envs.core.config import Settings, build
@@ -29,19 +30,24 @@ from road_envs.core.config import Settings, build
 SERVED = 64
 """Exit status of a child that has served its requests until the end."""
 
+LONGEST_FAILURE = 10_000
+"""Largest number of characters of a failure; the host shows fewer."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Setup(Settings):
     """Message that starts a guest.
 
-    `entry` is the folder with the code of the entry; `user` the user and group to become, None to
-    stay; `serves_many` allows more than one estimator, each in a child of its own, for which
-    `libraries` are imported once. The kernel cache `cache` (folder of all files, name of the folder
-    of today's kernels) is copied by links.
+    `handler` is the module whose `make_handler(code)` makes the `messages.Handler`; `code` the
+    folder with the code from outside; `user` the user and group to become, None to stay;
+    `serves_many` allows further children after the first, for which `libraries` are imported once.
+    The kernel cache `cache` (folder of all files, name of the folder of today's kernels) is copied
+    by links.
     """
 
+    handler: str
     limits: Limits
-    entry: str | None = None
+    code: str | None = None
     user: int | None = None
     serves_many: bool = False
     libraries: tuple[str, ...] = ()
@@ -58,35 +64,28 @@ def main() -> None:
     os.umask(0)  # the child may be another user
     if setup.cache is not None:
         _link_cache(Path(setup.cache[0]), setup.cache[1])
-    _preload(setup.libraries, implementations=setup.serves_many)
-    reply(replies, {})
+    _preload(setup)
+    _reply(replies, {})
     while True:
         try:
-            start = read_request()
+            first = _read_request()
         except EOFError:
             return
         pid = os.fork()
         if pid == 0:
-            _run_child(setup, replies, start)
+            _run_child(setup, replies, first)
         _, status = os.waitpid(pid, 0)
         code = os.waitstatus_to_exitcode(status)
         if code != SERVED or not setup.serves_many:
             os._exit(128 - code if code < 0 else code)
 
 
-def _preload(libraries: Sequence[str], implementations: bool) -> None:
-    """Import what every estimator needs, or also the `implementations` of this package.
-
-    Of `libraries` those that are not installed are left out; the estimator says so itself.
-    """
+def _preload(setup: Setup) -> None:
+    """Import the handler and the libraries; those that are not installed are left out."""
     import gc
 
-    import leaderboard.entries.entry
-    import leaderboard.sandbox.messages  # noqa: F401
-
-    if implementations:
-        import estimators.registry  # noqa: F401
-    for library in libraries:
+    importlib.import_module(setup.handler)
+    for library in setup.libraries:
         with suppress(ImportError):
             importlib.import_module(library)
     gc.collect()
@@ -106,7 +105,7 @@ def _link_cache(source: Path, name: str) -> None:
             link.symlink_to(path)
 
 
-def read(size: int) -> bytes:
+def _read(size: int) -> bytes:
     """Return `size` bytes of the requests. Raises EOFError at the end of input."""
     data = bytearray()
     while len(data) < size:
@@ -117,15 +116,15 @@ def read(size: int) -> bytes:
     return bytes(data)
 
 
-def read_request() -> dict[str, Any]:
+def _read_request() -> dict[str, Any]:
     """Return the JSON object of the next request. Raises EOFError at the end of input."""
     from leaderboard.sandbox import messages
 
-    (size,) = messages.HEAD_SIZE.unpack(read(messages.HEAD_SIZE.size))
-    return json.loads(read(size))
+    (size,) = messages.HEAD_SIZE.unpack(_read(messages.HEAD_SIZE.size))
+    return json.loads(_read(size))
 
 
-def reply(handle: int, head: dict[str, Any], arrays: Any = ()) -> None:
+def _reply(handle: int, head: dict[str, Any], arrays: Sequence[Any] = ()) -> None:
     """Write a reply; one that cannot be encoded becomes a failure."""
     from leaderboard.sandbox import messages
 
@@ -138,17 +137,20 @@ def reply(handle: int, head: dict[str, Any], arrays: Any = ()) -> None:
         unsent = unsent[os.write(handle, unsent) :]
 
 
-def _run_child(setup: Setup, replies: int, start: dict[str, Any]) -> NoReturn:
-    """Serve the requests to one estimator in this process, then end it."""
+def _run_child(setup: Setup, replies: int, request: dict[str, Any]) -> NoReturn:
+    """Serve the first `request` and those that follow in this process, then end it."""
     status = 1
     try:
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, signal.SIG_DFL)
         processes.die_with_parent()
         _set_resource_limits(setup.limits, is_nobody=setup.user is not None)
-        become(setup.user)
+        _become(setup.user)
         os.umask(0o022)
-        _serve(setup, replies, start)
+        handle = importlib.import_module(setup.handler).make_handler(setup.code)
+        while request["do"] != "end":
+            _serve(handle, replies, request)
+            request = _read_request()
         sys.stdout.flush()
         sys.stderr.flush()
         status = SERVED
@@ -158,7 +160,21 @@ def _run_child(setup: Setup, replies: int, start: dict[str, Any]) -> NoReturn:
         os._exit(status)
 
 
-def become(user: int | None) -> None:
+def _serve(handle: Any, replies: int, request: dict[str, Any]) -> None:
+    """Reply to a request, with a failure if the handler raises an error."""
+    from leaderboard.entries.entry import EntryError, describe_error
+    from leaderboard.sandbox import messages
+
+    arrays = messages.decode_arrays(request, _read)
+    try:
+        answer, found = handle(request, arrays)
+    except (Exception, SystemExit) as error:
+        reason = str(error) if isinstance(error, EntryError) else describe_error(error)
+        answer, found = {"failure": reason[:LONGEST_FAILURE]}, ()
+    _reply(replies, answer, found)
+
+
+def _become(user: int | None) -> None:
     """Give up this user and its groups for `user`, if that is not None."""
     if user is not None:
         os.setgroups([])
@@ -166,132 +182,8 @@ def become(user: int | None) -> None:
         os.setuid(user)
 
 
-def _serve(setup: Setup, replies: int, start: dict[str, Any]) -> None:
-    from leaderboard.entries.entry import EntryError, LocalSession, describe_error
-    from leaderboard.sandbox import messages
-    from road_envs.vehicle.parameters import VehicleParameters
-
-    try:
-        name, estimator = load(start["reference"], start["settings"], setup.entry)
-        head = describe(estimator)
-    except BaseException as error:
-        reason = str(error) if isinstance(error, EntryError) else describe_error(error)
-        reply(replies, {"failure": f"cannot be constructed: {reason}"[:10_000]})
-        return
-    if start["car"] is None:
-        reply(replies, {**head, "name": name})
-        read_request()
-        return
-    _preload_scipy()
-    session = LocalSession(estimator, build(VehicleParameters, start["car"], "car"))
-    known = ("needs_training", "calibrates", "uses_seed")
-    reply(replies, {name: getattr(session, name) for name in known})
-    while (request := read_request())["do"] != "end":
-        arrays = messages.decode_arrays(request, read)
-        answer: dict[str, Any]
-        z: list[Any] = []
-        try:
-            if request["do"] == "fit":
-                training = messages.make_training(request, arrays)
-                parameters, seconds = session.fit(
-                    list(zip(*training, strict=True)), request["seed"]
-                )
-                answer = {"parameters": parameters, "seconds": seconds}
-            elif request["do"] == "calibrate":
-                answer = {"seconds": session.calibrate(messages.make_calibration(request, arrays))}
-            else:
-                estimate, seconds = session.estimate(
-                    messages.make_record(arrays, request["length"], request)
-                )
-                z = [x.astype(float) for x in (estimate.z, estimate.z_std) if x is not None]
-                answer = {"seconds": seconds, "std": estimate.z_std is not None}
-        except (Exception, SystemExit) as error:
-            answer, z = {"failure": describe_error(error)[:10_000]}, []
-        reply(replies, answer, z)
-
-
-def _preload_scipy() -> None:
-    """Import the slow parts of SciPy, before any time counts, if a module uses SciPy as a whole.
-
-    SciPy would load them at their first use; modules that import them by name have done so.
-    """
-    modules = [
-        module for name, module in list(sys.modules.items()) if not name.startswith("scipy.")
-    ]
-    if any("scipy" in getattr(module, "__dict__", {}) for module in modules):
-        for library in ("scipy.interpolate", "scipy.signal"):
-            importlib.import_module(library)
-
-
-def load(reference: str, settings: dict[str, Any], folder: str | None) -> tuple[str | None, Any]:
-    """Return the estimator of an entry, and its name if it is from a package with an entry point.
-
-    `folder` holds the snapshot of its code; without one it is an estimator of this package.
-    """
-    if folder is not None and is_class(reference):
-        from estimators.api import check_class
-
-        sys.path.insert(0, folder)
-        module, _, name = reference.partition(":")
-        cls = attrgetter(name)(importlib.import_module(module))
-        return None, build(check_class(cls), settings, name)
-    if folder is not None and not reference.endswith((".npz", ".safetensors")):
-        return load_package(Path(folder), settings)
-    from estimators import make_estimator
-
-    if folder is None:
-        return None, make_estimator(reference, **settings)
-    return None, make_estimator(Path(folder) / Path(reference).name)  # a file has its own settings
-
-
-def is_class(reference: str) -> bool:
-    """Return whether a reference is "module:Class"."""
-    return ":" in reference and "/" not in reference
-
-
-def load_package(folder: Path, settings: dict[str, Any]) -> tuple[str, Any]:
-    """Return name and estimator of a wheel, or of a folder of installed packages.
-
-    Files named .pth have no effect. Raises EntryError.
-    """
-    from importlib import metadata
-
-    from estimators.api import ENTRY_POINT_GROUP, check_class
-    from leaderboard.entries.entry import EntryError
-
-    for wheel in folder.glob("*.whl"):
-        folder = Path(os.environ["HOME"]) / "entry"
-        with zipfile.ZipFile(wheel) as archive:
-            archive.extractall(folder)
-    sys.path.append(str(folder))
-    found = [
-        entry
-        for distribution in metadata.distributions(path=[str(folder)])
-        for entry in distribution.entry_points
-        if entry.group == ENTRY_POINT_GROUP
-    ]
-    if len(found) != 1:
-        names = sorted(entry.name for entry in found)
-        raise EntryError(f"it must declare one entry point of {ENTRY_POINT_GROUP}, found {names}")
-    return found[0].name, build(check_class(found[0].load()), settings, found[0].name)
-
-
-def describe(estimator: Any) -> dict[str, Any]:
-    """Return what an estimator says about itself, as JSON types."""
-    from estimators.api import declared_lag
-    from leaderboard.entries.entry import get_settings
-
-    return {
-        "settings": json.loads(json.dumps(get_settings(estimator), default=str)),
-        "causal": estimator.causal,
-        "lag": declared_lag(estimator),
-    }
-
-
 def _set_resource_limits(limits: Limits, *, is_nobody: bool) -> None:
     """Set the limits that the kernel enforces. Reserved but unused memory does not count."""
-    import resource
-
     mapped = processes.data_size() or GIB  # when it was forked
     values = {
         "RLIMIT_CORE": 0,

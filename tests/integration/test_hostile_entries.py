@@ -26,8 +26,9 @@ from leaderboard.metrics.baselines import BASELINES
 from leaderboard.running.board import RunRequest, run_board
 from leaderboard.running.executors import ProcessExecutor
 from leaderboard.sandbox import bubblewrap
-from leaderboard.sandbox.client import LOOKS_AHEAD, ONE_TRAINING, REMEMBERS, SandboxClient
+from leaderboard.sandbox.client import ONE_TRAINING, SandboxClient
 from leaderboard.sandbox.limits import Limits
+from leaderboard.sandbox.retest import LOOKS_AHEAD, REMEMBERS
 
 pytestmark = pytest.mark.skipif(
     bubblewrap.obstacle() is not None, reason=str(bubblewrap.obstacle())

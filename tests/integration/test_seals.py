@@ -15,8 +15,9 @@ from fakes import fake_drives, task
 from leaderboard.entries import entry_files
 from leaderboard.entries.entry import Entry, EntryError, reconstruct_all
 from leaderboard.sandbox import bubblewrap, client, guest, seccomp
-from leaderboard.sandbox.client import LOOKS_AHEAD, REMEMBERS, SandboxClient
+from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
+from leaderboard.sandbox.retest import LOOKS_AHEAD, REMEMBERS
 
 pytestmark = [
     pytest.mark.skipif(bubblewrap.obstacle() is not None, reason=str(bubblewrap.obstacle())),

@@ -23,7 +23,8 @@ from estimators.api import NotFittedError
 from estimators.baselines.flat import FlatEstimator
 from estimators.baselines.mean import Mean
 from estimators.weights_io import StorageError, load, save
-from leaderboard.sandbox import worker
+from leaderboard.entries.entry import get_settings
+from leaderboard.sandbox import estimator_handler
 from road_envs.core.config import ConfigError
 from road_envs.records.record import Estimate, Profile, profile_stations
 
@@ -163,8 +164,8 @@ def test_a_plug_in_may_not_take_the_name_of_another_estimator(monkeypatch):
 
 def test_a_stored_file_is_an_entry_of_a_board_with_its_own_settings(tmp_path):
     save(create("fir_ridge", reach=2.5).with_weights(window()), tmp_path / "window.npz")
-    known = worker.describe(load(tmp_path / "window.npz"))["settings"]
-    _, found = worker.load("/elsewhere/window.npz", known, str(tmp_path))
+    known = get_settings(load(tmp_path / "window.npz"))
+    _, found = estimator_handler.load("/elsewhere/window.npz", known, str(tmp_path))
     assert known["reach"] == found.reach == 2.5
 
 

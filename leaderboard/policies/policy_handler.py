@@ -1,0 +1,54 @@
+"""Requests to a switching policy in a guest: it is made, reset and asked for actions.
+
+reset    reference, settings, a pickled PolicyContext -> nothing
+act      observations (N, d)                          -> actions (N,)
+changes  observations (N, d)                          -> whether `act` writes into them
+
+Request, and after the arrow the reply, which the host checks.
+"""
+
+import pickle
+import sys
+from typing import Any
+
+import numpy as np
+
+from leaderboard.sandbox import messages
+from road_envs.policies import make_policy
+
+
+def make_handler(code: str | None) -> messages.Handler:
+    """Return the handler of one policy, whose code lies in the folder `code`.
+
+    A policy that has raised an error is made anew at the next reset.
+    """
+    if code is not None:
+        sys.path.insert(0, code)
+    policy: Any = None
+
+    def handle(request: dict[str, Any], arrays: list[np.ndarray]) -> messages.Reply:
+        nonlocal policy
+        (data,) = arrays
+        used, policy = policy, None
+        if request["do"] == "reset":
+            used = used or make_policy(request["reference"], **request["settings"])
+            used.reset(pickle.loads(data.tobytes()))  # of the host
+            answer: messages.Reply = {}, ()
+        elif request["do"] == "changes":
+            before = data.copy()
+            used.act(data)
+            answer = {"changed": not np.array_equal(before, data)}, ()
+        else:
+            actions = _whole_numbers(used.act(data)).astype(np.int64)
+            answer = {"actions": actions.size}, [actions]
+        policy = used
+        return answer
+
+    return handle
+
+
+def _whole_numbers(actions: object) -> np.ndarray:
+    given = np.asarray(actions)
+    if given.dtype.kind not in "iu":
+        raise TypeError(f"act must return whole numbers, got {given.dtype}")
+    return given

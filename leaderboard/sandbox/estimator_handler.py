@@ -1,0 +1,125 @@
+"""Requests to an estimator in a guest: it is loaded, trained, calibrated, asked for estimates.
+
+start      reference, settings, car or None -> what it says about itself, what it needs
+fit        training drives, seed            -> number of parameters, time [s]
+calibrate  drives of its vehicle            -> time [s]
+estimate   a record                         -> heights and deviations, time [s]
+
+Request, and after the arrow the reply, which the host checks.
+"""
+
+import importlib
+import json
+import os
+import sys
+import zipfile
+from importlib import metadata
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from estimators import make_estimator
+from estimators.api import ENTRY_POINT_GROUP, check_class, declared_lag
+from leaderboard.entries.entry import EntryError, LocalSession, describe_error, get_settings
+from leaderboard.entries.entry_files import CLASS_REFERENCE, WEIGHTS_SUFFIXES
+from leaderboard.sandbox import messages
+from road_envs.core.config import build
+from road_envs.vehicle.parameters import VehicleParameters
+
+
+def make_handler(code: str | None) -> messages.Handler:
+    """Return the handler of one estimator, whose code lies in the folder `code`."""
+    session: LocalSession | None = None
+
+    def handle(request: dict[str, Any], arrays: list[np.ndarray]) -> messages.Reply:
+        nonlocal session
+        if request["do"] == "start":
+            answer, session = _start(request, code)
+            return answer, ()
+        assert session is not None
+        if request["do"] == "fit":
+            training = list(zip(*messages.make_training(request, arrays), strict=True))
+            parameters, seconds = session.fit(training, request["seed"])
+            return {"parameters": parameters, "seconds": seconds}, ()
+        if request["do"] == "calibrate":
+            return {"seconds": session.calibrate(messages.make_calibration(request, arrays))}, ()
+        record = messages.make_record(arrays, request["length"], request)
+        estimate, seconds = session.estimate(record)
+        found = [x.astype(float) for x in (estimate.z, estimate.z_std) if x is not None]
+        return {"seconds": seconds, "std": estimate.z_std is not None}, found
+
+    return handle
+
+
+def _start(request: dict[str, Any], code: str | None) -> tuple[dict[str, Any], LocalSession | None]:
+    """Load an estimator; return what it says about itself, or with a car its session and needs."""
+    try:
+        name, estimator = load(request["reference"], request["settings"], code)
+        known = {
+            "settings": json.loads(json.dumps(get_settings(estimator), default=str)),
+            "causal": estimator.causal,
+            "lag": declared_lag(estimator),
+        }
+    except BaseException as error:
+        reason = str(error) if isinstance(error, EntryError) else describe_error(error)
+        raise EntryError(f"cannot be constructed: {reason}") from error
+    if request["car"] is None:
+        return {**known, "name": name}, None
+    _preload_scipy()
+    session = LocalSession(estimator, build(VehicleParameters, request["car"], "car"))
+    needs = ("needs_training", "calibrates", "uses_seed")
+    return {name: getattr(session, name) for name in needs}, session
+
+
+def _preload_scipy() -> None:
+    """Import the slow parts of SciPy, before any time counts, if a module uses SciPy as a whole.
+
+    SciPy would load them at their first use; modules that import them by name have done so.
+    """
+    modules = [
+        module for name, module in list(sys.modules.items()) if not name.startswith("scipy.")
+    ]
+    if any("scipy" in getattr(module, "__dict__", {}) for module in modules):
+        for library in ("scipy.interpolate", "scipy.signal"):
+            importlib.import_module(library)
+
+
+def load(reference: str, settings: dict[str, Any], folder: str | None) -> tuple[str | None, Any]:
+    """Return the estimator of an entry, and its name if it is from a package with an entry point.
+
+    `folder` holds the snapshot of its code; without one it is an estimator of this package.
+    """
+    if folder is not None and CLASS_REFERENCE.fullmatch(reference):
+        sys.path.insert(0, folder)
+        module, _, name = reference.partition(":")
+        cls = attrgetter(name)(importlib.import_module(module))
+        return None, build(check_class(cls), settings, name)
+    if folder is not None and not reference.endswith(WEIGHTS_SUFFIXES):
+        return _load_package(Path(folder), settings)
+    if folder is None:
+        return None, make_estimator(reference, **settings)
+    return None, make_estimator(Path(folder) / Path(reference).name)  # a file has its own settings
+
+
+def _load_package(folder: Path, settings: dict[str, Any]) -> tuple[str, Any]:
+    """Return name and estimator of a wheel, or of a folder of installed packages.
+
+    Files named .pth have no effect. Raises EntryError.
+    """
+    for wheel in folder.glob("*.whl"):
+        folder = Path(os.environ["HOME"]) / "entry"
+        with zipfile.ZipFile(wheel) as archive:
+            archive.extractall(folder)
+    sys.path.append(str(folder))
+    found = [
+        entry
+        for distribution in metadata.distributions(path=[str(folder)])
+        for entry in distribution.entry_points
+        if entry.group == ENTRY_POINT_GROUP
+    ]
+    if len(found) != 1:
+        names = sorted(entry.name for entry in found)
+        raise EntryError(f"it must declare one entry point of {ENTRY_POINT_GROUP}, found {names}")
+    return found[0].name, build(check_class(found[0].load()), settings, found[0].name)

@@ -1,0 +1,76 @@
+"""Start of a guest, of an estimator or a policy: what it sees, its environment, its container."""
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from leaderboard.entries.entry import EntryError
+from leaderboard.sandbox import bubblewrap, worker
+from leaderboard.sandbox.guest import Guest
+from leaderboard.sandbox.limits import Limits, guest_environment
+from road_envs.core.code_digest import cache_home
+from road_envs.kernels import _numba
+
+START_ATTEMPTS = 2
+"""Number of times that a guest which ends while it starts is started."""
+
+
+def start_guest(
+    handler: str,
+    home: Path,
+    limits: Limits,
+    *,
+    isolated: bool,
+    code: Path | None = None,
+    libraries: Sequence[str] = (),
+) -> Guest:
+    """Start a guest with the module `handler` (see `worker.Setup`). Raises EntryError.
+
+    Its working folder is the new folder `home` or, `isolated` by bubblewrap, one in memory. `code`
+    is the folder with the code from outside: such a guest serves one child and cannot change the
+    kernel cache of this user. Any other has the kernel cache of this user.
+    """
+    home.mkdir()
+    cache = cache_home()
+    has_cache = (cache / _numba.CACHE.name).is_dir()
+    read_only: dict[Path, Path] = {}
+    writable: dict[Path, Path] = {}
+    seen, shared = code, cache  # the paths of both inside
+    if isolated and code is not None:
+        seen, shared = bubblewrap.ENTRY, bubblewrap.SHARED_CACHE
+        read_only[code] = seen
+        if has_cache:
+            needed = [cache / _numba.CACHE.name, *cache.glob("*.json")]
+            read_only |= {path: shared / path.name for path in needed}
+    elif isolated and has_cache:
+        writable[cache] = bubblewrap.HOME / cache.name
+    setup = worker.Setup(
+        handler=handler,
+        limits=limits,
+        code=None if seen is None else str(seen),
+        user=bubblewrap.guest_user() if isolated and code is not None else None,
+        serves_many=code is None,
+        libraries=tuple(libraries),
+        cache=(str(shared), _numba.CACHE.name) if has_cache and code is not None else None,
+    )
+    words = [sys.executable, "-P", "-s", "-m", worker.__name__, json.dumps(asdict(setup))]
+    inside = bubblewrap.HOME if isolated else home
+    environment = guest_environment(inside, whole_path=not isolated)
+    own_cache = isolated or code is not None
+    environment["XDG_CACHE_HOME"] = str(inside if own_cache else cache.parent)
+    for attempt in range(1, START_ATTEMPTS + 1):
+        try:
+            if not isolated:
+                return Guest(words, environment, home)
+            return bubblewrap.start(
+                words, environment, limits, home, user=setup.user,
+                from_outside=code is not None, read_only=read_only, writable=writable,
+            )  # fmt: skip
+        except EntryError as error:
+            if attempt == START_ATTEMPTS:
+                raise EntryError(
+                    f"its guest ended {attempt} times as it started: {error}"
+                ) from error
+    raise AssertionError
