@@ -25,9 +25,11 @@ test: $(READY)
 	$(MAKE) --jobs=2 lint suite
 	@$(VENV)/bin/python -m studies.results check || true
 
-# the figures of README and docs that are not of today's program, made again; NAMES="field bench" for some
+# the figures of README and docs that are not of today's program, made again; NAMES="field bench" for some, JOBS=2
+# on two cores
+results: JOBS := 1
 results: $(READY)
-	$(VENV)/bin/python -m studies.results make $(NAMES)
+	$(VENV)/bin/python -m studies.results make --jobs $(JOBS) $(NAMES)
 
 results-check: $(READY)
 	$(VENV)/bin/python -m studies.results check $(NAMES)

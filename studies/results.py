@@ -1,7 +1,7 @@
 """Kept results: the figures, tables and pictures of README and docs, and whether they are of today.
 
     python -m studies.results check [NAME ...]      name those that are stale; some seconds
-    python -m studies.results make [NAME ...]       make the stale ones again
+    python -m studies.results make [NAME ...]       make the stale ones again, --jobs 2 side by side
 
 `studies/results.yaml` lists them: commands, outputs, and the modules whose code, with all that they
 import, decides the figures. A result that is made leaves an artifact in `docs/made`, which says by
@@ -15,6 +15,7 @@ rows go on there.
 import argparse
 import dataclasses
 import hashlib
+import os
 import re
 import shlex
 import shutil
@@ -22,10 +23,11 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from leaderboard.evaluation.provenance import describe_environment
 from road_envs.core.artifacts import Kind
@@ -57,7 +59,10 @@ class KeptResult(Settings):
     commands: tuple[str, ...]
     outputs: dict[str, str]
     modules: tuple[str, ...]
-    minutes: Annotated[Positive, "min", "processor time on two cores, roughly"]
+    minutes: Annotated[Positive, "min", "on an idle machine of two cores"]
+    cores: Literal[1, 2] = 1
+    """Number of cores that it keeps busy; 2 too where work beside it would disturb a timing."""
+
     configs: tuple[str, ...] = ()
     needs: str = ""
     """Path beside the checkout without which it cannot be made."""
@@ -109,6 +114,7 @@ def file_digest(path: Path) -> str:
 def make_result(name: str, report: Any = print) -> float:
     """Run the commands of a result, put its outputs in place, and return the time [s] taken.
 
+    Libraries use as many threads as it has cores, so that no figure depends on what runs beside it.
     Raises ConfigError if a command fails or an output is missing; then nothing is replaced.
     """
     result = known_results()[name]
@@ -118,7 +124,8 @@ def make_result(name: str, report: Any = print) -> float:
     begin, printed = time.monotonic(), []
     for command in result.commands:
         report(f"  $ {command}")
-        text = _run(shlex.split(command.replace("{work}", str(work))), work / "log.txt")
+        words = shlex.split(command.replace("{work}", str(work)))
+        text = _run(words, work / "log.txt", result.cores)
         shown = re.sub(r" --out \{work\}\S*", "", command).replace("{work}/", "")
         lines = [f"$ {shown}", *text.rstrip().splitlines()]
         printed.append("".join(f"{line.rstrip()}\n" for line in lines))
@@ -143,14 +150,16 @@ def make_result(name: str, report: Any = print) -> float:
     return seconds
 
 
-def _run(words: Sequence[str], log: Path) -> str:
+def _run(words: Sequence[str], log: Path, threads: int) -> str:
     """Output of a command of this Python's environment. Raises ConfigError if it fails."""
     programs = Path(sys.executable).parent
     own = {"python": sys.executable, "road-recon": str(programs / "road-recon")}
+    limits = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), str(threads))
     with log.open("ab") as errors:
         done = subprocess.run(
             [own.get(words[0], words[0]), *words[1:]],
             cwd=ROOT,
+            env={**os.environ, **limits},
             stdout=subprocess.PIPE,
             stderr=errors,
             text=True,
@@ -168,33 +177,45 @@ def _check(names: Iterable[str]) -> int:
         result = known_results()[name]
         places = ", ".join(result.outputs.values())
         print(f"stale: {name} ({places}): {reason}; about {result.minutes:g} min")
-    minutes = sum(known_results()[name].minutes for name in stale)
+    minutes = sum(known_results()[n].minutes * known_results()[n].cores for n in stale) / 2
     if stale:
-        print(f"{len(stale)} kept results are stale: `make results`, about {minutes:.0f} min")
+        print(f"{len(stale)} kept results are stale: `make results JOBS=2`, {minutes:.0f} min")
     else:
         print("every kept result is of today's program")
     return len(stale)
 
 
-def _make(names: Iterable[str], results: Mapping[str, KeptResult]) -> int:
-    """Make the stale results, the shortest first; return the number of those that failed."""
-    stale = sorted((n for n in names if stale_reason(n)), key=lambda n: results[n].minutes)
-    left, failed = sum(results[n].minutes for n in stale), 0
-    for name in stale:
-        print(f"{name}: about {results[name].minutes:g} min, {left:.0f} min left", flush=True)
-        left -= results[name].minutes
-        needs = results[name].needs
-        if needs and not (ROOT / needs).exists():
-            print(f"  not made: it needs {needs}", flush=True)
-            continue
-        try:
-            print(f"  made in {make_result(name) / 60.0:.1f} min", flush=True)
-        except ConfigError as error:
-            failed += 1
-            print(f"  failed: {error}", flush=True)
+def _make(names: Iterable[str], results: Mapping[str, KeptResult], jobs: int = 1) -> int:
+    """Make the stale results on `jobs` cores, the longest first; return how many failed."""
+    stale = sorted((n for n in names if stale_reason(n)), key=lambda n: -results[n].minutes)
+    absent = [n for n in stale if results[n].needs and not (ROOT / results[n].needs).exists()]
+    for name in absent:
+        print(f"{name}: not made: it needs {results[name].needs}", flush=True)
+    left, running, failed = [n for n in stale if n not in absent], dict[Future, str](), 0
+    with ThreadPoolExecutor(jobs) as pool:
+        while left or running:
+            free = jobs - sum(_cores(results[name], jobs) for name in running.values())
+            following = next((n for n in left if _cores(results[n], jobs) <= free), None)
+            if following is not None:
+                minutes = sum(_cores(results[n], jobs) * results[n].minutes for n in left) / jobs
+                print(f"{following}: {results[following].minutes:g} min, {minutes:.0f} min left")
+                left.remove(following)
+                running[pool.submit(make_result, following, lambda line: None)] = following
+                continue
+            for done in wait(running, return_when=FIRST_COMPLETED).done:
+                name = running.pop(done)
+                if isinstance(error := done.exception(), ConfigError):
+                    failed += 1
+                    print(f"  failed: {error}", flush=True)
+                else:
+                    print(f"  {name}: made in {done.result() / 60.0:.1f} min", flush=True)
     for page in write_pages():
         print(f"written: {page.relative_to(ROOT)}; read the sentences beside its tables again")
     return failed
+
+
+def _cores(result: KeptResult, jobs: int) -> int:
+    return min(result.cores, jobs)
 
 
 def main() -> None:
@@ -202,13 +223,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("action", choices=("check", "make"))
     parser.add_argument("names", nargs="*", metavar="NAME", help="default: all")
+    parser.add_argument("--jobs", type=int, default=1, help="cores to use; by default one")
     chosen = parser.parse_args()
     try:
         results = known_results()
         names = [validate_choice("result", name, results) for name in chosen.names] or [*results]
     except ConfigError as error:
         parser.error(str(error))
-    count = _check(names) if chosen.action == "check" else _make(names, results)
+    count = _check(names) if chosen.action == "check" else _make(names, results, chosen.jobs)
     sys.exit(bool(count))
 
 

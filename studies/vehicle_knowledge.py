@@ -5,11 +5,10 @@
 
 One line of JSON for each drive is appended to the results; those that stand there are not computed
 again. `--drives` is the number of test drives of each grade and speed, by default those of the
-board. What is known of the vehicle:
+board, whose own table has the blind division. What is known of the vehicle:
 
 | described | its description |
 | adapted | its description, fitted to the very drive: the described division of the board |
-| blind | fitted to the calibration drives of the blind division |
 | known | fitted to the calibration drive of the known division |
 | true | the individual itself, and of its instruments what their data sheet says |
 | attainable | no estimate: what the individual itself allows, from data below 100 Hz |
@@ -33,27 +32,21 @@ from road_envs.sensing.perturbed_vehicle import GRADES
 from studies.study import Row, run_study, study_parser
 
 TICKS = (0.02, 0.03, 0.05, 0.1, 0.2, 0.3, 0.5)
-KNOWLEDGE = ("described", "adapted", "blind", "known", "true", "attainable")
+KNOWLEDGE = ("described", "adapted", "known", "true", "attainable")
 
 
 def drive_result(grade: str, speed_kmh: float, drive: int) -> Row:
     """Return the errors on a test drive of the field board."""
-    blind, task = (_task(f"field_{x}", grade, speed_kmh, drive) for x in ("blind", "known"))
+    task = _task("field_known", grade, speed_kmh, drive)
     condition, car = _condition(task, grade, speed_kmh), task.vehicle
     road, seed = next(x[1:] for x in task.drives_of(task.test, condition) if x[0] == drive)
     one = simulate_drive(task, task.test, condition, road, seed)
     true = task.individual(drive, condition.grade).car
-
-    def calibrated(by: Task) -> MapSmoother:
-        drives = calibration_drives(by, _condition(by, grade, speed_kmh), seed)
-        return adapting.calibrate(drives, car)
-
     described, adapting = MapSmoother(draws=0, adapt=False), MapSmoother(draws=0)
     runs = {
         "described": (described, car),
         "adapted": (adapting, car),
-        "blind": (calibrated(blind), car),
-        "known": (calibrated(task), car),
+        "known": (adapting.calibrate(calibration_drives(task, condition, seed), car), car),
         "true": (described, true),
     }
     band = scored_band(speed_kmh / 3.6)

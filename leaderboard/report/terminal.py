@@ -46,6 +46,7 @@ def print_tables(report: Report, console: Console) -> None:
             for section in sections:
                 if (families := _family_table(view, section)) is not None:
                     console.print(families)
+                    console.print()
         _remarks(view, console)
     console.print(Text(LEGEND, style="dim"))
     for sentence in report.findings:

@@ -2,6 +2,8 @@
 
 import re
 import sys
+import time
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -85,6 +87,23 @@ def test_a_result_whose_need_is_absent_is_skipped_and_named(kept, capsys):
     needy = KeptResult(commands=(), outputs={}, modules=(), minutes=1.0, needs="../nowhere")
     assert results._make(["seven"], {"seven": needy}) == 0
     assert "not made: it needs ../nowhere" in capsys.readouterr().out
+
+
+def test_results_of_one_core_are_made_side_by_side_and_those_of_two_alone(kept, monkeypatch):
+    names = {"a": 1, "b": 1, "c": 2, "d": 1}
+    known = {n: results.dataclasses.replace(kept, cores=k, minutes=9.0) for n, k in names.items()}
+    together, most = Counter(), {}
+
+    def make(name, report):
+        together[name] += 1
+        time.sleep(0.2)
+        most[name] = sorted(+together)
+        del together[name]
+        return 60.0
+
+    monkeypatch.setattr(results, "make_result", make)
+    assert results._make(names, known, jobs=2) == 0
+    assert most["a"] == ["a", "b"] and most["c"] == ["c"] and set(most) == set(names)
 
 
 def test_the_list_is_valid_and_its_modules_exist():
