@@ -2,8 +2,7 @@
 
 import re
 import sys
-import time
-from collections import Counter
+import threading
 from pathlib import Path
 
 import pytest
@@ -90,20 +89,24 @@ def test_a_result_whose_need_is_absent_is_skipped_and_named(kept, capsys):
 
 
 def test_results_of_one_core_are_made_side_by_side_and_those_of_two_alone(kept, monkeypatch):
-    names = {"a": 1, "b": 1, "c": 2, "d": 1}
-    known = {n: results.dataclasses.replace(kept, cores=k, minutes=9.0) for n, k in names.items()}
-    together, most = Counter(), {}
+    cores = {"one": 1, "two": 2, "another": 1}
+    known = {n: results.dataclasses.replace(kept, cores=k) for n, k in cores.items()}
+    meeting, running, beside = threading.Barrier(2, timeout=20.0), set(), {}
 
     def make(name, report):
-        together[name] += 1
-        time.sleep(0.2)
-        most[name] = sorted(+together)
-        del together[name]
+        running.add(name)
+        if cores[name] == 1:
+            meeting.wait()
+        beside[name] = set(running)
+        if cores[name] == 1:
+            meeting.wait()
+        running.remove(name)
         return 60.0
 
     monkeypatch.setattr(results, "make_result", make)
-    assert results._make(names, known, jobs=2) == 0
-    assert most["a"] == ["a", "b"] and most["c"] == ["c"] and set(most) == set(names)
+    monkeypatch.setattr(results, "stale_reason", lambda name: "it was never made")
+    assert results._make(cores, known, jobs=2) == 0
+    assert beside == {"one": {"one", "another"}, "another": {"one", "another"}, "two": {"two"}}
 
 
 def test_the_list_is_valid_and_its_modules_exist():
