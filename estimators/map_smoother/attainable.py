@@ -23,11 +23,11 @@ from typing import Any
 
 import numpy as np
 
-from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.gauss_newton import MapSolution, update_prior
-from estimators.map_smoother.objective import Linearization, Objective
+from estimators.map_smoother.objective import Linearization, Means, Objective
 from estimators.map_smoother.posterior_sampling import band_pass, draw_deviations, interior
 from estimators.map_smoother.preconditioner import StationaryHessian, stationary_hessian
+from estimators.map_smoother.preparation import SolverSettings
 from estimators.map_smoother.windows import whole_objective
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.records.record import Profile, Record, scored_band
@@ -58,12 +58,16 @@ class ExpectedInformation:
         """Return I + E[J' R^-1 J] times `dx`."""
         return np.mean([one.hessian_product(dx) for one in self.at], axis=0)
 
-    def draw_noise(self, rng: np.random.Generator) -> list[np.ndarray]:
-        """Return R^-1/2 times white noise (S, J) for each road."""
+    def offset_scale(self, *noise: Any) -> np.ndarray:
+        """Return that of the first, as of `Linearization.offset_scale`."""
+        return self.at[0].offset_scale(*noise)
+
+    def draw_noise(self, rng: np.random.Generator) -> list[list[np.ndarray]]:
+        """Return R^-1/2 times white noise for each road."""
         return [one.draw_noise(rng) for one in self.at]
 
-    def adjoint(self, means: Sequence[np.ndarray]) -> np.ndarray:
-        """Return `x` from block means (S, J) of each road, of covariance E[J' R^-1 J] if these are
+    def adjoint(self, means: Sequence[Means]) -> np.ndarray:
+        """Return `x` from block means of each road, of covariance E[J' R^-1 J] if these are
         drawn noise.
         """
         pairs = zip(self.at, means, strict=True)
@@ -89,11 +93,9 @@ def attainable_error(
     frame.
     """
     objective = whole_drive(record, car, prior, bandwidth, instruments, noise_density)
-    u = objective.road.noise_of(truth).ravel()
-    x = np.pad(u, (0, objective.size - u.size))
-    lin = objective.linearize(x)
+    lin = objective.linearize(objective.from_noise(objective.road.noise_of(truth)))
     stationary = stationary_hessian(objective)  # that of the measurements, for any prior
-    lin = update_prior(lin, stationary, 1.0)
+    lin = update_prior(lin, stationary, np.ones(1))
     return _relative_error(lin, stationary, [lin.x])
 
 
@@ -125,7 +127,7 @@ def _relative_error(lin: Any, stationary: StationaryHessian, points: Sequence[np
     """
     objective = lin.objective
     road = objective.road
-    low, high = scored_band(float(objective.inputs.v.mean()))
+    low, high = scored_band(float(objective.passes[0].inputs.v.mean()))
     inside = (road.n >= low) & (road.n <= high)
     middle, rng = interior(road.free, round(1.0 / (low * road.ds))), np.random.default_rng(0)
 
@@ -133,7 +135,7 @@ def _relative_error(lin: Any, stationary: StationaryHessian, points: Sequence[np
         c = band_pass(road.apply(objective.split(x)[0]), inside)[:, middle]
         return float(np.var(c, axis=1).mean())
 
-    solution = MapSolution(lin, stationary, noise_scale=1.0)
+    solution = MapSolution(lin, stationary, noise_scale=np.ones(1))
     solve = solution.inverse_hessian(CG_ITERATIONS, CG_TOLERANCE)
     error = np.mean([power(dx) for dx in draw_deviations(lin, solve, rng, DRAWS)])
     return float(np.sqrt(error / np.mean([power(x) for x in points])))
@@ -148,8 +150,8 @@ def whole_drive(
     noise_density: float | None = None,
 ) -> Objective:
     """Return the objective of a drive as one window, with block means up to `bandwidth` [Hz]."""
-    estimator = MapSmoother(
+    settings = SolverSettings(
         instruments=instruments, noise_density=noise_density, data_rate=2.0 * bandwidth
     )
-    model, drive, _ = estimator.prepare(record, car, readings_per_unknown=0.0)
-    return whole_objective(model, drive, prior)
+    drive, _ = settings.prepare(record, car, readings_per_unknown=0.0)
+    return whole_objective(drive, prior)

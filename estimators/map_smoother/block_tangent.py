@@ -21,7 +21,7 @@ import numpy as np
 
 from estimators.common.model_inputs import ModelInputs
 from estimators.common.spline import height_weights, locate_node, slope_weights
-from estimators.map_smoother.road_prior import RoadTransform
+from estimators.map_smoother.road_prior import RoadNodes
 from road_envs.kernels._numba import kernel
 from road_envs.kernels.simd import LANES, broadcast, sum_lanes
 from road_envs.kernels.simd_arrays import get, put, stack_rows
@@ -231,7 +231,7 @@ class BlockTangent:
 
 def build_block_tangent(
     tape: Tape,
-    road: RoadTransform,
+    nodes: RoadNodes,
     inputs: ModelInputs,
     sample_weight: np.ndarray,
     sensor_rows: np.ndarray,
@@ -244,20 +244,20 @@ def build_block_tangent(
     n_states = tape.end.size
     blocks_per_chunk = (N_ROWS - n_states) // sensors
     steps_per_block = block * inputs.decimation
-    x, wheelbase_nodes = (inputs.s - road.origin) / road.ds, wheelbase / road.ds
+    x, wheelbase_nodes = (inputs.s - nodes.origin) / nodes.ds, wheelbase / nodes.ds
     half_steps = 2 * steps_per_block * blocks_per_chunk
     begin = half_steps * np.arange(-(-blocks // blocks_per_chunk))
     end = np.minimum(begin + half_steps, 2 * steps_per_block * blocks) - 1
     axles = (np.stack([x[at], x[at] - wheelbase_nodes], axis=1) for at in (begin, end))
-    low, high = (np.clip(node, 1.0, road.size - 2.001).astype(int) for node in axles)
+    low, high = (np.clip(node, 1.0, nodes.size - 2.001).astype(int) for node in axles)
     width = int((high - low).max()) + 4
-    first = np.minimum(low - 1, road.size - width)
+    first = np.minimum(low - 1, nodes.size - width)
     P = np.empty((begin.size, 4 * width + n_states, N_ROWS), dtype=np.float32)
     track = NodeTrack(
-        x, inputs.v / road.ds, wheelbase_nodes, first, width, road.size, n_states, road.ds
+        x, inputs.v / nodes.ds, wheelbase_nodes, first, width, nodes.size, n_states, nodes.ds
     )
     sampling = Sampling(inputs.decimation, sample_weight, sensor_rows)
     flags = tape.plant.kernel_flags
     fill_chunk_matrices(tape.plant.constants, tape.rows, tape.h, track, sampling, P, *flags)
     P = P.reshape(*P.shape[:2], N_ROWS // LANES, LANES)
-    return BlockTangent(P, first, width, road.size, (sensors, blocks), n_states)
+    return BlockTangent(P, first, width, nodes.size, (sensors, blocks), n_states)

@@ -7,6 +7,7 @@ parameters the road of each drive follows.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from estimators.map_smoother.marginal_likelihood import (
     perturbed_cars,
 )
 from estimators.map_smoother.objective import Objective
+from estimators.map_smoother.one_pass import Pass
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.tangent_likelihood import tangent_terms
 from estimators.map_smoother.wheel_liftoff import unloaded_nodes
@@ -73,7 +75,7 @@ class CarFit:
     @property
     def instrument_errors(self) -> InstrumentErrors:
         """Errors of the instruments that may have been fitted."""
-        return InstrumentErrors.of(self.solutions[0].linearization.objective)
+        return InstrumentErrors.of(self.solutions[0].linearization.objective.passes[0])
 
     @property
     def car(self) -> VehicleParameters:
@@ -108,7 +110,7 @@ def fit_car(
     search begins. Over unmeasured roads the second step takes the derivatives of the first one, and
     those of the third one serve four steps, and so on.
     """
-    errors = InstrumentErrors.of(solutions[0].linearization.objective)
+    errors = InstrumentErrors.of(solutions[0].linearization.objective.passes[0])
     size = space.size + instruments * len(errors.names)
     x = np.zeros(size) if start is None else start
     original, now = [s.linearization.objective for s in solutions], tuple(solutions)
@@ -117,7 +119,7 @@ def fit_car(
         if instruments or k == 0 or k % 4 == 2:
             cars = perturbed_cars(space, x[: space.size])
             derivatives = [
-                drive_derivatives(solution, objective, cars, x[space.size :])
+                drive_derivatives(solution, objective.passes[0], cars, x[space.size :])
                 for solution, objective in zip(now, original, strict=True)
             ]
         terms = [drive_terms(*pair) for pair in zip(now, derivatives, strict=True)]
@@ -129,16 +131,25 @@ def fit_car(
         share = 1.0 if instruments or k == 0 else DAMPING
         step *= min(share, MAX_CHANGE / np.abs(step).max())
         x = x + step
-        car = space.from_vector(x[: space.size])
+        apply = partial(
+            _with_parameters, space.from_vector(x[: space.size]), errors, x[space.size :]
+        )
         road_steps = FIRST_ROAD_STEPS if k < N_FIRST and not instruments else ROAD_STEPS
         now = tuple(
-            _resolve(solution, errors.apply(o.with_car(car), x[space.size :]), solver, road_steps)
-            for solution, o in zip(now, original, strict=True)
+            _resolve(solution, objective.with_passes(apply), solver, road_steps)
+            for solution, objective in zip(now, original, strict=True)
         )
         if (np.abs(step) < SMALL_CHANGE * np.sqrt(np.diag(covariance))).all():
             break
     score = np.sum([term.score_covariance for term in terms], axis=0) + np.eye(size)
     return CarFit(space, x, covariance @ score @ covariance, now)
+
+
+def _with_parameters(
+    car: VehicleParameters, errors: InstrumentErrors, x: np.ndarray, one: Pass
+) -> Pass:
+    """Return the pass of another vehicle and of instruments with the errors `x` (0 or R,)."""
+    return errors.apply(one.with_car(car), x)
 
 
 def refine(fit: CarFit, solver: GaussNewton) -> CarFit:
@@ -195,7 +206,7 @@ def can_show_vehicle(solution: MapSolution) -> bool:
     an axle measure waves that are too short for the nodes of the road.
     """
     lin = solution.linearization
-    if on_axle(lin.objective.model.locations):
+    if any(on_axle(one.source.model.locations) for one in lin.passes):
         return False
     flown = unloaded_nodes(lin).mean() > MAX_UNLOADED_SHARE
     return bool(not flown and not lin.objective.road.is_uneven)

@@ -9,7 +9,6 @@ model: then the noise is inflated frequency by frequency.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.fft import rfftfreq
@@ -17,6 +16,7 @@ from scipy.signal import welch
 
 from estimators.common.conjugate_gradients import Operator, conjugate_gradients
 from estimators.map_smoother.objective import Linearization, Objective
+from estimators.map_smoother.one_pass import LinearizedPass
 from estimators.map_smoother.preconditioner import StationaryHessian
 from estimators.map_smoother.wheel_liftoff import passed_nodes, relax_unloaded
 from road_envs.vehicle.equations import Plant
@@ -71,18 +71,28 @@ MAX_LIFTOFF_RETRIES, LIFTOFF_STEPS = 2, 5
 @dataclass(frozen=True, eq=False)
 class MapSolution:
     """Result of the minimization: the final `linearization`, the preconditioner's `stationary`
-    Hessian, and the `noise_scale` on the instruments' noise variance.
+    Hessian, and the `noise_scale` (P,) on the noise variance of the instruments of each pass.
     """
 
     linearization: Linearization
     stationary: StationaryHessian
-    noise_scale: float
+    noise_scale: np.ndarray
+
+    @property
+    def noise_variance(self) -> np.ndarray:
+        """Variance (P,) [(m/s²)²] of a sample in each pass, by all that stays unexplained."""
+        return self.linearization.objective.noise_variance * self.noise_scale
+
+    def of_pass(self, k: int) -> "MapSolution":
+        """Return the solution of the pass `k` alone, on the same road."""
+        lin, stationary = self.linearization.of_pass(k), self.stationary.of_pass(k)
+        return MapSolution(lin, stationary, self.noise_scale[k : k + 1])
 
     def inverse_hessian(self, max_iterations: int, tolerance: float) -> Operator:
         """Return x(b) (n,), the solution of H x = b by preconditioned conjugate gradients."""
-        objective = self.linearization.objective
-        M = self.stationary.preconditioner(objective, objective.noise_variance * self.noise_scale)
-        H, limits = self.linearization.hessian_product, (max_iterations, tolerance)
+        lin = self.linearization
+        M = preconditioner(lin, self.stationary, self.noise_variance)
+        H, limits = lin.hessian_product, (max_iterations, tolerance)
         return lambda b: conjugate_gradients(H, b, M, *limits)[0]
 
 
@@ -97,21 +107,21 @@ def minimize(
     prior_updates: int = PRIOR_UPDATES,
     adapt_car: "Callable[[MapSolution, GaussNewton], MapSolution] | None" = None,
 ) -> MapSolution:
-    """Minimize the objective, of one pass or of several, from a level road or `start` on.
+    """Minimize the objective from a level road or `start` on.
 
     The prior is updated before each of the `stages` and between steps with the true vehicle, there
     at most `prior_updates` times. Ends when such a step changes the unknowns by less than
     `change_tolerance`. `adapt_car`, if given, then returns the solution with another vehicle.
     """
-    stationary, noise_scale = solver.stationary, np.inf
-    lin: Any = None
+    stationary, noise_scale = solver.stationary, np.full(len(objective.passes), np.inf)
+    lin: Linearization | None = None
     x = np.zeros(objective.size) if start is None else start
     for std, max_steps in stages:
         if lin is not None:
             lin = update_prior(lin, stationary, noise_scale) if adapt_prior else lin
             objective, x = lin.objective, lin.x
-        plant = objective.plant if std == 0.0 else smooth_friction(objective.plant, std)
-        lin = objective.linearize(x, plant)
+        plants = [smooth_friction(plant, std) for plant in objective.plants]
+        lin = objective.linearize(x, plants)
         noise_scale = update_noise_scale(lin, stationary, noise_scale)
         for n in range(max_steps):
             updates = prior_updates if std == 0.0 and adapt_prior else 0
@@ -119,7 +129,7 @@ def minimize(
                 if n in LOWERING_STEPS and lin.objective.road.is_level_between_obstacles:
                     lin = lower_under_lifted_wheels(lin)
                 lin = update_prior(lin, stationary, noise_scale)
-            lin, change = solver.step(lin, noise_scale, plant)
+            lin, change = solver.step(lin, noise_scale, plants)
             before = np.max(noise_scale)
             noise_scale = update_noise_scale(lin, stationary, noise_scale)
             to_come = lin.objective.road.is_level_between_obstacles and n < min(
@@ -128,6 +138,7 @@ def minimize(
             is_falling = NOISE_SCALE_WARNING < before and np.max(noise_scale) < SETTLED * before
             if change < change_tolerance and not (to_come or is_falling):
                 break
+    assert lin is not None
     if adapt_car is not None:
         found = adapt_car(MapSolution(lin, stationary, noise_scale), solver)
         lin, stationary, noise_scale = found.linearization, found.stationary, found.noise_scale
@@ -159,15 +170,19 @@ class GaussNewton:
     cg_tolerance: float = 0.1
 
     def step(
-        self, lin: Linearization, noise_scale: float, plant: Plant | None = None
+        self, lin: Linearization, noise_scale: np.ndarray, plants: Sequence[Plant] | None = None
     ) -> tuple[Linearization, float]:
-        """Return the next point, for the objective's `plant` or another, under `noise_scale` times
-        the noise; and the root mean square change of the resolved unknowns in posterior standard
-        deviations.
+        """Return the next point, for the vehicles of the passes or other `plants`, under
+        `noise_scale` times the noise; and the root mean square change of the resolved unknowns in
+        posterior standard deviations.
         """
-        lin = lin.with_inverse_variance(lin.per_pass(self._weights, noise_scale))
+        weights = [
+            huber_weights(one.residual, one.source.information / scale, self.huber)
+            for one, scale in zip(lin.passes, noise_scale, strict=True)
+        ]
+        lin = lin.with_inverse_variance(weights)
         noise_variance = lin.objective.noise_variance * noise_scale
-        M = self.stationary.preconditioner(lin.objective, noise_variance)
+        M = preconditioner(lin, self.stationary, noise_variance)
         is_uneven = lin.objective.road.is_uneven
         limits = self.cg_iterations * (UNEVEN_ITERATIONS if is_uneven else 1), self.cg_tolerance
         gradient = lin.gradient()
@@ -176,10 +191,16 @@ class GaussNewton:
         road, others = lin.objective.road, lin.objective.size - 2 * lin.objective.road.size
         dof = np.sum(self.stationary.effective_dof(road, noise_variance)) + others
         # conjugate gradients leave dx' H dx = -slope
-        return line_search(lin, dx, slope, plant), float(np.sqrt(-slope / dof))
+        return line_search(lin, dx, slope, plants), float(np.sqrt(-slope / dof))
 
-    def _weights(self, lin: Linearization, noise_scale: float) -> np.ndarray:
-        return huber_weights(lin.residual, lin.objective.information / noise_scale, self.huber)
+
+def preconditioner(
+    lin: Linearization, stationary: StationaryHessian, noise_variance: np.ndarray
+) -> Operator:
+    """The preconditioner at `lin` under noise variances (P,) [(m/s²)²] of a sample."""
+    starts = [one.on_start for one in stationary.passes]
+    offset_scale = lin.offset_scale(noise_variance, starts)
+    return stationary.preconditioner(lin.objective.road, noise_variance, offset_scale)
 
 
 def lower_under_lifted_wheels(lin: Linearization) -> Linearization:
@@ -189,7 +210,7 @@ def lower_under_lifted_wheels(lin: Linearization) -> Linearization:
 
 
 def retry_after_liftoff(
-    lin: Linearization, solver: GaussNewton, noise_scale: float
+    lin: Linearization, solver: GaussNewton, noise_scale: np.ndarray
 ) -> Linearization:
     """Return the optimum from the road lowered where no wheel pressed on it, if it costs less.
 
@@ -210,7 +231,7 @@ def retry_after_liftoff(
 
 
 def update_prior(
-    lin: Linearization, stationary: StationaryHessian, noise_scale: float
+    lin: Linearization, stationary: StationaryHessian, noise_scale: np.ndarray
 ) -> Linearization:
     """Return the linearization under the prior that its own road suggests; the same road.
 
@@ -218,7 +239,7 @@ def update_prior(
     single wave the prior would allow hardly any other, and the next step would go anywhere.
     """
     objective, x = lin.objective, lin.x
-    u, _, _ = objective.split(x)
+    u = objective.split(x)[0]
     noise_variance = objective.noise_variance * noise_scale
     scale = stationary.density_scale(objective.road, noise_variance, u)
     road = objective.road.scale_density(scale)
@@ -230,7 +251,9 @@ def update_prior(
     return new if float(new.x @ new.x) < most else lin
 
 
-def line_search(lin: Linearization, dx: Vector, slope: float, plant: Plant | None) -> Linearization:
+def line_search(
+    lin: Linearization, dx: Vector, slope: float, plants: Sequence[Plant] | None
+) -> Linearization:
     """Return a point along `dx` by backtracking: the step is halved until the cost has fallen.
 
     `slope` of the cost along `dx`.
@@ -238,7 +261,7 @@ def line_search(lin: Linearization, dx: Vector, slope: float, plant: Plant | Non
     length = 1.0
     for _ in range(MAX_HALVINGS):
         try:
-            new = lin.relinearize(lin.x + length * dx, plant)
+            new = lin.relinearize(lin.x + length * dx, plants)
         except ArithmeticError:
             length *= 0.25  # the motion was not finite
             continue
@@ -249,39 +272,39 @@ def line_search(lin: Linearization, dx: Vector, slope: float, plant: Plant | Non
 
 
 def update_noise_scale(
-    lin: Linearization, stationary: StationaryHessian, noise_scale: float
-) -> float:
-    """Return the residual's power over the instruments' noise, for the degrees of freedom left.
+    lin: Linearization, stationary: StationaryHessian, noise_scale: np.ndarray
+) -> np.ndarray:
+    """Power (P,) of the residual over the instruments' noise, for the degrees of freedom left.
 
     It never rises above `noise_scale`, nor falls below 1.
     """
     noise_variance = lin.objective.noise_variance * noise_scale
     dof = stationary.effective_dof(lin.objective.road, noise_variance)
-    return np.maximum(1.0, np.minimum(noise_scale, lin.per_pass(_noise_scale, dof)))
+    scales = [_noise_scale(one, share) for one, share in zip(lin.passes, dof, strict=True)]
+    return np.maximum(1.0, np.minimum(noise_scale, scales))
 
 
-def _noise_scale(lin: Linearization, dof: float) -> float:
-    objective = lin.objective
-    squares, used = objective.information * lin.residual**2, objective.measurements.sample_count > 0
-    share = objective.band_share
+def _noise_scale(one: LinearizedPass, dof: float) -> float:
+    squares, used = one.source.information * one.residual**2, one.source.is_used
+    share = one.source.band_share
     return float(squares[used].mean() / (share * max(1.0 - dof / (share * used.sum()), 0.1)))
 
 
 def estimate_frequency_weights(
-    lin: Linearization, stationary: StationaryHessian, noise_scale: float
-) -> np.ndarray:
-    """Return the weight (J // 2 + 1,) of each frequency: noise as large as the residual is there,
+    lin: Linearization, stationary: StationaryHessian, noise_scale: np.ndarray
+) -> list[np.ndarray]:
+    """Weight (J // 2 + 1,) of each frequency in each pass: noise as large as the residual is there,
     but never less than that of the instruments.
     """
     noise_variance = lin.objective.noise_variance * noise_scale
     dof = stationary.effective_dof(lin.objective.road, noise_variance)
-    return lin.per_pass(_frequency_weights, dof, noise_scale)
+    rows = zip(lin.passes, dof, noise_scale, strict=True)
+    return [_frequency_weights(*row) for row in rows]
 
 
-def _frequency_weights(lin: Linearization, dof: float, noise_scale: float) -> np.ndarray:
-    objective = lin.objective
-    r, used = np.sqrt(objective.information) * lin.residual, objective.measurements.sample_count > 0
-    left = 1.0 - dof / (objective.band_share * used.sum())
+def _frequency_weights(one: LinearizedPass, dof: float, noise_scale: float) -> np.ndarray:
+    r = np.sqrt(one.source.information) * one.residual
+    left = 1.0 - dof / (one.source.band_share * one.source.is_used.sum())
     size = min(WELCH_SEGMENT, r.shape[1])
     f, S = welch(r, fs=1.0, nperseg=size)
     level = np.maximum(0.5 * S.mean(axis=0) / max(left, 0.1), 1.0)
@@ -294,11 +317,9 @@ def huber_weights(residual: np.ndarray, inverse_variance: np.ndarray, huber: flo
     return inverse_variance * np.minimum(1.0, huber / np.maximum(deviation, 1e-12))
 
 
-def smooth_friction(plant: Any, std: float) -> Any:
-    """Return the plant, or a list of several, with its rate laws averaged over a Gaussian of
-    deviation `std` [m/s].
-    """
-    if isinstance(plant, list):
-        return [smooth_friction(one, std) for one in plant]
+def smooth_friction(plant: Plant, std: float) -> Plant:
+    """Return the plant with its rate laws averaged over a Gaussian of deviation `std` [m/s]."""
+    if std == 0.0:
+        return plant
     velocity = gaussian_smoothed(plant.velocity, V_0, V_STEP, std)
     return Plant(plant.constants, velocity, plant.displacement)

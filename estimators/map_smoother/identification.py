@@ -23,7 +23,6 @@ from estimators.map_smoother.car_fit import (
     fit_car,
     refine,
 )
-from estimators.map_smoother.estimator import READINGS_PER_UNKNOWN, MapSmoother
 from estimators.map_smoother.gauss_newton import (
     GaussNewton,
     MapSolution,
@@ -35,6 +34,7 @@ from estimators.map_smoother.known_road import check_profile, on_profile
 from estimators.map_smoother.marginal_likelihood import NO_ERRORS
 from estimators.map_smoother.objective import Objective
 from estimators.map_smoother.preconditioner import stationary_hessian
+from estimators.map_smoother.preparation import READINGS_PER_UNKNOWN, SolverSettings
 from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty, inflated_std
 from estimators.map_smoother.windows import whole_objective
 from road_envs.records.record import Record
@@ -123,7 +123,7 @@ class IdentificationResult:
         if errors.size == 0:
             return 0.0
         found = (self.fit.instrument_errors.std * errors)[-2:]
-        s = [solution.linearization.objective.inputs.s for solution in self.fit.solutions]
+        s = [solution.linearization.passes[0].source.inputs.s for solution in self.fit.solutions]
         travelled = float(np.mean([np.mean(x - x[0]) for x in s]))
         return float(found[0] + travelled * found[1])
 
@@ -137,7 +137,7 @@ class IdentificationResult:
 def identify(
     drives: Sequence[CalibrationDrive],
     car: VehicleParameters,
-    smoother: MapSmoother | None = None,
+    settings: SolverSettings | None = None,
     structure: bool | None = False,
 ) -> IdentificationResult:
     """Identify the parameters of `car` that have tolerances from calibration drives.
@@ -156,7 +156,7 @@ def identify(
             f"the drives {one} and {other} have different accelerometers; identify from drives "
             "with one layout"
         )
-    chosen = smoother or MapSmoother(adapt=False)
+    chosen = settings or SolverSettings()
     drives = [replace(drive, record=calibrate_odometer(drive.record)[0]) for drive in drives]
     parts = [_parts(drive, chosen) for drive in drives]
     for first, _ in parts:
@@ -186,15 +186,15 @@ def _refuse_unexplained(result: IdentificationResult, drives: Sequence[Calibrati
 def _identify(
     parts: Sequence[tuple[CalibrationDrive, CalibrationDrive]],
     car: VehicleParameters,
-    smoother: MapSmoother,
+    settings: SolverSettings,
     structure: bool,
 ) -> IdentificationResult:
     """Identify a vehicle from the first part of each drive, and validate it on the second."""
-    fit, known = _fit([first for first, _ in parts], car, smoother, structure)
+    fit, known = _fit([first for first, _ in parts], car, settings, structure)
     std, uncertainty = inflated_std(fit.std, known), VehicleUncertainty.of_fit(fit, known)
     found = fit.x[fit.space.size :]
     unexplained = tuple(
-        (_unexplained(rest, car, smoother), _unexplained(rest, fit.car, smoother, found))
+        (_unexplained(rest, car, settings), _unexplained(rest, fit.car, settings, found))
         for _, rest in parts
     )
     identified = _with_posterior(fit, car, std)
@@ -202,15 +202,15 @@ def _identify(
 
 
 def identify_structure(
-    record: Record, car: VehicleParameters, smoother: MapSmoother
+    record: Record, car: VehicleParameters, settings: SolverSettings
 ) -> tuple[VehicleParameters, VehicleUncertainty]:
     """Return `car` with the elements that its description leaves out, found on one drive, and
     what stays unknown of it; without validation. Raises CalibrationError on a drive that is too
     short, too slow or too smooth.
     """
     is_short = FIT_SHARE * record.t.size < MIN_DURATION * record.fs
-    first, _ = _parts(CalibrationDrive(record), smoother, 1.0 if is_short else FIT_SHARE)
-    fit, known = _fit([first], car, smoother, structure=True)
+    first, _ = _parts(CalibrationDrive(record), settings, 1.0 if is_short else FIT_SHARE)
+    fit, known = _fit([first], car, settings, structure=True)
     found = _with_posterior(fit, car, inflated_std(fit.std, known))
     return found, VehicleUncertainty.of_fit(fit, known)
 
@@ -218,7 +218,7 @@ def identify_structure(
 def _fit(
     drives: Sequence[CalibrationDrive],
     car: VehicleParameters,
-    smoother: MapSmoother,
+    settings: SolverSettings,
     structure: bool,
 ) -> tuple[CarFit, bool]:
     """Return the fit to `drives`, and whether all their roads are known."""
@@ -227,12 +227,12 @@ def _fit(
 
     def solve(x: np.ndarray, quick: bool = False) -> list[MapSolution]:
         vehicle = space.from_vector(x[: space.size])
-        return [_solve(drive, vehicle, smoother, quick) for drive in drives]
+        return [_solve(drive, vehicle, settings, quick) for drive in drives]
 
     errors = len(InstrumentErrors(drives[0].record.channels).names) if known else 0
     x, solutions = _nearest_start(space, space.size + errors, solve)
-    solver = GaussNewton(solutions[0].stationary, smoother.huber)
-    with_speed = any(one.linearization.objective.is_speed_unknown for one in solutions)
+    solver = GaussNewton(solutions[0].stationary, settings.huber)
+    with_speed = any(one.linearization.passes[0].source.is_speed_unknown for one in solutions)
     steps = STEPS_WITH_SPEED if with_speed else MAX_STEPS
     fit = fit_car(solutions, space, solver, instruments=known, start=x, max_steps=steps)
     if all(drive.profile is None for drive in drives):
@@ -255,7 +255,7 @@ def _nearest_start(
             about = getattr(space.car.variation, mode).f
             points = [x + np.log(f / about) / space.std[i] * np.eye(size)[i] for f in frequencies]
             tried = [solve(point, quick=True) for point in points]
-            left = [sum(float(s.noise_scale) for s in solutions) for solutions in tried]
+            left = [sum(float(s.noise_scale[0]) for s in solutions) for solutions in tried]
             x = points[int(np.argmin(left))]
     return x, solve(x)
 
@@ -272,7 +272,7 @@ def _with_posterior(fit: CarFit, car: VehicleParameters, std: np.ndarray) -> Veh
 
 
 def _parts(
-    drive: CalibrationDrive, smoother: MapSmoother, share: float = FIT_SHARE
+    drive: CalibrationDrive, settings: SolverSettings, share: float = FIT_SHARE
 ) -> tuple[CalibrationDrive, CalibrationDrive]:
     """Return the `share` of a drive that is fitted, and the rest. Raises CalibrationError."""
     record, profile = drive.record, drive.profile
@@ -280,8 +280,8 @@ def _parts(
     if profile is not None:  # both axles on the profile
         first = int(np.searchsorted(record.s, profile.s[0] + WHEELBASE_MARGIN))
         last = int(np.searchsorted(record.s, profile.s[-1]))
-    elif record.t.size > smoother.window * record.fs:
-        last = int(smoother.window * record.fs)
+    elif record.t.size > settings.window * record.fs:
+        last = int(settings.window * record.fs)
     middle = first + int(share * (last - first))
     duration = (middle - first) / record.fs
     if duration < MIN_DURATION:
@@ -298,7 +298,7 @@ def _parts(
             f"{drive.name}: a mean speed of {3.6 * speed:.1f} km/h is too slow to identify a "
             f"vehicle; drive {3.6 * MIN_SPEED:.1f} km/h or faster"
         )
-    noise = instruments_of(record, smoother.instruments).noise_density * np.sqrt(0.5 * record.fs)
+    noise = instruments_of(record, settings.instruments).noise_density * np.sqrt(0.5 * record.fs)
     signal = float(np.nanstd(fitted.record.a))
     if signal < MIN_SIGNAL * noise:
         raise CalibrationError(
@@ -308,30 +308,31 @@ def _parts(
     return fitted, rest
 
 
-def _objective(drive: CalibrationDrive, car: VehicleParameters, smoother: MapSmoother) -> Objective:
+def _objective(
+    drive: CalibrationDrive, car: VehicleParameters, settings: SolverSettings
+) -> Objective:
     """Return the objective of a drive as one window."""
     readings, is_measured = READINGS_PER_UNKNOWN, drive.profile is not None
     if is_measured:  # slow readings tell of waves that a survey measures well
-        smoother, readings = replace(smoother, level_ends=False, data_rate=KNOWN_DATA_RATE), 0.0
+        settings, readings = replace(settings, level_ends=False, data_rate=KNOWN_DATA_RATE), 0.0
     # on a profile the speed is one of the instruments' errors
-    model, prepared, _ = smoother.prepare(drive.record, car, readings, not is_measured)
-    objective = whole_objective(model, prepared, smoother.road_prior)
-    return on_profile(objective, drive)
+    prepared, _ = settings.prepare(drive.record, car, readings, not is_measured)
+    return on_profile(whole_objective(prepared, settings.road_prior), drive)
 
 
 def _solve(
     drive: CalibrationDrive,
     car: VehicleParameters,
-    smoother: MapSmoother,
+    settings: SolverSettings,
     quick: bool = False,
     errors: np.ndarray = NO_ERRORS,
 ) -> MapSolution:
     """Return the most probable road of a drive with the vehicle `car`, `quick`: roughly, and with
     instruments of these `errors`.
     """
-    objective = _objective(drive, car, smoother)
-    objective = InstrumentErrors.of(objective).apply(objective, errors)
-    solver = GaussNewton(stationary_hessian(objective), smoother.huber)
+    objective = _objective(drive, car, settings)
+    objective = objective.with_passes(lambda one: InstrumentErrors.of(one).apply(one, errors))
+    solver = GaussNewton(stationary_hessian(objective), settings.huber)
     if drive.profile is not None:
         return _settle(objective, solver, 2 if quick else SETTLING_STEPS)
     options: Any = {"change_tolerance": 1.0, "adapt_prior": False} if quick else {}
@@ -343,10 +344,10 @@ def _settle(objective: Objective, solver: GaussNewton, max_steps: int) -> MapSol
 
     A drive that is cut out begins in motion, and only a few steps find its first state.
     """
-    lin, noise_scale = objective.linearize(np.zeros(objective.size)), np.inf
+    lin, noise_scale = objective.linearize(np.zeros(objective.size)), np.array([np.inf])
     for _ in range(max_steps):
         before, noise_scale = noise_scale, update_noise_scale(lin, solver.stationary, noise_scale)
-        if noise_scale > SETTLED * before:
+        if noise_scale[0] > SETTLED * before[0]:
             break
         lin, _ = solver.step(lin, noise_scale)
     return MapSolution(lin, solver.stationary, noise_scale)
@@ -355,14 +356,13 @@ def _settle(objective: Objective, solver: GaussNewton, max_steps: int) -> MapSol
 def _unexplained(
     drive: CalibrationDrive,
     car: VehicleParameters,
-    smoother: MapSmoother,
+    settings: SolverSettings,
     errors: np.ndarray = NO_ERRORS,
 ) -> Unexplained:
     """Return what `car` leaves unexplained in a drive, with instruments of these `errors`."""
-    lin = _solve(drive, car, smoother, errors=errors).linearization
-    objective = lin.objective
-    used = objective.measurements.sample_count > 0
-    r = np.where(used, np.sqrt(objective.information) * lin.residual, 0.0)
-    f, S = welch(r, fs=1.0 / objective.block_duration, nperseg=min(128, r.shape[1]))
-    power = float(np.mean(r[used] ** 2)) / objective.band_share
+    (lin,) = _solve(drive, car, settings, errors=errors).linearization.passes
+    source, used = lin.source, lin.source.is_used
+    r = np.where(used, np.sqrt(source.information) * lin.residual, 0.0)
+    f, S = welch(r, fs=1.0 / source.block_duration, nperseg=min(128, r.shape[1]))
+    power = float(np.mean(r[used] ** 2)) / source.band_share
     return Unexplained(power, f, S.mean(axis=0))

@@ -12,21 +12,20 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 import numpy as np
 
 from estimators.api import CalibrationDrive, CalibrationError, copy_with
+from estimators.map_smoother.identification import IdentificationResult, identify
+from estimators.map_smoother.preparation import SolverSettings
+from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
 from road_envs.core.artifacts import Kind
 from road_envs.core.code_digest import cache_home
 from road_envs.core.config import Settings, build
 from road_envs.records.accelerometers import to_plain
 from road_envs.records.record import Record
 from road_envs.vehicle.parameters import VehicleParameters
-
-if TYPE_CHECKING:
-    from estimators.map_smoother.identification import IdentificationResult
-    from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
 
 IDENTIFIED = Kind("identified vehicle", 1, ("estimators.map_smoother.identification",))
 
@@ -43,7 +42,7 @@ class IdentifiedVehicle:
     covariance: tuple[tuple[float, ...], ...] = ()
 
     @classmethod
-    def of(cls, result: "IdentificationResult") -> Self:
+    def of(cls, result: IdentificationResult) -> Self:
         """Return what an identification has found."""
         return cls(
             car=result.car,
@@ -53,10 +52,8 @@ class IdentifiedVehicle:
         )
 
     @property
-    def uncertainty(self) -> "VehicleUncertainty | None":
+    def uncertainty(self) -> VehicleUncertainty | None:
         """Uncertainty of the vehicle, None if nothing is said about it."""
-        from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
-
         if not self.covariance:
             return None
         return VehicleUncertainty(self.car, tuple(self.car.tolerances), np.array(self.covariance))
@@ -113,12 +110,8 @@ def identify_once(
 def _identify(
     drives: Sequence[CalibrationDrive], car: VehicleParameters, instruments: str
 ) -> IdentifiedVehicle:
-    from estimators.map_smoother.estimator import MapSmoother
-    from estimators.map_smoother.identification import identify
-
-    smoother = MapSmoother(adapt=False, instruments=instruments)
     try:
-        result = identify(drives, car, smoother, structure=None)
+        result = identify(drives, car, SolverSettings(instruments=instruments), structure=None)
     except ArithmeticError as error:
         raise CalibrationError(f"the vehicle cannot be identified: {error}") from error
     return IdentifiedVehicle.of(result)

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimators.map_smoother.objective import Objective
+from estimators.map_smoother.one_pass import Pass
 from road_envs.vehicle.linear_model import point_rows
 
 
@@ -18,9 +18,9 @@ class InstrumentErrors:
     sensors: tuple[str, ...]
 
     @classmethod
-    def of(cls, objective: Objective) -> "InstrumentErrors":
-        """Return those of the sensors of an `objective`."""
-        return cls(tuple(objective.model.locations))
+    def of(cls, one: Pass) -> "InstrumentErrors":
+        """Those of the sensors of a pass."""
+        return cls(tuple(one.model.locations))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -39,13 +39,13 @@ class InstrumentErrors:
         """Number of the first parameters, which leave the vehicle's motion as it is."""
         return 3 * len(self.sensors)
 
-    def apply(self, objective: Objective, x: np.ndarray) -> Objective:
-        """Return the objective for instruments with the errors `x` (0 or R,)."""
+    def apply(self, one: Pass, x: np.ndarray) -> Pass:
+        """The pass of instruments with the errors `x` (0 or R,)."""
         if x.size == 0:
-            return objective
+            return one
         *of_sensors, displacement, speed = (self.std * x).tolist()
         gain, ahead, left = np.reshape(of_sensors, (3, -1))
-        model, inputs = objective.model, objective.inputs
+        model, inputs = one.model, one.inputs
         factor, places = np.exp(gain), zip(model.locations.values(), ahead, left, strict=True)
         moved = [place._replace(x=place.x + dx, y=place.y + dy) for place, dx, dy in places]
         rows = point_rows(model.plant, moved)
@@ -55,4 +55,4 @@ class InstrumentErrors:
         s = inputs.s + displacement + speed * (inputs.s - inputs.s[0])
         inputs = replace(inputs, s=s, v=inputs.v * (1.0 + speed))
         model = replace(model, sensor_rows=rows, bending=bending)
-        return replace(objective, model=model, inputs=inputs)
+        return replace(one, model=model, inputs=inputs)

@@ -70,7 +70,8 @@ def _filtered(profile: Profile, share: Callable[[np.ndarray], np.ndarray]) -> np
 
 def check_profile(objective: Objective, drive: CalibrationDrive) -> None:
     """Raise CalibrationError if the readings do not belong to the profile, and say what would."""
-    y = objective.measurements.y
+    (one,) = objective.passes
+    y = one.measurements.y
     y = y - y.mean(axis=1, keepdims=True)
     expected = _expected(objective)
     fit, ratio = _correlation(y, expected), float(y.std() / expected.std())
@@ -107,8 +108,8 @@ def check_profile(objective: Objective, drive: CalibrationDrive) -> None:
 
 def _expected(objective: Objective) -> np.ndarray:
     """Return the block means (S, J) expected on the known road, less their means."""
-    residual, _ = objective.residual_at(np.zeros(objective.size))
-    expected = objective.measurements.y - residual
+    (one,) = objective.passes
+    expected = one.measurements.y - one.residual_at(objective.road.background, np.zeros(one.size))
     return expected - expected.mean(axis=1, keepdims=True)
 
 

@@ -33,12 +33,13 @@ from scipy.fft import rfft, rfftfreq
 
 from estimators.map_smoother.gauss_newton import MapSolution
 from estimators.map_smoother.instrument_errors import InstrumentErrors
-from estimators.map_smoother.objective import Linearization, Objective
+from estimators.map_smoother.one_pass import LinearizedPass, Pass
 from estimators.map_smoother.preconditioner import (
     linear_responses,
     prior_spectrum,
     response_differences,
 )
+from estimators.map_smoother.road_prior import RoadTransform
 from road_envs.analysis.statistical_linearization import hermitian
 from road_envs.simulation.lanes import SharedInputs, drive_variants
 from road_envs.vehicle.parameters import VehicleParameters
@@ -87,106 +88,102 @@ def perturbed_cars(space: ParameterSpace, x: np.ndarray) -> list[VehicleParamete
     return [car, *(scale_parameters(car, {name: factor}) for name, factor in factors)]
 
 
-def perturbed_objectives(
-    original: Objective, cars: Sequence[VehicleParameters], errors: np.ndarray = NO_ERRORS
-) -> list[Objective]:
-    """Return the objective for each of the `cars`, as of `perturbed_cars`, and for instruments with
-    these `errors` (0 or R,).
-
-    `original` is that for instruments without.
+def perturbed_passes(
+    original: Pass, cars: Sequence[VehicleParameters], errors: np.ndarray = NO_ERRORS
+) -> list[Pass]:
+    """The pass of each of the `cars`, as of `perturbed_cars`, with instruments that have these
+    `errors` (0 or R,); those of the `original` have none.
     """
     instruments = InstrumentErrors.of(original)
     return [instruments.apply(original.with_car(car), errors) for car in cars]
 
 
-def sensitivities(lin: Linearization, varied: Sequence[Objective]) -> np.ndarray:
+def sensitivities(lin: LinearizedPass, varied: Sequence[Pass]) -> np.ndarray:
     """Return the derivatives (P, S, J) of the block means by the parameters, at a fixed road.
 
-    `varied` as of `perturbed_objectives`. Raises ArithmeticError if a motion is not finite.
+    `varied` as of `perturbed_passes`. Raises ArithmeticError if a motion is not finite.
     """
     left = varied_residuals(lin, varied)
     return (left[0] - left[1:]) / DIFFERENCE
 
 
-def varied_residuals(lin: Linearization, varied: Sequence[Objective]) -> np.ndarray:
-    """Return the residuals (V, S, J) of other vehicles on the road of `lin.x`.
+def varied_residuals(lin: LinearizedPass, varied: Sequence[Pass]) -> np.ndarray:
+    """Return the residuals (V, S, J) of other vehicles on the road of `lin`.
 
     Raises ArithmeticError if a motion is not finite.
     """
-    objective = lin.objective
-    u, start, bias = objective.split(lin.x)
-    c = objective.road.coefficients(u)
-    road = objective.road_under_wheels(c, objective.wheelbase(lin.x))
-    inputs, strut_state = objective.inputs, objective.strut_state
+    source = lin.source
+    start, bias = source.split(lin.own)
+    road = source.road_under_wheels(lin.c, source.wheelbase(lin.own))
+    inputs, strut_state = source.inputs, source.strut_state
     shared = SharedInputs(
-        road, inputs.commands, strut_state, objective.model.valve_lag, inputs.h, inputs.v[1::2]
+        road, inputs.commands, strut_state, source.model.valve_lag, inputs.h, inputs.v[1::2]
     )
     starts = [one.initial_state + start for one in varied]
     motions = drive_variants([one.model.plant for one in varied], starts, shared)
     left = np.array([one.residual(a, bias) for one, a in zip(varied, motions, strict=True)])
     for k, one in enumerate(varied):  # the road under longer tyres is another
-        if one.model.contact_length != objective.model.contact_length:
-            left[k] = one.residual_at(lin.x)[0]
+        if one.model.contact_length != source.model.contact_length:
+            left[k] = one.residual_at(lin.c, lin.own)
     if not np.isfinite(left).all():
         raise ArithmeticError("the motion of a varied vehicle was not finite")
     return left
 
 
-def reading_sensitivities(lin: Linearization, base: Objective, errors: np.ndarray) -> np.ndarray:
+def reading_sensitivities(lin: LinearizedPass, base: Pass, errors: np.ndarray) -> np.ndarray:
     """Return the derivatives (R, S, J) by errors of the instruments, at `errors` (R,) of them.
 
-    `base` is the objective for the vehicle of `lin` and instruments without errors.
+    `base` is the pass of the vehicle of `lin` with instruments without errors.
     """
     instruments = InstrumentErrors.of(base)
-    _, _, bias = base.split(lin.x)
+    _, bias = base.split(lin.own)
     found = []
     for k, unit in enumerate(np.eye(errors.size)):
         varied = instruments.apply(base, errors + DIFFERENCE * unit)
         if k < instruments.n_fixed:  # the vehicle moves as before
             found.append(varied.residual(lin.tape.acceleration, bias))
         else:
-            found.append(varied.residual_at(lin.x)[0])
+            found.append(varied.residual_at(lin.c, lin.own))
     return (lin.residual - np.array(found)) / DIFFERENCE
 
 
 def drive_derivatives(
     solution: MapSolution,
-    original: Objective,
+    original: Pass,
     cars: Sequence[VehicleParameters],
     errors: np.ndarray,
 ) -> Derivatives:
-    """Return the derivatives of one drive at its solution; arguments as of `perturbed_objectives`.
+    """Return the derivatives of one drive at its solution; arguments as of `perturbed_passes`.
 
     Raises ArithmeticError if a motion is not finite.
     """
-    lin = solution.linearization
-    varied = perturbed_objectives(original, cars, errors)
+    (lin,), road = solution.linearization.passes, solution.linearization.objective.road
+    varied = perturbed_passes(original, cars, errors)
     G = sensitivities(lin, varied)
     if errors.size > 0:
         read = reading_sensitivities(lin, original.with_car(cars[0]), errors)
         G = np.concatenate([G, read])
-    spectra = _spectrum(lin.objective, G)
-    if not lin.objective.road.free.any():
+    spectra = _spectrum(lin.source, G)
+    if not road.free.any():
         return Derivatives(G, spectra, np.zeros(len(G)), np.zeros((len(G), len(G))))
-    noise = lin.objective.model.noise_variance * solution.noise_scale
-    return Derivatives(G, spectra, *_log_det_terms(lin.objective, varied, noise))
+    noise = float(solution.noise_variance[0])
+    return Derivatives(G, spectra, *_log_det_terms(road, lin.source, varied, noise))
 
 
 def drive_terms(solution: MapSolution, derivatives: Derivatives) -> LikelihoodTerms:
     """Return the terms of one drive's marginal likelihood."""
-    lin, A = solution.linearization, derivatives.spectra
-    objective = lin.objective
-    f, lines = _lines(objective)
-    is_known = not objective.road.free.any()
-    noise = objective.model.noise_variance * (1.0 if is_known else solution.noise_scale)
-    covariance = _covariance(objective, f, noise)
+    (lin,), road = solution.linearization.passes, solution.linearization.objective.road
+    f, lines = _lines(lin.source)
+    is_known, A = not road.free.any(), derivatives.spectra
+    noise = lin.source.model.noise_variance * (1.0 if is_known else float(solution.noise_scale[0]))
+    covariance = _covariance(road, lin.source, f, noise)
     weighted = np.linalg.solve(covariance, lines[:, None, None] * A)
     if not is_known:
         information = _gram(A, weighted)
         fit = np.einsum("psj,sj->p", derivatives.G, lin.apply_inverse_covariance(lin.residual))
         information += derivatives.curvature
         return LikelihoodTerms(fit - derivatives.log_det, information, information)
-    r = _spectrum(objective, lin.residual[None])
+    r = _spectrum(lin.source, lin.residual[None])
     # the error of the profile is noise; what the model cannot explain inflates it, band by band
     power = np.real(np.einsum("fsq,fsq->f", r.conj(), np.linalg.solve(covariance, r))) / r.shape[1]
     band = (f / ERROR_BANDWIDTH).astype(int)
@@ -207,50 +204,47 @@ def _gram(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     return np.real(hermitian(a) @ b)
 
 
-def _spectrum(objective: Objective, means: np.ndarray) -> np.ndarray:
+def _spectrum(one: Pass, means: np.ndarray) -> np.ndarray:
     """Return the spectra (F, S, P) of block means (P, S, J), without their means."""
-    used = objective.measurements.sample_count > 0
-    return rfft(means * used, axis=2)[:, :, 1:].transpose(2, 1, 0) / np.sqrt(means.shape[2])
+    return rfft(means * one.is_used, axis=2)[:, :, 1:].transpose(2, 1, 0) / np.sqrt(means.shape[2])
 
 
-def _lines(objective: Objective) -> tuple[np.ndarray, np.ndarray]:
+def _lines(one: Pass) -> tuple[np.ndarray, np.ndarray]:
     """Return the frequencies (F,) [Hz] of the block means' spectrum, without the mean, and how many
     lines of the two-sided spectrum each stands for: none above the bandwidth.
     """
-    blocks, dt = objective.measurements.y.shape[1], objective.block_duration
+    blocks, dt = one.measurements.y.shape[1], one.block_duration
     lines = np.full(blocks // 2, 2.0)
     lines[-1] = 1.0 if blocks % 2 == 0 else 2.0
     f = rfftfreq(blocks, dt)[1:]
-    return f, lines * (f <= objective.model.bandwidth)
+    return f, lines * (f <= one.model.bandwidth)
 
 
-def _covariance(objective: Objective, f: np.ndarray, noise: float) -> np.ndarray:
+def _covariance(road: RoadTransform, one: Pass, f: np.ndarray, noise: float) -> np.ndarray:
     """Return the covariance (F, S, S) [(m/s²)²] of the block means' spectrum at `f` (F,) [Hz]."""
-    S = prior_spectrum(objective, f)[:, None, :]
+    S = prior_spectrum(road, one, f)[:, None, :]
     noise_part = (
-        noise
-        / objective.measurements.sample_weight.shape[2]
-        * np.eye(len(objective.model.sensor_rows))
+        noise / one.measurements.sample_weight.shape[2] * np.eye(len(one.model.sensor_rows))
     )
-    parts = ((share * H * S, H) for share, H in linear_responses(objective, f))
+    parts = ((share * H * S, H) for share, H in linear_responses(one, f))
     return noise_part + np.sum([HS @ hermitian(H) for HS, H in parts], axis=0)
 
 
 def _log_det_terms(
-    objective: Objective, varied: Sequence[Objective], noise: float
+    road: RoadTransform, one: Pass, varied: Sequence[Pass], noise: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the gradient (P,) of 1/2 log det by the parameters, and its part of the Hessian.
 
     With C = R + H S H* and M_i = C^-1 dH_i S H*, summed over frequencies, they are Re tr M_i and
     Re tr M_i M_j; together with the information at a fixed road the latter is Whittle's.
     """
-    f, lines = _lines(objective)
+    f, lines = _lines(one)
     stride = max(1, f.size // MAX_LINES)
     f, lines = f[::stride], stride * lines[::stride]
-    base = list(linear_responses(objective, f))
-    changes = response_differences(objective, varied, f)
-    S = prior_spectrum(objective, f)[:, None, :]
-    inverse = np.linalg.inv(_covariance(objective, f, noise))
+    base = list(linear_responses(one, f))
+    changes = response_differences(one, varied, f)
+    S = prior_spectrum(road, one, f)[:, None, :]
+    inverse = np.linalg.inv(_covariance(road, one, f, noise))
     dual = [share * hermitian(S * H) @ inverse for share, H in base]
     M = np.sum([dH @ d for dH, d in zip(changes, dual, strict=True)], axis=0) / DIFFERENCE
     flat = M * np.sqrt(lines)[:, None, None]

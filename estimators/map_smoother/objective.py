@@ -1,430 +1,247 @@
-"""Cost function of a road: misfit of the measurements and improbability of the road.
+"""Cost function of a road: misfit of the measurements of its passes, and improbability of the road.
 
-    cost(x) = 1/2 sum_j (y_j - a_j(x))² / R_j + 1/2 |x|²
+    cost(x) = sum over passes p 1/2 |y_p - a_p(road)|²_(R_p^-1) + 1/2 |x|²
 
-x holds the white noise u of the road (2 K), the deviation of the initial vehicle state (14), the
-sensor biases (S) and, if the speed is uncertain, its error, each in units of its prior standard
-deviation. Both axles roll over the same road, the rear one a wheelbase later, so a speed that reads
-too low shows as a wheelbase that is too short in metres of the odometer. a_j are block means of the
-accelerations of the nonlinear vehicle, R_j the variances of their noise. The gradient is that of
-the computed steps (`road_envs.simulation.tape`), the Hessian that of Gauss and Newton, I +
-J' R^-1 J.
+x holds the white noise u of the road (2 K), which all passes share; the own unknowns of each pass
+(`one_pass.py`); and for each pass but the first the shift of its stations against the road at some
+knots, linear between them: odometers differ, and profiles that are centimetres apart would count as
+noise. To first order a shift d(s) changes the road under this pass alone, by d(s) dz/ds. The
+gradient is that of the computed steps (`road_envs.simulation.tape`), the Hessian that of Gauss and
+Newton, I + J' R^-1 J. A single drive is one pass without shifts.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-from scipy.fft import irfft, rfft, rfftfreq
+from scipy.ndimage import spline_filter1d
 
-from estimators.common.bending import SensedBending, sensed_bending
-from estimators.common.block_means import BlockMeans
-from estimators.common.footprint import Footprint
-from estimators.common.model_inputs import REST_STD, ModelInputs
-from estimators.common.sensor_filter import SampledFilter, SensorFilter
-from estimators.common.spline import sample_under_wheels
-from estimators.map_smoother.block_tangent import BlockTangent, build_block_tangent
+from estimators.common.model_inputs import ModelInputs
+from estimators.map_smoother.one_pass import LinearizedPass, Pass
 from estimators.map_smoother.road_prior import RoadTransform
-from road_envs.sensing.instruments import SensorLocation
-from road_envs.simulation.tape import Tape, linearize_drive
-from road_envs.vehicle.equations import Plant, build_plant, equilibrium
+from road_envs.vehicle.equations import Plant
 from road_envs.vehicle.parameters import VehicleParameters
-from road_envs.vehicle.suspension import settled_strut_state
 
-SPEED_DIFFERENCE = 0.1
-"""Difference of the speed's error for its derivative, in units of its standard deviation."""
+SHIFT_STD = 0.05
+"""Prior standard deviation [m] of a shift, after the alignment of the single estimates."""
+
+Means = Sequence[np.ndarray]
+"""Block means (S, J) of each pass."""
 
 
-@dataclass(frozen=True, eq=False)
-class MeasurementModel:
-    """Model of vehicle and instruments: `plant`, time constant `valve_lag` [s] of its valves and
-    `wheelbase` [m]; `locations` of the S sensors and `sensor_rows` (S, 7), their acceleration per
-    unit of each coordinate's; `noise_variance` [(m/s²)²] of a sample; prior standard deviation
-    `bias_std` [m/s²] of the sensor biases; the `bending` of the body, None if it is stiff; the
-    `contact_length` [m] over which the tyres envelop the road; the relative standard deviation
-    `speed_std` of the speed; the `bandwidth` [Hz] of the measurements, which say nothing above it;
-    the anti-alias `filter`, None where it only delays, as the inputs of the drive then say.
+def shift_inputs(inputs: ModelInputs, knots: np.ndarray, shift: np.ndarray) -> ModelInputs:
+    """Inputs whose stations are moved by `shift` (M,) [m] at the stations `knots` (M,) [m], by the
+    nearest one beyond the ends.
     """
-
-    plant: Plant
-    valve_lag: float
-    wheelbase: float
-    locations: Mapping[str, SensorLocation]
-    sensor_rows: np.ndarray
-    noise_variance: float
-    bias_std: float = 0.05
-    bending: SensedBending | None = None
-    contact_length: float = 0.0
-    speed_std: float = 0.0
-    bandwidth: float = np.inf
-    filter: SensorFilter | None = None
+    if not shift.any():
+        return inputs
+    slope = np.concatenate([[0.0], np.diff(shift) / np.diff(knots), [0.0]])
+    stretch = 1.0 + slope[np.searchsorted(knots, inputs.s)]
+    moved = inputs.s + np.interp(inputs.s, knots, shift)
+    return replace(inputs, s=moved, v=inputs.v * stretch)
 
 
 @dataclass(frozen=True, eq=False)
 class Objective:
-    """Cost function of one window of a drive, which begins about the vehicle state `initial_state`
-    (14,), with the prior standard deviation `initial_std` (14,), with `strut_state` (4, 3) and, if
-    the model has a filter, with its `filter_state` (n, S, 2); None: at rest.
+    """Cost function of one window of P `passes` over one `road`; `knots` (M,) are the stations [m]
+    at which the shifts of all but the first are unknown.
     """
 
-    model: MeasurementModel
-    strut_state: np.ndarray
-    initial_state: np.ndarray
-    initial_std: np.ndarray
     road: RoadTransform
-    inputs: ModelInputs
-    measurements: BlockMeans
-    filter_state: np.ndarray | None = None
+    passes: tuple[Pass, ...]
+    knots: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def size(self) -> int:
         """Number of unknowns."""
-        sensors = self.model.sensor_rows.shape[0]
-        return 2 * self.road.size + self.initial_std.size + sensors + self.is_speed_unknown
+        return 2 * self.road.size + sum(one.size for one in self.passes) + self.n_shifts
 
     @property
-    def is_speed_unknown(self) -> bool:
-        """True if the error of the speed is the last of the unknowns."""
-        return self.model.speed_std > 0.0
+    def n_shifts(self) -> int:
+        """Number of unknown shifts of all passes."""
+        return (len(self.passes) - 1) * self.knots.size
 
     @property
-    def noise_variance(self) -> float:
-        """Variance [(m/s²)²] of a sample's noise."""
-        return self.model.noise_variance
+    def plants(self) -> list[Plant]:
+        """The vehicle of each pass."""
+        return [one.model.plant for one in self.passes]
 
     @property
-    def plant(self) -> Plant:
-        """The vehicle."""
-        return self.model.plant
+    def noise_variance(self) -> np.ndarray:
+        """Variance (P,) [(m/s²)²] of a sample's noise in each pass."""
+        return np.array([one.model.noise_variance for one in self.passes])
 
-    def with_road(self, road: RoadTransform) -> "Objective":
-        """Return the objective with another prior of the road."""
-        return replace(self, road=road)
-
-    def offset_scale(self, noise_variance: float, start_information: np.ndarray) -> np.ndarray:
-        """Return about the root of the Hessian's diagonal behind the unknowns of the road.
-
-        `start_information` (14,) is that of measurements of unit variance on the initial state. It
-        counts for a drive that begins in motion; at rest the state is known.
-        """
-        count = self.measurements.sample_count.sum(axis=1)
-        bias = np.sqrt(1.0 + self.model.bias_std**2 * count / noise_variance)
-        is_moving = self.initial_std.max() > REST_STD.max()
-        start = is_moving * self.initial_std**2 * start_information / noise_variance
-        scale = np.concatenate([np.sqrt(1.0 + start), bias])
-        if not self.is_speed_unknown:
-            return scale
-        # a change of the speed moves the rear axle's share of the signals, about half of them
-        delay = self.model.speed_std * self.model.wheelbase / float(self.inputs.v.mean())
-        moved = delay * np.diff(self.measurements.y, axis=1) / self.block_duration
-        information = 0.5 * np.sum(self.measurements.sample_count[:, 1:] * moved**2)
-        return np.append(scale, np.sqrt(1.0 + information / noise_variance))
-
-    @property
-    def block_duration(self) -> float:
-        """Duration [s] of the samples of one block mean."""
-        inputs, samples = self.inputs, self.measurements.sample_weight.shape[2]
-        return inputs.h * inputs.decimation * samples
-
-    def split(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return `u` (2, K) and, in SI units, the initial deviation (14,) and biases (S,)."""
-        sizes = 2 * self.road.size, self.initial_std.size, self.model.sensor_rows.shape[0]
-        u, start, bias, _ = np.split(x, np.cumsum(sizes))
-        return u.reshape(2, -1), self.initial_std * start, self.model.bias_std * bias
-
-    def speed_error(self, x: np.ndarray) -> float:
-        """Return by how much the true speed exceeds that of the inputs, relative to it."""
-        return self.model.speed_std * float(x[-1]) if self.is_speed_unknown else 0.0
-
-    def wheelbase(self, x: np.ndarray) -> float:
-        """Return the wheelbase in metres of the odometer."""
-        return self.model.wheelbase / (1.0 + self.speed_error(x))
-
-    def road_under_wheels(self, c: np.ndarray, wheelbase: float) -> np.ndarray:
-        """Return heights and rates (2 N, 2, 4) under the wheels for coefficients `c` (2, K)."""
-        ds, out = self.road.ds, np.empty((self.inputs.s.size, 2, 4))
-        node, rate = (self.inputs.s - self.road.origin) / ds, self.inputs.v / ds
-        sample_under_wheels(self.footprint.apply(c), node, rate, wheelbase / ds, out)
-        return out
-
-    @property
-    def footprint(self) -> Footprint:
-        """The enveloping of the road by the tyres."""
-        return Footprint.of(self.model.contact_length, self.road.ds)
+    def with_passes(self, change: Callable[[Pass], Pass]) -> "Objective":
+        """Apply a `change` to each pass."""
+        return replace(self, passes=tuple(map(change, self.passes)))
 
     def with_car(self, car: VehicleParameters) -> "Objective":
-        """Return the objective for another vehicle, which begins as far from its equilibrium."""
-        model = replace(
-            self.model,
-            plant=build_plant(car),
-            bending=sensed_bending(car, self.model.locations),
-            contact_length=car.variation.contact_length,
-        )
-        new = replace(self, model=model)
-        change = new._level_equilibrium - self._level_equilibrium
-        return replace(new, initial_state=self.initial_state + change)
+        """The objective for drives of another vehicle."""
+        return self.with_passes(lambda one: one.with_car(car))
 
-    @cached_property
-    def _level_equilibrium(self) -> np.ndarray:
-        """Equilibrium (14,) of the vehicle on a level road, in the first strut states."""
-        strut_state = settled_strut_state(int(self.inputs.commands[0]))
-        return equilibrium(self.model.plant, strut_state, np.zeros(4))
+    def split(self, x: np.ndarray) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
+        """Split the unknowns into `u` (2, K), those of each pass, and the shifts (P, M) [m] of the
+        passes at the knots, of which those of the first are 0.
+        """
+        sizes = [2 * self.road.size, *(one.size for one in self.passes)]
+        u, *own, free = np.split(x, np.cumsum(sizes))
+        shifts = np.zeros((len(self.passes), self.knots.size))
+        shifts[1:] = SHIFT_STD * free.reshape(shifts[1:].shape)
+        return u.reshape(2, -1), own, shifts
 
-    def simulate(self, x: np.ndarray, plant: Plant | None = None) -> Tape:
-        """Return the taped motion on the road of `x`. Raises ArithmeticError if not finite."""
-        u, start, _ = self.split(x)
-        return linearize_drive(
-            plant or self.model.plant,
-            self.strut_state,
-            self.initial_state + start,
-            self.road_under_wheels(self.road.coefficients(u), self.wheelbase(x)),
-            self.inputs.h,
-            commands=self.inputs.commands,
-            lag=self.model.valve_lag,
-            v=self.inputs.v[1::2],
-        )
+    def coefficients(self, x: np.ndarray) -> np.ndarray:
+        """Coefficients (2, K) [m] of the road."""
+        return self.road.coefficients(self.split(x)[0])
 
-    def residual_at(self, x: np.ndarray, plant: Plant | None = None) -> tuple[np.ndarray, Tape]:
-        """Return the residual (S, J) [m/s²] of the measurements and the taped motion."""
-        tape = self.simulate(x, plant)
-        _, _, bias = self.split(x)
-        return self.residual(tape.acceleration, bias), tape
+    def from_noise(self, u: np.ndarray) -> np.ndarray:
+        """Unknowns with the noise `u` (2, K) of the road; all others are 0."""
+        return np.pad(u.ravel(), (0, self.size - u.size))
 
     def linearize(
         self,
         x: np.ndarray,
-        plant: Plant | None = None,
-        inverse_variance: np.ndarray | None = None,
-        frequency_weights: np.ndarray | None = None,
+        plants: Sequence[Plant] | None = None,
+        inverse_variance: Means | None = None,
+        frequency_weights: Sequence[np.ndarray | None] | None = None,
     ) -> "Linearization":
-        """Return the linearization at `x`, for this plant or another, and for the instruments'
-        noise or another. Raises ArithmeticError.
+        """Linearize at `x`, for the vehicles of the passes or other `plants`, and for the
+        instruments' noise or another. Raises ArithmeticError.
         """
-        residual, tape = self.residual_at(x, plant)
-        if inverse_variance is None:
-            inverse_variance = self.information
-        return Linearization(self, x, tape, residual, inverse_variance, frequency_weights)
-
-    def state_after(
-        self, x: np.ndarray, steps: int
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-        """Return vehicle state (14,), strut state (4, 3) and that of the anti-alias filter after
-        `steps` on the road of `x`.
-        """
-        part = replace(self, inputs=self.inputs.slice_steps(0, steps))
-        tape, filter_state = part.simulate(x), None
-        if (low_pass := self.model.filter) is not None:
-            sensed = self._at_sensors(tape.acceleration, self.inputs.h)
-            _, filter_state = low_pass.filter(sensed, self._filter_state_of(low_pass))
-        return tape.end, tape.strut_state, filter_state
-
-    @property
-    def information(self) -> np.ndarray:
-        """Inverse variance (S, J) of each block mean, by the noise of the instruments alone."""
-        return self.measurements.sample_count / self.model.noise_variance
-
-    def residual(self, acceleration: np.ndarray, bias: np.ndarray) -> np.ndarray:
-        """Return measured less predicted block means (S, J) [m/s²] of the sensors, from the
-        accelerations (N, 7) of the coordinates.
-        """
-        return self.in_band(self.measurements.residual(self.sense(acceleration) + bias[:, None]))
-
-    @property
-    def band_share(self) -> float:
-        """Share of the block means' lines that are within the bandwidth."""
-        return min(1.0, 2.0 * self.model.bandwidth * self.block_duration)
-
-    def in_band(self, means: np.ndarray) -> np.ndarray:
-        """Return block means (S, J) without what lies above the bandwidth: a projection."""
-        if self.band_share == 1.0:
-            return means
-        f = rfftfreq(means.shape[1], self.block_duration)
-        return apply_frequency_weights(f <= self.model.bandwidth, means)
-
-    def sense(self, acceleration: np.ndarray, follows: bool = True) -> np.ndarray:
-        """Return the samples (S, T) [m/s²] of sensors without bias from the accelerations (N, 7) of
-        the coordinates, which follow those before the window, or zeros.
-        """
-        inputs, sampled = self.inputs, self.sampled_filter
-        if sampled is None:
-            samples = acceleration[:: inputs.decimation][: self.measurements.n_samples]
-            return self._at_sensors(samples, inputs.h * inputs.decimation)
-        sensed = self._at_sensors(acceleration, inputs.h)
-        start = (
-            self._filter_state_of(sampled.filter)
-            if follows
-            else sampled.filter.at_rest(len(sensed))
-        )
-        return sampled.read(sensed, start)
-
-    def _at_sensors(self, acceleration: np.ndarray, step: float) -> np.ndarray:
-        """Return the accelerations (S, N) at the sensors from those of the coordinates (N, 7)."""
-        sensed, bending = self.model.sensor_rows @ acceleration.T, self.model.bending
-        return sensed if bending is None else sensed + bending.at_samples(acceleration, step)
-
-    def _filter_state_of(self, low_pass: SensorFilter) -> np.ndarray:
-        """Return the state (n, S, 2) of the anti-alias filter at the first step."""
-        if self.filter_state is not None:
-            return self.filter_state
-        return low_pass.at_rest(len(self.model.sensor_rows))
-
-    @cached_property
-    def sampled_filter(self) -> SampledFilter | None:
-        """The anti-alias filter at the samples, None if it only delays them."""
-        if self.model.filter is None:
-            return None
-        at = self.inputs.sample_steps(self.measurements.n_samples)
-        return SampledFilter(self.model.filter, at, self.inputs.n_steps)
+        u, own, shifts = self.split(x)
+        c, none = self.road.coefficients(u), [None] * len(self.passes)
+        weights = inverse_variance or none, frequency_weights or none
+        rows = zip(self.passes, shifts, own, plants or none, *weights, strict=True)
+        linearized = []
+        for one, shift, *rest in rows:
+            moved = replace(one, inputs=shift_inputs(one.inputs, self.knots, shift))
+            linearized.append(moved.linearize(c, *rest))
+        return Linearization(self, x, tuple(linearized))
 
 
 @dataclass(frozen=True, eq=False)
 class Linearization:
-    """An objective linearized at `x`: the `tape` of the motion, the `residual` (S, J) [m/s²] of the
-    measurements, the `inverse_variance` (S, J) of their noise and, if given, the
-    `frequency_weights` (J // 2 + 1,) on it.
-    """
+    """An objective linearized at `x`: the linearizations of its `passes`."""
 
     objective: Objective
     x: np.ndarray
-    tape: Tape
-    residual: np.ndarray
-    inverse_variance: np.ndarray
-    frequency_weights: np.ndarray | None = None
-
-    @property
-    def passes(self) -> "tuple[Linearization, ...]":
-        """The passes over the road: this one."""
-        return (self,)
-
-    def per_pass(self, function: Callable[..., Any], *values: Any) -> Any:
-        """Return `function` of the pass and of its `values`; of several passes these are lists."""
-        return function(self, *values)
-
-    def apply_inverse_covariance(self, means: np.ndarray) -> np.ndarray:
-        """Return R^-1 times block means (S, J)."""
-        if self.frequency_weights is None:
-            return self.inverse_variance * means
-        root = np.sqrt(self.inverse_variance)
-        return root * apply_frequency_weights(self.frequency_weights, root * means)
-
-    @property
-    def misfit(self) -> float:
-        """The measurements' share of the cost."""
-        return 0.5 * float(np.sum(self.residual * self.apply_inverse_covariance(self.residual)))
+    passes: tuple[LinearizedPass, ...]
 
     @property
     def cost(self) -> float:
         """The cost at `x`."""
-        return self.misfit + 0.5 * float(self.x @ self.x)
+        return sum(one.misfit for one in self.passes) + 0.5 * float(self.x @ self.x)
 
     def gradient(self) -> np.ndarray:
-        """Return the gradient of the cost with respect to `x`."""
+        """Gradient of the cost with respect to `x`."""
         return self.x - self.adjoint(self.apply_inverse_covariance(self.residual))
 
     def hessian_product(self, dx: np.ndarray) -> np.ndarray:
-        """Return the Gauss-Newton Hessian times `dx`."""
+        """The Gauss-Newton Hessian times `dx`."""
         return dx + self.adjoint(self.apply_inverse_covariance(self.tangent(dx)))
 
-    @cached_property
-    def block_tangent(self) -> BlockTangent:
-        """The tangent at this point, as matrices."""
-        o, model = self.objective, self.objective.model
-        inputs, rows, weight = o.inputs, model.sensor_rows, o.measurements.sample_weight
-        if o.sampled_filter is not None:  # means of groups of steps, which the filter then samples
-            groups, group = o.sampled_filter.n_groups, o.sampled_filter.filter.group
-            inputs = replace(inputs, decimation=1)
-            weight = np.full((len(rows), groups, group), 1.0 / group)
-        if model.bending is not None:
-            weight, rows = model.bending.extended(weight, rows)
-        return build_block_tangent(self.tape, o.road, inputs, weight, rows, o.wheelbase(self.x))
-
-    @cached_property
-    def speed_sensitivity(self) -> np.ndarray:
-        """Derivative (S, J) of the block means by the last unknown, the error of the speed."""
-        o, unit = self.objective, SPEED_DIFFERENCE * (np.arange(self.x.size) == self.x.size - 1)
-        c = o.road.coefficients(o.split(self.x)[0])
-        one, other = (o.road_under_wheels(c, o.wheelbase(self.x + d)) for d in (unit, -unit))
-        motion, _ = self.tape.tangent(np.zeros(self.tape.end.size), one - other)
-        change = o.measurements.average(o.sense(motion, follows=False))
-        return change / (2.0 * SPEED_DIFFERENCE)
-
-    def tangent(self, dx: np.ndarray) -> np.ndarray:
-        """Return the change (S, J) of the predicted block means by a small `dx`."""
-        o = self.objective
-        u, start, bias = o.split(dx)
-        means = self.read_road(start, o.road.apply(u))
-        if o.is_speed_unknown:
-            means += dx[-1] * self.speed_sensitivity
-        return o.in_band(means + bias[:, None])
-
-    def read_road(self, start: np.ndarray, c: np.ndarray) -> np.ndarray:
-        """Return the change (S, J) of the block means, not limited to the bandwidth, by those of
-        the first vehicle state (14,) and of the road's coefficients `c` (2, K).
-        """
-        o = self.objective
-        means = self.block_tangent.apply(start, o.footprint.apply(c))
-        if o.model.bending is not None:
-            means = o.model.bending.sense(means, self._mean_duration)
-        if o.sampled_filter is not None:
-            means = o.measurements.average(o.sampled_filter.apply(means))
-        return means
-
-    def read_road_transpose(self, means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Apply the transpose of `read_road`: from block means (S, J) to (14,) and (2, K)."""
-        o = self.objective
-        if o.sampled_filter is not None:
-            means = o.sampled_filter.apply_transpose(o.measurements.average_transpose(means))
-        if o.model.bending is not None:
-            means = o.model.bending.sense_transpose(means, self._mean_duration)
-        start, c = self.block_tangent.apply_transpose(means)
-        return start, o.footprint.apply_transpose(c)
+    @property
+    def residual(self) -> list[np.ndarray]:
+        """Residual (S, J) [m/s²] of the measurements of each pass."""
+        return [one.residual for one in self.passes]
 
     @property
-    def _mean_duration(self) -> float:
-        """Duration [s] of a mean in the block tangent."""
-        o = self.objective
-        return o.block_duration if o.model.filter is None else o.inputs.h * o.model.filter.group
+    def inverse_variance(self) -> list[np.ndarray]:
+        """Inverse variance (S, J) of the noise of each pass."""
+        return [one.inverse_variance for one in self.passes]
 
-    def adjoint(self, means: np.ndarray) -> np.ndarray:
-        """Apply the transpose of `tangent`: from block means (S, J) to `x`."""
-        o = self.objective
-        means = o.in_band(means)
-        rest = o.model.bias_std * means.sum(axis=1)
-        if o.is_speed_unknown:
-            rest = np.append(rest, np.sum(self.speed_sensitivity * means))
-        start, c = self.read_road_transpose(means)
-        return np.concatenate([o.road.apply_transpose(c).ravel(), o.initial_std * start, rest])
+    def apply_inverse_covariance(self, means: Means) -> list[np.ndarray]:
+        """R^-1 times block means."""
+        pairs = zip(self.passes, means, strict=True)
+        return [one.apply_inverse_covariance(part) for one, part in pairs]
 
-    def draw_noise(self, rng: np.random.Generator) -> np.ndarray:
-        """Return R^-1/2 times white noise (S, J)."""
-        return self.shape_noise(rng.standard_normal(self.residual.shape))
+    def tangent(self, dx: np.ndarray) -> list[np.ndarray]:
+        """Change of the predicted block means by a small `dx`."""
+        u, own, shifts = self.objective.split(dx)
+        dc = self.objective.road.apply(u)
+        # a shifted pass sees the road's slope times its shift beside the change of the road
+        roads = [dc + (shift @ self._hats) * self._slope if shift.any() else dc for shift in shifts]
+        rows = zip(self.passes, roads, own, strict=True)
+        return [one.tangent(change, values) for one, change, values in rows]
 
-    def shape_noise(self, white: np.ndarray) -> np.ndarray:
-        """Return R^-1/2 times white noise (S, J)."""
-        if self.frequency_weights is not None:
-            white = apply_frequency_weights(np.sqrt(self.frequency_weights), white)
-        return np.sqrt(self.inverse_variance) * white
+    def adjoint(self, means: Means) -> np.ndarray:
+        """Apply the transpose of `tangent`: from block means to `x`."""
+        pairs = [one.adjoint(part) for one, part in zip(self.passes, means, strict=True)]
+        u = self.objective.road.apply_transpose(np.sum([c for c, _ in pairs], axis=0))
+        shifts = []
+        if self.objective.n_shifts:
+            shifts = [
+                SHIFT_STD * self._hats @ np.sum(self._slope * c, axis=0) for c, _ in pairs[1:]
+            ]
+        return np.concatenate([u.ravel(), *(own for _, own in pairs), *shifts])
 
-    def with_frequency_weights(self, frequency_weights: np.ndarray) -> "Linearization":
-        """Return the same point under noise of other frequency weights (J // 2 + 1,)."""
-        return replace(self, frequency_weights=frequency_weights)
+    @cached_property
+    def _slope(self) -> np.ndarray:
+        """Coefficients (2, K) [-] of the spline through the road's slopes at the nodes."""
+        c, ds = self.objective.coefficients(self.x), self.objective.road.ds
+        # at the nodes the slope of the spline is the central difference of its coefficients
+        return spline_filter1d(np.gradient(c, ds, axis=1), order=3, axis=1, mode="nearest")
 
-    def with_inverse_variance(self, inverse_variance: np.ndarray) -> "Linearization":
-        """Return the same point under another inverse variance (S, J) of the noise."""
-        return replace(self, inverse_variance=inverse_variance)
+    @cached_property
+    def _hats(self) -> np.ndarray:
+        """Weights (M, K) of the shifts at the nodes."""
+        road, knots = self.objective.road, self.objective.knots
+        station = road.origin + road.ds * np.arange(road.size)
+        return np.array([np.interp(station, knots, unit) for unit in np.eye(knots.size)])
+
+    @cached_property
+    def _shift_information(self) -> np.ndarray:
+        """Information (P - 1, M) of measurements of unit variance on shifts of unit prior, about:
+        that of a uniform shift, shared out among the knots by where the power is.
+        """
+        knots = self.objective.knots
+        information = np.zeros((len(self.passes) - 1, knots.size))
+        for k, one in enumerate(self.passes[1:] if knots.size else []):
+            uniform = one.read_road(np.zeros(one.tape.end.size), self._slope)
+            power = np.sum(one.source.measurements.sample_count * uniform**2, axis=0)
+            s = one.source.inputs.s[:: one.source.inputs.s.size // power.size][: power.size]
+            hats = [np.interp(s, knots, unit) for unit in np.eye(knots.size)]
+            information[k] = SHIFT_STD**2 * np.square(hats) @ power
+        return information
+
+    def offset_scale(self, noise_variance: np.ndarray, start_information: Means) -> np.ndarray:
+        """Root of the Hessian's diagonal behind the unknowns of the road, about, under noise
+        variances (P,), with the information (14,) on the initial state of each pass.
+        """
+        rows = zip(self.passes, noise_variance, start_information, strict=True)
+        own = [one.source.offset_scale(*rest) for one, *rest in rows]
+        shifts = np.sqrt(1.0 + self._shift_information / noise_variance[1:, None])
+        return np.concatenate([*own, shifts.ravel()])
+
+    def draw_noise(self, rng: np.random.Generator) -> list[np.ndarray]:
+        """R^-1/2 times white noise for each pass."""
+        return [one.shape_noise(rng.standard_normal(one.residual.shape)) for one in self.passes]
+
+    def of_pass(self, k: int) -> "Linearization":
+        """The linearization of the objective of the pass `k` alone, on the same road."""
+        one, own = self.passes[k], self.passes[k].own
+        u = self.x[: 2 * self.objective.road.size]
+        alone = Objective(self.objective.road, (one.source,))
+        return Linearization(alone, np.concatenate([u, own]), (one,))
+
+    def with_frequency_weights(self, weights: Means) -> "Linearization":
+        """The same point under noise of other frequency weights (J // 2 + 1,)."""
+        pairs = zip(self.passes, weights, strict=True)
+        passes = tuple(replace(one, frequency_weights=part) for one, part in pairs)
+        return replace(self, passes=passes)
+
+    def with_inverse_variance(self, variance: Means) -> "Linearization":
+        """The same point under other inverse variances of the noise."""
+        pairs = zip(self.passes, variance, strict=True)
+        passes = tuple(replace(one, inverse_variance=part) for one, part in pairs)
+        return replace(self, passes=passes)
 
     def with_road(self, road: RoadTransform, u: np.ndarray) -> "Linearization":
-        """Return the same motion under another prior, by which `u` (2, K) gives the same road."""
+        """The same motions under another prior, by which `u` (2, K) gives the same road."""
         x = np.concatenate([u.ravel(), self.x[u.size :]])
-        return replace(self, objective=self.objective.with_road(road), x=x)
+        return replace(self, objective=replace(self.objective, road=road), x=x)
 
-    def relinearize(self, x: np.ndarray, plant: Plant | None = None) -> "Linearization":
-        """Return the same objective and noise at another `x`. Raises ArithmeticError."""
-        return self.objective.linearize(x, plant, self.inverse_variance, self.frequency_weights)
-
-
-def apply_frequency_weights(frequency_weights: np.ndarray, means: np.ndarray) -> np.ndarray:
-    """Return block means (S, J) with each frequency multiplied by its weight (J // 2 + 1,)."""
-    return irfft(frequency_weights * rfft(means, axis=1), means.shape[1], axis=1)
+    def relinearize(self, x: np.ndarray, plants: Sequence[Plant] | None = None) -> "Linearization":
+        """The same objective and noise at another `x`. Raises ArithmeticError."""
+        weights = [one.frequency_weights for one in self.passes]
+        return self.objective.linearize(x, plants, self.inverse_variance, weights)

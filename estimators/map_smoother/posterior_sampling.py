@@ -85,7 +85,6 @@ def posterior_mean_and_std(
     """
     lin, rng = solution.linearization, np.random.default_rng(0)
     objective, road = lin.objective, lin.objective.road
-    noise_variance = objective.noise_variance * solution.noise_scale
     solve = solution.inverse_hessian(CG_ITERATIONS, CG_TOLERANCE)
     inside = (road.n >= band[0]) & (road.n <= band[1])
     # at the ends of the road the band-pass leaks
@@ -111,11 +110,11 @@ def posterior_mean_and_std(
     of_vehicle = errors_of_vehicle.weight * mean_square(errors_of_vehicle.moved)
     square = square + of_vehicle
     vehicle_share = float(of_vehicle.mean() / max(square.mean(), 1e-300))
-    shape = solution.stationary.error_variance(road, noise_variance, inside)
+    shape = solution.stationary.error_variance(road, solution.noise_variance, inside)
     # a band-pass spreads errors along the road by the square of its impulse response
     spread = irfft(inside.astype(float), road.size) ** 2
     shape = irfft(rfft(shape, axis=1) * rfft(spread), road.size, axis=1) / spread.sum()
-    drives = [one.objective.inputs for one in lin.passes]
+    drives = [one.source.inputs for one in lin.passes]
     level = _average_by_strut_state(square, shape, middle, road, drives)
     variance = STD_INFLATION**2 * level * shape
     if road.is_uneven:
@@ -147,7 +146,7 @@ def draw_deviations(
     """Return samples of the deviation of `x` from its posterior mean; `solve` as of
     `MapSolution.inverse_hessian`.
 
-    `lin` is a linearization, of one pass or of several, or the expectation of some over roads
+    `lin` is a linearization, or the expectation of some over roads
     (`attainable.ExpectedInformation`).
     """
     noise = [
@@ -183,18 +182,19 @@ def draw_vehicle_errors(
     """
     lin, white = solution.linearization, (draws, len(uncertainty.covariance))
     try:
-        changes = uncertainty.draw_changes(lin, rng.standard_normal(white))
+        (one,) = lin.passes
+        changes = uncertainty.draw_changes(one, rng.standard_normal(white))
     except ArithmeticError:  # on this road some vehicle within the tolerances does not stay finite
         return VehicleErrors([], 0.0, 0.0)
-    moved = [solve(lin.adjoint(lin.apply_inverse_covariance(change))) for change in changes]
+    moved = [solve(lin.adjoint(lin.apply_inverse_covariance([change]))) for change in changes]
     if not uncertainty.is_prior:
         return VehicleErrors(moved, uncertainty.inflation**2, 0.0)
-    root = np.sqrt(lin.objective.information)
+    root = np.sqrt(one.source.information)
     left = [
-        (root * (change - lin.tangent(dx))).ravel()
+        (root * (change - lin.tangent(dx)[0])).ravel()
         for change, dx in zip(changes, moved, strict=True)
     ]
-    gram, along = np.inner(left, left), np.inner(left, (root * lin.residual).ravel())
+    gram, along = np.inner(left, left), np.inner(left, (root * one.residual).ravel())
     evidence = float(along @ np.linalg.lstsq(gram, along)[0])
     typical = SHOWN_SHARE * float(np.trace(gram)) / draws
     shown = max(evidence - draws, 0.0) / max(typical, 1e-12)

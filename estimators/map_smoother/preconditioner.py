@@ -15,8 +15,8 @@ of the levels.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.fft import irfft, rfft, rfftfreq
@@ -24,7 +24,8 @@ from scipy.linalg import solve_continuous_lyapunov
 from scipy.ndimage import gaussian_filter1d
 
 from estimators.common.bending import BODY
-from estimators.map_smoother.objective import Objective
+from estimators.map_smoother.objective import Means, Objective
+from estimators.map_smoother.one_pass import Pass
 from estimators.map_smoother.road_prior import TO_WHEEL_PATHS, RoadTransform
 from road_envs.vehicle.linear_model import (
     LinearModel,
@@ -67,46 +68,55 @@ MAX_LEVEL_STEP = 1.5
 """Greatest distance of the levels of local roughness in the preconditioner, as a logarithm."""
 
 
-@dataclass(frozen=True, eq=False)
-class StationaryHessian:
-    """Stationary Hessian: `information` (F, 2, 2) of measurements of unit variance on the heights
-    of mean and half difference, at each spatial frequency of the road, and `start_information`
-    (14,) on each coordinate of the initial vehicle state; of several passes a list of these.
+class PassInformation(NamedTuple):
+    """Information of the measurements of one pass, if of unit variance: `on_road` (F, 2, 2) on the
+    heights of mean and half difference at each spatial frequency of the road, `on_start` (14,) on
+    each coordinate of the initial vehicle state. The pass has `covered` this share of the nodes
+    that any pass covers.
     """
 
-    information: np.ndarray
-    start_information: Any
+    on_road: np.ndarray
+    on_start: np.ndarray
+    covered: float
 
-    def reweighted(
-        self, objective: Objective, frequency_weights: np.ndarray
-    ) -> "StationaryHessian":
-        """Return the Hessian for measurements with weights (J // 2 + 1,) on their frequencies."""
-        inputs = objective.inputs
-        block = inputs.h * inputs.decimation * objective.measurements.sample_weight.shape[2]
-        f = rfftfreq(objective.measurements.y.shape[1], block)
-        response = np.interp(objective.road.n * inputs.v.mean(), f, frequency_weights)
-        return replace(self, information=self.information * response[:, None, None])
 
-    def weighted(self, noise_variance: float) -> np.ndarray:
-        """Return the information (F, 2, 2) under a `noise_variance` [(m/s²)²] of each sample."""
-        return self.information / noise_variance
+@dataclass(frozen=True, eq=False)
+class StationaryHessian:
+    """Stationary Hessian of P `passes`, whose information adds; noise variances (P,) [(m/s²)²] are
+    those of a sample of each.
+    """
 
-    def precision(self, road: RoadTransform, noise_variance: float) -> np.ndarray:
-        """Return P(n) (F, 2, 2) under a `noise_variance` [(m/s²)²] of each sample."""
+    passes: tuple[PassInformation, ...]
+
+    def reweighted(self, objective: Objective, weights: Means) -> "StationaryHessian":
+        """The Hessian for measurements with weights (J // 2 + 1,) on their frequencies."""
+        passes = []
+        for known, one, part in zip(self.passes, objective.passes, weights, strict=True):
+            f = rfftfreq(one.measurements.y.shape[1], one.block_duration)
+            response = np.interp(objective.road.n * one.inputs.v.mean(), f, part)
+            passes.append(known._replace(on_road=known.on_road * response[:, None, None]))
+        return StationaryHessian(tuple(passes))
+
+    def of_pass(self, k: int) -> "StationaryHessian":
+        """That of the pass `k` alone."""
+        return StationaryHessian((self.passes[k]._replace(covered=1.0),))
+
+    def precision(self, road: RoadTransform, noise_variance: np.ndarray) -> np.ndarray:
+        """P(n) (F, 2, 2) under the noise variances (P,)."""
         T = road.transfer_function().T
-        return np.eye(2) + self.weighted(noise_variance) * T.conj()[:, :, None] * T[:, None, :]
+        pairs = zip(self.passes, noise_variance, strict=True)
+        information = np.sum([one.on_road / variance for one, variance in pairs], axis=0)
+        return np.eye(2) + information * T.conj()[:, :, None] * T[:, None, :]
 
     def preconditioner(
-        self, objective: Objective, noise_variance: float
+        self, road: RoadTransform, noise_variance: np.ndarray, offset_scale: np.ndarray
     ) -> Callable[[np.ndarray], np.ndarray]:
-        """Return a function that maps a gradient to a step."""
-        road = objective.road
+        """A function that maps a gradient to a step; `offset_scale` of `Linearization`."""
         excess = self.precision(road, noise_variance) - np.eye(2)
         roots = [
             (np.sqrt(share), _inverse(_root(np.eye(2) + level**2 * excess)))
             for level, share in _split_levels(road.local)
         ]
-        scale = objective.offset_scale(noise_variance, self.start_information)
 
         def apply(g: np.ndarray) -> np.ndarray:
             u, rest = np.split(g, [2 * road.size])
@@ -115,17 +125,32 @@ class StationaryHessian:
             for share, root in roots:
                 U = np.einsum("fij,jf->if", root, rfft(share * road.free * u, axis=1))
                 step += share * road.free * irfft(U, road.size, axis=1)
-            return np.concatenate([step.ravel(), rest / scale])
+            return np.concatenate([step.ravel(), rest / offset_scale])
 
         return apply
 
-    def effective_dof(self, road: RoadTransform, noise_variance: float) -> float:
-        """Return the number of the road's unknowns that the measurements determine."""
-        left = np.real(np.trace(_inverse(self.precision(road, noise_variance)), axis1=1, axis2=2))
-        return float(road.free.sum() * np.mean(2.0 - left))
+    def effective_dof(self, road: RoadTransform, noise_variance: np.ndarray) -> np.ndarray:
+        """Number (P,) of the road's unknowns that each pass determines; they add to all.
+
+        What all determine is shared out by the traces of posterior covariance times information.
+        """
+        covariance = _inverse(self.precision(road, noise_variance))
+        left = np.real(np.trace(covariance, axis1=1, axis2=2))
+        T = road.transfer_function().T
+        product = T.conj()[:, :, None] * T[:, None, :]
+        traces = np.array(
+            [
+                np.einsum("fij,fji->f", covariance, one.on_road / variance * product).real.mean()
+                for one, variance in zip(self.passes, noise_variance, strict=True)
+            ]
+        )
+        covered = np.array([one.covered for one in self.passes])
+        return (
+            road.free.sum() * np.mean(2.0 - left) * covered * (traces / max(traces.sum(), 1e-300))
+        )
 
     def density_scale(
-        self, road: RoadTransform, noise_variance: float, u: np.ndarray
+        self, road: RoadTransform, noise_variance: np.ndarray, u: np.ndarray
     ) -> np.ndarray:
         """Return the density (F,) of `u` (2, K) over its expectation, averaged over octaves.
 
@@ -146,7 +171,7 @@ class StationaryHessian:
         return np.exp(np.interp(np.log2(np.maximum(road.n, 1e-9)), centre[enough], level))
 
     def local_roughness(
-        self, road: RoadTransform, noise_variance: float, u: np.ndarray, passed: np.ndarray
+        self, road: RoadTransform, noise_variance: np.ndarray, u: np.ndarray, passed: np.ndarray
     ) -> np.ndarray:
         """Return the local roughness (2, K) that `u` (2, K) suggests, relative to the spectrum, by
         what is known of the nodes that wheels have `passed` (K,).
@@ -175,7 +200,7 @@ class StationaryHessian:
         return np.clip(local, ROUGHNESS_STEPS[0], ROUGHNESS_STEPS[-1])
 
     def error_variance(
-        self, road: RoadTransform, noise_variance: float, lines: np.ndarray
+        self, road: RoadTransform, noise_variance: np.ndarray, lines: np.ndarray
     ) -> np.ndarray:
         """Return the variance (2, K) of the heights' error, up to a factor, at the local roughness.
 
@@ -189,7 +214,7 @@ class StationaryHessian:
         ]
         return np.interp(road.local, ROUGHNESS_STEPS, variance)
 
-    def _posteriors(self, road: RoadTransform, noise_variance: float) -> list[np.ndarray]:
+    def _posteriors(self, road: RoadTransform, noise_variance: np.ndarray) -> list[np.ndarray]:
         """Return posterior over prior variance (F, 2) of `u`, for each of ROUGHNESS_STEPS."""
         excess = self.precision(road, noise_variance) - np.eye(2)
         matrices = (_inverse(np.eye(2) + d**2 * excess) for d in ROUGHNESS_STEPS)
@@ -197,16 +222,32 @@ class StationaryHessian:
 
 
 def stationary_hessian(objective: Objective) -> StationaryHessian:
-    """Return the Hessian of `objective` at its mean speed; strut states count by their duration."""
-    road, inputs = objective.road, objective.inputs
+    """The Hessian of `objective`, each pass at its mean speed, strut states by their duration."""
+    road = objective.road
+    station = (road.origin + road.ds * np.arange(road.size))[road.free > 0]
+    passed = [
+        (station >= one.inputs.s[0] - one.model.wheelbase) & (station <= one.inputs.s[-1])
+        for one in objective.passes
+    ]
+    count = max(np.any(passed, axis=0).sum(), 1)
+    return StationaryHessian(
+        tuple(
+            PassInformation(_road_information(one, road), _start_information(one), covered)
+            for one, covered in zip(objective.passes, np.sum(passed, axis=1) / count, strict=True)
+        )
+    )
+
+
+def _road_information(one: Pass, road: RoadTransform) -> np.ndarray:
+    """Information (F, 2, 2) on the heights of mean and half difference."""
+    inputs = one.inputs
     n, v = np.maximum(road.n, 1e-6), float(inputs.v.mean())
-    parts = ((share * H.conj(), H) for share, H in linear_responses(objective, n * v))
+    parts = ((share * H.conj(), H) for share, H in linear_responses(one, n * v))
     information = np.sum([np.einsum("fsi,fsj->fij", dual, H) for dual, H in parts], axis=0)
     fs = 1.0 / (inputs.h * inputs.decimation)
-    response = np.sinc(n * v * objective.measurements.sample_weight.shape[2] / fs) ** 2
-    response *= n * v <= objective.model.bandwidth
-    information *= (response * fs * road.ds / v)[:, None, None]
-    return StationaryHessian(information, fs * _start_gramian(objective))
+    response = np.sinc(n * v * one.measurements.sample_weight.shape[2] / fs) ** 2
+    response *= n * v <= one.model.bandwidth
+    return np.asarray(information * (response * fs * road.ds / v)[:, None, None])
 
 
 def _split_levels(local: np.ndarray) -> list[tuple[float, np.ndarray]]:
@@ -217,75 +258,74 @@ def _split_levels(local: np.ndarray) -> list[tuple[float, np.ndarray]]:
     return list(zip(np.exp(levels), shares, strict=True))
 
 
-def prior_spectrum(objective: Objective, f: np.ndarray) -> np.ndarray:
+def prior_spectrum(road: RoadTransform, one: Pass, f: np.ndarray) -> np.ndarray:
     """Return the spectrum (F, 2) [m²] of mean and half difference in block means at `f` (F,) [Hz].
 
     In units in which that of unit white noise of the block means is 1.
     """
-    road, v = objective.road, float(objective.inputs.v.mean())
-    dt = objective.block_duration
+    v, dt = float(one.inputs.v.mean()), one.block_duration
     density = np.abs(road.transfer_function()) ** 2 * road.ds / (v * dt)
     response = np.sinc(f * dt) ** 2
     return np.array([np.interp(f / v, road.n, path) * response for path in density]).T
 
 
-def linear_responses(objective: Objective, f: np.ndarray) -> Iterator[tuple[float, np.ndarray]]:
+def linear_responses(one: Pass, f: np.ndarray) -> Iterator[tuple[float, np.ndarray]]:
     """Yield the share of each strut state in the drive, and its response (F, S, 2) at `f` (F,) [Hz]
     to mean and half difference.
     """
-    v = float(objective.inputs.v.mean())
-    for share, mode in _modes(objective):
-        H = frequency_response(_linear_model(objective, mode), v, f=f)
-        yield share, _sensed(objective, H, f)
+    v = float(one.inputs.v.mean())
+    for share, mode in _modes(one):
+        H = frequency_response(_linear_model(one, mode), v, f=f)
+        yield share, _sensed(one, H, f)
 
 
-def response_differences(
-    objective: Objective, varied: Sequence[Objective], f: np.ndarray
-) -> Iterator[np.ndarray]:
+def response_differences(one: Pass, varied: Sequence[Pass], f: np.ndarray) -> Iterator[np.ndarray]:
     """Yield, of each strut state, by how much the responses (P, F, S, 2) of `linear_responses`
-    change to first order from the first to each other of the objectives `varied`.
+    change to first order from the first to each other of the passes `varied`.
     """
-    v, (base, *others) = float(objective.inputs.v.mean()), varied
-    for _, mode in _modes(objective):
-        linear, *models = (_linear_model(one, mode) for one in varied)
+    v, (base, *others) = float(one.inputs.v.mean()), varied
+    for _, mode in _modes(one):
+        linear, *models = (_linear_model(other, mode) for other in varied)
         H, changes = frequency_response(linear, v, f=f), response_changes(linear, models, v, f)
         pairs = zip(others, changes, strict=True)
-        yield np.array([_sensed(one, H + dH, f) for one, dH in pairs]) - _sensed(base, H, f)
+        yield np.array([_sensed(other, H + dH, f) for other, dH in pairs]) - _sensed(base, H, f)
 
 
-def _modes(objective: Objective) -> Iterator[tuple[float, dict[str, str]]]:
+def _modes(one: Pass) -> Iterator[tuple[float, dict[str, str]]]:
     """Yield the share of each strut state in the drive, and the command of each wheel."""
-    inputs = objective.inputs
+    inputs = one.inputs
     for byte, count in zip(*np.unique(inputs.commands, return_counts=True), strict=True):
         yield count / inputs.n_steps, _decode_mode(int(byte))
 
 
-def _linear_model(objective: Objective, mode: dict[str, str]) -> LinearModel:
+def _linear_model(one: Pass, mode: dict[str, str]) -> LinearModel:
     """Return the linear vehicle with the points whose accelerations the sensors need."""
-    model = objective.model
+    model = one.model
     damping = gaussian_damping(model.plant, mode, DAMPING_RATE)
     locations = {**model.locations, **({} if model.bending is None else BODY)}
-    v = float(objective.inputs.v.mean())
+    v = float(one.inputs.v.mean())
     return linearise(model.plant, mode, locations, damping=damping, speed=v)
 
 
-def _start_gramian(objective: Objective) -> np.ndarray:
-    """Return the diagonal (14,) of the observability Gramian: the integral over time of the squared
-    accelerations that all sensors have after a unit deviation of a coordinate of the vehicle.
+def _start_information(one: Pass) -> np.ndarray:
+    """Information (14,) on the initial vehicle state: the diagonal of the observability Gramian,
+    the integral over time of the squared accelerations that all sensors have after a unit deviation
+    of a coordinate, times the sampling rate.
     """
-    linear = _linear_model(objective, _decode_mode(int(objective.inputs.commands[0])))
-    C = linear.C[: len(objective.model.locations)]
-    return np.diag(solve_continuous_lyapunov(linear.A.T, -C.T @ C))
+    linear = _linear_model(one, _decode_mode(int(one.inputs.commands[0])))
+    C = linear.C[: len(one.model.locations)]
+    fs = 1.0 / (one.inputs.h * one.inputs.decimation)
+    return fs * np.diag(solve_continuous_lyapunov(linear.A.T, -C.T @ C))
 
 
-def _sensed(objective: Objective, H: np.ndarray, f: np.ndarray) -> np.ndarray:
+def _sensed(one: Pass, H: np.ndarray, f: np.ndarray) -> np.ndarray:
     """Return the responses (F, S, 2) of the sensors to mean and half difference, from those of the
     points of `_linear_model` to the road under the tyres.
     """
-    model = objective.model
+    model = one.model
     if model.bending is not None:
         H = model.bending.response(H, f)
-    response = np.sinc(f / objective.inputs.v.mean() * model.contact_length)
+    response = np.sinc(f / one.inputs.v.mean() * model.contact_length)
     if model.filter is not None:
         response = response * model.filter.response(f)
     return response[:, None, None] * H @ TO_WHEEL_PATHS

@@ -10,6 +10,7 @@ level.
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
@@ -37,6 +38,14 @@ FROM_WHEEL_PATHS = np.linalg.inv(TO_WHEEL_PATHS)
 """From left and right to mean and half difference."""
 
 
+class RoadNodes(NamedTuple):
+    """Nodes of the road: `size` of them, `ds` [m] apart from the station `origin` [m] on."""
+
+    origin: float
+    ds: float
+    size: int
+
+
 @dataclass(frozen=True, eq=False)
 class RoadTransform:
     """Linear map from `u` to the coefficients of both wheel paths.
@@ -58,6 +67,11 @@ class RoadTransform:
     def size(self) -> int:
         """Nodes K of each wheel path."""
         return self.free.size
+
+    @property
+    def nodes(self) -> RoadNodes:
+        """The nodes."""
+        return RoadNodes(self.origin, self.ds, self.size)
 
     @property
     def n(self) -> np.ndarray:

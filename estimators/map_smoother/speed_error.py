@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from estimators.map_smoother.gauss_newton import MapSolution
-from estimators.map_smoother.objective import MeasurementModel
+from estimators.map_smoother.one_pass import MeasurementModel
 from road_envs.records.record import DistanceScale
 
 CG_ITERATIONS, CG_TOLERANCE = 100, 0.05
@@ -30,11 +30,13 @@ which distances are corrected.
 
 
 def estimate_speed_error(solution: MapSolution) -> tuple[float, float]:
-    """Return the relative error of the speed, an unknown of the objective, and its variance."""
-    lin, objective = solution.linearization, solution.linearization.objective
-    unit = (np.arange(lin.x.size) == lin.x.size - 1).astype(float)
+    """The relative error of the speed of a single pass, an unknown, and its variance."""
+    (one,) = solution.linearization.passes
+    size = solution.linearization.x.size
+    unit = (np.arange(size) == size - 1).astype(float)
     column = solution.inverse_hessian(CG_ITERATIONS, CG_TOLERANCE)(unit)
-    return objective.speed_error(lin.x), objective.model.speed_std**2 * float(column[-1])
+    variance = one.source.model.speed_std**2 * float(column[-1])
+    return one.source.speed_error(one.own), variance
 
 
 def distance_scale(

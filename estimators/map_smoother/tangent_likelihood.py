@@ -26,8 +26,9 @@ import numpy as np
 from scipy.fft import irfft
 
 from estimators.map_smoother.gauss_newton import MapSolution
-from estimators.map_smoother.marginal_likelihood import perturbed_objectives, sensitivities
-from estimators.map_smoother.objective import Linearization, Objective
+from estimators.map_smoother.marginal_likelihood import perturbed_passes, sensitivities
+from estimators.map_smoother.objective import Linearization
+from estimators.map_smoother.one_pass import LinearizedPass, Pass
 from road_envs.vehicle.parameters import VehicleParameters
 
 DRAWS = 8
@@ -56,15 +57,16 @@ def tangent_terms(solution: MapSolution, cars: Sequence[VehicleParameters]) -> T
     Raises ArithmeticError if a motion is not finite.
     """
     lin, solve = solution.linearization, solution.inverse_hessian(CG_ITERATIONS, CG_TOLERANCE)
-    varied = perturbed_objectives(lin.objective, cars)
-    G = sensitivities(lin, varied)
-    weighted = np.array([lin.apply_inverse_covariance(g) for g in G])
-    F = np.array([solve(lin.adjoint(g)) for g in weighted])
-    left = G - np.array([lin.tangent(f) for f in F])
+    (one,) = lin.passes
+    varied = perturbed_passes(one.source, cars)
+    G = sensitivities(one, varied)
+    weighted = np.array([one.apply_inverse_covariance(g) for g in G])
+    F = np.array([solve(lin.adjoint([g])) for g in weighted])
+    left = G - np.array([lin.tangent(f)[0] for f in F])
     to_optimum = solve(-lin.gradient())
-    fit = np.einsum("psj,sj->p", weighted, lin.residual - lin.tangent(to_optimum))
+    fit = np.einsum("psj,sj->p", weighted, one.residual - lin.tangent(to_optimum)[0])
     traces = np.array([trace_sample(lin, varied, solve(b)) for b in posterior_noise(lin)])
-    weighted = np.array([lin.apply_inverse_covariance(g) for g in left])
+    weighted = np.array([one.apply_inverse_covariance(g) for g in left])
     return TangentTerms(
         gradient=fit - traces.mean(axis=0),
         sampling_covariance=np.cov(traces.T) / len(traces),
@@ -74,12 +76,16 @@ def tangent_terms(solution: MapSolution, cars: Sequence[VehicleParameters]) -> T
     )
 
 
-def trace_sample(lin: Linearization, varied: Sequence[Objective], w: np.ndarray) -> np.ndarray:
-    """Return (dJ/dp w)' R^-1 J w (P,) of a sample `w` (n,); `varied` as of
-    `perturbed_objectives`.
-    """
-    above, below = (sensitivities(replace(lin, x=lin.x + dx), varied) for dx in (w, -w))
-    dual = lin.apply_inverse_covariance(lin.tangent(w))
+def trace_sample(lin: Linearization, varied: Sequence[Pass], w: np.ndarray) -> np.ndarray:
+    """Return (dJ/dp w)' R^-1 J w (P,) of a sample `w` (n,); `varied` as of `perturbed_passes`."""
+    (one,) = lin.passes
+
+    def moved(dx: np.ndarray) -> LinearizedPass:
+        u, (own,), _ = lin.objective.split(lin.x + dx)
+        return replace(one, c=lin.objective.road.coefficients(u), own=own)
+
+    above, below = (sensitivities(moved(dx), varied) for dx in (w, -w))
+    dual = one.apply_inverse_covariance(lin.tangent(w)[0])
     return np.einsum("psj,sj->p", 0.5 * (above - below), dual)
 
 
@@ -91,16 +97,18 @@ def posterior_noise(lin: Linearization) -> Iterator[np.ndarray]:
     give the mean of a quadratic form without error.
     """
     rng = np.random.default_rng(0)
-    u, _, bias = lin.objective.split(lin.x)
-    shapes = lin.residual.shape, u.shape
+    (one,), u = lin.passes, lin.objective.split(lin.x)[0]
+    shapes = one.residual.shape, u.shape
     phases = [rng.uniform(0.0, 2.0 * np.pi, (rows, size // 2 + 1)) for rows, size in shapes]
-    turns = np.split(2.0 * np.pi / DRAWS * np.arange(sum(rows for rows, _ in shapes)), [len(bias)])
+    turns = np.split(
+        2.0 * np.pi / DRAWS * np.arange(sum(rows for rows, _ in shapes)), [len(one.residual)]
+    )
     for k in range(DRAWS):
         e_1, e_2 = (
             _flat_noise(phase + k * turn[:, None], size)
             for (_, size), phase, turn in zip(shapes, phases, turns, strict=True)
         )
-        measured = lin.adjoint(lin.shape_noise(e_1))
+        measured = lin.adjoint([one.shape_noise(e_1)])
         rest = rng.standard_normal(measured.size - u.size)
         yield measured + np.concatenate([e_2.ravel(), rest])
 

@@ -23,7 +23,7 @@ from estimators.map_smoother.marginal_likelihood import (
     reading_sensitivities,
     varied_residuals,
 )
-from estimators.map_smoother.objective import Linearization
+from estimators.map_smoother.one_pass import LinearizedPass
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.tolerances import parameter_space, scale_parameters
 
@@ -91,7 +91,7 @@ class VehicleUncertainty:
         values, vectors = np.linalg.eigh(self.covariance)
         return vectors * np.sqrt(np.maximum(values, 0.0))
 
-    def draw_changes(self, lin: Linearization, white: np.ndarray) -> np.ndarray:
+    def draw_changes(self, lin: LinearizedPass, white: np.ndarray) -> np.ndarray:
         """Return samples of G dp (N, S, J) [m/s²]: by how much the block means of a drive are
         mispredicted at `lin`, which is a linearization with `car`.
 
@@ -100,8 +100,8 @@ class VehicleUncertainty:
         of_car, of_instruments = np.split(white @ self._root.T, [len(self.names)], axis=1)
         factors = np.exp(DIFFERENCE * of_car).tolist()
         cars = [scale_parameters(self.car, dict(zip(self.names, x, strict=True))) for x in factors]
-        left = varied_residuals(lin, [lin.objective.with_car(car) for car in cars])
-        read = reading_sensitivities(lin, lin.objective, np.zeros(of_instruments.shape[1]))
+        left = varied_residuals(lin, [lin.source.with_car(car) for car in cars])
+        read = reading_sensitivities(lin, lin.source, np.zeros(of_instruments.shape[1]))
         return (lin.residual - left) / DIFFERENCE + np.tensordot(of_instruments, read, axes=1)
 
 

@@ -28,13 +28,14 @@ between known ends (a Brownian bridge), whose mean over m steps of variance s² 
 m s² / 12.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.fft import irfft
 from scipy.ndimage import find_objects, label
 
 from estimators.map_smoother.objective import Linearization
+from estimators.map_smoother.one_pass import LinearizedPass
 from road_envs.simulation.rosenbrock import LOAD
 
 LIFTOFF_LOAD_SHARE = 0.1
@@ -61,7 +62,8 @@ def unloaded_nodes(lin: Linearization, share: float = LIFTOFF_LOAD_SHARE) -> np.
     """Return which free nodes (2, K) were passed but never pressed on by this `share` of the mean
     wheel load, in any of the passes.
     """
-    return np.all([_unloaded_in_pass(one, share) for one in lin.passes], axis=0)
+    light = np.all([_unloaded_in_pass(one, share) for one in lin.passes], axis=0)
+    return np.asarray(light & (lin.objective.road.free > 0))
 
 
 def passed_nodes(lin: Linearization) -> np.ndarray:
@@ -70,34 +72,35 @@ def passed_nodes(lin: Linearization) -> np.ndarray:
     return np.asarray(passed & (lin.objective.road.free > 0))
 
 
-def _unloaded_in_pass(lin: Linearization, share: float) -> np.ndarray:
-    road, nodes = lin.objective.road, _wheel_nodes(lin)
-    loads, max_load = lin.tape.signals[:, LOAD : LOAD + 4], np.zeros((2, road.size))
+def _unloaded_in_pass(one: LinearizedPass, share: float) -> np.ndarray:
+    """Return which nodes (2, K) were passed, but never pressed on."""
+    nodes = _wheel_nodes(one)
+    loads, max_load = one.tape.signals[:, LOAD : LOAD + 4], np.zeros((2, one.source.nodes.size))
     for wheel in range(4):
         for k in (0, 1):  # the nodes to either side carry the wheel
             np.maximum.at(max_load[wheel % 2], nodes[wheel // 2] + k, loads[:, wheel])
     light = max_load < share * loads.mean()
-    return light & _passed_by(lin, nodes) & (road.free > 0)
+    return light & _passed_by(one, nodes)
 
 
-def _wheel_nodes(lin: Linearization) -> list[np.ndarray]:
+def _wheel_nodes(one: LinearizedPass) -> list[np.ndarray]:
     """Return the node (N,) behind front and rear wheels at each step."""
-    road, s = lin.objective.road, lin.objective.inputs.s[::2]
-    stations = s, s - lin.objective.model.wheelbase
-    return [((station - road.origin) / road.ds).astype(int) for station in stations]
+    nodes, s = one.source.nodes, one.source.inputs.s[::2]
+    stations = s, s - one.source.model.wheelbase
+    return [((station - nodes.origin) / nodes.ds).astype(int) for station in stations]
 
 
-def _passed_by(lin: Linearization, nodes: list[np.ndarray]) -> np.ndarray:
-    passed = np.zeros(lin.objective.road.size, dtype=bool)
+def _passed_by(one: LinearizedPass, nodes: list[np.ndarray]) -> np.ndarray:
+    passed = np.zeros(one.source.nodes.size, dtype=bool)
     for axle in nodes:
         passed[axle.min() : axle.max()] = True
     return passed
 
 
-def distance_in_air(lin: Linearization) -> float:
+def distance_in_air(one: LinearizedPass) -> float:
     """Return the distance [m] over which at least one wheel had lifted off."""
-    lifted = np.any(lin.tape.signals[:, LOAD : LOAD + 4] <= 0.0, axis=1)
-    return float(np.diff(lin.objective.inputs.s[::2]) @ lifted[:-1])
+    lifted = np.any(one.tape.signals[:, LOAD : LOAD + 4] <= 0.0, axis=1)
+    return float(np.diff(one.source.inputs.s[::2]) @ lifted[:-1])
 
 
 def relax_unloaded(lin: Linearization) -> np.ndarray | None:
@@ -153,11 +156,9 @@ class _Gap(NamedTuple):
     rise: float
 
 
-def road_below_light_wheels(lin: Any) -> tuple[np.ndarray, list[LiftoffError]]:
+def road_below_light_wheels(lin: Linearization) -> tuple[np.ndarray, list[LiftoffError]]:
     """Return by how much (2, K) [m] the road is lower than that of `lin` in the mean, and its
     errors below light wheels, which are independent of one another.
-
-    `lin` is of one pass or of several.
     """
     road = lin.objective.road
     c = road.coefficients(lin.objective.split(lin.x)[0])
@@ -185,15 +186,15 @@ def road_below_light_wheels(lin: Any) -> tuple[np.ndarray, list[LiftoffError]]:
     return lower, errors
 
 
-def lower_road(lin: Any, lower: np.ndarray) -> Any:
+def lower_road(lin: Linearization, lower: np.ndarray) -> Linearization:
     """Return the linearization on a road that is by `lower` (2, K) [m] below that of `lin`; the
     same one if the motion is not finite there.
     """
     if not lower.max() > 0.0:
         return lin
-    u = lin.objective.road.whiten(-np.diff(lower, axis=1, prepend=0.0)).ravel()
+    u = lin.objective.road.whiten(-np.diff(lower, axis=1, prepend=0.0))
     try:
-        return lin.relinearize(lin.x + np.pad(u, (0, lin.x.size - u.size)))
+        return lin.relinearize(lin.x + lin.objective.from_noise(u))
     except ArithmeticError:
         return lin
 

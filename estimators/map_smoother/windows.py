@@ -1,13 +1,14 @@
-"""Estimation of a drive of any length, window by window.
+"""Estimation of drives of any length, window by window.
 
-A window begins in the vehicle state and on the road that the previous window found an `overlap`
+A window begins in the vehicle states and on the road that the previous window found an `overlap`
 before its own end, where later measurements hardly change them any more; both are kept fixed. The
-roads of the windows therefore join in height and slope, the vehicle's motion is continuous, and
-memory is that of one window.
+roads of the windows therefore join in height and slope, the vehicles' motions are continuous, and
+memory is that of one window. The windows of several passes begin and end at the same stations.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,34 +16,63 @@ from estimators.common.block_means import block_means
 from estimators.common.model_inputs import ModelInputs
 from estimators.common.spline import evaluate_spline
 from estimators.map_smoother.gauss_newton import MapSolution
-from estimators.map_smoother.objective import MeasurementModel, Objective
-from estimators.map_smoother.road_prior import RoadTransform, padded_size, prior_amplitude
+from estimators.map_smoother.objective import Objective, shift_inputs
+from estimators.map_smoother.one_pass import MeasurementModel, Pass
+from estimators.map_smoother.road_prior import (
+    RoadNodes,
+    RoadTransform,
+    padded_size,
+    prior_amplitude,
+)
 from road_envs.analysis.information_bound import RoadPrior
+from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import settled_strut_state
 
 MARGIN = 4
 """Nodes before the first and behind the last that carries a wheel."""
 
+MIN_BLOCKS = 32
+"""Block means of a pass in a window below which it is left out there, if others are not."""
+
+KNOT_SPACING = 10.0
+"""Distance [m] of the knots of the shifts, about."""
+
+MAX_LATE_START = 2.0
+"""Largest distance [m] of the stations where passes begin, if they begin on one level apron."""
+
+Window = tuple[int, int, int]
+"""Begin, begin of the next one, and end of a window, in blocks."""
+
 
 @dataclass(frozen=True, eq=False)
 class PreparedDrive:
-    """A drive prepared for estimation. Samples `a` (S, T) [m/s²], of which `valid` (S, T) are used,
-    and `censored` (S, T) as in `block_means`, in blocks of `block_size`; model `inputs`; vehicle at
-    rest `rest_state` (14,) and the prior standard deviation `initial_std` (14,) about it; nodes of
-    the road from the station `origin` [m] on, `ds` [m] apart, and which of them may rise or fall,
-    `free` (K,) 0 or 1.
+    """A drive of the vehicle `car`, prepared for estimation.
+
+    - `model` of vehicle and instruments, and model `inputs`.
+    - Samples `a` (S, T) [m/s²], of which `valid` (S, T) are used, and `censored` (S, T) as in
+      `block_means`, in blocks of `block_size`.
+    - `rest_state` (14,) of the vehicle and the prior standard deviation `initial_std` (14,) about
+      it.
+    - `nodes` of the road, and the stations `free_span` [m] between which it may rise or fall.
     """
 
+    car: VehicleParameters
+    model: MeasurementModel
+    inputs: ModelInputs
     a: np.ndarray
     valid: np.ndarray
     censored: np.ndarray
     block_size: int
-    inputs: ModelInputs
     rest_state: np.ndarray
     initial_std: np.ndarray
-    origin: float
-    ds: float
-    free: np.ndarray
+    nodes: RoadNodes
+    free_span: tuple[float, float]
+
+    @property
+    def free(self) -> np.ndarray:
+        """Which nodes (K,) may rise or fall against the one before: 1, others 0."""
+        middle = self.nodes.origin + self.nodes.ds * (np.arange(self.nodes.size) - 0.5)
+        return ((middle > self.free_span[0]) & (middle < self.free_span[1])).astype(float)
 
     @property
     def steps_per_block(self) -> int:
@@ -54,56 +84,94 @@ class PreparedDrive:
         """Number of block means of each sensor."""
         return self.a.shape[1] // self.block_size
 
-    def split(self, window: float, overlap: float) -> list[tuple[int, int, int]]:
-        """Split the drive into windows of `window` and `overlap` [s]: begin, begin of the next one,
-        and end of each, in blocks.
-        """
+    @property
+    def block_stations(self) -> np.ndarray:
+        """Stations [m] at which the blocks begin."""
+        return self.inputs.s[:: 2 * self.steps_per_block][: self.blocks]
+
+    @property
+    def mean_speed(self) -> float:
+        """Mean speed [m/s]."""
+        return float(self.inputs.v.mean())
+
+    def split(self, window: float, overlap: float) -> list[Window]:
+        """Split the drive into windows of `window` and `overlap` [s]."""
         rate = 1.0 / (self.steps_per_block * self.inputs.h)
         return split_windows(self.blocks, round(window * rate), round(overlap * rate))
 
     def node_at(self, s: float) -> int:
         """Return the node at the station `s` [m] or just before it."""
-        return int((s - self.origin) / self.ds)
+        return int((s - self.nodes.origin) / self.nodes.ds)
+
+    def nodes_under(self, begin: int, end: int) -> tuple[int, int]:
+        """Return the first and the last node that carries a wheel in blocks `begin` to `end`."""
+        s = self.inputs.s
+        first, last = (2 * self.steps_per_block * block for block in (begin, end))
+        return self.node_at(s[first] - self.model.wheelbase), self.node_at(s[last - 1])
 
 
 @dataclass(frozen=True, eq=False)
-class WindowState:
-    """Result of the windows so far. Coefficients `c` (2, K) [m] of the road, final before the node
-    `first_free_node` and level from there on, and the `std` (2, K) [m] of their error;
-    `vehicle_state` (14,), its standard deviation `initial_std` (14,) and `strut_state` (4, 3) where
-    the next window begins; `density_scale` of the road's prior at the frequencies `n` [cycles/m];
-    `filter_state` of the anti-alias filter there, None at rest or if it only delays.
+class RoadSoFar:
+    """Road of the windows so far: coefficients `c` (2, K) [m], final before the node
+    `first_free_node` and level from there on, and the `std` (2, K) [m] of their error; the
+    `density_scale` of the prior at the frequencies `n` [cycles/m].
     """
 
     c: np.ndarray
     std: np.ndarray
     first_free_node: int
-    vehicle_state: np.ndarray
-    initial_std: np.ndarray
-    strut_state: np.ndarray
     n: np.ndarray
     density_scale: np.ndarray
-    filter_state: np.ndarray | None = None
 
-    def at_stations(self, drive: PreparedDrive, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    @classmethod
+    def level(cls, size: int) -> "RoadSoFar":
+        """Return that before the first window."""
+        return cls(np.zeros((2, size)), np.zeros((2, size)), 0, np.array([0.0, 1.0]), np.ones(2))
+
+    def at_stations(self, nodes: RoadNodes, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return heights and standard deviations (2, M) [m] at the stations `s` (M,) [m]."""
-        x = np.clip((s - drive.origin) / drive.ds, 1.0, drive.free.size - 3.0)
-        node = np.arange(drive.free.size)
+        x = np.clip((s - nodes.origin) / nodes.ds, 1.0, nodes.size - 3.0)
+        node = np.arange(nodes.size)
         return evaluate_spline(self.c, x), np.array([np.interp(x, node, std) for std in self.std])
 
 
-def initial_window_state(drive: PreparedDrive) -> WindowState:
-    """Return the state before the first window."""
-    size = drive.free.size
-    # exactly at rest the friction law has a kink and no tangent
-    vehicle = drive.rest_state + 1e-7, drive.initial_std
-    strut_state = settled_strut_state(int(drive.inputs.commands[0]))
-    prior = np.array([0.0, 1.0]), np.ones(2)
-    return WindowState(np.zeros((2, size)), np.zeros((2, size)), 0, *vehicle, strut_state, *prior)
+class PassState(NamedTuple):
+    """State of a pass where its next window begins: `vehicle_state` (14,) with the standard
+    deviation `initial_std` (14,), `strut_state` (4, 3) and `filter_state` of the anti-alias filter,
+    None at rest or if it only delays.
+    """
+
+    vehicle_state: np.ndarray
+    initial_std: np.ndarray
+    strut_state: np.ndarray
+    filter_state: np.ndarray | None = None
+
+    @classmethod
+    def first(cls, drive: PreparedDrive) -> "PassState":
+        """Return that before the first window."""
+        strut_state = settled_strut_state(int(drive.inputs.commands[0]))
+        # exactly at rest the friction law has a kink and no tangent
+        return cls(drive.rest_state + 1e-7, drive.initial_std, strut_state)
 
 
-def split_windows(blocks: int, window: int, overlap: int) -> list[tuple[int, int, int]]:
-    """Split `blocks` into windows: begin, begin of the next one, and end of each."""
+def on_common_nodes(drives: Sequence[PreparedDrive]) -> list[PreparedDrive]:
+    """Return the drives on the finest nodes that any of them needs; the road is level where it is
+    so for all of them, if they begin at the same place.
+    """
+    if len(drives) == 1:
+        return list(drives)
+    grids = [drive.nodes for drive in drives]
+    ds, origin = min(grid.ds for grid in grids), min(grid.origin for grid in grids)
+    last = max(grid.origin + grid.ds * grid.size for grid in grids)
+    nodes = RoadNodes(origin, ds, int((last - origin) / ds) + 1)
+    together = np.ptp([drive.inputs.s[0] for drive in drives]) <= MAX_LATE_START
+    begins, ends = zip(*(drive.free_span for drive in drives), strict=True)
+    span = (min(begins) if together else -np.inf), max(ends)
+    return [replace(drive, nodes=nodes, free_span=span) for drive in drives]
+
+
+def split_windows(blocks: int, window: int, overlap: int) -> list[Window]:
+    """Split `blocks` into windows."""
     windows, begin = [], 0
     while blocks - begin > window + overlap:
         windows.append((begin, begin + window - overlap, begin + window))
@@ -111,102 +179,136 @@ def split_windows(blocks: int, window: int, overlap: int) -> list[tuple[int, int
     return [*windows, (begin, blocks, blocks)]
 
 
-def reconstruct(
-    model: MeasurementModel,
-    drive: PreparedDrive,
-    prior: RoadPrior,
-    windows: list[tuple[int, int, int]],
-    solve: Callable[[Objective], tuple[MapSolution, np.ndarray]],
-) -> tuple[WindowState, list[float]]:
-    """Estimate all windows; return the final state and the noise scale of each window.
+def common_windows(
+    drives: Sequence[PreparedDrive], window: float, overlap: float
+) -> list[tuple[Window, ...]]:
+    """Return the windows of each drive.
 
-    `solve` returns the solution of one window and its standard deviation (2, K).
+    Those of the drive that takes longest are even, of `window` and `overlap` [s]; the windows of
+    the others begin and end at the same stations.
     """
-    window_state, noise_scale = initial_window_state(drive), []
-    for begin, after, end in windows:
-        objective = window_objective(model, drive, prior, window_state, begin, end)
-        solution, window_std = solve(objective)
-        noise_scale.append(solution.noise_scale)
-        steps = (after - begin) * drive.steps_per_block if after < end else None
-        window_state = advance(drive, prior, window_state, solution, window_std, steps)
-    return window_state, noise_scale
+    longest = max(drives, key=lambda one: one.blocks * one.block_size)
+    starts = longest.block_stations
+
+    def at(one: PreparedDrive, block: int) -> int:
+        if one is longest or block == 0:
+            return block
+        if block >= starts.size:
+            return one.blocks
+        return int(np.searchsorted(one.block_stations, starts[block]))
+
+    return [
+        tuple((at(one, begin), at(one, after), at(one, end)) for one in drives)
+        for begin, after, end in longest.split(window, overlap)
+    ]
+
+
+def reconstruct(
+    drives: Sequence[PreparedDrive],
+    prior: RoadPrior,
+    windows: Sequence[tuple[Window, ...]],
+    solve: Callable[[Objective, list[int]], tuple[MapSolution, np.ndarray]],
+) -> RoadSoFar:
+    """Estimate all windows and return the road.
+
+    `solve` gets the objective of a window and the numbers of its passes, and returns the solution
+    and its standard deviation (2, K).
+    """
+    drives, states = list(drives), [PassState.first(drive) for drive in drives]
+    road = RoadSoFar.level(drives[0].nodes.size)
+    for spans in windows:
+        members = [k for k, (begin, _, end) in enumerate(spans) if end - begin >= MIN_BLOCKS]
+        members = members or list(range(len(drives)))
+        parts = [(drives[k], states[k], spans[k][0], spans[k][2]) for k in members]
+        objective = window_objective(parts, prior, road)
+        solution, std = solve(objective, members)
+        lin = solution.linearization
+        u, own, shifts = lin.objective.split(lin.x)
+        c, ends = lin.objective.road.coefficients(u), list[int]()
+        for k, one, values, shift in zip(members, lin.passes, own, shifts, strict=True):
+            drive, (begin, after, end) = drives[k], spans[k]
+            moved = shift_inputs(drive.inputs, objective.knots, shift)
+            drives[k] = drive = replace(drive, inputs=moved)
+            if after < end:
+                steps = (after - begin) * drive.steps_per_block
+                state, strut_state, filter_state = one.source.state_after(c, values, steps)
+                states[k] = PassState(state, np.zeros_like(state), strut_state, filter_state)
+                # up to the nodes that carry the front axle now
+                ends.append(drive.node_at(one.source.inputs.s[2 * steps]) + 3)
+        last = max(ends, default=drives[0].nodes.size)
+        road = _extended(road, lin.objective.road, drives[0].nodes, prior, c, std, last)
+    return road
+
+
+def _extended(
+    so_far: RoadSoFar,
+    road: RoadTransform,
+    nodes: RoadNodes,
+    prior: RoadPrior,
+    c: np.ndarray,
+    std: np.ndarray,
+    last: int,
+) -> RoadSoFar:
+    """Return the road after another window with the coefficients `c` (2, K) and their `std` (2, K),
+    final before the node `last`.
+    """
+    low = round((road.origin - nodes.origin) / nodes.ds)
+    first, last = max(so_far.first_free_node, low), min(last, low + road.size, nodes.size)
+    here, values = slice(first - low, last - low), []
+    for before, now in ((so_far.c, c), (so_far.std, std)):
+        whole = before.copy()
+        whole[:, first:last] = now[:, here]
+        whole[:, last:] = whole[:, last - 1 : last]
+        values.append(whole)
+    scale = (road.amplitude[0] / prior_amplitude(prior, road.size, road.ds)[0]) ** 2
+    scale *= np.mean(road.local[:, road.free > 0] ** 2)
+    return RoadSoFar(values[0], values[1], last, road.n, scale)
 
 
 def window_objective(
-    model: MeasurementModel,
-    drive: PreparedDrive,
-    prior: RoadPrior,
-    window_state: WindowState,
-    begin: int,
-    end: int,
-    nodes: tuple[int, int] | None = None,
+    parts: Sequence[tuple[PreparedDrive, PassState, int, int]], prior: RoadPrior, so_far: RoadSoFar
 ) -> Objective:
-    """Return the objective of blocks `begin` to `end` (excluded), started from `window_state`.
-
-    `nodes` are the first and last that carry a wheel, if not those of these blocks.
+    """Return the objective of drives on common nodes, each from its state on, with its blocks
+    `begin` to `end` (excluded).
     """
+    reach = [drive.nodes_under(begin, end) for drive, _, begin, end in parts]
+    low = min(first for first, _ in reach) - MARGIN
+    size = padded_size(max(last for _, last in reach) + MARGIN + 1 - low)
+    drive = parts[0][0]
+    c, free = so_far.c[:, low : low + size], drive.free[low : low + size].copy()
+    free[: max(so_far.first_free_node - low, 0)] = 0.0
+    missing = size - free.size
+    c, free = np.pad(c, ((0, 0), (0, missing)), mode="edge"), np.pad(free, (0, missing))
+    origin, ds = drive.nodes.origin + drive.nodes.ds * low, drive.nodes.ds
+    amplitude = prior_amplitude(prior, size, ds)
+    road = RoadTransform(origin, ds, c, free, amplitude, np.ones_like(c))
+    road = road.scale_density(np.interp(road.n, so_far.n, so_far.density_scale))
+    passes = tuple(_window_pass(*part, road.nodes) for part in parts)
+    if len(parts) == 1:
+        return Objective(road, passes)
+    count = 1 + max(1, round(ds * size / KNOT_SPACING))
+    return Objective(road, passes, origin + np.linspace(0.0, ds * size, count))
+
+
+def _window_pass(
+    drive: PreparedDrive, state: PassState, begin: int, end: int, nodes: RoadNodes
+) -> Pass:
+    """Return the pass of blocks `begin` to `end` (excluded) on the nodes of the window."""
     inputs = drive.inputs.slice_steps(begin * drive.steps_per_block, end * drive.steps_per_block)
     samples = slice(begin * drive.block_size, end * drive.block_size)
     a, valid, censored = (x[:, samples] for x in (drive.a, drive.valid, drive.censored))
     if inputs.offset is not None:  # samples beyond the first or last step are not predicted
         at = inputs.sample_steps(a.shape[1])
         valid = valid & (at > -1.0) & (at < inputs.n_steps)
-    bridged = np.isfinite(model.bandwidth)
+    bridged = np.isfinite(drive.model.bandwidth)
     measurements = block_means(a, valid, drive.block_size, censored, bridged)
-    first, last = nodes or nodes_under(drive, model.wheelbase, begin, end)
-    low = first - MARGIN
-    size = padded_size(last + MARGIN + 1 - low)
-    c, free = window_state.c[:, low : low + size], drive.free[low : low + size].copy()
-    free[: max(window_state.first_free_node - low, 0)] = 0.0
-    missing = size - free.size
-    c, free = np.pad(c, ((0, 0), (0, missing)), mode="edge"), np.pad(free, (0, missing))
-    origin = drive.origin + drive.ds * low
-    amplitude = prior_amplitude(prior, size, drive.ds)
-    road = RoadTransform(origin, drive.ds, c, free, amplitude, np.ones_like(c))
-    road = road.scale_density(np.interp(road.n, window_state.n, window_state.density_scale))
-    vehicle = window_state.vehicle_state, window_state.initial_std
-    filter_state = window_state.filter_state
-    return Objective(
-        model, window_state.strut_state, *vehicle, road, inputs, measurements, filter_state
-    )
+    return Pass(
+        drive.model, state.strut_state, state.vehicle_state, state.initial_std, nodes, inputs,
+        measurements, state.filter_state,
+    )  # fmt: skip
 
 
-def whole_objective(model: MeasurementModel, drive: PreparedDrive, prior: RoadPrior) -> Objective:
-    """Return the objective of a drive as one window."""
-    return window_objective(model, drive, prior, initial_window_state(drive), 0, drive.blocks)
-
-
-def nodes_under(drive: PreparedDrive, wheelbase: float, begin: int, end: int) -> tuple[int, int]:
-    """Return the first and the last node that carries a wheel in blocks `begin` to `end`."""
-    s = drive.inputs.s
-    first, last = (2 * drive.steps_per_block * block for block in (begin, end))
-    return drive.node_at(s[first] - wheelbase), drive.node_at(s[last - 1])
-
-
-def advance(
-    drive: PreparedDrive,
-    prior: RoadPrior,
-    window_state: WindowState,
-    solution: MapSolution,
-    window_std: np.ndarray,
-    steps: int | None,
-) -> WindowState:
-    """Return the state after another window, of which the first `steps` are final; None: all."""
-    objective, x = solution.linearization.objective, solution.linearization.x
-    road, size = objective.road, drive.free.size
-    low = round((road.origin - drive.origin) / drive.ds)
-    first, last = max(window_state.first_free_node, low), min(low + road.size, size)
-    state, strut_state = window_state.vehicle_state, window_state.strut_state
-    filter_state = None
-    if steps is not None:
-        state, strut_state, filter_state = objective.state_after(x, steps)
-        # up to the nodes that carry the front axle now
-        last = drive.node_at(objective.inputs.s[2 * steps]) + 3
-    c, std, here = window_state.c.copy(), window_state.std.copy(), slice(first - low, last - low)
-    c[:, first:last] = road.coefficients(objective.split(x)[0])[:, here]
-    std[:, first:last] = window_std[:, here]
-    c[:, last:], std[:, last:] = c[:, last - 1 : last], std[:, last - 1 : last]
-    scale = (road.amplitude[0] / prior_amplitude(prior, road.size, road.ds)[0]) ** 2
-    scale *= np.mean(road.local[:, road.free > 0] ** 2)
-    known = state, np.zeros_like(state), strut_state
-    return WindowState(c, std, last, *known, road.n, scale, filter_state)
+def whole_objective(drive: PreparedDrive, prior: RoadPrior, blocks: int | None = None) -> Objective:
+    """Return the objective of a drive, or of its first `blocks`, as one window."""
+    part = drive, PassState.first(drive), 0, blocks or drive.blocks
+    return window_objective([part], prior, RoadSoFar.level(drive.nodes.size))

@@ -8,9 +8,9 @@ import typer
 from rich.table import Table
 
 from estimators.api import CalibrationDrive
-from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.identification import IdentificationResult
 from estimators.map_smoother.identification import identify as identify_vehicle
+from estimators.map_smoother.preparation import SolverSettings
 from leaderboard.commands import check_output_path, console, print_json, print_notes
 from leaderboard.commands.drive_files import (
     DriveOptions,
@@ -60,8 +60,8 @@ def identify(
         CalibrationDrive(file.measured.record, known, 1e-3 * survey_error_mm, file.name)
         for file, known in zip(files, profiles, strict=True)
     ]
-    smoother = MapSmoother(adapt=False, instruments=files[0].sensors)
-    result = identify_vehicle(drives, files[0].car, smoother, structure)
+    settings = SolverSettings(instruments=files[0].sensors)
+    result = identify_vehicle(drives, files[0].car, settings, structure)
     notes = [*dict.fromkeys(n for file in files for n in file.measured.notes), *_notes(result)]
     if out:
         names = ", ".join(path.name for path in records)

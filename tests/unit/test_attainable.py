@@ -39,8 +39,7 @@ def test_the_noise_of_the_truth_gives_the_true_heights():
 def test_samples_have_the_covariance_of_the_dense_posterior():
     record, truth = drive(6.0)
     objective = whole_drive(record, DEFENDER, PRIOR, 50.0, "paper")
-    u = objective.road.noise_of(truth).ravel()
-    lin = objective.linearize(np.pad(u, (0, objective.size - u.size)))
+    lin = objective.linearize(objective.from_noise(objective.road.noise_of(truth)))
     H = np.array([lin.hessian_product(row) for row in np.eye(objective.size)])
     road = objective.road
     inside = (road.n > 0.3) & (road.n < 1.6)
@@ -51,7 +50,7 @@ def test_samples_have_the_covariance_of_the_dense_posterior():
 
     B = np.array([in_band(row) for row in np.eye(objective.size)]).T
     expected = np.trace(B @ np.linalg.solve(0.5 * (H + H.T), B.T))
-    solution = MapSolution(lin, stationary_hessian(objective), noise_scale=1.0)
+    solution = MapSolution(lin, stationary_hessian(objective), noise_scale=np.ones(1))
     solve, rng = solution.inverse_hessian(2000, 1e-6), np.random.default_rng(2)
     drawn = [in_band(dx) for dx in draw_deviations(lin, solve, rng, 60)]
     assert np.mean(np.sum(np.square(drawn), axis=1)) == pytest.approx(expected, rel=0.25)

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from test_map_smoother import residual_at
 from vehicle_fixtures import DEFENDER
 
 from estimators.api import CalibrationDrive, CalibrationError
@@ -17,12 +18,12 @@ from estimators.map_smoother.identification import identify
 from estimators.map_smoother.instrument_errors import InstrumentErrors
 from estimators.map_smoother.marginal_likelihood import (
     perturbed_cars,
-    perturbed_objectives,
+    perturbed_passes,
     sensitivities,
 )
 from estimators.map_smoother.objective import Objective
 from estimators.map_smoother.preconditioner import stationary_hessian
-from estimators.map_smoother.windows import initial_window_state, window_objective
+from estimators.map_smoother.windows import whole_objective
 from leaderboard.metrics.heights import nrmse
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.drives.recording import simulate_record
@@ -49,8 +50,8 @@ def calibration_drive(grade="S1", seed=2, length=100.0, kmh=54.0):
 
 def short_objective() -> Objective:
     record = calibration_drive()[0].record
-    model, drive, _ = MapSmoother().prepare(record, DEFENDER)
-    return window_objective(model, drive, RoadPrior(), initial_window_state(drive), 0, 600)
+    drive, _ = MapSmoother().prepare(record, DEFENDER)
+    return whole_objective(drive, RoadPrior(), 600)
 
 
 def test_sensitivities_are_differences_of_single_drives():
@@ -59,26 +60,27 @@ def test_sensitivities_are_differences_of_single_drives():
     lin = objective.linearize(x)
     few = ParameterSpace(DEFENDER, SPACE.names[::5], SPACE.std[::5])
     cars = perturbed_cars(few, np.zeros(few.size))
-    derivatives = sensitivities(lin, perturbed_objectives(objective, cars))
+    derivatives = sensitivities(lin.passes[0], perturbed_passes(objective.passes[0], cars))
     for car, found in zip(cars[1:], derivatives, strict=True):
-        residual, _ = objective.with_car(car).residual_at(x)
-        expected = (lin.residual - residual) / marginal_likelihood.DIFFERENCE
+        residual = residual_at(objective.with_car(car), x)
+        expected = (lin.residual[0] - residual) / marginal_likelihood.DIFFERENCE
         np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
 
 
 def test_the_log_determinant_has_its_gradient():
     objective, noise = short_objective(), 0.05
-    f, lines = marginal_likelihood._lines(objective)
+    (one,), road = objective.passes, objective.road
+    f, lines = marginal_likelihood._lines(one)
 
     def half_log_det(car) -> float:
-        C = marginal_likelihood._covariance(objective.with_car(car), f, noise)
+        C = marginal_likelihood._covariance(road, one.with_car(car), f, noise)
         return 0.5 * float(lines @ np.linalg.slogdet(C)[1])
 
     few = ParameterSpace(DEFENDER, SPACE.names[:6], 0.01 * SPACE.std[:6])
     cars = perturbed_cars(few, np.zeros(few.size))
     values = np.array([half_log_det(car) for car in cars])
     gradient, hessian = marginal_likelihood._log_det_terms(
-        objective, perturbed_objectives(objective, cars), noise
+        road, one, perturbed_passes(one, cars), noise
     )
     np.testing.assert_allclose(
         gradient, (values[1:] - values[0]) / marginal_likelihood.DIFFERENCE, rtol=0.02, atol=1e-3
@@ -167,24 +169,24 @@ def test_a_calibration_drive_that_does_not_fit_is_refused_in_one_sentence(change
 
 def test_errors_of_the_instruments_are_applied_to_the_model():
     objective = short_objective()
-    x = np.zeros(objective.size)
-    means = objective.measurements.y - objective.residual_at(x)[0]
+    (one,), c, own = objective.passes, objective.road.background, np.zeros(17)
+    means = one.measurements.y - one.residual_at(c, own)
     errors = np.zeros(11)
     errors[:3] = 2.0, 0.0, -1.0
-    readings = InstrumentErrors.of(objective)
+    readings = InstrumentErrors.of(one)
     assert readings.names[:5] == ("gain.RF", "gain.LR", "gain.RR", "x.RF", "x.LR")
     assert readings.names[8:] == ("y.RR", "odometer", "speed")
-    changed = readings.apply(objective, errors)
-    scaled = objective.measurements.y - changed.residual_at(x)[0]
+    changed = readings.apply(one, errors)
+    scaled = one.measurements.y - changed.residual_at(c, own)
     expected = np.exp(readings.std * errors)[:3, None] * means
     np.testing.assert_allclose(scaled, expected, atol=1e-12)
-    moved = readings.apply(objective, np.eye(11)[9])
-    np.testing.assert_allclose(moved.inputs.s - objective.inputs.s, readings.std[9])
-    rows = readings.apply(objective, np.eye(11)[4]).model.sensor_rows  # ahead: pitch, nose down
+    moved = readings.apply(one, np.eye(11)[9])
+    np.testing.assert_allclose(moved.inputs.s - one.inputs.s, readings.std[9])
+    rows = readings.apply(one, np.eye(11)[4]).model.sensor_rows  # ahead: pitch, nose down
     expected = np.zeros((3, 7))
     expected[1, THETA] = -0.012
-    np.testing.assert_allclose(rows - objective.model.sensor_rows, expected, atol=1e-12)
-    assert readings.apply(objective, np.zeros(0)) is objective
+    np.testing.assert_allclose(rows - one.model.sensor_rows, expected, atol=1e-12)
+    assert readings.apply(one, np.zeros(0)) is one
 
 
 @pytest.mark.parametrize(("described", "left", "refused"), [(90.0, 60.0, True), (90.0, 30.0, False),

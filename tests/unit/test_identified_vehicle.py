@@ -73,6 +73,6 @@ def test_an_identification_that_breaks_down_says_so(monkeypatch, tmp_path):
         raise ArithmeticError("not finite")
 
     monkeypatch.setattr(identified_vehicle, "cache_home", lambda: tmp_path)
-    monkeypatch.setattr("estimators.map_smoother.identification.identify", breaks)
+    monkeypatch.setattr(identified_vehicle, "identify", breaks)
     with pytest.raises(CalibrationError, match="the vehicle cannot be identified: not finite"):
         create("map_smoother").calibrate([drive()], DEFENDER)

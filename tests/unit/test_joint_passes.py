@@ -9,9 +9,9 @@ from scipy.fft import irfft, rfft
 from vehicle_fixtures import DEFENDER
 
 from estimators.map_smoother.estimator import MapSmoother
-from estimators.map_smoother.joint_objective import joint_stationary_hessian, shift_inputs
-from estimators.map_smoother.passes import joint_windows, prepare_passes, reconstruct_passes
-from estimators.map_smoother.preconditioner import stationary_hessian
+from estimators.map_smoother.objective import Objective, shift_inputs
+from estimators.map_smoother.preconditioner import StationaryHessian, stationary_hessian
+from estimators.map_smoother.windows import common_windows, on_common_nodes, reconstruct
 from estimators.passes import estimate_passes
 from leaderboard.metrics.heights import band_pass, nrmse
 from road_envs.core.config import ConfigError
@@ -44,11 +44,14 @@ def joint_objective(length=12.0):
         raise StopIteration
 
     records, _ = drives(length)
-    smoother = MapSmoother()
-    passes, _ = prepare_passes(smoother, records, [DEFENDER] * 2, "ab")
+    prepared = prepared_drives(records)
     with pytest.raises(StopIteration):
-        reconstruct_passes(smoother, passes, keep)
+        reconstruct(prepared, MapSmoother().road_prior, common_windows(prepared, 40.0, 5.0), keep)
     return found[0]
+
+
+def prepared_drives(records):
+    return on_common_nodes([MapSmoother().prepare(record, DEFENDER)[0] for record in records])
 
 
 def error(estimate, truth, v=15.0):
@@ -60,8 +63,8 @@ def test_the_joint_cost_is_the_sum_and_its_gradient_that_of_finite_differences()
     x = 0.3 * rng.standard_normal(objective.size)
     lin = objective.linearize(x)
     u = x[: 2 * objective.road.size]
-    parts = sum(one.cost for one in lin.passes)
-    own = sum(one.x[u.size :] @ one.x[u.size :] for one in lin.passes)
+    parts = sum(lin.of_pass(k).cost for k in range(2))
+    own = sum(one.own @ one.own for one in lin.passes)
     shifts = x @ x - u @ u - own
     assert lin.cost == pytest.approx(parts - 0.5 * (u @ u) + 0.5 * shifts, rel=1e-12)
     eps = 1e-6
@@ -102,16 +105,17 @@ def test_the_adjoint_transposes_the_tangent_of_all_passes():
 
 def test_information_and_degrees_of_freedom_of_the_passes_add():
     objective = joint_objective()
-    joint = joint_stationary_hessian(objective)
+    joint = stationary_hessian(objective)
     noise = objective.noise_variance * np.array([1.0, 3.0])
-    one, two = (stationary_hessian(each) for each in objective.passes)
     road = objective.road
+    alone = [stationary_hessian(Objective(road, (each,))) for each in objective.passes]
     excess = sum(
-        each.precision(road, variance) - np.eye(2)
-        for each, variance in zip((one, two), noise, strict=True)
+        each.precision(road, variance[None]) - np.eye(2)
+        for each, variance in zip(alone, noise, strict=True)
     )
     np.testing.assert_allclose(joint.precision(road, noise), np.eye(2) + excess, rtol=1e-9)
-    whole = replace(joint, covered=np.ones(2)).effective_dof(road, noise)
+    covered = StationaryHessian(tuple(each._replace(covered=1.0) for each in joint.passes))
+    whole = covered.effective_dof(road, noise)
     posterior = np.linalg.inv(np.eye(2) + excess)
     total = road.free.sum() * np.mean(2.0 - np.trace(posterior, axis1=1, axis2=2).real)
     assert whole.sum() == pytest.approx(total, rel=1e-9)
@@ -148,15 +152,15 @@ def test_two_passes_are_better_than_either_and_their_odometers_are_aligned():
 def test_windows_of_all_passes_end_at_the_same_stations_and_join():
     records, truth = drives(50.0)
     smoother = MapSmoother(adapt=False, draws=0)
-    passes, _ = prepare_passes(smoother, records, [DEFENDER] * 2, "ab")
-    windows = joint_windows(passes, 2.2, 0.8)
+    passes = prepared_drives(records)
+    windows = common_windows(passes, 2.2, 0.8)
     assert len(windows) > 2
     for window in windows[1:]:
         begins = [
             one.block_stations[begin] for one, (begin, _, _) in zip(passes, window, strict=True)
         ]
         assert np.ptp(begins) < 0.1
-    assert [last for _, _, last in windows[-1]] == [one.drive.blocks for one in passes]
+    assert [last for _, _, last in windows[-1]] == [one.blocks for one in passes]
     whole = estimate_passes(smoother, records, DEFENDER)
     parts = estimate_passes(replace(smoother, window=2.2, overlap=0.8), records, DEFENDER)
     assert error(parts, truth) < 1.25 * error(whole, truth)

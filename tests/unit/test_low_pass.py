@@ -80,18 +80,19 @@ def test_a_measurement_says_nothing_above_its_bandwidth():
     rng = np.random.default_rng(0)
     x, dx = 0.1 * rng.standard_normal((2, objective.size))
     lin = objective.linearize(x)
-    means = rng.standard_normal(lin.residual.shape)
-    assert np.sum(lin.tangent(dx) * means) == pytest.approx(dx @ lin.adjoint(means), rel=1e-9)
+    means = rng.standard_normal(lin.residual[0].shape)
+    assert np.sum(lin.tangent(dx)[0] * means) == pytest.approx(dx @ lin.adjoint([means]), rel=1e-9)
     step = 1e-6
     ahead, back = (objective.linearize(x + s * dx) for s in (step, -step))
     slope = (ahead.cost - back.cost) / (2.0 * step)
     assert lin.gradient() @ dx == pytest.approx(slope, rel=1e-4)
-    f = np.fft.rfftfreq(means.shape[1], objective.block_duration)
-    for means in (lin.residual, lin.tangent(dx)):
+    (one,) = objective.passes
+    f = np.fft.rfftfreq(means.shape[1], one.block_duration)
+    for (means,) in (lin.residual, lin.tangent(dx)):
         power = np.abs(np.fft.rfft(means)) ** 2
         assert power[:, f > 33.0].max() < 1e-20 * power.max()
-    road, information = objective.road, stationary_hessian(objective).information
-    high = road.n * objective.inputs.v.mean() > objective.model.bandwidth
+    road, information = objective.road, stationary_hessian(objective).passes[0].on_road
+    high = road.n * one.inputs.v.mean() > one.model.bandwidth
     assert not information[high].any() and information[~high][1:].all()
 
 
@@ -112,12 +113,12 @@ def test_a_low_passed_drive_that_begins_in_motion_leaves_nothing_unexplained():
 
 def test_the_preconditioner_knows_what_is_told_of_the_state_of_a_drive_that_begins_in_motion():
     objective = objective_of(moving(drive_record()[0], 1500, 4500))
-    start = stationary_hessian(objective).start_information
-    road, states = 2 * objective.road.size, objective.initial_std.size
+    start = stationary_hessian(objective).passes[0].on_start
+    road, states = 2 * objective.road.size, objective.passes[0].initial_std.size
     lin = objective.linearize(np.zeros(objective.size))
     unit = np.eye(objective.size)[road : road + states]
     exact = np.array([np.sqrt(e @ lin.hessian_product(e)) for e in unit])
-    expected = objective.offset_scale(objective.noise_variance, start)[:states]
+    expected = lin.offset_scale(objective.noise_variance, [start])[:states]
     assert exact.max() > 100.0
     np.testing.assert_allclose(np.log(expected / exact), 0.0, atol=np.log(4.0))
 

@@ -63,8 +63,15 @@ def drive_record(mode="handling", kmh=54.0, length=40.0, density=0.01, road_clas
 
 def objective_of(record: Record, car: VehicleParameters = DEFENDER, **settings) -> Objective:
     """The objective of a whole record as one window."""
-    model, drive, _ = MapSmoother(**settings).prepare(record, car)
-    return whole_objective(model, drive, PRIOR)
+    drive, _ = MapSmoother(**settings).prepare(record, car)
+    return whole_objective(drive, PRIOR)
+
+
+def residual_at(objective: Objective, x: np.ndarray) -> np.ndarray:
+    """Residual of an objective of one pass."""
+    (one,) = objective.passes
+    _, (own,), _ = objective.split(x)
+    return one.residual_at(objective.coefficients(x), own)
 
 
 def error(estimate, profile, record) -> float:
@@ -80,7 +87,7 @@ def perturb(x, scale=1.0, seed=0):
 def test_local_roughness_is_found_where_it_is_and_not_on_a_stationary_road():
     objective = objective_of(drive_record()[0])
     stationary, road = stationary_hessian(objective), objective.road
-    rng, noise = np.random.default_rng(4), objective.model.noise_variance
+    rng, noise = np.random.default_rng(4), objective.noise_variance
     inside = road.free > 0
     u = rng.standard_normal((2, road.size))
     np.testing.assert_array_equal(stationary.local_roughness(road, noise, u, inside), 1.0)
@@ -159,7 +166,7 @@ def test_the_gradient_equals_finite_differences_of_the_cost(mode):
     rng = np.random.default_rng(3)
     x = perturb(np.zeros(objective.size), 0.3)
     lin = objective.linearize(x)
-    assert lin.tape.signals[:, 25:].min() > 0.0  # no jump where a tyre lifts off
+    assert lin.passes[0].tape.signals[:, 25:].min() > 0.0  # no jump where a tyre lifts off
     for _ in range(3):
         dx = rng.standard_normal(objective.size)
         eps = 1e-6
@@ -170,7 +177,7 @@ def test_the_gradient_equals_finite_differences_of_the_cost(mode):
 def test_an_update_of_the_prior_changes_neither_road_nor_motion():
     objective = objective_of(drive_record(length=12.0)[0])
     lin = objective.linearize(perturb(np.zeros(objective.size)))
-    new = update_prior(lin, stationary_hessian(objective), 1.0)
+    new = update_prior(lin, stationary_hessian(objective), np.ones(1))
     again = new.objective.linearize(new.x)
     assert not np.allclose(new.objective.road.amplitude, objective.road.amplitude, rtol=0.1)
     np.testing.assert_allclose(new.residual, again.residual, atol=1e-6)
@@ -181,10 +188,10 @@ def test_the_adjoint_transposes_the_tangent_and_the_hessian_is_gauss_newton():
     objective = objective_of(drive_record(length=12.0)[0])
     lin = objective.linearize(perturb(np.zeros(objective.size)))
     rng = np.random.default_rng(4)
-    dx, dual = rng.standard_normal(objective.size), rng.standard_normal(lin.residual.shape)
-    a = lin.tangent(dx)
-    assert np.sum(a * dual) == pytest.approx(dx @ lin.adjoint(dual), rel=1e-9)
-    expected = dx @ dx + np.sum(objective.information * a**2)
+    dx, dual = rng.standard_normal(objective.size), rng.standard_normal(lin.residual[0].shape)
+    (a,) = lin.tangent(dx)
+    assert np.sum(a * dual) == pytest.approx(dx @ lin.adjoint([dual]), rel=1e-9)
+    expected = dx @ dx + np.sum(objective.passes[0].information * a**2)
     assert dx @ lin.hessian_product(dx) == pytest.approx(expected, rel=1e-9)
 
 
@@ -199,16 +206,17 @@ def test_the_block_tangent_equals_the_tangent_of_the_steps(kmh):
     rng = np.random.default_rng(8)
     lin = objective.linearize(perturb(np.zeros(objective.size)))
     dx = rng.standard_normal(objective.size)
-    u, start, bias = objective.split(dx)
-    taped, _ = lin.tape.tangent(
-        start, objective.road_under_wheels(objective.road.apply(u), DEFENDER.wheelbase)
+    (one,), (u, (own,), _) = objective.passes, objective.split(dx)
+    start, bias = one.split(own)
+    taped, _ = lin.passes[0].tape.tangent(
+        start, one.road_under_wheels(objective.road.apply(u), DEFENDER.wheelbase)
     )
-    samples = taped[:: objective.inputs.decimation][: objective.measurements.n_samples]
-    expected = objective.measurements.average(objective.model.sensor_rows @ samples.T)
+    samples = taped[:: one.inputs.decimation][: one.measurements.n_samples]
+    expected = one.measurements.average(one.model.sensor_rows @ samples.T)
     expected += bias[:, None]
-    assert objective.inputs.decimation == 2 and expected.shape[1] % 6 != 0
+    assert one.inputs.decimation == 2 and expected.shape[1] % 6 != 0
     single = 1e-6 * np.abs(expected).max()  # the matrices are kept in single precision
-    np.testing.assert_allclose(lin.tangent(dx), expected, rtol=0.0, atol=single)
+    np.testing.assert_allclose(lin.tangent(dx)[0], expected, rtol=0.0, atol=single)
 
 
 def test_conjugate_gradients_agree_with_a_dense_solver():
@@ -274,12 +282,12 @@ def test_a_tone_outside_the_model_is_down_weighted_at_its_frequency(monkeypatch)
 
 def test_drawn_noise_has_the_inverse_covariance_of_the_cost():
     objective = objective_of(drive_record(length=12.0)[0])
-    J, rng = objective.measurements.y.shape[1], np.random.default_rng(10)
+    J, rng = objective.passes[0].measurements.y.shape[1], np.random.default_rng(10)
     weights, inverse_variance = rng.uniform(0.01, 2.0, J // 2 + 1), rng.uniform(0.5, 2.0, (3, J))
-    lin = objective.linearize(np.zeros(objective.size), None, inverse_variance, weights)
-    drawn = np.array([lin.draw_noise(rng).ravel() for _ in range(4000)])
+    lin = objective.linearize(np.zeros(objective.size), None, [inverse_variance], [weights])
+    drawn = np.array([lin.draw_noise(rng)[0].ravel() for _ in range(4000)])
     direction = rng.standard_normal((3, J))
-    expected = np.sum(direction * lin.apply_inverse_covariance(direction))
+    expected = np.sum(direction * lin.apply_inverse_covariance([direction])[0])
     assert np.var(drawn @ direction.ravel()) == pytest.approx(expected, rel=0.1)
 
 
@@ -314,13 +322,14 @@ def dense_tangent(objective: Objective) -> np.ndarray:
     linear between instants a quarter of a millisecond apart.
     """
     M, C, K, K_r, C_r = linear_matrices(DEFENDER, K_S, (C_S, C_S))
-    h, size, J = objective.inputs.h, objective.road.size, objective.measurements.y.shape[1]
+    (one,) = objective.passes
+    h, size, J = one.inputs.h, objective.road.size, one.measurements.y.shape[1]
     A = np.block([[np.zeros((7, 7)), np.eye(7)], [-np.linalg.solve(M, K), -np.linalg.solve(M, C)]])
     B = np.vstack([np.zeros((7, 8)), np.linalg.solve(M, np.hstack([K_r, C_r]))])
     big = np.zeros((30, 30))
     big[:14, :14], big[:14, 14:22], big[14:22, 22:] = A * h, B * h, np.eye(8)
     step = expm(big)[:14]
-    x = (objective.inputs.s[::2] - objective.road.origin) / objective.road.ds
+    x = (one.inputs.s[::2] - objective.road.origin) / objective.road.ds
     road = np.zeros((x.size + 1, 8, 2 * size))
     for axle in range(2):
         for n, at in enumerate(np.append(x, x[-1]) - axle * DEFENDER.wheelbase / objective.road.ds):
@@ -331,15 +340,15 @@ def dense_tangent(objective: Objective) -> np.ndarray:
             for side in range(2):
                 nodes_ = side * size + i + np.arange(-1, 3)
                 road[n, 2 * axle + side, nodes_] = z
-                road[n, 4 + 2 * axle + side, nodes_] = w * objective.inputs.v[0] / objective.road.ds
+                road[n, 4 + 2 * axle + side, nodes_] = w * one.inputs.v[0] / objective.road.ds
     state, sensed = np.zeros((14, 2 * size)), np.zeros((x.size, 3, 2 * size))
     sensor_rows = np.array([[1.0, y, -ahead] for ahead, y, _ in PAPER.locations(DEFENDER).values()])
     for n in range(x.size):
         sensed[n] = sensor_rows @ (A @ state + B @ road[n])[[7, 8, 9]]
         drift = road[n + 1] - road[n]
         state = step[:, :14] @ state + step[:, 14:22] @ road[n] + step[:, 22:] @ drift
-    block = objective.inputs.decimation * objective.measurements.sample_weight.shape[2]
-    samples = sensed[: J * block : objective.inputs.decimation]
+    block = one.inputs.decimation * one.measurements.sample_weight.shape[2]
+    samples = sensed[: J * block : one.inputs.decimation]
     return samples.reshape(J, -1, 3, 2 * size).mean(axis=1).transpose(1, 0, 2).reshape(3 * J, -1)
 
 
@@ -354,14 +363,16 @@ def test_on_a_linear_vehicle_the_map_road_is_the_dense_gaussian_posterior():
     road = replace(objective.road, amplitude=scale * objective.road.amplitude)
     J, rng = dense_tangent(objective) @ road_matrix(road), np.random.default_rng(7)
     drawn = rng.standard_normal(2 * road.size)
-    noise = np.sqrt(objective.model.noise_variance / objective.measurements.sample_count.ravel())
+    (one,) = objective.passes
+    noise = np.sqrt(one.model.noise_variance / one.measurements.sample_count.ravel())
     y = J @ drawn + noise * rng.standard_normal(noise.size)
-    model = replace(objective.model, bias_std=1e-9)
-    objective = replace(objective, road=road, model=model, initial_std=0.0 * objective.initial_std)
+    model = replace(one.model, bias_std=1e-9)
+    one = replace(one, model=model, initial_std=0.0 * one.initial_std)
+    objective = Objective(road, (one,))
     # the vehicle is not quite at rest at first
-    settling = objective.linearize(np.zeros(objective.size)).residual
-    measurements = replace(objective.measurements, y=y.reshape(settling.shape) - settling)
-    objective = replace(objective, measurements=measurements)
+    (settling,) = objective.linearize(np.zeros(objective.size)).residual
+    measurements = replace(one.measurements, y=y.reshape(settling.shape) - settling)
+    objective = Objective(road, (replace(one, measurements=measurements),))
     solver = GaussNewton(stationary_hessian(objective), cg_iterations=400, cg_tolerance=1e-6)
     solution = minimize(objective, solver, adapt_prior=False, change_tolerance=1e-9)
     assert 1.0 <= solution.noise_scale < 1.1

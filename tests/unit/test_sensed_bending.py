@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from test_map_smoother import residual_at
 from vehicle_fixtures import DEFENDER, smooth_road
 
 from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.preconditioner import linear_responses
-from estimators.map_smoother.windows import initial_window_state, window_objective
+from estimators.map_smoother.windows import whole_objective
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.drives.recording import simulate_record
 from road_envs.sensing.instruments import load_instruments
@@ -27,8 +28,8 @@ def objective_of(variation, blocks=120):
     car = replace(DEFENDER, variation=variation)
     road = smooth_road(length=20.0, height=0.01)
     record, _ = simulate_record(road, vehicle=car, speed_kmh=36.0, seed=1)
-    model, drive, _ = MapSmoother().prepare(record, car)
-    return window_objective(model, drive, RoadPrior(), initial_window_state(drive), 0, blocks)
+    drive, _ = MapSmoother().prepare(record, car)
+    return whole_objective(drive, RoadPrior(), blocks)
 
 
 @pytest.mark.parametrize("variation", VARIATIONS, ids=["stiff", "twisting"])
@@ -36,11 +37,11 @@ def test_tangent_and_adjoint_are_transposes_and_the_tangent_a_derivative(variati
     objective, rng = objective_of(variation), np.random.default_rng(2)
     x = 0.1 * rng.standard_normal(objective.size)
     lin = objective.linearize(x)
-    dx, means = rng.standard_normal(objective.size), rng.standard_normal(lin.residual.shape)
-    forward, backward = lin.tangent(dx), lin.adjoint(means)
+    dx, means = rng.standard_normal(objective.size), rng.standard_normal(lin.residual[0].shape)
+    (forward,), backward = lin.tangent(dx), lin.adjoint([means])
     assert np.vdot(forward, means) == pytest.approx(np.vdot(dx, backward), rel=1e-9)
     h = 1e-4
-    more, less = (objective.residual_at(x + k * h * dx)[0] for k in (1.0, -1.0))
+    more, less = (residual_at(objective, x + k * h * dx) for k in (1.0, -1.0))
     difference = (less - more) / (2.0 * h)
     # the tangent filters means over a block, the model samples
     assert np.linalg.norm(forward - difference) < 0.02 * np.linalg.norm(difference)
@@ -49,7 +50,7 @@ def test_tangent_and_adjoint_are_transposes_and_the_tangent_a_derivative(variati
 def test_the_linear_response_has_the_bending_of_the_sensors():
     stiff, bent = (objective_of(v, 40) for v in (VehicleVariation(), VARIATIONS[0]))
     f = np.array([5.0, 20.0, 22.0, 40.0])
-    (_, H), (_, B) = (next(linear_responses(one, f)) for one in (stiff, bent))
+    (_, H), (_, B) = (next(linear_responses(one.passes[0], f)) for one in (stiff, bent))
     x = {name: place.x for name, place in PAPER.locations(DEFENDER).items()}
     # on a symmetric road the rear sensors tell pitch from heave with the front one
     heave_pitch = np.linalg.solve(

@@ -7,10 +7,11 @@ import pytest
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import spline_filter1d
 from scipy.signal import butter, freqz, lfilter
+from test_map_smoother import residual_at
 from vehicle_fixtures import DEFENDER
 
 from estimators.common.sensor_filter import SampledFilter, SensorFilter, lagrange_weights
-from estimators.map_smoother import estimator
+from estimators.map_smoother import preparation
 from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.objective import Objective
 from estimators.map_smoother.windows import whole_objective
@@ -60,25 +61,25 @@ def residual_at_truth(objective: Objective, surface: Surface) -> float:
     road = objective.road
     z = surface.height(road.origin + road.ds * np.arange(road.size))
     c = spline_filter1d(z - z[:, :1], order=3, axis=1, mode="nearest")
-    u = road.whiten(np.diff(c, axis=1, prepend=0.0)).ravel()
-    residual, _ = objective.residual_at(np.pad(u, (0, objective.size - u.size)))
-    used = objective.measurements.sample_count > 0
+    u = road.whiten(np.diff(c, axis=1, prepend=0.0))
+    residual, (one,) = residual_at(objective, objective.from_noise(u)), objective.passes
+    used = one.is_used
     residual = residual - np.sum(residual * used, axis=1, keepdims=True) / used.sum(axis=1)[:, None]
-    return float(np.mean((objective.information * residual**2)[used]))
+    return float(np.mean((one.information * residual**2)[used]))
 
 
 @pytest.mark.parametrize("jitter", [0.0, 0.3], ids=["exact clock", "jittering clock"])
 @pytest.mark.parametrize("name", config.names("sensors"))
 def test_at_the_true_road_the_residual_is_the_noise(name, jitter, monkeypatch):
-    monkeypatch.setattr(estimator, "NODE_SPACING_RANGE", (0.0125, 0.0125))
-    monkeypatch.setattr(estimator, "AXLE_READINGS_PER_UNKNOWN", 0.25)  # means as of wider nodes
+    monkeypatch.setattr(preparation, "NODE_SPACING_RANGE", (0.0125, 0.0125))
+    monkeypatch.setattr(preparation, "AXLE_READINGS_PER_UNKNOWN", 0.25)  # means as of wider nodes
     surface = realise_road("iso_c", 11, 60.0)
     for kmh in (14.5, 54.0):
         record = record_of(name, surface, kmh, jitter)
         # samples between the simulator's steps are those of finer ones
         smoother = MapSmoother(instruments=name, step=HALF_STEP if jitter else STEP)
-        model, drive, _ = smoother.prepare(record, DEFENDER, readings_per_unknown=0.5)
-        objective = whole_objective(model, drive, smoother.road_prior)
+        drive, _ = smoother.prepare(record, DEFENDER, readings_per_unknown=0.5)
+        objective = whole_objective(drive, smoother.road_prior)
         assert residual_at_truth(objective, surface) < 2.0
 
 
@@ -121,30 +122,31 @@ def test_interpolation_reproduces_a_cubic_also_just_beyond_the_ends():
 
 def test_the_tangent_of_filtered_samples_is_the_derivative_of_the_residual():
     record = record_of("phone", realise_road("iso_c", 11, 30.0), 36.0, 0.2)
-    model, drive, _ = MapSmoother(instruments="phone").prepare(record, DEFENDER)
-    objective = whole_objective(model, drive, MapSmoother().road_prior)
+    drive, _ = MapSmoother(instruments="phone").prepare(record, DEFENDER)
+    objective = whole_objective(drive, MapSmoother().road_prior)
     rng = np.random.default_rng(5)
     x, dx = 0.3 * rng.standard_normal((2, objective.size))
     lin = objective.linearize(x)
-    above, below = (objective.residual_at(x + sign * 1e-5 * dx)[0] for sign in (1.0, -1.0))
+    above, below = (residual_at(objective, x + sign * 1e-5 * dx) for sign in (1.0, -1.0))
     numeric = -(above - below) / 2e-5
-    assert np.linalg.norm(lin.tangent(dx) - numeric) < 0.02 * np.linalg.norm(numeric)
+    assert np.linalg.norm(lin.tangent(dx)[0] - numeric) < 0.02 * np.linalg.norm(numeric)
     y = rng.standard_normal(numeric.shape)
-    assert np.sum(y * lin.tangent(dx)) == pytest.approx(lin.adjoint(y) @ dx, rel=1e-5)
+    assert np.sum(y * lin.tangent(dx)[0]) == pytest.approx(lin.adjoint([y]) @ dx, rel=1e-5)
 
 
 def test_a_window_in_the_middle_of_a_drive_goes_on_where_the_filter_was():
     record = record_of("phone", realise_road("iso_c", 11, 60.0), 36.0, 0.0)
-    model, drive, _ = MapSmoother(instruments="phone").prepare(record, DEFENDER)
-    objective = whole_objective(model, drive, MapSmoother().road_prior)
+    drive, _ = MapSmoother(instruments="phone").prepare(record, DEFENDER)
+    objective = whole_objective(drive, MapSmoother().road_prior)
     x = 0.3 * np.random.default_rng(5).standard_normal(objective.size)
-    state, strut_state, filter_state = objective.state_after(x, 3000)
-    rest = replace(objective.inputs, offset=None)
+    (one,), c, (_, (own,), _) = objective.passes, objective.coefficients(x), objective.split(x)
+    state, strut_state, filter_state = one.state_after(c, own, 3000)
+    rest = replace(one.inputs, offset=None)
     later = rest.slice_steps(3000, rest.n_steps)
-    whole, _ = objective.residual_at(x)
-    means = objective.measurements
+    whole = one.residual_at(c, own)
+    means = one.measurements
     part = replace(
-        objective,
+        one,
         inputs=later,
         initial_state=state,
         strut_state=strut_state,
@@ -156,9 +158,8 @@ def test_a_window_in_the_middle_of_a_drive_goes_on_where_the_filter_was():
             sample_count=means.sample_count[:, 300:],
         ),
     )
-    start = objective.road.size * 2
-    x[start : start + state.size] = 0.0
-    np.testing.assert_allclose(part.residual_at(x)[0], whole[:, 300:], atol=1e-6)
+    own[: state.size] = 0.0
+    np.testing.assert_allclose(part.residual_at(c, own), whole[:, 300:], atol=1e-6)
 
 
 def test_lost_samples_of_a_jittering_clock_are_missing_and_the_others_stay():

@@ -1,5 +1,6 @@
 """Derivatives of the marginal likelihood by the tangent, against dense matrices."""
 
+from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
 
@@ -15,7 +16,7 @@ from estimators.map_smoother.gauss_newton import GaussNewton, MapSolution, minim
 from estimators.map_smoother.marginal_likelihood import (
     DIFFERENCE,
     perturbed_cars,
-    perturbed_objectives,
+    perturbed_passes,
     sensitivities,
 )
 from estimators.map_smoother.preconditioner import stationary_hessian
@@ -25,7 +26,7 @@ from estimators.map_smoother.tangent_likelihood import (
     tangent_terms,
     trace_sample,
 )
-from estimators.map_smoother.windows import initial_window_state, window_objective
+from estimators.map_smoother.windows import whole_objective
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.drives.recording import simulate_record
 from road_envs.roads.iso8608 import Iso8608
@@ -41,8 +42,8 @@ SPACE = ParameterSpace(DEFENDER, FULL.names[:6], FULL.std[:6])
 def solution() -> MapSolution:
     surface = Iso8608(road_class="D", length=20.0).realise(np.random.default_rng(5))
     record, _ = simulate_record(surface, vehicle=DEFENDER, speed_kmh=54.0, mode="handling", seed=5)
-    model, drive, _ = MapSmoother().prepare(record, DEFENDER)
-    objective = window_objective(model, drive, RoadPrior(), initial_window_state(drive), 0, 200)
+    drive, _ = MapSmoother().prepare(record, DEFENDER)
+    objective = whole_objective(drive, RoadPrior(), 200)
     return minimize(objective, GaussNewton(stationary_hessian(objective)), adapt_prior=False)
 
 
@@ -59,10 +60,11 @@ def terms():
 def dense_system():
     """The linearization with its varied vehicles; J (M, n), A (n, n), G (P, M) and G' R^-1."""
     lin, cars = solution().linearization, perturbed_cars(SPACE, np.zeros(SPACE.size))
-    varied = perturbed_objectives(lin.objective, cars)
-    J = np.array([lin.tangent(row) for row in np.eye(lin.x.size)])
-    G = sensitivities(lin, varied)
-    RJ, RG = (np.array([lin.apply_inverse_covariance(row) for row in rows]) for rows in (J, G))
+    (one,) = lin.passes
+    varied = perturbed_passes(one.source, cars)
+    J = np.array([lin.tangent(row)[0] for row in np.eye(lin.x.size)])
+    G = sensitivities(one, varied)
+    RJ, RG = (np.array([one.apply_inverse_covariance(row) for row in rows]) for rows in (J, G))
     J, RJ, G, RG = (rows.reshape(len(rows), -1) for rows in (J, RJ, G, RG))
     return (lin, varied), J.T, np.eye(lin.x.size) + J @ RJ.T, G, RG
 
@@ -84,7 +86,7 @@ def test_the_gradient_is_that_at_the_optimum_less_that_of_the_log_determinant(te
     (lin, varied), J, A, _, RG = dense_system()
     dx = np.linalg.solve(A, -lin.gradient())
     traces = [trace_sample(lin, varied, np.linalg.solve(A, b)) for b in posterior_noise(lin)]
-    expected = RG @ (lin.residual.ravel() - J @ dx) - np.mean(traces, axis=0)
+    expected = RG @ (lin.residual[0].ravel() - J @ dx) - np.mean(traces, axis=0)
     scale = np.sqrt(np.diag(terms.information))
     np.testing.assert_allclose(terms.gradient / scale, expected / scale, atol=0.02)
     assert (np.abs(np.mean(traces, axis=0)) > 0.1 * scale).any()
@@ -94,10 +96,11 @@ def test_a_sample_of_the_trace_is_the_change_of_the_tangent_by_a_parameter():
     lin = solution().linearization
     cars = perturbed_cars(SPACE, np.zeros(SPACE.size))
     small = 1e-3 * next(posterior_noise(lin)) / np.sqrt(lin.x.size)
-    means = lin.tangent(small)
-    varied = perturbed_objectives(lin.objective, cars)
-    there = (one.linearize(lin.x, inverse_variance=lin.inverse_variance) for one in varied)
-    first, *rest = [np.vdot(one.tangent(small), lin.inverse_variance * means) for one in there]
+    (means,), (weight,) = lin.tangent(small), lin.inverse_variance
+    varied = perturbed_passes(lin.objective.passes[0], cars)
+    objectives = (replace(lin.objective, passes=(one,)) for one in varied)
+    there = (one.linearize(lin.x, inverse_variance=[weight]) for one in objectives)
+    first, *rest = [np.vdot(one.tangent(small)[0], weight * means) for one in there]
     found = trace_sample(lin, varied, small)
     np.testing.assert_allclose(found, (np.array(rest) - first) / DIFFERENCE, rtol=0.02)
 
@@ -105,9 +108,9 @@ def test_a_sample_of_the_trace_is_the_change_of_the_tangent_by_a_parameter():
 def test_a_few_samples_average_a_quadratic_form_of_a_stationary_vehicle_exactly():
     K, rng = 64, np.random.default_rng(0)
     lin = SimpleNamespace(
-        x=np.zeros(2 * K), residual=np.zeros((3, K)),
-        objective=SimpleNamespace(split=lambda x: (x.reshape(2, K), x[:0], x[:3])),
-        adjoint=lambda e: np.zeros(2 * K + 3), shape_noise=lambda e: e,
+        x=np.zeros(2 * K), adjoint=lambda e: np.zeros(2 * K + 3),
+        passes=[SimpleNamespace(residual=np.zeros((3, K)), shape_noise=lambda e: e)],
+        objective=SimpleNamespace(split=lambda x: (x.reshape(2, K),)),
     )  # fmt: skip
     waves = rfft(rng.standard_normal((4, K)))
     waves[:, [0, -1]] = 0.0  # no constant and no wave of two nodes, which have no phase

@@ -5,7 +5,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
-from test_map_smoother import MIXED, drive_record, objective_of, perturb
+from test_map_smoother import MIXED, drive_record, objective_of, perturb, residual_at
 from vehicle_fixtures import DEFENDER
 
 from estimators.api import copy_with
@@ -34,21 +34,22 @@ def linearized():
 
 def test_a_change_is_that_of_the_predicted_accelerations():
     lin, b = linearized(), np.zeros((1 + INSTRUMENTS, 1 + INSTRUMENTS))
-    _, _, bias = lin.objective.split(lin.x)
-    predicted = lin.objective.measurements.y - lin.residual - bias[:, None]
+    (one,) = lin.passes
+    _, bias = one.source.split(one.own)
+    predicted = one.source.measurements.y - one.residual - bias[:, None]
     gain = b.copy()
     gain[1, 1] = 1.0  # of the first sensor
     drawn = np.random.default_rng(1).standard_normal(len(gain))
-    (change,) = VehicleUncertainty(DEFENDER, ("m_b",), gain).draw_changes(lin, drawn[None])
+    (change,) = VehicleUncertainty(DEFENDER, ("m_b",), gain).draw_changes(one, drawn[None])
     np.testing.assert_allclose(np.abs(change[0]), 0.02 * abs(drawn[-1]) * np.abs(predicted[0]),
                                rtol=0.01, atol=1e-9)  # fmt: skip
     assert np.abs(change[1:]).max() < 1e-9
     mass = b.copy()
     mass[0, 0] = 0.05**2
-    (change,) = VehicleUncertainty(DEFENDER, ("m_b",), mass).draw_changes(lin, drawn[None])
+    (change,) = VehicleUncertainty(DEFENDER, ("m_b",), mass).draw_changes(one, drawn[None])
     step = 0.001 * DEFENDER.m_b
     heavy, light = (
-        lin.objective.with_car(replace(DEFENDER, m_b=DEFENDER.m_b + d)).residual_at(lin.x)[0]
+        residual_at(lin.objective.with_car(replace(DEFENDER, m_b=DEFENDER.m_b + d)), lin.x)
         for d in (step, -step)
     )
     expected = 0.05 * abs(drawn[-1]) * (light - heavy) / 0.002
@@ -65,7 +66,7 @@ def test_of_a_fit_the_covariance_is_inflated_up_to_the_tolerances():
         },
     )
     lin = linearized()
-    solution = MapSolution(lin, stationary_hessian(lin.objective), 1.0)
+    solution = MapSolution(lin, stationary_hessian(lin.objective), np.ones(1))
     covariance = np.array([[0.01, 0.004, 0.0], [0.004, 0.0025, 0.0], [0.0, 0.0, 0.49]])
     fit = CarFit(parameter_space(car), np.array([0.5, 0.0, 0.0]), covariance, (solution,))
     found = VehicleUncertainty.of_fit(fit)

@@ -1,0 +1,175 @@
+"""Settings of the solver, and drives prepared for it: instruments, block means, nodes.
+
+The model is the vehicle as given, in steps of 1 ms. The measurements are means over 5 ms of the raw
+samples, so up to about 90 Hz: friction mixes frequencies, and accelerations above the scored 25 Hz
+carry information about the road below.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimators.common.bending import sensed_bending
+from estimators.common.block_means import MIN_NOISE_DENSITY
+from estimators.common.model_inputs import (
+    MOVING_STD,
+    REST_STD,
+    build_model_inputs,
+    is_even,
+    rest_state,
+)
+from estimators.common.sensor_filter import SensorFilter, is_only_a_delay
+from estimators.low_pass import bridge
+from estimators.map_smoother.gauss_newton import PRIOR_UPDATES
+from estimators.map_smoother.one_pass import MeasurementModel
+from estimators.map_smoother.road_prior import RoadNodes
+from estimators.map_smoother.windows import MARGIN, PreparedDrive
+from estimators.preprocessing import MaskedRecord, clipped_signs, mask_record, restore_times
+from road_envs.analysis.information_bound import RoadPrior
+from road_envs.core.config import Settings
+from road_envs.records.record import Record
+from road_envs.records.roughness import CLASSES
+from road_envs.sensing.instruments import Instruments, instruments_of, on_axle
+from road_envs.vehicle.equations import build_plant
+from road_envs.vehicle.linear_model import linearise
+from road_envs.vehicle.parameters import VehicleParameters
+
+NODE_SPACING_RANGE = (0.025, 0.05)
+"""Least and greatest distance of the road's nodes [m]."""
+
+READINGS_PER_UNKNOWN = 2.0
+"""Block means per unknown of the road, at least: with as many unknowns as readings the unexplained
+noise is overestimated, and a fitted vehicle is biased."""
+
+AXLE_READINGS_PER_UNKNOWN = 1.0
+"""The same where a sensor is on an axle: the tyre passes on waves that the nodes cannot hold, and
+longer means keep them out."""
+
+DELAY_NOISE_DENSITY = 5e-3
+"""Noise density [(m/s²)/sqrt(Hz)] below which sensors on the body show that an anti-alias filter is
+more than a delay."""
+
+F_RESOLVED = 70.0
+"""Frequency [Hz] that the nodes resolve at any speed, within NODE_SPACING_RANGE."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SolverSettings(Settings):
+    """Settings of the most probable road.
+
+    - `instruments`: name or path; `noise_density` [(m/s²)/sqrt(Hz)] if it is not theirs.
+    - `G_d0` [m³] and `w`: the road's prior; `adapt_prior`: re-estimate its density from the drive,
+      between the last steps at most `prior_updates` times.
+    - `data_rate` [Hz] of the block means, at least; `step` [s]: longest step of the model.
+    - `level_ends`: the road is level before station 0 and behind its length, where the drive begins
+      at rest.
+    - `huber`: standard deviations beyond which a measurement is down-weighted.
+    - `window`, `overlap` [s]: longer drives are estimated window by window.
+    """
+
+    instruments: str = "paper"
+    noise_density: float | None = None
+    G_d0: float = CLASSES["D"]
+    w: float = 2.0
+    adapt_prior: bool = True
+    prior_updates: int = PRIOR_UPDATES
+    data_rate: float = 200.0
+    step: float = 0.001
+    level_ends: bool = True
+    huber: float = 5.0
+    window: float = 40.0
+    overlap: float = 5.0
+
+    def __post_init__(self) -> None:
+        for name in ("G_d0", "w", "data_rate", "step", "huber", "overlap"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+        if self.noise_density is not None and not self.noise_density > 0:
+            raise ValueError(f"noise_density must be positive, got {self.noise_density}")
+        if not self.window >= 2.0 * self.overlap:
+            raise ValueError(
+                f"window must be at least twice the overlap of {self.overlap} s, got {self.window}"
+            )
+        if self.prior_updates < 0:
+            raise ValueError(f"prior_updates must not be negative, got {self.prior_updates}")
+
+    @property
+    def road_prior(self) -> RoadPrior:
+        """The road's prior."""
+        return RoadPrior(G_d0=self.G_d0, w=self.w)
+
+    def prepare(
+        self,
+        record: Record,
+        car: VehicleParameters,
+        readings_per_unknown: float = READINGS_PER_UNKNOWN,
+        speed_unknown: bool = False,
+    ) -> tuple[PreparedDrive, tuple[str, ...]]:
+        """Prepare a drive of `car`; with notes on the record. Raises ConfigError, RecordError."""
+        instruments = instruments_of(record, self.instruments)
+        masked = restore_times(mask_record(record, instruments), record, instruments)
+        model = self._measurement_model(masked.record, car, instruments)
+        if speed_unknown:
+            model = replace(model, speed_std=instruments.speed_error)
+        drive = self._prepare_drive(masked, car, instruments, model, readings_per_unknown)
+        return drive, masked.notes
+
+    def _measurement_model(
+        self, record: Record, car: VehicleParameters, instruments: Instruments
+    ) -> MeasurementModel:
+        """Return the model of the vehicle and its instruments."""
+        one, locations = build_plant(car), instruments.locations(car)
+        sensor_rows = linearise(one, "ride", locations).sensor_rows
+        density = self.noise_density or max(instruments.noise_density, MIN_NOISE_DENSITY)
+        noise = density**2 * 0.5 * record.fs
+        return MeasurementModel(
+            one, car.valve.lag, car.wheelbase, locations, sensor_rows, noise,
+            bending=sensed_bending(car, locations), contact_length=car.variation.contact_length,
+            bandwidth=record.bandwidth,
+        )  # fmt: skip
+
+    def _prepare_drive(
+        self,
+        masked: MaskedRecord,
+        car: VehicleParameters,
+        instruments: Instruments,
+        model: MeasurementModel,
+        readings_per_unknown: float,
+    ) -> PreparedDrive:
+        """Return the drive of a masked record, the `model` with the anti-alias filter where it does
+        more than delay the samples.
+        """
+        record, valid, v = masked.record, masked.valid, float(masked.record.v.mean())
+        ds = float(np.clip(0.5 * v / F_RESOLVED, *NODE_SPACING_RANGE))
+        unknowns = 2.0 * v / ds  # per second
+        rate = max(self.data_rate, readings_per_unknown * unknowns / len(record.a))
+        is_on_axle = on_axle(model.locations)
+        if is_on_axle and readings_per_unknown > 0.0:
+            rate = AXLE_READINGS_PER_UNKNOWN * unknowns / len(record.a)
+        block = max(1, round(record.fs / rate))
+        precise = is_on_axle or instruments.noise_densities.min() < DELAY_NOISE_DENSITY
+        filtered = precise or not (is_even(record) and is_only_a_delay(instruments))
+        inputs = build_model_inputs(record, instruments, car, self.step, filtered)
+        if filtered:
+            rate = record.fs / block
+            model = replace(model, filter=SensorFilter.of(instruments, inputs.h, rate))
+        censored = clipped_signs(record, instruments)
+        if np.isfinite(record.bandwidth):  # what is left of a gap lies between its ends
+            a = bridge(record.a)
+        else:
+            a = np.where(valid | (censored != 0), record.a, 0.0)
+        # the mean over the drive is mostly sensor bias
+        mean = np.sum(a, axis=1, where=valid) / np.maximum(valid.sum(axis=1), 1)
+        a -= mean[:, None]
+        origin = inputs.s[0] - car.wheelbase - (MARGIN + 1) * ds
+        nodes = RoadNodes(origin, ds, int((inputs.s[-1] - origin) / ds) + 2 * MARGIN)
+        level = self.level_ends and record.s[0] <= 0.0
+        span = 0.0 if level else -np.inf, record.length if self.level_ends else np.inf
+        rest = rest_state(car, inputs)
+        typical = REST_STD if level else MOVING_STD
+        initial_std = np.repeat(typical[[0, -1]], rest.size // 2)  # of a frame's twist, too
+        if model.filter is not None and not level:  # what the filter held before is not known
+            valid = valid & (np.arange(valid.shape[1]) >= model.filter.memory * record.fs)
+        return PreparedDrive(
+            car, model, inputs, a, valid, censored, block, rest, initial_std, nodes, span
+        )

@@ -1,0 +1,215 @@
+"""The most probable road of one or several drives over it, each with its own vehicle and speed.
+
+The minimization of a single drive begins at a level road, that of several at the mean of their
+single estimates, so that few steps are needed. The noise of each pass has a scale of its own, so
+that a vehicle that differs from its description counts for less. Passes whose vehicles are
+described alike are taken for drives of one vehicle: if it has to be adapted, its parameters are
+fitted to all of them.
+"""
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from estimators.map_smoother.car_fit import (
+    CarFit,
+    can_show_vehicle,
+    fit_car,
+    fit_if_due,
+    is_believed,
+)
+from estimators.map_smoother.gauss_newton import (
+    FRICTION_STAGES,
+    GaussNewton,
+    MapSolution,
+    minimize,
+    update_noise_scale,
+)
+from estimators.map_smoother.objective import Objective
+from estimators.map_smoother.posterior_sampling import RoadPosterior, posterior_mean_and_std
+from estimators.map_smoother.preconditioner import stationary_hessian
+from estimators.map_smoother.preparation import SolverSettings
+from estimators.map_smoother.speed_error import estimate_speed_error
+from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
+from estimators.map_smoother.wheel_liftoff import distance_in_air
+from estimators.map_smoother.windows import (
+    PreparedDrive,
+    RoadSoFar,
+    common_windows,
+    reconstruct,
+)
+from road_envs.records.record import Profile, scored_band
+from road_envs.vehicle.tolerances import parameter_space
+
+JOINT_STAGES = ((0.0, 8),)
+"""Smoothing of friction [m/s], and the most Gauss-Newton steps with it, from the mean of single
+estimates on, which is so near that it needs none."""
+
+JOINT_PRIOR_UPDATES = 2
+"""Updates of the prior between these steps, at most."""
+
+ADAPTED_STEPS = 4
+"""Gauss-Newton steps of the road of several passes after their vehicles were adapted."""
+
+FIT_INFLATION = 1.4
+"""Factor on the errors of a vehicle that was fitted to this drive alone, as
+`posterior_sampling.TOLERANCE_INFLATION`."""
+
+EVIDENCE_DUE, VEHICLE_SHARE_DUE = 100.0, 0.5
+"""Power of the residual that errors of the vehicle explain, in units of the noise, and share of the
+variance of the heights that the tolerances make, from which on the vehicle is fitted, also where
+nothing else is unexplained: on smooth roads the road takes most of what a wrong vehicle leaves. The
+power is 4 to 88 for vehicles as described and 52 to 1600 for those of grade S1 (seed 211)."""
+
+
+@dataclass(eq=False)
+class Findings:
+    """Results of all windows so far: greatest noise scale (P,) and distance in the air (P,) [m] of
+    each pass, fits of vehicles with the numbers of their passes, the noise scale that a fit left
+    which is not believed, greatest share of the vehicle in the variance of the heights, and
+    relative error of the speed of a single drive in each window with its variance.
+    """
+
+    noise_scale: np.ndarray
+    in_air: np.ndarray
+    fits: list[tuple[CarFit, list[int]]] = field(default_factory=list)
+    left_by_fit: float = 0.0
+    vehicle_share: float = 0.0
+    speed_errors: list[tuple[float, float]] = field(default_factory=list)
+
+    def fit_of(self, number: int) -> CarFit | None:
+        """Return the fit of the vehicle of this pass."""
+        return next((fit for fit, members in self.fits if number in members), None)
+
+
+@dataclass(frozen=True, eq=False)
+class RoadSolver:
+    """Solver of the windows of `drives` on common nodes, from the road `start` on, if there is one.
+
+    `adapt`: vehicles that stay unexplained are fitted; `draws`: posterior samples for the standard
+    deviation in the `band` [cycles/m]; `uncertainty` is that of the vehicle of a single drive if it
+    was identified.
+    """
+
+    settings: SolverSettings
+    drives: Sequence[PreparedDrive]
+    adapt: bool
+    draws: int
+    uncertainty: VehicleUncertainty | None = None
+    start: Profile | None = None
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """The scored band [cycles/m] of the slowest drive."""
+        return scored_band(min(drive.mean_speed for drive in self.drives))
+
+    def solve(self) -> tuple[RoadSoFar, Findings]:
+        """Solve all windows. Raises ArithmeticError."""
+        settings, count = self.settings, len(self.drives)
+        findings = Findings(np.ones(count), np.zeros(count))
+
+        def solve_window(
+            objective: Objective, members: list[int]
+        ) -> tuple[MapSolution, np.ndarray]:
+            posterior = self._solve_window(objective, members, findings)
+            return posterior.solution, posterior.std
+
+        windows = common_windows(self.drives, settings.window, settings.overlap)
+        return reconstruct(self.drives, settings.road_prior, windows, solve_window), findings
+
+    def _solve_window(
+        self, objective: Objective, members: list[int], findings: Findings
+    ) -> RoadPosterior:
+        settings, start = self.settings, self.start
+
+        def adapt(solution: MapSolution, solver: GaussNewton) -> MapSolution:
+            return self._adapt(solution, solver, members, findings)
+
+        fits = [findings.fit_of(number) for number in members]
+        passes = zip(objective.passes, fits, strict=True)
+        # vehicles that were fitted in a window are those of the whole drives
+        models = [one.with_car(fit.car).model if fit else one.model for one, fit in passes]
+        pairs = zip(objective.passes, models, strict=True)
+        objective = replace(objective, passes=tuple(replace(one, model=m) for one, m in pairs))
+        solver = GaussNewton(stationary_hessian(objective), settings.huber)
+        solution = minimize(
+            objective,
+            solver,
+            adapt_prior=settings.adapt_prior,
+            start=None if start is None else objective.from_noise(objective.road.noise_of(start)),
+            stages=FRICTION_STAGES if start is None else JOINT_STAGES,
+            prior_updates=settings.prior_updates if start is None else JOINT_PRIOR_UPDATES,
+            adapt_car=adapt if self.adapt and not findings.fits else None,
+        )
+        findings.in_air[members] += [distance_in_air(one) for one in solution.linearization.passes]
+        if len(self.drives) > 1:
+            posterior = posterior_mean_and_std(solution, self.band, self.draws)
+        else:
+            posterior = self._with_vehicle(solution, solver, findings)
+        scale = np.maximum(findings.noise_scale[members], posterior.solution.noise_scale)
+        findings.noise_scale[members] = scale
+        return posterior
+
+    def _with_vehicle(
+        self, solution: MapSolution, solver: GaussNewton, findings: Findings
+    ) -> RoadPosterior:
+        """Return the posterior of a single drive with errors of its vehicle, which is fitted to the
+        drive if they show.
+        """
+        drive, fit, uncertain = self.drives[0], findings.fit_of(0), self.uncertainty
+        sensors = tuple(drive.model.locations)
+        if drive.model.speed_std > 0.0:
+            findings.speed_errors.append(estimate_speed_error(solution))
+        if fit:
+            uncertain = replace(VehicleUncertainty.of_fit(fit), inflation=FIT_INFLATION)
+        elif self.adapt and uncertain is None and drive.car.tolerances:
+            uncertain = VehicleUncertainty.of_tolerances(drive.car, sensors)
+        posterior = posterior_mean_and_std(solution, self.band, self.draws, uncertain)
+        is_seen = posterior.evidence > EVIDENCE_DUE and can_show_vehicle(solution)
+        if is_seen and posterior.vehicle_share > VEHICLE_SHARE_DUE:
+            with suppress(ArithmeticError):  # a varied vehicle's motion was not finite
+                fit = fit_car([solution], parameter_space(drive.car), solver)
+                findings.fits = [(fit, [0])]
+                uncertain = VehicleUncertainty.of_tolerances(fit.car, sensors)
+                uncertain = replace(uncertain, is_prior=False, inflation=FIT_INFLATION)
+                posterior = posterior_mean_and_std(
+                    fit.solutions[0], self.band, self.draws, uncertain
+                )
+        findings.vehicle_share = max(findings.vehicle_share, posterior.vehicle_share)
+        return posterior
+
+    def _adapt(
+        self, solution: MapSolution, solver: GaussNewton, members: list[int], findings: Findings
+    ) -> MapSolution:
+        """Return the solution with each vehicle fitted to all its passes, where that is due."""
+        cars = [self.drives[number].car for number in members]
+        for first, car in enumerate(cars):
+            if car in cars[:first]:
+                continue
+            same = [k for k, other in enumerate(cars) if other == car]
+            own = [solution.of_pass(k) for k in same]
+            fit = fit_if_due(own, car, solver)
+            if fit is None:
+                continue
+            if is_believed(fit, own):
+                findings.fits.append((fit, [members[k] for k in same]))
+            else:
+                left = max(float(one.noise_scale[0]) for one in fit.solutions)
+                findings.left_by_fit = max(findings.left_by_fit, left)
+        if not findings.fits:
+            return solution
+        if len(members) == 1:
+            return findings.fits[0][0].solutions[0]
+        lin, noise_scale = solution.linearization, solution.noise_scale
+        fits = [findings.fit_of(number) for number in members]
+        pairs = zip(lin.objective.passes, fits, strict=True)
+        passes = tuple(one.with_car(fit.car) if fit else one for one, fit in pairs)
+        objective = replace(lin.objective, passes=passes)
+        solver = replace(solver, stationary=stationary_hessian(objective))
+        lin = objective.linearize(lin.x)
+        for _ in range(ADAPTED_STEPS):
+            noise_scale = update_noise_scale(lin, solver.stationary, noise_scale)
+            lin, _ = solver.step(lin, noise_scale)
+        return MapSolution(lin, solver.stationary, noise_scale)
