@@ -11,6 +11,7 @@ EXTRAS = {
     "render": ("PIL",),
     "dask": ("distributed",),
     "mdf": ("asammdf",),
+    "ros": ("mcap", "lz4", "zstandard"),
     "minari": ("minari",),
     "plants": ("mujoco", "vehiclemodels"),
 }

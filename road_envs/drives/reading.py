@@ -24,7 +24,7 @@ from road_envs.drives.measured_record import (
     to_measured_record,
 )
 from road_envs.drives.recording import is_record, read_record
-from road_envs.drives.recordings.formats import read_source, read_track
+from road_envs.drives.recordings.formats import drives_in, read_source, read_track
 from road_envs.drives.recordings.recording import Recording, drives_of
 from road_envs.records.record import Record
 from road_envs.sensing.instruments import load_instruments
@@ -192,12 +192,13 @@ def read_passes(
     track: Path | None = None,
     **changes: Any,
 ) -> list[DriveFile]:
-    """Read the drives in several files. Raises ConfigError.
+    """Read the drives in several files, or in folders of them. Raises ConfigError.
 
     Without a description for all, each is read by the one beside it with its own name and the
     suffix .yaml, if there is one; a note says so. Names that are equal are numbered.
     """
     drives: list[DriveFile] = []
+    paths = [file for path in paths for file in drives_in(path)]
     for path in paths:
         own = path.with_suffix(".yaml") if path.name else path  # "/" has no name
         alone = len(paths) == 1 or description is not None or not own.exists()

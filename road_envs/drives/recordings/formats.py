@@ -4,12 +4,17 @@
 |---|---|
 | zip file or folder of phyphox | `phyphox.py` |
 | zip file or folder of Sensor Logger | `sensor_logger.py` |
+| zip file or folder of one table with three axes and one with the track | `formats.py` |
 | VBOX (`.vbo`) | `vbox.py` |
+| MCAP | `mcap.py` |
+| bag of ROS 2, a folder or its file of SQLite | `rosbag.py` |
 | GPX, as a track beside another file | `gpx.py` |
 | JSON lines | `json_lines.py` |
 | text, Parquet, MDF4 | `road_envs/drives/logger_tables/table.py` |
 """
 
+from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -25,17 +30,36 @@ from road_envs.drives.recordings import (
     axes,
     gpx,
     json_lines,
+    mcap,
+    member_tables,
     phyphox,
+    rosbag,
     sensor_logger,
     vbox,
 )
 from road_envs.drives.recordings.recording import Recording, Series
 
 READ = (
-    "zip files and folders of phyphox and Sensor Logger, tables (CSV and other text, Parquet, "
-    "MDF4, JSON lines), VBOX (.vbo), and GPX as --track"
+    "zip files and folders of phyphox and Sensor Logger, or of a table with three axes and one "
+    "with the track; tables (CSV and other text, Parquet, MDF4, JSON lines), VBOX (.vbo), MCAP and "
+    "bags of ROS 2, and GPX as --track"
 )
 """What is read, in words."""
+
+SUFFIXES = (
+    ".csv",
+    ".txt",
+    ".zip",
+    ".parquet",
+    ".mf4",
+    ".mdf",
+    ".vbo",
+    ".json",
+    ".jsonl",
+    ".mcap",
+    ".db3",
+)
+"""Ends of the names of files in a folder of several drives."""
 
 HEAD = 20_000
 """Bytes by which a file is recognised."""
@@ -47,10 +71,16 @@ def read_source(path: Path, description: DriveDescription) -> Recording | Table:
     Raises ConfigError.
     """
     with parsing(path, ConfigError, "no readable recording"):
+        if path.is_dir() and rosbag.is_bag(path):
+            return rosbag.read_rosbag(path)
         if path.is_dir() or archive.is_zip(path):
-            return _of_members(path)
+            return _of_members(path, description)
         with path.open("rb") as file:
             head = file.read(HEAD)
+        if mcap.is_mcap(head):
+            return mcap.read_mcap(path)
+        if rosbag.is_sqlite(head):
+            return rosbag.read_rosbag(path)
         if gpx.is_gpx(head):
             raise ConfigError(
                 "a GPX file has a track without accelerations: give it beside those "
@@ -63,15 +93,69 @@ def read_source(path: Path, description: DriveDescription) -> Recording | Table:
         return axes.to_recording(path.stem, table, found, description)
 
 
-def _of_members(path: Path) -> Recording:
+def drives_in(path: Path) -> list[Path]:
+    """Return the files and folders of drives that a folder holds; a path that is one drive, alone.
+
+    A folder of an app, a bag of ROS 2 or one of a table and its track is one drive. Raises
+    ConfigError.
+    """
+    if not path.is_dir() or rosbag.is_bag(path):
+        return [path]
+    inside = sorted(p for p in path.iterdir() if not p.name.startswith("."))
+    if any(_is_app_folder(folder) for folder in inside if folder.is_dir()):
+        return [p for p in inside if _is_app_folder(p) or p.suffix.lower() in SUFFIXES]
+    with parsing(path, ConfigError, "no readable folder"):
+        members = archive.read_members(path)
+        if _is_app(members) or _table_and_track(path.name, members, DriveDescription()):
+            return [path]
+    return [p for p in inside if p.is_file() and p.suffix.lower() in SUFFIXES] or [path]
+
+
+def _is_app_folder(folder: Path) -> bool:
+    """Whether a folder is the export of an app, or a bag of ROS 2."""
+    if not folder.is_dir():
+        return False
+    with parsing(folder, ConfigError, "no readable folder"):
+        return rosbag.is_bag(folder) or _is_app(archive.read_members(folder))
+
+
+def _is_app(members: Mapping[str, bytes]) -> bool:
+    return phyphox.is_phyphox(members) or sensor_logger.is_sensor_logger(members)
+
+
+def _of_members(path: Path, description: DriveDescription) -> Recording:
     members = archive.read_members(path)
     if phyphox.is_phyphox(members):
         return phyphox.read_phyphox(path.stem, members)
     if sensor_logger.is_sensor_logger(members):
         return sensor_logger.read_sensor_logger(path.stem, members)
+    if found := _table_and_track(path.stem, members, description):
+        return found
     kind = "a folder" if path.is_dir() else "an archive"
     shown = ", ".join(list(members)[:6]) + (", ..." if len(members) > 6 else "")
     raise ConfigError(f"{kind} of no app that is known ({shown or 'empty'}); read are {READ}")
+
+
+def _table_and_track(
+    name: str, members: Mapping[str, bytes], description: DriveDescription
+) -> Recording | None:
+    """Return the recording in one table with three axes, with the track of another if it has none;
+    None if the members are others. Tables that cannot be read are left out. Raises ConfigError.
+    """
+    tables: dict[str, Table] = {}
+    for member, data in members.items():
+        if member.lower().endswith((".csv", ".txt")):
+            with suppress(ConfigError):
+                tables[member] = member_tables.parse_member(member, data)
+    with_axes = {m: found for m, x in tables.items() if (found := axes.find_axes(x, description))}
+    if len(with_axes) != 1:
+        return None
+    ((member, found),) = with_axes.items()
+    recording = axes.to_recording(name, tables.pop(member), found, description)
+    for other, table in tables.items() if recording.track is None else ():
+        if (track := _track_of(table)) is not None:
+            return recording.with_track(*track, other)
+    return recording if recording.track is not None else None
 
 
 def _table(path: Path, head: bytes) -> Table:
@@ -100,15 +184,27 @@ def read_track(path: Path) -> tuple[Series, float | None]:
         if gpx.is_gpx(head):
             return gpx.parse_gpx(path.read_bytes())
         table = _table(path, head)
-        findings = Findings()
-        channels = Channels(table, DriveDescription(), findings)
-        clock = read_clock(channels, findings)
-        names = ("lat", "lon", "v", "s")
-        columns = [channels.numbers(key) if key in channels else None for key in names]
-        findings.raise_problems()
-        assert clock is not None
-        if all(x is None for x in columns):
-            raise ConfigError(f"a track without positions and speed; {channels.list_columns()}")
-        nothing = np.full(clock.t.size, np.nan)
-        x = np.column_stack([nothing if c is None else c for c in columns])
-        return Series(clock.t, x), clock.epoch
+        if (found := _track_of(table)) is None:
+            raise ConfigError(
+                f"a track without a time, positions or speed; the table has {', '.join(table)}"
+            )
+        return found
+
+
+def _track_of(table: Table) -> tuple[Series, float | None] | None:
+    """Return the track (N, 4) in a table, and the epoch of its zero; None if there is none.
+
+    Raises ConfigError.
+    """
+    findings = Findings()
+    channels = Channels(table, DriveDescription(), findings)
+    names = [key for key in ("lat", "lon", "v", "s") if key in channels]
+    if "t" not in channels or not names:
+        return None
+    clock = read_clock(channels, findings)
+    columns = {key: channels.numbers(key) for key in names}
+    findings.raise_problems()
+    assert clock is not None
+    nothing = np.full(clock.t.size, np.nan)
+    x = [columns.get(key, nothing) for key in ("lat", "lon", "v", "s")]
+    return Series(clock.t, np.column_stack([nothing if c is None else c for c in x])), clock.epoch
