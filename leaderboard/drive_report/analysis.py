@@ -1,6 +1,6 @@
 """Results of one drive: segments with IRI, class, condition and quality, and obstacles."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,9 +10,8 @@ from leaderboard.drive_report.conditions import Conditions
 from leaderboard.drive_report.mean_path import (
     HRI_STD,
     MISFIT_STD,
-    expected_ratio,
+    mean_path_indices,
     path_level_ratio,
-    ratio_std,
     tells_paths_apart,
     with_mean_path,
 )
@@ -111,17 +110,14 @@ def analyse(
     if mean_path:
         estimate = with_mean_path(estimate)
     edges = _edges(estimate, measured.chainage, segment, record.s[0])
-    factor, std = known or KnownFactor(1.0, MODEL_STD)
-    half, sampled = None, estimate
+    factor, std = known or KnownFactor(1.0, HRI_STD if mean_path else MODEL_STD)
     if mean_path:
-        sampled = replace(estimate, z_std=np.zeros_like(estimate.z))
-        std = known.std if known else HRI_STD
         if misfits(estimate.notes):
             std = float(np.hypot(std, MISFIT_STD))
-        half = posterior_iri(sampled, v, edges, factor=factor, model_std=std)
-        std = np.hypot(std, ratio_std(np.diff(edges)))
-        factor *= expected_ratio()
-    iri = posterior_iri(sampled, v, edges, factor=factor, model_std=std)
+        index = np.searchsorted(estimate.s, edges)
+        half, iri = mean_path_indices(estimate.z[:1], estimate.ds, index, factor, std)
+    else:
+        half, iri = None, posterior_iri(estimate, v, edges, factor=factor, model_std=std)
     notes = in_order_of_weight((*estimate.notes, *measured.notes))
     result = DriveResult(
         name, measured, estimate, v, measured.chainage, [], [], notes, {}, mean_path
@@ -130,8 +126,8 @@ def analyse(
         row = _segment(result, edges, k, iri, clipping, modes)
         row["condition"] = conditions.category(row["iri_mean"])
         if half is not None:
-            row |= {"hri": float(half.median[2, k]), "hri_low": float(half.low[2, k]),
-                    "hri_high": float(half.high[2, k])}  # fmt: skip
+            row |= {"hri": float(half.median[-1, k]), "hri_low": float(half.low[-1, k]),
+                    "hri_high": float(half.high[-1, k])}  # fmt: skip
         result.segments.append(row)
     for obstacle in detect(estimate):
         result.obstacles.append(_obstacle(result, obstacle, distance_std))
@@ -140,10 +136,10 @@ def analyse(
         speed_kmh=3.6 * v,
         sampled_hz=float(min(measured.fs, record.fs)),
         duration_s=float(record.t[-1]),
-        iri_mean=float(np.average(iri.median[2], weights=np.diff(edges))),
+        iri_mean=float(np.average(iri.median[-1], weights=np.diff(edges))),
         # errors of segments have common causes: the interval of the mean is the mean interval
-        iri_mean_low=float(np.average(iri.low[2], weights=np.diff(edges))),
-        iri_mean_high=float(np.average(iri.high[2], weights=np.diff(edges))),
+        iri_mean_low=float(np.average(iri.low[-1], weights=np.diff(edges))),
+        iri_mean_high=float(np.average(iri.high[-1], weights=np.diff(edges))),
     )
     return result
 
@@ -179,9 +175,8 @@ def _segment(
     if result.is_mean_path:
         levels = {n: path_level_ratio(n) * level for n, level in levels.items()}
     row: dict[str, Any] = {"begin_m": result.chainage + begin, "end_m": result.chainage + end}
-    for j, path in enumerate(("left", "right", "mean")):
-        if result.is_mean_path and path != "mean":
-            continue
+    paths = ("mean",) if result.is_mean_path else ("left", "right", "mean")
+    for j, path in enumerate(paths):
         row[f"iri_{path}"] = float(iri.median[j, k])
         row[f"iri_{path}_low"] = float(iri.low[j, k])
         row[f"iri_{path}_high"] = float(iri.high[j, k])
