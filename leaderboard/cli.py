@@ -62,8 +62,16 @@ class RoadRecon(LazyGroup):
             "leaderboard": "board:leaderboard",
             "run-job": "jobs:run_job",
             "verify": "verify:verify",
+            "score": "score:score",
             "season": "hidden_seeds:season",
+            "cite": "cite:cite",
             "clean": "clean:clean",
+        },
+        "Results repositories": {
+            "submit": "submit:submit",
+            "verify-submission": "submit:verify_one",
+            "new-results-repo": "submit:new_results_repo",
+            "results-site": "submit:results_site",
         },
         "Switching policies": {
             "policies": "policies:policies",

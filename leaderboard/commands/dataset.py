@@ -2,13 +2,15 @@
 
 import shutil
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
+from leaderboard.arrays import load_task
 from leaderboard.commands import command_line, console, print_facts, print_json, progress_bar
 from leaderboard.commands.options import Json, Sensors
 from leaderboard.policies.episodes import DATASETS_PATH, write_episodes
+from leaderboard.task_tables import write_task
 from road_envs.core.config import ConfigError
 from road_envs.drives.dataset import write_dataset
 from road_envs.drives.training_corpus import Corpus
@@ -24,25 +26,44 @@ def dataset(
         str | None,
         typer.Option(help="Write episodes of this switching policy instead, for Minari."),
     ] = None,
+    task: Annotated[
+        str | None,
+        typer.Option(help="Write the drives of this task instead, to be scored by `score`."),
+    ] = None,
+    roads: Annotated[
+        int | None, typer.Option(help="With --task: test drives per condition.", min=1)
+    ] = None,
+    csv: Annotated[bool, typer.Option("--csv", help="With --task: CSV, not Parquet.")] = False,
     json: Json = False,
 ) -> None:
     """Write simulated drives with true roads as Parquet: splits, card, licence, checksums.
 
     The same options and version give the same drives. Seed 1 is that of the shipped weights'
     training. With --episodes, a data set of Minari has as many episodes of a policy in
-    RoadRecon-v0.
+    RoadRecon-v0. With --task, the drives of a task, whose test drives have no true road.
     """
     if out.exists():
         raise ConfigError(f"{out} exists; give a folder that does not")
     if not out.parent.is_dir():
         raise ConfigError(f"{out}: the folder {out.parent} does not exist")
+    if task is not None and episodes is not None:
+        raise ConfigError("give either --task or --episodes, not both")
+    if task is None and (csv or roads is not None):
+        raise ConfigError("--csv and --roads are of a task: give --task")
     partial = out.with_name(f"{out.name}.partial")
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir()
     try:
         with progress_bar() as progress:
             if episodes is not None:
-                facts = write_episodes(episodes, drives, seed, partial, progress, sensors=sensors)
+                facts: dict[str, Any] = write_episodes(
+                    episodes, drives, seed, partial, progress, sensors=sensors
+                )
+            elif task is not None:
+                form = "csv" if csv else "parquet"
+                arrays = load_task(task, roads=roads)
+                facts = {"training": len(arrays.training), "test": len(arrays.test)}
+                write_task(arrays, partial, form, roads)
             else:
                 corpus = Corpus(number=drives, seed=seed, instruments=sensors)
                 facts = write_dataset(corpus, partial, command=command_line(), progress=progress)

@@ -62,6 +62,11 @@ def verify(
             report=progress,
         )
     save_verified(found, folder)
+    print_verified(found, json)
+
+
+def print_verified(found: list[Verified], json: bool) -> None:
+    """Print what was found of each row. Raises typer.Exit with status 1 if one differs."""
     if json:
         print_json([{**dataclasses.asdict(row), "agrees": row.agrees} for row in found])
     else:

@@ -79,5 +79,6 @@ def _shown(board: Board) -> Iterator[list[object]]:
                 result.failure,
                 board.stale_reason(task, result),
                 card and [card.identity, card.failure, card.passed_count],
+                repr(board.methods.get(result.estimator)),
                 [dataclasses.asdict(x) for x in board.verified.get(result.identity, ())],
             ]

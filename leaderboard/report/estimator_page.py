@@ -10,6 +10,7 @@ import numpy as np
 from scipy.stats import norm
 
 from estimators.registry import REGISTRY
+from leaderboard.conformance.method_card import MethodCard
 from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.results import Result, Trace
 from leaderboard.evaluation.scores import scores_table
@@ -88,6 +89,12 @@ def method(name: str) -> Method | None:
         _paragraphs(inspect.getdoc(cls) or ""),
         f"{cls.__module__.replace('.', '/')}.py",
     )
+
+
+def method_card_rows(card: MethodCard | None) -> list[tuple[str, str]]:
+    """Return label and text of each line of the authors' card of an entry."""
+    texts = {} if card is None else {**vars(card), "authors": ", ".join(card.authors)}
+    return [(label, text) for label, text in texts.items()]
 
 
 def _paragraphs(text: str) -> list[tuple[str, bool]]:

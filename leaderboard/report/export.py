@@ -3,7 +3,7 @@
 <out>/export/<board>.csv    every score of every row, over all runs and over each group
 <out>/export/<board>.json   the same, with notes
 <out>/export/<board>.tex    the table of the page, for the package booktabs
-<out>/export/roadrecon.bib  citation of this project and of the paper
+<out>/export/road_recon.bib  citation of this project and of the paper
 """
 
 import json
@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from leaderboard.evaluation.provenance import package_version
 from leaderboard.metrics.registry import SCORES
+from leaderboard.report.citation import as_bibtex
 from leaderboard.report.tables import ALL_RUNS, BoardView, Row, Section, nonempty_columns
 from road_envs.core.atomic_io import write_text
 
@@ -23,20 +23,6 @@ NUMBER_FIELDS = (
     "grade_S0", "grade_S1", "grade_S2", "grade_S3", "slope", "slope_low", "slope_high",
     "train_seconds", "calibrate_seconds", "estimate_ms_per_100m", "parameters",
 )  # fmt: skip
-BIBLIOGRAPHY = """@software{{road_recon,
-  title = {{RoadRecon: road profile reconstruction from vehicle responses}},
-  version = {{{version}}},
-  note = {{results of board {boards}}},
-}}
-
-@article{{ngwangwa_reconstruction,
-  title = {{Reconstruction of road defects and road roughness classification using Artificial
-           Neural Networks simulation and vehicle dynamic responses: Application to experimental
-           data}},
-  author = {{Ngwangwa, H. M. and Heyns, P. S. and Breytenbach, H. G. A. and Els, P. S.}},
-  journal = {{Journal of Terramechanics}},
-}}
-"""
 LATEX_ESCAPES = str.maketrans(
     {c: f"\\{c}" for c in "&%$#_{}"}
     | {"–": "--", "²": "$^2$", "~": "\\~{}", "^": "\\^{}", "\\": "\\textbackslash{}"}
@@ -47,7 +33,8 @@ FORMULA_SIGNS = ("=", "+", "-", "@", "\t", "\r")
 
 def write_exports(views: Sequence[BoardView], out: Path) -> list[Path]:
     """Write all exports, each atomically; return their paths."""
-    texts = {"road_recon.bib": as_bibtex(views)}
+    boards = ", ".join(view.board.replace("_", " ") for view in views)
+    texts = {"road_recon.bib": as_bibtex(f"results of board {boards}")}
     for view in views:
         texts[f"{view.board}.csv"] = as_csv(view)
         texts[f"{view.board}.json"] = json.dumps(as_json([view]), indent=1) + "\n"
@@ -104,12 +91,6 @@ def as_csv(view: BoardView) -> str:
 def as_latex(view: BoardView) -> str:
     """Return a LaTeX table of each task, with the columns of the page."""
     return "\n".join(_tabular(view, section) for section in view.sections)
-
-
-def as_bibtex(views: Sequence[BoardView]) -> str:
-    """Return the BibTeX entries of this project and of the paper that it follows."""
-    boards = ", ".join(view.board.replace("_", " ") for view in views)
-    return BIBLIOGRAPHY.format(version=package_version(), boards=boards)
 
 
 def _tabular(view: BoardView, section: Section) -> str:

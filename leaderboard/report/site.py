@@ -189,6 +189,7 @@ def _estimator(
         "lag": first.lag,
         "settings": estimator_page.settings_in_words(first.settings),
         "method": estimator_page.method(name),
+        "method_card": estimator_page.method_card_rows(board.methods.get(name)),
         "cards": list(
             {card.identity: card for _, result in results if (card := board.card(result))}.values()
         ),

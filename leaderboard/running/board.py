@@ -8,6 +8,7 @@ from typing import TypeVar
 from estimators import create
 from estimators.api import Estimator
 from leaderboard.conformance import results as conformance_results
+from leaderboard.conformance.method_card import MethodCard, find_method_card
 from leaderboard.conformance.results import EstimatorCard
 from leaderboard.entries.entries import entry_refit_per_case, make_entry, registered_entry
 from leaderboard.entries.entry import Entry
@@ -83,7 +84,7 @@ class Board:
     """Tasks in order with all their stored results: scored, failed and stale.
 
     `entries` are the current versions of the entries by task and name; `cards` are by identity,
-    and what was `verified` by the identity of the row.
+    what was `verified` by the identity of the row, the authors' cards of `methods` by name.
     """
 
     tasks: tuple[Task, ...]
@@ -91,6 +92,7 @@ class Board:
     entries: Mapping[tuple[str, str], Entry] = field(default_factory=dict)
     cards: Mapping[str, EstimatorCard] = field(default_factory=dict)
     verified: Mapping[str, Sequence[Verified]] = field(default_factory=dict)
+    methods: Mapping[str, MethodCard] = field(default_factory=dict)
 
     def scored(self, task: Task) -> list[Result]:
         """Return the current results of a task that have scores."""
@@ -146,7 +148,9 @@ def load_board(tasks: Sequence[Task], out: Path, rows: Sequence[PlannedRow] = ()
         for r in versions.values()
     ]
     by_identity = {card.identity: card for card in cards if card is not None}
-    return Board(tuple(tasks), results, entries, by_identity, load_verified(out))
+    names = {result.estimator for rows in results.values() for result in rows}
+    methods = {name: card for name in names if (card := find_method_card(out, name))}
+    return Board(tuple(tasks), results, entries, by_identity, load_verified(out), methods)
 
 
 def render_with_retry(

@@ -14,6 +14,7 @@ EXTRAS = {
     "ros": ("mcap", "lz4", "zstandard"),
     "minari": ("minari",),
     "plants": ("mujoco", "vehiclemodels"),
+    "sign": ("cryptography",),
 }
 """Top-level modules of other packages, by the extra that brings them."""
 

@@ -1,0 +1,125 @@
+"""Commands of submissions: `submit`, `verify-submission`, `new-results-repo`, `results-site`."""
+
+import dataclasses
+import os
+import shlex
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from leaderboard.commands import (
+    check_output_folder,
+    console,
+    notices,
+    print_facts,
+    print_json,
+    progress_bar,
+)
+from leaderboard.commands.options import Isolation, Json, MemoryLimit, TimeLimit, parse_limits
+from leaderboard.commands.verify import print_verified
+from leaderboard.conformance.method_card import TEMPLATE
+from leaderboard.evaluation.tasks import load_task
+from leaderboard.running.verification import SHARE
+from leaderboard.sandbox.limits import Limits
+from leaderboard.submission import repository, signature
+from leaderboard.submission.rules import Rules, load_rules
+from leaderboard.submission.submission import make_submission, verify_submission
+from road_envs.core.atomic_io import write_text
+from road_envs.core.config import ConfigError
+
+RulesFile = Annotated[
+    Path | None, typer.Option(help="Rules of the results repository; by default new_road whole.")
+]
+
+
+def submit(
+    wheel: Annotated[Path, typer.Argument(help="Wheel, or folder of installed packages.")],
+    *,
+    out: Annotated[Path, typer.Option(help="Folder of the submission; it must not exist.")],
+    card: Annotated[
+        Path, typer.Option(help="Card of the method (YAML); written to be filled in if missing.")
+    ] = Path("card.yaml"),
+    rules: RulesFile = None,
+    sign: Annotated[
+        Path | None, typer.Option(help="Sign with this private key; made if it does not exist.")
+    ] = None,
+    workers: Annotated[int, typer.Option(help="Jobs at a time.", min=1)] = os.cpu_count() or 1,
+    time_limit: TimeLimit = Limits.seconds,
+    memory_limit: MemoryLimit = Limits.memory,
+    isolation: Isolation = "auto",
+    json: Json = False,
+) -> None:
+    """Make the folder that a pull request adds to a results repository.
+
+    The estimator is checked, probed and run by the rules; the folder has its code, its card, its
+    rows and a record of all files.
+    """
+    if not wheel.exists():
+        raise ConfigError(f"{wheel}: no such file; give a wheel or a folder of installed packages")
+    if not card.exists():
+        write_text(card, TEMPLATE)
+        again = shlex.join(["road-recon", "submit", str(wheel), "--card", str(card), "..."])
+        raise ConfigError(
+            f"{card} has been written: fill it in, then give the command again: {again}"
+        )
+    limits = parse_limits(time_limit, memory_limit, isolation)
+    with progress_bar() as progress:
+        record = make_submission(
+            wheel.absolute(), card, _rules(rules), out, limits, workers, progress
+        )
+    facts = dataclasses.asdict(record)
+    if sign is not None:
+        facts["signed by"] = signature.sign(out, sign)
+    if json:
+        print_json(facts)
+        return
+    facts["files"] = f"{len(record.files)} below {out}"
+    facts["hardware"] = f"{record.hardware['processor']}, {record.cpu_seconds:g} s of its time"
+    print_facts({key: x for key, x in facts.items() if key != "cpu_seconds"})
+
+
+def verify_one(
+    folder: Annotated[Path, typer.Argument(help="Folder of a submission.")],
+    *,
+    rules: RulesFile = None,
+    share: Annotated[
+        float, typer.Option(help="Share of the drives of each task.", min=0.0, max=1.0)
+    ] = SHARE,
+    time_limit: TimeLimit = Limits.seconds,
+    memory_limit: MemoryLimit = Limits.memory,
+    isolation: Isolation = "bubblewrap",
+    json: Json = False,
+) -> None:
+    """Verify a submission; exit status 1 if a row differs from what is found here.
+
+    Files, card, signature and code are compared with its record, its rows with the rules, and a
+    random tenth of the drives is run again.
+    """
+    limits = parse_limits(time_limit, memory_limit, isolation)
+    with progress_bar() as progress:
+        found = verify_submission(folder, _rules(rules), limits, share=share, progress=progress)
+    print_verified(found, json)
+
+
+def new_results_repo(
+    folder: Annotated[Path, typer.Argument(help="New or empty folder; a .git may be there.")],
+) -> None:
+    """Write a repository of results: rules, CI that verifies submissions, site, issue form."""
+    for path in repository.write_repository(folder):
+        console.print(str(path), highlight=False)
+
+
+def results_site(
+    folder: Annotated[Path, typer.Argument(help="Results repository.")],
+    out: Annotated[Path, typer.Option(help="Folder of the site.")] = Path("site"),
+) -> None:
+    """Build the site of all submissions of a results repository."""
+    check_output_folder(out)
+    notices.print(f"page: {repository.build_site(folder, out)}")
+
+
+def _rules(path: Path | None):
+    return (
+        (Rules(), [load_task(name) for name in Rules.tasks]) if path is None else load_rules(path)
+    )

@@ -1,0 +1,54 @@
+"""Card of a method, written by its authors: what it is, what it was made from, who may use it."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from road_envs.core.config import ConfigError, Settings, build, read_yaml
+
+UNWRITTEN = "..."
+"""Text of the template where the authors have to write."""
+
+TEMPLATE = f"""\
+# Every text must be replaced; authors is a list of names.
+method: {UNWRITTEN}      # what the estimator does, in a sentence or more
+data: {UNWRITTEN}        # what it was trained and tuned on; none, if on nothing
+licence: {UNWRITTEN}     # of code and weights, such as MIT
+authors: [{UNWRITTEN}]
+citation: {UNWRITTEN}    # how to cite it: a reference, or BibTeX; none, if there is nothing yet
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MethodCard(Settings):
+    """What the authors of an entry say about it; shown beside its results, never tested."""
+
+    method: str
+    data: str
+    licence: str
+    authors: tuple[str, ...]
+    citation: str
+
+    def __post_init__(self):
+        super().__post_init__()
+        texts = {**vars(self), "authors": " ".join(self.authors)}
+        for name, text in texts.items():
+            if not text.strip() or UNWRITTEN in text.split():
+                raise ValueError(f"{name} is not filled in")
+
+
+def load_method_card(path: Path) -> MethodCard:
+    """Read a card. Raises ConfigError for a missing file and for a text that is not filled in."""
+    if not path.is_file():
+        raise ConfigError(f"{path}: there is no card of the method")
+    return build(MethodCard, read_yaml(path), str(path))
+
+
+def method_card_path(out: Path, name: str) -> Path:
+    """File of the card of the entry `name` in a folder of results."""
+    return out / "methods" / f"{name}.yaml"
+
+
+def find_method_card(out: Path, name: str) -> MethodCard | None:
+    """Card of an entry in a folder of results; None if it has none."""
+    path = method_card_path(out, name)
+    return load_method_card(path) if path.is_file() else None

@@ -1,0 +1,64 @@
+"""Citations in BibTeX: of this project, of the paper that it follows, and of a row of a board."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from leaderboard.conformance.method_card import find_method_card
+from leaderboard.evaluation.provenance import package_version
+from leaderboard.evaluation.results import Result
+from leaderboard.evaluation.store import load
+from road_envs.core.config import ConfigError, validate_choice
+
+PROJECT = """@software{{road_recon,
+  title = {{RoadRecon: road profile reconstruction from vehicle responses}},
+  version = {{{version}}},{note}
+}}
+
+@article{{ngwangwa_reconstruction,
+  title = {{Reconstruction of road defects and road roughness classification using Artificial
+           Neural Networks simulation and vehicle dynamic responses: Application to experimental
+           data}},
+  author = {{Ngwangwa, H. M. and Heyns, P. S. and Breytenbach, H. G. A. and Els, P. S.}},
+  journal = {{Journal of Terramechanics}},
+}}
+"""
+ENTRY = """
+@misc{{road_recon_{name},
+  title = {{{name}, an entry of the RoadRecon leaderboard}},{authors}
+  note = {{{note}}},
+}}
+"""
+SPECIAL = str.maketrans({c: f"\\{c}" for c in "&%$#_{}"} | {"\\": "", "\n": " "})
+
+
+def as_bibtex(note: str = "") -> str:
+    """Entries of this project, with a `note` on what is cited of it, and of the paper."""
+    line = f"\n  note = {{{note.translate(SPECIAL)}}}," if note else ""
+    return PROJECT.format(version=package_version(), note=line)
+
+
+def cite_entry(out: Path, name: str) -> str:
+    """BibTeX of an entry whose rows are under `out`: what ran, on what, and what its card says.
+
+    Raises ConfigError if there is no row of this name.
+    """
+    paths = sorted((out / "results").glob(f"*/{name}.json"))
+    if not paths:
+        validate_choice("entry", name, sorted({x.stem for x in (out / "results").glob("*/*.json")}))
+        raise ConfigError(f"{out}: no rows of {name}")
+    rows = [load(path) for path in paths]
+    card = find_method_card(out, name)
+    authors = ""
+    if card is not None:
+        authors = f"\n  author = {{{' and '.join(card.authors).translate(SPECIAL)}}},"
+    note = _what_ran(rows) + (f"; {card.citation}" if card is not None else "")
+    return ENTRY.format(name=name, authors=authors, note=note.translate(SPECIAL))
+
+
+def _what_ran(rows: Sequence[Result]) -> str:
+    """Version and digests of the rows, by which anybody can tell whether they cite the same."""
+    first = rows[0]
+    tasks = ", ".join(f"{row.task} {row.task_digest[:12]}" for row in rows)
+    code = f"code {first.code}, " if first.code else ""
+    settings = f"settings {first.settings or 'by default'}"
+    return f"{code}{settings}, road-envs {first.package_version}, {tasks}"

@@ -1,0 +1,74 @@
+"""Results repositories: a git repository of rules and submissions, whose site its CI builds.
+
+rules.yaml            the tasks, and how entries are run on them
+submissions/NAME/     one folder for each entry (`submission`)
+seasons/              hidden test sets: published hashes, later the tasks
+ci/verify.sh          verifies the submissions that a branch changes and builds the site
+"""
+
+import shutil
+from importlib import resources
+from pathlib import Path
+
+from leaderboard.conformance.method_card import method_card_path
+from leaderboard.report.cache import build_report
+from leaderboard.report.site import write_site
+from leaderboard.running.board import load_board
+from leaderboard.sandbox.limits import Limits
+from leaderboard.submission.rules import RULES, load_rules, make_run_request
+from leaderboard.submission.submission import CARD, load_submission
+from road_envs.core.atomic_io import write_text
+from road_envs.core.config import ConfigError
+
+SUBMISSIONS = "submissions"
+TEMPLATE = {
+    "README.md": "readme.txt",
+    RULES: "rules.txt",
+    "ci/verify.sh": "verify.txt",
+    ".github/workflows/verify.yml": "workflow.txt",
+    ".github/ISSUE_TEMPLATE/submission.yml": "issue_form.txt",
+    f"{SUBMISSIONS}/README.md": "submissions.txt",
+    "seasons/README.md": "seasons.txt",
+    ".gitignore": "gitignore.txt",
+}
+"""Files of a new results repository, and the templates that they are made from."""
+
+
+def write_repository(folder: Path) -> list[Path]:
+    """Write a results repository into a new or empty folder (a .git may be there); its files.
+
+    Raises ConfigError for a folder with files.
+    """
+    if folder.exists() and (not folder.is_dir() or any(x.name != ".git" for x in folder.iterdir())):
+        raise ConfigError(f"{folder} is not empty; choose a new or empty folder")
+    templates = resources.files("leaderboard.submission") / "templates"
+    for path, name in TEMPLATE.items():
+        write_text(folder / path, (templates / name).read_text(encoding="utf-8"))
+    (folder / "ci/verify.sh").chmod(0o755)
+    return [folder / path for path in TEMPLATE]
+
+
+def build_site(repository: Path, out: Path) -> Path:
+    """Write the site of all submissions of a repository into the folder `out`; its index.
+
+    Rows of baselines are taken from the first submission that has them. Raises ConfigError for a
+    damaged submission, and if there is none.
+    """
+    rules, tasks = load_rules(repository / RULES)
+    folders = sorted(path.parent for path in (repository / SUBMISSIONS).glob("*/submission.json"))
+    if not folders:
+        raise ConfigError(f"{repository / SUBMISSIONS} has no submission")
+    for folder in folders:
+        record = load_submission(folder)
+        for part in ("results", "cards", "definitions"):
+            for path in sorted((folder / part).rglob("*.json")):
+                target = out / path.relative_to(folder)
+                if path.stem == record.name or not target.exists():
+                    target.parent.mkdir(parents=True, exist_ok=True)
+                    shutil.copyfile(path, target)
+        card = method_card_path(out, record.name)
+        card.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(folder / CARD, card)
+    sized = make_run_request(rules, tasks, (), limits=Limits()).sized_tasks()
+    board = load_board(sized, out)
+    return write_site(board, build_report(board, out), out)

@@ -1,0 +1,45 @@
+"""Rules of a results repository: its tasks and how entries are run on them.
+
+tasks: [new_road, seasons/autumn/new_road_0a1b2c3d.yaml]
+roads: 4        test drives per condition on random roads; all if it is missing
+seeds: 3        training seeds
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from leaderboard.entries.entry import Entry
+from leaderboard.evaluation.tasks import Task, load_task
+from leaderboard.running.board import RunRequest
+from leaderboard.sandbox.limits import Limits
+from road_envs.core.config import Count, Settings, build, read_yaml
+
+RULES = "rules.yaml"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rules(Settings):
+    """Names of shipped tasks or paths of YAML files, test drives per condition, training seeds."""
+
+    tasks: tuple[str, ...] = ("new_road",)
+    roads: Count | None = None
+    seeds: Count = 3
+
+
+def load_rules(path: Path) -> tuple[Rules, list[Task]]:
+    """Read rules and their tasks; paths are relative to the file. Raises ConfigError."""
+    rules = build(Rules, read_yaml(path), str(path))
+    return rules, [load_task(_located(name, path.parent)) for name in rules.tasks]
+
+
+def make_run_request(
+    rules: Rules, tasks: Sequence[Task], entries: Sequence[Entry], limits: Limits
+) -> RunRequest:
+    """Request to run `entries` on the tasks by these rules, with probes."""
+    seeds = range(1, rules.seeds + 1)
+    return RunRequest(tasks, entries, seeds, rules.roads, limits=limits, probes=True)
+
+
+def _located(name: str, folder: Path) -> str | Path:
+    return folder / name if (folder / name).is_file() else name

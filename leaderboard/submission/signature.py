@@ -1,0 +1,74 @@
+"""Signature of a submission or of a folder of results: Ed25519 over the record of all its files.
+
+    signature.json   public key and signature, in hexadecimal digits
+
+The owner of an entry keeps the private key (a PEM file); the public one names the owner. Needs the
+extra `sign`.
+"""
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from road_envs.core.atomic_io import write_text
+from road_envs.core.config import ConfigError
+from road_envs.core.extras import optional_import
+from road_envs.core.reading import parsing
+
+FILE = "signature.json"
+RECORD = "submission.json"
+
+
+def sign(folder: Path, key: Path) -> str:
+    """Sign the record in `folder` with a private key, made if it does not exist.
+
+    Returns the public key. Raises ConfigError for a file that is no key.
+    """
+    ed25519, serialization = _library()
+    if not key.exists():
+        made = ed25519.Ed25519PrivateKey.generate()
+        text = made.private_bytes(
+            serialization.Encoding.PEM,
+            serialization.PrivateFormat.PKCS8,
+            serialization.NoEncryption(),
+        )
+        with os.fdopen(os.open(key, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
+            file.write(text)
+    with parsing(key, ConfigError, "not a private key in PEM format"):
+        private = serialization.load_pem_private_key(key.read_bytes(), None)
+    if not isinstance(private, ed25519.Ed25519PrivateKey):
+        raise ConfigError(f"{key}: not an Ed25519 key")
+    public = private.public_key().public_bytes_raw().hex()
+    signature = private.sign((folder / RECORD).read_bytes()).hex()
+    write_text(folder / FILE, json.dumps({"key": public, "signature": signature}, indent=1) + "\n")
+    return public
+
+
+def verify(folder: Path) -> str | None:
+    """Return the public key that has signed the record in `folder`; None if it is not signed.
+
+    Raises ConfigError for a signature that is not valid.
+    """
+    path = folder / FILE
+    if not path.exists():
+        return None
+    ed25519, _ = _library()
+    with parsing(path, ConfigError, "damaged, not a signature"):
+        data = json.loads(path.read_text(encoding="utf-8"))
+        public = ed25519.Ed25519PublicKey.from_public_bytes(bytes.fromhex(data["key"]))
+        signature = bytes.fromhex(data["signature"])
+    from cryptography.exceptions import InvalidSignature
+
+    try:
+        public.verify(signature, (folder / RECORD).read_bytes())
+    except InvalidSignature:
+        raise ConfigError(f"{path}: not the signature of {RECORD}") from None
+    return data["key"]
+
+
+def _library() -> tuple[Any, Any]:
+    with optional_import("a signature"):
+        from cryptography.hazmat.primitives import serialization
+        from cryptography.hazmat.primitives.asymmetric import ed25519
+    return ed25519, serialization

@@ -1,0 +1,201 @@
+"""Submissions: one folder with the code of an entry, its card and its results, made and verified.
+
+code/             the wheel, or the folder of installed packages, that is run
+card.yaml         what its authors say about it
+results/, cards/, definitions/   rows, probes and tasks, as `leaderboard` writes them
+submission.json   name, version of the code, what it cost, and the SHA-256 of every other file
+"""
+
+import hashlib
+import os
+import resource
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from leaderboard.conformance.checks import check_entry
+from leaderboard.conformance.method_card import load_method_card
+from leaderboard.conformance.probes import PROBES
+from leaderboard.entries import entry_files
+from leaderboard.entries.entries import resolve_entries
+from leaderboard.entries.entry import Entry
+from leaderboard.evaluation import store
+from leaderboard.evaluation.provenance import describe_environment, package_version
+from leaderboard.evaluation.tasks import Task
+from leaderboard.running.board import run_board
+from leaderboard.running.executors import ProcessExecutor
+from leaderboard.running.jobs import in_sandbox
+from leaderboard.running.verification import SHARE, Verified, verify_folder
+from leaderboard.sandbox.client import SandboxClient
+from leaderboard.sandbox.limits import Limits
+from leaderboard.submission import signature
+from leaderboard.submission.rules import Rules, make_run_request
+from road_envs.core.artifacts import Kind
+from road_envs.core.config import ConfigError, Settings, build
+
+SUBMISSION = Kind("submission", 1)
+RECORD, CARD = signature.RECORD, "card.yaml"
+UNSEALED = (RECORD, signature.FILE)
+"""Files whose digests the record does not hold."""
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Submission(Settings):
+    """Record of a submission; `cpu_seconds` is the processor time of all its runs together."""
+
+    name: str
+    code: str
+    package_version: str
+    hardware: dict[str, str]
+    cpu_seconds: float
+    files: dict[str, str]
+    """SHA-256 of each file, by its path in the folder."""
+
+
+def make_submission(
+    wheel: Path,
+    card: Path,
+    rules: tuple[Rules, Sequence[Task]],
+    folder: Path,
+    limits: Limits,
+    workers: int = 1,
+    progress: Progress = lambda text, share: None,
+) -> Submission:
+    """Check an entry, run it by the `rules` and write the folder of its submission.
+
+    Raises ConfigError for a card that is not filled in, a failed check, a failed row, and a folder
+    that exists.
+    """
+    load_method_card(card)
+    if folder.exists():
+        raise ConfigError(f"{folder} exists; give a folder that does not")
+    began = _cpu_seconds()
+    partial = folder.with_name(f".{folder.name}.partial")
+    shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir(parents=True)
+    try:
+        (partial / "code").mkdir()
+        entry_files.snapshot(entry_files.find_reference(str(wheel)), partial / "code")
+        shutil.copyfile(card, partial / CARD)
+        with SandboxClient(limits) as sandbox:
+            entry = _submitted_entry(partial, sandbox)
+            progress(f"checking {entry.name}", 0.0)
+            _refuse_failed_checks(entry, sandbox, limits)
+        request = make_run_request(*rules, [entry], limits)
+        board = run_board(
+            request,
+            partial,
+            ProcessExecutor(workers),
+            lambda done, total, text: progress(text, done / max(total, 1)),
+        )
+        for failed in (row for task in board.tasks for row in board.failed(task)):
+            raise ConfigError(f"{failed.estimator} failed on {failed.task}: {failed.failure}")
+        shutil.rmtree(partial / "jobs", ignore_errors=True)
+        record = Submission(
+            name=entry.name,
+            code=entry.code,
+            package_version=package_version(),
+            hardware=describe_environment(),
+            cpu_seconds=round(_cpu_seconds() - began, 1),
+            files=_digests(partial),
+        )
+        SUBMISSION.write(partial / RECORD, asdict(record))
+        partial.rename(folder)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    return record
+
+
+def load_submission(folder: Path) -> Submission:
+    """Read the record of a submission whose files are those of the record. Raises ConfigError."""
+    data, _ = SUBMISSION.read(folder / RECORD)
+    data.pop("identity")
+    record = build(Submission, data, str(folder / RECORD))
+    found = _digests(folder)
+    for name in sorted(found.keys() ^ record.files.keys()):
+        raise ConfigError(
+            f"{folder / name}: {'not ' if name in found else 'missing, '}of the record"
+        )
+    for name in sorted(found):
+        if found[name] != record.files[name]:
+            raise ConfigError(f"{folder / name}: changed since the submission was made")
+    load_method_card(folder / CARD)
+    return record
+
+
+def verify_submission(
+    folder: Path,
+    rules: tuple[Rules, Sequence[Task]],
+    limits: Limits,
+    *,
+    share: float = SHARE,
+    seed: int | None = None,
+    progress: Progress = lambda text, share: None,
+) -> list[Verified]:
+    """Verify a submission: files, card, signature, code, rows, and a `share` of its drives again.
+
+    Returns what was found of every row. Raises ConfigError for a submission that is not complete
+    or not by the `rules`; a row that differs is returned.
+    """
+    record = load_submission(folder)
+    signature.verify(folder)
+    if folder.resolve().name != record.name:
+        raise ConfigError(f"{folder}: the folder must have the name of its entry, {record.name}")
+    with SandboxClient(limits) as sandbox:
+        entry = _submitted_entry(folder, sandbox)
+        if (entry.name, entry.code) != (record.name, record.code):
+            raise ConfigError(f"{folder}: its code is that of {entry.name} {entry.code}")
+        for task in make_run_request(*rules, [entry], limits).sized_tasks():
+            row = store.load(store.row_path(folder, task.name, record.name))
+            if row.task_digest != task.digest or row.seeds != tuple(range(1, rules[0].seeds + 1)):
+                raise ConfigError(f"{folder}: its row of {task.name} was not made by these rules")
+            if reason := row.failure or row.stale_reason(task):
+                raise ConfigError(f"{folder}: its row of {task.name}: {reason}")
+        run = in_sandbox(sandbox)
+        return verify_folder(folder, run, [entry], share=share, seed=seed, report=progress)
+
+
+def _submitted_entry(folder: Path, sandbox: SandboxClient) -> Entry:
+    """Return the entry of the code in a submission. Raises ConfigError if it cannot be run."""
+    code = folder / "code"
+    wheels = list(code.glob("*.whl"))
+    (entry,) = resolve_entries([str(wheels[0] if wheels else code)], sandbox)
+    if entry.failure is not None:
+        raise ConfigError(f"{entry.name}: {entry.failure}")
+    return entry
+
+
+def _refuse_failed_checks(entry: Entry, sandbox: SandboxClient, limits: Limits) -> None:
+    failed = [
+        check
+        for check in check_entry(entry, sandbox, limits)
+        if check.passed is False and check.name not in PROBES  # these are shown beside its name
+    ]
+    if failed:
+        raise ConfigError(f"{entry.name} fails the check {failed[0].name}: {failed[0].message}")
+
+
+def _digests(folder: Path) -> dict[str, str]:
+    """SHA-256 of every file of a submission but its record, by its path in the folder."""
+    return {
+        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in _files(folder)
+    }
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    for top, _, names in os.walk(folder):
+        for path in (Path(top, name) for name in names):
+            if path.is_symlink():
+                raise ConfigError(f"{path}: a submission has no links")
+            if path.relative_to(folder).as_posix() not in UNSEALED:
+                yield path
+
+
+def _cpu_seconds() -> float:
+    """Processor time [s] of this process and of all ended processes that it has waited for."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(x.ru_utime + x.ru_stime for x in used)

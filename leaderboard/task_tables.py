@@ -1,0 +1,127 @@
+"""A task as files of tables, and its row from a file of heights: for programs in any language.
+
+    drives            drive, split (training or test), condition
+    SPLIT_records     drive, t [s], a column of each sensor [m/s²], v [m/s], s [m] of the front
+                      axle, spring_stiff_WHEEL and damper_high_WHEEL (0 or 1)
+    SPLIT_profiles    drive, station [m], left and right [m], which are empty for test drives
+
+Each is CSV or Parquet. Heights are returned as test_profiles with `left` and `right` filled in, and
+if they are known `left_std` and `right_std` [m].
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from leaderboard.api import ScoreTable
+from leaderboard.arrays import TaskArrays, score_arrays
+from road_envs._version import __version__
+from road_envs.core.atomic_io import write_text
+from road_envs.core.config import ConfigError
+from road_envs.core.extras import optional_import
+from road_envs.core.reading import parsing, read_parquet
+from road_envs.vehicle.suspension import WHEELS
+
+SIDES = ("left", "right")
+STATION_TOLERANCE = 1e-6
+"""Largest difference [m] of a station from that of the task, for rounding."""
+
+CARD = """# RoadRecon task {name}
+
+{training} training drives with the true heights of both wheel paths and {test} test drives without,
+in {form} files:
+
+{tables}
+
+`vehicle.json` has the parameters of the nominal vehicle. Simulated by road-envs {version};
+licence CC-BY-4.0.
+To be scored, fill in `left` and `right` of test_profiles, in its order:
+
+    road-recon score HEIGHTS.{form} --task {name}{roads}
+"""
+
+
+def write_task(task: TaskArrays, folder: Path, form: str, roads: int | None = None) -> list[Path]:
+    """Write the drives of a task into `folder` as tables of the `form` csv or parquet.
+
+    `roads` is that of `load_task`, for the card. Raises MissingExtraError without pandas.
+    """
+    with optional_import("a table as CSV or Parquet"):
+        import pandas
+
+    tables: dict[str, list[Any]] = {"drives": []}
+    for split, drives in (("training", task.training), ("test", task.test)):
+        for k, drive in enumerate(drives, start=1):
+            tables["drives"].append(
+                pandas.DataFrame([{"drive": k, "split": split, "condition": drive["condition"]}])
+            )
+            tables.setdefault(f"{split}_records", []).append(
+                pandas.DataFrame({"drive": k, **_record_columns(drive)})
+            )
+            z = drive.get("z", np.full((2, drive["stations"].size), np.nan))
+            heights = dict(zip(SIDES, z, strict=True))
+            tables.setdefault(f"{split}_profiles", []).append(
+                pandas.DataFrame({"drive": k, "station": drive["stations"], **heights})
+            )
+    written = []
+    for name, parts in tables.items():
+        path = folder / f"{name}.{form}"
+        table = pandas.concat(parts, ignore_index=True)
+        table.to_parquet(path) if form == "parquet" else table.to_csv(path, index=False)
+        written.append(path)
+    card = CARD.format(
+        name=task.name,
+        training=len(task.training),
+        test=len(task.test),
+        form=form,
+        tables=(__doc__ or "").split("\n\n")[1],
+        version=__version__,
+        roads="" if roads is None else f" --roads {roads}",
+    )
+    write_text(folder / "README.md", card)
+    write_text(folder / "vehicle.json", json.dumps(task.vehicle, indent=1, default=str) + "\n")
+    return [*written, folder / "README.md", folder / "vehicle.json"]
+
+
+def score_file(task: TaskArrays, path: Path) -> ScoreTable:
+    """Score the heights of a CSV or Parquet file in the order of test_profiles.
+
+    Raises ConfigError for a missing column, and for drives or stations that are not the task's.
+    """
+    with optional_import("a table as CSV or Parquet"):
+        import pandas
+
+    with parsing(path, ConfigError, "not a table of numbers"):
+        is_parquet = path.suffix == ".parquet"
+        table = read_parquet(path).to_pandas() if is_parquet else pandas.read_csv(path)
+        columns = ["drive", "station", *SIDES]
+        if missing := [name for name in columns if name not in table]:
+            raise ConfigError(f"no column {missing[0]!r}; needed are {', '.join(columns)}")
+        deviations = [name for name in ("left_std", "right_std") if name in table]
+        values = {name: table[name].to_numpy(float) for name in (*columns, *deviations)}
+    heights, std = [], []
+    for k, drive in enumerate(task.test, start=1):
+        rows = values["drive"] == k
+        stations = values["station"][rows]
+        right = drive["stations"]
+        if stations.shape != right.shape or np.abs(stations - right).max() > STATION_TOLERANCE:
+            raise ConfigError(
+                f"{path}: test drive {k} needs its {right.size} stations, 0 to {right[-1]:g} m, "
+                f"in order; got {stations.size}"
+            )
+        heights.append(np.stack([values[name][rows] for name in SIDES]))
+        std.append(np.stack([values[name][rows] for name in deviations]) if deviations else None)
+    return score_arrays(task, heights, std if len(deviations) == len(SIDES) else None)
+
+
+def _record_columns(drive: dict[str, Any]) -> dict[str, np.ndarray]:
+    """Return the columns of the records of a drive by name."""
+    sensors = dict(zip(drive["channels"], drive["a"], strict=True))
+    states = {
+        f"{name}_{wheel}": drive[name][:, k].astype(int)
+        for name in ("spring_stiff", "damper_high")
+        for k, wheel in enumerate(WHEELS)
+    }
+    return {"t": drive["t"], **sensors, "v": drive["v"], "s": drive["s"], **states}

@@ -1,0 +1,229 @@
+"""Submissions: a folder that cannot be altered unseen, and the way from a fork to the page."""
+
+import dataclasses
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from board_runs import run, small
+from fakes import SHORT_TASK
+from wheels import module, write_wheel
+
+from leaderboard.conformance.method_card import TEMPLATE, load_method_card
+from leaderboard.evaluation import store
+from leaderboard.report.citation import cite_entry
+from leaderboard.sandbox import bubblewrap
+from leaderboard.submission import repository, signature
+from leaderboard.submission.rules import load_rules
+from leaderboard.submission.submission import (
+    RECORD,
+    SUBMISSION,
+    Submission,
+    _digests,
+    load_submission,
+)
+from road_envs.core.config import ConfigError
+
+CARD = """
+method: Reads the heights from the record.
+data: none
+licence: MIT
+authors: [Ada Author, Bo Author]
+citation: A. Author, 100 % of it, 2026
+"""
+
+
+def write_record(folder):
+    record = Submission(
+        name="reader", code="", package_version="1", hardware={"processor": "one"},
+        cpu_seconds=1.0, files=_digests(folder),
+    )  # fmt: skip
+    SUBMISSION.write(folder / RECORD, dataclasses.asdict(record))
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A submission of an estimator of the tests, with its rows of a small task."""
+    folder = tmp_path_factory.mktemp("made") / "reader"
+    run(folder)
+    shutil.rmtree(folder / "jobs")
+    (folder / "card.yaml").write_text(CARD)
+    write_record(folder)
+    return folder
+
+
+@pytest.fixture
+def submission(made, tmp_path):
+    return shutil.copytree(made, tmp_path / "submissions" / "reader")
+
+
+def test_a_submission_that_was_not_touched_is_read(submission):
+    assert load_submission(submission).name == "reader"
+
+
+def test_a_changed_a_missing_and_a_further_file_are_refused(submission):
+    row = store.row_path(submission, "small", "reader")
+    text = row.read_text()
+    row.write_text(text + " ")
+    with pytest.raises(ConfigError, match=r"reader\.json: changed since the submission was made"):
+        load_submission(submission)
+    row.unlink()
+    with pytest.raises(ConfigError, match=r"reader\.json: missing, of the record"):
+        load_submission(submission)
+    row.write_text(text)
+    (submission / "code").mkdir()
+    (submission / "code" / "more.py").write_text("")
+    with pytest.raises(ConfigError, match=r"more\.py: not of the record"):
+        load_submission(submission)
+    (submission / "code" / "more.py").unlink()
+    (submission / "code" / "link").symlink_to("/etc/passwd")
+    with pytest.raises(ConfigError, match="a submission has no links"):
+        load_submission(submission)
+
+
+def test_a_submission_without_its_card_is_refused(submission):
+    (submission / "card.yaml").unlink()
+    write_record(submission)
+    with pytest.raises(ConfigError, match=r"card\.yaml: there is no card of the method"):
+        load_submission(submission)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        (TEMPLATE, "method is not filled in"),
+        (CARD.replace("data: none", "data: ''"), "data is not filled in"),
+        (CARD.replace("licence: MIT", ""), "licence: missing"),
+        (CARD + "more: 1", "more: unknown key"),
+    ],
+)
+def test_a_card_that_is_not_filled_in_is_refused(text, sentence, tmp_path):
+    (tmp_path / "card.yaml").write_text(text)
+    with pytest.raises(ConfigError, match=sentence):
+        load_method_card(tmp_path / "card.yaml")
+
+
+def test_a_signature_is_of_one_record_and_one_key(submission, tmp_path):
+    pytest.importorskip("cryptography")
+    assert signature.verify(submission) is None
+    key = signature.sign(submission, tmp_path / "key.pem")
+    assert signature.verify(submission) == key == signature.sign(submission, tmp_path / "key.pem")
+    assert (tmp_path / "key.pem").stat().st_mode & 0o777 == 0o600
+    other = signature.sign(submission, tmp_path / "other.pem")
+    assert other != key and signature.verify(submission) == other
+    forged = json.loads((submission / signature.FILE).read_text()) | {"key": key}
+    (submission / signature.FILE).write_text(json.dumps(forged))
+    with pytest.raises(ConfigError, match=r"not the signature of submission\.json"):
+        signature.verify(submission)
+    signature.sign(submission, tmp_path / "key.pem")
+    with (submission / RECORD).open("a") as file:
+        file.write(" ")
+    with pytest.raises(ConfigError, match=r"not the signature of submission\.json"):
+        signature.verify(submission)
+    (submission / signature.FILE).write_text("[1]")
+    with pytest.raises(ConfigError, match="damaged, not a signature"):
+        signature.verify(submission)
+
+
+def test_the_site_has_a_page_of_each_entry_with_its_card(submission, tmp_path, monkeypatch):
+    repo = submission.parents[1]
+    (repo / "rules.yaml").write_text("tasks: [new_road]\nseeds: 2\n")
+    rules, _ = load_rules(repo / "rules.yaml")
+    monkeypatch.setattr(repository, "load_rules", lambda path: (rules, [small()]))
+    index = repository.build_site(repo, tmp_path / "site")
+    assert "reader" in index.read_text()
+    page = (tmp_path / "site" / "estimators" / "reader.html").read_text()
+    assert "Ada Author, Bo Author" in page and "Reads the heights from the record." in page
+    assert "Ada Author" not in (tmp_path / "site" / "estimators" / "flat.html").read_text()
+
+
+def test_a_citation_says_what_ran(submission):
+    shutil.copytree(submission / "results", submission / "site" / "results")
+    (submission / "site" / "methods").mkdir()
+    shutil.copy(submission / "card.yaml", submission / "site" / "methods" / "reader.yaml")
+    text = cite_entry(submission / "site", "reader")
+    row = store.load(store.row_path(submission, "small", "reader"))
+    assert "author = {Ada Author and Bo Author}" in text and r"100 \% of it" in text
+    assert f"small {row.task_digest[:12]}" in text and row.package_version in text
+    with pytest.raises(ConfigError, match="unknown entry 'leader'"):
+        cite_entry(submission / "site", "leader")
+
+
+def test_a_results_repository_is_not_written_over_files(tmp_path):
+    (tmp_path / ".git").mkdir()
+    written = repository.write_repository(tmp_path)
+    assert tmp_path / "ci" / "verify.sh" in written and os.access(written[2], os.X_OK)
+    rules, tasks = load_rules(tmp_path / "rules.yaml")
+    assert rules.roads == 4 and [task.name for task in tasks] == ["new_road"]
+    with pytest.raises(ConfigError, match="is not empty"):
+        repository.write_repository(tmp_path)
+    with pytest.raises(ConfigError, match="has no submission"):
+        repository.build_site(tmp_path, tmp_path / "site")
+
+
+ROOT = Path(__file__).parents[2]
+GIT_NAMES = [f"GIT_{x}_{y}" for x in ("AUTHOR", "COMMITTER") for y in ("NAME", "EMAIL")]
+ESTIMATE = "a = np.nan_to_num(record.a[0])\nz[:] = 1e-3 * np.interp(stations, record.s, a)"
+
+
+def call(*words, cwd, status=0):
+    """Run a program as a user does; return what it has printed."""
+    environment = {
+        **os.environ,
+        "PATH": os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]),
+        "PYTHONPATH": str(ROOT),
+        **dict.fromkeys(GIT_NAMES, "a@b.c"),
+    }
+    done = subprocess.run(
+        [str(word) for word in words], cwd=cwd, env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == status, done.stdout + done.stderr
+    return done.stdout + done.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(bubblewrap.obstacle() is not None, reason=str(bubblewrap.obstacle()))
+def test_from_a_fork_to_the_page(tmp_path):
+    """A newcomer's way through docs/submitting.md, with two git repositories and the CI by hand."""
+    upstream, fork = tmp_path / "upstream", tmp_path / "fork"
+    upstream.mkdir()
+    call("git", "init", "-b", "main", cwd=upstream)
+    call("road-recon", "new-results-repo", ".", cwd=upstream)
+    (upstream / "short.yaml").write_text(SHORT_TASK)
+    (upstream / "rules.yaml").write_text("tasks: [short.yaml]\nseeds: 1\n")
+    call("git", "add", ".", cwd=upstream)
+    call("git", "commit", "-m", "rules", cwd=upstream)
+    call("git", "clone", upstream, fork, cwd=tmp_path)
+    call("git", "switch", "-c", "trial", cwd=fork)
+
+    wheel = write_wheel(tmp_path, "trial", module(body=ESTIMATE))
+    submit = ("road-recon", "submit", wheel, "--rules", fork / "rules.yaml",
+              "--out", fork / "submissions" / "trial")  # fmt: skip
+    assert "fill it in" in call(*submit, cwd=tmp_path, status=2)
+    assert "is not filled in" in call(*submit, cwd=tmp_path, status=2)
+    (tmp_path / "card.yaml").write_text(CARD)
+    assert "of its time" in call(*submit, cwd=tmp_path)
+    call("git", "add", "submissions", cwd=fork)
+    call("git", "commit", "-m", "trial", cwd=fork)
+    said = call("ci/verify.sh", "origin/main", cwd=fork)
+    assert "5 of 5 rows agree" in said and "page: site/index.html" in said
+
+    call("git", "pull", fork, "trial", cwd=upstream)
+    call("road-recon", "results-site", ".", cwd=upstream)
+    page = (upstream / "site" / "estimators" / "trial.html").read_text()
+    assert "Ada Author" in page
+    assert "road_recon_trial" in call("road-recon", "cite", "trial", "--out", "site", cwd=upstream)
+
+    # a better score, under a record made anew
+    folder = fork / "submissions" / "trial"
+    row = store.load(store.row_path(folder, "short", "trial"))
+    better = [dataclasses.replace(x, scores=x.scores | {"nrmse": 0.01}) for x in row.drives]
+    store.save(dataclasses.replace(row, drives=tuple(better)), folder)
+    data, _ = SUBMISSION.read(folder / RECORD)
+    data.pop("identity")
+    SUBMISSION.write(folder / RECORD, data | {"files": _digests(folder)})
+    assert "DIFFERS" in call("ci/verify.sh", "origin/main", cwd=fork, status=1)

@@ -1,0 +1,76 @@
+"""A task in files of tables has the drives of its arrays, and heights in a file their scores."""
+
+import numpy as np
+import pandas
+import pytest
+from fakes import fake_drives, task
+
+from leaderboard.arrays import load_task, score_arrays
+from leaderboard.task_tables import score_file, write_task
+from road_envs.core.config import ConfigError
+
+
+@pytest.fixture(scope="module")
+def arrays():
+    test = {"roads": ["iso_d"], "seeds": [11, 12], "length": 16.0}
+    return load_task(task(test=test), simulate=fake_drives)
+
+
+def guesses(arrays, seed=0):
+    rng = np.random.default_rng(seed)
+    return [0.01 * rng.standard_normal((2, drive["stations"].size)) for drive in arrays.test]
+
+
+def filled(table, heights):
+    for side, values in zip(("left", "right"), zip(*heights, strict=True), strict=True):
+        table[side] = np.concatenate(values)
+    return table
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+def test_the_files_have_the_numbers_of_the_arrays(arrays, form, tmp_path):
+    write_task(arrays, tmp_path, form)
+    read = pandas.read_csv if form == "csv" else pandas.read_parquet
+    records = read(tmp_path / f"test_records.{form}")
+    for k, drive in enumerate(arrays.test, start=1):
+        rows = records[records.drive == k]
+        np.testing.assert_array_equal(rows[list(drive["channels"])].to_numpy().T, drive["a"])
+        np.testing.assert_array_equal(rows["damper_high_RL"], drive["damper_high"][:, 2])
+    profiles = read(tmp_path / f"training_profiles.{form}")
+    z = np.concatenate([drive["z"] for drive in arrays.training], axis=1)
+    np.testing.assert_array_equal(profiles[["left", "right"]].to_numpy().T, z)
+    assert read(tmp_path / f"test_profiles.{form}")[["left", "right"]].isna().all(axis=None)
+    assert len(read(tmp_path / f"drives.{form}")) == len(arrays.training) + len(arrays.test)
+    assert f"road-recon score HEIGHTS.{form}" in (tmp_path / "README.md").read_text()
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+def test_heights_in_a_file_score_as_in_arrays(arrays, form, tmp_path):
+    write_task(arrays, tmp_path, "parquet")
+    heights = guesses(arrays)
+    table = filled(pandas.read_parquet(tmp_path / "test_profiles.parquet"), heights)
+    path = tmp_path / f"heights.{form}"
+    table.to_csv(path, index=False) if form == "csv" else table.to_parquet(path)
+    found, expected = score_file(arrays, path).values, score_arrays(arrays, heights).values
+    np.testing.assert_equal(found, expected)
+
+
+def test_a_file_of_other_drives_is_refused_by_a_sentence(arrays, tmp_path):
+    write_task(arrays, tmp_path, "csv")
+    path = tmp_path / "test_profiles.csv"
+    with pytest.raises(ConfigError, match="test drive 1 needs finite heights"):
+        score_file(arrays, path)
+    table = filled(pandas.read_csv(path), guesses(arrays))
+    table.drop(columns="left").to_csv(path, index=False)
+    with pytest.raises(ConfigError, match=r"no column 'left'; needed are drive, station, left"):
+        score_file(arrays, path)
+    table[:-1].to_csv(path, index=False)
+    last = len(arrays.test)
+    with pytest.raises(ConfigError, match=f"test drive {last} needs its .* stations, 0 to"):
+        score_file(arrays, path)
+    table.assign(station=table.station[::-1].to_numpy()).to_csv(path, index=False)
+    with pytest.raises(ConfigError, match="test drive 1 needs its"):
+        score_file(arrays, path)
+    path.write_bytes(b"\x00\xff")
+    with pytest.raises(ConfigError, match="not a table of numbers"):
+        score_file(arrays, path)
