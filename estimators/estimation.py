@@ -48,5 +48,15 @@ def estimate(
     found = estimator.estimate(record, car)
     check_estimate(found, record)
     notes = (*found.notes, *training_notes(estimator, record, car))
+    if car.tolerances_of:
+        notes = (*notes, _lent_tolerances(car))
     found = dataclasses.replace(found, notes=notes, speed=float(np.nanmedian(record.v)))
     return mark_manoeuvres(found, record, car.wheelbase)
+
+
+def _lent_tolerances(car: VehicleParameters) -> str:
+    """Return the note on a car whose file states no tolerances."""
+    return (
+        f"{car.name} states no tolerances: those of the class {car.tolerances_of} are assumed; "
+        "state your own in its file, or identify it"
+    )

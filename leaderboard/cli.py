@@ -53,6 +53,7 @@ class RoadRecon(LazyGroup):
             "estimate": "estimate:estimate",
             "classify": "estimate:classify",
             "identify": "identify:identify",
+            "new-vehicle": "new_vehicle:new_vehicle",
             "train": "simulate:train",
             "observability": "observability:observability",
             "new-estimator": "scaffold:new_estimator",

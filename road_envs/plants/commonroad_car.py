@@ -52,7 +52,10 @@ TEMPLATES = {"bmw_320i": 2, "volkswagen_vanagon": 3}
 
 
 def as_driven(car: VehicleParameters) -> VehicleParameters:
-    """Return the vehicle that the plant has: linear springs and dampers, no friction, no stops."""
+    """Return the vehicle that the plant has: linear springs and dampers, no friction, no stops.
+
+    Its wheels lean with their axle, as on swing arms of half the track.
+    """
     if not isinstance(car.strut, PassiveStruts):
         raise ConfigError(f"{car.name} has struts that are switched: a plant needs passive ones")
     none = Curve(x=(-1.0, 1.0), F=(0.0, 0.0))
@@ -74,7 +77,10 @@ def as_driven(car: VehicleParameters) -> VehicleParameters:
         for strut, load in zip((car.strut.front, car.strut.rear), car.strut_loads, strict=True)
     )
     axles = {end: replace(getattr(car, end), c_t=0.0) for end in ("front", "rear")}
-    return replace(car, strut=replace(car.strut, front=front, rear=rear), **axles)
+    arms = (car.front.y_t, car.rear.y_t)
+    side = None if car.side is None else replace(car.side, swing_arm=arms)
+    strut = replace(car.strut, front=front, rear=rear)
+    return replace(car, strut=strut, side=side, **axles)
 
 
 def _patched() -> Callable[..., list[float]]:

@@ -2,9 +2,9 @@
 
 The body moves sideways, up and down, yaws, pitches and rolls; its frame of reference moves ahead at
 the constant speed. A solid axle slides up and down at its roll centre and turns about it.
-Independent wheels swing about axes along the car, at SWING_ARM from the wheel, on the line from the
-contact through the roll centre. MuJoCo finds masses, levers, lengths of struts and their rates,
-and accelerations; the accelerometers are its own. What acts between its bodies:
+Independent wheels swing about axes along the car, at the file's `swing_arm` from the wheel, on the
+line from the contact through the roll centre. MuJoCo finds masses, levers, lengths of struts and
+their rates, and accelerations; the accelerometers are its own. What acts between its bodies:
 
 - struts are tendons, whose forces are the interpolated curves of the file
 - tyres push at the contacts: springs and dampers that never pull, and side forces that follow the
@@ -30,9 +30,6 @@ from road_envs.vehicle.struts import PassiveStruts
 
 STEP = 2e-4
 """Step [s] of MuJoCo's integrator."""
-
-SWING_ARM = 1.5
-"""Distance [m] of independent wheels from the axes about which they swing [assumed]."""
 
 FRICTION = 0.9
 """Greatest side force of a tyre over its load [-]."""
@@ -152,9 +149,9 @@ def _describe(car: VehicleParameters, side: SideMotion, locations: Sequence[Sens
     """Return the car as a MuJoCo model; at rest its bodies are where the file says."""
     bodies, tendons, bars, actuators = [], [], [], []
     tops = ""
-    for i, (axle, h) in enumerate(zip(car.axles, side.roll_centre, strict=True)):
+    for i, axle in enumerate(car.axles):
         wheels = _swinging if isinstance(axle, IndependentWheels) else _solid
-        bodies.append(wheels(i, axle, h, car.h_cg, side.wheel_radius))
+        bodies.append(wheels(i, axle, car.h_cg, side))
         for k, y in enumerate((axle.y_s, -axle.y_s)):
             w = 2 * i + k
             tops += f'<site name="top{w}" pos="{axle.x} {y} 0.3"/>'
@@ -163,12 +160,12 @@ def _describe(car: VehicleParameters, side: SideMotion, locations: Sequence[Sens
             )
             actuators.append(f'<motor tendon="strut{w}"/>')
         if isinstance(axle, IndependentWheels) and axle.k_roll > 0.0:
-            # the bar feels the difference of the wheels' travel, SWING_ARM times the angles'
+            # the bar feels the difference of the wheels' travel, an arm times the angles'
             rate = axle.k_roll / (2.0 * axle.y_t) ** 2
             bars.append(
                 f'<fixed name="bar{i}" stiffness="{rate}" springlength="0">'
-                f'<joint joint="swing{2 * i}" coef="{SWING_ARM}"/>'
-                f'<joint joint="swing{2 * i + 1}" coef="{SWING_ARM}"/></fixed>'
+                f'<joint joint="swing{2 * i}" coef="{side.swing_arm[i]}"/>'
+                f'<joint joint="swing{2 * i + 1}" coef="{side.swing_arm[i]}"/></fixed>'
             )
     for k, (x, y, mounted) in enumerate(locations):
         if mounted is not None:
@@ -194,8 +191,9 @@ def _sites(w: int, strut: tuple[float, float], contact: tuple[float, float]) -> 
     )
 
 
-def _solid(i: int, axle: Any, h: float, h_cg: float, radius: float) -> str:
+def _solid(i: int, axle: Any, h_cg: float, side: SideMotion) -> str:
     """Return a solid axle as a body: its origin is its roll centre."""
+    h, radius = side.roll_centre[i], side.wheel_radius
     sites = "".join(
         _sites(2 * i + k, (sign * axle.y_s, radius - h), (sign * axle.y_t, -h))
         for k, sign in enumerate((1.0, -1.0))
@@ -207,14 +205,15 @@ def _solid(i: int, axle: Any, h: float, h_cg: float, radius: float) -> str:
     {sites}</body>"""
 
 
-def _swinging(i: int, axle: Any, h: float, h_cg: float, radius: float) -> str:
+def _swinging(i: int, axle: Any, h_cg: float, side: SideMotion) -> str:
     """Return two wheels as bodies: their origins are the axes about which they swing."""
-    bodies = ""
+    bodies, arm, radius = "", side.swing_arm[i], side.wheel_radius
+    centre = side.roll_centre[i] * arm / axle.y_t
     for k, sign in enumerate((1.0, -1.0)):
-        w, centre = 2 * i + k, h * SWING_ARM / axle.y_t
-        bodies += f"""<body pos="{axle.x} {sign * (axle.y_t - SWING_ARM)} {centre - h_cg}">
+        w = 2 * i + k
+        bodies += f"""<body pos="{axle.x} {sign * (axle.y_t - arm)} {centre - h_cg}">
         <joint name="swing{w}" axis="1 0 0"/>
-        <inertial pos="0 {sign * SWING_ARM} {radius - centre}" mass="{0.5 * axle.m}"
+        <inertial pos="0 {sign * arm} {radius - centre}" mass="{0.5 * axle.m}"
         diaginertia="{DRAG} {DRAG} {DRAG}"/>
-        {_sites(w, (sign * SWING_ARM, radius - centre), (sign * SWING_ARM, -centre))}</body>"""
+        {_sites(w, (sign * arm, radius - centre), (sign * arm, -centre))}</body>"""
     return bodies

@@ -100,3 +100,11 @@ class SideMotion(Settings):
         "m",
         "relaxation length of the tyres",
     ]
+    swing_arm: Annotated[
+        tuple[
+            Annotated[float, Field(ge=0.4, le=50.0)],
+            Annotated[float, Field(ge=0.4, le=50.0)],
+        ],
+        "m",
+        "of independent wheels: swing arm seen from the front, wheel to instantaneous centre",
+    ] = (1.5, 1.5)

@@ -132,6 +132,7 @@ class VehicleParameters(Settings):
     side: Annotated[SideMotion | None, "", "side motion; none: free to slide"] = None
     variation: VehicleVariation = NOMINAL
     tolerances: dict[str, Tolerance] = field(default_factory=dict)
+    tolerances_of: Annotated[str, "", "class whose tolerances these are; empty: the car's own"] = ""
 
     def __post_init__(self):
         super().__post_init__()
@@ -217,10 +218,15 @@ class VehicleParameters(Settings):
 
 
 def load_vehicle(name: str | Path) -> VehicleParameters:
-    """Load a vehicle by shipped name or YAML path. Raises ConfigError."""
+    """Load a vehicle by shipped name or YAML path. Raises ConfigError.
+
+    A passive car whose file states no tolerances has those of its class (`generic_cars`).
+    """
+    from road_envs.vehicle.generic_cars import with_class_tolerances  # which loads its classes
+
     car = config.load(VehicleParameters, "vehicles", name)
     check_plausible(car, str(name))
-    return car
+    return with_class_tolerances(car)
 
 
 def check_plausible(car: VehicleParameters, where: str) -> None:
@@ -264,6 +270,8 @@ def write_vehicle(path: Path, car: VehicleParameters, comment: str = "") -> None
         del data["valve"]
     if car.side is None:
         del data["side"]
+    if not car.tolerances_of:
+        del data["tolerances_of"]
     head = "".join(f"# {line}\n" for line in comment.splitlines())
     text = yaml.safe_dump(data, sort_keys=False, allow_unicode=True, default_flow_style=None)
     write_text(path, head + text)

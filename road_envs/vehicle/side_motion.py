@@ -8,9 +8,16 @@ at
 
     u_a = V + x_a r + (h_cg - h_a) phi' + h_a phi_a'
 
-and its centre at u_a - R phi_a'. The tyres deflect sideways by d_a, which a relaxation length sigma
-of rolling undoes, and their force follows the deflection (Pacejka, "Tire and Vehicle Dynamics",
-2012, section 5.4, the linear contact line as a spring of rate 2 C_alpha / sigma):
+and its centre at u_a - R g_a', with g_a the camber of its wheels. That of a solid axle is its roll,
+g_a = phi_a; independent wheels swing about centres at the distance l_a of the wheel, so that with
+k_a = y_t / l_a
+
+    g_a = (1 - k_a) phi + k_a phi_a
+
+(Milliken & Milliken, "Race Car Vehicle Dynamics", 1995, chapter 17). The tyres deflect sideways by
+d_a, which a relaxation length sigma of rolling undoes, and their force follows the deflection
+(Pacejka, "Tire and Vehicle Dynamics", 2012, section 5.4, the linear contact line as a spring of
+rate 2 C_alpha / sigma):
 
     d_a' = -u_a - (v / sigma) d_a,      F_a = (2 C_alpha / sigma) d_a
 
@@ -22,7 +29,9 @@ m_a of the axles move with their centres, so that the accelerations of
 are M^-1 of the generalised forces, with one constant matrix M (5, 5). The static loads W_a of the
 struts and of the tyres, which a body held at its roll centres leans over, add the moments
 
-    sum W_a (h_cg - h_a) phi  to the body,      (W_a h_a + m_a g R) phi_a  to axle a.
+    sum W_a (h_cg - h_a) phi  to the body,      (W_a h_a + m_a g R k_a²) phi_a  to axle a
+
+(k_a = 1 of a solid axle).
 
 In a manoeuvre the vehicle's axes accelerate sideways by a_y, and the moments about the roll axis of
 `equations` are left out: the tyres' forces make them. Yaw of a car that is steered is not modelled.
@@ -37,6 +46,7 @@ import numpy as np
 
 from road_envs.kernels._numba import kernel
 from road_envs.kernels.simd_arrays import add, get
+from road_envs.vehicle.axles import IndependentWheels
 from road_envs.vehicle.parameters import VehicleParameters
 
 ROLLS = (1, 4, 6)
@@ -55,17 +65,17 @@ def side_constants(car: VehicleParameters, gravity: float) -> dict[str, object]:
     """Return the constants of a vehicle's side motion, all 0 if it has none."""
     if car.side is None:
         return {name: np.zeros(shape) for name, _, shape in SIDE_FIELDS}
-    # each axle's centre moves sideways with phi, its own roll, V and r: it adds its mass to them
+    # wheels' centres move sideways with phi, phi_a, V and r, and add their mass to all four
     side, height = car.side, np.array(car.side.roll_centre)
     lever, x = car.h_cg - height, np.array([axle.x for axle in car.axles])
-    m = np.array([axle.m for axle in car.axles])
+    m, k = np.array([axle.m for axle in car.axles]), camber_of_travel(car)
     M = np.diag([car.I_xx, car.front.I_xx, car.rear.I_xx, car.m_b, side.I_zz])
     for a in range(2):
-        centre = np.array([lever[a], 0.0, 0.0, 1.0, x[a]])
-        centre[1 + a] = height[a] - side.wheel_radius
+        centre = np.array([lever[a] - side.wheel_radius * (1.0 - k[a]), 0.0, 0.0, 1.0, x[a]])
+        centre[1 + a] = height[a] - side.wheel_radius * k[a]
         M += m[a] * np.outer(centre, centre)
     load = 2.0 * np.array(car.strut_loads)
-    leaning = load * height + m * gravity * side.wheel_radius
+    leaning = load * height + m * gravity * side.wheel_radius * k**2
     sigma = np.array(side.relaxation)
     return {
         "side_lever": lever,
@@ -75,6 +85,19 @@ def side_constants(car: VehicleParameters, gravity: float) -> dict[str, object]:
         "side_gravity": [float(load @ lever), *leaning],
         "side_inverse": np.linalg.inv(M).ravel(),
     }
+
+
+def camber_of_travel(car: VehicleParameters) -> np.ndarray:
+    """Return the camber k (2,) of the wheels of each axle per roll of the axle, 1 of a solid one.
+
+    Independent wheels lean by the rest, 1 - k, per roll of the body.
+    """
+    if car.side is None:
+        raise ValueError(f"{car.name} has no side motion")
+    arms = zip(car.axles, car.side.swing_arm, strict=True)
+    return np.array(
+        [axle.y_t / arm if isinstance(axle, IndependentWheels) else 1.0 for axle, arm in arms]
+    )
 
 
 @kernel

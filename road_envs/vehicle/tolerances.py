@@ -23,7 +23,12 @@ import numpy as np
 
 from road_envs.core.config import ConfigError
 from road_envs.vehicle.force_curves import Curve
-from road_envs.vehicle.parameters import BendingMode, TorsionalFrame, VehicleParameters
+from road_envs.vehicle.parameters import (
+    BendingMode,
+    Tolerance,
+    TorsionalFrame,
+    VehicleParameters,
+)
 from road_envs.vehicle.suspension import WHEELS
 
 AXLES = ("front", "rear")
@@ -86,6 +91,21 @@ def parameter_space(car: VehicleParameters, structure: bool = False) -> Paramete
 def has_absent_elements(car: VehicleParameters) -> bool:
     """Return whether a tolerance is that of an element that the description leaves out."""
     return any(_is_absent(car, path) for path in car.tolerances)
+
+
+def stated_values(
+    car: VehicleParameters, tolerances: Mapping[str, Tolerance]
+) -> dict[str, Tolerance]:
+    """Return those of the `tolerances` that `car` has a value for, or that say their own."""
+    stated = {}
+    for path, tolerance in tolerances.items():
+        try:
+            absent = _is_absent(car, path)
+        except ConfigError:  # another kind of axle, spring or strut
+            continue
+        if not absent or tolerance.about is not None:
+            stated[path] = tolerance
+    return stated
 
 
 def scale_parameters(car: VehicleParameters, factors: Mapping[str, float]) -> VehicleParameters:

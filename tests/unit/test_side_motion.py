@@ -51,6 +51,17 @@ def roll(car, f, v=V):
 # ---------------------------------------------------------------- independent equations
 
 
+def camber(car, i):
+    """Return the lean of the wheels of axle i by phi and phi_a: a wheel at the end of its arm."""
+    axle = car.axles[i]
+    if axle.kind == "solid":
+        return np.array([0.0, 1.0])
+    # an arm of the length l, hinged at l from the wheel to a body that rolls by phi: the hinge
+    # rises by (y_t - l) phi, the wheel by y_t phi_a
+    arm = car.side.swing_arm[i]
+    return np.array([arm - axle.y_t, axle.y_t]) / arm
+
+
 def lagrangian_matrices(car, v):
     """Return M, D, K (9, 9) of z_b, phi, theta, z_f, phi_f, z_r, phi_r, y, psi, and what the tyres'
     side forces do as functions of s, from energies written out for this test.
@@ -66,7 +77,8 @@ def lagrangian_matrices(car, v):
         z, r = 3 + 2 * i, 4 + 2 * i
         M[z, z], M[r, r] = M[z, z] + axle.m, M[r, r] + axle.I_xx
         centre, contact = np.zeros((2, 9))
-        centre[[1, r, 7, 8]] = car.h_cg - h, h - s.wheel_radius, 1.0, axle.x
+        centre[[7, 8]] = 1.0, axle.x
+        centre[[1, r]] = np.array([car.h_cg - h, h]) - s.wheel_radius * camber(car, i)
         contact[[1, r, 7, 8]] = car.h_cg - h, h, 1.0, axle.x
         M += axle.m * np.outer(centre, centre)
         contacts.append(contact)
@@ -81,7 +93,7 @@ def lagrangian_matrices(car, v):
         K += axle.k_roll * np.outer(bar, bar)
         # a body held at its roll centre loses height by (h_cg - h) phi² / 2; so does an axle
         K[1, 1] -= weight[i] * (car.h_cg - h)
-        K[r, r] -= weight[i] * h + axle.m * 9.81 * s.wheel_radius
+        K[r, r] -= weight[i] * h + axle.m * 9.81 * s.wheel_radius * camber(car, i)[1] ** 2
     return M, D, K, contacts
 
 
@@ -171,9 +183,9 @@ def test_without_cornering_stiffness_only_the_axles_masses_remain():
     side, m = weak.side, [axle.m for axle in weak.axles]
     push = a[7] * weak.m_b
     for i, (axle, h) in enumerate(zip(weak.axles, side.roll_centre, strict=True)):
-        centre = (
-            a[7] + axle.x * a[8] + (weak.h_cg - h) * a[1] + (h - side.wheel_radius) * a[4 + 2 * i]
-        )
+        lean = side.wheel_radius * camber(weak, i)
+        centre = a[7] + axle.x * a[8] + (weak.h_cg - h - lean[0]) * a[1]
+        centre = centre + (h - lean[1]) * a[4 + 2 * i]
         push = push + m[i] * centre
     assert abs(push[0]) < 1e-12 * np.abs(a).max() * weak.m_b
 
@@ -326,8 +338,9 @@ def test_a_turn_rolls_the_body_by_the_statics_of_its_roll_centres():
     F = np.linalg.solve(np.array([[1.0, 1.0], x]), a_y * np.array([m, masses @ x]))
     push = sum(f * p for f, p in zip(F, contacts, strict=True))
     for i, (axle, h) in enumerate(zip(LINEAR.axles, LINEAR.side.roll_centre, strict=True)):
-        push[1] -= axle.m * a_y * (LINEAR.h_cg - h)
-        push[4 + 2 * i] -= axle.m * a_y * (h - LINEAR.side.wheel_radius)
+        lean = LINEAR.side.wheel_radius * camber(LINEAR, i)
+        push[1] -= axle.m * a_y * (LINEAR.h_cg - h - lean[0])
+        push[4 + 2 * i] -= axle.m * a_y * (h - lean[1])
     expected = np.linalg.solve(K[:7, :7], push[:7])
     assert drive.state[-1, 1] == pytest.approx(expected[1], rel=1e-3)
     assert 0.01 < expected[1] < 0.1
@@ -342,6 +355,7 @@ def test_changes_of_the_response_are_its_derivative():
         {"C_alpha": (41e3, 35e3)},
         {"relaxation": (0.41, 0.4)},
         {"roll_centre": (0.06, 0.05)},
+        {"swing_arm": (1.6, 1.5)},
     ):
         target = with_side(LINEAR, **change)
         ((name, values),) = change.items()
@@ -380,6 +394,7 @@ def test_a_linear_model_is_that_of_one_speed():
         ({"C_alpha": (-1.0, 4e4)}, "must be at least 5000"),
         ({"roll_centre": (0.05, 2.0)}, "must be at most 1.5"),
         ({"wheel_radius": 3.0}, "must be at most 0.8"),
+        ({"swing_arm": (0.1, 1.5)}, "must be at least 0.4"),
     ],
 )
 def test_values_beyond_sense_are_questioned(values, message):
