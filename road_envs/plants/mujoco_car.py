@@ -62,16 +62,14 @@ class MujocoCar:
             ]
         ).T
         mujoco.mj_forward(self.model, self.data)
-        self.lengths, self.heights = self.data.ten_length[:4].copy(), self._contact_heights()
+        self.lengths = self.data.ten_length[:4].copy()
+        self.heights = self.data.site_xpos[self.contacts, 2].copy()
         self.side_force = np.zeros(4)
 
     def _id(self, kind: str, name: str) -> int:
         return int(
             self.mujoco.mj_name2id(self.model, getattr(self.mujoco.mjtObj, f"mjOBJ_{kind}"), name)
         )
-
-    def _contact_heights(self) -> np.ndarray:
-        return self.data.site_xpos[self.contacts, 2].copy()
 
     def step(self, z_r: np.ndarray, w_r: np.ndarray, v: float) -> None:
         """Take one step at road heights `z_r` (4,) [m] and their rates `w_r` [m/s]."""
@@ -82,19 +80,21 @@ class MujocoCar:
             x, F, u, damping = self.curves[w // 2]
             data.ctrl[w] = np.interp(e, x, F) - np.interp(rate, u, damping)
         speed = data.sensordata[:12].reshape(4, 3)  # of the contacts
-        squeezed = self.load / self.k + z_r - (self._contact_heights() - self.heights)
+        squeezed = self.load / self.k + z_r - (data.site_xpos[self.contacts, 2] - self.heights)
         load = self.k * squeezed + self.c * (w_r - speed[:, 2])
         load = np.where(squeezed > 0.0, np.maximum(load, 0.0), 0.0)
         slip = speed[:, 1] - v * data.qpos[2]  # against the heading
         stiffness = self.C * load / self.load
         self.side_force -= STEP / self.sigma * (v * self.side_force + stiffness * slip)
         self.side_force = np.clip(self.side_force, -FRICTION * load, FRICTION * load)
+        # forces at the contacts, and their moments about the bodies' centres of mass
+        arm = data.site_xpos[self.contacts] - data.xipos[self.bodies]
+        x, y, z = arm.T
+        zero = np.zeros(4)
+        moments = y * load - z * self.side_force, -x * load, x * self.side_force
         data.xfrc_applied[:] = 0.0
-        for w, body in enumerate(self.bodies):
-            force = np.array([0.0, self.side_force[w], load[w]])
-            arm = data.site_xpos[self.contacts[w]] - data.xipos[body]
-            data.xfrc_applied[body, :3] += force
-            data.xfrc_applied[body, 3:] += np.cross(arm, force)
+        wrench = np.array([zero, self.side_force, load, *moments]).T
+        np.add.at(data.xfrc_applied, self.bodies, wrench)
         self.mujoco.mj_step2(model, data)
 
     def drive(

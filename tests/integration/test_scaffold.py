@@ -132,3 +132,16 @@ def test_new_estimator_prints_the_next_commands(tmp_path, monkeypatch):
     assert "road-recon check-estimator my_road\n" in output
     readme = (tmp_path / "road-recon-my-road" / "README.md").read_text()
     assert "road-recon check-estimator my_road" in readme and "{" not in readme
+
+
+def test_a_new_vehicle_is_written_and_drives(road_recon):
+    values = ("--class", "saloon", "--mass", "1500", "--wheelbase", "2.7", "--track", "1.55")
+    code, out, err = road_recon("new-vehicle", "mine.yaml", *values)
+    assert code == 0, err
+    assert "mine.yaml" in out
+    code, _, err = road_recon("new-vehicle", "mine.yaml", *values)
+    assert code == 2
+    assert "mine.yaml exists" in err
+    drive = ("--vehicle", "mine.yaml", "--road", "iso_c", "--length", "20", "--speed-kmh", "36")
+    code, _, err = road_recon("simulate", *drive, "--out", "d.csv")
+    assert code == 0, err

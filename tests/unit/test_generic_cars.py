@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from estimators import estimate
+from road_envs import simulate_record
 from road_envs.core.config import ConfigError
 from road_envs.vehicle.generic_cars import CLASSES, fitted_vehicle, with_class_tolerances
 from road_envs.vehicle.linear_model import linearise, natural_modes
@@ -74,3 +76,10 @@ def test_a_written_car_is_read_back(tmp_path):
 def test_what_no_car_of_the_class_has_is_refused(values, message):
     with pytest.raises(ConfigError, match=message):
         fitted_vehicle("mine", *values)
+
+
+def test_an_estimate_says_that_tolerances_are_lent():
+    bare = with_class_tolerances(replace(load_vehicle("bmw_320i"), tolerances={}))
+    record, _ = simulate_record("iso_c", speed_kmh=36.0, vehicle=bare, length=20.0)
+    notes = estimate("wiener", record, bare).notes
+    assert any(f"those of the class {bare.tolerances_of} are assumed" in note for note in notes)
