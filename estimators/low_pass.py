@@ -51,7 +51,7 @@ def undo_low_pass(
     fs, low_pass, a = record.fs, record.low_pass, bridge(record.a)
     named = low_pass is not None
     if not named and noise_density > 0.0:
-        low_pass = find_low_pass(a, fs, noise_density)
+        low_pass = _find_low_pass(a, fs, noise_density)
     if low_pass is None or low_pass.order is None or low_pass.bandwidth >= 0.5 * fs:
         return record, valid, ()
     gap, reach = (int(np.ceil(x * fs / low_pass.f_c)) for x in (GAP_REACH, END_REACH))
@@ -82,7 +82,7 @@ def bridge(a: np.ndarray) -> np.ndarray:
     return np.array([np.interp(t, t[g], x[g]) if g.any() else np.zeros(t.size) for x, g in pairs])
 
 
-def find_low_pass(a: np.ndarray, fs: float, noise_density: float) -> LowPass | None:
+def _find_low_pass(a: np.ndarray, fs: float, noise_density: float) -> LowPass | None:
     """Return the low-pass that accelerations (k, N) seem to have passed, None if they have not."""
     size = min(round(WELCH_SECONDS * fs), a.shape[1])
     f, S = welch(a, fs, window="blackmanharris", nperseg=size, axis=1)

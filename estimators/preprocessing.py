@@ -175,7 +175,7 @@ def clean_record(
     `mask_record` does, if a channel is missing, and if too many of its samples are.
     """
     if channels is not None and record.channels != channels:
-        record = select_channels(record, channels)
+        record = _select_channels(record, channels)
     record, _, notes = mask_record(record)
     if np.isfinite(record.a).all():
         return record, notes
@@ -184,7 +184,7 @@ def clean_record(
     return dataclasses.replace(record, a=a), notes
 
 
-def select_channels(record: Record, channels: tuple[str, ...]) -> Record:
+def _select_channels(record: Record, channels: tuple[str, ...]) -> Record:
     """Return `record` with these channels alone, in this order. Raises RecordError.
 
     They are on the body; a sensor on an axle is no substitute.

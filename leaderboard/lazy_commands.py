@@ -39,7 +39,7 @@ OPTION_SECTIONS = {
 _SECTION_OF = {name: title for title, names in OPTION_SECTIONS.items() for name in names}
 
 
-class SectionedCommand(TyperCommand):
+class _SectionedCommand(TyperCommand):
     """A command whose options are listed in the sections of OPTION_SECTIONS."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
@@ -81,7 +81,7 @@ class LazyGroup(TyperGroup):
         """Write the commands by section."""
         for title, entries in self.sections.items():
             with formatter.section(title):
-                formatter.write_dl([(name, help_line(target)) for name, target in entries.items()])
+                formatter.write_dl([(name, _help_line(target)) for name, target in entries.items()])
 
     def invoke(self, ctx: Any) -> Any:
         """Run a command; SIGINT ends it with one sentence and exit status 130."""
@@ -92,7 +92,7 @@ class LazyGroup(TyperGroup):
             raise typer.Exit(INTERRUPTED) from None
 
 
-def help_line(target: str | typer.Typer) -> str:
+def _help_line(target: str | typer.Typer) -> str:
     """Return the first paragraph of the docstring of a command, or the help of an app."""
     if isinstance(target, typer.Typer):
         return str(target.info.help)
@@ -110,7 +110,9 @@ def _build(name: str, target: str | typer.Typer) -> Any:
         return command
     module, _, function = target.partition(":")
     app = new_app()
-    app.command(name, cls=SectionedCommand)(getattr(import_module(f"{PACKAGE}.{module}"), function))
+    app.command(name, cls=_SectionedCommand)(
+        getattr(import_module(f"{PACKAGE}.{module}"), function)
+    )
     return typer.main.get_command(app)
 
 

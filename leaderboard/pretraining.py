@@ -26,7 +26,7 @@ CALIBRATION_SHARE = 0.3
 """Drives of the nominal vehicle for calibrating standard deviations, per training drive."""
 
 
-class FileCheckpoint:
+class _FileCheckpoint:
     """State of an unfinished training run in a file; the file of another run is ignored."""
 
     def __init__(self, path: Path, digest: str):
@@ -51,7 +51,7 @@ class FileCheckpoint:
         self.path.unlink(missing_ok=True)
 
 
-def run_digest(estimator: Pretrained, name: str, corpus: Corpus, seed: int) -> str:
+def _run_digest(estimator: Pretrained, name: str, corpus: Corpus, seed: int) -> str:
     """Return a digest of everything that determines the trained weights."""
     inputs = [name, get_settings(estimator), corpus.digest, seed, package_version()]
     return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()[:12]
@@ -67,8 +67,8 @@ def train(
     progress: Progress = lambda text, share: None,
 ) -> Pretrained:
     """Pretrain `estimator`, write it to `out` (.safetensors). Raises ConfigError, StorageError."""
-    digest = run_digest(estimator, name, corpus, seed)
-    checkpoint = FileCheckpoint(out.with_name(f".{out.name}.unfinished"), digest)
+    digest = _run_digest(estimator, name, corpus, seed)
+    checkpoint = _FileCheckpoint(out.with_name(f".{out.name}.unfinished"), digest)
     drives = []
     for k in range(corpus.number):
         if k % 10 == 0:

@@ -14,7 +14,7 @@ from road_envs.core.extras import missing_extra
 SIBLINGS = ("estimators", "leaderboard")
 
 
-def foreign_package() -> str | None:
+def _foreign_package() -> str | None:
     """Return one sentence on a folder that hides one of our packages; None if none does."""
     root = Path(__file__).parents[1]
     for name in SIBLINGS:
@@ -31,7 +31,7 @@ def foreign_package() -> str | None:
 
 def main() -> None:
     """Run the command line; exit with status 2 and one sentence if it cannot start."""
-    problem = foreign_package()
+    problem = _foreign_package()
     if problem is None:
         try:
             run = importlib.import_module("leaderboard.cli").main

@@ -33,8 +33,11 @@ CALIBRATION = (("iso_d", 200.0, MIXED, SPEED_KMH), ("iso_c", 150.0, "ride", 36.0
 """Road, its length [m], mode and speed [km/h] of the drives before."""
 
 CLASSES = ("A", "B", "C")
-SEGMENT, LENGTH = 100.0, 200.0
-"""Length [m] of the segment, the first of a road, and of the road."""
+SEGMENT = 100.0
+"""Length [m] of the segment, the first of a road."""
+
+LENGTH = 200.0
+"""Length [m] of a road."""
 
 FIRST_INDIVIDUAL = 1401
 """Seed of the first individual; nothing was developed on any."""

@@ -25,8 +25,8 @@ from leaderboard.commands.options import Json
 from leaderboard.evaluation import evaluate, store
 from leaderboard.evaluation.results import Result
 from leaderboard.evaluation.tasks import Task, load_task
-from leaderboard.report import cache
 from leaderboard.report.plots import write_figure
+from leaderboard.report.sentences import build_report
 from leaderboard.report.site import write_site
 from leaderboard.running.board import load_board
 from road_envs.core.atomic_io import TempFolder, write_text
@@ -163,10 +163,9 @@ def store_rows(task: Task, result: Result, n: int, out: Path) -> None:
 
 
 def write_board(task: Task, out: Path) -> None:
-    """Read the stored rows; compute all tables and write the site, whatever was written before."""
-    (out / cache.CACHE_FILE).unlink(missing_ok=True)
+    """Read the stored rows; compute all tables and write the site."""
     board = load_board([task], out)
-    write_site(board, cache.build_report(board, out), out)
+    write_site(board, build_report(board), out)
 
 
 def draw(curves: Sequence[CostCurve], path: Path) -> None:

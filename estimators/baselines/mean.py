@@ -37,7 +37,7 @@ class Mean(Settings):
         seed: int,
     ) -> Self:
         """Average the truths; records, car and seed are unused."""
-        return copy_with(self, z=mean_profile(truths))
+        return copy_with(self, z=_mean_profile(truths))
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Return the mean road, cut or extended by zeros. Raises RecordError, NotFittedError."""
@@ -58,7 +58,7 @@ class Mean(Settings):
         return copy_with(self, z=z)
 
 
-def mean_profile(truths: Sequence[Profile]) -> np.ndarray:
+def _mean_profile(truths: Sequence[Profile]) -> np.ndarray:
     """Return mean heights (2, M) [m] over the truths that reach each station."""
     stations = profile_stations(max(truth.s[-1] + truth.ds for truth in truths))
     total, count = np.zeros((2, stations.size)), np.zeros(stations.size)

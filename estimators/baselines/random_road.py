@@ -26,7 +26,7 @@ from road_envs.records.roughness import FIT_BAND, N_0, displacement_psd, fit_lin
 from road_envs.vehicle.parameters import VehicleParameters
 
 
-class FittedRoad(NamedTuple):
+class _FittedRoad(NamedTuple):
     """Level `G_d0` [m³] at n0, waviness `w`, and the `seed` of the phases."""
 
     G_d0: float
@@ -40,7 +40,7 @@ class UnrelatedRoad(Settings):
 
     causal: ClassVar[bool] = True
 
-    fitted_state: FittedRoad | None = field(default=None, init=False, repr=False, compare=False)
+    fitted_state: _FittedRoad | None = field(default=None, init=False, repr=False, compare=False)
 
     def fit(
         self,
@@ -51,7 +51,7 @@ class UnrelatedRoad(Settings):
     ) -> Self:
         """Fit level and waviness of the truths; `seed` draws the phases. Raises ValueError."""
         phases = int(np.random.default_rng(seed).integers(2**31))  # exact as a float
-        return copy_with(self, fitted_state=FittedRoad(*fit_spectrum(truths), phases))
+        return copy_with(self, fitted_state=_FittedRoad(*fit_spectrum(truths), phases))
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Return the random road. Raises RecordError, NotFittedError."""
@@ -69,7 +69,7 @@ class UnrelatedRoad(Settings):
     def with_weights(self, weights: Mapping[str, np.ndarray]) -> Self:
         """Return a copy with these weights. Raises ValueError."""
         G_d0, w, seed = validate_weights(weights, {"G_d0": (), "w": (), "seed": ()})
-        return copy_with(self, fitted_state=FittedRoad(float(G_d0), float(w), int(seed)))
+        return copy_with(self, fitted_state=_FittedRoad(float(G_d0), float(w), int(seed)))
 
 
 def fit_spectrum(truths: Sequence[Profile]) -> tuple[float, float]:
@@ -87,7 +87,7 @@ def fit_spectrum(truths: Sequence[Profile]) -> tuple[float, float]:
     return float(np.mean(G[inside] * (n[inside] / N_0) ** w)), w
 
 
-def draw_road(road: FittedRoad, size: int) -> np.ndarray:
+def draw_road(road: _FittedRoad, size: int) -> np.ndarray:
     """Return heights (2, size) [m] at the profile stations, from 0; the period is 2 `size`."""
     n = rfftfreq(2 * size, PROFILE_SPACING)
     inside = n >= FIT_BAND[0]

@@ -75,13 +75,17 @@ from road_envs.vehicle.parameters import VehicleParameters
 WINDOW = 200.0
 """Length [m] of the road that is estimated at a time, with a road prior of its own."""
 
-NODE_TIME, NODE_SPACING = 0.01, (0.1, 0.25)
-"""Time [s] between nodes, four in a period of 25 Hz, and limits of their spacing [m]."""
+NODE_TIME = 0.01
+"""Time [s] between nodes, four in a period of 25 Hz."""
 
-DRAWS, SMOOTHING = 40, 5.0
-"""Samples of the posterior for the standard deviation, and the distance [m] over which their power
-is averaged.
-"""
+NODE_SPACING = (0.1, 0.25)
+"""Least and greatest spacing [m] of nodes."""
+
+DRAWS = 40
+"""Samples of the posterior for the standard deviation."""
+
+SMOOTHING = 5.0
+"""Distance [m] over which the power of the samples is averaged."""
 
 VALIDATED = 3
 """Calibration drives at most on which standard deviations are calibrated."""
@@ -97,7 +101,7 @@ FAR_SPEED = 1.3
 """Factor between the speeds of calibration and drive from which on a note is given."""
 
 
-class VehicleResponse(NamedTuple):
+class _VehicleResponse(NamedTuple):
     """Result of calibration drives in one strut state: `responses`, `state` (4,) (stiff and high
     damping in front, then at the rear), mean `speed` [m/s], the factor `std_factor` on standard
     deviations, and the in-band `error` of segments estimated without themselves over their road.
@@ -110,10 +114,10 @@ class VehicleResponse(NamedTuple):
     error: float
 
 
-class VehicleResponses(NamedTuple):
+class _VehicleResponses(NamedTuple):
     """Responses by strut state, and the `axles` (X,) [m] behind the first."""
 
-    by_state: tuple[VehicleResponse, ...]
+    by_state: tuple[_VehicleResponse, ...]
     axles: np.ndarray
 
 
@@ -131,7 +135,7 @@ class CalibratedFir(Settings):
         "between first and last axle; default: that of the vehicle given",
     ] = None
     seed: Annotated[int, Field(ge=0), "", "of the samples of the posterior"] = 0
-    fitted_state: VehicleResponses | None = field(
+    fitted_state: _VehicleResponses | None = field(
         default=None, init=False, repr=False, compare=False
     )
 
@@ -222,10 +226,10 @@ class CalibratedFir(Settings):
         if innovation.shape[1:] != (k, k) or taps.shape[2] != axles.size:
             raise ValueError("innovation and axles must be of the sensors and axles of the taps")
         by_state = tuple(
-            VehicleResponse(Responses(*x[:3]), x[3][:4], *x[3][4:].tolist())
+            _VehicleResponse(Responses(*x[:3]), x[3][:4], *x[3][4:].tolist())
             for x in zip(taps, ar, innovation, about, strict=True)
         )
-        return copy_with(self, fitted_state=VehicleResponses(by_state, axles))
+        return copy_with(self, fitted_state=_VehicleResponses(by_state, axles))
 
     @single_blas_thread()
     def _identify(self, drives: Sequence[CalibrationDrive], car: VehicleParameters) -> Self:
@@ -244,12 +248,12 @@ class CalibratedFir(Settings):
             if prior is not None and len(prior) != len(group[0].record.a):
                 prior = None
             kept[key] = _identify_state(group, axles, prior)
-        return copy_with(self, fitted_state=VehicleResponses(tuple(kept.values()), axles))
+        return copy_with(self, fitted_state=_VehicleResponses(tuple(kept.values()), axles))
 
 
 def _identify_state(
     drives: Sequence[CalibrationDrive], axles: np.ndarray, prior: np.ndarray | None
-) -> VehicleResponse:
+) -> _VehicleResponse:
     """Identify the responses from drives in one strut state. Raises CalibrationError."""
     data = [road_drive(drive.record, cast(Profile, drive.profile), axles) for drive in drives]
     check_drives(drives, data)
@@ -264,7 +268,7 @@ def _identify_state(
             "a rougher or longer profile, and check that distances and profile belong together"
         )
     speed = float(np.mean([drive.record.v.mean() for drive in drives]))
-    return VehicleResponse(found.responses, _state(drives[0].record), speed, factor, error)
+    return _VehicleResponse(found.responses, _state(drives[0].record), speed, factor, error)
 
 
 def _validate(
@@ -345,7 +349,7 @@ def _state(record: Record) -> np.ndarray:
     return np.array([float(pair.mean() > 0.5) for pair in pairs])
 
 
-def _notes(chosen: VehicleResponse, state: np.ndarray, record: Record) -> tuple[str, ...]:
+def _notes(chosen: _VehicleResponse, state: np.ndarray, record: Record) -> tuple[str, ...]:
     """Return notes on a drive in another state or at another speed than the calibration's."""
     notes, v = [], float(record.v.mean())
     if (chosen.state != state).any():

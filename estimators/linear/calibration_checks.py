@@ -51,10 +51,10 @@ def check_drives(drives: Sequence[CalibrationDrive], data: Sequence[RoadDrive]) 
         )
     parts = [each.u[0][:, here] for each, here in zip(data, used, strict=True) if here.sum() > 1]
     counts = {
-        "the left wheel path": sum(independent_frequencies(u[0]) for u in parts),
-        "the right wheel path": sum(independent_frequencies(u[1]) for u in parts),
+        "the left wheel path": sum(_independent_frequencies(u[0]) for u in parts),
+        "the right wheel path": sum(_independent_frequencies(u[1]) for u in parts),
         "the difference of the wheel paths": sum(
-            independent_frequencies(u[0] - u[1]) for u in parts
+            _independent_frequencies(u[0] - u[1]) for u in parts
         ),
     }
     name = min(counts, key=counts.__getitem__)
@@ -66,7 +66,7 @@ def check_drives(drives: Sequence[CalibrationDrive], data: Sequence[RoadDrive]) 
         )
 
 
-def independent_frequencies(u: np.ndarray) -> float:
+def _independent_frequencies(u: np.ndarray) -> float:
     """Return the number of independent frequencies of a road acceleration (N,) between F_BODY and
     F_C: (sum of powers)² over the sum of their squares, of its spectral lines. The rate of the
     height is taken, which is white on a road with a waviness of 2.

@@ -32,7 +32,8 @@ KNOTS = np.geomspace(*SPEED_RANGE, 9)
 N_STATE_COMBINATIONS = 16
 """Of front spring, front damper, rear spring, rear damper; the first is bit 3."""
 
-RIDGE, SMOOTHNESS = 1e-4, 1e-4
+RIDGE = 1e-4
+SMOOTHNESS = 1e-4
 N_SHORT = 0.15
 """Spatial frequency [cycles/m] of the high-pass on the errors."""
 
@@ -89,8 +90,8 @@ def fit_bank(
     taps = np.zeros(taps_shape(behind, ahead), dtype=np.float16)
     for combination, indices in drives.items():
         sums = [
-            KnotNormalEquations.zeros(2 * taps.shape[-1]),
-            KnotNormalEquations.zeros(taps.shape[-1]),
+            _KnotNormalEquations.zeros(2 * taps.shape[-1]),
+            _KnotNormalEquations.zeros(taps.shape[-1]),
         ]
         for i in indices:
             _add_drive(sums, all_signals[i], targets[i], behind, ahead)
@@ -102,7 +103,7 @@ def fit_bank(
     return FirBank(taps, ahead)
 
 
-class KnotNormalEquations(NamedTuple):
+class _KnotNormalEquations(NamedTuple):
     """Normal equations of all knots: blocks X'X (knots, p, p) of each knot with itself and with the
     next, and X'Z (knots, p).
     """
@@ -112,7 +113,7 @@ class KnotNormalEquations(NamedTuple):
     XZ: np.ndarray
 
     @classmethod
-    def zeros(cls, p: int) -> "KnotNormalEquations":
+    def zeros(cls, p: int) -> "_KnotNormalEquations":
         """Return empty sums for `p` regressors."""
         return cls(*(np.zeros((KNOTS.size, *shape)) for shape in ((p, p), (p, p), (p,))))
 
@@ -165,7 +166,7 @@ def motion_windows(
 
 
 def _add_drive(
-    sums: list[KnotNormalEquations],
+    sums: list[_KnotNormalEquations],
     signals: SpatialSignals,
     target: np.ndarray,
     behind: int,

@@ -132,8 +132,8 @@ class FirRidge(Settings):
         half = self._half_taps(stride)
         folds = [LeastSquaresSums.zeros(len(SENSORS) * (2 * half + 1))] * FOLDS
         for record, truth in zip(records, truths, strict=True):
-            X = sliding_windows(record, stride, half)
-            Z = highpass_profile(truth, profile_stations(record.length))[:, ::stride].T
+            X = _sliding_windows(record, stride, half)
+            Z = _highpass_profile(truth, profile_stations(record.length))[:, ::stride].T
             parts = zip(np.array_split(X, FOLDS), np.array_split(Z, FOLDS), strict=True)
             folds = [
                 sums.plus(LeastSquaresSums.from_samples(*part))
@@ -242,14 +242,14 @@ def _prediction(bank: FirBank, signals: SpatialSignals) -> Prediction:
     return Prediction(z, keep_short_waves(z), np.array([x, x]), np.ones(signals.size))
 
 
-def sliding_windows(record: Record, stride: int, half: int) -> np.ndarray:
+def _sliding_windows(record: Record, stride: int, half: int) -> np.ndarray:
     """Return the regressors (N, 3 (2 half + 1)) [m/s²] at every `stride`-th station."""
     a = spatial_accelerations(record, half * stride)
     windows = np.lib.stride_tricks.sliding_window_view(a, 2 * half * stride + 1, axis=1)
     return np.concatenate(list(windows[:, ::stride, ::stride]), axis=1)
 
 
-def highpass_profile(truth: Profile, stations: np.ndarray) -> np.ndarray:
+def _highpass_profile(truth: Profile, stations: np.ndarray) -> np.ndarray:
     """Return heights (2, M) [m] at `stations`, without waves longer than 20 m."""
     sos = signal.butter(2, N_HIGH_PASS, "high", fs=1.0 / PROFILE_SPACING, output="sos")
     padding = min(int(1.0 / (N_HIGH_PASS * PROFILE_SPACING)), stations.size - 1)

@@ -164,7 +164,7 @@ def segment_of(s: np.ndarray, profile: Profile, axles: np.ndarray) -> np.ndarray
     return np.where((part >= 0) & (part < SEGMENTS), part, -1)
 
 
-def stack_delays(u: np.ndarray, n_taps: int) -> np.ndarray:
+def _stack_delays(u: np.ndarray, n_taps: int) -> np.ndarray:
     """Return the regressors (N, inputs n_taps) of inputs `u` (..., N), zero before them."""
     u = u.reshape(-1, u.shape[-1])
     padded = np.pad(u, ((0, 0), (n_taps - 1, 0)))
@@ -182,22 +182,22 @@ def identify_responses(
     """
     k, shape = len(drives[0].a), (*drives[0].u.shape[:2], N_TAPS)
     mean = np.zeros((k, int(np.prod(shape)))) if prior is None else prior.reshape(k, -1)
-    X = [stack_delays(drive.u, N_TAPS) for drive in drives]
+    X = [_stack_delays(drive.u, N_TAPS) for drive in drives]
     a = [drive.a - mean @ x.T for drive, x in zip(drives, X, strict=True)]
     parts = _segment_sums(drives, X, a, np.ones(1))
     total = reduce(LeastSquaresSums.plus, parts)
     settings = [_fit_settings(total, j) for j in range(k)]
     powers = [np.sum(drive.a[:, drive.segment >= 0] ** 2, axis=1) for drive in drives]
     explained = _explained(parts, settings, np.sum(powers, axis=0))
-    ar = _fit_autoregression(_residuals(drives, X, a, solve_taps(total, settings)))
+    ar = _fit_autoregression(_residuals(drives, X, a, _solve_taps(total, settings)))
     white = np.append(1.0, -ar)
     parts = _segment_sums(drives, X, a, white)
     total = reduce(LeastSquaresSums.plus, parts)
     settings = [_fit_settings(total, j) for j in range(k)]
-    theta = solve_taps(total, settings)
+    theta = _solve_taps(total, settings)
     e = [signal.lfilter(white, 1.0, x) for x in _residuals(drives, X, a, theta)]
     innovation = np.cov(np.concatenate(e, axis=1), bias=True).reshape(k, k)
-    held_out = [solve_taps(total.plus(part, -1), settings) for part in parts]
+    held_out = [_solve_taps(total.plus(part, -1), settings) for part in parts]
     first, *others = [
         Responses((mean + x).reshape(k, *shape), ar, innovation) for x in (theta, *held_out)
     ]
@@ -209,7 +209,7 @@ def quick_explained(drive: RoadDrive) -> np.ndarray:
     """Return the shares (k,) of the sensors' power that responses of the usual size and decay
     predict in segments that they were not identified in.
     """
-    parts = _segment_sums([drive], [stack_delays(drive.u, N_TAPS)], [drive.a], np.ones(1))
+    parts = _segment_sums([drive], [_stack_delays(drive.u, N_TAPS)], [drive.a], np.ones(1))
     total = reduce(LeastSquaresSums.plus, parts)
     settings = [_first_guess(total, j) for j in range(len(drive.a))]
     return _explained(parts, settings, total.ZZ)
@@ -221,17 +221,17 @@ def _explained(
     """Return the shares (k,) of the sensors' `power` (k,) that are predicted in parts left out."""
     total, left = reduce(LeastSquaresSums.plus, parts), np.zeros(power.shape)
     for part in parts:
-        taps = solve_taps(total.plus(part, -1), settings)
+        taps = _solve_taps(total.plus(part, -1), settings)
         left += part.ZZ + np.sum(taps * (taps @ part.XX - 2.0 * part.XZ.T), axis=1)
     return 1.0 - left / np.maximum(power, 1e-12)
 
 
-def solve_taps(sums: LeastSquaresSums, settings: Sequence[np.ndarray]) -> np.ndarray:
+def _solve_taps(sums: LeastSquaresSums, settings: Sequence[np.ndarray]) -> np.ndarray:
     """Return the posterior means (k, p) of the taps of all sensors under their `settings`."""
     return np.array([_posterior(sums, j, x)[1] for j, x in enumerate(settings)])
 
 
-def kernel_factor(log_scale: float, decay: float) -> np.ndarray:
+def _kernel_factor(log_scale: float, decay: float) -> np.ndarray:
     """Return F (T, T) with F F' = c decay^max(i, j), the TC kernel of T = N_TAPS taps."""
     # a random walk that begins at the last tap: the variances of its steps are differences
     steps = decay ** np.arange(N_TAPS) * np.append(np.full(N_TAPS - 1, 1.0 - decay), 1.0)
@@ -243,7 +243,7 @@ def _posterior(sums: LeastSquaresSums, j: int, settings: np.ndarray) -> tuple[fl
 
     `settings`: log c, logit lambda, log of the noise variance.
     """
-    F = kernel_factor(settings[0], 1.0 / (1.0 + np.exp(-settings[1])))
+    F = _kernel_factor(settings[0], 1.0 / (1.0 + np.exp(-settings[1])))
     inputs, noise = len(sums.XX) // N_TAPS, float(np.exp(settings[2]))
     blocks = sums.XX.reshape(inputs, N_TAPS, inputs, N_TAPS)
     M = np.einsum("ij,aibk->ajbk", F, blocks @ F, optimize=True).reshape(sums.XX.shape)

@@ -73,11 +73,14 @@ PATHS = 0.5 * np.array([[1.0, 1.0, 0.0, 0.0], [1.0, -1.0, 0.0, 0.0],
 
 SWITCHED_NOTE = "treated as driven in the dominant strut states"
 
-INITIAL_RATE_STD, DAMPING_ITERATIONS = 0.1, 4
-"""Initial standard deviation [m/s] of the struts' rates, and number of damper updates."""
+INITIAL_RATE_STD = 0.1
+"""Initial standard deviation [m/s] of the struts' rates."""
+
+DAMPING_ITERATIONS = 4
+"""Number of updates of the dampers."""
 
 
-class QuarterCars(NamedTuple):
+class _QuarterCars(NamedTuple):
     """The four corners, arrays (4,) in wheel order: sprung and unsprung mass [kg], rate [N/m] and
     damping [N s/m] of strut and tyre.
     """
@@ -123,30 +126,30 @@ class InverseQuarterCar(Settings):
         size = next_fast_len(record.t.size + round(PADDING_TIME * record.fs), real=True)
         f = rfftfreq(size, 1.0 / record.fs)
         f[0] = 0.5 * f[1]  # R has a pole at 0
-        a = accelerations_at_struts(record.a, sensors.locations(car), car)
+        a = _accelerations_at_struts(record.a, sensors.locations(car), car)
         lines = rfft(a - a.mean(axis=1, keepdims=True), size)
         lines *= np.clip(
             (FADE_RATIO * F_C - f) / ((FADE_RATIO - 1.0) * F_C), 0.0, 1.0
         ) / sensors.response(f)
         mode, samples = dominant_modes(record, np.arange(record.t.size)), record.t.size
-        corners = fit_corners(build_plant(car.rigid), car, mode, f, lines, samples)
+        corners = _fit_corners(build_plant(car.rigid), car, mode, f, lines, samples)
         R = corners.inverse(f)
         H_0 = 1.0 / np.abs(corners.inverse(np.array([self.f_low])))
         heights = lines * R / (1.0 + np.abs(R * H_0) ** 2)
         if self.weigh:
-            heights = weigh_by_road(heights, f, 2.0 * self.f_low)
+            heights = _weigh_by_road(heights, f, 2.0 * self.f_low)
         z = irfft(heights, size)[:, :samples]
         lowest, highest = self.f_low / record.v.max(), F_C / record.v.max()
         band = f"waves from {lowest:.2g} to {highest:.2g} cycles/m are estimated"
         stations = profile_stations(record.length)
         return Estimate(
             stations,
-            merge_axles(record, z, car.wheelbase),
+            _merge_axles(record, z, car.wheelbase),
             notes=(*notes, *[SWITCHED_NOTE] * record.is_switched, band),
         )
 
 
-def accelerations_at_struts(
+def _accelerations_at_struts(
     a: np.ndarray, locations: Mapping[str, SensorLocation], car: VehicleParameters
 ) -> np.ndarray:
     """Return accelerations (4, N) of a rigid body above its struts from those (k, N) of the sensors
@@ -167,15 +170,15 @@ def accelerations_at_struts(
     return struts @ np.linalg.lstsq(sensed, a[on_body])[0]
 
 
-def quarter_cars(
+def _quarter_cars(
     plant: Plant, car: VehicleParameters, mode: Mapping[str, str], rate: np.ndarray
-) -> QuarterCars:
+) -> _QuarterCars:
     """Return the corners of a vehicle for strut rates of standard deviation `rate` (4,) [m/s]."""
     near = np.array([-1e-4, 1e-4]) * np.ones((4, 1))
     F = strut_forces(plant, mode, near, np.zeros_like(near))
     share = np.array([-car.rear.x, car.front.x]) / (2.0 * car.wheelbase)
     axles = [axle for axle in car.axles for _ in range(2)]
-    return QuarterCars(
+    return _QuarterCars(
         m_s=car.m_b * np.repeat(share, 2),
         m_u=np.array([0.5 * axle.m for axle in axles]),
         k_s=(F[:, 0] - F[:, 1]) / (near[:, 1] - near[:, 0]),
@@ -185,14 +188,14 @@ def quarter_cars(
     )
 
 
-def fit_corners(
+def _fit_corners(
     plant: Plant,
     car: VehicleParameters,
     mode: Mapping[str, str],
     f: np.ndarray,
     lines: np.ndarray,
     samples: int,
-) -> QuarterCars:
+) -> _QuarterCars:
     """Return the corners with dampers equivalent for the recorded motion.
 
     `lines` (4, F): Fourier transform of the accelerations above the struts at `f` (F,) [Hz], of
@@ -200,13 +203,13 @@ def fit_corners(
     """
     rate = np.full(4, INITIAL_RATE_STD)
     for _ in range(DAMPING_ITERATIONS):
-        corners = quarter_cars(plant, car, mode, rate)
+        corners = _quarter_cars(plant, car, mode, rate)
         e_dot = irfft(2j * np.pi * f * corners.extension(f) * lines)[:, :samples]
         rate = np.maximum(e_dot.std(axis=1), 1e-3)
     return corners
 
 
-def weigh_by_road(heights: np.ndarray, f: np.ndarray, f_low: float) -> np.ndarray:
+def _weigh_by_road(heights: np.ndarray, f: np.ndarray, f_low: float) -> np.ndarray:
     """Return the spectra `heights` (4, F) under the wheels at `f` (F,) [Hz], weighted as Wiener's
     filter would for roads with a spectrum in proportion to 1 / f² from `f_low` on.
     """
@@ -223,7 +226,7 @@ def weigh_by_road(heights: np.ndarray, f: np.ndarray, f_low: float) -> np.ndarra
     return np.linalg.inv(PATHS) @ (weights * paths)
 
 
-def merge_axles(record: Record, z: np.ndarray, wheelbase: float) -> np.ndarray:
+def _merge_axles(record: Record, z: np.ndarray, wheelbase: float) -> np.ndarray:
     """Return both wheel paths (2, M) [m] at the profile stations from heights (4, N) [m] under the
     wheels over time: the mean of front and rear, or the one that passed the station within the
     record.

@@ -25,10 +25,14 @@ from estimators.linear.impulse_responses import (
 CHUNK = 64
 """Samples whose rows are formed at a time."""
 
-LEVEL_LENGTH, PATH_LENGTH = 16.0, 1.2
-"""Lengths [m] over which a random walk is pulled towards level ground, and the difference of the
-paths towards zero: about 1 / (2 pi n), with n 0.01 cycles/m, and the 0.13 cycles/m at which the
-coherence of paths 1.5 m apart is one half.
+LEVEL_LENGTH = 16.0
+"""Length [m] over which a random walk is pulled towards level ground: about 1 / (2 pi n), with n
+0.01 cycles/m.
+"""
+
+PATH_LENGTH = 1.2
+"""Length [m] over which the difference of the paths is pulled towards zero: about 1 / (2 pi n),
+with the n of 0.13 cycles/m at which the coherence of paths 1.5 m apart is one half.
 """
 
 START = np.array([np.log(1e-5), 0.0])
@@ -72,7 +76,7 @@ class Nodes(NamedTuple):
         return (F @ self.heights(fine)).tocsr()
 
 
-class BandedNormalEquations(NamedTuple):
+class _BandedNormalEquations(NamedTuple):
     """Lower bands (width, p) of H' R^-1 H, the vector H' R^-1 a (p,), a' R^-1 a, and the number of
     data.
     """
@@ -100,7 +104,7 @@ class RoadPosterior(NamedTuple):
 
 def normal_equations(
     responses: Responses, a: np.ndarray, roads: Sequence[sparse.csr_array]
-) -> BandedNormalEquations:
+) -> _BandedNormalEquations:
     """Return the equations of sensors `a` (k, N) [m/s²]; `roads`: for each axle, the accelerations
     of the road from its nodes (`Nodes.accelerations`).
     """
@@ -130,7 +134,7 @@ def normal_equations(
         rhs[2 * low : 2 * high] += H.T @ y[:, first:last].T.ravel()
     used = np.flatnonzero(bands.any(axis=1))  # a chunk spans more nodes than each of its samples
     bands = np.asfortranarray(bands[: used[-1] + 1])  # as LAPACK reads them
-    return BandedNormalEquations(bands, rhs, float(np.sum(y**2)), y.size)
+    return _BandedNormalEquations(bands, rhs, float(np.sum(y**2)), y.size)
 
 
 def _columns(roads: Sequence[sparse.csr_array], first: int, last: int) -> tuple[int, int]:
@@ -152,7 +156,7 @@ def prior_bands(nodes: Nodes) -> np.ndarray:
     return bands / nodes.ds
 
 
-def solve(data: BandedNormalEquations, prior: np.ndarray, settings: np.ndarray) -> RoadPosterior:
+def solve(data: _BandedNormalEquations, prior: np.ndarray, settings: np.ndarray) -> RoadPosterior:
     """Return the posterior; `settings`: logarithms of the variance of the rise over a metre [m²],
     and of the factor on the noise.
     """
@@ -167,7 +171,7 @@ def solve(data: BandedNormalEquations, prior: np.ndarray, settings: np.ndarray) 
 
 
 def fit_settings(
-    data: BandedNormalEquations, prior: np.ndarray, start: np.ndarray = START
+    data: _BandedNormalEquations, prior: np.ndarray, start: np.ndarray = START
 ) -> np.ndarray:
     """Return the settings of `solve` of the largest marginal likelihood.
 

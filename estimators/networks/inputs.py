@@ -57,7 +57,7 @@ class NetworkInputs(NamedTuple):
     first: np.ndarray
 
 
-class ReceptiveField(Protocol):
+class _ReceptiveField(Protocol):
     """Number of stations that a network reads before and after its output."""
 
     behind: int
@@ -74,7 +74,7 @@ def window_span(causal: bool) -> tuple[int, int]:
 
 
 def network_inputs(
-    signals: SpatialSignals, bank: FirBank, wheelbase: float, field: ReceptiveField, causal: bool
+    signals: SpatialSignals, bank: FirBank, wheelbase: float, field: _ReceptiveField, causal: bool
 ) -> NetworkInputs:
     """Return the network inputs of a drive.
 

@@ -183,7 +183,7 @@ class Evaluation(NamedTuple):
         return float(np.vdot(self.e, self.e)) / self.e.size if self.e.size else float("nan")
 
 
-class NormalEquations(NamedTuple):
+class _NormalEquations(NamedTuple):
     """Lower triangle of J'J (P, P), and J'e (P,), means over all errors; the mean squared error."""
 
     JJ: np.ndarray
@@ -255,7 +255,7 @@ def train(
 
 
 def _stop_reason(
-    options: TrainlmOptions, epoch: int, normal: NormalEquations, mu: float, failures: int
+    options: TrainlmOptions, epoch: int, normal: _NormalEquations, mu: float, failures: int
 ) -> StopReason | None:
     """Return the first stop criterion that holds, or None."""
     reasons: dict[StopReason, bool] = {
@@ -269,7 +269,7 @@ def _stop_reason(
 
 
 def _take_step(
-    at: Evaluation, normal: NormalEquations, t: np.ndarray, mu: float, options: TrainlmOptions
+    at: Evaluation, normal: _NormalEquations, t: np.ndarray, mu: float, options: TrainlmOptions
 ) -> tuple[Evaluation, float]:
     """Return the network after the first step that lowers the error, and the next mu; the same
     network if mu exceeds its limit first.
@@ -284,7 +284,7 @@ def _take_step(
     return at, mu
 
 
-def _damped_step(normal: NormalEquations, mu: float) -> np.ndarray | None:
+def _damped_step(normal: _NormalEquations, mu: float) -> np.ndarray | None:
     """Return the solution (P,) of the damped normal equations, or None if they are singular."""
     damped = normal.JJ.copy(order="F")  # as LAPACK takes it
     damped[np.diag_indices_from(damped)] += mu
@@ -306,7 +306,7 @@ def evaluate(network: TwoLayerNetwork, inputs: np.ndarray, t: np.ndarray) -> Eva
     return Evaluation(network, inputs, units, e)
 
 
-def normal_equations(at: Evaluation) -> NormalEquations:
+def normal_equations(at: Evaluation) -> _NormalEquations:
     """Return J'J, J'e and the mean squared error of a network at its samples."""
     (hidden, output), (K, N) = (at.network.hidden, at.network.output), at.e.shape
     P, width = hidden.size, output.shape[1]
@@ -322,7 +322,7 @@ def normal_equations(at: Evaluation) -> NormalEquations:
     products /= at.e.size
     of_e, W2 = products[P + width :], output[:, :-1]
     Je = np.sum(of_e[:, :P] * np.tile(W2, len(hidden)), axis=0), of_e[:, P : P + width].ravel()
-    return NormalEquations(_assemble_JJ(products, at.network), np.concatenate(Je), at.mse)
+    return _NormalEquations(_assemble_JJ(products, at.network), np.concatenate(Je), at.mse)
 
 
 def _assemble_JJ(products: np.ndarray, network: TwoLayerNetwork) -> np.ndarray:

@@ -25,7 +25,7 @@ EMBEDDING_SIZE = 32
 """Size of the embedding of the conditions."""
 
 
-class Head(nn.Module):
+class _Head(nn.Module):
     """Output layer from channels (B, C, T) to (B, 4, T), initially zero."""
 
     def __init__(self, channels: int):
@@ -40,7 +40,7 @@ class Head(nn.Module):
         return torch.cat([self.mean(h), self.log_std(h.detach())], dim=1)
 
 
-class Film(nn.Module):
+class _Film(nn.Module):
     """Scale and shift of channels by the embedded conditions, initially the identity."""
 
     def __init__(self, channels: int):
@@ -54,13 +54,13 @@ class Film(nn.Module):
         return h * (1.0 + scale) + shift
 
 
-class ResidualBlock(nn.Module):
+class _ResidualBlock(nn.Module):
     """A dilated convolution with a skip connection; `early` of its span is cut from the front."""
 
     def __init__(self, channels: int, kernel: int, dilation: int, causal: bool):
         super().__init__()
         self.wide = nn.Conv1d(channels, channels, kernel, dilation=dilation)
-        self.film = Film(channels)
+        self.film = _Film(channels)
         self.narrow = nn.Conv1d(channels, channels, 1)
         self.span = (kernel - 1) * dilation
         self.early = self.span if causal else self.span // 2
@@ -84,10 +84,10 @@ class TemporalConvNet(nn.Module):
         causal: bool,
     ):
         super().__init__()
-        self.embed = embed_conditions(conditions)
+        self.embed = _embed_conditions(conditions)
         self.enter = nn.Conv1d(inputs, channels, kernel)
-        self.blocks = nn.ModuleList(ResidualBlock(channels, kernel, d, causal) for d in dilations)
-        self.head = Head(channels)
+        self.blocks = nn.ModuleList(_ResidualBlock(channels, kernel, d, causal) for d in dilations)
+        self.head = _Head(channels)
         span = kernel - 1 + sum(block.span for block in self.blocks)  # type: ignore[misc]
         self.early = kernel - 1 if causal else (kernel - 1) // 2
         self.behind = span if causal else span // 2
@@ -108,14 +108,14 @@ class GatedRecurrentNet(nn.Module):
         self, inputs: int, conditions: int, channels: int, kernel: int, context: int, causal: bool
     ):
         super().__init__()
-        self.embed = embed_conditions(conditions)
+        self.embed = _embed_conditions(conditions)
         self.enter = nn.Conv1d(inputs, channels, kernel)
-        self.film = Film(channels)
+        self.film = _Film(channels)
         self.gru = nn.GRU(channels, channels, batch_first=True, bidirectional=not causal)
         width = channels if causal else 2 * channels
         self.mix = nn.Conv1d(width + channels, channels, 1)
-        self.late = Film(channels)
-        self.head = Head(channels)
+        self.late = _Film(channels)
+        self.head = _Head(channels)
         self.early = kernel - 1 if causal else (kernel - 1) // 2
         self.behind, self.ahead = context, 0 if causal else context
         self.span = kernel - 1
@@ -130,7 +130,7 @@ class GatedRecurrentNet(nn.Module):
         return self.head(y)
 
 
-def embed_conditions(conditions: int) -> nn.Sequential:
+def _embed_conditions(conditions: int) -> nn.Sequential:
     """Return the layers from conditions (B, n, T) to their embedding (B, EMBEDDING_SIZE, T)."""
     layers = nn.Conv1d(conditions, EMBEDDING_SIZE, 1), nn.Conv1d(EMBEDDING_SIZE, EMBEDDING_SIZE, 1)
     return nn.Sequential(layers[0], nn.GELU(), layers[1], nn.GELU())

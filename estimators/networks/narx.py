@@ -63,7 +63,7 @@ class Narx(LmEstimator):
         a, z, inputs, outputs = training_data(records, truths)
         drives = [(inputs.apply(x), outputs.apply(y)) for x, y in zip(a, z, strict=True)]
         parts = [_cut(x, y, slice(None, _n_training(y))) for x, y in drives]
-        samples = [series_parallel(x, y, self.delays) for x, y in parts]
+        samples = [_series_parallel(x, y, self.delays) for x, y in parts]
         x, t = (np.hstack(part) for part in zip(*samples, strict=True))
         training = self._train(x, t, "random", seed)
         errors = self._loop_errors(training.network, outputs, drives)
@@ -86,7 +86,7 @@ class Narx(LmEstimator):
         self, network: lm.TwoLayerNetwork, x: np.ndarray, before: np.ndarray
     ) -> np.ndarray:
         z = np.empty((PATHS, x.shape[1]))
-        run_parallel(network.hidden, network.output, x, before, z)
+        _run_parallel(network.hidden, network.output, x, before, z)
         return z
 
     def _loop_errors(
@@ -97,7 +97,7 @@ class Narx(LmEstimator):
         for x, y in drives:
             first = _n_training(y)
             parts = _cut(x, y, slice(first - self.delays, None))
-            regressors, t = series_parallel(*parts, self.delays)
+            regressors, t = _series_parallel(*parts, self.delays)
             closed = self._run_closed_loop(network, x[:, first:], y[:, first - self.delays : first])
             truth = outputs.reverse(t)
             for k, output in enumerate((network(regressors), closed)):
@@ -107,7 +107,7 @@ class Narx(LmEstimator):
         return float(open_loop), float(closed_loop)
 
 
-def series_parallel(x: np.ndarray, z: np.ndarray, delays: int) -> tuple[np.ndarray, np.ndarray]:
+def _series_parallel(x: np.ndarray, z: np.ndarray, delays: int) -> tuple[np.ndarray, np.ndarray]:
     """Return regressors (3 (delays + 1) + 2 delays, M - delays) and targets (2, M - delays) of
     mapped accelerations `x` (3, M) and true heights `z` (2, M), newest accelerations first.
     """
@@ -118,7 +118,7 @@ def series_parallel(x: np.ndarray, z: np.ndarray, delays: int) -> tuple[np.ndarr
 
 
 @kernel
-def run_parallel(hidden, output, x, before, z):
+def _run_parallel(hidden, output, x, before, z):
     """Write the outputs for mapped accelerations `x` (3, M) to `z` (2, M), feeding back outputs.
 
     `before` (2, delays): the initial heights; accelerations before the first equal the first.

@@ -88,7 +88,7 @@ WHEELBASE_TOLERANCE = 0.02
 """Relative deviation from the trained wheelbase above which a note is added."""
 
 
-class FittedSequence(NamedTuple):
+class _FittedSequence(NamedTuple):
     """FIR bank, network weights (float16), coefficients `std_coefficients` (N_TERMS,) of the factor
     on the network's standard deviations, and the vehicle's `wheelbase` [m].
     """
@@ -123,7 +123,9 @@ class SequenceEstimator(Settings, abc.ABC):
     steps: Annotated[Count, "", "training steps"] = 2500
     channels: Annotated[Count, "", "channels of each layer"] = 48
     kernel: KernelSize = 5
-    fitted_state: FittedSequence | None = field(default=None, init=False, repr=False, compare=False)
+    fitted_state: _FittedSequence | None = field(
+        default=None, init=False, repr=False, compare=False
+    )
     corrections: tuple[VehicleCorrection, ...] = field(
         default=(), init=False, repr=False, compare=False
     )
@@ -186,7 +188,7 @@ class SequenceEstimator(Settings, abc.ABC):
         ]
         coefficients = constant_scale(calibration_factor(np.concatenate(ratios)))
         return copy_with(
-            self, fitted_state=FittedSequence(bank, rounded, coefficients, car.wheelbase)
+            self, fitted_state=_FittedSequence(bank, rounded, coefficients, car.wheelbase)
         )
 
     def calibrate_deviations(self, drives: Sequence[TrainingExample]) -> Self:
@@ -201,7 +203,7 @@ class SequenceEstimator(Settings, abc.ABC):
             )
             drive_conditions = _station_conditions(inputs, network)
             scored = interior(inputs.level.size)
-            residual, std, _ = predict_residual(network, inputs.x, inputs.conditions)
+            residual, std, _ = _predict_residual(network, inputs.x, inputs.conditions)
             error = wheel_paths(drive.target - inputs.first - inputs.level * residual)
             speed = float(np.median(drive.signals.v))
             ratios.append(
@@ -224,7 +226,7 @@ class SequenceEstimator(Settings, abc.ABC):
 
         def predict(signals: SpatialSignals) -> Prediction:
             inputs = network_inputs(signals, bank, car.wheelbase, network, self.causal)
-            residual, _, hidden = predict_residual(network, inputs.x, inputs.conditions)
+            residual, _, hidden = _predict_residual(network, inputs.x, inputs.conditions)
             return self._prediction(signals, inputs, residual, hidden)
 
         corrections = fit_corrections(drives, self.causal, predict, self._short_waves)
@@ -261,7 +263,7 @@ class SequenceEstimator(Settings, abc.ABC):
         set_weights(network, weights)
         signals = to_spatial(record, STATION_MARGIN, self.causal)
         inputs = network_inputs(signals, bank, car.wheelbase, network, self.causal)
-        residual, std, hidden = predict_residual(network, inputs.x, inputs.conditions)
+        residual, std, hidden = _predict_residual(network, inputs.x, inputs.conditions)
         z = inputs.first + inputs.level * residual
         for correction in self.corrections:
             if correction.serves(signals):
@@ -309,10 +311,10 @@ class SequenceEstimator(Settings, abc.ABC):
         network = {name: x.astype(np.float16) for name, x in zip(names, rest, strict=True)}
         bank = FirBank(taps.astype(np.float16), ahead)
         return copy_with(
-            self, fitted_state=FittedSequence(bank, network, coefficients, float(wheelbase))
+            self, fitted_state=_FittedSequence(bank, network, coefficients, float(wheelbase))
         )
 
-    def _fitted_or_pretrained(self) -> FittedSequence:
+    def _fitted_or_pretrained(self) -> _FittedSequence:
         """Return the fitted state, or the one shipped with the package. Raises NotFittedError."""
         if self.fitted_state is not None:
             return self.fitted_state
@@ -330,12 +332,12 @@ class SequenceEstimator(Settings, abc.ABC):
         self, sequence: TrainingSequence, network: Any, start: int, stop: int
     ) -> np.ndarray:
         """Return errors of both wheel paths over their standard deviations."""
-        residual, std, _ = predict_residual(network, sequence.inputs.x, sequence.inputs.conditions)
+        residual, std, _ = _predict_residual(network, sequence.inputs.x, sequence.inputs.conditions)
         error = wheel_paths(sequence.residual - residual) / np.hypot(*std)
         return error[:, start:stop].ravel()
 
 
-def predict_residual(
+def _predict_residual(
     network: Any, x: np.ndarray, conditions: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the residual of m and q and its standard deviation, both (2, M) in levels, and what

@@ -35,13 +35,20 @@ N_TERMS = 46
 RIDGE = 0.1
 """Penalty on w for a unit of each term, in equivalent drives."""
 
-N_QUANTILES, RATIO_MIN, SMOOTHING = 50, 1e-9, 0.1
-"""Quantiles that represent a drive's errors, the smallest error ratio, and the width, in the
-logarithm, over which the check function is smoothed.
-"""
+N_QUANTILES = 50
+"""Quantiles that represent the errors of a drive."""
 
-PAD_LENGTH, EDGE_LENGTH = 20.0, 5.0
-"""Length [m] by which a drive is extended before filtering, and length of the ignored ends [m]."""
+RATIO_MIN = 1e-9
+"""Smallest ratio of errors."""
+
+SMOOTHING = 0.1
+"""Width, in the logarithm, over which the check function is smoothed."""
+
+PAD_LENGTH = 20.0
+"""Length [m] by which a drive is extended before filtering."""
+
+EDGE_LENGTH = 5.0
+"""Length [m] of each end of a drive that is ignored."""
 
 
 def constant_scale(factor: float) -> np.ndarray:
@@ -51,10 +58,10 @@ def constant_scale(factor: float) -> np.ndarray:
 
 def std_scale(coefficients: np.ndarray, conditions: np.ndarray) -> np.ndarray:
     """Return factors (M,) on the standard deviations under `conditions` (8, M) of a network."""
-    return np.exp(coefficients @ design_matrix(conditions))
+    return np.exp(coefficients @ _design_matrix(conditions))
 
 
-def design_matrix(conditions: np.ndarray) -> np.ndarray:
+def _design_matrix(conditions: np.ndarray) -> np.ndarray:
     """Return the regressors (N_TERMS, M) of the logarithm of the factor."""
     u, states, level = conditions[0], conditions[2:6], conditions[6]
     pairs = [states[i] * states[j] for i, j in combinations(range(4), 2)]
@@ -66,7 +73,7 @@ def fit_std_scale(ratios: Sequence[np.ndarray], conditions: Sequence[np.ndarray]
     """Fit the coefficients (N_TERMS,) to `ratios`, errors over standard deviations (2, M) of each
     drive, and its `conditions` (8, M or 1).
     """
-    x = np.array([design_matrix(drive_conditions).mean(axis=1) for drive_conditions in conditions])
+    x = np.array([_design_matrix(drive_conditions).mean(axis=1) for drive_conditions in conditions])
     levels = (np.arange(N_QUANTILES) + 0.5) / N_QUANTILES
     log_ratios = np.log(
         [np.maximum(np.quantile(np.abs(each), levels), RATIO_MIN) for each in ratios]

@@ -64,7 +64,7 @@ class Checkpoint(Protocol):
     def save(self, state: Mapping[str, np.ndarray]) -> None: ...
 
 
-class SequencePart(NamedTuple):
+class _SequencePart(NamedTuple):
     """The stations from `start` up to `stop` of a sequence."""
 
     sequence: TrainingSequence
@@ -102,13 +102,13 @@ def train_network(
     optimiser = torch.optim.AdamW(
         network.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
     )
-    state = TrainerState(network, optimiser)
+    state = _TrainerState(network, optimiser)
     begin = state.restore(checkpoint.load() if checkpoint else None)
     every = max(1, config.steps // N_VALIDATIONS)
     with single_thread():
         for step in range(begin, config.steps + 1):
             if step % every == 0 or step == config.steps:
-                state.update_best(validation_error(network, validation, size), step)
+                state.update_best(_validation_error(network, validation, size), step)
                 if checkpoint:
                     checkpoint.save(state.to_arrays(step))
                 progress(f"validation error {state.best_error:.4f}", step / config.steps)
@@ -124,22 +124,22 @@ def train_network(
 
 def split_validation(
     sequences: Sequence[TrainingSequence],
-) -> tuple[list[SequencePart], list[SequencePart]]:
+) -> tuple[list[_SequencePart], list[_SequencePart]]:
     """Return the training parts and the validation parts."""
-    training: list[SequencePart] = []
-    validation: list[SequencePart] = []
+    training: list[_SequencePart] = []
+    validation: list[_SequencePart] = []
     for k, sequence in enumerate(sequences):
         M = sequence.residual.shape[1]
         if len(sequences) >= VALIDATION_INTERVAL:
             is_validation = k % VALIDATION_INTERVAL == VALIDATION_INTERVAL - 1
-            (validation if is_validation else training).append(SequencePart(sequence, 0, M))
+            (validation if is_validation else training).append(_SequencePart(sequence, 0, M))
         else:
-            training.append(SequencePart(sequence, 0, M - M // 5))
-            validation.append(SequencePart(sequence, M - M // 5, M))
+            training.append(_SequencePart(sequence, 0, M - M // 5))
+            validation.append(_SequencePart(sequence, M - M // 5, M))
     return training, validation
 
 
-def validation_error(network: Any, parts: Sequence[SequencePart], size: int) -> float:
+def _validation_error(network: Any, parts: Sequence[_SequencePart], size: int) -> float:
     """Return the mean clamped loss over crops of `size` that cover the validation parts."""
     with optional_import("a neural network"):
         import torch
@@ -158,7 +158,7 @@ def validation_error(network: Any, parts: Sequence[SequencePart], size: int) -> 
     return total / count
 
 
-class TrainerState:
+class _TrainerState:
     """Network, optimiser and best weights so far, convertible to and from arrays."""
 
     def __init__(self, network: Any, optimiser: Any):
@@ -237,7 +237,7 @@ def single_thread() -> Iterator[None]:
 def _train_step(
     network: Any,
     optimiser: Any,
-    training: Sequence[SequencePart],
+    training: Sequence[_SequencePart],
     config: TrainerConfig,
     size: int,
     rng: np.random.Generator,
@@ -259,14 +259,14 @@ def _train_step(
     squared_error = error.square().mean(dim=(1, 2)).clamp(max=LOSS_MAX)
     loss = squared_error.mean() + LIKELIHOOD_WEIGHT * likelihood.mean()
     for group in optimiser.param_groups:
-        group["lr"] = config.learning_rate * learning_rate_factor(step, config.steps)
+        group["lr"] = config.learning_rate * _learning_rate_factor(step, config.steps)
     optimiser.zero_grad()
     loss.backward()
     torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
     optimiser.step()
 
 
-def learning_rate_factor(step: int, steps: int) -> float:
+def _learning_rate_factor(step: int, steps: int) -> float:
     """Return the learning rate at a step over the highest."""
     falling = FINAL_RATE_SHARE + (1.0 - FINAL_RATE_SHARE) * 0.5 * (
         1.0 + np.cos(np.pi * step / steps)

@@ -61,14 +61,14 @@ class RoughnessEstimate(NamedTuple):
         return most_probable(self.probability)
 
 
-class Standardizer(NamedTuple):
+class _Standardizer(NamedTuple):
     """Mean and standard deviation of each column."""
 
     mean: np.ndarray
     std: np.ndarray
 
     @classmethod
-    def fit(cls, x: np.ndarray) -> "Standardizer":
+    def fit(cls, x: np.ndarray) -> "_Standardizer":
         """Return those of `x` (N, k); a constant column has standard deviation 1."""
         std = x.std(axis=0)
         return cls(x.mean(axis=0), np.where(std > 1e-9, std, 1.0))
@@ -86,8 +86,8 @@ class RmsRoughness:
 
     x: np.ndarray
     y: np.ndarray
-    x_scale: Standardizer
-    y_scale: Standardizer
+    x_scale: _Standardizer
+    y_scale: _Standardizer
     theta: np.ndarray
 
     @classmethod
@@ -95,15 +95,15 @@ class RmsRoughness:
         """Fit to drives over known roads. Raises RecordError."""
         X = np.array([features(record) for record in records])
         levels = [
-            roughness_level(truth, float(np.nanmedian(record.v)))
+            _roughness_level(truth, float(np.nanmedian(record.v)))
             for record, truth in zip(records, truths, strict=True)
         ]
         Y = np.log(levels)[:, None]
-        scales = Standardizer.fit(X), Standardizer.fit(Y)
+        scales = _Standardizer.fit(X), _Standardizer.fit(Y)
         x, y = scales[0](X), scales[1](Y)[:, 0]
         start = np.array([-1.0, *np.full(N_INPUTS, 1.0), -1.5])
         optimum = minimize(
-            lambda theta: neg_log_marginal_likelihood(x, y, theta),
+            lambda theta: _neg_log_marginal_likelihood(x, y, theta),
             start,
             jac=True,
             method="L-BFGS-B",
@@ -114,7 +114,7 @@ class RmsRoughness:
     def predict(self, record: Record) -> RoughnessEstimate:
         """Return the roughness of the road of a `record`. Raises RecordError."""
         at = self.x_scale(features(record)[None])
-        mean, std = predict_gp(self.x, self.y, self.theta, at)
+        mean, std = _predict_gp(self.x, self.y, self.theta, at)
         log_level = float(self.y_scale.mean[0] + self.y_scale.std[0] * mean[0])
         log_std = float(self.y_scale.std[0] * std[0])
         return RoughnessEstimate(
@@ -132,7 +132,7 @@ def features(record: Record) -> np.ndarray:
     return np.log(np.maximum([np.median(record.v[on_road]), *rms], 1e-6))
 
 
-def roughness_level(truth: Profile, v: float) -> float:
+def _roughness_level(truth: Profile, v: float) -> float:
     """Return G_d(n0) [m³] of both paths: geometric mean over the octaves scored at `v` [m/s]."""
     centres = scored_octaves(v)
     _, levels = octave_levels(*displacement_psd(truth.z, truth.ds), (centres[0], centres[-1]))
@@ -148,7 +148,7 @@ def covariance(
     return line, np.exp(2.0 * theta[0] - 0.5 * np.sum(scaled_difference**2, axis=2))
 
 
-def neg_log_marginal_likelihood(
+def _neg_log_marginal_likelihood(
     x: np.ndarray, y: np.ndarray, theta: np.ndarray
 ) -> tuple[float, np.ndarray]:
     """Return the negative log marginal likelihood of `y` (N,) at `x` (N, k), and its gradient."""
@@ -168,7 +168,7 @@ def neg_log_marginal_likelihood(
     return float(value), np.array([0.5 * np.sum(inner * slope) for slope in slopes])
 
 
-def predict_gp(
+def _predict_gp(
     x: np.ndarray, y: np.ndarray, theta: np.ndarray, at: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return mean and standard deviation (M,), noise included, of the outputs at inputs `at` (M,

@@ -20,9 +20,13 @@ from road_envs.drives.recording import simulate_record
 from road_envs.records.record import Record
 from road_envs.vehicle.parameters import load_vehicle
 
-INDIVIDUAL, SPEED_KMH = 1501, 54.0
-LENGTH, ADAPTING_LENGTHS = 300.0, (100.0, 200.0, 300.0)
-"""Length [m] of the drive that identifies, and of those to which the smoother adapts."""
+INDIVIDUAL = 1501
+SPEED_KMH = 54.0
+LENGTH = 300.0
+"""Length [m] of the drive that identifies."""
+
+ADAPTING_LENGTHS = (100.0, 200.0, 300.0)
+"""Lengths [m] of the drives to which the smoother adapts."""
 
 
 def drive(length: float, seed: int) -> Record:

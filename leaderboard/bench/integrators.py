@@ -42,7 +42,7 @@ class PeerError(RuntimeError):
     """A peer integrator is not installed, or it failed; the message names it and the cause."""
 
 
-def atol_of(rtol: float) -> float:
+def _atol_of(rtol: float) -> float:
     """Return the absolute tolerance for a relative one, the same for every method."""
     return 1e-3 * rtol
 
@@ -75,7 +75,7 @@ class IntegrationProblem:
     def adaptive(self, rtol: float) -> np.ndarray:
         """Integrate with this project's adaptive Rosenbrock pair."""
         solution = integrate_adaptive(
-            self.new_drive(), self.t, rtol, atol_of(rtol), min(self.max_step, MAX_STEP)
+            self.new_drive(), self.t, rtol, _atol_of(rtol), min(self.max_step, MAX_STEP)
         )
         return solution.trajectory.acceleration[:, :3]
 
@@ -90,7 +90,7 @@ class IntegrationProblem:
             method=method,
             t_eval=self.t,
             rtol=rtol,
-            atol=atol_of(rtol),
+            atol=_atol_of(rtol),
             max_step=self.max_step,
             **options,
         )
@@ -110,7 +110,7 @@ class IntegrationProblem:
             J[:] = jac(t, y)
 
         max_step = self.max_step if math.isfinite(self.max_step) else 0.0  # 0: unlimited
-        options = {"rtol": rtol, "atol": atol_of(rtol), "max_step": max_step}
+        options = {"rtol": rtol, "atol": _atol_of(rtol), "max_step": max_step}
         solver = CVODE(rate, jacfn=fill, max_num_steps=10**6, **options)
         return self._accelerations(solver.solve(self.t, self.new_drive().state).y)
 
@@ -124,7 +124,7 @@ class IntegrationProblem:
             raise PeerError("Octave is not installed")
         with tempfile.TemporaryDirectory() as folder:
             problem, answer = Path(folder, "problem.mat"), Path(folder, "answer.mat")
-            savemat(problem, self._octave_inputs() | {"rtol": rtol, "atol": atol_of(rtol)})
+            savemat(problem, self._octave_inputs() | {"rtol": rtol, "atol": _atol_of(rtol)})
             try:
                 subprocess.run(
                     [program, "--norc", "--quiet", SCRIPT, problem, answer],

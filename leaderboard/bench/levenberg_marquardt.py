@@ -38,7 +38,7 @@ class Samples(NamedTuple):
     start: lm.TwoLayerNetwork
 
 
-class StopTraining(Exception):  # noqa: N818 - control flow: SciPy has no callback
+class _StopTraining(Exception):  # noqa: N818 - control flow: SciPy has no callback
     """Raised to stop SciPy at the target error or at TIME_LIMIT."""
 
 
@@ -77,7 +77,7 @@ def time_scipy(given: Samples, error: float) -> float:
     def residuals(p: np.ndarray) -> np.ndarray:
         residual = (_network(given, p)(given.x) - given.t).ravel()
         if np.mean(residual**2) <= error or time.process_time() - begin > TIME_LIMIT:
-            raise StopTraining
+            raise _StopTraining
         return residual
 
     start = np.concatenate([given.start.hidden.ravel(), given.start.output.ravel()])
@@ -85,7 +85,7 @@ def time_scipy(given: Samples, error: float) -> float:
         least_squares(
             residuals, start, jac=lambda p: jacobian(_network(given, p), given.x), method="lm"
         )
-    except StopTraining:
+    except _StopTraining:
         return time.process_time() - begin
     return TIME_LIMIT
 

@@ -57,22 +57,22 @@ def dependent_multiply_adds(x, factor, summand, rounds):
 
 
 @kernel(inline=False)
-def dependent_divisions(x, dividend, rounds):
+def _dependent_divisions(x, dividend, rounds):
     """Return `x` after `rounds` of four divisions of `dividend` by the result before."""
     for _ in range(rounds):
         x = dividend / (dividend / (dividend / (dividend / x)))
     return x
 
 
-def measure_latencies(rounds: int = ROUNDS // 4) -> tuple[float, float]:
+def _measure_latencies(rounds: int = ROUNDS // 4) -> tuple[float, float]:
     """Return the least times [s] of a multiply-add and of a division in a chain."""
-    dependent_multiply_adds(1.0, 0.5, 1.0, 1), dependent_divisions(1.5, 2.0, 1)
+    dependent_multiply_adds(1.0, 0.5, 1.0, 1), _dependent_divisions(1.5, 2.0, 1)
     spans = []
     for _ in range(REPETITIONS):
         times = [time.perf_counter()]
         dependent_multiply_adds(1.0, 0.5, 1.0, rounds)
         times.append(time.perf_counter())
-        dependent_divisions(1.5, 2.0, rounds)
+        _dependent_divisions(1.5, 2.0, rounds)
         spans.append(np.diff([*times, time.perf_counter()]) / (4 * rounds))
     multiply_add, division = np.min(spans, axis=0)
     return float(multiply_add), float(division)
@@ -96,5 +96,5 @@ def measure_machine(rounds: int = ROUNDS) -> MachineSpeed:
                 list(pool.map(lambda x: multiply_adds(x, rounds), operands))
                 taken.append(time.perf_counter() - begin)
     one, two = min(spans[1]), min(spans[2])
-    latencies = measure_latencies(rounds // 4)
+    latencies = _measure_latencies(rounds // 4)
     return MachineSpeed(CHAINS * LANES * rounds / one, 2.0 * one / two, *latencies)

@@ -50,8 +50,11 @@ STEP_LOOK_UPS = 24
 """Cubics that a step reads: two of each strut in both stages, and the road under each wheel at two
 instants."""
 
-CHAIN_MULTIPLY_ADDS, CHAIN_DIVISIONS = 72, 3
-"""Operations in the longest chain of a step, in which each needs the result of the one before."""
+CHAIN_MULTIPLY_ADDS = 72
+"""Multiply-adds in the longest chain of a step, each of which needs the result of the last one."""
+
+CHAIN_DIVISIONS = 3
+"""Divisions in that chain."""
 
 ENVIRONMENT_OPERATIONS = 155
 """Additions, multiplications and comparisons of an environment beyond the drive, per vehicle and

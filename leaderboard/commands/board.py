@@ -29,9 +29,9 @@ from leaderboard.evaluation.surface_tasks import surface_tasks
 from leaderboard.evaluation.tasks import Task, load_task, shipped_tasks
 from leaderboard.metrics.baselines import ALL_BASELINES
 from leaderboard.report.attainable import with_attainable
-from leaderboard.report.cache import Report, build_report
+from leaderboard.report.board_definitions import board_columns
 from leaderboard.report.rendering import BOARD_PAGE, write_pending
-from leaderboard.report.sentences import check_board
+from leaderboard.report.sentences import Report, build_report
 from leaderboard.report.site import write_site
 from leaderboard.report.terminal import as_json, print_tables
 from leaderboard.running.board import Board, RunRequest, render_with_retry, run_board, write_jobs
@@ -136,7 +136,7 @@ def leaderboard(
         raise ConfigError("give either --roads or --full, not both")
     chosen = _tasks(task, board, road)
     for each in chosen:
-        check_board(each.board_name, each.board_definition)
+        board_columns(each.board_name, each.board_definition)  # refuses unknown ones
     if full:
         chosen = [
             task.with_test_drives(None) if task.has_several_test_drives else task for task in chosen
@@ -170,7 +170,7 @@ def leaderboard(
             if attainable:
                 board = with_attainable(board, lambda text: progress(text, 1.0))
             progress("writing the site", 1.0)
-            report = build_report(board, out)
+            report = build_report(board)
             return report, write_site(board, report, out)
 
         report, page = render_with_retry(evaluated, request, out, write)

@@ -20,7 +20,7 @@ class BoardDefinition(Settings):
     `columns` and, on request, `on_request` are keys of `report.board_definitions.COLUMNS`. Entries
     are ranked in each of `divisions`: all of them (offline), and the causal ones among themselves.
     Boards with a lower `order` come first. `scale` is the value of the ranking score at the right
-    end of bars and profiles. `findings` names the sentences of `report.sentences` about the board.
+    end of bars and profiles.
     """
 
     title: str
@@ -29,7 +29,6 @@ class BoardDefinition(Settings):
     columns: tuple[str, ...] = ("nrmse", "interval", "worst", "r")
     on_request: tuple[str, ...] = ()
     divisions: tuple[Division, ...] = ("offline", "causal")
-    findings: tuple[str, ...] = ()
     scale: Positive = 2.0
     order: int = 100
 

@@ -21,7 +21,7 @@ from leaderboard.evaluation.results import RESULT, DriveScores, Result
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics import heights
 from leaderboard.metrics.baselines import ALL_BASELINES
-from road_envs.core.artifacts import HEADER, text_checksum
+from road_envs.core.artifacts import HEADER
 from road_envs.core.atomic_io import write_text
 from road_envs.core.config import ConfigError, Settings, build
 
@@ -115,14 +115,6 @@ def load_rows(out: Path, task: Task) -> list[Result]:
     """
     paths = sorted((out / "results" / task.name).glob("*.json"))
     return [_row_or_failure(path, task) for path in paths if path.name[0] != "."]
-
-
-def row_checksum(result: Result) -> str:
-    """Return the checksum of the file of a result, or of the file it would be written to."""
-    drives = result.drives
-    return (
-        drives.checksum if isinstance(drives, _StoredSequence) else text_checksum(to_text(result))
-    )
 
 
 def _row_or_failure(path: Path, task: Task) -> Result:

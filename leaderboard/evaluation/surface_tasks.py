@@ -55,14 +55,14 @@ def surface_tasks(path: Path) -> list[Task]:
     surface = realise_road(road, 0)
     if np.ptp(detrend_linear(surface.z)) < LEVEL_RANGE:
         raise ConfigError(f"{path}: a level surface, on which no estimate can be scored")
-    letter = surface_class(surface)
+    letter = _surface_class(surface)
     try:
-        speed, lifted = choose_speed(surface)
+        speed, lifted = _choose_speed(surface)
     except SimulationError as error:
         raise ConfigError(
             f"{path}: the vehicle cannot drive over it at {SPEEDS_KMH[-1]:g} km/h: {error}"
         ) from None
-    note = describe_drive(native, length, speed, lifted)
+    note = _describe_drive(native, length, speed, lifted)
     common = {
         "version": 2,
         "car": CAR,
@@ -93,7 +93,7 @@ def surface_tasks(path: Path) -> list[Task]:
     return [build(Task, {**common, **special}, str(path)) for special in (copies, others)]
 
 
-def choose_speed(surface: Surface) -> tuple[float, float]:
+def _choose_speed(surface: Surface) -> tuple[float, float]:
     """Return the speed [km/h] of the drives, and the share of time with a wheel in the air.
 
     The share is the largest over MODES. Raises SimulationError if no speed can be driven.
@@ -112,7 +112,7 @@ def choose_speed(surface: Surface) -> tuple[float, float]:
     return speed, lifted
 
 
-def describe_drive(native: float, length: float, speed: float, lifted: float) -> str:
+def _describe_drive(native: float, length: float, speed: float, lifted: float) -> str:
     """Return the note on what is driven of a surface of `native` length [m], and how."""
     if round(native) > round(length):
         part = f"The first {length:.0f} m of {native:.0f} m are driven"
@@ -130,7 +130,7 @@ def describe_drive(native: float, length: float, speed: float, lifted: float) ->
     return f"{part} at {speed:g} km/h: at higher speeds wheels leave the ground."
 
 
-def surface_class(surface: Surface) -> str:
+def _surface_class(surface: Surface) -> str:
     """Return the ISO 8608 class of the rougher wheel path in the scored band of 1 m/s, w = 2."""
     s = profile_stations(surface.length)
     n, G = smooth_psd(*displacement_psd(surface.height(s), PROFILE_SPACING))

@@ -49,7 +49,7 @@ DESCRIPTIVE_FIELDS = frozenset(
 
 
 @dataclass(frozen=True, kw_only=True)
-class AxleModes(Settings):
+class _AxleModes(Settings):
     """Different strut modes in front and at the rear."""
 
     front: StrutMode
@@ -57,10 +57,10 @@ class AxleModes(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ModeAndSpeed(Settings):
+class _ModeAndSpeed(Settings):
     """Strut mode and speed of a drive."""
 
-    mode: StrutMode | AxleModes
+    mode: StrutMode | _AxleModes
     speed_kmh: Annotated[Positive, "km/h"]
 
     @property
@@ -70,7 +70,7 @@ class ModeAndSpeed(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Condition(ModeAndSpeed):
+class Condition(_ModeAndSpeed):
     """Strut mode, speed and plant-mismatch grade of a drive."""
 
     grade: Grade = "S0"  # of the test vehicle (`perturbed_vehicle`); training uses S0
@@ -154,7 +154,7 @@ class DriveSet(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class CalibrationRun(ModeAndSpeed):
+class _CalibrationRun(_ModeAndSpeed):
     """A drive of each test vehicle that estimators are given before its test drive.
 
     On the test road of a seed, the vehicle has driven over `road` of seed + `seed_offset`. With
@@ -185,7 +185,7 @@ class Task(Settings):
     conditions: Annotated[tuple[Condition, ...], Field(min_length=1)]
     training: DriveSet
     test: DriveSet
-    calibration: tuple[CalibrationRun, ...] = ()  # drives of each test vehicle, given before
+    calibration: tuple[_CalibrationRun, ...] = ()  # drives of each test vehicle, given before
     low_pass: Annotated[Positive | None, "Hz", "of all accelerations, as in the paper"] = None
     trains_on_test_road: bool = False
     bumps: bool = False  # also score obstacles

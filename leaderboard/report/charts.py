@@ -94,7 +94,7 @@ def visibility(k: int) -> dict[str, Any]:
     return {} if k < N_SHOWN else {"visible": "legendonly"}
 
 
-def heights_of(trace: Trace, z: np.ndarray, kind: str) -> tuple[float, float, np.ndarray]:
+def _heights_of(trace: Trace, z: np.ndarray, kind: str) -> tuple[float, float, np.ndarray]:
     """Return first station and spacing [m] of drawn heights (2, N) [m] of a kind in KINDS."""
     if kind == "inside":
         inside = band_pass(z, trace.ds, scored_band(trace.speed_kmh / 3.6))
@@ -122,7 +122,7 @@ def height_lines(traces: Mapping[str, Trace], side: int, kind: str) -> list[dict
 
 
 def _height_line(name: str, trace: Trace, z: np.ndarray, side: int, kind: str) -> dict[str, Any]:
-    first, spacing, heights = heights_of(trace, z, kind)
+    first, spacing, heights = _heights_of(trace, z, kind)
     return {
         "name": name,
         "legendgroup": name,

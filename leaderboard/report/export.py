@@ -1,20 +1,26 @@
-"""Export of the boards for other programs and for papers: CSV, JSON, LaTeX and BibTeX.
+"""Export of the boards for other programs and for papers: Parquet, CSV, JSON, LaTeX and BibTeX.
 
-<out>/export/<board>.csv    every score of every row, over all runs and over each group
-<out>/export/<board>.json   the same, with notes
-<out>/export/<board>.tex    the table of the page, for the package booktabs
-<out>/export/road_recon.bib  citation of this project and of the paper
+<out>/export/<board>.parquet  every score of every run: a row for each estimate and score
+<out>/export/<board>.csv      every score of every row, over all runs and over each group
+<out>/export/<board>.json     the same, with notes
+<out>/export/<board>.tex      the table of the page, for the package booktabs
+<out>/export/road_recon.bib    citation of this project and of the paper
 """
 
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from leaderboard.evaluation.scores import scores_table
 from leaderboard.metrics.registry import SCORES
 from leaderboard.report.citation import as_bibtex
-from leaderboard.report.tables import ALL_RUNS, BoardView, Row, Section, nonempty_columns
-from road_envs.core.atomic_io import write_text
+from leaderboard.report.tables import ALL_RUNS, BoardView, Section, nonempty_columns
+from leaderboard.running.board import Board
+from road_envs.core.atomic_io import atomic_write, write_text
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 FOLDER = "export"
 ROW_FIELDS = ("board", "task", "group", "estimator", "state", "causal", "text")
@@ -23,26 +29,40 @@ NUMBER_FIELDS = (
     "grade_S0", "grade_S1", "grade_S2", "grade_S3", "slope", "slope_low", "slope_high",
     "train_seconds", "calibrate_seconds", "estimate_ms_per_100m", "parameters",
 )  # fmt: skip
-LATEX_ESCAPES = str.maketrans(
-    {c: f"\\{c}" for c in "&%$#_{}"}
-    | {"–": "--", "²": "$^2$", "~": "\\~{}", "^": "\\^{}", "\\": "\\textbackslash{}"}
-)
 FORMULA_SIGNS = ("=", "+", "-", "@", "\t", "\r")
 """First characters by which a spreadsheet takes a text for a formula."""
 
 
-def write_exports(views: Sequence[BoardView], out: Path) -> list[Path]:
-    """Write all exports, each atomically; return their paths."""
+def write_exports(board: Board, views: Sequence[BoardView], out: Path) -> None:
+    """Write all exports, each atomically."""
     boards = ", ".join(view.board.replace("_", " ") for view in views)
     texts = {"road_recon.bib": as_bibtex(f"results of board {boards}")}
+    (out / FOLDER).mkdir(parents=True, exist_ok=True)
     for view in views:
-        texts[f"{view.board}.csv"] = as_csv(view)
+        texts[f"{view.board}.csv"] = _as_csv(view)
         texts[f"{view.board}.json"] = json.dumps(as_json([view]), indent=1) + "\n"
-        texts[f"{view.board}.tex"] = as_latex(view)
-    paths = [out / FOLDER / name for name in texts]
-    for path, text in zip(paths, texts.values(), strict=True):
-        write_text(path, text)
-    return paths
+        texts[f"{view.board}.tex"] = "\n".join(_as_latex(view, s) for s in view.sections)
+        with atomic_write(out / FOLDER / f"{view.board}.parquet") as partial:
+            _long_table(board, view).to_parquet(partial, index=False)
+    for name, text in texts.items():
+        write_text(out / FOLDER / name, text)
+
+
+def _long_table(board: Board, view: BoardView) -> "pd.DataFrame":
+    """Scores of the runs of a board: task, entry, condition, drive, road, seeds, score, value.
+
+    Values are as computed, not scaled for printing; undefined scores have no row.
+    """
+    import pandas as pd
+
+    tasks = {task.name: task for task in board.tasks}
+    tables = [
+        scores_table(board.scored(tasks[section.task])).assign(task=section.task)
+        for section in view.sections
+    ]
+    runs = ["task", "estimator", "condition", "drive", "road", "road_seed", "seed"]
+    wide = pd.concat(tables, ignore_index=True)
+    return wide.melt(runs, [*SCORES], "score", "value").dropna(subset="value")
 
 
 def as_json(views: Sequence[BoardView]) -> list[dict[str, Any]]:
@@ -70,7 +90,7 @@ def as_json(views: Sequence[BoardView]) -> list[dict[str, Any]]:
     ]
 
 
-def as_csv(view: BoardView) -> str:
+def _as_csv(view: BoardView) -> str:
     """Return one line for each row and group; undefined scores are empty."""
     import pandas as pd
 
@@ -88,36 +108,20 @@ def as_csv(view: BoardView) -> str:
     return texts.join(numbers).to_csv(index=False, float_format="%.6g", lineterminator="\n")
 
 
-def as_latex(view: BoardView) -> str:
-    """Return a LaTeX table of each task, with the columns of the page."""
-    return "\n".join(_tabular(view, section) for section in view.sections)
+def _as_latex(view: BoardView, section: Section) -> str:
+    """Table of a task in LaTeX, with the columns of the page."""
+    import pandas as pd
 
-
-def _tabular(view: BoardView, section: Section) -> str:
     columns = [column for column in nonempty_columns(view, section) if not column.wide]
-    heads = [column.label + (f" [{column.unit}]" if column.unit else "") for column in columns]
-    lines = [_latex_cells(["estimator", *heads]), "\\midrule"]
-    lines += [_latex_row(row, [column.key for column in columns]) for row in section.rows]
-    return "\n".join(
-        [
-            f"% {section.task}: {' '.join(section.title.split())}",
-            f"\\begin{{tabular}}{{l{'r' * len(columns)}}}",
-            "\\toprule",
-            *lines,
-            "\\bottomrule",
-            "\\end{tabular}",
-            "",
-        ]
-    )
-
-
-def _latex_row(row: Row, keys: Sequence[str]) -> str:
-    if row.message:
-        name = row.name.translate(LATEX_ESCAPES)
-        message = f"{row.state}: {row.message}".translate(LATEX_ESCAPES)
-        return f"{name} & \\multicolumn{{{len(keys)}}}{{l}}{{{message}}} \\\\"
-    return _latex_cells([row.name, *(row.cells.get(key, "") for key in keys)])
-
-
-def _latex_cells(cells: Sequence[str]) -> str:
-    return " & ".join(cell.translate(LATEX_ESCAPES) for cell in cells) + " \\\\"
+    heads = [column.label + (f" [{column.unit}]" if column.unit else "") for column in columns] or [
+        ""
+    ]
+    lines = []
+    for row in section.rows:
+        cells = [row.cells.get(column.key, "") for column in columns]
+        if row.message:
+            cells = [f"{row.state}: {row.message}", *cells[1:]]
+        lines.append([row.name, *cells])
+    table = pd.DataFrame(lines, columns=["estimator", *heads]).map(lambda x: " ".join(x.split()))
+    text = table.to_latex(index=False, escape=True, column_format="l" + "r" * len(heads))
+    return f"% {section.task}: {' '.join(section.title.split())}\n{text}"

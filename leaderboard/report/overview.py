@@ -1,11 +1,11 @@
-"""First screen of the index: the ranking as bars, three plain sentences, one strip of road."""
+"""Charts of the first screen of the index: the ranking as bars, one strip of road."""
 
 from collections.abc import Iterable, Sequence
 from typing import Any
 
 from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.results import Result
-from leaderboard.report.board_definitions import COLUMNS, WORST
+from leaderboard.report.board_definitions import COLUMNS
 from leaderboard.report.charts import height_lines
 from leaderboard.report.figures import (
     QUIET,
@@ -18,8 +18,13 @@ from leaderboard.report.figures import (
     upright,
 )
 from leaderboard.report.rendering import file_name
-from leaderboard.report.sentences import PAPER_NETWORK, unrelated_level_errors
-from leaderboard.report.tables import BOUND_ROW, Row, Section, interval_text
+from leaderboard.report.sentences import (
+    PAPER_NETWORK,
+    format_score,
+    scored_rows,
+    unrelated_level_errors,
+)
+from leaderboard.report.tables import BOUND_ROW, Section, interval_text
 
 MAX_BARS = 16
 """Number of entries in the chart of the ranking, best first."""
@@ -37,79 +42,10 @@ STRIP_LENGTH = 30.0
 """Length of road [m] that the strip shows at first."""
 
 
-def headline(section: Section, definition: BoardDefinition) -> list[str]:
-    """Return who is best, who follows, and how sure that is, without terms of the field."""
-    scored = _scored(section, definition.ranks_by)
-    if not scored:
-        return []
-    best, *others = scored
-    return [
-        _best_sentence(best, section, definition),
-        *([_others_sentence(best, others, definition)] if others else []),
-        _certainty_sentence(best, others, section),
-    ]
-
-
-def _best_sentence(best: Row, section: Section, definition: BoardDefinition) -> str:
-    key = definition.ranks_by
-    low, high = best.values.get("low"), best.values.get("high")
-    sure = "" if low is None else f", with 95\u00a0% confidence {interval_text(low, high, key)}"
-    scale = ", where an exact estimate has 0 and a flat road 1" if key == "nrmse" else ""
-    worst = best.values.get(WORST)
-    tail = "" if worst is None else f" On its worst drive it is {_format(WORST, worst)}."
-    return (
-        f"{best.name} is best: its error is {_format_score(best, definition)}{scale}{sure}.{tail}"
-    )
-
-
-def _others_sentence(best: Row, others: Sequence[Row], definition: BoardDefinition) -> str:
-    key = definition.ranks_by
-    times = (others[0].values[key] or 0.0) / (best.values[key] or 1.0)
-    mine = _format_score(others[0], definition)
-    text = f"{others[0].name} follows with {mine}, {times:.1f} times as much"
-    paper = next((row for row in others[1:] if row.name == PAPER_NETWORK), None)
-    if paper is None or key != "nrmse":
-        return f"{text}."
-    error = paper.values[key] or 0.0
-    verdict = "worse" if error > 1.0 else "better"
-    theirs = _format_score(paper, definition)
-    return f"{text}; the paper's network has {theirs}, {verdict} than a flat road."
-
-
-def _certainty_sentence(best: Row, others: Sequence[Row], section: Section) -> str:
-    rank = best.values.get("rank")
-    if rank is None:
-        return "Too few roads for a rank or an interval: another road may give another order."
-    tied = [row.name for row in others if row.values.get("rank") == rank]
-    if tied:
-        names = ", ".join(tied)
-        return f"The first place is not decided: these drives cannot tell {names} from it."
-    doubt = " Nothing of this holds of an entry that has drawn these public roads again."
-    return (
-        "The first place is decided: resampling the roads leaves every other entry behind. Entries "
-        "that the drives cannot tell from the best of them share its rank."
-        f"{doubt * section.is_public}"
-    )
-
-
-def _format_score(row: Row, definition: BoardDefinition) -> str:
-    return _format(definition.ranks_by, row.values[definition.ranks_by] or 0.0)
-
-
-def _format(key: str, value: float) -> str:
-    score = COLUMNS[key]
-    return f"{score.format_value(value)} {score.unit}".strip()
-
-
-def _scored(section: Section, key: str) -> list[Row]:
-    """Return the scored rows, best first."""
-    return [r for r in section.rows if r.state == "scored" and r.values.get(key) is not None]
-
-
 def ranking_chart(section: Section, definition: BoardDefinition) -> Chart | None:
     """Return the ranking as bars with intervals; bound and baselines are lines. None if empty."""
     key = definition.ranks_by
-    rows = _scored(section, key)[:MAX_BARS]
+    rows = scored_rows(section, key)[:MAX_BARS]
     if not rows:
         return None
     score = COLUMNS[key]
@@ -133,7 +69,7 @@ def ranking_chart(section: Section, definition: BoardDefinition) -> Chart | None
             },
         },
         "hovertext": [
-            f"{row.name}: {_format(key, x)}"
+            f"{row.name}: {format_score(key, x)}"
             + ("" if low is None else f", 95 %: {interval_text(low, high, key)}")
             for row, x, (low, high) in zip(rows, values, ends, strict=True)
         ],
@@ -185,7 +121,7 @@ def _mark_label(text: str, x: float, level: int) -> dict[str, Any]:
 def strip_chart(section: Section, results: Iterable[Result], ranks_by: str) -> Chart | None:
     """Return the truth against the best estimate and the paper's network; None without traces."""
     by_name = {result.estimator: result for result in results if result.traces}
-    order = [row.name for row in _scored(section, ranks_by) if row.name in by_name]
+    order = [row.name for row in scored_rows(section, ranks_by) if row.name in by_name]
     chosen = dict.fromkeys([*order[:1], *(n for n in order if n == PAPER_NETWORK), *order[1:2]])
     traces = {name: by_name[name].traces[0] for name in list(chosen)[:2]}
     if not traces:

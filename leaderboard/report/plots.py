@@ -123,7 +123,7 @@ def estimate_figure(truth: Profile | None, estimate: Estimate, v: float) -> Any:
 
 def draw_estimate(truth: Profile | None, estimate: Estimate, v: float, path: Path) -> None:
     """Write `estimate_figure` to a file."""
-    save_figure(estimate_figure(truth, estimate, v), path)
+    _save_figure(estimate_figure(truth, estimate, v), path)
 
 
 def _path_part(
@@ -193,10 +193,10 @@ def make_figure(paint: Callable[[Any], None], size: tuple[float, float]) -> Any:
 
 def write_figure(paint: Callable[[Any], None], size: tuple[float, float], path: Path) -> None:
     """Call `paint` on a figure of `size` [inch] and write it atomically."""
-    save_figure(make_figure(paint, size), path)
+    _save_figure(make_figure(paint, size), path)
 
 
-def save_figure(figure: Any, path: Path) -> None:
+def _save_figure(figure: Any, path: Path) -> None:
     """Write a figure in the format of the path's suffix, whole or not at all."""
     with atomic_write(path) as partial:
         figure.savefig(partial, format=path.suffix.removeprefix("."))

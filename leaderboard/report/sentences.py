@@ -1,9 +1,7 @@
-"""Findings: sentences about the boards, made from their numbers.
+"""Findings: sentences about the boards, made from their numbers."""
 
-A board names those about itself by their keys in FINDINGS (`evaluation.boards`).
-"""
-
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache, lru_cache
 
 import numpy as np
@@ -12,9 +10,16 @@ from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.metrics import heights
 from leaderboard.metrics.baselines import MEMORY
 from leaderboard.metrics.level import EQ_12_RAW, STATE_LIMITS
-from leaderboard.report.board_definitions import BOUND_NAME, COLUMNS, WORST, board_columns
-from leaderboard.report.tables import BOUND_ROW, TRAINING_STATES, BoardView, Row
-from road_envs.core.config import validate_choice
+from leaderboard.report.board_definitions import COLUMNS, WORST
+from leaderboard.report.tables import (
+    TRAINING_STATES,
+    BoardView,
+    Row,
+    Section,
+    board_views,
+    interval_text,
+)
+from leaderboard.running.board import Board
 from road_envs.records.record import PROFILE_SPACING, profile_stations
 from road_envs.roads import load_road
 
@@ -26,6 +31,20 @@ N_PAIRS = 200
 
 UNRELATED_ROAD = {"kind": "iso8608", "road_class": "D", "length": 100.0}
 """Road of the pairs, of the class of the training roads."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """Boards as tables, the main one first, and findings in sentences."""
+
+    views: tuple[BoardView, ...]
+    findings: tuple[str, ...]
+
+
+def build_report(board: Board) -> Report:
+    """Tables and findings of a board."""
+    views = tuple(board_views(board))
+    return Report(views, findings(views))
 
 
 @cache
@@ -60,7 +79,7 @@ def _unrelated_roads(longest_wave: float) -> list[list[np.ndarray]]:
     ]
 
 
-def unrelated_sentence() -> str:
+def _unrelated_sentence() -> str:
     """Return the sentence about equation 12 for a road that is unrelated to the truth."""
     levels, r = unrelated_level_errors()
     long_waves, as_printed = (
@@ -81,14 +100,51 @@ def unrelated_sentence() -> str:
     )
 
 
-def findings(views: Sequence[BoardView]) -> list[str]:
-    """Return the sentences about the boards, without those for which results are missing."""
-    about = [FINDINGS[name](view) for view in views for name in view.definition.findings]
-    return [sentence for sentence in [unrelated_sentence(), *about] if sentence]
+def findings(views: Sequence[BoardView]) -> tuple[str, ...]:
+    """Sentences about all boards; those for which results are missing are left out."""
+    found = [_unrelated_sentence()]
+    for view in views:
+        claimed = [section for section in view.sections if _has_claim(section)]
+        rows = [row for section in claimed for row in section.rows if row.state != "claim"]
+        found += [_paper_protocol(claimed, rows), _memory(rows)]
+        for section in view.sections:
+            if view.definition.divisions and section not in claimed:
+                own = headline(section, view.definition)
+                found += [f"{section.task}: {sentence}" for sentence in own]
+    return tuple(sentence for sentence in found if sentence)
 
 
-def _paper_protocol(view: BoardView) -> str:
-    found = [row for row in _rows(view, claimed=True) if row.name == PAPER_NETWORK]
+def headline(section: Section, definition: BoardDefinition) -> list[str]:
+    """Who is best, who follows, and how sure that is, without terms of the field."""
+    scored = scored_rows(section, definition.ranks_by)
+    if not scored:
+        return []
+    best, *others = scored
+    return [
+        _best_sentence(best, section, definition),
+        *([_others_sentence(best, others, definition)] if others else []),
+        _certainty_sentence(best, others, section),
+    ]
+
+
+def scored_rows(section: Section, key: str) -> list[Row]:
+    """Rows of entries that have the score `key`, best first."""
+    return [r for r in section.rows if r.state == "scored" and r.values.get(key) is not None]
+
+
+def format_score(key: str, value: float | None) -> str:
+    """Text of a score with its unit."""
+    score = COLUMNS[key]
+    return f"{score.format_value(value or 0.0)} {score.unit}".strip()
+
+
+def _has_claim(section: Section) -> bool:
+    return any(row.state == "claim" for row in section.rows)
+
+
+def _paper_protocol(sections: Sequence[Section], rows: Sequence[Row]) -> str:
+    """Scores of the paper's network under the paper's protocol, over the sections with a claim."""
+    found = [row for row in rows if row.name == PAPER_NETWORK and row.values]
     if not found:
         return ""
     near, total = (
@@ -96,7 +152,8 @@ def _paper_protocol(view: BoardView) -> str:
         for names in (TRAINING_STATES[:1], TRAINING_STATES)
     )
     counted = f" ({near} of {total} trainings below 15\u00a0%)" if total else ""
-    cars = sorted(_other_cars(view))
+    labels = [label for section in sections for label in section.conditions]
+    cars = sorted({car for label in labels if (car := label.partition(", car ")[2])})
     tested = f" and tested on another car ({', '.join(cars)})" if cars else ""
     return (
         f"Trained as the paper trains it, on an altered copy of the paving{tested}, the "
@@ -108,8 +165,8 @@ def _paper_protocol(view: BoardView) -> str:
     )
 
 
-def _memory(view: BoardView) -> str:
-    found = [row for row in _rows(view, claimed=True) if row.name == MEMORY]
+def _memory(rows: Sequence[Row]) -> str:
+    found = [row for row in rows if row.name == MEMORY and row.values]
     if not found:
         return ""
     return (
@@ -119,93 +176,51 @@ def _memory(view: BoardView) -> str:
     )
 
 
-def _paper_network(view: BoardView) -> str:
-    found = [row for row in _rows(view) if row.name == PAPER_NETWORK]
-    if not found:
-        return ""
-    error, r = _mean(found, "nrmse"), _mean(found, "r")
+def _best_sentence(best: Row, section: Section, definition: BoardDefinition) -> str:
+    key = definition.ranks_by
+    low, high = best.values.get("low"), best.values.get("high")
+    sure = "" if low is None else f", with 95\u00a0% confidence {interval_text(low, high, key)}"
+    scale = ", where an exact estimate has 0 and a flat road 1" if key == "nrmse" else ""
+    worst = best.values.get(WORST)
+    tail = "" if worst is None else f" On its worst drive it is {format_score(WORST, worst)}."
+    error = format_score(key, best.values[key])
+    return f"{best.name} is best: its error is {error}{scale}{sure}.{tail}"
+
+
+def _others_sentence(best: Row, others: Sequence[Row], definition: BoardDefinition) -> str:
+    """Who follows, who is best of the causal ones, and where the paper's network is."""
+    key, second = definition.ranks_by, others[0]
+
+    def score(row: Row) -> str:
+        return format_score(key, row.values[key])
+
+    times = (second.values[key] or 0.0) / (best.values[key] or 1.0)
+    text = f"{second.name} follows with {score(second)}, {times:.1f} times as much"
+    causal = next((row for row in others if row.causal), None)
+    if causal is not None and not best.causal:
+        own = "it is" if causal is second else f"{causal.name} with {score(causal)},"
+        text += f"; {own} the best that may run while driving"
+    paper = next((row for row in others if row.name == PAPER_NETWORK), None)
+    if paper is None or key != "nrmse":
+        return f"{text}."
+    verdict = "worse" if (paper.values[key] or 0.0) > 1.0 else "better"
+    return f"{text}; the paper's network has {score(paper)}, {verdict} than a flat road."
+
+
+def _certainty_sentence(best: Row, others: Sequence[Row], section: Section) -> str:
+    rank = best.values.get("rank")
+    if rank is None:
+        return "Too few roads for a rank or an interval: another road may give another order."
+    tied = [row.name for row in others if row.values.get("rank") == rank]
+    if tied:
+        names = ", ".join(tied)
+        return f"The first place is not decided: these drives cannot tell {names} from it."
+    doubt = " Nothing of this holds of an entry that has drawn these public roads again."
     return (
-        f"{view.definition.title}: the paper's network, {PAPER_NETWORK}, has an in-band error of "
-        f"{error:.2f}, {'worse' if error > 1.0 else 'better'} than a flat road, and "
-        f"correlation {r:.2f}."
+        "The first place is decided: resampling the roads leaves every other entry behind. Entries "
+        "that the drives cannot tell from the best of them share its rank."
+        f"{doubt * section.is_public}"
     )
-
-
-def _best(view: BoardView) -> str:
-    rows = _rows(view)
-    found = _best_rows([row for row in rows if row.state == "scored"], view)
-    if not found:
-        return ""
-    bound = [row for row in rows if row.name == BOUND_ROW]
-    limit = f" (the {BOUND_NAME}: {_mean(bound, 'nrmse'):.3f})" if bound else ""
-    return f"{view.definition.title}: the best entry is {_described(found, view, limit)}."
-
-
-def _best_causal(view: BoardView) -> str:
-    found = _best_rows([row for row in _rows(view) if row.state == "scored" and row.causal], view)
-    if not found:
-        return ""
-    return f"{view.definition.title}: the best causal entry is {_described(found, view)}."
-
-
-FINDINGS: Mapping[str, Callable[[BoardView], str]] = {
-    "best": _best,
-    "best_causal": _best_causal,
-    "paper_network": _paper_network,
-    "paper_protocol": _paper_protocol,
-    "memory": _memory,
-}
-"""Sentences about a board by the names that boards use; empty without the results for one."""
-
-
-def check_board(name: str, board: BoardDefinition) -> None:
-    """Raise ConfigError if a board names an unknown column or sentence."""
-    board_columns(name, board)
-    for finding in board.findings:
-        validate_choice(f"finding of the board {name}:", finding, FINDINGS)
-
-
-def _best_rows(rows: Sequence[Row], view: BoardView) -> list[Row]:
-    """Return the rows, one for each task, of the entry with the least mean ranking score."""
-    by_name: dict[str, list[Row]] = {}
-    for row in rows:
-        by_name.setdefault(row.name, []).append(row)
-    score = view.definition.ranks_by
-    return min(by_name.values(), key=lambda own: (_mean(own, score), own[0].name), default=[])
-
-
-def _described(rows: Sequence[Row], view: BoardView, limit: str = "") -> str:
-    """Return name, ranking score and worst drive of an entry."""
-    form = COLUMNS[view.definition.ranks_by]
-    score = form.format_value(_mean(rows, form.key)) + (f"\u00a0{form.unit}" if form.unit else "")
-    worst = max((x for row in rows if (x := row.values.get(WORST)) is not None), default=None)
-    tail = "" if worst is None else f", {COLUMNS[WORST].format_value(worst)} on its worst drive"
-    return (
-        f"{rows[0].name}, with {form.label} {score}{limit}{tail}, and correlation "
-        f"{_mean(rows, 'r'):.2f}"
-    )
-
-
-def _other_cars(view: BoardView) -> set[str]:
-    """Return the grades of the cars of a board's tasks with a claim, except that of training."""
-    labels = (
-        label
-        for section in view.sections
-        if any(row.state == "claim" for row in section.rows)
-        for label in section.conditions
-    )
-    return {car for label in labels if (car := label.partition(", car ")[2])}
-
-
-def _rows(view: BoardView, claimed: bool = False) -> list[Row]:
-    """Return the rows with scores of a board; if `claimed`, those of tasks with a claim."""
-    return [
-        row
-        for section in view.sections
-        if not claimed or any(row.state == "claim" for row in section.rows)
-        for row in section.rows
-        if row.values and row.state != "claim"
-    ]
 
 
 def _mean(rows: Sequence[Row], score: str) -> float:

@@ -11,7 +11,6 @@ them. The index is written last, so an interrupted build leaves the old one; pag
 and entries are deleted.
 """
 
-import dataclasses
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -20,11 +19,10 @@ from typing import Any
 from leaderboard.evaluation.results import Result, isolation_notice
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics.baselines import NOISE_LEVEL
-from leaderboard.report import cache, estimator_page, export, overview
-from leaderboard.report.cache import Report
+from leaderboard.report import estimator_page, export, overview
 from leaderboard.report.charts import task_charts
 from leaderboard.report.rendering import BOARD_PAGE, POLICY_PAGE, file_name, render, write_static
-from leaderboard.report.sentences import UNRELATED_ROAD, unrelated_level_errors
+from leaderboard.report.sentences import UNRELATED_ROAD, Report, headline, unrelated_level_errors
 from leaderboard.report.table_data import table_data
 from leaderboard.report.tables import (
     LIMIT_ROWS,
@@ -43,36 +41,25 @@ PAGE_FOLDERS = ("tasks", "estimators")
 
 
 def write_site(board: Board, report: Report, out: Path) -> Path:
-    """Write the site into `out`, each file atomically, and return its index.
-
-    Nothing is written if the site in `out` already shows this report.
-    """
+    """Write the site into `out`, each file atomically, and return its index."""
     index = out / BOARD_PAGE
-    if report.pages and all(_size(out / name) == size for name, size in report.pages.items()):
-        return index
-    (out / cache.CACHE_FILE).unlink(missing_ok=True)  # an interrupted build is repeated
     written = write_static(out)
     policies = (out / POLICY_PAGE).is_file()
-    for name, text in render_pages(board, report, policies):  # the index comes last
+    for name, text in _render_pages(board, report, policies):  # the index comes last
         if name == index.name:
-            export.write_exports(report.views, out)
+            export.write_exports(board, report.views, out)
         write_text(out / name, text)
         written.append(name)
     for folder in PAGE_FOLDERS:
         for path in (out / folder).glob("*.html"):
             if f"{folder}/{path.name}" not in written:
                 path.unlink()
-    pages = {name: _size(out / name) for name in (*written, POLICY_PAGE)}
-    cache.save_report(dataclasses.replace(report, pages=pages), out)
     return index
 
 
-def _size(path: Path) -> int:
-    """Return the size of a file; -1 if there is none."""
-    return path.stat().st_size if path.is_file() else -1
-
-
-def render_pages(board: Board, report: Report, policies: bool = False) -> Iterator[tuple[str, str]]:
+def _render_pages(
+    board: Board, report: Report, policies: bool = False
+) -> Iterator[tuple[str, str]]:
     """Yield path and text of every page, the index last.
 
     With `policies` the pages link to the comparison of policies beside them.
@@ -111,7 +98,7 @@ def _index(board: Board, report: Report) -> dict[str, Any]:
         "section": section,
         "ranking": overview.ranking_chart(section, definition),
         "strip": overview.strip_chart(section, board.scored(task), definition.ranks_by),
-        "headline": overview.headline(section, definition),
+        "headline": headline(section, definition),
         "ranked_by": definition.ranks_by,
         "causal": any(row.causal for row in section.rows),
         "notice": isolation_notice(scored),
@@ -123,7 +110,7 @@ def _index(board: Board, report: Report) -> dict[str, Any]:
         "boards": boards,
         "explained": list(explained.values()),
         "noise": NOISE_LEVEL,
-        "provenance": board_provenance(board),
+        "provenance": _board_provenance(board),
     }
 
 
@@ -204,12 +191,12 @@ def _estimator(
         ],
         "failures": [(task, result.failure) for task, result in results if result.failure],
         "results": [
-            (task, result, result_provenance(board, task, result)) for task, result in results
+            (task, result, _result_provenance(board, task, result)) for task, result in results
         ],
     }
 
 
-def board_provenance(board: Board) -> list[tuple[str, str]]:
+def _board_provenance(board: Board) -> list[tuple[str, str]]:
     """Return the provenance of a board: machines, versions, and tasks with their digests."""
     machines: dict[str, None] = {}
     rows = []
@@ -220,7 +207,7 @@ def board_provenance(board: Board) -> list[tuple[str, str]]:
     return [*(("Made by", text) for text in machines), *rows]
 
 
-def result_provenance(board: Board, task: Task, result: Result) -> list[tuple[str, str]]:
+def _result_provenance(board: Board, task: Task, result: Result) -> list[tuple[str, str]]:
     """Return the provenance of one result, by label."""
     facts = {
         "file": f"results/{result.task}/{result.estimator}.json",

@@ -21,7 +21,7 @@ STYLE: Any = {
 """Matplotlib style of the figures of a page."""
 
 
-def page_figure(paint: Callable[[Any], None], size: tuple[float, float]) -> Any:
+def _page_figure(paint: Callable[[Any], None], size: tuple[float, float]) -> Any:
     """Return a figure of `size` [inch] that `paint` has filled, in the STYLE of a page."""
     with optional_import("a figure"):
         import matplotlib
@@ -31,8 +31,8 @@ def page_figure(paint: Callable[[Any], None], size: tuple[float, float]) -> Any:
 
 
 def inline_svg(paint: Callable[[Any], None], size: tuple[float, float]) -> str:
-    """Return `page_figure` as SVG, without size and fonts; equal figures give equal text."""
-    figure, buffer = page_figure(paint, size), io.StringIO()
+    """Return `_page_figure` as SVG, without size and fonts; equal figures give equal text."""
+    figure, buffer = _page_figure(paint, size), io.StringIO()
     import matplotlib
 
     with matplotlib.rc_context(STYLE):

@@ -185,7 +185,7 @@ def _section(board: Board, task: Task, definition: BoardDefinition) -> Section:
     )
 
 
-class AggregatedScores(NamedTuple):
+class _AggregatedScores(NamedTuple):
     """Means of a result by group and score; `ranked` (R, C, S) holds the ranking score."""
 
     name: str
@@ -196,7 +196,7 @@ class AggregatedScores(NamedTuple):
 
 def _aggregate(
     result: Result, task: Task, definition: BoardDefinition, parts: Mapping[str, ScoreSlice]
-) -> AggregatedScores:
+) -> _AggregatedScores:
     """Average the scores of a result over all runs and over each group."""
     runs, strata = scores_table([result]), task.test.strata
     scores = score_arrays(runs)
@@ -229,7 +229,7 @@ def _aggregate(
     }
     entry = result.role == "entry"
     division = entry, entry and bool(result.causal)
-    return AggregatedScores(result.estimator, values, ranked, division)
+    return _AggregatedScores(result.estimator, values, ranked, division)
 
 
 def _tail(ranked: np.ndarray) -> dict[str, float | None]:
@@ -261,7 +261,7 @@ def _grade_scores(ranked: np.ndarray, parts: Mapping[str, ScoreSlice], strata: S
 
 
 def _rank(
-    tables: Sequence[AggregatedScores], parts: Mapping[str, ScoreSlice], strata: Strata
+    tables: Sequence[_AggregatedScores], parts: Mapping[str, ScoreSlice], strata: Strata
 ) -> None:
     """Add the ranks of the entries in every group, among all and among the causal.
 
@@ -279,7 +279,10 @@ def _rank(
 
 
 def _scored_row(
-    result: Result, table: AggregatedScores, definition: BoardDefinition, card: EstimatorCard | None
+    result: Result,
+    table: _AggregatedScores,
+    definition: BoardDefinition,
+    card: EstimatorCard | None,
 ) -> Row:
     mine, entry = table.values[ALL_RUNS], result.role == "entry"
     cells = {
@@ -299,7 +302,7 @@ def _scored_row(
     return Row(result.estimator, state, cells, mine, causal=result.causal, groups=groups)
 
 
-def _bound_rows(tables: Sequence[AggregatedScores], definition: BoardDefinition) -> list[Row]:
+def _bound_rows(tables: Sequence[_AggregatedScores], definition: BoardDefinition) -> list[Row]:
     """Return the rows of the bound and of the attainable error, as far as they were computed, if
     NRMSE is the ranking score.
     """

@@ -12,7 +12,7 @@ from rich.text import Text
 from leaderboard.metrics.api import UNDEFINED
 from leaderboard.report import export
 from leaderboard.report.board_definitions import BOUND_NAME, WORST
-from leaderboard.report.cache import Report
+from leaderboard.report.sentences import Report
 from leaderboard.report.tables import BoardView, Row, Section, nonempty_columns
 
 CASE_WIDTH = 18

@@ -11,7 +11,7 @@ from importlib import resources
 from pathlib import Path
 
 from leaderboard.conformance.method_card import method_card_path
-from leaderboard.report.cache import build_report
+from leaderboard.report.sentences import build_report
 from leaderboard.report.site import write_site
 from leaderboard.running.board import load_board
 from leaderboard.sandbox.limits import Limits
@@ -71,4 +71,4 @@ def build_site(repository: Path, out: Path) -> Path:
         shutil.copyfile(folder / CARD, card)
     sized = make_run_request(rules, tasks, (), limits=Limits()).sized_tasks()
     board = load_board(sized, out)
-    return write_site(board, build_report(board, out), out)
+    return write_site(board, build_report(board), out)

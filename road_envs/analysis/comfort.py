@@ -40,15 +40,15 @@ def wk_sos(fs: float) -> np.ndarray:
 
 def weighted_rms(a: np.ndarray, fs: float) -> np.ndarray:
     """Return the Wk-weighted RMS (...,) [m/s²] of vertical accelerations `a` (..., N) [m/s²]."""
-    return np.sqrt(np.mean(apply_wk(a, fs) ** 2, axis=-1))
+    return np.sqrt(np.mean(_apply_wk(a, fs) ** 2, axis=-1))
 
 
 def vdv(a: np.ndarray, fs: float) -> np.ndarray:
     """Return the vibration dose value (...,) [m/s^1.75], (integral of (Wk a)^4 dt)^(1/4)."""
-    return (np.sum(apply_wk(a, fs) ** 4, axis=-1) / fs) ** 0.25
+    return (np.sum(_apply_wk(a, fs) ** 4, axis=-1) / fs) ** 0.25
 
 
-def apply_wk(a: np.ndarray, fs: float) -> np.ndarray:
+def _apply_wk(a: np.ndarray, fs: float) -> np.ndarray:
     """Filter accelerations `a` (..., N) [m/s²], sampled at `fs` [Hz], by Wk from rest."""
     return scipy.signal.sosfilt(wk_sos(fs), a, axis=-1)
 

@@ -40,8 +40,11 @@ ORDERS = 24
 Spectrum = Callable[[np.ndarray], np.ndarray]
 """From `n` (F,) [cycles/m] to the spectrum (F, 2, 2) [m³] of both wheel paths."""
 
-BANDWIDTH, N_FREQUENCIES = 60.0, 4096
-"""Highest frequency [Hz] and number of frequencies of the spectrum of the motion."""
+BANDWIDTH = 60.0
+"""Highest frequency [Hz] of the spectrum of the motion."""
+
+N_FREQUENCIES = 4096
+"""Number of frequencies of that spectrum."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,8 +11,8 @@ An artifact is a JSON file of five header lines and its content:
      ...                     the content, a line for each key
     }
 
-Results of a board, estimator cards, rows of policies, attainable errors, identified vehicles,
-cached reports and the kept outputs of studies are kinds of it. Whoever makes one computes its
+Results of a board, estimator cards, rows of policies, attainable errors, identified vehicles and
+the kept outputs of studies are kinds of it. Whoever makes one computes its
 identity first; an artifact of the same identity, whole and undamaged, is taken instead.
 """
 

@@ -37,8 +37,11 @@ NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0, lt=1)]
 Count = Annotated[int, Field(ge=1)]
 
-MAX_FILE_SIZE, MAX_VALUES = 2**22, 10**6
-"""Largest YAML file [bytes], and most values in it, every alias counted as what it stands for."""
+MAX_FILE_SIZE = 2**22
+"""Largest YAML file [bytes]."""
+
+MAX_VALUES = 10**6
+"""Most values in a YAML file, every alias counted as what it stands for."""
 
 MAX_SHOWN = 200
 """Characters of a value that a message repeats."""

@@ -76,7 +76,7 @@ CACHE = cache_home() / digest(_kernel_files(HERE))
 
 
 @cache
-def cache_of(name: str) -> Path:
+def _cache_of(name: str) -> Path:
     """Return the folder for compiled kernels of a top-level package or module."""
     module = sys.modules.get(name)
     folders = [Path(folder) for folder in getattr(module, "__path__", ())]
@@ -90,7 +90,7 @@ class _Locator(caching._CacheLocator):
 
     def __init__(self, py_func: Any, py_file: str):
         self._py_file, self._module = py_file, py_func.__module__
-        self._cache_path = str(cache_of(self._module.partition(".")[0]))
+        self._cache_path = str(_cache_of(self._module.partition(".")[0]))
 
     @classmethod
     def from_function(cls, py_func: Any, py_file: str) -> "_Locator | None":

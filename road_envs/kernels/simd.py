@@ -197,7 +197,7 @@ def sum_lanes(context, x):
 
 
 @intrinsic
-def insert_lane(context, x, k, value):
+def _insert_lane(context, x, k, value):
     """Return a copy of the vector `x` with the number `value` in lane `k`."""
 
     def generate(context, builder, signature, values):
@@ -285,7 +285,7 @@ def _overload_power(x, n):
     def lane_by_lane(x, n):
         y = x
         for k in range(LANES):
-            y = insert_lane(y, k, extract_lane(x, k) ** extract_lane(n, k))
+            y = _insert_lane(y, k, extract_lane(x, k) ** extract_lane(n, k))
         return y
 
     return lane_by_lane

@@ -52,7 +52,7 @@ class Accelerometer(Settings):
             )
 
 
-def check_layout(layout: Mapping[str, Accelerometer]) -> Mapping[str, Accelerometer]:
+def _check_layout(layout: Mapping[str, Accelerometer]) -> Mapping[str, Accelerometer]:
     """Return `layout` unless its size or a name is invalid. Raises ValueError."""
     if not 1 <= len(layout) <= MAX_ACCELEROMETERS:
         raise ValueError(f"give 1 to {MAX_ACCELEROMETERS} accelerometers, got {len(layout)}")
@@ -67,7 +67,7 @@ def check_layout(layout: Mapping[str, Accelerometer]) -> Mapping[str, Accelerome
     return layout
 
 
-Layout = Annotated[dict[str, Accelerometer], AfterValidator(check_layout)]
+Layout = Annotated[dict[str, Accelerometer], AfterValidator(_check_layout)]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,8 +10,11 @@ from road_envs.rendering.scene import Scene, free_travel
 from road_envs.vehicle.struts import MODES, Modes
 from road_envs.vehicle.suspension import WHEELS, decode_commands
 
-ROAD_BEHIND, ROAD_AHEAD = 10.0, 20.0
-"""Length of road [m] shown behind and ahead of the front axle."""
+ROAD_BEHIND = 10.0
+"""Length of road [m] shown behind the front axle."""
+
+ROAD_AHEAD = 20.0
+"""Length of road [m] shown ahead of the front axle."""
 
 GAUGE_TRAVEL = 0.16
 """Strut extension [m] at the ends of the gauge."""
@@ -37,13 +40,13 @@ def heading(canvas: Canvas, scene: Scene) -> None:
     canvas.text(12, y, f"road: {shown}", style.INK, 16, "lm", bold=True)
     canvas.text(330, y, f"{3.6 * scene.speed:.1f} km/h", style.INK, 15, "lm", bold=True)
     canvas.text(
-        450, y, f"command: {describe_command(scene.command, scene.car.modes)}", style.INK, 13, "lm"
+        450, y, f"command: {_describe_command(scene.command, scene.car.modes)}", style.INK, 13, "lm"
     )
     canvas.text(860, y, f"station {scene.station:.1f} m", style.INK, 13, "rm")
     canvas.text(948, y, f"{scene.t:.2f} s", style.INK, 13, "rm")
 
 
-def describe_command(byte: int, modes: Modes = MODES) -> str:
+def _describe_command(byte: int, modes: Modes = MODES) -> str:
     """Return a command byte in words, by the `modes` of the car."""
     stiff, high = (flags[0] for flags in decode_commands(np.array([byte])))
     flags = zip(stiff, high, strict=True)
@@ -56,7 +59,7 @@ def describe_command(byte: int, modes: Modes = MODES) -> str:
 
 
 @dataclass(frozen=True)
-class AxisScale:
+class _AxisScale:
     """Linear map from values to pixels: `low` maps to `start`, `high` to `end`."""
 
     low: float
@@ -76,10 +79,10 @@ class AxisScale:
 def wheel_paths(canvas: Canvas, scene: Scene) -> None:
     """Draw the heights of both wheel paths around the vehicle, and the positions of its wheels."""
     z = scene.surface.z
-    columns = AxisScale(
+    columns = _AxisScale(
         scene.station - ROAD_BEHIND, scene.station + ROAD_AHEAD, MARGIN, canvas.width - 10.0
     )
-    rows = AxisScale(min(z.min(), 0.0), max(z.max(), 0.01), canvas.height - 16.0, 22.0)
+    rows = _AxisScale(min(z.min(), 0.0), max(z.max(), 0.01), canvas.height - 16.0, 22.0)
     axles = np.array([scene.station - scene.car.wheelbase, scene.station])
     canvas.text(10, 15, "wheel paths, mm", style.INK, 12)
     canvas.text(columns.end, 15, "left dark, right light", style.FAINT, 11, "rs")
@@ -95,9 +98,9 @@ def wheel_paths(canvas: Canvas, scene: Scene) -> None:
             canvas.disc(column, row, 3.5, colour)
 
 
-def _grid_lines(canvas: Canvas, columns: AxisScale, rows: AxisScale) -> None:
+def _grid_lines(canvas: Canvas, columns: _AxisScale, rows: _AxisScale) -> None:
     """Draw a line across the panel for heights, and ticks under it for stations."""
-    for z in rows.ticks(round_up((rows.high - rows.low) / 4.0)):
+    for z in rows.ticks(_round_up((rows.high - rows.low) / 4.0)):
         canvas.line(np.array([[columns.start, rows(z)], [columns.end, rows(z)]]), style.GRID)
         height = f"{1000 * z + 0.0:g}"  # never -0
         canvas.text(columns.start - 6, rows(z), height, style.FAINT, 11, "rm")
@@ -107,7 +110,7 @@ def _grid_lines(canvas: Canvas, columns: AxisScale, rows: AxisScale) -> None:
         canvas.text(columns(s), canvas.height - 2, f"{s + 0.0:.0f} m", style.FAINT, 10, "ms")
 
 
-def round_up(value: float, leading: tuple[int, ...] = (1, 2, 5)) -> float:
+def _round_up(value: float, leading: tuple[int, ...] = (1, 2, 5)) -> float:
     """Return the smallest product of a `leading` digit and a power of ten that is >= `value`."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(next(m * power for m in (*leading, 10) if m * power >= value * (1 - 1e-9)))
@@ -118,7 +121,7 @@ def accelerations(canvas: Canvas, scene: Scene) -> None:
     left, right, top = MARGIN, canvas.width - 70.0, 20.0
     height = (canvas.height - top - 4.0) / len(scene.sensors)
     recent = scene.samples[:, -round(scene.window * scene.fs) :]
-    limit = round_up(max(float(np.abs(recent).max()), 1.0), (1, 2, 3, 5))
+    limit = _round_up(max(float(np.abs(recent).max()), 1.0), (1, 2, 3, 5))
     canvas.text(10, 15, f"accelerations, ±{limit:g} m/s²", style.INK, 12)
     canvas.text(right, 15, f"last {scene.window:g} s", style.FAINT, 11, "rs")
     for i, name in enumerate(scene.sensors):

@@ -9,8 +9,11 @@ from road_envs.rendering.scene import Scene
 MOUNT = 1.02
 """Height [m] of the upper strut mounts on the body."""
 
-TUBE, COLLAR = 0.34, 0.06
-"""Lengths [m] of the lower tube of a strut and of its stops."""
+TUBE = 0.34
+"""Length [m] of the lower tube of a strut."""
+
+COLLAR = 0.06
+"""Length [m] of the stops of a strut."""
 
 
 def strut(

@@ -35,11 +35,20 @@ SHOULDER = 0.3
 PAVING = "belgian"
 """Part of the name of a surface that is drawn with paving stones; others are asphalt."""
 
-STONE, COURSES = 0.25, 4
-"""Length of a paving stone [m], and number of courses between the wheel paths."""
+STONE = 0.25
+"""Length of a paving stone [m]."""
 
-DASH, GAP, DASH_EDGES = 1.0, 2.0, (0.46, 0.54)
-"""Length and spacing of the painted dashes on asphalt [m], and their edges across the road."""
+COURSES = 4
+"""Number of courses of paving stones between the wheel paths."""
+
+DASH = 1.0
+"""Length of the painted dashes on asphalt [m]."""
+
+GAP = 2.0
+"""Spacing of the painted dashes [m]."""
+
+DASH_EDGES = (0.46, 0.54)
+"""Edges of the painted dashes, from the left (0) to the right wheel path (1)."""
 
 # Outlines: share of the wheelbase ahead of the rear axle, distance ahead of that [m], height [m]
 CHASSIS = ((1, 0.52, 0.50), (1, 0.52, 0.64), (0, -0.98, 0.64), (0, -0.98, 0.50))

@@ -32,7 +32,7 @@ class Road(Protocol):
 
 
 @runtime_checkable
-class Resizable(Protocol):
+class _Resizable(Protocol):
     """A road whose length is that of an inner road plus or times a constant."""
 
     def with_length(self, length: float) -> Road:
@@ -87,7 +87,7 @@ def with_length(road: Road, length: float) -> Road:
     """
     if isinstance(length, bool) or not isinstance(length, int | float):
         raise ConfigError(f"length must be a number, got {length!r}")
-    if isinstance(road, Resizable):
+    if isinstance(road, _Resizable):
         return road.with_length(length)
     settings: Any = road
     if "length" not in {f.name for f in dataclasses.fields(settings)}:

@@ -82,7 +82,7 @@ class NoisyCopy(_Modified):
 
     def realise(self, rng: np.random.Generator) -> Surface:
         """Draw the road and the noise, each from its own random stream."""
-        road_rng, noise_rng = spawn_streams(rng, 2)
+        road_rng, noise_rng = _spawn_streams(rng, 2)
         surface = self.road.realise(road_rng)
         s = surface.s
         z = surface.z + self._noise(surface, noise_rng).height(s)
@@ -118,7 +118,7 @@ class WithAprons(_Modified):
 
     def realise(self, rng: np.random.Generator) -> Surface:
         """Draw the inner road."""
-        return superpose([self.road.realise(rng)], [(self.before, self.before)], self.length)
+        return _superpose([self.road.realise(rng)], [(self.before, self.before)], self.length)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,7 +135,7 @@ class Offset(_Modified):
 
     def realise(self, rng: np.random.Generator) -> Surface:
         """Draw the inner road."""
-        return superpose([self.road.realise(rng)], [(self.left, self.right)], self.length)
+        return _superpose([self.road.realise(rng)], [(self.left, self.right)], self.length)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -227,7 +227,7 @@ class Concatenated(Settings):
     def realise(self, rng: np.random.Generator) -> Surface:
         """Draw the roads, each from its own random stream."""
         starts = np.cumsum([0.0, *(road.length for road in self.roads)])[:-1]
-        return superpose(realise_all(self.roads, rng), [(s, s) for s in starts], self.length)
+        return _superpose(_realise_all(self.roads, rng), [(s, s) for s in starts], self.length)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -243,11 +243,11 @@ class Superposed(Settings):
 
     def realise(self, rng: np.random.Generator) -> Surface:
         """Draw the roads, each from its own random stream."""
-        surfaces = realise_all(self.roads, rng)
-        return superpose(surfaces, [(0.0, 0.0)] * len(surfaces), self.length)
+        surfaces = _realise_all(self.roads, rng)
+        return _superpose(surfaces, [(0.0, 0.0)] * len(surfaces), self.length)
 
 
-def superpose(
+def _superpose(
     surfaces: Sequence[Surface], delays: Sequence[tuple[float, float]], length: float
 ) -> Surface:
     """Return the sum of `surfaces` on the finest of their grids, `length` [m] long.
@@ -266,13 +266,13 @@ def superpose(
     return Surface(z, ds, name=" + ".join(names), notes=tuple(notes))
 
 
-def realise_all(roads: Sequence[AnyRoad], rng: np.random.Generator) -> list[Surface]:
+def _realise_all(roads: Sequence[AnyRoad], rng: np.random.Generator) -> list[Surface]:
     """Draw one surface of each road; appending a road does not change the draws before it."""
     return [
-        road.realise(own) for road, own in zip(roads, spawn_streams(rng, len(roads)), strict=True)
+        road.realise(own) for road, own in zip(roads, _spawn_streams(rng, len(roads)), strict=True)
     ]
 
 
-def spawn_streams(rng: np.random.Generator, count: int) -> list[np.random.Generator]:
+def _spawn_streams(rng: np.random.Generator, count: int) -> list[np.random.Generator]:
     """Return `count` independent generators, determined by the state of `rng`."""
     return [np.random.default_rng(k) for k in rng.integers(2**63, size=count)]

@@ -76,7 +76,7 @@ class Measured(Settings):
         z, ds, notes, _ = self._contents
         if z.shape[1] < 4:
             raise SurfaceFileError(f"at least 4 stations are required, got {z.shape[1]}")
-        z, gap_notes = fill_gaps(z, ds, self.bridge_gaps)
+        z, gap_notes = _fill_gaps(z, ds, self.bridge_gaps)
         if np.allclose(z[0], z[1], rtol=0.0, atol=1e-9):
             notes = (*notes, "left and right wheel path are the same")
         return Surface(z, ds, name=Path(self.path).stem, notes=(*notes, *gap_notes))
@@ -139,7 +139,7 @@ def check_slopes(surface: Surface) -> None:
         )
 
 
-def fill_gaps(z: np.ndarray, ds: float, allowed: bool) -> tuple[np.ndarray, list[str]]:
+def _fill_gaps(z: np.ndarray, ds: float, allowed: bool) -> tuple[np.ndarray, list[str]]:
     """Return wheel paths `z` (2, N) with missing heights interpolated, and notes.
 
     Raises SurfaceFileError if heights are missing and this is not `allowed`, or all are missing.

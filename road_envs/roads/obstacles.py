@@ -103,7 +103,7 @@ class Defects(Settings):
 
     def realise(self, rng: np.random.Generator) -> Surface:
         """Return the defects; nothing is drawn."""
-        s, z = flat_road_grid(self.length)
+        s, z = _flat_road_grid(self.length)
         for defect in self.defects:
             for middle, height in zip(defect.middles, defect.heights, strict=True):
                 near = footprint(s, middle, defect.length)
@@ -133,7 +133,7 @@ class Potholes(Settings):
 
     def realise(self, rng: np.random.Generator) -> Surface:
         """Draw number, positions, sizes and depths of the potholes of each wheel path."""
-        s, z = flat_road_grid(self.length)
+        s, z = _flat_road_grid(self.length)
         for path in z:
             for middle, size, depth in self._holes(rng):
                 near = footprint(s, middle, size)
@@ -149,7 +149,7 @@ class Potholes(Settings):
         return np.column_stack([middle, size, rng.uniform(*self.depth, count)])
 
 
-def flat_road_grid(length: float) -> tuple[np.ndarray, np.ndarray]:
+def _flat_road_grid(length: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the stations (N,) [m] of a road of `length` [m], and heights (2, N) of 0."""
     s = SAMPLE_SPACING * np.arange(round(length / SAMPLE_SPACING) + 1)
     return s, np.zeros((2, s.size))

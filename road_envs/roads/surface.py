@@ -29,10 +29,13 @@ MAX_SAMPLES = 50_000_000
 MAX_HEIGHT = 10_000.0
 """Largest height [m] of a surface, up or down; beyond it, heights are in another unit."""
 
-MAX_RISE, RISE_LENGTH = 0.2, 0.05
-"""Greatest rise [m] within a length [m] that a wheel climbs: half the radius of about 0.4 m of a
+MAX_RISE = 0.2
+"""Greatest rise [m] within RISE_LENGTH that a wheel climbs: half the radius of about 0.4 m of a
 7.50 R16 tyre. There its contact with a step is 60 degrees from the vertical.
 """
+
+RISE_LENGTH = 0.05
+"""Length [m] over which a rise is taken."""
 
 
 class SurfaceBuffers(NamedTuple):
@@ -64,7 +67,7 @@ def height_and_slope(surface, side, s):
 
 
 @kernel
-def sample_surface(padded, start, ds, s, z, slope):
+def _sample_surface(padded, start, ds, s, z, slope):
     """Write heights `z` and slopes `slope`, both (2, M), at the stations `s` (M,)."""
     surface = SurfaceBuffers(padded, start, ds)
     for side in range(2):
@@ -158,7 +161,7 @@ class Surface:
     def _sample(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         s = np.asarray(s, dtype=float)
         z, slope = np.empty((2, s.size)), np.empty((2, s.size))
-        sample_surface(*self.buffers, s.ravel(), z, slope)
+        _sample_surface(*self.buffers, s.ravel(), z, slope)
         return z.reshape(2, *s.shape), slope.reshape(2, *s.shape)
 
 

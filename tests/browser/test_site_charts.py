@@ -14,11 +14,11 @@ from leaderboard.metrics.baselines import BASELINES
 from leaderboard.metrics.heights import band_pass, scored_band
 from leaderboard.metrics.registry import SCORES
 from leaderboard.report.board_definitions import BELOW_BOUND
-from leaderboard.report.cache import build_report
 from leaderboard.report.charts import task_charts
 from leaderboard.report.figures import line_style
 from leaderboard.report.overview import ranking_chart
-from leaderboard.report.site import render_pages
+from leaderboard.report.sentences import build_report
+from leaderboard.report.site import _render_pages
 from leaderboard.report.tables import BOUND_ROW, Row, board_views, sanity_warnings
 from leaderboard.running.board import Board
 
@@ -142,6 +142,8 @@ def test_the_headline_names_best_next_and_certainty():
     cells = lines_of()["reader"].cells
     assert f"reader is best: its error is {cells['nrmse']}, where" in text
     assert "static_lm follows with" in text and "The first place is not decided" in text
+    online = lines_of()["online"].cells["nrmse"]
+    assert f"online with {online}, the best that may run while driving" in text
 
 
 def test_calibration_counts_the_errors_inside_the_stated_intervals():
@@ -176,7 +178,7 @@ def test_rows_without_isolation_are_named_above_the_ranking():
         for name, found in results().items()
     }
     made = Board(tuple(tasks()), safe)
-    text = text_of(dict(render_pages(made, build_report(made)))["index.html"])
+    text = text_of(dict(_render_pages(made, build_report(made)))["index.html"])
     assert "without isolation" not in text and "sealed season" not in text
 
 
@@ -188,7 +190,7 @@ def test_the_page_of_a_public_board_says_in_its_head_that_ranks_come_from_season
         rows = tuple(dataclasses.replace(r, task_digest=public.digest) for r in found)
         made = Board((public,), {name: rows})
         report = build_report(made)
-        pages = dict(render_pages(made, report))
+        pages = dict(_render_pages(made, report))
         for page in ("index.html", f"tasks/{name}.html"):
             text = text_of(pages[page])
             head = text[: text.index("Who is best?" if page == "index.html" else "estimator")]
@@ -221,5 +223,5 @@ def test_a_flat_estimate_can_be_drawn():
 
 def test_rendering_twice_gives_identical_pages():
     made = board()
-    again = dict(render_pages(made, build_report(made)))
+    again = dict(_render_pages(made, build_report(made)))
     assert again == site()

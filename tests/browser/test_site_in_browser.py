@@ -10,8 +10,8 @@ from html_checker import HtmlChecker
 
 from leaderboard.metrics.registry import SCORES
 from leaderboard.policies.page import write_policy_page
-from leaderboard.report.cache import build_report
 from leaderboard.report.figures import rounded
+from leaderboard.report.sentences import build_report
 from leaderboard.report.site import write_site
 from leaderboard.running.board import Board
 from road_envs.core.atomic_io import write_text
@@ -134,7 +134,7 @@ def test_the_site_links_to_the_policies_once_they_are_compared(tmp_path):
     report = build_report(made)
     assert "policies.html" not in write_site(made, report, tmp_path).read_text()
     write_text(tmp_path / "policies.html", "made meanwhile")
-    index = write_site(made, build_report(made, tmp_path), tmp_path)
+    index = write_site(made, build_report(made), tmp_path)
     assert 'href="policies.html"' in index.read_text()
     assert 'href="../policies.html"' in (tmp_path / "estimators/reader.html").read_text()
 

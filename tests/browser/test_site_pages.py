@@ -8,19 +8,18 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from example_site import ENTRIES, board, built, results, site, tasks, text_of
 from fake_results import run_scores
 from html_checker import HtmlChecker
 
-from leaderboard.entries.entry import Entry
 from leaderboard.evaluation.store import row_path, save
 from leaderboard.policies.page import render_page
 from leaderboard.report import export
-from leaderboard.report.cache import CACHE_FILE, build_report
 from leaderboard.report.rendering import write_pending
-from leaderboard.report.sentences import findings, unrelated_level_errors
-from leaderboard.report.site import file_name, render_pages, write_site
+from leaderboard.report.sentences import build_report, findings, unrelated_level_errors
+from leaderboard.report.site import _render_pages, file_name
 from leaderboard.report.tables import Row, board_views
 from leaderboard.running.board import Board, create_baselines, load_board
 from road_envs.core.atomic_io import write_text
@@ -115,65 +114,10 @@ def test_pages_of_removed_tasks_and_entries_are_deleted(tmp_path):
     assert not (tmp_path / "estimators" / "old.html").exists()
 
 
-def test_an_unchanged_site_is_not_rewritten_and_any_change_rebuilds_it(tmp_path):
-    for result in results()["paving"]:
-        save(result, tmp_path)
-    paving = tasks()[1:2]
-
-    def build():
-        made = load_board(paving, tmp_path)
-        index = write_site(made, build_report(made, tmp_path), tmp_path)
-        return {path: path.stat().st_mtime_ns for path in index.parent.rglob("*.html")}
-
-    first = build()
-    assert build() == first  # nothing was written
-    page = tmp_path / "tasks" / "paving.html"
-    for change in (
-        page.unlink,
-        lambda: page.write_text("cut short"),
-        (tmp_path / CACHE_FILE).unlink,
-        lambda: (tmp_path / CACHE_FILE).write_text("{"),
-        (tmp_path / "static" / "charts.js").unlink,
-        lambda: save(dataclasses.replace(results()["paving"][0], notes=("new",)), tmp_path),
-        row_path(tmp_path, "paving", "reader").unlink,
-    ):
-        change()
-        again = build()
-        assert again[page] != first[page] and build() == again
-        assert "paving" in page.read_text()  # and not the text written above
-        first = again
-
-
-def test_a_cached_report_is_exact_and_a_damaged_cache_is_rebuilt(tmp_path):
-    for found in results().values():
-        for result in found:
-            save(result, tmp_path)
-    made = load_board(tasks(), tmp_path)
-    fresh = build_report(made, tmp_path)
-    write_site(made, fresh, tmp_path)
-    first = build_report(made, tmp_path)
-    assert dataclasses.replace(first, pages={}) == fresh and first.pages
-    cache_file = tmp_path / CACHE_FILE
-    text = cache_file.read_text()
-    cache_file.write_text(text.replace('"findings": [', '"findings": ["forged", '))
-    assert build_report(made, tmp_path) == fresh
-    cache_file.write_text(text)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(
-            "leaderboard.report.cache.board_views", lambda board: pytest.fail("built again")
-        )
-        assert build_report(made, tmp_path) == first
-    other = dataclasses.replace(made, entries={("held_out", "reader"): Entry(
-        name="reader", reference="x", code="y")})  # fmt: skip
-    assert build_report(other).key == first.key  # the entry has no code digest
-    fewer = dataclasses.replace(made, tasks=made.tasks[:1])
-    assert build_report(fewer).key != first.key
-
-
 def test_an_interrupted_build_leaves_the_old_index(tmp_path, monkeypatch):
     write_text(tmp_path / "index.html", "old")
 
-    def interrupted(views, out):
+    def interrupted(board, views, out):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(export, "write_exports", interrupted)
@@ -197,13 +141,13 @@ def test_a_site_can_be_built_when_every_entry_failed():
         name: [r for r in found if r.estimator == "broken"] for name, found in results().items()
     }
     made = Board(tuple(tasks()), failed)
-    index = dict(render_pages(made, build_report(made)))["index.html"]
+    index = dict(_render_pages(made, build_report(made)))["index.html"]
     assert text_of(index).count("RuntimeError: no idea") == 3
 
 
 def test_stale_results_are_marked_stale():
     changed = Board(tuple(dataclasses.replace(t, version=9) for t in tasks()), results())
-    text = text_of(dict(render_pages(changed, build_report(changed)))["index.html"])
+    text = text_of(dict(_render_pages(changed, build_report(changed)))["index.html"])
     assert text.count("stale: the task has changed") == sum(map(len, results().values()))
 
 
@@ -212,10 +156,7 @@ def test_stale_results_are_marked_stale():
 
 def test_the_findings_quote_the_scores():
     views = board_views(board())
-    unrelated, new, best, *causal, trained, memory = findings(views)
-    rows = [x for v in views if v.board == "new_road" for s in v.sections for x in s.rows]
-    assert len(causal) == any(x.causal for x in rows if x.state == "scored")
-    assert all("best causal entry" in sentence for sentence in causal)
+    unrelated, best, others, certainty, trained, memory = findings(views)
     levels, r = unrelated_level_errors()
     assert f"{100.0 * np.median(levels):.0f}\u00a0% in the median" in unrelated
     assert np.median(levels) == pytest.approx(0.09, abs=0.02) and abs(r.mean()) < 0.02
@@ -225,8 +166,9 @@ def test_the_findings_quote_the_scores():
         assert f"{100.0 * np.median(with_long_waves):.0f}\u00a0%" in unrelated
     assert "altered copy of the paving" in trained and "of 3 trainings" in trained
     assert "uses no measurement" in memory
-    assert "better than a flat road" in new  # the fake estimator uses the truth
-    assert best.startswith("New road: the best entry is ")
+    assert "better than a flat road" in others  # the fake estimator uses the truth
+    assert best.startswith("held_out: ") and "is best: its error is" in best
+    assert "first place" in certainty
 
 
 def test_findings_without_results_are_omitted():
@@ -241,12 +183,22 @@ def test_texts_of_entries_are_no_commands_of_latex_and_no_formulas_of_a_spreadsh
     title = "A title\n\\input{x}"
     shown = dataclasses.replace(section, rows=(hostile,), title=title)
     view = dataclasses.replace(view, sections=(shown,))
-    tex = export.as_latex(view)
-    assert r"\textbackslash{}input\{" in tex and "^^" not in tex
+    tex = export._as_latex(view, shown)
+    assert r"\textbackslash input\{" in tex and "^^" not in tex
     commands = [line for line in tex.splitlines() if not line.startswith("%")]
     assert r"\input" not in "".join(commands)
-    (row,) = csv.DictReader(io.StringIO(export.as_csv(view)))
+    (row,) = csv.DictReader(io.StringIO(export._as_csv(view)))
     assert row["estimator"] == "'=1+1" and row["text"].startswith("'=HYPERLINK")
+
+
+def test_every_score_of_every_run_is_exported(written):
+    table = pd.read_parquet(written / "export/new_road.parquet")
+    (result,) = [r for r in results()["held_out"] if r.estimator == "reader"]
+    mine = table[table["estimator"] == "reader"]
+    assert len(mine) == sum(len(drive.scores) for drive in result.drives)
+    last = result.drives[-1]
+    at = mine[(mine["drive"] == last.drive) & (mine["condition"] == last.condition)]
+    assert dict(zip(at["score"], at["value"], strict=True)) == last.scores
 
 
 def test_the_exports_hold_the_same_numbers(written):

@@ -10,7 +10,7 @@ import pytest
 
 from leaderboard import cli
 from leaderboard.commands.listing import KINDS
-from leaderboard.lazy_commands import help_line
+from leaderboard.lazy_commands import _help_line
 from road_envs.core import config
 from road_envs.core.config import ConfigError
 from road_envs.drives.recording import read_record
@@ -34,7 +34,7 @@ def test_every_command_has_a_help_text_that_opens_with_its_line_in_the_list(road
     code, out, _ = road_recon(*command, "--help")
     assert code == 0 and f"Usage: road-recon {' '.join(command)}" in out
     text = " ".join(out.split("\n\n")[1].split())
-    assert text.startswith(help_line(target).removesuffix("."))
+    assert text.startswith(_help_line(target).removesuffix("."))
 
 
 def test_the_help_lists_every_command_whole(road_recon):
@@ -44,7 +44,7 @@ def test_the_help_lists_every_command_whole(road_recon):
         shown = " ".join(out.split())
         for section, entries in commands.sections.items():
             assert f"{section}:" in shown
-            lines = {name: help_line(target) for name, target in entries.items()}
+            lines = {name: _help_line(target) for name, target in entries.items()}
             assert all(len(x) > 20 and f" {name} {x}" in shown for name, x in lines.items())
 
 

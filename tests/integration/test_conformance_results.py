@@ -24,8 +24,8 @@ from leaderboard.entries.entries import (
 from leaderboard.entries.entry import Entry
 from leaderboard.evaluation.evaluate import run_task
 from leaderboard.evaluation.tasks import load_task
-from leaderboard.report.cache import build_report
-from leaderboard.report.site import render_pages
+from leaderboard.report.sentences import build_report
+from leaderboard.report.site import _render_pages
 from leaderboard.report.terminal import print_tables
 from leaderboard.running.board import Board, RunRequest, load_board, run_board
 from leaderboard.sandbox import bubblewrap
@@ -136,7 +136,7 @@ def test_table_and_pages_show_the_number_of_passed_probes(tmp_path, probed):
         stream = io.StringIO()
         print_tables(found, Console(file=stream, width=80))
         assert ("reader 4/5" in stream.getvalue()) == bool(mark)
-        texts = dict(render_pages(one, found))
+        texts = dict(_render_pages(one, found))
         assert ("4/5</span>" in texts["index.html"]) == bool(mark)
         assert (
             "<strong>failed</strong>: estimated twice" in texts["estimators/reader.html"]
@@ -214,7 +214,7 @@ def test_a_row_of_other_code_weights_or_settings_is_stale(tmp_path):
         changed = dataclasses.replace(board, entries={**board.entries, at: now})
         assert [(r.estimator, reason) for r, reason in changed.stale(t)] == [("reader", why)]
         assert "reader" not in [r.estimator for r in changed.scored(t)]
-        state = dict(render_pages(changed, build_report(changed)))["estimators/reader.html"]
+        state = dict(_render_pages(changed, build_report(changed)))["estimators/reader.html"]
         assert why in state
     assert not Board(board.tasks, board.results).stale(t)  # no current entries to compare with
 

@@ -13,7 +13,7 @@ from agreement import disagreements
 from board_runs import Counting, make_request
 
 from leaderboard.entries import entry
-from leaderboard.report.cache import build_report
+from leaderboard.report.sentences import build_report
 from leaderboard.report.site import write_site
 from leaderboard.running.board import run_board
 
@@ -22,7 +22,7 @@ STAGES = ("jobs", "results", "page")
 
 def run_and_write(out):
     board = run_board(make_request(), out, Counting())
-    write_site(board, build_report(board, out), out)
+    write_site(board, build_report(board), out)
     return board
 
 

@@ -137,21 +137,21 @@ def test_a_short_training_is_reproducible_to_the_bit_interrupted_or_not(tmp_path
         return out
 
     whole = train(tmp_path / "whole")
-    save = pretraining.FileCheckpoint.save
+    save = pretraining._FileCheckpoint.save
 
     def failing(self, state):
         save(self, state)
         if state["about"][0] >= 3:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(pretraining.FileCheckpoint, "save", failing)
+    monkeypatch.setattr(pretraining._FileCheckpoint, "save", failing)
     with pytest.raises(KeyboardInterrupt):
         train(tmp_path / "parts")
     assert [p.name for p in (tmp_path / "parts").iterdir()] == [".tcn.safetensors.unfinished"]
-    monkeypatch.setattr(pretraining.FileCheckpoint, "save", save)
-    begun, load = [], pretraining.FileCheckpoint.load
+    monkeypatch.setattr(pretraining._FileCheckpoint, "save", save)
+    begun, load = [], pretraining._FileCheckpoint.load
     monkeypatch.setattr(
-        pretraining.FileCheckpoint, "load", lambda self: begun.append(load(self)) or begun[-1]
+        pretraining._FileCheckpoint, "load", lambda self: begun.append(load(self)) or begun[-1]
     )
     parts = train(tmp_path / "parts")
     assert begun[0]["about"][0] == 3.0
@@ -165,11 +165,11 @@ def test_a_short_training_is_reproducible_to_the_bit_interrupted_or_not(tmp_path
 
 def test_an_unfinished_state_of_another_purpose_is_ignored(tmp_path):
     path = tmp_path / "state"
-    pretraining.FileCheckpoint(path, "this").save({"about": np.zeros(3)})
-    assert pretraining.FileCheckpoint(path, "this").load() is not None
-    assert pretraining.FileCheckpoint(path, "that").load() is None
+    pretraining._FileCheckpoint(path, "this").save({"about": np.zeros(3)})
+    assert pretraining._FileCheckpoint(path, "this").load() is not None
+    assert pretraining._FileCheckpoint(path, "that").load() is None
     path.write_bytes(b"cut short")
-    assert pretraining.FileCheckpoint(path, "this").load() is None
+    assert pretraining._FileCheckpoint(path, "this").load() is None
 
 
 def test_the_command_trains_from_the_corpus_and_its_file_estimates(road_recon, tmp_path):
@@ -208,7 +208,7 @@ def test_shipped_weights_are_small_and_state_their_corpus_and_settings(name, mon
     estimator = create(name)
     assert header["settings"] == json.loads(json.dumps(pretraining.get_settings(estimator)))
     monkeypatch.setattr(pretraining, "package_version", lambda: header["version"])
-    digest = pretraining.run_digest(estimator, name, Corpus(), int(about["seed"]))
+    digest = pretraining._run_digest(estimator, name, Corpus(), int(about["seed"]))
     assert about["digest"] == digest
     assert about["command"] == f"road-recon train {name} --out {name}.safetensors"
     assert not needs_training(estimator) and needs_training(create(name, shipped=False))

@@ -8,8 +8,8 @@ from scipy import signal
 from test_estimator_contract import APRON, CAR, drive, error, fit
 
 from estimators import create
-from estimators.baselines.mean import mean_profile
-from estimators.baselines.random_road import FittedRoad, draw_road, fit_spectrum
+from estimators.baselines.mean import _mean_profile
+from estimators.baselines.random_road import _FittedRoad, draw_road, fit_spectrum
 from estimators.common.least_squares import LeastSquaresSums, cross_validate
 from estimators.linear import fir_ridge
 from estimators.preprocessing import spatial_accelerations
@@ -28,7 +28,7 @@ def test_the_mean_is_taken_over_the_roads_that_reach_a_station():
         Profile(short, np.array([np.full(short.size, 1.0), np.full(short.size, 4.0)])),
         Profile(long, np.array([np.full(long.size, 3.0), np.full(long.size, 8.0)])),
     ]
-    z = mean_profile(truths)
+    z = _mean_profile(truths)
     assert z.shape == (2, long.size)
     np.testing.assert_allclose(z[:, : short.size], [[2.0], [6.0]] * np.ones(short.size))
     np.testing.assert_allclose(
@@ -68,7 +68,7 @@ def test_the_unrelated_road_has_level_and_waviness_of_the_training_roads(w):
 
 
 def test_the_unrelated_road_has_the_density_it_was_given():
-    z = np.concatenate([draw_road(FittedRoad(1024e-6, 2.0, seed), 20_000) for seed in range(8)])
+    z = np.concatenate([draw_road(_FittedRoad(1024e-6, 2.0, seed), 20_000) for seed in range(8)])
     n, G = displacement_psd(z, PROFILE_SPACING)
     for low, high in ((0.05, 0.2), (0.2, 0.6), (0.6, 1.8)):
         inside = (n > low) & (n < high)
@@ -211,7 +211,7 @@ def test_known_taps_are_recovered():
     coefficients = rng.standard_normal((3 * (2 * half + 1), 2))
     sums = LeastSquaresSums.zeros(len(coefficients))
     for seed in range(4):
-        X = fir_ridge.sliding_windows(drive(seed, noise=1.0)[0], stride, half)
+        X = fir_ridge._sliding_windows(drive(seed, noise=1.0)[0], stride, half)
         sums = sums.plus(LeastSquaresSums.from_samples(X, X @ coefficients))
     np.testing.assert_allclose(sums.solve(1e-12), coefficients, rtol=1e-4)
 
@@ -220,7 +220,7 @@ def test_estimating_tap_by_tap_equals_the_windows_of_training():
     window = fit("fir_ridge")
     record, _ = drive(120)
     taps, stride, _, _ = window.fitted_state
-    X = fir_ridge.sliding_windows(record, stride, taps.shape[2] // 2)
+    X = fir_ridge._sliding_windows(record, stride, taps.shape[2] // 2)
     z = window.estimate(record, CAR).z[:, ::stride]
     np.testing.assert_allclose(taps.reshape(2, -1) @ X.T, z, atol=1e-12)
 
@@ -260,7 +260,7 @@ def test_the_target_keeps_the_band_and_removes_long_waves():
 
     def passed(n):
         wave = np.sin(2.0 * np.pi * n * stations)
-        kept = fir_ridge.highpass_profile(Profile(stations, np.array([wave, wave])), stations)
+        kept = fir_ridge._highpass_profile(Profile(stations, np.array([wave, wave])), stations)
         return np.std(kept[0, middle]) / np.std(wave[middle])
 
     assert passed(0.2) == pytest.approx(1.0, abs=0.01)

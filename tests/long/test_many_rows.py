@@ -33,12 +33,12 @@ from rich.console import Console
 from test_many_rows import tasks
 from leaderboard.running.board import load_board
 from leaderboard.report.site import write_site
-from leaderboard.report.cache import build_report
+from leaderboard.report.sentences import build_report
 from leaderboard.report.terminal import print_tables
 
 out, begin = Path(sys.argv[1]), time.process_time()
 board = load_board(tasks(), out)
-report = build_report(board, out)
+report = build_report(board)
 print_tables(report, Console(file=(out / "tables.txt").open("w"), width=80))
 page = write_site(board, report, out)
 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20

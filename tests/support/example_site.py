@@ -9,8 +9,8 @@ from fake_estimators import Broken, Learner, Reader
 from fakes import fake_drives, task
 
 from leaderboard.evaluation.evaluate import run_task
-from leaderboard.report.cache import build_report
-from leaderboard.report.site import render_pages, write_site
+from leaderboard.report.sentences import build_report
+from leaderboard.report.site import _render_pages, write_site
 from leaderboard.report.tables import board_views
 from leaderboard.running.board import Board, create_baselines
 from road_envs.records.record import Estimate
@@ -85,7 +85,7 @@ def report():
 
 @cache
 def site():
-    return dict(render_pages(board(), report()))
+    return dict(_render_pages(board(), report()))
 
 
 def built(made, folder):

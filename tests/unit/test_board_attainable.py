@@ -10,7 +10,7 @@ from fakes import fake_drives, task
 
 from leaderboard.evaluation.evaluate import run_task
 from leaderboard.report import attainable
-from leaderboard.report.cache import build_report
+from leaderboard.report.sentences import build_report
 from leaderboard.report.site import write_site
 from leaderboard.report.tables import board_views
 from leaderboard.running.board import Board

@@ -18,7 +18,7 @@ from estimators.linear.impulse_responses import (
     N_TAPS,
     RATE,
     Responses,
-    kernel_factor,
+    _kernel_factor,
     road_drive,
 )
 from estimators.linear.road_posterior import Nodes, normal_equations, prior_bands, solve
@@ -164,7 +164,7 @@ def test_any_number_of_sensors_serves():
 
 
 def test_the_kernel_is_that_of_chen_ohlsson_and_ljung():
-    F = kernel_factor(np.log(0.3), 0.9)
+    F = _kernel_factor(np.log(0.3), 0.9)
     i = np.arange(N_TAPS)
     np.testing.assert_allclose(F @ F.T, 0.3 * 0.9 ** np.maximum.outer(i, i), atol=1e-12)
 

@@ -12,10 +12,10 @@ from test_wiener import CARS, SPLIT, linear_car
 from estimators import create
 from estimators.linear.inverse_quarter_car import (
     PATHS,
-    QuarterCars,
-    accelerations_at_struts,
-    quarter_cars,
-    weigh_by_road,
+    _accelerations_at_struts,
+    _quarter_cars,
+    _QuarterCars,
+    _weigh_by_road,
 )
 from leaderboard.metrics.heights import band_pass, nrmse
 from road_envs.core.config import ConfigError
@@ -26,7 +26,7 @@ from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.equations import build_plant
 
 IDEAL = load_instruments("ideal")
-CORNERS = QuarterCars(
+CORNERS = _QuarterCars(
     *(np.array(x) for x in (
         [430.0, 430.0, 500.0, 300.0], [115.0, 90.0, 115.0, 60.0], [16e3, 84e3, 20e3, 30e3],
         [2e3, 5e3, 0.0, 1e3], [250e3, 200e3, 300e3, 150e3], [1200.0, 0.0, 400.0, 800.0],
@@ -92,13 +92,13 @@ def test_accelerations_at_the_struts_are_those_of_the_rigid_body():
     a = np.array([heave - x * pitch + y * roll for x, y, _ in locations.values()])
     corners = [(a.x, side * a.y_s) for a in car.axles for side in (1.0, -1.0)]
     expected = [heave - x * pitch + y * roll for x, y in corners]
-    np.testing.assert_allclose(accelerations_at_struts(a, locations, car), expected, atol=1e-12)
+    np.testing.assert_allclose(_accelerations_at_struts(a, locations, car), expected, atol=1e-12)
 
 
 @pytest.mark.parametrize(("mode", "k_s"), [("ride", 16682.0), ("handling", 83574.0)])
 def test_the_corners_of_the_defender_match_its_parameters(mode, k_s):
     car = CARS["defender"]
-    found = quarter_cars(
+    found = _quarter_cars(
         build_plant(car), car, dict.fromkeys(("front", "rear"), mode), np.full(4, 0.1)
     )
     assert found.m_s.sum() == pytest.approx(car.m_b)
@@ -135,14 +135,14 @@ def test_weights_are_those_of_wieners_filter_for_a_road_and_what_exceeds_it():
     paths = np.array([1.0, 0.3, 2.0, 0.5])[:, None] / f * (1.0 + 0.0j)
     loud = (f > 7.0) & (f < 14.0)
     paths[1, loud] *= 10.0
-    left = PATHS @ weigh_by_road(np.linalg.solve(PATHS, paths), f, 0.6) * f
+    left = PATHS @ _weigh_by_road(np.linalg.solve(PATHS, paths), f, 0.6) * f
     np.testing.assert_allclose(left[[0, 2, 3]], np.array([1.0, 2.0, 0.5])[:, None] * np.ones(4000))
     middle = (f > 9.0) & (f < 11.0)
     np.testing.assert_allclose(left[1, middle], 0.3 / 10.0, rtol=1e-6)
     np.testing.assert_allclose(left[1, (f < 5.0) | (f > 18.0)], 0.3)
     nothing = np.zeros((4, f.size))
-    assert not weigh_by_road(nothing, f, 0.6).any()
-    np.testing.assert_allclose(weigh_by_road(paths, f, 24.9), paths)  # no band to judge by
+    assert not _weigh_by_road(nothing, f, 0.6).any()
+    np.testing.assert_allclose(_weigh_by_road(paths, f, 24.9), paths)  # no band to judge by
 
 
 def test_a_frame_that_twists_does_not_make_it_worse_than_a_flat_road():

@@ -11,7 +11,7 @@ from test_map_smoother import PAPER, drive_record, error, objective_of
 
 from estimators import create
 from estimators.api import CalibrationDrive
-from estimators.low_pass import find_low_pass
+from estimators.low_pass import _find_low_pass
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.preprocessing import mask_record
 from leaderboard.sandbox import messages
@@ -66,12 +66,12 @@ def test_a_named_low_pass_is_undone_up_to_its_bandwidth_and_the_reach_of_gaps_is
 @pytest.mark.parametrize(("f_c", "order"), [(25.0, 4), (25.0, 8), (40.0, 4), (60.0, 5)])
 def test_a_low_pass_that_a_record_does_not_name_is_found(f_c, order):
     record, _ = drive_record()
-    found = find_low_pass(low_passed(record, f_c, order).a, record.fs, PAPER.noise_density)
+    found = _find_low_pass(low_passed(record, f_c, order).a, record.fs, PAPER.noise_density)
     assert found is not None and found.f_c == pytest.approx(f_c, rel=0.15)
     f = np.linspace(0.0, 0.75 * f_c, 20)
     gain, expected = (one.gain(f, record.fs) for one in (found, LowPass(f_c, order)))
     np.testing.assert_allclose(gain, expected, atol=0.06)
-    assert find_low_pass(record.a, record.fs, PAPER.noise_density) is None
+    assert _find_low_pass(record.a, record.fs, PAPER.noise_density) is None
 
 
 def test_a_measurement_says_nothing_above_its_bandwidth():

@@ -10,7 +10,7 @@ import pytest
 from leaderboard.bench.machine import (
     CHAINS,
     LANES,
-    dependent_divisions,
+    _dependent_divisions,
     dependent_multiply_adds,
     measure_machine,
     multiply_adds,
@@ -37,7 +37,7 @@ def test_every_chain_of_multiply_adds_sums_its_geometric_series():
 
 def test_a_chain_takes_four_operations_in_each_round():
     assert dependent_multiply_adds(1.0, 0.5, 1.0, 2) == 2.0 - 0.5**8
-    assert dependent_divisions(1.5, 2.0, 3) == 1.5
+    assert _dependent_divisions(1.5, 2.0, 3) == 1.5
 
 
 def test_the_machine_is_measured_on_one_thread_and_on_two():

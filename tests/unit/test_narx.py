@@ -5,7 +5,7 @@ import pytest
 from test_estimator_contract import drive, error
 
 from estimators.networks import levenberg_marquardt as lm
-from estimators.networks.narx import Narx, run_parallel, series_parallel
+from estimators.networks.narx import Narx, _run_parallel, _series_parallel
 from road_envs.vehicle.parameters import load_vehicle
 
 CAR = load_vehicle("land_rover_defender_110")
@@ -19,7 +19,7 @@ def trained() -> Narx:
 
 def test_regressors_are_current_and_past_accelerations_and_past_true_heights():
     x, z = np.arange(30.0).reshape(3, 10), 100.0 + np.arange(20.0).reshape(2, 10)
-    regressors, targets = series_parallel(x, z, 2)
+    regressors, targets = _series_parallel(x, z, 2)
     np.testing.assert_array_equal(targets, z[:, 2:])
     k = 5
     expected = [*x[:, k], *x[:, k - 1], *x[:, k - 2], *z[:, k - 1], *z[:, k - 2]]
@@ -31,7 +31,7 @@ def test_in_parallel_the_network_feeds_back_its_own_outputs():
     network = lm.nguyen_widrow(13, 4, 2, rng)
     x, before = rng.uniform(-1, 1, (3, 12)), rng.uniform(-1, 1, (2, 2))
     z = np.empty((2, 12))
-    run_parallel(network.hidden, network.output, x, before, z)
+    _run_parallel(network.hidden, network.output, x, before, z)
     past, sensed = [before[:, 1], before[:, 0]], [x[:, 0], x[:, 0]]
     for k in range(12):
         seen = np.concatenate([x[:, k], *sensed, *past])
@@ -45,8 +45,8 @@ def test_both_loops_agree_where_the_outputs_are_the_truth():
     network = lm.nguyen_widrow(13, 4, 2, rng)
     x, before = rng.uniform(-1, 1, (3, 40)), np.zeros((2, 2))
     z = np.empty((2, 40))
-    run_parallel(network.hidden, network.output, x, before, z)
-    regressors, targets = series_parallel(x, z, 2)
+    _run_parallel(network.hidden, network.output, x, before, z)
+    regressors, targets = _series_parallel(x, z, 2)
     np.testing.assert_allclose(network(regressors), targets, atol=1e-12)
 
 

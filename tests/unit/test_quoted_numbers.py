@@ -74,7 +74,7 @@ def test_enough_pages_name_their_outputs():
         "observability.md",
         "paper.md",
     } <= set(pages)
-    assert len(QUOTING) >= 9
+    assert len(QUOTING) >= 7
 
 
 def test_a_wrong_number_is_found(tmp_path, monkeypatch):

@@ -232,18 +232,18 @@ def test_the_picture_of_the_pages_is_the_side_view_of_a_frame():
 
 
 def test_a_command_is_described_in_words():
-    assert panels.describe_command(encode_command("handling")) == "handling"
+    assert panels._describe_command(encode_command("handling")) == "handling"
     front_rear = encode_command({"front": "ride", "rear": "stiff_low"})
-    assert panels.describe_command(front_rear) == "front ride, rear stiff/low"
+    assert panels._describe_command(front_rear) == "front ride, rear stiff/low"
     each = encode_command({"FL": "ride", "FR": "handling", "RL": "ride", "RR": "ride"})
-    assert panels.describe_command(each) == "individual wheels"
+    assert panels._describe_command(each) == "individual wheels"
 
 
 @pytest.mark.parametrize(
     ("value", "expected"), [(0.02, 0.02), (0.021, 0.05), (3.0, 5.0), (7.0, 10.0), (120.0, 200.0)]
 )
 def test_scales_end_at_round_numbers(value, expected):
-    assert panels.round_up(value) == pytest.approx(expected)
+    assert panels._round_up(value) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("options", [{}, {"exaggeration": 2.0, "control_rate": 50.0}])

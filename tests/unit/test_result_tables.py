@@ -13,7 +13,7 @@ from rich.console import Console
 
 from leaderboard.evaluation.evaluate import run_task
 from leaderboard.metrics.bootstrap import interquartile_mean, iqm_interval
-from leaderboard.report.cache import build_report
+from leaderboard.report.sentences import build_report
 from leaderboard.report.tables import board_views
 from leaderboard.report.terminal import as_json, print_tables
 from leaderboard.running.board import Board

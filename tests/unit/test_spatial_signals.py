@@ -166,7 +166,7 @@ def test_taps_are_interpolated_between_speeds_and_states_at_each_station():
 
 def test_the_normal_equations_equal_least_squares_with_penalty_rows():
     rng = np.random.default_rng(4)
-    blocks, rows, expected = fir_bank.KnotNormalEquations.zeros(3), [], []
+    blocks, rows, expected = fir_bank._KnotNormalEquations.zeros(3), [], []
     for v in (KNOTS[0], 2.0, 3.1, 5.0, 9.0, 20.5):
         X, z = rng.standard_normal((20, 3)), rng.standard_normal(20)
         blocks.add(X, z, v)

@@ -12,9 +12,9 @@ from estimators.common.spatial_signals import SPACING
 from estimators.linear.fir_bank import FirBank, taps_shape
 from estimators.networks.std_calibration import (
     N_TERMS,
+    _design_matrix,
     calibration_factor,
     constant_scale,
-    design_matrix,
     fit_std_scale,
     in_scored_band,
     std_scale,
@@ -75,7 +75,7 @@ def test_heavy_tailed_errors_get_a_compromise_between_both_coverages():
 def test_a_constant_factor_is_the_same_under_all_conditions():
     drive_conditions = conditions(np.random.default_rng(3), 5)
     np.testing.assert_allclose(std_scale(constant_scale(0.7), drive_conditions), 0.7)
-    assert design_matrix(drive_conditions).shape == (N_TERMS, 5)
+    assert _design_matrix(drive_conditions).shape == (N_TERMS, 5)
 
 
 def test_the_calibration_factor_of_gaussian_errors_is_their_scale():

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from leaderboard.evaluation.surface_tasks import surface_class, surface_tasks
+from leaderboard.evaluation.surface_tasks import _surface_class, surface_tasks
 from road_envs.core.config import ConfigError
 from road_envs.roads import load_road, write_csv
 from road_envs.simulation.drive import simulate
@@ -76,8 +76,8 @@ def test_a_level_surface_is_refused_by_the_name_of_its_file(tmp_path):
 def test_the_class_of_a_surface_is_that_of_its_rougher_path():
     road = load_road({"kind": "iso8608", "road_class": "C", "length": 300.0})
     surface = road.realise(np.random.default_rng(5))
-    assert surface_class(surface) == "C"
-    assert surface_class(dataclasses.replace(surface, z=surface.z * [[1.0], [4.0]])) == "E"
+    assert _surface_class(surface) == "C"
+    assert _surface_class(dataclasses.replace(surface, z=surface.z * [[1.0], [4.0]])) == "E"
 
 
 def test_a_file_that_is_no_surface_is_refused(tmp_path):

@@ -9,7 +9,7 @@ from fakes import task
 from scipy import signal
 
 from leaderboard.evaluation import tasks, test_data
-from leaderboard.evaluation.surface_tasks import surface_class
+from leaderboard.evaluation.surface_tasks import _surface_class
 from leaderboard.evaluation.tasks import Condition, load_task, shipped_tasks
 from leaderboard.evaluation.test_data import simulate_drives
 from road_envs.core.config import ConfigError, folder, names
@@ -347,7 +347,7 @@ def test_levels_on_the_main_board_lie_in_several_classes():
     t = load_task("new_road").with_test_drives(None)
     surfaces = [road.realise(np.random.default_rng(seed)) for road, seed in t.test.roads_and_seeds]
     levelled = [surface for k, surface in enumerate(surfaces) if k % 6 < 4]
-    classes = [surface_class(surface) for surface in levelled]
+    classes = [_surface_class(surface) for surface in levelled]
     assert max(classes.count(letter) for letter in "BCDE") < 0.65 * len(classes)
     assert {"C", "D"} <= set(classes)
 

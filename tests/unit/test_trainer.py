@@ -11,11 +11,11 @@ from estimators.api import LAG, NotFittedError
 from estimators.networks.inputs import STATIONS_AHEAD, NetworkInputs
 from estimators.networks.tcn import Tcn
 from estimators.networks.trainer import (
-    SequencePart,
     TrainerConfig,
     TrainingSequence,
+    _learning_rate_factor,
+    _SequencePart,
     get_weights,
-    learning_rate_factor,
     set_weights,
     split_validation,
     train_network,
@@ -121,7 +121,7 @@ def test_validation_takes_whole_drives_of_many_and_ends_of_few():
 
 def test_a_mirrored_crop_has_roll_and_half_difference_negated():
     part = sequence(0, 0.1)
-    piece = SequencePart(part, 0, 400)
+    piece = _SequencePart(part, 0, 400)
     x, _, residual = piece.crop(10, 5, Shallow, False)
     turned_x, _, turned = piece.crop(10, 5, Shallow, True)
     np.testing.assert_array_equal(residual, part.residual[:, 10:15])
@@ -132,7 +132,7 @@ def test_a_mirrored_crop_has_roll_and_half_difference_negated():
 
 
 def test_the_learning_rate_rises_and_falls():
-    rates = [learning_rate_factor(step, 1000) for step in range(1001)]
+    rates = [_learning_rate_factor(step, 1000) for step in range(1001)]
     assert rates[0] < 0.02 and max(rates) > 0.95
     assert np.argmax(rates) == pytest.approx(100, abs=2)
     assert rates[-1] == pytest.approx(0.02)

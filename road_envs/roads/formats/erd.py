@@ -61,16 +61,16 @@ def read(path: str | Path) -> WheelPaths:
 
     Raises SurfaceFileError.
     """
-    header, body = parse_header(read_bytes(path))
+    header, body = _parse_header(read_bytes(path))
     if header.number_type == FLOAT:
         binary = Path(path).with_suffix(".bin")
         if not binary.is_file():
             raise SurfaceFileError(f"its numbers should be in {binary.name}, which is missing")
         body = read_bytes(binary)
-    return parse_numbers(header, body)
+    return _parse_numbers(header, body)
 
 
-def parse_header(data: bytes) -> tuple[Header, bytes]:
+def _parse_header(data: bytes) -> tuple[Header, bytes]:
     """Return the header in the bytes of a file, and the bytes after it. Raises SurfaceFileError."""
     if data[:9].upper() != b"ERDFILEV2":
         raise SurfaceFileError("not an ERD file: it does not begin with ERDFILEV2")
@@ -100,7 +100,7 @@ def parse_header(data: bytes) -> tuple[Header, bytes]:
     return Header(channels, max(0, samples), number_type, step, keywords), data[end.end() :]
 
 
-def parse_numbers(header: Header, body: bytes) -> WheelPaths:
+def _parse_numbers(header: Header, body: bytes) -> WheelPaths:
     """Return both wheel paths from the bytes with the numbers. Raises SurfaceFileError."""
     values = _text(body) if header.number_type == TEXT else _floats(body)
     samples, rest = divmod(values.size, header.channels)

@@ -59,7 +59,7 @@ def parse_text(data: bytes) -> WheelPaths:
         table = table * [metres(unit, f"the column {name}") for name, unit in found]
         if len(names) == 3 and "right" in names[1] and "left" in names[2]:
             order = [2, 1]
-    return resample_evenly(table[:, 0], checked_heights(table[:, order].T))
+    return _resample_evenly(table[:, 0], checked_heights(table[:, order].T))
 
 
 def _cells(line: str, mark: str | None) -> list[str]:
@@ -100,7 +100,7 @@ def parse_parquet(data: bytes) -> WheelPaths:
     except (pa.ArrowException, OSError, ValueError, TypeError, OverflowError) as error:
         reason = " ".join(str(error).split())
         raise SurfaceFileError(f"damaged, or no Parquet file: {reason}") from None
-    return resample_evenly(columns[0], checked_heights(np.array([columns[1], columns[-1]])))
+    return _resample_evenly(columns[0], checked_heights(np.array([columns[1], columns[-1]])))
 
 
 def parse_number_rows(lines: list[str], comments: str | None = "#") -> np.ndarray:
@@ -114,7 +114,7 @@ def parse_number_rows(lines: list[str], comments: str | None = "#") -> np.ndarra
         raise SurfaceFileError(f"not a table of numbers: {error}") from None
 
 
-def resample_evenly(s: np.ndarray, z: np.ndarray) -> WheelPaths:
+def _resample_evenly(s: np.ndarray, z: np.ndarray) -> WheelPaths:
     """Return wheel paths `z` (2, N) at stations `s` (N,) [m] on a uniform grid.
 
     Stations that are not uniform are resampled to the median spacing. Raises SurfaceFileError.

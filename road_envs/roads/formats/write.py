@@ -38,7 +38,7 @@ def write_csv(surface: Surface, path: str | Path) -> None:
     write_text(path, "\n".join([*remarks, "distance,left,right", *rows, ""]))
 
 
-def write_parquet(surface: Surface, path: str | Path) -> None:
+def _write_parquet(surface: Surface, path: str | Path) -> None:
     """Write distance, left and right height [m] as Parquet; name and notes go into the metadata."""
     with optional_import("a table as CSV or Parquet"):
         import pyarrow as pa
@@ -69,7 +69,7 @@ def write_crg(surface: Surface, path: str | Path, data_format: str = "KDBI") -> 
         )
 
 
-def write_erd(surface: Surface, path: str | Path) -> None:
+def _write_erd(surface: Surface, path: str | Path) -> None:
     """Write left and right elevation [mm] as an ERD text file with a resolution of 1 nm."""
     lines = [
         "ERDFILEV2.00",
@@ -90,9 +90,9 @@ def write_erd(surface: Surface, path: str | Path) -> None:
 
 WRITERS: dict[str, Callable[[Surface, str | Path], None]] = {
     ".csv": write_csv,
-    ".parquet": write_parquet,
+    ".parquet": _write_parquet,
     ".crg": write_crg,
-    ".erd": write_erd,
+    ".erd": _write_erd,
 }
 
 
