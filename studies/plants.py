@@ -29,13 +29,12 @@ from road_envs.vehicle.linear_model import frequency_response, linearise
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 from studies.study import Row, run_study, study_parser
 
-CARS = ("bmw_320i", "volkswagen_vanagon", "jeep_cherokee")
+CARS = ("bmw_320i", "volkswagen_vanagon", "jeep_cherokee", "defender_110_coils")
 DRIVES = (
     ("iso_c", 36.0),
     ("belgian_like", 36.0),
     ("iso_b", 90.0),
     ("iso_d", 90.0),
-    ("iso_a", 36.0),
 )
 """Roads and speeds [km/h]; the first is driven without side motion in the model as well."""
 

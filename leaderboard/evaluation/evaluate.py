@@ -102,7 +102,7 @@ def in_process(estimator: Estimator | None) -> EntryRunner:
     def run(entry: Entry, data: ConditionData, seeds: Sequence[int]) -> Iterable[TrainingRun]:
         assert estimator is not None
         records = [test.record for test in data.tests]
-        session = LocalSession(estimator, data.task.vehicle)
+        session = LocalSession(estimator, data.task.vehicle_of(data.condition))
         training, drives = training_pairs(data), calibrations(data)
         return reconstruct_all(session, training, records, seeds, None, drives)
 

@@ -20,9 +20,11 @@ import numpy as np
 from pydantic import Field
 
 from leaderboard.evaluation.boards import BoardDefinition, shipped_boards
+from leaderboard.evaluation.kept_drives import kept_digest
 from leaderboard.json_values import to_json_types
 from road_envs.core import config
 from road_envs.core.config import ConfigError, Count, Positive, Settings
+from road_envs.plants.commonroad_car import as_driven
 from road_envs.roads import Road, with_length
 from road_envs.roads.api import AnyRoad
 from road_envs.roads.composite import NoisyCopy
@@ -74,6 +76,8 @@ class Condition(_ModeAndSpeed):
     """Strut mode, speed and plant-mismatch grade of a drive."""
 
     grade: Grade = "S0"  # of the test vehicle (`perturbed_vehicle`); training uses S0
+    car: str | None = None  # instead of the task's
+    plant: Literal["mujoco", "commonroad"] | None = None  # of other projects, whose drives are kept
 
     @property
     def label(self) -> str:
@@ -81,7 +85,8 @@ class Condition(_ModeAndSpeed):
         mode = self.mode
         name = mode if isinstance(mode, str) else f"{mode.front} front, {mode.rear} rear"
         car = "" if self.grade == "S0" else f", car {self.grade}"
-        return f"{name}, {self.speed_kmh:g} km/h{car}"
+        of = "".join(f", {part}" for part in (self.car, self.plant) if part)
+        return f"{name}, {self.speed_kmh:g} km/h{car}{of}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -242,6 +247,11 @@ class Task(Settings):
         """Nominal parameters of the vehicle. Raises ConfigError."""
         return load_vehicle(self.car)
 
+    def vehicle_of(self, condition: Condition) -> VehicleParameters:
+        """Return the vehicle that is described to estimators under a condition."""
+        car = self.vehicle if condition.car is None else load_vehicle(condition.car)
+        return as_driven(car) if condition.plant == "commonroad" else car
+
     @cached_property
     def sensors(self) -> Instruments:
         """Instruments of the vehicle. Raises ConfigError."""
@@ -251,6 +261,8 @@ class Task(Settings):
     def digest(self) -> str:
         """SHA-256 of all inputs of drives and scores: task, roads, vehicle, instruments, files."""
         parts: list[Any] = [self, self.vehicle, self.sensors]
+        parts += [self.vehicle_of(condition) for condition in self.conditions if condition.car]
+        parts += [kept_digest(condition.plant) for condition in self.conditions if condition.plant]
         if any(condition.grade != "S0" for condition in self.conditions):
             parts.append(load_plant_mismatch())
         text = json.dumps(to_json_types(parts, _digested_fields), sort_keys=True, default=repr)
@@ -337,7 +349,7 @@ def load_task(name: str | Path) -> Task:
         )
     for condition in task.conditions:
         try:
-            encode_command(condition.simulator_mode, task.vehicle)
+            encode_command(condition.simulator_mode, task.vehicle_of(condition))
         except ConfigError as error:
             raise ConfigError(f"{name}: conditions: {error}") from None
     return task

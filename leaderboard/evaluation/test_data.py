@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from estimators.api import CalibrationDrive
+from leaderboard.evaluation.kept_drives import kept_drive
 from leaderboard.evaluation.tasks import Condition, DriveSet, Task, individual_seed
 from road_envs.drives.recording import simulate_record
 from road_envs.kernels.filters import LOW_PASS_ORDER, preprocess_accelerations
@@ -55,6 +56,11 @@ def simulate_drive(
 ) -> RecordedDrive:
     """Return the drive over the `road` of a `seed`, without drives to calibrate with."""
     surface = road.realise(np.random.default_rng(seed))
+    if condition.plant and drives is task.test:
+        record, truth = kept_drive(
+            condition.plant, condition.car or task.car, surface, condition.speed_kmh, seed
+        )
+        return RecordedDrive(0, surface.name, seed, record, truth, surface.notes)
     record, truth = simulate_record(
         surface,
         speed_kmh=condition.speed_kmh,
@@ -69,7 +75,7 @@ def simulate_drive(
 def calibration_drives(task: Task, condition: Condition, seed: int) -> tuple[CalibrationDrive, ...]:
     """Return the calibration drives of the vehicle that drives the test road of a `seed`."""
     vehicle, runs = _vehicle(task, task.test, condition, seed), range(len(task.calibration))
-    return tuple(_calibration_drive(task, k, seed, vehicle) for k in runs)
+    return tuple(_calibration_drive(task, k, seed, condition, vehicle) for k in runs)
 
 
 def _vehicle(task: Task, drives: DriveSet, condition: Condition, seed: int) -> dict[str, Any]:
@@ -78,7 +84,7 @@ def _vehicle(task: Task, drives: DriveSet, condition: Condition, seed: int) -> d
     if not drives.noise:
         instruments = dataclasses.replace(instruments, noise_density=0.0, speed_error=0.0)
     return {
-        "vehicle": task.vehicle,
+        "vehicle": task.vehicle_of(condition),
         "instruments": instruments,
         "individual": individual_seed(seed),
         "step": drives.step,
@@ -87,19 +93,24 @@ def _vehicle(task: Task, drives: DriveSet, condition: Condition, seed: int) -> d
 
 
 def _calibration_drive(
-    task: Task, k: int, seed: int, common: Mapping[str, Any]
+    task: Task, k: int, seed: int, condition: Condition, common: Mapping[str, Any]
 ) -> CalibrationDrive:
     """Return the `k`-th calibration drive of the vehicle that drives the test road of a `seed`."""
     run = task.calibration[k]
     rng = np.random.default_rng(seed + run.seed_offset)
     surface = run.driven_road.realise(rng)
-    record, truth = simulate_record(
-        surface,
-        speed_kmh=run.speed_kmh,
-        mode=run.simulator_mode,
-        seed=np.random.SeedSequence([seed, run.seed_offset]),
-        **common,
-    )
+    if condition.plant:
+        record, truth = kept_drive(
+            condition, task.car, surface, run.speed_kmh, seed + run.seed_offset
+        )
+    else:
+        record, truth = simulate_record(
+            surface,
+            speed_kmh=run.speed_kmh,
+            mode=run.simulator_mode,
+            seed=np.random.SeedSequence([seed, run.seed_offset]),
+            **common,
+        )
     profile = None
     if run.survey_std is not None:
         profile = levelled(truth, run.survey_std, rng)

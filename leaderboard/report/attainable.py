@@ -57,7 +57,10 @@ def attainable_errors(
     def compute() -> dict[str, dict[str, float]]:
         drives = simulate(task, task.test, condition)
         # keys as text: a file of JSON has no others
-        errors = {str(d.index): drive_error(task, condition, d, task.vehicle) for d in drives}
+        errors = {
+            str(d.index): drive_error(task, condition, d, task.vehicle_of(condition))
+            for d in drives
+        }
         return {"errors": errors}
 
     identity = ATTAINABLE.identity(task.digest, condition.label)

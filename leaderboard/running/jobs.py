@@ -161,7 +161,7 @@ def in_sandbox(sandbox: SandboxClient) -> EntryRunner:
     """Return a runner that trains and runs each entry in a guest."""
 
     def run(entry: Entry, data: ConditionData, seeds: Sequence[int]) -> Iterable[TrainingRun]:
-        training, car = evaluate.training_pairs(data), data.task.vehicle
+        training, car = evaluate.training_pairs(data), data.task.vehicle_of(data.condition)
         records = [test.record for test in data.tests]
         return sandbox.reconstruct(
             entry, training, records, car, seeds,

@@ -1,0 +1,83 @@
+"""Kept drives of foreign plants: all that tasks need are there, and are what the plants make."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from leaderboard.evaluation.kept_drives import kept_digest, kept_drive, kept_path
+from leaderboard.evaluation.tasks import load_task
+from leaderboard.evaluation.test_data import simulate_drives
+from road_envs.core.config import ConfigError
+from road_envs.plants.commonroad_car import as_driven
+from road_envs.roads import realise_road
+from road_envs.vehicle.parameters import load_vehicle
+from studies.plant_records import PLACES, TASKS, needed
+
+BOARD = [load_task(name) for name in TASKS]
+
+
+@pytest.mark.parametrize("task", BOARD, ids=TASKS)
+def test_every_drive_of_the_board_is_kept(task):
+    for condition in task.conditions:
+        (drive,) = simulate_drives(task, task.test, condition)
+        assert drive.record.length == 100.0
+        assert np.nanmedian(drive.record.v) == pytest.approx(condition.speed_kmh / 3.6, rel=0.02)
+        assert len(drive.calibration) == len(task.calibration)
+        for given, run in zip(drive.calibration, task.calibration, strict=True):
+            assert given.record.length == run.length
+            assert (given.profile is None) == (run.survey_std is None)
+
+
+def test_no_file_is_kept_that_no_task_needs():
+    stems = {
+        kept_path(
+            condition.plant, condition.car, road.realise(np.random.default_rng(seed)).name, v, seed
+        )
+        for condition, road, v, seed, _ in needed()
+    }
+    assert stems == set(kept_path("x", "x", "x", 1.0, 1).parent.glob("*.parquet"))
+    assert sum(path.stat().st_size for path in stems) < 6e6
+
+
+def test_a_drive_is_driven_over_the_road_of_its_seed():
+    # the front axle's hop of a bump comes at its place: heave follows the mean path's slope
+    condition = BOARD[0].conditions[0]
+    (drive,) = simulate_drives(BOARD[0], BOARD[0].test, condition)
+    other = realise_road("iso_c", drive.seed + 1, 100.0)
+    record, truth = drive.record, drive.truth
+    heave = np.interp(truth.s, record.s, record.a.mean(axis=0))
+    curvature = [np.gradient(np.gradient(z.mean(axis=0))) for z in (truth.z, other.height(truth.s))]
+    lags = [np.abs(np.correlate(heave, c, "full")).max() / np.std(c) for c in curvature]
+    assert lags[0] > 1.5 * lags[1]
+
+
+def test_what_is_not_kept_is_refused():
+    surface = realise_road("iso_c", 1, 100.0)
+    with pytest.raises(ConfigError, match=r"is not kept: .* simulate --plant"):
+        kept_drive("mujoco", "bmw_320i", surface, 36.0, 1)
+
+
+def test_the_described_car_is_that_of_the_condition():
+    told = BOARD[0]
+    cars = [told.vehicle_of(condition) for condition in told.conditions]
+    assert cars[0] == load_vehicle("bmw_320i")
+    assert cars[-1] == as_driven(load_vehicle("defender_110_coils"))
+    altered = dataclasses.replace(told, conditions=told.conditions[:-1])
+    assert altered.digest != told.digest
+    assert kept_digest("mujoco") != kept_digest("commonroad")
+
+
+def test_a_kept_drive_is_what_the_plant_makes():
+    pytest.importorskip("vehiclemodels", reason="needs the extra 'plants'")
+    from road_envs.plants.driving import simulate_on_plant
+
+    told = BOARD[0]
+    condition = told.conditions[4]
+    (drive,) = simulate_drives(told, told.test, condition)
+    surface = realise_road("iso_b", drive.seed, 100.0)
+    record, truth = simulate_on_plant(
+        condition.plant, surface, speed_kmh=90.0, seed=drive.seed, vehicle=condition.car
+    )
+    np.testing.assert_allclose(drive.record.a, record.a, atol=0.51 * 10.0**-PLACES)
+    np.testing.assert_array_equal(drive.truth.z, truth.z)
