@@ -100,8 +100,9 @@ def _calibration_drive(
     rng = np.random.default_rng(seed + run.seed_offset)
     surface = run.driven_road.realise(rng)
     if condition.plant:
+        car = condition.car or task.car
         record, truth = kept_drive(
-            condition, task.car, surface, run.speed_kmh, seed + run.seed_offset
+            condition.plant, car, surface, run.speed_kmh, seed + run.seed_offset
         )
     else:
         record, truth = simulate_record(
