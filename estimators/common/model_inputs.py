@@ -6,7 +6,8 @@ import numpy as np
 
 from road_envs.records.record import Record
 from road_envs.sensing.instruments import Instruments
-from road_envs.vehicle.equations import N_DOF, build_plant, equilibrium
+from road_envs.vehicle.equations import N_DOF, build_plant
+from road_envs.vehicle.equilibrium import equilibrium
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import settled_strut_state
 

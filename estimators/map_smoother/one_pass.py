@@ -24,7 +24,8 @@ from estimators.map_smoother.block_tangent import BlockTangent, build_block_tang
 from estimators.map_smoother.road_prior import RoadNodes
 from road_envs.sensing.instruments import SensorLocation
 from road_envs.simulation.tape import Tape, linearize_drive
-from road_envs.vehicle.equations import Plant, build_plant, equilibrium
+from road_envs.vehicle.equations import Plant, build_plant
+from road_envs.vehicle.equilibrium import equilibrium
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import settled_strut_state
 

@@ -22,7 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from road_envs.vehicle.equations import Plant, build_plant, equilibrium
+from road_envs.vehicle.equations import Plant, build_plant
+from road_envs.vehicle.equilibrium import equilibrium
 from road_envs.vehicle.linear_model import (
     LinearModel,
     combine_wheel_paths,

@@ -16,16 +16,8 @@ from road_envs.roads.surface import Surface, enveloped
 from road_envs.simulation import rosenbrock
 from road_envs.simulation.manoeuvres import Manoeuvre
 from road_envs.simulation.speed import SpeedProfile, constant_speed
-from road_envs.vehicle.equations import (
-    AXLE,
-    N_DOF,
-    PHI,
-    THETA,
-    Z_B,
-    Plant,
-    build_plant,
-    equilibrium,
-)
+from road_envs.vehicle.equations import AXLE, N_DOF, PHI, THETA, Z_B, Plant, build_plant
+from road_envs.vehicle.equilibrium import equilibrium
 from road_envs.vehicle.parameters import DEFAULT_STEP, STEP_LIMIT, VehicleParameters
 from road_envs.vehicle.suspension import encode_command, settled_strut_state
 

@@ -25,23 +25,23 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy
 
 from road_envs.kernels._numba import kernel
 from road_envs.vehicle.equations import (
     DOF,
     N_DOF,
+    Motion,
     Plant,
     build_plant,
-    equilibrium,
     extension,
-    jacobian,
     sensor_row,
+    stiffness_and_damping,
     twist_extension,
     wheel_height,
 )
+from road_envs.vehicle.equilibrium import equilibrium
 from road_envs.vehicle.parameters import VehicleParameters
-from road_envs.vehicle.side_motion import inverse_inertia
+from road_envs.vehicle.side_motion import inverse_inertia, side_jacobian
 from road_envs.vehicle.suspension import (
     WHEELS,
     encode_command,
@@ -49,15 +49,6 @@ from road_envs.vehicle.suspension import (
     strut_force,
 )
 from road_envs.vehicle.tyres import tyre_force
-
-NATURAL_MODE_NAMES = (
-    *("bounce", "roll", "pitch"),
-    *("front axle hop", "front axle roll", "rear axle hop", "rear axle roll"),
-)
-"""Names of the modes, in the order of the dominant coordinates `equations.DOF`."""
-
-FRAME_TORSION_MODE = "frame torsion"
-"""Name of the mode dominated by the twist psi of a flexible frame, the eighth coordinate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,22 +76,6 @@ class LinearModel:
     speed: float | None = None
     states: tuple[str, ...] = (*DOF, *(f"{name}_dot" for name in DOF))
     inputs: tuple[str, ...] = (*(f"z_{w}" for w in WHEELS), *(f"w_{w}" for w in WHEELS))
-
-
-@dataclass(frozen=True, eq=False)
-class NaturalModes:
-    """The seven natural modes in ascending frequency.
-
-    `f` (7,): undamped natural frequencies [Hz]. `zeta` (7,): damping ratios from the diagonal of
-    the modal damping matrix, a good approximation for light damping. `shapes` (7, 7): one column
-    per mode over `equations.DOF`, with unit modal mass (phi' M phi = 1) and positive in the
-    coordinate that names the mode.
-    """
-
-    names: tuple[str, ...]
-    f: np.ndarray
-    zeta: np.ndarray
-    shapes: np.ndarray
 
 
 def linearise(
@@ -156,6 +131,27 @@ def linearise(
     return LinearModel(
         *(A, B, C, D, plant.inertias.copy(), struts, heights, wheelbase, tuple(sensors)), **more
     )
+
+
+def jacobian(
+    plant: Plant,
+    strut_state: np.ndarray,
+    state: np.ndarray,
+    z_r: np.ndarray,
+    w_r: np.ndarray,
+    speed: float = 0.0,
+):
+    """Return the Jacobian (14, 14) of the state's rate by the state; (16, 16) if flexible.
+
+    With side motion there are four more states, and it depends on the `speed` [m/s].
+    """
+    M, n = plant.inertias[:, None], plant.inertias.size
+    K, C = np.empty((n, n)), np.empty((n, n))
+    motion = Motion(state[:n].copy(), state[plant.n_dof : plant.n_dof + n].copy())
+    stiffness_and_damping(plant.buffers(strut_state), motion, z_r, w_r, K, C)
+    if plant.sideways:
+        return side_jacobian(plant.constants[0], plant.inertias, K, C, speed)
+    return np.block([[np.zeros((n, n)), np.eye(n)], [-K / M, -C / M]])
 
 
 def point_rows(plant: Plant, places: Iterable[tuple[Any, ...]]) -> np.ndarray:
@@ -251,33 +247,6 @@ def _strut_forces(vehicle, e, e_dot, out):
     for w in range(4):
         for k in range(e.shape[1]):
             out[w, k] = strut_force(vehicle, w, e[w, k], e_dot[w, k])[0]
-
-
-def natural_modes(model: LinearModel) -> NaturalModes:
-    """Return the natural modes of M q'' + C q' + K q = 0, named after their dominant coordinate.
-
-    M_j phi_j² is the share of a mode's kinetic energy in coordinate j; names are assigned such that
-    the sum of these shares is greatest. Raises ArithmeticError if the state is not stable (all
-    wheels off the ground, or a body that tips over), ValueError if the vehicle has side motion.
-    """
-    if model.speed is not None:
-        raise ValueError("natural modes are those of a vehicle without side motion")
-    M, n = model.M, model.M.size
-    K, C = (-M[:, None] * model.A[n:, part] for part in (slice(n), slice(n, None)))
-    square, shapes = scipy.linalg.eigh(0.5 * (K + K.T), np.diag(M))
-    if not square[0] > 1e-9 * square[-1]:
-        raise ArithmeticError(
-            "no natural modes: the stiffness matrix of this state is not positive definite; "
-            "linearise about a state with all wheels on the ground"
-        )
-    _, assigned = scipy.optimize.linear_sum_assignment(M[:, None] * shapes**2, maximize=True)
-    names = [""] * n
-    for name, column in zip((*NATURAL_MODE_NAMES, FRAME_TORSION_MODE)[:n], assigned, strict=True):
-        names[column] = name
-    shapes[:, assigned] *= np.sign(shapes[np.arange(n), assigned])
-    omega = np.sqrt(square)
-    zeta = np.einsum("ji,jk,ki->i", shapes, C, shapes) / (2.0 * omega)
-    return NaturalModes(tuple(names), omega / (2.0 * np.pi), zeta, shapes)
 
 
 def wheel_response(model: LinearModel, f: np.ndarray) -> np.ndarray:

@@ -13,7 +13,9 @@ from road_envs.simulation import adaptive_drive, rosenbrock
 from road_envs.simulation.adaptive_drive import integrate_adaptive, simulate_adaptive
 from road_envs.simulation.drive import DriveSimulator, SimulationError, simulate
 from road_envs.simulation.speed import speed_ramp
-from road_envs.vehicle.equations import Motion, equilibrium, jacobian
+from road_envs.vehicle.equations import Motion
+from road_envs.vehicle.equilibrium import equilibrium
+from road_envs.vehicle.linear_model import jacobian
 from road_envs.vehicle.suspension import encode_command, settled_strut_state
 from road_envs.vehicle.tyres import tyre_force
 

@@ -21,7 +21,9 @@ from vehicle_fixtures import (
     vectors,
 )
 
-from road_envs.vehicle.equations import accelerations, build_plant, equilibrium, jacobian
+from road_envs.vehicle.equations import accelerations, build_plant
+from road_envs.vehicle.equilibrium import equilibrium
+from road_envs.vehicle.linear_model import jacobian
 from road_envs.vehicle.suspension import encode_command, settled_strut_state
 
 ORACLES = {name: oracles.NonlinearCar(car) for name, car in CARS.items()}

@@ -7,7 +7,7 @@ from vehicle_fixtures import DEFENDER, VARIED_MANOEUVRE_PLANTS
 import estimators
 from road_envs.drives.recording import simulate_record
 from road_envs.simulation.tape import linearize_drive
-from road_envs.vehicle.equations import equilibrium
+from road_envs.vehicle.equilibrium import equilibrium
 from road_envs.vehicle.suspension import encode_command, settled_strut_state
 from road_envs.vehicle.tolerances import parameter_space
 

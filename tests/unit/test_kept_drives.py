@@ -37,7 +37,7 @@ def test_no_file_is_kept_that_no_task_needs():
         for condition, road, v, seed, _ in needed()
     }
     assert stems == set(kept_path("x", "x", "x", 1.0, 1).parent.glob("*.parquet"))
-    assert sum(path.stat().st_size for path in stems) < 6e6
+    assert sum(path.stat().st_size for path in stems) < 3e6
 
 
 def test_a_drive_is_driven_over_the_road_of_its_seed():

@@ -11,7 +11,8 @@ from road_envs.simulation.drive import DriveSimulator
 from road_envs.simulation.lanes import SharedInputs, drive_variants
 from road_envs.simulation.rosenbrock import ACCELERATION, TWIST
 from road_envs.simulation.tape import linearize_drive
-from road_envs.vehicle.equations import build_plant, equilibrium
+from road_envs.vehicle.equations import build_plant
+from road_envs.vehicle.equilibrium import equilibrium
 from road_envs.vehicle.suspension import encode_command, settled_strut_state
 
 STRUT_STATE, STEPS, H = settled_strut_state(encode_command("ride")), 300, 1e-3

@@ -21,16 +21,16 @@ from vehicle_fixtures import (
 )
 
 from road_envs.sensing.data_logger import load_instruments
-from road_envs.vehicle.equations import DOF, equilibrium
+from road_envs.vehicle.equations import DOF
+from road_envs.vehicle.equilibrium import equilibrium
 from road_envs.vehicle.force_curves import Curve
 from road_envs.vehicle.linear_model import (
-    NATURAL_MODE_NAMES,
     frequency_response,
     gaussian_damping,
     linearise,
-    natural_modes,
     wheel_response,
 )
+from road_envs.vehicle.natural_modes import NATURAL_MODE_NAMES, natural_modes
 from road_envs.vehicle.struts import ModeCurves
 from road_envs.vehicle.suspension import encode_command, settled_strut_state
 

@@ -19,8 +19,9 @@ from road_envs.simulation.manoeuvres import (
     load_manoeuvre,
 )
 from road_envs.simulation.speed import speed_ramp
-from road_envs.vehicle.equations import PHI, THETA, build_plant, jacobian
+from road_envs.vehicle.equations import PHI, THETA, build_plant
 from road_envs.vehicle.force_curves import Curve
+from road_envs.vehicle.linear_model import jacobian
 from road_envs.vehicle.parameters import load_vehicle
 from road_envs.vehicle.suspension import encode_command, settled_strut_state
 

@@ -16,7 +16,8 @@ from road_envs.simulation.drive import APRON_LENGTH, simulate
 from road_envs.vehicle.axles import IndependentWheels
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.force_curves import Curve
-from road_envs.vehicle.linear_model import linearise, natural_modes, strut_forces
+from road_envs.vehicle.linear_model import linearise, strut_forces
+from road_envs.vehicle.natural_modes import natural_modes
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 from road_envs.vehicle.struts import AirSpring, CoilSpring
 from road_envs.vehicle.suspension import encode_command, settled_strut_state

@@ -26,7 +26,8 @@ from road_envs.sensing.perturbed_vehicle import (
 from road_envs.sensing.sensor_faults import NO_FAULTS, SensorFaults
 from road_envs.simulation.drive import APRON_LENGTH, DriveSimulator
 from road_envs.simulation.rosenbrock import TWIST
-from road_envs.vehicle.equations import build_plant, equilibrium
+from road_envs.vehicle.equations import build_plant
+from road_envs.vehicle.equilibrium import equilibrium
 from road_envs.vehicle.suspension import encode_command
 
 ROAD, ROUGH = smooth_road(length=20.0, height=0.01), smooth_road(height=0.03)

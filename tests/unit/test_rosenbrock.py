@@ -28,7 +28,9 @@ from road_envs.kernels._numba import kernel
 from road_envs.roads.surface import Surface
 from road_envs.simulation.drive import DriveSimulator
 from road_envs.simulation.rosenbrock import ACCELERATION, EXTENSION, LOAD, TWIST
-from road_envs.vehicle.equations import build_plant, equilibrium, jacobian
+from road_envs.vehicle.equations import build_plant
+from road_envs.vehicle.equilibrium import equilibrium
+from road_envs.vehicle.linear_model import jacobian
 from road_envs.vehicle.suspension import encode_command, settled_strut_state
 
 MODES = ("ride", "handling")

@@ -24,8 +24,9 @@ from vehicle_fixtures import (
 
 from road_envs.simulation.rosenbrock import ACCELERATION, LOAD
 from road_envs.simulation.tape import linearize_drive
-from road_envs.vehicle.equations import equilibrium, jacobian
+from road_envs.vehicle.equilibrium import equilibrium
 from road_envs.vehicle.force_curves import interpolate_table, second_derivative
+from road_envs.vehicle.linear_model import jacobian
 from road_envs.vehicle.suspension import encode_command, settled_strut_state
 
 MODES = ("ride", "handling")

@@ -17,15 +17,16 @@ from road_envs.simulation.fleet import Fleet
 from road_envs.simulation.lanes import SharedInputs, drive_variants
 from road_envs.simulation.manoeuvres import SteadyTurn
 from road_envs.simulation.tape import linearize_drive
-from road_envs.vehicle.equations import build_plant, equilibrium
+from road_envs.vehicle.equations import build_plant
+from road_envs.vehicle.equilibrium import equilibrium
 from road_envs.vehicle.linear_model import (
     force_response,
     frequency_response,
     linearise,
-    natural_modes,
     point_rows,
     response_changes,
 )
+from road_envs.vehicle.natural_modes import natural_modes
 from road_envs.vehicle.parameters import TorsionalFrame, check_plausible, load_vehicle
 from road_envs.vehicle.suspension import settled_strut_state
 

@@ -20,7 +20,8 @@ from road_envs.analysis.statistical_linearization import (
     residual_force_psd,
 )
 from road_envs.sensing.instruments import load_instruments
-from road_envs.vehicle.equations import N_DOF, build_plant, equilibrium
+from road_envs.vehicle.equations import N_DOF, build_plant
+from road_envs.vehicle.equilibrium import equilibrium
 from road_envs.vehicle.linear_model import (
     force_response,
     linearise,

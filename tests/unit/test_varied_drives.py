@@ -31,8 +31,10 @@ from vehicle_fixtures import (
 from road_envs.simulation.adaptive_drive import integrate_adaptive, simulate_adaptive
 from road_envs.simulation.drive import DriveSimulator, Trajectory
 from road_envs.simulation.rosenbrock import ACCELERATION, LOAD, TWIST
-from road_envs.vehicle.equations import build_plant, equilibrium
-from road_envs.vehicle.linear_model import frequency_response, linearise, natural_modes
+from road_envs.vehicle.equations import build_plant
+from road_envs.vehicle.equilibrium import equilibrium
+from road_envs.vehicle.linear_model import frequency_response, linearise
+from road_envs.vehicle.natural_modes import natural_modes
 from road_envs.vehicle.parameters import TorsionalFrame, VehicleVariation
 from road_envs.vehicle.suspension import (
     encode_command,

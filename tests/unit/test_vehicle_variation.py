@@ -33,8 +33,9 @@ from road_envs.roads.surface import Surface
 from road_envs.simulation.drive import DriveSimulator
 from road_envs.simulation.fleet import Fleet, select_vehicle
 from road_envs.simulation.rosenbrock import ACCELERATION, EXTENSION
-from road_envs.vehicle.equations import build_plant, equilibrium, jacobian
-from road_envs.vehicle.linear_model import linearise
+from road_envs.vehicle.equations import build_plant
+from road_envs.vehicle.equilibrium import equilibrium
+from road_envs.vehicle.linear_model import jacobian, linearise
 from road_envs.vehicle.parameters import NOMINAL, TorsionalFrame, VehicleVariation
 from road_envs.vehicle.suspension import (
     HELD_EXTENSION,
