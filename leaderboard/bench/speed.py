@@ -337,12 +337,14 @@ PPO_SCRIPT = """
 import time
 import numpy as np, torch
 from stable_baselines3 import PPO
-from road_envs.policies.training import MultiScenarioVecEnv
+from road_envs.envs.sb3 import RoadReconVecEnv
+from road_envs.policies.training import FeatureVecEnv
 
 torch.set_num_threads(1)
 observe = ["accelerations", "planar", "struts"]
 case = {"road": "iso_d", "control": "axle", "truth": False, "observe": observe}
-envs = MultiScenarioVecEnv([case], 32, 0, 10.0, 25, paired_baseline=True)
+envs = RoadReconVecEnv(64, **case)
+envs = FeatureVecEnv(envs, 0, reward_scale=10.0, action_repeat=25, paired_baseline=True)
 model = PPO("MlpPolicy", envs, n_steps=15, batch_size=480, n_epochs=10, device="cpu")
 model.learn(480)
 begin = time.process_time()

@@ -22,8 +22,8 @@ def list_names(
     kind: Annotated[
         str,
         typer.Argument(
-            help="vehicles, sensors, estimators, policies, boards, tasks, conditions, scenarios, "
-            "modes or roads.",
+            help="vehicles, sensors, estimators, policies, boards, tasks, conditions, modes "
+            "or roads.",
         ),
     ],
     json: Json = False,
@@ -106,12 +106,6 @@ def _conditions() -> Lines:
     return {name: f"{each.title}: {', '.join(each.categories)}" for name, each in loaded.items()}
 
 
-def _scenarios() -> Lines:
-    from leaderboard.policies.scenarios import load_scenarios
-
-    return {name: load_scenarios(name).title for name in config.names("scenarios")}
-
-
 def _modes() -> Lines:
     from road_envs.vehicle.parameters import load_vehicle
 
@@ -146,7 +140,6 @@ KINDS: dict[str, Callable[[], Lines]] = {
     "boards": _boards,
     "tasks": _tasks,
     "conditions": _conditions,
-    "scenarios": _scenarios,
     "modes": _modes,
     "roads": _roads,
 }

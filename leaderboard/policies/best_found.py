@@ -2,47 +2,53 @@
 
 A stratified beam search over all sixteen pairs of states keeps, for each pair commanded last, the
 drives with the best score so far: a history that pays later is not lost to others of another pair.
-Hill climbing then goes on from the best of the beam and of every policy of the comparison. In each
-generation a drive's candidates are its best actions with random sections set to another pair; the
-best of them stays. So the result is at least as good as every policy that it starts from. It knows
-the road ahead and is no attainable policy; a longer search may find more.
+Sweeps then go on from the best of the beam and of every policy of the comparison. A sweep drives
+through a plan from its beginning. At each choice every pair, held for several times, replaces the
+plan there; the best over a horizon, after which the plan goes on as it was, becomes the plan. A
+sweep that does not improve a whole drive is discarded, so the result is at least as good as every
+policy that it starts from. It knows the road ahead and is no attainable policy; a longer search may
+find more.
 """
 
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from road_envs.policies.safe_rollout import VIOLATION_PRICE, SafeDrives, SafeRollout, Totals
+from road_envs.envs.fleet_arrays import StepOutput
+from road_envs.envs.instrumented_fleet import InstrumentedFleet
+from road_envs.policies.rollout import VIOLATION_PRICE, Drives, Rollout, replay
 
 HOLD_TIME = 0.2
-"""Time [s] between choices of the beam, and the shortest section of a mutant."""
+"""Time [s] between choices of the beam."""
 
-LONGEST_SECTION = 3.0
-"""Longest section of a mutant [s]; lengths are uniform in their logarithm."""
+SWEEP_TIME, HORIZON = 0.1, 1.2
+"""Time [s] between choices of a sweep, and over which they are compared: a period of the body."""
 
-KEPT_PER_PAIR = 1
-"""Histories that the beam keeps for each last pair."""
+LONGEST_SECTION = 1.2
+"""Longest time [s] for which a choice of a sweep is held; times are uniform in their logarithm."""
 
-MUTANTS, GENERATIONS = 16, 30
-"""Candidates of a drive in a generation, and the number of generations."""
+SECTIONS = 4
+"""Times for which each pair is tried at each choice."""
+
+SWEEPS = 4
+"""Sweeps by default."""
 
 Progress = Callable[[str, float], None]
 
 
 def search(
-    drives: SafeDrives,
+    drives: Drives,
     rows: Sequence[np.ndarray],
     seed: int,
     *,
-    generations: int = GENERATIONS,
+    sweeps: int = SWEEPS,
     progress: Progress = lambda text, share: None,
-) -> SafeRollout:
+) -> Rollout:
     """Return the best drives found; `rows` are actions (T, N) of policies on these drives.
 
-    The score is that of `SafeRollout`: violations have their price.
+    The score is that of `Rollout`: violations have their price.
     """
-    n = len(drives)
-    T = max(len(row) for row in rows)
+    n, T, rng = len(drives), max(len(row) for row in rows), np.random.default_rng(seed)
     candidates = [np.concatenate([row, np.repeat(row[-1:], T - len(row), axis=0)]) for row in rows]
     beams = np.zeros((T, n), dtype=np.int64)
     for i in range(n):
@@ -52,56 +58,37 @@ def search(
     candidates.append(beams)
     scores = np.array([replay(drives, actions).score for actions in candidates])
     best = np.stack([candidates[scores[:, i].argmax()][:, i] for i in range(n)], axis=1)
-    score, rng = scores.max(axis=0), np.random.default_rng(seed)
-    for generation in range(generations):
-        progress("climbing", 0.2 + 0.8 * generation / generations)
-        mutants = np.repeat(best, MUTANTS, axis=1)
-        for column in mutants.T:
-            _mutate(column, rng, drives.setup.interval)
-        found = replay(drives, mutants, copies=MUTANTS).score.reshape(n, MUTANTS)
-        better = found.max(axis=1) > score
-        chosen = mutants.reshape(T, n, MUTANTS)[:, np.arange(n), found.argmax(axis=1)]
-        best[:, better], score[better] = chosen[:, better], found.max(axis=1)[better]
+    score = scores.max(axis=0)
+    for k in range(sweeps):
+        plans = best.copy()
+        for i in range(n):
+            progress("sweeps", 0.2 + 0.8 * (k + i / n) / sweeps)
+            sweep(drives, i, plans[:, i], rng)
+        found = replay(drives, plans).score
+        better = found > score
+        best[:, better], score[better] = plans[:, better], found[better]
     return replay(drives, best)
 
 
-def replay(drives: SafeDrives, actions: np.ndarray, copies: int = 1) -> SafeRollout:
-    """Drive all drives, each in `copies` vehicles in a row, under actions (T, copies N)."""
-    fleet, setup = drives.start(copies), drives.setup
-    first = np.repeat([start.command_byte for start, _ in drives.starts], copies)
-    fleet.advance(first.astype(np.uint8))
-    totals = Totals(fleet.n_vehicles)
-    for row in actions:
-        totals.add(fleet.advance(setup.command_bytes[row]))
-        if not totals.running.any():
-            break
-    return totals.rollout(actions, setup.interval)
-
-
-def beam(drives: SafeDrives, i: int) -> tuple[np.ndarray, float]:
+def beam(drives: Drives, i: int) -> tuple[np.ndarray, float]:
     """Return actions (T,) of drive number `i` by the stratified beam search, and their score."""
     setup, pairs = drives.setup, len(drives.setup.command_bytes)
-    size = KEPT_PER_PAIR * pairs * pairs
-    fleet = drives.start(size, [i])
-    command = drives.starts[i][0].command_byte
-    running = not fleet.advance(np.full(size, command, np.uint8)).end_of_road.all()
+    fleet = _started(drives, i, pairs * pairs)
     # vehicle k drives child k % pairs of parent k // pairs: each parent tries every pair
-    child = np.arange(size) % pairs
-    hold, score = max(1, round(HOLD_TIME / setup.interval)), np.zeros(size)
-    history = np.zeros((0, size), dtype=np.int64)
-    columns = [setup.output_columns.index(name) for name in ("comfort", "cost")]
+    child = np.arange(fleet.n_vehicles) % pairs
+    hold, score = max(1, round(HOLD_TIME / setup.interval)), np.zeros(fleet.n_vehicles)
+    history = np.zeros((0, fleet.n_vehicles), dtype=np.int64)
+    running = bool((fleet.steps_left > 0).all())
     while running:
         for _ in range(hold):
             output = fleet.advance(setup.command_bytes[child])
-            comfort, cost = output.values[:, columns].T
-            score -= np.where(output.failed, np.inf, comfort + VIOLATION_PRICE * cost)
+            score -= _price(output, fleet)
             running = not output.end_of_road.all()
             if not running:
                 break
         history = np.concatenate([history, child[None]])
-        # of each pair commanded last, the best histories become parents
-        order = np.argsort(-score.reshape(-1, pairs), axis=0, kind="stable")[:KEPT_PER_PAIR]
-        parents = (order * pairs + np.arange(pairs)).T.ravel()
+        # of each pair commanded last, the best history becomes a parent
+        parents = np.argmax(score.reshape(-1, pairs), axis=0) * pairs + np.arange(pairs)
         best = history[:, score.argmax()]
         source = np.repeat(parents, pairs)
         if running:
@@ -110,12 +97,41 @@ def beam(drives: SafeDrives, i: int) -> tuple[np.ndarray, float]:
     return np.repeat(best, hold), float(score.max())
 
 
-def _mutate(actions: np.ndarray, rng: np.random.Generator, interval: float) -> None:
-    """Set one to three random sections of `actions` (T,) to another pair, or shift their edges."""
-    for _ in range(rng.integers(1, 4)):
-        seconds = np.exp(rng.uniform(*np.log([HOLD_TIME, LONGEST_SECTION])))
-        length = max(1, round(seconds / interval))
-        first = int(rng.integers(0, max(1, actions.size - length)))
-        part = actions[first : first + length]
-        # half of the sections continue the pair before them: edges move earlier or later
-        part[:] = actions[max(first - 1, 0)] if rng.random() < 0.5 else rng.integers(16)
+def sweep(drives: Drives, i: int, plan: np.ndarray, rng: np.random.Generator) -> None:
+    """Improve the `plan` (T,) of actions of drive number `i` in place, from its first choice on."""
+    setup, pairs = drives.setup, len(drives.setup.command_bytes)
+    fleet = _started(drives, i, pairs * SECTIONS)
+    pair = np.arange(fleet.n_vehicles) % pairs
+    hold, horizon = (round(time / setup.interval) for time in (SWEEP_TIME, HORIZON))
+    shortest, end = max(1, hold), int(fleet.steps_left[0]) // fleet.steps
+    for k in range(0, end, shortest):
+        kept = plan[k : min(k + horizon, end)]
+        seconds = np.exp(rng.uniform(np.log(SWEEP_TIME), np.log(LONGEST_SECTION), SECTIONS))
+        lengths = np.repeat(np.maximum(1, np.rint(seconds / setup.interval)), pairs)
+        lengths[0] = 0.0  # the plan as it is
+        # vehicle v commands its pair for the length of its section, and then the plan
+        trials = np.where(np.arange(kept.size)[:, None] < lengths, pair, kept[:, None])
+        cost = np.zeros(fleet.n_vehicles)
+        for j, row in enumerate(trials):
+            cost += _price(fleet.advance(setup.command_bytes[row]), fleet)
+            if j == min(shortest, len(trials)) - 1:
+                state = fleet.copy_state()
+        best = int(cost.argmin())
+        kept[:] = trials[:, best]
+        fleet.restore_state(state)
+        fleet.copy_vehicles(np.full(fleet.n_vehicles, best))
+
+
+def _started(drives: Drives, i: int, size: int) -> InstrumentedFleet:
+    """Return `size` vehicles on drive number `i`, after the interval of a reset."""
+    fleet = drives.start(size, [i])
+    fleet.advance(int(drives.starts[i].command_byte))
+    return fleet
+
+
+def _price(output: StepOutput, fleet: InstrumentedFleet) -> np.ndarray:
+    """Return the price (N,) [m²/s³] of an interval: comfort and violations."""
+    comfort, cost = output.values[
+        :, [fleet.columns.index("comfort"), fleet.columns.index("cost")]
+    ].T
+    return np.where(output.failed, np.inf, comfort + VIOLATION_PRICE * cost)

@@ -1,220 +1,133 @@
-"""Comparison of switching policies: ride comfort, handling and road reconstruction.
+"""Comparison of policies on the drives of `RoadRecon/Safe4S4-v1`.
 
-All policies drive the same roads and receive no truth. Each drive is simulated a second time with
-the same commands, to record the whole motion for the ride metrics. The policy's own observations
-form the record given to the estimators. An estimator that needs training and has no pretrained
-weights is trained on records of the same policy's drives over the training roads.
+Each public drive is driven to both sides. All policies drive the same roads, cars and faults, and
+the best switching found on the known road stands beside them as a line. Intervals are 95 %
+bootstraps over the drives, a drive and its mirror image together.
 """
 
-import random
 import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
-from types import MappingProxyType
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from gymnasium.utils import seeding
 
-from estimators.api import Estimator
-from leaderboard.entries.entry import EntryError, needs_training, reconstruct
-from leaderboard.evaluation.bound import fit_spectrum, pooled_bound
-from leaderboard.metrics import heights
-from leaderboard.policies.policy_process import PolicyProcess
-from leaderboard.policies.ride_metrics import METRICS, ride_metrics, state_time_shares
-from leaderboard.policies.scenarios import Case, Scenarios
-from leaderboard.policies.timeline import Timeline
-from road_envs.drives.recording import true_profile
-from road_envs.envs.instrumented_fleet import InstrumentedFleet
-from road_envs.envs.options import EnvSetup, EpisodeStart
-from road_envs.kernels.simd import LANES
-from road_envs.policies.api import Policy, PolicyContext, PolicyError
-from road_envs.policies.rollout import Rollout, roll_out
-from road_envs.records.record import Profile, Record, scored_band
-from road_envs.simulation.drive import Trajectory
-from road_envs.simulation.fleet import Fleet, select_vehicle
-from road_envs.vehicle.suspension import MODES, decode_commands
+from leaderboard.policies import best_found
+from leaderboard.policies.best_found import Progress
+from road_envs.core.config import validate_choice
+from road_envs.envs.safe4s4 import Safe4S4Setup
+from road_envs.envs.safe_drives import SafeDrive
+from road_envs.policies.api import Policy
+from road_envs.policies.rollout import Drives, Rollout, drive_all
 
-REMEMBERS = "its actions depend on the drives that it has seen before"
+BEST_FOUND = "best found"
+"""Name of the row of `best_found.search`."""
+
+REFERENCE = "rrms"
+"""Policy that differences refer to by default."""
+
+PUBLIC_DRIVES = 8
+"""Number of public drives; each is driven to both sides."""
+
+SEARCH_SEED, BOOTSTRAPS = 1, 2000
+
+TIE = 0.01
+"""Difference of scores [m²/s⁴] within which two policies are even on a drive."""
 
 TIME_LIMIT = 120.0
-"""Seconds that a policy may take for the drives of one case."""
+"""Seconds that a policy may take for all drives."""
 
-Progress = Callable[[str, float], None]
-"""Callback with a description of the current work and the share of the work done."""
+GROUPS: Mapping[str, Callable[[Any], bool]] = {
+    "known": lambda drive: drive.group == "known",
+    "unseen": lambda drive: drive.group == "unseen",
+    "left": lambda drive: drive.side == "left",
+    "right": lambda drive: drive.side == "right",
+    **{
+        grade: lambda drive, grade=grade: drive.grade == grade for grade in ("S0", "S1", "S2", "S3")
+    },
+    **{
+        kind.replace("_", " "): lambda drive, kind=kind: drive.severe == kind
+        for kind in ("lane_change", "j_turn", "fishhook")
+    },
+}  # type: ignore[misc]
+"""Groups of drives by name, by their `SafeDrive`: a row has the score of each."""
 
 
 @dataclass(frozen=True)
-class PolicyResult:
-    """Metrics of a policy, each (R, C) (roads, cases), and in-band NRMSE (R, C) [-] by estimator.
+class Comparison:
+    """The table as plain `data`, the drives, and what each row of the table commanded on them."""
 
-    `failure` explains missing metrics, `notes` missing errors. `timeline` is the first drive of the
-    case `Scenarios.shown`.
-    """
-
-    policy: str
-    metrics: Mapping[str, np.ndarray] = field(default_factory=dict)
-    errors: Mapping[str, np.ndarray] = field(default_factory=dict)
-    failure: str | None = None
-    notes: tuple[str, ...] = ()
-    timeline: Timeline | None = None
+    data: dict[str, Any]
+    drives: Drives
+    rollouts: Mapping[str, Rollout]
 
 
-class PreparedCase(NamedTuple):
-    """A case with its environment, and for each road seed the start of the drive and the truth."""
-
-    case: Case
-    options: dict[str, Any]
-    setup: EnvSetup
-    seeds: tuple[int, ...]
-    starts: tuple[EpisodeStart, ...]
-    truths: tuple[Profile, ...]
+def public_drives(number: int = PUBLIC_DRIVES, seal: str | None = None) -> Drives:
+    """Return the public drives, or the sealed ones: both groups in turn, each to both sides."""
+    setup = Safe4S4Setup({"split": "test" if seal is None else "sealed", "seal": seal})
+    groups = [{"group": ("known", "unseen")[k % 2]} for k in range(number)]
+    return Drives.mirrored(setup, range(number), groups)
 
 
 def compare(
-    scenarios: Scenarios,
     policies: Mapping[str, Policy],
-    estimators: Mapping[str, Estimator],
+    drives: Drives,
+    reference: str = REFERENCE,
     *,
-    roads: int | None = None,
+    sweeps: int = best_found.SWEEPS,
     seconds: float = TIME_LIMIT,
-    finished: Mapping[str, PolicyResult] = MappingProxyType({}),
-    on_result: Callable[[PolicyResult], None] = lambda result: None,
     progress: Progress = lambda text, share: None,
-) -> list[PolicyResult]:
-    """Simulate every policy on every case; a policy that fails is a row with its failure.
+) -> Comparison:
+    """Compare all policies and the best switching found.
 
-    `roads` limits the number of test roads per case,
-    `seconds` the time of a policy for a case. `finished` rows are taken as they are; `on_result` is
-    called with each new one. Raises ConfigError on invalid scenarios.
+    A policy that raises an error is a row with its failure. Without `sweeps` nothing is searched.
+    Raises ConfigError if the reference is not among the policies.
     """
-    tests = [
-        prepare_case(scenarios, c, scenarios.test_seeds(roads)) for c in range(len(scenarios.cases))
-    ]
-    training_seeds = (
-        scenarios.training.seeds if any(map(needs_training, estimators.values())) else range(0)
-    )
-    training = [prepare_case(scenarios, c, training_seeds) for c in range(len(scenarios.cases))]
-    results = []
-    for i, (name, policy) in enumerate(policies.items()):
-        if name in finished:
-            results.append(finished[name])
-            continue
-        columns: list[dict[str, np.ndarray]] = []
-        notes: dict[str, None] = {}
-        driven: list[tuple[np.ndarray, np.ndarray]] = []
-        failure, timeline = None, None
-        for c, (test, train) in enumerate(zip(tests, training, strict=True)):
-            progress(f"{name}: {test.case.label}", (i + c / len(tests)) / len(policies))
-            try:
-                with time_limit(seconds):
-                    rollout = roll_out(policy, test.options, test.seeds)
-                    train_rollout = (
-                        roll_out(policy, train.options, train.seeds) if train.seeds else None
-                    )
-                column, case_notes = _evaluate(test, rollout, train, train_rollout, estimators)
-                if c == scenarios.shown:
-                    timeline = Timeline.from_trajectory(
-                        next(trajectories(test, rollout)), test.starts[0].surface
-                    )
-            except Exception as error:  # a failing policy must not stop the comparison
-                message = " ".join(str(error).split()) or "no message"
-                failure = f"{test.case.label}: {type(error).__name__}: {message}"
-                break
-            columns.append(column)
-            notes |= dict.fromkeys(case_notes)
-            driven.append((rollout.actions, rollout.intervals))
-        if (
-            isinstance(policy, PolicyProcess)
-            and failure is None
-            and _remembers(policy, tests, driven)
-        ):
-            notes[f"{name}: {REMEMBERS}"] = None
-        results.append(_result(name, columns, tuple(estimators), failure, tuple(notes), timeline))
-        on_result(results[-1])
+    validate_choice("reference", reference, list(policies))
+    rollouts: dict[str, Rollout] = {}
+    failures: dict[str, str] = {}
+    for k, (name, policy) in enumerate(policies.items()):
+        progress(name, 0.3 * k / len(policies))
+        try:
+            with time_limit(seconds):
+                rollouts[name] = drive_all(policy, drives)
+        except Exception as error:  # a failing policy must not stop the comparison
+            message = " ".join(str(error).split()) or "no message"
+            failures[name] = f"{type(error).__name__}: {message}"
+    if sweeps and rollouts:
+        rows = [rollout.actions for rollout in rollouts.values()]
+        rollouts[BEST_FOUND] = best_found.search(
+            drives, rows, SEARCH_SEED, sweeps=sweeps,
+            progress=lambda text, share: progress(f"best found: {text}", 0.3 + 0.7 * share),
+        )  # fmt: skip
+    base = rollouts.get(reference)
+    rows_of_table = [_row(name, r, base, drives) for name, r in rollouts.items()]
+    rows_of_table.sort(key=lambda row: -row["score"]["mean"])
+    rows_of_table += [{"policy": name, "failure": text} for name, text in failures.items()]
     progress("done", 1.0)
-    return results
-
-
-def _remembers(
-    policy: PolicyProcess,
-    tests: Sequence[PreparedCase],
-    driven: Sequence[tuple[np.ndarray, np.ndarray]],
-) -> bool:
-    """Return whether a policy in a new process drives a case, drawn in secret, in another way."""
-    if len(tests) < 2:
-        return False
-    case = random.SystemRandom().randrange(1, len(tests))  # the first has none before it
-    policy.close()
-    try:
-        again = roll_out(policy, tests[case].options, tests[case].seeds)
-        actions, intervals = driven[case]
-    except PolicyError:
-        return True
-    return any(
-        not np.array_equal(again.actions[:n, k], actions[:n, k]) for k, n in enumerate(intervals)
+    setup: Any = drives.setup
+    return Comparison(
+        {
+            "benchmark": setup.benchmark.name,
+            "split": setup.safe.split,
+            "drives": [label(start.description) for start in drives.starts],
+            "reference": reference,
+            "rows": rows_of_table,
+        },
+        drives,
+        rollouts,
     )
 
 
-def prepare_case(scenarios: Scenarios, c: int, seeds: Sequence[int]) -> PreparedCase:
-    """Build case number `c` on the roads of `seeds`, started as the environment starts it."""
-    case, setup = scenarios.cases[c], scenarios.setups[c]
-    spare_fleet = setup.make_fleet()
-    starts = tuple(
-        setup.start_episode(spare_fleet, 0, seeding.np_random(seed)[0], setup.options)
-        for seed in seeds
+def label(drive: SafeDrive) -> str:
+    """Return a description such as "j turn to the left, class C then D, 47 km/h, S1, known"."""
+    kind = drive.severe.replace("_", " ")
+    return (
+        f"{kind} to the {drive.side}, class {drive.road} then {drive.road_after}, "
+        f"{drive.speed_kmh:.0f} km/h, {drive.grade}, {drive.group}"
     )
-    truths = tuple(true_profile(start.surface) for start in starts)
-    return PreparedCase(case, scenarios.options(case), setup, tuple(seeds), starts, truths)
-
-
-def trajectories(prepared: PreparedCase, rollout: Rollout) -> Iterator[Trajectory]:
-    """Yield the full trajectory of every drive, simulated again with the same commands."""
-    setup = prepared.setup
-    steps, spare_fleet = round(setup.interval / setup.options.step), setup.make_fleet()
-    for first in range(0, len(prepared.starts), LANES):
-        batch = range(first, min(first + LANES, len(prepared.starts)))
-        fleet = Fleet([_restarted_drive(prepared, k, spare_fleet) for k in batch])
-        commands = np.stack([command_bytes(prepared, rollout, k, steps) for k in batch])
-        signals = fleet.advance(commands)
-        for lane, k in enumerate(batch):
-            n = steps * (1 + int(rollout.intervals[k]))
-            t, start = setup.options.step * np.arange(n), prepared.starts[k].drive
-            v = np.full(n, start.speed)
-            own = select_vehicle(signals, lane)[:n].copy()
-            yield Trajectory(t, start.start + v * t, v, commands[lane, :n], own)
-
-
-def record_of(prepared: PreparedCase, rollout: Rollout, k: int) -> Record:
-    """Return the record of drive `k`, made of the policy's own observations."""
-    setup, rows = prepared.setup, 1 + int(rollout.intervals[k])
-    context = PolicyContext.from_setup(setup, 1, 0)
-    observations = rollout.observations[:rows, k]
-    a = np.moveaxis(context.accelerations(observations), 0, 1).reshape(
-        len(context.accelerometers), -1
-    )
-    # an observation has one speed for all samples of its interval
-    v = np.repeat(context.signal("speed", observations)[:, 0], setup.samples_per_interval).astype(
-        float
-    )
-    t = np.arange(v.size) / setup.instruments.fs
-    stiff, high = decode_commands(
-        command_bytes(prepared, rollout, k, setup.samples_per_interval)[: v.size]
-    )
-    start = prepared.starts[k]
-    s = start.drive.start + v * t
-    sensors = setup.instruments.layout
-    return Record(t, a.astype(float), v, s, stiff, high, start.surface.length, sensors)
-
-
-def command_bytes(prepared: PreparedCase, rollout: Rollout, k: int, repeated: int) -> np.ndarray:
-    """Return the command bytes of drive `k`, each repeated `repeated` times per interval."""
-    commands = np.concatenate(
-        [[prepared.starts[k].command_byte], prepared.setup.command_bytes[rollout.actions[:, k]]]
-    )
-    return np.repeat(commands.astype(np.uint8), repeated)
 
 
 @contextmanager
@@ -240,65 +153,80 @@ def time_limit(seconds: float) -> Iterator[None]:
         signal.signal(signal.SIGALRM, before)
 
 
-def _restarted_drive(prepared: PreparedCase, k: int, spare_fleet: InstrumentedFleet):
-    """Return drive `k` at its start, made again from its seed (simulation changes it in place)."""
-    random = seeding.np_random(prepared.seeds[k])[0]
-    drive = prepared.setup.start_episode(spare_fleet, 0, random, prepared.setup.options).drive
-    drive.manoeuvre = prepared.setup.manoeuvre  # `start_episode` gives it to the fleet instead
-    return drive
+def _row(name: str, rollout: Rollout, base: Rollout | None, drives: Drives) -> dict[str, Any]:
+    """Return the row of a policy as plain data."""
+    described = [start.description for start in drives.starts]
+    members = {group: [belongs(d) for d in described] for group, belongs in GROUPS.items()}
+    score, violated, totals = rollout.score, rollout.violated, rollout.totals
+    row: dict[str, Any] = {
+        "policy": name,
+        "failure": None,
+        "score": interval(score),
+        "comfort": interval(rollout.comfort),
+        "violations": float(violated.mean()),
+        "worst": _round(score.min()),
+        "cost": _round(totals["cost"].mean()),
+        "stop": _round(totals["stop"].mean()),
+        "lift_off": _round(totals["lift_off"].mean()),
+        "load_transfer": _round(totals["load_transfer"].mean()),
+        "roll": _round(np.degrees(totals["roll"]).max()),
+        "tyre_load": _round(np.sqrt(totals["tyre_load"] / rollout.duration).mean()),
+        "switches": _round((np.diff(rollout.actions, axis=0) != 0).mean() / rollout.interval),
+        "groups": {
+            group: {"score": _round(score[m].mean()), "violations": float(violated[m].mean())}
+            for group, m in members.items()
+            if any(m)
+        },
+        "scores": [_round(x) for x in score],
+    }
+    if base is not None:
+        more = score - base.score
+        row["more_than_reference"] = interval(more)
+        row["wins"], row["losses"] = int((more > TIE).sum()), int((more < -TIE).sum())
+        row["ties"] = len(more) - row["wins"] - row["losses"]
+        row["worst_loss"] = _round(more.min())
+    return row
 
 
-def _evaluate(
-    test, rollout, train, train_rollout, estimators
-) -> tuple[dict[str, np.ndarray], list[str]]:
-    """Return the metrics and errors of one case, each (R,), and notes on failed estimators."""
-    car, v = test.setup.car, test.case.speed_kmh / 3.6
-    # the first interval keeps the initial command: the policy has not acted yet
-    first_step = round(test.setup.interval / test.setup.options.step)
-    rows, road = [], fit_spectrum(test.truths[0], scored_band(v))
-    for k, motion in enumerate(trajectories(test, rollout)):
-        row = ride_metrics(motion, car, first_step)
-        row["turned_over"] = float(rollout.reasons[k] != "")
-        row["return"] = rollout.returns[k] / (rollout.intervals[k] * test.setup.interval)
-        row["bound"] = np.nan if road is None else _bound(test, motion.commands, v, road)
-        rows.append(row)
-    column = {name: np.array([row[name] for row in rows]) for name in METRICS}
-    records = [record_of(test, rollout, k) for k in range(len(test.starts))]
-    training_pairs = []
-    if train_rollout is not None:
-        training_pairs = [
-            (record_of(train, train_rollout, k), truth) for k, truth in enumerate(train.truths)
-        ]
-    notes = []
-    for name, estimator in estimators.items():
-        try:
-            estimates = reconstruct(estimator, training_pairs, records, car, seed=1).estimates
-            column[name] = np.array(
-                [
-                    heights.nrmse(y.z, x.z, y.ds, scored_band(v)).pooled
-                    for y, x in zip(test.truths, estimates, strict=True)
-                ]
-            )
-        except EntryError as error:
-            notes.append(f"{name}: {test.case.label}: {error}")
-            column[name] = np.full(len(records), np.nan)
-    return column, notes
+def interval(x: np.ndarray) -> dict[str, float]:
+    """Return the mean of `x` (2 N,), and its 95 % interval over pairs of mirrored drives."""
+    pairs = x.reshape(-1, 2).mean(axis=1)
+    rng = np.random.default_rng(0)
+    means = pairs[rng.integers(0, pairs.size, (BOOTSTRAPS, pairs.size))].mean(axis=1)
+    low, high = np.quantile(means, [0.025, 0.975])
+    return {"mean": _round(pairs.mean()), "low": _round(low), "high": _round(high)}
 
 
-def _bound(test: PreparedCase, commands: np.ndarray, v: float, road: tuple[float, float]) -> float:
-    """Return the least NRMSE [-]: root of the time-weighted mean of the squared bounds by state."""
-    names = {flags: mode for mode, flags in MODES.items()}
-    mean_square = 0.0
-    for (a, b, c, d), share in state_time_shares(commands).items():
-        pair = {"front": names[a, b], "rear": names[c, d]}
-        options = test.setup.options
-        mean_square += share * pooled_bound(options.vehicle, options.sensors, pair, v, *road) ** 2
-    return float(np.sqrt(mean_square))
+def _round(x: float) -> float:
+    """Return `x` with five digits: more is noise, and people read the file."""
+    return float(f"{x:.5g}")
 
 
-def _result(name, columns, estimators, failure, notes, timeline) -> PolicyResult:
-    if failure is not None:
-        return PolicyResult(name, failure=failure, notes=notes)
-    table = {key: np.stack([c[key] for c in columns], axis=1) for key in columns[0]}
-    errors = {key: table.pop(key) for key in estimators}
-    return PolicyResult(name, table, errors, None, notes, timeline)
+def table_lines(data: Mapping[str, Any]) -> list[str]:
+    """Return the lines of the table, best score first."""
+    lines = [
+        f"{data['benchmark']}, {data['split']}: {len(data['drives'])} drives, half of them "
+        "mirrored",
+        f"{'policy':20s} score   95 %             comfort viol.  left right unseen    S3  worst  "
+        f"load tr. roll  +/=/- {data['reference']}",
+    ]
+    for row in data["rows"]:
+        if row["failure"]:
+            lines.append(f"{row['policy']} failed: {row['failure']}")
+            continue
+        g, s = row["groups"], row["score"]
+        left, right, unseen, s3 = (
+            f"{g[name]['score']:6.2f}" if name in g else "   n/a"
+            for name in ("left", "right", "unseen", "S3")
+        )
+        lines.append(
+            f"{row['policy']:20s} {s['mean']:6.3f} {s['low']:7.3f} to {s['high']:6.3f} "
+            f"{row['comfort']['mean']:6.3f} {row['violations']:5.0%} {left} {right} {unseen} {s3} "
+            f"{row['worst']:6.2f} {row['load_transfer']:5.2f} {row['roll']:6.1f}  "
+            + (f"{row['wins']}/{row['ties']}/{row['losses']}" if "wins" in row else "")
+        )
+    return [
+        *lines,
+        "score [m²/s⁴]: minus mean-square comfort and the price of violations; higher is better.",
+        f"{BEST_FOUND}: search on the known road, not attainable.",
+    ]

@@ -1,26 +1,17 @@
-"""Tuning of policies by grid search, and the training settings of learned policies.
+"""Tuning of policies by grid search.
 
 The cost is minus the mean score of the benchmark (mean square comfort, and the price of violations)
 over drives of the split "train" and their mirror images. Test drives are never driven here.
 """
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
-from pathlib import Path
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-import numpy as np
 import yaml
 
-from leaderboard.policies.scenarios import Scenarios
-from road_envs.core import config
-from road_envs.core.atomic_io import atomic_write
-from road_envs.core.config import ConfigError
-from road_envs.envs.safe4s4 import Safe4S4Setup
-from road_envs.policies import PolicySettings, create
-from road_envs.policies.rollout import roll_out
-from road_envs.policies.safe_rollout import SafeDrives, drive_safely
+from road_envs.policies import create
+from road_envs.policies.rollout import Drives, drive_all
 
 FIRM = ("handling", "soft_high", "stiff_low")
 TWO_STATE: dict[str, tuple[Any, ...]] = {
@@ -48,10 +39,6 @@ GRIDS: dict[str, Mapping[str, tuple[Any, ...]]] = {
 """Grid of settings for every policy that can be tuned."""
 
 
-TUNING_SEED, TRAINING_DRIVES = 1_000_000, 12
-"""First seed of the drives of tuning, and their number; each is driven to both sides."""
-
-
 class Trial(NamedTuple):
     """Settings and their cost."""
 
@@ -67,15 +54,9 @@ class SearchResult(NamedTuple):
     trials: list[Trial]
 
 
-def training_drives(number: int = TRAINING_DRIVES) -> SafeDrives:
-    """Return drives of the split "train", each followed by its mirror image."""
-    setup = Safe4S4Setup({"split": "train"})
-    return SafeDrives.mirrored(setup, range(TUNING_SEED, TUNING_SEED + number))
-
-
 def tune(
     name: str,
-    drives: SafeDrives,
+    drives: Drives,
     progress: Callable[[str, float], None] = lambda text, x: None,
 ) -> SearchResult:
     """Evaluate the whole grid of a policy on training drives."""
@@ -85,20 +66,10 @@ def tune(
     for k, values in enumerate(choices):
         settings = dict(zip(grid, values, strict=True))
         progress(f"{name}: {settings}", k / len(choices))
-        score = drive_safely(create(name, **settings), drives).score
+        score = drive_all(create(name, **settings), drives).score
         trials.append(Trial(settings, -float(score.mean())))
     best = min(trials, key=lambda trial: trial.cost)
     return SearchResult(best.settings, best.cost, trials)
-
-
-def return_rates(policy: Any, scenarios: Scenarios, seeds: Sequence[int]) -> np.ndarray:
-    """Return the returns per second (R, C) on the roads of `seeds` (R,), for every case (C)."""
-    rollouts = [
-        roll_out(policy, scenarios.options(case), seeds, store_observations=False)
-        for case in scenarios.cases
-    ]
-    # an interval lasts 1 / control_rate seconds
-    return np.stack([d.returns * scenarios.control_rate / d.intervals for d in rollouts], axis=1)
 
 
 def as_yaml(best: SearchResult, command: str) -> str:
@@ -107,24 +78,3 @@ def as_yaml(best: SearchResult, command: str) -> str:
     return yaml.safe_dump(
         {"settings": best.settings, "source": source}, sort_keys=False, allow_unicode=True
     )
-
-
-def load_training_config(name: str, steps: int | None = None) -> Any:
-    """Load the training settings of a learned policy by name or YAML path.
-
-    Raises ConfigError.
-    """
-    from road_envs.policies.training import TrainingConfig
-
-    shipped = config.load(PolicySettings, "policies", name)
-    if not shipped.training:
-        raise ConfigError(f"{name} has no training section; only learned policies can be trained")
-    training = config.build(TrainingConfig, shipped.training, f"{name}: training")
-    return training if steps is None else replace(training, steps=steps)
-
-
-def write_bytes(path: Path, data: bytes) -> None:
-    """Write a file atomically."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_write(path) as partial:
-        partial.write_bytes(data)

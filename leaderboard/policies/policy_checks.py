@@ -21,11 +21,12 @@ from typing import Any
 import numpy as np
 
 from leaderboard.conformance.probes import CheckResult
+from leaderboard.policies.comparison import PUBLIC_DRIVES
 from leaderboard.policies.policy_process import POLICY_LIMITS, PolicyProcess
-from leaderboard.policies.scenarios import load_scenarios
 from leaderboard.sandbox.limits import Limits
 from road_envs.core.config import ConfigError
 from road_envs.envs.options import EnvSetup
+from road_envs.envs.safe4s4 import SafeOptions
 from road_envs.policies import create
 from road_envs.policies.api import PolicyContext, PolicyError, validate_actions
 from road_envs.policies.rollout import POLICY_SEED, roll_out
@@ -45,8 +46,8 @@ SEEDS = range(4)
 REFUSALS = ("ConfigError", "ValueError", "NotImplementedError")
 """Errors by which a policy may refuse an action space or an observation on purpose."""
 
-COMPARISON = "league"
-"""Scenarios for which the run time is predicted."""
+LONGEST_DRIVE = 30.0
+"""Duration [s] of the longest drive of a comparison, for which the run time is predicted."""
 
 
 def check_policy(
@@ -173,23 +174,21 @@ def _damaged_sensors(policy: PolicyProcess, observations: np.ndarray) -> Verdict
 
 
 def _costs(limits: Limits, seconds: Sequence[float], memory: float) -> list[CheckResult]:
-    """Check time and memory against the limits, for the longest case of COMPARISON.
+    """Check time and memory against the limits of a comparison.
 
     `seconds` are those of each call with the vehicles of SEEDS; the longest call, which may prepare
     tables, counts once.
     """
-    scenarios = load_scenarios(COMPARISON)
-    slowest = min(case.speed_kmh for case in scenarios.cases)
-    calls = scenarios.control_rate * scenarios.length / (slowest / 3.6)
+    calls = SafeOptions().control_rate * LONGEST_DRIVE
     once = max(seconds)
     per_call = (sum(seconds) - once) / max(len(seconds) - 1, 1)
-    predicted = once + per_call * calls * scenarios.test.number / len(SEEDS)
+    predicted = once + per_call * calls * 2 * PUBLIC_DRIVES / len(SEEDS)
     return [
         CheckResult(
             "time",
             predicted < limits.seconds,
             f"{once:.2g} s once and {1e6 * per_call / len(SEEDS):.0f} µs per vehicle and "
-            f"interval: at most {predicted:.2g} s for a case of {COMPARISON}, the limit is "
+            f"interval: at most {predicted:.2g} s for {2 * PUBLIC_DRIVES} drives, the limit is "
             f"{limits.seconds:g} s",
         ),
         CheckResult(

@@ -1,4 +1,4 @@
-"""Time history of one drive of a policy: road, commanded states, heave, roll."""
+"""Time history of one drive of a policy: tyre loads, commanded states, heave, roll."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from leaderboard.report.figures import INK, Chart, axis, chart, rounded
-from road_envs.roads import Surface
+from road_envs.policies.rollout import Drives
 from road_envs.simulation.drive import Trajectory
 from road_envs.vehicle.equations import PHI, Z_B
 from road_envs.vehicle.suspension import MODES, decode_commands
@@ -22,6 +22,10 @@ MODE_COLOURS = {
 }
 """Colours of the states; ride mode is drawn as a gap."""
 
+WHEELS = ("FL", "FR", "RL", "RR")
+LOAD_COLOURS = (INK, "var(--line-1)", "var(--line-2)", "var(--line-3)")
+"""Wheels, and the colours of their loads."""
+
 AXLES = ("rear", "front")
 """Axles in the order of their strips, from below."""
 
@@ -32,19 +36,36 @@ DOMAINS = ((0.80, 1.0), (0.58, 0.72), (0.27, 0.50), (0.0, 0.19))
 class Timeline(NamedTuple):
     """Signals of a drive at times `t` (T,) [s].
 
-    `road` (2, T) [m]: heights under the front axle; `states` (2, T): index into MODE_NAMES of the
+    `loads` (4, T) [N] of the tyres FL, FR, RL, RR; `states` (2, T): index into MODE_NAMES of the
     commanded state of front and rear; heave `acceleration` (T,) [m/s²]; `roll` (T,) [rad].
     """
 
     t: np.ndarray
-    road: np.ndarray
+    loads: np.ndarray
     states: np.ndarray
     acceleration: np.ndarray
     roll: np.ndarray
 
     @classmethod
-    def from_trajectory(cls, motion: Trajectory, surface: Surface) -> "Timeline":
-        """Return the timeline of a motion over a surface, sampled at POINTS_PER_SECOND."""
+    def from_drive(cls, drives: Drives, i: int, actions: np.ndarray) -> "Timeline":
+        """Return the timeline of drive number `i` under `actions` (T, N)."""
+        setup, start = drives.setup, drives.starts[i]
+        fleet = setup.make_fleet(keep_signals=True)
+        fleet.start(0, start.drive, start.logger, start.speed_kmh)
+        parts = []
+        for byte in (start.command_byte, *setup.command_bytes[actions[:, i]]):
+            ended = fleet.advance(int(byte)).end_of_road[0]
+            parts.append(fleet.last_interval(0, int(byte)))
+            if ended:
+                break
+        names = ("t", "s", "v", "commands", "signals")
+        return cls.from_trajectory(
+            Trajectory(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+        )
+
+    @classmethod
+    def from_trajectory(cls, motion: Trajectory) -> "Timeline":
+        """Return the timeline of a motion, sampled at POINTS_PER_SECOND."""
         stride = max(1, round(1.0 / (POINTS_PER_SECOND * float(motion.t[1] - motion.t[0]))))
         sampled = slice(None, None, stride)
         stiff, high = decode_commands(motion.commands[sampled])
@@ -55,15 +76,15 @@ class Timeline(NamedTuple):
         ]
         return cls(
             motion.t[sampled],
-            surface.height(motion.s[sampled]),
+            motion.tyre_load[sampled].T,
             np.array(states),
             motion.acceleration[sampled, Z_B],
             motion.state[sampled, PHI],
         )
 
     def curves(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return road (2, T) [mm], heave acceleration (1, T) [m/s²] and roll (1, T) [deg]."""
-        return 1000.0 * self.road, self.acceleration[None], np.degrees(self.roll)[None]
+        """Return tyre loads (4, T) [kN], heave acceleration (1, T) [m/s²] and roll (1, T) [deg]."""
+        return 0.001 * self.loads, self.acceleration[None], np.degrees(self.roll)[None]
 
 
 def drive_chart(timelines: Mapping[str, Timeline]) -> Chart:
@@ -72,11 +93,11 @@ def drive_chart(timelines: Mapping[str, Timeline]) -> Chart:
         max(float(np.abs(values).max()) for values in group)
         for group in zip(*(line.curves() for line in timelines.values()), strict=True)
     ]
-    road, heave, roll = (rounded(1.05 * limit, 3) for limit in limits)
+    load, heave, roll = (rounded(1.05 * limit, 3) for limit in limits)
     seconds = max(float(line.t[-1] - line.t[0]) for line in timelines.values())
     names = ("yaxis", "yaxis2", "yaxis3", "yaxis4")
     axes = (
-        axis("road [mm]", -road, road),
+        axis("tyre load [kN]", 0.0, load),
         axis("", type="category", categoryorder="array", categoryarray=AXLES, range=[-0.5, 1.5]),
         axis("heave [m/s²]", -heave, heave),
         axis("roll [deg]", -roll, roll),
@@ -95,10 +116,12 @@ def drive_chart(timelines: Mapping[str, Timeline]) -> Chart:
 
 
 def _drive_data(line: Timeline) -> list[dict[str, Any]]:
-    road, heave, roll = line.curves()
+    loads, heave, roll = line.curves()
     curves = (
-        ("road, left", road[0], "y", INK, "%{y:.0f} mm"),
-        ("road, right", road[1], "y", "var(--line-1)", "%{y:.0f} mm"),
+        *(
+            (f"load {wheel}", load, "y", colour, f"{wheel} %{{y:.1f}} kN")
+            for wheel, load, colour in zip(WHEELS, loads, LOAD_COLOURS, strict=True)
+        ),
         ("heave acceleration", heave[0], "y3", INK, "%{y:.2f} m/s²"),
         ("roll", roll[0], "y4", INK, "%{y:.2f}°"),
     )

@@ -2,15 +2,49 @@
 
 It integrates the motion (`fleet`), applies noise, clipping and anti-alias filter of the
 accelerometers (as `data_logger`) and the W_k filter (`comfort`), and sums the costs, all of them
-step by step, so that signals are not stored; only the output of an environment is. Arrays have the
-blocks as first axis and LANES as last axis, which the shapes below omit.
+step by step, so that signals are not stored; only the output of an environment is. The costs are
+those of `RoadReconEnv`, or with `safety` those of `safety_step`. Arrays have the blocks as first
+axis and LANES as last axis, which the shapes below omit.
 """
-
-from typing import NamedTuple
 
 import numpy as np
 
 from road_envs.envs.failures import END_OF_ROAD, NONFINITE_STEP, ROLLOVER, find_failures
+from road_envs.envs.fleet_arrays import (
+    DRIVE_START,
+    MAX_EXTENSION,
+    MAX_EXTENSION_RATE,
+    MAX_PLANAR,
+    N_PLANAR,
+    N_SUMS,
+    OUT_COMFORT,
+    OUT_RATTLE,
+    OUT_REWARD,
+    OUT_SPEED_KMH,
+    OUT_STATION,
+    OUT_T,
+    OUT_TYRE_LOAD,
+    OUT_UNRESOLVED,
+    PROFILE,
+    ROAD_OFFSET,
+    ROAD_PER_DS,
+    ROAD_SIZE,
+    ROAD_START,
+    SPEED,
+    SPEED_GAIN,
+    SPEED_KMH,
+    STEPS_DONE,
+    STEPS_TOTAL,
+    SUM_A_X,
+    SUM_A_Y,
+    SUM_COMFORT,
+    SUM_RATTLE,
+    SUM_TYRE_LOAD,
+    TRUE_LOADS,
+    TRUE_PROFILE,
+    TRUE_S,
+)
+from road_envs.envs.safety_step import N_SAFETY, add_safety, write_safety
 from road_envs.kernels._numba import kernel
 from road_envs.kernels.filters import filter_sample
 from road_envs.kernels.normal_numbers import fill_normal
@@ -30,7 +64,7 @@ from road_envs.simulation.fleet import (
     front_axle_stations,
     take_step,
 )
-from road_envs.simulation.lanes import LaneBuffers, aligned_zeros
+from road_envs.simulation.lanes import LaneBuffers
 from road_envs.simulation.rosenbrock import (
     ACCELERATION,
     EXTENSION,
@@ -43,173 +77,30 @@ from road_envs.simulation.rosenbrock import (
 from road_envs.vehicle.equations import N_DOF, PHI, THETA, Z_B, extension
 from road_envs.vehicle.parameters import GRAVITY
 
-OUTPUT_COLUMNS = (
-    "t", "station", "speed_kmh", "comfort", "rattle", "tyre_load", "reward", "unresolved_variance",
-)  # fmt: skip
-OUT_T, OUT_STATION, OUT_SPEED_KMH, OUT_COMFORT = range(4)
-OUT_RATTLE, OUT_TYRE_LOAD, OUT_REWARD, OUT_UNRESOLVED = range(4, 8)
-"""Columns of `StepOutput.values`: time since the start [s], station of the front axle [m], speed
-[km/h], the three costs and the reward of the interval, and the share of the road's variance that
-the strut states leave unresolved. The last one is a fourth cost that `InstrumentedFleet` adds."""
 
-N_PLANAR, N_STRUT_SIGNALS = 2, 8
-"""Sizes of the optional observation groups: horizontal accelerations; extensions and rates."""
-MAX_PLANAR, MAX_EXTENSION, MAX_EXTENSION_RATE = 20.0, 0.5, 10.0
-"""Limits of the observed values of these groups [m/s², m, m/s]."""
-
-STEPS_DONE, STEPS_TOTAL = range(2)
-DRIVE_START, SPEED, SPEED_KMH, SPEED_GAIN = range(4)
-ROAD_OFFSET, ROAD_SIZE, ROAD_START, ROAD_PER_DS = 0, 2, 3, 4
-"""Rows of `FleetState.counts`, `FleetState.kinematics` and `FleetState.road_layout`."""
-
-TRUE_S, TRUE_PROFILE, TRUE_LOADS, N_TRUE = 0, 1, 3, 7
-"""Rows of `StepOutput.truth`, and their number."""
-
-SUM_COMFORT, SUM_RATTLE, SUM_TYRE_LOAD, SUM_A_X, SUM_A_Y, N_SUMS = range(6)
-"""Rows of the sums over an interval."""
-
-
-class FleetState(NamedTuple):
-    """State that every vehicle keeps between control intervals; blocks first, lanes last.
-
-    Coordinates `q` and rates `v` (B, 7), `strut_state` (B, 4, 3) and `valves` (B, 2) as in
-    `lanes.LaneBuffers`, command `delay_line` (B, D),
-    filter states `antialias_state` (B, n, k, 2) and `wk_state` (B, m, 1, 2), `sensor_rows`
-    (B, k, 3) as `instrumented_fleet.sensor_rows` returns them for k sensors, and `noise_state`
-    (B, 4) as `normal_numbers.generator_state`. `counts` (B, 2): steps done, steps in total.
-    `kinematics` (B, 4): station at the start [m], speed [m/s], speed [km/h], gain of the speed
-    signal. `road_layout` (B, 5): the fields of `fleet.RoadBuffers` other than the heights.
-    """
-
-    q: np.ndarray
-    v: np.ndarray
-    strut_state: np.ndarray
-    valves: np.ndarray
-    delay_line: np.ndarray
-    antialias_state: np.ndarray
-    wk_state: np.ndarray
-    sensor_rows: np.ndarray
-    noise_state: np.ndarray
-    counts: np.ndarray
-    kinematics: np.ndarray
-    road_layout: np.ndarray
-
-
-class FleetParameters(NamedTuple):
-    """Parameters common to all vehicles.
-
-    Vehicle constants as in `fleet.LaneBuffers`, force tables, command `delay` in steps, valve
-    factor `alpha`, `per_static_load` (4,) [1/N], cost `weights` (3,), filters, noise and range (k,)
-    [m/s²] of the accelerometers, whether they are `noisy`, and the coordinates `sensor_columns`
-    (k, 3) that they measure, `top_speed` [m/s], step `h` [s], steps per sample (`decimation`), and
-    flags of the optional observation groups.
-    """
-
-    lane_constants: np.ndarray
-    constants: np.ndarray
-    velocity: np.ndarray
-    displacement: np.ndarray
-    delay: np.ndarray
-    alpha: np.ndarray
-    per_static_load: np.ndarray
-    weights: np.ndarray
-    antialias_sos: np.ndarray
-    wk_sos: np.ndarray
-    noise_std: np.ndarray
-    range: np.ndarray
-    noisy: int
-    sensor_columns: np.ndarray
-    top_speed: float
-    h: float
-    decimation: int
-    planar: int
-    struts: int
-
-
-class IntervalInputs(NamedTuple):
-    """Inputs of B blocks in one control interval.
-
-    `road_heights` (B, ...); `commands` (B, LANES); `a_xy` (B, 4 n + 2), a_x and a_y [m/s²] of a
-    manoeuvre in turn at every half step, or (1, ...) of `fleet.NO_MANOEUVRE`.
-    """
-
-    road_heights: np.ndarray
-    commands: np.ndarray
-    a_xy: np.ndarray
-
-
-class ControlStepWorkspace(NamedTuple):
-    """Scratch of one thread for the n steps of a block."""
-
-    delayed: np.ndarray  # (n,): command bytes
-    s: np.ndarray  # (2 n + 1,)
-    v: np.ndarray  # (2 n + 1,)
-    noise: np.ndarray  # (k, n)
-    samples: np.ndarray  # (k, n / decimation) float32: readings of the accelerometers
-    signals: np.ndarray  # (n, 29) of each step if they are kept, else (0, 29)
-
-
-class StepOutput(NamedTuple):
-    """Output of one control interval with k samples, of N vehicles with S accelerometers.
-
-    `observation` (N, S k + 5 or more) float32, see `RoadReconEnv`; `values` (N, 8), see
-    OUTPUT_COLUMNS; `events` (N, 3), columns as in `failures`; ground truth `truth` (N, 7, k), the
-    rows below, or (N, 0, k) unless requested.
-    """
-
-    observation: np.ndarray
-    values: np.ndarray
-    events: np.ndarray
-    truth: np.ndarray
-
-    @property
-    def failed(self) -> np.ndarray:
-        """Whether the motion of the vehicles has failed (N,)."""
-        return (self.events[:, NONFINITE_STEP] >= 0) | (self.events[:, ROLLOVER] >= 0)
-
-    @property
-    def end_of_road(self) -> np.ndarray:
-        """Whether the vehicles have left their roads (N,)."""
-        return self.events[:, END_OF_ROAD] > 0
-
-    @property
-    def s(self) -> np.ndarray:
-        """Stations of the front axles at the samples [m] (N, k)."""
-        return self.truth[:, TRUE_S]
-
-    @property
-    def profile(self) -> np.ndarray:
-        """Heights under the front wheels at the samples [m] (N, 2, k)."""
-        return self.truth[:, TRUE_PROFILE:TRUE_LOADS]
-
-    @property
-    def loads(self) -> np.ndarray:
-        """Tyre loads at the samples [N] (N, 4, k)."""
-        return self.truth[:, TRUE_LOADS:]
-
-
-def allocate_workspace(
-    steps: int, samples: int, sensors: int, keep_signals: bool
-) -> ControlStepWorkspace:
-    """Allocate the scratch of a thread for intervals of n = `steps`."""
-    return ControlStepWorkspace(
-        delayed=np.zeros((steps, LANES), dtype=np.uint8),
-        s=aligned_zeros(2 * steps + 1),
-        v=aligned_zeros(2 * steps + 1),
-        noise=aligned_zeros(sensors, steps),
-        samples=np.zeros((sensors, samples, LANES), dtype=np.float32),
-        signals=aligned_zeros(keep_signals * steps, N_SIGNALS),
-    )
+@kernel(inline=False)
+def _read_profiles(profiles, counts, s, v, a_xy):
+    """Write the inputs of the next interval; a drive that has ended repeats its last ones."""
+    size = s.shape[0]
+    for k in range(LANES):
+        # profiles hold every half step, so that the interval begins at twice the steps done
+        first = max(min(2 * counts[STEPS_DONE, k], 2 * counts[STEPS_TOTAL, k] + 1 - size), 0)
+        row = profiles[counts[PROFILE, k]]
+        for i in range(size):
+            s[i, k], v[i, k] = row[0, first + i], row[1, first + i]
+            a_xy[2 * i, k], a_xy[2 * i + 1, k] = row[2, first + i], row[3, first + i]
 
 
 @kernel
-def _measure(parameters, sensor_rows, antialias_state, signals, i, workspace):
+def _measure(parameters, mounting, antialias_state, signals, i, workspace, safety):
     """Write the filtered accelerations of step `i` to the samples, if it is one of a sample."""
     for j in range(parameters.range.size):
         columns, limit = parameters.sensor_columns[j], parameters.range[j]
         z, phi = get(signals, ACCELERATION + columns[0]), get(signals, ACCELERATION + columns[1])
-        heave, roll, pitch = get(sensor_rows, j, 0), get(sensor_rows, j, 1), get(sensor_rows, j, 2)
+        heave, roll, pitch = get(mounting, j, 0), get(mounting, j, 1), get(mounting, j, 2)
         true = heave * z + roll * phi + pitch * get(signals, ACCELERATION + columns[2])
+        if safety is not None:
+            true = true * get(mounting, j, 3) + get(mounting, j, 4)
         x = true + parameters.noise_std[j] * get(workspace.noise, j, i)
         x = minimum(maximum(x, -limit), limit)
         x = filter_sample(parameters.antialias_sos, antialias_state, j, x)
@@ -246,15 +137,15 @@ def _write_costs(parameters, n, sums, values):
 
 
 @kernel(inline=False)
-def _write_observation(parameters, kinematics, samples, commands, observation):
-    """Write the observations (lanes in use, S k + 5) of a block."""
+def _write_observation(parameters, gain, v, samples, commands, observation):
+    """Write the observations (lanes in use, S k + 5) of a block at the speeds `v` (LANES,)."""
     for k in range(observation.shape[0]):
         at, byte = 0, commands[k]
         for j in range(samples.shape[0]):
             for i in range(samples.shape[1]):
                 observation[k, at] = samples[j, i, k]
                 at += 1
-        measured = kinematics[SPEED_GAIN, k] * kinematics[SPEED, k]
+        measured = gain[k] * v[k]
         observation[k, at] = min(max(measured, 0.0), parameters.top_speed)
         for wheel in (0, 2):
             observation[k, at + 1 + wheel] = (byte >> wheel) & 1
@@ -262,11 +153,11 @@ def _write_observation(parameters, kinematics, samples, commands, observation):
 
 
 @kernel(inline=False)
-def _write_optional_groups(parameters, n, sums, signals, k_0, observation):
+def _write_optional_groups(parameters, p, n, sums, signals, k_0, observation):
     """Write the optional groups to the observations (lanes in use, ...), from column `k_0` on.
 
     Horizontal specific forces on the inclined body are averaged over the interval. Strut extensions
-    and rates are those of the last step, with its `signals`.
+    and rates are those of the last step, with its `signals`; `p` are the constants of the lanes.
     """
     at, lanes = k_0, observation.shape[0]
     if parameters.planar > 0:
@@ -277,7 +168,7 @@ def _write_optional_groups(parameters, n, sums, signals, k_0, observation):
         at += N_PLANAR
     if parameters.struts > 0:
         for w in range(4):
-            rate = extension(parameters.lane_constants[0], signals[N_DOF : 2 * N_DOF], w)
+            rate = extension(p, signals[N_DOF : 2 * N_DOF], w)
             for k in range(lanes):
                 e, e_dot = signals[EXTENSION + w, k], extract_lane(rate, k)
                 observation[k, at + w] = min(max(e, -MAX_EXTENSION), MAX_EXTENSION)
@@ -298,11 +189,14 @@ def _write_truth(s, heights, signals, at, truth):
 
 
 @kernel(inline=False, count_references=False)
-def advance_blocks(blocks, state, parameters, inputs, workspace, output, side=None):
+def advance_blocks(
+    blocks, state, parameters, cars, inputs, workspace, output, safety=None, side=None
+):
     """Advance the `blocks` (indices) by one control interval under IntervalInputs.
 
-    The rows of `output` are the vehicles; the last block may have lanes without one. `side`, if
-    given: the vehicles have side motion.
+    The rows of `output` are the vehicles; the last block may have lanes without one. `safety`, if
+    given: the SafetyParameters of a fleet whose costs are those of `safety_step`; `side`, if given:
+    the vehicles have side motion.
     """
     delayed = workspace.delayed
     n, h = delayed.shape[0], parameters.h
@@ -310,40 +204,53 @@ def advance_blocks(blocks, state, parameters, inputs, workspace, output, side=No
         step_workspace(stack_rows(WORKSPACE_ROWS)), stack_rows(16), stack_rows(2), stack_rows(2),
         stack_rows(40), stack_rows(N_SIDE_SIGNALS),
     )  # fmt: skip
-    signals, sums = stack_rows(N_SIDE_SIGNALS), stack_rows(N_SUMS)
+    signals, sums, safe = stack_rows(N_SIDE_SIGNALS), stack_rows(N_SUMS), stack_rows(N_SAFETY)
     for b in blocks:
         rows = slice(b * LANES, min((b + 1) * LANES, output.values.shape[0]))
-        lanes = rows.stop - rows.start
+        lanes, own = rows.stop - rows.start, b % cars.lane_constants.shape[0]
         q, v, layout, commands = state.q[b], state.v[b], state.road_layout[b], inputs.commands[b]
-        kinematics, counts, a_xy = state.kinematics[b], state.counts[b], inputs.a_xy
+        kinematics, counts = state.kinematics[b], state.counts[b]
         values, events, truth = output.values[rows], output.events[rows], output.truth[rows]
         offset, size = layout[ROAD_OFFSET:ROAD_SIZE], layout[ROAD_SIZE]
         roads = RoadBuffers(
-            inputs.road_heights[b], offset, size, layout[ROAD_START], layout[ROAD_PER_DS]
+            inputs.road_heights, offset, size, layout[ROAD_START], layout[ROAD_PER_DS]
         )
-        start, speed = kinematics[DRIVE_START], kinematics[SPEED]
-        front_axle_stations(start, speed, counts[STEPS_DONE], h, workspace.s, workspace.v)
+        if inputs.profiles.shape[0] > 0:
+            a_xy = workspace.a_xy
+            _read_profiles(inputs.profiles, counts, workspace.s, workspace.v, a_xy)
+        else:
+            a_xy = inputs.a_xy[b % inputs.a_xy.shape[0]]
+            start, speed = kinematics[DRIVE_START], kinematics[SPEED]
+            front_axle_stations(start, speed, counts[STEPS_DONE], h, workspace.s, workspace.v)
         delay_commands(state.delay_line[b], parameters.delay, inputs.commands[b : b + 1], delayed)
         vehicles = LaneBuffers(
-            parameters.lane_constants, parameters.constants, parameters.alpha, parameters.velocity,
-            parameters.displacement, state.strut_state[b], state.valves[b], q, v,
+            cars.lane_constants[own : own + 1], cars.constants[own], cars.alpha[own], cars.velocity,
+            cars.displacement, state.strut_state[b], state.valves[b], q, v,
         )  # fmt: skip
-        a_xy = a_xy[b % a_xy.shape[0]]
         manoeuvre = a_xy.shape[0] > NO_MANOEUVRE.shape[0]
         drive_inputs = DriveInputs(workspace.s, workspace.v, a_xy, delayed, h)
         if parameters.noisy > 0:
             fill_normal(state.noise_state[b], lanes, workspace.noise)
         for j in range(N_SUMS):
             put(sums, j, 0.0)
+        for j in range(N_SAFETY):
+            put(safe, j, 0.0)
         for k in range(lanes):
             events[k, ROLLOVER] = events[k, NONFINITE_STEP] = -1
         for i in range(n):
             take_step(vehicles, roads, drive_inputs, i, scratch, signals, None, side)
             find_failures(signals, i, events)
             _measure(
-                parameters, state.sensor_rows[b], state.antialias_state[b], signals, i, workspace
-            )
-            _add_costs(parameters, state.wk_state[b], signals, sums)
+                parameters, state.mounting[b], state.antialias_state[b], signals, i, workspace,
+                safety,
+            )  # fmt: skip
+            if safety is None:
+                _add_costs(parameters, state.wk_state[b], signals, sums)
+            else:
+                add_safety(
+                    parameters, safety, state.wk_state[b], state.high_pass_state[b], state.off[b],
+                    signals, safe,
+                )  # fmt: skip
             if parameters.planar > 0:
                 first = 4 * i if manoeuvre else 0
                 add(sums, SUM_A_X, get(a_xy, first) - GRAVITY * get(signals, THETA))
@@ -363,15 +270,28 @@ def advance_blocks(blocks, state, parameters, inputs, workspace, output, side=No
             if events[k, NONFINITE_STEP] >= 0:
                 for j in range(N_SUMS):
                     sums[j, k] = 0.0
-        _write_costs(parameters, n, sums, values)
-        observation = output.observation[rows]
-        _write_observation(parameters, kinematics, workspace.samples, commands, observation)
+                for j in range(N_SAFETY):
+                    safe[j, k] = 0.0
+        if safety is None:
+            _write_costs(parameters, n, sums, values)
+        else:
+            write_safety(safe, values)
+        observation, end = output.observation[rows], workspace.v[2 * n]
+        gain = kinematics[SPEED_GAIN]
+        _write_observation(parameters, gain, end, workspace.samples, commands, observation)
         k_0 = workspace.samples.shape[0] * workspace.samples.shape[1] + 5
-        _write_optional_groups(parameters, n, sums, signals, k_0, observation)
+        p = cars.lane_constants[own]
+        _write_optional_groups(parameters, p, n, sums, signals, k_0, observation)
         for k in range(lanes):
             counts[STEPS_DONE, k] += n
             t = counts[STEPS_DONE, k] * h
             values[k, OUT_T] = t
-            values[k, OUT_STATION] = kinematics[DRIVE_START, k] + t * kinematics[SPEED, k]
-            values[k, OUT_SPEED_KMH] = kinematics[SPEED_KMH, k]
+            if inputs.profiles.shape[0] > 0:
+                values[k, OUT_STATION], values[k, OUT_SPEED_KMH] = (
+                    workspace.s[2 * n, k],
+                    3.6 * end[k],
+                )
+            else:
+                values[k, OUT_STATION] = kinematics[DRIVE_START, k] + t * kinematics[SPEED, k]
+                values[k, OUT_SPEED_KMH] = kinematics[SPEED_KMH, k]
             events[k, END_OF_ROAD] = counts[STEPS_DONE, k] >= counts[STEPS_TOTAL, k]

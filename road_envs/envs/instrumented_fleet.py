@@ -1,17 +1,19 @@
-"""Fleet of equal instrumented vehicles, each on its own road, advanced by control intervals.
+"""Fleet of instrumented vehicles, each on its own road, advanced by control intervals.
 
-It is the simulator behind the environments. The result of a vehicle does not depend on the other
-vehicles, so single and vector environments agree to the bit.
+It is the simulator behind the environments, recordings and comparisons of policies. The result of
+a vehicle does not depend on the other vehicles, so single and vector environments agree to the bit.
 """
 
 from collections.abc import Callable
 from math import ceil
+from typing import NamedTuple
 
 import numpy as np
 
 from road_envs.analysis.comfort import wk_sos
 from road_envs.core.config import ConfigError
-from road_envs.envs.control_step import (
+from road_envs.envs.control_step import advance_blocks
+from road_envs.envs.fleet_arrays import (
     DRIVE_START,
     N_PLANAR,
     N_STRUT_SIGNALS,
@@ -19,6 +21,7 @@ from road_envs.envs.control_step import (
     OUT_REWARD,
     OUT_UNRESOLVED,
     OUTPUT_COLUMNS,
+    PROFILE,
     ROAD_OFFSET,
     ROAD_PER_DS,
     ROAD_SIZE,
@@ -33,19 +36,20 @@ from road_envs.envs.control_step import (
     FleetState,
     IntervalInputs,
     StepOutput,
-    advance_blocks,
     allocate_workspace,
 )
+from road_envs.envs.lane_cars import LaneCars
+from road_envs.envs.safety_step import SAFETY_COLUMNS, safety_parameters
 from road_envs.kernels.normal_numbers import generator_state
 from road_envs.kernels.simd import LANES
 from road_envs.roads.surface import PAD
 from road_envs.sensing.data_logger import DataLogger, Instruments
 from road_envs.simulation.drive import DriveSimulator, Trajectory
 from road_envs.simulation.fleet import NO_MANOEUVRE, run_in_threads
-from road_envs.simulation.lanes import aligned_copy, aligned_zeros, transpose_constants
+from road_envs.simulation.lanes import aligned_zeros
 from road_envs.simulation.manoeuvres import Manoeuvre
 from road_envs.vehicle.equations import AXLE, PHI, THETA, Z_B, Plant, sensor_row
-from road_envs.vehicle.parameters import VehicleParameters
+from road_envs.vehicle.parameters import GRAVITY, VehicleParameters
 
 COORDINATES = {None: [Z_B, PHI, THETA], 0: [AXLE, AXLE + 1, THETA], 1: [AXLE + 2, AXLE + 3, THETA]}
 """Coordinates that move a sensor on the body, the front and the rear axle; no axle pitches."""
@@ -61,38 +65,54 @@ def sensor_rows(logger: DataLogger) -> np.ndarray:
     return np.array([sensor_row(*x)[COORDINATES[x.axle]] for x in logger.locations])
 
 
-class InstrumentedFleet:
-    """`n_vehicles` equal instrumented vehicles: `start` begins a drive, `advance` moves all.
+class FleetSettings(NamedTuple):
+    """What all vehicles of a fleet have in common.
 
     A control interval has `steps` steps of `step` [s], a whole number of samples of the
-    `instruments`. With `truth`, `StepOutput` holds the road and the tyre loads; with `keep_signals`
-    `last_interval` returns the motion. Blocks are spread over `threads`. The state is plain NumPy,
-    so copies and pickles work. Raises ConfigError if the instruments cannot sample at these steps,
-    and on a flexible frame.
+    `instruments`. `top_speed` [m/s] is the highest speed observed; `planar` and `struts` add these
+    groups to the observation. With `truth`, `StepOutput` holds the road and the tyre loads.
 
-    `weights` are those of the three costs in the reward; `top_speed` [m/s] is the highest speed
-    observed; `planar` and `struts` add these groups to the observation. `unresolved_variance`
-    returns, for a speed [m/s], the share (256,) [-] of the road's variance that each command byte
-    leaves unresolved, a fourth cost with the weight `unresolved_variance_weight`.
+    `weights` are those of the three costs in the reward. `unresolved_variance` returns, for a speed
+    [m/s], the share (256,) [-] of the road's variance that each command byte leaves unresolved, a
+    fourth cost with the weight `unresolved_variance_weight`. All drive at constant speed in the
+    same `manoeuvre`.
+
+    With `individual`, every drive has its own car, speed profile, manoeuvre and sensor faults, and
+    the output has SAFETY_COLUMNS; weights and `manoeuvre` have no effect.
+    """
+
+    instruments: Instruments
+    step: float
+    steps: int
+    manoeuvre: Manoeuvre | None = None
+    weights: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    top_speed: float = np.inf
+    planar: bool = False
+    struts: bool = False
+    unresolved_variance: Callable[[float], np.ndarray] | None = None
+    unresolved_variance_weight: float = 0.0
+    truth: bool = True
+    individual: bool = False
+
+
+class InstrumentedFleet:
+    """`n_vehicles` instrumented vehicles: `start` begins a drive, `advance` moves all.
+
+    `plant` and `car` are the described vehicle. At most `distinct` vehicles, by default all, are
+    started by `start`, and others by `share`. With `keep_signals` `last_interval` returns the
+    motion. Blocks are spread over `threads`. The state is plain NumPy, so copies and pickles work.
+    Raises ConfigError if the instruments cannot sample at these steps, on a flexible frame, and
+    when two threads advance one fleet at once.
     """
 
     def __init__(
         self,
         plant: Plant,
         car: VehicleParameters,
-        instruments: Instruments,
-        *,
-        step: float,
-        steps: int,
+        settings: FleetSettings,
         n_vehicles: int = 1,
-        manoeuvre: Manoeuvre | None = None,
-        weights: tuple[float, float, float] = (0.0, 0.0, 0.0),
-        top_speed: float = np.inf,
-        planar: bool = False,
-        struts: bool = False,
-        unresolved_variance: Callable[[float], np.ndarray] | None = None,
-        unresolved_variance_weight: float = 0.0,
-        truth: bool = True,
+        *,
+        distinct: int | None = None,
         keep_signals: bool = False,
         threads: int = 1,
     ):
@@ -101,101 +121,150 @@ class InstrumentedFleet:
                 "an instrumented fleet does not support a flexible frame; use a vehicle variation "
                 "without one"
             )
+        step, steps, instruments = settings.step, settings.steps, settings.instruments
         logger = DataLogger(instruments, car, step, np.random.default_rng(0))
         if steps % logger.decimation:
             raise ConfigError(
                 f"an interval of {steps} steps of {step} s must hold a whole number of samples at "
                 f"{instruments.fs} Hz"
             )
-        self.plant, self.car, self.manoeuvre = plant, car, manoeuvre
-        self.step, self.steps, self.n_vehicles, self.truth = step, steps, n_vehicles, truth
+        self.plant, self.car, self.settings = plant, car, settings
+        self.step, self.steps, self.n_vehicles = step, steps, n_vehicles
         self.threads, self.samples = threads, steps // logger.decimation
-        blocks = ceil(n_vehicles / LANES)
-        delay, constants = round(car.valve.delay / step), np.repeat(plant.constants, LANES)
+        blocks, delay = ceil(n_vehicles / LANES), round(car.valve.delay / step)
+        self.cars = LaneCars(plant, car, step, blocks)
+        self.safety = safety_parameters(car, step) if settings.individual else None
+        self.columns = SAFETY_COLUMNS if settings.individual else OUTPUT_COLUMNS
         self.parameters = FleetParameters(
-            lane_constants=transpose_constants(constants),
-            constants=constants,
-            velocity=plant.velocity,
-            displacement=plant.displacement,
             delay=np.full(LANES, delay),
-            alpha=aligned_copy(np.full(LANES, 1.0 - np.exp(-step / car.valve.lag))),
             per_static_load=1.0 / np.repeat(car.tyre_loads, 2),
-            weights=np.array(weights, dtype=float),
+            weights=np.array(settings.weights, dtype=float),
             antialias_sos=logger.sos,
             wk_sos=wk_sos(1.0 / step),
             noise_std=logger.noise_std,
             range=logger.range,
             noisy=int(logger.noise_std.any()),
             sensor_columns=sensor_columns(logger),
-            top_speed=float(top_speed),
+            top_speed=float(settings.top_speed),
             h=step,
             decimation=logger.decimation,
-            planar=int(planar),
-            struts=int(struts),
+            planar=int(settings.planar),
+            struts=int(settings.struts),
         )
         k = logger.range.size
         self.observation_size = k * self.samples + 5
-        self.observation_size += planar * N_PLANAR + struts * N_STRUT_SIGNALS
-        self.unresolved_variance = unresolved_variance
-        self.unresolved_variance_weight = unresolved_variance_weight
-        self.unresolved = np.zeros((n_vehicles, 256 if unresolved_variance else 0))
-        sections = len(logger.sos), len(self.parameters.wk_sos)
-        self.state = _initial_state(blocks, plant.n_dof, delay, *sections, k)
-        self.road_heights = np.zeros((blocks, LANES * 2 * (4 + 2 * PAD)))
-        self._resize_roads(4 + 2 * PAD)
+        self.observation_size += settings.planar * N_PLANAR + settings.struts * N_STRUT_SIGNALS
+        per_command = 256 if settings.unresolved_variance else 0
+        self.unresolved = np.zeros((n_vehicles, per_command))
+        self.state = self._initial_state(blocks, delay, k)
+        rows = n_vehicles if distinct is None else distinct
+        self._rows: dict[int, int] = {}  # of roads and profiles, by vehicle
+        self.road_heights = np.zeros((2 * rows, 4 + 2 * PAD))
+        self._profiles = np.zeros((rows * settings.individual, 4, 1))
         self._moving = np.arange(blocks)
         self._commands = np.zeros(blocks * LANES, dtype=np.uint8)
         self._workspaces = [
             allocate_workspace(steps, self.samples, k, keep_signals)
             for _ in range(min(threads, blocks))
         ]
+        self._idle = [True]  # emptied by the thread that advances: taking from a list is atomic
 
     def start(self, i: int, drive: DriveSimulator, logger: DataLogger, speed_kmh: float) -> None:
-        """Start vehicle `i` on a `drive` at constant speed, measured by `logger`.
+        """Start vehicle `i` on a `drive`, measured by `logger`.
 
-        `speed_kmh` is the speed reported in the output.
+        `speed_kmh` is the speed reported in the output of drives at constant speed.
         """
         b, k = divmod(i, LANES)
-        self._set_road(b, k, drive)
+        row = self._rows.setdefault(i, len(self._rows))
+        self._set_road(i, row, drive)
+        self.cars.put(i, drive.plant, drive.car)
         state = self.state
         state.q[b, :, k], state.v[b, :, k] = np.split(drive.state, 2)
         state.strut_state[b, :, :, k], state.valves[b, 0, k] = drive.strut_state, 1.0
         state.delay_line[b, :, k] = drive.delay_line
         state.antialias_state[b, ..., k], state.wk_state[b, ..., k] = 0.0, 0.0
-        state.sensor_rows[b, ..., k] = sensor_rows(logger)
+        state.high_pass_state[b, ..., k], state.off[b, ..., k] = 0.0, 0.0
+        sensors = len(logger.range)
+        gain, tilt, offset = (
+            logger.faults.per_sensor(name, sensors) for name in ("gain", "tilt", "offset")
+        )
+        constant = gain * GRAVITY * (np.cos(tilt) - 1.0) + offset
+        mounting = np.column_stack([sensor_rows(logger), gain * np.cos(tilt), constant])
+        state.mounting[b, ..., k] = mounting
         kinematics, counts = state.kinematics[b, :, k], state.counts[b, :, k]
         kinematics[DRIVE_START], kinematics[SPEED] = drive.start, drive.speed
         kinematics[SPEED_GAIN], kinematics[SPEED_KMH] = logger.speed_gain, speed_kmh
-        counts[STEPS_DONE], counts[STEPS_TOTAL] = 0, drive.steps_left
+        counts[STEPS_DONE], counts[STEPS_TOTAL], counts[PROFILE] = 0, drive.steps_left, row
         state.noise_state[b, :, k] = generator_state(logger.rng)
-        if self.unresolved_variance is not None:
-            self.unresolved[i] = self.unresolved_variance(drive.speed)
+        if self.settings.unresolved_variance is not None:
+            self.unresolved[i] = self.settings.unresolved_variance(drive.speed)
+        if self.settings.individual:
+            self._set_profile(row, drive)
+
+    def share(self, i: int, others: range) -> None:
+        """Start the vehicles `others` on the drive of vehicle `i`, which all then share."""
+        self.copy_vehicles(np.full(len(others), i), np.array(others, dtype=int))
+        for other in others:
+            self.cars.share(i, other)
+
+    def copy_vehicles(self, source: np.ndarray, target: np.ndarray | None = None) -> None:
+        """Overwrite the motion of vehicle `target[j]`, by default j, by that of `source[j]`.
+
+        Both are on equal drives.
+        """
+        target = np.arange(source.size) if target is None else target
+        (b, k), (b_new, k_new) = np.divmod(source, LANES), np.divmod(target, LANES)
+        for field in self.state:
+            field[b_new, ..., k_new] = field[b, ..., k]
+
+    def copy_state(self) -> list[np.ndarray]:
+        """Return a copy of the state of all vehicles, for `restore_state`."""
+        return [field.copy() for field in self.state]
+
+    def restore_state(self, saved: list[np.ndarray]) -> None:
+        """Put all vehicles back to a saved state, on the drives that they had then."""
+        for field, old in zip(self.state, saved, strict=True):
+            field[...] = old
 
     def advance(self, commands: np.ndarray | int, mask: np.ndarray | None = None) -> StepOutput:
         """Advance by one interval under `commands` (N,) uint8 or one for all vehicles.
 
-        With a `mask` (N,) only the vehicles in it advance.
-
-        Output rows outside the mask are undefined.
+        With a `mask` (N,) only the vehicles in it advance; output rows outside it are undefined.
         """
+        try:
+            self._idle.pop()
+        except IndexError:
+            raise ConfigError(
+                "an environment is stepped by two threads at once; make one for each thread"
+            ) from None
+        try:
+            return self._advance(commands, mask)
+        finally:
+            self._idle.append(True)
+
+    def _advance(self, commands: np.ndarray | int, mask: np.ndarray | None) -> StepOutput:
         self._commands[: self.n_vehicles] = commands
         moving = self._moving if mask is None else np.unique(np.flatnonzero(mask) // LANES)
         # blocks advance as a whole: lanes outside the mask are restored afterwards
         saved = None if mask is None else [field[moving] for field in self.state]
         output, a_xy = self._allocate_output(), self._manoeuvre_inputs()
-        inputs = IntervalInputs(self.road_heights, self._commands.reshape(-1, LANES), a_xy)
-
-        side = self.plant.kernel_flags[1:]
+        inputs = IntervalInputs(
+            self.road_heights.ravel(), self._commands.reshape(-1, LANES), a_xy, self._profiles
+        )
+        flags = self.safety, *self.plant.kernel_flags[1:]
+        cars = self.cars.buffers
 
         def run(job: np.ndarray, workspace: ControlStepWorkspace) -> None:
-            advance_blocks(job, self.state, self.parameters, inputs, workspace, output, *side)
+            advance_blocks(
+                job, self.state, self.parameters, cars, inputs, workspace, output, *flags
+            )
 
         n = len(self._workspaces)
         jobs = [moving] if n == 1 else np.array_split(moving, n)
         run_in_threads(run, list(zip(jobs, self._workspaces, strict=True)))
         if mask is not None and saved is not None:
             self._restore_unmasked(moving, mask, saved)
-        if self.unresolved_variance is not None:
+        if self.settings.unresolved_variance is not None:
             self._subtract_information_cost(commands, output.values)
         return output
 
@@ -204,7 +273,7 @@ class InstrumentedFleet:
         interval = self.steps * self.step
         unresolved = self.unresolved[np.arange(self.n_vehicles), commands]
         values[:, OUT_UNRESOLVED] = unresolved
-        values[:, OUT_REWARD] -= interval * self.unresolved_variance_weight * unresolved
+        values[:, OUT_REWARD] -= interval * self.settings.unresolved_variance_weight * unresolved
 
     @property
     def steps_left(self) -> np.ndarray:
@@ -227,7 +296,7 @@ class InstrumentedFleet:
         block. Raises ValueError.
         """
         last = self._workspaces[0]
-        if len(self.road_heights) > 1 or not last.signals.size:
+        if len(self._moving) > 1 or not last.signals.size:
             raise ValueError(
                 f"the last interval is kept in fleets of at most {LANES} vehicles, got "
                 f"{self.n_vehicles}, and only with keep_signals; make such a fleet"
@@ -238,84 +307,83 @@ class InstrumentedFleet:
         s, v = last.s[:-1:2, i].copy(), last.v[:-1:2, i].copy()
         return Trajectory(t, s, v, commands, last.signals[:, :, i].copy())
 
-    def _set_road(self, b: int, k: int, drive: DriveSimulator) -> None:
-        """Set the road of lane `k` in block `b` to the surface of `drive`."""
+    def _set_road(self, i: int, row: int, drive: DriveSimulator) -> None:
+        """Set the road of vehicle `i`, stored in `row`, to the surface of `drive`."""
         z = drive.surface.z
-        size = z.shape[1] + 2 * PAD
-        if size > self.road_heights.shape[1] // (2 * LANES):
-            self._resize_roads(size)
-        capacity = self.road_heights.shape[1] // (2 * LANES)
-        for side in range(2):
-            offset = (2 * k + side) * capacity
-            path = self.road_heights[b, offset : offset + size]
-            path[:PAD], path[PAD:-PAD], path[-PAD:] = z[side, 0], z[side], z[side, -1]
+        size, capacity = z.shape[1] + 2 * PAD, self.road_heights.shape[1]
+        if size > capacity:
+            # an offset is a row times the capacity, for vehicles that share it, too
+            offsets = self.state.road_layout[:, ROAD_OFFSET:ROAD_SIZE]
+            offsets[:] = np.rint(offsets / capacity) * size
+            self.road_heights = np.pad(self.road_heights, ((0, 0), (0, size - capacity)))
+        b, k = divmod(i, LANES)
         layout = self.state.road_layout[b, :, k]
+        for side in range(2):
+            path = self.road_heights[2 * row + side]
+            path[:PAD], path[PAD : size - PAD] = z[side, 0], z[side]
+            path[size - PAD : size] = z[side, -1]
+            layout[ROAD_OFFSET + side] = path.size * (2 * row + side)
         layout[ROAD_SIZE] = size
         layout[ROAD_START], layout[ROAD_PER_DS] = drive.surface.start, 1.0 / drive.surface.ds
 
-    def _resize_roads(self, capacity: int) -> None:
-        """Reallocate the roads with `capacity` samples per wheel path of every lane."""
-        blocks, old = len(self.road_heights), self.road_heights.shape[1] // (2 * LANES)
-        heights = np.zeros((blocks, 2 * LANES, capacity))
-        common = min(old, capacity)
-        heights[:, :, :common] = self.road_heights.reshape(blocks, 2 * LANES, old)[:, :, :common]
-        self.road_heights = heights.reshape(blocks, 2 * LANES * capacity)
-        offsets = capacity * np.arange(2.0 * LANES).reshape(LANES, 2)
-        self.state.road_layout[:, ROAD_OFFSET:ROAD_SIZE] = offsets.T
+    def _set_profile(self, row: int, drive: DriveSimulator) -> None:
+        """Set the station, speed and accelerations in `row` to those of a `drive`."""
+        # at least one interval, which a drive that has ended repeats
+        s, v, a_xy = drive.half_step_inputs(max(drive.steps_left, self.steps))
+        if (more := s.size - self._profiles.shape[2]) > 0:
+            self._profiles = np.pad(self._profiles, ((0, 0), (0, 0), (0, more)))
+        self._profiles[row, :, : s.size] = s, v, *a_xy.T
 
     def _manoeuvre_inputs(self) -> np.ndarray:
         """Return alternating a_x, a_y (B or 1, ..., LANES) for the next interval."""
-        if self.manoeuvre is None:
+        manoeuvre = self.settings.manoeuvre
+        if manoeuvre is None:
             return NO_MANOEUVRE[None]
         done = self.state.counts[:, STEPS_DONE]
         instants = 0.5 * self.step * (2 * done[:, None] + np.arange(2 * self.steps + 1)[:, None])
-        a_xy = self.manoeuvre.at(instants)
+        a_xy = manoeuvre.at(instants)
         return np.moveaxis(a_xy, -1, 2).reshape(len(done), 4 * self.steps + 2, LANES)
 
     def _allocate_output(self) -> StepOutput:
         size = self.n_vehicles
         return StepOutput(
             np.empty((size, self.observation_size), dtype=np.float32),
-            np.empty((size, len(OUTPUT_COLUMNS))),
+            np.empty((size, len(self.columns))),
             np.empty((size, 3), dtype=np.int64),
-            np.empty((size, N_TRUE * self.truth, self.samples)),
+            np.empty((size, N_TRUE * self.settings.truth, self.samples)),
         )
 
     def _restore_unmasked(
         self, moving: np.ndarray, mask: np.ndarray, saved: list[np.ndarray]
     ) -> None:
         """Restore the state of the vehicles outside the `mask` after an interval."""
-        unmasked = np.ones(len(self.road_heights) * LANES, dtype=bool)
+        unmasked = np.ones(len(self._moving) * LANES, dtype=bool)
         unmasked[: self.n_vehicles] = ~mask
         for field, before in zip(self.state, saved, strict=True):
             for j, b in enumerate(moving):
                 lanes = unmasked[b * LANES : (b + 1) * LANES]
                 field[b][..., lanes] = before[j][..., lanes]
 
-
-def _initial_state(
-    blocks: int,
-    n_dof: int,
-    delay: int,
-    antialias_sections: int,
-    wk_sections: int,
-    sensors: int,
-) -> FleetState:
-    """Return the state of vehicles at rest on level ground, in all lanes of every block."""
-    state = FleetState(
-        q=aligned_zeros(blocks, n_dof),
-        v=aligned_zeros(blocks, n_dof),
-        strut_state=aligned_zeros(blocks, 4, 3),
-        valves=aligned_zeros(blocks, 2),
-        delay_line=np.zeros((blocks, delay, LANES), dtype=np.uint8),
-        antialias_state=aligned_zeros(blocks, antialias_sections, sensors, 2),
-        wk_state=aligned_zeros(blocks, wk_sections, 1, 2),
-        sensor_rows=aligned_zeros(blocks, sensors, 3),
-        noise_state=np.zeros((blocks, 4, LANES), dtype=np.uint64),
-        counts=np.zeros((blocks, 2, LANES), dtype=np.int64),
-        kinematics=aligned_zeros(blocks, 4),
-        road_layout=aligned_zeros(blocks, 5),
-    )
-    state.valves[:, 0] = 1.0
-    state.road_layout[:, ROAD_SIZE], state.road_layout[:, ROAD_PER_DS] = 4.0 + 2.0 * PAD, 1.0
-    return state
+    def _initial_state(self, blocks: int, delay: int, sensors: int) -> FleetState:
+        """Return the state of vehicles at rest on level ground, in all lanes of every block."""
+        parameters, n_dof, individual = self.parameters, self.plant.n_dof, self.settings.individual
+        high_pass = 0 if self.safety is None else len(self.safety.high_pass_sos)
+        state = FleetState(
+            q=aligned_zeros(blocks, n_dof),
+            v=aligned_zeros(blocks, n_dof),
+            strut_state=aligned_zeros(blocks, 4, 3),
+            valves=aligned_zeros(blocks, 2),
+            delay_line=np.zeros((blocks, delay, LANES), dtype=np.uint8),
+            antialias_state=aligned_zeros(blocks, len(parameters.antialias_sos), sensors, 2),
+            wk_state=aligned_zeros(blocks, len(parameters.wk_sos), 1 + individual, 2),
+            high_pass_state=aligned_zeros(blocks, high_pass, 4, 2),
+            off=aligned_zeros(blocks, 2 * individual),
+            mounting=aligned_zeros(blocks, sensors, 5),
+            noise_state=np.zeros((blocks, 4, LANES), dtype=np.uint64),
+            counts=np.zeros((blocks, 3, LANES), dtype=np.int64),
+            kinematics=aligned_zeros(blocks, 4),
+            road_layout=aligned_zeros(blocks, 5),
+        )
+        state.valves[:, 0] = 1.0
+        state.road_layout[:, ROAD_SIZE], state.road_layout[:, ROAD_PER_DS] = 4.0 + 2.0 * PAD, 1.0
+        return state

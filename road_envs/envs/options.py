@@ -19,7 +19,8 @@ from road_envs.core.config import (
     UnknownKeyError,
     build,
 )
-from road_envs.envs.control_step import (
+from road_envs.envs.failures import ANGLES, MAX_ANGLE, NONFINITE_STEP, ROLLOVER
+from road_envs.envs.fleet_arrays import (
     MAX_EXTENSION,
     MAX_EXTENSION_RATE,
     MAX_PLANAR,
@@ -28,8 +29,7 @@ from road_envs.envs.control_step import (
     OUTPUT_COLUMNS,
     StepOutput,
 )
-from road_envs.envs.failures import ANGLES, MAX_ANGLE, NONFINITE_STEP, ROLLOVER
-from road_envs.envs.instrumented_fleet import InstrumentedFleet
+from road_envs.envs.instrumented_fleet import FleetSettings, InstrumentedFleet
 from road_envs.roads import load_road, with_length
 from road_envs.roads.surface import Surface
 from road_envs.sensing.data_logger import DataLogger, load_instruments
@@ -137,12 +137,17 @@ def _axle_modes(action: str | dict[str, str]) -> dict[str, str]:
 
 
 class EpisodeStart(NamedTuple):
-    """Start of one episode: speed [km/h], command byte, surface, and the drive over it."""
+    """Start of one episode: speed [km/h], command byte, surface, drive over it, and instruments.
+
+    `description` is the `SafeDrive` of an episode of the benchmark.
+    """
 
     speed_kmh: float
     command_byte: int
     surface: Surface
     drive: DriveSimulator
+    logger: DataLogger
+    description: Any = None
 
 
 def build_options(cls: type[T], options: Mapping[str, Any], where: str) -> T:
@@ -268,17 +273,13 @@ class EnvSetup:
             share[encode_command(action)] = error**2
         return share
 
-    def make_fleet(self, n_vehicles: int = 1, threads: int = 1, keep_signals: bool = False) -> Any:
-        """Return an `InstrumentedFleet` at rest, one vehicle for each environment."""
-        o = self.options
-        by_command = self.unresolved_variance_by_command
-        return InstrumentedFleet(
-            self.plant,
-            self.car,
+    def fleet_settings(self) -> FleetSettings:
+        """Return what the vehicles of all environments have in common."""
+        o, by_command = self.options, self.unresolved_variance_by_command
+        return FleetSettings(
             self.instruments,
             step=o.step,
             steps=round(self.interval / o.step),
-            n_vehicles=n_vehicles,
             manoeuvre=self.manoeuvre,
             weights=(o.weights.comfort, o.weights.rattle, o.weights.tyre_load),
             top_speed=MAX_OBSERVED_SPEED,
@@ -287,9 +288,21 @@ class EnvSetup:
             unresolved_variance=by_command if o.weights.unresolved_variance > 0.0 else None,
             unresolved_variance_weight=o.weights.unresolved_variance,
             truth=o.truth,
-            keep_signals=keep_signals,
-            threads=threads,
         )
+
+    def make_fleet(
+        self,
+        n_vehicles: int = 1,
+        threads: int = 1,
+        *,
+        distinct: int | None = None,
+        keep_signals: bool = False,
+    ) -> InstrumentedFleet:
+        """Return a fleet at rest, one vehicle for each environment."""
+        return InstrumentedFleet(
+            self.plant, self.car, self.fleet_settings(), n_vehicles,
+            distinct=distinct, keep_signals=keep_signals, threads=threads,
+        )  # fmt: skip
 
     def episode_options(self, options: dict[str, Any]) -> Any:
         """Return the options with those of one episode. Raises ConfigError on unknown ones."""
@@ -300,8 +313,16 @@ class EnvSetup:
             )
         return build(EnvOptions, known | options, "reset options")
 
-    def start_episode(self, fleet: Any, i: int, random: np.random.Generator, o: Any) -> Any:
+    def start_episode(
+        self, fleet: InstrumentedFleet, i: int, random: np.random.Generator, o: Any
+    ) -> EpisodeStart:
         """Put vehicle `i` at the start of an episode drawn from `random`."""
+        start = self.prepare(random, o)
+        fleet.start(i, start.drive, start.logger, start.speed_kmh)
+        return start
+
+    def prepare(self, random: np.random.Generator, o: Any) -> EpisodeStart:
+        """Draw the start of an episode from `random`, with the options `o` of a reset."""
         # one stream per cause; new streams go to the end, so that old seeds keep their roads
         road_rng, speed_rng, sensor_rng = random.spawn(3)
         v = o.speed_kmh
@@ -309,8 +330,8 @@ class EnvSetup:
         surface = self._realise(road_rng)
         step = self.options.step
         drive = DriveSimulator(self.plant, self.car, surface, speed_kmh / 3.6, o.mode, step)
-        fleet.start(i, drive, DataLogger(self.instruments, self.car, step, sensor_rng), speed_kmh)
-        return EpisodeStart(speed_kmh, encode_command(o.mode, self.car), surface, drive)
+        logger = DataLogger(self.instruments, self.car, step, sensor_rng)
+        return EpisodeStart(speed_kmh, encode_command(o.mode, self.car), surface, drive, logger)
 
     def _realise(self, random: np.random.Generator) -> Surface:
         """Realise the road from a generator that has drawn nothing; equal ones share a surface.

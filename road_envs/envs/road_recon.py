@@ -8,13 +8,13 @@ import gymnasium
 import numpy as np
 
 from road_envs.core.config import ConfigError, validate_choice
-from road_envs.envs.control_step import (
+from road_envs.envs.failures import END_OF_ROAD
+from road_envs.envs.fleet_arrays import (
     TRUE_LOADS,
     TRUE_PROFILE,
     TRUE_S,
     StepOutput,
 )
-from road_envs.envs.failures import END_OF_ROAD
 from road_envs.envs.options import EnvSetup, EpisodeStart
 from road_envs.simulation.drive import DriveSimulator
 

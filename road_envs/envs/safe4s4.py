@@ -1,14 +1,14 @@
 """Gymnasium environment `RoadRecon/Safe4S4-v1`: comfort, never on two wheels."""
 
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 import gymnasium
 import numpy as np
 
 from road_envs.core.config import Positive, Settings
-from road_envs.envs.individual_fleet import SAFETY_COLUMNS, IndividualFleet
-from road_envs.envs.options import MAX_OBSERVED_SPEED, EnvSetup, build_options
+from road_envs.envs.instrumented_fleet import FleetSettings
+from road_envs.envs.options import EnvSetup, EpisodeStart, build_options
 from road_envs.envs.road_recon import RoadReconEnv
 from road_envs.envs.safe_drives import (
     SafeDrive,
@@ -18,8 +18,8 @@ from road_envs.envs.safe_drives import (
     realise_surface,
     split_key,
 )
+from road_envs.envs.safety_step import SAFETY_COLUMNS
 from road_envs.envs.vector import RoadReconVectorEnv
-from road_envs.roads.surface import Surface
 from road_envs.sensing.data_logger import DataLogger
 from road_envs.simulation.drive import DriveSimulator
 from road_envs.vehicle.equations import build_plant
@@ -43,15 +43,6 @@ class SafeOptions(Settings):
         split_key(self.split, self.seal)
 
 
-class SafeStart(NamedTuple):
-    """Start of one episode: its description, and what was drawn for it."""
-
-    command_byte: int
-    surface: Surface
-    drive: DriveSimulator
-    description: SafeDrive
-
-
 class Safe4S4Setup(EnvSetup):
     """Objects built from the keyword arguments of the benchmark. Raises ConfigError."""
 
@@ -70,18 +61,9 @@ class Safe4S4Setup(EnvSetup):
             }
         )
 
-    def make_fleet(self, n_vehicles: int = 1, threads: int = 1, keep_signals: bool = False):
-        """Return an `IndividualFleet`, one vehicle for each environment."""
-        step = self.options.step
-        return IndividualFleet(
-            self.car,
-            self.instruments,
-            step=step,
-            steps=round(self.interval / step),
-            n_vehicles=n_vehicles,
-            top_speed=MAX_OBSERVED_SPEED,
-            threads=threads,
-        )
+    def fleet_settings(self) -> FleetSettings:
+        """Return what the vehicles have in common: each has its own car, speed and manoeuvre."""
+        return super().fleet_settings()._replace(individual=True)
 
     def rewards(self, values: np.ndarray) -> np.ndarray:
         """Return the rewards (N,), or (N, 3) as a vector, in the values of an interval."""
@@ -93,13 +75,6 @@ class Safe4S4Setup(EnvSetup):
         """Return the fields of `SafeDrive` that a reset fixes. Raises ConfigError."""
         draw_drive(self.benchmark, self.safe.split, np.random.default_rng(0), options)
         return dict(options)
-
-    def start_episode(self, fleet: Any, i: int, random: np.random.Generator, o: Any) -> Any:
-        """Put vehicle `i` at the start of a drive drawn from `random`; fields `o` are fixed."""
-        fixed = o if isinstance(o, dict) else {}
-        start, logger = self.prepare(random, fixed)
-        fleet.start(i, start.drive, logger, start.description.speed_kmh)
-        return start
 
     def describe(self, random: np.random.Generator, fixed: dict[str, Any]) -> SafeDrive:
         """Draw the description of a drive alone, as `prepare` draws it."""
@@ -116,10 +91,9 @@ class Safe4S4Setup(EnvSetup):
         rng = np.random.default_rng(drive_seed)
         return draw_drive(self.benchmark, self.safe.split, rng, fixed), others
 
-    def prepare(
-        self, random: np.random.Generator, fixed: dict[str, Any]
-    ) -> tuple[SafeStart, DataLogger]:
-        """Draw a drive from `random`, and return its start and its instruments."""
+    def prepare(self, random: np.random.Generator, o: Any) -> EpisodeStart:
+        """Draw the start of a drive from `random`; the fields `o` of `SafeDrive` are fixed."""
+        fixed = o if isinstance(o, dict) else {}  # after an episode a vector environment has none
         description, (road_seed, car_seed, sensor_seed) = self._draw(random, fixed)
         surface = realise_surface(description, np.random.default_rng(road_seed), self.car)
         k, step = len(self.instruments.accelerometers), self.options.step
@@ -130,7 +104,8 @@ class Safe4S4Setup(EnvSetup):
         )  # fmt: skip
         drive.limit_duration(description.duration)
         logger = DataLogger(self.instruments, car, step, np.random.default_rng(sensor_seed), faults)
-        return SafeStart(encode_command(None, car), surface, drive, description), logger
+        byte = encode_command(None, car)
+        return EpisodeStart(description.speed_kmh, byte, surface, drive, logger, description)
 
 
 class Safe4S4Env(RoadReconEnv):
@@ -203,8 +178,7 @@ class Safe4S4Env(RoadReconEnv):
         """Description of the drive of this episode."""
         if self._start is None:
             raise gymnasium.error.ResetNeeded("call reset before reading the description")
-        start: Any = self._start
-        return start.description
+        return self._start.description
 
 
 class Safe4S4VectorEnv(RoadReconVectorEnv):

@@ -49,13 +49,24 @@ class RoadReconVecEnv(ArrayVecEnv):
     An environment that has ended restarts within the same step; its last observation is
     `info["terminal_observation"]`, and `info["TimeLimit.truncated"]` is true if only the road
     ended. `info_keys` are the entries of `info` returned in every step; none by default, because
-    building a dictionary for each environment dominates the cost of a step. Raises ConfigError.
+    building a dictionary for each environment dominates the cost of a step. `vector_class` may be
+    `Safe4S4VectorEnv`; `cost_price` is then subtracted from the reward for each second of
+    `info["cost"]`. Raises ConfigError.
     """
 
-    def __init__(self, num_envs: int = 1, *, info_keys: Sequence[str] = (), **options: Any):
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        info_keys: Sequence[str] = (),
+        vector_class: type[RoadReconVectorEnv] = RoadReconVectorEnv,
+        cost_price: float = 0.0,
+        **options: Any,
+    ):
         if "autoreset_mode" in options:
             raise ConfigError("autoreset_mode must be omitted: Stable-Baselines3 resets in step")
-        self.env = RoadReconVectorEnv(num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **options)
+        self.env = vector_class(num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **options)
+        self.cost_price = cost_price
         self.info_keys = tuple(info_keys)
         self._actions = np.zeros(num_envs, dtype=np.int64)
         super().__init__(num_envs, self.env.single_observation_space, self.env.single_action_space)
@@ -85,6 +96,11 @@ class RoadReconVecEnv(ArrayVecEnv):
         observations, rewards, terminated, truncated, infos = self.env.step(self._actions)
         dones = terminated | truncated
         rows = self._rows(infos)
+        if self.cost_price and infos:
+            cost = infos["cost"].copy()
+            if dones.any():  # else `infos` are those of the next episode
+                cost[dones] = infos["final_info"]["cost"][dones]
+            rewards = rewards - self.cost_price * cost
         for i in np.flatnonzero(dones):
             final = infos["final_info"]
             rows[i] |= {name: final[name][i] for name in self.info_keys}

@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from road_envs.core.config import ConfigError, shown, validate_choice
-from road_envs.envs.control_step import StepOutput
+from road_envs.envs.fleet_arrays import StepOutput
 from road_envs.envs.options import EnvOptions, EnvSetup
 
 MAX_ENVS = 100_000

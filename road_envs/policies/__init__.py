@@ -37,7 +37,7 @@ from road_envs.policies.roll_angle import RollAngle
 from road_envs.policies.rrms import RunningRmsPolicy
 from road_envs.policies.sh_add import SkyhookAdd
 from road_envs.policies.skyhook import Skyhook
-from road_envs.policies.trained import Dqn, Ppo, PpoSensing
+from road_envs.policies.trained import Evolved
 
 __all__ = [
     "REGISTRY",
@@ -70,9 +70,7 @@ REGISTRY: dict[str, type[Policy]] = {
     "sh_add": SkyhookAdd,
     "preview": Preview,
     "greedy_information": GreedyInformation,
-    "ppo": Ppo,
-    "dqn": Dqn,
-    "ppo_sensing": PpoSensing,
+    "evolved": Evolved,
 }
 
 
@@ -81,7 +79,7 @@ class PolicySettings(Settings):
     """Settings of a shipped policy and their source.
 
     `training` holds the settings with which a learned policy was trained
-    (`training.TrainingConfig`).
+    (`training.TrainingConfig`, or `evolution.EvolutionConfig` of the algorithm "evolution").
     """
 
     settings: dict[str, Any] = field(default_factory=dict)

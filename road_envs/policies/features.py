@@ -1,8 +1,8 @@
 """Features of learned policies: the instruments of one interval, scaled to order one.
 
-The N_FEATURES features are heave, roll and pitch acceleration and rates, planar specific force,
-strut extensions and their rates, running RMS of vertical and lateral acceleration over a second,
-speed, and commanded states. Filtered features have a state per vehicle, which is reset when its
+They are equal for a drive and its mirror image: quantities that change their sign with the side,
+such as roll, are multiplied by the sign of the low-passed lateral force, so that every turn is one
+to the left. `NAMES` lists them. Filtered features have a state per vehicle, which is reset when its
 episode ends.
 
 With preview there are N_PREVIEW_FEATURES more: the heights of the road ahead of the rear axle
@@ -15,20 +15,47 @@ import numpy as np
 from road_envs.policies.api import PolicyContext
 from road_envs.policies.body_motion import BodyMotionEstimator, RunningRms
 from road_envs.policies.wheelbase_preview import WheelbasePreview
+from road_envs.vehicle.force_curves import zero_force_range
 
-FEATURE_SCALES = np.concatenate(
-    [
-        np.full(3, 0.5),  # accelerations [m/s², rad/s²]
-        np.full(3, 3.0),  # rates [m/s, rad/s]
-        np.full(2, 0.3),  # planar specific force [m/s²]
-        np.full(4, 20.0),  # extensions [m]
-        np.full(4, 3.0),  # their rates [m/s]
-        np.full(2, 0.5),  # running RMS [m/s²]
-        np.full(1, 0.05),  # speed [m/s]
-        np.ones(4),  # states
-    ]
-)
-N_FEATURES = FEATURE_SCALES.size
+FEATURES = {
+    "heave_acceleration": 0.5,
+    "pitch_acceleration": 0.5,
+    "heave_rate": 3.0,
+    "pitch_rate": 3.0,
+    "longitudinal": 0.3,
+    "front_extension": 20.0,
+    "rear_extension": 20.0,
+    "front_extension_rate": 3.0,
+    "rear_extension_rate": 3.0,
+    "roll_acceleration": 0.5,
+    "roll_rate": 3.0,
+    "lateral": 0.3,
+    "front_extension_difference": 20.0,
+    "rear_extension_difference": 20.0,
+    "front_rate_difference": 3.0,
+    "rear_rate_difference": 3.0,
+    "lateral_fast": 0.5,
+    "lateral_slow": 0.5,
+    "front_stroke": 1.0,
+    "rear_stroke": 1.0,
+    "vertical_rms": 0.5,
+    "lateral_rms": 0.5,
+    "speed": 0.05,
+    "front_stiff": 1.0,
+    "front_high": 1.0,
+    "rear_stiff": 1.0,
+    "rear_high": 1.0,
+}
+"""Features and their scales, one over a unit: m/s², rad/s², m/s, rad/s, m; strokes are a share."""
+
+NAMES = tuple(FEATURES)
+N_FEATURES = len(NAMES)
+
+FAST, SLOW = 0.05, 0.5
+"""Time constants [s] of the low-passed lateral forces."""
+
+LOOK_AHEAD = 0.05
+"""Time [s] over which a strut's rate is extrapolated: the stroke that it will have used."""
 
 PREVIEW_DISTANCES = np.linspace(0.0, 2.4, 7)
 """Distances ahead of the rear axle [m]; heights are relative to the one at the first distance."""
@@ -48,40 +75,58 @@ class FeatureExtractor:
 
     def __init__(self, context: PolicyContext, preview: bool = False):
         self.context, self.body = context, BodyMotionEstimator(context, leak=0.2)
-        self.vertical, self.lateral = RunningRms(context, 1.0), RunningRms(context, 1.0)
+        self.vertical, self.lateral = RunningRms(context, 0.5), RunningRms(context, 0.5)
         self.preview = WheelbasePreview(context) if preview else None
+        self.low_passed = np.zeros((2, context.n_vehicles))
+        self.decay = np.exp(-context.interval / np.array([[FAST], [SLOW]]))
+        curves = [curve for curve in context.car.bump_stops for _ in range(2)]
+        self.stops = np.array([zero_force_range(curve) for curve in curves])  # (4, 2)
 
     def reset(self, mask: np.ndarray) -> None:
         """Reset the vehicles in `mask` (N,)."""
         for part in (self.body, self.vertical, self.lateral, self.preview):
             if part is not None:
                 part.reset(mask)
+        self.low_passed[:, mask] = 0.0
 
     def update(self, observations: np.ndarray) -> np.ndarray:
         """Advance by one interval, and return the features (N, K), float32."""
+        signal = self.context.signal
         self.body.update(observations)
-        planar = self.context.signal("planar", observations)
-        running = (self.vertical.add(self.body.a[:, 0]), self.lateral.add(planar[:, 1]))
-        columns = [
-            self.body.a,
-            self.body.v,
-            planar,
-            *(self.context.signal(name, observations) for name in ("extension", "extension_rate")),
-            np.stack(running, axis=1),
-            *(self.context.signal(name, observations) for name in ("speed", "front", "rear")),
-        ]
-        features = np.concatenate(columns, axis=1) * FEATURE_SCALES
+        a, v = self.body.a.T, self.body.v.T
+        a_x, a_y = signal("planar", observations).T
+        e, rate = signal("extension", observations).T, signal("extension_rate", observations).T
+        self.low_passed = self.decay * self.low_passed + (1.0 - self.decay) * a_y
+        side = np.where(self.low_passed[0] < 0.0, -1.0, 1.0)
+        # relative to the stops in jounce and in rebound: 1 where a bump stop begins
+        use = (e + LOOK_AHEAD * rate) / self.stops.T[:, :, None]
+        stroke = use.max(axis=0).reshape(2, 2, -1).max(axis=1)
+        even = [
+            a[0], a[2], v[0], v[2], a_x, 0.5 * (e[0] + e[1]), 0.5 * (e[2] + e[3]),
+            0.5 * (rate[0] + rate[1]), 0.5 * (rate[2] + rate[3]),
+        ]  # fmt: skip
+        odd = [a[1], v[1], a_y, e[0] - e[1], e[2] - e[3], rate[0] - rate[1], rate[2] - rate[3]]
+        running = self.vertical.add(a[0]), self.lateral.add(a_y)
+        states = [signal(name, observations).T for name in ("speed", "front", "rear")]
+        mirrored = side * np.stack(odd)
+        rows = [even, mirrored, side * self.low_passed, stroke, running, *states]
+        features = np.concatenate([np.asarray(row) for row in rows]).T * SCALES
         if self.preview is not None:
-            features = np.concatenate([features, self._preview_features(observations)], axis=1)
+            ahead = self._preview_features(observations, side)
+            features = np.concatenate([features, ahead], axis=1)
         return np.clip(features, -MAX_FEATURE, MAX_FEATURE).astype(np.float32)
 
-    def _preview_features(self, observations: np.ndarray) -> np.ndarray:
+    def _preview_features(self, observations: np.ndarray, side: np.ndarray) -> np.ndarray:
         """Return the features (N, N_PREVIEW_FEATURES) of the road ahead of the rear axle."""
         assert self.preview is not None
         self.preview.update(observations)
         z = self.preview.heights_at(PREVIEW_DISTANCES)
         left, right = np.moveaxis(z[:, 1:] - z[:, :1], -1, 0)
-        return 0.5 * HEIGHT_SCALE * np.concatenate([left + right, left - right], axis=1)
+        difference = side[:, None] * (left - right)
+        return 0.5 * HEIGHT_SCALE * np.concatenate([left + right, difference], axis=1)
+
+
+SCALES = np.array(list(FEATURES.values()))
 
 
 def n_features(preview: bool) -> int:

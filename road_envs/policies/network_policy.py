@@ -23,7 +23,7 @@ from road_envs.envs.options import ACTIONS
 from road_envs.policies.api import PolicyContext
 from road_envs.policies.features import FeatureExtractor, n_features
 
-FORMAT = "roadrecon policy 2"
+FORMAT = "roadrecon policy 3"
 ACTIVATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "tanh": np.tanh,
     "relu": lambda x: np.maximum(x, 0.0),

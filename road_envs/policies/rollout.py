@@ -1,34 +1,178 @@
-"""Rollouts of a policy: one vehicle for each seed, all at once, without access to the truth."""
+"""Rollouts of a policy: one vehicle for each drive, all at once, without access to the truth."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
+from gymnasium.utils import seeding
 
-from road_envs.envs.vector import RoadReconVectorEnv
+from road_envs.envs.fleet_arrays import StepOutput
+from road_envs.envs.instrumented_fleet import InstrumentedFleet
+from road_envs.envs.options import EnvSetup
+from road_envs.envs.safe4s4 import Safe4S4Setup
 from road_envs.policies.api import Policy, PolicyContext, validate_actions
 
 POLICY_SEED = 0
 """Seed of random policies."""
 
+EXTREMES = ("load_transfer", "roll")
+"""Columns of which a drive has the largest value; of the others it has the sum."""
+
+VIOLATION_PRICE = 50.0
+"""Price [m²/s⁴] of a violation in the score, per second of `cost` for each second of the drive.
+
+It ranks policies that violate behind all that do not: a drive on two wheels for a tenth of its time
+costs 5 m²/s⁴, four times what handling costs in comfort [assumed].
+"""
+
+
+KEPT_FLEETS = 2
+"""Fleets that `Drives` keeps to start them again."""
+
 
 @dataclass(frozen=True)
 class Rollout:
-    """Actions, rewards, observations and returns of N vehicles over at most T control intervals.
+    """N drives of at most T control intervals under a policy.
 
     `actions` and `rewards` (T, N), of which those after the end of a drive mean nothing;
     `observations` (T + 1, N, d), the first one of the interval that reset drives; `intervals` (N,),
-    the number of intervals until the end; `returns` (N,), the sum of rewards; `reasons` (N,), why a
-    drive failed, else empty.
+    the number of intervals until the end; `totals` by the names of the fleet's columns (N,): sums,
+    of EXTREMES the largest value; `reasons` (N,), why a drive failed, else empty; `interval` [s].
     """
 
     actions: np.ndarray
     rewards: np.ndarray
     observations: np.ndarray
     intervals: np.ndarray
-    returns: np.ndarray
+    totals: Mapping[str, np.ndarray]
     reasons: tuple[str, ...]
+    interval: float
+
+    @property
+    def returns(self) -> np.ndarray:
+        """Sum of the rewards (N,)."""
+        return self.totals["reward"]
+
+    @property
+    def failed(self) -> np.ndarray:
+        """Drives (N,) that ended in a rollover or diverged."""
+        return np.array([reason != "" for reason in self.reasons])
+
+    @property
+    def duration(self) -> np.ndarray:
+        """Time [s] that the policy has driven (N,)."""
+        return self.interval * np.maximum(self.intervals, 1)
+
+    @cached_property
+    def comfort(self) -> np.ndarray:
+        """Mean square of the weighted seat acceleration (N,) [m²/s⁴], of `Safe4S4-v1`."""
+        return self.totals["comfort"] / self.duration
+
+    @cached_property
+    def violated(self) -> np.ndarray:
+        """Whether the drives of `Safe4S4-v1` had a violation (N,)."""
+        return (self.totals["cost"] > 0.0) | self.failed
+
+    @cached_property
+    def score(self) -> np.ndarray:
+        """Minus comfort and the price of violations (N,) [m²/s⁴], of `Safe4S4-v1`.
+
+        A failed drive violates at all times.
+        """
+        share = np.where(self.failed, 1.0, self.totals["cost"] / self.duration)
+        return -self.comfort - VIOLATION_PRICE * share
+
+
+class Drives:
+    """Drives of an environment, drawn once and driven by many policies.
+
+    Each of `seeds` draws one, with its own options of a reset in `options`, by default none. Raises
+    ConfigError.
+    """
+
+    def __init__(self, setup: EnvSetup, seeds: Sequence[int], options: Sequence[Any] = ()):
+        self.setup, self.threads = setup, 1
+        own: Sequence[Any] = options or [setup.options] * len(seeds)
+        self.starts = [
+            setup.prepare(seeding.np_random(seed)[0], o) for seed, o in zip(seeds, own, strict=True)
+        ]
+        self._fleets: dict[Any, tuple[InstrumentedFleet, list[np.ndarray]]] = {}
+
+    @classmethod
+    def mirrored(
+        cls, setup: Safe4S4Setup, seeds: Sequence[int], options: Sequence[Mapping[str, Any]] = ()
+    ) -> "Drives":
+        """Return drives, each followed by the same one with its manoeuvres to the other side."""
+        sides: list[dict[str, Any]] = []
+        for k, seed in enumerate(seeds):
+            own: dict[str, Any] = dict(options[k]) if options else {}
+            other = setup.describe(seeding.np_random(seed)[0], own).mirrored
+            sides += [own, own | {"side": other.side, "gentle_side": other.gentle_side}]
+        return cls(setup, np.repeat(seeds, 2).tolist(), sides)
+
+    def __len__(self) -> int:
+        return len(self.starts)
+
+    def start(self, copies: int = 1, chosen: Sequence[int] | None = None) -> InstrumentedFleet:
+        """Return a fleet at the start of the drives, each in `copies` vehicles in a row.
+
+        It has driven the interval of a reset. The same call returns the same fleet, started again.
+        """
+        numbers = tuple(range(len(self)) if chosen is None else chosen)
+        if (copies, numbers) not in self._fleets:
+            if len(self._fleets) >= KEPT_FLEETS:
+                self._fleets.pop(next(iter(self._fleets)))
+            number_of_vehicles = copies * len(numbers)
+            fleet = self.setup.make_fleet(number_of_vehicles, self.threads, distinct=len(numbers))
+            for i, number in enumerate(numbers):
+                start = self.starts[number]
+                fleet.start(copies * i, start.drive, start.logger, start.speed_kmh)
+                fleet.share(copies * i, range(copies * i + 1, copies * (i + 1)))
+            self._fleets[copies, numbers] = fleet, fleet.copy_state()
+        fleet, state = self._fleets[copies, numbers]
+        fleet.restore_state(state)
+        return fleet
+
+    def first_bytes(self, copies: int = 1) -> np.ndarray:
+        """Return the commands (copies N,) of the interval that a reset drives."""
+        return np.repeat([start.command_byte for start in self.starts], copies).astype(np.uint8)
+
+
+TUNING_SEED, TRAINING_DRIVES = 1_000_000, 12
+"""First seed of the drives of tuning, and their number; each is driven to both sides."""
+
+
+def training_drives(number: int = TRAINING_DRIVES) -> Drives:
+    """Return drives of the split "train", each followed by its mirror image."""
+    setup = Safe4S4Setup({"split": "train"})
+    return Drives.mirrored(setup, range(TUNING_SEED, TUNING_SEED + number))
+
+
+class Totals:
+    """Running totals of the drives of a fleet, each up to its own end."""
+
+    def __init__(self, fleet: InstrumentedFleet):
+        size, self.columns = fleet.n_vehicles, fleet.columns
+        self.values = np.zeros((len(self.columns), size))
+        self.running, self.intervals = np.ones(size, dtype=bool), np.zeros(size, dtype=int)
+        self.extremes = [self.columns.index(name) for name in EXTREMES if name in self.columns]
+
+    def add(self, output: StepOutput) -> np.ndarray:
+        """Add one interval; return which drives (N,) have failed in it."""
+        now = np.where(self.running, output.values.T, 0.0)
+        largest = np.maximum(self.values[self.extremes], now[self.extremes])
+        self.values += now
+        self.values[self.extremes] = largest
+        self.intervals += self.running
+        failed = self.running & output.failed
+        self.running &= ~(output.failed | output.end_of_road)
+        return failed
+
+    def named(self) -> dict[str, np.ndarray]:
+        """Return the totals (N,) by the names of their columns."""
+        return dict(zip(self.columns, self.values, strict=True))
 
 
 def roll_out(
@@ -39,33 +183,62 @@ def roll_out(
     store_observations: bool = True,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Rollout:
-    """Run a policy on the roads of `seeds`, in environments with `options`, to their ends.
+    """Run a policy on the roads of `seeds`, in `RoadRecon-v0` with `options`, to their ends.
 
-    With `store_observations` False only the first observations are stored. `progress` is called
-    with the share done. Raises PolicyError for invalid actions, ConfigError, and what the policy
-    raises.
+    Arguments and errors as of `drive_all`; raises ConfigError.
     """
-    envs = RoadReconVectorEnv(len(seeds), **{**options, "truth": False})
-    observations, _ = envs.reset(seed=list(seeds))
-    context = PolicyContext.from_setup(envs.setup, len(seeds), POLICY_SEED)
+    drives = Drives(EnvSetup({**options, "truth": False}), seeds)
+    return drive_all(policy, drives, store_observations=store_observations, progress=progress)
+
+
+def drive_all(
+    policy: Policy,
+    drives: Drives,
+    *,
+    copies: int = 1,
+    store_observations: bool = False,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Rollout:
+    """Run a policy on all drives, each in `copies` vehicles in a row, to their ends.
+
+    Without `store_observations` only the first observations are stored. `progress` is called with
+    the share done. Raises PolicyError for invalid actions, and what the policy raises.
+    """
+    setup, fleet = drives.setup, drives.start(copies)
+    context = PolicyContext.from_setup(setup, fleet.n_vehicles, POLICY_SEED)
     policy.reset(context)
-    running = np.ones(len(seeds), dtype=bool)
-    returns, intervals = np.zeros(len(seeds)), np.zeros(len(seeds), dtype=int)
-    reasons, actions, earned = [""] * len(seeds), [], []
-    stored = [observations.copy()]
-    total = envs.fleet.steps_left.max() / envs.fleet.steps
-    while running.any():
-        selected_actions = validate_actions(policy.act(observations), context)
-        observations, rewards, terminated, truncated, _ = envs.step(selected_actions)
-        returns += np.where(running, rewards, 0.0)
-        intervals += running
-        for i in np.flatnonzero(running & terminated):
-            reasons[i] = envs.failures[i]
-        running &= ~(terminated | truncated)
-        actions.append(selected_actions.copy())
-        earned.append(rewards.copy())
+    output, totals = fleet.advance(drives.first_bytes(copies)), Totals(fleet)
+    reasons, actions, rewards = [""] * fleet.n_vehicles, [], []
+    observations, total = [output.observation], fleet.steps_left.max() / fleet.steps
+    while totals.running.any():
+        chosen = validate_actions(policy.act(output.observation), context)
+        output = fleet.advance(setup.command_bytes[chosen])
+        for i in np.flatnonzero(totals.add(output)):
+            road = drives.starts[i // copies].surface.name
+            reasons[i] = setup.failure_text(output, int(i), road)
+        actions.append(chosen.copy())
+        rewards.append(setup.rewards(output.values))
         if store_observations:
-            stored.append(observations.copy())
+            observations.append(output.observation)
         progress(min(len(actions) / total, 1.0))
-    steps = np.array(actions), np.array(earned), np.array(stored)
-    return Rollout(*steps, intervals, returns, tuple(reasons))
+    arrays = np.array(actions), np.array(rewards), np.array(observations)
+    return Rollout(*arrays, totals.intervals, totals.named(), tuple(reasons), setup.interval)
+
+
+@dataclass
+class _Recorded:
+    """Policy that repeats `actions` (T, N), and the last ones from then on."""
+
+    actions: np.ndarray
+
+    def reset(self, context: PolicyContext) -> None:
+        self.at = -1
+
+    def act(self, observations: np.ndarray) -> np.ndarray:
+        self.at = min(self.at + 1, len(self.actions) - 1)
+        return self.actions[self.at]
+
+
+def replay(drives: Drives, actions: np.ndarray, copies: int = 1) -> Rollout:
+    """Drive all drives, each in `copies` vehicles in a row, under `actions` (T, copies N)."""
+    return drive_all(_Recorded(actions), drives, copies=copies)

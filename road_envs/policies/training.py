@@ -1,14 +1,13 @@
-"""Training of a `PolicyNetwork` with Stable-Baselines3 on the native vector environment.
+"""Training of a `PolicyNetwork` with Stable-Baselines3 on the drives of `RoadRecon/Safe4S4-v1`.
 
-Every case has its own vector environment; all are stepped as one, and every episode draws a new
-training road. Checkpoints hold tensors and numbers only (`torch.load` with `weights_only`), never
-pickled objects, so that an untrusted checkpoint cannot execute code. The replay buffer of DQN is
-not stored; it is filled again.
+Every episode draws a new training drive. Checkpoints hold tensors and numbers only (`torch.load`
+with `weights_only`), never pickled objects, so that an untrusted checkpoint cannot execute code.
+The replay buffer of DQN and QR-DQN is not stored; it is filled again.
 """
 
 import io
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -20,11 +19,12 @@ from road_envs.core.atomic_io import atomic_write
 from road_envs.core.config import ConfigError, Count, Settings
 from road_envs.core.extras import optional_import
 from road_envs.core.reading import parsing
+from road_envs.envs.safe4s4 import Safe4S4VectorEnv
 from road_envs.envs.sb3 import ArrayVecEnv, RoadReconVecEnv
 from road_envs.policies.api import PolicyContext
 from road_envs.policies.features import MAX_FEATURE, FeatureExtractor, n_features
 from road_envs.policies.network_policy import NetworkPolicy, PolicyNetwork
-from road_envs.policies.rollout import roll_out
+from road_envs.policies.rollout import VIOLATION_PRICE, drive_all, training_drives
 
 with optional_import("training a policy"):
     import torch
@@ -34,9 +34,6 @@ with optional_import("training a policy"):
 RIDE = ("ride", "ride")
 """States of the paired baseline."""
 
-SEEDS_APART = 1_000_000
-"""Between the seeds of one case's environments and those of the next."""
-
 Progress = Callable[[str, float], None]
 """Called with a description and the share done."""
 
@@ -45,94 +42,82 @@ Progress = Callable[[str, float], None]
 class TrainingConfig(Settings):
     """Settings of a training; a step is one choice of an action in one environment."""
 
-    algorithm: Literal["ppo", "dqn"] = "ppo"
+    algorithm: Literal["ppo", "dqn", "qrdqn"] = "ppo"
     steps: Count = 300_000
-    n_envs: Count = 16  # per case
+    n_envs: Count = 32
     layers: tuple[Count, ...] = (64, 64)
-    eval_interval: Count = 50_000  # steps between evaluations on the roads of the training seeds
-    unresolved_variance: float = 0.0  # weight of this cost in the reward
+    eval_interval: Count = 50_000  # steps between evaluations on training drives
+    drives: Count = 8  # of an evaluation, each to both sides
     # an exploratory action has to last for several control intervals to have an effect
-    action_repeat: Count = 5
-    # the reward relative to a vehicle in ride on the same road: removes the road's contribution
+    action_repeat: Count = 2
+    # the reward relative to a vehicle in ride on the same drive: removes the road's contribution
     # to its variance and keeps the optimal policy
     paired_baseline: bool = False
     preview: bool = False  # adds features of the road ahead of the rear axle
     # makes ride exp(bias) times likelier at the start of PPO: the gain of another pair shows
     # only against constant ride, not against random switching
     ride_logit_bias: float = 0.0
-    reward_scale: float = 10.0
+    reward_scale: float = 1.0
     hyperparameters: dict[str, Any] = field(default_factory=dict)  # of Stable-Baselines3
 
 
 @dataclass(frozen=True)
 class TrainingResult:
-    """Network of the best evaluation, and all evaluations as (steps, return per second)."""
+    """Network of the best evaluation, and all evaluations as (steps, mean score)."""
 
     network: PolicyNetwork
     curve: tuple[tuple[int, float], ...]
 
 
-class MultiScenarioVecEnv(ArrayVecEnv):
-    """Vector environment of `n_envs` environments of each case, observed as features.
+class FeatureVecEnv(ArrayVecEnv):
+    """Vector environment `env` observed as features, with actions that last for several intervals.
 
     An action is repeated for `action_repeat` intervals, whose rewards are summed and scaled. With
     `paired_baseline` the rewards of vehicles that stay in ride on the same roads are subtracted:
-    of each pair of rows of `envs` the second one. After one vehicle of a pair has rolled over, the
-    two drive different roads of the same kind.
+    of each pair of rows of `env` the second one, so that there are half as many environments. After
+    one vehicle of a pair has rolled over, the two drive different roads of the same kind.
     """
 
     def __init__(
         self,
-        cases: Sequence[dict[str, Any]],
-        n_envs: int,
+        env: RoadReconVecEnv,
         seed: int,
-        reward_scale: float,
+        *,
+        reward_scale: float = 1.0,
         action_repeat: int = 1,
         paired_baseline: bool = False,
         preview: bool = False,
     ):
         self.rows = 2 if paired_baseline else 1
-        self.envs = [RoadReconVecEnv(self.rows * n_envs, **options) for options in cases]
-        self.n_envs, self.reward_scale, self.action_repeat = n_envs, reward_scale, action_repeat
-        for i, env in enumerate(self.envs):
-            env.seed(seed + SEEDS_APART * (i + 1), alike=self.rows)
-        setups = [env.env.setup for env in self.envs]
-        if len({setup.action_space.n for setup in setups}) > 1:
-            raise ConfigError("all cases must have the same control")
-        contexts = [PolicyContext.from_setup(setup, n_envs, seed) for setup in setups]
-        self.features = [FeatureExtractor(context, preview) for context in contexts]
+        self.env, self.n_envs = env, env.num_envs // self.rows
+        self.reward_scale, self.action_repeat = reward_scale, action_repeat
+        env.seed(seed, alike=self.rows)
+        setup = env.env.setup
+        context = PolicyContext.from_setup(setup, self.n_envs, seed)
+        self.features = FeatureExtractor(context, preview)
         shape = (n_features(preview),)
         space = gymnasium.spaces.Box(-MAX_FEATURE, MAX_FEATURE, shape, dtype=np.float32)
-        super().__init__(n_envs * len(self.envs), space, setups[0].action_space)
+        super().__init__(self.n_envs, space, setup.action_space)
 
     def reset(self) -> np.ndarray:
         """Start episodes in all environments, and return the features (N, K)."""
-        for features in self.features:
-            features.reset(np.ones(self.n_envs, dtype=bool))
-        observations = [env.reset()[:: self.rows] for env in self.envs]
-        pairs = zip(self.features, observations, strict=True)
-        return np.concatenate([features.update(x) for features, x in pairs])
+        self.features.reset(np.ones(self.n_envs, dtype=bool))
+        return self.features.update(self.env.reset()[:: self.rows])
 
     def step_async(self, actions: np.ndarray) -> None:
         """Store the actions (N,) for `step_wait`."""
-        self.case_actions = np.split(np.asarray(actions), len(self.envs))
+        self._actions = np.asarray(actions)
 
     def step_wait(self):
-        """Return features, rewards, dones (N, ...) and infos."""
-        parts = [
-            self._repeat_action(*each)
-            for each in zip(self.envs, self.features, self.case_actions, strict=True)
-        ]
-        observations, rewards, dones, part_infos = zip(*parts, strict=True)
-        infos = [info for part in part_infos for info in part]
-        return np.concatenate(observations), np.concatenate(rewards), np.concatenate(dones), infos
+        """Return features, rewards, dones (N, ...) and infos.
 
-    def _repeat_action(self, env: RoadReconVecEnv, features: FeatureExtractor, actions: np.ndarray):
-        """Repeat the actions of one case; rewards after the end of an episode are discarded."""
+        Rewards after the end of an episode are discarded.
+        """
+        env, features = self.env, self.features
         total, ended = np.zeros(self.n_envs, dtype=np.float32), np.zeros(self.n_envs, dtype=bool)
         infos: list[dict[str, Any]] = [{} for _ in range(self.n_envs)]
         row_actions = np.full(env.num_envs, features.context.action_index(*RIDE))
-        row_actions[:: self.rows] = actions
+        row_actions[:: self.rows] = self._actions
         for _ in range(self.action_repeat):
             every_row: Any = env.step(row_actions)
             observations, rewards, dones, part_infos = (x[:: self.rows] for x in every_row)
@@ -141,7 +126,7 @@ class MultiScenarioVecEnv(ArrayVecEnv):
             total += np.where(ended, 0.0, self.reward_scale * rewards).astype(np.float32)
             newly_ended = np.flatnonzero(dones & ~ended)
             if newly_ended.size:  # the learner bootstraps from the last features if truncated
-                last = self._terminal_features(features, part_infos, newly_ended)
+                last = self._terminal_features(part_infos, newly_ended)
                 for i, terminal in zip(newly_ended, last, strict=True):
                     infos[i] = {**part_infos[i], "terminal_observation": terminal}
             features.reset(dones)
@@ -153,12 +138,10 @@ class MultiScenarioVecEnv(ArrayVecEnv):
         """Do nothing; there are no resources to release."""
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Return an attribute of the first case, once for each environment."""
-        return self.envs[0].get_attr(attr_name) * len(self.envs)
+        """Return an attribute once for each environment; all environments share it."""
+        return self.env.get_attr(attr_name)[: self.n_envs]
 
-    def _terminal_features(
-        self, features: FeatureExtractor, part_infos: list[dict[str, Any]], ended: np.ndarray
-    ):
+    def _terminal_features(self, part_infos: list[dict[str, Any]], ended: np.ndarray):
         """Return features (E, K) of the last observations of the environments `ended` (E,).
 
         The states of filtered features are taken as zero.
@@ -166,21 +149,19 @@ class MultiScenarioVecEnv(ArrayVecEnv):
         last = np.stack([part_infos[i]["terminal_observation"] for i in ended])
         observations = np.zeros((self.n_envs, last.shape[1]), dtype=last.dtype)
         observations[ended] = last
-        extractor = FeatureExtractor(features.context, features.preview is not None)
+        extractor = FeatureExtractor(self.features.context, self.features.preview is not None)
         return extractor.update(observations)[ended]
 
 
 def train(
     config: TrainingConfig,
-    cases: Sequence[dict[str, Any]],
-    seeds: Sequence[int],
     seed: int,
     *,
     checkpoint: Path | None = None,
     log: Path | None = None,
     progress: Progress = lambda text, share: None,
 ) -> TrainingResult:
-    """Train on `cases` (options of the environment), with evaluations on the roads of `seeds`.
+    """Train on the drives of the split "train", with evaluations on some of them.
 
     An existing `checkpoint` is resumed; it is written after every evaluation. `log` is a folder for
     TensorBoard, if that is installed. Raises ConfigError.
@@ -188,35 +169,34 @@ def train(
     threads = torch.get_num_threads()
     torch.set_num_threads(1)  # several threads are slower for layers this small
     try:
-        return _train(config, cases, seeds, seed, checkpoint, log, progress)
+        return _train(config, seed, checkpoint, log, progress)
     finally:
         torch.set_num_threads(threads)
 
 
-def _train(config, cases, seeds, seed, checkpoint, log, progress) -> TrainingResult:
-    cases = [_with_information_weight(options, config.unresolved_variance) for options in cases]
-    envs = MultiScenarioVecEnv(
-        cases,
-        config.n_envs,
+def _train(config, seed, checkpoint, log, progress) -> TrainingResult:
+    rows = (1 + config.paired_baseline) * config.n_envs
+    envs = FeatureVecEnv(
+        RoadReconVecEnv(rows, vector_class=Safe4S4VectorEnv, cost_price=VIOLATION_PRICE),
         seed,
-        config.reward_scale,
-        config.action_repeat,
-        config.paired_baseline,
-        config.preview,
+        reward_scale=config.reward_scale,
+        action_repeat=config.action_repeat,
+        paired_baseline=config.paired_baseline,
+        preview=config.preview,
     )
+    drives = training_drives(config.drives)
     model = _model(config, envs, seed, log)
     state: dict[str, Any] = {"steps": 0, "best": -np.inf, "curve": [], "network": None}
     if checkpoint is not None and checkpoint.exists():
         _resume(model, state, checkpoint, config)
     metadata = {  # the keys are those of the file format of `network_policy`
         "activation": "tanh" if config.algorithm == "ppo" else "relu",
-        "control": cases[0]["control"],
+        "control": drives.setup.options.control,
         "held": config.action_repeat,
         "ahead": config.preview,
         "algorithm": config.algorithm,
         "seed": seed,
         "steps": config.steps,
-        "information": config.unresolved_variance,
     }
     while state["steps"] < config.steps:
         steps = min(config.eval_interval, config.steps - state["steps"])
@@ -224,7 +204,7 @@ def _train(config, cases, seeds, seed, checkpoint, log, progress) -> TrainingRes
         model.learn(steps, callback=callback, reset_num_timesteps=False)
         state["steps"] = int(model.num_timesteps)
         network = PolicyNetwork(_actor_layers(model, config.algorithm), metadata)
-        score = evaluate(network, cases, seeds)
+        score = float(drive_all(NetworkPolicy.from_network(network), drives).score.mean())
         state["curve"].append((state["steps"], score))
         if score > state["best"]:
             state["best"], state["network"] = score, network
@@ -233,27 +213,11 @@ def _train(config, cases, seeds, seed, checkpoint, log, progress) -> TrainingRes
     return TrainingResult(state["network"], tuple(map(tuple, state["curve"])))
 
 
-def evaluate(
-    network: PolicyNetwork, cases: Sequence[dict[str, Any]], seeds: Sequence[int]
-) -> float:
-    """Return the mean return per second over `cases` and roads of `seeds`."""
-    policy = NetworkPolicy.from_network(network)
-    rates = []
-    for options in cases:
-        rollout = roll_out(policy, options, seeds, store_observations=False)
-        rates.append(rollout.returns / (rollout.intervals / options["control_rate"]))
-    return float(np.mean(rates))
-
-
-def _with_information_weight(options: dict[str, Any], weight: float) -> dict[str, Any]:
-    return {**options, "weights": {**options.get("weights", {}), "unresolved_variance": weight}}
-
-
-def _model(config: TrainingConfig, envs: MultiScenarioVecEnv, seed: int, log: Path | None):
+def _model(config: TrainingConfig, envs: FeatureVecEnv, seed: int, log: Path | None):
     layers = list(config.layers)
     activation = torch.nn.Tanh if config.algorithm == "ppo" else torch.nn.ReLU
     shape: Any = {"pi": layers, "vf": layers} if config.algorithm == "ppo" else layers
-    cls: Any = PPO if config.algorithm == "ppo" else DQN
+    cls: Any = {"ppo": PPO, "dqn": DQN}.get(config.algorithm) or _qrdqn()
     try:
         model = cls(
             "MlpPolicy",
@@ -267,9 +231,16 @@ def _model(config: TrainingConfig, envs: MultiScenarioVecEnv, seed: int, log: Pa
     except (TypeError, ValueError) as error:
         raise ConfigError(f"hyperparameters of {config.algorithm}: {error}") from None
     if config.algorithm == "ppo":
-        ride = envs.features[0].context.action_index(*RIDE)
+        ride = envs.features.context.action_index(*RIDE)
         model.policy.action_net.bias.data[ride] += config.ride_logit_bias
     return model
+
+
+def _qrdqn() -> Any:
+    with optional_import("training by QR-DQN"):
+        from sb3_contrib import QRDQN
+
+    return QRDQN
 
 
 def _has_tensorboard() -> bool:
@@ -293,12 +264,19 @@ def _actor_layers(model: Any, algorithm: str) -> tuple[tuple[np.ndarray, np.ndar
     if algorithm == "ppo":
         net = [*model.policy.mlp_extractor.policy_net, model.policy.action_net]
     else:
-        net = list(model.policy.q_net.q_net)
-    return tuple(
+        value = model.policy.quantile_net if algorithm == "qrdqn" else model.policy.q_net
+        net = list(value.quantile_net if algorithm == "qrdqn" else value.q_net)
+    layers = [
         (layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy())
         for layer in net
         if isinstance(layer, torch.nn.Linear)
-    )
+    ]
+    if algorithm == "qrdqn":
+        # rows are quantiles of the actions in turn; the value of an action is their mean
+        W, b = layers.pop()
+        n = int(model.action_space.n)
+        layers.append((W.reshape(-1, n, W.shape[1]).mean(axis=0), b.reshape(-1, n).mean(axis=0)))
+    return tuple(layers)
 
 
 def _save_checkpoint(model: Any, state: dict[str, Any], path: Path, config: TrainingConfig) -> None:

@@ -1,7 +1,6 @@
 """The site in a browser: numbers, filters, keyboard, contrast."""
 
 import json
-import shutil
 
 import numpy as np
 import pytest
@@ -9,7 +8,7 @@ from example_site import POLICIES, lines_of, results, site, tasks
 from html_checker import HtmlChecker
 
 from leaderboard.metrics.registry import SCORES
-from leaderboard.policies.page import write_policy_page
+from leaderboard.policies.page import shown_policies, write_page
 from leaderboard.report.figures import rounded
 from leaderboard.report.sentences import build_report
 from leaderboard.report.site import write_site
@@ -106,27 +105,22 @@ def test_all_controls_are_reached_by_tab_with_a_visible_focus(browser, written):
     assert browser.value("getComputedStyle(document.activeElement).outlineStyle") == "solid"
 
 
-def test_the_page_of_the_policies_shows_the_kept_comparison(browser, written, tmp_path):
-    kept = json.loads((POLICIES / "policies.json").read_text())
-    for folder in ("static", "estimators"):
-        shutil.copytree(written / folder, tmp_path / folder)
-    shutil.copy(tmp_path / "estimators/reader.html", tmp_path / "estimators/fir_ridge.html")
-    page = write_policy_page(kept, {}, tmp_path)
+def test_the_page_of_the_policies_shows_the_kept_comparison(browser, tmp_path):
+    kept = json.loads((POLICIES / "benchmark.json").read_text())
+    page = write_page(kept, {}, tmp_path)
     parser = HtmlChecker()
     parser.feed(page.read_text())
-    assert parser.open == [] and "estimators/fir_ridge.html" in parser.addresses
+    assert parser.open == []
     before = len(browser.errors)
     for width in (1280, 400):
         browser.open(page, width)
         assert browser.value("document.documentElement.scrollWidth - innerWidth") <= 0
     assert browser.errors[before:] == []
-    points = "document.querySelector('[data-chart=pareto]').data.filter(t => t.mode === 'markers')"
-    looks = browser.value(f"{points}.map(t => t.name + ' ' + t.marker.symbol + t.marker.color)")
-    rows = [row["policy"] for row in kept["rows"]]
-    assert [look.rsplit(" ", 1)[0] for look in looks] == [name for name in rows for _ in range(2)]
-    assert len({look.rsplit(" ", 1)[1] for look in looks}) == len(rows)  # no two alike
-    filled = browser.value(f"{points}.filter(t => !t.marker.symbol.endsWith('-open')).length")
-    assert filled == 2 * sum(row["pareto"] for row in kept["rows"])
+    drawn = browser.value(
+        "document.querySelector('[data-chart=scores]').data.map(t => t.name + ' ' + t.y.length)"
+    )
+    number = len(kept["drives"])
+    assert drawn == [f"{name} {number}" for name in shown_policies(kept)]
 
 
 def test_the_site_links_to_the_policies_once_they_are_compared(tmp_path):

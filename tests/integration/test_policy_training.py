@@ -1,25 +1,19 @@
-"""Training of policies: cases as one vector environment, resumed runs, stored networks."""
+"""Training of policies: environments as features, evolution, resumed runs, stored networks."""
 
 import numpy as np
 import pytest
-from scipy.stats import trim_mean
 
-from leaderboard.policies import grid_search
-from leaderboard.policies.grid_search import return_rates
-from leaderboard.policies.scenarios import Scenarios
-from leaderboard.policies.training_study import evaluate_study, study_lines, train_seeds
-from road_envs.core.config import ConfigError, build
+from leaderboard.policies import learning
+from road_envs.core.config import ConfigError
+from road_envs.envs.safe4s4 import Safe4S4VectorEnv
+from road_envs.envs.sb3 import RoadReconVecEnv
 from road_envs.envs.vector import RoadReconVectorEnv
 from road_envs.policies import PolicyContext
-from road_envs.policies.features import (
-    FEATURE_SCALES,
-    N_FEATURES,
-    PREVIEW_DISTANCES,
-    FeatureExtractor,
-    n_features,
-)
+from road_envs.policies.evolution import EvolutionConfig, LinearPolicies, as_network, evolve
+from road_envs.policies.features import N_FEATURES, NAMES, PREVIEW_DISTANCES, FeatureExtractor
 from road_envs.policies.network_policy import NetworkPolicy
-from road_envs.policies.training import MultiScenarioVecEnv, TrainingConfig, evaluate, train
+from road_envs.policies.rollout import VIOLATION_PRICE, drive_all, training_drives
+from road_envs.policies.training import FeatureVecEnv, TrainingConfig, train
 from road_envs.policies.wheelbase_preview import WheelbasePreview
 from road_envs.roads.iso8608 import Iso8608
 
@@ -34,66 +28,47 @@ CASE = {
 }
 TURN = {**CASE, "manoeuvre": {"kind": "slalom", "begin": 0.0, "period": 0.8}}
 SMALL = TrainingConfig(
-    steps=256,
+    steps=128,
     n_envs=2,
     layers=(8,),
-    eval_interval=128,
+    eval_interval=64,
+    drives=1,
     hyperparameters={"n_steps": 16, "batch_size": 32, "n_epochs": 2},
 )
 
 
-def scenarios(**changes) -> Scenarios:
-    """Return scenarios of two cases of 8 m."""
-    settings = {
-        "name": "small",
-        "title": "Two short cases",
-        "cases": [
-            {"road": "iso_d", "speed_kmh": 54.0},
-            {"road": "iso_d", "speed_kmh": 54.0, "manoeuvre": TURN["manoeuvre"]},
-        ],
-        "length": 8.0,
-        "test": {"first": 101, "number": 3},
-        "training": {"first": 1, "number": 2},
-    }
-    return build(Scenarios, {**settings, **changes}, "small")
+def features_of(case, n, seed, **options) -> FeatureVecEnv:
+    """Return `n` environments of a case as features."""
+    rows = n * (2 if options.get("paired_baseline") else 1)
+    return FeatureVecEnv(RoadReconVecEnv(rows, **case), seed, **options)
 
 
 def test_actions_are_repeated_and_rewards_are_summed_and_scaled():
-    cases = MultiScenarioVecEnv([CASE, TURN], n_envs=2, seed=7, reward_scale=3.0, action_repeat=4)
-    first = cases.reset()
-    envs = [RoadReconVectorEnv(2, **options) for options in (CASE, TURN)]
-    observations = [env.reset(seed=7 + 1_000_000 * (i + 1))[0] for i, env in enumerate(envs)]
-    features = [FeatureExtractor(PolicyContext.from_setup(env.setup, 2, 0)) for env in envs]
-    expected = [f.update(o) for f, o in zip(features, observations, strict=True)]
-    np.testing.assert_array_equal(first, np.concatenate(expected))
-    assert first.shape == (4, N_FEATURES) and FEATURE_SCALES.shape == (N_FEATURES,)
-    actions = np.array([0, 3, 1, 2])
-    after, rewards, dones, _ = cases.step(actions)
-    for i, (env, one) in enumerate(zip(envs, features, strict=True)):
-        total = np.zeros(2)
-        for _ in range(4):
-            observations, reward, *_ = env.step(actions[2 * i : 2 * i + 2])
-            last, total = one.update(observations), total + reward
-        np.testing.assert_array_equal(after[2 * i : 2 * i + 2], last)
-        np.testing.assert_allclose(rewards[2 * i : 2 * i + 2], 3.0 * total, rtol=1e-5)
-    assert not dones.any()
+    envs = features_of(TURN, 2, 7, reward_scale=3.0, action_repeat=4)
+    plain = RoadReconVectorEnv(2, **TURN)
+    features = FeatureExtractor(PolicyContext.from_setup(plain.setup, 2, 0))
+    np.testing.assert_array_equal(envs.reset(), features.update(plain.reset(seed=7)[0]))
+    actions, total = np.array([1, 2]), np.zeros(2)
+    after, rewards, dones, _ = envs.step(actions)
+    for _ in range(4):
+        observations, reward, *_ = plain.step(actions)
+        last, total = features.update(observations), total + reward
+    np.testing.assert_array_equal(after, last)
+    np.testing.assert_allclose(rewards, 3.0 * total, rtol=1e-5)
+    assert after.shape == (2, N_FEATURES) and not dones.any()
 
 
 def test_the_paired_baseline_removes_the_road_from_the_reward():
     """Vehicles in ride get a reward of exactly 0; the others get the difference to ride."""
-    cases = MultiScenarioVecEnv(
-        [CASE, TURN], n_envs=2, seed=5, reward_scale=10.0, action_repeat=3, paired_baseline=True
-    )
-    plain = MultiScenarioVecEnv([CASE, TURN], n_envs=2, seed=5, reward_scale=10.0, action_repeat=3)
-    alone = MultiScenarioVecEnv([CASE, TURN], n_envs=2, seed=5, reward_scale=10.0, action_repeat=3)
-    for envs in (cases, plain, alone):
+    paired = features_of(TURN, 2, 5, action_repeat=3, paired_baseline=True)
+    plain, alone = (features_of(TURN, 2, 5, action_repeat=3) for _ in range(2))
+    for envs in (paired, plain, alone):
         envs.reset()
-    actions = np.array([0, 3, 0, 1])
     over = False
     for _ in range(30):
-        gained, dones = cases.step(actions)[1:3]
-        expected = plain.step(actions)[1] - alone.step(np.zeros(4, dtype=int))[1]
-        assert not gained[[0, 2]].any()
+        gained, dones = paired.step(np.array([0, 3]))[1:3]
+        expected = plain.step(np.array([0, 3]))[1] - alone.step(np.zeros(2, dtype=int))[1]
+        assert gained[0] == 0.0
         np.testing.assert_allclose(gained, expected, atol=1e-5)
         over |= dones.any()
     assert over
@@ -102,58 +77,68 @@ def test_the_paired_baseline_removes_the_road_from_the_reward():
 def test_the_vehicles_of_a_pair_share_one_road(monkeypatch):
     drawn, realise = [], Iso8608.realise
     monkeypatch.setattr(Iso8608, "realise", lambda *args: drawn.append(args) or realise(*args))
-    cases = MultiScenarioVecEnv([CASE], n_envs=3, seed=5, reward_scale=1.0, paired_baseline=True)
-    cases.reset()
+    features_of(CASE, 3, 5, paired_baseline=True).reset()
     assert len(drawn) == 3
 
 
+def test_a_violation_has_its_price_in_the_reward():
+    plain = Safe4S4VectorEnv(2)
+    priced = RoadReconVecEnv(2, vector_class=Safe4S4VectorEnv, cost_price=VIOLATION_PRICE)
+    fixed = {"speed_kmh": 50.0, "begin": 0.5, "severe": "fishhook"}
+    priced.seed(3)
+    priced.set_options(fixed)
+    priced.reset()
+    plain.reset(seed=3, options=fixed)
+    cost = np.zeros(2)
+    for _ in range(60):
+        _, rewards, _, _, infos = plain.step(np.zeros(2, dtype=int))
+        expected = rewards - VIOLATION_PRICE * infos["cost"]
+        np.testing.assert_allclose(priced.step(np.zeros(2, dtype=int))[1], expected, rtol=1e-6)
+        cost += infos["cost"]
+    assert cost.max() > 0.0
+
+
+def test_features_are_equal_for_a_drive_and_its_mirror_image():
+    env = RoadReconVectorEnv(1, **{**TURN, "road": "flat", "sensors": "ideal"})
+    other = {**TURN["manoeuvre"], "a_y": -2.0}
+    mirrored = RoadReconVectorEnv(
+        1, **{**TURN, "road": "flat", "sensors": "ideal", "manoeuvre": other}
+    )
+    TURN["manoeuvre"].setdefault("a_y", 2.0)
+    env = RoadReconVectorEnv(1, **{**TURN, "road": "flat", "sensors": "ideal"})
+    pair = [(e, FeatureExtractor(PolicyContext.from_setup(e.setup, 1, 0))) for e in (env, mirrored)]
+    rows = [f.update(e.reset(seed=0)[0]) for e, f in pair]
+    for _ in range(20):
+        rows = [f.update(e.step(np.zeros(1, dtype=int))[0]) for e, f in pair]
+        left_right = np.abs(rows[0][0, NAMES.index("heave_acceleration")])
+        assert left_right < 0.5
+        # the three accelerometers are not placed symmetrically: heave, pitch and roll are
+        np.testing.assert_allclose(rows[0], rows[1], atol=2e-3)
+    assert np.abs(rows[0][0, NAMES.index("roll_rate")]) > 0.01
+
+
 def test_preview_features_are_the_heights_ahead_of_the_rear_axle():
-    cases = MultiScenarioVecEnv([CASE], n_envs=2, seed=7, reward_scale=1.0, preview=True)
-    cases.reset()
+    envs = features_of(CASE, 2, 7, preview=True)
+    envs.reset()
     env = RoadReconVectorEnv(2, **CASE)
-    observations = env.reset(seed=1_000_007)[0]
-    context = PolicyContext.from_setup(env.setup, 2, 0)
-    road = WheelbasePreview(context)
-    road.update(observations)
+    road = WheelbasePreview(PolicyContext.from_setup(env.setup, 2, 0))
+    road.update(env.reset(seed=7)[0])
     for _ in range(25):
-        features = cases.step(np.zeros(2, dtype=int))[0]
+        features = envs.step(np.zeros(2, dtype=int))[0]
         road.update(env.step(np.zeros(2, dtype=int))[0])
     z = road.heights_at(PREVIEW_DISTANCES)
     rise = 20.0 * (z[:, 1:] - z[:, :1])
-    assert features.shape == (2, n_features(True)) and np.abs(rise).max() > 0.1
-    np.testing.assert_allclose(
-        features[:, N_FEATURES : N_FEATURES + 6], rise.mean(axis=2), atol=1e-5
-    )
-    np.testing.assert_allclose(
-        features[:, N_FEATURES + 6 :], 0.5 * (rise[..., 0] - rise[..., 1]), atol=1e-5
-    )
-
-
-def test_a_study_evaluates_all_seeds_and_keeps_the_best_network(monkeypatch):
-    some = scenarios(test={"first": 101, "number": 4})
-    learning = train_seeds(SMALL, some, [3, 4])
-    assert learning.scores == [max(v for _, v in curve) for curve in learning.curves]
-    best = learning.networks[int(np.argmax(learning.scores))]
-    assert learning.best is best
-    study = evaluate_study(learning, some)
-    each = [
-        return_rates(NetworkPolicy.from_network(n), some, some.test.seeds)
-        for n in learning.networks
-    ]
-    assert study["seeds"] == [3, 4] and study["roads"] == 4
-    assert study["spread"] == pytest.approx(np.std([x.mean() for x in each], ddof=1))
-    middle = [trim_mean(np.stack(each, axis=2)[:, c].ravel(), 0.25) for c in range(2)]
-    assert study["held_out"]["mean"] == pytest.approx(np.mean(middle))
-    more = study["more_than"]["fixed_ride"]
-    assert more["low"] <= more["mean"] <= more["high"]
-    assert any("rrms" in line for line in study_lines("ppo", study))
+    assert np.abs(rise).max() > 0.1
+    mean, half = rise.mean(axis=2), 0.5 * np.abs(rise[..., 0] - rise[..., 1])
+    np.testing.assert_allclose(features[:, N_FEATURES : N_FEATURES + 6], mean, atol=1e-5)
+    np.testing.assert_allclose(np.abs(features[:, N_FEATURES + 6 :]), half, atol=1e-5)
 
 
 def test_an_episode_that_ends_during_a_repeat_is_reported_as_ended():
-    cases = MultiScenarioVecEnv([CASE], n_envs=2, seed=1, reward_scale=1.0, action_repeat=7)
-    cases.reset()
+    envs = features_of(CASE, 2, 1, action_repeat=7)
+    envs.reset()
     for _ in range(40):
-        _, _, dones, infos = cases.step(np.zeros(2, dtype=int))
+        _, _, dones, infos = envs.step(np.zeros(2, dtype=int))
         if dones.any():
             break
     assert dones.all()
@@ -161,62 +146,97 @@ def test_an_episode_that_ends_during_a_repeat_is_reported_as_ended():
         assert info["TimeLimit.truncated"] and info["terminal_observation"].shape == (N_FEATURES,)
 
 
-def test_training_is_reproducible_and_its_network_can_drive(tmp_path):
-    result = [train(SMALL, [CASE, TURN], [1, 2], seed=3) for _ in range(2)]
-    for (W, b), (W_2, b_2) in zip(*(x.network.layers for x in result), strict=True):
+@pytest.fixture(scope="module")
+def study():
+    return learning.train_seeds(EvolutionConfig(steps=3, population=4, drives=1), [3, 4])
+
+
+def test_evolution_starts_from_the_threshold_and_is_reproducible(study):
+    config = EvolutionConfig(steps=3, population=4, drives=1)
+    network, curve = evolve(config, 3)
+    for (W, b), (W_2, b_2) in zip(network.layers, study.networks[0].layers, strict=True):
         np.testing.assert_array_equal(W, W_2)
         np.testing.assert_array_equal(b, b_2)
-    assert [steps for steps, _ in result[0].curve] == [128, 256]
-    assert max(value for _, value in result[0].curve) == pytest.approx(
-        evaluate(result[0].network, [CASE, TURN], [1, 2])
-    )
-    path = tmp_path / "n.npz"
-    grid_search.write_bytes(path, result[0].network.to_bytes())
-    assert NetworkPolicy(file=str(path)).network.metadata["held"] == 5
+    assert curve == study.curves[0]
+    assert study.curves[0][0][1] == study.curves[1][0][1]  # both of the start's weights
+    assert study.curves[0][1:] != study.curves[1][1:]
 
 
-def test_an_interrupted_training_resumes_from_its_checkpoint(tmp_path):
+def test_a_network_of_one_layer_acts_as_the_linear_policy():
+    weights = np.random.default_rng(0).standard_normal((2, 4, N_FEATURES + 1))
+    drives = training_drives(1)
+    one = drive_all(LinearPolicies(weights[None]), drives)
+    other = drive_all(NetworkPolicy.from_network(as_network(weights, {})), drives)
+    np.testing.assert_array_equal(one.actions, other.actions)
+    assert len(np.unique(one.actions)) > 4
+
+
+def test_candidates_of_one_generation_drive_as_each_alone():
+    weights = np.random.default_rng(1).standard_normal((3, 2, 4, N_FEATURES + 1))
+    drives = training_drives(1)
+    together = drive_all(LinearPolicies(weights), drives, copies=3).score.reshape(-1, 3)
+    alone = drive_all(LinearPolicies(weights[1:2]), drives).score
+    np.testing.assert_allclose(together[:, 1], alone, rtol=1e-3)
+
+
+def test_a_study_compares_every_seed_with_the_laws_on_public_drives(study, monkeypatch):
+    drives = learning.public_drives(2)
+    monkeypatch.setattr(learning, "public_drives", lambda: drives)
+    found = learning.evaluate_study(study)
+    each = [drive_all(NetworkPolicy.from_network(n), drives).score.mean() for n in study.networks]
+    assert found["by_seed"] == pytest.approx(each)
+    more = found["rivals"]["rrms"]["more"]["all"]
+    assert more["mean"] == pytest.approx(np.mean(each) - found["rivals"]["rrms"]["score"])
+    assert more["low"] <= more["mean"] <= more["high"]
+    assert any("rrms_lateral" in line for line in learning.study_lines("evolved", found))
+
+
+def test_training_is_reproducible_resumes_and_its_network_can_drive(tmp_path):
     checkpoint = tmp_path / "run.pt"
-    calls = []
-
-    def stop(text, share):
-        calls.append(share)
-        if share > 0.5:
-            raise KeyboardInterrupt
-
-    config = TrainingConfig(**{**vars(SMALL), "steps": 1024, "eval_interval": 256})
-    with pytest.raises(KeyboardInterrupt):
-        train(config, [CASE], [1], 3, checkpoint=checkpoint, progress=stop)
+    result = train(SMALL, 3)
+    half = TrainingConfig(**{**vars(SMALL), "steps": 64})
+    for (W, b), (W_2, b_2) in zip(
+        result.network.layers, train(SMALL, 3).network.layers, strict=True
+    ):
+        np.testing.assert_array_equal(W, W_2)
+        np.testing.assert_array_equal(b, b_2)
+    assert [steps for steps, _ in result.curve] == [64, 128]
+    train(half, 3, checkpoint=checkpoint)
     before = checkpoint.read_bytes()
-    resumed = train(config, [CASE], [1], 3, checkpoint=checkpoint)
-    assert [steps for steps, _ in resumed.curve] == [256, 512, 768, 1024]
-    other = TrainingConfig(**{**vars(config), "steps": 2048})
     with pytest.raises(ConfigError, match=r"run\.pt: belongs to other settings"):
-        train(other, [CASE], [1], 3, checkpoint=checkpoint)
+        train(SMALL, 3, checkpoint=checkpoint)
+    assert train(half, 3, checkpoint=checkpoint).curve == tuple(result.curve[:1])
     checkpoint.write_bytes(before[: len(before) // 2])
     with pytest.raises(ConfigError, match=r"run\.pt: not a checkpoint"):
-        train(config, [CASE], [1], 3, checkpoint=checkpoint)
+        train(half, 3, checkpoint=checkpoint)
+    path = tmp_path / "n.npz"
+    learning.write_bytes(path, result.network.to_bytes())
+    assert NetworkPolicy(file=str(path)).network.metadata["held"] == 2
 
 
-def test_deep_q_learning_trains_a_network():
+@pytest.mark.parametrize("algorithm", ["dqn", "qrdqn"])
+def test_value_learning_trains_a_network(algorithm):
+    if algorithm == "qrdqn":
+        pytest.importorskip("sb3_contrib")
     hyper = {"learning_starts": 32, "batch_size": 16, "train_freq": 4, "buffer_size": 500}
     config = TrainingConfig(
-        algorithm="dqn", steps=128, n_envs=2, layers=(8,), eval_interval=128, hyperparameters=hyper
-    )
-    result = train(config, [CASE], [1], seed=1)
-    assert result.network.layers[-1][0].shape == (4, 8)
+        algorithm=algorithm, steps=64, n_envs=2, layers=(8,), eval_interval=64, drives=1,
+        hyperparameters=hyper,
+    )  # fmt: skip
+    result = train(config, seed=1)
+    assert result.network.layers[-1][0].shape == (16, 8)
     assert result.network.metadata["activation"] == "relu"
 
 
-@pytest.mark.parametrize("name", ["ppo", "ppo_preview", "ppo_sensing", "dqn"])
+@pytest.mark.parametrize("name", ["ppo", "qrdqn", "evolved"])
 def test_shipped_training_settings_are_complete(name):
-    assert grid_search.load_training_config(name, steps=5).steps == 5
+    assert learning.load_training_config(name, steps=5).steps == 5
 
 
 def test_invalid_training_settings_are_named():
     with pytest.raises(ConfigError, match=r"hyperparameters of ppo: .*learning_rat"):
-        train(TrainingConfig(hyperparameters={"learning_rat": 1.0}), [CASE], [1], seed=1)
+        train(TrainingConfig(hyperparameters={"learning_rat": 1.0}, n_envs=1, drives=1), seed=1)
     with pytest.raises(ConfigError, match="rrms has no training section"):
-        grid_search.load_training_config("rrms")
+        learning.load_training_config("rrms")
     with pytest.raises(ValueError, match="must be at least 1"):
         TrainingConfig(steps=0)

@@ -1,17 +1,21 @@
 """The benchmark itself: it must decide something, and its line must hold."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from leaderboard.commands import policies as policies_command
 from leaderboard.policies import best_found, grid_search
-from leaderboard.policies.safe_comparison import BEST_FOUND, compare_safely, public_drives
+from leaderboard.policies.comparison import BEST_FOUND, compare, label, public_drives, table_lines
+from leaderboard.policies.page import render_page, score_chart
+from leaderboard.policies.timeline import MODE_NAMES, Timeline, drive_chart
 from road_envs.envs.safe4s4 import Safe4S4Env, Safe4S4Setup
 from road_envs.policies import create
-from road_envs.policies.safe_rollout import SafeDrives, drive_safely
+from road_envs.policies.rollout import Drives, drive_all, replay, training_drives
 
+ROOT = Path(__file__).parents[2]
 LAWS = ("fixed_ride", "fixed_handling", "lateral", "rrms")
 
 
@@ -22,7 +26,7 @@ def drives():
 
 @pytest.fixture(scope="module")
 def rollouts(drives):
-    return {name: drive_safely(create(name), drives) for name in LAWS}
+    return {name: drive_all(create(name), drives) for name in LAWS}
 
 
 def test_ride_violates_and_handling_is_uncomfortable(rollouts):
@@ -36,33 +40,42 @@ def test_the_rank_order_is_the_same_at_all_control_rates():
     orders = set()
     for rate in (10.0, 20.0, 50.0, 100.0):
         setup = Safe4S4Setup({"split": "train", "control_rate": rate})
-        few = SafeDrives(setup, range(4))
-        scores = [drive_safely(create(name), few).score.mean() for name in LAWS[:3]]
+        few = Drives(setup, range(4))
+        scores = [drive_all(create(name), few).score.mean() for name in LAWS[:3]]
         orders.add(tuple(np.argsort(scores).tolist()))
     assert len(orders) == 1
 
 
 def test_no_row_is_above_the_best_found_on_any_drive():
     few = public_drives(2)
-    data = compare_safely({name: create(name) for name in LAWS}, few, "rrms", generations=2)
-    rows = {row["policy"]: np.array(row["scores"]) for row in data["rows"]}
+    found = compare({name: create(name) for name in LAWS}, few, "rrms", sweeps=1)
+    rows = {row["policy"]: np.array(row["scores"]) for row in found.data["rows"]}
     assert set(rows) == {*LAWS, BEST_FOUND}
+    assert found.data["rows"][0]["policy"] == BEST_FOUND
     for name, scores in rows.items():
         assert (scores <= rows[BEST_FOUND] + 1e-9).all(), name
     laws = max(rows[name].mean() for name in LAWS)
     assert rows[BEST_FOUND].mean() > 0.85 * laws, "no headroom above the laws"
 
 
+def test_a_sweep_improves_a_plan_on_its_drive():
+    few = public_drives(2)
+    plan = np.zeros((600, len(few)), dtype=np.int64)
+    before = replay(few, plan).score[0]
+    best_found.sweep(few, 0, plan[:, 0], np.random.default_rng(0))
+    assert replay(few, plan).score[0] > 0.5 * before > before
+
+
 def test_the_beam_returns_the_actions_of_its_score():
     one = public_drives(2)
     one.starts = one.starts[2:3]
     actions, score = best_found.beam(one, 0)
-    again = best_found.replay(one, actions[:, None])
+    again = replay(one, actions[:, None])
     assert again.score * again.duration == pytest.approx(score)
 
 
 def test_replayed_actions_give_the_same_drives(drives, rollouts):
-    again = best_found.replay(drives, rollouts["rrms"].actions)
+    again = replay(drives, rollouts["rrms"].actions)
     np.testing.assert_array_equal(again.score, rollouts["rrms"].score)
 
 
@@ -74,21 +87,65 @@ def test_a_drive_of_the_comparison_is_the_one_of_the_environment(drives):
         _, reward, terminated, truncated, _ = env.step(0)
         total, done = total + reward, terminated or truncated
     k = 2 * 1  # the second public drive, before its mirror image
-    ride = drive_safely(create("fixed_ride"), drives)
+    ride = drive_all(create("fixed_ride"), drives)
     assert ride.comfort[k] * ride.duration[k] == pytest.approx(-total, rel=1e-12)
 
 
-def test_a_policy_that_fails_is_a_row_with_its_failure(drives):
+def test_a_policy_that_fails_is_a_row_with_its_failure():
     few = public_drives(2)
     policies = {"fixed_ride": create("fixed_ride"), "broken": object()}
-    rows = compare_safely(policies, few, "fixed_ride", generations=0)["rows"]
-    assert [row["policy"] for row in rows if row["failure"]] == ["broken"]
-    assert rows[0]["wins"] == rows[0]["losses"] == 0 and rows[0]["ties"] == 4
+    data = compare(policies, few, "fixed_ride", sweeps=0).data
+    assert [row["policy"] for row in data["rows"] if row["failure"]] == ["broken"]
+    ride = data["rows"][0]
+    assert ride["wins"] == ride["losses"] == 0 and ride["ties"] == 4
+    assert any("broken failed: AttributeError" in line for line in table_lines(data))
+    assert "failed: AttributeError" in render_page(data)
+
+
+class Endless:
+    """Policy that never acts."""
+
+    def reset(self, context):
+        pass
+
+    def act(self, observations):
+        while True:
+            pass
+
+
+def test_a_policy_that_hangs_is_stopped():
+    few = public_drives(2)
+    few.starts = few.starts[:2]
+    policies = {"fixed_ride": create("fixed_ride"), "endless": Endless()}
+    rows = compare(policies, few, "fixed_ride", sweeps=0, seconds=3.0).data["rows"]
+    assert rows[1]["failure"] == "TimeoutError: not finished after 3 s"
+
+
+def test_the_timeline_of_a_drive_has_its_motion_and_states(drives, rollouts):
+    actions = np.full_like(rollouts["rrms"].actions, 5)  # handling
+    actions[200:] = 0
+    line = Timeline.from_drive(drives, 0, actions)
+    assert np.diff(line.t) == pytest.approx(0.02)
+    assert line.loads.min() >= 0.0 and 8e3 < line.loads.sum(axis=0).mean() < 4e4
+    handling = MODE_NAMES.index("handling")
+    assert set(line.states[:, 10:450].ravel()) == {handling} and set(line.states[0, -9:]) == {0}
+    traces = {t["name"]: t for t in drive_chart({"mine": line})["figures"]["mine"]["data"]}
+    assert traces["roll"]["y"] == pytest.approx(np.degrees(line.roll), abs=0.006)
+    assert traces["handling"]["x"][0] == pytest.approx(10.0, abs=0.06)
+
+
+def test_the_page_shows_every_row_and_the_best_found_as_a_line(drives, rollouts):
+    kept = json.loads((ROOT / "docs/policies/benchmark.json").read_text())
+    page = render_page(kept)
+    assert all(f'id="policy-{row["policy"].replace(" ", "-")}"' in page for row in kept["rows"])
+    lines = [t["name"] for t in score_chart(kept)["figures"][""]["data"] if t["mode"] == "lines"]
+    assert lines == [BEST_FOUND]
+    assert label(drives.starts[0].description) == kept["drives"][0]
 
 
 def test_tuning_takes_the_best_of_its_grid_on_training_drives(monkeypatch):
     monkeypatch.setitem(grid_search.GRIDS, "lateral", {"threshold": (0.8, 9.0)})
-    drives = grid_search.training_drives(1)
+    drives = training_drives(1)
     assert drives.setup.safe.split == "train"
     found = grid_search.tune("lateral", drives)
     assert [trial.settings["threshold"] for trial in found.trials] == [0.8, 9.0]
@@ -97,10 +154,10 @@ def test_tuning_takes_the_best_of_its_grid_on_training_drives(monkeypatch):
 
 
 def test_the_command_prints_and_writes_the_table(tmp_path, capsys):
-    policies_command.policies(policy=["lateral"], drives=2, generations=0, out=tmp_path)
+    policies_command.policies(policy=["lateral"], drives=2, sweeps=0, out=tmp_path)
     printed = capsys.readouterr().out
     data = json.loads((tmp_path / "benchmark.json").read_text())
-    assert [row["policy"] for row in data["rows"]] == ["lateral", "rrms"]
+    assert {row["policy"] for row in data["rows"]} == {"lateral", "rrms"}
     text = (tmp_path / "benchmark.txt").read_text()
     assert printed == text and "4 drives" in text
     for row in data["rows"]:

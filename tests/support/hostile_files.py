@@ -16,7 +16,6 @@ import pyarrow.parquet as pq
 from estimators import create, weights_io
 from leaderboard.evaluation import hidden_seeds
 from leaderboard.evaluation.tasks import load_task
-from leaderboard.policies.scenarios import load_scenarios
 from road_envs.core import config
 from road_envs.core.config import ConfigError, find
 from road_envs.drives.logger_tables.description import (
@@ -137,7 +136,6 @@ def readers(folder: Path) -> dict[str, Reader]:
         "instruments": (load_instruments, find("sensors", "paper"), ConfigError),
         "task": (load_task, find("tasks", "paper_1"), ConfigError),
         "field": (load_plant_mismatch, find("field", "assumed"), ConfigError),
-        "scenarios": (load_scenarios, find("scenarios", "quick"), ConfigError),
         "policy settings": (load_policy_settings, find("policies", "ppo"), ConfigError),
     }
     return {

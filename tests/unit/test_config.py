@@ -10,7 +10,6 @@ import pytest
 from leaderboard.drive_report.conditions import Conditions
 from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.tasks import Task
-from leaderboard.policies.scenarios import Scenarios
 from road_envs.core import config
 from road_envs.core.config import (
     ConfigError,
@@ -254,7 +253,6 @@ KINDS = {
     "field": PlantMismatch,
     "tasks": Task,
     "boards": BoardDefinition,
-    "scenarios": Scenarios,
     "conditions": Conditions,
     "policies": PolicySettings,
 }

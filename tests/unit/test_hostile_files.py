@@ -26,7 +26,7 @@ from road_envs.core.reading import parsing, read_npz
 from road_envs.drives.recording import read_record
 
 YAML = (
-    "vehicle", "road", "composite road", "instruments", "task", "field", "scenarios",
+    "vehicle", "road", "composite road", "instruments", "task", "field", 
     "policy settings", "drive description",
 )  # fmt: skip
 TEXT = (*YAML, "hidden seeds", "drive table")

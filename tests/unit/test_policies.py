@@ -230,7 +230,7 @@ def test_a_policy_of_another_package_is_available_by_its_name(monkeypatch):
         ("skyhook", {"leak": -1.0}, "leak: must be positive, got -1.0 Hz"),
         ("skyhook", {"high": "hard"}, "'handling' or 'soft_high'"),
         ("rrms", {"window": 0.0}, "window: must be positive"),
-        ("ppo", {"file": "none.npz"}, "none.npz: cannot be read: No such file"),
+        ("evolved", {"file": "none.npz"}, "none.npz: cannot be read: No such file"),
         ("preview", {"bump": 0.0}, "bump: must be positive"),
     ],
 )

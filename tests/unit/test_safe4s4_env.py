@@ -13,10 +13,16 @@ from gymnasium.utils.env_checker import check_env
 import road_envs
 from road_envs.analysis.comfort import wk_sos
 from road_envs.core.config import ConfigError
-from road_envs.envs.individual_fleet import SEAT
 from road_envs.envs.safe4s4 import Safe4S4Env, Safe4S4Setup, Safe4S4VectorEnv
 from road_envs.envs.safe_drives import draw_drive, load_benchmark
-from road_envs.envs.safety_step import COST, LIFT_OFF, LOAD_TRANSFER, N_SAFETY, _add_violations
+from road_envs.envs.safety_step import (
+    COST,
+    LIFT_OFF,
+    LOAD_TRANSFER,
+    N_SAFETY,
+    SEAT,
+    _add_violations,
+)
 from road_envs.kernels.simd import LANES
 from road_envs.simulation.rosenbrock import EXTENSION, LOAD, N_SIGNALS
 from road_envs.vehicle.equations import PHI, THETA, Z_B
@@ -83,12 +89,12 @@ def test_a_restart_leaves_the_other_vehicles_as_they_are():
 def test_terms_follow_from_the_motion_of_the_single_simulator(kind):
     setup = Safe4S4Setup({})
     fixed = SHORT | {"severe": kind, "gentle": "slalom", "grade": "S2"}
-    start, logger = setup.prepare(seeding.np_random(1)[0], fixed)
-    motion = setup.prepare(seeding.np_random(1)[0], fixed)[0].drive.advance(
+    start = setup.prepare(seeding.np_random(1)[0], fixed)
+    motion = setup.prepare(seeding.np_random(1)[0], fixed).drive.advance(
         np.zeros(20_000, dtype=np.uint8)
     )
     fleet = setup.make_fleet()
-    fleet.start(0, start.drive, logger, 50.0)
+    fleet.start(0, start.drive, start.logger, 50.0)
     rows = np.array([fleet.advance(0).values[0] for _ in range(400)])
     total = dict(zip(setup.output_columns, rows.sum(axis=0), strict=True))
     largest = dict(zip(setup.output_columns, rows.max(axis=0), strict=True))
@@ -138,7 +144,7 @@ def test_splits_share_no_drive():
         setup = Safe4S4Setup(options)
         fixed = {"group": "known"}
         for k in range(5):
-            drawn.append(setup.prepare(seeding.np_random(k)[0], fixed)[0].description.speed_kmh)
+            drawn.append(setup.prepare(seeding.np_random(k)[0], fixed).description.speed_kmh)
     assert len(set(drawn)) == 15
 
 
@@ -186,7 +192,7 @@ def test_the_vector_reward_holds_the_terms():
 
 
 def test_a_side_off_the_ground_counts_beyond_20_ms():
-    h, p = 0.001, make_fleet_parameters()
+    h, stops = 0.001, Safe4S4Setup({}).make_fleet().safety.stops
     off, sums = np.zeros((2, LANES)), np.zeros((N_SAFETY, LANES))
     row = np.zeros((N_SIGNALS, LANES))
     # lane 0: left wheels off for 50 ms; lane 1: for 15 ms; lane 2: one wheel; lane 3: on the left
@@ -197,11 +203,34 @@ def test_a_side_off_the_ground_counts_beyond_20_ms():
         row[LOAD, 2] = 0.0
         row[[LOAD + 1, LOAD + 3], 3] = 0.0
         row[EXTENSION + 1, 4] = -0.09 if i < 3 else 0.0
-        _add_violations.py_func(p, off, row, sums)
+        _add_violations.py_func(h, stops, off, row, sums)
     assert sums[COST, :5] == pytest.approx([30 * h, 0.0, 0.0, 30 * h, 3 * h])
     assert sums[LIFT_OFF, :5] == pytest.approx([50 * h, 15 * h, 0.0, 50 * h, 0.0])
     assert sums[LOAD_TRANSFER, :3] == pytest.approx([1.0, 1.0, 1.0 / 3.0])
 
 
-def make_fleet_parameters():
-    return Safe4S4Setup({}).make_fleet().parameters
+def test_vehicles_that_share_a_drive_move_as_one_alone_does():
+    setup = Safe4S4Setup({})
+    start = setup.prepare(seeding.np_random(2)[0], SHORT | {"grade": "S2"})
+    many, alone = setup.make_fleet(11, distinct=1), setup.make_fleet()
+    for fleet in (many, alone):
+        fleet.start(0, start.drive, start.logger, start.speed_kmh)
+    many.share(0, range(1, 11))
+    begin = many.copy_state()
+    for _ in range(2):  # started again to the bit
+        many.restore_state(begin)
+        for byte in (0, 255, 0, 0b11001100):
+            rows = many.advance(byte)
+        np.testing.assert_array_equal(rows.observation, np.repeat(rows.observation[:1], 11, axis=0))
+    for byte in (0, 255, 0, 0b11001100):
+        expected = alone.advance(byte)
+    np.testing.assert_array_equal(rows.values[10], expected.values[0])
+    np.testing.assert_array_equal(rows.observation[10], expected.observation[0])
+
+
+def test_an_environment_that_another_thread_steps_is_refused():
+    env = Safe4S4Env()
+    env.reset(seed=1, options=SHORT)
+    env.fleet._idle.pop()  # as while a step is under way
+    with pytest.raises(ConfigError, match="stepped by two threads at once"):
+        env.step(0)

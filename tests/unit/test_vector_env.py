@@ -276,7 +276,7 @@ def test_a_fleet_of_several_blocks_has_no_last_interval_and_a_flexible_frame_is_
     frame = VehicleVariation(frame=TorsionalFrame(f=11.0, zeta=0.05))
     plant = build_plant(setup.car, variation=frame)
     with pytest.raises(ConfigError, match="does not support a flexible frame"):
-        InstrumentedFleet(plant, setup.car, setup.instruments, step=0.001, steps=50)
+        InstrumentedFleet(plant, setup.car, setup.fleet_settings())
 
 
 @pytest.mark.parametrize("options", [SHORT, None], ids=["RoadRecon-v0", "Safe4S4-v1"])
