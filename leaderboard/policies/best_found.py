@@ -21,16 +21,16 @@ from road_envs.policies.rollout import VIOLATION_PRICE, Drives, Rollout, replay
 HOLD_TIME = 0.2
 """Time [s] between choices of the beam."""
 
-SWEEP_TIME, HORIZON = 0.1, 1.2
+SWEEP_TIME, HORIZON = 0.1, 1.0
 """Time [s] between choices of a sweep, and over which they are compared: a period of the body."""
 
 LONGEST_SECTION = 1.2
 """Longest time [s] for which a choice of a sweep is held; times are uniform in their logarithm."""
 
-SECTIONS = 4
+SECTIONS = 3
 """Times for which each pair is tried at each choice."""
 
-SWEEPS = 4
+SWEEPS = 3
 """Sweeps by default."""
 
 Progress = Callable[[str, float], None]

@@ -7,7 +7,7 @@ bootstraps over the drives, a drive and its mirror image together.
 
 import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -39,20 +39,21 @@ TIE = 0.01
 TIME_LIMIT = 120.0
 """Seconds that a policy may take for all drives."""
 
-GROUPS: Mapping[str, Callable[[Any], bool]] = {
-    "known": lambda drive: drive.group == "known",
-    "unseen": lambda drive: drive.group == "unseen",
-    "left": lambda drive: drive.side == "left",
-    "right": lambda drive: drive.side == "right",
-    **{
-        grade: lambda drive, grade=grade: drive.grade == grade for grade in ("S0", "S1", "S2", "S3")
-    },
-    **{
-        kind.replace("_", " "): lambda drive, kind=kind: drive.severe == kind
-        for kind in ("lane_change", "j_turn", "fishhook")
-    },
-}  # type: ignore[misc]
-"""Groups of drives by name, by their `SafeDrive`: a row has the score of each."""
+GROUPS: Mapping[str, tuple[str, str]] = {
+    "known": ("group", "known"),
+    "unseen": ("group", "unseen"),
+    "left": ("side", "left"),
+    "right": ("side", "right"),
+    **{grade: ("grade", grade) for grade in ("S0", "S1", "S2", "S3")},
+    **{kind.replace("_", " "): ("severe", kind) for kind in ("lane_change", "j_turn", "fishhook")},
+}
+"""Groups of drives by name: a field of `SafeDrive`, and its value; a row has the score of each."""
+
+
+def members(drives: Drives, group: str) -> np.ndarray:
+    """Return which drives (N,) belong to one of GROUPS."""
+    field, value = GROUPS[group]
+    return np.array([getattr(start.description, field) == value for start in drives.starts])
 
 
 @dataclass(frozen=True)
@@ -155,8 +156,7 @@ def time_limit(seconds: float) -> Iterator[None]:
 
 def _row(name: str, rollout: Rollout, base: Rollout | None, drives: Drives) -> dict[str, Any]:
     """Return the row of a policy as plain data."""
-    described = [start.description for start in drives.starts]
-    members = {group: [belongs(d) for d in described] for group, belongs in GROUPS.items()}
+    groups = {group: members(drives, group) for group in GROUPS}
     score, violated, totals = rollout.score, rollout.violated, rollout.totals
     row: dict[str, Any] = {
         "policy": name,
@@ -174,8 +174,8 @@ def _row(name: str, rollout: Rollout, base: Rollout | None, drives: Drives) -> d
         "switches": _round((np.diff(rollout.actions, axis=0) != 0).mean() / rollout.interval),
         "groups": {
             group: {"score": _round(score[m].mean()), "violations": float(violated[m].mean())}
-            for group, m in members.items()
-            if any(m)
+            for group, m in groups.items()
+            if m.any()
         },
         "scores": [_round(x) for x in score],
     }

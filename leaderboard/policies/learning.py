@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from leaderboard.policies.comparison import BOOTSTRAPS, GROUPS, public_drives
+from leaderboard.policies.comparison import BOOTSTRAPS, GROUPS, members, public_drives
 from road_envs.core import config
 from road_envs.core.atomic_io import atomic_write
 from road_envs.core.config import ConfigError
@@ -97,11 +97,7 @@ def evaluate_study(study: TrainingStudy) -> dict[str, Any]:
     own = [drive_all(NetworkPolicy.from_network(network), drives) for network in study.networks]
     rivals = {name: drive_all(create(name), drives) for name in RIVALS}
     scores = np.stack([rollout.score for rollout in own])
-    described = [start.description for start in drives.starts]
-    members = {
-        "all": np.ones(len(drives), dtype=bool),
-        **{g: np.array([belongs(d) for d in described]) for g, belongs in GROUPS.items()},
-    }
+    groups = {"all": np.ones(len(drives), dtype=bool)} | {g: members(drives, g) for g in GROUPS}
     return {
         "seeds": [network.metadata["seed"] for network in study.networks],
         "curves": [list(map(list, curve)) for curve in study.curves],
@@ -113,7 +109,7 @@ def evaluate_study(study: TrainingStudy) -> dict[str, Any]:
                 "violations": float(rival.violated.mean()),
                 "more": {
                     group: difference((scores - rival.score)[:, inside])
-                    for group, inside in members.items()
+                    for group, inside in groups.items()
                     if inside.any()
                 },
             }

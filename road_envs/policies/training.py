@@ -10,7 +10,7 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -61,8 +61,7 @@ class TrainingConfig(Settings):
     hyperparameters: dict[str, Any] = field(default_factory=dict)  # of Stable-Baselines3
 
 
-@dataclass(frozen=True)
-class TrainingResult:
+class TrainingResult(NamedTuple):
     """Network of the best evaluation, and all evaluations as (steps, mean score)."""
 
     network: PolicyNetwork

@@ -1,7 +1,6 @@
 """The benchmark itself: it must decide something, and its line must hold."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,13 +8,12 @@ import pytest
 from leaderboard.commands import policies as policies_command
 from leaderboard.policies import best_found, grid_search
 from leaderboard.policies.comparison import BEST_FOUND, compare, label, public_drives, table_lines
-from leaderboard.policies.page import render_page, score_chart
+from leaderboard.policies.page import render_page, score_chart, timelines
 from leaderboard.policies.timeline import MODE_NAMES, Timeline, drive_chart
 from road_envs.envs.safe4s4 import Safe4S4Env, Safe4S4Setup
 from road_envs.policies import create
 from road_envs.policies.rollout import Drives, drive_all, replay, training_drives
 
-ROOT = Path(__file__).parents[2]
 LAWS = ("fixed_ride", "fixed_handling", "lateral", "rrms")
 
 
@@ -46,12 +44,17 @@ def test_the_rank_order_is_the_same_at_all_control_rates():
     assert len(orders) == 1
 
 
-def test_no_row_is_above_the_best_found_on_any_drive():
+@pytest.fixture(scope="module")
+def searched():
     few = public_drives(2)
-    found = compare({name: create(name) for name in LAWS}, few, "rrms", sweeps=1)
-    rows = {row["policy"]: np.array(row["scores"]) for row in found.data["rows"]}
+    few.starts = few.starts[:2]
+    return compare({name: create(name) for name in LAWS}, few, "rrms", sweeps=1)
+
+
+def test_no_row_is_above_the_best_found_on_any_drive(searched):
+    rows = {row["policy"]: np.array(row["scores"]) for row in searched.data["rows"]}
     assert set(rows) == {*LAWS, BEST_FOUND}
-    assert found.data["rows"][0]["policy"] == BEST_FOUND
+    assert searched.data["rows"][0]["policy"] == BEST_FOUND
     for name, scores in rows.items():
         assert (scores <= rows[BEST_FOUND] + 1e-9).all(), name
     laws = max(rows[name].mean() for name in LAWS)
@@ -102,6 +105,26 @@ def test_a_policy_that_fails_is_a_row_with_its_failure():
     assert "failed: AttributeError" in render_page(data)
 
 
+def test_a_sweep_keeps_a_plan_that_no_trial_improves(monkeypatch):
+    few = public_drives(2)
+    plan = best_found.beam(few, 0)[0]
+    monkeypatch.setattr(best_found, "_price", lambda output, fleet: np.zeros(fleet.n_vehicles))
+    kept = plan.copy()
+    best_found.sweep(few, 0, plan, np.random.default_rng(0))
+    np.testing.assert_array_equal(plan, kept)
+
+
+def test_a_row_counts_wins_ties_and_losses(rollouts, drives):
+    own = {name: create(name) for name in ("fixed_handling", "rrms")}
+    rows = {r["policy"]: r for r in compare(own, drives, "rrms", sweeps=0).data["rows"]}
+    more = rollouts["fixed_handling"].score - rollouts["rrms"].score
+    row = rows["fixed_handling"]
+    assert row["losses"] == (more < -0.01).sum() > 0
+    assert row["wins"] + row["ties"] + row["losses"] == len(drives)
+    assert row["worst_loss"] == pytest.approx(more.min(), rel=1e-4)
+    assert rows["rrms"]["ties"] == len(drives)
+
+
 class Endless:
     """Policy that never acts."""
 
@@ -134,13 +157,14 @@ def test_the_timeline_of_a_drive_has_its_motion_and_states(drives, rollouts):
     assert traces["handling"]["x"][0] == pytest.approx(10.0, abs=0.06)
 
 
-def test_the_page_shows_every_row_and_the_best_found_as_a_line(drives, rollouts):
-    kept = json.loads((ROOT / "docs/policies/benchmark.json").read_text())
-    page = render_page(kept)
-    assert all(f'id="policy-{row["policy"].replace(" ", "-")}"' in page for row in kept["rows"])
-    lines = [t["name"] for t in score_chart(kept)["figures"][""]["data"] if t["mode"] == "lines"]
+def test_the_page_shows_every_row_and_the_best_found_as_a_line(searched):
+    data = searched.data
+    page = render_page(data, timelines(searched))
+    assert all(f'id="policy-{row["policy"].replace(" ", "-")}"' in page for row in data["rows"])
+    assert f"<option selected>{BEST_FOUND}</option>" in page
+    lines = [t["name"] for t in score_chart(data)["figures"][""]["data"] if t["mode"] == "lines"]
     assert lines == [BEST_FOUND]
-    assert label(drives.starts[0].description) == kept["drives"][0]
+    assert label(searched.drives.starts[0].description) == data["drives"][0]
 
 
 def test_tuning_takes_the_best_of_its_grid_on_training_drives(monkeypatch):
