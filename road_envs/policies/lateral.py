@@ -16,7 +16,7 @@ from road_envs.policies.fixed import Mode
 from road_envs.policies.rrms import RunningRmsPolicy
 
 
-class LateralTrigger:
+class _LateralTrigger:
     """Whether the low-passed lateral force exceeds `threshold` [m/s²], or did `hold` [s] ago."""
 
     def __init__(self, context: PolicyContext, threshold: float, lag: float, hold: float):
@@ -50,7 +50,7 @@ class LateralThreshold(Settings):
     def reset(self, context: PolicyContext) -> None:
         """Reset the low-pass."""
         self.context = context
-        self.trigger = LateralTrigger(context, self.threshold, self.lag, self.hold)
+        self.trigger = _LateralTrigger(context, self.threshold, self.lag, self.hold)
 
     def act(self, observations: np.ndarray) -> np.ndarray:
         """Return actions (N,) of ride or the firm state."""
@@ -69,7 +69,7 @@ class RrmsLateral(RunningRmsPolicy):
     def reset(self, context: PolicyContext) -> None:
         """Reset the running RMS and the low-pass."""
         super().reset(context)
-        self.trigger = LateralTrigger(context, self.threshold, self.lag, self.hold)
+        self.trigger = _LateralTrigger(context, self.threshold, self.lag, self.hold)
 
     def firm_axles(self, observations: np.ndarray) -> np.ndarray:
         """Return which axles (N, 2) are firm."""

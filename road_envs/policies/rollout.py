@@ -150,7 +150,7 @@ def training_drives(number: int = TRAINING_DRIVES) -> Drives:
     return Drives.mirrored(setup, range(TUNING_SEED, TUNING_SEED + number))
 
 
-class Totals:
+class _Totals:
     """Running totals of the drives of a fleet, each up to its own end."""
 
     def __init__(self, fleet: InstrumentedFleet):
@@ -207,7 +207,7 @@ def drive_all(
     setup, fleet = drives.setup, drives.start(copies)
     context = PolicyContext.from_setup(setup, fleet.n_vehicles, POLICY_SEED)
     policy.reset(context)
-    output, totals = fleet.advance(drives.first_bytes(copies)), Totals(fleet)
+    output, totals = fleet.advance(drives.first_bytes(copies)), _Totals(fleet)
     reasons, actions, rewards = [""] * fleet.n_vehicles, [], []
     observations, total = [output.observation], fleet.steps_left.max() / fleet.steps
     while totals.running.any():
