@@ -133,6 +133,8 @@ class _KnotNormalEquations(NamedTuple):
         knots, p = self.XZ.shape
         level = np.einsum("kii->", self.diagonal) / (knots * p) or 1.0
         smoothness = SMOOTHNESS * level * np.eye(p)
+        # the matrix is block tridiagonal. LAPACK's lower band (d, j) is the element (j + d, j): the
+        # column j of a knot's blocks, stacked in `below`, from its diagonal on
         row, column = np.arange(2 * p)[:, None] + np.arange(p), np.arange(p)
         bands = np.zeros((2 * p, knots * p), order="F")
         for k in range(knots):
@@ -198,6 +200,7 @@ def _knot_shares(v: np.ndarray, states: np.ndarray) -> Iterator[tuple[int, int, 
     """Yield combination, knot and weight (M,) of each set of taps in use."""
     k, above = _locate_knots(v)
     for combination in range(N_STATE_COMBINATIONS):
+        # bit by bit the states of the combination: its weight is the product of their shares
         on = (combination >> np.arange(3, -1, -1)) & 1
         here = np.prod(np.where(on, states, 1.0 - states), axis=1)
         if not here.any():

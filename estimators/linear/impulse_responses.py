@@ -166,6 +166,7 @@ def segment_of(s: np.ndarray, profile: Profile, axles: np.ndarray) -> np.ndarray
 
 def _stack_delays(u: np.ndarray, n_taps: int) -> np.ndarray:
     """Return the regressors (N, inputs n_taps) of inputs `u` (..., N), zero before them."""
+    # a window ends at each sample; reversed, its first value is the newest, as taps count back
     u = u.reshape(-1, u.shape[-1])
     padded = np.pad(u, ((0, 0), (n_taps - 1, 0)))
     windows = np.lib.stride_tricks.sliding_window_view(padded, n_taps, axis=1)[:, :, ::-1]
@@ -222,6 +223,7 @@ def _explained(
     total, left = reduce(LeastSquaresSums.plus, parts), np.zeros(power.shape)
     for part in parts:
         taps = _solve_taps(total.plus(part, -1), settings)
+        # |z - X taps|² of the part from its sums alone, for each sensor
         left += part.ZZ + np.sum(taps * (taps @ part.XX - 2.0 * part.XZ.T), axis=1)
     return 1.0 - left / np.maximum(power, 1e-12)
 
@@ -243,6 +245,7 @@ def _posterior(sums: LeastSquaresSums, j: int, settings: np.ndarray) -> tuple[fl
 
     `settings`: log c, logit lambda, log of the noise variance.
     """
+    # taps are F w with white w: M is the Gram matrix of w, F' (X'X) F block by block of inputs
     F = _kernel_factor(settings[0], 1.0 / (1.0 + np.exp(-settings[1])))
     inputs, noise = len(sums.XX) // N_TAPS, float(np.exp(settings[2]))
     blocks = sums.XX.reshape(inputs, N_TAPS, inputs, N_TAPS)

@@ -53,6 +53,8 @@ class Nodes(NamedTuple):
 
     def heights(self, s: np.ndarray) -> sparse.csr_array:
         """Return the matrix (M, size) from coefficients to heights at the stations `s` (M,)."""
+        # node i below each station and the place t in [0, 1] behind it: the cubic B-splines of the
+        # nodes i - 1 to i + 2 are not zero there; those beyond the ends are taken by the last node
         x = np.clip((s - self.start) / self.ds, 0.0, self.size - 1.0)
         i = np.minimum(x.astype(int), self.size - 2)
         t = x - i
@@ -67,6 +69,7 @@ class Nodes(NamedTuple):
         """Return the matrix (N, size) [1/s²] from coefficients to accelerations of the road at the
         stations `fine` that an axle has at the instants of `fine_stations`.
         """
+        # row k of F has the filter's weights over the fine instants around sample k
         weights = acceleration_filter()
         N = (fine.size - weights.size) // OVERSAMPLING + 1
         columns = OVERSAMPLING * np.arange(N)[:, None] + np.arange(weights.size)
@@ -108,6 +111,8 @@ def normal_equations(
     """Return the equations of sensors `a` (k, N) [m/s²]; `roads`: for each axle, the accelerations
     of the road from its nodes (`Nodes.accelerations`).
     """
+    # `mix` makes the innovations of the sensors independent and of variance 1, `white` makes those
+    # of each independent over time: both act on readings and taps, which the filter makes longer
     size, white = roads[0].shape[1], responses.whitening
     mix = np.linalg.inv(np.linalg.cholesky(responses.innovation))
     taps = np.pad(responses.taps, ((0, 0), (0, 0), (0, 0), (0, white.size - 1)))
@@ -115,6 +120,8 @@ def normal_equations(
     y = mix @ signal.lfilter(white, 1.0, a)
     n_taps, k = taps.shape[2:]
     N = a.shape[1]
+    # a chunk of samples involves the nodes low to high alone: its H'H fills the bands of these
+    # nodes, and a full H is never needed. Left and right coefficient of a node stand side by side
     firsts = range(0, N, CHUNK)
     spans = [_columns(roads, max(first - n_taps + 1, 0), min(first + CHUNK, N)) for first in firsts]
     bands = np.zeros((2 * max(high - low for low, high in spans), 2 * size))
@@ -123,6 +130,8 @@ def normal_equations(
         last = min(first + CHUNK, N)
         H = np.zeros((last - first, high - low, 2, k))
         for road, axle_taps in zip(roads, taps, strict=True):
+            # the accelerations of the road at the n_taps samples up to each one, the newest first,
+            # times the taps; before the record there are none
             past = road[max(first - n_taps + 1, 0) : last, low:high].toarray()
             past = np.pad(past, ((max(n_taps - 1 - first, 0), 0), (0, 0)))
             windows = np.lib.stride_tricks.sliding_window_view(past, n_taps, axis=0)[:, :, ::-1]
@@ -147,6 +156,9 @@ def prior_bands(nodes: Nodes) -> np.ndarray:
     """Return the lower bands (3, 2 size) of the prior's precision [1/m²] for a rise over a metre of
     variance 1 m².
     """
+    # order of the coefficients: left and right of the first node, then of the next. Squared rises
+    # from node to node give 2 on the diagonal (1 at both ends) and -1 at the same side of the next
+    # node, two places on; squared differences of the paths couple left to right, one place on
     level, path = (nodes.ds / LEVEL_LENGTH) ** 2, 0.5 * (nodes.ds / PATH_LENGTH) ** 2
     bands = np.zeros((3, 2 * nodes.size))
     bands[0] = 2.0 + level + path

@@ -320,6 +320,9 @@ def normal_equations(at: Evaluation) -> _NormalEquations:
         np.multiply(inputs[:, None], 1.0 - units[:-1] ** 2, out=D.reshape(*hidden.shape, -1))
         products = dsyrk(1.0, here.T, 1.0, products, trans=True, lower=True, overwrite_c=True)
     products /= at.e.size
+    # an error falls by w_s D[r, s] with hidden weight (r, s), w_s the weight of unit s, and by unit
+    # s with an output weight: J'e follows from the rows of the errors, hidden weights summed over
+    # the outputs, each output's own weights behind
     of_e, W2 = products[P + width :], output[:, :-1]
     Je = np.sum(of_e[:, :P] * np.tile(W2, len(hidden)), axis=0), of_e[:, P : P + width].ravel()
     return _NormalEquations(_assemble_JJ(products, at.network), np.concatenate(Je), at.mse)
@@ -331,6 +334,9 @@ def _assemble_JJ(products: np.ndarray, network: TwoLayerNetwork) -> np.ndarray:
     """
     W2 = network.output[:, :-1]
     R1, P, width = network.hidden.shape[0], network.hidden.size, network.output.shape[1]
+    # hidden against hidden: D'D, each pair of units weighed by its product of output weights, which
+    # tiles over the R1 inputs. An output's own weights meet the hidden ones through its weights w,
+    # themselves as units'units, and those of other outputs not at all
     units = slice(P, P + width)
     JJ = np.zeros((P + network.output.size,) * 2, order="F")
     JJ[:P, :P] = products[:P, :P] * np.tile(W2.T @ W2, (R1, R1))
