@@ -20,6 +20,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 ROOT = Path(__file__).parents[1]
@@ -27,7 +28,9 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "support")]
 
 from board_runs import run, small  # noqa: E402
 from hostile_files import Reader, readers  # noqa: E402
+from phone_recordings import SAMPLES, sample  # noqa: E402
 
+from leaderboard.conformance.method_card import load_method_card  # noqa: E402
 from leaderboard.entries import entry_files  # noqa: E402
 from leaderboard.entries.entry import Entry, EntryError  # noqa: E402
 from leaderboard.evaluation import store  # noqa: E402
@@ -36,12 +39,22 @@ from leaderboard.running import jobs  # noqa: E402
 from leaderboard.running.board import load_board  # noqa: E402
 from leaderboard.running.jobs import Job  # noqa: E402
 from leaderboard.sandbox import messages  # noqa: E402
-from road_envs.core.artifacts import text_checksum  # noqa: E402
+from leaderboard.submission.rules import load_rules  # noqa: E402
+from leaderboard.submission.submission import SUBMISSION, load_submission  # noqa: E402
+from road_envs.core.artifacts import HEADER, text_checksum  # noqa: E402
 from road_envs.core.config import ConfigError  # noqa: E402
+from road_envs.drives.logger_tables.description import DriveDescription  # noqa: E402
+from road_envs.drives.recordings.formats import read_source  # noqa: E402
 
 NUMBERS = (0, -1, 1e308, -1e-308, 2**31, 2**63, 10**40, 1.5, True, None)
 TEXTS = ("", "\u202e", "\\input{x}", "../x", "\x00", "=1", "a" * 3000, "nan", "1e5", "é")
 KINDS = (list, dict)
+CARD = "method: a\ndata: none\nlicence: MIT\nauthors: [b]\ncitation: none\n"
+RULES = "tasks: [class]\nroads: 2\nseeds: 3\n"
+RECORD = {
+    "name": "a", "code": "b", "package_version": "1", "hardware": {"blas": "c"}, "cpu_seconds": 1.5,
+    "files": {"card.yaml": "d"},
+}  # fmt: skip
 
 
 def mutated_tree(value: Any, rng: random.Random) -> Any:
@@ -115,7 +128,7 @@ def mutated(sample: bytes, name: str, rng: random.Random) -> bytes:
 
 
 def more_readers(folder: Path) -> dict[str, Reader]:
-    """Return readers of rows of a board, jobs, replies of guests and wheels."""
+    """Return readers of rows of a board, jobs, replies of guests, wheels and submissions."""
     board, _ = run(folder / "board")
     row = store.row_path(folder / "board", small().name, "reader")
     entry = Entry(name="x", reference="flat")
@@ -144,6 +157,14 @@ def more_readers(folder: Path) -> dict[str, Reader]:
         messages.settings(head.get("settings"))
         messages.number(head, "seconds", 10.0)
 
+    def read_submission(path: Path) -> None:
+        """Read a record resealed with its checksum; its files are not those of the folder."""
+        with suppress(ValueError, AttributeError, TypeError, RecursionError):
+            data = json.loads(path.read_bytes())
+            content = {key: x for key, x in data.items() if key not in HEADER}
+            SUBMISSION.write(path, content, str(data.get("identity")))
+        load_submission(path.parent)
+
     def one(read: Callable[[Path], Any], sample: bytes, name: str, error: type[Exception]):
         return Reader(read, sample, name, error)
 
@@ -158,7 +179,33 @@ def more_readers(folder: Path) -> dict[str, Reader]:
             lambda path: entry_files.snapshot(str(path), None),
             wheel.read_bytes(), "x.whl", EntryError,
         ),
+        "submission": one(
+            read_submission, SUBMISSION.to_text(RECORD).encode(), "submission.json", ConfigError
+        ),
+        "card": one(load_method_card, CARD.encode(), "card.yaml", ConfigError),
+        "rules": one(load_rules, RULES.encode(), "rules.yaml", ConfigError),
+        **recordings(folder),
     }  # fmt: skip
+
+
+def recordings(folder: Path) -> dict[str, Reader]:
+    """Return a reader of each kind of recording; of MDF4 where its extra is installed."""
+    found = {name: write(sample()) for name, write in SAMPLES.items() if name != "drive.gpx"}
+    with suppress(ImportError):
+        from asammdf import MDF, Signal
+
+        t = np.arange(200) / 100.0
+        with MDF(version="4.10") as file:
+            file.append([Signal(np.sin(t), t, name=f"acc_{k}", unit="m/s²") for k in "xyz"])
+            file.append(Signal(36.0 + t, t, name="speed", unit="km/h"))
+            file.save(folder / "drive.mf4")
+        found["drive.mf4"] = (folder / "drive.mf4").read_bytes()
+    return {
+        f"recording {name}": Reader(
+            lambda path: read_source(path, DriveDescription()), content, name, ConfigError
+        )
+        for name, content in found.items()
+    }
 
 
 def fuzz(

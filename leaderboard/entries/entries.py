@@ -19,8 +19,8 @@ import estimators
 from estimators import pretrained_weights
 from estimators.api import Estimator, Pretrained, Trainable, declared_lag, refits_per_case
 from leaderboard.entries import entry_files
-from leaderboard.entries.code_version import module_version
 from leaderboard.entries.entry import BUILTIN, Entry, EntryError, get_settings, needs_training
+from road_envs.core.artifacts import code_version
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,39}")
 """Pattern of the name of a row. It is part of the names of files and of addresses of pages."""
@@ -59,7 +59,7 @@ def describe(reference: str, estimator: Estimator) -> dict[str, Any]:
 def _code_of(reference: str, estimator: Estimator) -> str:
     if not entry_files.is_ours(reference):
         return entry_files.snapshot(reference, None)
-    code, weights = module_version(type(estimator).__module__), _included_weights(estimator)
+    code, weights = code_version(type(estimator).__module__), _included_weights(estimator)
     return code if weights is None else f"{code}+{_arrays_digest(weights)}"
 
 

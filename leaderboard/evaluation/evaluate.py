@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from estimators.api import Estimator
-from leaderboard.entries.code_version import evaluation_version
 from leaderboard.entries.entry import (
     BUILTIN,
     Calibrations,
@@ -23,7 +22,14 @@ from leaderboard.entries.entry import (
 )
 from leaderboard.evaluation.bound import nrmse_bound
 from leaderboard.evaluation.provenance import describe_environment, package_version
-from leaderboard.evaluation.results import DriveScores, Result, Trace, merge_parts, quantize_heights
+from leaderboard.evaluation.results import (
+    DriveScores,
+    Result,
+    Trace,
+    evaluation_version,
+    merge_parts,
+    quantize_heights,
+)
 from leaderboard.evaluation.tasks import Condition, Task, training_delays
 from leaderboard.evaluation.test_data import (
     DriveSimulation,

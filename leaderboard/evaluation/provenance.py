@@ -20,7 +20,7 @@ def package_version() -> str:
 
 
 @cache
-def source_digest() -> str:
+def _source_digest() -> str:
     """Return a digest of all source files of this project; any edit changes it."""
     sources = sorted(path for name in PACKAGES for path in (ROOT / name).rglob("*.py"))
     return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:12]
@@ -37,7 +37,7 @@ def describe_environment() -> dict[str, str]:
     return {
         "python": platform.python_version(),
         **libraries,
-        "code": source_digest(),
+        "code": _source_digest(),
         **({"commit": commit} if commit else {}),
         "processor": f"{_processor()}, {os.cpu_count()} cores",
         **_blas(),

@@ -14,12 +14,14 @@ from typing import Any, Literal
 
 import numpy as np
 
-from leaderboard.entries.code_version import EVALUATION_MODULE, evaluation_version
 from leaderboard.evaluation.provenance import package_version
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics import heights
-from road_envs.core.artifacts import Kind
+from road_envs.core.artifacts import Kind, code_version
 from road_envs.core.config import Settings
+
+EVALUATION_MODULE = "leaderboard.evaluation.evaluate"
+"""Module that imports, directly or not, all code that determines drives and scores."""
 
 RESULT = Kind("result", 5, (EVALUATION_MODULE,))
 Role = Literal["entry", "baseline"]
@@ -148,6 +150,11 @@ RUN_DEPENDENT = frozenset(
     }
 )
 """Fields that differ from run to run and machine to machine."""
+
+
+def evaluation_version() -> str:
+    """Version of the code that determines drives and scores."""
+    return code_version(EVALUATION_MODULE)
 
 
 def content_digest(result: Result) -> str:

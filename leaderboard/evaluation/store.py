@@ -15,9 +15,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, overload
 
-from leaderboard.entries.code_version import evaluation_version
 from leaderboard.evaluation.provenance import package_version
-from leaderboard.evaluation.results import RESULT, DriveScores, Result
+from leaderboard.evaluation.results import RESULT, DriveScores, Result, evaluation_version
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics import heights
 from leaderboard.metrics.baselines import ALL_BASELINES

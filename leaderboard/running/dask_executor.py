@@ -99,7 +99,7 @@ class DaskExecutor:
             if name not in self._sent:  # a task, unlike scattered data, outlives its worker
                 self._sent[name] = self._client.submit(bytes, source.read_bytes(), key=name)
         contents = [self._sent[name] for name in sources]
-        return self._client.submit(run_remote_job, text, list(sources), *contents, pure=False)
+        return self._client.submit(_run_remote_job, text, list(sources), *contents, pure=False)
 
 
 def _check_address(address: str) -> None:
@@ -119,7 +119,7 @@ def _check_address(address: str) -> None:
         raise ConfigError(f"no Dask scheduler answers at {address!r}: {reason}") from None
 
 
-def run_remote_job(spec: str, names: Sequence[str], *contents: bytes) -> list[tuple[JobDone, str]]:
+def _run_remote_job(spec: str, names: Sequence[str], *contents: bytes) -> list[tuple[JobDone, str]]:
     """Run a packed job on a Dask worker; return the summary and text of each result.
 
     `names` are the paths of its files relative to that of the job.

@@ -21,7 +21,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from leaderboard.entries.code_version import evaluation_version
 from leaderboard.entries.entry import Entry, TrainingRun
 from leaderboard.evaluation import evaluate, store
 from leaderboard.evaluation.evaluate import (
@@ -31,7 +30,7 @@ from leaderboard.evaluation.evaluate import (
     simulate_condition,
 )
 from leaderboard.evaluation.provenance import package_version
-from leaderboard.evaluation.results import RESULT, Result, content_digest
+from leaderboard.evaluation.results import RESULT, Result, content_digest, evaluation_version
 from leaderboard.evaluation.tasks import Task
 from leaderboard.evaluation.test_data import DriveSimulation, simulate_drives
 from leaderboard.json_values import to_json_types

@@ -90,7 +90,7 @@ def save_definition(task: Task, out: Path) -> None:
         DEFINITION.write(path, {"task": to_json_types(task)}, task.digest)
 
 
-def load_definitions(out: Path) -> list[Task]:
+def _load_definitions(out: Path) -> list[Task]:
     """Tasks of a folder of results, by name. Raises ConfigError for a damaged or foreign file."""
     tasks = []
     for path in (out / "definitions").glob("*.json"):
@@ -140,7 +140,7 @@ def verify_folder(
     `entries` are those of other packages; `report` is called with each step as it begins and the
     share of the rows that are done. Raises ConfigError if there is nothing to be verified.
     """
-    tasks = load_definitions(out)
+    tasks = _load_definitions(out)
     rows = [(task, row) for task in tasks for row in store.load_rows(out, task)]
     rows = [(task, row) for task, row in rows if row.task_digest == task.digest]
     given = {entry.name: entry for entry in entries}

@@ -72,6 +72,16 @@ def test_what_one_guest_has_seen_of_the_future_is_not_kept_for_the_next(sandbox,
     assert found.looks_ahead and found.notes[-1] == LOOKS_AHEAD
 
 
+def test_no_guest_reads_the_files_of_code_that_another_has_read(sandbox):
+    """Whether a page of a file is in memory can be timed: the files of two guests are different."""
+    said = set()
+    for _ in range(2):
+        with pytest.raises(EntryError, match=r"RuntimeError: copied at \d+$") as error:
+            run(sandbox, "tell_when_its_code_was_copied")
+        said.add(str(error.value))
+    assert len(said) == 2
+
+
 def test_the_threads_of_one_guest_leave_room_for_those_of_another():
     limits = Limits(seconds=30.0, processes=4, isolation="bubblewrap")
     most = 4 * limits.processes + 64
