@@ -286,6 +286,8 @@ def check_estimate(estimate: object, record: Record) -> None:
         _validate_array("standard deviations z_std", estimate.z_std, (2, size), EstimateError)
         if (estimate.z_std < 0).any():
             raise EstimateError("standard deviations z_std must not be negative")
+    if estimate.draws is not None:
+        _validate_array("draws", estimate.draws, (None, 2, size), EstimateError)
 
 
 def _validate_array(

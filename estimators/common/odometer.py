@@ -153,6 +153,9 @@ def to_true_distance(record: Record, estimate: Estimate) -> tuple[Record, Estima
     z_std = estimate.z_std
     if z_std is not None:
         z_std = np.array([np.interp(old, estimate.s, path) for path in z_std])
+    draws = estimate.draws
+    if draws is not None:
+        draws = CubicSpline(estimate.s, draws, axis=2)(old).astype(draws.dtype)
     unsure = estimate.unsure
     if unsure is not None:
         unsure = np.interp(old, estimate.s, unsure) > 0.0
@@ -167,6 +170,7 @@ def to_true_distance(record: Record, estimate: Estimate) -> tuple[Record, Estima
         s=s,
         z=CubicSpline(estimate.s, estimate.z, axis=1)(old),
         z_std=z_std,
+        draws=draws,
         unsure=unsure,
         notes=(*estimate.notes, note),
         distance=DistanceScale(1.0, std),

@@ -149,8 +149,8 @@ class MapSmoother(CalibratedByIdentification, SolverSettings):
         """
         road, findings = solver.solve()
         drives, s = solver.drives, profile_stations(length)
-        z, std = road.at_stations(drives[0].nodes, s)
-        z_std = std if self.draws else None
+        z, std, drawn = road.at_stations(drives[0].nodes, s)
+        z_std, draws = (std, drawn) if self.draws else (None, None)
         notes = _findings_notes(findings, names)
         lost = [
             _lost_noise_scale(drive, in_air, length) / scale
@@ -162,11 +162,11 @@ class MapSmoother(CalibratedByIdentification, SolverSettings):
         notes += doubts
         if (share := max(lost)) < 1.0:
             z, z_std = reduce_unexplained(z, z_std, share)
-            distance = None
+            distance = draws = None
             notes.append(
                 f"the heights are reduced to {share:.0%}: their motion is not the measured one"
             )
-        return Estimate(s, z, z_std, tuple(notes), distance=distance), findings
+        return Estimate(s, z, z_std, tuple(notes), distance=distance, draws=draws), findings
 
 
 def _findings_notes(findings: Findings, names: Sequence[str]) -> list[str]:

@@ -16,7 +16,7 @@ from scipy.signal import hilbert
 
 from estimators.common.conjugate_gradients import Operator
 from estimators.common.model_inputs import ModelInputs
-from estimators.map_smoother.gauss_newton import MapSolution
+from estimators.map_smoother.gauss_newton import MapSolution, preconditioner
 from estimators.map_smoother.road_prior import RoadTransform
 from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
 from estimators.map_smoother.wheel_liftoff import (
@@ -51,6 +51,13 @@ MIN_STATE_LENGTH = 10.0
 STD_INFLATION = 1.1
 """Factor for the curvature and for the unfinished minimization, from training drives."""
 
+ROAD_DRAWS = 32
+"""Samples of the road that an estimate carries: a standard deviation by them is within 13 %."""
+
+PRIOR_LINES = 8.0
+"""Spectral lines that the stationary approximation counts for in an octave beside those of the
+exact samples."""
+
 OBSTACLE_SHARE = 0.02
 """On roads that are rough in places: share of the mean variance that is added between these places.
 From training drives over potholes and bumps."""
@@ -58,14 +65,16 @@ From training drives over potholes and bumps."""
 
 class RoadPosterior(NamedTuple):
     """The `solution` at the mean of the road below light wheels, the standard deviation `std`
-    (2, K) [m] of the error in the band at each node, the `vehicle_share` of its variance, and the
-    `evidence` of `VehicleErrors`.
+    (2, K) [m] of the error in the band at each node, the `vehicle_share` of its variance, the
+    `evidence` of `VehicleErrors`, and samples `deviations` (D, 2, K) [m] of the road's deviation
+    from the mean in all waves.
     """
 
     solution: MapSolution
     std: np.ndarray
     vehicle_share: float
     evidence: float
+    deviations: np.ndarray
 
 
 def posterior_mean_and_std(
@@ -90,16 +99,20 @@ def posterior_mean_and_std(
     # at the ends of the road the band-pass leaks
     middle = interior(road.free, round(1.0 / (band[0] * road.ds)))
 
-    def mean_square(deviations: Sequence[np.ndarray]) -> np.ndarray:
+    def mean_square(roads: Sequence[np.ndarray]) -> np.ndarray:
         """Return the mean square (2, K) [m²] of roads in the band."""
         total = np.zeros((2, road.size))
-        for dx in deviations:
-            part = band_pass(road.apply(objective.split(dx)[0]), inside)
+        for c in roads:
+            part = band_pass(c, inside)
             part -= part[:, middle].mean(axis=1, keepdims=True)
-            total += part**2 / len(deviations)
+            total += part**2 / len(roads)
         return total
 
-    square = mean_square(draw_deviations(lin, solve, rng, draws))
+    def roads_of(changes: Sequence[np.ndarray]) -> list[np.ndarray]:
+        return [road.apply(objective.split(dx)[0]) for dx in changes]
+
+    drawn = draw_deviations(lin, solve, rng, draws)
+    square = mean_square(roads_of(drawn))
     errors_of_vehicle = VehicleErrors([], 0.0, 0.0)
     if draws and uncertainty:
         if uncertainty.is_prior:
@@ -107,22 +120,67 @@ def posterior_mean_and_std(
             errors_of_vehicle = draw_vehicle_errors(solution, quick, rng, uncertainty, QUICK_DRAWS)
         if not uncertainty.is_prior or errors_of_vehicle.evidence > QUICK_EVIDENCE:
             errors_of_vehicle = draw_vehicle_errors(solution, solve, rng, uncertainty)
-    of_vehicle = errors_of_vehicle.weight * mean_square(errors_of_vehicle.moved)
+    deviations = np.zeros((0, 2, road.size))
+    if draws:
+        deviations = _draw_roads(solution, drawn, errors_of_vehicle)
+    of_vehicle = errors_of_vehicle.weight * mean_square(roads_of(errors_of_vehicle.moved))
     square = square + of_vehicle
     vehicle_share = float(of_vehicle.mean() / max(square.mean(), 1e-300))
     shape = solution.stationary.error_variance(road, solution.noise_variance, inside)
     # a band-pass spreads errors along the road by the square of its impulse response
     spread = irfft(inside.astype(float), road.size) ** 2
     shape = irfft(rfft(shape, axis=1) * rfft(spread), road.size, axis=1) / spread.sum()
-    drives = [one.source.inputs for one in lin.passes]
-    level = _average_by_strut_state(square, shape, middle, road, drives)
+    states = _strut_states(road, [one.source.inputs for one in lin.passes])
+    level = _average_by_strut_state(square, shape, middle, states, road.ds)
     variance = STD_INFLATION**2 * level * shape
+    if draws:  # they have the level of the exact samples in each strut state, too
+        ratio = _average_by_strut_state(
+            variance, mean_square(list(deviations)), middle, states, road.ds
+        )
+        steps = np.sqrt(ratio) * np.diff(deviations, axis=2, prepend=0.0)
+        deviations = np.cumsum(steps, axis=2)
     if road.is_uneven:
         variance = variance + OBSTACLE_SHARE * variance[:, middle].mean()
     lower, errors = road_below_light_wheels(lin)
     std = np.sqrt(add_liftoff_errors(variance, errors, inside))
+    for path, height in errors:
+        deviations[:, path] += rng.standard_normal((len(deviations), 1)) * height
     lowered = replace(solution, linearization=lower_road(lin, lower))
-    return RoadPosterior(lowered, std, vehicle_share, errors_of_vehicle.evidence)
+    return RoadPosterior(lowered, std, vehicle_share, errors_of_vehicle.evidence, deviations)
+
+
+def _draw_roads(
+    solution: MapSolution, exact: Sequence[np.ndarray], vehicle: "VehicleErrors"
+) -> np.ndarray:
+    """Samples (D, 2, K) [m] of the road's deviation from the posterior mean.
+
+    The preconditioner is the inverse root of the stationary Hessian, so that it makes white noise a
+    sample of the stationary posterior. In each octave this gets the power of the `exact` samples,
+    as far as they tell it. A linear combination of the samples of the vehicle's errors with random
+    weights of unit variance is another such sample.
+    """
+    lin, road = solution.linearization, solution.linearization.objective.road
+    # another noise in each window of a drive
+    rng = np.random.default_rng([1, round(max(road.origin, 0.0) / road.ds)])
+    shape = preconditioner(lin, solution.stationary, solution.noise_variance)
+    noise = rng.standard_normal((ROAD_DRAWS, lin.objective.size))
+    u = np.array([shape(row)[: 2 * road.size].reshape(2, -1) for row in noise])
+    told = np.array([lin.objective.split(dx)[0] for dx in exact])
+    octave = np.round(np.log2(np.maximum(road.n, road.n[1])))
+    _, group = np.unique(octave, return_inverse=True)
+    ours, theirs = (
+        np.bincount(group, np.mean(np.abs(rfft(road.free * x, axis=2)) ** 2, axis=(0, 1)))
+        for x in (u, told)
+    )
+    lines = 2.0 * len(exact) * np.bincount(group)
+    ratio = (lines * theirs / ours + PRIOR_LINES) / (lines + PRIOR_LINES)
+    u = irfft(np.sqrt(ratio)[group] * rfft(u, axis=2), road.size, axis=2)
+    if vehicle.moved:
+        moved = np.array([lin.objective.split(dx)[0] for dx in vehicle.moved])
+        weights = rng.standard_normal((ROAD_DRAWS, len(moved)))
+        scale = np.sqrt(vehicle.weight / len(moved))
+        u += scale * np.tensordot(weights, moved, axes=1)
+    return np.array([road.apply(row) for row in u])
 
 
 def add_liftoff_errors(
@@ -217,26 +275,26 @@ def interior(free: np.ndarray, margin: int) -> np.ndarray:
     return inner
 
 
-def _average_by_strut_state(
-    square: np.ndarray,
-    shape: np.ndarray,
-    free: np.ndarray,
-    road: RoadTransform,
-    drives: Sequence[ModelInputs],
-) -> np.ndarray:
-    """Return the mean of `square` (2, K) over that of `shape` (2, K), over `free` nodes (K,) passed
-    in the same strut states of all drives.
-    """
+def _strut_states(road: RoadTransform, drives: Sequence[ModelInputs]) -> np.ndarray:
+    """Number (K,) of the combination of strut states in which the drives passed each node."""
     station = road.origin + road.ds * np.arange(road.size)
     states = []
     for inputs in drives:
         passed = np.clip(np.searchsorted(inputs.s[::2], station), 0, inputs.n_steps - 1)
         states.append(inputs.commands[passed])
-    state = np.unique(states, axis=1, return_inverse=True)[1].ravel()
+    return np.unique(states, axis=1, return_inverse=True)[1].ravel()
+
+
+def _average_by_strut_state(
+    square: np.ndarray, shape: np.ndarray, free: np.ndarray, state: np.ndarray, ds: float
+) -> np.ndarray:
+    """Return the mean of `square` (2, K) over that of `shape` (2, K), over `free` nodes (K,) passed
+    in the same `state` (K,).
+    """
     nodes = free if free.any() else np.ones(free.size, dtype=bool)
-    ratio = np.full(road.size, square[:, nodes].mean() / shape[:, nodes].mean())
-    for byte in np.unique(state):
-        here = (state == byte) & free
-        if here.sum() * road.ds >= MIN_STATE_LENGTH:
-            ratio[state == byte] = square[:, here].mean() / shape[:, here].mean()
+    ratio = np.full(free.size, square[:, nodes].mean() / shape[:, nodes].mean())
+    for number in np.unique(state):
+        here = (state == number) & free
+        if here.sum() * ds >= MIN_STATE_LENGTH:
+            ratio[state == number] = square[:, here].mean() / shape[:, here].mean()
     return ratio

@@ -110,14 +110,11 @@ class RoadSolver:
         settings, count = self.settings, len(self.drives)
         findings = Findings(np.ones(count), np.zeros(count))
 
-        def solve_window(
-            objective: Objective, members: list[int]
-        ) -> tuple[MapSolution, np.ndarray]:
-            posterior = self._solve_window(objective, members, findings)
-            return posterior.solution, posterior.std
+        def solve(objective: Objective, members: list[int]) -> RoadPosterior:
+            return self._solve_window(objective, members, findings)
 
         windows = common_windows(self.drives, settings.window, settings.overlap)
-        return reconstruct(self.drives, settings.road_prior, windows, solve_window), findings
+        return reconstruct(self.drives, settings.road_prior, windows, solve), findings
 
     def _solve_window(
         self, objective: Objective, members: list[int], findings: Findings

@@ -15,9 +15,9 @@ import numpy as np
 from estimators.common.block_means import block_means
 from estimators.common.model_inputs import ModelInputs
 from estimators.common.spline import evaluate_spline
-from estimators.map_smoother.gauss_newton import MapSolution
 from estimators.map_smoother.objective import Objective, shift_inputs
 from estimators.map_smoother.one_pass import MeasurementModel, Pass
+from estimators.map_smoother.posterior_sampling import RoadPosterior
 from estimators.map_smoother.road_prior import (
     RoadNodes,
     RoadTransform,
@@ -113,12 +113,14 @@ class PreparedDrive:
 @dataclass(frozen=True, eq=False)
 class RoadSoFar:
     """Road of the windows so far: coefficients `c` (2, K) [m], final before the node
-    `first_free_node` and level from there on, and the `std` (2, K) [m] of their error; the
+    `first_free_node` and level from there on, the `std` (2, K) [m] of their error in the band, and
+    samples `deviations` (D, 2, K) [m] of it in all waves, none before the first window; the
     `density_scale` of the prior at the frequencies `n` [cycles/m].
     """
 
     c: np.ndarray
     std: np.ndarray
+    deviations: np.ndarray
     first_free_node: int
     n: np.ndarray
     density_scale: np.ndarray
@@ -126,13 +128,21 @@ class RoadSoFar:
     @classmethod
     def level(cls, size: int) -> "RoadSoFar":
         """Return that before the first window."""
-        return cls(np.zeros((2, size)), np.zeros((2, size)), 0, np.array([0.0, 1.0]), np.ones(2))
+        nothing = np.zeros((2, size))
+        return cls(nothing, nothing, np.zeros((0, 2, size)), 0, np.array([0.0, 1.0]), np.ones(2))
 
-    def at_stations(self, nodes: RoadNodes, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return heights and standard deviations (2, M) [m] at the stations `s` (M,) [m]."""
+    def at_stations(
+        self, nodes: RoadNodes, s: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return heights and standard deviations (2, M) [m] at the stations `s` (M,) [m], and
+        samples (D, 2, M) [m] of the road.
+        """
         x = np.clip((s - nodes.origin) / nodes.ds, 1.0, nodes.size - 3.0)
-        node = np.arange(nodes.size)
-        return evaluate_spline(self.c, x), np.array([np.interp(x, node, std) for std in self.std])
+        std = np.array([np.interp(x, np.arange(nodes.size), path) for path in self.std])
+        draws = np.empty((len(self.deviations), 2, s.size), dtype=np.float32)
+        for k, deviation in enumerate(self.deviations):
+            draws[k] = evaluate_spline(self.c + deviation, x)
+        return evaluate_spline(self.c, x), std, draws
 
 
 class PassState(NamedTuple):
@@ -207,12 +217,11 @@ def reconstruct(
     drives: Sequence[PreparedDrive],
     prior: RoadPrior,
     windows: Sequence[tuple[Window, ...]],
-    solve: Callable[[Objective, list[int]], tuple[MapSolution, np.ndarray]],
+    solve: Callable[[Objective, list[int]], RoadPosterior],
 ) -> RoadSoFar:
     """Estimate all windows and return the road.
 
-    `solve` gets the objective of a window and the numbers of its passes, and returns the solution
-    and its standard deviation (2, K).
+    `solve` gets the objective of a window and the numbers of its passes.
     """
     drives, states = list(drives), [PassState.first(drive) for drive in drives]
     road = RoadSoFar.level(drives[0].nodes.size)
@@ -221,8 +230,8 @@ def reconstruct(
         members = members or list(range(len(drives)))
         parts = [(drives[k], states[k], spans[k][0], spans[k][2]) for k in members]
         objective = window_objective(parts, prior, road)
-        solution, std = solve(objective, members)
-        lin = solution.linearization
+        posterior = solve(objective, members)
+        lin = posterior.solution.linearization
         u, own, shifts = lin.objective.split(lin.x)
         c, ends = lin.objective.road.coefficients(u), list[int]()
         for k, one, values, shift in zip(members, lin.passes, own, shifts, strict=True):
@@ -236,33 +245,41 @@ def reconstruct(
                 # up to the nodes that carry the front axle now
                 ends.append(drive.node_at(one.source.inputs.s[2 * steps]) + 3)
         last = max(ends, default=drives[0].nodes.size)
-        road = _extended(road, lin.objective.road, drives[0].nodes, prior, c, std, last)
+        road = _extended(road, posterior, drives[0].nodes, prior, c, last)
     return road
 
 
 def _extended(
     so_far: RoadSoFar,
-    road: RoadTransform,
+    posterior: RoadPosterior,
     nodes: RoadNodes,
     prior: RoadPrior,
     c: np.ndarray,
-    std: np.ndarray,
     last: int,
 ) -> RoadSoFar:
-    """Return the road after another window with the coefficients `c` (2, K) and their `std` (2, K),
-    final before the node `last`.
+    """Return the road after another window with the coefficients `c` (2, K), final before the node
+    `last`.
     """
+    road = posterior.solution.linearization.objective.road
     low = round((road.origin - nodes.origin) / nodes.ds)
     first, last = max(so_far.first_free_node, low), min(last, low + road.size, nodes.size)
-    here, values = slice(first - low, last - low), []
-    for before, now in ((so_far.c, c), (so_far.std, std)):
+    here = slice(first - low, last - low)
+
+    def joined(before: np.ndarray, now: np.ndarray) -> np.ndarray:
         whole = before.copy()
-        whole[:, first:last] = now[:, here]
-        whole[:, last:] = whole[:, last - 1 : last]
-        values.append(whole)
+        whole[..., first:last] = now[..., here]
+        whole[..., last:] = whole[..., last - 1 : last]
+        return whole
+
+    # a sample goes on at the height at which it ended
+    count = len(posterior.deviations)
+    before = so_far.deviations if len(so_far.deviations) else np.zeros((count, 2, nodes.size))
+    end = before[..., max(first - 1, 0), None]
+    deviations = joined(before, end + posterior.deviations)
     scale = (road.amplitude[0] / prior_amplitude(prior, road.size, road.ds)[0]) ** 2
     scale *= np.mean(road.local[:, road.free > 0] ** 2)
-    return RoadSoFar(values[0], values[1], last, road.n, scale)
+    so_far_std = joined(so_far.std, posterior.std)
+    return RoadSoFar(joined(so_far.c, c), so_far_std, deviations, last, road.n, scale)
 
 
 def window_objective(

@@ -1,5 +1,6 @@
 """Command `report`: roughness, condition and obstacles of a driven road, as a page and files."""
 
+import math
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -109,6 +110,11 @@ def _facts(result: DriveResult) -> dict[str, Any]:
     }
 
 
+def _interval(low: float, high: float) -> str:
+    """The limits of an interval in words, a dash where there is none."""
+    return "–" if math.isnan(high) else f"{low:.2f} to {high:.2f}"
+
+
 def _print(result: DriveResult) -> None:
     console.print(
         f"{result.name}: {result.facts['length_m']:.0f} m, "
@@ -120,7 +126,7 @@ def _print(result: DriveResult) -> None:
             f"{row['begin_m']:.0f}",
             f"{row['end_m']:.0f}",
             f"{row['iri_mean']:.2f}",
-            f"{row['iri_mean_low']:.2f} to {row['iri_mean_high']:.2f}",
+            _interval(row["iri_mean_low"], row["iri_mean_high"]),
             *(row[name] for name in heads[4:]),
         )
         for row in result.segments

@@ -17,7 +17,11 @@ from leaderboard.drive_report.mean_path import (
 )
 from leaderboard.drive_report.notes import in_order_of_weight, misfits
 from leaderboard.drive_report.obstacles import CERTAIN, DetectedObstacle, detect
-from leaderboard.drive_report.posterior_iri import MODEL_STD, IriPosterior, posterior_iri
+from leaderboard.drive_report.posterior_iri import (
+    NO_INTERVAL_NOTE,
+    IriPosterior,
+    posterior_iri,
+)
 from road_envs.drives.measured_record import MeasuredRecord
 from road_envs.records.record import Estimate, scored_band
 from road_envs.records.roughness import (
@@ -110,15 +114,16 @@ def analyse(
     if mean_path:
         estimate = with_mean_path(estimate)
     edges = _edges(estimate, measured.chainage, segment, record.s[0])
-    factor, std = known or KnownFactor(1.0, HRI_STD if mean_path else MODEL_STD)
+    factor, std = known or KnownFactor(1.0, HRI_STD if mean_path else 0.0)
     if mean_path:
         if misfits(estimate.notes):
             std = float(np.hypot(std, MISFIT_STD))
         index = np.searchsorted(estimate.s, edges)
         half, iri = mean_path_indices(estimate.z[:1], estimate.ds, index, factor, std)
     else:
-        half, iri = None, posterior_iri(estimate, v, edges, factor=factor, model_std=std)
-    notes = in_order_of_weight((*estimate.notes, *measured.notes))
+        half, iri = None, posterior_iri(estimate, edges, factor=factor, relative_std=std)
+    missing = (NO_INTERVAL_NOTE,) if np.isnan(iri.high).any() else ()
+    notes = in_order_of_weight((*estimate.notes, *measured.notes, *missing))
     result = DriveResult(
         name, measured, estimate, v, measured.chainage, [], [], notes, {}, mean_path
     )
@@ -194,7 +199,9 @@ def _segment(
 def _levels(estimate: Estimate, begin: float, end: float, v: float) -> dict[float, float]:
     """Return the level G_d(n0) [m³] of each octave that segment and speed resolve."""
     i, j = np.searchsorted(estimate.s, [begin, end])
-    n, G = displacement_psd(estimate.z[:, i:j], estimate.ds)
+    roads = estimate.z[None] if estimate.draws is None else estimate.draws
+    n, _ = displacement_psd(estimate.z[:, i:j], estimate.ds)
+    G = np.mean([displacement_psd(z[:, i:j], estimate.ds)[1] for z in roads], axis=0)
     low = max(WAVES_PER_SEGMENT * np.sqrt(2.0) / (end - begin), OCTAVES[0])
     high = min(scored_band(v)[1] / np.sqrt(2.0), OCTAVES[-1])
     if not high >= low:

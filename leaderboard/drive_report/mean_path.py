@@ -28,7 +28,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from scipy.ndimage import median_filter
 
-from leaderboard.drive_report.posterior_iri import QUANTILES, IriPosterior
+from leaderboard.drive_report.posterior_iri import IriPosterior
 from road_envs.records.accelerometers import Accelerometer
 from road_envs.records.record import Estimate
 from road_envs.records.roughness import TRACK, golden_car, root_coherence
@@ -55,6 +55,9 @@ LEVEL_WINDOW = 60.0
 
 NORMAL_MEDIAN = 0.6745
 """Median magnitude of a standard normal number."""
+
+QUANTILES = (0.025, 0.5, 0.975)
+"""The interval of 95 % and the median."""
 
 SAMPLES = 64
 """Samples of D."""
@@ -116,7 +119,11 @@ def with_mean_path(estimate: Estimate) -> Estimate:
     std = estimate.z_std
     if std is not None:
         std = np.tile(std.min(axis=0), (2, 1))
-    return replace(estimate, z=mean, z_std=std, notes=(MEAN_PATH_NOTE, *estimate.notes))
+    draws = estimate.draws
+    if draws is not None:
+        draws = np.repeat(draws.mean(axis=1, keepdims=True), 2, axis=1)
+    notes = (MEAN_PATH_NOTE, *estimate.notes)
+    return replace(estimate, z=mean, z_std=std, draws=draws, notes=notes)
 
 
 def mean_path_indices(

@@ -1,5 +1,6 @@
 """The page of a report: one HTML file without references to others, which prints on A4."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,6 @@ from leaderboard.drive_report import pictures
 from leaderboard.drive_report.analysis import DriveResult
 from leaderboard.drive_report.conditions import Conditions
 from leaderboard.drive_report.obstacles import FALSE_ALARMS
-from leaderboard.drive_report.posterior_iri import MODEL_STD
 from leaderboard.report.rendering import render
 from road_envs import __version__
 from road_envs.core.atomic_io import write_text
@@ -36,7 +36,6 @@ def write_page(
         colours=pictures.CONDITION_COLOURS,
         settings=settings,
         agreement=agreement,
-        model_std=MODEL_STD,
         false_alarms=FALSE_ALARMS,
         version=__version__,
     )
@@ -64,7 +63,7 @@ def _drive(result: DriveResult, conditions: Conditions) -> dict[str, Any]:
         "possible": sum(row["kind"].startswith("possible") for row in result.obstacles),
         "shares": {name: length / total for name, length in lengths.items()},
         "band": scored_band(result.v),
-        "has_interval": result.estimate.z_std is not None,
+        "has_interval": math.isfinite(result.facts["iri_mean_high"]),
         "level": {name: k for k, name in enumerate(conditions.categories)},
         "strip": Markup(pictures.profile_strip(result)),
         "iri": Markup(pictures.iri_chart(result, conditions)),

@@ -85,12 +85,18 @@ def _cut(one: ReportedPass, first: Estimate) -> ReportedPass:
         record=replace(record, s=record.s - begin, length=float(s[inside[-1]]) - begin),
         chainage=one.measured.chainage + begin,
     )
+    draws = estimate.draws
+    if draws is not None:
+        draws = np.array(
+            [[np.interp(own[inside], estimate.s, path) for path in road] for road in draws]
+        )
     unsure = estimate.unsure
     if unsure is not None:
         unsure = np.interp(own[inside], estimate.s, unsure) > 0.0
     part = replace(
-        estimate, s=s[inside] - begin, z=z, z_std=std, distance=first.distance, unsure=unsure
-    )
+        estimate, s=s[inside] - begin, z=z, z_std=std, distance=first.distance, unsure=unsure,
+        draws=draws,
+    )  # fmt: skip
     return one._replace(measured=measured, estimate=part)
 
 

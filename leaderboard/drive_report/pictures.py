@@ -49,7 +49,12 @@ def profile_strip(result: DriveResult) -> str:
     z = 1e3 * band_pass(estimate.z, ds, band)
     trim = (estimate.s.size - z.shape[1]) // 2
     s = result.chainage + estimate.s[trim : trim + z.shape[1]]
-    std = None if estimate.z_std is None else 1e3 * estimate.z_std[:, trim : trim + z.shape[1]]
+    std: np.ndarray | None = None
+    if estimate.draws is not None:
+        errors = (band_pass(road - estimate.z, ds, band) for road in estimate.draws)
+        std = 1e3 * np.sqrt(sum(error**2 for error in errors) / len(estimate.draws))
+    elif estimate.z_std is not None:
+        std = 1e3 * estimate.z_std[:, trim : trim + z.shape[1]]
     rows = int(np.clip(np.ceil((s[-1] - s[0]) / ROW_LENGTH), 1, ROWS))
     limit = 1.1 * float(np.abs(z).max()) + 1.0
 
@@ -91,7 +96,8 @@ def iri_chart(result: DriveResult, conditions: Conditions) -> str:
         segments = result.segments
         edges = [row["begin_m"] for row in segments] + [segments[-1]["end_m"]]
         shown = ("mean",) if result.is_mean_path else ("left", "right")
-        top = 1.15 * max(row[f"iri_{p}_high"] for row in segments for p in shown)
+        keys = [f"iri_{path}{limit}" for path in shown for limit in ("", "_high")]
+        top = 1.15 * np.nanmax([[row[key] for key in keys] for row in segments])
         limits = (0.0, *conditions.limits, max(top, 1.2 * conditions.limits[-1]))
         for k, (low, high) in enumerate(pairwise(limits)):
             shade = CONDITION_COLOURS[min(k, len(CONDITION_COLOURS) - 1)]

@@ -1,51 +1,32 @@
-"""Posterior of the International Roughness Index, by samples of the profile's error.
+"""Posterior of the International Roughness Index, by samples of the road.
 
-An estimate has the standard deviation of its error inside the scored band. Samples of that error
-are added to the profile and the IRI of each is computed; the median and the 2.5 and 97.5 %
-quantiles are reported. This also removes the bias of the smoothed profile, whose IRI is too low by
-the power of what was not resolved. Where the vehicle differs from its description, an estimator
-takes its motion for noise and states an error that is larger than the road itself; no error counts
-for more than MAX_ERROR_SHARE of the roughness around it.
-
-Assumptions: the error is Gaussian with a density proportional to n^-2, as the slopes of roads and
-of their errors are nearly white, and it continues with that density over the band of the IRI; it is
-common to both wheel paths, which makes the interval of their mean no narrower than those of the
-paths. What the posterior does not know, such as the gains of sensors and speed and a vehicle that
-differs from its description, is added as a relative standard deviation of the IRI, MODEL_STD.
+An estimate that carries samples of its posterior (`Estimate.draws`) has an IRI of each, and their
+logarithms have a mean and a standard deviation: the IRI of a segment, with an interval of 95 %. The
+IRI of the estimate itself is too low by the power of the waves that were not resolved, which the
+samples have. Without samples the IRI is that of the estimate, without an interval, unless a
+standard deviation is known from elsewhere.
 """
 
 from typing import NamedTuple
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfftfreq
-from scipy.ndimage import uniform_filter1d
 
-from leaderboard.metrics.heights import band_pass
-from road_envs.records.record import Estimate, scored_band
+from road_envs.records.record import Estimate
 from road_envs.records.roughness import golden_car
 
-IRI_BAND = (0.04, 2.0)
-"""Band [cycles/m] over which the error is continued: 25 to 0.5 m, the waves that the golden car
-answers to.
-"""
+NORMAL_QUANTILE = 1.96
+"""Half the width of an interval of 95 %, in standard deviations."""
 
-MODEL_STD = 0.07
-"""Relative standard deviation of the IRI by what the posterior does not know, from simulated drives
-of grade S2 (`tests/long/report_trial.py` with seeds 201 to 203).
-"""
-
-MAX_ERROR_SHARE, SHARE_LENGTH = 0.35, 20.0
-"""Largest standard deviation of the error relative to the RMS height in the scored band, and the
-window [m] of that. By a third, the median of the IRI is 6 % above that of the profile.
-"""
-
-SAMPLES = 100
-QUANTILES = (0.025, 0.5, 0.975)
-"""The interval of 95 % and the median."""
+NO_INTERVAL_NOTE = (
+    "the estimator draws no samples of the road: its IRI has no interval, and is too low by the "
+    "waves that were not resolved"
+)
 
 
 class IriPosterior(NamedTuple):
-    """Lower limit, median and upper limit [mm/m], each (3, K): left, right and mean by segment."""
+    """Lower limit, median and upper limit [mm/m], each (3, K): left, right and mean by segment. The
+    limits are NaN where there is no interval.
+    """
 
     low: np.ndarray
     median: np.ndarray
@@ -54,64 +35,29 @@ class IriPosterior(NamedTuple):
 
 def posterior_iri(
     estimate: Estimate,
-    v: float,
     edges: np.ndarray,
     *,
     factor: float = 1.0,
-    model_std: float | np.ndarray = MODEL_STD,
+    relative_std: float | np.ndarray = 0.0,
 ) -> IriPosterior:
-    """Return the IRI of the segments between stations `edges` (K + 1,) [m] of a drive at `v` [m/s].
+    """IRI of the segments between stations `edges` (K + 1,) [m].
 
-    All values are multiplied by `factor`; `model_std`, one or by segment (K,), is the relative
-    standard deviation by what the posterior does not know. Without a standard deviation of the
-    estimate all three values are those of its profile.
+    All values are multiplied by `factor`; `relative_std`, one or by segment (K,), is a relative
+    standard deviation that adds to that of the samples.
     """
-    rng, band = np.random.default_rng(0), scored_band(v)
     index = np.searchsorted(estimate.s, edges)
-    known = estimate.z_std is not None
-    std = np.zeros(1)
-    if estimate.z_std is not None:
-        std = np.minimum(estimate.z_std, MAX_ERROR_SHARE * _roughness(estimate, band))
-    drawn = []
-    for _ in range(SAMPLES if known else 1):
-        error = 0.0
-        if known:
-            error = std * unit_error(estimate.s.size, estimate.ds, band, rng)
-        drawn.append(_segment_iri(estimate.z + error, estimate.ds, index))
-    iri = np.array(drawn)
-    if known:
-        iri *= np.exp(model_std * rng.standard_normal((SAMPLES, 1, 1)))
-    return IriPosterior(*np.quantile(factor * iri, QUANTILES, axis=0))
-
-
-def unit_error(
-    size: int, ds: float, band: tuple[float, float], rng: np.random.Generator
-) -> np.ndarray:
-    """Return an error (size,) of density n^-2 over IRI_BAND whose part in `band` has variance 1."""
-    whole = next_fast_len(size + round(1.0 / (IRI_BAND[0] * ds)), real=True)
-    n = rfftfreq(whole, ds)
-    inside = (n >= IRI_BAND[0]) & (n <= IRI_BAND[1])
-    density = np.zeros(n.size)
-    density[inside] = n[inside] ** -2.0
-    scored = (n >= band[0]) & (n <= band[1])
-    lines = rng.standard_normal(n.size) + 1j * rng.standard_normal(n.size)
-    x = irfft(np.sqrt(density) * lines, whole)
-    # the variance of irfft of such lines is 4 sum(density) / whole²
-    return (x / np.sqrt(4.0 * density[scored].sum()) * whole)[:size]
-
-
-def _roughness(estimate: Estimate, band: tuple[float, float]) -> np.ndarray:
-    """Return the RMS height (2, M) [m] in the `band` around each station."""
-    z = band_pass(estimate.z, estimate.ds, band)
-    power = uniform_filter1d(z**2, round(SHARE_LENGTH / estimate.ds), axis=1, mode="nearest")
-    missing = estimate.s.size - z.shape[1]  # the filter cuts the ends
-    ends = (missing // 2, missing - missing // 2)
-    return np.sqrt(np.pad(np.maximum(power, 0.0), ((0, 0), ends), mode="edge"))
+    roads = estimate.z[None] if estimate.draws is None else estimate.draws
+    log = np.log(factor * np.array([_segment_iri(z, estimate.ds, index) for z in roads]))
+    middle, std = log.mean(axis=0), np.hypot(log.std(axis=0), relative_std)
+    if estimate.draws is None and not np.any(relative_std):
+        std = np.full_like(std, np.nan)
+    spread = NORMAL_QUANTILE * std
+    return IriPosterior(*(np.exp(middle + part) for part in (-spread, 0.0, spread)))
 
 
 def _segment_iri(z: np.ndarray, ds: float, index: np.ndarray) -> np.ndarray:
-    """Return the IRI (3, K) [mm/m] of left, right and their mean between the indices (K + 1,)."""
-    motion = 1e3 * np.abs(golden_car(z, ds))
+    """IRI (3, K) [mm/m] of left, right and their mean between the indices (K + 1,)."""
+    motion = 1e3 * np.abs(golden_car(np.asarray(z, dtype=float), ds))
     index = np.minimum(index, motion.shape[1] - 1)
     sums = np.add.reduceat(motion, index[:-1], axis=1)
     sums[:, -1] = motion[:, index[-2] : index[-1] + 1].sum(axis=1)

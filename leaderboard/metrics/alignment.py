@@ -78,6 +78,8 @@ def align(road: Surface, estimate: Estimate, v: float, chainage: float = 0.0) ->
     s = ds * np.arange(end - begin)
     std = None if estimate.z_std is None else estimate.z_std[:, inside]
     unsure = None if estimate.unsure is None else estimate.unsure[inside]
-    part = dataclasses.replace(estimate, s=s, z=estimate.z[:, inside], z_std=std, unsure=unsure)
+    part = dataclasses.replace(
+        estimate, s=s, z=estimate.z[:, inside], z_std=std, unsure=unsure, draws=None
+    )
     heights = road.height(chainage + ds * (begin + lag + np.arange(end - begin)))
     return Alignment(Profile(s, heights), part, ds * lag, correlation, before)

@@ -106,9 +106,11 @@ class Estimate(Profile):
     """Estimated profile, with notes of the estimator.
 
     `z_std` (2, M) [m], where a method provides it, is the standard deviation of the error in the
-    scored band; datum and drift are excluded. `distance` is the scale of the record's odometer, on
-    which the stations are, where a method finds it. `unsure` (M,) bool marks stations at which the
-    vehicle turned, changed its speed hard or stood; None if it is not known to have done so.
+    scored band; datum and drift are excluded. `draws` (D, 2, M) [m], where a method provides them,
+    are roads drawn from its posterior, in all waves, with the errors of the vehicle. `distance` is
+    the scale of the record's odometer, on which the stations are, where a method finds it. `unsure`
+    (M,) bool marks stations at which the vehicle turned, changed its speed hard or stood; None if
+    it is not known to have done so.
     """
 
     z_std: np.ndarray | None = None
@@ -116,6 +118,7 @@ class Estimate(Profile):
     speed: float | None = None  # [m/s] of the drive, where it is known
     distance: DistanceScale | None = None
     unsure: np.ndarray | None = None
+    draws: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

@@ -152,7 +152,7 @@ def compare(drive: dict, defects: list[dict], road_file: Path, seed: int) -> dic
     edges = np.array([row["begin_m"] for row in rows] + [rows[-1]["end_m"]])
     s = edges[0] + 0.025 * np.arange(int((edges[-1] - edges[0]) / 0.025))
     truth = Estimate(s - s[0], surface.height(s))
-    iri = posterior_iri(truth, 10.0, edges - edges[0]).median[2]
+    iri = posterior_iri(truth, edges - edges[0]).median[2]
     covered = [
         bool(r["iri_mean_low"] <= x <= r["iri_mean_high"]) for r, x in zip(rows, iri, strict=True)
     ]

@@ -9,14 +9,17 @@ from vehicle_fixtures import DEFENDER
 
 from estimators import create
 from estimators.map_smoother import wheel_liftoff
+from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.posterior_sampling import add_liftoff_errors, band_pass
 from estimators.map_smoother.wheel_liftoff import LiftoffError, road_below_light_wheels
 from leaderboard.metrics.heights import band_pass as in_band
 from leaderboard.metrics.heights import error_over_truth, uncertainty
 from road_envs.drives.recording import simulate_record
 from road_envs.records.record import PROFILE_SPACING, scored_band
+from road_envs.roads import realise_road
 
 DS, SIZE = 0.05, 1200
+MIXED = {"front": "ride", "rear": "handling"}
 
 
 @pytest.fixture
@@ -118,3 +121,26 @@ def test_no_estimate_rises_beyond_three_times_the_range_of_the_road(road, mode):
     record, truth = simulate_record(road, speed_kmh=54.0, mode=mode, seed=3)
     estimate = create("map_smoother").estimate(record, DEFENDER)
     assert np.ptp(estimate.z, axis=1).max() < 3.0 * np.ptp(truth.z)
+
+
+def test_draws_have_the_error_of_the_estimate_octave_by_octave_and_agree_with_the_deviation():
+    surface = realise_road("iso_c", 73, 150.0)
+    record, truth = simulate_record(surface, vehicle=DEFENDER, speed_kmh=54.0, mode=MIXED, seed=73)
+    found = MapSmoother(adapt=False).estimate(record, DEFENDER)
+    error, deviations = found.z - truth.z, found.draws - found.z
+    for low in (0.1, 0.2, 0.4, 0.8, 1.6):
+        band = (low, 2.0 * low)
+        ours = np.sqrt(np.mean([np.var(in_band(x, found.ds, band)) for x in deviations]))
+        assert 0.6 < np.std(in_band(error, found.ds, band)) / ours < 1.7, low
+    inside = [in_band(x, found.ds, scored_band(15.0)) for x in deviations]
+    assert np.sqrt(np.mean(np.square(inside))) == pytest.approx(found.z_std.mean(), rel=0.15)
+
+
+def test_draws_go_on_from_window_to_window():
+    surface = realise_road("iso_c", 73, 60.0)
+    record, _ = simulate_record(surface, vehicle=DEFENDER, speed_kmh=54.0, mode=MIXED, seed=73)
+    found = MapSmoother(adapt=False, window=2.0, overlap=0.8).estimate(record, DEFENDER)
+    steps = np.abs(np.diff(found.draws - found.z, axis=2)).max(axis=(0, 1))
+    assert steps.max() < 6.0 * np.median(steps)
+    growth = np.std(found.draws - found.z, axis=0).mean(axis=0)
+    assert growth[-1] > growth[200]
