@@ -50,6 +50,7 @@ class RoadRecon(LazyGroup):
         "Estimates": {
             "report": "report:report",
             "iri": "iri:iri",
+            "export": "iri:export",
             "estimate": "estimate:estimate",
             "classify": "estimate:classify",
             "identify": "identify:identify",

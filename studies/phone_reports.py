@@ -1,9 +1,10 @@
-"""Trial of reports from one phone on the dashboard of a passenger car.
+"""Agreement trial of reports from one phone on the dashboard of a car.
 
-Each drive is an individual of grade S2 (masses, dampers, friction, tyres and gains off the
-description) over a road of class A to C with obstacles on every second one, as a zip file of
-phyphox with a random mount. The report of the zip file with the described car is compared with the
-road that was driven: IRI by segment, its interval, and obstacles that are not there.
+Each drive is an individual of grade S2 (masses, dampers, friction, tyres and structure off the
+description) of one of three cars, over a road of class A to C with obstacles on every second one,
+as a zip file of phyphox with a random mount. The report of the zip file with the described car is
+compared with the road that was driven: IRI by segment, its interval, obstacles that are found, and
+those that are not there.
 
     python -m studies.phone_reports --out out/phone_reports
 
@@ -34,30 +35,41 @@ from road_envs.roads import realise_road
 from road_envs.roads.surface import Surface
 from road_envs.sensing.instruments import load_instruments
 
-VEHICLE, LENGTH = "bmw_320i", 250.0
-"""Described vehicle, and length [m] of each road."""
+VEHICLES, LENGTH = ("bmw_320i", "volkswagen_vanagon", "jeep_cherokee"), 250.0
+"""Described vehicles, and length [m] of each road."""
 
-CLASSES, SPEEDS, FIRST_SEED = "ABC", (50, 70, 100), 301
+CLASSES, SPEEDS, FIRST_SEED = "ABC", (50, 70, 100), 601
 """Road classes, speeds [km/h], and the seed of road, car, noise and mount of the first drive; each
 further drive has the next. Nothing in the report was decided by drives of these seeds; it was by
-those of 3 to 10. With those of 201 and 202 a first trial was run, whose result is kept, too.
+those of 401 to 445.
 """
 
-OBSTACLES = ((80.0, 3.7, 0.06), (170.0, 0.9, 0.03))
-"""Middle, length and height [m] of the half sines on roads of even seeds."""
+PLACES_OF_OBSTACLES = ((80.0, 3.7), (170.0, 0.9))
+"""Middle and length [m] of the half sines on roads of even seeds; the first is a hump."""
 
-NEAR = 2.0
+HEIGHTS, HIGH = (0.03, 0.05, 0.06, 0.075), 0.05
+"""Heights [m] that are drawn, and the least of those that should be found."""
+
+NEAR = 1.0
 """Distance [m] within which an obstacle of a report is that of the road."""
 
 
-def road(letter: str, seed: int) -> dict[str, Any]:
-    """Return the description of a road of a class, with OBSTACLES for an even seed."""
-    ground = {"kind": "iso8608", "road_class": letter, "length": LENGTH}
+def obstacles(seed: int) -> list[tuple[float, float, float]]:
+    """Return middle, length and height [m] of the obstacles of a road."""
     if seed % 2:
+        return []
+    drawn = np.random.default_rng((seed, 10)).choice(HEIGHTS, len(PLACES_OF_OBSTACLES))
+    return [(*place, float(h)) for place, h in zip(PLACES_OF_OBSTACLES, drawn, strict=True)]
+
+
+def road(letter: str, seed: int) -> dict[str, Any]:
+    """Return the description of a road of a class, with obstacles for an even seed."""
+    ground = {"kind": "iso8608", "road_class": letter, "length": LENGTH}
+    if not obstacles(seed):
         return ground
     defects = [
         {"shape": "half_sine", "at": at, "length": length, "height": height}
-        for at, length, height in OBSTACLES
+        for at, length, height in obstacles(seed)
     ]
     return {
         "kind": "superposed",
@@ -90,23 +102,24 @@ def write_zip(path: Path, t: np.ndarray, vertical: np.ndarray, speed: float, see
             file.writestr(name, text.getvalue())
 
 
-def run_case(letter: str, speed_kmh: int, seed: int, folder: Path, estimator: str) -> dict:
+def run_case(case: tuple[str, str, int, int], folder: Path, estimator: str) -> dict[str, Any]:
     """Simulate one drive, report it, and return the errors of the report."""
+    vehicle, letter, speed_kmh, seed = case
     surface = realise_road(road(letter, seed), seed)
     phone = replace(load_instruments("phone"), accelerometers={"PHONE": PLACES["dashboard"]})
     record, _ = simulate_record(
-        surface, speed_kmh=speed_kmh, vehicle=VEHICLE, instruments=phone, grade="S2", seed=seed
+        surface, speed_kmh=speed_kmh, vehicle=vehicle, instruments=phone, grade="S2", seed=seed
     )
     path = folder / "drive.zip"
     good = np.isfinite(record.a[0])
     a = np.interp(record.t, record.t[good], record.a[0, good])
     write_zip(path, record.t, a, speed_kmh / 3.6, seed)
     began = time.process_time()
-    drive = read_drive(path, vehicle=VEHICLE, offset=float(record.s[0]))
+    drive = read_drive(path, vehicle=vehicle, offset=float(record.s[0]))
     chosen = ReportSettings(conditions=load_conditions("hpms"), settings={}, estimator=estimator)
     (result,) = make_report([drive], chosen, lambda *_: None).drives
     seconds = time.process_time() - began
-    return {"case": [letter, speed_kmh, seed], "seconds": seconds, **compare(result, surface, seed)}
+    return {"case": list(case), "seconds": seconds, **compare(result, surface, seed)}
 
 
 def compare(result: Any, surface: Surface, seed: int) -> dict[str, Any]:
@@ -114,11 +127,12 @@ def compare(result: Any, surface: Surface, seed: int) -> dict[str, Any]:
     edges = np.array([r["begin_m"] for r in result.segments] + [result.segments[-1]["end_m"]])
     iri, half = true_iri(surface, edges)
     rows = result.segments
-    there = [at for at, *_ in OBSTACLES] if seed % 2 == 0 else []
+    there = obstacles(seed)
     found = [
-        [min(abs(o["station_m"] - at) for at in there) if there else 1e9, o["kind"]]
+        [min((abs(o["station_m"] - at) for at, *_ in there), default=1e9), o["kind"]]
         for o in result.obstacles
     ]
+    high = [at for at, _, height in there if height >= HIGH]
     return {
         "iri": [r["iri_mean"] / x - 1.0 for r, x in zip(rows, iri, strict=True)],
         "hri": [r.get("hri", np.nan) / x - 1.0 for r, x in zip(rows, half, strict=True)],
@@ -128,9 +142,9 @@ def compare(result: Any, surface: Surface, seed: int) -> dict[str, Any]:
             for r, x in zip(rows, iri, strict=True)
         ],
         "width": [np.log(r["iri_mean_high"] / r["iri_mean_low"]) for r in rows],
-        "obstacles": len(there),
+        "obstacles": len(high),
         "found": sum(any(abs(o["station_m"] - at) < NEAR for o in result.obstacles)
-                     for at in there),
+                     for at in high),
         "false": sum(d >= NEAR and not kind.startswith("possible") for d, kind in found),
         "possible": sum(d >= NEAR and kind.startswith("possible") for d, kind in found),
         "length": float(edges[-1] - edges[0]),
@@ -152,35 +166,41 @@ def true_iri(surface: Surface, edges: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return iri[:2].mean(axis=0), iri[2]
 
 
-def summary(results: list[dict]) -> str:
-    """Return the errors of the trial by class, and of all drives."""
-    lines = []
-    for name in (*CLASSES, "all"):
-        chosen = [r for r in results if name in ("all", r["case"][0])]
+def summary(results: list[dict[str, Any]]) -> str:
+    """Return the errors of the trial by vehicle, by class, and of all drives, as a table."""
+    lines = [
+        f"{'IRI by segment':20s} segments   bias   RMSE  within 15 %  inside 95 %  "
+        "obstacles of 50 mm  false, possible per km"
+    ]
+    for name in (*VEHICLES, *CLASSES, "all"):
+        chosen = [r for r in results if name in ("all", *r["case"][:2])]
         if not chosen:
             continue
         error = np.concatenate([r["iri"] for r in chosen])
         inside = np.concatenate([r["inside"] for r in chosen])
         km = sum(r["length"] for r in chosen) / 1000.0
-        lines.append(
-            f"{name:>3}: {error.size} segments, IRI {100 * error.mean():+.1f} % on average, RMSE "
-            f"{100 * np.sqrt(np.mean(error**2)):.1f} %, {np.mean(np.abs(error) < 0.15):.0%} within "
-            f"15 %, {inside.mean():.0%} inside the 95 % interval; obstacles "
-            f"{sum(r['found'] for r in chosen)} of {sum(r['obstacles'] for r in chosen)} found, "
-            f"false {sum(r['false'] for r in chosen) / km:.1f} and possible "
-            f"{sum(r['possible'] for r in chosen) / km:.1f} per km"
+        found, there, false, possible = (
+            sum(r[key] for r in chosen) for key in ("found", "obstacles", "false", "possible")
         )
-    seconds = [r["seconds"] for r in results]
-    km = sum(r["length"] for r in results) / 1000.0
+        lines.append(
+            f"{name:20s} {error.size:8d} {error.mean():+6.1%} {np.sqrt(np.mean(error**2)):6.1%} "
+            f"{np.mean(np.abs(error) < 0.15):12.0%} {inside.mean():12.0%} "
+            f"{f'{found} of {there} found':>19s} {false / km:15.1f}, {possible / km:.1f}"
+        )
+    seconds, km = sum(r["seconds"] for r in results), sum(r["length"] for r in results) / 1000.0
+    return "\n".join([*lines, f"processor time {seconds / km:.0f} s per km"])
+
+
+def drive_lines(results: list[dict[str, Any]]) -> str:
+    """Return a line for each drive with the errors of its segments."""
+    lines = []
     for r in results:
-        letter, speed, seed = r["case"]
+        vehicle, letter, speed, seed = r["case"]
         errors = " ".join(f"{100 * x:+.0f}" for x in r["iri"])
-        inside = sum(r["inside"])
         lines.append(
-            f"{letter}, {speed} km/h, seed {seed}: IRI {errors} % by segment, {inside} of "
-            f"{len(r['inside'])} inside"
+            f"{vehicle}, {letter}, {speed} km/h, seed {seed}: IRI {errors} % by segment, "
+            f"{sum(r['inside'])} of {len(r['inside'])} inside"
         )
-    lines.append(f"processor time {sum(seconds) / km:.0f} s per km")
     return "\n".join(lines)
 
 
@@ -191,18 +211,19 @@ def main() -> None:
     parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
     parser.add_argument("--speeds", type=int, nargs="+", default=SPEEDS)
     parser.add_argument("--estimator", default="map_smoother")
+    parser.add_argument("--each", action="store_true", help="a line for each drive instead")
     options = parser.parse_args()
     results = []
-    cases = itertools.product(CLASSES, options.speeds)
-    for seed, (letter, speed) in enumerate(cases, options.first_seed):
-        folder = options.out / f"{letter}_{speed}_{seed}"
+    cases = itertools.product(VEHICLES, CLASSES, options.speeds)
+    for seed, (vehicle, letter, speed) in enumerate(cases, options.first_seed):
+        folder = options.out / f"{vehicle}_{letter}_{speed}_{seed}"
         folder.mkdir(parents=True, exist_ok=True)
         kept = folder / "errors.json"
         if not kept.exists():
-            result = run_case(letter, speed, seed, folder, options.estimator)
+            result = run_case((vehicle, letter, speed, seed), folder, options.estimator)
             kept.write_text(json.dumps(result), encoding="utf-8")
         results.append(json.loads(kept.read_text(encoding="utf-8")))
-    print(summary(results))
+    print(drive_lines(results) if options.each else summary(results))
 
 
 if __name__ == "__main__":

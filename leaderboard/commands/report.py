@@ -48,15 +48,22 @@ def report(
             "calibrates this car and mount."
         ),
     ] = None,
+    route: Annotated[
+        str | None,
+        typer.Option(
+            help="Also write NAME_hpms.csv for this route, miles from its begin; ROUTE,MILE where "
+            "the drive begins."
+        ),
+    ] = None,
     options: DriveOptions,
     settings: Settings = None,
     json: Json = False,
 ) -> None:
-    """Report IRI, ISO class, condition and obstacles of a driven road: a page, CSV, GeoJSON.
+    """Report IRI, ISO class, condition and obstacles of a driven road: a page, CSV, GeoPackage.
 
     Writes index.html, which needs no other file and prints on A4, and for each drive the tables
-    NAME_segments, NAME_obstacles (.csv, .parquet), NAME_heights (.parquet) and, if the drive has
-    positions, NAME.geojson.
+    NAME_segments, NAME_obstacles (.csv, .parquet), NAME_heights (.parquet; `export` makes a road of
+    it) and, if the drive has positions, NAME.geojson and report.gpkg.
     """
     check_output_folder(out)
     import_from_here([estimator])
@@ -66,6 +73,7 @@ def report(
         settings=parse_settings(settings),
         segment=segment,
         known_iri=known_iri,
+        route=route,
     )
     with progress_bar() as progress:
         progress("reading", 0.0)

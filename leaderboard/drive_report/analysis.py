@@ -25,6 +25,7 @@ from leaderboard.drive_report.posterior_iri import (
 from road_envs.drives.measured_record import MeasuredRecord
 from road_envs.records.record import Estimate, scored_band
 from road_envs.records.roughness import (
+    IN_PER_MI,
     displacement_psd,
     octave_levels,
     roughness_class,
@@ -130,6 +131,7 @@ def analyse(
     for k in range(edges.size - 1):
         row = _segment(result, edges, k, iri, clipping, modes)
         row["condition"] = conditions.category(row["iri_mean"])
+        row["iri_in_per_mi"] = IN_PER_MI * row["iri_mean"]
         if half is not None:
             row |= {"hri": float(half.median[-1, k]), "hri_low": float(half.low[-1, k]),
                     "hri_high": float(half.high[-1, k])}  # fmt: skip

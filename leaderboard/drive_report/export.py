@@ -1,4 +1,4 @@
-"""Files of a report for other programs: CSV, Parquet and GeoJSON."""
+"""Files of a report for other programs: CSV, Parquet, GeoJSON, HPMS, and the road itself."""
 
 import json
 from pathlib import Path
@@ -9,10 +9,22 @@ import numpy as np
 from leaderboard.drive_report.analysis import DriveResult
 from road_envs.core.artifacts import nan_to_none
 from road_envs.core.atomic_io import atomic_write, write_text
+from road_envs.core.config import ConfigError
 from road_envs.core.extras import optional_import
+from road_envs.core.reading import parsing, read_parquet
+from road_envs.roads import Surface
 
 VERTEX_SPACING = 2.0
 """Distance [m] of the vertices of a segment's line."""
+
+OBSTACLE_COLUMNS = (
+    "kind", "station_m", "station_std_m", "height_mm", "height_low_mm", "height_high_mm",
+    "length_m", "wheel_path", "confidence", "lat", "lon",
+)  # fmt: skip
+"""Columns of the table of obstacles."""
+
+MILE = 1609.344
+"""Metres in a mile."""
 
 
 def write_tables(result: DriveResult, folder: Path, stem: str) -> list[Path]:
@@ -20,10 +32,6 @@ def write_tables(result: DriveResult, folder: Path, stem: str) -> list[Path]:
     with optional_import("a table as CSV or Parquet"):
         import pandas as pd
 
-    columns = [
-        "kind", "station_m", "station_std_m", "height_mm", "height_low_mm", "height_high_mm",
-        "length_m", "wheel_path", "confidence", "lat", "lon",
-    ]  # fmt: skip
     estimate = result.estimate
     std = np.full_like(estimate.z, np.nan) if estimate.z_std is None else estimate.z_std
     columns_z = {"station_m": result.chainage + estimate.s}
@@ -35,7 +43,7 @@ def write_tables(result: DriveResult, folder: Path, stem: str) -> list[Path]:
     heights = pd.DataFrame(columns_z)
     tables = {
         "segments": pd.DataFrame(result.segments),
-        "obstacles": pd.DataFrame(result.obstacles, columns=columns),
+        "obstacles": pd.DataFrame(result.obstacles, columns=OBSTACLE_COLUMNS),
         "heights": heights,
     }
     written = []
@@ -56,7 +64,7 @@ def write_geojson(result: DriveResult, folder: Path, stem: str) -> list[Path]:
     if not result.has_position:
         return []
     features = [
-        _feature("LineString", _line(result, row), {**row, "feature": "segment"})
+        _feature("LineString", segment_line(result, row), {**row, "feature": "segment"})
         for row in result.segments
     ]
     for row in result.obstacles:
@@ -67,7 +75,66 @@ def write_geojson(result: DriveResult, folder: Path, stem: str) -> list[Path]:
     return [path]
 
 
-def _line(result: DriveResult, row: dict[str, Any]) -> list[list[float]]:
+def write_hpms(result: DriveResult, folder: Path, stem: str, route: str) -> list[Path]:
+    """Write the segments with the columns of sections of the Highway Performance Monitoring System.
+
+    Names and units are those of the HPMS Field Manual (FHWA 2016, chapter 3): points along the
+    `route` in miles, IRI in inches per mile. "ROUTE,BEGIN" gives the mile at chainage 0. Raises
+    ConfigError.
+    """
+    name, mile = parse_route(route)
+    heads = "Route_ID,Begin_Point,End_Point,Section_Length,Data_Item,Value_Numeric,Value_Text"
+    lines = [heads]
+    for row in result.segments:
+        begin, end = (mile + row[key] / MILE for key in ("begin_m", "end_m"))
+        value = f"{row['iri_in_per_mi']:.0f}"
+        flags = row["flags"].replace('"', "'")
+        lines.append(f'{name},{begin:.4f},{end:.4f},{end - begin:.4f},IRI,{value},"{flags}"')
+    path = folder / f"{stem}_hpms.csv"
+    write_text(path, "\n".join(lines) + "\n")
+    return [path]
+
+
+def parse_route(route: str) -> tuple[str, float]:
+    """Return the name of "ROUTE" or "ROUTE,BEGIN", and the mile at chainage 0.
+
+    Raises ConfigError.
+    """
+    name, comma, begin = route.partition(",")
+    try:
+        mile = float(begin) if comma else 0.0
+    except ValueError:
+        mile = np.nan
+    if not name.strip() or not np.isfinite(mile) or '"' in name or "\n" in name:
+        raise ConfigError(
+            f"--route must be a route, or a route and the mile where the drive begins, as in "
+            f"I-80,12.5, got {route!r}"
+        )
+    return name.strip(), mile
+
+
+def read_heights(path: Path) -> Surface:
+    """Return the road in the table NAME_heights.parquet of a report.
+
+    Both wheel paths are the mean path where the sensors told no left and right. Raises ConfigError.
+    """
+    with parsing(path, ConfigError, "no table of heights"):
+        table = read_parquet(path)
+        columns = {name: np.array(table[name]) for name in table.column_names}
+        mean = columns.get("mean_m")
+        if "station_m" not in columns or (mean is None and "left_m" not in columns):
+            raise ConfigError(
+                "not the NAME_heights.parquet of a report, which has station_m and left_m, right_m "
+                f"or mean_m; it has {', '.join(columns)}"
+            )
+        s = columns["station_m"]
+        z = np.array([mean, mean] if mean is not None else [columns["left_m"], columns["right_m"]])
+        notes = ("both wheel paths are the mean path of a drive",) if mean is not None else ()
+        return Surface(z, float(s[1] - s[0]), float(s[0]), name=path.stem, notes=notes)
+
+
+def segment_line(result: DriveResult, row: dict[str, Any]) -> list[list[float]]:
+    """Return the points (longitude, latitude) of a segment, every VERTEX_SPACING."""
     begin, end = row["begin_m"] - result.chainage, row["end_m"] - result.chainage
     stations = np.linspace(begin, end, max(2, round((end - begin) / VERTEX_SPACING) + 1))
     points = [result.position(float(x)) for x in stations]

@@ -15,7 +15,8 @@ from leaderboard.drive_report.analysis import (
 )
 from leaderboard.drive_report.conditions import Conditions
 from leaderboard.drive_report.drive_estimates import estimate_drive, make_drive_estimator
-from leaderboard.drive_report.export import write_geojson, write_tables
+from leaderboard.drive_report.export import parse_route, write_geojson, write_hpms, write_tables
+from leaderboard.drive_report.geopackage import write_geopackage
 from leaderboard.drive_report.known_iri import known_factor, read_known_iri
 from leaderboard.drive_report.page import write_page
 from leaderboard.drive_report.passes import ReportedPass, align_passes, compare, join
@@ -36,15 +37,20 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True, kw_only=True)
 class ReportSettings:
-    """Settings of a report: an estimator with its settings, categories, segments [m]."""
+    """Settings of a report: an estimator with its settings, categories, segments [m], the IRI of a
+    stretch if it is known, and the route on which the drives are for HPMS.
+    """
 
     conditions: Conditions
     estimator: str = "map_smoother"
     settings: dict[str, Any]
     segment: float = 100.0
     known_iri: str | None = None
+    route: str | None = None
 
     def __post_init__(self):
+        if self.route is not None:
+            parse_route(self.route)
         if self.segment not in SEGMENT_LENGTHS:
             allowed = ", ".join(f"{x:g}" for x in SEGMENT_LENGTHS)
             raise ConfigError(f"--segment must be one of {allowed} m, got {self.segment:g} m")
@@ -150,6 +156,9 @@ def write_report(report: RoadReport, chosen: ReportSettings, folder: Path) -> li
     for result in report.results:
         written += write_tables(result, folder, result.name)
         written += write_geojson(result, folder, result.name)
+        if chosen.route is not None:
+            written += write_hpms(result, folder, result.name, chosen.route)
+    written += write_geopackage(report.results, folder / "report.gpkg")
     about = {
         "estimator": chosen.estimator, "vehicle": report.vehicle, "sensors": report.sensors,
     }  # fmt: skip

@@ -1,0 +1,82 @@
+"""Trial of what few sensors can tell: IRI of the road from one to four phones in a car.
+
+Individuals of grade S2 of a saloon, off the description that the report has, drive over roads of
+class A to C at 50 to 100 km/h. The IRI of each segment should lie in its 95 % interval in 85 to
+99 % of them, whatever the sensors.
+
+    python -m studies.few_sensors
+"""
+
+import itertools
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from leaderboard.drive_report.conditions import load_conditions
+from leaderboard.drive_report.report import ReportSettings, make_report
+from road_envs.drives.places import PLACES
+from road_envs.drives.reading import read_drive
+from road_envs.drives.recording import simulate_record, write_record
+from road_envs.records.accelerometers import Accelerometer
+from road_envs.roads import realise_road
+from road_envs.sensing.instruments import load_instruments
+from road_envs.vehicle.parameters import load_vehicle
+from studies.phone_reports import compare, road
+
+VEHICLE, FIRST_SEED = "bmw_320i", 701
+"""Described vehicle, and the seed of the first drive; no drive of these seeds decided anything."""
+
+DRIVES = (("A", 50), ("A", 100), ("B", 70), ("B", 100), ("C", 50), ("C", 70))
+"""Road classes and speeds [km/h] of the drives of each layout."""
+
+LEFT, RIGHT = 0.55, -0.55
+LAYOUTS = {
+    "one": {"PHONE": PLACES["dashboard"]},
+    "two, centre line": {"FRONT": PLACES["dashboard"], "REAR": PLACES["trunk"]},
+    "two, both sides": {
+        "FL": Accelerometer(axle="front", ahead=-0.12, y=LEFT),
+        "FR": Accelerometer(axle="front", ahead=-0.12, y=RIGHT),
+    },
+    "three": load_instruments("phone").accelerometers,
+    "four": {
+        "FL": Accelerometer(axle="front", ahead=-0.12, y=LEFT),
+        "FR": Accelerometer(axle="front", ahead=-0.12, y=RIGHT),
+        "RL": Accelerometer(axle="rear", ahead=-0.62, y=LEFT),
+        "RR": Accelerometer(axle="rear", ahead=-0.62, y=RIGHT),
+    },
+}
+"""Accelerometers by the words of the table."""
+
+
+def main() -> None:
+    """Print for each layout how IRI and interval agree with the roads that were driven."""
+    chosen = ReportSettings(conditions=load_conditions("hpms"), settings={})
+    print(f"{'sensors':18s} segments   bias   RMSE  within 15 %  inside 95 %  width (log)")
+    for name, layout in LAYOUTS.items():
+        rows = []
+        for seed, (letter, speed) in enumerate(DRIVES, FIRST_SEED):
+            surface = realise_road(road(letter, seed), seed)
+            phones = replace(load_instruments("phone"), accelerometers=layout)
+            record, _ = simulate_record(
+                surface, speed_kmh=speed, vehicle=VEHICLE, instruments=phones, grade="S2", seed=seed
+            )
+            with tempfile.TemporaryDirectory() as folder:
+                path = Path(folder) / "drive.parquet"
+                write_record(path, record, {}, load_vehicle(VEHICLE).modes)
+                drive = read_drive(path, vehicle=VEHICLE)._replace(sensors="phone")
+            (result,) = make_report([drive], chosen, lambda *_: None).drives
+            rows.append(compare(result, surface, seed))
+        error, inside, width = (
+            np.array(list(itertools.chain.from_iterable(row[key] for row in rows)))
+            for key in ("iri", "inside", "width")
+        )
+        print(
+            f"{name:18s} {error.size:8d} {error.mean():+6.1%} {np.sqrt(np.mean(error**2)):6.1%} "
+            f"{np.mean(np.abs(error) < 0.15):12.0%} {inside.mean():12.0%} {np.median(width):12.2f}"
+        )
+
+
+if __name__ == "__main__":
+    main()
