@@ -109,10 +109,10 @@ def _build(name: str, target: str | typer.Typer) -> Any:
         command.name = name
         return command
     module, _, function = target.partition(":")
-    app = new_app()
-    app.command(name, cls=_SectionedCommand)(
-        getattr(import_module(f"{PACKAGE}.{module}"), function)
-    )
+    from leaderboard.commands.output import as_command
+
+    app, found = new_app(), getattr(import_module(f"{PACKAGE}.{module}"), function)
+    app.command(name, cls=_SectionedCommand)(as_command(found))
     return typer.main.get_command(app)
 
 

@@ -162,29 +162,3 @@ def describe_duration(seconds: float) -> str:
 def command_line() -> str:
     """Return the command line without the folder of the program."""
     return shlex.join(["road-recon", *sys.argv[1:]])
-
-
-def print_facts(facts: dict[str, Any]) -> None:
-    """Print a table of facts and then the notes."""
-    table = Table(show_header=False, box=None, pad_edge=False)
-    for key, value in facts.items():
-        if key != "notes" and value not in ([], {}, None):
-            table.add_row(key, _text(value))
-    console.print(table)
-    print_notes(facts.get("notes", ()))
-
-
-def print_notes(notes: Iterable[str]) -> None:
-    """Print notes, one per line."""
-    for note in notes:
-        console.print(f"- {note}", highlight=False, markup=False)
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    if isinstance(value, dict):
-        return ", ".join(f"{k} {_text(v)}" for k, v in value.items())
-    if isinstance(value, list | tuple):
-        return ", ".join(_text(v) for v in value)
-    return str(value)

@@ -10,13 +10,11 @@ from rich.table import Table
 
 from leaderboard.bench import estimator_speed, speed, start_up
 from leaderboard.bench.identification_speed import identification_speed
-from leaderboard.commands import console, notices, print_json, progress_bar
-from leaderboard.commands.options import Json
+from leaderboard.commands import notices, progress_bar
+from leaderboard.commands.output import Output
 
 
-def bench(
-    json: Json = False,
-) -> None:
+def bench() -> Output:
     """Measure speed and memory, compare with other packages, and print a table."""
     parts: dict[str, Callable[[], list[dict[str, Any]]]] = {
         "integrators": speed.integrator_speed,
@@ -36,14 +34,11 @@ def bench(
         for k, (name, part) in enumerate(parts.items()):
             progress(name, k / len(parts))
             rows += part()
-    if json:
-        print_json(rows)
-        return
     table = Table("what", "measured", "aim", "", title="road-recon bench", box=None)
     for row in rows:
         verdict = {True: "met", False: "MISSED", None: ""}[row["met"]]
         table.add_row(row["what"], row["measured"], row["aim"], verdict)
-    console.print(table)
     for row in rows:
         if "why" in row:
             notices.print(f"{row['what']}: {row['why']}")
+    return Output(facts=rows, shows=[table])

@@ -8,8 +8,9 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from leaderboard.commands import console, import_from_here, print_json
-from leaderboard.commands.options import Isolation, Json, MemoryLimit, TimeLimit, parse_limits
+from leaderboard.commands import import_from_here
+from leaderboard.commands.options import Isolation, MemoryLimit, TimeLimit, parse_limits
+from leaderboard.commands.output import Output
 from leaderboard.conformance.checks import RUN_TIME_LIMIT, check_entry
 from leaderboard.conformance.probes import PROBES, CheckResult
 from leaderboard.entries.entries import resolve_entries
@@ -31,8 +32,7 @@ def check_estimator(
     time_limit: TimeLimit = Limits.seconds,
     memory_limit: MemoryLimit = Limits.memory,
     isolation: Isolation = "auto",
-    json: Json = False,
-) -> None:
+) -> Output:
     """Check whether an estimator is ready for a board; exit status 1 if a check fails.
 
     It runs in separate processes on a few short drives: contract, damaged records, probes, cost.
@@ -44,27 +44,21 @@ def check_estimator(
     ) as sandbox:
         (entry,) = resolve_entries([estimator], sandbox)
         results = check_entry(entry, sandbox, limits)
-    print_checks("estimator", entry.name, results, summarize(results), json)
+    return checks_output("estimator", entry.name, results, summarize(results))
 
 
-def print_checks(
-    kind: str, name: str, results: Sequence[CheckResult], summary: str, json: bool
-) -> None:
-    """Print a line for each check of what is named, and one for all, or JSON. Raises typer.Exit if
-    a check has failed.
-    """
+def checks_output(kind: str, name: str, results: Sequence[CheckResult], summary: str) -> Output:
+    """Return a line for each check of what is named, and one for all."""
     passed = not any(result.passed is False for result in results)
-    if json:
-        checks = [dataclasses.asdict(result) for result in results]
-        print_json({kind: name, "passed": passed, "checks": checks})
-    else:
-        table = Table.grid(padding=(0, 1))
-        for result in results:
-            table.add_row(MARKS[result.passed], result.name, result.message)
-        console.print(table)
-        console.print(f"{name}: {summary}", highlight=False)
-    if not passed:
-        raise typer.Exit(1)
+    checks = [dataclasses.asdict(result) for result in results]
+    table = Table.grid(padding=(0, 1))
+    for result in results:
+        table.add_row(MARKS[result.passed], result.name, result.message)
+    return Output(
+        facts={kind: name, "passed": passed, "checks": checks},
+        shows=[table, f"{name}: {summary}"],
+        status=0 if passed else 1,
+    )
 
 
 def summarize(results: Sequence[CheckResult]) -> str:

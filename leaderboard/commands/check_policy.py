@@ -6,15 +6,15 @@ from typing import Annotated
 import typer
 
 from leaderboard.commands import parse_settings
-from leaderboard.commands.check import print_checks
+from leaderboard.commands.check import checks_output
 from leaderboard.commands.options import (
     Isolation,
-    Json,
     MemoryLimit,
     Settings,
     TimeLimit,
     parse_limits,
 )
+from leaderboard.commands.output import Output
 from leaderboard.commands.policies import chosen_isolation, policy_reference
 from leaderboard.policies.policy_checks import check_policy as run_checks
 from leaderboard.policies.policy_process import POLICY_LIMITS
@@ -28,8 +28,7 @@ def check_policy(
     time_limit: TimeLimit = POLICY_LIMITS.seconds,
     memory_limit: MemoryLimit = POLICY_LIMITS.memory,
     isolation: Isolation = "auto",
-    json: Json = False,
-) -> None:
+) -> Output:
     """Check whether a policy is ready for a comparison; exit status 1 if a check fails.
 
     It drives a few lane changes in a process of its own: actions, repetition, reset, damaged
@@ -42,4 +41,4 @@ def check_policy(
     results = run_checks(reference, parse_settings(settings), limits)
     failed = ", ".join(result.name for result in results if result.passed is False)
     verdict = f"not ready for a comparison: {failed}" if failed else "ready"
-    print_checks("policy", policy, results, verdict, json)
+    return checks_output("policy", policy, results, verdict)

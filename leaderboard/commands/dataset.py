@@ -7,8 +7,9 @@ from typing import Annotated, Any
 import typer
 
 from leaderboard.arrays import load_task
-from leaderboard.commands import command_line, console, print_facts, print_json, progress_bar
-from leaderboard.commands.options import Json, Sensors
+from leaderboard.commands import command_line, progress_bar
+from leaderboard.commands.options import Sensors
+from leaderboard.commands.output import Output, facts_table
 from leaderboard.policies.episodes import DATASETS_PATH, write_episodes
 from leaderboard.task_tables import write_task
 from road_envs.core.config import ConfigError
@@ -34,8 +35,7 @@ def dataset(
         int | None, typer.Option(help="With --task: test drives per condition.", min=1)
     ] = None,
     csv: Annotated[bool, typer.Option("--csv", help="With --task: CSV, not Parquet.")] = False,
-    json: Json = False,
-) -> None:
+) -> Output:
     """Write simulated drives with true roads as Parquet: splits, card, licence, checksums.
 
     The same options and version give the same drives. Seed 1 is that of the shipped weights'
@@ -71,10 +71,8 @@ def dataset(
     finally:
         shutil.rmtree(partial, ignore_errors=True)
     facts["written"] = [str(out)]
-    if json:
-        print_json(facts)
-        return
-    print_facts(facts)
+    shows = [*facts_table(facts)]
     if episodes is not None:
         load = f"minari.load_dataset({facts['data_set']!r})"
-        console.print(f"to load it: {DATASETS_PATH}={out} and {load}", soft_wrap=True)
+        shows.append(f"to load it: {DATASETS_PATH}={out} and {load}")
+    return Output(facts=facts, shows=shows)

@@ -1,8 +1,7 @@
 """Options of commands that read drives from files, and what an estimator adds to reading them."""
 
-import inspect
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -68,29 +67,6 @@ class DriveOptions:
         invert = None if self.invert is None else tuple(x.strip() for x in self.invert.split(","))
         plain = {k: getattr(self, k) for k in ("vehicle", "at", "sensors", "speed_kmh", "offset")}
         return {**plain, **pairs, "invert": invert, "mode": parse_mode(self.mode)}
-
-
-def with_drive_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Return a `command` with the options of DriveOptions in place of its parameter `options`."""
-    signature = inspect.signature(command)
-    shared = [
-        inspect.Parameter(
-            each.name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=each.type
-        )
-        for each in fields(DriveOptions)
-    ]
-
-    def run(**given: Any) -> None:
-        options = DriveOptions(**{each.name: given.pop(each.name) for each in shared})
-        command(**given, options=options)
-
-    parameters: list[inspect.Parameter] = []
-    for name, parameter in signature.parameters.items():
-        parameters += shared if name == "options" else [parameter]
-    run.__name__, run.__doc__ = command.__name__, command.__doc__
-    run.__annotations__ = {each.name: each.annotation for each in parameters}
-    run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
-    return run
 
 
 def read_drive(path: Path, options: DriveOptions) -> DriveFile:

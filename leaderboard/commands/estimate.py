@@ -13,13 +13,9 @@ from estimators.roughness.rms_regression import RmsRoughness, RoughnessEstimate
 from estimators.wiener.segments import dominant_modes
 from leaderboard.commands import (
     check_output_path,
-    console,
     import_from_here,
     make_table,
     parse_settings,
-    print_facts,
-    print_json,
-    print_notes,
 )
 from leaderboard.commands.drive_files import (
     DriveOptions,
@@ -27,9 +23,9 @@ from leaderboard.commands.drive_files import (
     RecordFiles,
     read_drive,
     read_passes,
-    with_drive_options,
 )
-from leaderboard.commands.options import Json, Settings
+from leaderboard.commands.options import Settings
+from leaderboard.commands.output import Output, facts_table
 from leaderboard.drive_report.drive_estimates import estimate_drive, make_drive_estimator
 from leaderboard.metrics.alignment import Alignment, align
 from leaderboard.metrics.api import UNDEFINED
@@ -50,7 +46,6 @@ N_DRIVES, SPEED_MARGIN = 60, 1.5
 """Number of training drives of the regression, and factor around the speeds of the record."""
 
 
-@with_drive_options
 def estimate(
     *,
     estimator: Annotated[str, typer.Argument(help="A file from `train`, or a name.")],
@@ -60,8 +55,7 @@ def estimate(
     settings: Settings = None,
     out: Annotated[Path | None, typer.Option(help="Write the estimate (.csv).")] = None,
     plot: Annotated[Path | None, typer.Option(help="Draw the estimate (.png).")] = None,
-    json: Json = False,
-) -> None:
+) -> Output:
     """Reconstruct both wheel paths of a record; score them if the truth is given.
 
     Several records are passes over one road, which is reconstructed from all of them, on the
@@ -112,15 +106,10 @@ def estimate(
         write_csv(Surface(result.z, result.ds, start, name=f"estimate of {records[0].name}"), out)
     if plot:
         plots.draw_estimate(profile, scored, v, plot)
-    if json:
-        print_json({**facts, "scores": scores} if truth else facts)
-        return
-    print_facts(facts)
-    if scores:
-        _print_scores(scores)
+    shows = [*facts_table(facts), *([_scores_table(scores)] if scores else [])]
+    return Output(facts={**facts, "scores": scores} if truth else facts, shows=shows)
 
 
-@with_drive_options
 def classify(
     *,
     record: RecordFile,
@@ -128,8 +117,7 @@ def classify(
     method: Annotated[
         str, typer.Option(help="spectral: by a vehicle model; rms: regression on simulated drives.")
     ] = "spectral",
-    json: Json = False,
-) -> None:
+) -> Output:
     """Estimate the ISO 8608 class of the road of a record, with its probability.
 
     Method spectral uses the acceleration spectra by octaves; method rms uses a regression on the
@@ -143,21 +131,19 @@ def classify(
         if method == "spectral"
         else _by_rms(measured, Corpus(car=drive.vehicle, instruments=drive.sensors))
     )
-    if json:
-        facts = {
-            key: value.tolist() if isinstance(value, np.ndarray) else value
-            for key, value in result._asdict().items()
-        }
-        print_json({"class": result.letter, **facts, "notes": list(notes)})
-        return
+    facts = {
+        key: value.tolist() if isinstance(value, np.ndarray) else value
+        for key, value in result._asdict().items()
+    }
     percent = 100.0 * result.probability[result.letter]
-    console.print(
+    shows: list[Any] = [
         f"class {result.letter} ({percent:.0f} %), Gd(n0) = {1e6 * result.G_d0:.0f}e-6 m³ "
         f"± {DB_PER_LOG * result.log_std:.1f} dB"
-    )
+    ]
     if method == "spectral":
-        _print_octaves(result)
-    print_notes(notes)
+        shows.append(_octaves_table(result))
+    shows += [f"- {note}" for note in notes]
+    return Output(facts={"class": result.letter, **facts, "notes": list(notes)}, shows=shows)
 
 
 def _by_rms(record: Record, corpus: Corpus) -> RoughnessEstimate:
@@ -168,7 +154,7 @@ def _by_rms(record: Record, corpus: Corpus) -> RoughnessEstimate:
     return RmsRoughness.fit(*zip(*drives, strict=True)).predict(record)
 
 
-def _print_octaves(posterior: spectral.ClassPosterior) -> None:
+def _octaves_table(posterior: spectral.ClassPosterior) -> Table:
     rows = zip(
         posterior.octaves, posterior.levels, posterior.level_stds, posterior.octave_classes,
         strict=True,
@@ -178,7 +164,7 @@ def _print_octaves(posterior: spectral.ClassPosterior) -> None:
         for centre, level, std, letter in rows
     ]
     heads = ("octave [cycles/m]", "Gd(n0) [1e-6 m³]", "± [dB]", "class")
-    console.print(make_table(heads, cells, texts=("class",)))
+    return make_table(heads, cells, texts=("class",))
 
 
 def _alignment_note(aligned: Alignment) -> str:
@@ -191,10 +177,10 @@ def _alignment_note(aligned: Alignment) -> str:
     )
 
 
-def _print_scores(scores: dict[str, float]) -> None:
-    """Print PRINTED_SCORES with their units."""
+def _scores_table(scores: dict[str, float]) -> Table:
+    """Return PRINTED_SCORES with their units."""
     table = Table(box=None, pad_edge=False, show_header=False)
     for key in PRINTED_SCORES:
         if key in scores and (text := SCORES[key].format_value(scores[key])) != UNDEFINED:
             table.add_row(SCORES[key].label, text, SCORES[key].unit)
-    console.print(table)
+    return table

@@ -11,13 +11,10 @@ from estimators.api import CalibrationDrive
 from estimators.map_smoother.identification import IdentificationResult
 from estimators.map_smoother.identification import identify as identify_vehicle
 from estimators.map_smoother.preparation import SolverSettings
-from leaderboard.commands import check_output_path, console, print_json, print_notes
-from leaderboard.commands.drive_files import (
-    DriveOptions,
-    read_passes,
-    with_drive_options,
-)
-from leaderboard.commands.options import Json, KnownRoads
+from leaderboard.commands import check_output_path
+from leaderboard.commands.drive_files import DriveOptions, read_passes
+from leaderboard.commands.options import KnownRoads
+from leaderboard.commands.output import Output
 from leaderboard.drive_report.drive_estimates import read_profiles
 from leaderboard.report import identification_plot
 from road_envs.vehicle.parameters import write_vehicle
@@ -29,7 +26,6 @@ FAR = 3.0
 """Fitted deviation, in units of the tolerance, that is flagged."""
 
 
-@with_drive_options
 def identify(
     *,
     records: Annotated[list[Path], typer.Argument(help="Calibration drives of one vehicle.")],
@@ -46,8 +42,7 @@ def identify(
     options: DriveOptions,
     out: Annotated[Path | None, typer.Option(help="Write the identified vehicle (.yaml).")] = None,
     plot: Annotated[Path | None, typer.Option(help="Draw the result (.png).")] = None,
-    json: Json = False,
-) -> None:
+) -> Output:
     """Identify a vehicle's parameters from calibration drives, and write its file.
 
     With --profile the road is known; without, it is estimated at the same time. Parameters are
@@ -68,11 +63,9 @@ def identify(
         write_vehicle(out, result.car, f"Identified by `road-recon identify` from {names}.")
     if plot:
         identification_plot.draw_identification(result, [f.name for f in files], plot)
-    if json:
-        print_json({**_facts(result), "notes": notes})
-        return
-    _print(result, [file.name for file in files])
-    print_notes([*notes, *(f"written: {path}" for path in (out, plot) if path)])
+    told = [*notes, *(f"written: {path}" for path in (out, plot) if path)]
+    shows = [*_tables(result, [file.name for file in files]), *(f"- {note}" for note in told)]
+    return Output(facts={**_facts(result), "notes": notes}, shows=shows)
 
 
 def _facts(result: IdentificationResult) -> dict[str, Any]:
@@ -111,7 +104,7 @@ def _notes(result: IdentificationResult) -> list[str]:
     return notes
 
 
-def _print(result: IdentificationResult, drives: list[str]) -> None:
+def _tables(result: IdentificationResult, drives: list[str]) -> list[Any]:
     space = result.fit.space
     table = Table("parameter", "change [%]", "± [%]", "of tolerance [%]", box=None)
     for i, name in enumerate(space.names):
@@ -127,9 +120,7 @@ def _print(result: IdentificationResult, drives: list[str]) -> None:
         table.add_row(
             f"{readings.names[k]} {unit}", f"{value:+.{digits}f}", f"{std:.{digits}f}", ""
         )
-    console.print(table)
     power = Table("drive, held-out third", "described", "identified", box=None)
     for name, (described, fitted) in zip(drives, result.unexplained, strict=True):
         power.add_row(name, f"{described.power:.1f}", f"{fitted.power:.1f}")
-    console.print("\nunexplained power over that of the instruments' noise")
-    console.print(power)
+    return [table, "\nunexplained power over that of the instruments' noise", power]

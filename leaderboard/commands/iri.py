@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from leaderboard.commands import check_output_path, console, make_table, print_json
-from leaderboard.commands.options import Json
+from leaderboard.commands import check_output_path, console, make_table
+from leaderboard.commands.output import Output
 from leaderboard.drive_report.export import read_heights
 from road_envs.core.config import ConfigError
 from road_envs.records.roughness import IN_PER_MI, profile_indices
@@ -20,8 +20,7 @@ def iri(
     *,
     profile: Annotated[Path, typer.Argument(help="Profile or surface: .csv, .erd, .crg, ...")],
     segment: Annotated[float, typer.Option(help="Length of a segment in m.", min=1.0)] = 100.0,
-    json: Json = False,
-) -> None:
+) -> Output:
     """Print the International Roughness Index of a profile by segment (ASTM E1926).
 
     Left and right are those of the wheel paths, mean is their mean (MRI), and the half-car index
@@ -32,10 +31,6 @@ def iri(
     surface = realise_road(profile, 0)
     rows = profile_indices(surface.z, surface.ds, segment)
     whole = profile_indices(surface.z, surface.ds, float("inf"))[0]
-    if json:
-        print_json({"file": str(profile), "spacing_m": surface.ds, "segments": rows,
-                    "whole": whole, "notes": list(surface.notes)})  # fmt: skip
-        return
     keys = ("left", "right", "mean", "half_car")
     cells = [
         (
@@ -46,8 +41,10 @@ def iri(
         )
         for row in (*rows, whole)
     ]
-    console.print(make_table(HEADS, cells))
-    console.print("IRI in mm/m; the last line is that of the whole profile")
+    facts = {"file": str(profile), "spacing_m": surface.ds, "segments": rows, "whole": whole,
+             "notes": list(surface.notes)}  # fmt: skip
+    told = "IRI in mm/m; the last line is that of the whole profile"
+    return Output(facts=facts, shows=[make_table(HEADS, cells), told])
 
 
 def export(

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from leaderboard.commands import console, make_table, print_json
-from leaderboard.commands.options import Json
+from leaderboard.commands import make_table
+from leaderboard.commands.output import Output
 from road_envs.core import config
 from road_envs.core.config import validate_choice
 from road_envs.vehicle.struts import PASSIVE_MODES
@@ -26,17 +26,14 @@ def list_names(
             "or roads.",
         ),
     ],
-    json: Json = False,
-) -> None:
+) -> Output:
     """List the names that an option takes, each with what it stands for.
 
     Estimators and policies of other installed packages are among them.
     """
     lines = KINDS[validate_choice("kind of names", kind, KINDS)]()
-    if json:
-        print_json(lines)
-        return
-    console.print(make_table((kind, "what it is"), lines.items(), texts=("what it is",), box=None))
+    heads = (kind, "what it is")
+    return Output(facts=lines, shows=[make_table(heads, lines.items(), texts=heads[1:], box=None)])
 
 
 def _vehicles() -> Lines:

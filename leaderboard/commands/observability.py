@@ -13,14 +13,13 @@ from rich.table import Table
 from estimators.map_smoother.attainable import attainable_error, van_trees_error
 from leaderboard.commands import (
     check_output_path,
-    console,
     make_table,
     parse_mode,
     parse_pairs,
-    print_json,
     progress_bar,
 )
-from leaderboard.commands.options import Json, Sensors, Vehicle
+from leaderboard.commands.options import Sensors, Vehicle
+from leaderboard.commands.output import Output
 from leaderboard.report import plots
 from road_envs.analysis.information_bound import (
     Posterior,
@@ -85,8 +84,7 @@ def observability(
         ),
     ] = False,
     out: Annotated[Path | None, typer.Option(help="Plot over spatial frequency to write.")] = None,
-    json: Json = False,
-) -> None:
+) -> Output:
     """Compute bounds on the error of an estimate by mode and speed, and plot them over frequency.
 
     The first table is the bound of the linear vehicle without friction: it shows where roll does
@@ -138,12 +136,11 @@ def observability(
     }
     if out is not None:
         plots.draw_observability(curves, _title(facts), out)
-    if json:
-        print_json({**facts, "bounds": rows})
-        return
-    console.print(_table(rows, speeds, _title(facts)))
-    if attainable:
-        console.print(_attainable_table(rows))
+    shows = [
+        _table(rows, speeds, _title(facts)),
+        *([_attainable_table(rows)] if attainable else []),
+    ]
+    return Output(facts={**facts, "bounds": rows}, shows=shows)
 
 
 def front_rear(mode: str | dict[str, str]) -> str:

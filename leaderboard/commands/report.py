@@ -8,16 +8,14 @@ import typer
 
 from leaderboard.commands import (
     check_output_folder,
-    console,
     import_from_here,
     make_table,
     parse_settings,
-    print_json,
-    print_notes,
     progress_bar,
 )
-from leaderboard.commands.drive_files import KINDS, DriveOptions, read_passes, with_drive_options
-from leaderboard.commands.options import Json, Settings
+from leaderboard.commands.drive_files import KINDS, DriveOptions, read_passes
+from leaderboard.commands.options import Settings
+from leaderboard.commands.output import Output
 from leaderboard.drive_report.analysis import DriveResult
 from leaderboard.drive_report.conditions import load_conditions
 from leaderboard.drive_report.report import ReportSettings, make_report, write_report
@@ -29,7 +27,6 @@ Drives = Annotated[
 ]
 
 
-@with_drive_options
 def report(
     *,
     drives: Drives,
@@ -57,8 +54,7 @@ def report(
     ] = None,
     options: DriveOptions,
     settings: Settings = None,
-    json: Json = False,
-) -> None:
+) -> Output:
     """Report IRI, ISO class, condition and obstacles of a driven road: a page, CSV, GeoPackage.
 
     Writes index.html, which needs no other file and prints on A4, and for each drive the tables
@@ -85,27 +81,25 @@ def report(
     if options.save_description:  # with the factor of a known IRI
         write_description(options.save_description, made.descriptions[0])
     files = [str(path) for path in (page, *written)]
-    if json:
-        facts = {"drives": [_facts(result) for result in results], "agreement": agreement}
-        print_json({**facts, "road": _facts(road[0]) if road else None, "written": files})
-        return
-    for result in (*road, *results):
-        _print(result)
-    if agreement:
-        _print_agreement(agreement)
-    console.print(f"written: {page} and {len(written)} tables")
+    facts = {"drives": [_facts(result) for result in results], "agreement": agreement}
+    shows = [part for result in (*road, *results) for part in _shown(result)]
+    shows += _agreement_lines(agreement) if agreement else []
+    return Output(
+        facts={**facts, "road": _facts(road[0]) if road else None, "written": files},
+        shows=[*shows, f"written: {page} and {len(written)} files beside it"],
+    )
 
 
-def _print_agreement(agreement: dict[str, Any]) -> None:
-    console.print(
+def _agreement_lines(agreement: dict[str, Any]) -> list[str]:
+    first = (
         f"{len(agreement['names'])} passes: standard deviation of the IRI within segments "
         f"{agreement['repeatability']:.2f} mm/m, ICC {agreement['icc']:.2f}"
     )
-    for row in agreement["passes"]:
-        console.print(
-            f"{row['name']} less {agreement['first']}: IRI bias {row['bias']:+.2f} mm/m, "
-            f"RMSE {row['rmse']:.2f}, cross-correlation (R 56-style) {row['correlation']:.2f}"
-        )
+    return [first] + [
+        f"{row['name']} less {agreement['first']}: IRI bias {row['bias']:+.2f} mm/m, "
+        f"RMSE {row['rmse']:.2f}, cross-correlation (R 56-style) {row['correlation']:.2f}"
+        for row in agreement["passes"]
+    ]
 
 
 def _facts(result: DriveResult) -> dict[str, Any]:
@@ -123,11 +117,9 @@ def _interval(low: float, high: float) -> str:
     return "–" if math.isnan(high) else f"{low:.2f} to {high:.2f}"
 
 
-def _print(result: DriveResult) -> None:
-    console.print(
-        f"{result.name}: {result.facts['length_m']:.0f} m, "
-        f"mean IRI {result.facts['iri_mean']:.2f} mm/m"
-    )
+def _shown(result: DriveResult) -> list[Any]:
+    """Return the line of a drive, the table of its segments, its obstacles and its notes."""
+    length, iri = (result.facts[key] for key in ("length_m", "iri_mean"))
     heads = ("from [m]", "to [m]", "IRI mean [mm/m]", "95 %", "condition", "class", "flags")
     cells = [
         (
@@ -139,13 +131,17 @@ def _print(result: DriveResult) -> None:
         )
         for row in result.segments
     ]
-    console.print(make_table(heads, cells, texts=heads[4:]))
-    for row in result.obstacles:
-        console.print(
-            f"{row['kind']} at {row['station_m']:.1f} ± {1.96 * row['station_std_m']:.1f} m: "
-            f"{row['height_mm']:+.0f} mm ({row['height_low_mm']:.0f} to "
-            f"{row['height_high_mm']:.0f}), {row['length_m']:.1f} m long, "
-            f"wheel path {row['wheel_path']}, "
-            f"confidence {row['confidence']:.2f}"
-        )
-    print_notes(result.notes)
+    obstacles = [
+        f"{row['kind']} at {row['station_m']:.1f} ± {1.96 * row['station_std_m']:.1f} m: "
+        f"{row['height_mm']:+.0f} mm ({row['height_low_mm']:.0f} to "
+        f"{row['height_high_mm']:.0f}), {row['length_m']:.1f} m long, "
+        f"wheel path {row['wheel_path']}, "
+        f"confidence {row['confidence']:.2f}"
+        for row in result.obstacles
+    ]
+    return [
+        f"{result.name}: {length:.0f} m, mean IRI {iri:.2f} mm/m",
+        make_table(heads, cells, texts=heads[4:]),
+        *obstacles,
+        *(f"- {note}" for note in result.notes),
+    ]

@@ -6,8 +6,9 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from leaderboard.commands import check_output_path, console, make_table, print_json
-from leaderboard.commands.options import Json, Length, Seed
+from leaderboard.commands import check_output_path, console, make_table
+from leaderboard.commands.options import Length, Seed
+from leaderboard.commands.output import Output
 from leaderboard.report import plots
 from road_envs.core import config
 from road_envs.core.config import ConfigError
@@ -24,15 +25,12 @@ from road_envs.roads.formats.write import WRITERS, write, write_crg
 Which = Annotated[str, typer.Argument(help="Shipped name, YAML path or surface file.")]
 
 
-def list_roads(json: Json = False) -> None:
+def list_roads() -> Output:
     """List the shipped roads, each realised with seed 1."""
     rows = [
         _facts(name, load_road(name).realise(np.random.default_rng(1)))
         for name in config.names("roads")
     ]
-    if json:
-        print_json(rows)
-        return
     pair = "{:.1f}, {:.1f}".format
     cells = [
         (
@@ -45,7 +43,7 @@ def list_roads(json: Json = False) -> None:
         for x in rows
     ]
     heads = ("road", "length [m]", "RMS left, right [mm]", "IRI left, right [mm/m]", "class")
-    console.print(make_table(heads, cells, texts=("class",)))
+    return Output(facts=rows, shows=[make_table(heads, cells, texts=("class",))])
 
 
 def plot_road(

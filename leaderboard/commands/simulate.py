@@ -20,13 +20,10 @@ from leaderboard.commands import (
     on_interrupt,
     parse_mode,
     parse_settings,
-    print_facts,
-    print_json,
     progress_bar,
 )
-from leaderboard.commands.drive_files import DriveOptions, read_passes, with_drive_options
+from leaderboard.commands.drive_files import DriveOptions, read_passes
 from leaderboard.commands.options import (
-    Json,
     KnownRoads,
     Length,
     Mode,
@@ -37,6 +34,7 @@ from leaderboard.commands.options import (
     Speed,
     Vehicle,
 )
+from leaderboard.commands.output import Output
 from leaderboard.drive_report.drive_estimates import read_profiles
 from leaderboard.report import plots
 from road_envs.core.config import ConfigError
@@ -80,8 +78,7 @@ def simulate(
     out: Annotated[Path | None, typer.Option(help="Write the record (.parquet, .csv).")] = None,
     truth: Annotated[Path | None, typer.Option(help="Write the true profile (.csv).")] = None,
     plot: Annotated[Path | None, typer.Option(help="Draw profile and record (.png).")] = None,
-    json: Json = False,
-) -> None:
+) -> Output:
     """Simulate a drive over a road and record the signals of the instruments."""
     (
         check_output_path(out, ".parquet", ".csv"),
@@ -126,10 +123,9 @@ def simulate(
         "notes": list(surface.notes),
         "written": [str(p) for p in (out, truth, plot) if p],
     }
-    print_json(facts) if json else print_facts(facts)
+    return Output(facts=facts)
 
 
-@with_drive_options
 def train(
     *,
     estimator: Annotated[str, typer.Argument(help="Name of a trainable estimator.")],
@@ -153,8 +149,7 @@ def train(
     seed: Annotated[int, typer.Option(help="Seed of the training.", min=0)] = 1,
     settings: Settings = None,
     options: DriveOptions,
-    json: Json = False,
-) -> None:
+) -> Output:
     """Train an estimator on simulated or own drives and store it.
 
     With files of drives and their --profile, it is trained on them: `calibrated_fir` needs nothing
@@ -177,7 +172,7 @@ def train(
     else:
         facts = _train_on_roads(chosen, road, length, drives or 1, out, seed, options)
     facts = {"estimator": estimator, **facts, "written": [str(out)]}
-    print_json(facts) if json else print_facts(facts)
+    return Output(facts=facts)
 
 
 def _train_on_roads(

@@ -12,11 +12,10 @@ from leaderboard.commands import (
     check_output_folder,
     console,
     notices,
-    print_facts,
-    print_json,
     progress_bar,
 )
 from leaderboard.commands.options import Isolation, Json, MemoryLimit, TimeLimit, parse_limits
+from leaderboard.commands.output import Output, facts_table
 from leaderboard.commands.verify import print_verified
 from leaderboard.conformance.method_card import TEMPLATE
 from leaderboard.evaluation.tasks import load_task
@@ -48,8 +47,7 @@ def submit(
     time_limit: TimeLimit = Limits.seconds,
     memory_limit: MemoryLimit = Limits.memory,
     isolation: Isolation = "auto",
-    json: Json = False,
-) -> None:
+) -> Output:
     """Make the folder that a pull request adds to a results repository.
 
     The estimator is checked, probed and run by the rules; the folder has its code, its card, its
@@ -71,12 +69,10 @@ def submit(
     facts = dataclasses.asdict(record)
     if sign is not None:
         facts["signed by"] = signature.sign(out, sign)
-    if json:
-        print_json(facts)
-        return
-    facts["files"] = f"{len(record.files)} below {out}"
-    facts["hardware"] = f"{record.hardware['processor']}, {record.cpu_seconds:g} s of its time"
-    print_facts({key: x for key, x in facts.items() if key != "cpu_seconds"})
+    shown = {key: x for key, x in facts.items() if key != "cpu_seconds"}
+    shown["files"] = f"{len(record.files)} below {out}"
+    shown["hardware"] = f"{record.hardware['processor']}, {record.cpu_seconds:g} s of its time"
+    return Output(facts=facts, shows=facts_table(shown))
 
 
 def verify_one(
