@@ -128,8 +128,15 @@ def test_empty_cells_and_missing_rows_become_lost_samples(tmp_path):
 
 @settings(deadline=None, max_examples=20)
 @given(st.integers(0, 2**32 - 1))
-def test_an_uneven_clock_is_resampled(tmp_path_factory, seed):
+def test_a_jittering_clock_is_kept_and_one_that_bunches_samples_is_resampled(
+    tmp_path_factory, seed
+):
     t = T + 0.002 * np.random.default_rng(seed).uniform(-1.0, 1.0, T.size)
+    columns = changed(t=t, a_rf=0.5 * (t - 1.0), v=5.0 + t)
+    measured = read_measured_record(table(tmp_path_factory.mktemp("d") / "d.csv", columns), BASE)
+    np.testing.assert_allclose(measured.record.t, t - t[0], atol=2e-6)
+    np.testing.assert_allclose(measured.record.a[0], columns["a_rf"], atol=2e-5)
+    t[50] = t[49] + 0.001
     columns = changed(t=t, a_rf=0.5 * (t - 1.0), v=5.0 + t)
     measured = read_measured_record(table(tmp_path_factory.mktemp("d") / "d.csv", columns), BASE)
     record, notes = measured.record, measured.notes

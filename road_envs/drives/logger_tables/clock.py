@@ -1,4 +1,8 @@
-"""Clock of a drive: time stamps as seconds, and channels resampled to a constant rate."""
+"""Clock of a drive: time stamps as seconds, and channels at a constant rate where that is needed.
+
+A jittering clock is kept: a model predicts each sample at its own time, while samples of 100 Hz
+that a spline has moved to an even clock err by more than the noise of the sensors.
+"""
 
 from typing import Any, NamedTuple
 
@@ -30,6 +34,11 @@ MIN_SAMPLES = 32
 
 SHORTEST_STEP = 1e-12
 """Smallest increase of a clock [s]; rates of change over less would overflow."""
+
+CLOSEST_STEP = 0.25
+"""Shortest step, in sampling intervals, of times that are believed: those of samples which a device
+hands over in bunches are not when they were measured.
+"""
 
 FS_MIN, FS_USABLE, FS_UPSAMPLED = 20.0, 2.4 * F_C, 4.0 * F_C
 """Lowest sample rate [Hz] that is read, lowest rate that estimators take, and the rate to which
@@ -169,14 +178,16 @@ def check_rate(t: np.ndarray, findings: Findings) -> float:
 def resample(
     t: np.ndarray, a: np.ndarray, dt: float, findings: Findings
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return an even clock (M,) [s] and the channels `a` (3, N) on it, NaN where samples are lost.
+    """Return a clock (M,) [s] and the channels `a` (k, N) on it, NaN where samples are lost.
 
-    Between samples the channels are cubic splines of their own samples.
+    The clock is even, or that of the samples if it jitters and all channels have the same. Between
+    samples the channels are cubic splines of their own samples.
     """
     steps = np.diff(t)
     even = bool(np.abs(steps - dt).max() <= CLOCK_TOLERANCE * dt)
     up = 1 if FS_USABLE * dt <= 1.0 else int(np.ceil(FS_UPSAMPLED * dt))
-    if even and up == 1:
+    jitters = _jitters(steps, dt) and steps.min() >= CLOSEST_STEP * dt and np.isfinite(a).all()
+    if up == 1 and (even or jitters):
         return t, a
     reach = JITTER_REACH if _jitters(steps, dt) else REGULAR_REACH
     grid = dt / up * np.arange(int(t[-1] / dt * up + 1e-6) + 1)
@@ -189,9 +200,9 @@ def resample(
         nearest = np.minimum(np.abs(grid - t[good[after - 1]]), np.abs(t[good[after]] - grid))
         inside = (grid >= t[good[0]] - reach * dt) & (grid <= t[good[-1]] + reach * dt)
         known = (nearest <= reach * dt) & inside
-        row[known] = scipy.interpolate.CubicSpline(*_spread_out(t[good], x[good], 0.25 * dt))(
-            grid[known]
-        )
+        row[known] = scipy.interpolate.CubicSpline(
+            *_spread_out(t[good], x[good], CLOSEST_STEP * dt)
+        )(grid[known])
     lost = np.isnan(out).any(axis=0).mean()
     if not even:
         findings.notes.append(
