@@ -42,8 +42,8 @@ def policies(
     policy: Annotated[
         list[str] | None,
         typer.Option(
-            help="Policy: a name of `road-recon list policies`, module:Class, or a file from "
-            "`train-policy` or Stable-Baselines3; may be given again. Default: all of this "
+            help="Policy: a name of `road-recon list policies`, module:Class, or a file (.npz) "
+            "from `train-policy`; may be given again. Default: all of this "
             "package, all constant pairs, and installed ones where they can be isolated."
         ),
     ] = None,

@@ -17,6 +17,12 @@ from road_envs.records.roughness import golden_car
 NORMAL_QUANTILE = 1.96
 """Half the width of an interval of 95 %, in standard deviations."""
 
+MODEL_STD = 0.01
+"""Relative standard deviation of what the samples do not contain: the model of a known vehicle is
+not the vehicle. On 16 drives of classes A to D at 54 km/h whose vehicle was known, the IRI had an
+RMS error of 0.2 to 2.2 %, the samples a deviation of 0.25 to 1 % (seeds 9700 to 9703).
+"""
+
 NO_INTERVAL_NOTE = (
     "the estimator draws no samples of the road: its IRI has no interval, and is too low by the "
     "waves that were not resolved"
@@ -43,12 +49,14 @@ def posterior_iri(
     """IRI of the segments between stations `edges` (K + 1,) [m].
 
     All values are multiplied by `factor`; `relative_std`, one or by segment (K,), is a relative
-    standard deviation that adds to that of the samples.
+    standard deviation that adds to that of the samples and to `MODEL_STD`.
     """
     index = np.searchsorted(estimate.s, edges)
     roads = estimate.z[None] if estimate.draws is None else estimate.draws
     log = np.log(factor * np.array([_segment_iri(z, estimate.ds, index) for z in roads]))
     middle, std = log.mean(axis=0), np.hypot(log.std(axis=0), relative_std)
+    if estimate.draws is not None:
+        std = np.hypot(std, MODEL_STD)
     if estimate.draws is None and not np.any(relative_std):
         std = np.full_like(std, np.nan)
     spread = NORMAL_QUANTILE * std
