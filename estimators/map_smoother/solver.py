@@ -66,10 +66,14 @@ power is 4 to 88 for vehicles as described and 52 to 1600 for those of grade S1 
 
 @dataclass(eq=False)
 class Findings:
-    """Results of all windows so far: greatest noise scale (P,) and distance in the air (P,) [m] of
-    each pass, fits of vehicles with the numbers of their passes, the noise scale that a fit left
-    which is not believed, greatest share of the vehicle in the variance of the heights, and
-    relative error of the speed of a single drive in each window with its variance.
+    """Results of all windows so far, a field a line, in this order:
+
+    greatest noise scale of each pass (P,);
+    distance in the air of each pass (P,) [m];
+    fits of vehicles, with the numbers of their passes;
+    noise scale that a fit left which is not believed;
+    greatest share of the vehicle in the variance of the heights;
+    relative error of the speed of a single drive in each window, with its variance.
     """
 
     noise_scale: np.ndarray

@@ -20,7 +20,7 @@ from leaderboard.commands.options import Json
 
 @dataclass(frozen=True, kw_only=True)
 class Output:
-    """What a command found: `facts`, and what a terminal `shows` of them, by default all.
+    """Findings of a command: `facts`, and what a terminal `shows` of them, by default all.
 
     Exit `status` 1 says that what was checked has failed.
     """

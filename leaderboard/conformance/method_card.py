@@ -20,7 +20,7 @@ citation: {UNWRITTEN}    # how to cite it: a reference, or BibTeX; none, if ther
 
 @dataclass(frozen=True, kw_only=True)
 class MethodCard(Settings):
-    """What the authors of an entry say about it; shown beside its results, never tested."""
+    """Statements of the authors of an entry; shown beside its results, never tested."""
 
     method: str
     data: str

@@ -115,7 +115,7 @@ def findings(views: Sequence[BoardView]) -> tuple[str, ...]:
 
 
 def headline(section: Section, definition: BoardDefinition) -> list[str]:
-    """Who is best, who follows, and how sure that is, without terms of the field."""
+    """Sentence on the best entry, the next ones and how sure that is, in plain words."""
     scored = scored_rows(section, definition.ranks_by)
     if not scored:
         return []
@@ -188,7 +188,7 @@ def _best_sentence(best: Row, section: Section, definition: BoardDefinition) -> 
 
 
 def _others_sentence(best: Row, others: Sequence[Row], definition: BoardDefinition) -> str:
-    """Who follows, who is best of the causal ones, and where the paper's network is."""
+    """Sentences on the next entries, the best causal one, and the place of the paper's network."""
     key, second = definition.ranks_by, others[0]
 
     def score(row: Row) -> str:

@@ -66,7 +66,7 @@ def sensor_rows(logger: DataLogger) -> np.ndarray:
 
 
 class FleetSettings(NamedTuple):
-    """What all vehicles of a fleet have in common.
+    """Settings that all vehicles of a fleet share.
 
     A control interval has `steps` steps of `step` [s], a whole number of samples of the
     `instruments`. `top_speed` [m/s] is the highest speed observed; `planar` and `struts` add these
