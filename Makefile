@@ -29,7 +29,7 @@ test: $(READY)
 # on two cores
 results: JOBS := 1
 results: $(READY)
-	$(VENV)/bin/python -m studies.results make --jobs $(JOBS) $(NAMES)
+	$(VENV)/bin/python -m studies.results make $(NAMES) --jobs $(JOBS)
 
 results-check: $(READY)
 	$(VENV)/bin/python -m studies.results check $(NAMES)

@@ -61,7 +61,7 @@ def test_every_shipped_task_goes_from_commitment_to_a_scored_row(name, tmp_path)
     ]
     half = len(driven) // 2
     assert driven[half:] >= driven[:half] and min(driven) > 0
-    length = None if hidden.bumps else 16.0  # an obstacle stands where it stands
+    length = None if hidden.bumps else 32.0  # an obstacle stands where it stands
     drives = [dataclasses.replace(x, length=length) for x in (hidden.test, hidden.training)]
     short = dataclasses.replace(hidden, test=drives[0], training=drives[1], bound=False)
     request = make_request({"reader": Reader()}, short, seeds=(1,), roads=1)

@@ -198,8 +198,8 @@ NOTES = {
         lambda: table(**{k: lambda d, k=k: np.repeat(d[k].to_numpy()[::20], 20)[: len(d)]
                          for k in ("a_rf", "a_lr", "a_rr")}), CLASSIFY,
         "repeated for 20 rows each; the first of equal rows are the samples"),
-    "a clock that jitters": (
-        lambda: drive()[0][::10].assign(t=lambda d: d.t + 0.003 * np.sin(7.0 * np.arange(len(d))))
+    "a clock whose samples come in bunches": (
+        lambda: drive()[0][::10].assign(t=lambda d: d.t + 0.012 * np.sin(7.0 * np.arange(len(d))))
         .to_csv("d.csv", index=False), CLASSIFY, "resampled to 100 Hz, 0.0% of the samples lost"),
     "positions before the first fix": (
         lambda: table(lat=lambda d: np.where(d.t < 3.0, 0.0, 48.0 + d.s / 111_195.0),

