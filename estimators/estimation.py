@@ -48,15 +48,23 @@ def estimate(
     found = estimator.estimate(record, car)
     check_estimate(found, record)
     notes = (*found.notes, *training_notes(estimator, record, car))
-    if car.tolerances_of:
-        notes = (*notes, _lent_tolerances(car))
+    notes = (*notes, *_notes_on_description(car))
     found = dataclasses.replace(found, notes=notes, speed=float(np.nanmedian(record.v)))
     return mark_manoeuvres(found, record, car.wheelbase)
 
 
-def _lent_tolerances(car: VehicleParameters) -> str:
-    """Return the note on a car whose file states no tolerances."""
-    return (
-        f"{car.name} states no tolerances: those of the class {car.tolerances_of} are assumed; "
-        "state your own in its file, or identify it"
-    )
+def _notes_on_description(car: VehicleParameters) -> list[str]:
+    """Return the notes on what a vehicle file leaves out."""
+    notes = []
+    if car.is_passive and car.side is None:
+        notes.append(
+            f"{car.name} has no side motion in its file: on cars of other simulators a model "
+            "without it took half of the difference between the wheel paths for another and IRI "
+            "7 to 13 % low (docs/plants.md); add `side` (road-recon new-vehicle writes one)"
+        )
+    if car.tolerances_of:
+        notes.append(
+            f"{car.name} states no tolerances: those of the class {car.tolerances_of} are assumed; "
+            "state your own in its file, or identify it"
+        )
+    return notes

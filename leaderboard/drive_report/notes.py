@@ -9,6 +9,7 @@ MISFIT = r"does not reproduce|times the expected one|heights are reduced"
 WEIGHTS = (
     r"heights there are not known",
     MISFIT,
+    r"no side motion",
     r"fits .* better|moved in its mount|the speed and the wheelbase|without tolerances",
     r"swings by itself|wheels were in the air|the unit|is in g|check ",
     r"do not tell left from right",

@@ -16,7 +16,7 @@ from road_envs.vehicle.tolerances import scale_parameters, stated_values
 CLASSES = ("compact", "saloon", "suv", "van")
 """Names of the generic cars, vehicle files as all others."""
 
-SCALES = {"mass": (0.6, 1.7), "wheelbase": (0.8, 1.35), "track": (0.85, 1.15)}
+SCALES = {"mass": (0.6, 1.7), "wheelbase": (0.75, 1.35), "track": (0.85, 1.15)}
 """Least and greatest ratio of a car's value to that of its class."""
 
 UNITS = {"mass": "kg", "wheelbase": "m", "track": "m"}

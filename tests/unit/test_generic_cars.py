@@ -70,13 +70,27 @@ def test_a_written_car_is_read_back(tmp_path):
     [
         (("lorry", 1500.0, 2.7, 1.55), "compact, saloon, suv, van"),
         (("saloon", 15.0, 2.7, 1.55), r"mass of 15 kg is that of no saloon: 960 to 2720 kg"),
-        (("saloon", 1500.0, 270.0, 1.55), r"wheelbase of 270 m .*2\.24 to 3\.78 m"),
+        (("saloon", 1500.0, 270.0, 1.55), r"wheelbase of 270 m .*2\.1 to 3\.78 m"),
         (("saloon", 1500.0, 2.7, 0.75), r"track of 0\.75 m .*choose another class"),
     ],
 )
 def test_what_no_car_of_the_class_has_is_refused(values, message):
     with pytest.raises(ConfigError, match=message):
         fitted_vehicle("mine", *values)
+
+
+def test_a_forward_control_van_is_a_van():
+    own = load_vehicle("volkswagen_vanagon")
+    mass, track = own.m_b + own.front.m + own.rear.m, own.front.y_t + own.rear.y_t
+    assert fitted_vehicle("mine", "van", mass, own.wheelbase, track).wheelbase == own.wheelbase
+
+
+def test_an_estimate_says_that_side_motion_is_missing_where_a_car_has_none():
+    car, paper = load_vehicle("bmw_320i"), load_vehicle("land_rover_defender_110")
+    for described, said in ((car, False), (car.sliding, True), (paper, False)):
+        record, _ = simulate_record("iso_c", speed_kmh=36.0, vehicle=described, length=20.0)
+        notes = estimate("wiener", record, described).notes
+        assert any("no side motion" in note for note in notes) == said
 
 
 def test_an_estimate_says_that_tolerances_are_lent():
