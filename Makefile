@@ -72,7 +72,7 @@ lint: $(READY)
 	$(VENV)/bin/lint-imports
 
 bench: $(READY)
-	$(VENV)/bin/road-recon bench
+	$(VENV)/bin/python -m studies.bench
 
 mutants: $(READY)
 	$(VENV)/bin/python tests/mutants.py

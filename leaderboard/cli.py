@@ -82,7 +82,6 @@ class RoadRecon(LazyGroup):
             "tune-policy": "policies:tune_policy",
             "train-policy": "policies:train_policy",
         },
-        "Speed": {"bench": "bench:bench"},
     }
 
 

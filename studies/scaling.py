@@ -19,7 +19,6 @@ from rich.table import Table
 
 import estimators
 from estimators.baselines.flat import FlatEstimator
-from leaderboard.bench.integrators import IntegrationProblem
 from leaderboard.commands import check_output_path, console, notices, print_json, progress_bar
 from leaderboard.commands.options import Json
 from leaderboard.evaluation import evaluate, store
@@ -37,6 +36,7 @@ from road_envs.simulation.fleet import Fleet
 from road_envs.simulation.rosenbrock import ACCELERATION
 from road_envs.vehicle.parameters import load_vehicle
 from road_envs.vehicle.suspension import encode_command
+from studies.bench.integrators import IntegrationProblem
 
 VEHICLES, STEPS = (64, 128, 256, 512, 1024, 2048), 250
 LENGTHS, SPEED_KMH = (50.0, 100.0, 200.0, 400.0), 54.0

@@ -15,13 +15,6 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from leaderboard.bench.integrators import (
-    MODE,
-    SPEED,
-    IntegrationProblem,
-    PeerError,
-    relative_error,
-)
 from leaderboard.commands import (
     check_output_path,
     console,
@@ -35,6 +28,13 @@ from leaderboard.report.figures import rounded
 from leaderboard.report.plots import write_figure
 from road_envs.core.config import ConfigError
 from road_envs.roads import load_road
+from studies.bench.integrators import (
+    MODE,
+    SPEED,
+    IntegrationProblem,
+    PeerError,
+    relative_error,
+)
 
 OURS = ("ours, constant step", "ours, adaptive")
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5)

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 import typer
 
-from leaderboard.bench import integrators
-from leaderboard.bench.integrators import (
+from road_envs.roads import load_road
+from studies import work_precision as precision
+from studies.bench import integrators
+from studies.bench.integrators import (
     EXPLICIT_METHODS,
     IntegrationProblem,
     PeerError,
     relative_error,
 )
-from road_envs.roads import load_road
-from studies import work_precision as precision
 
 METHODS = (*EXPLICIT_METHODS, "LSODA", "BDF", "Radau")
 

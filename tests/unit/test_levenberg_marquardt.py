@@ -8,8 +8,8 @@ from scipy.linalg import solve
 from scipy.optimize import least_squares
 
 from estimators.networks import levenberg_marquardt as lm
-from leaderboard.bench import levenberg_marquardt as lm_peers
-from leaderboard.bench.integrators import PeerError
+from studies.bench import levenberg_marquardt as lm_peers
+from studies.bench.integrators import PeerError
 
 DEFAULTS = lm.TrainlmOptions()
 

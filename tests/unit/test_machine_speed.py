@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from leaderboard.bench.machine import (
+from studies.bench.machine import (
     CHAINS,
     LANES,
     _dependent_divisions,
@@ -15,7 +15,7 @@ from leaderboard.bench.machine import (
     measure_machine,
     multiply_adds,
 )
-from leaderboard.bench.speed import (
+from studies.bench.speed import (
     CHAIN_DIVISIONS,
     CHAIN_MULTIPLY_ADDS,
     STEP_ADDITIONS,

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 
 import estimators
-from leaderboard.bench import levenberg_marquardt
-from leaderboard.bench.integrators import PeerError
-from leaderboard.bench.machine import measure_machine
-from leaderboard.bench.speed import benchmark_row, median_time, run_in_new_process
 from leaderboard.entries.entry import needs_training
 from road_envs.drives.recording import simulate_record
 from road_envs.roads import load_road, with_length
 from road_envs.sensing.data_logger import load_instruments
 from road_envs.vehicle.parameters import load_vehicle
+from studies.bench import levenberg_marquardt
+from studies.bench.integrators import PeerError
+from studies.bench.machine import measure_machine
+from studies.bench.speed import benchmark_row, median_time, run_in_new_process
 
 
 def training() -> list[dict[str, Any]]:

@@ -16,14 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from leaderboard.bench.integrators import (
-    MODE,
-    SPEED,
-    IntegrationProblem,
-    PeerError,
-    relative_error,
-)
-from leaderboard.bench.machine import measure_machine
 from road_envs.kernels.normal_numbers import fill_normal, generator_state
 from road_envs.kernels.simd import LANES
 from road_envs.roads import load_road
@@ -33,6 +25,14 @@ from road_envs.simulation.lanes import aligned_zeros
 from road_envs.simulation.rosenbrock import ACCELERATION
 from road_envs.simulation.substeps import MAX_RATE_CHANGE, SUBSTEPS
 from road_envs.vehicle.suspension import encode_command
+from studies.bench.integrators import (
+    MODE,
+    SPEED,
+    IntegrationProblem,
+    PeerError,
+    relative_error,
+)
+from studies.bench.machine import measure_machine
 
 COMPARISON_DURATION = 3.0
 """Drive [s] for the comparison of integrators; the reference solution makes longer ones slow."""

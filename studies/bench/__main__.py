@@ -1,4 +1,6 @@
-"""Command `bench`: speed and memory compared with other packages on the same problems.
+"""Speed and memory compared with other packages on the same problems.
+
+    python -m studies.bench [--json]
 
 Absolute times on a shared machine are unreliable, so comparisons are ratios of medians of one run.
 """
@@ -6,12 +8,13 @@ Absolute times on a shared machine are unreliable, so comparisons are ratios of 
 from collections.abc import Callable
 from typing import Any
 
+import typer
 from rich.table import Table
 
-from leaderboard.bench import estimator_speed, speed, start_up
-from leaderboard.bench.identification_speed import identification_speed
 from leaderboard.commands import notices, progress_bar
-from leaderboard.commands.output import Output
+from leaderboard.commands.output import Output, as_command
+from studies.bench import estimator_speed, speed, start_up
+from studies.bench.identification_speed import identification_speed
 
 
 def bench() -> Output:
@@ -34,7 +37,7 @@ def bench() -> Output:
         for k, (name, part) in enumerate(parts.items()):
             progress(name, k / len(parts))
             rows += part()
-    table = Table("what", "measured", "aim", "", title="road-recon bench", box=None)
+    table = Table("what", "measured", "aim", "", title="bench", box=None)
     for row in rows:
         verdict = {True: "met", False: "MISSED", None: ""}[row["met"]]
         table.add_row(row["what"], row["measured"], row["aim"], verdict)
@@ -42,3 +45,7 @@ def bench() -> Output:
         if "why" in row:
             notices.print(f"{row['what']}: {row['why']}")
     return Output(facts=rows, shows=[table])
+
+
+if __name__ == "__main__":
+    typer.run(as_command(bench))

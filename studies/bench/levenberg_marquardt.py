@@ -16,14 +16,14 @@ from scipy.optimize import least_squares
 
 from estimators.networks import levenberg_marquardt as lm
 from estimators.preprocessing import sample_profile, spatial_accelerations
-from leaderboard.bench.integrators import CAR, PeerError
-from leaderboard.bench.speed import cpu_time
 from road_envs.core.extras import optional_import
 from road_envs.drives.recording import simulate_record
 from road_envs.records.record import profile_stations
 from road_envs.roads import load_road
 from road_envs.sensing.data_logger import load_instruments
 from road_envs.vehicle.parameters import load_vehicle
+from studies.bench.integrators import CAR, PeerError
+from studies.bench.speed import cpu_time
 
 HIDDEN = 50
 EPOCHS = 20

@@ -4,7 +4,7 @@ import statistics
 import tempfile
 from typing import Any
 
-from leaderboard.bench.speed import benchmark_row, run_in_new_process
+from studies.bench.speed import benchmark_row, run_in_new_process
 
 HELP_SCRIPT = """
 import contextlib, io, sys, time

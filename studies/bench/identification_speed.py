@@ -1,6 +1,6 @@
 """CPU time of an identification and of adapting, as measured by `bench`.
 
-    python -m leaderboard.bench.identification_speed
+    python -m studies.bench.identification_speed
 
 All drives are those of a vehicle of S1 over class D at 54 km/h, in mixed states. Times are those of
 the process, of which the libraries' threads are kept to one, after a run that compiles.
@@ -15,10 +15,10 @@ from estimators.api import CalibrationDrive
 from estimators.common.blas import single_blas_thread
 from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.identification import identify
-from leaderboard.bench.speed import benchmark_row
 from road_envs.drives.recording import simulate_record
 from road_envs.records.record import Record
 from road_envs.vehicle.parameters import load_vehicle
+from studies.bench.speed import benchmark_row
 
 INDIVIDUAL = 1501
 SPEED_KMH = 54.0
