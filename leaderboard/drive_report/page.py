@@ -28,7 +28,7 @@ def write_page(
     path: Path,
 ) -> None:
     """Write the page of one or more drives; `agreement` is that of several passes."""
-    drives = [_drive(result, conditions) for result in results]
+    drives = [_drive(result, conditions, f"drive-{k}") for k, result in enumerate(results)]
     text = render(
         "drive/page.html",
         drives=drives,
@@ -42,17 +42,16 @@ def write_page(
     write_text(path, text)
 
 
-def _drive(result: DriveResult, conditions: Conditions) -> dict[str, Any]:
-    track = pictures.track_map(result, conditions)
+def _drive(result: DriveResult, conditions: Conditions, anchor: str) -> dict[str, Any]:
+    track = pictures.track_map(result, conditions, anchor)
     lengths = {name: 0.0 for name in conditions.categories}
     for row in result.segments:
         lengths[row["condition"]] += row["end_m"] - row["begin_m"]
     total = sum(lengths.values())
     return {
         "name": result.name,
-        "paths": ("hri", "iri_mean")
-        if result.is_mean_path
-        else ("iri_left", "iri_right", "iri_mean"),
+        "anchor": anchor,
+        "paths": _indices(result),
         "is_mean_path": result.is_mean_path,
         "sensors": _sensors(result),
         "facts": result.facts,

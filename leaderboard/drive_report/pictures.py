@@ -147,8 +147,11 @@ def density_chart(result: DriveResult) -> str:
     return inline_svg(paint, (4.6, 3.6))
 
 
-def track_map(result: DriveResult, conditions: Conditions) -> str:
-    """Return the track with segments in the colour of their category; empty without positions."""
+def track_map(result: DriveResult, conditions: Conditions, anchor: str) -> str:
+    """Return the track with segments in the colour of their category; empty without positions.
+
+    Segment k leads to the element `anchor`-k of the page, and shows its IRI under the pointer.
+    """
     if result.measured.position is None:
         return ""
     lat, lon = result.measured.position
@@ -159,12 +162,12 @@ def track_map(result: DriveResult, conditions: Conditions) -> str:
     def paint(figure: Any) -> None:
         axes = figure.subplots()
         axes.plot(east, north, color="0.8", lw=6, solid_capstyle="round", zorder=1)
-        for row in result.segments:
+        for k, row in enumerate(result.segments):
             part = np.flatnonzero((station >= row["begin_m"]) & (station <= row["end_m"]))
             step = max(1, part.size // 200)
             part = part[::step]
             shade = colour(conditions, row["iri_mean"])
-            axes.plot(east[part], north[part], color=shade, lw=3.5, zorder=2)
+            axes.plot(east[part], north[part], color=shade, lw=4.5, zorder=2, url=f"#{anchor}-{k}")
         for obstacle in result.obstacles:
             x, y = (np.interp(obstacle["station_m"], station, q) for q in (east, north))
             mark = "^" if obstacle["height_mm"] > 0.0 else "v"
@@ -178,4 +181,17 @@ def track_map(result: DriveResult, conditions: Conditions) -> str:
         axes.set(xlabel="east of the start [m]", ylabel="north of the start [m]")
         axes.grid(color="0.92", lw=0.5)
 
-    return inline_svg(paint, (4.6, 3.6))
+    drawn = inline_svg(paint, (4.6, 3.6))
+    for k, row in enumerate(result.segments):
+        link = f'<a xlink:href="#{anchor}-{k}"'
+        drawn = drawn.replace(f'{link} target="_blank">', f"{link}><title>{_in_words(row)}</title>")
+    return drawn
+
+
+def _in_words(row: dict[str, Any]) -> str:
+    """Return a segment in a few words."""
+    interval = ""
+    if np.isfinite(row["iri_mean_high"]):
+        interval = f" ({row['iri_mean_low']:.2f} to {row['iri_mean_high']:.2f})"
+    iri = f"IRI {row['iri_mean']:.2f}{interval} mm/m"
+    return f"{row['begin_m']:.0f} to {row['end_m']:.0f} m: {iri}, {row['condition']}"

@@ -38,6 +38,9 @@ def test_a_report_has_a_page_that_needs_no_other_file_and_tables_that_agree(road
     page = (tmp_path / "r/index.html").read_text(encoding="utf-8")
     assert not re.search(r"""(src|href)\s*=\s*["'](?!#)""", page) and "@import" not in page
     assert page.count("<svg") == 4 and f"{rows['iri_mean'][2]:.2f}" in page
+    shown = re.findall(r'<a xlink:href="#(drive-0-\d+)"><title>[^<]*IRI ([\d.]+)', page)
+    assert [float(text) for _, text in shown] == pytest.approx(rows["iri_mean"], abs=0.005)
+    assert all(f'<tr id="{row}">' in page for row, _ in shown)
     features = json.loads((tmp_path / "r/one.geojson").read_text())["features"]
     assert sum(f["geometry"]["type"] == "LineString" for f in features) == len(rows)
 
