@@ -82,6 +82,10 @@ def verify_one(
     share: Annotated[
         float, typer.Option(help="Share of the drives of each task.", min=0.0, max=1.0)
     ] = SHARE,
+    replaces: Annotated[
+        Path | None,
+        typer.Option(help="The submission as it was before: its key, if any, must have signed."),
+    ] = None,
     time_limit: TimeLimit = Limits.seconds,
     memory_limit: MemoryLimit = Limits.memory,
     isolation: Isolation = "bubblewrap",
@@ -94,7 +98,9 @@ def verify_one(
     """
     limits = parse_limits(time_limit, memory_limit, isolation)
     with progress_bar() as progress:
-        found = verify_submission(folder, _rules(rules), limits, share=share, progress=progress)
+        found = verify_submission(
+            folder, _rules(rules), limits, share=share, replaces=replaces, progress=progress
+        )
     print_verified(found, json)
 
 

@@ -52,7 +52,8 @@ def find_card(
     """Return the card of this version of an estimator; None if it is missing or damaged."""
     identity = card_identity(estimator, settings, code)
     make = partial(build, EstimatorCard, where="card")
-    return CARD.find(_path(out, identity), identity, lambda x: make(x | {"identity": identity}))
+    path = card_path(out, identity)
+    return CARD.find(path, identity, lambda x: make(x | {"identity": identity}))
 
 
 def probe_entries(
@@ -76,7 +77,7 @@ def probe_entries(
             report(f"probing {entry.name}")
             card = _probe_entry(identity, entry, sandbox)
             content = dataclasses.asdict(card)
-            CARD.write(_path(out, identity), content, content.pop("identity"))
+            CARD.write(card_path(out, identity), content, content.pop("identity"))
     return len(missing)
 
 
@@ -96,5 +97,6 @@ def _probe_entry(identity: str, entry: Entry, sandbox: SandboxClient) -> Estimat
         return dataclasses.replace(empty, failure=str(error))
 
 
-def _path(out: Path, identity: str) -> Path:
+def card_path(out: Path, identity: str) -> Path:
+    """File of the card of that identity in a folder of results."""
     return out / "cards" / f"{identity}.json"

@@ -11,6 +11,9 @@ from importlib import resources
 from pathlib import Path
 
 from leaderboard.conformance.method_card import method_card_path
+from leaderboard.conformance.results import card_identity, card_path
+from leaderboard.evaluation import store
+from leaderboard.metrics.baselines import ALL_BASELINES
 from leaderboard.report.sentences import build_report
 from leaderboard.report.site import write_site
 from leaderboard.running.board import load_board
@@ -60,15 +63,23 @@ def build_site(repository: Path, out: Path) -> Path:
         raise ConfigError(f"{repository / SUBMISSIONS} has no submission")
     for folder in folders:
         record = load_submission(folder)
-        for part in ("results", "cards", "definitions"):
-            for path in sorted((folder / part).rglob("*.json")):
-                target = out / path.relative_to(folder)
-                if path.stem == record.name or not target.exists():
-                    target.parent.mkdir(parents=True, exist_ok=True)
-                    shutil.copyfile(path, target)
-        card = method_card_path(out, record.name)
-        card.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(folder / CARD, card)
+        for path in sorted((folder / "results").rglob("*.json")):
+            target = out / path.relative_to(folder)
+            known = (path.stem in ALL_BASELINES and not target.exists()) or path.stem == record.name
+            if known:
+                row = store.load(path)
+                card = card_path(out, card_identity(row.estimator, row.settings, row.code))
+                _copy(path, target)
+                if (probed := folder / card.relative_to(out)).exists():
+                    _copy(probed, card)
+        for path in sorted((folder / "definitions").glob("*.json")):
+            _copy(path, out / path.relative_to(folder))
+        _copy(folder / CARD, method_card_path(out, record.name))
     sized = make_run_request(rules, tasks, (), limits=Limits()).sized_tasks()
     board = load_board(sized, out)
     return write_site(board, build_report(board), out)
+
+
+def _copy(source: Path, target: Path) -> None:
+    target.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(source, target)

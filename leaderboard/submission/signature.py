@@ -67,6 +67,16 @@ def verify(folder: Path) -> str | None:
     return data["key"]
 
 
+def check_owner(folder: Path, replaces: Path | None) -> None:
+    """Raise ConfigError unless the key that has signed `replaces`, if any, has signed `folder`."""
+    key, owner = verify(folder), None if replaces is None else verify(replaces)
+    if owner is not None and key != owner:
+        signed = "is not signed" if key is None else f"is signed by the key {key[:12]}"
+        raise ConfigError(
+            f"{folder}: {signed}, what it replaces by the key {owner[:12]}; sign it with that one"
+        )
+
+
 def _library() -> tuple[Any, Any]:
     with optional_import("a signature"):
         from cryptography.hazmat.primitives import serialization

@@ -17,12 +17,14 @@ from pathlib import Path
 from leaderboard.conformance.checks import check_entry
 from leaderboard.conformance.method_card import load_method_card
 from leaderboard.conformance.probes import PROBES
+from leaderboard.conformance.results import find_card, probe_entries
 from leaderboard.entries import entry_files
-from leaderboard.entries.entries import resolve_entries
+from leaderboard.entries.entries import NAME, resolve_entries
 from leaderboard.entries.entry import Entry
 from leaderboard.evaluation import store
 from leaderboard.evaluation.provenance import describe_environment, package_version
 from leaderboard.evaluation.tasks import Task
+from leaderboard.metrics.baselines import ALL_BASELINES
 from leaderboard.running.board import run_board
 from leaderboard.running.executors import ProcessExecutor
 from leaderboard.running.jobs import in_sandbox
@@ -32,6 +34,7 @@ from leaderboard.sandbox.limits import Limits
 from leaderboard.submission import signature
 from leaderboard.submission.rules import Rules, make_run_request
 from road_envs.core.artifacts import Kind
+from road_envs.core.atomic_io import TempFolder
 from road_envs.core.config import ConfigError, Settings, build
 
 SUBMISSION = Kind("submission", 1)
@@ -114,6 +117,11 @@ def load_submission(folder: Path) -> Submission:
     data, _ = SUBMISSION.read(folder / RECORD)
     data.pop("identity")
     record = build(Submission, data, str(folder / RECORD))
+    if folder.resolve().name != record.name or not NAME.fullmatch(record.name):
+        raise ConfigError(
+            f"{folder}: the folder must have the name of its entry, {record.name!r}, which has up "
+            "to 40 letters, digits, _ and -"
+        )
     found = _digests(folder)
     for name in sorted(found.keys() ^ record.files.keys()):
         raise ConfigError(
@@ -133,29 +141,57 @@ def verify_submission(
     *,
     share: float = SHARE,
     seed: int | None = None,
+    replaces: Path | None = None,
     progress: Progress = lambda text, share: None,
 ) -> list[Verified]:
     """Verify a submission: files, card, signature, code, rows, and a `share` of its drives again.
 
-    Returns what was found of every row. Raises ConfigError for a submission that is not complete
-    or not by the `rules`; a row that differs is returned.
+    `replaces` is the folder of the submission as it stood before; its signer must have signed this
+    one. Returns what was found of every row. Raises ConfigError for a submission that is not
+    complete or not by the `rules`; a row that differs is returned.
     """
     record = load_submission(folder)
-    signature.verify(folder)
-    if folder.resolve().name != record.name:
-        raise ConfigError(f"{folder}: the folder must have the name of its entry, {record.name}")
+    signature.check_owner(folder, replaces)
+    for other in folder.resolve().parent.iterdir():
+        if other.name != record.name and other.name.lower() == record.name.lower():
+            raise ConfigError(f"{folder}: {other.name} differs in case only; rename the entry")
     with SandboxClient(limits) as sandbox:
         entry = _submitted_entry(folder, sandbox)
         if (entry.name, entry.code) != (record.name, record.code):
             raise ConfigError(f"{folder}: its code is that of {entry.name} {entry.code}")
-        for task in make_run_request(*rules, [entry], limits).sized_tasks():
+        tasks = make_run_request(*rules, [entry], limits).sized_tasks()
+        rows = {path.stem for path in (folder / "results").rglob("*.json")}
+        for other in sorted(rows.difference([entry.name, *ALL_BASELINES])):
+            raise ConfigError(f"{folder}: a row of {other}, which is not its entry")
+        for task in tasks:
             row = store.load(store.row_path(folder, task.name, record.name))
             if row.task_digest != task.digest or row.seeds != tuple(range(1, rules[0].seeds + 1)):
                 raise ConfigError(f"{folder}: its row of {task.name} was not made by these rules")
             if reason := row.failure or row.stale_reason(task):
                 raise ConfigError(f"{folder}: its row of {task.name}: {reason}")
-        run = in_sandbox(sandbox)
-        return verify_folder(folder, run, [entry], share=share, seed=seed, report=progress)
+        _verify_probes(entry, folder, limits)
+        found = verify_folder(
+            folder,
+            in_sandbox(sandbox),
+            [entry],
+            tasks=tasks,
+            share=share,
+            seed=seed,
+            report=progress,
+        )
+    for row in (row for row in found if row.reason):
+        raise ConfigError(f"{folder}: its row of {row.estimator} on {row.task}: {row.reason}")
+    return found
+
+
+def _verify_probes(entry: Entry, folder: Path, limits: Limits) -> None:
+    """Raise ConfigError if the card of an entry is not the one of its probes here."""
+    with TempFolder() as here:
+        probe_entries([entry], here, limits)
+        cards = [find_card(x, entry.name, entry.settings, entry.code) for x in (folder, here)]
+    outcomes = [card and [(p.name, p.passed) for p in card.probes] for card in cards]
+    if outcomes[0] != outcomes[1]:
+        raise ConfigError(f"{folder}: its card is not what the probes of {entry.name} find here")
 
 
 def _submitted_entry(folder: Path, sandbox: SandboxClient) -> Entry:

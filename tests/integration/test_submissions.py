@@ -1,24 +1,35 @@
 """Submissions: a folder that cannot be altered unseen, and the way from a fork to the page."""
 
+import contextlib
 import dataclasses
 import json
 import os
 import shutil
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
-from board_runs import run, small
+from board_runs import ESTIMATORS, run, small
 from fakes import SHORT_TASK
+from test_verification import chosen_fakes, run_here
 from wheels import module, write_wheel
 
+from leaderboard.conformance import results as conformance_results
 from leaderboard.conformance.method_card import TEMPLATE, load_method_card
+from leaderboard.conformance.probes import CheckResult
+from leaderboard.conformance.results import EstimatorCard, card_identity, card_path
+from leaderboard.entries.entries import make_entry
 from leaderboard.evaluation import store
+from leaderboard.metrics.baselines import BASELINES
 from leaderboard.report.citation import cite_entry
+from leaderboard.running.verification import save_definition, verify_folder
 from leaderboard.sandbox import bubblewrap
+from leaderboard.sandbox.limits import Limits
 from leaderboard.submission import repository, signature
-from leaderboard.submission.rules import load_rules
+from leaderboard.submission import submission as submission_module
+from leaderboard.submission.rules import Rules, load_rules
 from leaderboard.submission.submission import (
     RECORD,
     SUBMISSION,
@@ -37,9 +48,9 @@ citation: A. Author, 100 % of it, 2026
 """
 
 
-def write_record(folder):
+def write_record(folder, code=""):
     record = Submission(
-        name="reader", code="", package_version="1", hardware={"processor": "one"},
+        name="reader", code=code, package_version="1", hardware={"processor": "one"},
         cpu_seconds=1.0, files=_digests(folder),
     )  # fmt: skip
     SUBMISSION.write(folder / RECORD, dataclasses.asdict(record))
@@ -129,6 +140,134 @@ def test_a_signature_is_of_one_record_and_one_key(submission, tmp_path):
         signature.verify(submission)
 
 
+def test_what_replaces_a_signed_submission_is_signed_by_its_key(submission, tmp_path):
+    pytest.importorskip("cryptography")
+    earlier = shutil.copytree(submission, tmp_path / "earlier" / "reader")
+    signature.check_owner(submission, None)
+    signature.check_owner(submission, earlier)  # of which nobody is known to be the owner
+    owner = signature.sign(earlier, tmp_path / "key.pem")
+    with pytest.raises(ConfigError, match=f"reader: is not signed, what .* the key {owner[:12]}"):
+        signature.check_owner(submission, earlier)
+    other = signature.sign(submission, tmp_path / "other.pem")
+    with pytest.raises(ConfigError, match=f"signed by the key {other[:12]}, .* {owner[:12]}; sign"):
+        signature.check_owner(submission, earlier)
+    signature.sign(submission, tmp_path / "key.pem")
+    signature.check_owner(submission, earlier)
+
+
+class NoSandbox(contextlib.nullcontext):
+    """In place of a client of the sandbox: the entry of these tests runs in this process."""
+
+    isolation = "none"
+
+
+@pytest.fixture
+def verified(made, tmp_path, monkeypatch):
+    """Return a function that alters a submission with its record and verifies it, undisturbed."""
+    entry = make_entry("reader", ESTIMATORS["reader"])
+    probed = EstimatorCard(
+        identity=card_identity(entry.name, entry.settings, entry.code), estimator=entry.name,
+        settings=entry.settings, code=entry.code, drive="a drive",
+        probes=(CheckResult("causality", True, "so it is"),),
+    )  # fmt: skip
+
+    def write_card(folder, card=probed):
+        content = dataclasses.asdict(card)
+        conformance_results.CARD.write(
+            card_path(folder, card.identity), content, content.pop("identity")
+        )
+
+    def altered_and_verified(alter):
+        folder = shutil.copytree(made, tmp_path / "reader", dirs_exist_ok=True)
+        row_file = store.row_path(folder, "small", "learner")
+        row_file.unlink()  # its own entry and the baselines
+        write_card(folder)
+        alter(folder)
+        write_record(folder, entry.code)
+        rules = Rules(tasks=("small",), seeds=2), [small()]
+        return submission_module.verify_submission(folder, rules, Limits(), share=1.0, seed=1)
+
+    m = monkeypatch
+    m.setattr(submission_module, "SandboxClient", NoSandbox)
+    m.setattr(submission_module, "_submitted_entry", lambda folder, sandbox: entry)
+    m.setattr(submission_module, "in_sandbox", lambda sandbox: run_here)
+    m.setattr(submission_module, "probe_entries", lambda entries, out, limits: write_card(out))
+    m.setattr(submission_module, "verify_folder", partial(verify_folder, simulate=chosen_fakes))
+    altered_and_verified.card, altered_and_verified.write_card = probed, write_card
+    return altered_and_verified
+
+
+def change_row(folder, **changes):
+    row = store.load(store.row_path(folder, "small", "reader"))
+    store.save(dataclasses.replace(row, **changes), folder)
+
+
+def test_an_honest_submission_agrees(verified):
+    found = verified(lambda folder: None)
+    assert {row.estimator for row in found} == {"reader", *BASELINES}
+    assert all(row.agrees for row in found)
+
+
+def test_scores_are_verified_although_the_folder_defines_another_task(verified):
+    def forge(folder):
+        (path,) = (folder / "definitions").iterdir()
+        path.unlink()
+        save_definition(dataclasses.replace(small(), name="decoy"), folder)
+        row = store.load(store.row_path(folder, "small", "reader"))
+        better = [dataclasses.replace(x, scores=x.scores | {"nrmse": 0.01}) for x in row.drives]
+        change_row(folder, drives=tuple(better))
+
+    assert [row.estimator for row in verified(forge) if not row.agrees] == ["reader"]
+
+
+def test_a_row_of_another_name_is_refused(verified):
+    def add_row(folder):
+        row = store.load(store.row_path(folder, "small", "reader"))
+        store.save(dataclasses.replace(row, estimator="phantom"), folder)
+
+    with pytest.raises(ConfigError, match="a row of phantom, which is not its entry"):
+        verified(add_row)
+
+
+def test_a_row_of_the_easiest_drive_or_with_a_false_claim_is_refused(verified):
+    def choose(folder):
+        row = store.load(store.row_path(folder, "small", "reader"))
+        change_row(folder, drives=tuple(row.drives[:1]))
+
+    with pytest.raises(ConfigError, match="reader on small: its drives are not those of its task"):
+        verified(choose)
+    with pytest.raises(ConfigError, match=r"reader on small: its lag is 0\.0, the row says 3\.0"):
+        verified(lambda folder: change_row(folder, lag=3.0))
+
+
+def test_a_card_that_the_probes_do_not_give_is_refused(verified):
+    def forge(folder):
+        probes = (CheckResult("causality", False, "it is not"),)
+        verified.write_card(folder, dataclasses.replace(verified.card, probes=probes))
+
+    with pytest.raises(ConfigError, match="its card is not what the probes of reader find here"):
+        verified(forge)
+
+
+def test_a_folder_of_another_name_is_refused(submission):
+    # a name with a space would be two to a shell
+    for name in ("other", "rea der"):
+        submission = submission.rename(submission.with_name(name))
+        with pytest.raises(ConfigError, match="must have the name of its entry, 'reader'"):
+            load_submission(submission)
+    data, _ = SUBMISSION.read(submission / RECORD)
+    data.pop("identity")
+    SUBMISSION.write(submission / RECORD, data | {"name": "rea der"})
+    with pytest.raises(ConfigError, match="which has up to 40 letters"):
+        load_submission(submission)
+
+
+def test_names_that_differ_in_case_only_are_refused(verified, tmp_path):
+    (tmp_path / "READER").mkdir()
+    with pytest.raises(ConfigError, match="READER differs in case only"):
+        verified(lambda folder: None)
+
+
 def test_the_site_has_a_page_of_each_entry_with_its_card(submission, tmp_path, monkeypatch):
     repo = submission.parents[1]
     (repo / "rules.yaml").write_text("tasks: [new_road]\nseeds: 2\n")
@@ -189,6 +328,7 @@ def call(*words, cwd, status=0):
 @pytest.mark.skipif(bubblewrap.obstacle() is not None, reason=str(bubblewrap.obstacle()))
 def test_from_a_fork_to_the_page(tmp_path):
     """A newcomer's way through docs/submitting.md, with two git repositories and the CI by hand."""
+    pytest.importorskip("cryptography")
     upstream, fork = tmp_path / "upstream", tmp_path / "fork"
     upstream.mkdir()
     call("git", "init", "-b", "main", cwd=upstream)
@@ -218,12 +358,20 @@ def test_from_a_fork_to_the_page(tmp_path):
     assert "Ada Author" in page
     assert "road_recon_trial" in call("road-recon", "cite", "trial", "--out", "site", cwd=upstream)
 
-    # a better score, under a record made anew
+    # another key than that of the owner, then a better score, under a record made anew
     folder = fork / "submissions" / "trial"
+    signature.sign(upstream / "submissions" / "trial", tmp_path / "owner.pem")
+    call("git", "add", "submissions", cwd=upstream)
+    call("git", "commit", "-m", "signed", cwd=upstream)
+    call("git", "fetch", cwd=fork)
+    signature.sign(folder, tmp_path / "other.pem")
+    said = " ".join(call("ci/verify.sh", "origin/main", cwd=fork, status=2).split())
+    assert "what it replaces by the key" in said
     row = store.load(store.row_path(folder, "short", "trial"))
     better = [dataclasses.replace(x, scores=x.scores | {"nrmse": 0.01}) for x in row.drives]
     store.save(dataclasses.replace(row, drives=tuple(better)), folder)
     data, _ = SUBMISSION.read(folder / RECORD)
     data.pop("identity")
     SUBMISSION.write(folder / RECORD, data | {"files": _digests(folder)})
+    signature.sign(folder, tmp_path / "owner.pem")
     assert "DIFFERS" in call("ci/verify.sh", "origin/main", cwd=fork, status=1)

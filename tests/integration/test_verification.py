@@ -75,10 +75,12 @@ def test_an_altered_score_is_found_by_its_distance(tmp_path):
     assert found["reader"].distance == pytest.approx(0.01 * score / max(1.01 * score, 0.1))
 
 
-def test_a_score_and_a_drive_that_a_row_lacks_are_as_far_as_can_be_and_kept_so(tmp_path):
+def test_a_score_that_a_row_lacks_is_as_far_as_can_be_and_kept_so(tmp_path):
     run(tmp_path)
     row = store.load(store.row_path(tmp_path, "small", "reader"))
-    store.save(dataclasses.replace(row, drives=row.drives[:-1]), tmp_path)
+    *others, last = row.drives
+    bare = dataclasses.replace(last, scores={n: x for n, x in last.scores.items() if n != "nrmse"})
+    store.save(dataclasses.replace(row, drives=(*others, bare)), tmp_path)
     found = verify(tmp_path, share=1.0)
     assert found["reader"].distance == 2.0 and not found["reader"].agrees
     save_verified(found.values(), tmp_path)
@@ -89,13 +91,76 @@ def test_of_a_row_of_other_kernels_the_ranking_score_is_compared_at_a_wider_tole
     run(tmp_path)
     scores = store.load(store.row_path(tmp_path, "small", "reader")).drives[-1].scores
     elsewhere = describe_environment() | {"blas": "openblas Z80"}
-    for share, agrees in ((0.9, True), (1.1, False)):
+    for share, agrees in ((0.9, True), (1.1, False)):  # one of six drives
         moved = {"nrmse": scores["nrmse"] / (1.0 - share * OTHER_KERNELS), "r": 0.0}
         alter(tmp_path, "reader", scores=moved, environment=elsewhere)
         found = verify(tmp_path, share=1.0)["reader"]
         assert found.agrees == agrees and found.tolerance == OTHER_KERNELS
         assert found.score == "nrmse"
         assert found.distance == pytest.approx(share * OTHER_KERNELS)
+
+
+def test_a_row_of_other_kernels_that_is_better_on_most_drives_does_not_agree(tmp_path):
+    run(tmp_path)
+    elsewhere = describe_environment() | {"blas": "openblas Z80"}
+    row = store.load(store.row_path(tmp_path, "small", "reader"))
+    for moved, agrees in ((3, True), (4, False)):  # of six drives
+        drives = tuple(
+            dataclasses.replace(x, scores=x.scores | {"nrmse": 0.95 * x.scores["nrmse"]})
+            if k < moved
+            else x
+            for k, x in enumerate(row.drives)
+        )
+        store.save(dataclasses.replace(row, drives=drives, environment=elsewhere), tmp_path)
+        found = verify(tmp_path, share=1.0)["reader"]
+        assert found.agrees == agrees and found.distance == pytest.approx(0.05)
+
+
+def test_a_row_of_chosen_drives_or_of_repeated_ones_is_not_that_of_its_task(tmp_path):
+    run(tmp_path)
+    row = store.load(store.row_path(tmp_path, "small", "learner"))
+    best = min(row.drives, key=lambda x: x.scores["nrmse"])
+    reason = "its drives are not those of its task, once with each training seed"
+    for drives in ([best], row.drives[:-1], [*row.drives, best]):
+        store.save(dataclasses.replace(row, drives=tuple(drives)), tmp_path)
+        found = verify(tmp_path)["learner"]
+        assert found.reason == reason and not found.agrees
+    one_seed = tuple(x for x in row.drives if x.seed == 1)
+    store.save(dataclasses.replace(row, drives=one_seed), tmp_path)
+    found = verify(tmp_path)["learner"]  # the other seed is run, and not in the row
+    assert found.distance == 2.0 and not found.agrees
+
+
+def test_a_row_that_says_something_else_of_its_entry_does_not_agree(tmp_path):
+    run(tmp_path)
+    row = store.load(store.row_path(tmp_path, "small", "reader"))
+    for field, value in (("causal", not row.causal), ("lag", 5.0), ("role", "baseline")):
+        store.save(dataclasses.replace(row, **{field: value}), tmp_path)
+        found = verify(tmp_path)["reader"]
+        expected = f"its {field} is {getattr(row, field)}, the row says {value}"
+        assert found.reason == expected and not found.agrees
+
+
+def test_a_note_that_a_row_lacks_is_found(tmp_path):
+    run(tmp_path)
+
+    def noted(entry, data, seeds):
+        for one in run_here(entry, data, seeds):
+            yield dataclasses.replace(one, notes=("it remembers",))
+
+    entries = [make_entry(name, estimator) for name, estimator in ESTIMATORS.items()]
+    found = verify_folder(tmp_path, noted, entries, simulate=chosen_fakes, seed=1)
+    reasons = {row.estimator: row.reason for row in found}
+    assert reasons["reader"] == "it lacks the note: reader: it remembers"
+
+
+def test_given_tasks_are_verified_whatever_the_folder_defines(tmp_path):
+    board, _ = run(tmp_path)
+    for path in (tmp_path / "definitions").iterdir():
+        path.unlink()
+    alter(tmp_path, "reader", scores={"nrmse": 0.01})
+    found = verify(tmp_path, share=1.0, tasks=board.tasks)
+    assert [name for name, row in found.items() if not row.agrees] == ["reader"]
 
 
 def test_a_row_that_cannot_be_run_again_says_why(tmp_path):
@@ -162,19 +227,36 @@ def test_what_was_verified_is_kept_by_row_and_kernels_and_shown(tmp_path):
 def test_a_folder_made_with_one_blas_kernel_is_verified_with_another(tmp_path):
     (tmp_path / "short.yaml").write_text(SHORT_TASK)
     out = tmp_path / "out"
-    command = [sys.executable, "-m", "leaderboard.cli"]
-    made = ["leaderboard", "--task", "short.yaml", "--estimator", "wiener", "--out", str(out)]
-    for kernel, arguments in (("Haswell", made), ("Sandybridge", ["verify", str(out), "--json"])):
-        process = subprocess.run(
-            [*command, *arguments],
+
+    def call(kernel, *arguments):
+        return subprocess.run(
+            [sys.executable, "-m", "leaderboard.cli", *arguments],
             env=os.environ | {"OPENBLAS_CORETYPE": kernel},
             cwd=tmp_path,
             capture_output=True,
             text=True,
             timeout=300,
         )
-        assert process.returncode == 0, process.stderr
-    found = {row["estimator"]: row for row in json.loads(process.stdout)}
+
+    made = call(
+        "Haswell", "leaderboard", "--task", "short.yaml", "--estimator", "wiener", "--out", str(out)
+    )
+    assert made.returncode == 0, made.stderr
+    verify_words = ("verify", str(out), "--share", "1.0", "--json")
+    verified = call("Sandybridge", *verify_words)
+    assert verified.returncode == 0, verified.stderr
+    found = {row["estimator"]: row for row in json.loads(verified.stdout)}
     assert "wiener" in found and all(row["agrees"] for row in found.values())
     assert all(row["tolerance"] == OTHER_KERNELS for row in found.values())
     assert "Sandybridge" in found["wiener"]["kernels"] and found["wiener"]["runs"] == 1
+
+    row = store.load(store.row_path(out, "short", "wiener"))
+    *others, last = row.drives
+    moved = (1.0 - 1.2 * OTHER_KERNELS) * last.scores["nrmse"]
+    last = dataclasses.replace(last, scores=last.scores | {"nrmse": moved})
+    store.save(dataclasses.replace(row, drives=(*others, last)), out)
+    verified = call("Sandybridge", *verify_words)
+    assert verified.returncode == 1, verified.stderr
+    found = {row["estimator"]: row for row in json.loads(verified.stdout)}
+    assert [name for name, row in found.items() if not row["agrees"]] == ["wiener"]
+    assert found["wiener"]["distance"] == pytest.approx(1.2 * OTHER_KERNELS, rel=0.05)

@@ -1,0 +1,144 @@
+"""Kills at every stage of a run: `make kills`; arguments: kills of each stage (5), names of some.
+
+Whenever a part is stored, a process of the stage is ended by SIGKILL after a random time: the judge
+itself, a job, a guest, or a worker of a Dask cluster. A judge that was killed is started again.
+Then the run is resumed until nothing is missing: its rows must be those of an undisturbed run, to
+the bit, and no process may be left. The counts are kept in `docs/runs/kills.txt`.
+"""
+
+import contextlib
+import os
+import random
+import signal
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+sys.path[:0] = [str(ROOT / "tests" / "support"), str(ROOT / "tests" / "integration")]
+
+from in_process import InProcessExecutor  # noqa: E402
+from test_executors import VALID, driver, make_request, rows, running_jobs  # noqa: E402
+
+from leaderboard.running.board import run_board  # noqa: E402
+from leaderboard.running.dask_executor import LOCAL, DaskExecutor  # noqa: E402
+from leaderboard.running.executors import ProcessExecutor  # noqa: E402
+from leaderboard.sandbox import processes, worker  # noqa: E402
+
+CONDITIONS, LONGEST_DELAY, ATTEMPTS = 2, 1.5, 20
+
+
+def descendants(word: str) -> list[int]:
+    """Return the descendants of this process whose command line has a word."""
+    found = []
+    for process in processes.tree(os.getpid())[1:]:
+        with contextlib.suppress(OSError):
+            if word in Path(f"/proc/{process.pid}/cmdline").read_text():
+                found.append(process.pid)
+    return found
+
+
+def stored_parts(out: Path) -> int:
+    """Return the number of parts of a run."""
+    return sum(1 for _ in out.glob("jobs/*.json"))
+
+
+def kill_judges(out: Path, kills: int, rng: random.Random) -> Iterator[bool]:
+    """Kill a driver after each part that it stores; yield whether it was killed, at each start."""
+    for _ in range(kills):
+        before, process = stored_parts(out), driver(out, CONDITIONS, VALID)
+        while process.poll() is None and stored_parts(out) == before:
+            time.sleep(0.02)
+        time.sleep(rng.uniform(0.0, LONGEST_DELAY))
+        process.kill()
+        yield process.wait() == -signal.SIGKILL
+
+
+def kill_others(
+    victims: Callable[[], list[int]], out: Path, kills: int, rng: random.Random, executor
+) -> Iterator[bool]:
+    """Run a board; kill one of the `victims` after each part; yield whether there was one."""
+    killed: list[bool] = []
+
+    def kill_one() -> None:
+        pids = victims()
+        if pids and len(killed) < kills:
+            processes.kill(rng.choice(pids))
+            killed.append(True)
+
+    def progress(done: int, total: int, text: str) -> None:
+        if done:
+            timer = threading.Timer(rng.uniform(0.0, LONGEST_DELAY), kill_one)
+            timer.daemon = True
+            timer.start()
+
+    run_board(make_request(VALID, CONDITIONS), out, executor, progress)
+    yield from killed
+
+
+def kill_jobs(out: Path, kills: int, rng: random.Random) -> Iterator[bool]:
+    """Kill jobs of this process."""
+    yield from kill_others(
+        lambda: descendants("leaderboard.running.jobs"), out, kills, rng, ProcessExecutor(2)
+    )
+
+
+def kill_guests(out: Path, kills: int, rng: random.Random) -> Iterator[bool]:
+    """Kill guests of jobs of this process."""
+    yield from kill_others(
+        lambda: descendants(worker.__name__), out, kills, rng, ProcessExecutor(2)
+    )
+
+
+def kill_workers(out: Path, kills: int, rng: random.Random) -> Iterator[bool]:
+    """Kill workers of a cluster of this machine, which starts others in their place."""
+    with DaskExecutor(LOCAL, 2) as executor:
+        executor.workers = 4  # so that entries are spread over several jobs
+
+        def workers() -> list[int]:
+            return list(executor._client.run(os.getpid, on_error="ignore").values())
+
+        yield from kill_others(workers, out, kills, rng, executor)
+
+
+STAGES = {"judge": kill_judges, "job": kill_jobs, "guest": kill_guests, "Dask worker": kill_workers}
+
+
+def check(name: str, kills: int, expected: dict, folder: Path, rng: random.Random) -> str:
+    """Return the counts of a stage. Raises AssertionError if a row differs or a process is left."""
+    done, runs, failed = 0, 0, 0
+    while done < kills and runs < ATTEMPTS:
+        out, runs = folder / f"{name} {runs}", runs + 1
+        done += sum(STAGES[name](out, kills - done, rng))
+        for _ in range(ATTEMPTS):  # an entry whose guest or job was killed has failed: run again
+            board = run_board(make_request(VALID, CONDITIONS), out, ProcessExecutor(1))
+            failed += len(board.failed(board.tasks[0]))
+            if not board.failed(board.tasks[0]):
+                break
+        assert rows(board) == expected, name
+        end = time.monotonic() + 10.0
+        while (left := running_jobs(out)) and time.monotonic() < end:
+            time.sleep(0.1)
+        assert not left and not list(out.rglob("*.partial")), name
+    assert done >= kills, f"{name}: killed {done} times only"
+    return f"{name:12} {done:6} {runs:6}   the same rows"
+
+
+def main() -> None:
+    """Kill and print the counts."""
+    kills, names = int(sys.argv[1]) if len(sys.argv) > 1 else 5, sys.argv[2:] or list(STAGES)
+    rng = random.Random(100)
+    with tempfile.TemporaryDirectory() as folder:
+        undisturbed = InProcessExecutor(estimators=VALID)
+        request = make_request(VALID, CONDITIONS)
+        expected = rows(run_board(request, Path(folder, "undisturbed"), undisturbed))
+        print(f"{'stage':12} {'kills':>6} {'runs':>6}   after it was resumed")
+        for name in names:
+            print(check(name, kills, expected, Path(folder), rng), flush=True)
+
+
+if __name__ == "__main__":
+    main()
