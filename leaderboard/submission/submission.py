@@ -152,9 +152,9 @@ def verify_submission(
     """
     record = load_submission(folder)
     signature.check_owner(folder, replaces)
-    for other in folder.resolve().parent.iterdir():
-        if other.name != record.name and other.name.lower() == record.name.lower():
-            raise ConfigError(f"{folder}: {other.name} differs in case only; rename the entry")
+    for path in folder.resolve().parent.iterdir():
+        if path.name != record.name and path.name.lower() == record.name.lower():
+            raise ConfigError(f"{folder}: {path.name} differs in case only; rename the entry")
     with SandboxClient(limits) as sandbox:
         entry = _submitted_entry(folder, sandbox)
         if (entry.name, entry.code) != (record.name, record.code):
@@ -179,8 +179,8 @@ def verify_submission(
             seed=seed,
             report=progress,
         )
-    for row in (row for row in found if row.reason):
-        raise ConfigError(f"{folder}: its row of {row.estimator} on {row.task}: {row.reason}")
+    for x in (x for x in found if x.reason):
+        raise ConfigError(f"{folder}: its row of {x.estimator} on {x.task}: {x.reason}")
     return found
 
 
