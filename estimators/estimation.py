@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from estimators.api import Estimator, check_estimate
+from estimators.common.blas import single_blas_thread
 from estimators.common.manoeuvres import mark_manoeuvres
 from estimators.lookup import resolve_estimator, training_notes
 from estimators.passes import estimate_passes
@@ -17,6 +18,7 @@ from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 from road_envs.vehicle.suspension import check_modes
 
 
+@single_blas_thread()  # threads that wait for each other take two thirds more processor time
 def estimate(
     estimator: str | Path | Estimator,
     record: Record | Sequence[Record],

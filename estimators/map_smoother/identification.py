@@ -14,6 +14,7 @@ import numpy as np
 from scipy.signal import welch
 
 from estimators.api import CalibrationDrive, CalibrationError
+from estimators.common.blas import single_blas_thread
 from estimators.common.odometer import calibrate_odometer
 from estimators.map_smoother.car_fit import (
     MAX_STEPS,
@@ -134,6 +135,7 @@ class IdentificationResult:
         return np.exp(space.std * self.fit.x[: space.size])
 
 
+@single_blas_thread()
 def identify(
     drives: Sequence[CalibrationDrive],
     car: VehicleParameters,

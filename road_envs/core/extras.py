@@ -6,7 +6,7 @@ from contextlib import contextmanager
 DISTRIBUTION = "road-envs"
 
 EXTRAS = {
-    "learn": ("torch", "stable_baselines3", "safetensors", "threadpoolctl"),
+    "learn": ("torch", "stable_baselines3", "safetensors"),
     "board": ("typer", "rich", "jinja2", "matplotlib", "pyarrow", "pandas"),
     "render": ("PIL",),
     "dask": ("distributed",),
