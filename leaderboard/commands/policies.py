@@ -26,9 +26,9 @@ from leaderboard.policies.policy_process import POLICY_LIMITS, PolicyProcess
 from leaderboard.report.rendering import POLICY_PAGE, write_pending
 from leaderboard.sandbox import bubblewrap
 from leaderboard.sandbox.limits import Limits
-from road_envs.core.atomic_io import write_text
+from road_envs.core.atomic_io import atomic_write, write_text
 from road_envs.core.config import ConfigError, validate_choice
-from road_envs.policies import FILE_SUFFIX, REGISTRY, make_policy, names, runs_foreign_code
+from road_envs.policies import FILE_SUFFIXES, REGISTRY, make_policy, names, runs_foreign_code
 from road_envs.policies.fixed import FixedPair
 from road_envs.policies.rollout import TRAINING_DRIVES, training_drives
 from road_envs.vehicle.suspension import MODES
@@ -42,9 +42,9 @@ def policies(
     policy: Annotated[
         list[str] | None,
         typer.Option(
-            help="Policy: a name of `road-recon list policies`, module:Class, or a file (.npz) "
-            "from `train-policy`; may be given again. Default: all of this "
-            "package, all constant pairs, and installed ones where they can be isolated."
+            help="Policy: a name of `road-recon list policies`, module:Class, or a file from "
+            "`train-policy` (.npz) or Stable-Baselines3 (.zip); may be given again. Default: all "
+            "of this package, all constant pairs, and installed ones where they can be isolated."
         ),
     ] = None,
     drives: Annotated[
@@ -120,7 +120,7 @@ def chosen_isolation(isolation: str) -> Any:
 def policy_reference(reference: str, isolation: str) -> str:
     """Return a reference to a policy that may be run. Raises ConfigError."""
     import_from_here([reference])
-    if ":" not in reference and not reference.endswith(FILE_SUFFIX):
+    if ":" not in reference and not reference.endswith(FILE_SUFFIXES):
         validate_choice("policy", reference, names())
     foreign = runs_foreign_code(reference)
     if foreign and chosen_isolation(isolation) is None:
@@ -140,7 +140,7 @@ def _entries(references: list[str] | None, limits: Limits) -> dict[str, Any]:
     for reference in references:
         policy_reference(reference, limits.isolation)
         name = reference.rpartition(":")[2]
-        name = Path(name).stem if name.endswith(FILE_SUFFIX) else name
+        name = Path(name).stem if name.endswith(FILE_SUFFIXES) else name
         if name in entries:
             raise ConfigError(f"two policies have the name {name!r}: give each of them once")
         if runs_foreign_code(reference):
@@ -180,21 +180,16 @@ def train_policy(
     steps: Annotated[
         int | None, typer.Option(help="Actions, or generations of evolved.", min=1)
     ] = None,
-    checkpoint: Annotated[
-        Path | None, typer.Option(help="Checkpoint file of a network, loaded if it exists.")
-    ] = None,
-    log: Annotated[Path | None, typer.Option(help="Folder for TensorBoard logs.")] = None,
 ) -> None:
     """Train a policy on training drives, and compare every seed with the laws on public ones."""
     config = learning.load_training_config(name, steps)
     check_output_path(out, ".npz")
-    kept = f"the state is kept in {checkpoint}; the same command continues" if checkpoint else ""
-    with on_interrupt(kept), progress_bar() as progress:
-        study = learning.train_seeds(
-            config, range(seed, seed + seeds), checkpoint=checkpoint, log=log, progress=progress
-        )
+    with on_interrupt(""), progress_bar() as progress:
+        study = learning.train_seeds(config, range(seed, seed + seeds), progress)
         evaluation = learning.evaluate_study(study)
-    learning.write_bytes(out, study.best.to_bytes())
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_write(out) as partial:
+        partial.write_bytes(study.best.to_bytes())
     write_text(out.with_suffix(".json"), to_json(evaluation))
-    for line in learning.study_lines(Path(name).stem, evaluation):
+    for line in learning.study_lines(evaluation):
         console.print(line, soft_wrap=True, highlight=False)

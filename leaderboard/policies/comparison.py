@@ -188,11 +188,16 @@ def _row(name: str, rollout: Rollout, base: Rollout | None, drives: Drives) -> d
     return row
 
 
-def interval(x: np.ndarray) -> dict[str, float]:
-    """Return the mean of `x` (2 N,), and its 95 % interval over pairs of mirrored drives."""
-    pairs = x.reshape(-1, 2).mean(axis=1)
-    rng = np.random.default_rng(0)
-    means = pairs[rng.integers(0, pairs.size, (BOOTSTRAPS, pairs.size))].mean(axis=1)
+def interval(x: np.ndarray, mirrored: bool = True) -> dict[str, float]:
+    """Return the mean of `x` (N,) or (S, N), and its 95 % interval over S seeds and N drives.
+
+    Drives are drawn in pairs if they are `mirrored`.
+    """
+    pairs = np.atleast_2d(x)
+    pairs = pairs.reshape(len(pairs), -1, 1 + mirrored).mean(axis=2)
+    rng, (seeds, drives) = np.random.default_rng(0), pairs.shape
+    drawn = rng.integers(0, drives, (BOOTSTRAPS, 1, drives))
+    means = pairs[rng.integers(0, seeds, (BOOTSTRAPS, seeds, 1)), drawn].mean(axis=(1, 2))
     low, high = np.quantile(means, [0.025, 0.975])
     return {"mean": _round(pairs.mean()), "low": _round(low), "high": _round(high)}
 

@@ -22,7 +22,7 @@ from leaderboard.sandbox.guest import Guest
 from leaderboard.sandbox.launch import start_guest
 from leaderboard.sandbox.limits import Limits
 from road_envs.core.atomic_io import TempFolder
-from road_envs.policies import FILE_SUFFIX, entry_point, runs_foreign_code
+from road_envs.policies import FILE_SUFFIXES, entry_point, runs_foreign_code
 from road_envs.policies.api import PolicyContext, PolicyError
 
 STARTUP_SECONDS = 60.0
@@ -51,7 +51,7 @@ class PolicyProcess:
         limits: Limits = POLICY_LIMITS,
     ):
         # its process has another working folder
-        is_file = reference.endswith(FILE_SUFFIX)
+        is_file = reference.endswith(FILE_SUFFIXES)
         self.reference = str(Path(reference).absolute()) if is_file else reference
         self.settings = dict(settings or {})
         self.limits = limits

@@ -53,8 +53,16 @@ def parsing(path: str | Path, error: type[Exception], reason: str) -> Iterator[N
 def read_npz(path: Path) -> dict[str, np.ndarray]:
     """Return the arrays of numbers or text in an .npz file, without pickle.
 
-    The sizes that the file states are compared with its bytes before anything is unpacked. Raises
-    an exception of any class if the file is damaged: call it inside `parsing`.
+    Raises an exception of any class if the file is damaged: call it inside `parsing`.
+    """
+    return {name.removesuffix(".npy"): _parse_npy(data) for name, data in read_zip(path).items()}
+
+
+def read_zip(path: Path) -> dict[str, bytes]:
+    """Return the files in a zip archive by name.
+
+    The sizes that the archive states are compared with its bytes before anything is unpacked.
+    Raises an exception of any class if it is damaged: call it inside `parsing`.
     """
     with zipfile.ZipFile(io.BytesIO(data := path.read_bytes())) as archive:
         members = archive.infolist()
@@ -63,7 +71,7 @@ def read_npz(path: Path) -> dict[str, np.ndarray]:
             raise ValueError("compressed by another method than deflate")
         if sum(m.file_size for m in members) > MAX_COMPRESSION * len(data):
             raise ValueError(f"more than {MAX_COMPRESSION} times as large when unpacked")
-        return {m.filename.removesuffix(".npy"): _parse_npy(archive.read(m)) for m in members}
+        return {m.filename: archive.read(m) for m in members}
 
 
 def read_parquet(path: Path) -> Any:

@@ -18,28 +18,19 @@ from typing import Any
 from road_envs.core import config
 from road_envs.core.config import ConfigError, Settings, build
 from road_envs.core.registry import PluginWarning, Registry
-from road_envs.policies.add import AccelerationDriven
 from road_envs.policies.api import Policy, PolicyContext, PolicyError
-from road_envs.policies.fixed import (
-    FixedHandling,
-    FixedHandlingRide,
-    FixedPair,
-    FixedRide,
-    FixedRideHandling,
-)
+from road_envs.policies.fixed import FixedPair
 from road_envs.policies.greedy_information import GreedyInformation
-from road_envs.policies.groundhook import Groundhook
 from road_envs.policies.lateral import LateralThreshold, RrmsLateral
-from road_envs.policies.network_policy import NetworkPolicy
+from road_envs.policies.network_policy import FILE_SUFFIXES, NetworkPolicy
 from road_envs.policies.preview import Preview
 from road_envs.policies.random_switching import RandomSwitching
 from road_envs.policies.roll_angle import RollAngle
 from road_envs.policies.rrms import RunningRmsPolicy
-from road_envs.policies.sh_add import SkyhookAdd
-from road_envs.policies.skyhook import Skyhook
-from road_envs.policies.trained import Evolved
+from road_envs.policies.two_state import AccelerationDriven, Groundhook, Skyhook, SkyhookAdd
 
 __all__ = [
+    "FILE_SUFFIXES",
     "REGISTRY",
     "PluginWarning",
     "Policy",
@@ -55,10 +46,9 @@ ENTRY_POINT_GROUP = "road_envs.policies"
 
 REGISTRY: dict[str, type[Policy]] = {
     "fixed": FixedPair,
-    "fixed_ride": FixedRide,
-    "fixed_handling": FixedHandling,
-    "fixed_ride_handling": FixedRideHandling,
-    "fixed_handling_ride": FixedHandlingRide,
+    **dict.fromkeys(
+        ["fixed_ride", "fixed_handling", "fixed_ride_handling", "fixed_handling_ride"], FixedPair
+    ),
     "random": RandomSwitching,
     "rrms": RunningRmsPolicy,
     "lateral": LateralThreshold,
@@ -70,7 +60,7 @@ REGISTRY: dict[str, type[Policy]] = {
     "sh_add": SkyhookAdd,
     "preview": Preview,
     "greedy_information": GreedyInformation,
-    "evolved": Evolved,
+    "evolved": NetworkPolicy,
 }
 
 
@@ -92,18 +82,14 @@ def create(name: str, **settings: Any) -> Policy:
     return _POLICIES.create(name, settings, tuned_settings(name))
 
 
-FILE_SUFFIX = ".npz"
-"""Suffix of the networks that `road-recon train-policy` writes."""
-
-
 def make_policy(reference: str | Path, **settings: Any) -> Policy:
-    """Return a policy by registered name, by "module:Class", or from a file of `train-policy`.
+    """Return a policy by registered name, by "module:Class", or from a file of a network.
 
     A name or a class takes `settings`. Raises ConfigError, and whatever the code of another package
     raises.
     """
     name = str(reference)
-    if name.endswith(FILE_SUFFIX):
+    if name.endswith(FILE_SUFFIXES):
         if settings:
             raise ConfigError(f"{name} holds a network, which takes no settings")
         if not Path(name).is_file():
@@ -132,7 +118,7 @@ def runs_foreign_code(reference: str) -> bool:
 
     Files of networks hold numbers only, and are read without pickle.
     """
-    return reference not in REGISTRY and not reference.endswith(FILE_SUFFIX)
+    return reference not in REGISTRY and not reference.endswith(FILE_SUFFIXES)
 
 
 def tuned_settings(name: str) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Policies with constant states: any pair, the paper's two test runs, and two mixed pairs."""
+"""Policy with constant states; `configs/policies` has the paper's two test runs and mixed pairs."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -26,33 +26,3 @@ class FixedPair(Settings):
     def act(self, observations: np.ndarray) -> np.ndarray:
         """Return the same actions at every call."""
         return self.actions
-
-
-@dataclass(kw_only=True)
-class FixedRide(FixedPair):
-    """Policy with all struts soft and low damping."""
-
-
-@dataclass(kw_only=True)
-class FixedHandling(FixedPair):
-    """Policy with all struts stiff and high damping."""
-
-    front: Mode = "handling"
-    rear: Mode = "handling"
-
-
-@dataclass(kw_only=True)
-class FixedRideHandling(FixedPair):
-    """Policy with ride in front and handling at the rear.
-
-    With different states in front and at the rear the roll motion responds to all frequencies.
-    """
-
-    rear: Mode = "handling"
-
-
-@dataclass(kw_only=True)
-class FixedHandlingRide(FixedPair):
-    """Policy with handling in front and ride at the rear."""
-
-    front: Mode = "handling"

@@ -4,13 +4,14 @@
 
 A file is a .npz of arrays `W_i`, `b_i` and a JSON text `about` with the metadata: format,
 activation, control, `held` (control intervals per action), `ahead` (whether there are preview
-features), and how it was trained. Files are read without pickle, so an untrusted file cannot
-execute code.
+features), and how it was trained. The zip that Stable-Baselines3 saves of a PPO, DQN or QR-DQN
+with an MlpPolicy is read, too. Both are read without pickle, so an untrusted file cannot execute
+code.
 """
 
 import io
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,10 +19,20 @@ from typing import Any
 import numpy as np
 
 from road_envs.core.config import ConfigError, Settings, folder, validate_choice
-from road_envs.core.reading import parsing, read_npz
+from road_envs.core.extras import optional_import
+from road_envs.core.reading import parsing, read_npz, read_zip
 from road_envs.envs.options import ACTIONS
 from road_envs.policies.api import PolicyContext
 from road_envs.policies.features import FeatureExtractor, n_features
+
+SB3_SUFFIX = ".zip"
+FILE_SUFFIXES = (".npz", SB3_SUFFIX)
+"""Suffixes of the files that hold a network."""
+
+SB3_ACTORS = (
+    "mlp_extractor.policy_net.", "action_net.", "q_net.q_net.", "quantile_net.quantile_net.",
+)  # fmt: skip
+"""Beginnings of the names of the parameters of a Stable-Baselines3 policy that choose actions."""
 
 FORMAT = "roadrecon policy 3"
 ACTIVATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
@@ -55,8 +66,56 @@ class PolicyNetwork:
         return buffer.getvalue()
 
 
+def sb3_layers(
+    parameters: Mapping[str, Any], actions: int
+) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+    """Return the layers that choose one of the `actions`, from a `state_dict` of a policy of
+    Stable-Baselines3. Raises ValueError if it has none.
+    """
+    names = [name for name in parameters if name.startswith(SB3_ACTORS)]
+    arrays = [parameters[name].detach().cpu().numpy().copy() for name in names]
+    if not arrays or len(arrays) % 2:
+        raise ValueError("no MlpPolicy of PPO, DQN or QR-DQN")
+    layers = list(zip(arrays[::2], arrays[1::2], strict=True))
+    if names[-1].startswith("quantile_net"):
+        # rows are quantiles of the actions in turn; the value of an action is their mean
+        W, b = layers.pop()
+        mean = W.reshape(-1, actions, W.shape[1]).mean(axis=0), b.reshape(-1, actions).mean(axis=0)
+        layers.append(mean)
+    return tuple(layers)
+
+
+def _read_sb3(path: Path) -> PolicyNetwork:
+    """Read a network from the zip of a model of Stable-Baselines3. Raises ConfigError.
+
+    It observes features if it has as many inputs as there are features, else observations.
+    """
+    with optional_import("a policy of Stable-Baselines3"):
+        import torch
+
+    with parsing(path, ConfigError, "not a saved model of Stable-Baselines3"):
+        files = read_zip(path)
+        about = json.loads(files["data"])
+        parameters = torch.load(io.BytesIO(files["policy.pth"]), weights_only=True)
+        actions = int(about["action_space"]["n"])
+        control = {len(table): name for name, table in ACTIONS.items()}[actions]
+        layers = sb3_layers(parameters, actions)
+        size = layers[0][0].shape[1]
+        default = "Tanh" if any(name.startswith("action_net") for name in parameters) else "ReLU"
+        activation = str(about["policy_kwargs"].get("activation_fn", default))
+        known = [name for name in ACTIVATIONS if name in activation.lower()]
+        if not known:
+            raise ValueError(f"its activation must be one of {list(ACTIVATIONS)}, got {activation}")
+        _validate_layers(layers, size, actions)
+        kinds = [ahead for ahead in (False, True) if n_features(ahead) == size]
+        metadata = {"activation": known[0], "control": control, "held": 1, "ahead": kinds == [True]}
+        return PolicyNetwork(layers, metadata | {"features": bool(kinds)})
+
+
 def read_policy_network(path: Path) -> PolicyNetwork:
     """Read a network from its file. Raises ConfigError if the file is damaged or foreign."""
+    if path.suffix == SB3_SUFFIX:
+        return _read_sb3(path)
     with parsing(path, ConfigError, "not a stored policy"):
         arrays = read_npz(path)
         metadata = json.loads(str(arrays.pop("about")))
@@ -115,12 +174,22 @@ class NetworkPolicy(Settings):
         if len(context.actions) != len(self.network.layers[-1][1]):
             control = self.network.metadata["control"]
             raise ConfigError(f"{self.file} needs the control {control!r} it was trained with")
-        self.features = FeatureExtractor(context, self.network.metadata["ahead"])
+        observed = max(part.stop for part in context.observation_slices.values())
+        size = self.network.layers[0][0].shape[1]
+        if not self.network.metadata.get("features", True):
+            if size != observed:
+                raise ConfigError(
+                    f"{self.file} needs {size} observed values, as in the environment it was "
+                    f"trained with; there are {observed}"
+                )
+            self.features = None
+        else:
+            self.features = FeatureExtractor(context, self.network.metadata["ahead"])
         self.n_intervals = 0
 
     def act(self, observations: np.ndarray) -> np.ndarray:
         """Return actions (N,), new ones after every `held` intervals."""
-        features = self.features.update(observations)
+        features = self.features.update(observations) if self.features else observations
         if self.n_intervals % self.network.metadata["held"] == 0:
             self.actions = np.argmax(self.network.forward(features), axis=1)
         self.n_intervals += 1

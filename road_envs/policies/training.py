@@ -1,35 +1,27 @@
 """Training of a `PolicyNetwork` with Stable-Baselines3 on the drives of `RoadRecon/Safe4S4-v1`.
 
-Every episode draws a new training drive. Checkpoints hold tensors and numbers only (`torch.load`
-with `weights_only`), never pickled objects, so that an untrusted checkpoint cannot execute code.
-The replay buffer of DQN and QR-DQN is not stored; it is filled again.
+Every episode draws a new training drive.
 """
 
-import io
-import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import gymnasium
 import numpy as np
 
-from road_envs.core.atomic_io import atomic_write
 from road_envs.core.config import ConfigError, Count, Settings
 from road_envs.core.extras import optional_import
-from road_envs.core.reading import parsing
 from road_envs.envs.safe4s4 import Safe4S4VectorEnv
 from road_envs.envs.sb3 import ArrayVecEnv, RoadReconVecEnv
 from road_envs.policies.api import PolicyContext
 from road_envs.policies.features import MAX_FEATURE, FeatureExtractor, n_features
-from road_envs.policies.network_policy import NetworkPolicy, PolicyNetwork
+from road_envs.policies.network_policy import NetworkPolicy, PolicyNetwork, sb3_layers
 from road_envs.policies.rollout import VIOLATION_PRICE, drive_all, training_drives
 
 with optional_import("training a policy"):
     import torch
     from stable_baselines3 import DQN, PPO
-    from stable_baselines3.common.callbacks import BaseCallback
 
 RIDE = ("ride", "ride")
 """States of the paired baseline."""
@@ -153,27 +145,21 @@ class FeatureVecEnv(ArrayVecEnv):
 
 
 def train(
-    config: TrainingConfig,
-    seed: int,
-    *,
-    checkpoint: Path | None = None,
-    log: Path | None = None,
-    progress: Progress = lambda text, share: None,
+    config: TrainingConfig, seed: int, progress: Progress = lambda text, share: None
 ) -> TrainingResult:
     """Train on the drives of the split "train", with evaluations on some of them.
 
-    An existing `checkpoint` is resumed; it is written after every evaluation. `log` is a folder for
-    TensorBoard, if that is installed. Raises ConfigError.
+    Raises ConfigError.
     """
     threads = torch.get_num_threads()
     torch.set_num_threads(1)  # several threads are slower for layers this small
     try:
-        return _train(config, seed, checkpoint, log, progress)
+        return _train(config, seed, progress)
     finally:
         torch.set_num_threads(threads)
 
 
-def _train(config, seed, checkpoint, log, progress) -> TrainingResult:
+def _train(config: TrainingConfig, seed: int, progress: Progress) -> TrainingResult:
     rows = (1 + config.paired_baseline) * config.n_envs
     envs = FeatureVecEnv(
         RoadReconVecEnv(rows, vector_class=Safe4S4VectorEnv, cost_price=VIOLATION_PRICE),
@@ -184,10 +170,7 @@ def _train(config, seed, checkpoint, log, progress) -> TrainingResult:
         preview=config.preview,
     )
     drives = training_drives(config.drives)
-    model = _model(config, envs, seed, log)
-    state: dict[str, Any] = {"steps": 0, "best": -np.inf, "curve": [], "network": None}
-    if checkpoint is not None and checkpoint.exists():
-        _resume(model, state, checkpoint, config)
+    model = _model(config, envs, seed)
     metadata = {  # the keys are those of the file format of `network_policy`
         "activation": "tanh" if config.algorithm == "ppo" else "relu",
         "control": drives.setup.options.control,
@@ -197,26 +180,34 @@ def _train(config, seed, checkpoint, log, progress) -> TrainingResult:
         "seed": seed,
         "steps": config.steps,
     }
-    while state["steps"] < config.steps:
-        steps = min(config.eval_interval, config.steps - state["steps"])
-        callback = _progress_callback(progress, config.steps)
-        model.learn(steps, callback=callback, reset_num_timesteps=False)
-        state["steps"] = int(model.num_timesteps)
-        network = PolicyNetwork(_actor_layers(model, config.algorithm), metadata)
+
+    def report(local: Any, _: Any) -> bool:
+        steps = local["self"].num_timesteps
+        progress(f"{steps} of {config.steps} steps", steps / config.steps)
+        return True
+
+    best, curve = (-np.inf, PolicyNetwork((), metadata)), []
+    while model.num_timesteps < config.steps:
+        steps = min(config.eval_interval, config.steps - model.num_timesteps)
+        model.learn(steps, callback=report, reset_num_timesteps=False)
+        network = PolicyNetwork(
+            sb3_layers(model.policy.state_dict(), int(model.action_space.n)), metadata
+        )
         score = float(drive_all(NetworkPolicy.from_network(network), drives).score.mean())
-        state["curve"].append((state["steps"], score))
-        if score > state["best"]:
-            state["best"], state["network"] = score, network
-        if checkpoint is not None:
-            _save_checkpoint(model, state, checkpoint, config)
-    return TrainingResult(state["network"], tuple(map(tuple, state["curve"])))
+        curve.append((int(model.num_timesteps), score))
+        best = max(best, (score, network), key=lambda pair: pair[0])
+    return TrainingResult(best[1], tuple(curve))
 
 
-def _model(config: TrainingConfig, envs: FeatureVecEnv, seed: int, log: Path | None):
+def _model(config: TrainingConfig, envs: FeatureVecEnv, seed: int) -> Any:
+    """Return the learner. Raises ConfigError on hyperparameters that it does not know."""
     layers = list(config.layers)
     activation = torch.nn.Tanh if config.algorithm == "ppo" else torch.nn.ReLU
     shape: Any = {"pi": layers, "vf": layers} if config.algorithm == "ppo" else layers
-    cls: Any = {"ppo": PPO, "dqn": DQN}.get(config.algorithm) or _qrdqn()
+    cls: Any = {"ppo": PPO, "dqn": DQN}.get(config.algorithm)
+    if cls is None:
+        with optional_import("training by QR-DQN"):
+            from sb3_contrib import QRDQN as cls  # noqa: N811
     try:
         model = cls(
             "MlpPolicy",
@@ -224,7 +215,6 @@ def _model(config: TrainingConfig, envs: FeatureVecEnv, seed: int, log: Path | N
             seed=seed,
             device="cpu",
             policy_kwargs={"net_arch": shape, "activation_fn": activation},
-            tensorboard_log=str(log) if log is not None and _has_tensorboard() else None,
             **config.hyperparameters,
         )
     except (TypeError, ValueError) as error:
@@ -233,83 +223,3 @@ def _model(config: TrainingConfig, envs: FeatureVecEnv, seed: int, log: Path | N
         ride = envs.features.context.action_index(*RIDE)
         model.policy.action_net.bias.data[ride] += config.ride_logit_bias
     return model
-
-
-def _qrdqn() -> Any:
-    with optional_import("training by QR-DQN"):
-        from sb3_contrib import QRDQN
-
-    return QRDQN
-
-
-def _has_tensorboard() -> bool:
-    from importlib.util import find_spec
-
-    return find_spec("tensorboard") is not None
-
-
-def _progress_callback(progress: Progress, total: int):
-    class ProgressCallback(BaseCallback):
-        def _on_step(self) -> bool:
-            if self.n_calls % 32 == 0:
-                progress(f"{self.num_timesteps} of {total} steps", self.num_timesteps / total)
-            return True
-
-    return ProgressCallback()
-
-
-def _actor_layers(model: Any, algorithm: str) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-    """Return the network of a model that selects actions, as plain arrays."""
-    if algorithm == "ppo":
-        net = [*model.policy.mlp_extractor.policy_net, model.policy.action_net]
-    else:
-        value = model.policy.quantile_net if algorithm == "qrdqn" else model.policy.q_net
-        net = list(value.quantile_net if algorithm == "qrdqn" else value.q_net)
-    layers = [
-        (layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy())
-        for layer in net
-        if isinstance(layer, torch.nn.Linear)
-    ]
-    if algorithm == "qrdqn":
-        # rows are quantiles of the actions in turn; the value of an action is their mean
-        W, b = layers.pop()
-        n = int(model.action_space.n)
-        layers.append((W.reshape(-1, n, W.shape[1]).mean(axis=0), b.reshape(-1, n).mean(axis=0)))
-    return tuple(layers)
-
-
-def _save_checkpoint(model: Any, state: dict[str, Any], path: Path, config: TrainingConfig) -> None:
-    """Write a checkpoint atomically."""
-    plain = {"steps": state["steps"], "best": state["best"], "curve": state["curve"]}
-    network = {
-        f"{kind}_{i}": torch.from_numpy(array)
-        for i, layer in enumerate(state["network"].layers)
-        for kind, array in zip("Wb", layer, strict=True)
-    }
-    with atomic_write(path) as partial:
-        torch.save(
-            {
-                "policy": model.policy.state_dict(),
-                "optimizer": model.policy.optimizer.state_dict(),
-                "network": network,
-                "state": json.dumps(plain),
-                "config": repr(config),
-                "about": json.dumps(state["network"].metadata),
-            },
-            partial,
-        )
-
-
-def _resume(model: Any, state: dict[str, Any], path: Path, config: TrainingConfig) -> None:
-    """Restore a checkpoint. Raises ConfigError if it is damaged or of other settings."""
-    with parsing(path, ConfigError, "not a checkpoint that can be resumed"):
-        stored = torch.load(io.BytesIO(path.read_bytes()), weights_only=True)
-        if stored["config"] != repr(config):
-            raise ConfigError("belongs to other settings; choose another checkpoint file")
-        model.policy.load_state_dict(stored["policy"])
-        model.policy.optimizer.load_state_dict(stored["optimizer"])
-        state |= json.loads(stored["state"])
-        arrays, metadata = stored["network"], json.loads(stored["about"])
-        layers = [(arrays[f"W_{i}"], arrays[f"b_{i}"]) for i in range(len(arrays) // 2)]
-        state["network"] = PolicyNetwork(tuple((W.numpy(), b.numpy()) for W, b in layers), metadata)
-    model.num_timesteps = state["steps"]

@@ -1,4 +1,4 @@
-"""Base class of policies with two damper states, chosen axle by axle from a control law.
+"""Policies with two damper states, chosen axle by axle from an on-off control law.
 
 The law gives a value for each strut from the velocity v and the acceleration a of the body above
 it and from its rate of extension e' (v and a positive upwards, extension positive). An axle is in
@@ -49,3 +49,55 @@ class TwoStateDamper(Settings, abc.ABC):
     @abc.abstractmethod
     def law(self, v: np.ndarray, a: np.ndarray, e_dot: np.ndarray) -> np.ndarray:
         """Return a value for each strut (N, 4) from v [m/s], a [m/s²] and e' [m/s], all (N, 4)."""
+
+
+@dataclass(kw_only=True)
+class Skyhook(TwoStateDamper):
+    """Policy with high damping where v e' > 0: an extending strut pulls down a rising body.
+
+    Karnopp, Crosby & Harwood, J. Eng. Ind. 96, 1974.
+    """
+
+    def law(self, v: np.ndarray, a: np.ndarray, e_dot: np.ndarray) -> np.ndarray:
+        """Return the product v e'."""
+        return v * e_dot
+
+
+@dataclass(kw_only=True)
+class Groundhook(TwoStateDamper):
+    """Policy with high damping where (v - e') e' < 0: an extending strut lifts a falling wheel.
+
+    Valasek, Novak, Sika & Vaculin, Vehicle Syst. Dyn. 28, 1997.
+    """
+
+    def law(self, v: np.ndarray, a: np.ndarray, e_dot: np.ndarray) -> np.ndarray:
+        """Return -(v - e') e', where v - e' is the velocity of the axle under the strut."""
+        return (e_dot - v) * e_dot
+
+
+@dataclass(kw_only=True)
+class AccelerationDriven(TwoStateDamper):
+    """Policy with high damping where a e' > 0: the damper force opposes the acceleration.
+
+    Savaresi, Silani & Bittanti, J. Dyn. Syst. Meas. Control 127, 2005.
+    """
+
+    def law(self, v: np.ndarray, a: np.ndarray, e_dot: np.ndarray) -> np.ndarray:
+        """Return the product a e'."""
+        return a * e_dot
+
+
+@dataclass(kw_only=True)
+class SkyhookAdd(TwoStateDamper):
+    """Policy of skyhook at low frequencies and acceleration-driven damping at high ones.
+
+    They cross over at `crossover` [Hz], alpha = 2 pi crossover: Savaresi & Spelta, J. Dyn. Syst.
+    Meas. Control 129, 2007.
+    """
+
+    crossover: float = 1.9
+
+    def law(self, v: np.ndarray, a: np.ndarray, e_dot: np.ndarray) -> np.ndarray:
+        """Return v e' where a² <= alpha² v², else a e' / alpha, both in (m/s)²."""
+        alpha = 2.0 * np.pi * self.crossover
+        return np.where(np.abs(a) <= alpha * np.abs(v), v, a / alpha) * e_dot
