@@ -162,13 +162,12 @@ def tune_policy(
     validate_choice("policy", name, grid_search.GRIDS)
     check_output_path(out, ".yaml", ".yml")
     with progress_bar() as progress:
-        best = grid_search.tune(name, training_drives(drives), progress)
+        trials = grid_search.tune(name, training_drives(drives), progress)
     command = f"road-recon tune-policy {name} --drives {drives}"
     if out:
-        write_text(out, grid_search.as_yaml(best, command))
-    for row in best.trials:
-        console.print(f"{row.cost:.4f}  {row.settings}")
-    console.print(f"best: {best.settings}, cost {best.cost:.4f} m²/s⁴")
+        write_text(out, grid_search.as_yaml(trials, command))
+    for trial in trials:
+        console.print(f"{trial.cost:.4f}  {trial.settings}")
 
 
 def train_policy(

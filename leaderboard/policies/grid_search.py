@@ -5,7 +5,7 @@ over drives of the split "train" and their mirror images. Test drives are never 
 """
 
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import yaml
@@ -46,35 +46,22 @@ class Trial(NamedTuple):
     cost: float
 
 
-class SearchResult(NamedTuple):
-    """The settings of least cost, that cost, and all trials."""
-
-    settings: dict[str, Any]
-    cost: float
-    trials: list[Trial]
-
-
 def tune(
-    name: str,
-    drives: Drives,
-    progress: Callable[[str, float], None] = lambda text, x: None,
-) -> SearchResult:
-    """Evaluate the whole grid of a policy on training drives."""
-    grid = GRIDS[name]
-    trials: list[Trial] = []
-    choices = list(itertools.product(*grid.values()))
+    name: str, drives: Drives, progress: Callable[[str, float], None] = lambda text, x: None
+) -> list[Trial]:
+    """Evaluate the whole grid of a policy on training drives; the best trial comes first."""
+    trials, choices = [], list(itertools.product(*GRIDS[name].values()))
     for k, values in enumerate(choices):
-        settings = dict(zip(grid, values, strict=True))
+        settings = dict(zip(GRIDS[name], values, strict=True))
         progress(f"{name}: {settings}", k / len(choices))
         score = drive_all(create(name, **settings), drives).score
         trials.append(Trial(settings, -float(score.mean())))
-    best = min(trials, key=lambda trial: trial.cost)
-    return SearchResult(best.settings, best.cost, trials)
+    return sorted(trials, key=lambda trial: trial.cost)
 
 
-def as_yaml(best: SearchResult, command: str) -> str:
+def as_yaml(trials: Sequence[Trial], command: str) -> str:
     """Return the text of a settings file for `configs/policies`."""
-    source = f"{command}: cost {best.cost:.4f} m²/s⁴, best of {len(best.trials)}"
+    source = f"{command}: cost {trials[0].cost:.4f} m²/s⁴, best of {len(trials)}"
     return yaml.safe_dump(
-        {"settings": best.settings, "source": source}, sort_keys=False, allow_unicode=True
+        {"settings": trials[0].settings, "source": source}, sort_keys=False, allow_unicode=True
     )

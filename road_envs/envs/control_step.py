@@ -9,41 +9,8 @@ axis and LANES as last axis, which the shapes below omit.
 
 import numpy as np
 
+from road_envs.envs import fleet_arrays as fa
 from road_envs.envs.failures import END_OF_ROAD, NONFINITE_STEP, ROLLOVER, find_failures
-from road_envs.envs.fleet_arrays import (
-    DRIVE_START,
-    MAX_EXTENSION,
-    MAX_EXTENSION_RATE,
-    MAX_PLANAR,
-    N_PLANAR,
-    N_SUMS,
-    OUT_COMFORT,
-    OUT_RATTLE,
-    OUT_REWARD,
-    OUT_SPEED_KMH,
-    OUT_STATION,
-    OUT_T,
-    OUT_TYRE_LOAD,
-    OUT_UNRESOLVED,
-    PROFILE,
-    ROAD_OFFSET,
-    ROAD_PER_DS,
-    ROAD_SIZE,
-    ROAD_START,
-    SPEED,
-    SPEED_GAIN,
-    SPEED_KMH,
-    STEPS_DONE,
-    STEPS_TOTAL,
-    SUM_A_X,
-    SUM_A_Y,
-    SUM_COMFORT,
-    SUM_RATTLE,
-    SUM_TYRE_LOAD,
-    TRUE_LOADS,
-    TRUE_PROFILE,
-    TRUE_S,
-)
 from road_envs.envs.safety_step import N_SAFETY, add_safety, write_safety
 from road_envs.kernels._numba import kernel
 from road_envs.kernels.filters import filter_sample
@@ -84,8 +51,8 @@ def _read_profiles(profiles, counts, s, v, a_xy):
     size = s.shape[0]
     for k in range(LANES):
         # profiles hold every half step, so that the interval begins at twice the steps done
-        first = max(min(2 * counts[STEPS_DONE, k], 2 * counts[STEPS_TOTAL, k] + 1 - size), 0)
-        row = profiles[counts[PROFILE, k]]
+        first = max(min(2 * counts[fa.STEPS_DONE, k], 2 * counts[fa.STEPS_TOTAL, k] + 1 - size), 0)
+        row = profiles[counts[fa.PROFILE, k]]
         for i in range(size):
             s[i, k], v[i, k] = row[0, first + i], row[1, first + i]
             a_xy[2 * i, k], a_xy[2 * i + 1, k] = row[2, first + i], row[3, first + i]
@@ -114,26 +81,26 @@ def _add_costs(parameters, wk_state, signals, sums):
     """Add the squares of one step to the `sums` (6, LANES)."""
     heave = get(signals, ACCELERATION + Z_B)
     heave = filter_sample(parameters.wk_sos, wk_state, 0, heave)
-    add(sums, SUM_COMFORT, heave * heave)
+    add(sums, fa.SUM_COMFORT, heave * heave)
     for w in range(4):
         e = get(signals, EXTENSION + w)
-        add(sums, SUM_RATTLE, e * e)
+        add(sums, fa.SUM_RATTLE, e * e)
         variation = get(signals, LOAD + w) * parameters.per_static_load[w] - 1.0
-        add(sums, SUM_TYRE_LOAD, variation * variation)
+        add(sums, fa.SUM_TYRE_LOAD, variation * variation)
 
 
 @kernel(inline=False)
 def _write_costs(parameters, n, sums, values):
     """Write the costs and the reward of an interval of `n` steps to `values` (lanes in use, 8)."""
     for k in range(values.shape[0]):
-        values[k, OUT_COMFORT] = np.sqrt(sums[SUM_COMFORT, k] / n)
-        values[k, OUT_RATTLE] = np.sqrt(sums[SUM_RATTLE, k] / (4 * n))
-        values[k, OUT_TYRE_LOAD] = np.sqrt(sums[SUM_TYRE_LOAD, k] / (4 * n))
+        values[k, fa.OUT_COMFORT] = np.sqrt(sums[fa.SUM_COMFORT, k] / n)
+        values[k, fa.OUT_RATTLE] = np.sqrt(sums[fa.SUM_RATTLE, k] / (4 * n))
+        values[k, fa.OUT_TYRE_LOAD] = np.sqrt(sums[fa.SUM_TYRE_LOAD, k] / (4 * n))
         cost = 0.0
         for j in range(3):
-            cost += parameters.weights[j] * values[k, OUT_COMFORT + j]
-        values[k, OUT_REWARD] = -n * parameters.h * cost
-        values[k, OUT_UNRESOLVED] = 0.0
+            cost += parameters.weights[j] * values[k, fa.OUT_COMFORT + j]
+        values[k, fa.OUT_REWARD] = -n * parameters.h * cost
+        values[k, fa.OUT_UNRESOLVED] = 0.0
 
 
 @kernel(inline=False)
@@ -162,18 +129,18 @@ def _write_optional_groups(parameters, p, n, sums, signals, k_0, observation):
     at, lanes = k_0, observation.shape[0]
     if parameters.planar > 0:
         for k in range(lanes):
-            for j in range(N_PLANAR):
-                mean = sums[SUM_A_X + j, k] / n
-                observation[k, at + j] = min(max(mean, -MAX_PLANAR), MAX_PLANAR)
-        at += N_PLANAR
+            for j in range(fa.N_PLANAR):
+                mean = sums[fa.SUM_A_X + j, k] / n
+                observation[k, at + j] = min(max(mean, -fa.MAX_PLANAR), fa.MAX_PLANAR)
+        at += fa.N_PLANAR
     if parameters.struts > 0:
         for w in range(4):
             rate = extension(p, signals[N_DOF : 2 * N_DOF], w)
             for k in range(lanes):
                 e, e_dot = signals[EXTENSION + w, k], extract_lane(rate, k)
-                observation[k, at + w] = min(max(e, -MAX_EXTENSION), MAX_EXTENSION)
+                observation[k, at + w] = min(max(e, -fa.MAX_EXTENSION), fa.MAX_EXTENSION)
                 observation[k, at + 4 + w] = min(
-                    max(e_dot, -MAX_EXTENSION_RATE), MAX_EXTENSION_RATE
+                    max(e_dot, -fa.MAX_EXTENSION_RATE), fa.MAX_EXTENSION_RATE
                 )
 
 
@@ -181,11 +148,11 @@ def _write_optional_groups(parameters, p, n, sums, signals, k_0, observation):
 def _write_truth(s, heights, signals, at, truth):
     """Write station, heights under the front wheels and tyre loads of a step to column `at`."""
     for k in range(truth.shape[0]):
-        truth[k, TRUE_S, at] = s[k]
+        truth[k, fa.TRUE_S, at] = s[k]
         for side in range(2):
-            truth[k, TRUE_PROFILE + side, at] = heights[side, k]
+            truth[k, fa.TRUE_PROFILE + side, at] = heights[side, k]
         for w in range(4):
-            truth[k, TRUE_LOADS + w, at] = signals[LOAD + w, k]
+            truth[k, fa.TRUE_LOADS + w, at] = signals[LOAD + w, k]
 
 
 @kernel(inline=False, count_references=False)
@@ -204,24 +171,28 @@ def advance_blocks(
         step_workspace(stack_rows(WORKSPACE_ROWS)), stack_rows(16), stack_rows(2), stack_rows(2),
         stack_rows(40), stack_rows(N_SIDE_SIGNALS),
     )  # fmt: skip
-    signals, sums, safe = stack_rows(N_SIDE_SIGNALS), stack_rows(N_SUMS), stack_rows(N_SAFETY)
+    signals, sums, safe = (
+        stack_rows(N_SIDE_SIGNALS),
+        stack_rows(fa.N_SUMS),
+        stack_rows(N_SAFETY),
+    )
     for b in blocks:
         rows = slice(b * LANES, min((b + 1) * LANES, output.values.shape[0]))
         lanes, own = rows.stop - rows.start, b % cars.lane_constants.shape[0]
         q, v, layout, commands = state.q[b], state.v[b], state.road_layout[b], inputs.commands[b]
         kinematics, counts = state.kinematics[b], state.counts[b]
         values, events, truth = output.values[rows], output.events[rows], output.truth[rows]
-        offset, size = layout[ROAD_OFFSET:ROAD_SIZE], layout[ROAD_SIZE]
+        offset, size = layout[fa.ROAD_OFFSET : fa.ROAD_SIZE], layout[fa.ROAD_SIZE]
         roads = RoadBuffers(
-            inputs.road_heights, offset, size, layout[ROAD_START], layout[ROAD_PER_DS]
+            inputs.road_heights, offset, size, layout[fa.ROAD_START], layout[fa.ROAD_PER_DS]
         )
         if inputs.profiles.shape[0] > 0:
             a_xy = workspace.a_xy
             _read_profiles(inputs.profiles, counts, workspace.s, workspace.v, a_xy)
         else:
             a_xy = inputs.a_xy[b % inputs.a_xy.shape[0]]
-            start, speed = kinematics[DRIVE_START], kinematics[SPEED]
-            front_axle_stations(start, speed, counts[STEPS_DONE], h, workspace.s, workspace.v)
+            start, speed = kinematics[fa.DRIVE_START], kinematics[fa.SPEED]
+            front_axle_stations(start, speed, counts[fa.STEPS_DONE], h, workspace.s, workspace.v)
         delay_commands(state.delay_line[b], parameters.delay, inputs.commands[b : b + 1], delayed)
         vehicles = LaneBuffers(
             cars.lane_constants[own : own + 1], cars.constants[own], cars.alpha[own], cars.velocity,
@@ -231,7 +202,7 @@ def advance_blocks(
         drive_inputs = DriveInputs(workspace.s, workspace.v, a_xy, delayed, h)
         if parameters.noisy > 0:
             fill_normal(state.noise_state[b], lanes, workspace.noise)
-        for j in range(N_SUMS):
+        for j in range(fa.N_SUMS):
             put(sums, j, 0.0)
         for j in range(N_SAFETY):
             put(safe, j, 0.0)
@@ -253,8 +224,8 @@ def advance_blocks(
                 )  # fmt: skip
             if parameters.planar > 0:
                 first = 4 * i if manoeuvre else 0
-                add(sums, SUM_A_X, get(a_xy, first) - GRAVITY * get(signals, THETA))
-                add(sums, SUM_A_Y, get(a_xy, first + 1) + GRAVITY * get(signals, PHI))
+                add(sums, fa.SUM_A_X, get(a_xy, first) - GRAVITY * get(signals, THETA))
+                add(sums, fa.SUM_A_Y, get(a_xy, first + 1) + GRAVITY * get(signals, PHI))
             if truth.shape[1] > 0 and i % parameters.decimation == 0:
                 at = i // parameters.decimation
                 _write_truth(workspace.s[2 * i], scratch.front, signals, at, truth)
@@ -268,7 +239,7 @@ def advance_blocks(
             if events[k, NONFINITE_STEP] < 0 and not np.isfinite(total):
                 events[k, NONFINITE_STEP] = n
             if events[k, NONFINITE_STEP] >= 0:
-                for j in range(N_SUMS):
+                for j in range(fa.N_SUMS):
                     sums[j, k] = 0.0
                 for j in range(N_SAFETY):
                     safe[j, k] = 0.0
@@ -277,21 +248,23 @@ def advance_blocks(
         else:
             write_safety(safe, values)
         observation, end = output.observation[rows], workspace.v[2 * n]
-        gain = kinematics[SPEED_GAIN]
+        gain = kinematics[fa.SPEED_GAIN]
         _write_observation(parameters, gain, end, workspace.samples, commands, observation)
         k_0 = workspace.samples.shape[0] * workspace.samples.shape[1] + 5
         p = cars.lane_constants[own]
         _write_optional_groups(parameters, p, n, sums, signals, k_0, observation)
         for k in range(lanes):
-            counts[STEPS_DONE, k] += n
-            t = counts[STEPS_DONE, k] * h
-            values[k, OUT_T] = t
+            counts[fa.STEPS_DONE, k] += n
+            t = counts[fa.STEPS_DONE, k] * h
+            values[k, fa.OUT_T] = t
             if inputs.profiles.shape[0] > 0:
-                values[k, OUT_STATION], values[k, OUT_SPEED_KMH] = (
+                values[k, fa.OUT_STATION], values[k, fa.OUT_SPEED_KMH] = (
                     workspace.s[2 * n, k],
                     3.6 * end[k],
                 )
             else:
-                values[k, OUT_STATION] = kinematics[DRIVE_START, k] + t * kinematics[SPEED, k]
-                values[k, OUT_SPEED_KMH] = kinematics[SPEED_KMH, k]
-            events[k, END_OF_ROAD] = counts[STEPS_DONE, k] >= counts[STEPS_TOTAL, k]
+                values[k, fa.OUT_STATION] = (
+                    kinematics[fa.DRIVE_START, k] + t * kinematics[fa.SPEED, k]
+                )
+                values[k, fa.OUT_SPEED_KMH] = kinematics[fa.SPEED_KMH, k]
+            events[k, END_OF_ROAD] = counts[fa.STEPS_DONE, k] >= counts[fa.STEPS_TOTAL, k]

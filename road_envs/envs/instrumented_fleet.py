@@ -12,25 +12,10 @@ import numpy as np
 
 from road_envs.analysis.comfort import wk_sos
 from road_envs.core.config import ConfigError
+from road_envs.envs import fleet_arrays as fa
 from road_envs.envs.control_step import advance_blocks
 from road_envs.envs.fleet_arrays import (
-    DRIVE_START,
-    N_PLANAR,
-    N_STRUT_SIGNALS,
-    N_TRUE,
-    OUT_REWARD,
-    OUT_UNRESOLVED,
     OUTPUT_COLUMNS,
-    PROFILE,
-    ROAD_OFFSET,
-    ROAD_PER_DS,
-    ROAD_SIZE,
-    ROAD_START,
-    SPEED,
-    SPEED_GAIN,
-    SPEED_KMH,
-    STEPS_DONE,
-    STEPS_TOTAL,
     ControlStepWorkspace,
     FleetParameters,
     FleetState,
@@ -132,7 +117,7 @@ class InstrumentedFleet:
         self.step, self.steps, self.n_vehicles = step, steps, n_vehicles
         self.threads, self.samples = threads, steps // logger.decimation
         blocks, delay = ceil(n_vehicles / LANES), round(car.valve.delay / step)
-        self.cars = LaneCars(plant, car, step, blocks)
+        self.cars = LaneCars(plant, car, step, blocks, settings.individual)
         self.safety = safety_parameters(car, step) if settings.individual else None
         self.columns = SAFETY_COLUMNS if settings.individual else OUTPUT_COLUMNS
         self.parameters = FleetParameters(
@@ -153,7 +138,9 @@ class InstrumentedFleet:
         )
         k = logger.range.size
         self.observation_size = k * self.samples + 5
-        self.observation_size += settings.planar * N_PLANAR + settings.struts * N_STRUT_SIGNALS
+        self.observation_size += (
+            settings.planar * fa.N_PLANAR + settings.struts * fa.N_STRUT_SIGNALS
+        )
         per_command = 256 if settings.unresolved_variance else 0
         self.unresolved = np.zeros((n_vehicles, per_command))
         self.state = self._initial_state(blocks, delay, k)
@@ -177,7 +164,6 @@ class InstrumentedFleet:
         b, k = divmod(i, LANES)
         row = self._rows.setdefault(i, len(self._rows))
         self._set_road(i, row, drive)
-        self.cars.put(i, drive.plant, drive.car)
         state = self.state
         state.q[b, :, k], state.v[b, :, k] = np.split(drive.state, 2)
         state.strut_state[b, :, :, k], state.valves[b, 0, k] = drive.strut_state, 1.0
@@ -192,19 +178,24 @@ class InstrumentedFleet:
         mounting = np.column_stack([sensor_rows(logger), gain * np.cos(tilt), constant])
         state.mounting[b, ..., k] = mounting
         kinematics, counts = state.kinematics[b, :, k], state.counts[b, :, k]
-        kinematics[DRIVE_START], kinematics[SPEED] = drive.start, drive.speed
-        kinematics[SPEED_GAIN], kinematics[SPEED_KMH] = logger.speed_gain, speed_kmh
-        counts[STEPS_DONE], counts[STEPS_TOTAL], counts[PROFILE] = 0, drive.steps_left, row
+        kinematics[fa.DRIVE_START], kinematics[fa.SPEED] = drive.start, drive.speed
+        kinematics[fa.SPEED_GAIN], kinematics[fa.SPEED_KMH] = logger.speed_gain, speed_kmh
+        counts[fa.STEPS_DONE], counts[fa.STEPS_TOTAL], counts[fa.PROFILE] = (
+            0,
+            drive.steps_left,
+            row,
+        )
         state.noise_state[b, :, k] = generator_state(logger.rng)
         if self.settings.unresolved_variance is not None:
             self.unresolved[i] = self.settings.unresolved_variance(drive.speed)
         if self.settings.individual:
+            self.cars.put(i, drive.plant, drive.car)
             self._set_profile(row, drive)
 
     def share(self, i: int, others: range) -> None:
         """Start the vehicles `others` on the drive of vehicle `i`, which all then share."""
         self.copy_vehicles(np.full(len(others), i), np.array(others, dtype=int))
-        for other in others:
+        for other in others if self.settings.individual else ():
             self.cars.share(i, other)
 
     def copy_vehicles(self, source: np.ndarray, target: np.ndarray | None = None) -> None:
@@ -272,13 +263,13 @@ class InstrumentedFleet:
         """Subtract the cost of the road variance that the commanded states leave unresolved."""
         interval = self.steps * self.step
         unresolved = self.unresolved[np.arange(self.n_vehicles), commands]
-        values[:, OUT_UNRESOLVED] = unresolved
-        values[:, OUT_REWARD] -= interval * self.settings.unresolved_variance_weight * unresolved
+        values[:, fa.OUT_UNRESOLVED] = unresolved
+        values[:, fa.OUT_REWARD] -= interval * self.settings.unresolved_variance_weight * unresolved
 
     @property
     def steps_left(self) -> np.ndarray:
         """Number of steps until the drives are finished (N,)."""
-        left = self.state.counts[:, STEPS_TOTAL] - self.state.counts[:, STEPS_DONE]
+        left = self.state.counts[:, fa.STEPS_TOTAL] - self.state.counts[:, fa.STEPS_DONE]
         return left.ravel()[: self.n_vehicles]
 
     def write_back(self, i: int, drive: DriveSimulator) -> None:
@@ -286,7 +277,7 @@ class InstrumentedFleet:
         b, k = divmod(i, LANES)
         drive.state[:] = np.concatenate([self.state.q[b, :, k], self.state.v[b, :, k]])
         drive.strut_state[:] = self.state.strut_state[b, :, :, k]
-        drive.steps = int(self.state.counts[b, STEPS_DONE, k])
+        drive.steps = int(self.state.counts[b, fa.STEPS_DONE, k])
         drive.delay_line = self.state.delay_line[b, :, k].copy()
 
     def last_interval(self, i: int, byte: int) -> Trajectory:
@@ -301,7 +292,7 @@ class InstrumentedFleet:
                 f"the last interval is kept in fleets of at most {LANES} vehicles, got "
                 f"{self.n_vehicles}, and only with keep_signals; make such a fleet"
             )
-        first = int(self.state.counts[0, STEPS_DONE, i]) - self.steps
+        first = int(self.state.counts[0, fa.STEPS_DONE, i]) - self.steps
         t = self.step * (first + np.arange(self.steps))
         commands = np.full(self.steps, byte, dtype=np.uint8)
         s, v = last.s[:-1:2, i].copy(), last.v[:-1:2, i].copy()
@@ -313,7 +304,7 @@ class InstrumentedFleet:
         size, capacity = z.shape[1] + 2 * PAD, self.road_heights.shape[1]
         if size > capacity:
             # an offset is a row times the capacity, for vehicles that share it, too
-            offsets = self.state.road_layout[:, ROAD_OFFSET:ROAD_SIZE]
+            offsets = self.state.road_layout[:, fa.ROAD_OFFSET : fa.ROAD_SIZE]
             offsets[:] = np.rint(offsets / capacity) * size
             self.road_heights = np.pad(self.road_heights, ((0, 0), (0, size - capacity)))
         b, k = divmod(i, LANES)
@@ -322,9 +313,12 @@ class InstrumentedFleet:
             path = self.road_heights[2 * row + side]
             path[:PAD], path[PAD : size - PAD] = z[side, 0], z[side]
             path[size - PAD : size] = z[side, -1]
-            layout[ROAD_OFFSET + side] = path.size * (2 * row + side)
-        layout[ROAD_SIZE] = size
-        layout[ROAD_START], layout[ROAD_PER_DS] = drive.surface.start, 1.0 / drive.surface.ds
+            layout[fa.ROAD_OFFSET + side] = path.size * (2 * row + side)
+        layout[fa.ROAD_SIZE] = size
+        layout[fa.ROAD_START], layout[fa.ROAD_PER_DS] = (
+            drive.surface.start,
+            1.0 / drive.surface.ds,
+        )
 
     def _set_profile(self, row: int, drive: DriveSimulator) -> None:
         """Set the station, speed and accelerations in `row` to those of a `drive`."""
@@ -339,7 +333,7 @@ class InstrumentedFleet:
         manoeuvre = self.settings.manoeuvre
         if manoeuvre is None:
             return NO_MANOEUVRE[None]
-        done = self.state.counts[:, STEPS_DONE]
+        done = self.state.counts[:, fa.STEPS_DONE]
         instants = 0.5 * self.step * (2 * done[:, None] + np.arange(2 * self.steps + 1)[:, None])
         a_xy = manoeuvre.at(instants)
         return np.moveaxis(a_xy, -1, 2).reshape(len(done), 4 * self.steps + 2, LANES)
@@ -350,7 +344,7 @@ class InstrumentedFleet:
             np.empty((size, self.observation_size), dtype=np.float32),
             np.empty((size, len(self.columns))),
             np.empty((size, 3), dtype=np.int64),
-            np.empty((size, N_TRUE * self.settings.truth, self.samples)),
+            np.empty((size, fa.N_TRUE * self.settings.truth, self.samples)),
         )
 
     def _restore_unmasked(
@@ -385,5 +379,8 @@ class InstrumentedFleet:
             road_layout=aligned_zeros(blocks, 5),
         )
         state.valves[:, 0] = 1.0
-        state.road_layout[:, ROAD_SIZE], state.road_layout[:, ROAD_PER_DS] = 4.0 + 2.0 * PAD, 1.0
+        state.road_layout[:, fa.ROAD_SIZE], state.road_layout[:, fa.ROAD_PER_DS] = (
+            4.0 + 2.0 * PAD,
+            1.0,
+        )
         return state

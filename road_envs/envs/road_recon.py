@@ -10,9 +10,6 @@ import numpy as np
 from road_envs.core.config import ConfigError, validate_choice
 from road_envs.envs.failures import END_OF_ROAD
 from road_envs.envs.fleet_arrays import (
-    TRUE_LOADS,
-    TRUE_PROFILE,
-    TRUE_S,
     StepOutput,
 )
 from road_envs.envs.options import EnvSetup, EpisodeStart
@@ -238,7 +235,6 @@ class RoadReconEnv(gymnasium.Env):
         info["reason"] = self.setup.failure_code(output, 0)
         self._failed = (output, start.surface.name) if info["reason"] else None
         if self.setup.options.truth:
-            truth = output.truth[0]
-            info["s"], info["profile"] = truth[TRUE_S], truth[TRUE_PROFILE:TRUE_LOADS]
-            info["loads"] = truth[TRUE_LOADS:]
+            info["s"], info["profile"] = output.s[0], output.profile[0]
+            info["loads"] = output.loads[0]
         return reward, info

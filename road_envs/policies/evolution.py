@@ -124,7 +124,6 @@ def as_network(weights: np.ndarray, about: dict[str, Any]) -> PolicyNetwork:
     # the value of a pair is the sum of its states' values, whose maximum is that of both
     rows = (rear[:, None] + front[None]).reshape(-1, weights.shape[2])
     metadata = {
-        "activation": "tanh", "control": "states", "held": 1, "ahead": False,
-        "algorithm": "evolution", **about,
+        "activation": "tanh", "control": "states", "held": 1, "algorithm": "evolution", **about,
     }  # fmt: skip
     return PolicyNetwork(((rows[:, :-1].copy(), rows[:, -1].copy()),), metadata)

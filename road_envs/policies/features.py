@@ -4,17 +4,12 @@ They are equal for a drive and its mirror image: quantities that change their si
 such as roll, are multiplied by the sign of the low-passed lateral force, so that every turn is one
 to the left. `NAMES` lists them. Filtered features have a state per vehicle, which is reset when its
 episode ends.
-
-With preview there are N_PREVIEW_FEATURES more: the heights of the road ahead of the rear axle
-relative to the height under it, as half the sum and half the difference of the wheel paths, from
-`WheelbasePreview`.
 """
 
 import numpy as np
 
 from road_envs.policies.api import PolicyContext
 from road_envs.policies.body_motion import BodyMotionEstimator, RunningRms
-from road_envs.policies.wheelbase_preview import WheelbasePreview
 from road_envs.vehicle.force_curves import zero_force_range
 
 FEATURES = {
@@ -57,26 +52,19 @@ FAST, SLOW = 0.05, 0.5
 LOOK_AHEAD = 0.05
 """Time [s] over which a strut's rate is extrapolated: the stroke that it will have used."""
 
-PREVIEW_DISTANCES = np.linspace(0.0, 2.4, 7)
-"""Distances ahead of the rear axle [m]; heights are relative to the one at the first distance."""
-
-N_PREVIEW_FEATURES, HEIGHT_SCALE = 2 * (PREVIEW_DISTANCES.size - 1), 20.0
-"""Number of preview features, and their scale [1/m]."""
-
 MAX_FEATURE = 5.0
 """Features are clipped to this magnitude."""
 
 
 class FeatureExtractor:
-    """Map from observations (N, d) to features (N, K), K = `n_features(preview)`.
+    """Map from observations (N, d) to features (N, N_FEATURES).
 
     Needs the observation groups "planar" and "struts".
     """
 
-    def __init__(self, context: PolicyContext, preview: bool = False):
+    def __init__(self, context: PolicyContext):
         self.context, self.body = context, BodyMotionEstimator(context, leak=0.2)
         self.vertical, self.lateral = RunningRms(context, 0.5), RunningRms(context, 0.5)
-        self.preview = WheelbasePreview(context) if preview else None
         self.low_passed = np.zeros((2, context.n_vehicles))
         self.decay = np.exp(-context.interval / np.array([[FAST], [SLOW]]))
         curves = [curve for curve in context.car.bump_stops for _ in range(2)]
@@ -84,9 +72,8 @@ class FeatureExtractor:
 
     def reset(self, mask: np.ndarray) -> None:
         """Reset the vehicles in `mask` (N,)."""
-        for part in (self.body, self.vertical, self.lateral, self.preview):
-            if part is not None:
-                part.reset(mask)
+        for part in (self.body, self.vertical, self.lateral):
+            part.reset(mask)
         self.low_passed[:, mask] = 0.0
 
     def update(self, observations: np.ndarray) -> np.ndarray:
@@ -111,24 +98,7 @@ class FeatureExtractor:
         mirrored = side * np.stack(odd)
         rows = [even, mirrored, side * self.low_passed, stroke, running, *states]
         features = np.concatenate([np.asarray(row) for row in rows]).T * SCALES
-        if self.preview is not None:
-            ahead = self._preview_features(observations, side)
-            features = np.concatenate([features, ahead], axis=1)
         return np.clip(features, -MAX_FEATURE, MAX_FEATURE).astype(np.float32)
-
-    def _preview_features(self, observations: np.ndarray, side: np.ndarray) -> np.ndarray:
-        """Return the features (N, N_PREVIEW_FEATURES) of the road ahead of the rear axle."""
-        assert self.preview is not None
-        self.preview.update(observations)
-        z = self.preview.heights_at(PREVIEW_DISTANCES)
-        left, right = np.moveaxis(z[:, 1:] - z[:, :1], -1, 0)
-        difference = side[:, None] * (left - right)
-        return 0.5 * HEIGHT_SCALE * np.concatenate([left + right, difference], axis=1)
 
 
 SCALES = np.array(list(FEATURES.values()))
-
-
-def n_features(preview: bool) -> int:
-    """Return the number of features."""
-    return N_FEATURES + N_PREVIEW_FEATURES * preview

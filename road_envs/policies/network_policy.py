@@ -3,10 +3,10 @@
     h_0 = features,   h_i = f(W_i h_{i-1} + b_i),   action = argmax of the last layer, without f
 
 A file is a .npz of arrays `W_i`, `b_i` and a JSON text `about` with the metadata: format,
-activation, control, `held` (control intervals per action), `ahead` (whether there are preview
-features), and how it was trained. The zip that Stable-Baselines3 saves of a PPO, DQN or QR-DQN
-with an MlpPolicy is read, too. Both are read without pickle, so an untrusted file cannot execute
-code.
+activation, control, `held` (control intervals per action), and how it was trained. The zip that
+Stable-Baselines3 saves of a PPO, DQN or QR-DQN with an MlpPolicy is read, too; such a network
+observes features if it has as many inputs, else the observations as they are. Both are read without
+pickle, so an untrusted file cannot execute code.
 """
 
 import io
@@ -23,7 +23,7 @@ from road_envs.core.extras import optional_import
 from road_envs.core.reading import parsing, read_npz, read_zip
 from road_envs.envs.options import ACTIONS
 from road_envs.policies.api import PolicyContext
-from road_envs.policies.features import FeatureExtractor, n_features
+from road_envs.policies.features import N_FEATURES, FeatureExtractor
 
 SB3_SUFFIX = ".zip"
 FILE_SUFFIXES = (".npz", SB3_SUFFIX)
@@ -86,10 +86,7 @@ def sb3_layers(
 
 
 def _read_sb3(path: Path) -> PolicyNetwork:
-    """Read a network from the zip of a model of Stable-Baselines3. Raises ConfigError.
-
-    It observes features if it has as many inputs as there are features, else observations.
-    """
+    """Read a network from the zip of a model of Stable-Baselines3. Raises ConfigError."""
     with optional_import("a policy of Stable-Baselines3"):
         import torch
 
@@ -107,9 +104,7 @@ def _read_sb3(path: Path) -> PolicyNetwork:
         if not known:
             raise ValueError(f"its activation must be one of {list(ACTIVATIONS)}, got {activation}")
         _validate_layers(layers, size, actions)
-        kinds = [ahead for ahead in (False, True) if n_features(ahead) == size]
-        metadata = {"activation": known[0], "control": control, "held": 1, "ahead": kinds == [True]}
-        return PolicyNetwork(layers, metadata | {"features": bool(kinds)})
+        return PolicyNetwork(layers, {"activation": known[0], "control": control, "held": 1})
 
 
 def read_policy_network(path: Path) -> PolicyNetwork:
@@ -126,9 +121,7 @@ def read_policy_network(path: Path) -> PolicyNetwork:
         if not (isinstance(metadata["held"], int) and metadata["held"] >= 1):
             raise ValueError(f"held must be a positive whole number, got {metadata['held']!r}")
         layers = tuple((arrays[f"W_{i}"], arrays[f"b_{i}"]) for i in range(len(arrays) // 2))
-        if not isinstance(metadata["ahead"], bool):
-            raise ValueError(f"ahead must be true or false, got {metadata['ahead']!r}")
-        _validate_layers(layers, n_features(metadata["ahead"]), len(ACTIONS[metadata["control"]]))
+        _validate_layers(layers, N_FEATURES, len(ACTIONS[metadata["control"]]))
         return PolicyNetwork(layers, metadata)
 
 
@@ -174,17 +167,14 @@ class NetworkPolicy(Settings):
         if len(context.actions) != len(self.network.layers[-1][1]):
             control = self.network.metadata["control"]
             raise ConfigError(f"{self.file} needs the control {control!r} it was trained with")
-        observed = max(part.stop for part in context.observation_slices.values())
         size = self.network.layers[0][0].shape[1]
-        if not self.network.metadata.get("features", True):
-            if size != observed:
-                raise ConfigError(
-                    f"{self.file} needs {size} observed values, as in the environment it was "
-                    f"trained with; there are {observed}"
-                )
-            self.features = None
-        else:
-            self.features = FeatureExtractor(context, self.network.metadata["ahead"])
+        observed = max(part.stop for part in context.observation_slices.values())
+        if size not in (N_FEATURES, observed):
+            raise ConfigError(
+                f"{self.file} needs {size} observed values, as in the environment it was trained "
+                f"with; there are {observed}"
+            )
+        self.features = FeatureExtractor(context) if size == N_FEATURES else None
         self.n_intervals = 0
 
     def act(self, observations: np.ndarray) -> np.ndarray:

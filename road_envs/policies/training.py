@@ -15,7 +15,7 @@ from road_envs.core.extras import optional_import
 from road_envs.envs.safe4s4 import Safe4S4VectorEnv
 from road_envs.envs.sb3 import ArrayVecEnv, RoadReconVecEnv
 from road_envs.policies.api import PolicyContext
-from road_envs.policies.features import MAX_FEATURE, FeatureExtractor, n_features
+from road_envs.policies.features import MAX_FEATURE, N_FEATURES, FeatureExtractor
 from road_envs.policies.network_policy import NetworkPolicy, PolicyNetwork, sb3_layers
 from road_envs.policies.rollout import VIOLATION_PRICE, drive_all, training_drives
 
@@ -45,7 +45,6 @@ class TrainingConfig(Settings):
     # the reward relative to a vehicle in ride on the same drive: removes the road's contribution
     # to its variance and keeps the optimal policy
     paired_baseline: bool = False
-    preview: bool = False  # adds features of the road ahead of the rear axle
     # makes ride exp(bias) times likelier at the start of PPO: the gain of another pair shows
     # only against constant ride, not against random switching
     ride_logit_bias: float = 0.0
@@ -77,7 +76,6 @@ class FeatureVecEnv(ArrayVecEnv):
         reward_scale: float = 1.0,
         action_repeat: int = 1,
         paired_baseline: bool = False,
-        preview: bool = False,
     ):
         self.rows = 2 if paired_baseline else 1
         self.env, self.n_envs = env, env.num_envs // self.rows
@@ -85,8 +83,8 @@ class FeatureVecEnv(ArrayVecEnv):
         env.seed(seed, alike=self.rows)
         setup = env.env.setup
         context = PolicyContext.from_setup(setup, self.n_envs, seed)
-        self.features = FeatureExtractor(context, preview)
-        shape = (n_features(preview),)
+        self.features = FeatureExtractor(context)
+        shape = (N_FEATURES,)
         space = gymnasium.spaces.Box(-MAX_FEATURE, MAX_FEATURE, shape, dtype=np.float32)
         super().__init__(self.n_envs, space, setup.action_space)
 
@@ -140,8 +138,7 @@ class FeatureVecEnv(ArrayVecEnv):
         last = np.stack([part_infos[i]["terminal_observation"] for i in ended])
         observations = np.zeros((self.n_envs, last.shape[1]), dtype=last.dtype)
         observations[ended] = last
-        extractor = FeatureExtractor(self.features.context, self.features.preview is not None)
-        return extractor.update(observations)[ended]
+        return FeatureExtractor(self.features.context).update(observations)[ended]
 
 
 def train(
@@ -167,7 +164,6 @@ def _train(config: TrainingConfig, seed: int, progress: Progress) -> TrainingRes
         reward_scale=config.reward_scale,
         action_repeat=config.action_repeat,
         paired_baseline=config.paired_baseline,
-        preview=config.preview,
     )
     drives = training_drives(config.drives)
     model = _model(config, envs, seed)
@@ -175,7 +171,6 @@ def _train(config: TrainingConfig, seed: int, progress: Progress) -> TrainingRes
         "activation": "tanh" if config.algorithm == "ppo" else "relu",
         "control": drives.setup.options.control,
         "held": config.action_repeat,
-        "ahead": config.preview,
         "algorithm": config.algorithm,
         "seed": seed,
         "steps": config.steps,
@@ -207,7 +202,9 @@ def _model(config: TrainingConfig, envs: FeatureVecEnv, seed: int) -> Any:
     cls: Any = {"ppo": PPO, "dqn": DQN}.get(config.algorithm)
     if cls is None:
         with optional_import("training by QR-DQN"):
-            from sb3_contrib import QRDQN as cls  # noqa: N811
+            import sb3_contrib
+
+        cls = sb3_contrib.QRDQN
     try:
         model = cls(
             "MlpPolicy",

@@ -11,11 +11,10 @@ from road_envs.envs.sb3 import RoadReconVecEnv
 from road_envs.envs.vector import RoadReconVectorEnv
 from road_envs.policies import PolicyContext, make_policy
 from road_envs.policies.evolution import EvolutionConfig, LinearPolicies, as_network, evolve
-from road_envs.policies.features import N_FEATURES, NAMES, PREVIEW_DISTANCES, FeatureExtractor
+from road_envs.policies.features import N_FEATURES, NAMES, FeatureExtractor
 from road_envs.policies.network_policy import NetworkPolicy
 from road_envs.policies.rollout import VIOLATION_PRICE, drive_all, training_drives
 from road_envs.policies.training import FeatureVecEnv, TrainingConfig, train
-from road_envs.policies.wheelbase_preview import WheelbasePreview
 from road_envs.roads.iso8608 import Iso8608
 
 CASE = {
@@ -112,23 +111,6 @@ def test_features_are_equal_for_a_drive_and_its_mirror_image():
         rows = [features.update(env.step(np.zeros(1, dtype=int))[0]) for env, features in pair]
         np.testing.assert_allclose(rows[0], rows[1], atol=2e-3)
     assert np.abs(rows[0][0, NAMES.index("roll_rate")]) > 0.01
-
-
-def test_preview_features_are_the_heights_ahead_of_the_rear_axle():
-    envs = features_of(CASE, 2, 7, preview=True)
-    envs.reset()
-    env = RoadReconVectorEnv(2, **CASE)
-    road = WheelbasePreview(PolicyContext.from_setup(env.setup, 2, 0))
-    road.update(env.reset(seed=7)[0])
-    for _ in range(25):
-        features = envs.step(np.zeros(2, dtype=int))[0]
-        road.update(env.step(np.zeros(2, dtype=int))[0])
-    z = road.heights_at(PREVIEW_DISTANCES)
-    rise = 20.0 * (z[:, 1:] - z[:, :1])
-    assert np.abs(rise).max() > 0.1
-    mean, half = rise.mean(axis=2), 0.5 * np.abs(rise[..., 0] - rise[..., 1])
-    np.testing.assert_allclose(features[:, N_FEATURES : N_FEATURES + 6], mean, atol=1e-5)
-    np.testing.assert_allclose(np.abs(features[:, N_FEATURES + 6 :]), half, atol=1e-5)
 
 
 def test_an_episode_that_ends_during_a_repeat_is_reported_as_ended():
@@ -228,7 +210,8 @@ def test_a_model_saved_by_stable_baselines_acts_as_it_predicts(algorithm, featur
 
 def test_a_zip_that_is_no_saved_model_is_refused(tmp_path):
     path = tmp_path / "other.zip"
-    np.savez(path.open("wb"), data=np.zeros(3))
+    with path.open("wb") as file:
+        np.savez(file, data=np.zeros(3))
     with pytest.raises(ConfigError, match=r"other\.zip: not a saved model of Stable-Baselines3"):
         make_policy(str(path))
 

@@ -171,10 +171,9 @@ def test_tuning_takes_the_best_of_its_grid_on_training_drives(monkeypatch):
     monkeypatch.setitem(grid_search.GRIDS, "lateral", {"threshold": (0.8, 9.0)})
     drives = training_drives(1)
     assert drives.setup.safe.split == "train"
-    found = grid_search.tune("lateral", drives)
-    assert [trial.settings["threshold"] for trial in found.trials] == [0.8, 9.0]
-    assert found.cost == min(trial.cost for trial in found.trials)
-    assert found.settings == {"threshold": 0.8}
+    trials = grid_search.tune("lateral", drives)
+    assert [trial.settings for trial in trials] == [{"threshold": 0.8}, {"threshold": 9.0}]
+    assert trials[0].cost < trials[1].cost
 
 
 def test_the_command_prints_and_writes_the_table(tmp_path, capsys):

@@ -339,9 +339,7 @@ def network(rng=None) -> PolicyNetwork:
         (rng.standard_normal((b, a)).astype(np.float32), rng.standard_normal(b).astype(np.float32))
         for a, b in itertools.pairwise(sizes)
     )
-    return PolicyNetwork(
-        layers, {"activation": "tanh", "control": "states", "held": 1, "ahead": False}
-    )
+    return PolicyNetwork(layers, {"activation": "tanh", "control": "states", "held": 1})
 
 
 def test_a_stored_network_round_trips_and_computes_the_formula(tmp_path):
