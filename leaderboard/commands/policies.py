@@ -87,9 +87,7 @@ def policies(
                 processes.enter_context(entry)
         chosen = comparison.public_drives(drives, seal)
         chosen.threads = min(2, os.cpu_count() or 1)
-        found = comparison.compare(
-            entries, chosen, reference, sweeps=sweeps, seconds=limits.seconds, progress=progress
-        )
+        found = comparison.compare(entries, chosen, reference, sweeps=sweeps, progress=progress)
     lines = comparison.table_lines(found.data)
     if out:
         write_text(out / "benchmark.json", to_json(found.data))
@@ -172,13 +170,11 @@ def tune_policy(
 
 def train_policy(
     *,
-    name: Annotated[str, typer.Argument(help="evolved, ppo, dqn, qrdqn, or a YAML file.")],
+    name: Annotated[str, typer.Argument(help="evolved, or a YAML file.")],
     out: Annotated[Path, typer.Option(help="File for the best policy (.npz).")],
     seed: Annotated[int, typer.Option(help="First training seed.", min=0)] = 1,
     seeds: Annotated[int, typer.Option(help="Number of training seeds.", min=1)] = 1,
-    steps: Annotated[
-        int | None, typer.Option(help="Actions, or generations of evolved.", min=1)
-    ] = None,
+    steps: Annotated[int | None, typer.Option(help="Generations.", min=1)] = None,
 ) -> None:
     """Train a policy on training drives, and compare every seed with the laws on public ones."""
     config = learning.load_training_config(name, steps)

@@ -5,10 +5,7 @@ the best switching found on the known road stands beside them as a line. Interva
 bootstraps over the drives, a drive and its mirror image together.
 """
 
-import signal
-import threading
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,9 +32,6 @@ SEARCH_SEED, BOOTSTRAPS = 1, 2000
 
 TIE = 0.01
 """Difference of scores [m²/s⁴] within which two policies are even on a drive."""
-
-TIME_LIMIT = 120.0
-"""Seconds that a policy may take for all drives."""
 
 GROUPS: Mapping[str, tuple[str, str]] = {
     "known": ("group", "known"),
@@ -78,7 +72,6 @@ def compare(
     reference: str = REFERENCE,
     *,
     sweeps: int = best_found.SWEEPS,
-    seconds: float = TIME_LIMIT,
     progress: Progress = lambda text, share: None,
 ) -> Comparison:
     """Compare all policies and the best switching found.
@@ -92,8 +85,7 @@ def compare(
     for k, (name, policy) in enumerate(policies.items()):
         progress(name, 0.3 * k / len(policies))
         try:
-            with time_limit(seconds):
-                rollouts[name] = drive_all(policy, drives)
+            rollouts[name] = drive_all(policy, drives)
         except Exception as error:  # a failing policy must not stop the comparison
             message = " ".join(str(error).split()) or "no message"
             failures[name] = f"{type(error).__name__}: {message}"
@@ -129,29 +121,6 @@ def label(drive: SafeDrive) -> str:
         f"{kind} to the {drive.side}, class {drive.road} then {drive.road_after}, "
         f"{drive.speed_kmh:.0f} km/h, {drive.grade}, {drive.group}"
     )
-
-
-@contextmanager
-def time_limit(seconds: float) -> Iterator[None]:
-    """Raise TimeoutError if the block takes longer than `seconds`.
-
-    Works in the main thread only, since alarm signals are delivered there; elsewhere there is no
-    limit.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def stop(number: int, frame: object) -> None:
-        raise TimeoutError(f"not finished after {seconds:g} s")
-
-    before = signal.signal(signal.SIGALRM, stop)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
 
 
 def _row(name: str, rollout: Rollout, base: Rollout | None, drives: Drives) -> dict[str, Any]:

@@ -36,7 +36,7 @@ class TrainingStudy(NamedTuple):
         return self.networks[int(np.argmax([max(v for _, v in curve) for curve in self.curves]))]
 
 
-def load_training_config(name: str, steps: int | None = None) -> Any:
+def load_training_config(name: str, steps: int | None = None) -> EvolutionConfig:
     """Load the training settings of a learned policy by name or YAML path.
 
     Raises ConfigError.
@@ -44,34 +44,29 @@ def load_training_config(name: str, steps: int | None = None) -> Any:
     shipped = config.load(PolicySettings, "policies", name)
     if not shipped.training:
         raise ConfigError(f"{name} has no training section; only learned policies can be trained")
-    training = dict(shipped.training)
-    cls: Any = EvolutionConfig
-    if training.pop("algorithm", None) != "evolution":
-        from road_envs.policies.training import TrainingConfig
-
-        cls, training = TrainingConfig, shipped.training
-    built = config.build(cls, training, f"{name}: training")
+    built = config.build(EvolutionConfig, shipped.training, f"{name}: training")
     return built if steps is None else replace(built, steps=steps)
 
 
 def train_seeds(
-    training_config: Any, seeds: Sequence[int], progress: Progress = lambda text, share: None
+    training_config: EvolutionConfig,
+    seeds: Sequence[int],
+    progress: Progress = lambda text, share: None,
 ) -> TrainingStudy:
-    """Train from each of `seeds`. Raises ConfigError."""
-    train: Any = evolve
-    if not isinstance(training_config, EvolutionConfig):
-        from road_envs.policies.training import train
-    results = [
-        train(
+    """Train from each of `seeds`."""
+    networks, curves = [], []
+    for i, seed in enumerate(seeds):
+        network, curve = evolve(
             training_config,
             seed,
-            lambda text, share, i=i, seed=seed: progress(
+            # the defaults bind the loop variables
+            lambda text, share, i=i, seed=seed: progress(  # type: ignore[misc]
                 f"seed {seed}: {text}", (i + share) / len(seeds)
             ),
         )
-        for i, seed in enumerate(seeds)
-    ]
-    return TrainingStudy([network for network, _ in results], [curve for _, curve in results])
+        networks.append(network)
+        curves.append(curve)
+    return TrainingStudy(networks, curves)
 
 
 def evaluate_study(study: TrainingStudy) -> dict[str, Any]:

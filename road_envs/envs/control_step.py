@@ -11,6 +11,7 @@ import numpy as np
 
 from road_envs.envs import fleet_arrays as fa
 from road_envs.envs.failures import END_OF_ROAD, NONFINITE_STEP, ROLLOVER, find_failures
+from road_envs.envs.fleet_arrays import N_SUMS
 from road_envs.envs.safety_step import N_SAFETY, add_safety, write_safety
 from road_envs.kernels._numba import kernel
 from road_envs.kernels.filters import filter_sample
@@ -171,11 +172,7 @@ def advance_blocks(
         step_workspace(stack_rows(WORKSPACE_ROWS)), stack_rows(16), stack_rows(2), stack_rows(2),
         stack_rows(40), stack_rows(N_SIDE_SIGNALS),
     )  # fmt: skip
-    signals, sums, safe = (
-        stack_rows(N_SIDE_SIGNALS),
-        stack_rows(fa.N_SUMS),
-        stack_rows(N_SAFETY),
-    )
+    signals, sums, safe = stack_rows(N_SIDE_SIGNALS), stack_rows(N_SUMS), stack_rows(N_SAFETY)
     for b in blocks:
         rows = slice(b * LANES, min((b + 1) * LANES, output.values.shape[0]))
         lanes, own = rows.stop - rows.start, b % cars.lane_constants.shape[0]
@@ -202,7 +199,7 @@ def advance_blocks(
         drive_inputs = DriveInputs(workspace.s, workspace.v, a_xy, delayed, h)
         if parameters.noisy > 0:
             fill_normal(state.noise_state[b], lanes, workspace.noise)
-        for j in range(fa.N_SUMS):
+        for j in range(N_SUMS):
             put(sums, j, 0.0)
         for j in range(N_SAFETY):
             put(safe, j, 0.0)
@@ -239,7 +236,7 @@ def advance_blocks(
             if events[k, NONFINITE_STEP] < 0 and not np.isfinite(total):
                 events[k, NONFINITE_STEP] = n
             if events[k, NONFINITE_STEP] >= 0:
-                for j in range(fa.N_SUMS):
+                for j in range(N_SUMS):
                     sums[j, k] = 0.0
                 for j in range(N_SAFETY):
                     safe[j, k] = 0.0

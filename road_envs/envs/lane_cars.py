@@ -31,10 +31,10 @@ class LaneCars:
         lane_constants[:] = one[0]
         alpha = aligned_zeros(size)
         alpha[:] = 1.0 - np.exp(-step / car.valve.lag)
-        tables = (
-            np.pad(getattr(plant, name), ((0, most * lanes), (0, 0)))
-            for name, most in TABLES.values()
-        )
+        tables = []
+        for name, most in TABLES.values():
+            table = getattr(plant, name)
+            tables.append(np.concatenate([table, np.zeros((most * lanes, *table.shape[1:]))]))
         constants = np.repeat(common[None], size, axis=0)
         self.buffers = CarBuffers(lane_constants, constants, alpha, *tables)
 

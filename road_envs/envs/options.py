@@ -202,7 +202,9 @@ class EnvSetup:
                 f"control_rate must give a whole number of samples at {self.instruments.fs} Hz, "
                 f"got {o.control_rate} Hz"
             )
-        self.observation_space = gymnasium.spaces.Box(*self._limits(), dtype=np.float32)
+        sizes, *limits = np.array(list(self._parts.values())).T
+        low, high = (np.repeat(x, sizes.astype(int)).astype(np.float32) for x in limits)
+        self.observation_space = gymnasium.spaces.Box(low, high, dtype=np.float32)
         self.action_space = gymnasium.spaces.Discrete(len(self.command_bytes))
 
     @property
@@ -210,41 +212,28 @@ class EnvSetup:
         """Strut states that the actions 0, 1, ... command."""
         return PASSIVE_ACTIONS if self.car.is_passive else ACTIONS[self.options.control]
 
-    def _limits(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the lower and the upper limit of the observations."""
-        accelerations = np.repeat(self.instruments.ranges, self.samples_per_interval)
-        groups = [
-            np.full(size, limit)
-            for group, size, limit in (
-                ("planar", N_PLANAR, MAX_PLANAR),
-                ("struts", N_STRUT_SIGNALS // 2, MAX_EXTENSION),
-                ("struts", N_STRUT_SIGNALS // 2, MAX_EXTENSION_RATE),
-            )
-            if group in self.options.observe
-        ]
-        optional = np.concatenate([np.zeros(0), *groups])
-        low = np.r_[-accelerations, np.zeros(5), -optional]
-        high = np.r_[accelerations, MAX_OBSERVED_SPEED, np.ones(4), optional]
-        return low.astype(np.float32), high.astype(np.float32)
+    @cached_property
+    def _parts(self) -> dict[str, tuple[int, float, float]]:
+        """Size, lower and upper limit of each named part of an observation."""
+        k, sensors = self.samples_per_interval, self.instruments
+        ranges = zip(sensors.accelerometers, sensors.ranges, strict=True)
+        parts = {name: (k, -limit, limit) for name, limit in ranges}
+        parts |= {"speed": (1, 0.0, MAX_OBSERVED_SPEED), "front": (2, 0.0, 1.0)}
+        parts["rear"] = parts["front"]
+        if "planar" in self.options.observe:
+            parts["planar"] = N_PLANAR, -MAX_PLANAR, MAX_PLANAR
+        if "struts" in self.options.observe:
+            half = N_STRUT_SIGNALS // 2
+            parts["extension"] = half, -MAX_EXTENSION, MAX_EXTENSION
+            parts["extension_rate"] = half, -MAX_EXTENSION_RATE, MAX_EXTENSION_RATE
+        return parts
 
     @cached_property
     def observation_slices(self) -> dict[str, slice]:
         """Slice of each named part within an observation."""
-        k = self.samples_per_interval
-        sizes = dict.fromkeys(self.instruments.accelerometers, k) | {
-            "speed": 1,
-            "front": 2,
-            "rear": 2,
-        }
-        if "planar" in self.options.observe:
-            sizes |= {"planar": N_PLANAR}
-        if "struts" in self.options.observe:
-            sizes |= {"extension": N_STRUT_SIGNALS // 2, "extension_rate": N_STRUT_SIGNALS // 2}
-        ends = np.cumsum(list(sizes.values()))
-        return {
-            name: slice(int(end) - size, int(end))
-            for (name, size), end in zip(sizes.items(), ends, strict=True)
-        }
+        ends = np.cumsum([size for size, _, _ in self._parts.values()]).tolist()
+        starts = [0, *ends[:-1]]
+        return {name: slice(*s) for name, *s in zip(self._parts, starts, ends, strict=True)}
 
     @cached_property
     def bound_table(self) -> BoundTable:

@@ -22,6 +22,7 @@ from road_envs.policies.api import Policy, PolicyContext, PolicyError
 from road_envs.policies.fixed import FixedPair
 from road_envs.policies.greedy_information import GreedyInformation
 from road_envs.policies.lateral import LateralThreshold, RrmsLateral
+from road_envs.policies.mpc import ModelPredictive
 from road_envs.policies.network_policy import FILE_SUFFIXES, NetworkPolicy
 from road_envs.policies.preview import Preview
 from road_envs.policies.random_switching import RandomSwitching
@@ -59,6 +60,7 @@ REGISTRY: dict[str, type[Policy]] = {
     "add": AccelerationDriven,
     "sh_add": SkyhookAdd,
     "preview": Preview,
+    "mpc": ModelPredictive,
     "greedy_information": GreedyInformation,
     "evolved": NetworkPolicy,
 }
@@ -68,8 +70,8 @@ REGISTRY: dict[str, type[Policy]] = {
 class PolicySettings(Settings):
     """Settings of a shipped policy and their source.
 
-    `training` holds the settings with which a learned policy was trained
-    (`training.TrainingConfig`, or `evolution.EvolutionConfig` of the algorithm "evolution").
+    `training` holds the settings with which a learned policy was trained, as
+    `evolution.EvolutionConfig`.
     """
 
     settings: dict[str, Any] = field(default_factory=dict)

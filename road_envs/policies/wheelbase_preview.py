@@ -32,7 +32,10 @@ class WheelbasePreview:
     """Estimator of the road between the axles of N vehicles.
 
     `wheel_heights` (N, 4) [m] are the heights under the wheels FL, FR, RL, RR at the end of the
-    last interval. Needs the observation group "struts".
+    last interval; `body_position` (N, 3), `axles` and `axle_rates` (N, 4) heave, roll and pitch of
+    the body, and heave and roll of both axles and their rates.
+
+    Needs the observation group "struts".
     """
 
     def __init__(self, context: PolicyContext):
@@ -48,7 +51,8 @@ class WheelbasePreview:
         self.body_to_struts = np.linalg.pinv(self.strut_rows[0].T)
         self.struts_to_axles = np.linalg.inv(self.strut_rows[1])
         self.axles_to_tyres = np.linalg.inv(self.tyre_stiffness)
-        self.body_position, self.extension_rates = np.zeros((size, body)), np.zeros((size, 4))
+        self.body_position = np.zeros((size, body))
+        self.axles, self.axle_rates = np.zeros((2, size, 4))
         self.wheel_heights, self.speed = np.zeros((size, 4)), np.full(size, MIN_SPEED)
         steps = int(np.ceil(self.wheelbase / (MIN_SPEED * context.interval))) + 2
         self.history, self.newest = np.zeros((steps, size, 2)), 0
@@ -56,7 +60,7 @@ class WheelbasePreview:
     def reset(self, mask: np.ndarray) -> None:
         """Reset the vehicles in `mask` (N,) to rest on a level road."""
         self.body.reset(mask)
-        for state in (self.body_position, self.extension_rates, self.wheel_heights):
+        for state in (self.body_position, self.axle_rates, self.wheel_heights):
             state[mask] = 0.0
         self.history[:, mask] = 0.0
 
@@ -67,15 +71,15 @@ class WheelbasePreview:
         mean_rate = 0.5 * (before + self.body.v)
         self.body_position = self.body.decay * (self.body_position + dt * mean_rate)
         S_b, S_a = self.strut_rows
-        axles, rates = (
+        self.axles, rates = (
             (context.signal(name, observations) - motion @ S_b.T) @ self.struts_to_axles.T
             for name, motion in (("extension", self.body_position), ("extension_rate", self.body.v))
         )
-        accelerations, self.extension_rates = (rates - self.extension_rates) / dt, rates
+        accelerations, self.axle_rates = (rates - self.axle_rates) / dt, rates
         body_inertia, axle_inertia = self.inertias
         f = (body_inertia * self.body.a) @ self.body_to_struts.T
         tyre_compression = (axle_inertia * accelerations - f @ S_a) @ self.axles_to_tyres.T
-        self.wheel_heights = axles @ self.tyre_stiffness / self.k_t + tyre_compression
+        self.wheel_heights = self.axles @ self.tyre_stiffness / self.k_t + tyre_compression
         self.speed = context.signal("speed", observations)[:, 0].astype(float)
         self.newest = (self.newest + 1) % len(self.history)
         self.history[self.newest] = self.wheel_heights[:, :2]
@@ -83,8 +87,8 @@ class WheelbasePreview:
     def heights_at(self, distances: np.ndarray) -> np.ndarray:
         """Return heights (N, K, 2) [m] of the left and the right wheel path.
 
-        They are at `distances` (K,) [m] ahead of the rear axle, up to the wheelbase, for vehicles
-        at constant speed.
+        They are at `distances` (K,) or (N, K) [m] ahead of the rear axle, up to the wheelbase, for
+        vehicles at constant speed.
         """
         step = np.maximum(self.speed, 1e-3)[:, None] * self.context.interval
         ago = np.clip((self.wheelbase - distances) / step, 0.0, len(self.history) - 2.0)

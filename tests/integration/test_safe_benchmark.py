@@ -125,25 +125,6 @@ def test_a_row_counts_wins_ties_and_losses(rollouts, drives):
     assert rows["rrms"]["ties"] == len(drives)
 
 
-class Endless:
-    """Policy that never acts."""
-
-    def reset(self, context):
-        pass
-
-    def act(self, observations):
-        while True:
-            pass
-
-
-def test_a_policy_that_hangs_is_stopped():
-    few = public_drives(2)
-    few.starts = few.starts[:2]
-    policies = {"fixed_ride": create("fixed_ride"), "endless": Endless()}
-    rows = compare(policies, few, "fixed_ride", sweeps=0, seconds=3.0).data["rows"]
-    assert rows[1]["failure"] == "TimeoutError: not finished after 3 s"
-
-
 def test_the_timeline_of_a_drive_has_its_motion_and_states(drives, rollouts):
     actions = np.full_like(rollouts["rrms"].actions, 5)  # handling
     actions[200:] = 0

@@ -1,30 +1,31 @@
-"""Training of a `PolicyNetwork` with Stable-Baselines3 on the drives of `RoadRecon/Safe4S4-v1`.
+"""Training of a network by Stable-Baselines3 on the training drives of `RoadRecon/Safe4S4-v1`.
 
-Every episode draws a new training drive.
+    python -m studies.trained_networks {ppo,dqn,qrdqn} --out mine.npz [--seed 1] [--steps N]
+
+Every episode draws a new training drive. The network with the best score on some of them is
+written; `road-recon policies --policy mine.npz` gives it a row and a page.
 """
 
+import argparse
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-import gymnasium
 import numpy as np
 
+from road_envs.core.atomic_io import atomic_write
 from road_envs.core.config import ConfigError, Count, Settings
 from road_envs.core.extras import optional_import
 from road_envs.envs.safe4s4 import Safe4S4VectorEnv
-from road_envs.envs.sb3 import ArrayVecEnv, RoadReconVecEnv
-from road_envs.policies.api import PolicyContext
-from road_envs.policies.features import MAX_FEATURE, N_FEATURES, FeatureExtractor
+from road_envs.envs.sb3 import RoadReconVecEnv
+from road_envs.policies.feature_env import RIDE, FeatureVecEnv
 from road_envs.policies.network_policy import NetworkPolicy, PolicyNetwork, sb3_layers
 from road_envs.policies.rollout import VIOLATION_PRICE, drive_all, training_drives
 
 with optional_import("training a policy"):
     import torch
     from stable_baselines3 import DQN, PPO
-
-RIDE = ("ride", "ride")
-"""States of the paired baseline."""
 
 Progress = Callable[[str, float], None]
 """Called with a description and the share done."""
@@ -59,86 +60,45 @@ class TrainingResult(NamedTuple):
     curve: tuple[tuple[int, float], ...]
 
 
-class FeatureVecEnv(ArrayVecEnv):
-    """Vector environment `env` observed as features, with actions that last for several intervals.
-
-    An action is repeated for `action_repeat` intervals, whose rewards are summed and scaled. With
-    `paired_baseline` the rewards of vehicles that stay in ride on the same roads are subtracted:
-    of each pair of rows of `env` the second one, so that there are half as many environments. After
-    one vehicle of a pair has rolled over, the two drive different roads of the same kind.
-    """
-
-    def __init__(
-        self,
-        env: RoadReconVecEnv,
-        seed: int,
-        *,
-        reward_scale: float = 1.0,
-        action_repeat: int = 1,
-        paired_baseline: bool = False,
-    ):
-        self.rows = 2 if paired_baseline else 1
-        self.env, self.n_envs = env, env.num_envs // self.rows
-        self.reward_scale, self.action_repeat = reward_scale, action_repeat
-        env.seed(seed, alike=self.rows)
-        setup = env.env.setup
-        context = PolicyContext.from_setup(setup, self.n_envs, seed)
-        self.features = FeatureExtractor(context)
-        shape = (N_FEATURES,)
-        space = gymnasium.spaces.Box(-MAX_FEATURE, MAX_FEATURE, shape, dtype=np.float32)
-        super().__init__(self.n_envs, space, setup.action_space)
-
-    def reset(self) -> np.ndarray:
-        """Start episodes in all environments, and return the features (N, K)."""
-        self.features.reset(np.ones(self.n_envs, dtype=bool))
-        return self.features.update(self.env.reset()[:: self.rows])
-
-    def step_async(self, actions: np.ndarray) -> None:
-        """Store the actions (N,) for `step_wait`."""
-        self._actions = np.asarray(actions)
-
-    def step_wait(self):
-        """Return features, rewards, dones (N, ...) and infos.
-
-        Rewards after the end of an episode are discarded.
-        """
-        env, features = self.env, self.features
-        total, ended = np.zeros(self.n_envs, dtype=np.float32), np.zeros(self.n_envs, dtype=bool)
-        infos: list[dict[str, Any]] = [{} for _ in range(self.n_envs)]
-        row_actions = np.full(env.num_envs, features.context.action_index(*RIDE))
-        row_actions[:: self.rows] = self._actions
-        for _ in range(self.action_repeat):
-            every_row: Any = env.step(row_actions)
-            observations, rewards, dones, part_infos = (x[:: self.rows] for x in every_row)
-            if self.rows > 1:
-                rewards = rewards - every_row[1][1::2]
-            total += np.where(ended, 0.0, self.reward_scale * rewards).astype(np.float32)
-            newly_ended = np.flatnonzero(dones & ~ended)
-            if newly_ended.size:  # the learner bootstraps from the last features if truncated
-                last = self._terminal_features(part_infos, newly_ended)
-                for i, terminal in zip(newly_ended, last, strict=True):
-                    infos[i] = {**part_infos[i], "terminal_observation": terminal}
-            features.reset(dones)
-            observations = features.update(observations)
-            ended |= dones
-        return observations, total, ended, infos
-
-    def close(self) -> None:
-        """Do nothing; there are no resources to release."""
-
-    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Return an attribute once for each environment; all environments share it."""
-        return self.env.get_attr(attr_name)[: self.n_envs]
-
-    def _terminal_features(self, part_infos: list[dict[str, Any]], ended: np.ndarray):
-        """Return features (E, K) of the last observations of the environments `ended` (E,).
-
-        The states of filtered features are taken as zero.
-        """
-        last = np.stack([part_infos[i]["terminal_observation"] for i in ended])
-        observations = np.zeros((self.n_envs, last.shape[1]), dtype=last.dtype)
-        observations[ended] = last
-        return FeatureExtractor(self.features.context).update(observations)[ended]
+VALUE_LEARNING: dict[str, Any] = {
+    "steps": 100_000,
+    "layers": (128, 128),
+    "eval_interval": 12_500,
+    "paired_baseline": True,
+    "hyperparameters": {
+        "learning_rate": 0.0005,
+        "buffer_size": 100_000,
+        "learning_starts": 2000,
+        "batch_size": 256,
+        "gamma": 0.95,
+        "train_freq": 1,
+        "gradient_steps": 8,
+        "target_update_interval": 2000,
+        "exploration_fraction": 0.3,
+        "exploration_final_eps": 0.05,
+    },
+}
+CONFIGS = {
+    "ppo": TrainingConfig(
+        steps=76_800,
+        eval_interval=15_360,
+        action_repeat=4,
+        paired_baseline=True,
+        ride_logit_bias=2.0,
+        hyperparameters={
+            "n_steps": 60,
+            "batch_size": 480,
+            "n_epochs": 10,
+            "learning_rate": 0.001,
+            "gamma": 0.97,
+            "gae_lambda": 0.95,
+            "ent_coef": 0.03,
+        },
+    ),
+    "dqn": TrainingConfig(algorithm="dqn", **VALUE_LEARNING),
+    "qrdqn": TrainingConfig(algorithm="qrdqn", **VALUE_LEARNING),
+}
+"""Settings by algorithm, by development runs on training drives."""
 
 
 def train(
@@ -220,3 +180,25 @@ def _model(config: TrainingConfig, envs: FeatureVecEnv, seed: int) -> Any:
         ride = envs.features.context.action_index(*RIDE)
         model.policy.action_net.bias.data[ride] += config.ride_logit_bias
     return model
+
+
+def main() -> None:
+    """Train a network, print its learning curve and write it."""
+    parser = argparse.ArgumentParser(description="Train a switching policy on training drives.")
+    parser.add_argument("algorithm", choices=CONFIGS)
+    parser.add_argument("--out", type=Path, required=True, help="file of the network (.npz)")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--steps", type=int, help="actions in all environments")
+    arguments = parser.parse_args()
+    config = CONFIGS[arguments.algorithm]
+    if arguments.steps:
+        config = replace(config, steps=arguments.steps)
+    network, curve = train(config, arguments.seed)
+    for steps, score in curve:
+        print(f"{steps:8d} steps  score {score:.4f} on training drives")
+    with atomic_write(arguments.out) as partial:
+        partial.write_bytes(network.to_bytes())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,106 @@
+"""Vector environment of Stable-Baselines3 that is observed as the features of learned policies.
+
+```python
+from stable_baselines3 import PPO
+from road_envs.envs.safe4s4 import Safe4S4VectorEnv
+from road_envs.envs.sb3 import RoadReconVecEnv
+from road_envs.policies.feature_env import FeatureVecEnv
+
+envs = FeatureVecEnv(RoadReconVecEnv(32, vector_class=Safe4S4VectorEnv, cost_price=50.0), seed=1)
+PPO("MlpPolicy", envs).learn(100_000).save("mine.zip")  # road-recon policies --policy mine.zip
+```
+"""
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from road_envs.envs.sb3 import ArrayVecEnv, RoadReconVecEnv
+from road_envs.policies.api import PolicyContext
+from road_envs.policies.features import MAX_FEATURE, N_FEATURES, FeatureExtractor
+
+RIDE = ("ride", "ride")
+"""States of the paired baseline."""
+
+
+class FeatureVecEnv(ArrayVecEnv):
+    """Vector environment `env` observed as features, with actions that last for several intervals.
+
+    An action is repeated for `action_repeat` intervals, whose rewards are summed and scaled. With
+    `paired_baseline` the rewards of vehicles that stay in ride on the same roads are subtracted:
+    of each pair of rows of `env` the second one, so that there are half as many environments. After
+    one vehicle of a pair has rolled over, the two drive different roads of the same kind.
+    """
+
+    def __init__(
+        self,
+        env: RoadReconVecEnv,
+        seed: int,
+        *,
+        reward_scale: float = 1.0,
+        action_repeat: int = 1,
+        paired_baseline: bool = False,
+    ):
+        self.rows = 2 if paired_baseline else 1
+        self.env, self.n_envs = env, env.num_envs // self.rows
+        self.reward_scale, self.action_repeat = reward_scale, action_repeat
+        env.seed(seed, alike=self.rows)
+        setup = env.env.setup
+        context = PolicyContext.from_setup(setup, self.n_envs, seed)
+        self.features = FeatureExtractor(context)
+        shape = (N_FEATURES,)
+        space = gymnasium.spaces.Box(-MAX_FEATURE, MAX_FEATURE, shape, dtype=np.float32)
+        super().__init__(self.n_envs, space, setup.action_space)
+
+    def reset(self) -> np.ndarray:
+        """Start episodes in all environments, and return the features (N, K)."""
+        self.features.reset(np.ones(self.n_envs, dtype=bool))
+        return self.features.update(self.env.reset()[:: self.rows])
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Store the actions (N,) for `step_wait`."""
+        self._actions = np.asarray(actions)
+
+    def step_wait(self):
+        """Return features, rewards, dones (N, ...) and infos.
+
+        Rewards after the end of an episode are discarded.
+        """
+        env, features = self.env, self.features
+        total, ended = np.zeros(self.n_envs, dtype=np.float32), np.zeros(self.n_envs, dtype=bool)
+        infos: list[dict[str, Any]] = [{} for _ in range(self.n_envs)]
+        row_actions = np.full(env.num_envs, features.context.action_index(*RIDE))
+        row_actions[:: self.rows] = self._actions
+        for _ in range(self.action_repeat):
+            every_row: Any = env.step(row_actions)
+            observations, rewards, dones, part_infos = (x[:: self.rows] for x in every_row)
+            if self.rows > 1:
+                rewards = rewards - every_row[1][1::2]
+            total += np.where(ended, 0.0, self.reward_scale * rewards).astype(np.float32)
+            newly_ended = np.flatnonzero(dones & ~ended)
+            if newly_ended.size:  # the learner bootstraps from the last features if truncated
+                last = self._terminal_features(part_infos, newly_ended)
+                for i, terminal in zip(newly_ended, last, strict=True):
+                    infos[i] = {**part_infos[i], "terminal_observation": terminal}
+            features.reset(dones)
+            observations = features.update(observations)
+            ended |= dones
+        return observations, total, ended, infos
+
+    def close(self) -> None:
+        """Do nothing; there are no resources to release."""
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """Return an attribute once for each environment; all environments share it."""
+        return self.env.get_attr(attr_name)[: self.n_envs]
+
+    def _terminal_features(self, part_infos: list[dict[str, Any]], ended: np.ndarray):
+        """Return features (E, K) of the last observations of the environments `ended` (E,).
+
+        The states of filtered features are taken as zero.
+        """
+        last = np.stack([part_infos[i]["terminal_observation"] for i in ended])
+        observations = np.zeros((self.n_envs, last.shape[1]), dtype=last.dtype)
+        observations[ended] = last
+        return FeatureExtractor(self.features.context).update(observations)[ended]
