@@ -30,6 +30,12 @@ GRIDS: dict[str, Mapping[str, tuple[Any, ...]]] = {
         "hold": (0.0, 0.5),
         "firm": FIRM,
     },
+    "mpc": {
+        "horizon": (0.5, 0.6, 0.8),
+        "lead": (0.3,),
+        "margin": (0.02, 0.03, 0.04),
+        "advantage": (0.0, 0.1),
+    },
     "roll_angle": {"threshold": (0.01, 0.02, 0.03), "hold": (0.1, 0.5)},
     "skyhook": TWO_STATE,
     "groundhook": TWO_STATE,

@@ -58,7 +58,7 @@ class ModelPredictive(Settings):
     )  # fmt: skip
     horizon: Annotated[Positive, "s", "time over which a pair is held in the prediction"] = 0.4
     lead: Annotated[NonNegative, "s", "time for which specific forces go on at their rate"] = 0.1
-    margin: Annotated[float, "m", "distance from the stops that has the price of a violation"] = 0.0
+    margin: Annotated[Positive, "m", "distance from a stop over which its price rises"] = 0.02
     advantage: Annotated[NonNegative, "", "share of the cost by which a new pair is better"] = 0.0
     context: PolicyContext = field(init=False, repr=False, compare=False)
 
@@ -78,7 +78,7 @@ class ModelPredictive(Settings):
         self.held_rate = _spring_rates(car, "handling") - _spring_rates(car, "ride")
         self.valve_time = car.valve.delay + car.valve.lag
         stops = [zero_force_range(curve) for curve in car.bump_stops for _ in range(2)]
-        self.stops = np.array(stops) + self.margin * np.array([1.0, -1.0])
+        self.stops = np.array(stops)
         size = context.n_vehicles
         self.current, self.held = np.zeros(size, dtype=int), np.zeros((size, 4))
         self.planar, self.weighted = np.zeros((size, 2)), np.zeros((size, 2, len(self.filter[0])))
@@ -115,8 +115,9 @@ class ModelPredictive(Settings):
             inputs[:, :, 8:12] = self.stiff[:, None] * oil
             y = states @ self.C + inputs @ self.D
             states = states @ self.A.transpose(0, 2, 1) + inputs @ self.B.transpose(0, 2, 1)
-            outside = (y[..., 2:] < self.stops[:, 0]) | (y[..., 2:] > self.stops[:, 1])
-            cost += np.square(y[..., :2]).sum(axis=2) + VIOLATION_PRICE * outside.any(axis=2)
+            beyond = np.maximum(self.stops[:, 0] - y[..., 2:], y[..., 2:] - self.stops[:, 1])
+            used = np.maximum(1.0 + beyond.max(axis=2) / self.margin, 0.0)
+            cost += np.square(y[..., :2]).sum(axis=2) + VIOLATION_PRICE * used
         cars = np.arange(n)
         best = cost.argmin(axis=0)
         better = cost[best, cars] < (1.0 - self.advantage) * cost[self.current, cars]
