@@ -338,7 +338,7 @@ import time
 import numpy as np, torch
 from stable_baselines3 import PPO
 from road_envs.envs.sb3 import RoadReconVecEnv
-from road_envs.policies.training import FeatureVecEnv
+from road_envs.policies.feature_env import FeatureVecEnv
 
 torch.set_num_threads(1)
 observe = ["accelerations", "planar", "struts"]
