@@ -164,6 +164,22 @@ def build_options(cls: type[T], options: Mapping[str, Any], where: str) -> T:
         raise UnknownKeyError(text) from None
 
 
+def validate_actions(actions: Any, size: int, n_actions: int) -> np.ndarray:
+    """Return `actions` as indices (size,) of `n_actions`. Raises ConfigError."""
+    indices = np.asarray(actions)
+    if indices.shape != (size,) or indices.dtype.kind not in "iu":
+        raise ConfigError(
+            f"actions must be {size} whole numbers, got {indices.dtype} of shape {indices.shape}"
+        )
+    wrong = np.flatnonzero((indices < 0) | (indices >= n_actions))
+    if wrong.size:
+        raise ConfigError(
+            f"actions must be 0 to {n_actions - 1}, got {indices[wrong[0]]} for environment "
+            f"{wrong[0]}"
+        )
+    return indices
+
+
 class EnvSetup:
     """Objects built from the keyword arguments of the environments. Raises ConfigError."""
 

@@ -12,7 +12,7 @@ from gymnasium.vector.utils import batch_space
 
 from road_envs.core.config import ConfigError, shown, validate_choice
 from road_envs.envs.fleet_arrays import StepOutput
-from road_envs.envs.options import EnvOptions, EnvSetup
+from road_envs.envs.options import EnvOptions, EnvSetup, validate_actions
 
 MAX_ENVS = 100_000
 """Most vehicles of one vector environment: with the shortest roads they need some gigabytes."""
@@ -142,7 +142,8 @@ class RoadReconVectorEnv(VectorEnv):
         """Drive all environments for one control interval under `actions` (num_envs,)."""
         if not self._generators:
             raise gymnasium.error.ResetNeeded("call reset before step")
-        commands = self.setup.command_bytes[self._validate_actions(actions)]
+        known = self.setup.command_bytes
+        commands = known[validate_actions(actions, self.num_envs, len(known))]
         if any(self.failures):
             self.failures = [""] * self.num_envs
         restarted = self._done
@@ -282,19 +283,3 @@ class RoadReconVectorEnv(VectorEnv):
         for i in np.flatnonzero(mask):
             if seeds[i] is not None:
                 self._generators[i], self._seeds[i] = seeding.np_random(seeds[i])
-
-    def _validate_actions(self, actions: Any) -> np.ndarray:
-        """Return `actions` as indices (num_envs,). Raises ConfigError."""
-        indices = np.asarray(actions)
-        last = len(self.setup.command_bytes) - 1
-        if indices.shape != (self.num_envs,) or indices.dtype.kind not in "iu":
-            raise ConfigError(
-                f"actions must be {self.num_envs} whole numbers, got {indices.dtype} of shape "
-                f"{indices.shape}"
-            )
-        if indices.size and not (indices.min() >= 0 and indices.max() <= last):
-            wrong = int(np.flatnonzero((indices < 0) | (indices > last))[0])
-            raise ConfigError(
-                f"actions must be 0 to {last}, got {indices[wrong]} for environment {wrong}"
-            )
-        return indices

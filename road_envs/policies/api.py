@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from road_envs.core.config import ConfigError
+from road_envs.envs import options
 from road_envs.envs.options import EnvSetup
 from road_envs.sensing.instruments import Instruments
 from road_envs.vehicle.parameters import VehicleParameters
@@ -101,13 +102,7 @@ class Policy(Protocol):
 
 def validate_actions(actions: object, context: PolicyContext) -> np.ndarray:
     """Return `actions` as (N,) indices of the action space. Raises PolicyError."""
-    given, last = np.asarray(actions), len(context.actions) - 1
-    if given.shape != (context.n_vehicles,) or given.dtype.kind not in "iu":
-        raise PolicyError(
-            f"actions must be {context.n_vehicles} whole numbers, got {given.dtype} of shape "
-            f"{given.shape}"
-        )
-    outside = given[(given < 0) | (given > last)]
-    if outside.size:
-        raise PolicyError(f"actions must be 0 to {last}, got {outside[0]}")
-    return given
+    try:
+        return options.validate_actions(actions, context.n_vehicles, len(context.actions))
+    except ConfigError as error:
+        raise PolicyError(str(error)) from None
