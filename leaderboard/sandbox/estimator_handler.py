@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 
-from estimators import make_estimator
 from estimators.api import ENTRY_POINT_GROUP, check_class, declared_lag
 from leaderboard.entries.entry import EntryError, LocalSession, describe_error, get_settings
 from leaderboard.entries.entry_files import CLASS_REFERENCE, WEIGHTS_SUFFIXES
@@ -98,6 +97,9 @@ def load(reference: str, settings: dict[str, Any], folder: str | None) -> tuple[
         return None, build(check_class(cls), settings, name)
     if folder is not None and not reference.endswith(WEIGHTS_SUFFIXES):
         return _load_package(Path(folder), settings)
+    # not above: it imports all estimators of this package, which code from outside may not use
+    from estimators import make_estimator
+
     if folder is None:
         return None, make_estimator(reference, **settings)
     return None, make_estimator(Path(folder) / Path(reference).name)  # a file has its own settings
