@@ -118,7 +118,13 @@ def check(name: str, kills: int, expected: dict, folder: Path, rng: random.Rando
             failed += len(board.failed(board.tasks[0]))
             if not board.failed(board.tasks[0]):
                 break
-        assert rows(board) == expected, name
+        found = rows(board)
+        differ = [row for row in expected if found.get(row) != expected[row]]
+        assert not differ, (
+            name,
+            differ,
+            [getattr(found.get(row), "notes", None) for row in differ],
+        )
         end = time.monotonic() + 10.0
         while (left := running_jobs(out)) and time.monotonic() < end:
             time.sleep(0.1)

@@ -24,7 +24,6 @@ from pathlib import Path
 from types import MappingProxyType
 
 from leaderboard.sandbox import seccomp
-from leaderboard.sandbox.guest import Guest
 from leaderboard.sandbox.limits import GIB, Limits
 from road_envs.core.code_digest import PACKAGES, ROOT
 
@@ -52,38 +51,29 @@ SHARED_MEMORY = 2**28
 """Size [bytes] of a guest's /dev/shm."""
 
 
-def start(
+@contextmanager
+def command(
     words: Sequence[str],
     environment: Mapping[str, str],
     limits: Limits,
-    folder: Path,
     *,
     user: int | None,
     from_outside: bool,
     read_only: Mapping[Path, Path] = MappingProxyType({}),
     writable: Mapping[Path, Path] = MappingProxyType({}),
-) -> Guest:
-    """Start the guest that runs `words` in a container. Raises EntryError.
+) -> Iterator[tuple[list[str], list[int]]]:
+    """Return the command line of the container that runs `words`, and open files to be inherited.
 
     The mappings name the folders and files that it sees, by their path on the host. The guest may
     become `user`; what is `from_outside` runs behind the filter of system calls.
     """
-    with _system_call_filter(from_outside) as handle:
-        line = _command(words, environment, limits, read_only, writable, user=user, handle=handle)
-        return Guest(line, environment, folder, [] if handle is None else [handle])
-
-
-@contextmanager
-def _system_call_filter(wanted: bool) -> Iterator[int | None]:
-    """Open the filter of system calls for bubblewrap to read; None if there is none."""
-    program = seccomp.program() if wanted else None
-    if program is None:
-        yield None
-        return
+    program = seccomp.program() if from_outside else None
     with tempfile.TemporaryFile() as file:
-        file.write(program)
+        file.write(program or b"")
         file.seek(0)
-        yield file.fileno()
+        handle = None if program is None else file.fileno()
+        line = _command(words, environment, limits, read_only, writable, user=user, handle=handle)
+        yield line, [] if handle is None else [handle]
 
 
 def _command(
@@ -96,8 +86,7 @@ def _command(
     user: int | None,
     handle: int | None,
 ) -> list[str]:
-    """Return the command line of the container."""
-    mounts = {**_system_mounts(), **{source: target for source, target in read_only.items()}}
+    mounts = {**_system_mounts(), **read_only}
     parents = {
         parent for target in [*mounts.values(), *writable.values()] for parent in target.parents
     }
@@ -138,9 +127,7 @@ def obstacle() -> str | None:
     code = f"{become}import socket; [open(path).close() for path in {needed}]"
     words = [sys.executable, "-S", "-c", code]
     try:
-        with _system_call_filter(True) as handle:
-            line = _command(words, {}, Limits(), {}, {}, user=user, handle=handle)
-            handles = [] if handle is None else [handle]
+        with command(words, {}, Limits(), user=user, from_outside=True) as (line, handles):
             ended = subprocess.run(
                 line,
                 capture_output=True,

@@ -12,6 +12,7 @@ import shutil
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -31,7 +32,7 @@ from leaderboard.entries.entry import (
 )
 from leaderboard.sandbox import bubblewrap, estimator_handler, messages, processes
 from leaderboard.sandbox.guest import Guest
-from leaderboard.sandbox.launch import start_guest
+from leaderboard.sandbox.launch import START_ATTEMPTS, start_guest
 from leaderboard.sandbox.limits import Limits
 from leaderboard.sandbox.retest import (
     LOOKS_AHEAD,
@@ -163,10 +164,10 @@ class SandboxClient:
         def run_again() -> list[Estimate]:
             known = [calibrations[q.drive] for q in questions] if calibrations else ()
             asked = [q.record for q in questions]
-            try:
-                return run(asked, [seed], range(len(asked)), known)[0][0].estimates
-            except EntryError:
-                return []
+            for _ in range(START_ATTEMPTS):  # something else may have ended the guest
+                with suppress(EntryError):
+                    return run(asked, [seed], range(len(asked)), known)[0][0].estimates
+            return []
 
         questions: list[Question] = []
         seed = secret.choice(seeds)
@@ -270,12 +271,15 @@ class _RemoteSession:
     def fit(self, training: Sequence[tuple[Record, Profile]], seed: int) -> tuple[int, float]:
         """Train the estimator if it needs training. Raises EntryError."""
         sent = training if self.needs_training else []
-        head, _, seconds = self._timed(messages.encode_training(sent, seed))
+        head, _, seconds = self._timed(messages.encode_drives("fit", sent, seed=seed))
         return int(messages.number(head, "parameters", LARGEST_COUNT)), seconds
 
     def calibrate(self, drives: Sequence[CalibrationDrive]) -> float:
         """Calibrate the estimator to the vehicle of these drives. Raises EntryError."""
-        return self._timed(messages.encode_calibration(drives))[2]
+        sent = [(drive.record, drive.profile) for drive in drives]
+        survey, names = [drive.survey_std for drive in drives], [drive.name for drive in drives]
+        request = messages.encode_drives("calibrate", sent, survey=survey, names=names)
+        return self._timed(request)[2]
 
     def estimate(self, record: Record) -> tuple[Estimate, float]:
         """Return the estimate of a record. Raises EntryError, EstimateError."""
@@ -288,8 +292,7 @@ class _RemoteSession:
             messages.number(head, "seconds", self._guest.limits.seconds)
             return 8 * size * (2 if head.get("std") is True else 1)
 
-        head = {"do": "estimate", "length": record.length, **messages.signals_head([record])}
-        request = messages.encode(head, messages.record_arrays(record))
+        request = messages.encode_drives("estimate", [(record, None)])
         _, data, seconds = self._timed(request, size_of_arrays)
         arrays = np.frombuffer(data).reshape(-1, 2, stations.size)
         estimate = Estimate(stations, arrays[0], arrays[1] if len(arrays) > 1 else None)

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from estimators.api import ENTRY_POINT_GROUP, check_class, declared_lag
+from estimators.api import ENTRY_POINT_GROUP, CalibrationDrive, check_class, declared_lag
 from leaderboard.entries.entry import EntryError, LocalSession, describe_error, get_settings
 from leaderboard.entries.entry_files import CLASS_REFERENCE, WEIGHTS_SUFFIXES
 from leaderboard.sandbox import messages
@@ -38,13 +38,15 @@ def make_handler(code: str | None) -> messages.Handler:
             answer, session = _start(request, code)
             return answer, ()
         assert session is not None
+        drives: list[Any] = messages.decode_drives(request, arrays)
         if request["do"] == "fit":
-            training = list(zip(*messages.make_training(request, arrays), strict=True))
-            parameters, seconds = session.fit(training, request["seed"])
+            parameters, seconds = session.fit(drives, request["seed"])
             return {"parameters": parameters, "seconds": seconds}, ()
         if request["do"] == "calibrate":
-            return {"seconds": session.calibrate(messages.make_calibration(request, arrays))}, ()
-        record = messages.make_record(arrays, request["length"], request)
+            about = zip(drives, request["survey"], request["names"], strict=True)
+            known = [CalibrationDrive(*drive, std, name) for drive, std, name in about]
+            return {"seconds": session.calibrate(known)}, ()
+        ((record, _),) = drives
         estimate, seconds = session.estimate(record)
         found = [x.astype(float) for x in (estimate.z, estimate.z_std) if x is not None]
         return {"seconds": seconds, "std": estimate.z_std is not None}, found

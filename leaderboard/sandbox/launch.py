@@ -64,10 +64,11 @@ def start_guest(
         try:
             if not isolated:
                 return Guest(words, environment, home)
-            return bubblewrap.start(
-                words, environment, limits, home, user=setup.user,
-                from_outside=code is not None, read_only=read_only, writable=writable,
-            )  # fmt: skip
+            with bubblewrap.command(
+                words, environment, limits, user=setup.user, from_outside=code is not None,
+                read_only=read_only, writable=writable,
+            ) as (line, handles):  # fmt: skip
+                return Guest(line, environment, home, handles)
         except EntryError as error:
             if attempt == START_ATTEMPTS:
                 raise EntryError(

@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 
-from estimators.api import CalibrationDrive
 from leaderboard.entries.entry import EntryError
 from road_envs.records.accelerometers import from_plain, to_plain
 from road_envs.records.record import LowPass, Profile, Record
@@ -68,72 +67,36 @@ def decode_arrays(head: Mapping[str, Any], read: Any) -> list[np.ndarray]:
     return arrays
 
 
-def record_arrays(record: Record) -> list[np.ndarray]:
-    """Return the arrays of a record in the order of RECORD_ARRAYS."""
-    return [getattr(record, name) for name in RECORD_ARRAYS]
+def encode_drives(
+    do: str, drives: Sequence[tuple[Record, Profile | None]], **more: object
+) -> bytes:
+    """Return the request `do` with drives, with or without their road, of one layout of sensors.
 
-
-def signals_head(records: Sequence[Record]) -> dict[str, Any]:
-    """Return what `make_record` needs beside arrays and length, the same of all `records`."""
-    if not records:
-        return {}
-    return {"sensors": to_plain(records[0].sensors), "low_pass": records[0].low_pass}
-
-
-def make_record(arrays: Sequence[np.ndarray], length: float, head: Mapping[str, Any]) -> Record:
-    """Return the record of `record_arrays`, with the values of `signals_head` in a `head`."""
-    layout = from_plain(head.get("sensors"), "the record of a request")
-    low_pass = LowPass(*head["low_pass"]) if head.get("low_pass") else None
-    signals = dict(zip(RECORD_ARRAYS, arrays, strict=True))
-    return Record(**signals, length=length, sensors=layout, low_pass=low_pass)
-
-
-def encode_training(training: Sequence[tuple[Record, Profile]], seed: int) -> bytes:
-    """Return the request to train with `seed` on drives of one layout of sensors and low-pass."""
-    lengths = [record.length for record, _ in training]
-    arrays = [x for record, truth in training for x in (*record_arrays(record), truth.s, truth.z)]
-    signals = signals_head([record for record, _ in training])
-    return encode({"do": "fit", "seed": seed, "lengths": lengths, **signals}, arrays)
-
-
-def make_training(
-    head: Mapping[str, Any], arrays: Sequence[np.ndarray]
-) -> tuple[list[Record], list[Profile]]:
-    """Return records and truths of `encode_training`, in the guest."""
-    size, lengths = len(RECORD_ARRAYS) + 2, head["lengths"]
-    parts = [arrays[k * size : (k + 1) * size] for k in range(len(lengths))]
-    records = [make_record(part[:-2], x, head) for part, x in zip(parts, lengths, strict=True)]
-    return records, [Profile(part[-2], part[-1]) for part in parts]
-
-
-def encode_calibration(drives: Sequence[CalibrationDrive]) -> bytes:
-    """Return the request to calibrate with drives of one layout of sensors and low-pass.
-
-    A survey error of None stands for an unmeasured road.
+    The object has `more`. Raises ValueError if it is too long.
     """
-    survey = [None if drive.profile is None else drive.survey_std for drive in drives]
-    lengths, arrays = [drive.record.length for drive in drives], []
-    for drive in drives:
-        arrays += record_arrays(drive.record)
-        arrays += [] if drive.profile is None else [drive.profile.s, drive.profile.z]
-    head = {"do": "calibrate", "lengths": lengths, "survey": survey}
-    names, signals = [drive.name for drive in drives], signals_head([drives[0].record])
-    return encode({**head, "names": names, **signals}, arrays)
+    arrays: list[np.ndarray] = []
+    for record, road in drives:
+        arrays += [getattr(record, name) for name in RECORD_ARRAYS]
+        arrays += [] if road is None else [road.s, road.z]
+    head: dict[str, Any] = {"do": do, "lengths": [record.length for record, _ in drives], **more}
+    head["roads"] = [road is not None for _, road in drives]
+    if drives:
+        first = drives[0][0]
+        head |= {"sensors": to_plain(first.sensors), "low_pass": first.low_pass}
+    return encode(head, arrays)
 
 
-def make_calibration(
+def decode_drives(
     head: Mapping[str, Any], arrays: Sequence[np.ndarray]
-) -> list[CalibrationDrive]:
-    """Return the drives of `encode_calibration`, in the guest."""
-    left, drives = list(arrays), []
-    size = len(RECORD_ARRAYS)
-    for length, std, name in zip(head["lengths"], head["survey"], head["names"], strict=True):
-        record, left = make_record(left[:size], length, head), left[size:]
-        if std is None:
-            drives.append(CalibrationDrive(record, name=name))
-        else:
-            drives.append(CalibrationDrive(record, Profile(left[0], left[1]), std, name))
-            left = left[2:]
+) -> list[tuple[Record, Profile | None]]:
+    """Return the drives of `encode_drives`, in the guest."""
+    left, drives = iter(arrays), []
+    for length, has_road in zip(head["lengths"], head["roads"], strict=True):
+        signals = {name: next(left) for name in RECORD_ARRAYS}
+        layout = from_plain(head["sensors"], "the record of a request")
+        low_pass = LowPass(*head["low_pass"]) if head["low_pass"] else None
+        record = Record(**signals, length=length, sensors=layout, low_pass=low_pass)
+        drives.append((record, Profile(next(left), next(left)) if has_road else None))
     return drives
 
 

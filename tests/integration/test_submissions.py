@@ -365,6 +365,8 @@ def test_from_a_fork_to_the_page(tmp_path):
     call("git", "commit", "-m", "signed", cwd=upstream)
     call("git", "fetch", cwd=fork)
     signature.sign(folder, tmp_path / "other.pem")
+    call("git", "add", "submissions", cwd=fork)
+    call("git", "commit", "-m", "signed by another", cwd=fork)
     said = " ".join(call("ci/verify.sh", "origin/main", cwd=fork, status=2).split())
     assert "what it replaces by the key" in said
     row = store.load(store.row_path(folder, "short", "trial"))

@@ -10,7 +10,6 @@ from scipy import signal
 from test_map_smoother import PAPER, drive_record, error, objective_of
 
 from estimators import create
-from estimators.api import CalibrationDrive
 from estimators.low_pass import _find_low_pass
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.preprocessing import mask_record
@@ -147,7 +146,9 @@ def test_files_and_messages_keep_the_low_pass(tmp_path):
         head = json.loads(stream.read(size))
         return head, messages.decode_arrays(head, stream.read)
 
-    trained, _ = messages.make_training(*received(messages.encode_training([(low, truth)], 0)))
-    drives = [CalibrationDrive(low, truth)]
-    calibrated = messages.make_calibration(*received(messages.encode_calibration(drives)))
-    assert trained[0].low_pass == calibrated[0].record.low_pass == low.low_pass
+    sent = messages.encode_drives("fit", [(low, truth), (low, None)])
+    (first, road), (second, none) = messages.decode_drives(*received(sent))
+    assert first.low_pass == second.low_pass == low.low_pass
+    np.testing.assert_array_equal(road.z, truth.z)
+    np.testing.assert_array_equal(second.a, low.a)
+    assert none is None and second.sensors == low.sensors
