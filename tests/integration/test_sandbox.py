@@ -2,7 +2,9 @@
 
 import dataclasses
 import os
+import random
 import re
+import signal
 import socket
 import sys
 import threading
@@ -21,8 +23,10 @@ from estimators.api import CalibrationDrive
 from leaderboard.entries import entries
 from leaderboard.entries.entry import Entry, EntryError, LocalSession, reconstruct_all
 from leaderboard.sandbox import bubblewrap, limits
+from leaderboard.sandbox import client as client_module
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
+from leaderboard.sandbox.retest import NOT_RETESTED
 from road_envs.core.code_digest import ROOT
 from road_envs.core.config import ConfigError
 
@@ -160,6 +164,31 @@ def test_each_estimate_follows_the_calibration_to_its_own_vehicle(sandbox, known
         np.testing.assert_array_equal(there.estimates[k].z, expected)
     assert here.calibrate_seconds >= 0.0 and there.calibrate_seconds >= 0.0
     assert there.notes == () and nothing_left()
+
+
+@pytest.mark.parametrize(("kills", "notes"), [(1, ()), (2, (NOT_RETESTED,))])
+def test_a_second_guest_that_something_else_ended_is_asked_once_more(
+    sandbox, monkeypatch, kills, notes
+):
+    class SecondGuestLast(random.SystemRandom):
+        def random(self):
+            return 0.9
+
+    sessions, make_session = [], SandboxClient._session
+
+    def killed_session(self, guest, *rest):
+        sessions.append(make_session(self, guest, *rest))
+        if 2 <= len(sessions) < 2 + kills:
+            os.kill(guest.pid, signal.SIGKILL)
+        return sessions[-1]
+
+    monkeypatch.setattr(client_module.random, "SystemRandom", SecondGuestLast)
+    monkeypatch.setattr(SandboxClient, "_session", killed_session)
+    training, records, car = drives(2)
+    entry = Entry(name="x", reference="fake_estimators:Reader", causal=True)
+    (run,) = sandbox.reconstruct(entry, training, records, car, (1,), retest=True)
+    assert run.notes == notes and run.looks_ahead == bool(notes)
+    assert len(sessions) == 3 and nothing_left()
 
 
 def test_an_estimator_that_cannot_be_calibrated_ignores_the_drives(sandbox):
