@@ -17,6 +17,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+os.environ["DASK_LOGGING__DISTRIBUTED"] = "critical"  # of workers that end is to be expected
 ROOT = Path(__file__).parents[1]
 sys.path[:0] = [str(ROOT / "tests" / "support"), str(ROOT / "tests" / "integration")]
 
@@ -71,11 +72,14 @@ def kill_others(
 
     def progress(done: int, total: int, text: str) -> None:
         if done:
-            timer = threading.Timer(rng.uniform(0.0, LONGEST_DELAY), kill_one)
-            timer.daemon = True
-            timer.start()
+            timers.append(threading.Timer(rng.uniform(0.0, LONGEST_DELAY), kill_one))
+            timers[-1].start()
 
+    timers: list[threading.Timer] = []
     run_board(make_request(VALID, CONDITIONS), out, executor, progress)
+    for timer in timers:
+        timer.cancel()
+        timer.join()
     yield from killed
 
 
@@ -97,11 +101,10 @@ def kill_workers(out: Path, kills: int, rng: random.Random) -> Iterator[bool]:
     """Kill workers of a cluster of this machine, which starts others in their place."""
     with DaskExecutor(LOCAL, 2) as executor:
         executor.workers = 4  # so that entries are spread over several jobs
-
-        def workers() -> list[int]:
-            return list(executor._client.run(os.getpid, on_error="ignore").values())
-
-        yield from kill_others(workers, out, kills, rng, executor)
+        nannies = executor._cluster.workers.values
+        yield from kill_others(
+            lambda: [nanny.pid for nanny in nannies() if nanny.pid], out, kills, rng, executor
+        )
 
 
 STAGES = {"judge": kill_judges, "job": kill_jobs, "guest": kill_guests, "Dask worker": kill_workers}

@@ -168,20 +168,6 @@ def reconstruct_all(
         first = first or run.estimates
 
 
-def reconstruct(
-    estimator: Estimator,
-    training: Sequence[tuple[Record, Profile]],
-    records: Sequence[Record],
-    car: VehicleParameters,
-    seed: int,
-) -> TrainingRun:
-    """Train an estimator in this process, if it needs training, then estimate every record.
-
-    Raises EntryError.
-    """
-    return _run(LocalSession(estimator, car), training, records, seed, range(len(records)))
-
-
 def _run(
     session: Session,
     training: Sequence[tuple[Record, Profile]],

@@ -63,7 +63,7 @@ def tree(root: int) -> list[Process]:
 
 def proportional_memory(processes: list[Process]) -> int:
     """Return the memory [bytes] of some processes, counting shared pages once."""
-    return sum(_proportional_memory(process) for process in processes)
+    return sum(_size(x.pid, "smaps_rollup", "Pss") or x.resident for x in processes)
 
 
 def page_tables(processes: list[Process]) -> int:
@@ -124,7 +124,3 @@ def _read_process(pid: int) -> Process | None:
     fields = text.rpartition(b")")[2].split()  # the name in brackets may be any bytes
     cpu = sum(map(int, fields[11:15])) / TICKS
     return Process(pid, int(fields[1]), PAGE * int(fields[21]), cpu)
-
-
-def _proportional_memory(process: Process) -> int:
-    return _size(process.pid, "smaps_rollup", "Pss") or process.resident

@@ -18,7 +18,7 @@ import numpy as np
 
 import estimators
 from estimators.api import Estimator
-from leaderboard.entries.entry import reconstruct
+from leaderboard.entries.entry import LocalSession, reconstruct_all
 from leaderboard.evaluation.tasks import Condition, Task, load_task, shipped_tasks, training_delays
 from leaderboard.evaluation.test_data import DriveSimulation, RecordedDrive, simulate_drives
 from leaderboard.metrics.baselines import memory
@@ -234,7 +234,8 @@ def _train_and_score(
     tests: Sequence[RecordedDrive],
     seed: int,
 ) -> PaperTraining:
-    outcome = reconstruct(estimator, training, [t.record for t in tests], task.vehicle, seed)
+    session, records = LocalSession(estimator, task.vehicle), [t.record for t in tests]
+    (outcome,) = reconstruct_all(session, training, records, [seed])
     found, nominal = (_scores(task, *pair) for pair in zip(tests, outcome.estimates, strict=True))
     z, nominal_z = (estimate.z for estimate in outcome.estimates)
     return PaperTraining(
@@ -286,7 +287,8 @@ def _new_road_scores(
     run_scores = []
     for seed in NEW_ROAD_SEEDS:
         records = [test.record for test in tests]
-        outcome = reconstruct(network, training, records, task.vehicle, seed)
+        session = LocalSession(network, task.vehicle)
+        (outcome,) = reconstruct_all(session, training, records, [seed])
         for test, estimate in zip(tests, outcome.estimates, strict=True):
             run_scores.append(
                 compute_scores(test.truth, estimate, condition.speed_kmh / 3.6, False)

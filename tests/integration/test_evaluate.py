@@ -11,7 +11,7 @@ from in_process import InProcessExecutor
 
 import estimators
 from leaderboard.entries.entries import make_entry
-from leaderboard.entries.entry import EntryError, needs_training, reconstruct
+from leaderboard.entries.entry import EntryError, LocalSession, needs_training, reconstruct_all
 from leaderboard.evaluation.evaluate import run_task
 from leaderboard.evaluation.store import row_path
 from leaderboard.evaluation.test_data import simulate_drives
@@ -138,10 +138,10 @@ def test_reconstruct_returns_the_estimates_and_names_the_failing_step():
     t = task()
     drives = list(fake_drives(t, t.test, t.conditions[0]))
     records = [drive.record for drive in drives]
-    training_run = reconstruct(Reader(gain=1.0), [], records, t.vehicle, seed=1)
+    (training_run,) = reconstruct_all(LocalSession(Reader(gain=1.0), t.vehicle), [], records, [1])
     assert len(training_run.estimates) == 5 and training_run.estimate_seconds > 0.0
     with pytest.raises(EntryError, match="estimating test drive 1 of 5, seed 7: RuntimeError"):
-        reconstruct(Broken(how="raises"), [], records, t.vehicle, seed=7)
+        list(reconstruct_all(LocalSession(Broken(how="raises"), t.vehicle), [], records, [7]))
 
 
 def test_an_estimator_with_weights_is_evaluated_without_training():

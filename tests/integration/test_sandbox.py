@@ -166,6 +166,51 @@ def test_each_estimate_follows_the_calibration_to_its_own_vehicle(sandbox, known
     assert there.notes == () and nothing_left()
 
 
+def in_page_cache(path):
+    """Return whether the first page of a file is in memory; reading it would put it there."""
+    with path.open("rb") as file:
+        try:
+            return os.preadv(file.fileno(), [bytearray(8)], 0, os.RWF_NOWAIT) > 0
+        except BlockingIOError:
+            return False
+
+
+def test_what_guests_have_read_is_dropped_from_memory(monkeypatch):
+    folder = ROOT / "docs" / "images"  # on a disk: what lies in memory cannot be dropped
+    paths = [path for path in folder.iterdir() if path.is_file()]
+    for path in paths:
+        path.read_bytes()
+    os.sync()
+    assert all(map(in_page_cache, paths))
+    monkeypatch.setattr(bubblewrap, "_system_mounts", dict)
+    bubblewrap.forget_reads([folder.parent])
+    if all(map(in_page_cache, paths)):
+        pytest.skip("the file system of the checkout keeps its files in memory")
+    assert not any(map(in_page_cache, paths))
+
+
+@pytest.mark.parametrize("second_first", [True, False])
+@pytest.mark.parametrize("causal", [True, False])
+def test_the_page_cache_is_dropped_between_two_guests_of_a_causal_entry(
+    sandbox, monkeypatch, causal, second_first
+):
+    class Chosen(random.SystemRandom):
+        def random(self):
+            return 0.1 if second_first else 0.9
+
+    steps, start = [], SandboxClient._start
+    monkeypatch.setattr(client_module.random, "SystemRandom", Chosen)
+    monkeypatch.setattr(
+        SandboxClient, "_start", lambda self, name: steps.append("guest") or start(self, name)
+    )
+    monkeypatch.setattr(
+        client_module.bubblewrap, "forget_reads", lambda more: steps.append("dropped")
+    )
+    entry = Entry(name="x", reference="fake_estimators:Reader", causal=causal)
+    sandbox.reconstruct(entry, *drives(2), (1,), retest=True)
+    assert steps == ["guest", *(["dropped"] if causal else []), "guest"]
+
+
 @pytest.mark.parametrize(("kills", "notes"), [(1, ()), (2, (NOT_RETESTED,))])
 def test_a_second_guest_that_something_else_ended_is_asked_once_more(
     sandbox, monkeypatch, kills, notes
@@ -184,6 +229,7 @@ def test_a_second_guest_that_something_else_ended_is_asked_once_more(
 
     monkeypatch.setattr(client_module.random, "SystemRandom", SecondGuestLast)
     monkeypatch.setattr(SandboxClient, "_session", killed_session)
+    monkeypatch.setattr(client_module.bubblewrap, "forget_reads", lambda more: None)
     training, records, car = drives(2)
     entry = Entry(name="x", reference="fake_estimators:Reader", causal=True)
     (run,) = sandbox.reconstruct(entry, training, records, car, (1,), retest=True)
