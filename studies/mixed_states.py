@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 import estimators
-from leaderboard.entries.entry import reconstruct
+from leaderboard.entries.entry import LocalSession, reconstruct_all
 from leaderboard.evaluation.bound import fit_spectrum, pooled_bound
 from leaderboard.metrics import heights
 from leaderboard.metrics.bootstrap import Resampled, resample
@@ -51,7 +51,8 @@ def case(pair: tuple[str, str], speed: float, roads: int) -> dict[str, np.ndarra
     columns = {"bound": np.full(roads, bound)}
     for name in ESTIMATORS:
         estimator = estimators.create(name, **({"shipped": False} if name == "fir_ridge" else {}))
-        found = reconstruct(estimator, training, [record for record, _ in tests], car, seed=1)
+        session, records = LocalSession(estimator, car), [record for record, _ in tests]
+        (found,) = reconstruct_all(session, training, records, [1])
         columns[name] = np.array(
             [
                 heights.nrmse(truth.z, one.z, truth.ds, band).pooled

@@ -44,7 +44,7 @@ def make_handler(code: str | None) -> messages.Handler:
             return {"parameters": parameters, "seconds": seconds}, ()
         if request["do"] == "calibrate":
             about = zip(drives, request["survey"], request["names"], strict=True)
-            known = [CalibrationDrive(*drive, std, name) for drive, std, name in about]
+            known = [CalibrationDrive(x, road, std, name) for (x, road), std, name in about]
             return {"seconds": session.calibrate(known)}, ()
         ((record, _),) = drives
         estimate, seconds = session.estimate(record)
