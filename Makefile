@@ -7,7 +7,7 @@ export PYTHONDONTWRITEBYTECODE :=
 # in the order of tests/conftest.py
 WORKERS := -n logical --no-loadscope-reorder
 
-.PHONY: leaderboard policies test suite test-processes test-long test-lowest test-versions package lint bench mutants docs \
+.PHONY: leaderboard policies test suite test-processes test-long test-lowest test-versions package lint bench mutants kills docs \
 	results results-check clean
 
 # the run of the README's table; the comparison of policies, which uses one core, runs beside it
@@ -81,6 +81,11 @@ mutants: $(READY)
 fuzz: SECONDS := 600
 fuzz: $(READY)
 	$(VENV)/bin/python tests/fuzz.py $(SECONDS)
+
+# processes of every stage of a run are killed, and it is resumed; KILLS=20 for more
+kills: KILLS := 5
+kills: $(READY)
+	$(VENV)/bin/python tests/kills.py $(KILLS)
 
 docs: $(READY)
 	$(VENV)/bin/pip install --quiet --constraint constraints.txt --editable '.[docs]'

@@ -177,7 +177,7 @@ def verified(made, tmp_path, monkeypatch):
             card_path(folder, card.identity), content, content.pop("identity")
         )
 
-    def altered_and_verified(alter):
+    def altered_and_verified(alter, **options):
         folder = shutil.copytree(made, tmp_path / "reader", dirs_exist_ok=True)
         row_file = store.row_path(folder, "small", "learner")
         row_file.unlink()  # its own entry and the baselines
@@ -185,7 +185,8 @@ def verified(made, tmp_path, monkeypatch):
         alter(folder)
         write_record(folder, entry.code)
         rules = Rules(tasks=("small",), seeds=2), [small()]
-        return submission_module.verify_submission(folder, rules, Limits(), share=1.0, seed=1)
+        options = {"share": 1.0, "seed": 1, **options}
+        return submission_module.verify_submission(folder, rules, Limits(), **options)
 
     m = monkeypatch
     m.setattr(submission_module, "SandboxClient", NoSandbox)
@@ -206,6 +207,14 @@ def test_an_honest_submission_agrees(verified):
     found = verified(lambda folder: None)
     assert {row.estimator for row in found} == {"reader", *BASELINES}
     assert all(row.agrees for row in found)
+
+
+def test_a_submission_that_replaces_a_signed_one_needs_its_key(verified, made, tmp_path):
+    pytest.importorskip("cryptography")
+    earlier = shutil.copytree(made, tmp_path / "earlier" / "reader")
+    signature.sign(earlier, tmp_path / "key.pem")
+    with pytest.raises(ConfigError, match="is not signed, what it replaces by the key"):
+        verified(lambda folder: None, replaces=earlier)
 
 
 def test_scores_are_verified_although_the_folder_defines_another_task(verified):
@@ -273,7 +282,11 @@ def test_the_site_has_a_page_of_each_entry_with_its_card(submission, tmp_path, m
     (repo / "rules.yaml").write_text("tasks: [new_road]\nseeds: 2\n")
     rules, _ = load_rules(repo / "rules.yaml")
     monkeypatch.setattr(repository, "load_rules", lambda path: (rules, [small()]))
+    (submission / "cards").mkdir()
+    (submission / "cards" / "of_another.json").write_text("{}")  # the mark of a rival
+    write_record(submission)
     index = repository.build_site(repo, tmp_path / "site")
+    assert not (tmp_path / "site" / "cards" / "of_another.json").exists()
     assert "reader" in index.read_text()
     page = (tmp_path / "site" / "estimators" / "reader.html").read_text()
     assert "Ada Author, Bo Author" in page and "Reads the heights from the record." in page
