@@ -7,6 +7,7 @@ import estimators
 from estimators.api import Estimator
 from estimators.common.odometer import to_true_distance
 from estimators.lookup import FILE_SUFFIXES
+from estimators.wiener.bending_search import find_bending
 from estimators.wiener.drive_check import check_notes
 from leaderboard.drive_report.mean_path import tells_paths_apart
 from road_envs.core.config import ConfigError
@@ -43,10 +44,17 @@ def make_drive_estimator(name: str, drive: DriveFile, settings: dict[str, Any]) 
 
 
 def estimate_drive(estimator: Estimator, drive: DriveFile) -> tuple[DriveFile, Estimate]:
-    """Return the estimate of a drive and the drive, both in true distance if that is known."""
+    """Return the estimate of a drive and the drive, both in true distance if that is known.
+
+    Where the sensors tell no roll, the bending of the body is looked for in their spectrum.
+    """
     record = drive.measured.record
-    record, found = to_true_distance(record, estimators.estimate(estimator, record, drive.car))
-    return drive._replace(measured=drive.measured._replace(record=record)), found
+    if not tells_paths_apart(record.sensors):
+        found = find_bending(record, drive.car, drive.sensors)
+        if found is not None:
+            drive = drive._replace(car=found.car).with_notes(found.note)
+    record, road = to_true_distance(record, estimators.estimate(estimator, record, drive.car))
+    return drive._replace(measured=drive.measured._replace(record=record)), road
 
 
 def read_profiles(names: list[str], drives: list[MeasuredRecord]) -> list[Profile | None]:
