@@ -55,6 +55,10 @@ REWEIGHTING_STEPS, WELCH_SEGMENT = 3, 128
 PRIOR_UPDATES = 6
 """Updates of the prior between the steps with the true friction, at most."""
 
+NOISE_FALL = 0.35
+"""Most that the noise scale keeps from one step to the next where readings are fewer than unknowns:
+a high noise and a road without short waves would confirm each other."""
+
 MAX_NOISE_POWER = 50.0
 """Greatest mean square of the road's noise u under a prior that was updated, over that before or
 over 1, its expectation: up to 50, once 90, on potholes and growing defects, where a limit of 10
@@ -132,6 +136,8 @@ def minimize(
             lin, change = solver.step(lin, noise_scale, plants)
             before = np.max(noise_scale)
             noise_scale = update_noise_scale(lin, stationary, noise_scale)
+            if std == 0.0 and objective.is_underdetermined:
+                noise_scale = np.maximum(1.0, np.minimum(noise_scale, NOISE_FALL * before))
             to_come = lin.objective.road.is_level_between_obstacles and n < min(
                 LOWERING_STEPS[-1], updates
             )
@@ -139,11 +145,13 @@ def minimize(
             if change < change_tolerance and not (to_come or is_falling):
                 break
     assert lin is not None
+    if objective.is_underdetermined:
+        noise_scale = np.maximum(1.0, [_noise_scale(one, 0.0) for one in lin.passes])
     if adapt_car is not None:
         found = adapt_car(MapSolution(lin, stationary, noise_scale), solver)
         lin, stationary, noise_scale = found.linearization, found.stationary, found.noise_scale
         solver = replace(solver, stationary=stationary)
-    if np.max(noise_scale) > NOISE_SCALE_WARNING:
+    if np.max(noise_scale) > NOISE_SCALE_WARNING and not objective.is_underdetermined:
         for _ in range(REWEIGHTING_STEPS):
             weights = estimate_frequency_weights(lin, stationary, noise_scale)
             lin = lin.with_frequency_weights(weights)

@@ -26,6 +26,9 @@ from road_envs.vehicle.parameters import VehicleParameters
 SHIFT_STD = 0.05
 """Prior standard deviation [m] of a shift, after the alignment of the single estimates."""
 
+WHEEL_PATHS = 2
+"""Wheel paths of a road."""
+
 Means = Sequence[np.ndarray]
 """Block means (S, J) of each pass."""
 
@@ -61,6 +64,11 @@ class Objective:
     def n_shifts(self) -> int:
         """Number of unknown shifts of all passes."""
         return (len(self.passes) - 1) * self.knots.size
+
+    @property
+    def is_underdetermined(self) -> bool:
+        """True if there are no more sensors than wheel paths: a road explains all measurements."""
+        return sum(len(one.model.sensor_rows) for one in self.passes) <= WHEEL_PATHS
 
     @property
     def plants(self) -> list[Plant]:

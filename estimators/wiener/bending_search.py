@@ -56,7 +56,7 @@ SAME_SPEED = 0.1
 
 MIN_GAIN = 15.0
 """Least difference of the deviance for a body that bends. Bodies that do not bend have -26 to -23,
-those that do 36 to 135 (a Cherokee at 100 km/h on class A, seeds 101 to 105)."""
+those that do 33 to 128 (a Cherokee at 100 km/h on class A, seeds 101 to 105)."""
 
 
 LEVEL_UPDATES, LEVEL_STEPS = 2, 8
@@ -66,36 +66,16 @@ HANN_KERNEL = np.array([1.0, 4.0, 1.0]) / 6.0
 """Power that a line of a Hann window takes from its neighbours."""
 
 
-class FoundBending(NamedTuple):
-    """The `car` with the bending that fits best, and the `gain` of the deviance by it."""
-
-    car: VehicleParameters
-    gain: float
-
-    @property
-    def note(self) -> str:
-        """What was found, in words."""
-        assert self.car.variation.bending is not None
-        return (
-            "the accelerations have the peak of a body that bends at "
-            f"{self.car.variation.bending.f:.0f} Hz, which the description leaves out: it is taken "
-            "into account"
-        )
-
-
-def find_bending(record: Record, car: VehicleParameters, instruments: str) -> FoundBending | None:
-    """Return a `car` with the bending of its body that the spectrum of its drive shows, None if it
-    shows none.
+def with_bending(record: Record, car: VehicleParameters, instruments: str) -> VehicleParameters:
+    """Return a `car` with the bending of its body that the spectrum of its drive shows, if any.
 
     Drives that change the state of their struts, and short ones, are not searched. Raises
     ConfigError.
     """
-    if car.variation.bending is not None or record.is_switched:
-        return None
     v, sensors = float(np.median(record.v)), instruments_of(record, instruments)
     f, power, windows = _calm_periodogram(record, v)
-    if windows < LEAST_WINDOWS:
-        return None
+    if car.variation.bending is not None or record.is_switched or windows < LEAST_WINDOWS:
+        return car
     length = BODY_OVER_WHEELBASE * car.wheelbase
     modes = [
         BendingMode(f=float(x), zeta=zeta, length=length)
@@ -118,8 +98,7 @@ def find_bending(record: Record, car: VehicleParameters, instruments: str) -> Fo
         deviances.append([deviance, *others])
     lowest = 2.0 * windows / HANN_LINES * np.min(deviances, axis=0)
     best = int(np.argmin(lowest[1:]))
-    gain = float(lowest[0] - lowest[1 + best])
-    return FoundBending(bent[best], gain) if gain > MIN_GAIN else None
+    return bent[best] if lowest[0] - lowest[1 + best] > MIN_GAIN else car
 
 
 class _Spectra(NamedTuple):

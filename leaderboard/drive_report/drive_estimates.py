@@ -7,7 +7,7 @@ import estimators
 from estimators.api import Estimator
 from estimators.common.odometer import to_true_distance
 from estimators.lookup import FILE_SUFFIXES
-from estimators.wiener.bending_search import find_bending
+from estimators.wiener.bending_search import with_bending
 from estimators.wiener.drive_check import check_notes
 from leaderboard.drive_report.mean_path import tells_paths_apart
 from road_envs.core.config import ConfigError
@@ -50,11 +50,12 @@ def estimate_drive(estimator: Estimator, drive: DriveFile) -> tuple[DriveFile, E
     """
     record = drive.measured.record
     if not tells_paths_apart(record.sensors):
-        found = find_bending(record, drive.car, drive.sensors)
-        if found is not None:
-            drive = drive._replace(car=found.car).with_notes(found.note)
-    record, road = to_true_distance(record, estimators.estimate(estimator, record, drive.car))
-    return drive._replace(measured=drive.measured._replace(record=record)), road
+        car = with_bending(record, drive.car, drive.sensors)
+        if car is not drive.car and (mode := car.variation.bending):
+            note = f"the body bends at {mode.f:.0f} Hz, by a peak in the record, and was adapted"
+            drive = drive._replace(car=car).with_notes(note)
+    record, found = to_true_distance(record, estimators.estimate(estimator, record, drive.car))
+    return drive._replace(measured=drive.measured._replace(record=record)), found
 
 
 def read_profiles(names: list[str], drives: list[MeasuredRecord]) -> list[Profile | None]:
