@@ -86,16 +86,17 @@ def with_bending(record: Record, car: VehicleParameters, instruments: str) -> Ve
     bendings = [one for other in bent if (one := sensed_bending(other, locations))]
     stiff = replace(bendings[0], shape=np.zeros_like(bendings[0].shape))
     strut_mode = dominant_modes(record, np.arange(record.t.size), car.modes)
-    noise = sensors.noise_densities**2
+    noise = sensors.noise_densities[:, None] ** 2
     deviances = []
     for w in WAVINESS:
         prior = RoadPrior(G_d0=CLASSES["B"], w=w, track=vehicle.track)
         for _ in range(LEVEL_UPDATES):
             spectra = _Spectra.of(vehicle, strut_mode, prior, v, f)
-            level, deviance = _whittle(power, *spectra.of_sensors(stiff), noise)
+            road, forces = spectra.of_sensors(stiff)
+            level, _ = _whittle(power, road, forces + noise)
             prior = replace(prior, G_d0=level * prior.G_d0)
-        others = [_whittle(power, *spectra.of_sensors(one), noise)[1] for one in bendings]
-        deviances.append([deviance, *others])
+        densities = (spectra.of_sensors(one) for one in (stiff, *bendings))
+        deviances.append([_whittle(power, road, forces + noise)[1] for road, forces in densities])
     lowest = 2.0 * windows / HANN_LINES * np.min(deviances, axis=0)
     best = int(np.argmin(lowest[1:]))
     return bent[best] if lowest[0] - lowest[1 + best] > MIN_GAIN else car
@@ -154,13 +155,11 @@ def _calm_periodogram(record: Record, v: float) -> tuple[np.ndarray, np.ndarray,
     return f[inside], power.mean(axis=0)[:, inside], 0.5 * (len(calm) + 1)
 
 
-def _whittle(
-    power: np.ndarray, road: np.ndarray, forces: np.ndarray, noise: np.ndarray
-) -> tuple[float, float]:
+def _whittle(power: np.ndarray, road: np.ndarray, others: np.ndarray) -> tuple[float, float]:
     """Return the factor on the density (S, F) of the `road` that fits a periodogram best, beside
-    the `forces` (S, F) and `noise` (S,), and the deviance of one window's lines.
+    that of the `others`, and the deviance of one window's lines.
     """
-    others, level = forces + noise[:, None], 1.0
+    level = 1.0
     for _ in range(LEVEL_STEPS):
         weight = (road / (level * road + others)) ** 2
         best = float(np.sum(weight * (power - others) / road) / np.sum(weight))
