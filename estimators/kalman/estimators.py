@@ -21,8 +21,8 @@ a limit.
 
 The standard deviation follows the innovations of the metres about a station, and heights no larger
 than it are reduced (`monitoring.py`). Where the innovations are far beyond their covariance for
-long, heights are emitted reduced, with wide intervals and a note: a filter that has lost the
-vehicle gives a nearly flat road, and no drift.
+long, heights are emitted reduced, with wide intervals and a note. Where no obstacle explains it,
+the filter has lost the vehicle and begins anew, as in the middle of a road (`forward.py`).
 
 Known to fail: on a vehicle other than the one described (on a field vehicle S2 that was not
 identified the error is nearly that of a flat road), as the filter corrects the road and not the
@@ -90,7 +90,8 @@ NOISE_SCALE_WARNING = 2.0
 """Noise scale above which a note says that the vehicle may differ from the one described."""
 
 LOST_REACH = 10.0
-"""Distance [m] about a lost vehicle over which smoothed heights are reduced."""
+"""Distance [m] about a lost vehicle over which smoothed heights are reduced, and before a restart
+over which heights are wrong, at most."""
 
 Lag = Annotated[float, Field(ge=0, lt=100), "m", "from the front axle back to the station emitted"]
 StdFactor = Annotated[Positive, "", "on the in-band standard deviation, fitted to training drives"]
@@ -162,6 +163,13 @@ class _KalmanSettings(CalibratedByIdentification):
             notes += (
                 f"at the end the noise power is {scale:.1f} times the expected one: the vehicle "
                 "may differ from the one described",
+            )
+        if run.state.restarts:
+            at = ", ".join(f"{x:.0f}" for x in run.known_front(0.0)[run.state.restarts])
+            notes += (
+                f"the filter lost the vehicle and began anew at {at} m: the heights of the "
+                f"{LOST_REACH:g} m before are not known; the vehicle may differ from the one "
+                "described (docs/howto/identify)",
             )
         s, front = profile_stations(record.length), run.known_front(sensor_latency)
         z, emitted = output.z.T.copy(), emitted_share(run, output)

@@ -6,13 +6,35 @@ from typing import NamedTuple
 import numpy as np
 
 from estimators.kalman.jumps import AcceptedStep, RoadJumps
+from estimators.kalman.road_process import RoadProcess
 from estimators.kalman.windows import EmissionTimes
+
+
+@dataclass(frozen=True, eq=False)
+class UnknownState:
+    """A state in the middle of a drive of which nothing is known yet: `vehicle` (N,) at rest on a
+    level road, standard deviations `std` (N + 3,) of vehicle and biases, and the prior covariance
+    `nodes` (2 K, 2 K) [m²] of the road's nodes, the newest first.
+    """
+
+    vehicle: np.ndarray
+    std: np.ndarray
+    nodes: np.ndarray
+
+    def covariance(self, road: RoadProcess, newest: int, scale: float) -> np.ndarray:
+        """Return P (n, n) for nodes up to the `newest` and a roughness `scale`."""
+        P, held = np.zeros((road.n_states, road.n_states)), newest - np.arange(road.n_nodes)
+        entries, known = road.node_entries(held), np.arange(self.std.size)
+        P[known, known] = self.std**2
+        P[np.ix_(entries, entries)] = scale * self.nodes
+        return P
 
 
 @dataclass(eq=False)
 class FilterState:
     """Mean `x` (n,), covariance `P` (n, n), valve states of the struts `strut_state` (4, 3), the
-    parameters `adaptive` (5,) and the steps of the road `jumps`.
+    parameters `adaptive` (5,), the steps of the road `jumps`, and the blocks before which the
+    filter was begun anew, `restarts`, from the state `unknown`.
 
     Of each block (J,): normalized innovation squared per measurement `nis`, `noise_scale` and
     `signal_power` after it.
@@ -23,9 +45,11 @@ class FilterState:
     strut_state: np.ndarray
     adaptive: np.ndarray
     jumps: RoadJumps
+    unknown: UnknownState
     nis: np.ndarray
     noise_scale: np.ndarray
     signal_power: np.ndarray
+    restarts: list[int] = field(default_factory=list)
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +67,7 @@ class FilteredWindow:
     Per unit step of each candidate of the road's: the mean of the innovation `response` (R, m), the
     error of the mean `direction` (4 + 2 M, m). After it, the steps `accepted`. Of steps that are
     accepted then or later, `corrections` has the U' response (L,) and direction (4 + 2 M,).
+    If `restarted`, the state before the window is forgotten.
     """
 
     index: int
@@ -56,6 +81,7 @@ class FilteredWindow:
     covariance: np.ndarray
     direction: np.ndarray
     response: np.ndarray
+    restarted: bool
     accepted: list[AcceptedStep] = field(default_factory=list)
     corrections: list[tuple[AcceptedStep, np.ndarray, np.ndarray]] = field(default_factory=list)
 

@@ -13,6 +13,9 @@ its error with the state at every moment. Heights are therefore further rows bel
 nodes are added as they leave. Beside both are a column for the direction of each candidate step of
 the road (`jumps.py`), which moves as the error does, and is tested at the window's end.
 
+A filter that is lost is begun anew (`_restart`), as if the record began there: its linearization is
+one about a motion that the vehicle does not have, and no later measurement leads back to it.
+
 Operations of a window of 24 blocks at 14.5 km/h, in millions, with 173 states, 55 of them local, 34
 heights and 24 candidates: 7.1 in the local filter, beside the linearization of the blocks, 5.9 in
 P - W' W, 1.9 in W, 0.3 in Phi P, 0.4 for new nodes and heights, and 0.8 for the smoother.
@@ -45,6 +48,18 @@ from estimators.kalman.state import (
 )
 from estimators.kalman.windows import WindowSchedule
 
+LOST_NIS, LOST_BLOCKS = 3.0, 60
+"""Median of the normalized innovation squared over so many blocks above which the filter is lost.
+On obstacles it is as high for fewer blocks, on vehicles of grade S1 below 2 before they are lost.
+"""
+
+OBSTACLE_LENGTH = 5.0
+"""Distance [m] behind the newest node within which an accepted step explains the innovations."""
+
+RESTART_NOISE, MAX_NOISE, RESTART_BLOCKS = 4.0, 16.0, 300
+"""Factor by which each restart raises the least noise scale, as the vehicle is not the one that is
+described; the most that it is raised to; and blocks from one restart to the next, at least."""
+
 
 class WindowFilter:
     """Filter of a drive: `state` after the windows so far, with the heights `nodes` and `bands`
@@ -71,6 +86,7 @@ class WindowFilter:
         self._joint.P[:n, :n] = state.P
         self._moments = np.zeros(2, dtype=np.int64)  # at which nodes and heights have been read
         self._recent: list[FilteredWindow] = []
+        self._least_noise = 1.0
         window, times = np.arange(schedule.newest.size), bands.times
         # in each window, from the first to the last (excluded): heights of which nodes leave in it
         # or have left, and nodes whose increment is known when it begins
@@ -91,19 +107,59 @@ class WindowFilter:
             passed = self._passed[0][i], self._passed[1][i]
             update_roughness(road, joint, adaptive, state.jumps.square, passed)
         oldest, end = schedule.oldest[i], schedule.oldest[i + 1]
+        adaptive[NOISE_SCALE] = max(adaptive[NOISE_SCALE], self._least_noise)
+        restarted = bool(end > oldest) and self._is_lost(i)
+        if restarted:
+            self._restart(i)
         state.jumps.begin(np.arange(oldest, end) + road.n_nodes)
         heights, scale = (self._heights[0][i], self._heights[1][i]), adaptive[ROUGHNESS_SCALE]
         mean, rows = advance_nodes(road, joint, self.bands, heights, i, (oldest, end), scale)
         left = mean, rows[:, :n], rows[:, n:]
         first, last = (int(edge) for edge in schedule.edges[i : i + 2])
-        parts = [self._filter_part(i, first, last, left)]
+        parts = [self._filter_part(i, first, last, left, restarted)]
         nothing = left[0][:0], left[1][:0], left[2][:0]
         while (first := parts[-1].blocks[1]) < last:
             parts.append(self._filter_part(i, first, last, nothing))
         return parts
 
+    def _is_lost(self, i: int) -> bool:
+        """Return whether the filter has lost the vehicle before the window `i`."""
+        state, first = self.state, int(self.schedule.edges[i])
+        since = first - state.restarts[-1] if state.restarts else first
+        if since < (RESTART_BLOCKS if state.restarts else LOST_BLOCKS):
+            return False
+        newest, (low, high) = int(self.schedule.reached[first]), self.road.free_range
+        if not low < newest < high:  # a level road is known: what it does not explain is no loss
+            return False
+        near = max(newest - round(OBSTACLE_LENGTH / self.model.node_spacing), 0)
+        if state.jumps.square[near : newest + 1].any():
+            return False
+        return bool(np.median(state.nis[first - LOST_BLOCKS : first]) > LOST_NIS)
+
+    def _restart(self, i: int) -> None:
+        """Forget the state before the window `i` but for the sensor biases and the roughness."""
+        state, road, P = self.state, self.road, self._joint.P
+        n, N, newest = (
+            road.n_states,
+            road.n_vehicle,
+            int(self.schedule.oldest[i]) + road.n_nodes - 1,
+        )
+        state.restarts.append(int(self.schedule.edges[i]))
+        state.x[:N], state.x[road.first_sum :] = state.unknown.vehicle, 0.0
+        P[:] = 0.0
+        P[:n, :n] = state.unknown.covariance(road, newest, state.adaptive[ROUGHNESS_SCALE])
+        state.jumps.score[:], state.jumps.information[:] = 0.0, 0.0
+        self._recent = []
+        self._least_noise = min(RESTART_NOISE * self._least_noise, MAX_NOISE)
+        state.adaptive[NOISE_SCALE] = self._least_noise
+
     def _filter_part(
-        self, i: int, first: int, end: int, left: tuple[np.ndarray, np.ndarray, np.ndarray]
+        self,
+        i: int,
+        first: int,
+        end: int,
+        left: tuple[np.ndarray, np.ndarray, np.ndarray],
+        restarted: bool = False,
     ) -> FilteredWindow:
         """Filter blocks from `first` on, to `end` or until a step is accepted. `left`: `leaving`,
         `covariance` and `direction` of the part.
@@ -144,7 +200,7 @@ class WindowFilter:
         transition, rows = own.rows[: road.n_vehicle, size:], slice(3 * (last - first))
         window = FilteredWindow(
             i, (first, last), local, transition, own.innovation[rows], own.U[rows], W[:, :n], *left,
-            response=W[:, n:],
+            response=W[:, n:], restarted=restarted,
         )  # fmt: skip
         oldest = schedule.newest[i] - jumps.score.size // 2
         self._recent = [one for one in self._recent if schedule.newest[one.index] > oldest]

@@ -1,6 +1,6 @@
 """Setup of a filter run from a record, filtering, and smoothing in chunks of bounded memory."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from estimators.kalman.filtered import (
     FilteredWindow,
     FilterState,
     NodesAtEmission,
+    UnknownState,
 )
 from estimators.kalman.forward import WindowFilter
 from estimators.kalman.jumps import RoadJumps
@@ -174,42 +175,34 @@ def setup_run(
     level = level_ends and record.s[0] <= 0.0
     nodes = int(windows.newest[-1]) + 1
     jumps = RoadJumps.none(WINDOW_LENGTH, nodes, NODE_SPACING)
-    state = _initial_state(car, model_inputs, road, jumps, measurements.y.shape[1], level)
-    if not level:
-        held = road.node_entries(windows.initial - np.arange(road.n_nodes))
-        state.P[np.ix_(held, held)] = prior_covariance(ar_model, road.n_nodes)
-    return FilterRun(model, inputs, road, windows, state, origin)
-
-
-def _initial_state(
-    car: VehicleParameters,
-    model_inputs: ModelInputs,
-    road: RoadProcess,
-    jumps: RoadJumps,
-    blocks: int,
-    level: bool,
-) -> FilterState:
-    n, n_vehicle, motion = road.n_states, road.n_vehicle, rest_state(car, model_inputs)
-    x, P, biases = np.zeros(n), np.zeros((n, n)), slice(n_vehicle, road.first_sum)
     # exactly at rest the friction law has a kink and no tangent
-    x[: motion.size] = motion + 1e-7
-    typical = (REST_STD if level else MOVING_STD)[[0, -1]]
-    std = np.concatenate(
-        [np.repeat(typical, motion.size // 2), np.full(n_vehicle - motion.size, typical[1])]
+    motion, blocks = rest_state(car, model_inputs) + 1e-7, measurements.y.shape[1]
+    moving, at_rest = (
+        np.concatenate(
+            [
+                np.repeat(std[[0, -1]], motion.size // 2),
+                np.full(road.n_vehicle - motion.size, std[-1]),
+                np.full(N_BIAS, BIAS_STD),
+            ]
+        )
+        for std in (MOVING_STD, REST_STD)
     )
-    P[:n_vehicle, :n_vehicle] = np.diag(std**2)
-    P[biases, biases] = BIAS_STD**2 * np.eye(N_BIAS)
+    vehicle = np.pad(motion, (0, road.n_vehicle - motion.size))
+    unknown = UnknownState(vehicle, moving, prior_covariance(ar_model, road.n_nodes))
+    level_start = replace(unknown, std=at_rest, nodes=np.zeros_like(unknown.nodes))
     weight = ROUGHNESS_LENGTH / NODE_SPACING  # that of a stationary average
-    return FilterState(
-        x=x,
-        P=P,
+    state = FilterState(
+        x=np.pad(vehicle, (0, road.n_states - vehicle.size)),
+        P=(level_start if level else unknown).covariance(road, windows.initial, 1.0),
         strut_state=settled_strut_state(int(model_inputs.commands[0])),
         adaptive=np.array([1.0, weight, weight, 1.0, 0.0]),
         jumps=jumps,
+        unknown=unknown,
         nis=np.ones(blocks),
         noise_scale=np.ones(blocks),
         signal_power=np.zeros(blocks),
     )
+    return FilterRun(model, inputs, road, windows, state, origin)
 
 
 def setup_output(

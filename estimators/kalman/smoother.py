@@ -85,7 +85,8 @@ def smooth_backward(
             transpose_nodes(road, left_nodes, N, (0, n))
             N = N.T.copy()
             transpose_nodes(road, left_nodes, N, (0, n))
-            N = 0.5 * (N + N.T)  # the asymmetry of rounding would grow from window to window
+            # the asymmetry of rounding would grow from window to window
+            N = np.zeros_like(N) if window.restarted else 0.5 * (N + N.T)
         if low >= high:
             continue
         left = window.leaving[:, None] + window.covariance @ live
@@ -96,3 +97,5 @@ def smooth_backward(
         nodes.c[moments[:, None], at] = left[:, 2:]
         done = times.first[moments] == i
         nodes.c[moments[done], :2] = left[done, :2]
+        if window.restarted:  # what is measured later tells nothing of what was before
+            live[:] = 0.0

@@ -156,6 +156,38 @@ def test_later_samples_leave_emitted_stations_unchanged_even_if_they_clip():
         assert np.abs(before.z - after.z)[:, ~past].max() > 1e-3
 
 
+@cache
+def lost_drive():
+    """A drive that the filter loses at 20 m, of a vehicle of grade S1, and its true profile."""
+    mixed = {"front": "ride", "rear": "handling"}
+    return simulate_record("iso_d", mode=mixed, speed_kmh=54.0, seed=106, grade="S1", length=80.0)
+
+
+@pytest.mark.parametrize("name", ["kalman_lag", "kalman_rts"])
+def test_a_filter_that_is_lost_begins_anew_and_says_where(name):
+    record, truth = lost_drive()
+    found = create(name).estimate(record, DEFENDER)
+    (note,) = [each for each in found.notes if "began anew" in each]
+    assert "at 25 m" in note
+    band = scored_band(15.0)
+    y, a = band_pass(np.stack([truth.z, found.z]), PROFILE_SPACING, band)
+    cut = (truth.s.size - y.shape[-1]) // 2
+    s = truth.s[cut : truth.s.size - cut]
+    after, lost = s > 30.0, (s > 17.0) & (s < 24.0)
+    assert np.std((y - a)[:, after]) < 0.3 * np.std(y[:, after])  # 0.96 without
+    inside = np.abs(y - a) < 1.645 * found.z_std[:, cut : truth.s.size - cut]
+    assert inside[:, lost].mean() > 0.9
+
+
+def test_a_restart_is_known_to_earlier_stations_only_if_they_are_emitted_later():
+    record, _ = lost_drive()
+    still = replace(record, a=np.where(record.s > 22.0, 0.0, record.a))
+    lost, other = (create("kalman_lag").estimate(one, DEFENDER) for one in (record, still))
+    past = lost.s < 22.0 - 10.0 - 1e-9
+    np.testing.assert_array_equal(lost.z[:, past], other.z[:, past])
+    np.testing.assert_array_equal(lost.z_std[:, past], other.z_std[:, past])
+
+
 def test_missing_clipped_and_dropped_samples_cost_little_and_are_noted():
     record, truth = drive()
     a = record.a.copy()
