@@ -53,7 +53,7 @@ LOST_NIS, LOST_BLOCKS = 3.0, 60
 On obstacles it is as high for fewer blocks, on vehicles of grade S1 below 2 before they are lost.
 """
 
-OBSTACLE_LENGTH = 5.0
+OBSTACLE_LENGTH = 6.5
 """Distance [m] behind the newest node within which an accepted step explains the innovations."""
 
 RESTART_NOISE, MAX_NOISE, RESTART_BLOCKS = 4.0, 16.0, 300

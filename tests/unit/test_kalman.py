@@ -18,7 +18,13 @@ from estimators.kalman import estimators as kalman_estimators
 from estimators.kalman import pipeline
 from estimators.kalman.friction_linearization import RATE_STDS, residual_variance, smoothed_tables
 from estimators.kalman.monitoring import local_nis, recent_nis, reduce_uncertain
-from estimators.kalman.pipeline import NODE_SPACING, run_filter, setup_output, setup_run
+from estimators.kalman.pipeline import (
+    NODE_SPACING,
+    run_filter,
+    run_smoother,
+    setup_output,
+    setup_run,
+)
 from estimators.kalman.profile_output import HALF_WINDOW, decay_per_node, output_weights
 from estimators.kalman.road_process import fit_ar_model
 from estimators.kalman.state import ROUGHNESS_SCALE
@@ -186,6 +192,23 @@ def test_a_restart_is_known_to_earlier_stations_only_if_they_are_emitted_later()
     past = lost.s < 22.0 - 10.0 - 1e-9
     np.testing.assert_array_equal(lost.z[:, past], other.z[:, past])
     np.testing.assert_array_equal(lost.z_std[:, past], other.z_std[:, past])
+
+
+def test_what_is_measured_after_a_restart_tells_nothing_of_the_road_before():
+    record, _ = lost_drive()
+    inputs, heights = build_model_inputs(record, PAPER, DEFENDER, 0.001), []
+    for later in (1.0, 0.5):
+        a = np.where(record.s > 26.0, later, 1.0) * np.nan_to_num(record.a)
+        measurements = block_means(a, np.isfinite(record.a), 3)
+        options = {"noise_variance": 0.05, "prior": PRIOR, "level_ends": True}
+        run = setup_run(record, DEFENDER, PAPER, inputs, measurements, **options)
+        output = setup_output(run, record, 2.79, 0.004, detrended=False)
+        run_smoother(run, output)
+        heights.append(output.z)
+        assert run.state.restarts[0] < np.argmax(run.known_front(0.0) > 26.0)
+    s = profile_stations(record.length)
+    np.testing.assert_array_equal(*(z[s < 15.0] for z in heights))
+    assert np.abs(heights[0] - heights[1])[s > 30.0].max() > 1e-3
 
 
 def test_missing_clipped_and_dropped_samples_cost_little_and_are_noted():
