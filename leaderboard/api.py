@@ -108,7 +108,7 @@ def run_task(
     with optional_import("a DataFrame"):
         import pandas
 
-        from leaderboard.evaluation.scores import scores_table
+        from leaderboard.evaluation.results import RUN, scores_table
 
     chosen = task if isinstance(task, Task) else load_task(task)
     if roads is not None:
@@ -121,7 +121,11 @@ def run_task(
     results = evaluate.run_task(chosen, made, seeds, report=report)
     failed = [(result.estimator, result.failure) for result in results if result.failure]
     failures = pandas.DataFrame(failed, columns=["estimator", "failure"])
-    table = pandas.concat([scores_table(results), failures], ignore_index=True)
+    scores, runs = scores_table(results), ["estimator", *RUN]
+    wide = scores.pivot(index=runs, columns="score", values="value")
+    in_order = pandas.MultiIndex.from_frame(scores[runs].drop_duplicates())
+    drives = wide.reindex(index=in_order, columns=list(SCORES)).reset_index()
+    table = pandas.concat([drives, failures], ignore_index=True)
     table.attrs["labels"] = {key: form.label for key, form in SCORES.items()}
     return table
 

@@ -20,6 +20,7 @@ from leaderboard.entries.entry import Entry, TrainingRun
 from leaderboard.evaluation import tasks
 from leaderboard.evaluation.evaluate import ConditionData, evaluate_entry, simulate_condition
 from leaderboard.evaluation.results import merge_parts
+from leaderboard.evaluation.results import score_arrays as score_table_arrays
 from leaderboard.evaluation.test_data import DriveSimulation, RecordedDrive, simulate_drives
 from leaderboard.metrics.bootstrap import interquartile_mean
 from leaderboard.metrics.registry import SCORES
@@ -93,8 +94,8 @@ def score_arrays(
 
     entry = Entry(name="arrays", reference="arrays")
     parts = [evaluate_entry(x.task, x.condition, x, entry, (1,), run) for x in task._data]
-    scores = [drive.scores for drive in merge_parts(parts, "").drives]
-    means = interquartile_mean(np.array([[x.get(name, np.nan) for x in scores] for name in SCORES]))
+    scores = score_table_arrays(merge_parts(parts, "").scores)
+    means = interquartile_mean(scores.reshape(len(SCORES), -1))
     return ScoreTable(dict(zip(SCORES, means.tolist(), strict=True)))
 
 

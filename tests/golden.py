@@ -25,6 +25,7 @@ from fakes import task
 
 import estimators
 import road_envs  # noqa: F401  registers the environment
+from leaderboard.evaluation.comparison import scores_by_run
 from leaderboard.evaluation.evaluate import run_task
 from leaderboard.evaluation.test_data import simulate_drives
 from road_envs.analysis.comfort import weighted_rms
@@ -121,7 +122,7 @@ def _rows() -> Iterator[tuple[str, np.ndarray]]:
     for row in run_task(
         short, {**entries, "truth_plus_noise": None}, (1,), simulate=simulate_drives
     ):
-        scores = [sorted(drive.scores.items()) for drive in row.drives]
+        scores = [sorted(own.items()) for own in scores_by_run(row.scores).values()]
         yield f"row {row.estimator}", np.array([v for drive in scores for _, v in drive])
 
 

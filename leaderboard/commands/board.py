@@ -31,10 +31,10 @@ from leaderboard.metrics.baselines import ALL_BASELINES
 from leaderboard.report.attainable import with_attainable
 from leaderboard.report.board_definitions import board_columns
 from leaderboard.report.rendering import BOARD_PAGE, write_pending
-from leaderboard.report.sentences import Report, build_report
+from leaderboard.report.sentences import build_report
 from leaderboard.report.site import write_site
 from leaderboard.report.terminal import as_json, print_tables
-from leaderboard.running.board import Board, RunRequest, render_with_retry, run_board, write_jobs
+from leaderboard.running.board import RunRequest, run_board, write_jobs
 from leaderboard.running.dask_executor import DaskExecutor
 from leaderboard.running.executors import ProcessExecutor
 from leaderboard.running.plan import ReplacedRowError, check_owners
@@ -166,14 +166,11 @@ def leaderboard(
             progress=lambda done, total, text: progress(text, done / max(total, 1)),
         )
 
-        def write(board: Board) -> tuple[Report, Path]:
-            if attainable:
-                board = with_attainable(board, lambda text: progress(text, 1.0))
-            progress("writing the site", 1.0)
-            report = build_report(board)
-            return report, write_site(board, report, out)
-
-        report, page = render_with_retry(evaluated, request, out, write)
+        if attainable:
+            evaluated = with_attainable(evaluated, lambda text: progress(text, 1.0))
+        progress("writing the site", 1.0)
+        report = build_report(evaluated)
+        page = write_site(evaluated, report, out)
     if json:
         print_json(as_json(report))
     else:

@@ -17,9 +17,9 @@ level error, differ more, and counts jump, so with other kernels the ranking sco
 """
 
 from collections.abc import Iterable, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from leaderboard.evaluation.results import DriveScores
+from leaderboard.evaluation.results import COLUMNS
 from leaderboard.metrics.registry import SCORES
 
 SAME_KERNELS = 1e-9
@@ -64,6 +64,9 @@ def largest_distance(
     return max(found, key=lambda x: x.value)
 
 
-def run_key(drive: DriveScores) -> tuple[str, int, str, int, int]:
-    """Key of a run among those of its entry: two results have it once each."""
-    return drive.condition, drive.drive, drive.road, drive.road_seed, drive.seed
+def scores_by_run(table: Any) -> dict[tuple[Any, ...], dict[str, float]]:
+    """Scores by name of each run of a table of scores, by its values of RUN."""
+    found: dict[tuple[Any, ...], dict[str, float]] = {}
+    for *run, score, value in table[list(COLUMNS)].itertuples(index=False, name=None):
+        found.setdefault(tuple(run), {})[score] = value
+    return found

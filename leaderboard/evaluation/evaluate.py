@@ -23,10 +23,10 @@ from leaderboard.entries.entry import (
 from leaderboard.evaluation.bound import nrmse_bound
 from leaderboard.evaluation.provenance import describe_environment, package_version
 from leaderboard.evaluation.results import (
-    DriveScores,
     Result,
     Trace,
     evaluation_version,
+    make_table,
     merge_parts,
     quantize_heights,
 )
@@ -194,24 +194,23 @@ def _score_fields(
     data: ConditionData, entry: Entry, training_runs: Iterable[TrainingRun]
 ) -> dict[str, Any]:
     """Return fields of a result: scores of all runs, the trace of the median run, and costs."""
-    drives: list[DriveScores] = []
+    rows: list[tuple[Any, ...]] = []
     traces: list[Trace] = []
     train: list[float] = []
     seconds, last = 0.0, TrainingRun([], 0.0, 0.0, 0)
     for training_run in training_runs:
-        scored = [
-            _score_drive(data, k, z, training_run.seed)
-            for k, z in enumerate(training_run.estimates)
-        ]
-        traces.append(_trace(data, training_run.estimates[0], scored[0]))
-        drives += scored
+        scores = [_score_drive(data, k, z) for k, z in enumerate(training_run.estimates)]
+        traces.append(_trace(data, training_run.estimates[0], scores[0], training_run.seed))
+        for test, own in zip(data.tests, scores, strict=True):
+            run = (data.condition.label, test.index, test.road, test.seed, training_run.seed)
+            rows += [(*run, name, value) for name, value in own.items()]
         train.append(training_run.train_seconds)
         seconds += training_run.estimate_seconds
         last = training_run
     calibrated = last.calibrate_seconds
     metres = len(train) * sum(test.record.length for test in data.tests)
     return {
-        "drives": tuple(drives),
+        "scores": make_table(rows),
         "traces": (_median_trace(traces),),
         "train_seconds": tuple(train),
         "calibrates": calibrated is not None if data.task.calibration else None,
@@ -225,31 +224,26 @@ def _score_fields(
     }
 
 
-def _score_drive(data: ConditionData, drive: int, estimate: Estimate, seed: int) -> DriveScores:
-    test = data.tests[drive]
-    bound = nrmse_bound(data.task, data.condition, test.truth) if data.task.bound else math.nan
-    values = compute_scores(test.truth, estimate, data.v, data.task.bumps, bound)
-    return DriveScores(
+def _score_drive(data: ConditionData, drive: int, estimate: Estimate) -> dict[str, float]:
+    """Return the defined scores of an estimate of a test drive."""
+    truth = data.tests[drive].truth
+    bound = nrmse_bound(data.task, data.condition, truth) if data.task.bound else math.nan
+    values = compute_scores(truth, estimate, data.v, data.task.bumps, bound)
+    return {name: value for name, value in values.items() if math.isfinite(value)}
+
+
+def _trace(data: ConditionData, estimate: Estimate, scores: dict[str, float], seed: int) -> Trace:
+    """Return the first TRACE_LENGTH metres of the first test drive."""
+    test = data.tests[0]
+    truth = test.truth
+    kept = truth.s < TRACE_LENGTH
+    return Trace(
         condition=data.condition.label,
-        drive=test.index,
+        speed_kmh=data.condition.speed_kmh,
         road=test.road,
         road_seed=test.seed,
         seed=seed,
-        scores={name: value for name, value in values.items() if math.isfinite(value)},
-    )
-
-
-def _trace(data: ConditionData, estimate: Estimate, scored: DriveScores) -> Trace:
-    """Return the first TRACE_LENGTH metres of the first test drive."""
-    truth = data.tests[0].truth
-    kept = truth.s < TRACE_LENGTH
-    return Trace(
-        condition=scored.condition,
-        speed_kmh=data.condition.speed_kmh,
-        road=scored.road,
-        road_seed=scored.road_seed,
-        seed=scored.seed,
-        scores=scored.scores,
+        scores=scores,
         ds=truth.ds,
         truth=quantize_heights(truth.z[:, kept]),
         estimate=quantize_heights(estimate.z[:, kept]),

@@ -1,8 +1,11 @@
 """Results: all scores of one estimator on one task, and merging the parts of several conditions.
 
-Every score of every drive and training seed is stored, not only a mean. A result names the versions
-of the task (by digest), code, package and metrics that it was made with. A result of other versions
-is stale: it is reported as such and not compared with the rest.
+Every score of every drive and training seed is stored, not only a mean: as a long table with the
+columns of COLUMNS, a row for each defined score of a run. A run is one estimate, of a drive under a
+condition after one training. Runs stand in the order in which they were made.
+
+A result names the versions of the task (by digest), code, package and metrics that it was made
+with. A result of other versions is stale: it is reported as such and not compared with the rest.
 """
 
 import dataclasses
@@ -10,20 +13,26 @@ import hashlib
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
+from pydantic import PlainValidator
 
 from leaderboard.evaluation.provenance import package_version
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics import heights
+from leaderboard.metrics.registry import SCORES
 from road_envs.core.artifacts import Kind, code_version
 from road_envs.core.config import Settings
+from road_envs.core.extras import optional_import
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 EVALUATION_MODULE = "leaderboard.evaluation.evaluate"
 """Module that imports, directly or not, all code that determines drives and scores."""
 
-RESULT = Kind("result", 5, (EVALUATION_MODULE,))
+RESULT = Kind("result", 6, (EVALUATION_MODULE,))
 Role = Literal["entry", "baseline"]
 ISOLATED = ("bubblewrap",)
 """Values of `Result.isolation` of entries without access to files, network and other processes."""
@@ -32,24 +41,28 @@ Z_UNIT = 1e-5
 """Unit [m] of the heights of a trace, which are stored as integers."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class DriveScores(Settings):
-    """Scores of one estimate: test drive `drive` of the condition, on the road of `road_seed`.
+RUN = ("condition", "drive", "road", "road_seed", "seed")
+"""Columns that tell a run among those of its entry: the road is that of `road_seed`, the training
+that of `seed`.
+"""
 
-    The estimator was trained with `seed`. An undefined score is omitted, in memory and on disk.
-    """
-
-    condition: str
-    drive: int
-    road: str
-    road_seed: int
-    seed: int
-    scores: dict[str, float]
+COLUMNS = (*RUN, "score", "value")
+"""Columns of a table of scores. Values are as computed, not scaled for printing."""
 
 
-@dataclass(frozen=True, kw_only=True)
+def _as_heights(values: Any) -> np.ndarray:
+    array = np.asarray(values)
+    if array.ndim != 2 or array.shape[0] != 2 or array.dtype.kind != "i":
+        raise ValueError("must be two lists of whole numbers of one length")
+    return array.astype(np.int32)
+
+
+_Heights = Annotated[np.ndarray, PlainValidator(_as_heights)]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Trace(Settings):
-    """True and estimated heights (2, M) of the start of a drive, in units of 0.01 mm, for plots.
+    """True and estimated heights (2, M) of the start of a drive, in units of Z_UNIT, for plots.
 
     `scores` are those of the whole drive.
     """
@@ -61,42 +74,42 @@ class Trace(Settings):
     seed: int
     scores: dict[str, float]
     ds: float  # [m]
-    truth: tuple[tuple[int, ...], tuple[int, ...]]
-    estimate: tuple[tuple[int, ...], tuple[int, ...]]
-    deviation: tuple[tuple[int, ...], tuple[int, ...]] | None = None  # if the estimate has one
+    truth: _Heights
+    estimate: _Heights
+    deviation: _Heights | None = None  # if the estimate has one
 
     def __post_init__(self):
         super().__post_init__()
-        given = (*self.truth, *self.estimate, *(self.deviation or ()))
-        if len({len(heights) for heights in given}) > 1:
+        given = [x for x in (self.estimate, self.deviation) if x is not None]
+        if any(x.shape != self.truth.shape for x in given):
             raise ValueError("truth, estimate and deviation must have one number of heights")
 
     @property
     def z_std(self) -> np.ndarray | None:
         """Standard deviation (2, M) [m] of the estimate; None if it has none."""
-        return None if self.deviation is None else Z_UNIT * np.array(self.deviation)
+        return None if self.deviation is None else Z_UNIT * self.deviation
 
     @property
     def s(self) -> np.ndarray:
         """Stations (M,) [m]."""
-        return self.ds * np.arange(len(self.truth[0]))
+        return self.ds * np.arange(self.truth.shape[1])
 
     @property
     def z_true(self) -> np.ndarray:
         """True heights (2, M) [m]."""
-        return Z_UNIT * np.array(self.truth)
+        return Z_UNIT * self.truth
 
     @property
     def z_estimated(self) -> np.ndarray:
         """Estimated heights (2, M) [m]."""
-        return Z_UNIT * np.array(self.estimate)
+        return Z_UNIT * self.estimate
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Result(Settings):
-    """Scores of one estimator on one task, or under one of its conditions.
+    """Scores of one estimator on one task, or under one of its conditions, and their provenance.
 
-    With a `failure`, one sentence, there are no scores.
+    `scores` is a table with COLUMNS; None with a `failure`, one sentence.
     """
 
     task: str
@@ -111,7 +124,7 @@ class Result(Settings):
     evaluation_code: str = ""  # version of the sources that make drives and scores
     identity: str = ""  # digest of all inputs: task, estimator, versions, seeds
     conditions: tuple[str, ...] = ()
-    drives: Sequence[DriveScores] = ()
+    scores: Any = None
     train_seconds: tuple[float, ...] = ()  # one per condition and seed
     calibrates: bool | None = None  # to the vehicle; None on tasks without calibration drives
     calibrate_seconds: float | None = None  # mean of one calibration
@@ -121,7 +134,7 @@ class Result(Settings):
     lag: float = 0.0  # [m] behind the front axle, of a causal estimate
     failure: str | None = None
     notes: tuple[str, ...] = ()
-    traces: Sequence[Trace] = ()
+    traces: tuple[Trace, ...] = ()
     peak_memory: float | None = None  # [GiB] of the entry's processes, libraries included
     isolation: str = "none"  # of the entry: none, process, bubblewrap
     environment: dict[str, str] = dataclasses.field(default_factory=dict)
@@ -161,12 +174,62 @@ def content_digest(result: Result) -> str:
     """Return a digest of the reproducible fields of a result, to the last bit.
 
     It tells whether a stored result was altered. Two runs of the same inputs need not have one
-    digest, as another processor rounds otherwise: `comparison.disagreements` compares them.
+    digest, as another processor rounds otherwise: `comparison.distances` compares them.
     """
-    names = sorted(f.name for f in dataclasses.fields(result) if f.name not in RUN_DEPENDENT)
-    values = [getattr(result, name) for name in names]
-    plain = [[vars(x) for x in v] if _is_dataclass_sequence(v) else v for v in values]
+    plain = {name: x for name, x in to_plain(result).items() if name not in RUN_DEPENDENT}
     return hashlib.sha256(json.dumps(plain, sort_keys=True, default=str).encode()).hexdigest()
+
+
+def to_plain(result: Result) -> dict[str, Any]:
+    """Return the fields of a result as JSON types: its table by columns, heights as lists."""
+    fields = dict(vars(result))
+    if result.scores is not None:
+        fields["scores"] = {name: column.tolist() for name, column in result.scores.items()}
+    fields["traces"] = [
+        {name: x.tolist() if isinstance(x, np.ndarray) else x for name, x in vars(trace).items()}
+        for trace in result.traces
+    ]
+    return fields
+
+
+def make_table(columns: Any) -> "pd.DataFrame":
+    """Return a table of scores from its columns or rows; repeated texts are stored once.
+
+    Raises MissingExtraError without pandas.
+    """
+    with optional_import("a table of scores"):
+        import pandas as pd  # slow to load: only where a table is made
+
+    table = pd.DataFrame(columns, columns=list(COLUMNS))
+    return table.astype({name: "category" for name in ("condition", "road", "score")})
+
+
+def scores_table(results: Iterable[Result]) -> "pd.DataFrame":
+    """Table of the scores of all runs of results: estimator, and COLUMNS."""
+    import pandas as pd
+
+    tables = [r.scores.assign(estimator=r.estimator) for r in results if r.scores is not None]
+    table = pd.concat(tables or [make_table([]).assign(estimator="")], ignore_index=True)
+    return table[["estimator", *COLUMNS]]
+
+
+def score_arrays(table: "pd.DataFrame", scores: Sequence[str] = tuple(SCORES)) -> np.ndarray:
+    """Scores (K, R, C, S) of the runs of one estimator: roads, conditions, training seeds.
+
+    Roads are in the order of the task. NaN where a road was not driven under a condition and where
+    a score is undefined.
+    """
+    import pandas as pd
+
+    roads, at_road = np.unique(table["drive"], return_inverse=True)
+    at_condition, conditions = pd.factorize(table["condition"])
+    at_seed, seeds = pd.factorize(table["seed"])
+    at_score = pd.Index(scores).get_indexer(table["score"])
+    arrays = np.full((len(scores), len(roads), len(conditions), len(seeds)), np.nan)
+    known = at_score >= 0
+    places = (at[known] for at in (at_score, at_road, at_condition, at_seed))
+    arrays[tuple(places)] = table["value"].to_numpy()[known]
+    return arrays
 
 
 def merge_parts(parts: Sequence[Result], identity: str) -> Result:
@@ -180,7 +243,7 @@ def merge_parts(parts: Sequence[Result], identity: str) -> Result:
         first,
         identity=identity,
         conditions=tuple(label for part in parts for label in part.conditions),
-        drives=tuple(drive for part in scored for drive in part.drives),
+        scores=make_table(scores_table(scored)[list(COLUMNS)]) if scored else None,
         train_seconds=tuple(seconds for part in scored for seconds in part.train_seconds),
         calibrate_seconds=_maximum(part.calibrate_seconds for part in parts),
         estimate_ms_per_100m=float(np.mean(costs)) if costs else None,
@@ -213,14 +276,9 @@ def isolation_notice(results: Iterable[Result]) -> str | None:
     )
 
 
-def quantize_heights(z: np.ndarray) -> tuple[tuple[int, ...], tuple[int, ...]]:
+def quantize_heights(z: np.ndarray) -> np.ndarray:
     """Return heights (2, M) [m] as integers of Z_UNIT, clipped to 1 km."""
-    left, right = np.rint(np.clip(z, -1e3, 1e3) / Z_UNIT).astype(int).tolist()
-    return tuple(left), tuple(right)
-
-
-def _is_dataclass_sequence(value: Any) -> bool:
-    return isinstance(value, Sequence) and len(value) > 0 and dataclasses.is_dataclass(value[0])
+    return np.rint(np.clip(z, -1e3, 1e3) / Z_UNIT).astype(np.int32)
 
 
 def _join_distinct(texts: Iterable[str]) -> str:

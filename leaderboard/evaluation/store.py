@@ -9,14 +9,17 @@ assembled again. Each file begins with a checksum of the rest.
 """
 
 import dataclasses
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
-from typing import Any, overload
 
 from leaderboard.evaluation.provenance import package_version
-from leaderboard.evaluation.results import RESULT, DriveScores, Result, evaluation_version
+from leaderboard.evaluation.results import (
+    RESULT,
+    Result,
+    evaluation_version,
+    make_table,
+    to_plain,
+)
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics import heights
 from leaderboard.metrics.baselines import ALL_BASELINES
@@ -24,27 +27,18 @@ from road_envs.core.artifacts import HEADER
 from road_envs.core.atomic_io import write_text
 from road_envs.core.config import ConfigError, Settings, build
 
-ROW_REPLACED = "another run has replaced it by a different result; read the board again"
-
-CACHED_ROWS = 8
-"""Number of results whose drives and traces are cached in memory."""
-
-
-class RowChangedError(ConfigError):
-    """A row that another run has replaced by a different one since it was read."""
-
 
 @dataclass(frozen=True)
-class _DriveColumns(Settings):
-    """All scores of a result by columns, one value per drive."""
+class _ScoreColumns(Settings):
+    """The table of the scores of a result by columns."""
 
     condition: tuple[str, ...]
     drive: tuple[int, ...]
     road: tuple[str, ...]
     road_seed: tuple[int, ...]
     seed: tuple[int, ...]
-    scores: dict[str, tuple[float | None, ...]]
-    """None where a score is undefined."""
+    score: tuple[str, ...]
+    value: tuple[float, ...]
 
 
 def row_path(out: Path, task: str, estimator: str) -> Path:
@@ -71,12 +65,7 @@ def save_part(text: str, out: Path, identity: str) -> None:
 
 def to_text(result: Result) -> str:
     """Text of a result as an artifact."""
-    large: dict[str, Any] = {
-        "drives": _columns(result.drives),
-        "traces": [vars(trace) for trace in result.traces],
-    }
-    names = [f.name for f in dataclasses.fields(result) if f.name not in HEADER]
-    content = {name: large.get(name, getattr(result, name)) for name in names}
+    content = {name: x for name, x in to_plain(result).items() if name not in HEADER}
     return RESULT.to_text(content, result.identity)
 
 
@@ -108,17 +97,14 @@ def load_part(path: Path) -> Result:
 
 
 def load_rows(out: Path, task: Task) -> list[Result]:
-    """Return all rows of a task; drives and traces are read from disk on demand.
-
-    An unreadable file becomes a row with a failure.
-    """
+    """Return all rows of a task; an unreadable file becomes a row with a failure."""
     paths = sorted((out / "results" / task.name).glob("*.json"))
     return [_row_or_failure(path, task) for path in paths if path.name[0] != "."]
 
 
 def _row_or_failure(path: Path, task: Task) -> Result:
     try:
-        result, checksum = load_with_checksum(path)
+        return load(path)
     except ConfigError as error:
         return Result(
             task=task.name,
@@ -132,83 +118,16 @@ def _row_or_failure(path: Path, task: Task) -> Result:
             evaluation_code=evaluation_version(),
             failure=f"its result cannot be read: {error}",
         )
-    return dataclasses.replace(
-        result,
-        drives=_StoredSequence(path, result, checksum, "drives"),
-        traces=_StoredSequence(path, result, checksum, "traces"),
-    )
-
-
-class _StoredSequence(Sequence[Any]):
-    """Drives or traces of a result, read from disk on demand.
-
-    Another run may replace the row file meanwhile. A file with the same identity has the same
-    drives and is accepted, although its timings differ; any other raises RowChangedError.
-    """
-
-    def __init__(self, path: Path, result: Result, checksum: str, name: str):
-        self.checksum = checksum  # of the file when it was listed
-        self._path, self._name = path, name
-        self._size = len(getattr(result, name))
-        self._identity = result.identity
-
-    def __len__(self) -> int:
-        return self._size
-
-    @overload
-    def __getitem__(self, at: int) -> Any: ...
-    @overload
-    def __getitem__(self, at: slice) -> Sequence[Any]: ...
-    def __getitem__(self, at: int | slice) -> Any:
-        return self._all()[at]
-
-    def __iter__(self):
-        return iter(self._all())
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Sequence) and tuple(self) == tuple(other)
-
-    def _all(self) -> tuple[Any, ...]:
-        values = getattr(_stored_result(self._path, self.checksum, self._identity), self._name)
-        if len(values) != self._size:
-            raise RowChangedError(f"{self._path}: {ROW_REPLACED}")
-        return values
-
-
-@lru_cache(maxsize=CACHED_ROWS)
-def _stored_result(path: Path, checksum: str, identity: str) -> Result:
-    result, current = read(path)
-    if current != checksum and (not identity or result.identity != identity):
-        raise RowChangedError(f"{path}: {ROW_REPLACED}")
-    return result
 
 
 def read(path: Path) -> tuple[Result, str]:
     """Read a row or a part, whatever its name, and the checksum of its file. Raises ConfigError."""
     data, checksum = RESULT.read(path)
-    drives = build(_DriveColumns, data.pop("drives", {}), f"{path}: drives")
+    scores = data.pop("scores", None)
     result = build(Result, data, str(path))
-    return dataclasses.replace(
-        result, drives=_drive_scores(drives, path), traces=tuple(result.traces)
-    ), checksum
-
-
-def _columns(drives: Sequence[DriveScores]) -> dict[str, Any]:
-    fields = [f.name for f in dataclasses.fields(DriveScores) if f.name != "scores"]
-    names = dict.fromkeys(name for drive in drives for name in drive.scores)
-    columns: dict[str, Any] = {name: [getattr(d, name) for d in drives] for name in fields}
-    return columns | {"scores": {name: [d.scores.get(name) for d in drives] for name in names}}
-
-
-def _drive_scores(table: _DriveColumns, path: Path) -> tuple[DriveScores, ...]:
-    names = ("condition", "drive", "road", "road_seed", "seed")
-    columns = [getattr(table, name) for name in names]
-    if len({len(column) for column in [*columns, *table.scores.values()]}) > 1:
-        raise ConfigError(f"{path}: drives: columns have different lengths; evaluate again")
-    return tuple(
-        DriveScores(
-            **dict(zip(names, place, strict=True)),
-            scores={n: x for n, column in table.scores.items() if (x := column[k]) is not None},
-        )
-        for k, place in enumerate(zip(*columns, strict=True))
-    )
+    if scores is None:
+        return result, checksum
+    columns = vars(build(_ScoreColumns, scores, f"{path}: scores"))
+    if len({len(column) for column in columns.values()}) > 1:
+        raise ConfigError(f"{path}: scores: columns have different lengths; evaluate again")
+    return dataclasses.replace(result, scores=make_table(columns)), checksum

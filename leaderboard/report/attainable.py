@@ -14,7 +14,8 @@ import numpy as np
 
 from estimators.map_smoother.attainable import attainable_error
 from leaderboard.evaluation.bound import fit_spectrum
-from leaderboard.evaluation.results import DriveScores, Result
+from leaderboard.evaluation.comparison import scores_by_run
+from leaderboard.evaluation.results import Result, make_table
 from leaderboard.evaluation.tasks import Condition, Task
 from leaderboard.evaluation.test_data import DriveSimulation, RecordedDrive, simulate_drives
 from leaderboard.running.board import Board
@@ -92,15 +93,15 @@ def drive_error(
         return np.nan
 
 
-def _with_scores(result: Result, attainable: dict[tuple[str, int], float]) -> Result:
-    drives = [_with_score(x, attainable.get((x.condition, x.drive))) for x in result.drives]
-    return dataclasses.replace(result, drives=tuple(drives))
-
-
-def _with_score(drive: DriveScores, error: float | None) -> DriveScores:
-    if error is None or not np.isfinite(error):
-        return drive
-    scores = drive.scores | {"attainable_nrmse": error}
-    if (own := scores.get("nrmse", 0.0)) > 0.0:
-        scores["attainable_efficiency"] = (error / own) ** 2
-    return dataclasses.replace(drive, scores=scores)
+def _with_scores(result: Result, attainable: Mapping[tuple[str, int], float]) -> Result:
+    """Return a result with two more scores of every run whose drive has an attainable error."""
+    if result.scores is None:
+        return result
+    rows: list[tuple[Any, ...]] = []
+    for run, scores in scores_by_run(result.scores).items():
+        if np.isfinite(error := attainable.get(run[:2], np.nan)):
+            scores = scores | {"attainable_nrmse": error}
+            if (own := scores.get("nrmse", 0.0)) > 0.0:
+                scores["attainable_efficiency"] = (error / own) ** 2
+        rows += [(*run, name, value) for name, value in scores.items()]
+    return dataclasses.replace(result, scores=make_table(rows))

@@ -7,8 +7,7 @@ import numpy as np
 
 from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.bound import third_octave_bound
-from leaderboard.evaluation.results import Result, Trace
-from leaderboard.evaluation.scores import score_arrays, scores_table
+from leaderboard.evaluation.results import Result, Trace, score_arrays
 from leaderboard.evaluation.tasks import Condition, Task
 from leaderboard.metrics.bootstrap import MIN_ROADS, Strata, count_roads, performance_profile
 from leaderboard.metrics.heights import band_pass, scored_band
@@ -79,14 +78,19 @@ def task_charts(
         "density": _density_chart(drawn),
         "error": _error_chart(task, {name: rows[name] for name in results}),
     }
-    # a run without a value counts as infinite
-    key = definition.ranks_by
-    runs = {name: scores_table([r]).fillna({key: np.inf}) for name, r in results.items()}
-    arrays = {name: score_arrays(own, [key])[0] for name, own in runs.items()}
+    arrays = {name: _counted_runs(r, definition.ranks_by) for name, r in results.items()}
     scores = {name: x for name, x in arrays.items() if count_roads(x) >= MIN_ROADS}
     if scores:
         charts["runs"] = _runs_chart(scores, definition, task.test.strata)
     return charts
+
+
+def _counted_runs(result: Result, key: str) -> np.ndarray:
+    """Return a score (R, C, S) of all runs; one without it counts as infinite."""
+    every = score_arrays(result.scores)
+    driven = np.isfinite(every).any(axis=0)
+    own = every[[*SCORES].index(key)]
+    return np.where(driven & np.isnan(own), np.inf, own)
 
 
 def visibility(k: int) -> dict[str, Any]:

@@ -13,7 +13,6 @@ from estimators.registry import REGISTRY
 from leaderboard.conformance.method_card import MethodCard
 from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.results import Result, Trace
-from leaderboard.evaluation.scores import scores_table
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics.api import UNDEFINED
 from leaderboard.metrics.heights import band_pass, scored_band
@@ -189,7 +188,7 @@ def _standardized(trace: Trace) -> np.ndarray:
 
 def worst_drives(task: Task, result: Result, key: str) -> list[tuple[str, ...]]:
     """Return task, road, condition, training seed and error of the worst of several drives."""
-    runs = scores_table([result]).dropna(subset=key)
+    runs = result.scores[result.scores["score"] == key]
     if len(runs) < 2:
         return []
     form = COLUMNS[key]
@@ -199,9 +198,9 @@ def worst_drives(task: Task, result: Result, key: str) -> list[tuple[str, ...]]:
             f"{run.road}, seed {run.road_seed}",
             run.condition,
             f"{run.seed}",
-            f"{form.format_value(run[key])} {form.unit}",
+            f"{form.format_value(run.value)} {form.unit}",
         )
-        for _, run in runs.nlargest(WORST_DRIVES, key).iterrows()
+        for run in runs.nlargest(WORST_DRIVES, "value").itertuples()
     ]
 
 

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from leaderboard.evaluation.scores import scores_table
+from leaderboard.evaluation.results import COLUMNS, scores_table
 from leaderboard.metrics.registry import SCORES
 from leaderboard.report.citation import as_bibtex
 from leaderboard.report.tables import ALL_RUNS, BoardView, Section, nonempty_columns
@@ -49,20 +49,17 @@ def write_exports(board: Board, views: Sequence[BoardView], out: Path) -> None:
 
 
 def _long_table(board: Board, view: BoardView) -> "pd.DataFrame":
-    """Scores of the runs of a board: task, entry, condition, drive, road, seeds, score, value.
-
-    Values are as computed, not scaled for printing; undefined scores have no row.
-    """
+    """Return the scores of all runs of a board by task, and in each by entry."""
     import pandas as pd
 
     tasks = {task.name: task for task in board.tasks}
-    tables = [
-        scores_table(board.scored(tasks[section.task])).assign(task=section.task)
-        for section in view.sections
-    ]
-    runs = ["task", "estimator", "condition", "drive", "road", "road_seed", "seed"]
-    wide = pd.concat(tables, ignore_index=True)
-    return wide.melt(runs, [*SCORES], "score", "value").dropna(subset="value")
+    return pd.concat(
+        [
+            scores_table(board.scored(tasks[section.task])).assign(task=section.task)
+            for section in view.sections
+        ],
+        ignore_index=True,
+    )[["task", "estimator", *COLUMNS]]
 
 
 def as_json(views: Sequence[BoardView]) -> list[dict[str, Any]]:

@@ -8,15 +8,14 @@ division) and among the causal ones.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from estimators.lookup import TRAINING_VEHICLE
 from leaderboard.conformance.results import EstimatorCard
 from leaderboard.evaluation.boards import BoardDefinition
-from leaderboard.evaluation.results import Result
-from leaderboard.evaluation.scores import score_arrays, scores_table
+from leaderboard.evaluation.results import Result, score_arrays
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics.api import UNDEFINED
 from leaderboard.metrics.baselines import NOISE_LEVEL, TRUTH_PLUS_NOISE
@@ -47,9 +46,6 @@ from leaderboard.running.board import Board
 from leaderboard.running.verification import kernel_notes
 from road_envs.sensing.perturbed_vehicle import GRADES
 from road_envs.vehicle.parameters import load_vehicle
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 RowState = Literal["scored", "baseline", "claim", "failed", "stale"]
 CLAIM_ROW = "paper's claim"
@@ -198,15 +194,14 @@ def _aggregate(
     result: Result, task: Task, definition: BoardDefinition, parts: Mapping[str, ScoreSlice]
 ) -> _AggregatedScores:
     """Average the scores of a result over all runs and over each group."""
-    runs, strata = scores_table([result]), task.test.strata
-    scores = score_arrays(runs)
+    scores, strata = score_arrays(result.scores), task.test.strata
     shown = (
         {*definition.columns, *definition.on_request, *SPECTRUM_SCORES}
         | {definition.ranks_by, "bound_nrmse", "attainable_nrmse"}
     )  # fmt: skip
     ranked = scores[[*SCORES].index(definition.ranks_by)].copy()
-    if runs[definition.ranks_by].isna().any():  # undefined on a road: the entry ranks last
-        ranked[:] = np.nan
+    if (np.isnan(ranked) & np.isfinite(scores).any(axis=0)).any():
+        ranked[:] = np.nan  # undefined on a road: the entry ranks last
     values: dict[str, Values] = {}
     for group, part in parts.items():
         mine, own = scores[:, *part], ranked[part]
@@ -224,7 +219,7 @@ def _aggregate(
         "estimate_ms_per_100m": result.estimate_ms_per_100m,
         "calibrate_seconds": result.calibrate_seconds,
         "parameters": result.parameters or None,
-        **_training_states(runs),
+        **_training_states(scores[[*SCORES].index(EQ_12_RAW)]),
         **_grade_scores(ranked, parts, strata),
     }
     entry = result.role == "entry"
@@ -373,11 +368,13 @@ def _mean(scores: np.ndarray) -> np.ndarray:
     return interquartile_mean(scores.reshape(len(scores), -1))
 
 
-def _training_states(runs: "pd.DataFrame") -> Values:
-    """Count near-optimal, sub-optimal and unstable runs (Appendix A of the paper)."""
-    if runs["seed"].nunique() < 2:
+def _training_states(error: np.ndarray) -> Values:
+    """Count near-optimal, sub-optimal and unstable runs (Appendix A of the paper) by errors
+    (R, C, S).
+    """
+    if error.shape[-1] < 2:
         return {}
-    error = runs[EQ_12_RAW]
+    error = error[~np.isnan(error)]
     near, unstable = np.sum(error < STATE_LIMITS[0]), np.sum(error >= STATE_LIMITS[1])
     counts = (near, error.size - near - unstable, unstable)
     return dict(zip(TRAINING_STATES, map(float, counts), strict=True))

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeVar
 
 from estimators import create
 from estimators.api import Estimator
@@ -14,7 +13,7 @@ from leaderboard.entries.entries import entry_refit_per_case, make_entry, regist
 from leaderboard.entries.entry import Entry
 from leaderboard.evaluation.evaluate import SEEDS
 from leaderboard.evaluation.results import Result
-from leaderboard.evaluation.store import RowChangedError, load_rows
+from leaderboard.evaluation.store import load_rows
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics.baselines import ALL_BASELINES, BASELINES, MEMORY, TRUTH_PLUS_NOISE
 from leaderboard.running.executors import Executor
@@ -74,9 +73,7 @@ JobProgress = Callable[[int, int, str], None]
 """Callback after each stored result: number of results, total number, description of the last."""
 
 ATTEMPTS = 3
-"""Number of attempts to make or read results while another process changes them."""
-
-Rendered = TypeVar("Rendered")
+"""Number of attempts to make results while another process changes them."""
 
 
 @dataclass(frozen=True)
@@ -151,21 +148,6 @@ def load_board(tasks: Sequence[Task], out: Path, rows: Sequence[PlannedRow] = ()
     names = {result.estimator for rows in results.values() for result in rows}
     methods = {name: card for name in names if (card := find_method_card(out, name))}
     return Board(tuple(tasks), results, entries, by_identity, load_verified(out), methods)
-
-
-def render_with_retry(
-    board: Board, request: RunRequest, out: Path, render: Callable[[Board], Rendered]
-) -> Rendered:
-    """Return `render(board)`; reload the board if another run replaces its rows meanwhile.
-
-    Raises RowChangedError if rows were replaced in each of ATTEMPTS attempts.
-    """
-    for _ in range(ATTEMPTS - 1):
-        try:
-            return render(board)
-        except RowChangedError:
-            board = load_board(board.tasks, out, request.rows())
-    return render(board)
 
 
 def run_board(

@@ -12,7 +12,6 @@ said instead.
 import dataclasses
 import math
 import statistics
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -29,7 +28,7 @@ from leaderboard.evaluation.comparison import (
     TYPICAL,
     Distance,
     largest_distance,
-    run_key,
+    scores_by_run,
 )
 from leaderboard.evaluation.evaluate import (
     ConditionData,
@@ -193,7 +192,7 @@ def _verify_row(
     )
     if entry is None or found.reason:
         return found
-    stored = {run_key(drive): drive.scores for drive in row.drives}
+    stored = scores_by_run(row.scores)
     same = found.tolerance <= SAME_KERNELS
     compared = SCORES if same else [task.board_definition.ranks_by]
     found_distances: list[Distance] = []
@@ -204,8 +203,8 @@ def _verify_row(
         if reason := _other_claim(row, made):
             return dataclasses.replace(found, reason=reason)
         found_distances += [
-            largest_distance(stored.get(run_key(drive), {}), drive.scores, compared)
-            for drive in made.drives
+            largest_distance(stored.get(place, {}), scores, compared)
+            for place, scores in scores_by_run(made.scores).items()
         ]
     worst = max(found_distances, key=lambda x: x.value, default=Distance("", 0.0))
     typical = statistics.median_low([x.value for x in found_distances] or [0.0])
@@ -229,10 +228,10 @@ def _drives(task: Task) -> set[tuple[str, int, int]]:
 
 def _other_drives(row: Result, task: Task) -> str | None:
     """Return why a row has not each test drive once with each of its seeds; None if it has."""
-    runs = Counter((x.condition, x.drive, x.road_seed, x.seed) for x in row.drives)
-    seeds = {drive.seed for drive in row.drives}
-    expected = {(*drive, seed) for drive in _drives(task) for seed in seeds}
-    if runs.keys() == expected and max(runs.values(), default=1) == 1:
+    columns = ["condition", "drive", "road_seed", "seed"]
+    runs = set(row.scores[columns].itertuples(index=False, name=None))
+    expected = {(*drive, seed) for drive in _drives(task) for seed in set(row.scores["seed"])}
+    if runs == expected and not row.scores.duplicated([*columns, "score"]).any():
         return None
     return "its drives are not those of its task, once with each training seed"
 

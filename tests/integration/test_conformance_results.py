@@ -6,6 +6,7 @@ import io
 import numpy as np
 import pytest
 from fake_estimators import Reader
+from fake_results import runs_of, with_runs
 from fakes import fake_drives, task
 from in_process import InProcessExecutor
 from rich.console import Console
@@ -155,13 +156,11 @@ def test_every_board_fits_a_terminal_of_80_columns(kind, probed):
     )
     name = max(estimators.names(), key=len)
     found = run_task(one, {name: Reader(gain=-1.0)}, (1,), simulate=fake_drives)
-    drives = tuple(
-        dataclasses.replace(
-            drive, scores={k: x and 1.4 * x for k, x in drive.scores.items()} | {"bump_f1": 1.0}
-        )
-        for drive in found[0].drives
-    )
-    slow = dataclasses.replace(found[0], drives=drives, estimate_ms_per_100m=12345.6)
+    runs = {
+        run: {k: 1.4 * x for k, x in scores.items()} | {"bump_f1": 1.0}
+        for run, scores in runs_of(found[0]).items()
+    }
+    slow = dataclasses.replace(with_runs(found[0], runs), estimate_ms_per_100m=12345.6)
     board = with_card(
         Board((one,), {"small": (slow,)}), card_of(probed, "NonDeterministic").probes, name
     )

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from fake_estimators import Broken, Learner, Reader
-from fake_results import run_scores
+from fake_results import run_scores, runs_of
 from fakes import fake_drives, task
 from in_process import InProcessExecutor
 
@@ -13,6 +13,7 @@ import estimators
 from leaderboard.entries.entries import make_entry
 from leaderboard.entries.entry import EntryError, LocalSession, needs_training, reconstruct_all
 from leaderboard.evaluation.evaluate import run_task
+from leaderboard.evaluation.results import content_digest
 from leaderboard.evaluation.store import row_path
 from leaderboard.evaluation.test_data import simulate_drives
 from leaderboard.metrics.baselines import BASELINES, NOISE_LEVEL, truth_plus_noise
@@ -40,7 +41,7 @@ def test_a_scaled_truth_has_the_error_of_its_scale_on_every_drive():
         run_scores(result, "level_error"), np.full((5, 2, 1), 0.1), atol=0.01
     )
     assert result.failure is None and result.settings == {"gain": 0.9}
-    assert [d.road_seed for d in result.drives] == [11, 12, 13, 14, 15] * 2
+    assert [road_seed for _, _, _, road_seed, _ in runs_of(result)] == [11, 12, 13, 14, 15] * 2
 
 
 def test_all_training_seeds_are_stored_and_traces_are_of_the_median_one():
@@ -63,7 +64,7 @@ def test_the_same_seeds_give_the_same_scores():
     entries = {"learner": Learner(), "truth_plus_noise": None}
     once, again = run(entries), run(entries)
     for name, result in once.items():
-        assert result.drives == again[name].drives and result.traces == again[name].traces
+        assert content_digest(result) == content_digest(again[name])
 
 
 @pytest.mark.parametrize(
@@ -83,7 +84,7 @@ def test_a_failure_is_a_row_with_the_reason_and_other_rows_are_unaffected(how, m
     failed = results["broken"]
     assert message in failed.failure and "\n" not in failed.failure
     assert failed.failure.startswith("ride, 14.5 km/h, estimating test drive 1 of 5, seed 1: ")
-    assert failed.drives == failed.traces == ()
+    assert failed.scores is None and failed.traces == ()
     assert results["reader"].failure is None
     np.testing.assert_allclose(run_scores(results["reader"], "nrmse"), 0.1, atol=0.01)
 
@@ -189,11 +190,11 @@ def test_memory_is_the_training_road_without_its_delay(delay):
 
 
 def test_a_task_without_a_bound_has_none_in_its_scores():
-    scores = [
-        run({"reader": Reader()}, t=task(bound=given))["reader"].drives for given in (False, True)
-    ]
-    without, with_bound = (drives[0].scores for drives in scores)
-    assert with_bound.keys() - without.keys() == {"bound_nrmse", "bound_efficiency"}
+    without, with_bound = (
+        set(run({"reader": Reader()}, t=task(bound=given))["reader"].scores["score"])
+        for given in (False, True)
+    )
+    assert with_bound - without == {"bound_nrmse", "bound_efficiency"}
 
 
 def test_progress_is_reported_step_by_step():
@@ -277,6 +278,6 @@ def test_roads_with_and_without_obstacles_are_stored_in_one_part(tmp_path):
     request = RunRequest([families], [make_entry("reader", Reader())], seeds=(1,))
     found = run_board(request, tmp_path, InProcessExecutor(fake_drives, {"reader": Reader()}))
     (row,) = [r for r in found.results["small"] if r.estimator == "reader"]
-    scored = [drive.road for drive in row.drives if "bump_f1" in drive.scores]
-    assert len(row.drives) == 6 and 0 < len(scored) < 6
-    assert all(x is not None for drive in row.drives for x in drive.scores.values())
+    scored = [run for run, scores in runs_of(row).items() if "bump_f1" in scores]
+    assert len(runs_of(row)) == 6 and 0 < len(scored) < 6
+    assert np.isfinite(row.scores["value"]).all()

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from board_runs import ESTIMATORS, run, small
+from fake_results import runs_of, with_runs
 from fakes import SHORT_TASK
 from test_verification import chosen_fakes, run_here
 from wheels import module, write_wheel
@@ -223,8 +224,8 @@ def test_scores_are_verified_although_the_folder_defines_another_task(verified):
         path.unlink()
         save_definition(dataclasses.replace(small(), name="decoy"), folder)
         row = store.load(store.row_path(folder, "small", "reader"))
-        better = [dataclasses.replace(x, scores=x.scores | {"nrmse": 0.01}) for x in row.drives]
-        change_row(folder, drives=tuple(better))
+        better = {run: scores | {"nrmse": 0.01} for run, scores in runs_of(row).items()}
+        change_row(folder, scores=with_runs(row, better).scores)
 
     assert [row.estimator for row in verified(forge) if not row.agrees] == ["reader"]
 
@@ -241,7 +242,7 @@ def test_a_row_of_another_name_is_refused(verified):
 def test_a_row_of_the_easiest_drive_or_with_a_false_claim_is_refused(verified):
     def choose(folder):
         row = store.load(store.row_path(folder, "small", "reader"))
-        change_row(folder, drives=tuple(row.drives[:1]))
+        change_row(folder, scores=with_runs(row, dict(list(runs_of(row).items())[:1])).scores)
 
     with pytest.raises(ConfigError, match="reader on small: its drives are not those of its task"):
         verified(choose)
@@ -383,8 +384,8 @@ def test_from_a_fork_to_the_page(tmp_path):
     said = " ".join(call("ci/verify.sh", "origin/main", cwd=fork, status=2).split())
     assert "what it replaces by the key" in said
     row = store.load(store.row_path(folder, "short", "trial"))
-    better = [dataclasses.replace(x, scores=x.scores | {"nrmse": 0.01}) for x in row.drives]
-    store.save(dataclasses.replace(row, drives=tuple(better)), folder)
+    better = {run: scores | {"nrmse": 0.01} for run, scores in runs_of(row).items()}
+    store.save(with_runs(row, better), folder)
     data, _ = SUBMISSION.read(folder / RECORD)
     data.pop("identity")
     SUBMISSION.write(folder / RECORD, data | {"files": _digests(folder)})

@@ -6,8 +6,10 @@ import os
 import subprocess
 import sys
 
+import pandas as pd
 import pytest
 from board_runs import ESTIMATORS, NAMES, make_request, run
+from fake_results import runs_of, with_last_run, with_runs
 from fakes import SHORT_TASK, fake_drives
 
 from leaderboard.entries.entries import make_entry
@@ -47,10 +49,9 @@ def verify(out, entries=None, **options):
 def alter(out, name, **changes):
     """Store a row with other fields, or with other scores of its last drive."""
     row = store.load(store.row_path(out, "small", name))
-    scores = changes.pop("scores", {})
-    *others, last = row.drives
-    last = dataclasses.replace(last, scores=last.scores | scores)
-    store.save(dataclasses.replace(row, drives=(*others, last), **changes), out)
+    altered = changes.pop("scores", {})
+    row = with_last_run(row, lambda scores: scores | altered)
+    store.save(dataclasses.replace(row, **changes), out)
 
 
 def test_a_tenth_of_the_drives_of_an_unaltered_folder_agrees_to_rounding(tmp_path):
@@ -67,7 +68,8 @@ def test_a_tenth_of_the_drives_of_an_unaltered_folder_agrees_to_rounding(tmp_pat
 
 def test_an_altered_score_is_found_by_its_distance(tmp_path):
     run(tmp_path)
-    score = store.load(store.row_path(tmp_path, "small", "reader")).drives[-1].scores["nrmse"]
+    row = store.load(store.row_path(tmp_path, "small", "reader"))
+    score = list(runs_of(row).values())[-1]["nrmse"]
     alter(tmp_path, "reader", scores={"nrmse": 1.01 * score})
     found = verify(tmp_path, share=1.0)
     assert [name for name, row in found.items() if not row.agrees] == ["reader"]
@@ -78,9 +80,8 @@ def test_an_altered_score_is_found_by_its_distance(tmp_path):
 def test_a_score_that_a_row_lacks_is_as_far_as_can_be_and_kept_so(tmp_path):
     run(tmp_path)
     row = store.load(store.row_path(tmp_path, "small", "reader"))
-    *others, last = row.drives
-    bare = dataclasses.replace(last, scores={n: x for n, x in last.scores.items() if n != "nrmse"})
-    store.save(dataclasses.replace(row, drives=(*others, bare)), tmp_path)
+    bare = with_last_run(row, lambda own: {n: x for n, x in own.items() if n != "nrmse"})
+    store.save(bare, tmp_path)
     found = verify(tmp_path, share=1.0)
     assert found["reader"].distance == 2.0 and not found["reader"].agrees
     save_verified(found.values(), tmp_path)
@@ -89,7 +90,8 @@ def test_a_score_that_a_row_lacks_is_as_far_as_can_be_and_kept_so(tmp_path):
 
 def test_of_a_row_of_other_kernels_the_ranking_score_is_compared_at_a_wider_tolerance(tmp_path):
     run(tmp_path)
-    scores = store.load(store.row_path(tmp_path, "small", "reader")).drives[-1].scores
+    row = store.load(store.row_path(tmp_path, "small", "reader"))
+    scores = list(runs_of(row).values())[-1]
     elsewhere = describe_environment() | {"blas": "openblas Z80"}
     for share, agrees in ((0.9, True), (1.1, False)):  # one of six drives
         moved = {"nrmse": scores["nrmse"] / (1.0 - share * OTHER_KERNELS), "r": 0.0}
@@ -105,13 +107,12 @@ def test_a_row_of_other_kernels_that_is_better_on_most_drives_does_not_agree(tmp
     elsewhere = describe_environment() | {"blas": "openblas Z80"}
     row = store.load(store.row_path(tmp_path, "small", "reader"))
     for moved, agrees in ((3, True), (4, False)):  # of six drives
-        drives = tuple(
-            dataclasses.replace(x, scores=x.scores | {"nrmse": 0.95 * x.scores["nrmse"]})
-            if k < moved
-            else x
-            for k, x in enumerate(row.drives)
-        )
-        store.save(dataclasses.replace(row, drives=drives, environment=elsewhere), tmp_path)
+        runs = {
+            run: scores | ({"nrmse": 0.95 * scores["nrmse"]} if k < moved else {})
+            for k, (run, scores) in enumerate(runs_of(row).items())
+        }
+        altered = dataclasses.replace(with_runs(row, runs), environment=elsewhere)
+        store.save(altered, tmp_path)
         found = verify(tmp_path, share=1.0)["reader"]
         assert found.agrees == agrees and found.distance == pytest.approx(0.05)
 
@@ -119,14 +120,16 @@ def test_a_row_of_other_kernels_that_is_better_on_most_drives_does_not_agree(tmp
 def test_a_row_of_chosen_drives_or_of_repeated_ones_is_not_that_of_its_task(tmp_path):
     run(tmp_path)
     row = store.load(store.row_path(tmp_path, "small", "learner"))
-    best = min(row.drives, key=lambda x: x.scores["nrmse"])
+    runs, table = runs_of(row), row.scores
+    lowest = dict([min(runs.items(), key=lambda x: x[1]["nrmse"])])
+    best = with_runs(row, lowest).scores
+    fewer = with_runs(row, dict(list(runs.items())[:-1])).scores
     reason = "its drives are not those of its task, once with each training seed"
-    for drives in ([best], row.drives[:-1], [*row.drives, best]):
-        store.save(dataclasses.replace(row, drives=tuple(drives)), tmp_path)
+    for scores in (best, fewer, pd.concat([table, best])):
+        store.save(dataclasses.replace(row, scores=scores), tmp_path)
         found = verify(tmp_path)["learner"]
         assert found.reason == reason and not found.agrees
-    one_seed = tuple(x for x in row.drives if x.seed == 1)
-    store.save(dataclasses.replace(row, drives=one_seed), tmp_path)
+    store.save(dataclasses.replace(row, scores=table[table["seed"] == 1]), tmp_path)
     found = verify(tmp_path)["learner"]  # the other seed is run, and not in the row
     assert found.distance == 2.0 and not found.agrees
 
@@ -251,10 +254,8 @@ def test_a_folder_made_with_one_blas_kernel_is_verified_with_another(tmp_path):
     assert "Sandybridge" in found["wiener"]["kernels"] and found["wiener"]["runs"] == 1
 
     row = store.load(store.row_path(out, "short", "wiener"))
-    *others, last = row.drives
-    moved = (1.0 - 1.2 * OTHER_KERNELS) * last.scores["nrmse"]
-    last = dataclasses.replace(last, scores=last.scores | {"nrmse": moved})
-    store.save(dataclasses.replace(row, drives=(*others, last)), out)
+    factor = 1.0 - 1.2 * OTHER_KERNELS
+    store.save(with_last_run(row, lambda own: own | {"nrmse": factor * own["nrmse"]}), out)
     verified = call("Sandybridge", *verify_words)
     assert verified.returncode == 1, verified.stderr
     found = {row["estimator"]: row for row in json.loads(verified.stdout)}

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from leaderboard.evaluation.comparison import SAME_KERNELS, largest_distance, run_key
+from leaderboard.evaluation.comparison import SAME_KERNELS, largest_distance, scores_by_run
 from leaderboard.evaluation.results import RUN_DEPENDENT, Result
 
 TRACE_STEPS = 1
@@ -18,7 +18,7 @@ def disagreements(a: Result, b: Result) -> list[str]:
 
 
 def _differing_fields(a: Result, b: Result) -> Iterator[str]:
-    compared_apart = RUN_DEPENDENT | {"drives", "traces"}
+    compared_apart = RUN_DEPENDENT | {"scores", "traces"}
     for field in dataclasses.fields(Result):
         one, other = getattr(a, field.name), getattr(b, field.name)
         if field.name not in compared_apart and one != other:
@@ -26,13 +26,12 @@ def _differing_fields(a: Result, b: Result) -> Iterator[str]:
 
 
 def _differing_drives(a: Result, b: Result) -> Iterator[str]:
-    drives, others = ({run_key(drive): drive for drive in result.drives} for result in (a, b))
-    for place in dict.fromkeys([*drives, *others]):
-        if place not in drives or place not in others:
+    runs, others = ({} if x.scores is None else scores_by_run(x.scores) for x in (a, b))
+    for place in dict.fromkeys([*runs, *others]):
+        if place not in runs or place not in others:
             yield f"{place}: driven once only"
             continue
-        scores = drives[place].scores, others[place].scores
-        score, value = largest_distance(*scores)
+        score, value = largest_distance(runs[place], others[place])
         if value > SAME_KERNELS:
             yield f"{place}: {score} differs by {value:.1e}"
 
@@ -44,7 +43,7 @@ def _differing_traces(a: Result, b: Result) -> Iterator[str]:
     for one, other in zip(a.traces, b.traces, strict=True):
         for name in ("truth", "estimate", "deviation"):
             x, y = getattr(one, name), getattr(other, name)
-            if (x is None) != (y is None) or np.shape(x or ()) != np.shape(y or ()):
+            if (x is None) != (y is None) or np.shape(x) != np.shape(y):
                 yield f"{one.condition}: {name} of the trace"
             elif x is not None and np.abs(np.subtract(x, y)).max(initial=0) > TRACE_STEPS:
                 yield f"{one.condition}: heights of the trace, {name}"

@@ -8,6 +8,7 @@ from fakes import fake_drives, task
 from in_process import InProcessExecutor
 
 from leaderboard.entries.entries import make_entry
+from leaderboard.evaluation.results import to_plain
 from leaderboard.metrics.baselines import BASELINES
 from leaderboard.running.board import RunRequest, run_board
 
@@ -55,13 +56,8 @@ def run(out, estimators=ESTIMATORS, **options):
 def rows(board):
     """Return the results without timings and environment."""
     return {
-        (name, r.estimator): dataclasses.replace(
-            r,
-            train_seconds=(),
-            estimate_ms_per_100m=None,
-            environment={},
-            drives=tuple(r.drives),
-            traces=tuple(r.traces),
+        (name, r.estimator): to_plain(
+            dataclasses.replace(r, train_seconds=(), estimate_ms_per_100m=None, environment={})
         )
         for name, results in board.results.items()
         for r in results

@@ -1,12 +1,14 @@
 """Results of fake estimators on a small task, and their board."""
 
+import dataclasses
 from functools import cache
 
 from fake_estimators import Broken, Learner, Reader
 from fakes import fake_drives, task
 
+from leaderboard.evaluation.comparison import scores_by_run
 from leaderboard.evaluation.evaluate import run_task
-from leaderboard.evaluation.scores import score_arrays, scores_table
+from leaderboard.evaluation.results import make_table, score_arrays
 from leaderboard.running.board import Board
 
 ENTRIES = {
@@ -33,4 +35,22 @@ def board():
 
 def run_scores(result, score):
     """One score (R, C, S) of the runs of a result: roads, conditions, training seeds."""
-    return score_arrays(scores_table([result]), [score])[0]
+    return score_arrays(result.scores, [score])[0]
+
+
+def runs_of(result):
+    """Scores by name of each run of a result: (condition, drive, road, road_seed, seed)."""
+    return scores_by_run(result.scores)
+
+
+def with_runs(result, runs):
+    """The result with the runs of a mapping as that of `runs_of`; None leaves a score out."""
+    rows = [(*run, k, x) for run, own in runs.items() for k, x in own.items() if x is not None]
+    return dataclasses.replace(result, scores=make_table(rows))
+
+
+def with_last_run(result, change):
+    """The result with `change(scores)` for the scores of its last run."""
+    runs = runs_of(result)
+    last = next(reversed(runs))
+    return with_runs(result, {**runs, last: change(runs[last])})

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fake_estimators import Reader
-from fake_results import run_scores
+from fake_results import run_scores, runs_of
 from fakes import fake_drives, task
 
 from leaderboard.evaluation.evaluate import run_task
@@ -37,10 +37,9 @@ def test_every_drive_is_computed_once_and_efficiency_is_relative_to_it(computed)
     rows = run_task(t, {"reader": Reader(), "flat": Reader(gain=0.0)}, (1,), simulate=fake_drives)
     for _ in range(2):
         board = attainable.with_attainable(Board((t,), {t.name: rows}), simulate=fake_drives)
-        drives = [drive for row in board.results[t.name] for drive in row.drives]
-        assert len(computed) == len(drives) / 2
-    for drive in drives:
-        scores = drive.scores
+        runs = [scores for row in board.results[t.name] for scores in runs_of(row).values()]
+        assert len(computed) == len(runs) / 2
+    for scores in runs:
         expected = (scores["attainable_nrmse"] / scores["nrmse"]) ** 2
         assert scores["attainable_efficiency"] == pytest.approx(expected)
     (view,) = board_views(board)
@@ -60,7 +59,7 @@ def test_drives_of_perturbed_vehicles_and_tasks_without_a_bound_have_none(comput
         board = attainable.with_attainable(
             Board((other,), {other.name: rows}), simulate=fake_drives
         )
-        assert "attainable_nrmse" not in board.results[other.name][0].drives[0].scores
+        assert "attainable_nrmse" not in set(board.results[other.name][0].scores["score"])
     assert computed == []
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from agreement import disagreements
-from fake_results import result_of
+from fake_results import result_of, runs_of, with_last_run, with_runs
 
 from leaderboard.evaluation.comparison import SAME_KERNELS, distance, largest_distance
 from leaderboard.sandbox.limits import guest_environment
@@ -19,10 +19,7 @@ READER = result_of("reader")
 
 def with_scores(change):
     """The reader's result with the scores of its last drive changed."""
-    *others, last = READER.drives
-    return dataclasses.replace(
-        READER, drives=(*others, dataclasses.replace(last, scores=change(last.scores)))
-    )
+    return with_last_run(READER, change)
 
 
 def scaled(name, factor):
@@ -32,7 +29,7 @@ def scaled(name, factor):
 def test_a_score_may_differ_by_the_tolerance_and_not_by_more():
     assert disagreements(READER, scaled("nrmse", 1.0 + 0.9 * SAME_KERNELS)) == []
     (found,) = disagreements(READER, scaled("nrmse", 1.0 + 1.2 * SAME_KERNELS))
-    assert "nrmse differs by" in found and READER.drives[-1].road in found
+    assert "nrmse differs by" in found and next(reversed(runs_of(READER)))[2] in found
 
 
 def test_small_scores_are_compared_at_their_printed_digits():
@@ -58,11 +55,12 @@ def test_the_largest_distance_is_that_of_the_scores_that_are_compared():
 def test_times_and_machine_are_not_compared_and_all_else_is():
     other = dataclasses.replace(READER, environment={}, peak_memory=9.0, train_seconds=(9.0,))
     assert disagreements(READER, other) == []
-    for change in ({"parameters": 2}, {"failure": "it failed"}, {"drives": READER.drives[1:]}):
+    fewer = with_runs(READER, dict(list(runs_of(READER).items())[1:]))
+    for change in ({"parameters": 2}, {"failure": "it failed"}, {"scores": fewer.scores}):
         assert len(disagreements(READER, dataclasses.replace(READER, **change))) == 1
     first, *others = READER.traces
     for step, count in ((1, 0), (2, 1)):  # 0.01 mm is the rounding of what is stored
-        moved = tuple(tuple(z + step for z in path) for path in first.estimate)
+        moved = first.estimate + step
         traces = (dataclasses.replace(first, estimate=moved), *others)
         assert len(disagreements(READER, dataclasses.replace(READER, traces=traces))) == count
 

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 from fake_estimators import Reader
-from fake_results import ENTRIES, board, result_of, results_by_fakes, run_scores
+from fake_results import ENTRIES, board, result_of, results_by_fakes, run_scores, runs_of, with_runs
 from fakes import fake_drives, task
 from rich.console import Console
 
@@ -51,13 +51,11 @@ def test_the_slope_of_the_error_over_grades_is_shown():
     t = task(board="field", conditions=cars)
     (result,) = run_task(t, {"reader": Reader()}, (1,), simulate=fake_drives)
     error = {c.label: 0.1 * (1 + k) for k, c in enumerate(t.conditions)}
-    drives = [
-        dataclasses.replace(d, scores={**d.scores, "nrmse": error[d.condition] + 0.01 * d.drive})
-        for d in result.drives
-    ]
-    (view,) = board_views(
-        Board((t,), {"small": [dataclasses.replace(result, drives=tuple(drives))]})
-    )
+    runs = {
+        run: scores | {"nrmse": error[run[0]] + 0.01 * run[1]}
+        for run, scores in runs_of(result).items()
+    }
+    (view,) = board_views(Board((t,), {"small": [with_runs(result, runs)]}))
     line, _ = view.sections[0].rows
     assert [line.values[f"grade_S{k}"] for k in range(3)] == pytest.approx([0.12, 0.22, 0.32])
     assert line.values["slope"] == pytest.approx(0.1)

@@ -1,35 +1,39 @@
-"""Scores as a table of runs, and as arrays for the statistics."""
-
-import dataclasses
+"""Scores as a long table of runs, and as arrays for the statistics."""
 
 import numpy as np
-from fake_results import result_of, results_by_fakes, run_scores
+from fake_results import result_of, results_by_fakes, run_scores, runs_of, with_runs
 
-from leaderboard.evaluation.scores import score_arrays, scores_table
-from leaderboard.metrics.registry import SCORES
+from leaderboard.evaluation.results import RUN, score_arrays, scores_table
 
 
-def test_the_table_has_a_row_for_every_run_with_its_scores():
-    results = results_by_fakes()
-    table = scores_table(results)
-    runs = [(result.estimator, drive) for result in results for drive in result.drives]
-    for (name, drive), (_, row) in zip(runs, table.iterrows(), strict=True):
-        found = row[["estimator", "condition", "drive", "road", "road_seed", "seed"]].tolist()
-        place = [drive.condition, drive.drive, drive.road, drive.road_seed, drive.seed]
-        assert found == [name, *place]
-        assert row[[*SCORES]].dropna().to_dict() == drive.scores
+def test_the_table_of_several_results_has_a_row_for_every_score_of_every_run():
+    table = scores_table(results_by_fakes())
+    found = dict(zip(table[["estimator", *RUN, "score"]].itertuples(index=False, name=None),
+                     table["value"], strict=True))  # fmt: skip
+    expected = {
+        (result.estimator, *run, name): value
+        for result in results_by_fakes()
+        if result.scores is not None
+        for run, scores in runs_of(result).items()
+        for name, value in scores.items()
+    }
+    assert found == expected and len(table) == len(expected) > 1000
+    assert scores_table([result_of("broken")]).empty
 
 
 def test_an_array_has_roads_conditions_and_seeds_wherever_the_runs_stand():
-    table = scores_table([result_of("learner")])
+    table = result_of("learner").scores
     expected = run_scores(result_of("learner"), "nrmse")
     assert expected.shape == (5, 2, 3)
     by_road = table.sort_values(["drive", "seed"], ascending=[False, True], kind="stable")
     np.testing.assert_array_equal(score_arrays(by_road, ["nrmse"])[0], expected)
+    for (label, drive, _, _, seed), scores in runs_of(result_of("learner")).items():
+        condition = list(dict.fromkeys(table["condition"])).index(label)
+        assert expected[drive, condition, seed - 1] == scores["nrmse"]
 
 
 def test_a_run_that_is_missing_leaves_an_undefined_place():
     result = result_of("learner")
-    fewer = dataclasses.replace(result, drives=result.drives[1:])
+    fewer = with_runs(result, dict(list(runs_of(result).items())[1:]))
     found, whole = (run_scores(r, "nrmse") for r in (fewer, result))
     assert found.shape == whole.shape and np.isnan(found).sum() == 1
