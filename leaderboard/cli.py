@@ -62,12 +62,12 @@ class RoadRecon(LazyGroup):
         },
         "Leaderboard": {
             "leaderboard": "board:leaderboard",
-            "run-job": "jobs:run_job",
-            "verify": "verify:verify",
-            "score": "score:score",
-            "season": "hidden_seeds:season",
-            "cite": "cite:cite",
-            "clean": "clean:clean",
+            "run-job": "results:run_job",
+            "verify": "results:verify",
+            "score": "results:score",
+            "season": "results:season",
+            "cite": "results:cite",
+            "clean": "results:clean",
         },
         "Results repositories": {
             "submit": "submit:submit",
@@ -115,6 +115,8 @@ def main() -> None:
     except Exception as error:
         if type(error).__name__ == "NoArgsIsHelpError":
             error.show()  # type: ignore[attr-defined]
+        elif isinstance(error, typer.Abort):
+            sys.stderr.write("error: a question was left open: give its answer as an option\n")
         elif isinstance(error, USAGE_ERROR):
             sys.stderr.write(f"error: {_usage_sentence(error)}\n")
         elif "--debug" in sys.argv or not _is_input_error(error):
@@ -136,6 +138,7 @@ PARSER_WORDS = (
     (r"Input should be a valid number.*|.* is not a valid float( range)?\.", "must be a number"),
     (r"Input should be greater than or equal to (\S+)", r"must be at least \1"),
     (r"Input should be less than or equal to (\S+)", r"must be at most \1"),
+    (r"Input should be (.*)", r"must be \1"),
 )
 """What Typer writes of a value, and the words of the other messages of this package."""
 

@@ -93,7 +93,7 @@ def score_file(task: TaskArrays, path: Path) -> ScoreTable:
     with optional_import("a table as CSV or Parquet"):
         import pandas
 
-    with parsing(path, ConfigError, "not a table of numbers"):
+    with parsing(path, ConfigError, "damaged, or not a table of numbers"):
         is_parquet = path.suffix == ".parquet"
         table = read_parquet(path).to_pandas() if is_parquet else pandas.read_csv(path)
         columns = ["drive", "station", *SIDES]

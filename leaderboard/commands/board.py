@@ -2,7 +2,6 @@
 
 import contextlib
 import dataclasses
-import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,7 +19,15 @@ from leaderboard.commands import (
     print_json,
     progress_bar,
 )
-from leaderboard.commands.options import Isolation, Json, MemoryLimit, TimeLimit, parse_limits
+from leaderboard.commands.options import (
+    CORES,
+    Isolation,
+    Json,
+    MemoryLimit,
+    TimeLimit,
+    Workers,
+    parse_limits,
+)
 from leaderboard.entries.entries import resolve_entries
 from leaderboard.entries.entry import Entry
 from leaderboard.evaluation.evaluate import SEEDS
@@ -41,8 +48,6 @@ from leaderboard.running.plan import ReplacedRowError, check_owners
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
 from road_envs.core.config import ConfigError, names, validate_choice
-
-CORES = os.cpu_count() or 1
 
 
 def leaderboard(
@@ -109,7 +114,7 @@ def leaderboard(
             "--probes", help="Also run the conformance probes of new entries, on this machine."
         ),
     ] = False,
-    workers: Annotated[int, typer.Option(help="Jobs at a time on this machine.", min=1)] = CORES,
+    workers: Workers = CORES,
     dask: Annotated[
         str | None,
         typer.Option(

@@ -1,5 +1,7 @@
 """Options that several commands share, and the limits of guests from them."""
 
+import os
+from pathlib import Path
 from typing import Annotated, Any, get_args
 
 import typer
@@ -8,6 +10,8 @@ from leaderboard.sandbox import limits
 from leaderboard.sandbox.limits import Limits
 from road_envs.core.config import ConfigError, names, validate_choice
 from road_envs.vehicle.struts import MODES, PASSIVE_MODES
+
+CORES = os.cpu_count() or 1
 
 
 def shipped(kind: str) -> str:
@@ -43,6 +47,9 @@ KnownRoads = Annotated[
         "--profile", help="Known road of each drive in turn (.csv, .crg, ...), or one for all."
     ),
 ]
+ResultsFolder = Annotated[Path, typer.Option(help="Folder of results, as for `leaderboard`.")]
+Share = Annotated[float, typer.Option(help="Share of the drives of each task.", min=0.0, max=1.0)]
+Workers = Annotated[int, typer.Option(help="Jobs at a time on this machine.", min=1)]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 TimeLimit = Annotated[
     float,

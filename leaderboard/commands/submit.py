@@ -1,22 +1,24 @@
 """Commands of submissions: `submit`, `verify-submission`, `new-results-repo`, `results-site`."""
 
 import dataclasses
-import os
 import shlex
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from leaderboard.commands import (
-    check_output_folder,
-    console,
-    notices,
-    progress_bar,
+from leaderboard.commands import check_output_folder, console, notices, progress_bar
+from leaderboard.commands.options import (
+    CORES,
+    Isolation,
+    MemoryLimit,
+    Share,
+    TimeLimit,
+    Workers,
+    parse_limits,
 )
-from leaderboard.commands.options import Isolation, Json, MemoryLimit, TimeLimit, parse_limits
 from leaderboard.commands.output import Output, facts_table
-from leaderboard.commands.verify import print_verified
+from leaderboard.commands.results import verified_output
 from leaderboard.conformance.method_card import TEMPLATE
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.running.verification import SHARE
@@ -43,7 +45,7 @@ def submit(
     sign: Annotated[
         Path | None, typer.Option(help="Sign with this private key; made if it does not exist.")
     ] = None,
-    workers: Annotated[int, typer.Option(help="Jobs at a time.", min=1)] = os.cpu_count() or 1,
+    workers: Workers = CORES,
     time_limit: TimeLimit = Limits.seconds,
     memory_limit: MemoryLimit = Limits.memory,
     isolation: Isolation = "auto",
@@ -79,9 +81,7 @@ def verify_one(
     folder: Annotated[Path, typer.Argument(help="Folder of a submission.")],
     *,
     rules: RulesFile = None,
-    share: Annotated[
-        float, typer.Option(help="Share of the drives of each task.", min=0.0, max=1.0)
-    ] = SHARE,
+    share: Share = SHARE,
     replaces: Annotated[
         Path | None,
         typer.Option(help="The submission as it was before: its key, if any, must have signed."),
@@ -89,8 +89,7 @@ def verify_one(
     time_limit: TimeLimit = Limits.seconds,
     memory_limit: MemoryLimit = Limits.memory,
     isolation: Isolation = "bubblewrap",
-    json: Json = False,
-) -> None:
+) -> Output:
     """Verify a submission; exit status 1 if a row differs from what is found here.
 
     Files, card, signature and code are compared with its record, its rows with the rules, and a
@@ -101,7 +100,7 @@ def verify_one(
         found = verify_submission(
             folder, _rules(rules), limits, share=share, replaces=replaces, progress=progress
         )
-    print_verified(found, json)
+    return verified_output(found)
 
 
 def new_results_repo(

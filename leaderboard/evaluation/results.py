@@ -51,10 +51,13 @@ COLUMNS = (*RUN, "score", "value")
 
 
 def _as_heights(values: Any) -> np.ndarray:
-    array = np.asarray(values)
-    if array.ndim != 2 or array.shape[0] != 2 or array.dtype.kind != "i":
-        raise ValueError("must be two lists of whole numbers of one length")
-    return array.astype(np.int32)
+    try:
+        array = np.array(values, dtype=np.int32)
+    except (TypeError, ValueError, OverflowError):  # of lists of different lengths, too
+        array = np.empty(0)
+    if array.ndim != 2 or array.shape[0] != 2:
+        raise ValueError("left and right must have one number of heights, in whole numbers")
+    return array
 
 
 _Heights = Annotated[np.ndarray, PlainValidator(_as_heights)]

@@ -42,11 +42,11 @@ def cite_entry(out: Path, name: str) -> str:
 
     Raises ConfigError if there is no row of this name.
     """
-    paths = sorted((out / "results").glob(f"*/{name}.json"))
+    paths = sorted((out / "results").glob("*/*.json"))
     if not paths:
-        validate_choice("entry", name, sorted({x.stem for x in (out / "results").glob("*/*.json")}))
-        raise ConfigError(f"{out}: no rows of {name}")
-    rows = [load(path) for path in paths]
+        raise ConfigError(f"{out}: no results; `road-recon leaderboard --out {out}` makes them")
+    validate_choice("entry", name, sorted({path.stem for path in paths}))
+    rows = [load(path) for path in paths if path.stem == name]
     card = find_method_card(out, name)
     authors = ""
     if card is not None:

@@ -149,10 +149,10 @@ def test_only_a_damaged_part_is_run_again(tmp_path, expected, damage):
 def test_a_row_of_a_newer_version_is_never_overwritten(tmp_path):
     run(tmp_path)
     path = row_path(tmp_path, "small", "reader")
-    newer = path.read_text().replace('"format": 5', '"format": 6')
+    newer = path.read_text().replace('"format": 6', '"format": 7')
     path.write_text(newer)
     executor = Counting()
-    with pytest.raises(ConfigError, match=r"reader\.json: written in format 6 by a newer version"):
+    with pytest.raises(ConfigError, match=r"reader\.json: written in format 7 by a newer version"):
         run_board(make_request(), tmp_path, executor)
     assert executor.ran == [] and path.read_text() == newer
     board = load_board([small()], tmp_path)
@@ -284,7 +284,7 @@ class Meddler(Counting):
         if self.times:
             self.times -= 1
             path = self.target(out)
-            text = path.read_text().replace('"nrmse": [', '"nrmse": [-')
+            text = path.read_text().replace('"value": [', '"value": [-')
             path.write_text(text.replace(json.loads(text)["sha256"], text_checksum(text)))
 
 

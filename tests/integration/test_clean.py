@@ -13,4 +13,4 @@ def test_clean_lists_then_deletes_stale_artifacts(road_recon, tmp_path, monkeypa
     assert road_recon("clean", "out")[1] == "1 stale artifacts below out deleted\n"
     assert list((tmp_path / "out").iterdir()) == []
     code, _, err = road_recon("clean", "nowhere")
-    assert code == 2 and "nowhere is no folder" in err
+    assert code == 2 and "nowhere: no such folder" in err

@@ -1,0 +1,200 @@
+"""Commands on folders of results: `run-job`, `verify`, `score`, `season`, `cite` and `clean`."""
+
+import dataclasses
+import secrets
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from leaderboard.arrays import load_task as load_arrays
+from leaderboard.commands import (
+    check_output_folder,
+    console,
+    import_from_here,
+    make_table,
+    print_json,
+    progress_bar,
+)
+from leaderboard.commands.options import (
+    Isolation,
+    Json,
+    MemoryLimit,
+    ResultsFolder,
+    Share,
+    TimeLimit,
+    parse_limits,
+)
+from leaderboard.commands.output import Output
+from leaderboard.entries.entries import resolve_entries
+from leaderboard.evaluation import hidden_seeds
+from leaderboard.evaluation.tasks import load_task, shipped_tasks
+from leaderboard.report.citation import as_bibtex, cite_entry
+from leaderboard.running import jobs
+from leaderboard.running.verification import SHARE, Verified, save_verified, verify_folder
+from leaderboard.sandbox.client import SandboxClient
+from leaderboard.sandbox.limits import Limits
+from leaderboard.task_tables import score_file
+from road_envs.core import artifacts
+from road_envs.core.code_digest import cache_home
+from road_envs.core.config import ConfigError
+
+RANDOM_ROAD_BOARDS = ("new_road", "field", "class")
+"""Boards with random roads."""
+
+DEFAULT_FOLDER = Path("out/leaderboard")
+
+
+def run_job(
+    spec: Annotated[Path, typer.Argument(help="Job file from `leaderboard --plan`.")],
+    out: ResultsFolder = DEFAULT_FOLDER,
+    json: Json = False,
+) -> None:
+    """Run one job and store its results for the next `leaderboard --out`.
+
+    Jobs can be run any number of times and in parallel.
+    """
+    check_output_folder(out)
+    for done in jobs.run_job_file(spec, out):
+        if json:
+            print_json(dataclasses.asdict(done))
+        else:
+            console.print(f"{done.task}: {done.entry}, {done.condition}: {done.failure or 'done'}")
+
+
+def verify(
+    folder: Annotated[Path, typer.Argument(help="Folder of results, the --out of `leaderboard`.")],
+    *,
+    share: Share = SHARE,
+    seed: Annotated[
+        int | None, typer.Option(help="Seed of the choice of drives; drawn if missing.", min=0)
+    ] = None,
+    estimator: Annotated[
+        list[str] | None,
+        typer.Option(help="Entry of another package: wheel, folder or class; may be given again."),
+    ] = None,
+    time_limit: TimeLimit = Limits.seconds,
+    memory_limit: MemoryLimit = Limits.memory,
+    isolation: Isolation = "auto",
+) -> Output:
+    """Run a random tenth of stored drives again and compare; exit status 1 if one differs.
+
+    Rows of this processor and its kernels are compared in all scores, those of others in the
+    ranking score at a wider tolerance.
+    What was found is kept in the folder: boards note rows of other processors without it.
+    """
+    if not folder.is_dir():
+        raise ConfigError(f"{folder}: no such folder")
+    import_from_here(estimator or ())
+    limits = parse_limits(time_limit, memory_limit, isolation)
+    with SandboxClient(limits) as sandbox, progress_bar() as progress:
+        entries = resolve_entries(estimator or (), sandbox)
+        run = jobs.in_sandbox(sandbox)
+        found = verify_folder(folder, run, entries, share=share, seed=seed, report=progress)
+    save_verified(found, folder)
+    return verified_output(found)
+
+
+def verified_output(found: Sequence[Verified]) -> Output:
+    """Return what was found of each row; exit status 1 if one differs."""
+    run = [row for row in found if row.runs]
+    agreeing = sum(row.agrees for row in run)
+    cells = [
+        [
+            row.estimator,
+            row.task,
+            *([row.runs, f"{row.distance:.1e}", f"{row.tolerance:.0e}"] if row.runs else [""] * 3),
+            row.score,
+            row.reason or ("agrees" if row.agrees else "DIFFERS"),
+        ]
+        for row in found
+    ]
+    heads = ("estimator", "task", "runs", "apart", "tolerance", "score", "result")
+    table = make_table(
+        heads, [list(map(str, row)) for row in cells], texts=("task", *heads[5:]), box=None
+    )
+    summary = (
+        f"{agreeing} of {len(run)} rows agree on {found[0].kernels}; "
+        f"{len(found) - len(run)} could not be run again"
+    )
+    return Output(
+        facts=[{**dataclasses.asdict(row), "agrees": row.agrees} for row in found],
+        shows=[table, summary],
+        status=int(agreeing < len(run)),
+    )
+
+
+def score(
+    heights: Annotated[
+        Path,
+        typer.Argument(help="CSV or Parquet file: test_profiles of `dataset --task`, filled in."),
+    ],
+    *,
+    task: Annotated[str, typer.Option(help="Task that the heights are of.")],
+    roads: Annotated[
+        int | None, typer.Option(help="Test drives per condition, as for `dataset`.", min=1)
+    ] = None,
+) -> Output:
+    """Score heights of the test drives of a task, made by any program."""
+    table = score_file(load_arrays(task, roads=roads), heights)
+    return Output(facts=table.values, shows=[str(table)])
+
+
+def season(
+    out: Annotated[Path, typer.Option(help="Folder of the hidden test set.")],
+    salt: Annotated[
+        str | None, typer.Option(help="Secret salt; if missing, one is drawn and printed once.")
+    ] = None,
+    task: Annotated[
+        list[str] | None,
+        typer.Option(help="Shipped task; may be given again. Default: all with random roads."),
+    ] = None,
+    reveal: Annotated[
+        bool, typer.Option("--reveal", help="Verify the salt and write the tasks with their seeds.")
+    ] = False,
+) -> Output:
+    """Publish the hash of a hidden test set, and later, with --reveal, its seeds."""
+    facts: dict[str, Any]
+    if reveal:
+        if salt is None:
+            raise ConfigError("--reveal needs the --salt of the hidden test set")
+        if task:
+            raise ConfigError("--reveal uses the tasks of the hidden test set; leave out --task")
+        paths = [str(path) for path in hidden_seeds.reveal(salt, out)]
+        facts = {"commitment": hidden_seeds.load(out).commitment, "salt": salt, "tasks": paths}
+    else:
+        chosen = [load_task(name) for name in task or ()] or [
+            each for each in shipped_tasks() if each.board_name in RANDOM_ROAD_BOARDS
+        ]
+        is_drawn, salt = salt is None, salt or secrets.token_urlsafe(24)
+        hidden = hidden_seeds.commit(salt, chosen)
+        path = hidden_seeds.save(hidden, out)
+        facts = {"commitment": hidden.commitment, "publish": str(path)}
+        if is_drawn:
+            facts["salt, to be kept secret"] = salt
+    return Output(facts=facts)
+
+
+def cite(
+    entry: Annotated[str | None, typer.Argument(help="Entry with a row in the folder.")] = None,
+    out: ResultsFolder = DEFAULT_FOLDER,
+) -> None:
+    """Print how to cite this project, and an entry with the versions of what ran."""
+    cited = "" if entry is None else cite_entry(out, entry)
+    typer.echo(as_bibtex() + cited, nl=False)
+
+
+def clean(
+    folder: Annotated[Path | None, typer.Argument(help="Default: the caches of this user.")] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="List them, delete nothing.")] = False,
+) -> None:
+    """Delete stale artifacts: results, cards and caches that other code has made."""
+    where = folder or cache_home()
+    if folder is not None and not folder.is_dir():
+        raise ConfigError(f"{folder}: no such folder")
+    found = artifacts.clean(where, delete=not dry_run)
+    for path in found if dry_run else ():
+        console.print(str(path))
+    what = "would be deleted" if dry_run else "deleted"
+    console.print(f"{len(found)} stale artifacts below {where} {what}")
