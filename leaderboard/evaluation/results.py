@@ -54,7 +54,7 @@ def _as_heights(values: Any) -> np.ndarray:
     try:
         array = np.array(values, dtype=np.int32)
     except (TypeError, ValueError, OverflowError):  # of lists of different lengths, too
-        array = np.empty(0)
+        array = np.empty(0, dtype=np.int32)
     if array.ndim != 2 or array.shape[0] != 2:
         raise ValueError("left and right must have one number of heights, in whole numbers")
     return array

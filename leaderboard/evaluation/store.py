@@ -126,6 +126,8 @@ def read(path: Path) -> tuple[Result, str]:
     scores = data.pop("scores", None)
     result = build(Result, data, str(path))
     if scores is None:
+        if result.failure is None:
+            raise ConfigError(f"{path}: neither scores nor a failure; evaluate again")
         return result, checksum
     columns = vars(build(_ScoreColumns, scores, f"{path}: scores"))
     if len({len(column) for column in columns.values()}) > 1:

@@ -52,6 +52,11 @@ def replaced(old, new):
     return apply
 
 
+def without_scores(text):
+    line = next(x for x in text.splitlines() if x.startswith(' "scores": {'))
+    return text.replace(line, ' "scores": null,')
+
+
 def test_a_result_is_equal_after_writing_and_reading(tmp_path):
     for result in results_by_fakes():
         path = save(result, tmp_path)
@@ -92,6 +97,7 @@ INVALID = [
     (with_valid_checksum(replaced('"format": 6', '"format": 6, "score": 1')), "score: unknown key"),
     (with_valid_checksum(replaced('"seeds": [1, 2, 3]', '"seeds": ["1"]')), "seeds"),
     (with_valid_checksum(replaced('"drive": [0, ', '"drive": [')), "different lengths"),
+    (with_valid_checksum(without_scores), "neither scores nor a failure"),
     (
         with_valid_checksum(replaced('"estimator": "reader"', '"estimator": "x"')),
         "contains the result of x on",
