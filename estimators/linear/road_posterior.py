@@ -90,7 +90,7 @@ class _BandedNormalEquations(NamedTuple):
     n: int
 
 
-class RoadPosterior(NamedTuple):
+class LinearPosterior(NamedTuple):
     """Posterior `mean` (p,) [m], the banded Cholesky `factor` of its precision, and the logarithm
     of the marginal likelihood up to a constant.
     """
@@ -168,7 +168,7 @@ def prior_bands(nodes: Nodes) -> np.ndarray:
     return bands / nodes.ds
 
 
-def solve(data: _BandedNormalEquations, prior: np.ndarray, settings: np.ndarray) -> RoadPosterior:
+def solve(data: _BandedNormalEquations, prior: np.ndarray, settings: np.ndarray) -> LinearPosterior:
     """Return the posterior; `settings`: logarithms of the variance of the rise over a metre [m²],
     and of the factor on the noise.
     """
@@ -179,7 +179,7 @@ def solve(data: _BandedNormalEquations, prior: np.ndarray, settings: np.ndarray)
     mean = cho_solve_banded((factor, True), weight * data.rhs, check_finite=False)
     misfit = weight * (data.square - data.rhs @ mean)
     log_det = np.log(factor[0]).sum() + 0.5 * factor.shape[1] * settings[0]
-    return RoadPosterior(mean, factor, float(-0.5 * (misfit + data.n * settings[1]) - log_det))
+    return LinearPosterior(mean, factor, float(-0.5 * (misfit + data.n * settings[1]) - log_det))
 
 
 def fit_settings(

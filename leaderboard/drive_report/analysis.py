@@ -242,7 +242,7 @@ def _flags(
     return flags
 
 
-def is_certain(result: DriveResult, found: DetectedObstacle) -> bool:
+def _is_certain(result: DriveResult, found: DetectedObstacle) -> bool:
     """Whether an obstacle is no possible one: its confidence, and a model that fits the record."""
     return found.confidence >= CERTAIN and not misfits(result.notes)
 
@@ -253,7 +253,7 @@ def _obstacle(result: DriveResult, found: DetectedObstacle, distance_std: float)
     found = found.in_an_estimate()
     low, high = (found.height + 1.96 * way * found.height_std for way in (-1.0, 1.0))
     return {
-        "kind": ("" if is_certain(result, found) else "possible ")
+        "kind": ("" if _is_certain(result, found) else "possible ")
         + ("bump" if found.height > 0.0 else "hole"),
         "station_m": result.chainage + found.station,
         "station_std_m": float(np.hypot(PLACE_STD, distance)),

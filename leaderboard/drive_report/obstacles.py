@@ -114,7 +114,7 @@ def detect(estimate: Estimate) -> list[DetectedObstacle]:
     return sorted([*merged, *(o._replace(side="right") for o in right)])
 
 
-def departures(z: np.ndarray, std: np.ndarray, ds: float) -> tuple[np.ndarray, np.ndarray]:
+def _departures(z: np.ndarray, std: np.ndarray, ds: float) -> tuple[np.ndarray, np.ndarray]:
     """Return d (L, M) [m] of a wheel path `z` (M,) by span, and its scatter (L, M) [m]: that of the
     road and the error `std` (M,) [m] of the estimate.
     """
@@ -135,7 +135,7 @@ def _departure(z: np.ndarray, half: int) -> np.ndarray:
 
 def _detect_path(z: np.ndarray, std: np.ndarray, ds: float) -> Iterator[DetectedObstacle]:
     z = z.copy()
-    d, scatter = departures(z, std, ds)
+    d, scatter = _departures(z, std, ds)
     least = GUMBEL_LOCATION - GUMBEL_SCALE * np.log(-np.log(MIN_CONFIDENCE))
     limit = np.maximum(MIN_HEIGHT, least * scatter)
     halves = [round(0.5 * span / ds) for span in SPANS]

@@ -133,7 +133,7 @@ def compare(results: Sequence[DriveResult]) -> dict[str, Any] | None:
             "speed_kmh": result.facts["speed_kmh"],
             **bland_altman(x[:, k], x[:, 0])._asdict(),
             "rmse": float(np.sqrt(np.mean((x[:, k] - x[:, 0]) ** 2))),
-            "correlation": profile_correlation(results[0], result),
+            "correlation": _profile_correlation(results[0], result),
         }
         for k, result in enumerate(results)
         if k
@@ -158,7 +158,7 @@ def compare(results: Sequence[DriveResult]) -> dict[str, Any] | None:
     }
 
 
-def profile_correlation(first: DriveResult, other: DriveResult) -> float:
+def _profile_correlation(first: DriveResult, other: DriveResult) -> float:
     """Return the IRI-filtered cross-correlation, R 56-style, over the common road."""
     ds = first.estimate.ds
     begin = max(first.chainage, other.chainage)

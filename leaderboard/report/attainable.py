@@ -44,13 +44,13 @@ def with_attainable(
         for condition in task.conditions:
             if task.grade(task.test, condition) == "S0" and task.bound:
                 report(f"{task.name}: attainable error, {condition.label}")
-                errors = attainable_errors(task, condition, simulate)
+                errors = _attainable_errors(task, condition, simulate)
                 found |= {(condition.label, k): error for k, error in errors.items()}
         results[task.name] = [_with_scores(result, found) for result in results[task.name]]
     return dataclasses.replace(board, results=results)
 
 
-def attainable_errors(
+def _attainable_errors(
     task: Task, condition: Condition, simulate: DriveSimulation = simulate_drives
 ) -> dict[int, float]:
     """Return the attainable in-band NRMSE [-] by test drive; NaN where it is not defined."""

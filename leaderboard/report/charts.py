@@ -93,7 +93,7 @@ def _counted_runs(result: Result, key: str) -> np.ndarray:
     return np.where(driven & np.isnan(own), np.inf, own)
 
 
-def visibility(k: int) -> dict[str, Any]:
+def _visibility(k: int) -> dict[str, Any]:
     """Return whether the line of entry number `k` is shown at first."""
     return {} if k < N_SHOWN else {"visible": "legendonly"}
 
@@ -121,7 +121,7 @@ def height_lines(traces: Mapping[str, Trace], side: int, kind: str) -> list[dict
             stride = round(line["dx"] / trace.ds)
             std = trace.z_std[side, first:][::stride][: len(line["dy"])]
             line["std"] = encode_std(std)
-        lines.append(line | {"line": line_style(name)} | visibility(k))
+        lines.append(line | {"line": line_style(name)} | _visibility(k))
     return lines
 
 
@@ -174,7 +174,7 @@ def _obstacle_marks(traces: Mapping[str, Trace], side: int) -> list[dict[str, An
         kinds = ([mine for _, mine in path.pairs], path.missed, path.false)
         for obstacles, (kind, symbol) in zip(kinds, OBSTACLE_SYMBOLS.items(), strict=True):
             if obstacles:
-                marks.append(_marks(name, kind, obstacles, symbol, colour(name)) | visibility(k))
+                marks.append(_marks(name, kind, obstacles, symbol, colour(name)) | _visibility(k))
     return marks
 
 
@@ -200,7 +200,7 @@ def _density_chart(drawn: Mapping[Condition, Mapping[str, Trace]]) -> Chart:
         lines = [_density("truth", reference.z_true, reference.ds) | {"line": TRUTH_LINE}]
         for k, (name, trace) in enumerate(traces.items()):
             line = _density(name, trace.z_estimated, trace.ds)
-            lines.append(line | {"line": line_style(name)} | visibility(k))
+            lines.append(line | {"line": line_style(name)} | _visibility(k))
         figures[condition.label] = {
             "data": [*_class_areas(), *lines],
             "layout": {"shapes": [upright(n) for n in scored_band(condition.speed_kmh / 3.6)]},
@@ -256,7 +256,7 @@ def error_lines(rows: Mapping[str, Row], group: str) -> list[dict[str, Any]]:
         values = row.groups.get(group, row.values)
         y = [None if (x := values.get(key)) is None else rounded(x, 4) for key in SPECTRUM_SCORES]
         look = {"line": line_style(name), "hovertemplate": ERROR_HOVER}
-        lines.append(curve(name, THIRD_OCTAVES, y, **look, **visibility(k)))
+        lines.append(curve(name, THIRD_OCTAVES, y, **look, **_visibility(k)))
     return lines
 
 
@@ -305,7 +305,7 @@ def _runs_chart(
     for k, (name, values) in enumerate(scores.items()):
         profile = performance_profile(values, thresholds, replicates=REPLICATES, strata=strata)
         share, low, high = (np.round(100.0 * y, 1).tolist() for y in profile)
-        own = {"legendgroup": name, **visibility(k)}
+        own = {"legendgroup": name, **_visibility(k)}
         data.append(area(x, low, high, fillcolor=f"{colour(name)}2e", name=name, **own))
         hover = "%{y:.0f} % of runs up to %{x:.2f}"
         data.append(curve(name, x, share, line=line_style(name), hovertemplate=hover, **own))

@@ -24,7 +24,7 @@ MADV_COLD = 20
 """Advice of `madvise` to evict pages, as MADV_PAGEOUT (21)."""
 
 
-class Condition(NamedTuple):
+class _When(NamedTuple):
     """A call is refused if `argument & mask == value`, or if it differs where not `equal`."""
 
     argument: int
@@ -42,10 +42,10 @@ class Rule(NamedTuple):
     name: str
     numbers: tuple[int, int]
     error: int = errno.EPERM
-    when: Condition | None = None
+    when: _When | None = None
 
 
-FLAGS_SET = Condition(5, 0xFFFFFFFF, 0, equal=False)
+FLAGS_SET = _When(5, 0xFFFFFFFF, 0, equal=False)
 
 RULES = (
     # keyrings belong to a user, not to a process
@@ -59,15 +59,15 @@ RULES = (
     Rule("cachestat", (451, 451), errno.ENOSYS),
     Rule("fadvise64", (221, 223), 0),
     Rule("readahead", (187, 213), 0),
-    Rule("madvise", (28, 233), 0, Condition(2, 0xFFFFFFFE, MADV_COLD, equal=True)),
+    Rule("madvise", (28, 233), 0, _When(2, 0xFFFFFFFE, MADV_COLD, equal=True)),
     # memory that is part of no process
     Rule("memfd_create", (319, 279), errno.ENOSYS),
     Rule("memfd_secret", (447, 447), errno.ENOSYS),
     Rule("shmget", (29, 194), errno.ENOSYS),
-    Rule("mmap", (9, 222), when=Condition(3, SHARED_ANONYMOUS, SHARED_ANONYMOUS, equal=True)),
+    Rule("mmap", (9, 222), when=_When(3, SHARED_ANONYMOUS, SHARED_ANONYMOUS, equal=True)),
     # namespaces, without which nothing can be mounted; clone3 hides its flags in memory, and
     # libraries fall back to clone
-    Rule("clone", (56, 220), when=Condition(0, NEW_NAMESPACES, 0, equal=False)),
+    Rule("clone", (56, 220), when=_When(0, NEW_NAMESPACES, 0, equal=False)),
     Rule("clone3", (435, 435), errno.ENOSYS),
     Rule("unshare", (272, 97)),
     Rule("setns", (308, 268)),

@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from road_envs.core.config import ConfigError
-from road_envs.drives.logger_tables.channels import Channels, Findings
+from road_envs.drives.logger_tables.channels import Channels, TableFindings
 from road_envs.drives.logger_tables.clock import (
     MAX_LOST_SHARE,
     check_rate,
@@ -134,7 +134,7 @@ def to_measured_record(
     table: Table, wheelbase: float, description: DriveDescription, car: VehicleParameters | None
 ) -> MeasuredRecord:
     """Return the record in a table, as `read_measured_record` does. Raises ConfigError."""
-    findings = Findings()
+    findings = TableFindings()
     one_device = description.layout is not None and description.accelerometers is None
     instruments = load_instruments(description.sensors or ("phone" if one_device else "paper"))
     if description.layout is not None:
@@ -183,14 +183,14 @@ def to_measured_record(
     return MeasuredRecord(record, notes, float(chainage), position, 1.0 / dt, has_distance)
 
 
-def _check_different(columns: Mapping[str | None, np.ndarray], findings: Findings) -> None:
+def _check_different(columns: Mapping[str | None, np.ndarray], findings: TableFindings) -> None:
     """Add a problem for each two columns (N,) that are equal."""
     for (one, x), (other, y) in itertools.combinations(columns.items(), 2):
         if np.array_equal(x, y, equal_nan=True):
             findings.problems.append(f"{one} and {other} are equal in all rows")
 
 
-def _new_samples(a: np.ndarray, findings: Findings) -> np.ndarray:
+def _new_samples(a: np.ndarray, findings: TableFindings) -> np.ndarray:
     """Return which rows (N,) of channels (K, N) are samples: all, or those with new values where a
     logger repeats those of slower sensors.
     """
@@ -206,7 +206,7 @@ def _new_samples(a: np.ndarray, findings: Findings) -> np.ndarray:
 
 
 def _commands(
-    channels: Channels, findings: Findings, car: VehicleParameters | None
+    channels: Channels, findings: TableFindings, car: VehicleParameters | None
 ) -> np.ndarray | None:
     """Return the command bytes (N,) of the strut states, None if unknown."""
     mode, size = channels.description.mode, len(next(iter(channels.table.values()), ()))

@@ -161,7 +161,7 @@ def _read_record(
         raise ConfigError(f"{path} contains all that belongs to the drive: leave out {left}")
     name = chosen.vehicle or DEFAULT_VEHICLE
     car = load_vehicle(name)
-    record = with_layout(read_record(path)[0], chosen.sensors, path)
+    record = _with_layout(read_record(path)[0], chosen.sensors, path)
     check_modes(record, car)
     sensors = chosen.sensors or DEFAULT_SENSORS
     return DriveFile(
@@ -169,7 +169,7 @@ def _read_record(
     )
 
 
-def with_layout(record: Record, sensors: str | None, path: Path) -> Record:
+def _with_layout(record: Record, sensors: str | None, path: Path) -> Record:
     """Return a record with the accelerometers of the instruments `sensors`, if they are given.
 
     Raises ConfigError if they have other names.

@@ -116,7 +116,7 @@ class Corpus(Settings):
     def _simulate(self, rng: np.random.Generator, nominal: bool) -> CorpusDrive:
         length = 10.0 * rng.integers(self.shortest // 10, self.longest // 10 + 1)
         surface = draw_road(rng, length).realise(rng)
-        front, rear = draw_modes(rng)  # drawn for every car, so that seeds keep their roads
+        front, rear = _draw_modes(rng)  # drawn for every car, so that seeds keep their roads
         mode = None if self.vehicle.is_passive else {"front": front, "rear": rear}
         grade = str(rng.choice(list(GRADE_SHARES), p=list(GRADE_SHARES.values())))
         deviation_scale = rng.uniform() if grade == "S0" else 0.0  # the others have their own
@@ -192,10 +192,10 @@ def draw_road(rng: np.random.Generator, length: float) -> Road:
     if kind < 0.85:
         return Scaled(road=Belgian(length=length), height_factor=rng.uniform(0.5, 1.3))
     smooth = dataclasses.replace(plain, G_d0=float(rng.uniform(0.3, 1.0) * CLASSES["B"]))
-    return Superposed(roads=(smooth, draw_obstacles(rng, length)))
+    return Superposed(roads=(smooth, _draw_obstacles(rng, length)))
 
 
-def draw_obstacles(rng: np.random.Generator, length: float) -> Road:
+def _draw_obstacles(rng: np.random.Generator, length: float) -> Road:
     """Draw potholes, humps or the paper's bumps, of random sizes, on a level road."""
     kind = rng.uniform()
     if kind < 0.35:
@@ -223,7 +223,7 @@ def _hump(rng: np.random.Generator, length: float) -> Defect:
     )
 
 
-def draw_modes(rng: np.random.Generator) -> tuple[str, str]:
+def _draw_modes(rng: np.random.Generator) -> tuple[str, str]:
     """Draw the states of the struts in front and at the rear."""
     kind = rng.uniform()
     if kind < 0.5:

@@ -51,7 +51,7 @@ road of class A give 0.3.
 
 
 @dataclass
-class Findings:
+class TableFindings:
     """Problems, which are reported together, and notes on assumptions and corrections."""
 
     problems: list[str] = field(default_factory=list)
@@ -87,7 +87,7 @@ class Channels:
         self,
         table: Table,
         description: DriveDescription,
-        findings: Findings,
+        findings: TableFindings,
         accelerometers: Iterable[str] = SENSORS,
     ):
         description.check_names(accelerometers)

@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 
 from road_envs.core.config import ConfigError, shown
-from road_envs.drives.logger_tables.channels import Channels, Findings
+from road_envs.drives.logger_tables.channels import Channels, TableFindings
 from road_envs.drives.logger_tables.table import numeric_values, to_si
 from road_envs.records import units
 from road_envs.records.record import F_C
@@ -62,7 +62,7 @@ class Clock(NamedTuple):
     epoch: float | None
 
 
-def read_clock(channels: Channels, findings: Findings) -> Clock | None:
+def read_clock(channels: Channels, findings: TableFindings) -> Clock | None:
     """Return the clock of a table; None if there is none, which is added to the problems."""
     header = channels.headers["t"]
     if header is None:
@@ -97,7 +97,7 @@ def read_clock(channels: Channels, findings: Findings) -> Clock | None:
     return Clock(t - t[0], float(t[0]) if t.size and t[0] > Y2001 else None)
 
 
-def _seconds(column: Any, unit: str | None, findings: Findings) -> np.ndarray:
+def _seconds(column: Any, unit: str | None, findings: TableFindings) -> np.ndarray:
     """Return times [s] of numbers, calendar dates or times of the day; NaN where empty."""
     import pandas as pd
     import pyarrow as pa
@@ -143,7 +143,7 @@ def _epoch(stamps: Any) -> np.ndarray:
     return np.where(stamps.isna().to_numpy(), np.nan, x)
 
 
-def check_rate(t: np.ndarray, findings: Findings) -> float:
+def check_rate(t: np.ndarray, findings: TableFindings) -> float:
     """Return the sampling interval [s] of the times `t` (N,); problems are added."""
     if t.size < MIN_SAMPLES:
         findings.problems.append(
@@ -176,7 +176,7 @@ def check_rate(t: np.ndarray, findings: Findings) -> float:
 
 
 def resample(
-    t: np.ndarray, a: np.ndarray, dt: float, findings: Findings
+    t: np.ndarray, a: np.ndarray, dt: float, findings: TableFindings
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return a clock (M,) [s] and the channels `a` (k, N) on it, NaN where samples are lost.
 

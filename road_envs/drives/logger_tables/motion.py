@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from road_envs.drives.logger_tables.channels import Channels, Findings
+from road_envs.drives.logger_tables.channels import Channels, TableFindings
 
 EARTH_RADIUS = 6_371_008.8
 """Mean radius of the earth [m]."""
@@ -46,7 +46,7 @@ class DrivenMotion(NamedTuple):
 
 
 def read_motion(
-    channels: Channels, t_rows: np.ndarray, t: np.ndarray, findings: Findings
+    channels: Channels, t_rows: np.ndarray, t: np.ndarray, findings: TableFindings
 ) -> DrivenMotion | None:
     """Return the motion at the times `t` (N,) of a table with rows at `t_rows` [s].
 
@@ -77,7 +77,7 @@ def read_motion(
         return None
     if whole is not None:
         v = np.full(t.size, whole / 3.6)
-    track = None if position is None else track_length(position)
+    track = None if position is None else _track_length(position)
     if v is None and s is None and track is None:
         findings.problems.append(
             "the speed is missing: give one of the columns v [m/s], v_kmh, s [m], or lat and lon, "
@@ -87,7 +87,7 @@ def read_motion(
         return None
     if s is None and v is None and position is not None:
         findings.notes.append("speed and distance are those of the positions")
-        track = track_length(np.array([_smoothed(x, t, 2.0) for x in position]))
+        track = _track_length(np.array([_smoothed(x, t, 2.0) for x in position]))
     if s is None and v is not None and position is not None:
         v = _calibrated(t, v, position, findings)
     distance = s if s is not None else integrate(t, v) if v is not None else track
@@ -103,7 +103,7 @@ def integrate(t: np.ndarray, v: np.ndarray) -> np.ndarray:
     return np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t))])
 
 
-def track_length(position: np.ndarray) -> np.ndarray:
+def _track_length(position: np.ndarray) -> np.ndarray:
     """Return the distance [m] along latitudes and longitudes (2, N) [°] on a sphere."""
     lat, lon = np.radians(position)
     x = np.diff(np.unwrap(lon)) * np.cos(0.5 * (lat[1:] + lat[:-1]))
@@ -111,14 +111,14 @@ def track_length(position: np.ndarray) -> np.ndarray:
 
 
 def _calibrated(
-    t: np.ndarray, v: np.ndarray, position: np.ndarray, findings: Findings
+    t: np.ndarray, v: np.ndarray, position: np.ndarray, findings: TableFindings
 ) -> np.ndarray:
     """Return the speed, scaled towards the length of the track as far as that is known better."""
     smooth = np.array([_smoothed(x, t, TRACK_SMOOTHING) for x in position])
     middle = (t >= t[0] + TRACK_SMOOTHING) & (t <= t[-1] - TRACK_SMOOTHING)
     if middle.sum() < 2:
         return v
-    track = track_length(smooth[:, middle])[-1]
+    track = _track_length(smooth[:, middle])[-1]
     error = track / max(integrate(t[middle], v[middle])[-1], 1e-9) - 1.0
     weight = 1.0 / (1.0 + (POSITION_ERROR / (SPEED_ERROR * max(track, 1e-9))) ** 2)
     scale = 1.0 + weight * error
@@ -131,7 +131,7 @@ def _calibrated(
 
 
 def _at(
-    channels: Channels, name: str, t_rows: np.ndarray, t: np.ndarray, findings: Findings
+    channels: Channels, name: str, t_rows: np.ndarray, t: np.ndarray, findings: TableFindings
 ) -> np.ndarray | None:
     """Return a slow channel interpolated to the times `t`; None if it cannot be read."""
     if (x := channels.numbers(name)) is None:
@@ -218,7 +218,7 @@ def _check(
     s: np.ndarray,
     track: np.ndarray | None,
     has_odometer: bool,
-    findings: Findings,
+    findings: TableFindings,
 ) -> None:
     """Add problems of a motion that no drive has."""
     problems, top = findings.problems, float(v.max())

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from road_envs.core.config import ConfigError
-from road_envs.drives.logger_tables.channels import Channels, Findings
+from road_envs.drives.logger_tables.channels import Channels, TableFindings
 from road_envs.drives.logger_tables.clock import read_clock
 from road_envs.drives.logger_tables.description import PREFIX, DriveDescription
 from road_envs.drives.logger_tables.table import Table, numeric_values
@@ -66,7 +66,7 @@ def to_recording(
     name: str, table: Table, axes: Axes, description: DriveDescription, track_needed: bool = True
 ) -> Recording:
     """Return the recording in a table with three axes. Raises ConfigError."""
-    findings = Findings()
+    findings = TableFindings()
     channels = Channels(table, description, findings)
     clock = read_clock(channels, findings)
     x = np.column_stack([_acceleration(table, h, findings) for h in axes.headers])
@@ -90,7 +90,7 @@ def to_recording(
     )
 
 
-def _acceleration(table: Table, header: str, findings: Findings) -> np.ndarray:
+def _acceleration(table: Table, header: str, findings: TableFindings) -> np.ndarray:
     try:
         x = numeric_values(table[header])
         unit = units.split_header(header)[1]

@@ -21,7 +21,7 @@ import numpy as np
 
 from road_envs.core.config import ConfigError
 from road_envs.core.reading import parsing
-from road_envs.drives.logger_tables.channels import Channels, Findings
+from road_envs.drives.logger_tables.channels import Channels, TableFindings
 from road_envs.drives.logger_tables.clock import read_clock
 from road_envs.drives.logger_tables.description import DriveDescription
 from road_envs.drives.logger_tables.table import MAX_BYTES, Table, read_table
@@ -196,7 +196,7 @@ def _track_of(table: Table) -> tuple[Series, float | None] | None:
 
     Raises ConfigError.
     """
-    findings = Findings()
+    findings = TableFindings()
     channels = Channels(table, DriveDescription(), findings)
     names = [key for key in ("lat", "lon", "v", "s") if key in channels]
     if "t" not in channels or not names:
