@@ -126,7 +126,7 @@ class DriveSet(Settings):
         """Roads to drive, each with the seed of its realisation."""
         # equal seeds would give correlated roads, so the k-th road of the list adds k * SEED_STRIDE
         pairs = [
-            (self._with_length(road), seed + k * SEED_STRIDE)
+            (_at_length(road, self.length), seed + k * SEED_STRIDE)
             for seed in self.seeds
             for k, road in enumerate(self.roads)
         ]
@@ -154,9 +154,6 @@ class DriveSet(Settings):
         kinds = [self.families[k % len(self.roads)] for k in range(len(self.roads_and_seeds))]
         return [k for k, kind in enumerate(kinds) if kind == family]
 
-    def _with_length(self, road: Road) -> Road:
-        return road if self.length is None else with_length(road, self.length)
-
 
 @dataclass(frozen=True, kw_only=True)
 class _CalibrationRun(_ModeAndSpeed):
@@ -174,7 +171,7 @@ class _CalibrationRun(_ModeAndSpeed):
     @property
     def driven_road(self) -> Road:
         """The road at the length that is driven."""
-        return self.road if self.length is None else with_length(self.road, self.length)
+        return _at_length(self.road, self.length)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -282,7 +279,7 @@ class Task(Settings):
     def individual(self, index: int, grade: Grade) -> PerturbedVehicle:
         """Return the vehicle of a `grade` on the test road of this index in `roads_and_seeds`."""
         _, seed = self.test.roads_and_seeds[index]
-        return perturb_vehicle(self.vehicle, grade, individual_seed(seed))
+        return perturb_vehicle(self.vehicle, grade, np.random.SeedSequence(seed))
 
     def drives_of(self, drives: DriveSet, condition: Condition) -> list[tuple[int, Road, int]]:
         """Return index, road and seed of the training or test drives under a condition."""
@@ -334,11 +331,6 @@ class Task(Settings):
         return any(_base_road(road) in map(_base_road, fixed) for road in self.training.roads)
 
 
-def individual_seed(road_seed: int) -> np.random.SeedSequence:
-    """Return the seed of the vehicle on a test road, in all its drives and under all conditions."""
-    return np.random.SeedSequence(road_seed)
-
-
 def load_task(name: str | Path) -> Task:
     """Load a task by shipped name or YAML path. Raises ConfigError."""
     task = config.load(Task, "tasks", name)
@@ -359,6 +351,10 @@ def shipped_tasks(board: str | None = None) -> list[Task]:
     """Return all shipped tasks, or those of one board, ordered by name."""
     tasks = [load_task(name) for name in config.names("tasks")]
     return [task for task in tasks if board in (None, task.board_name)]
+
+
+def _at_length(road: Road, length: float | None) -> Road:
+    return road if length is None else with_length(road, length)
 
 
 def _is_random(road: Road) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 
 from estimators.api import CalibrationDrive
 from leaderboard.evaluation.kept_drives import kept_drive
-from leaderboard.evaluation.tasks import Condition, DriveSet, Task, individual_seed
+from leaderboard.evaluation.tasks import Condition, DriveSet, Task
 from road_envs.drives.recording import simulate_record
 from road_envs.kernels.filters import LOW_PASS_ORDER, preprocess_accelerations
 from road_envs.records.record import LowPass, Profile, Record
@@ -86,7 +86,7 @@ def _vehicle(task: Task, drives: DriveSet, condition: Condition, seed: int) -> d
     return {
         "vehicle": task.vehicle_of(condition),
         "instruments": instruments,
-        "individual": individual_seed(seed),
+        "individual": np.random.SeedSequence(seed),
         "step": drives.step,
         "grade": task.grade(drives, condition),
     }

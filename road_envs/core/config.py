@@ -49,6 +49,8 @@ MAX_SHOWN = 200
 UNKNOWN_KEY = "unexpected_keyword_argument"
 """Pydantic's type of this error."""
 
+_validator = cache(TypeAdapter)
+
 
 class ConfigError(ValueError):
     """Invalid input. The message is one sentence that names the value and the valid choices."""
@@ -238,11 +240,6 @@ def _range_adapters(cls: Any) -> dict[str, TypeAdapter]:
     return {name: _validator(_unnoted(h)) for name, h in hints.items() if _is_constrained(h)}
 
 
-@cache
-def _validator(hint: Any) -> TypeAdapter:
-    return TypeAdapter(hint)
-
-
 def _unnoted(hint: Any) -> Any:
     """Return a type without unit and meaning: fields of one range then share a validator."""
     rules = tuple(note for note in getattr(hint, "__metadata__", ()) if not isinstance(note, str))
@@ -295,26 +292,26 @@ def _describe(errors: Sequence[Mapping[str, Any]], cls: type) -> str:
     return (f"{at}: {text}" if at else text) + more
 
 
-EXPECTED = {
+YAML_KINDS = {
     "bool": "true or false",
     "dataclass": "a mapping of keys to values",
     "dict": "a mapping of keys to values",
     "float": "a number",
     "int": "a whole number",
     "list": "a list",
+    "str": "text",
     "string": "text",
     "tuple": "a list",
+    "NoneType": "nothing",
 }
-"""What a value must be, by the first word of Pydantic's type of the error."""
+"""Kinds of YAML values in plain words, by the names that Python and Pydantic have for them."""
 
 
 def _expected(error: Mapping[str, Any]) -> str:
     """Return what a value must be, in the words of a YAML file instead of Pydantic's."""
     if error["type"] == "literal_error":
         return f"must be {error['ctx']['expected']}"
-    if "too_long" in error["type"]:
-        return f"must have at most {error['ctx']['max_length']} elements"
-    expected = EXPECTED.get(error["type"].partition("_")[0])
+    expected = YAML_KINDS.get(error["type"].partition("_")[0])
     return f"must be {expected}" if expected else "is of a wrong kind"
 
 
@@ -338,6 +335,8 @@ def _range_of(error: Mapping[str, Any]) -> str:
             return f"be below {limit:g}"
         case "less_than_equal", {"le": limit}:
             return f"be at most {limit:g}"
+        case "too_long", {"max_length": limit}:
+            return f"have at most {limit} elements"
         case "too_short", {"min_length": limit}:
             return f"have at least {limit} element" + "s" * (limit > 1)
     return ""
@@ -373,8 +372,7 @@ def _tagged(hint: Any) -> dict[Any, Any]:
     """Return the branches of a union by their tags; empty if the type is none of tagged ones."""
     while get_origin(hint) is Annotated:
         hint = get_args(hint)[0]
-    branches = get_args(hint) if get_origin(hint) in (Union, UnionType) else ()
-    tags = [(note, b) for b in branches for note in getattr(b, "__metadata__", ())]
+    tags = [(note, b) for b in _branches(hint) for note in getattr(b, "__metadata__", ())]
     return {note.tag: branch for note, branch in tags if isinstance(note, Tag)}
 
 
@@ -382,10 +380,12 @@ def _bare(hint: Any) -> Any:
     """Return a type without annotations; of a union its dataclass, or else its first type."""
     if get_origin(hint) is Annotated:
         return _bare(get_args(hint)[0])
-    if get_origin(hint) in (Union, UnionType):
-        types = [_bare(arg) for arg in get_args(hint)]
-        return next(filter(dataclasses.is_dataclass, types), types[0])
-    return hint
+    types = [_bare(branch) for branch in _branches(hint)] or [hint]
+    return next(filter(dataclasses.is_dataclass, types), types[0])
+
+
+def _branches(hint: Any) -> tuple[Any, ...]:
+    return get_args(hint) if get_origin(hint) in (Union, UnionType) else ()
 
 
 def shown(value: object) -> str:
@@ -396,12 +396,4 @@ def shown(value: object) -> str:
 
 def _type_name(value: object) -> str:
     """Return the type of a YAML value in plain words."""
-    return {
-        "str": "text",
-        "int": "a whole number",
-        "float": "a number",
-        "bool": "true/false",
-        "list": "a list",
-        "dict": "a mapping",
-        "NoneType": "nothing",
-    }.get(type(value).__name__, type(value).__name__)
+    return YAML_KINDS.get(type(value).__name__, type(value).__name__)

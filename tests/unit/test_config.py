@@ -67,7 +67,7 @@ VEHICLE_FAULTS = [
     ("m_b", GONE, "car.yaml: m_b: missing"),
     ("strut.damper.ride.F", GONE, "car.yaml: strut.damper.ride.F: missing"),
     ("m_b", "16e-6", "car.yaml: m_b: must be a number, got '16e-6' (text)"),
-    ("m_b", True, "car.yaml: m_b: must be a number, got True (true/false)"),
+    ("m_b", True, "car.yaml: m_b: must be a number, got True (true or false)"),
     ("m_b", None, "car.yaml: m_b: must be a number, got None (nothing)"),
     ("m_b", [1.0], "car.yaml: m_b: must be a number, got [1.0] (a list)"),
     ("name", 110, "car.yaml: name: must be text, got 110 (a whole number)"),
