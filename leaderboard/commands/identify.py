@@ -16,7 +16,7 @@ from leaderboard.commands.drive_files import DriveOptions, read_passes
 from leaderboard.commands.options import KnownRoads
 from leaderboard.commands.output import Output
 from leaderboard.drive_report.drive_estimates import read_profiles
-from leaderboard.report import identification_plot
+from leaderboard.report import plots
 from road_envs.vehicle.parameters import write_vehicle
 
 UNDETERMINED = 0.9
@@ -62,7 +62,7 @@ def identify(
         names = ", ".join(path.name for path in records)
         write_vehicle(out, result.car, f"Identified by `road-recon identify` from {names}.")
     if plot:
-        identification_plot.draw_identification(result, [f.name for f in files], plot)
+        plots.draw_identification(result, [f.name for f in files], plot)
     told = [*notes, *(f"written: {path}" for path in (out, plot) if path)]
     shows = [*_tables(result, [file.name for file in files]), *(f"- {note}" for note in told)]
     return Output(facts={**_facts(result), "notes": notes}, shows=shows)

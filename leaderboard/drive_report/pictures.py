@@ -8,8 +8,7 @@ import numpy as np
 from leaderboard.drive_report.analysis import DriveResult
 from leaderboard.drive_report.conditions import Conditions
 from leaderboard.metrics.heights import band_pass
-from leaderboard.report.plots import COLOURS, SIDES, draw_classes
-from leaderboard.report.svg import inline_svg
+from leaderboard.report.plots import COLOURS, SIDES, draw_classes, inline_svg
 from road_envs.records.record import scored_band
 from road_envs.records.roughness import displacement_psd, smooth_psd
 

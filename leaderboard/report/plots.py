@@ -1,11 +1,14 @@
-"""Plots of roads, drives and estimates for the command line; matplotlib is imported on use.
+"""Plots for the command line and for pages; matplotlib is imported on use.
 
 The colours are those of Okabe & Ito (2008), which colour-blind readers can distinguish.
 """
 
-from collections.abc import Callable
+import hashlib
+import io
+import re
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,8 +20,22 @@ from road_envs.records.record import Estimate, Profile, Record, scored_band
 from road_envs.records.roughness import CLASSES, N_0, displacement_psd, smooth_psd
 from road_envs.roads import Surface
 
+if TYPE_CHECKING:
+    from estimators.map_smoother.identification import IdentificationResult
+
 COLOURS = {"left": "#0072B2", "right": "#D55E00", "truth": "#222222", "sensor": "#009E73"}
 SIDES = ("left", "right")
+
+SVG_STYLE: Any = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "roadrecon",
+    "font.size": 8.5,
+    "axes.linewidth": 0.6,
+    "axes.titlesize": 9.0,
+    "axes.titlelocation": "left",
+    "path.simplify_threshold": 0.5,
+}
+"""Matplotlib style of the figures of a page."""
 
 
 def draw_road(surface: Surface, path: Path) -> None:
@@ -177,6 +194,38 @@ def draw_observability(
     write_figure(paint, (5.5 * len(speeds) + 0.5, 7.0), path)
 
 
+def draw_identification(result: "IdentificationResult", drives: Sequence[str], path: Path) -> None:
+    """Draw the unexplained spectra of the held-out readings, and the parameters with intervals."""
+
+    def paint(figure: Any) -> None:
+        spectrum, parameters = figure.subplots(1, 2, width_ratios=(1, 1.1))
+        for k, (described, fitted) in enumerate(result.unexplained):
+            for part, colour, what in (
+                (described, COLOURS["right"], "described"),
+                (fitted, COLOURS["left"], "identified"),
+            ):
+                label = f"{what} vehicle" if k == 0 else None
+                spectrum.plot(part.f[1:], part.spectrum[1:], color=colour, lw=1.2, label=label)
+        spectrum.set(
+            xscale="log", yscale="log", xlabel="frequency [Hz]",
+            ylabel="unexplained power per Hz / noise variance",
+            title="held-out readings of " + ", ".join(drives),
+        )  # fmt: skip
+        spectrum.legend(frameon=False)
+        size = result.fit.space.size
+        x, std, rows = result.fit.x[:size], result.std[:size], np.arange(size)
+        parameters.axvspan(-1.0, 1.0, color="0.93", lw=0)
+        parameters.errorbar(x, rows, xerr=2.0 * std, fmt="o", ms=3.5, color=COLOURS["left"], lw=1.0)
+        parameters.set(
+            xlabel="deviation from the description, in tolerances (± 2 standard deviations)",
+            ylim=(size - 0.5, -0.5), xlim=(-5.0, 5.0),
+        )  # fmt: skip
+        parameters.set_yticks(rows, result.names[:size], fontsize=7)
+        parameters.set_title("parameters; grey: within one tolerance")
+
+    write_figure(paint, (12.0, 6.0), path)
+
+
 def make_figure(paint: Callable[[Any], None], size: tuple[float, float]) -> Any:
     """Return a matplotlib figure of `size` [inch] that `paint` has filled."""
     with optional_import("a figure"):
@@ -200,3 +249,30 @@ def _save_figure(figure: Any, path: Path) -> None:
     """Write a figure in the format of the path's suffix, whole or not at all."""
     with atomic_write(path) as partial:
         figure.savefig(partial, format=path.suffix.removeprefix("."))
+
+
+def _page_figure(paint: Callable[[Any], None], size: tuple[float, float]) -> Any:
+    """Return a figure of `size` [inch] that `paint` has filled, in the SVG_STYLE of a page."""
+    with optional_import("a figure"):
+        import matplotlib
+
+    with matplotlib.rc_context(SVG_STYLE):
+        return make_figure(paint, size)
+
+
+def inline_svg(paint: Callable[[Any], None], size: tuple[float, float]) -> str:
+    """Return `_page_figure` as SVG, without size and fonts; equal figures give equal text."""
+    figure, buffer = _page_figure(paint, size), io.StringIO()
+    import matplotlib
+
+    with matplotlib.rc_context(SVG_STYLE):
+        figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
+    svg = buffer.getvalue()
+    svg = re.sub(r"\s+", " ", svg[svg.index("<svg") :]).replace("> <", "><")
+    svg = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>", "", svg)
+    svg = re.sub(r'width="[\d.]+pt" height="[\d.]+pt" ', "", svg, count=1)
+    svg = re.sub(r"font-family: [^;\"]*;? ?|(?<=<g) id=\"[^\"]*\"", "", svg)
+    svg = re.sub(r"(\d\.\d\d)\d+", r"\1", svg)  # two decimals are enough for a screen
+    # ids must be unique in a page with several figures
+    unique = hashlib.sha256(svg.encode()).hexdigest()[:8]
+    return re.sub(r'((?:id="|#)[mph])([0-9a-f]{10})', rf"\g<1>{unique}\g<2>", svg)

@@ -12,7 +12,7 @@ from road_envs.rendering.rear import RearView
 from road_envs.rendering.scene import Scene
 from road_envs.rendering.side import SideView
 
-__all__ = ["HEIGHT", "WIDTH", "Scene", "frame"]
+__all__ = ["HEIGHT", "WIDTH", "Scene", "render_frame"]
 
 WIDTH, HEIGHT = 960, 540
 

@@ -12,8 +12,8 @@ from leaderboard.evaluation.bound import nrmse_bound
 from leaderboard.evaluation.provenance import describe_environment, package_version
 from leaderboard.metrics.api import UNDEFINED
 from leaderboard.metrics.level import EQ_12_RAW
+from leaderboard.report.plots import inline_svg
 from leaderboard.report.rendering import render
-from leaderboard.report.svg import inline_svg
 from road_envs.core.atomic_io import write_text
 from studies.paper.claims import claims, key_findings
 from studies.paper.figures import paper_figures

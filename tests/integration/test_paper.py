@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from estimators.networks.static_lm import StaticLm
 from leaderboard.metrics.registry import SCORES
-from leaderboard.report.svg import _page_figure
+from leaderboard.report.plots import _page_figure
 from studies.paper import claims as statements
 from studies.paper import report, study
 from studies.paper.__main__ import paper

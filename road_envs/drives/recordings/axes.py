@@ -10,7 +10,7 @@ from road_envs.drives.logger_tables.channels import Channels, TableFindings
 from road_envs.drives.logger_tables.clock import read_clock
 from road_envs.drives.logger_tables.description import PREFIX, DriveDescription
 from road_envs.drives.logger_tables.table import Table, numeric_values
-from road_envs.drives.recordings.recording import Recording, Series
+from road_envs.drives.recordings.recording import Recording, Series, make_track
 from road_envs.records import units
 
 AXIS = re.compile(r"(?P<before>.*?)[ _.\-]*(?P<axis>[xyz])(?P<after>[ _.\-]*(acc\w*)?)")
@@ -62,21 +62,17 @@ def _is_linear(key: str) -> bool:
     return any(word in key for word in LINEAR) and key != "linear acceleration"
 
 
-def to_recording(
-    name: str, table: Table, axes: Axes, description: DriveDescription, track_needed: bool = True
-) -> Recording:
+def to_recording(name: str, table: Table, axes: Axes, description: DriveDescription) -> Recording:
     """Return the recording in a table with three axes. Raises ConfigError."""
     findings = TableFindings()
     channels = Channels(table, description, findings)
     clock = read_clock(channels, findings)
     x = np.column_stack([_acceleration(table, h, findings) for h in axes.headers])
-    columns = [
-        channels.numbers(key) if key in channels else None for key in ("lat", "lon", "v", "s")
-    ]
+    names = ("lat", "lon", "v", "s")
+    columns = [channels.numbers(key) if key in channels else None for key in names]
     findings.raise_problems()
     assert clock is not None
-    nothing = np.full(clock.t.size, np.nan)
-    track = np.column_stack([nothing if c is None else c for c in columns])
+    track = make_track(clock.t, *columns).x
     slow, fast = np.isfinite(track).any(axis=1), np.isfinite(x).all(axis=1)
     return Recording(
         name=name,

@@ -17,8 +17,6 @@ from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
-import numpy as np
-
 from road_envs.core.config import ConfigError
 from road_envs.core.reading import parsing
 from road_envs.drives.logger_tables.channels import Channels, TableFindings
@@ -37,7 +35,7 @@ from road_envs.drives.recordings import (
     sensor_logger,
     vbox,
 )
-from road_envs.drives.recordings.recording import Recording, Series
+from road_envs.drives.recordings.recording import Recording, Series, make_track
 
 READ = (
     "zip files and folders of phyphox and Sensor Logger, or of a table with three axes and one "
@@ -205,6 +203,4 @@ def _track_of(table: Table) -> tuple[Series, float | None] | None:
     columns = {key: channels.numbers(key) for key in names}
     findings.raise_problems()
     assert clock is not None
-    nothing = np.full(clock.t.size, np.nan)
-    x = [columns.get(key, nothing) for key in ("lat", "lon", "v", "s")]
-    return Series(clock.t, np.column_stack([nothing if c is None else c for c in x])), clock.epoch
+    return make_track(clock.t, **columns), clock.epoch

@@ -16,7 +16,7 @@ import numpy as np
 from road_envs.core.config import ConfigError
 from road_envs.drives.logger_tables.table import Table
 from road_envs.drives.recordings.member_tables import find_member, number_column, parse_member
-from road_envs.drives.recordings.recording import Recording, Series
+from road_envs.drives.recordings.recording import Recording, Series, make_track
 
 AXES = (("X", "Y", "Z"), ("Acceleration x", "Acceleration y", "Acceleration z"))
 LINEAR_AXES = tuple(f"Linear Acceleration {axis}" for axis in "xyz")
@@ -62,14 +62,8 @@ def _track(file: str, data: bytes) -> Series | None:
     t = number_column(table, "Time", "time", file)
     if t is None:
         return None
-    columns = [
-        number_column(table, "Latitude", "angle", file),
-        number_column(table, "Longitude", "angle", file),
-        number_column(table, "Velocity", "speed", file),
-        None,
-    ]
-    nothing = np.full(t.size, np.nan)
-    return Series(t, np.column_stack([nothing if x is None else x for x in columns]))
+    lat, lon = (number_column(table, key, "angle", file) for key in ("Latitude", "Longitude"))
+    return make_track(t, lat, lon, number_column(table, "Velocity", "speed", file))
 
 
 def _events(members: Mapping[str, bytes]) -> tuple[float | None, tuple[float, ...]]:

@@ -41,6 +41,18 @@ class Series:
         return Series(self.t[inside], self.x[inside])
 
 
+def make_track(
+    t: np.ndarray,
+    lat: np.ndarray | None = None,
+    lon: np.ndarray | None = None,
+    v: np.ndarray | None = None,
+    s: np.ndarray | None = None,
+) -> Series:
+    """Return the track (N, 4) of columns (N,), NaN for those that are not known."""
+    nothing = np.full(t.size, np.nan)
+    return Series(t, np.column_stack([nothing if x is None else x for x in (lat, lon, v, s)]))
+
+
 @dataclass(frozen=True, kw_only=True)
 class Recording:
     """Accelerations (N, 3) [m/s²] along the axes of a device, with gravity unless it `lacks` it.

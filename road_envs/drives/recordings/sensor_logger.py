@@ -14,7 +14,7 @@ import numpy as np
 
 from road_envs.core.config import ConfigError
 from road_envs.drives.recordings.member_tables import find_member, number_column, parse_member
-from road_envs.drives.recordings.recording import Recording, Series
+from road_envs.drives.recordings.recording import Recording, Series, make_track
 
 TOTAL, LINEAR, GRAVITY = "TotalAcceleration.csv", "Accelerometer.csv", "Gravity.csv"
 LOCATION = ("Location.csv", "LocationGps.csv")
@@ -77,9 +77,7 @@ def _track(members: Mapping[str, bytes], zero: float | None) -> Series | None:
     if zero is not None and np.isfinite(epoch):
         t = t + (epoch - zero)
     speed = number_column(table, "speed", "speed", file)
-    nothing = np.full(t.size, np.nan)
-    v = nothing if speed is None else np.where(speed < 0.0, np.nan, speed)
+    v = None if speed is None else np.where(speed < 0.0, np.nan, speed)
     lat, lon = (number_column(table, key, "angle", file) for key in ("latitude", "longitude"))
-    columns = [nothing if x is None else x for x in (lat, lon, v, None)]
-    order = np.argsort(t, kind="stable")
-    return Series(t[order], np.column_stack(columns)[order])
+    track, order = make_track(t, lat, lon, v), np.argsort(t, kind="stable")
+    return Series(t[order], track.x[order])
