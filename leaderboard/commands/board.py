@@ -37,10 +37,11 @@ from leaderboard.evaluation.tasks import Task, load_task, shipped_tasks
 from leaderboard.metrics.baselines import ALL_BASELINES
 from leaderboard.report.attainable import with_attainable
 from leaderboard.report.board_definitions import board_columns
+from leaderboard.report.export import as_json
 from leaderboard.report.rendering import BOARD_PAGE, write_pending
 from leaderboard.report.sentences import build_report
 from leaderboard.report.site import write_site
-from leaderboard.report.terminal import as_json, print_tables
+from leaderboard.report.terminal import print_tables
 from leaderboard.running.board import RunRequest, run_board, write_jobs
 from leaderboard.running.dask_executor import DaskExecutor
 from leaderboard.running.executors import ProcessExecutor
@@ -177,7 +178,7 @@ def leaderboard(
         report = build_report(evaluated)
         page = write_site(evaluated, report, out)
     if json:
-        print_json(as_json(report))
+        print_json(as_json(report.views))
     else:
         print_tables(report, console)
         scored = [row for task in evaluated.tasks for row in evaluated.scored(task)]

@@ -1,16 +1,14 @@
-"""The boards as tables in a terminal, and as JSON."""
+"""The boards as tables in a terminal."""
 
 import textwrap
 from collections.abc import Mapping
 from itertools import zip_longest
-from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from leaderboard.metrics.api import UNDEFINED
-from leaderboard.report import export
 from leaderboard.report.board_definitions import BOUND_NAME, WORST
 from leaderboard.report.sentences import Report
 from leaderboard.report.tables import BoardView, Row, Section, nonempty_columns
@@ -51,11 +49,6 @@ def print_tables(report: Report, console: Console) -> None:
     console.print(Text(LEGEND, style="dim"))
     for sentence in report.findings:
         console.print(Text(f"- {sentence}"))
-
-
-def as_json(report: Report) -> list[dict[str, Any]]:
-    """Return the same rows as plain data."""
-    return export.as_json(report.views)
 
 
 def _table(view: BoardView, sections: tuple[Section, ...]) -> Table:

@@ -13,9 +13,10 @@ from rich.console import Console
 
 from leaderboard.evaluation.evaluate import run_task
 from leaderboard.metrics.bootstrap import interquartile_mean, iqm_interval
+from leaderboard.report.export import as_json
 from leaderboard.report.sentences import build_report
 from leaderboard.report.tables import board_views
-from leaderboard.report.terminal import as_json, print_tables
+from leaderboard.report.terminal import print_tables
 from leaderboard.running.board import Board
 
 
@@ -134,7 +135,7 @@ def flagged(*results):
 
 
 def test_the_json_output_has_the_rows_of_the_table():
-    (section,) = json.loads(json.dumps(as_json(build_report(board())), allow_nan=False))
+    (section,) = json.loads(json.dumps(as_json(build_report(board()).views), allow_nan=False))
     entries = {entry["name"]: entry for entry in section["entries"]}
     assert section["task"] == "small" and set(entries) == {*ENTRIES, "bound"}
     assert 0.02 < entries["bound"]["nrmse"] < entries["reader"]["nrmse"] + 0.1
