@@ -144,17 +144,13 @@ class ProcessExecutor:
     ) -> None:
         try:
             remaining = {entry.name: entry for entry in without_failed(job, failed).entries}
+            suspect = ""  # the entry that was running when a process died
             while remaining:
-                self._run_process(
-                    _with_entries(job, remaining.values()), out, failed, put, remaining
-                )
-                if remaining:  # the process died while running the first entry of `remaining`
-                    suspect = next(iter(remaining.values()))
-                    status = self._run_process(
-                        _with_entries(job, [suspect]), out, failed, put, remaining
-                    )
-                    if remaining.pop(suspect.name, None) is not None:
-                        put(record_crash(job, suspect, describe_exit(status), out))
+                tried = [remaining[suspect]] if suspect else remaining.values()
+                status = self._run_process(_with_entries(job, tried), out, failed, put, remaining)
+                if suspect and (entry := remaining.pop(suspect, None)) is not None:
+                    put(record_crash(job, entry, describe_exit(status), out))
+                suspect = "" if suspect else next(iter(remaining), "")
         except BaseException as error:
             put(error)
         else:

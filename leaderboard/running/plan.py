@@ -198,15 +198,14 @@ def make_jobs(missing: Iterable[tuple[PlannedRow, int]], workers: int, limits: L
     ]
     jobs.sort(key=_estimated_cost, reverse=True)
     # two jobs side by side seldom compile the same kernels at once if their orders are opposite
-    return [_reversed(job) if k % 2 else job for k, job in enumerate(jobs)]
-
-
-def _reversed(job: Job) -> Job:
-    return dataclasses.replace(job, entries=job.entries[::-1])
+    return [
+        dataclasses.replace(job, entries=job.entries[:: -1 if k % 2 else 1])
+        for k, job in enumerate(jobs)
+    ]
 
 
 def _estimated_cost(job: Job) -> float:
     """Return the duration of the test drives times the entries [s/3.6], a proxy of run time."""
     condition = job.task.conditions[job.condition]
     metres = sum(road.length for _, road, _ in job.task.drives_of(job.task.test, condition))
-    return len(job.entries) * metres / job.task.conditions[job.condition].speed_kmh
+    return len(job.entries) * metres / condition.speed_kmh

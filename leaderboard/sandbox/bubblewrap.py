@@ -68,24 +68,6 @@ def command(
     become `user`; what is `from_outside` runs behind the filter of system calls.
     """
     program = seccomp.program() if from_outside else None
-    with tempfile.TemporaryFile() as file:
-        file.write(program or b"")
-        file.seek(0)
-        handle = None if program is None else file.fileno()
-        line = _command(words, environment, limits, read_only, writable, user=user, handle=handle)
-        yield line, [] if handle is None else [handle]
-
-
-def _command(
-    words: Sequence[str],
-    environment: Mapping[str, str],
-    limits: Limits,
-    read_only: Mapping[Path, Path],
-    writable: Mapping[Path, Path],
-    *,
-    user: int | None,
-    handle: int | None,
-) -> list[str]:
     mounts = {**_system_mounts(), **read_only}
     parents = {
         parent for target in [*mounts.values(), *writable.values()] for parent in target.parents
@@ -95,7 +77,6 @@ def _command(
         *_privileges(user is not None),
         "--die-with-parent",
         "--new-session",
-        *([] if handle is None else ["--seccomp", str(handle)]),
     ]
     for parent in sorted(parents | {HOME.parent}, key=lambda path: len(path.parts))[1:]:
         line += ["--perms", "0755", "--dir", str(parent)]  # else hidden from nobody
@@ -112,7 +93,13 @@ def _command(
     line += ["--remount-ro", "/dev", "--remount-ro", "/", "--chdir", str(HOME), "--clearenv"]
     for name, value in environment.items():
         line += ["--setenv", name, value]
-    return [*line, "--", *words]
+    with tempfile.TemporaryFile() as file:
+        file.write(program or b"")
+        file.seek(0)
+        handles = [] if program is None else [file.fileno()]
+        for handle in handles:
+            line += ["--seccomp", str(handle)]
+        yield [*line, "--", *words], handles
 
 
 @cache
@@ -155,16 +142,8 @@ def forget_reads(more: Iterable[Path] = ()) -> None:
                 if entry.is_dir(follow_symlinks=False):
                     left.append(entry.path)
                 elif entry.is_file(follow_symlinks=False):
-                    with suppress(OSError):
-                        _forget_file(entry.path)
-
-
-def _forget_file(path: str) -> None:
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.posix_fadvise(handle, 0, 0, os.POSIX_FADV_DONTNEED)
-    finally:
-        os.close(handle)
+                    with suppress(OSError), open(entry.path, "rb", buffering=0) as file:
+                        os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
 
 
 def is_root() -> bool:
@@ -210,13 +189,9 @@ def _system_mounts() -> dict[Path, Path]:
         *([executable] if executable.exists() else []),
     ]
     mounts: list[Path] = []
-    paths = [_absolute(path) for path in wanted]
+    paths = [Path(os.path.abspath(path)) for path in wanted]
     paths += [path.resolve() for path in paths]  # an environment may be reached by a link
     for path in sorted(dict.fromkeys(paths), key=lambda path: len(path.parts)):
         if path.exists() and not any(path.is_relative_to(mount) for mount in mounts):
             mounts.append(path)
     return {path: path for path in mounts}
-
-
-def _absolute(path: Path) -> Path:
-    return Path(os.path.abspath(path))

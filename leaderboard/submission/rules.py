@@ -30,7 +30,9 @@ class Rules(Settings):
 def load_rules(path: Path) -> tuple[Rules, list[Task]]:
     """Read rules and their tasks; paths are relative to the file. Raises ConfigError."""
     rules = build(Rules, read_yaml(path), str(path))
-    return rules, [load_task(_located(name, path.parent)) for name in rules.tasks]
+    files = [path.parent / name for name in rules.tasks]
+    named = zip(rules.tasks, files, strict=True)
+    return rules, [load_task(file if file.is_file() else name) for name, file in named]
 
 
 def make_run_request(
@@ -39,7 +41,3 @@ def make_run_request(
     """Request to run `entries` on the tasks by these rules, with probes."""
     seeds = range(1, rules.seeds + 1)
     return RunRequest(tasks, entries, seeds, rules.roads, limits=limits, probes=True)
-
-
-def _located(name: str, folder: Path) -> str | Path:
-    return folder / name if (folder / name).is_file() else name
