@@ -167,7 +167,7 @@ def test_each_estimate_follows_the_calibration_to_its_own_vehicle(sandbox, known
 
 
 def in_page_cache(path):
-    """Return whether the first page of a file is in memory; reading it would put it there."""
+    """Return whether the first page of a file is in memory; if not, the question reads it."""
     with path.open("rb") as file:
         try:
             return os.preadv(file.fileno(), [bytearray(8)], 0, os.RWF_NOWAIT) > 0
@@ -184,9 +184,10 @@ def test_what_guests_have_read_is_dropped_from_memory(monkeypatch):
     assert all(map(in_page_cache, paths))
     monkeypatch.setattr(bubblewrap, "_system_mounts", dict)
     bubblewrap.forget_reads([folder.parent])
-    if all(map(in_page_cache, paths)):
+    left = [path.name for path in paths if in_page_cache(path)]  # once: it starts to read
+    if len(left) == len(paths):
         pytest.skip("the file system of the checkout keeps its files in memory")
-    assert not any(map(in_page_cache, paths))
+    assert not left
 
 
 @pytest.mark.parametrize("second_first", [True, False])
