@@ -4,10 +4,10 @@ A stratified beam search over all sixteen pairs of states keeps, for each pair c
 drives with the best score so far: a history that pays later is not lost to others of another pair.
 Sweeps then go on from the best of the beam and of every policy of the comparison. A sweep drives
 through a plan from its beginning. At each choice every pair, held for several times, replaces the
-plan there; the best over a horizon, after which the plan goes on as it was, becomes the plan. A
-sweep that does not improve a whole drive is discarded, so the result is at least as good as every
-policy that it starts from. It knows the road ahead and is no attainable policy; a longer search may
-find more.
+plan there; the best over a horizon, after which the plan goes on as it was, becomes the plan. Only
+the best trials go on to the end of the horizon. The best plan of a whole drive is kept, so the
+result is at least as good as every policy that it starts from. It knows the road ahead and is no
+attainable policy; a longer search may find more.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,7 +30,10 @@ LONGEST_SECTION = 1.2
 SECTIONS = 3
 """Times for which each pair is tried at each choice."""
 
-SWEEPS = 3
+TRIAL_TIME, FINALISTS = 0.4, 16
+"""Time [s] after which only the best trials of a choice go on, and their number."""
+
+SWEEPS = 8
 """Sweeps by default."""
 
 Progress = Callable[[str, float], None]
@@ -58,9 +61,8 @@ def search(
     candidates.append(beams)
     scores = np.array([replay(drives, actions).score for actions in candidates])
     best = np.stack([candidates[scores[:, i].argmax()][:, i] for i in range(n)], axis=1)
-    score = scores.max(axis=0)
+    score, plans = scores.max(axis=0), best.copy()
     for k in range(sweeps):
-        plans = best.copy()
         for i in range(n):
             progress("sweeps", 0.2 + 0.8 * (k + i / n) / sweeps)
             sweep(drives, i, plans[:, i], rng)
@@ -82,7 +84,7 @@ def beam(drives: Drives, i: int) -> tuple[np.ndarray, float]:
     while running:
         for _ in range(hold):
             output = fleet.advance(setup.command_bytes[child])
-            score -= _price(output, fleet)
+            score -= _price(output, fleet, fleet.n_vehicles)
             running = not output.end_of_road.all()
             if not running:
                 break
@@ -111,12 +113,20 @@ def sweep(drives: Drives, i: int, plan: np.ndarray, rng: np.random.Generator) ->
         lengths[0] = 0.0  # the plan as it is
         # vehicle v commands its pair for the length of its section, and then the plan
         trials = np.where(np.arange(kept.size)[:, None] < lengths, pair, kept[:, None])
-        cost = np.zeros(fleet.n_vehicles)
-        for j, row in enumerate(trials):
-            cost += _price(fleet.advance(setup.command_bytes[row]), fleet)
+        cost, alive = np.zeros(fleet.n_vehicles), np.arange(fleet.n_vehicles)
+        for j in range(len(trials)):
+            if j == round(TRIAL_TIME / setup.interval):
+                # the plan as it is goes on in any case
+                order = np.where(np.arange(cost.size) > 0, cost, -np.inf)
+                alive = np.argsort(order, kind="stable")[:FINALISTS]
+                fleet.copy_vehicles(alive, np.arange(len(alive)))
+            commands = np.resize(trials[j, alive], fleet.n_vehicles)
+            moving = np.arange(fleet.n_vehicles) < len(alive)
+            output = fleet.advance(setup.command_bytes[commands], None if moving.all() else moving)
+            cost[alive] += _price(output, fleet, len(alive))
             if j == min(shortest, len(trials)) - 1:
                 state = fleet.copy_state()
-        best = int(cost.argmin())
+        best = int(alive[cost[alive].argmin()])
         kept[:] = trials[:, best]
         fleet.restore_state(state)
         fleet.copy_vehicles(np.full(fleet.n_vehicles, best))
@@ -129,9 +139,8 @@ def _started(drives: Drives, i: int, size: int) -> InstrumentedFleet:
     return fleet
 
 
-def _price(output: StepOutput, fleet: InstrumentedFleet) -> np.ndarray:
-    """Return the price (N,) [m²/s³] of an interval: comfort and violations."""
-    comfort, cost = output.values[
-        :, [fleet.columns.index("comfort"), fleet.columns.index("cost")]
-    ].T
-    return np.where(output.failed, np.inf, comfort + VIOLATION_PRICE * cost)
+def _price(output: StepOutput, fleet: InstrumentedFleet, n: int) -> np.ndarray:
+    """Return the price (n,) [m²/s³] of an interval for the first `n` vehicles."""
+    columns = [fleet.columns.index("comfort"), fleet.columns.index("cost")]
+    comfort, cost = output.values[:n, columns].T
+    return np.where(output.failed[:n], np.inf, comfort + VIOLATION_PRICE * cost)

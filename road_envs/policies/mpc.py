@@ -72,7 +72,9 @@ class ModelPredictive(Settings):
         car = context.car.sliding
         self.filter = _state_space(wk_sos(1.0 / self.dt))
         models = [_pair_model(car, pair, self.filter, self.dt) for pair in self.pairs]
-        self.A, self.B, self.C, self.D = (np.stack(part) for part in zip(*models, strict=True))
+        # (P, S, S + 6) and (P, 14, S + 6): the next states, and the outputs
+        self.by_state = np.stack([np.hstack([A.T, C]) for A, _, C, _ in models])
+        self.by_input = np.stack([np.hstack([B.T, D]) for _, B, _, D in models])
         self.stiff = np.array([[MODES[mode][0] for mode in pair] for pair in self.pairs])
         self.stiff = np.repeat(self.stiff, 2, axis=1)  # (P, 4)
         self.held_rate = _spring_rates(car, "handling") - _spring_rates(car, "ride")
@@ -98,26 +100,25 @@ class ModelPredictive(Settings):
         # oil that a strut which is stiff already, or becomes so now, holds
         stiff_now = self.stiff[self.current]
         held = np.where(stiff_now, self.held, e + self.valve_time * e_dot)
-        oil = self.held_rate * held
-        cost, wait = np.zeros((len(self.pairs), n)), round(self.valve_time / self.dt)
-        states = np.broadcast_to(state, (len(self.pairs), n, state.shape[1]))
-        for k in range(wait + self.steps):
-            forecast = planar + rate * min(k * self.dt, self.lead)
-            u = np.concatenate([heights[k], rates[k], np.zeros((n, 4)), forecast], axis=1)
-            if k < wait:
-                which, before = self.current, states[0]
-                u[:, 8:12] = stiff_now * oil
-                after = np.einsum("nij,nj->ni", self.A[which], before)
-                after += np.einsum("nij,nj->ni", self.B[which], u)
-                states = np.broadcast_to(after, states.shape)
-                continue
-            inputs = np.broadcast_to(u, (len(self.pairs), *u.shape)).copy()
-            inputs[:, :, 8:12] = self.stiff[:, None] * oil
-            y = states @ self.C + inputs @ self.D
-            states = states @ self.A.transpose(0, 2, 1) + inputs @ self.B.transpose(0, 2, 1)
-            beyond = np.maximum(self.stops[:, 0] - y[..., 2:], y[..., 2:] - self.stops[:, 1])
-            used = np.maximum(1.0 + beyond.max(axis=2) / self.margin, 0.0)
-            cost += np.square(y[..., :2]).sum(axis=2) + VIOLATION_PRICE * used
+        oil, wait = self.held_rate * held, round(self.valve_time / self.dt)
+        times = np.minimum(self.dt * np.arange(len(heights)), self.lead)
+        forecast = planar + times[:, None, None] * rate
+        u = np.concatenate([heights, rates, np.zeros_like(heights), forecast], axis=2)
+        u[:wait, :, 8:12] = stiff_now * oil
+        for k in range(wait):
+            row = np.einsum("ni,nij->nj", state, self.by_state[self.current])
+            row += np.einsum("ni,nij->nj", u[k], self.by_input[self.current])
+            state = row[:, :-6]
+        by_oil = (self.stiff[:, None] * oil) @ self.by_input[:, 8:12]
+        pushes = u[wait:] @ self.by_input[:, None] + by_oil[:, None]  # (P, K, N, S + 6)
+        rows, states = np.empty_like(pushes), state
+        for k in range(self.steps):
+            rows[:, k] = states @ self.by_state + pushes[:, k]
+            states = rows[:, k, :, :-6]
+        weighted, e = rows[..., -6:-4], rows[..., -4:]
+        beyond = np.maximum(self.stops[:, 0] - e, e - self.stops[:, 1]).max(axis=3)
+        used = np.maximum(1.0 + beyond / self.margin, 0.0)
+        cost = (np.square(weighted).sum(axis=3) + VIOLATION_PRICE * used).sum(axis=1)
         cars = np.arange(n)
         best = cost.argmin(axis=0)
         better = cost[best, cars] < (1.0 - self.advantage) * cost[self.current, cars]

@@ -108,7 +108,7 @@ def test_a_policy_that_fails_is_a_row_with_its_failure():
 def test_a_sweep_keeps_a_plan_that_no_trial_improves(monkeypatch):
     few = public_drives(2)
     plan = best_found.beam(few, 0)[0]
-    monkeypatch.setattr(best_found, "_price", lambda output, fleet: np.zeros(fleet.n_vehicles))
+    monkeypatch.setattr(best_found, "_price", lambda output, fleet, n: np.zeros(n))
     kept = plan.copy()
     best_found.sweep(few, 0, plan, np.random.default_rng(0))
     np.testing.assert_array_equal(plan, kept)
