@@ -136,7 +136,7 @@ def readers(folder: Path) -> dict[str, Reader]:
         "instruments": (load_instruments, find("sensors", "paper"), ConfigError),
         "task": (load_task, find("tasks", "paper_1"), ConfigError),
         "field": (load_plant_mismatch, find("field", "assumed"), ConfigError),
-        "policy settings": (load_policy_settings, find("policies", "ppo"), ConfigError),
+        "policy settings": (load_policy_settings, find("policies", "mpc"), ConfigError),
     }
     return {
         name: Reader(read, path.read_bytes(), path.name, error)
