@@ -24,8 +24,7 @@ from estimators.networks.narx import Narx
 from estimators.networks.static_lm import StaticLm
 from estimators.networks.tcn import Tcn, TcnCausal
 from estimators.pretrained_weights import load_pretrained
-from estimators.wiener.iterated_wiener import IteratedWiener
-from estimators.wiener.wiener import Wiener
+from estimators.wiener.wiener import IteratedWiener, Wiener
 from road_envs.core.registry import PluginWarning, Registry
 
 __all__ = [

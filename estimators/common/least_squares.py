@@ -49,14 +49,14 @@ class LeastSquaresSums(NamedTuple):
 
 def cross_validate(
     folds: Sequence[LeastSquaresSums], ridges: np.ndarray
-) -> tuple[float, np.ndarray]:
-    """Return the one of the `ridges` with the least cross-validation error, and coefficients
-    (p, m) on all folds.
+) -> tuple[float, np.ndarray, float]:
+    """Return the one of the `ridges` with the least cross-validation error, coefficients (p, m) on
+    all folds, and that error, the sum of squares.
     """
     total = reduce(LeastSquaresSums.plus, folds)
     errors = np.zeros(ridges.size)
     for fold in folds:
         others = total.plus(fold, -1)
         errors += [fold.squared_error(others.solve(ridge)) for ridge in ridges]
-    best = float(ridges[np.argmin(errors)])
-    return best, total.solve(best)
+    best = int(np.argmin(errors))
+    return float(ridges[best]), total.solve(ridges[best]), float(errors[best])

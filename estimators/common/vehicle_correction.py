@@ -8,7 +8,6 @@ the state of the struts and near the speed at which it was found.
 """
 
 from collections.abc import Callable, Sequence
-from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -97,8 +96,7 @@ def fit_corrections(
             key = np.append(state, np.round(np.log(speed) / np.log(SPEED_RATIO))).tobytes()
             groups.setdefault(key, []).append((example, drive))
     for group in groups.values():
-        sums: list[list[LeastSquaresSums]] = [[], []]
-        power = 0.0
+        sums, power = list[list[LeastSquaresSums]](), 0.0
         for example, drive in group:
             prediction = predict(example.signals)
             x, unit = prediction.all_features(), prediction.unit
@@ -107,19 +105,16 @@ def fit_corrections(
             s = SPACING * (np.arange(unit.size) - EDGE_STATIONS)
             inside = np.flatnonzero((s > drive.profile.s[0]) & (s < drive.profile.s[-1]))
             power += float(np.sum((high_pass(example.target) / unit)[:, inside] ** 2))
-            for row in range(2):
+            sums = sums or [[LeastSquaresSums.zeros(x.shape[1], 1)] * FOLDS for _ in x]
+            for row, folds in enumerate(sums):
                 for k, part in enumerate(np.array_split(inside, FOLDS)):
                     new = LeastSquaresSums.from_samples(x[row][:, part].T, error[row][part, None])
-                    if len(sums[row]) > k:
-                        sums[row][k] = sums[row][k].plus(new)
-                    else:
-                        sums[row].append(new)
+                    folds[k] = folds[k].plus(new)
         state, _ = _condition(group[0][0].signals)
         speed = float(np.mean([_condition(example.signals)[1] for example, _ in group]))
         chosen = [cross_validate(folds, RIDGES) for folds in sums]
-        coefficients = np.array([each[:, 0] for _, each in chosen])
-        left = sum(_held_out(folds, ridge) for folds, (ridge, _) in zip(sums, chosen, strict=True))
-        if left > UNEXPLAINED_MAX * power:
+        coefficients = np.array([each[:, 0] for _, each, _ in chosen])
+        if sum(left for _, _, left in chosen) > UNEXPLAINED_MAX * power:
             raise CalibrationError(
                 f"{group[0][1].name}: a correction finds nothing of the profile in the drive; it "
                 "is of another road or lane, reversed, displaced or in other units, or the "
@@ -128,12 +123,6 @@ def fit_corrections(
         if coefficients.any():
             found.append(VehicleCorrection(coefficients, state, speed))
     return tuple(found)
-
-
-def _held_out(folds: Sequence[LeastSquaresSums], ridge: float) -> float:
-    """Return the sum of squared errors of folds that were left out."""
-    total = reduce(LeastSquaresSums.plus, folds)
-    return sum(fold.squared_error(total.plus(fold, -1).solve(ridge)) for fold in folds)
 
 
 def _condition(signals: SpatialSignals) -> tuple[np.ndarray, float]:

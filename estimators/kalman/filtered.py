@@ -7,7 +7,11 @@ import numpy as np
 
 from estimators.kalman.jumps import AcceptedStep, RoadJumps
 from estimators.kalman.road_process import RoadProcess
-from estimators.kalman.windows import EmissionTimes
+from estimators.kalman.state import FilterInputs, FilterModel
+from estimators.kalman.windows import EmissionTimes, WindowSchedule
+
+NODE_SPACING = 0.05
+"""Distance of the road's nodes [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +54,38 @@ class FilterState:
     noise_scale: np.ndarray
     signal_power: np.ndarray
     restarts: list[int] = field(default_factory=list)
+
+
+@dataclass(frozen=True, eq=False)
+class FilterRun:
+    """A drive prepared for the filter: `model`, `inputs`, the `road` and the `windows`, and the
+    current `state`. A station s has the node number (s - `origin`) / NODE_SPACING.
+    """
+
+    model: FilterModel
+    inputs: FilterInputs
+    road: RoadProcess
+    windows: WindowSchedule
+    state: FilterState
+    origin: float
+
+    @property
+    def n_blocks(self) -> int:
+        """Blocks of measurements."""
+        return int(self.inputs.y.shape[1])
+
+    @property
+    def node_stations(self) -> np.ndarray:
+        """Stations (N,) [m] of all nodes of the drive."""
+        return self.origin + NODE_SPACING * np.arange(self.state.jumps.square.shape[0])
+
+    def known_front(self, sensor_latency: float) -> np.ndarray:
+        """Return the front axle's station (J,) [m] when a block is known, `sensor_latency` [s]
+        after its end.
+        """
+        h, node = self.model.h, self.inputs.front_node
+        t = sensor_latency + h * self.model.steps_per_block * np.arange(1, self.n_blocks + 1)
+        return self.origin + NODE_SPACING * np.interp(t, 0.5 * h * np.arange(node.size), node)
 
 
 @dataclass(frozen=True, eq=False)

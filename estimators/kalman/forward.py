@@ -26,27 +26,25 @@ from scipy.linalg.blas import dgemm
 
 from estimators.kalman.filter import filter_window
 from estimators.kalman.filtered import (
+    NODE_SPACING,
     BandVariance,
     FilteredWindow,
-    FilterState,
+    FilterRun,
     NodesAtEmission,
 )
 from estimators.kalman.joint_state import advance_nodes
 from estimators.kalman.jumps import MIN_LOG_RATIO
 from estimators.kalman.profile_output import lost_noise_scale
-from estimators.kalman.road_process import RoadProcess, update_roughness
+from estimators.kalman.road_process import update_roughness
 from estimators.kalman.state import (
     NOISE_SCALE,
     ROUGHNESS_SCALE,
     SIGNAL_POWER,
-    FilterInputs,
-    FilterModel,
     JointState,
     LocalState,
     StepTest,
     WindowPart,
 )
-from estimators.kalman.windows import WindowSchedule
 
 LOST_NIS, LOST_BLOCKS = 3.0, 60
 """Median of the normalized innovation squared over so many blocks above which the filter is lost.
@@ -66,19 +64,11 @@ class WindowFilter:
     emitted in them.
     """
 
-    def __init__(
-        self,
-        model: FilterModel,
-        inputs: FilterInputs,
-        road: RoadProcess,
-        schedule: WindowSchedule,
-        state: FilterState,
-        *,
-        nodes: NodesAtEmission,
-        bands: BandVariance,
-    ):
-        self.model, self.inputs, self.road, self.schedule = model, inputs, road, schedule
-        self.state, self.nodes, self.bands = state, nodes, bands
+    def __init__(self, run: FilterRun, nodes: NodesAtEmission, bands: BandVariance):
+        self.model, self.inputs, self.road = run.model, run.inputs, run.road
+        self.schedule = run.windows
+        self.state, self.nodes, self.bands = run.state, nodes, bands
+        road, schedule, state = run.road, run.windows, run.state
         n, heights = road.n_states, 2 * bands.most_live
         self._joint = JointState(
             state.x, np.zeros((n + heights, n + state.jumps.score.size)), np.zeros(heights)
@@ -96,7 +86,7 @@ class WindowFilter:
         passed = np.append(schedule.rear[0], schedule.rear) + 1
         first = np.maximum(passed[:-1], np.floor(low + road.increment_span) + 1.0)
         self._passed = first.astype(int), np.minimum(passed[1:], np.ceil(high)).astype(int)
-        rear = np.maximum(schedule.reached[1:] - 2 - model.wheelbase_nodes, 0.0)
+        rear = np.maximum(schedule.reached[1:] - 2 - run.model.wheelbase_nodes, 0.0)
         self._rear = rear.astype(int)  # the node under the rear axle after each block
 
     def filter_window(self, i: int) -> list[FilteredWindow]:
@@ -131,7 +121,7 @@ class WindowFilter:
         newest, (low, high) = int(self.schedule.reached[first]), self.road.free_range
         if not low < newest < high:  # a level road is known: what it does not explain is no loss
             return False
-        near = max(newest - round(OBSTACLE_LENGTH / self.model.node_spacing), 0)
+        near = max(newest - round(OBSTACLE_LENGTH / NODE_SPACING), 0)
         if state.jumps.square[near : newest + 1].any():
             return False
         return bool(np.median(state.nis[first - LOST_BLOCKS : first]) > LOST_NIS)

@@ -83,12 +83,8 @@ def read_nodes(
     """Write the sums and nodes held at the moments of a part of a window up to the block `last` to
     `nodes` (NodesAtEmission). Of the first moment, the number is `part.moments[0]`.
     """
-    n, size, first_sum, oldest = (
-        joint.x.size,
-        local.x.size,
-        node_entry(road, 0) - N_SUMS,
-        part.oldest,
-    )
+    n, size, oldest = joint.x.size, local.x.size, part.oldest
+    first_sum = node_entry(road, 0) - N_SUMS
     while is_read(nodes.times, part.moments[0], last):
         f = part.moments[0]
         part.moments[0] += 1
@@ -115,11 +111,8 @@ def read_heights(
     """Write the variance of the heights that are read in a part of a window up to the block `last`
     to `bands` (BandVariance). Of the first of them, the number is `part.moments[1]`.
     """
-    n, slots, held = (
-        joint.x.size,
-        joint.variance.size // 2,
-        (part.oldest, part.oldest + road.n_nodes),
-    )
+    n, slots = joint.x.size, joint.variance.size // 2
+    held = part.oldest, part.oldest + road.n_nodes
     while is_read(bands.times, part.moments[1], last):
         f = part.moments[1]
         part.moments[1] += 1

@@ -1,6 +1,6 @@
 """Setup of a filter run from a record, filtering, and smoothing in chunks of bounded memory."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -8,8 +8,10 @@ from estimators.common.block_means import BlockMeans
 from estimators.common.model_inputs import MOVING_STD, REST_STD, ModelInputs, rest_state
 from estimators.kalman.filter_model import build_model
 from estimators.kalman.filtered import (
+    NODE_SPACING,
     BandVariance,
     FilteredWindow,
+    FilterRun,
     FilterState,
     NodesAtEmission,
     UnknownState,
@@ -30,10 +32,9 @@ from estimators.kalman.profile_output import (
 )
 from estimators.kalman.road_process import RoadProcess, fit_ar_model, prior_covariance
 from estimators.kalman.smoother import smooth_backward
-from estimators.kalman.state import N_BIAS, FilterInputs, FilterModel
+from estimators.kalman.state import N_BIAS, FilterInputs
 from estimators.kalman.windows import (
     EmissionTimes,
-    WindowSchedule,
     emission_times,
     round_to_windows,
     schedule_windows,
@@ -43,9 +44,6 @@ from road_envs.records.record import F_C, Record, profile_stations, scored_band
 from road_envs.sensing.instruments import Instruments
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import settled_strut_state
-
-NODE_SPACING = 0.05
-"""Distance of the road's nodes [m]."""
 
 INCREMENT_LENGTH = 0.5
 """Length [m] of the increments from which roughness is estimated."""
@@ -78,38 +76,6 @@ CHUNK_WINDOWS = 400
 """Windows that are smoothed at once, 120 m. A chunk of a whole-drive smoother is smoothed by itself
 and the next chunk only; long waves, which later measurements still change, would show at the joints
 of shorter chunks."""
-
-
-@dataclass(frozen=True, eq=False)
-class FilterRun:
-    """A drive prepared for the filter: `model`, `inputs`, the `road` and the `windows`, and the
-    current `state`. A station s has the node number (s - `origin`) / NODE_SPACING.
-    """
-
-    model: FilterModel
-    inputs: FilterInputs
-    road: RoadProcess
-    windows: WindowSchedule
-    state: FilterState
-    origin: float
-
-    @property
-    def n_blocks(self) -> int:
-        """Blocks of measurements."""
-        return int(self.inputs.y.shape[1])
-
-    @property
-    def node_stations(self) -> np.ndarray:
-        """Stations (N,) [m] of all nodes of the drive."""
-        return self.origin + NODE_SPACING * np.arange(self.state.jumps.square.shape[0])
-
-    def known_front(self, sensor_latency: float) -> np.ndarray:
-        """Return the front axle's station (J,) [m] when a block is known, `sensor_latency` [s]
-        after its end.
-        """
-        h, node = self.model.h, self.inputs.front_node
-        t = sensor_latency + h * self.model.steps_per_block * np.arange(1, self.n_blocks + 1)
-        return self.origin + NODE_SPACING * np.interp(t, 0.5 * h * np.arange(node.size), node)
 
 
 def setup_run(
@@ -177,14 +143,9 @@ def setup_run(
     jumps = RoadJumps.none(WINDOW_LENGTH, nodes, NODE_SPACING)
     # exactly at rest the friction law has a kink and no tangent
     motion, blocks = rest_state(car, model_inputs) + 1e-7, measurements.y.shape[1]
+    entries = [motion.size // 2, road.n_vehicle - motion.size // 2]
     moving, at_rest = (
-        np.concatenate(
-            [
-                np.repeat(std[[0, -1]], motion.size // 2),
-                np.full(road.n_vehicle - motion.size, std[-1]),
-                np.full(N_BIAS, BIAS_STD),
-            ]
-        )
+        np.append(np.repeat(std[[0, -1]], entries), np.full(N_BIAS, BIAS_STD))
         for std in (MOVING_STD, REST_STD)
     )
     vehicle = np.pad(motion, (0, road.n_vehicle - motion.size))
@@ -345,15 +306,7 @@ def window_filter(
         np.zeros((chosen.size, 2)),
         np.zeros((chosen.size if covariance else 0, 2, run.road.n_states)),
     )
-    return WindowFilter(
-        run.model,
-        run.inputs,
-        run.road,
-        run.windows,
-        run.state,
-        nodes=nodes,
-        bands=bands,
-    )
+    return WindowFilter(run, nodes, bands)
 
 
 def _emit(

@@ -139,7 +139,7 @@ class FirRidge(Settings):
                 sums.plus(LeastSquaresSums.from_samples(*part))
                 for sums, part in zip(folds, parts, strict=True)
             ]
-        ridge, coefficients = cross_validate(folds, RIDGES)
+        ridge, coefficients, _ = cross_validate(folds, RIDGES)
         taps = coefficients.T.reshape(2, len(SENSORS), 2 * half + 1)
         return copy_with(self, fitted_state=Taps(taps, stride, speed, ridge))
 

@@ -278,14 +278,13 @@ def _segment_sums(
     drives: Sequence[RoadDrive], X: list[np.ndarray], a: list[np.ndarray], white: np.ndarray
 ) -> list[LeastSquaresSums]:
     """Return the sums of each segment over all drives, of signals filtered by `white`."""
-    sums: list[LeastSquaresSums | None] = [None] * SEGMENTS
+    sums = [LeastSquaresSums.zeros(X[0].shape[1], len(a[0]))] * SEGMENTS
     for drive, x, y in zip(drives, X, a, strict=True):
         xw, yw = signal.lfilter(white, 1.0, x, axis=0), signal.lfilter(white, 1.0, y)
         for part in range(SEGMENTS):
             here = drive.segment == part
-            new, old = LeastSquaresSums.from_samples(xw[here], yw[:, here].T), sums[part]
-            sums[part] = new if old is None else old.plus(new)
-    return [x for x in sums if x is not None]
+            sums[part] = sums[part].plus(LeastSquaresSums.from_samples(xw[here], yw[:, here].T))
+    return sums
 
 
 def _residuals(

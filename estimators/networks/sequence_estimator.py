@@ -66,6 +66,7 @@ from estimators.networks.trainer import (
     TrainerConfig,
     TrainingSequence,
     get_weights,
+    require_torch,
     set_weights,
     single_thread,
     split_validation,
@@ -74,7 +75,6 @@ from estimators.networks.trainer import (
 from estimators.preprocessing import clean_record
 from estimators.pretrained_weights import load_pretrained
 from road_envs.core.config import Count, Settings
-from road_envs.core.extras import optional_import
 from road_envs.records.record import Estimate, Profile, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
@@ -164,9 +164,7 @@ class SequenceEstimator(Settings, abc.ABC):
         The FIR bank is fitted to the rigid bodies among them. One that serves all is worse on
         these by a fifth, and the network does not make up for it; it learns to correct the others.
         """
-        with optional_import("a neural network"):
-            import torch
-
+        torch = require_torch()
         progress("fitting the FIR bank", 0.0)
         rigid = [(drive.signals, drive.target) for drive in drives if drive.rigid]
         all_signals, targets = zip(*rigid, strict=True)
@@ -299,8 +297,7 @@ class SequenceEstimator(Settings, abc.ABC):
             "widths": (N_TERMS,),
             "wheelbase": (),
         }
-        with optional_import("a neural network"):
-            import torch
+        torch = require_torch()
         with torch.device("meta"):  # shapes only: the settings of a file may ask for any size
             own = {
                 NETWORK_PREFIX + name: tuple(x.shape)
@@ -345,9 +342,7 @@ def _predict_residual(
 
     Mean of the network's outputs for the drive and for the mirrored drive, mirrored back.
     """
-    with optional_import("a neural network"):
-        import torch
-
+    torch = require_torch()
     with torch.no_grad(), single_thread():
         both_drives = torch.from_numpy(np.array([x, x * MIRROR_SIGNS]))
         both_conditions = torch.from_numpy(np.array([conditions, conditions]))

@@ -94,9 +94,7 @@ def train_network(
     checkpoint: Checkpoint | None = None,
 ) -> float:
     """Train a torch `network` in place and return its validation error."""
-    with optional_import("a neural network"):
-        import torch
-
+    torch = require_torch()
     training, validation = split_validation(sequences)
     size = min(config.crop_length, *(part.stop - part.start for part in [*training, *validation]))
     optimiser = torch.optim.AdamW(
@@ -141,9 +139,7 @@ def split_validation(
 
 def _validation_error(network: Any, parts: Sequence[_SequencePart], size: int) -> float:
     """Return the mean clamped loss over crops of `size` that cover the validation parts."""
-    with optional_import("a neural network"):
-        import torch
-
+    torch = require_torch()
     total, count = 0.0, 0
     with torch.no_grad():
         for part in parts:
@@ -186,9 +182,7 @@ class _TrainerState:
 
     def restore(self, arrays: Mapping[str, np.ndarray] | None) -> int:
         """Load the result of `to_arrays`; return the step to continue with."""
-        with optional_import("a neural network"):
-            import torch
-
+        torch = require_torch()
         if arrays is None:
             return 0
         step, best_step, self.best_error = arrays["about"].tolist()
@@ -212,20 +206,23 @@ def get_weights(network: Any) -> dict[str, np.ndarray]:
 
 def set_weights(network: Any, weights: Mapping[str, np.ndarray]) -> None:
     """Load weights by name into a torch network."""
-    with optional_import("a neural network"):
-        import torch
-
+    torch = require_torch()
     network.load_state_dict(
         {name: torch.from_numpy(np.array(x, dtype=np.float32)) for name, x in weights.items()}
     )
 
 
+def require_torch() -> Any:
+    """Return the module torch, which is loaded where it is used. Raises MissingExtraError."""
+    with optional_import("a neural network"):
+        import torch
+    return torch
+
+
 @contextlib.contextmanager
 def single_thread() -> Iterator[None]:
     """Run torch on one thread, so that sums have the same order on every machine."""
-    with optional_import("a neural network"):
-        import torch
-
+    torch = require_torch()
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
@@ -244,9 +241,7 @@ def _train_step(
     step: int,
 ) -> None:
     """Take one optimiser step on a batch of crops drawn by `rng`."""
-    with optional_import("a neural network"):
-        import torch
-
+    torch = require_torch()
     crops = []
     for k in rng.integers(len(training), size=config.batch):
         part = training[k]

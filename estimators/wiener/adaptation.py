@@ -10,14 +10,13 @@ with kappa the independent share of the lines. Fisher scoring finds its maximum:
 derivatives D_p = L^-1 (dC / dx_p) L^-*, C = L L*, the information is kappa sum tr(D_p D_q) + I
 (Whittle 1953, Ark. Mat. 2, 423-434; Kay 1993, "Fundamentals of Statistical Signal Processing:
 Estimation Theory", section 3.9). Its inverse is the covariance of what remains unknown of
-the vehicle, which adds to the noise (`estimators/common/model_error.py`).
+the vehicle, which adds to the noise (`model_error_psd`).
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimators.common.model_error import model_error_psd
 from estimators.wiener.drive_check import LEAST_CHANNELS, obstacle_samples
 from estimators.wiener.iteration import Iterate, smooth_segment
 from estimators.wiener.segments import Segment
@@ -177,6 +176,18 @@ def responses(
     H = vehicle.response(unbent, f, n)
     dH = [one.response(unbent + d, f, n) - H for one, d in zip(others, changes, strict=True)]
     return H, np.array(dH) / DIFFERENCE
+
+
+def model_error_psd(dH: np.ndarray, covariance: np.ndarray, S: np.ndarray) -> np.ndarray:
+    """Return the spectrum (F, S, S) that uncertain parameters add to S signals, to first order:
+    sum over p, q of P_pq dH_p S dH_q*. It neglects that they depart equally at all frequencies.
+
+    `dH` (P, F, S, 2): derivatives of the response; `covariance` (P, P) of the parameters; `S`
+    (F, 2, 2): spectrum of the road.
+    """
+    root = np.linalg.cholesky(covariance)
+    parts = np.tensordot(root.T, dH, axes=1)
+    return np.sum(parts @ S @ hermitian(parts), axis=0)
 
 
 def fisher_scoring(

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from test_wiener import DEFENDER, PAPER, SPLIT, drive, in_band, synthetic_segment
 
-from estimators.common.model_error import model_error_psd
 from estimators.registry import create
 from estimators.wiener import adaptation
-from estimators.wiener.adaptation import fisher_scoring, responses
+from estimators.wiener.adaptation import fisher_scoring, model_error_psd, responses
 from estimators.wiener.iteration import Iterate
 from estimators.wiener.spectral_model import SensedVehicle, build_model
 from road_envs.analysis.information_bound import equivalent_damping
