@@ -79,7 +79,6 @@ class RoadRecon(LazyGroup):
             "policies": "policies:policies",
             "new-policy": "scaffold:new_policy",
             "check-policy": "check_policy:check_policy",
-            "tune-policy": "policies:tune_policy",
             "train-policy": "policies:train_policy",
         },
     }

@@ -1,4 +1,4 @@
-"""Commands `policies`, `tune-policy`, `train-policy`: suspension-switching policies."""
+"""Commands `policies` and `train-policy`: suspension-switching policies."""
 
 import contextlib
 import dataclasses
@@ -20,7 +20,7 @@ from leaderboard.commands import (
     to_json,
 )
 from leaderboard.commands.options import Isolation, Json, MemoryLimit, TimeLimit, parse_limits
-from leaderboard.policies import best_found, comparison, grid_search, learning
+from leaderboard.policies import best_found, comparison, learning
 from leaderboard.policies import page as policy_page
 from leaderboard.policies.policy_process import POLICY_LIMITS, PolicyProcess
 from leaderboard.report.rendering import POLICY_PAGE, write_pending
@@ -30,7 +30,6 @@ from road_envs.core.atomic_io import atomic_write, write_text
 from road_envs.core.config import ConfigError, validate_choice
 from road_envs.policies import FILE_SUFFIXES, REGISTRY, make_policy, names, runs_foreign_code
 from road_envs.policies.fixed import FixedPair
-from road_envs.policies.rollout import TRAINING_DRIVES, training_drives
 from road_envs.vehicle.suspension import MODES
 
 QUICK_DRIVES = 2
@@ -147,25 +146,6 @@ def _entries(references: list[str] | None, limits: Limits) -> dict[str, Any]:
         else:
             entries[name] = make_policy(reference)
     return entries
-
-
-def tune_policy(
-    name: Annotated[str, typer.Argument(help="Policy to tune.")],
-    drives: Annotated[
-        int, typer.Option(help="Training drives, each to both sides.", min=1)
-    ] = TRAINING_DRIVES,
-    out: Annotated[Path | None, typer.Option(help="YAML file for the settings.")] = None,
-) -> None:
-    """Search the settings of a policy on training drives only."""
-    validate_choice("policy", name, grid_search.GRIDS)
-    check_output_path(out, ".yaml", ".yml")
-    with progress_bar() as progress:
-        trials = grid_search.tune(name, training_drives(drives), progress)
-    command = f"road-recon tune-policy {name} --drives {drives}"
-    if out:
-        write_text(out, grid_search.as_yaml(trials, command))
-    for trial in trials:
-        console.print(f"{trial.cost:.4f}  {trial.settings}")
 
 
 def train_policy(

@@ -228,7 +228,6 @@ def test_an_exported_road_can_be_read_back_from_every_format(road_recon, tmp_pat
         ),
         (("policies", "--policy", "randum"), ["randum", "did you mean 'random'"]),
         (("policies", "--policy", "rrmz"), ["rrmz", "did you mean 'rrms'"]),
-        (("tune-policy", "skihook"), ["skihook", "did you mean 'skyhook'"]),
         (("train-policy", "rrms", "--out", "n.npz"), ["only learned policies can be trained"]),
         (("leaderboard", "--task", "paper_9"), ["paper_9", "paper_1"]),
         (("leaderboard", "--estimator", "flot"), ["flot", "did you mean 'flat'"]),

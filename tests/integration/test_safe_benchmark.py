@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from leaderboard.commands import policies as policies_command
-from leaderboard.policies import best_found, grid_search
+from leaderboard.policies import best_found
 from leaderboard.policies.comparison import BEST_FOUND, compare, label, public_drives, table_lines
 from leaderboard.policies.page import render_page, score_chart, timelines
 from leaderboard.policies.timeline import MODE_NAMES, Timeline, drive_chart
 from road_envs.envs.safe4s4 import Safe4S4Env, Safe4S4Setup
 from road_envs.policies import create
 from road_envs.policies.rollout import Drives, drive_all, replay, training_drives
+from studies import tuned_policies
 
 LAWS = ("fixed_ride", "fixed_handling", "lateral", "rrms")
 
@@ -149,10 +150,10 @@ def test_the_page_shows_every_row_and_the_best_found_as_a_line(searched):
 
 
 def test_tuning_takes_the_best_of_its_grid_on_training_drives(monkeypatch):
-    monkeypatch.setitem(grid_search.GRIDS, "lateral", {"threshold": (0.8, 9.0)})
+    monkeypatch.setitem(tuned_policies.GRIDS, "lateral", {"threshold": (0.8, 9.0)})
     drives = training_drives(1)
     assert drives.setup.safe.split == "train"
-    trials = grid_search.tune("lateral", drives)
+    trials = tuned_policies.tune("lateral", drives)
     assert [trial.settings for trial in trials] == [{"threshold": 0.8}, {"threshold": 9.0}]
     assert trials[0].cost < trials[1].cost
 

@@ -1,17 +1,22 @@
-"""Tuning of policies by grid search.
+"""Tuning of the shipped policies by grid search, on training drives only.
+
+    python -m studies.tuned_policies rrms_lateral [--drives 12] [--out mine.yaml]
 
 The cost is minus the mean score of the benchmark (mean square comfort, and the price of violations)
-over drives of the split "train" and their mirror images. Test drives are never driven here.
+over drives of the split "train" and their mirror images.
 """
 
+import argparse
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import yaml
 
+from road_envs.core.atomic_io import write_text
 from road_envs.policies import create
-from road_envs.policies.rollout import Drives, drive_all
+from road_envs.policies.rollout import TRAINING_DRIVES, Drives, drive_all, training_drives
 
 FIRM = ("handling", "soft_high", "stiff_low")
 TWO_STATE: dict[str, tuple[Any, ...]] = {
@@ -52,22 +57,33 @@ class Trial(NamedTuple):
     cost: float
 
 
-def tune(
-    name: str, drives: Drives, progress: Callable[[str, float], None] = lambda text, x: None
-) -> list[Trial]:
+def tune(name: str, drives: Drives) -> list[Trial]:
     """Evaluate the whole grid of a policy on training drives; the best trial comes first."""
-    trials, choices = [], list(itertools.product(*GRIDS[name].values()))
-    for k, values in enumerate(choices):
+    trials = []
+    for values in itertools.product(*GRIDS[name].values()):
         settings = dict(zip(GRIDS[name], values, strict=True))
-        progress(f"{name}: {settings}", k / len(choices))
         score = drive_all(create(name, **settings), drives).score
         trials.append(Trial(settings, -float(score.mean())))
     return sorted(trials, key=lambda trial: trial.cost)
 
 
-def as_yaml(trials: Sequence[Trial], command: str) -> str:
-    """Return the text of a settings file for `configs/policies`."""
-    source = f"{command}: cost {trials[0].cost:.4f} m²/s⁴, best of {len(trials)}"
-    return yaml.safe_dump(
-        {"settings": trials[0].settings, "source": source}, sort_keys=False, allow_unicode=True
-    )
+def main() -> None:
+    """Tune a policy, print all trials and write a settings file for `configs/policies`."""
+    parser = argparse.ArgumentParser(description="Tune a policy on training drives.")
+    parser.add_argument("name", choices=GRIDS)
+    parser.add_argument("--drives", type=int, default=TRAINING_DRIVES, help="each to both sides")
+    parser.add_argument("--out", type=Path, help="YAML file for the settings")
+    arguments = parser.parse_args()
+    trials = tune(arguments.name, training_drives(arguments.drives))
+    for trial in trials:
+        print(f"{trial.cost:.4f}  {trial.settings}")
+    if arguments.out:
+        command = f"python -m studies.tuned_policies {arguments.name} --drives {arguments.drives}"
+        source = f"{command}: cost {trials[0].cost:.4f} m²/s⁴, best of {len(trials)}"
+        settings = {"settings": trials[0].settings, "source": source}
+        text = yaml.safe_dump(settings, sort_keys=False, allow_unicode=True)
+        write_text(arguments.out, text)
+
+
+if __name__ == "__main__":
+    main()
