@@ -1,8 +1,11 @@
 """Training of policies: environments as features, evolution, stored networks."""
 
+import json
+
 import numpy as np
 import pytest
 
+from leaderboard.commands.policies import policies
 from leaderboard.policies import comparison, learning
 from road_envs.core.config import ConfigError
 from road_envs.envs.safe4s4 import Safe4S4VectorEnv
@@ -208,6 +211,17 @@ def test_a_model_saved_by_stable_baselines_acts_as_it_predicts(algorithm, featur
         actions = policy.act(observations)
         np.testing.assert_array_equal(actions, expected)
         observations = envs.step(actions)[0]
+
+
+def test_a_saved_model_gets_its_row_and_its_place_on_the_page(tmp_path):
+    library = pytest.importorskip("stable_baselines3")
+    envs = RoadReconVecEnv(1, vector_class=Safe4S4VectorEnv)
+    library.PPO("MlpPolicy", envs, n_steps=8, batch_size=8, seed=1).save(tmp_path / "model")
+    out = tmp_path / "out"
+    policies(policy=[str(tmp_path / "model.zip")], drives=2, sweeps=0, out=out)
+    rows = [row["policy"] for row in json.loads((out / "benchmark.json").read_text())["rows"]]
+    assert sorted(rows) == ["model", "rrms"]
+    assert 'id="policy-model"' in (out / "policies.html").read_text()
 
 
 def test_a_zip_that_is_no_saved_model_is_refused(tmp_path):
