@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from leaderboard.metrics import agreement, detection, level, pointwise, spectra
+from leaderboard.metrics import agreement, level, obstacles, pointwise, spectra
 from leaderboard.metrics.api import Metric, ScoredEstimate
 from road_envs.records.record import Estimate, Profile
 
@@ -11,7 +11,7 @@ MODULES = (
     level,
     spectra,
     agreement,
-    detection,
+    obstacles,
 )
 """Modules of metrics, in the order of the table of scores."""
 

@@ -7,12 +7,11 @@ import pytest
 from phone_recordings import FOLDER
 
 from estimators.common.misfit import misfit_note
-from leaderboard.drive_report.analysis import KnownFactor, analyse
+from leaderboard.drive_report.analysis import KnownFactor, analyse, in_order_of_weight
 from leaderboard.drive_report.conditions import load_conditions
 from leaderboard.drive_report.drive_estimates import make_drive_estimator
 from leaderboard.drive_report.known_iri import known_factor, read_known_iri
 from leaderboard.drive_report.mean_path import path_level_ratio, path_ratio, tells_paths_apart
-from leaderboard.drive_report.notes import in_order_of_weight
 from road_envs.core.config import ConfigError
 from road_envs.drives.measured_record import MeasuredRecord
 from road_envs.drives.places import PLACES
