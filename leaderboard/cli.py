@@ -54,10 +54,10 @@ class RoadRecon(LazyGroup):
             "estimate": "estimate:estimate",
             "classify": "estimate:classify",
             "identify": "identify:identify",
-            "new-vehicle": "new_vehicle:new_vehicle",
+            "new-vehicle": "new:new_vehicle",
             "train": "simulate:train",
             "observability": "observability:observability",
-            "new-estimator": "scaffold:new_estimator",
+            "new-estimator": "new:new_estimator",
             "check-estimator": "check:check_estimator",
         },
         "Leaderboard": {
@@ -77,8 +77,8 @@ class RoadRecon(LazyGroup):
         },
         "Switching policies": {
             "policies": "policies:policies",
-            "new-policy": "scaffold:new_policy",
-            "check-policy": "check_policy:check_policy",
+            "new-policy": "new:new_policy",
+            "check-policy": "check:check_policy",
             "train-policy": "policies:train_policy",
         },
     }
