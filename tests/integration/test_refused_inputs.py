@@ -1,6 +1,7 @@
 """Inputs that ended in a traceback or in minutes of work, and the sentence that each gets now."""
 
 import errno
+import io
 import os
 import subprocess
 import sys
@@ -127,3 +128,28 @@ def test_local_is_a_cluster_of_this_machine(tmp_path):
     )  # fmt: skip
     assert done.returncode == 0 and "Traceback" not in done.stderr, done.stderr[-500:]
     assert (tmp_path / "out/results/short/flat.json").exists()
+
+
+def test_a_question_without_an_answer_and_a_folder_without_results_end_in_a_sentence(
+    road_recon, monkeypatch
+):
+    monkeypatch.setattr(sys, "stdin", io.StringIO())
+    code, _, err = road_recon("new-vehicle", "car.yaml")
+    assert code == 2 and err.endswith(
+        "error: a question was left open: give its answer as an option\n"
+    )
+    code, _, err = road_recon("cite", "mine", "--out", "nowhere")
+    assert code == 2 and err == (
+        "error: nowhere: no results; `road-recon leaderboard --out nowhere` makes them\n"
+    )
+
+
+def test_a_file_that_only_ends_as_parquet_is_called_damaged_by_every_reader(road_recon, tmp_path):
+    (tmp_path / "heights.parquet").write_bytes(bytes(range(200)))
+    for words in (
+        ("estimate", "wiener", "heights.parquet"),
+        ("iri", "heights.parquet"),
+        ("score", "heights.parquet", "--task", "class", "--roads", "2"),
+    ):
+        code, _, err = road_recon(*words)
+        assert code == 2 and err.startswith("error: heights.parquet: damaged, or "), err
