@@ -6,17 +6,15 @@ from typing import Annotated
 import typer
 
 from leaderboard.commands import check_output_path, console, progress_bar
-from leaderboard.commands.options import Length, Vehicle
+from leaderboard.commands.options import Length, Road, Speed, Vehicle
 from leaderboard.report import animation
 
 
 def animate(
     out: Annotated[Path, typer.Option(help="Picture to write (.gif or .webp).")],
-    road: Annotated[
-        str, typer.Option(help="Road: a name of `road-recon list roads`, YAML or surface file.")
-    ] = ("belgian"),
+    road: Road = "belgian",
     vehicle: Vehicle = "land_rover_defender_110",
-    speed_kmh: Annotated[float, typer.Option(help="Speed in km/h.")] = 54.0,
+    speed_kmh: Speed = 54.0,
     length: Length = None,
     seconds: Annotated[float, typer.Option(help="Duration in seconds.", min=0.1)] = 6.5,
     enlarged: Annotated[float, typer.Option(help="Factor on the drawn vertical motion.")] = 2.0,
