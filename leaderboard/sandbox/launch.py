@@ -60,7 +60,8 @@ def start_guest(
     environment = guest_environment(inside, whole_path=not isolated)
     own_cache = isolated or code is not None
     environment["XDG_CACHE_HOME"] = str(inside if own_cache else cache.parent)
-    for attempt in range(1, START_ATTEMPTS + 1):
+    failure: EntryError | None = None
+    for _ in range(START_ATTEMPTS):
         try:
             if not isolated:
                 return Guest(words, environment, home)
@@ -70,8 +71,5 @@ def start_guest(
             ) as (line, handles):  # fmt: skip
                 return Guest(line, environment, home, handles)
         except EntryError as error:
-            if attempt == START_ATTEMPTS:
-                raise EntryError(
-                    f"its guest ended {attempt} times as it started: {error}"
-                ) from error
-    raise AssertionError
+            failure = error
+    raise EntryError(f"its guest ended {START_ATTEMPTS} times as it started: {failure}")

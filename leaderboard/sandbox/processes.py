@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -101,18 +102,14 @@ def kill_descendants(timeout: float = 10.0) -> None:
 
 def kill(pid: int) -> None:
     """Kill a process if it exists."""
-    try:
+    with suppress(ProcessLookupError, PermissionError):
         os.kill(pid, signal.SIGKILL)
-    except (ProcessLookupError, PermissionError):
-        pass
 
 
 def kill_group(pid: int) -> None:
     """Kill the process group of the leader `pid` if it exists."""
-    try:
+    with suppress(ProcessLookupError, PermissionError):
         os.killpg(pid, signal.SIGKILL)
-    except (ProcessLookupError, PermissionError):
-        pass
 
 
 def _read_process(pid: int) -> Process | None:
