@@ -8,6 +8,7 @@ the counts in `docs/runs/fuzz.txt`.
 
 import collections
 import copy
+import hashlib
 import json
 import random
 import sys
@@ -53,7 +54,7 @@ CARD = "method: a\ndata: none\nlicence: MIT\nauthors: [b]\ncitation: none\n"
 RULES = "tasks: [class]\nroads: 2\nseeds: 3\n"
 RECORD = {
     "name": "a", "code": "b", "package_version": "1", "hardware": {"blas": "c"}, "cpu_seconds": 1.5,
-    "files": {"card.yaml": "d"},
+    "files": {"card.yaml": hashlib.sha256(CARD.encode()).hexdigest()},
 }  # fmt: skip
 
 
@@ -158,12 +159,16 @@ def more_readers(folder: Path) -> dict[str, Reader]:
         messages.number(head, "seconds", 10.0)
 
     def read_submission(path: Path) -> None:
-        """Read a record resealed with its checksum; its files are not those of the folder."""
+        """Read a record resealed with its checksum, in a folder of its name with its card."""
+        record = path.parent / RECORD["name"] / path.name
+        record.parent.mkdir(exist_ok=True)
+        record.with_name("card.yaml").write_text(CARD)
+        record.write_bytes(path.read_bytes())
         with suppress(ValueError, AttributeError, TypeError, RecursionError):
             data = json.loads(path.read_bytes())
             content = {key: x for key, x in data.items() if key not in HEADER}
-            SUBMISSION.write(path, content, str(data.get("identity")))
-        load_submission(path.parent)
+            SUBMISSION.write(record, content, str(data.get("identity")))
+        load_submission(record.parent)
 
     def one(read: Callable[[Path], Any], sample: bytes, name: str, error: type[Exception]):
         return Reader(read, sample, name, error)
