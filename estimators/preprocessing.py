@@ -122,9 +122,7 @@ def mask_record(record: Record, instruments: Instruments | None = None) -> Maske
         if share > 0.0
     ]
     size = np.abs(np.where(finite, record.a, 0.0))
-    out_of_range = np.zeros(size.shape, dtype=bool)
-    if instruments is not None:
-        out_of_range = _is_out_of_range(size, instruments)
+    out_of_range = _is_out_of_range(size, instruments)
     gap_notes += [
         f"{name} is {x[np.isfinite(x)][0]:g} in all samples: the sensor is dead"
         for name, x in zip(names, record.a, strict=True)
@@ -153,9 +151,10 @@ def restore_times(masked: MaskedRecord, record: Record, instruments: Instruments
     return MaskedRecord(found, _is_valid(finite, out_of_range), masked.notes)
 
 
-def _is_out_of_range(size: np.ndarray, instruments: Instruments) -> np.ndarray:
-    """Return which samples of this `size` (k, N) [m/s²] the instruments clip."""
-    return np.asarray(size >= RANGE_SHARE * instruments.ranges[:, None])
+def _is_out_of_range(size: np.ndarray, instruments: Instruments | None) -> np.ndarray:
+    """Return which samples of this `size` (k, N) [m/s²] the instruments, if known, clip."""
+    limits = np.inf if instruments is None else RANGE_SHARE * instruments.ranges[:, None]
+    return np.asarray(size >= limits)
 
 
 def _is_valid(finite: np.ndarray, out_of_range: np.ndarray) -> np.ndarray:
@@ -272,13 +271,13 @@ def _fill_gaps(name: str, t: np.ndarray, x: np.ndarray) -> np.ndarray:
 
 def _fill_odometer(record: Record) -> tuple[Record, list[str]]:
     """Return the record with missing speeds and odometer readings interpolated, and notes."""
-    notes, filled = [], {}
-    for name, x in (("v", record.v), ("s", record.s)):
-        filled[name] = x
+    notes, signals = [], {"v": record.v, "s": record.s}
+    for name, x in signals.items():
         if lost := float(np.mean(~np.isfinite(x))):
-            filled[name] = _fill_gaps(name, record.t, x)
+            signals[name] = _fill_gaps(name, record.t, x)
             notes.append(f"{name}: {lost:.1%} of the samples are missing")
-    return dataclasses.replace(record, v=filled["v"], s=filled["s"]) if notes else record, notes
+    filled = dataclasses.replace(record, v=signals["v"], s=signals["s"])
+    return filled if notes else record, notes
 
 
 def _is_even(steps: np.ndarray) -> bool:
@@ -381,19 +380,16 @@ def _check_drive(record: Record) -> tuple[Record, list[str]]:
         notes.append(
             f"the vehicle stood still for {still:.1f} s; these samples carry no road information"
         )
-    for missed, where in (
-        (
-            forward[0],
-            "the first {:.2f} m lie behind the front axle at the start: at most the rear "
-            "wheels drove over them",
-        ),
-        (
-            record.length - forward[-1],
-            "the last {:.2f} m lie ahead of the front axle at the end: no wheel drove over them",
-        ),
-    ):
-        if missed > PROFILE_SPACING:
-            notes.append(where.format(missed))
+    if (missed := forward[0]) > PROFILE_SPACING:
+        notes.append(
+            f"the first {missed:.2f} m lie behind the front axle at the start: at most the rear "
+            "wheels drove over them"
+        )
+    if (missed := record.length - forward[-1]) > PROFILE_SPACING:
+        notes.append(
+            f"the last {missed:.2f} m lie ahead of the front axle at the end: no wheel drove over "
+            "them"
+        )
     return record, notes
 
 

@@ -55,6 +55,7 @@ from estimators.kalman.monitoring import (
 from estimators.kalman.pipeline import (
     FilterRun,
     emitted_share,
+    lost_before_restarts,
     run_filter,
     run_smoother,
     setup_output,
@@ -189,6 +190,7 @@ class _KalmanSettings(CalibratedByIdentification):
                 f"over {lost:.0f} m the innovations are far beyond their covariance; the heights "
                 "are reduced there",
             )
+        share = np.where(lost_before_restarts(run, output, LOST_REACH), 0.0, share)
         long = long_waves(z) if smooth else 0.0  # reducing a drift would make a step of it
         reduced, std = reduce_unexplained(z - long, z_std, share)
         return Estimate(s, reduced + long, std, notes)

@@ -54,9 +54,10 @@ On obstacles it is as high for fewer blocks, on vehicles of grade S1 below 2 bef
 OBSTACLE_LENGTH = 6.5
 """Distance [m] behind the newest node within which an accepted step explains the innovations."""
 
-RESTART_NOISE, MAX_NOISE, RESTART_BLOCKS = 4.0, 16.0, 300
+RESTART_NOISE, MAX_RESTARTS, RESTART_BLOCKS = 4.0, 2, 400
 """Factor by which each restart raises the least noise scale, as the vehicle is not the one that is
-described; the most that it is raised to; and blocks from one restart to the next, at least."""
+described; restarts at most; and blocks since the beginning or the last restart below which a filter
+that is lost is not begun anew any more, as it would be lost again and again."""
 
 
 class WindowFilter:
@@ -76,7 +77,7 @@ class WindowFilter:
         self._joint.P[:n, :n] = state.P
         self._moments = np.zeros(2, dtype=np.int64)  # at which nodes and heights have been read
         self._recent: list[FilteredWindow] = []
-        self._least_noise = 1.0
+        self._least_noise, self._restarts_left = 1.0, MAX_RESTARTS
         window, times = np.arange(schedule.newest.size), bands.times
         # in each window, from the first to the last (excluded): heights of which nodes leave in it
         # or have left, and nodes whose increment is known when it begins
@@ -115,32 +116,31 @@ class WindowFilter:
     def _is_lost(self, i: int) -> bool:
         """Return whether the filter has lost the vehicle before the window `i`."""
         state, first = self.state, int(self.schedule.edges[i])
-        since = first - state.restarts[-1] if state.restarts else first
-        if since < (RESTART_BLOCKS if state.restarts else LOST_BLOCKS):
-            return False
+        since = first - (state.restarts[-1] if state.restarts else 0)
         newest, (low, high) = int(self.schedule.reached[first]), self.road.free_range
-        if not low < newest < high:  # a level road is known: what it does not explain is no loss
+        if since < LOST_BLOCKS or not low < newest < high:  # innovations of a known level road
             return False
         near = max(newest - round(OBSTACLE_LENGTH / NODE_SPACING), 0)
         if state.jumps.square[near : newest + 1].any():
             return False
-        return bool(np.median(state.nis[first - LOST_BLOCKS : first]) > LOST_NIS)
+        lost = bool(np.median(state.nis[first - LOST_BLOCKS : first]) > LOST_NIS)
+        if lost and since < RESTART_BLOCKS:
+            self._restarts_left = 0
+        return lost and self._restarts_left > 0
 
     def _restart(self, i: int) -> None:
         """Forget the state before the window `i` but for the sensor biases and the roughness."""
         state, road, P = self.state, self.road, self._joint.P
-        n, N, newest = (
-            road.n_states,
-            road.n_vehicle,
-            int(self.schedule.oldest[i]) + road.n_nodes - 1,
-        )
+        n, N = road.n_states, road.n_vehicle
+        newest = int(self.schedule.oldest[i]) + road.n_nodes - 1
         state.restarts.append(int(self.schedule.edges[i]))
         state.x[:N], state.x[road.first_sum :] = state.unknown.vehicle, 0.0
         P[:] = 0.0
         P[:n, :n] = state.unknown.covariance(road, newest, state.adaptive[ROUGHNESS_SCALE])
         state.jumps.score[:], state.jumps.information[:] = 0.0, 0.0
         self._recent = []
-        self._least_noise = min(RESTART_NOISE * self._least_noise, MAX_NOISE)
+        self._least_noise *= RESTART_NOISE
+        self._restarts_left -= 1
         state.adaptive[NOISE_SCALE] = self._least_noise
 
     def _filter_part(

@@ -113,10 +113,8 @@ def simulate_block(
                     road[8 * half + 4 + 2 * axle + side] = rate
         update_valves(p, local.strut_state, motion.q, inputs.commands[first + k], alpha, model.h)
         v = inputs.node_rate[2 * (first + k) + 1] * model.node_spacing
-        step_inputs, flags = (
-            StepInputs(road, no_manoeuvre, model.h, v),
-            (model.flexible, model.side),
-        )
+        step_inputs = StepInputs(road, no_manoeuvre, model.h, v)
+        flags = model.flexible, model.side
         step_with_derivative(vehicle, motion, step_inputs, work, out, rows[k], *flags)
         if (first + k) % model.decimation == 0:
             samples += 1

@@ -116,10 +116,8 @@ def setup_run(
     model = build_model(
         car, instruments, model_inputs, steps_per_block, noise_variance, NODE_SPACING
     )
-    ar_model, increment_span = (
-        fit_ar_model(prior, NODE_SPACING),
-        round(INCREMENT_LENGTH / NODE_SPACING),
-    )
+    ar_model = fit_ar_model(prior, NODE_SPACING)
+    increment_span = round(INCREMENT_LENGTH / NODE_SPACING)
     windows = schedule_windows(
         inputs.front_node,
         steps_per_block,
@@ -265,6 +263,18 @@ def emitted_share(run: FilterRun, output: ProfileOutput) -> np.ndarray:
     return np.minimum(1.0, ratio[last]) ** 2
 
 
+def lost_before_restarts(run: FilterRun, output: ProfileOutput, reach: float) -> np.ndarray:
+    """Return the stations (M,) that the front axle passed in the `reach` [m] before a restart and
+    that were emitted after it.
+    """
+    lost, front = np.zeros(output.node.size, dtype=bool), run.known_front(0.0)
+    s = run.origin + NODE_SPACING * output.node
+    for block in run.state.restarts:
+        passed = (s > front[block] - reach) & (s <= front[block])
+        lost |= passed & (output.emit_block >= block)
+    return lost
+
+
 def _oldest_needed(output: ProfileOutput, stations: np.ndarray) -> np.ndarray:
     """Return the oldest node (K,) in the low-pass of so many `stations` (K,)."""
     return np.floor(output.node[stations] - output.half_window).astype(int) - 1
@@ -280,17 +290,12 @@ def _empty_nodes(run: FilterRun, times: EmissionTimes, newest: np.ndarray) -> No
 def window_filter(
     run: FilterRun,
     output: ProfileOutput,
-    nodes: NodesAtEmission | None = None,
+    nodes: NodesAtEmission,
     covariance: bool = False,
 ) -> WindowFilter:
     """Return the filter that emits the `nodes` and the variance of every VARIANCE_STRIDE-th
     station.
     """
-    if nodes is None:
-        nothing = np.zeros(0, dtype=int)
-        nodes = NodesAtEmission(
-            EmissionTimes(*5 * (nothing,), 0), np.zeros((0, 2, 2)), np.zeros((0, 0))
-        )
     chosen = np.arange(0, output.node.size, VARIANCE_STRIDE)
     block = output.emit_block[chosen]
     times = emission_times(run.windows, block, _oldest_needed(output, chosen))

@@ -62,8 +62,10 @@ class Narx(LmEstimator):
         """Train series-parallel; `seed` draws division and initial weights. Raises RecordError."""
         a, z, inputs, outputs = training_data(records, truths)
         drives = [(inputs.apply(x), outputs.apply(y)) for x, y in zip(a, z, strict=True)]
-        parts = [_cut(x, y, slice(None, _n_training(y))) for x, y in drives]
-        samples = [_series_parallel(x, y, self.delays) for x, y in parts]
+        samples = [
+            _series_parallel(x[:, : _n_training(y)], y[:, : _n_training(y)], self.delays)
+            for x, y in drives
+        ]
         x, t = (np.hstack(part) for part in zip(*samples, strict=True))
         training = self._train(x, t, "random", seed)
         errors = self._loop_errors(training.network, outputs, drives)
@@ -96,9 +98,9 @@ class Narx(LmEstimator):
         wrong, level = np.zeros(2), 0.0
         for x, y in drives:
             first = _n_training(y)
-            parts = _cut(x, y, slice(first - self.delays, None))
-            regressors, t = _series_parallel(*parts, self.delays)
-            closed = self._run_closed_loop(network, x[:, first:], y[:, first - self.delays : first])
+            begin = first - self.delays
+            regressors, t = _series_parallel(x[:, begin:], y[:, begin:], self.delays)
+            closed = self._run_closed_loop(network, x[:, first:], y[:, begin:first])
             truth = outputs.reverse(t)
             for k, output in enumerate((network(regressors), closed)):
                 wrong[k] += np.sum((outputs.reverse(output) - truth) ** 2)
@@ -148,7 +150,3 @@ def _run_parallel(hidden, output, x, before, z):
 def _n_training(z: np.ndarray) -> int:
     """Return the number of stations of a drive used for training."""
     return z.shape[1] - int(HELD_OUT_SHARE * z.shape[1])
-
-
-def _cut(x: np.ndarray, z: np.ndarray, part: slice) -> tuple[np.ndarray, np.ndarray]:
-    return x[:, part], z[:, part]

@@ -17,6 +17,7 @@ from vehicle_fixtures import DEFENDER
 from estimators.common.block_means import block_means
 from estimators.common.model_inputs import REST_STD, build_model_inputs
 from estimators.kalman.filter import normal_hazard, update_block
+from estimators.kalman.filtered import NodesAtEmission
 from estimators.kalman.pipeline import (
     BIAS_STD,
     NODE_SPACING,
@@ -29,6 +30,7 @@ from estimators.kalman.pipeline import (
 from estimators.kalman.profile_output import HALF_WINDOW, VARIANCE_STRIDE, decay_per_node
 from estimators.kalman.road_process import fit_ar_model
 from estimators.kalman.state import ROUGHNESS_SUM, ROUGHNESS_WEIGHT, LinearizedBlock, LocalState
+from estimators.kalman.windows import EmissionTimes
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.records.record import Record
 from road_envs.sensing.instruments import load_instruments
@@ -284,7 +286,8 @@ def test_smoothing_in_chunks_is_nearly_smoothing_at_once():
 def test_innovations_on_the_filters_own_model_are_white_with_unit_variance():
     run, record, _ = run_of(drawn_samples())
     output = setup_output(run, record, 4.79, 0.004, detrended=True)
-    one = window_filter(run, output)
+    never = EmissionTimes(*5 * (np.zeros(0, dtype=int),), 0)
+    one = window_filter(run, output, NodesAtEmission(never, np.zeros((0, 2, 2)), np.zeros((0, 0))))
     windows = [part for i in range(run.windows.newest.size) for part in one.filter_window(i)]
     innovation = np.concatenate([window.innovation for window in windows]).reshape(-1, 3)
     count = innovation.size
