@@ -55,9 +55,10 @@ REWEIGHTING_STEPS, WELCH_SEGMENT = 3, 128
 PRIOR_UPDATES = 6
 """Updates of the prior between the steps with the true friction, at most."""
 
-NOISE_FALL = 0.35
-"""Most that the noise scale keeps from one step to the next where readings are fewer than unknowns:
-a high noise and a road without short waves would confirm each other."""
+NOISE_FALL, LEAST_NOISE = 0.35, 0.03
+"""Share that the noise scale keeps at most from one step to the next where a road can explain all
+readings, as a high noise and a road without short waves would confirm each other; and its least
+share of the residual's power, as a road that was lowered under a wheel would not be left again."""
 
 MAX_NOISE_POWER = 50.0
 """Greatest mean square of the road's noise u under a prior that was updated, over that before or
@@ -119,6 +120,7 @@ def minimize(
     """
     stationary, noise_scale = solver.stationary, np.full(len(objective.passes), np.inf)
     lin: Linearization | None = None
+    best: Linearization | None = None  # where a road can explain all readings
     x = np.zeros(objective.size) if start is None else start
     for std, max_steps in stages:
         if lin is not None:
@@ -137,7 +139,11 @@ def minimize(
             before = np.max(noise_scale)
             noise_scale = update_noise_scale(lin, stationary, noise_scale)
             if std == 0.0 and objective.is_underdetermined:
-                noise_scale = np.maximum(1.0, np.minimum(noise_scale, NOISE_FALL * before))
+                power = misfit_power(lin)
+                least = np.maximum(1.0, LEAST_NOISE * power)
+                noise_scale = np.maximum(least, np.minimum(noise_scale, NOISE_FALL * before))
+                if best is None or power.max() < misfit_power(best).max():
+                    best = lin
             to_come = lin.objective.road.is_level_between_obstacles and n < min(
                 LOWERING_STEPS[-1], updates
             )
@@ -145,8 +151,8 @@ def minimize(
             if change < change_tolerance and not (to_come or is_falling):
                 break
     assert lin is not None
-    if objective.is_underdetermined:
-        noise_scale = np.maximum(1.0, [_noise_scale(one, 0.0) for one in lin.passes])
+    if best is not None:
+        lin, noise_scale = best, np.maximum(1.0, misfit_power(best))
     if adapt_car is not None:
         found = adapt_car(MapSolution(lin, stationary, noise_scale), solver)
         lin, stationary, noise_scale = found.linearization, found.stationary, found.noise_scale
@@ -290,6 +296,11 @@ def update_noise_scale(
     dof = stationary.effective_dof(lin.objective.road, noise_variance)
     scales = [_noise_scale(one, share) for one, share in zip(lin.passes, dof, strict=True)]
     return np.maximum(1.0, np.minimum(noise_scale, scales))
+
+
+def misfit_power(lin: Linearization) -> np.ndarray:
+    """Power (P,) of the residual over the instruments' noise."""
+    return np.array([_noise_scale(one, 0.0) for one in lin.passes])
 
 
 def _noise_scale(one: LinearizedPass, dof: float) -> float:

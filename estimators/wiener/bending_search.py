@@ -42,13 +42,13 @@ BODY_OVER_WHEELBASE = 1.6
 WAVINESS = (1.7, 2.0, 2.3)
 """Exponents of the road's spectrum that are tried."""
 
-WINDOW, F_RANGE = 2.0, (0.7, 38.0)
+WINDOW, F_RANGE = 1.0, (0.9, 38.0)
 """Length [s] of the windows of the periodogram, and its range [Hz]."""
 
 HANN_LINES = 1.5
 """Lines that one independent line of a Hann window is spread over."""
 
-LEAST_WINDOWS = 3.0
+LEAST_WINDOWS = 4.0
 """Independent windows without obstacles below which nothing is looked for."""
 
 SAME_SPEED = 0.1

@@ -141,7 +141,7 @@ def analyse(
     edges = _edges(estimate, measured.chainage, segment, record.s[0])
     factor, std = known or KnownFactor(1.0, HRI_STD if mean_path else 0.0)
     if mean_path:
-        if misfits(estimate.notes):
+        if misfits(estimate.notes, mean_path):
             std = float(np.hypot(std, MISFIT_STD))
         index = np.searchsorted(estimate.s, edges)
         half, iri = mean_path_indices(estimate.z[:1], estimate.ds, index, factor, std)
@@ -268,7 +268,7 @@ def _flags(
 
 def _is_certain(result: DriveResult, found: DetectedObstacle) -> bool:
     """Whether an obstacle is no possible one: its confidence, and a model that fits the record."""
-    return found.confidence >= CERTAIN and not misfits(result.notes)
+    return found.confidence >= CERTAIN and not misfits(result.notes, result.is_mean_path)
 
 
 def _obstacle(result: DriveResult, found: DetectedObstacle, distance_std: float) -> dict[str, Any]:
@@ -292,10 +292,13 @@ def _obstacle(result: DriveResult, found: DetectedObstacle, distance_std: float)
     }
 
 
-def misfits(notes: Iterable[str]) -> bool:
-    """Whether a note says that the model is far from reproducing the record."""
+def misfits(notes: Iterable[str], is_mean_path: bool) -> bool:
+    """Whether a note says that the model is far from reproducing the record. The mean path alone
+    can explain any record of its sensors, so what it leaves tells whenever it is noted.
+    """
     residuals = [re.search(r"residual ([\d.]+) times", note) for note in notes]
-    return any(float(found[1]) >= LARGE_RESIDUAL for found in residuals if found)
+    least = 0.0 if is_mean_path else LARGE_RESIDUAL
+    return any(float(found[1]) >= least for found in residuals if found)
 
 
 def in_order_of_weight(notes: Iterable[str]) -> tuple[str, ...]:
