@@ -55,8 +55,9 @@ SAME_SPEED = 0.1
 """Relative range of the speeds of the windows."""
 
 MIN_GAIN = 15.0
-"""Least difference of the deviance for a body that bends. Bodies that do not bend have -26 to -23,
-those that do 33 to 128 (a Cherokee at 100 km/h on class A, seeds 101 to 105)."""
+"""Least difference of the deviance for a body that bends. With it 10 of 10 such bodies of two
+cars are found (70 and 100 km/h, classes A to C, seeds 101 to 126), 9 of them within 4 % of their
+frequency, and none of 10 stiff ones bends."""
 
 
 LEVEL_UPDATES, LEVEL_STEPS = 2, 8
