@@ -13,6 +13,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
@@ -57,7 +58,13 @@ def _as_heights(values: Any) -> np.ndarray:
         array = np.empty(0, dtype=np.int32)
     if array.ndim != 2 or array.shape[0] != 2:
         raise ValueError("left and right must have one number of heights, in whole numbers")
-    return array
+    return _shared(array.tobytes())
+
+
+@lru_cache(maxsize=64)
+def _shared(data: bytes) -> np.ndarray:
+    """Return heights (2, M), read-only: all rows of a task have the same true ones."""
+    return np.frombuffer(data, dtype=np.int32).reshape(2, -1)
 
 
 _Heights = Annotated[np.ndarray, PlainValidator(_as_heights)]
