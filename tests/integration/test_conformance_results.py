@@ -191,7 +191,7 @@ def test_cards_are_made_only_on_request_and_loaded_if_they_exist(tmp_path, monke
         drive="a road",
     )
     content = dataclasses.asdict(card)
-    CARD.write(conformance_results._path(tmp_path, identity), content, content.pop("identity"))
+    CARD.write(conformance_results.card_path(tmp_path, identity), content, content.pop("identity"))
     assert load_board([task()], tmp_path).cards == {identity: card}
 
 
