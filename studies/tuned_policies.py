@@ -22,7 +22,7 @@ FIRM = ("handling", "soft_high", "stiff_low")
 TWO_STATE: dict[str, tuple[Any, ...]] = {
     "high": ("soft_high", "handling"),
     "leak": (0.2, 1.0),
-    "bias": (-2.0, -0.5, 2.0),
+    "bias": (-2.0, 2.0, 8.0),
 }
 GRIDS: dict[str, Mapping[str, tuple[Any, ...]]] = {
     "fixed": dict.fromkeys(("front", "rear"), ("ride", *FIRM)),
@@ -40,6 +40,12 @@ GRIDS: dict[str, Mapping[str, tuple[Any, ...]]] = {
         "lead": (0.3,),
         "margin": (0.02, 0.03, 0.04),
         "advantage": (0.0, 0.1),
+    },
+    "preview": {
+        "window": (0.5,),
+        "ratio": (0.5, 1.0),
+        "bump": (0.04, 0.08, 0.16),
+        "reach": (1.0, 2.0),
     },
     "roll_angle": {"threshold": (0.01, 0.02, 0.03), "hold": (0.1, 0.5)},
     "skyhook": TWO_STATE,
