@@ -3,17 +3,6 @@
 
 const DASH = "–";
 
-/** Filter settings in the fragment of the address, so that a view can be shared as a link. */
-function readState() {
-  return Object.fromEntries(new URLSearchParams(location.hash.slice(1)));
-}
-
-function writeState(state) {
-  const set = Object.entries(state).filter(([, value]) => value);
-  const hash = new URLSearchParams(set).toString();
-  history.replaceState(null, "", hash ? "#" + hash : location.pathname);
-}
-
 class BoardTable {
   constructor(table) {
     this.table = table;
@@ -115,52 +104,49 @@ class BoardTable {
   }
 }
 
+/** Filter settings stand in the fragment of the address, so that a view can be shared as a link. */
 function startBoards() {
   const tables = [...document.querySelectorAll("table[data-source]")].map((t) => new BoardTable(t));
   const form = document.getElementById("filters");
-  const state = readState();
-  if (form) {
-    const names = ["board", "division", "group", "find", "columns", "baselines"];
-    fillGroups(form.elements.group, tables);
-    for (const name of names) {
-      const field = form.elements[name];
-      if (!field) continue;
-      if (field.type === "checkbox") field.checked = (state[name] ?? "") === field.value;
-      else if (state[name]) field.value = state[name];
-      field.addEventListener("input", () => {
-        state[name] = field.type === "checkbox" ? (field.checked ? field.value : "") : field.value;
-        writeState(state);
-        show();
-      });
-    }
-    form.addEventListener("submit", (event) => event.preventDefault());
-    document.getElementById("clear")?.addEventListener("click", () => {
-      form.reset();
-      for (const name of names) delete state[name];
-      writeState(state);
-      show();
-    });
+  fillGroups(form.elements.group, tables);
+  const stored = new URLSearchParams(location.hash.slice(1));
+  for (const field of [...form.elements].filter(({ name }) => stored.has(name))) {
+    if (field.type === "checkbox") field.checked = stored.get(field.name) === field.value;
+    else field.value = stored.get(field.name);
   }
-  function show() {
-    document.querySelectorAll("article[data-groups]").forEach((article) => {
-      const groups = JSON.parse(article.dataset.groups);
-      article.hidden = Boolean(state.group && !groups.includes(state.group));
-    });
-    document.querySelectorAll("section[data-board]").forEach((section) => {
-      const empty = !section.querySelector("article:not([hidden])");
-      section.hidden = empty || Boolean(state.board && section.dataset.board !== state.board);
-    });
-    tables.forEach((table) => table.show(state));
-    const count = document.getElementById("count");
-    if (count) {
-      const rows = [...document.querySelectorAll("table[data-source] tbody tr")];
-      const visible = rows.filter((row) => !row.closest("[hidden]") && !row.hidden).length;
-      count.textContent = `${visible} of ${rows.length} rows`;
-      document.getElementById("nothing").hidden = visible > 0;
-    }
-  }
+  const show = () => showTables(Object.fromEntries(new FormData(form)), tables);
+  const store = () => {
+    const chosen = [...new FormData(form)].filter(([, value]) => value);
+    const hash = new URLSearchParams(chosen).toString();
+    history.replaceState(null, "", hash ? "#" + hash : location.pathname);
+    show();
+  };
+  form.addEventListener("input", store);
+  form.addEventListener("submit", (event) => event.preventDefault());
+  document.getElementById("clear")?.addEventListener("click", () => {
+    form.reset();
+    store();
+  });
   show();
   document.documentElement.dataset.ready = "yes";
+}
+
+function showTables(state, tables) {
+  document.querySelectorAll("article[data-groups]").forEach((article) => {
+    const groups = JSON.parse(article.dataset.groups);
+    article.hidden = Boolean(state.group && !groups.includes(state.group));
+  });
+  document.querySelectorAll("section[data-board]").forEach((section) => {
+    const empty = !section.querySelector("article:not([hidden])");
+    section.hidden = empty || Boolean(state.board && section.dataset.board !== state.board);
+  });
+  tables.forEach((table) => table.show(state));
+  const count = document.getElementById("count");
+  if (!count) return;
+  const rows = tables.flatMap((table) => table.rows);
+  const visible = rows.filter((row) => !row.closest("[hidden]")).length;
+  count.textContent = `${visible} of ${rows.length} rows`;
+  document.getElementById("nothing").hidden = visible > 0;
 }
 
 function fillGroups(select, tables) {
