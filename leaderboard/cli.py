@@ -55,7 +55,7 @@ class RoadRecon(LazyGroup):
             "classify": "estimate:classify",
             "identify": "identify:identify",
             "new-vehicle": "new:new_vehicle",
-            "train": "simulate:train",
+            "train": "train:train",
             "observability": "observability:observability",
             "new-estimator": "new:new_estimator",
             "check-estimator": "check:check_estimator",

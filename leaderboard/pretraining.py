@@ -12,10 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from estimators import pretrained_weights, weights_io
-from estimators.api import DeviationCalibratable, Pretrained
+from estimators import pretrained_weights, registry, weights_io
+from estimators.api import DeviationCalibratable, Pretrained, Trainable
 from leaderboard.evaluation.evaluate import get_settings
 from leaderboard.evaluation.provenance import package_version
+from road_envs.core.config import ConfigError
 from road_envs.drives.training_corpus import Corpus
 
 Progress = Callable[[str, float], None]
@@ -58,7 +59,7 @@ def _run_digest(estimator: Pretrained, name: str, corpus: Corpus, seed: int) -> 
 
 
 def train(
-    estimator: Pretrained,
+    estimator: Trainable,
     name: str,
     corpus: Corpus,
     seed: int,
@@ -66,7 +67,17 @@ def train(
     command: str,
     progress: Progress = lambda text, share: None,
 ) -> Pretrained:
-    """Pretrain `estimator`, write it to `out` (.safetensors). Raises ConfigError, StorageError."""
+    """Pretrain `estimator`, which is called `name`, and write it to `out` (.safetensors).
+
+    Raises ConfigError for an estimator of one speed and mode, and for another suffix.
+    """
+    if not isinstance(estimator, Pretrained):
+        raise ConfigError(
+            f"{name} is trained for one speed and mode: give training roads with --road; "
+            f"pretraining on the corpus is possible for {', '.join(registry.pretrainable())}"
+        )
+    if out.suffix != ".safetensors":
+        raise ConfigError(f"{out}: the name must end in .safetensors for weights from the corpus")
     digest = _run_digest(estimator, name, corpus, seed)
     checkpoint = _FileCheckpoint(out.with_name(f".{out.name}.unfinished"), digest)
     drives = []

@@ -1,6 +1,5 @@
 """Command `dataset`: simulated drives with their true roads, for training without the simulator."""
 
-import shutil
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,6 +9,7 @@ from leaderboard.arrays import load_task
 from leaderboard.commands import command_line, progress_bar
 from leaderboard.commands.options import Sensors
 from leaderboard.commands.output import Output, facts_table
+from leaderboard.new_folder import new_folder
 from leaderboard.policies.episodes import DATASETS_PATH, write_episodes
 from leaderboard.task_tables import write_task
 from road_envs.core.config import ConfigError
@@ -42,37 +42,25 @@ def dataset(
     training. With --episodes, a data set of Minari has as many episodes of a policy in
     RoadRecon-v0. With --task, the drives of a task, whose test drives have no true road.
     """
-    if out.exists():
-        raise ConfigError(f"{out} exists; give a folder that does not")
-    if not out.parent.is_dir():
-        raise ConfigError(f"{out}: the folder {out.parent} does not exist")
     if task is not None and episodes is not None:
         raise ConfigError("give either --task or --episodes, not both")
     if task is None and (csv or roads is not None):
         raise ConfigError("--csv and --roads are of a task: give --task")
-    partial = out.with_name(f"{out.name}.partial")
-    shutil.rmtree(partial, ignore_errors=True)
-    partial.mkdir()
-    try:
-        with progress_bar() as progress:
-            if episodes is not None:
-                facts: dict[str, Any] = write_episodes(
-                    episodes, drives, seed, partial, progress, sensors=sensors
-                )
-            elif task is not None:
-                form = "csv" if csv else "parquet"
-                arrays = load_task(task, roads=roads)
-                facts = {"training": len(arrays.training), "test": len(arrays.test)}
-                write_task(arrays, partial, form, roads)
-            else:
-                corpus = Corpus(number=drives, seed=seed, instruments=sensors)
-                facts = write_dataset(corpus, partial, command=command_line(), progress=progress)
-        partial.rename(out)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+    if not out.parent.is_dir():
+        raise ConfigError(f"{out}: the folder {out.parent} does not exist")
+    facts: dict[str, Any]
+    with new_folder(out) as folder, progress_bar() as progress:
+        if episodes is not None:
+            facts = write_episodes(episodes, drives, seed, folder, progress, sensors=sensors)
+        elif task is not None:
+            arrays = load_task(task, roads=roads)
+            facts = {"training": len(arrays.training), "test": len(arrays.test)}
+            write_task(arrays, folder, "csv" if csv else "parquet", roads)
+        else:
+            corpus = Corpus(number=drives, seed=seed, instruments=sensors)
+            facts = write_dataset(corpus, folder, command=command_line(), progress=progress)
     facts["written"] = [str(out)]
-    shows = [*facts_table(facts)]
-    if episodes is not None:
-        load = f"minari.load_dataset({facts['data_set']!r})"
-        shows.append(f"to load it: {DATASETS_PATH}={out} and {load}")
-    return Output(facts=facts, shows=shows)
+    if episodes is None:
+        return Output(facts=facts)
+    load = f"to load it: {DATASETS_PATH}={out} and minari.load_dataset({facts['data_set']!r})"
+    return Output(facts=facts, shows=[*facts_table(facts), load])

@@ -25,6 +25,7 @@ from leaderboard.evaluation import store
 from leaderboard.evaluation.provenance import describe_environment, package_version
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics.baselines import ALL_BASELINES
+from leaderboard.new_folder import new_folder
 from leaderboard.running.board import run_board
 from leaderboard.running.executors import ProcessExecutor
 from leaderboard.running.jobs import in_sandbox
@@ -73,13 +74,8 @@ def make_submission(
     that exists.
     """
     load_method_card(card)
-    if folder.exists():
-        raise ConfigError(f"{folder} exists; give a folder that does not")
     began = _cpu_seconds()
-    partial = folder.with_name(f".{folder.name}.partial")
-    shutil.rmtree(partial, ignore_errors=True)
-    partial.mkdir(parents=True)
-    try:
+    with new_folder(folder) as partial:
         (partial / "code").mkdir()
         entry_files.snapshot(entry_files.find_reference(str(wheel)), partial / "code")
         shutil.copyfile(card, partial / CARD)
@@ -106,9 +102,6 @@ def make_submission(
             files=_digests(partial),
         )
         SUBMISSION.write(partial / RECORD, asdict(record))
-        partial.rename(folder)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
     return record
 
 

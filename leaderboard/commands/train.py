@@ -1,0 +1,125 @@
+"""Command `train`: fit an estimator to drives over known roads, or pretrain it on the corpus."""
+
+import time
+from pathlib import Path
+from typing import Annotated, Any, cast
+
+import typer
+
+import estimators
+from estimators import weights_io
+from estimators.api import Trainable
+from estimators.linear.calibrated_fir import CalibratedFir
+from estimators.networks.narx import Narx
+from estimators.networks.static_lm import StaticLm
+from leaderboard import pretraining
+from leaderboard.commands import (
+    check_output_path,
+    command_line,
+    on_interrupt,
+    parse_mode,
+    parse_settings,
+    progress_bar,
+)
+from leaderboard.commands.drive_files import DriveOptions, read_passes
+from leaderboard.commands.options import KnownRoads, Length, Settings
+from leaderboard.commands.output import Output
+from leaderboard.drive_report.drive_estimates import read_profiles
+from road_envs.core.config import ConfigError
+from road_envs.drives.reading import DEFAULT_VEHICLE
+from road_envs.drives.recording import simulate_record
+from road_envs.drives.training_corpus import Corpus
+from road_envs.records.record import Profile, Record
+from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
+
+
+def train(
+    *,
+    estimator: Annotated[str, typer.Argument(help="Name of a trainable estimator.")],
+    records: Annotated[
+        list[Path] | None,
+        typer.Argument(help="Own drives to train on, over roads of known --profile."),
+    ] = None,
+    out: Annotated[
+        Path, typer.Option(help="File for the fitted estimator (.npz or .safetensors).")
+    ],
+    profile: KnownRoads = None,
+    road: Annotated[
+        list[str] | None,
+        typer.Option(help="Training road; may be given again. Default: the shipped corpus."),
+    ] = None,
+    length: Length = None,
+    drives: Annotated[
+        int | None,
+        typer.Option(help="Drives on each road with different seeds, or of the corpus.", min=1),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the training.", min=0)] = 1,
+    settings: Settings = None,
+    options: DriveOptions,
+) -> Output:
+    """Train an estimator on simulated or own drives and store it.
+
+    With files of drives and their --profile, it is trained on them: `calibrated_fir` needs nothing
+    else. With --road, it is trained on simulated drives at one speed and in one mode. Without
+    either, it is pretrained on the corpus for all speeds and modes, like the weights in this
+    package. Pretraining takes some minutes and continues from a checkpoint if it is interrupted and
+    called again.
+    """
+    check_output_path(out, ".npz", ".safetensors")
+    chosen = estimators.create(estimator, **parse_settings(settings))
+    if not isinstance(chosen, Trainable):
+        raise ConfigError(f"{estimator} is not trainable; use it in `estimate` by its name")
+    facts: dict[str, Any] = {"estimator": estimator}
+    vehicle = options.vehicle or DEFAULT_VEHICLE
+    if records:
+        if road or not profile:
+            raise ConfigError("give the --profile of the drives' roads, and no --road")
+        files = read_passes(records, options)
+        known = cast(list[Profile], read_profiles(profile, [f.measured for f in files]))
+        pairs = [(file.measured.record, z) for file, z in zip(files, known, strict=True)]
+        facts["drives"] = [str(path) for path in records]
+        facts |= _fit(chosen, pairs, files[0].car, seed, out)
+        facts["notes"] = list(dict.fromkeys(n for file in files for n in file.measured.notes))
+    elif road:
+        car, pairs, number = load_vehicle(vehicle), [], drives or 1
+        with progress_bar() as progress:
+            for k, (name, i) in enumerate((name, i) for name in road for i in range(number)):
+                progress(f"simulating {name}", 0.5 * k / (len(road) * number))
+                pair = simulate_record(
+                    name,
+                    length=length,
+                    vehicle=car,
+                    speed_kmh=options.speed_kmh or 14.5,
+                    mode=parse_mode(options.mode),
+                    instruments=options.sensors or "ideal",
+                    seed=seed + i,
+                )
+                pairs.append(pair)
+            progress("training", 0.5)
+            fitted = _fit(chosen, pairs, car, seed, out)
+        metres = float(sum(record.length for record, _ in pairs))
+        facts |= {"drives": len(pairs), "metres": metres, **fitted}
+    else:
+        corpus = Corpus(car=vehicle) if drives is None else Corpus(car=vehicle, number=drives)
+        begin = time.process_time()
+        kept = f"the last stored state of the training is beside {out}; the same command continues"
+        with on_interrupt(kept), progress_bar() as progress:
+            pretraining.train(chosen, estimator, corpus, seed, out, command_line(), progress)
+        seconds = time.process_time() - begin
+        facts |= {"drives": corpus.number, "corpus": corpus.digest, "cpu_seconds": seconds}
+    return Output(facts={**facts, "written": [str(out)]})
+
+
+def _fit(
+    estimator: Trainable,
+    drives: list[tuple[Record, Profile]],
+    car: VehicleParameters,
+    seed: int,
+    out: Path,
+) -> dict[str, Any]:
+    """Fit an estimator to drives over known roads, store it, and return what the fit gave."""
+    fitted = estimator.fit([r for r, _ in drives], [z for _, z in drives], car, seed)
+    weights_io.save(fitted, out)
+    if isinstance(fitted, StaticLm | Narx):
+        return {"epochs": fitted.training.epochs, "stopped_by": fitted.training.stop}
+    return fitted.summary() if isinstance(fitted, CalibratedFir) else {}
