@@ -50,7 +50,7 @@ class RoadRecon(LazyGroup):
         "Estimates": {
             "report": "report:report",
             "iri": "iri:iri",
-            "export": "iri:export",
+            "export": "roads:export_heights",
             "estimate": "estimate:estimate",
             "classify": "estimate:classify",
             "identify": "identify:identify",

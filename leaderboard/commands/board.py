@@ -155,8 +155,9 @@ def leaderboard(
     limits = parse_limits(time_limit, memory_limit, isolation)
     check_output_folder(out)
     entries = _entries(estimator, without or [], limits)
-    request = RunRequest(chosen, entries, range(1, seeds + 1), roads, not again, limits, probes)
-    request = dataclasses.replace(request, replace=tuple(replace or ()))
+    request = RunRequest(
+        chosen, entries, range(1, seeds + 1), roads, not again, limits, probes, tuple(replace or ())
+    )
     if plan:
         notices.print(f"job files written to {plan}: {write_jobs(request, out, plan)}")
         return

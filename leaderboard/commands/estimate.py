@@ -11,12 +11,8 @@ import estimators
 from estimators.roughness import spectral
 from estimators.roughness.rms_regression import RmsRoughness, RoughnessEstimate
 from estimators.wiener.segments import dominant_modes
-from leaderboard.commands import (
-    check_output_path,
-    import_from_here,
-    make_table,
-    parse_settings,
-)
+from leaderboard.api import ScoreTable
+from leaderboard.commands import check_output_path, import_from_here, make_table, parse_settings
 from leaderboard.commands.drive_files import (
     DriveOptions,
     RecordFile,
@@ -28,8 +24,7 @@ from leaderboard.commands.options import Settings
 from leaderboard.commands.output import Output, facts_table
 from leaderboard.drive_report.drive_estimates import estimate_drive, make_drive_estimator
 from leaderboard.metrics.alignment import Alignment, align
-from leaderboard.metrics.api import UNDEFINED
-from leaderboard.metrics.registry import PRINTED_SCORES, SCORES, compute_scores
+from leaderboard.metrics.registry import compute_scores
 from leaderboard.report import plots
 from road_envs.core.config import validate_choice
 from road_envs.drives.reading import same_instruments
@@ -90,7 +85,7 @@ def estimate(
         "notes": [*notes, *result.notes],
         "written": [str(p) for p in (out, plot) if p],
     }
-    profile, scored, v, scores = None, result, result.speed or 0.0, {}
+    profile, scored, v, scores = None, result, result.speed or 0.0, ScoreTable({})
     if truth:
         surface = realise_road(truth, 0)
         profile, scored = Profile(result.s, surface.height(result.s)), result
@@ -100,14 +95,16 @@ def estimate(
             aligned = align(surface, result, v, drive.measured.chainage - start)
             profile, scored = aligned.truth, aligned.estimate
             facts["notes"].append(_alignment_note(aligned))
-        scores = compute_scores(profile, scored, v, bumps=True)
+        scores = ScoreTable(compute_scores(profile, scored, v, bumps=True))
+        facts["scores"] = scores.values
+    shows = facts_table(facts)
     if out:
         start = drive.measured.chainage if drive.is_table else 0.0
         write_csv(Surface(result.z, result.ds, start, name=f"estimate of {records[0].name}"), out)
     if plot:
         plots.draw_estimate(profile, scored, v, plot)
-    shows = [*facts_table(facts), *([_scores_table(scores)] if scores else [])]
-    return Output(facts={**facts, "scores": scores} if truth else facts, shows=shows)
+    printed = {label: text for _, text, label in scores.rows()}
+    return Output(facts=facts, shows=[*shows, *facts_table(printed)])
 
 
 def classify(
@@ -175,12 +172,3 @@ def _alignment_note(aligned: Alignment) -> str:
         f"aligned with the truth by {aligned.lag:+.2f} m (correlation of slopes in the scored band "
         f"{aligned.correlation:.2f}{before}); {aligned.truth.s[-1]:.1f} m overlap and are scored"
     )
-
-
-def _scores_table(scores: dict[str, float]) -> Table:
-    """Return PRINTED_SCORES with their units."""
-    table = Table(box=None, pad_edge=False, show_header=False)
-    for key in PRINTED_SCORES:
-        if key in scores and (text := SCORES[key].format_value(scores[key])) != UNDEFINED:
-            table.add_row(SCORES[key].label, text, SCORES[key].unit)
-    return table

@@ -1,17 +1,15 @@
-"""Commands `iri` and `export`: indices of a profile; a report's road for other programs."""
+"""Command `iri`: roughness indices of a profile."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from leaderboard.commands import check_output_path, console, make_table
+from leaderboard.commands import make_table
 from leaderboard.commands.output import Output
-from leaderboard.drive_report.export import read_heights
 from road_envs.core.config import ConfigError
 from road_envs.records.roughness import IN_PER_MI, profile_indices
 from road_envs.roads import realise_road
-from road_envs.roads.formats.write import WRITERS, write
 
 HEADS = ("from [m]", "to [m]", "left", "right", "mean", "half-car (HRI)", "mean [in/mi]")
 
@@ -45,17 +43,3 @@ def iri(
              "notes": list(surface.notes)}  # fmt: skip
     told = "IRI in mm/m; the last line is that of the whole profile"
     return Output(facts=facts, shows=[make_table(HEADS, cells), told])
-
-
-def export(
-    heights: Annotated[Path, typer.Argument(help="NAME_heights.parquet of a report.")],
-    out: Annotated[Path, typer.Option(help="Road: .erd for ProVAL, .crg for simulators, .csv.")],
-) -> None:
-    """Write the road that a report found as a surface for other programs.
-
-    The own vehicle over it moves as in the drive: `simulate --road` takes it, too.
-    """
-    check_output_path(out, *WRITERS)
-    surface = read_heights(heights)
-    write(surface, out)
-    console.print(f"written: {out} ({surface.length:.0f} m, every {1000 * surface.ds:.4g} mm)")

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from leaderboard.commands import console
+from leaderboard.commands.output import Output
 from leaderboard.conformance.scaffold import Example, write_package
 from road_envs.core.config import ConfigError
 from road_envs.vehicle.generic_cars import CLASSES, fitted_vehicle
@@ -25,27 +25,27 @@ def new_estimator(
     learns: Annotated[
         bool, typer.Option("--learns", help="An estimator that is fitted to training drives.")
     ] = False,
-) -> None:
+) -> Output:
     """Write a small working package with a new estimator."""
-    _write(name, out, "learner" if learns else "estimator", f"check-estimator {name}")
+    return _write(name, out, "learner" if learns else "estimator", f"check-estimator {name}")
 
 
-def new_policy(name: Name, out: Folder = None) -> None:
+def new_policy(name: Name, out: Folder = None) -> Output:
     """Write a small working package with a new switching policy."""
-    _write(name, out, "policy", f"check-policy {name}")
+    return _write(name, out, "policy", f"check-policy {name}")
 
 
-def _write(name: str, out: Path | None, example: Example, check: str) -> None:
+def _write(name: str, out: Path | None, example: Example, check: str) -> Output:
     folder = out or Path(f"road-recon-{name.replace('_', '-')}")
-    for path in write_package(name, folder, example):
-        console.print(str(path), highlight=False)
+    written = [str(path) for path in write_package(name, folder, example)]
     target = folder if folder.is_absolute() else f"./{folder}"
-    for line in (
-        f'next: pip install --editable "{target}[test]"',
-        f"      python -m pytest {target}",
-        f"      road-recon {check}",
-    ):
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    following = [
+        f'pip install --editable "{target}[test]"',
+        f"python -m pytest {target}",
+        f"road-recon {check}",
+    ]
+    shows = [*written, "next: " + "\n      ".join(following)]
+    return Output(facts={"written": written, "next": following}, shows=shows)
 
 
 Class = Annotated[
@@ -64,7 +64,7 @@ def new_vehicle(
     mass: Mass,
     wheelbase: Wheelbase,
     track: Track,
-) -> None:
+) -> Output:
     """Write a vehicle file of a class with its mass, wheelbase, track and tolerances.
 
     What is not given is asked for. The registration papers have mass and wheelbase; the track is
@@ -75,10 +75,5 @@ def new_vehicle(
     car = fitted_vehicle(out.stem, car_class, mass, wheelbase, track)
     head = f"A {car_class} of {mass:g} kg, {wheelbase:g} m wheelbase, {track:g} m track. SI units."
     write_vehicle(out, car, head)
-    console.print(str(out), highlight=False)
-    console.print(
-        f"next: road-recon identify DRIVE DRIVE --vehicle {out} narrows its tolerances",
-        markup=False,
-        highlight=False,
-        soft_wrap=True,
-    )
+    following = f"road-recon identify DRIVE DRIVE --vehicle {out} narrows its tolerances"
+    return Output(facts={"written": str(out), "next": following})

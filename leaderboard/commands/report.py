@@ -21,15 +21,12 @@ from leaderboard.drive_report.conditions import load_conditions
 from leaderboard.drive_report.report import ReportSettings, make_report, write_report
 from road_envs.drives.logger_tables.description import write_description
 
-Drives = Annotated[
-    list[Path],
-    typer.Argument(help=f"Drives, each {KINDS}; several are passes."),
-]
-
 
 def report(
     *,
-    drives: Drives,
+    drives: Annotated[
+        list[Path], typer.Argument(help=f"Drives, each {KINDS}; several are passes.")
+    ],
     out: Annotated[Path, typer.Option(help="Folder of the page and its files.")],
     estimator: Annotated[str, typer.Option(help="Name, or a file from `train`.")] = "map_smoother",
     segment: Annotated[
@@ -75,18 +72,20 @@ def report(
         progress("reading", 0.0)
         read = read_passes(drives, options)
         made = make_report(read, chosen, progress)
-    results, agreement = made.drives, made.agreement
-    road = [made.road] if made.road else []
     page, *written = write_report(made, chosen, out)
     if options.save_description:  # with the factor of a known IRI
         write_description(options.save_description, made.descriptions[0])
-    files = [str(path) for path in (page, *written)]
-    facts = {"drives": [_facts(result) for result in results], "agreement": agreement}
-    shows = [part for result in (*road, *results) for part in _shown(result)]
-    shows += _agreement_lines(agreement) if agreement else []
+    facts = {
+        "drives": [_facts(drive) for drive in made.drives],
+        "agreement": made.agreement,
+        "road": _facts(made.road) if made.road else None,
+        "written": [str(path) for path in (page, *written)],
+    }
+    shows = [part for result in made.results for part in _shown(result)]
+    if made.agreement:
+        shows += _agreement_lines(made.agreement)
     return Output(
-        facts={**facts, "road": _facts(road[0]) if road else None, "written": files},
-        shows=[*shows, f"written: {page} and {len(written)} files beside it"],
+        facts=facts, shows=[*shows, f"written: {page} and {len(written)} files beside it"]
     )
 
 

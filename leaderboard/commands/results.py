@@ -188,13 +188,13 @@ def cite(
 def clean(
     folder: Annotated[Path | None, typer.Argument(help="Default: the caches of this user.")] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="List them, delete nothing.")] = False,
-) -> None:
+) -> Output:
     """Delete stale artifacts: results, cards and caches that other code has made."""
     where = folder or cache_home()
     if folder is not None and not folder.is_dir():
         raise ConfigError(f"{folder}: no such folder")
-    found = artifacts.clean(where, delete=not dry_run)
-    for path in found if dry_run else ():
-        console.print(str(path))
+    found = [str(path) for path in artifacts.clean(where, delete=not dry_run)]
     what = "would be deleted" if dry_run else "deleted"
-    console.print(f"{len(found)} stale artifacts below {where} {what}")
+    summary = f"{len(found)} stale artifacts below {where} {what}"
+    shows = [*found, summary] if dry_run else [summary]
+    return Output(facts={"folder": str(where), "stale": found, "deleted": not dry_run}, shows=shows)

@@ -1,4 +1,4 @@
-"""Command `roads`: list, plot and export roads."""
+"""Commands `roads list`, `roads plot`, `roads export`, and `export` of the road of a report."""
 
 from pathlib import Path
 from typing import Annotated
@@ -6,9 +6,10 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from leaderboard.commands import check_output_path, console, make_table
+from leaderboard.commands import check_output_path, make_table
 from leaderboard.commands.options import Length, Seed
 from leaderboard.commands.output import Output
+from leaderboard.drive_report.export import read_heights
 from leaderboard.report import plots
 from road_envs.core import config
 from road_envs.core.config import ConfigError
@@ -51,11 +52,11 @@ def plot_road(
     out: Annotated[Path, typer.Option(help="Picture to write (.png, .svg or .pdf).")],
     length: Length = None,
     seed: Seed = 1,
-) -> None:
+) -> Output:
     """Plot both wheel paths of a road, and their PSD over the ISO 8608 classes."""
     check_output_path(out, ".png", ".svg", ".pdf")
     plots.draw_road(realise_road(road, seed, length), out)
-    console.print(f"written: {out}")
+    return Output(facts={"written": str(out)})
 
 
 def export(
@@ -66,17 +67,33 @@ def export(
     form: Annotated[
         str | None, typer.Option(help="Format of a .crg file: KDBI, KRBI, LDFI or LRFI.")
     ] = None,
-) -> None:
+) -> Output:
     """Write both wheel paths of a road to a file that can be read back as a road."""
     check_output_path(out, *WRITERS)
     if form and out.suffix.lower() != ".crg":
         raise ConfigError(f"{out}: --form is for .crg files only; leave it out")
-    surface = realise_road(road, seed, length)
+    return _written(realise_road(road, seed, length), out, form)
+
+
+def export_heights(
+    heights: Annotated[Path, typer.Argument(help="NAME_heights.parquet of a report.")],
+    out: Annotated[Path, typer.Option(help="Road: .erd for ProVAL, .crg for simulators, .csv.")],
+) -> Output:
+    """Write the road that a report found as a surface for other programs.
+
+    The own vehicle over it moves as in the drive: `simulate --road` takes it, too.
+    """
+    check_output_path(out, *WRITERS)
+    return _written(read_heights(heights), out)
+
+
+def _written(surface: Surface, out: Path, form: str | None = None) -> Output:
+    """Write a road, of which a .crg file can have a `form`, and return what was written."""
     if form:
         write_crg(surface, out, form)
     else:
         write(surface, out)
-    console.print(f"written: {out} ({surface.length:g} m, every {1000 * surface.ds:g} mm)")
+    return Output(facts={"written": str(out), "length_m": surface.length, "spacing_m": surface.ds})
 
 
 def _facts(name: str, surface: Surface) -> dict:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from leaderboard.commands import check_output_folder, console, notices, progress_bar
+from leaderboard.commands import check_output_folder, notices, progress_bar
 from leaderboard.commands.options import (
     CORES,
     Isolation,
@@ -105,10 +105,10 @@ def verify_one(
 
 def new_results_repo(
     folder: Annotated[Path, typer.Argument(help="New or empty folder; a .git may be there.")],
-) -> None:
+) -> Output:
     """Write a repository of results: rules, CI that verifies submissions, site, issue form."""
-    for path in repository.write_repository(folder):
-        console.print(str(path), highlight=False)
+    written = [str(path) for path in repository.write_repository(folder)]
+    return Output(facts={"written": written}, shows=written)
 
 
 def results_site(

@@ -32,6 +32,9 @@ from road_envs.drives.training_corpus import Corpus
 from road_envs.records.record import Profile, Record
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 
+SIMULATED = ("vehicle", "sensors", "mode", "speed_kmh")
+"""Options of drives that simulated ones have, too."""
+
 
 def train(
     *,
@@ -70,10 +73,11 @@ def train(
     if not isinstance(chosen, Trainable):
         raise ConfigError(f"{estimator} is not trainable; use it in `estimate` by its name")
     facts: dict[str, Any] = {"estimator": estimator}
-    vehicle = options.vehicle or DEFAULT_VEHICLE
+    vehicle, simulated = options.vehicle or DEFAULT_VEHICLE, {"length": length, "drives": drives}
     if records:
-        if road or not profile:
-            raise ConfigError("give the --profile of the drives' roads, and no --road")
+        _refuse("own drives", {"road": road, **simulated})
+        if not profile:
+            raise ConfigError("give the --profile of the drives' roads")
         files = read_passes(records, options)
         known = cast(list[Profile], read_profiles(profile, [f.measured for f in files]))
         pairs = [(file.measured.record, z) for file, z in zip(files, known, strict=True)]
@@ -81,6 +85,8 @@ def train(
         facts |= _fit(chosen, pairs, files[0].car, seed, out)
         facts["notes"] = list(dict.fromkeys(n for file in files for n in file.measured.notes))
     elif road:
+        measured = {k: x for k, x in vars(options).items() if k not in SIMULATED}
+        _refuse("simulated drives", {"profile": profile, **measured})
         car, pairs, number = load_vehicle(vehicle), [], drives or 1
         with progress_bar() as progress:
             for k, (name, i) in enumerate((name, i) for name in road for i in range(number)):
@@ -100,6 +106,8 @@ def train(
         metres = float(sum(record.length for record, _ in pairs))
         facts |= {"drives": len(pairs), "metres": metres, **fitted}
     else:
+        others = {k: x for k, x in vars(options).items() if k != "vehicle"}
+        _refuse("the corpus", {"profile": profile, "length": length, **others})
         corpus = Corpus(car=vehicle) if drives is None else Corpus(car=vehicle, number=drives)
         begin = time.process_time()
         kept = f"the last stored state of the training is beside {out}; the same command continues"
@@ -108,6 +116,12 @@ def train(
         seconds = time.process_time() - begin
         facts |= {"drives": corpus.number, "corpus": corpus.digest, "cpu_seconds": seconds}
     return Output(facts={**facts, "written": [str(out)]})
+
+
+def _refuse(material: str, options: dict[str, Any]) -> None:
+    """Raise ConfigError if an option is given that training on this material does not use."""
+    if given := [f"--{key.replace('_', '-')}" for key, x in options.items() if x is not None]:
+        raise ConfigError(f"training on {material} takes no {', '.join(given)}: leave it out")
 
 
 def _fit(

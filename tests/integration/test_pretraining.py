@@ -190,6 +190,21 @@ def test_an_estimator_for_one_speed_requires_training_roads(road_recon):
     assert code == 2 and "the name must end in .safetensors" in err
 
 
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("--sensors", "phone"), "training on the corpus takes no --sensors: leave it out"),
+        (("--road", "iso_a", "--invert", "a_rf"), "training on simulated drives takes no --invert"),
+        (("d.csv", "--profile", "p.csv", "--length", "9"), "training on own drives takes no --len"),
+        (("d.csv",), "give the --profile of the drives' roads"),
+    ],
+)
+def test_options_that_a_training_does_not_use_are_refused(road_recon, tmp_path, words, sentence):
+    code, out, err = road_recon("train", "fir_ridge", *words, "--out", "f.safetensors")
+    assert code == 2 and err.startswith(f"error: {sentence}") and out == ""
+    assert list(tmp_path.iterdir()) == []
+
+
 SHIPPED_CORPUS = "0ad25ee03bd7"
 """Digest of the corpus that the shipped weights were trained on; `test_pretrained_weights` holds
 that its drives are today's.
