@@ -68,6 +68,13 @@ def test_filters_select_divisions_boards_names_and_baselines(browser, written):
     assert browser.value("document.getElementById('count').textContent").endswith(" rows")
 
 
+def test_settings_without_a_field_on_the_page_change_nothing(browser, written):
+    browser.open(written / "tasks/held_out.html", after="#find=read&baselines=off&division=causal")
+    rows = "[...document.querySelectorAll('table[data-source] tbody tr')]"
+    shown = browser.value(f"{rows}.filter(r => !r.hidden).map(r => r.dataset.name)")
+    assert "online" in shown and "flat" in shown and "reader" not in shown
+
+
 def test_selected_filters_are_stored_in_the_address(browser, written):
     browser.open(written / "index.html")
     browser.value(
