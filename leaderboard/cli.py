@@ -17,7 +17,7 @@ from road_envs import __version__
 
 
 class Roads(LazyGroup):
-    """Subcommands of `road-recon roads`."""
+    """List, plot and export roads."""
 
     sections: ClassVar[Sections] = {
         "Commands": {
@@ -28,14 +28,6 @@ class Roads(LazyGroup):
     }
 
 
-roads = new_app(cls=Roads, help="List, plot and export roads.", no_args_is_help=True)
-
-
-@roads.callback()
-def _roads() -> None:
-    """List, plot and export roads."""
-
-
 class RoadRecon(LazyGroup):
     """All subcommands."""
 
@@ -43,7 +35,7 @@ class RoadRecon(LazyGroup):
         "Drives and roads": {
             "simulate": "simulate:simulate",
             "dataset": "dataset:dataset",
-            "roads": roads,
+            "roads": Roads,
             "animate": "animate:animate",
         },
         "Names": {"list": "listing:list_names"},

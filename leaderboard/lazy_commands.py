@@ -19,8 +19,8 @@ INTERRUPTED = 130
 
 PACKAGE = "leaderboard.commands"
 
-Sections = Mapping[str, Mapping[str, str | typer.Typer]]
-"""Commands by name, by heading of the help: "module:function" of PACKAGE, or a Typer app."""
+Sections = Mapping[str, Mapping[str, str | type]]
+"""Commands by name, by heading of the help: "module:function" of PACKAGE, or a LazyGroup."""
 
 
 OPTION_SECTIONS = {
@@ -59,7 +59,7 @@ class _SectionedCommand(TyperCommand):
 
 
 class LazyGroup(TyperGroup):
-    """A group of commands from a table; a subclass sets `sections`."""
+    """A group of commands; a subclass sets its `sections`, and its docstring is the help."""
 
     sections: ClassVar[Sections] = {}
 
@@ -92,10 +92,10 @@ class LazyGroup(TyperGroup):
             raise typer.Exit(INTERRUPTED) from None
 
 
-def _help_line(target: str | typer.Typer) -> str:
-    """Return the first paragraph of the docstring of a command, or the help of an app."""
-    if isinstance(target, typer.Typer):
-        return str(target.info.help)
+def _help_line(target: str | type) -> str:
+    """Return the first paragraph of the docstring of a command, or the docstring of a group."""
+    if isinstance(target, type):
+        return str(target.__doc__)
     module, _, function = target.partition(":")
     path = Path(__file__).parent / PACKAGE.rpartition(".")[2] / f"{module}.py"
     nodes = ast.parse(path.read_text(encoding="utf-8")).body
@@ -103,11 +103,11 @@ def _help_line(target: str | typer.Typer) -> str:
     return " ".join((texts[function] or "").partition("\n\n")[0].split())
 
 
-def _build(name: str, target: str | typer.Typer) -> Any:
-    if isinstance(target, typer.Typer):
-        command = typer.main.get_command(target)
-        command.name = name
-        return command
+def _build(name: str, target: str | type) -> Any:
+    if isinstance(target, type):
+        group = new_app(name=name, cls=target, help=target.__doc__, no_args_is_help=True)
+        group.callback()(lambda: None)
+        return typer.main.get_command(group)
     module, _, function = target.partition(":")
     from leaderboard.commands.output import as_command
 

@@ -111,15 +111,12 @@ def _tables(result: IdentificationResult, drives: list[str]) -> list[Any]:
         if result.std[i] <= UNDETERMINED:
             change, std = 100.0 * (result.factors[i] - 1.0), 100.0 * result.std[i] * space.std[i]
             table.add_row(name, f"{change:+.1f}", f"{std:.1f}", f"{100.0 * result.std[i]:.0f}")
-    readings = result.fit.instrument_errors
-    units = ["[%]" if name.startswith(("gain", "speed")) else "[m]" for name in readings.names]
-    for k, unit in enumerate(units[: result.fit.x.size - space.size]):
-        i, scale = space.size + k, 100.0 if unit == "[%]" else 1.0
-        value, std = (scale * readings.std[k] * x[i] for x in (result.fit.x, result.std))
-        digits = 2 if unit == "[%]" else 3
-        table.add_row(
-            f"{readings.names[k]} {unit}", f"{value:+.{digits}f}", f"{std:.{digits}f}", ""
-        )
+    readings, n = result.fit.instrument_errors, space.size
+    rows = zip(readings.names, readings.std, result.fit.x[n:], result.std[n:], strict=False)
+    for name, scale, x, std in rows:
+        is_share = name.startswith(("gain", "speed"))
+        unit, factor, digits = ("[%]", 100.0 * scale, 2) if is_share else ("[m]", scale, 3)
+        table.add_row(f"{name} {unit}", f"{factor * x:+.{digits}f}", f"{factor * std:.{digits}f}")
     power = Table("drive, held-out third", "described", "identified", box=None)
     for name, (described, fitted) in zip(drives, result.unexplained, strict=True):
         power.add_row(name, f"{described.power:.1f}", f"{fitted.power:.1f}")

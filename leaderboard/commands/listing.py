@@ -12,7 +12,9 @@ from leaderboard.commands import make_table
 from leaderboard.commands.output import Output
 from road_envs.core import config
 from road_envs.core.config import validate_choice
-from road_envs.vehicle.struts import PASSIVE_MODES
+from road_envs.sensing.instruments import load_instruments
+from road_envs.vehicle.parameters import load_vehicle
+from road_envs.vehicle.suspension import ALL_MODES, PASSIVE_MODES
 
 Lines = dict[str, str]
 """What a name stands for, by name."""
@@ -37,8 +39,6 @@ def list_names(
 
 
 def _vehicles() -> Lines:
-    from road_envs.vehicle.parameters import load_vehicle
-
     lines = {}
     for name in config.names("vehicles"):
         car = load_vehicle(name)
@@ -48,8 +48,6 @@ def _vehicles() -> Lines:
 
 
 def _sensors() -> Lines:
-    from road_envs.sensing.instruments import load_instruments
-
     loaded = {name: load_instruments(name) for name in config.names("sensors")}
     return {
         name: f"{', '.join(each.accelerometers)}; {each.fs:g} Hz, noise {each.noise_density:g} "
@@ -104,13 +102,9 @@ def _conditions() -> Lines:
 
 
 def _modes() -> Lines:
-    from road_envs.vehicle.parameters import load_vehicle
-
     cars = {name: load_vehicle(name) for name in config.names("vehicles")}
     lines = {}
-    for mode, (stiff, high) in {
-        m: s for car in cars.values() for m, s in car.modes.items()
-    }.items():
+    for mode, (stiff, high) in ALL_MODES.items():
         owners = ", ".join(name for name, car in cars.items() if mode in car.modes)
         spring, damper = "stiff" if stiff else "soft", "high" if high else "low"
         is_passive = mode in PASSIVE_MODES

@@ -48,22 +48,18 @@ def _write(name: str, out: Path | None, example: Example, check: str) -> Output:
     return Output(facts={"written": written, "next": following}, shows=shows)
 
 
-Class = Annotated[
-    str, typer.Option("--class", prompt="class", help=f"One of {', '.join(CLASSES)}.")
-]
-Mass = Annotated[float, typer.Option(prompt="mass [kg]", help="Mass ready to drive [kg].")]
-Wheelbase = Annotated[float, typer.Option(prompt="wheelbase [m]", help="Between the axles [m].")]
-Track = Annotated[
-    float, typer.Option(prompt="track [m]", help="Between a left and right tyre [m].")
-]
-
-
 def new_vehicle(
     out: Annotated[Path, typer.Argument(help="File to write, such as my_car.yaml.")],
-    car_class: Class,
-    mass: Mass,
-    wheelbase: Wheelbase,
-    track: Track,
+    car_class: Annotated[
+        str, typer.Option("--class", prompt="class", help=f"One of {', '.join(CLASSES)}.")
+    ],
+    mass: Annotated[float, typer.Option(prompt="mass [kg]", help="Mass ready to drive [kg].")],
+    wheelbase: Annotated[
+        float, typer.Option(prompt="wheelbase [m]", help="Between the axles [m].")
+    ],
+    track: Annotated[
+        float, typer.Option(prompt="track [m]", help="Between a left and right tyre [m].")
+    ],
 ) -> Output:
     """Write a vehicle file of a class with its mass, wheelbase, track and tolerances.
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from leaderboard.commands import check_output_folder, notices, progress_bar
+from leaderboard.commands import check_output_folder, progress_bar
 from leaderboard.commands.options import (
     CORES,
     Isolation,
@@ -20,11 +20,10 @@ from leaderboard.commands.options import (
 from leaderboard.commands.output import Output, facts_table
 from leaderboard.commands.results import verified_output
 from leaderboard.conformance.method_card import TEMPLATE
-from leaderboard.evaluation.tasks import load_task
 from leaderboard.running.verification import SHARE
 from leaderboard.sandbox.limits import Limits
 from leaderboard.submission import repository, signature
-from leaderboard.submission.rules import Rules, load_rules
+from leaderboard.submission.rules import load_rules
 from leaderboard.submission.submission import make_submission, verify_submission
 from road_envs.core.atomic_io import write_text
 from road_envs.core.config import ConfigError
@@ -66,7 +65,7 @@ def submit(
     limits = parse_limits(time_limit, memory_limit, isolation)
     with progress_bar() as progress:
         record = make_submission(
-            wheel.absolute(), card, _rules(rules), out, limits, workers, progress
+            wheel.absolute(), card, load_rules(rules), out, limits, workers, progress
         )
     facts = dataclasses.asdict(record)
     if sign is not None:
@@ -98,7 +97,7 @@ def verify_one(
     limits = parse_limits(time_limit, memory_limit, isolation)
     with progress_bar() as progress:
         found = verify_submission(
-            folder, _rules(rules), limits, share=share, replaces=replaces, progress=progress
+            folder, load_rules(rules), limits, share=share, replaces=replaces, progress=progress
         )
     return verified_output(found)
 
@@ -114,13 +113,7 @@ def new_results_repo(
 def results_site(
     folder: Annotated[Path, typer.Argument(help="Results repository.")],
     out: Annotated[Path, typer.Option(help="Folder of the site.")] = Path("site"),
-) -> None:
+) -> Output:
     """Build the site of all submissions of a results repository."""
     check_output_folder(out)
-    notices.print(f"page: {repository.build_site(folder, out)}")
-
-
-def _rules(path: Path | None):
-    return (
-        (Rules(), [load_task(name) for name in Rules.tasks]) if path is None else load_rules(path)
-    )
+    return Output(facts={"page": str(repository.build_site(folder, out))})

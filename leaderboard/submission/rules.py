@@ -27,8 +27,12 @@ class Rules(Settings):
     seeds: Count = 3
 
 
-def load_rules(path: Path) -> tuple[Rules, list[Task]]:
-    """Read rules and their tasks; paths are relative to the file. Raises ConfigError."""
+def load_rules(path: Path | None) -> tuple[Rules, list[Task]]:
+    """Read rules and their tasks; paths are relative to the file. Without a file, those are the
+    default ones. Raises ConfigError.
+    """
+    if path is None:
+        return Rules(), [load_task(name) for name in Rules.tasks]
     rules = build(Rules, read_yaml(path), str(path))
     files = [path.parent / name for name in rules.tasks]
     named = zip(rules.tasks, files, strict=True)
