@@ -17,6 +17,7 @@ from road_envs.records.roughness import iri
 from road_envs.roads import realise_road, write_csv
 from road_envs.sensing.data_logger import load_instruments
 from road_envs.vehicle.parameters import load_vehicle
+from road_envs.vehicle.suspension import encode_command
 
 Grade = Annotated[
     str,
@@ -55,6 +56,7 @@ def simulate(
     check_output_path(plot, ".png", ".svg", ".pdf")
     surface, car = realise_road(road, seed, length), load_vehicle(vehicle)
     struts = parse_mode(mode) or next(iter(car.modes))
+    encode_command(struts, car)  # refuses a mode that the vehicle does not have
     common: dict[str, Any] = {"vehicle": car, "speed_kmh": speed_kmh, "seed": seed}
     common["instruments"] = load_instruments(sensors)
     if plant == "own":
