@@ -30,9 +30,9 @@ OPTION_SECTIONS = {
     ),
     "Running": (
         "seed", "seeds", "workers", "dask", "plan", "again", "probes", "isolation", "time_limit",
-        "memory_limit", "checkpoint", "log",
+        "memory_limit",
     ),
-    "Output": ("out", "plot", "wide", "json"),
+    "Output": ("out", "plot", "json"),
 }  # fmt: skip
 """Options of all commands, by heading of the help; others come first, as "Options"."""
 

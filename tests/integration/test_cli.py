@@ -7,10 +7,11 @@ import sys
 import numpy as np
 import pandas as pd
 import pytest
+import typer
 
 from leaderboard import cli
 from leaderboard.commands.listing import KINDS
-from leaderboard.lazy_commands import _help_line
+from leaderboard.lazy_commands import OPTION_SECTIONS, _help_line
 from road_envs.core import config
 from road_envs.core.config import ConfigError
 from road_envs.drives.recording import read_record
@@ -54,6 +55,13 @@ def test_options_are_listed_by_what_they_are_for(road_recon):
     assert places == sorted(places) and out.index("--json") > places[-1]
     _, out, _ = road_recon("estimate", "--help")
     assert out.index("Arguments:") < out.index("estimator <") < out.index("Options:")
+
+
+def test_every_option_of_a_section_is_an_option_of_a_command():
+    group = typer.main.get_command(cli.app)
+    commands = [group.get_command(None, name) for name in group.list_commands(None)]
+    known = {parameter.name for command in commands for parameter in command.params}
+    assert {name for names in OPTION_SECTIONS.values() for name in names} <= known
 
 
 def test_the_help_imports_neither_the_commands_nor_the_libraries_they_need():
