@@ -16,13 +16,16 @@ from road_envs.core.config import ConfigError
 from road_envs.drives.dataset import write_dataset
 from road_envs.drives.training_corpus import Corpus
 
+DRIVES, SEED, SENSORS = 200, 2, "paper"
+"""Defaults of the drives that are not those of a task."""
+
 
 def dataset(
     *,
     out: Annotated[Path, typer.Option(help="Folder of the data set; it must not exist.")],
-    drives: Annotated[int, typer.Option(help="Number of drives.", min=10)] = 200,
-    seed: Annotated[int, typer.Option(help="Seed of the drives.", min=0)] = 2,
-    sensors: Sensors = "paper",
+    drives: Annotated[int, typer.Option(help="Number of drives.", min=10)] = DRIVES,
+    seed: Annotated[int, typer.Option(help="Seed of the drives.", min=0)] = SEED,
+    sensors: Sensors = SENSORS,
     episodes: Annotated[
         str | None,
         typer.Option(help="Write episodes of this switching policy instead, for Minari."),
@@ -46,6 +49,8 @@ def dataset(
         raise ConfigError("give either --task or --episodes, not both")
     if task is None and (csv or roads is not None):
         raise ConfigError("--csv and --roads are of a task: give --task")
+    if task is not None and (drives, seed, sensors) != (DRIVES, SEED, SENSORS):
+        raise ConfigError("--drives, --seed and --sensors are those of the task: leave them out")
     if not out.parent.is_dir():
         raise ConfigError(f"{out}: the folder {out.parent} does not exist")
     facts: dict[str, Any]

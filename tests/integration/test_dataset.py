@@ -45,3 +45,19 @@ def test_a_data_set_has_every_drive_in_one_split_and_checksums(monkeypatch, caps
     assert "license: cc-by-4.0" in card and about["corpus"] in card
     code, _, err = run(monkeypatch, capsys, *words)
     assert code == 2 and "exists; give a folder that does not" in err
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("--task", "new_road", "--drives", "20"), "are those of the task: leave them out"),
+        (("--task", "new_road", "--sensors", "phone"), "are those of the task: leave them out"),
+        (("--task", "new_road", "--episodes", "ride"), "either --task or --episodes, not both"),
+        (("--csv",), "--csv and --roads are of a task"),
+    ],
+)
+def test_options_of_another_kind_of_data_set_are_refused(
+    monkeypatch, capsys, tmp_path, words, sentence
+):
+    code, out, err = run(monkeypatch, capsys, "dataset", "--out", tmp_path / "set", *words)
+    assert code == 2 and sentence in err and out == "" and list(tmp_path.iterdir()) == []
