@@ -46,9 +46,10 @@ from estimators.kalman.state import (
     WindowPart,
 )
 
-LOST_NIS, LOST_BLOCKS = 3.0, 60
+LOST_NIS, LOST_BLOCKS = 5.0, 60
 """Median of the normalized innovation squared over so many blocks above which the filter is lost.
 On obstacles it is as high for fewer blocks, on vehicles of grade S1 below 2 before they are lost.
+On a road that became rough at once it was above 3 on the described vehicle itself.
 """
 
 OBSTACLE_LENGTH = 6.5
