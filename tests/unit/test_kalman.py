@@ -174,7 +174,7 @@ def test_a_filter_that_is_lost_begins_anew_and_says_where(name):
     record, truth = lost_drive()
     found = create(name).estimate(record, DEFENDER)
     (note,) = [each for each in found.notes if "began anew" in each]
-    assert "at 25 m" in note
+    assert "at 26 m" in note
     band = scored_band(15.0)
     y, a = band_pass(np.stack([truth.z, found.z]), PROFILE_SPACING, band)
     cut = (truth.s.size - y.shape[-1]) // 2
@@ -205,14 +205,14 @@ def test_what_is_measured_after_a_restart_tells_nothing_of_the_road_before():
     record, _ = lost_drive()
     inputs, heights = build_model_inputs(record, PAPER, DEFENDER, 0.001), []
     for later in (1.0, 0.5):
-        a = np.where(record.s > 26.0, later, 1.0) * np.nan_to_num(record.a)
+        a = np.where(record.s > 27.0, later, 1.0) * np.nan_to_num(record.a)
         measurements = block_means(a, np.isfinite(record.a), 3)
         options = {"noise_variance": 0.05, "prior": PRIOR, "level_ends": True}
         run = setup_run(record, DEFENDER, PAPER, inputs, measurements, **options)
         output = setup_output(run, record, 2.79, 0.004, detrended=False)
         run_smoother(run, output)
         heights.append(output.z)
-        assert run.state.restarts[0] < np.argmax(run.known_front(0.0) > 26.0)
+        assert run.state.restarts[0] < np.argmax(run.known_front(0.0) > 27.0)
     s = profile_stations(record.length)
     np.testing.assert_array_equal(*(z[s < 15.0] for z in heights))
     assert np.abs(heights[0] - heights[1])[s > 30.0].max() > 1e-3
