@@ -85,7 +85,7 @@ def estimate(
         "notes": [*notes, *result.notes],
         "written": [str(p) for p in (out, plot) if p],
     }
-    profile, scored, v, scores = None, result, result.speed or 0.0, ScoreTable({})
+    profile, scored, v, scores = None, result, result.speed or 0.0, None
     if truth:
         surface = realise_road(truth, 0)
         profile, scored = Profile(result.s, surface.height(result.s)), result
@@ -96,15 +96,16 @@ def estimate(
             profile, scored = aligned.truth, aligned.estimate
             facts["notes"].append(_alignment_note(aligned))
         scores = ScoreTable(compute_scores(profile, scored, v, bumps=True))
+    shows = [*facts_table(facts)]
+    if scores is not None:
         facts["scores"] = scores.values
-    shows = facts_table(facts)
+        shows += facts_table({label: text for _, text, label in scores.rows()})
     if out:
         start = drive.measured.chainage if drive.is_table else 0.0
         write_csv(Surface(result.z, result.ds, start, name=f"estimate of {records[0].name}"), out)
     if plot:
         plots.draw_estimate(profile, scored, v, plot)
-    printed = {label: text for _, text, label in scores.rows()}
-    return Output(facts=facts, shows=[*shows, *facts_table(printed)])
+    return Output(facts=facts, shows=shows)
 
 
 def classify(

@@ -72,4 +72,5 @@ def new_vehicle(
     head = f"A {car_class} of {mass:g} kg, {wheelbase:g} m wheelbase, {track:g} m track. SI units."
     write_vehicle(out, car, head)
     following = f"road-recon identify DRIVE DRIVE --vehicle {out} narrows its tolerances"
-    return Output(facts={"written": str(out), "next": following})
+    facts = {"written": str(out), "next": following}
+    return Output(facts=facts, shows=[str(out), f"next: {following}"])

@@ -168,6 +168,7 @@ def test_scores_of_an_estimate_are_printed_with_their_units(road_recon):
     lines = {line.rsplit(maxsplit=2)[0]: line.split()[-2:] for line in out.splitlines()}
     assert code == 0 and lines["IRI error"][1] == "mm/m"
     assert float(lines["DSD distance"][0]) >= 0.0 and lines["DSD distance"][1] == "dB"
+    assert "scores" not in out and "nrmse" not in out
     code, _, err = road_recon("estimate", "m.npz", "d.parquet", "--set", "passes=2")
     assert code == 2 and "takes no others" in err
 
