@@ -38,6 +38,10 @@ class IriPosterior(NamedTuple):
     median: np.ndarray
     high: np.ndarray
 
+    def without_interval(self) -> "IriPosterior":
+        """Return the same medians alone."""
+        return self._replace(low=self.low * np.nan, high=self.high * np.nan)
+
 
 def posterior_iri(
     estimate: Estimate,

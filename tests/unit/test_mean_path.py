@@ -98,6 +98,19 @@ def test_one_sensor_whose_record_is_not_reproduced_has_a_wider_interval():
     assert width[0] > 1.4 * width[1]
 
 
+@pytest.mark.parametrize(("residual", "told"), [(6.0, True), (10.0, False)])
+def test_an_iri_has_no_interval_where_the_model_is_far_from_the_record(residual, told):
+    surface, found = result(layout=None)
+    s = profile_stations(300.0)
+    z = surface.height(s)
+    draws = z + 1e-4 * np.random.default_rng(0).standard_normal((8, *z.shape))
+    estimate = Estimate(s, z, None, (misfit_note(residual**2),), draws=draws)
+    doubted = analyse("one", found.measured, estimate, HPMS)
+    assert np.isfinite(doubted.segments[1]["iri_mean_high"]) == told
+    assert any("IRI has no interval" in note for note in doubted.notes[:2]) != told
+    assert doubted.segments[1]["iri_mean"] == pytest.approx(found.segments[1]["iri_mean"], rel=0.1)
+
+
 def test_with_sensors_on_both_sides_both_paths_are_told():
     surface, found = result(layout=None)
     true = iri(surface.z, surface.ds, segment=100.0)
