@@ -153,9 +153,8 @@ def compare(drive: dict, defects: list[dict], road_file: Path, seed: int) -> dic
     s = edges[0] + 0.025 * np.arange(int((edges[-1] - edges[0]) / 0.025))
     truth = Estimate(s - s[0], surface.height(s))
     iri = posterior_iri(truth, edges - edges[0]).median[2]
-    covered = [
-        bool(r["iri_mean_low"] <= x <= r["iri_mean_high"]) for r, x in zip(rows, iri, strict=True)
-    ]
+    told = [(r, x) for r, x in zip(rows, iri, strict=True) if r["iri_mean_high"] is not None]
+    covered = [bool(r["iri_mean_low"] <= x <= r["iri_mean_high"]) for r, x in told]
     return {
         "place_m": place,
         "height": height,
@@ -163,6 +162,7 @@ def compare(drive: dict, defects: list[dict], road_file: Path, seed: int) -> dic
         "covered": inside,
         "iri": [row["iri_mean"] / x - 1.0 for row, x in zip(rows, iri, strict=True)],
         "iri_covered": sum(covered),
+        "iri_intervals": len(told),
         "false": [[o["station_m"], o["height_mm"]] for o in found],
         "notes": drive["notes"],
     }
@@ -214,10 +214,12 @@ def summary(results: list[dict]) -> str:
         f"at most {np.abs(speed).max():.2f} %"
     )
     iri = 100.0 * np.concatenate([r["iri"] for r in results])
-    covered = sum(r["iri_covered"] for r in results) / iri.size
+    intervals = sum(r["iri_intervals"] for r in results)
+    covered = sum(r["iri_covered"] for r in results) / max(intervals, 1)
     lines.append(
         f"IRI of segments: {iri.mean():+.1f} ± {iri.std():.1f} %, "
-        f"{np.mean(np.abs(iri) <= 15.0):.0%} within 15 %, {covered:.0%} within their interval"
+        f"{np.mean(np.abs(iri) <= 15.0):.0%} within 15 %, {covered:.0%} of {intervals} intervals "
+        "hold it"
     )
     gain = np.array([r["short_waves"] for r in results])
     lines.append(
