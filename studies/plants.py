@@ -144,7 +144,7 @@ def draw(rows: list[Row], path: Path) -> None:
     def paint(figure: Any) -> None:
         axes = figure.subplots(2, len(CARS), sharey="row")
         for (above, below), car in zip(axes.T, CARS, strict=True):
-            above.set_title(car)
+            above.set_title(car, fontsize=9)
             above.set_xlabel("frequency [Hz]")
             responses = roll_responses(car, f, 10.0).items()
             for (name, gain), colour in zip(responses, colours, strict=False):
@@ -158,11 +158,11 @@ def draw(rows: list[Row], path: Path) -> None:
                     label = f"{plant}, {_label(side)}"
                     below.plot(at, errors, marker, color=colours[k], label=label)
             below.set_xticks(range(len(PLANTS)), sorted(PLANTS))
-            below.set_ylim(0.0, None)
+        axes[1, 0].set_ylim(0.0, None)  # of all cars, once their errors are drawn
         axes[0, 0].set_ylabel("roll per path difference\n[rad/s² per m]")
         axes[1, 0].set_ylabel("in-band error (NRMSE)")
         axes[0, 0].legend(fontsize=7)
-        axes[1, 0].legend(fontsize=7)
+        axes[1, 0].legend(fontsize=7, loc="upper left")
 
     write_figure(paint, (9.0, 5.6), path)
 
