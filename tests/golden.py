@@ -35,12 +35,12 @@ from road_envs.records.roughness import iri
 from road_envs.roads import load_road
 from road_envs.sensing.data_logger import load_instruments
 from road_envs.sensing.perturbed_vehicle import perturb_vehicle
-from road_envs.simulation.adaptive_drive import simulate_adaptive
 from road_envs.simulation.drive import DriveSimulator, simulate
 from road_envs.simulation.fleet import Fleet, select_vehicle
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.parameters import load_vehicle
 from road_envs.vehicle.suspension import encode_command
+from studies.bench.adaptive_drive import simulate_adaptive
 
 MIXED = {"front": "ride", "rear": "handling"}
 ROADS = ("iso_d", "belgian", "potholes", "random_bumps", "twist", "iso_c_varying", "sine_sweep")

@@ -26,7 +26,7 @@ APRON_LENGTH = 5.0
 
 
 class SimulationError(ArithmeticError):
-    """The motion diverged, or no step of the adaptive integrator meets its tolerance."""
+    """The motion diverged, or no step of an adaptive integrator meets its tolerance."""
 
 
 @dataclass(frozen=True)

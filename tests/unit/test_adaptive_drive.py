@@ -9,8 +9,7 @@ from scipy.integrate import solve_ivp
 from vehicle_fixtures import CARS, PLANTS, VARIED_PLANTS, smooth_road
 
 from road_envs.roads import load_road
-from road_envs.simulation import adaptive_drive, rosenbrock
-from road_envs.simulation.adaptive_drive import integrate_adaptive, simulate_adaptive
+from road_envs.simulation import rosenbrock
 from road_envs.simulation.drive import DriveSimulator, SimulationError, simulate
 from road_envs.simulation.speed import speed_ramp
 from road_envs.vehicle.equations import Motion
@@ -18,6 +17,8 @@ from road_envs.vehicle.equilibrium import equilibrium
 from road_envs.vehicle.linear_model import jacobian
 from road_envs.vehicle.suspension import encode_command, settled_strut_state
 from road_envs.vehicle.tyres import tyre_force
+from studies.bench import adaptive_drive
+from studies.bench.adaptive_drive import integrate_adaptive, simulate_adaptive
 
 GENTLE, ROUGH = smooth_road(height=0.007), smooth_road(height=0.03)
 SPEED = 12.0

@@ -28,7 +28,6 @@ from vehicle_fixtures import (
     with_twist,
 )
 
-from road_envs.simulation.adaptive_drive import integrate_adaptive, simulate_adaptive
 from road_envs.simulation.drive import DriveSimulator, Trajectory
 from road_envs.simulation.rosenbrock import ACCELERATION, LOAD, TWIST
 from road_envs.vehicle.equations import build_plant
@@ -40,6 +39,7 @@ from road_envs.vehicle.suspension import (
     encode_command,
     settled_strut_state,
 )
+from studies.bench.adaptive_drive import integrate_adaptive, simulate_adaptive
 
 CAR = CARS["unequal_axles"]
 SIZES = {"varied": 7, "flexible": 8}
