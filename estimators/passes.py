@@ -88,7 +88,7 @@ def estimate_passes(
     raises.
     """
     estimator = resolve_estimator(estimator, settings)
-    cars = load_vehicles(vehicles, len(records))
+    cars = _load_vehicles(vehicles, len(records))
     names = list(names or (f"pass {k + 1}" for k in range(len(records))))
     if len(names) != len(records):
         raise ConfigError(f"{len(records)} records need as many names, got {len(names)}")
@@ -133,7 +133,7 @@ def join_passes(
     return found
 
 
-def load_vehicles(vehicles: Vehicle | Sequence[Vehicle], count: int) -> list[VehicleParameters]:
+def _load_vehicles(vehicles: Vehicle | Sequence[Vehicle], count: int) -> list[VehicleParameters]:
     """Return `count` vehicles, from one for all or one for each. Raises ConfigError."""
     if count < 1:
         raise ConfigError("an estimate needs at least one record")

@@ -73,7 +73,7 @@ def filter_window(
                 test.direction[i, k - n] = P[at, k]
         for k in range(size):
             local.rows[i, k] = P[at, part.local[k]]
-    last, likely = filter_blocks(model, inputs, local, test, part.first, part.last)
+    last, likely = _filter_blocks(model, inputs, local, test, part.first, part.last)
     read_nodes(road, joint, part, local, P_local, nodes, last)
     read_heights(road, joint, part, local, bands, last)
     V, W = update_state(joint, part, local, P_local, road.n_vehicle, 3 * (last - part.first))
@@ -81,7 +81,7 @@ def filter_window(
 
 
 @kernel(inline=False)
-def filter_blocks(
+def _filter_blocks(
     model: FilterModel, inputs: FilterInputs, local: LocalState, test: StepTest, first, last
 ):
     """Filter the blocks from `first` on, to `last` (excluded) or until a step of the road is

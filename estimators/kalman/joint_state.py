@@ -31,14 +31,14 @@ def advance_nodes(
             rows[i, k] = joint.P[at, k]
         for k in range(2 * count):
             rows[i, n + (2 * (nodes[0] + road.n_nodes) + k) % m] = 0.0
-    add_to_heights(road, joint, bands, heights, window, nodes)
+    _add_to_heights(road, joint, bands, heights, window, nodes)
     for node in range(nodes[0], nodes[1]):
         add_node(road, joint, node + road.n_nodes - 1, scale)
     return mean, rows
 
 
 @kernel(inline=False)
-def add_to_heights(
+def _add_to_heights(
     road: RoadProcess, joint: JointState, bands: BandVariance, heights, window, nodes
 ):
     """Add the `nodes` to the `heights`, and the retired-node sums to those of which no node has
@@ -49,14 +49,14 @@ def add_to_heights(
         row = n + 2 * (f % slots)
         if bands.times.first[f] >= window:
             for part in range(2):
-                add_pair(joint, row, first_node - N_SUMS + 2 * part, bands.weights[f, part])
+                _add_pair(joint, row, first_node - N_SUMS + 2 * part, bands.weights[f, part])
         for k in range(nodes[0], nodes[1]):
             weight = bands.weights[f, 2 + k - bands.times.base[f]]
-            add_pair(joint, row, node_entry(road, k), weight)
+            _add_pair(joint, row, node_entry(road, k), weight)
 
 
 @kernel
-def add_pair(joint: JointState, row, at, weight):
+def _add_pair(joint: JointState, row, at, weight):
     """Add a node's or a sum's mean and half difference, the entry `at` and the next one, times the
     `weight` to the heights of the `row` and the next one.
     """
@@ -71,7 +71,7 @@ def add_pair(joint: JointState, row, at, weight):
 
 
 @kernel
-def is_read(times, f, last):
+def _is_read(times, f, last):
     """Return whether the moment `f` is one before the block `last`, or the drive's end."""
     return f < times.block.size and (times.block[f] < last or last == times.n_blocks)
 
@@ -85,7 +85,7 @@ def read_nodes(
     """
     n, size, oldest = joint.x.size, local.x.size, part.oldest
     first_sum = node_entry(road, 0) - N_SUMS
-    while is_read(nodes.times, part.moments[0], last):
+    while _is_read(nodes.times, part.moments[0], last):
         f = part.moments[0]
         part.moments[0] += 1
         rows, base, x = 3 * (nodes.times.block[f] - part.first), nodes.times.base[f], joint.x.copy()
@@ -113,10 +113,10 @@ def read_heights(
     """
     n, slots = joint.x.size, joint.variance.size // 2
     held = part.oldest, part.oldest + road.n_nodes
-    while is_read(bands.times, part.moments[1], last):
+    while _is_read(bands.times, part.moments[1], last):
         f = part.moments[1]
         part.moments[1] += 1
-        add_to_heights(road, joint, bands, (f, f + 1), part.number + 1, held)
+        _add_to_heights(road, joint, bands, (f, f + 1), part.number + 1, held)
         for side in range(2):
             height = 2 * (f % slots) + side
             variance = joint.variance[height]

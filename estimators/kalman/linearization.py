@@ -42,7 +42,7 @@ class AxleWeights(NamedTuple):
 
 
 @kernel(inline=False)
-def axle_spline_weights(inputs: FilterInputs, wheelbase_nodes, first, weights: AxleWeights):
+def _axle_spline_weights(inputs: FilterInputs, wheelbase_nodes, first, weights: AxleWeights):
     """Fill the spline weights of a block's steps, from the step `first` on."""
     node, height, slope = weights
     for k in range(node.shape[0]):
@@ -71,17 +71,17 @@ def linearize_block(
     node = np.empty((steps_per_block, 2, 2), dtype=np.int64)
     heights, slopes = np.empty((steps_per_block, 2, 2, 4)), np.empty((steps_per_block, 2, 2, 4))
     weights = AxleWeights(node, heights, slopes)
-    axle_spline_weights(inputs, model.wheelbase_nodes, first, weights)
+    _axle_spline_weights(inputs, model.wheelbase_nodes, first, weights)
     rows = np.empty((steps_per_block, TAPE_ROW_SIZE))
-    simulate_block(model, inputs, local, first, weights, rows, block)
+    _simulate_block(model, inputs, local, first, weights, rows, block)
     block.factors[:] = 0.0
     for s in range(3):
         block.factors[s, block.end_state.size + s] = 1.0
-    tangent_columns(model, inputs, local, first, rows, weights, block)
+    _tangent_columns(model, inputs, local, first, rows, weights, block)
 
 
 @kernel(inline=False)
-def simulate_block(
+def _simulate_block(
     model: FilterModel, inputs: FilterInputs, local: LocalState, first, weights, rows, block
 ):
     """Simulate the block: fill the tape `rows`, `block.end_state` and `block.predicted`."""
@@ -152,7 +152,7 @@ def bend(model: FilterModel, acceleration, bending):
 
 
 @kernel(inline=False)
-def node_derivatives(weights: AxleWeights, i, direction, road):
+def _node_derivatives(weights: AxleWeights, i, direction, road):
     """Write the derivatives of heights and rates under the wheels at the step `i` by the block's
     nodes to `road` (G, 16, LANES), in the layout of `rosenbrock.step`.
 
@@ -179,7 +179,7 @@ def node_derivatives(weights: AxleWeights, i, direction, road):
 
 
 @kernel(inline=False)
-def tangent_columns(
+def _tangent_columns(
     model: FilterModel,
     inputs: FilterInputs,
     local: LocalState,
@@ -200,7 +200,7 @@ def tangent_columns(
     for j in range(n_vehicle):
         y[j // LANES, j, j % LANES] = 1.0
     for i in range(rows.shape[0]):
-        node_derivatives(weights, i, n_vehicle, road)
+        _node_derivatives(weights, i, n_vehicle, road)
         sampled = (first + i) % model.decimation == 0
         samples += sampled
         for group in range(groups):

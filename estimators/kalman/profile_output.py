@@ -78,7 +78,7 @@ def sinc(x):
 
 
 @kernel
-def windowed_sinc(d, cutoff, half_window):
+def _windowed_sinc(d, cutoff, half_window):
     """Return the low-pass at `d` nodes from its centre, of `cutoff` [cycles/node] and
     `half_window`.
     """
@@ -99,10 +99,10 @@ def output_weights(u, at, decay, cutoff, half_window):
     last, sum_low = u.size - 3, 0.0
     low, high = int(np.floor(at - half_window)) - 1, int(np.ceil(at + half_window)) + 1
     # the curve at a node is (1, 4, 1) / 6 of the coefficients
-    left = windowed_sinc(low - 1.0 - at, cutoff, half_window)
-    middle = windowed_sinc(low - at, cutoff, half_window)
+    left = _windowed_sinc(low - 1.0 - at, cutoff, half_window)
+    middle = _windowed_sinc(low - at, cutoff, half_window)
     for k in range(low, high + 1):
-        right = windowed_sinc(k + 1.0 - at, cutoff, half_window)
+        right = _windowed_sinc(k + 1.0 - at, cutoff, half_window)
         weight = (4.0 * middle + (left + right)) / 6.0
         u[2 + min(max(k, 0), last)] += weight
         sum_low += weight

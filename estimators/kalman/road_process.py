@@ -57,8 +57,8 @@ def fit_ar_model(prior: RoadPrior, ds: float) -> ARModel:
     n = np.maximum(rfftfreq(size, ds), N_MIN)
     covariance = irfft(increment_psd / (2.0 * np.sin(np.pi * n * ds)) ** 2, size, axis=1)
     order = round(AR_LENGTH / ds)
-    phi, mean_variance = yule_walker(irfft(increment_psd[0], size), order - 1)
-    half, half_variance = yule_walker(covariance[1], order)
+    phi, mean_variance = _yule_walker(irfft(increment_psd[0], size), order - 1)
+    half, half_variance = _yule_walker(covariance[1], order)
     # the last increments, times phi, and the last value give the next value of the mean
     mean = np.append(phi, 0.0) - np.append(0.0, phi)
     mean[0] += 1.0
@@ -66,7 +66,7 @@ def fit_ar_model(prior: RoadPrior, ds: float) -> ARModel:
     return ARModel(np.array([mean, half]), variance, covariance[:, : size // 2])
 
 
-def yule_walker(covariance: np.ndarray, order: int) -> tuple[np.ndarray, float]:
+def _yule_walker(covariance: np.ndarray, order: int) -> tuple[np.ndarray, float]:
     """Return the weights (order,) of the last values in the next, and the prediction variance."""
     weights = solve_toeplitz(covariance[:order], covariance[1 : order + 1])
     return weights, float(covariance[0] - weights @ covariance[1 : order + 1])
@@ -127,13 +127,13 @@ def node_entry(road: RoadProcess, k):
 
 
 @kernel
-def is_free(road: RoadProcess, newest):
+def _is_free(road: RoadProcess, newest):
     """Return 1.0 if the node behind the `newest` is free, 0.0 if it is level with it."""
     return 1.0 if road.free_range[0] < newest + 0.5 < road.free_range[1] else 0.0
 
 
 @kernel(inline=False)
-def node_law(road: RoadProcess, newest):
+def _node_law(road: RoadProcess, newest):
     """Return the step x' = F x + e of the state vector by which the next node replaces the oldest.
 
     It changes the `entries` (6,), the retired-node sums and the node's mean and half difference:
@@ -143,7 +143,7 @@ def node_law(road: RoadProcess, newest):
     entries, sources = np.empty(6, dtype=np.int64), np.zeros((6, order), dtype=np.int64)
     factors, at = np.zeros((6, order)), node_entry(road, newest + 1)
     a, b = np.exp(-road.decay) * np.cos(road.decay), np.exp(-road.decay) * np.sin(road.decay)
-    free = is_free(road, newest)
+    free = _is_free(road, newest)
     for c in range(2):
         real, imaginary = first + c, first + 2 + c
         for part in range(2):
@@ -166,7 +166,7 @@ def add_node(road: RoadProcess, joint: JointState, newest, scale):
     """Replace the oldest node by the one behind the `newest`, for a roughness `scale`. Steps of
     both wheel paths at it are the newest candidates.
     """
-    entries, sources, factors = node_law(road, newest)
+    entries, sources, factors = _node_law(road, newest)
     x, P, n = joint.x, joint.P, joint.x.size
     mean, rows = np.zeros(6), np.zeros((6, P.shape[1]))
     heights = np.zeros((P.shape[0] - n, 6))
@@ -185,7 +185,7 @@ def add_node(road: RoadProcess, joint: JointState, newest, scale):
         for k in range(factors.shape[1]):
             for i in range(6):
                 corner[i, e] += factors[e, k] * rows[i, sources[e, k]]
-    free = is_free(road, newest)
+    free = _is_free(road, newest)
     for c in range(2):
         corner[4 + c, 4 + c] += scale * road.prediction_variance[c] * free
     for e in range(6):
@@ -213,7 +213,7 @@ def transpose_nodes(road: RoadProcess, nodes, r, columns):
     """
     after = np.empty((6, r.shape[1]))
     for node in range(nodes[1] - 1, nodes[0] - 1, -1):
-        entries, sources, factors = node_law(road, node + road.n_nodes - 1)
+        entries, sources, factors = _node_law(road, node + road.n_nodes - 1)
         for e in range(6):
             for i in range(columns[0], columns[1]):
                 after[e, i], r[entries[e], i] = r[entries[e], i], 0.0

@@ -50,7 +50,7 @@ from road_envs.vehicle.suspension import VehicleBuffers
 
 
 @cache
-def thread_pool(threads: int) -> ThreadPoolExecutor:
+def _thread_pool(threads: int) -> ThreadPoolExecutor:
     """Return a persistent pool of `threads` threads."""
     # a new thread starts on its creator's core, and an interval ends before it is migrated
     return ThreadPoolExecutor(threads)
@@ -61,7 +61,7 @@ def run_in_threads(run: Callable[..., None], jobs: Sequence[tuple[Any, ...]]) ->
 
     A job is a thread's whole share, since each one that a pool hands over waits for its threads.
     """
-    others = [thread_pool(len(jobs) - 1).submit(run, *job) for job in jobs[1:]]
+    others = [_thread_pool(len(jobs) - 1).submit(run, *job) for job in jobs[1:]]
     run(*jobs[0])
     for other in others:
         other.result()
@@ -81,7 +81,7 @@ class RoadBuffers(NamedTuple):
 
 
 @kernel
-def sample_roads(p, roads, s, speed, road, at):
+def _sample_roads(p, roads, s, speed, road, at):
     """Write heights [m] and rates [m/s] under the wheels to rows `at` ... `at` + 7 of `road`.
 
     `s`, `speed` (LANES,): stations [m] and speeds [m/s] of the front axles; `road` (16, LANES).
@@ -132,7 +132,7 @@ def front_axle_stations(start, v, done, h, s, speed):
 
 
 @kernel(inline=False)
-def copy_lanes(source, target, kept):
+def _copy_lanes(source, target, kept):
     """Copy the Motion `source` to `target` but in lanes where `kept` (LANES,) is positive."""
     for j in range(min(source.q.shape[0], target.q.shape[0])):
         put(target.q, j, if_positive(get(kept), get(target.q, j), get(source.q, j)))
@@ -171,8 +171,8 @@ def take_step(lanes, roads, inputs, n, scratch, signals, flexible, side):
     road, valves, steep, motions = scratch.road, lanes.valves, scratch.steep, scratch.motions
     manoeuvre = inputs.a_xy.shape[0] > NO_MANOEUVRE.shape[0]
     before, whole = Motion(motions[:10], motions[10:20]), Motion(motions[20:30], motions[30:])
-    sample_roads(p, roads, s[2 * n], speed[2 * n], road, 0)
-    sample_roads(p, roads, s[2 * n + 1], speed[2 * n + 1], road, 8)
+    _sample_roads(p, roads, s[2 * n], speed[2 * n], road, 0)
+    _sample_roads(p, roads, s[2 * n + 1], speed[2 * n + 1], road, 8)
     put(scratch.front, 0, get(road, 0))
     put(scratch.front, 1, get(road, 1))
     # valves rarely move: skip those that have settled under an unchanged command
@@ -188,15 +188,15 @@ def take_step(lanes, roads, inputs, n, scratch, signals, flexible, side):
     if mark_steep(road, steep):
         begin, end = 1 if equals_one(get(steep, 0)) else 0, 1 + SUBSTEPS
         put(steep, 1, 0.0)
-        copy_lanes(motion, before, steep[1])
+        _copy_lanes(motion, before, steep[1])
     for i in range(begin, end):
         if i == 1 and begin == 0:
-            copy_lanes(motion, whole, steep[1])
-            copy_lanes(before, motion, steep[1])
+            _copy_lanes(motion, whole, steep[1])
+            _copy_lanes(before, motion, steep[1])
         for half in range(2 if i > 0 else 0):
             station = interpolate(s[2 * n : 2 * n + 3], i - 1, half)
             rate = interpolate(speed[2 * n : 2 * n + 3], i - 1, half)
-            sample_roads(p, roads, station, rate, road, 8 * half)
+            _sample_roads(p, roads, station, rate, road, 8 * half)
         first = (4 * n if manoeuvre else 0) + (2 * (2 * (i - 1) // SUBSTEPS) if i > 0 else 0)
         length = h / SUBSTEPS if i > 0 else h
         a_xy, v = inputs.a_xy[first : first + 4], get(speed, 2 * n + 1)
@@ -204,7 +204,7 @@ def take_step(lanes, roads, inputs, n, scratch, signals, flexible, side):
         row = signals if i == begin else scratch.unused
         any_step(vehicle, motion, step_inputs, scratch.work, row, flexible, side)
     if end > 1 and begin == 0:
-        copy_lanes(whole, motion, steep[0])
+        _copy_lanes(whole, motion, steep[0])
 
 
 @kernel(inline=False, count_references=False)
@@ -245,7 +245,7 @@ class _Block:
             self.h,
         )
         self.flags = lane_drives[0].plant.kernel_flags
-        self.roads = road_buffers([drive.surface for drive in lane_drives])
+        self.roads = _road_buffers([drive.surface for drive in lane_drives])
         self.constant_speed_inputs = _constant_speed_inputs(lane_drives)
         # kept for the next call: the kernel of the system clears fresh memory page by page
         self.half_steps = aligned_zeros(2, 0)
@@ -303,7 +303,7 @@ def _constant_speed_inputs(
     return np.array([d.start for d in drives]), np.array([d.speed_profile.v[0] for d in drives])
 
 
-def road_buffers(surfaces: Sequence[Surface]) -> RoadBuffers:
+def _road_buffers(surfaces: Sequence[Surface]) -> RoadBuffers:
     """Return the roads of LANES vehicles; a surface that several share is stored once."""
     sizes = np.array([surface.padded.shape[1] for surface in surfaces])
     distinct = list({id(surface): surface for surface in surfaces}.values())

@@ -131,7 +131,7 @@ def lane_buffers(
 
 
 @kernel(inline=False, count_references=False)
-def integrate_on_road(lanes, road, speed, commands, h, out, flexible=None, side=None):
+def _integrate_on_road(lanes, road, speed, commands, h, out, flexible=None, side=None):
     """Integrate LaneBuffers over the same `road` (N, 16), as in `rosenbrock.StepInputs`.
 
     `speed` (N,) [m/s]; `commands` (N,): bytes that reach the valves. The accelerations of the
@@ -203,6 +203,6 @@ def drive_variants(
         own = [plants[i] for i in chosen], [starts[i] for i in chosen]
         shared = [inputs.strut_state] * LANES, [inputs.lag] * LANES
         lanes = lane_buffers(*own, *shared, inputs.h)
-        integrate_on_road(lanes, road, v, inputs.commands, inputs.h, out, *flags)
+        _integrate_on_road(lanes, road, v, inputs.commands, inputs.h, out, *flags)
         found += [out[:, :, k].copy() for k in range(min(LANES, len(plants) - first))]
     return found

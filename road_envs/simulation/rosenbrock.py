@@ -275,7 +275,7 @@ def step(vehicle, motion, inputs, work, out, twist=None, side=None):
 
 
 @kernel
-def flexible_step(vehicle, motion, inputs, work, out, side=None):
+def _flexible_step(vehicle, motion, inputs, work, out, side=None):
     """`step` of a vehicle with a flexible frame: the twist follows the seven coordinates.
 
     The matrix W is block diagonal here: it omits the coupling of the seven rigid coordinates and
@@ -322,7 +322,7 @@ def any_step(vehicle, motion, inputs, work, out, flexible, side):
     if flexible is None:
         step(vehicle, motion, inputs, work, out, None, side)
     else:
-        flexible_step(vehicle, motion, inputs, work, out, side)
+        _flexible_step(vehicle, motion, inputs, work, out, side)
 
 
 @kernel

@@ -44,7 +44,7 @@ class TapeInputs(NamedTuple):
 
 
 @kernel
-def integrate_with_derivative(vehicle, y, inputs, out, rows, flexible=None, side=None):
+def _integrate_with_derivative(vehicle, y, inputs, out, rows, flexible=None, side=None):
     """Take the steps of TapeInputs; the state `y` (14,) and the strut state change in place.
 
     Signals go to `out` (N, 29), the derivative to `rows` (N, TAPE_ROW_SIZE).
@@ -62,7 +62,7 @@ def integrate_with_derivative(vehicle, y, inputs, out, rows, flexible=None, side
 
 
 @kernel
-def propagate_tangent(constants, rows, y, road, h, v, a, flexible=None, side=None):
+def _propagate_tangent(constants, rows, y, road, h, v, a, flexible=None, side=None):
     """Apply `tangent_step` row by row; write changes of accelerations to `a` (N, 7)."""
     n_dof, p, work = y.size // 2, constants[0], step_workspace(stack_array(WORKSPACE_ROWS))
     motion = Motion(y[:n_dof], y[n_dof:])
@@ -119,7 +119,7 @@ class Tape:
         y, steps = _checked_copy("start", start, self.end.shape), self.rows.shape[0]
         z = _checked_copy("road", road, (2 * steps, 2, 4)).reshape(steps, 16)
         a, flags = np.empty((steps, y.size // 2)), self.plant.kernel_flags
-        propagate_tangent(self.plant.constants, self.rows, y, z, self.h, self.v, a, *flags)
+        _propagate_tangent(self.plant.constants, self.rows, y, z, self.h, self.v, a, *flags)
         return a, y
 
 
@@ -159,7 +159,7 @@ def linearize_drive(
     per_step = z.reshape(steps, 16), a_xy_steps.reshape(steps, 4)
     inputs = TapeInputs(*per_step, bytes_.astype(np.uint8), float(lag), float(h), speed)
     buffers = plant.buffers(strut_state_end)
-    integrate_with_derivative(buffers, y, inputs, signals, rows, *plant.kernel_flags)
+    _integrate_with_derivative(buffers, y, inputs, signals, rows, *plant.kernel_flags)
     if not np.isfinite(y).all():
         raise ArithmeticError("the motion diverged (no longer finite); check the road and start")
     return Tape(plant, float(h), signals, y, strut_state_end, rows, speed)

@@ -224,7 +224,7 @@ def twist_extension(p, psi, w):
 
 
 @kernel
-def axle_roll_moment(p, F, i, roll):
+def _axle_roll_moment(p, F, i, roll):
     """Return the roll moment [N m] of strut forces `F` (4,) and bushings on the body over axle `i`.
 
     `roll` [rad] is the body's roll relative to the axle.
@@ -256,7 +256,7 @@ def add_struts(p, F, front, rear, out):
     """
     for i in range(2):
         push = get(F, 2 * i) + get(F, 2 * i + 1)
-        twist = axle_roll_moment(p, F, i, front if i == 0 else rear)
+        twist = _axle_roll_moment(p, F, i, front if i == 0 else rear)
         add(out, Z_B, push)
         add(out, PHI, twist)
         add(out, THETA, -get(p.x, i) * push)
@@ -279,8 +279,8 @@ def twist_moment(p, F, front, rear):
 
     Arguments as for `add_struts`.
     """
-    moment = get(p.twist_share, 0) * axle_roll_moment(p, F, 0, front)
-    return moment + get(p.twist_share, 1) * axle_roll_moment(p, F, 1, rear)
+    moment = get(p.twist_share, 0) * _axle_roll_moment(p, F, 0, front)
+    return moment + get(p.twist_share, 1) * _axle_roll_moment(p, F, 1, rear)
 
 
 @kernel
@@ -288,7 +288,7 @@ def roll_moments(p, F, T, front, rear):
     """Return the generalised forces of strut forces `F` (4,), bushings and tyre loads `T` (4,) on
     the roll of the body, the front and the rear axle, as `add_struts` and `add_tyres`.
     """
-    f, r = axle_roll_moment(p, F, 0, front), axle_roll_moment(p, F, 1, rear)
+    f, r = _axle_roll_moment(p, F, 0, front), _axle_roll_moment(p, F, 1, rear)
     t_f = get(p.y_t, 0) * (get(T, 0) - get(T, 1))
     return f + r, t_f - f, get(p.y_t, 2) * (get(T, 2) - get(T, 3)) - r
 

@@ -38,7 +38,7 @@ class Curve(Settings):
 
     def __call__(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the force [N] and its derivative at `x` of any shape."""
-        knots, (a, b, c, d) = np.array(self.x), pchip_coefficients(self.x, self.F)
+        knots, (a, b, c, d) = np.array(self.x), _pchip_coefficients(self.x, self.F)
         inside = np.clip(x, knots[0], knots[-1])
         k = np.searchsorted(knots[1:-1], inside, "right")
         t = inside - knots[k]
@@ -57,7 +57,7 @@ def zero_force_range(curve: Curve) -> tuple[float, float]:
     return min(free), max(free)
 
 
-def pchip_coefficients(x: Sequence[float], y: Sequence[float]) -> np.ndarray:
+def _pchip_coefficients(x: Sequence[float], y: Sequence[float]) -> np.ndarray:
     """Return coefficients (4, N - 1) of the cubics between `x` (N,), in powers of x - x_i.
 
     The slope at a breakpoint is the weighted harmonic mean of the chords beside it, and 0 at an

@@ -68,7 +68,7 @@ def side_constants(car: VehicleParameters, gravity: float) -> dict[str, object]:
     # wheels' centres move sideways with phi, phi_a, V and r, and add their mass to all four
     side, height = car.side, np.array(car.side.roll_centre)
     lever, x = car.h_cg - height, np.array([axle.x for axle in car.axles])
-    m, k = np.array([axle.m for axle in car.axles]), camber_of_travel(car)
+    m, k = np.array([axle.m for axle in car.axles]), _camber_of_travel(car)
     M = np.diag([car.I_xx, car.front.I_xx, car.rear.I_xx, car.m_b, side.I_zz])
     for a in range(2):
         centre = np.array([lever[a] - side.wheel_radius * (1.0 - k[a]), 0.0, 0.0, 1.0, x[a]])
@@ -87,7 +87,7 @@ def side_constants(car: VehicleParameters, gravity: float) -> dict[str, object]:
     }
 
 
-def camber_of_travel(car: VehicleParameters) -> np.ndarray:
+def _camber_of_travel(car: VehicleParameters) -> np.ndarray:
     """Return the camber k (2,) of the wheels of each axle per roll of the axle, 1 of a solid one.
 
     Independent wheels lean by the rest, 1 - k, per roll of the body.
@@ -196,7 +196,7 @@ def advance_side(p, motion, k, rates, v, h, hd):
     add(rate, n + 1, h * rates[6])
 
 
-def contact_rows(p, n: int) -> np.ndarray:
+def _contact_rows(p, n: int) -> np.ndarray:
     """Return u_a (2, n + 2) by the rates of the n coordinates, V and r."""
     rows = np.zeros((2, n + 2))
     for a in range(2):
@@ -220,7 +220,7 @@ def side_jacobian(p, M: np.ndarray, K: np.ndarray, C: np.ndarray, v: float) -> n
 
     `K`, `C` (n, n): stiffness and damping of the coordinates.
     """
-    n, rows = M.size, contact_rows(p, M.size)
+    n, rows = M.size, _contact_rows(p, M.size)
     stiffness, damping = np.zeros((n + 2, n + 2)), np.zeros((n + 2, n + 2))
     stiffness[:n, :n], damping[:n, :n] = K, C
     stiffness[ROLLS, ROLLS] -= p["side_gravity"]

@@ -136,7 +136,7 @@ def settled_strut_state(byte: int) -> np.ndarray:
 
 
 def gas_constants(car: VehicleParameters, variation: VehicleVariation) -> dict[str, object]:
-    """Return the constants of the gas springs, by the names that `gas_spring` reads."""
+    """Return the constants of the gas springs, by the names that `_gas_spring` reads."""
     strut = car.strut
     if isinstance(strut, Strut):
         return {
@@ -225,7 +225,7 @@ def _spring_deficit(strut: PassiveStrut, load: float, factor: float) -> Law:
 
 
 @kernel
-def gas_spring(p, w, column):
+def _gas_spring(p, w, column):
     """Return the gas force [N] of strut `w` and its derivative by the gas column [N/m].
 
     Below the shortest column the force continues linearly.
@@ -241,7 +241,7 @@ def gas_spring(p, w, column):
 
 
 @kernel
-def gas_column(vehicle, w, e):
+def _gas_column(vehicle, w, e):
     """Return the gas column [m] of strut `w`'s first accumulator and its derivative by `e`."""
     p, strut_state = vehicle.constants[0], vehicle.strut_state
     share = 1.0 - get(strut_state, w, VALVE_OPEN) * get(p.r_2)
@@ -283,7 +283,7 @@ def valves_settled(strut_state, w, setting):
 
 
 @kernel
-def damping_force(vehicle, w, e_dot):
+def _damping_force(vehicle, w, e_dot):
     """Return damper plus friction force [N] and its derivative by the rate of extension [N s/m]."""
     high = get(vehicle.strut_state, w, DAMPING_HIGH)
     ride = get(vehicle.constants[0].velocity_table, w)
@@ -299,9 +299,9 @@ def damping_force(vehicle, w, e_dot):
 def strut_force(vehicle, w, e, e_dot):
     """Return force [N], stiffness -dF/de [N/m] and damping -dF/de_dot [N s/m] of strut `w`."""
     p = vehicle.constants[0]
-    column, share = gas_column(vehicle, w, e)
-    gas, slope = gas_spring(p, w, column)
-    damper, c = damping_force(vehicle, w, e_dot)
+    column, share = _gas_column(vehicle, w, e)
+    gas, slope = _gas_spring(p, w, column)
+    damper, c = _damping_force(vehicle, w, e_dot)
     stop, k = interpolate_table(vehicle.displacement, get(p.displacement_table, w), E_0, E_STEP, e)
     return gas - damper - stop, k - slope * share, c
 
@@ -310,8 +310,8 @@ def strut_force(vehicle, w, e, e_dot):
 def strut_curvature(vehicle, w, e, e_dot):
     """Return d stiffness/de [N/m²] and d damping/de_dot [N s²/m²] of a strut."""
     p = vehicle.constants[0]
-    column, share = gas_column(vehicle, w, e)
-    _, slope = gas_spring(p, w, column)
+    column, share = _gas_column(vehicle, w, e)
+    _, slope = _gas_spring(p, w, column)
     bend = -(get(p.n_p) + 1.0) * slope / maximum(column, get(p.column_min))
     gas = if_positive(column - get(p.column_min), bend, 0.0)
     stop = second_derivative(vehicle.displacement, get(p.displacement_table, w), E_0, E_STEP, e)
