@@ -162,7 +162,7 @@ LINE_STYLES = (("#D55E00", "-"), ("#0072B2", "--"), ("#009E73", "-."), ("#CC79A7
 
 
 def draw_observability(
-    curves: list[tuple[str, float, Posterior, float]], title: str, path: Path
+    curves: Sequence[tuple[str, float, Posterior, float]], title: str, path: Path
 ) -> None:
     """Plot the relative error of the amplitude over n, for mean and difference of the wheel paths.
 

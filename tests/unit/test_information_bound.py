@@ -307,8 +307,8 @@ def test_the_command_prints_and_draws_the_bound(road_recon, tmp_path):
         (("--speed-kmh", "-3"), "the speed must be positive, got -3.0 km/h"),
         (("--noise", "-1"), "noise_density: must not be negative, got -1.0"),
         (("--road-class", "K"), "unknown road class 'K'; known: A, B"),
-        (("--damping", "ride=x"), "a damper must have the form mode=number in N s/m, got 'ride=x'"),
-        (("--damping", "ride=1"), "--damping has ['ride'], but no value for ['handling']"),
+        (("--damping", "ride=x"), "--damping must be mode=number in N s/m, got 'ride=x'"),
+        (("--damping", "ride=1"), "dampings are given for ['ride'], but not for ['handling']"),
         (("--out", "x.txt"), "the name must end in .png"),
     ],
 )
