@@ -1,4 +1,6 @@
-"""Pretraining of an estimator on a simulated corpus, with checkpoints and metadata of the weights.
+"""Training on a simulated corpus: pretrained estimators, and the regression on RMS.
+
+Weights have metadata, and their training has checkpoints.
 
 An interrupted run continues from the checkpoint beside the output file if corpus, settings, seed
 and version are the same. The drives are simulated again, which is the smaller part of the time.
@@ -14,10 +16,13 @@ import numpy as np
 
 from estimators import pretrained_weights, registry, weights_io
 from estimators.api import DeviationCalibratable, Pretrained, Trainable
+from estimators.roughness.rms_regression import RmsRoughness, RoughnessEstimate
+from estimators.wiener.segments import dominant_modes
 from leaderboard.evaluation.evaluate import get_settings
 from leaderboard.evaluation.provenance import package_version
 from road_envs.core.config import ConfigError
-from road_envs.drives.training_corpus import Corpus
+from road_envs.drives.training_corpus import Corpus, drives_in_mode
+from road_envs.records.record import Record
 
 Progress = Callable[[str, float], None]
 SIMULATION_SHARE = 0.15
@@ -25,6 +30,9 @@ SIMULATION_SHARE = 0.15
 
 CALIBRATION_SHARE = 0.3
 """Drives of the nominal vehicle for calibrating standard deviations, per training drive."""
+
+N_DRIVES, SPEED_MARGIN = 60, 1.5
+"""Number of drives of the regression on RMS, and factor around the speeds of the record."""
 
 
 class _FileCheckpoint:
@@ -101,3 +109,14 @@ def train(
     weights_io.save(trained, out, metadata)
     checkpoint.done()
     return trained
+
+
+def rms_roughness(record: Record, corpus: Corpus) -> RoughnessEstimate:
+    """Roughness of a record by the regression on its RMS, fitted to simulated drives like it.
+
+    They are of the vehicle and the instruments of `corpus`, in the record's mode and at its speeds.
+    """
+    mode = dominant_modes(record, np.arange(record.t.size), corpus.vehicle.modes)
+    slow, fast = 3.6 * np.percentile(record.v, [5.0, 95.0])
+    drives = drives_in_mode(corpus, mode, (slow / SPEED_MARGIN, fast * SPEED_MARGIN), N_DRIVES)
+    return RmsRoughness.fit(*zip(*drives, strict=True)).predict(record)

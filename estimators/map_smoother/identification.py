@@ -86,6 +86,13 @@ class Unexplained:
     spectrum: np.ndarray
 
 
+UNDETERMINED = 0.9
+"""Posterior standard deviation, in tolerances, above which a parameter is not determined."""
+
+FAR = 3.0
+"""Fitted deviation, in units of the tolerance, that is flagged."""
+
+
 @dataclass(frozen=True, eq=False)
 class IdentificationResult:
     """Result: the `fit`, the identified `car`, the standard deviations `std` (P,) of its
@@ -133,6 +140,28 @@ class IdentificationResult:
         """Fitted value over described value of each parameter of the vehicle."""
         space = self.fit.space
         return np.exp(space.std * self.fit.x[: space.size])
+
+    @property
+    def notes(self) -> list[str]:
+        """Sentences on parameters that the drives do not determine, and on doubtful results."""
+        size = self.fit.space.size
+        x, std, names = self.fit.x[:size], self.std[:size], self.names
+        open_ = [names[i] for i in np.flatnonzero(std > UNDETERMINED)]
+        far = [names[i] for i in np.flatnonzero(np.abs(x) > FAR)]
+        notes = []
+        if open_:
+            notes.append(f"not determined by the drives, kept as described: {', '.join(open_)}")
+        if far:
+            notes.append(f"more than {FAR:g} tolerances from the description: {', '.join(far)}")
+        if self.fit.x.size > size:
+            notes.append(
+                "errors of the instruments are not in the vehicle's file; calibrate of an "
+                "estimator corrects gains and odometer, and leaves accelerometers at the places "
+                "of their sheet"
+            )
+        if any(fitted.power > described.power for described, fitted in self.unexplained):
+            notes.append("on held-out readings the identified vehicle is no better: do not use it")
+        return notes
 
 
 @single_blas_thread()

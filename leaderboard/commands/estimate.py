@@ -9,8 +9,6 @@ from rich.table import Table
 
 import estimators
 from estimators.roughness import spectral
-from estimators.roughness.rms_regression import RmsRoughness, RoughnessEstimate
-from estimators.wiener.segments import dominant_modes
 from leaderboard.api import ScoreTable
 from leaderboard.commands import check_output_path, import_from_here, make_table, parse_settings
 from leaderboard.commands.drive_files import (
@@ -23,22 +21,20 @@ from leaderboard.commands.drive_files import (
 from leaderboard.commands.options import Settings
 from leaderboard.commands.output import Output, facts_table
 from leaderboard.drive_report.drive_estimates import estimate_drive, make_drive_estimator
-from leaderboard.metrics.alignment import Alignment, align
+from leaderboard.metrics.alignment import align
 from leaderboard.metrics.registry import compute_scores
+from leaderboard.pretraining import rms_roughness
 from leaderboard.report import plots
 from road_envs.core.config import validate_choice
 from road_envs.drives.reading import same_instruments
-from road_envs.drives.training_corpus import Corpus, drives_in_mode
-from road_envs.records.record import Profile, Record
+from road_envs.drives.training_corpus import Corpus
+from road_envs.records.record import Profile
 from road_envs.roads import Surface, load_road, realise_road, write_csv
 from road_envs.roads.measured import Measured
 
 METHODS = ["spectral", "rms"]
 DB_PER_LOG = 4.34
 """10 / ln 10: decibels per unit of the natural logarithm of a PSD."""
-
-N_DRIVES, SPEED_MARGIN = 60, 1.5
-"""Number of training drives of the regression, and factor around the speeds of the record."""
 
 
 def estimate(
@@ -94,7 +90,7 @@ def estimate(
             start = road.first_station if isinstance(road, Measured) else 0.0
             aligned = align(surface, result, v, drive.measured.chainage - start)
             profile, scored = aligned.truth, aligned.estimate
-            facts["notes"].append(_alignment_note(aligned))
+            facts["notes"].append(aligned.note)
         scores = ScoreTable(compute_scores(profile, scored, v, bumps=True))
     shows = [*facts_table(facts)]
     if scores is not None:
@@ -127,7 +123,7 @@ def classify(
     result: Any = (
         spectral.classify_record(measured, drive.car, drive.sensors)
         if method == "spectral"
-        else _by_rms(measured, Corpus(car=drive.vehicle, instruments=drive.sensors))
+        else rms_roughness(measured, Corpus(car=drive.vehicle, instruments=drive.sensors))
     )
     facts = {
         key: value.tolist() if isinstance(value, np.ndarray) else value
@@ -144,14 +140,6 @@ def classify(
     return Output(facts={"class": result.letter, **facts, "notes": list(notes)}, shows=shows)
 
 
-def _by_rms(record: Record, corpus: Corpus) -> RoughnessEstimate:
-    """Fit the regression to simulated drives similar to `record` and apply it."""
-    mode = dominant_modes(record, np.arange(record.t.size), corpus.vehicle.modes)
-    slow, fast = 3.6 * np.percentile(record.v, [5.0, 95.0])
-    drives = drives_in_mode(corpus, mode, (slow / SPEED_MARGIN, fast * SPEED_MARGIN), N_DRIVES)
-    return RmsRoughness.fit(*zip(*drives, strict=True)).predict(record)
-
-
 def _octaves_table(posterior: spectral.ClassPosterior) -> Table:
     rows = zip(
         posterior.octaves, posterior.levels, posterior.level_stds, posterior.octave_classes,
@@ -163,13 +151,3 @@ def _octaves_table(posterior: spectral.ClassPosterior) -> Table:
     ]
     heads = ("octave [cycles/m]", "Gd(n0) [1e-6 m³]", "± [dB]", "class")
     return make_table(heads, cells, texts=("class",))
-
-
-def _alignment_note(aligned: Alignment) -> str:
-    before = (
-        "" if np.isnan(aligned.correlation_before) else f", {aligned.correlation_before:.2f} before"
-    )
-    return (
-        f"aligned with the truth by {aligned.lag:+.2f} m (correlation of slopes in the scored band "
-        f"{aligned.correlation:.2f}{before}); {aligned.truth.s[-1]:.1f} m overlap and are scored"
-    )

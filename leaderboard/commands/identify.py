@@ -3,12 +3,11 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 from rich.table import Table
 
 from estimators.api import CalibrationDrive
-from estimators.map_smoother.identification import IdentificationResult
+from estimators.map_smoother.identification import UNDETERMINED, IdentificationResult
 from estimators.map_smoother.identification import identify as identify_vehicle
 from estimators.map_smoother.preparation import SolverSettings
 from leaderboard.commands import check_output_path
@@ -18,12 +17,6 @@ from leaderboard.commands.output import Output
 from leaderboard.drive_report.drive_estimates import read_profiles
 from leaderboard.report import plots
 from road_envs.vehicle.parameters import write_vehicle
-
-UNDETERMINED = 0.9
-"""Posterior standard deviation, in tolerances, above which a parameter is not determined."""
-
-FAR = 3.0
-"""Fitted deviation, in units of the tolerance, that is flagged."""
 
 
 def identify(
@@ -57,7 +50,7 @@ def identify(
     ]
     settings = SolverSettings(instruments=files[0].sensors)
     result = identify_vehicle(drives, files[0].car, settings, structure)
-    notes = [*dict.fromkeys(n for file in files for n in file.measured.notes), *_notes(result)]
+    notes = [*dict.fromkeys(n for file in files for n in file.measured.notes), *result.notes]
     if out:
         names = ", ".join(path.name for path in records)
         write_vehicle(out, result.car, f"Identified by `road-recon identify` from {names}.")
@@ -81,27 +74,6 @@ def _facts(result: IdentificationResult) -> dict[str, Any]:
         "instruments": {name: float(x * s) for name, x, s in readings},
         "unexplained": [[x.power, y.power] for x, y in result.unexplained],
     }
-
-
-def _notes(result: IdentificationResult) -> list[str]:
-    size = result.fit.space.size
-    x, std, names = result.fit.x[:size], result.std[:size], result.names
-    open_ = [names[i] for i in np.flatnonzero(std > UNDETERMINED)]
-    far = [names[i] for i in np.flatnonzero(np.abs(x) > FAR)]
-    notes = []
-    if open_:
-        notes.append(f"not determined by the drives, kept as described: {', '.join(open_)}")
-    if far:
-        notes.append(f"more than {FAR:g} tolerances from the description: {', '.join(far)}")
-    if result.fit.x.size > size:
-        notes.append(
-            "errors of the instruments are not in the vehicle's file; calibrate of an estimator "
-            "corrects gains and odometer, and leaves accelerometers at the places of their sheet"
-        )
-    for described, fitted in result.unexplained:
-        if fitted.power > described.power:
-            notes.append("on held-out readings the identified vehicle is no better: do not use it")
-    return notes
 
 
 def _tables(result: IdentificationResult, drives: list[str]) -> list[Any]:

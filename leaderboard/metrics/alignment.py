@@ -29,6 +29,16 @@ class Alignment(NamedTuple):
     correlation: float
     correlation_before: float
 
+    @property
+    def note(self) -> str:
+        """A sentence on the lag, and on what is scored."""
+        before = self.correlation_before
+        was = "" if np.isnan(before) else f", {before:.2f} before"
+        return (
+            f"aligned with the truth by {self.lag:+.2f} m (correlation of slopes in the scored "
+            f"band {self.correlation:.2f}{was}); {self.truth.s[-1]:.1f} m overlap and are scored"
+        )
+
 
 def align(road: Surface, estimate: Estimate, v: float, chainage: float = 0.0) -> Alignment:
     """Align an estimate of a drive at `v` [m/s] with the `road` that was driven.
