@@ -41,13 +41,6 @@ GRIDS: dict[str, Mapping[str, tuple[Any, ...]]] = {
         "margin": (0.02, 0.03, 0.04),
         "advantage": (0.0, 0.1),
     },
-    "preview": {
-        "window": (0.5,),
-        "ratio": (0.5, 1.0),
-        "bump": (0.04, 0.08, 0.16),
-        "reach": (1.0, 2.0),
-    },
-    "roll_angle": {"threshold": (0.01, 0.02, 0.03), "hold": (0.1, 0.5)},
     "skyhook": TWO_STATE,
     "groundhook": TWO_STATE,
     "add": TWO_STATE,

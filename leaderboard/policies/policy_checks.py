@@ -6,7 +6,6 @@
     repeat         driven twice: the same actions
     reset          a policy that has driven before acts like a new one
     vehicles       a vehicle driven alone is commanded as among others
-    unchanged      the observations that it is given are left as they are
     sensors        a dead and a saturated accelerometer
     time, memory   the limits of a comparison
 
@@ -79,7 +78,6 @@ def check_policy(
             _attempt("repeat", lambda: _repeat(reference, settings, limits, first.actions), policy),
             _attempt("reset", lambda: _reset(policy, first.actions), policy),
             _attempt("vehicles", lambda: _alone(policy, first.actions), policy),
-            _attempt("unchanged", lambda: _unchanged(policy), policy),
             _attempt("sensors", lambda: _damaged_sensors(policy, first.observations), policy),
         ]
         return [*results, *_costs(limits, seconds, policy.peak_memory)]
@@ -149,15 +147,6 @@ def _compare(found: np.ndarray, expected: np.ndarray, when: str) -> Verdict:
         return False, f"{when}: another number of intervals"
     different = int(np.count_nonzero(found != expected))
     return different == 0, f"{when}: {different} of {expected.size} actions differ"
-
-
-def _unchanged(policy: PolicyProcess) -> Verdict:
-    """Let the policy act once in a new episode, and compare the observations with before."""
-    setup, rng = EnvSetup({**OPTIONS, "truth": False}), np.random.default_rng(0)
-    observations = rng.standard_normal((2, setup.observation_space.shape[0])).astype(np.float32)
-    policy.reset(PolicyContext.from_setup(setup, 2, POLICY_SEED))
-    changed = policy.changes(observations)
-    return not changed, "the observations were changed in place" if changed else "not changed"
 
 
 def _damaged_sensors(policy: PolicyProcess, observations: np.ndarray) -> Verdict:

@@ -2,7 +2,6 @@
 
 reset    reference, settings, a pickled PolicyContext -> nothing
 act      observations (N, d)                          -> actions (N,)
-changes  observations (N, d)                          -> whether `act` writes into them
 
 Request, and after the arrow the reply, which the host checks.
 """
@@ -34,10 +33,6 @@ def make_handler(code: str | None) -> messages.Handler:
             used = used or make_policy(request["reference"], **request["settings"])
             used.reset(pickle.loads(data.tobytes()))  # of the host
             answer: messages.Reply = {}, ()
-        elif request["do"] == "changes":
-            before = data.copy()
-            used.act(data)
-            answer = {"changed": not np.array_equal(before, data)}, ()
         else:
             actions = _whole_numbers(used.act(data)).astype(np.int64)
             answer = {"actions": actions.size}, [actions]

@@ -78,10 +78,6 @@ class PolicyProcess:
         self.act_seconds.append(time.perf_counter() - begin)
         return numbers.copy()
 
-    def changes(self, observations: np.ndarray) -> bool:
-        """Return whether the policy writes into the observations that it is given."""
-        return self._call("changes", observations)[0].get("changed") is True
-
     def close(self) -> None:
         """Kill the process and its children."""
         if self._guest is not None:

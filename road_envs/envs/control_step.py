@@ -16,12 +16,7 @@ from road_envs.envs.safety_step import N_SAFETY, add_safety, write_safety
 from road_envs.kernels._numba import kernel
 from road_envs.kernels.filters import filter_sample
 from road_envs.kernels.normal_numbers import fill_normal
-from road_envs.kernels.simd import (
-    LANES,
-    extract_lane,
-    maximum,
-    minimum,
-)
+from road_envs.kernels.simd import LANES, extract_lane, maximum, minimum
 from road_envs.kernels.simd_arrays import add, get, put, stack_rows
 from road_envs.simulation.drive import DriveInputs
 from road_envs.simulation.fleet import (

@@ -206,7 +206,6 @@ class EnvSetup:
             )
         road = load_road(o.road)
         self.road = road if o.length is None else with_length(road, o.length)
-        self._last_road: tuple[str, Surface] | None = None
         self.interval = 1.0 / o.control_rate
         self.command_bytes = np.array(
             [encode_command(action, self.car) for action in self.actions], dtype=np.uint8
@@ -332,22 +331,11 @@ class EnvSetup:
         road_rng, speed_rng, sensor_rng = random.spawn(3)
         v = o.speed_kmh
         speed_kmh = float(v if isinstance(v, int | float) else speed_rng.uniform(*v))
-        surface = self._realise(road_rng)
+        surface = self._draw_climbable(road_rng)
         step = self.options.step
         drive = DriveSimulator(self.plant, self.car, surface, speed_kmh / 3.6, o.mode, step)
         logger = DataLogger(self.instruments, self.car, step, sensor_rng)
         return EpisodeStart(speed_kmh, encode_command(o.mode, self.car), surface, drive, logger)
-
-    def _realise(self, random: np.random.Generator) -> Surface:
-        """Realise the road from a generator that has drawn nothing; equal ones share a surface.
-
-        Only the last surface is kept, for vehicles that are compared over one road.
-        """
-        stream: Any = random.bit_generator.seed_seq
-        key = repr((type(random.bit_generator), stream.entropy, stream.spawn_key))
-        if self._last_road is None or self._last_road[0] != key:
-            self._last_road = key, self._draw_climbable(random)
-        return self._last_road[1]
 
     def _draw_climbable(self, random: np.random.Generator) -> Surface:
         """Return the first of MAX_DRAWS roads that every wheel climbs. Raises ConfigError."""

@@ -9,9 +9,7 @@ import numpy as np
 
 from road_envs.core.config import ConfigError, validate_choice
 from road_envs.envs.failures import END_OF_ROAD
-from road_envs.envs.fleet_arrays import (
-    StepOutput,
-)
+from road_envs.envs.fleet_arrays import StepOutput
 from road_envs.envs.options import EnvSetup, EpisodeStart
 from road_envs.simulation.drive import DriveSimulator
 

@@ -9,7 +9,7 @@ training draws "known" only.
 
 from dataclasses import dataclass, field, fields, replace
 from hashlib import sha256
-from typing import Annotated, Any, Literal, NamedTuple, cast
+from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 from pydantic import Field
@@ -254,15 +254,10 @@ def realise_surface(drive: SafeDrive, rng: np.random.Generator, car: VehiclePara
     return surface
 
 
-class IndividualCar(NamedTuple):
-    """A manufactured car with its load, and the faults of its instruments."""
-
-    car: VehicleParameters
-    faults: SensorFaults
-
-
-def individual_car(drive: SafeDrive, car: VehicleParameters, seed: Any, k: int) -> IndividualCar:
-    """Return the individual of a drive with `k` accelerometers.
+def individual_car(
+    drive: SafeDrive, car: VehicleParameters, seed: Any, k: int
+) -> tuple[VehicleParameters, SensorFaults]:
+    """Return the manufactured car of a drive with its load, and faults of `k` accelerometers.
 
     Its frame is rigid, and its instruments have neither jitter nor lost samples: an interval of
     the environment holds whole samples.
@@ -272,7 +267,7 @@ def individual_car(drive: SafeDrive, car: VehicleParameters, seed: Any, k: int) 
     individual = perturb_vehicle(car, drive.grade, seed, rigid, k)
     faults = individual.faults if drive.faults else NO_FAULTS
     faults = replace(faults, jitter=0.0, dropout_rate=0.0)
-    return IndividualCar(_loaded(individual.car, drive.payload), faults)
+    return _loaded(individual.car, drive.payload), faults
 
 
 def _loaded(car: VehicleParameters, payload: float) -> VehicleParameters:

@@ -24,26 +24,7 @@ with optional_import("Stable-Baselines3 environments"):
     from stable_baselines3.common.vec_env import VecEnv
 
 
-class ArrayVecEnv(VecEnv):
-    """Base class of vector environments whose environments are rows of arrays."""
-
-    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Raise ConfigError: the environments have no attributes of their own."""
-        raise ConfigError(f"{attr_name} cannot be set: all environments share their options")
-
-    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any):
-        """Raise ConfigError: the environments are rows of arrays and have no methods."""
-        raise ConfigError(f"{method_name} cannot be called: the environments are rows of arrays")
-
-    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
-        """Return False for each environment: none can be wrapped individually."""
-        return [False] * len(self._selected(indices))
-
-    def _selected(self, indices: Any) -> Sequence[int]:
-        return list(self._get_indices(indices))
-
-
-class RoadReconVecEnv(ArrayVecEnv):
+class RoadReconVecEnv(VecEnv):
     """Stable-Baselines3 VecEnv of `num_envs` environments; `options` as in RoadReconVectorEnv.
 
     An environment that has ended restarts within the same step; its last observation is
@@ -116,7 +97,19 @@ class RoadReconVecEnv(ArrayVecEnv):
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """Return an attribute once for each environment; all environments share it."""
-        return [getattr(self.env, attr_name)] * len(self._selected(indices))
+        return [getattr(self.env, attr_name) for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Raise ConfigError: the environments have no attributes of their own."""
+        raise ConfigError(f"{attr_name} cannot be set: all environments share their options")
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any):
+        """Raise ConfigError: the environments are rows of arrays and have no methods."""
+        raise ConfigError(f"{method_name} cannot be called: the environments are rows of arrays")
+
+    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
+        """Return False for each environment: none can be wrapped individually."""
+        return [False for _ in self._get_indices(indices)]
 
     def _rows(self, infos: dict[str, Any]) -> list[dict[str, Any]]:
         if not self.info_keys:

@@ -24,9 +24,7 @@ from road_envs.policies.greedy_information import GreedyInformation
 from road_envs.policies.lateral import LateralThreshold, RrmsLateral
 from road_envs.policies.mpc import ModelPredictive
 from road_envs.policies.network_policy import FILE_SUFFIXES, NetworkPolicy
-from road_envs.policies.preview import Preview
 from road_envs.policies.random_switching import RandomSwitching
-from road_envs.policies.roll_angle import RollAngle
 from road_envs.policies.rrms import RunningRmsPolicy
 from road_envs.policies.two_state import AccelerationDriven, Groundhook, Skyhook, SkyhookAdd
 
@@ -54,12 +52,10 @@ REGISTRY: dict[str, type[Policy]] = {
     "rrms": RunningRmsPolicy,
     "lateral": LateralThreshold,
     "rrms_lateral": RrmsLateral,
-    "roll_angle": RollAngle,
     "skyhook": Skyhook,
     "groundhook": Groundhook,
     "add": AccelerationDriven,
     "sh_add": SkyhookAdd,
-    "preview": Preview,
     "mpc": ModelPredictive,
     "greedy_information": GreedyInformation,
     "evolved": NetworkPolicy,

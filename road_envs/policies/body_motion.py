@@ -74,10 +74,3 @@ class RunningRms:
     def reset(self, mask: np.ndarray) -> None:
         """Reset the vehicles in `mask` (N,)."""
         self.squares[:, mask] = 0.0
-
-
-def roll_from_extensions(context: PolicyContext, observations: np.ndarray) -> np.ndarray:
-    """Return the roll (N,) [rad] of the body relative to its axles, averaged over both axles."""
-    e = context.signal("extension", observations)
-    front, rear = context.car.axles
-    return 0.25 * ((e[:, 0] - e[:, 1]) / front.y_s + (e[:, 2] - e[:, 3]) / rear.y_s)

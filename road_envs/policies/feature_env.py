@@ -16,15 +16,19 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from road_envs.envs.sb3 import ArrayVecEnv, RoadReconVecEnv
+from road_envs.core.extras import optional_import
+from road_envs.envs.sb3 import RoadReconVecEnv
 from road_envs.policies.api import PolicyContext
 from road_envs.policies.features import MAX_FEATURE, N_FEATURES, FeatureExtractor
+
+with optional_import("Stable-Baselines3 environments"):
+    from stable_baselines3.common.vec_env import VecEnvWrapper
 
 RIDE = ("ride", "ride")
 """States of the paired baseline."""
 
 
-class FeatureVecEnv(ArrayVecEnv):
+class FeatureVecEnv(VecEnvWrapper):
     """Vector environment `env` observed as features, with actions that last for several intervals.
 
     An action is repeated for `action_repeat` intervals, whose rewards are summed and scaled. With
@@ -42,21 +46,18 @@ class FeatureVecEnv(ArrayVecEnv):
         action_repeat: int = 1,
         paired_baseline: bool = False,
     ):
+        limits, setup = np.full(N_FEATURES, MAX_FEATURE, dtype=np.float32), env.env.setup
+        super().__init__(env, gymnasium.spaces.Box(-limits, limits), setup.action_space)
         self.rows = 2 if paired_baseline else 1
-        self.env, self.n_envs = env, env.num_envs // self.rows
+        self.num_envs = env.num_envs // self.rows
         self.reward_scale, self.action_repeat = reward_scale, action_repeat
         env.seed(seed, alike=self.rows)
-        setup = env.env.setup
-        context = PolicyContext.from_setup(setup, self.n_envs, seed)
-        self.features = FeatureExtractor(context)
-        shape = (N_FEATURES,)
-        space = gymnasium.spaces.Box(-MAX_FEATURE, MAX_FEATURE, shape, dtype=np.float32)
-        super().__init__(self.n_envs, space, setup.action_space)
+        self.features = FeatureExtractor(PolicyContext.from_setup(setup, self.num_envs, seed))
 
     def reset(self) -> np.ndarray:
         """Start episodes in all environments, and return the features (N, K)."""
-        self.features.reset(np.ones(self.n_envs, dtype=bool))
-        return self.features.update(self.env.reset()[:: self.rows])
+        self.features.reset(np.ones(self.num_envs, dtype=bool))
+        return self.features.update(self.venv.reset()[:: self.rows])
 
     def step_async(self, actions: np.ndarray) -> None:
         """Store the actions (N,) for `step_wait`."""
@@ -67,40 +68,26 @@ class FeatureVecEnv(ArrayVecEnv):
 
         Rewards after the end of an episode are discarded.
         """
-        env, features = self.env, self.features
-        total, ended = np.zeros(self.n_envs, dtype=np.float32), np.zeros(self.n_envs, dtype=bool)
-        infos: list[dict[str, Any]] = [{} for _ in range(self.n_envs)]
-        row_actions = np.full(env.num_envs, features.context.action_index(*RIDE))
+        features, n = self.features, self.num_envs
+        total, ended = np.zeros(n, dtype=np.float32), np.zeros(n, dtype=bool)
+        infos: list[dict[str, Any]] = [{} for _ in range(n)]
+        row_actions = np.full(self.venv.num_envs, features.context.action_index(*RIDE))
         row_actions[:: self.rows] = self._actions
         for _ in range(self.action_repeat):
-            every_row: Any = env.step(row_actions)
+            every_row: Any = self.venv.step(row_actions)
             observations, rewards, dones, part_infos = (x[:: self.rows] for x in every_row)
             if self.rows > 1:
                 rewards = rewards - every_row[1][1::2]
             total += np.where(ended, 0.0, self.reward_scale * rewards).astype(np.float32)
             newly_ended = np.flatnonzero(dones & ~ended)
             if newly_ended.size:  # the learner bootstraps from the last features if truncated
-                last = self._terminal_features(part_infos, newly_ended)
-                for i, terminal in zip(newly_ended, last, strict=True):
-                    infos[i] = {**part_infos[i], "terminal_observation": terminal}
+                last = np.zeros_like(observations)
+                last[newly_ended] = [part_infos[i]["terminal_observation"] for i in newly_ended]
+                # the states of filtered features are taken as zero
+                terminal = FeatureExtractor(features.context).update(last)
+                for i in newly_ended:
+                    infos[i] = {**part_infos[i], "terminal_observation": terminal[i]}
             features.reset(dones)
             observations = features.update(observations)
             ended |= dones
         return observations, total, ended, infos
-
-    def close(self) -> None:
-        """Do nothing; there are no resources to release."""
-
-    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Return an attribute once for each environment; all environments share it."""
-        return self.env.get_attr(attr_name)[: self.n_envs]
-
-    def _terminal_features(self, part_infos: list[dict[str, Any]], ended: np.ndarray):
-        """Return features (E, K) of the last observations of the environments `ended` (E,).
-
-        The states of filtered features are taken as zero.
-        """
-        last = np.stack([part_infos[i]["terminal_observation"] for i in ended])
-        observations = np.zeros((self.n_envs, last.shape[1]), dtype=last.dtype)
-        observations[ended] = last
-        return FeatureExtractor(self.features.context).update(observations)[ended]

@@ -57,13 +57,6 @@ class WheelbasePreview:
         steps = int(np.ceil(self.wheelbase / (MIN_SPEED * context.interval))) + 2
         self.history, self.newest = np.zeros((steps, size, 2)), 0
 
-    def reset(self, mask: np.ndarray) -> None:
-        """Reset the vehicles in `mask` (N,) to rest on a level road."""
-        self.body.reset(mask)
-        for state in (self.body_position, self.axle_rates, self.wheel_heights):
-            state[mask] = 0.0
-        self.history[:, mask] = 0.0
-
     def update(self, observations: np.ndarray) -> None:
         """Advance by one interval, from observations (N, d)."""
         context, dt, before = self.context, self.context.interval, self.body.v

@@ -108,7 +108,6 @@ def verdicts(name):
     [
         ("Remembers", ["reset"]),
         pytest.param("Chance", ["repeat", "reset"], marks=pytest.mark.processes),
-        pytest.param("Scribbles", ["unchanged"], marks=pytest.mark.processes),
         ("Beyond", ["runs"]),
     ],
 )

@@ -17,7 +17,6 @@ from road_envs.policies.feature_env import FeatureVecEnv
 from road_envs.policies.features import N_FEATURES, NAMES, FeatureExtractor
 from road_envs.policies.network_policy import NetworkPolicy
 from road_envs.policies.rollout import VIOLATION_PRICE, drive_all, training_drives
-from road_envs.roads.iso8608 import Iso8608
 from studies.trained_networks import TrainingConfig, train
 
 CASE = {
@@ -75,13 +74,6 @@ def test_the_paired_baseline_removes_the_road_from_the_reward():
         np.testing.assert_allclose(gained, expected, atol=1e-5)
         over |= dones.any()
     assert over
-
-
-def test_the_vehicles_of_a_pair_share_one_road(monkeypatch):
-    drawn, realise = [], Iso8608.realise
-    monkeypatch.setattr(Iso8608, "realise", lambda *args: drawn.append(args) or realise(*args))
-    features_of(CASE, 3, 5, paired_baseline=True).reset()
-    assert len(drawn) == 3
 
 
 def test_a_violation_has_its_price_in_the_reward():

@@ -86,13 +86,6 @@ class Crowd(Lateral):
         return np.full(len(observations), len(observations) % 2)
 
 
-class Scribbles(Lateral):
-    def act(self, observations):
-        actions = super().act(observations)
-        observations[:] = 0.0
-        return actions
-
-
 class Prints(Lateral):
     """Prints where replies are expected."""
 

@@ -5,7 +5,9 @@ import pytest
 import scipy
 
 from road_envs.analysis.comfort import wk_sos
+from road_envs.envs.options import EnvSetup
 from road_envs.policies import create
+from road_envs.policies.api import PolicyContext
 from road_envs.policies.mpc import EXTENSION_RATE, _pair_model, _spring_rates, _state_space
 from road_envs.policies.rollout import roll_out
 from road_envs.vehicle.linear_model import gaussian_damping, linearise
@@ -70,3 +72,28 @@ def test_it_is_firm_in_a_turn_and_the_same_to_either_side():
     t = 0.05 * (1 + np.arange(len(actions[0])))
     assert (actions[0][t < 0.95] == 0).all()  # ride
     assert (actions[0][(t > 1.2) & (t < 1.8)] != 0).all()
+
+
+@pytest.mark.parametrize("a", [8.0, -8.0])
+def test_it_is_firm_before_a_body_that_rises_or_falls_reaches_its_stops(a):
+    """Axles at rest, body at constant acceleration `a`: the stops are at -0.085 and 0.095 m."""
+    setup = EnvSetup({**TURN, "control_rate": 50.0})
+
+    def first_firm(a: float) -> float | None:
+        policy, parts = create("mpc"), setup.observation_slices
+        policy.reset(PolicyContext.from_setup(setup, 1, 0))
+        row, e, rate = np.zeros((1, setup.observation_space.shape[0]), dtype=np.float32), 0.0, 0.0
+        row[:, parts["speed"]] = 15.0
+        for sensor in setup.instruments.accelerometers:
+            row[:, parts[sensor]] = a
+        while abs(e) < 0.08:
+            rate += 0.02 * a
+            e += 0.02 * rate
+            row[:, parts["extension"]], row[:, parts["extension_rate"]] = e, rate
+            if policy.act(row)[0] != 0:
+                return e
+        return None
+
+    at = first_firm(a)
+    assert at is not None and 0.02 < abs(at) < 0.06
+    assert first_firm(0.1 * a) is None or abs(first_firm(0.1 * a)) > abs(at)

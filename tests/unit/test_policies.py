@@ -162,19 +162,6 @@ def test_rrms_compares_lateral_with_vertical_acceleration():
     assert [pair_of(a)[0] for a in actions] == ["ride", "handling", "ride"]
 
 
-def test_roll_angle_holds_handling_after_the_roll_has_ceased():
-    policy = create("roll_angle", threshold=0.05, hold=0.06)
-    policy.reset(context())
-    y = SETUP.car.front.y_s
-
-    def lean(angle):
-        e = angle * y * np.array([1.0, -1.0, 1.0, -1.0])
-        return pair_of(policy.act(observed(extension=e))[0])[0]
-
-    assert [lean(0.049), lean(-0.051)] == ["ride", "handling"]
-    assert [lean(0.0) for _ in range(4)] == ["handling", "handling", "handling", "ride"]
-
-
 def test_greedy_information_takes_the_pair_of_least_cost():
     slow = observed(speed=15.0)
     chosen = []
@@ -231,7 +218,6 @@ def test_a_policy_of_another_package_is_available_by_its_name(monkeypatch):
         ("skyhook", {"high": "hard"}, "'handling' or 'soft_high'"),
         ("rrms", {"window": 0.0}, "window: must be positive"),
         ("evolved", {"file": "none.npz"}, "none.npz: cannot be read: No such file"),
-        ("preview", {"bump": 0.0}, "bump: must be positive"),
     ],
 )
 def test_an_unknown_policy_or_invalid_setting_is_named(name, settings, message):
@@ -256,9 +242,9 @@ def test_invalid_actions_are_named(actions, message):
 
 def test_a_missing_observation_or_action_is_named():
     plain = EnvSetup({**OPTIONS, "observe": ["accelerations"], "control": "vehicle"})
-    policy = create("roll_angle")
+    policy = create("skyhook")
     policy.reset(PolicyContext.from_setup(plain, 1, 0))
-    with pytest.raises(ConfigError, match="'extension' is not observed"):
+    with pytest.raises(ConfigError, match="'extension_rate' is not observed"):
         policy.act(np.zeros((1, 65)))
     with pytest.raises(ConfigError, match="no action commands ride in front and handling"):
         create("fixed_ride_handling").reset(PolicyContext.from_setup(plain, 1, 0))
@@ -306,27 +292,6 @@ def test_front_axle_heights_move_towards_the_rear_axle():
             assert np.abs(heights[0]).max() < 1e-12
         assert not preview.heights_at(np.array([at]))[0].any()
         preview.update(observations)
-    preview.reset(np.array([False, True]))
-    assert not preview.history[:, 1].any() and not preview.wheel_heights[1].any()
-
-
-def test_preview_equals_rrms_except_for_the_rear_axle_before_a_bump():
-    settings = {"window": 0.1, "ratio": 2.0}
-    policy, plain = create("preview", **settings, bump=0.05, reach=2.0), create("rrms", **settings)
-    for one in (policy, plain):
-        one.reset(context(2))
-    up = dict.fromkeys(("RF", "LR", "RR"), 1.0)
-    observations = observed(2, **up, planar=[0.0, 3.0], speed=15.0)
-    preview = policy.preview
-    preview.update = lambda observations: None
-    preview.speed[:] = 15.0
-    for height, rear in ((0.04, "handling"), (0.06, "ride")):
-        preview.history[:] = 0.0
-        preview.history[preview.newest - 5, 1, 0] = height  # 1.3 m ahead of the rear axle
-        for _ in range(6):
-            actions, expected = policy.act(observations), plain.act(observations)
-        assert actions[0] == expected[0]
-        assert pair_of(actions[1]) == ("handling", rear)
 
 
 # --- networks -------------------------------------------------------------------------------------
