@@ -36,7 +36,6 @@ from estimators.api import CalibrationError, copy_with
 from estimators.common.explained import reduce_unexplained
 from estimators.common.misfit import misfit_note
 from estimators.common.odometer import calibrate_odometer
-from estimators.map_smoother.car_fit import STRUCTURE_POWER
 from estimators.map_smoother.gauss_newton import NOISE_SCALE_WARNING
 from estimators.map_smoother.identification import STRUCTURE_GAIN, identify_structure
 from estimators.map_smoother.identified_vehicle import CalibratedByIdentification
@@ -62,6 +61,14 @@ instruments is small beside what a vehicle that is not the one described leaves 
 LOST_AIR_SHARE = 0.25
 """Distance that wheels spend in the air, over the road's length, from which on no share of the
 power is allowed: no wheel supports such heights (bumps of 0.15 m at 54 km/h: 0.5 to 0.7)."""
+
+SEARCHED_POWER = 2.5
+"""Power over that of the instruments' noise from which on elements are searched that the vehicle's
+description leaves out: a little more than what is noted.
+"""
+
+STRUCTURE_INFLATION = 2.0
+"""Factor of the errors that a vehicle with elements found on the same drive makes of the road."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,14 +124,15 @@ class MapSmoother(CalibratedByIdentification, SolverSettings):
         known = None if self.identified is None else self.identified.uncertainty
         first, findings = self._estimate(record, car, known)
         left = findings.left_by_fit
-        if findings.speed_errors and not findings.fits:  # places need the vehicle, flights or not
+        if findings.fits or findings.speed_errors:  # places need the vehicle, flights or not
             left = max(left, float(findings.noise_scale[0]))
-        if not (self.adapt and left >= STRUCTURE_POWER and has_absent_elements(car)):
+        if not (self.adapt and left >= SEARCHED_POWER and has_absent_elements(car)):
             return first
         described = replace(self, adapt=False)
         try:  # the vehicle may have elements that its description leaves out
             found, uncertainty = identify_structure(record, car, described)
-            second, flexible = described._estimate(record, found, uncertainty)
+            uncertain = replace(uncertainty, inflation=STRUCTURE_INFLATION)
+            second, flexible = described._estimate(record, found, uncertain)
         except (CalibrationError, ArithmeticError):
             return first
         if flexible.noise_scale[0] > STRUCTURE_GAIN * left:

@@ -129,15 +129,18 @@ def adapt_vehicle(
     flexible = before > STRUCTURE_SCALE and has_absent_elements(car)
     space = parameter_space(car, structure=flexible)
     x, covariance = np.zeros(space.size), np.eye(space.size)
-    for k, (most, steps) in enumerate(FLEXIBLE_ROUNDS if flexible else ROUNDS):
-        if k > 0 or flexible:
-            vehicle = SensedVehicle.of(space.from_vector(x), instruments)
-            model = fit_hyperparameters(vehicle, segment)
-            after = float(np.mean(model.noise_scale))
-        last = list(smooth_segment(model, segment, min(most, passes)))[-1]
-        x, covariance, gain = fisher_scoring(space, x, instruments, segment, last, steps)
-        if k == 0 and not flexible and gain < MIN_GAIN:
-            return None
+    try:
+        for k, (most, steps) in enumerate(FLEXIBLE_ROUNDS if flexible else ROUNDS):
+            if k > 0 or flexible:
+                vehicle = SensedVehicle.of(space.from_vector(x), instruments)
+                model = fit_hyperparameters(vehicle, segment)
+                after = float(np.mean(model.noise_scale))
+            last = list(smooth_segment(model, segment, min(most, passes)))[-1]
+            x, covariance, gain = fisher_scoring(space, x, instruments, segment, last, steps)
+            if k == 0 and not flexible and gain < MIN_GAIN:
+                return None
+    except ArithmeticError:  # a fitted vehicle is none
+        return None
     return (
         AdaptedVehicle(space, instruments, x, covariance, before, after) if after < before else None
     )

@@ -52,9 +52,15 @@ class ParameterSpace:
         return len(self.names)
 
     def from_vector(self, x: np.ndarray) -> VehicleParameters:
-        """Return the vehicle of a vector `x` (P,)."""
+        """Return the vehicle of a vector `x` (P,).
+
+        Raises ArithmeticError if it is none, since a value is beyond its range.
+        """
         factors = np.exp(self.std * x).tolist()
-        return scale_parameters(self.car, dict(zip(self.names, factors, strict=True)))
+        try:
+            return scale_parameters(self.car, dict(zip(self.names, factors, strict=True)))
+        except ConfigError as error:
+            raise ArithmeticError(f"a fitted vehicle is none: {error}") from None
 
     def to_vector(self, car: VehicleParameters) -> np.ndarray:
         """Return the vector (P,) of a vehicle that differs from `self.car` in these parameters."""

@@ -10,12 +10,16 @@ from fake_results import runs_of
 
 import road_envs  # noqa: F401, registers the environment
 from estimators import create, estimate
+from estimators.map_smoother.estimator import MapSmoother
 from leaderboard import score
 from leaderboard.evaluation.evaluate import run_task
 from leaderboard.evaluation.tasks import load_task
+from leaderboard.metrics.heights import band_pass, error_over_truth, uncertainty
 from road_envs import load_vehicle, simulate_record
 from road_envs.core.config import ConfigError
 from road_envs.drives.training_corpus import Corpus, perturb_parameters
+from road_envs.records.record import scored_band
+from road_envs.roads import realise_road
 from road_envs.vehicle.parameters import write_vehicle
 
 VEHICLES = ("bmw_320i", "jeep_cherokee", "land_rover_defender_110", "volkswagen_vanagon", "van")
@@ -187,3 +191,14 @@ def test_a_task_takes_the_modes_of_its_car_only(tmp_path):
     path.write_text(json.dumps(task), encoding="utf-8")
     with pytest.raises(ConfigError, match=r"conditions: .* passive struts: mode passive, not"):
         load_task(path)
+
+
+def test_the_frame_of_an_ordinary_car_is_found_though_its_file_has_none():
+    drive = {"vehicle": "bmw_320i", "speed_kmh": 54.0, "mode": "passive", "seed": 77}
+    road = realise_road("iso_c", 77, 60.0)
+    record, truth = simulate_record(road, individual=78, grade="S2", **drive)
+    found = MapSmoother().estimate(record, load_vehicle("bmw_320i"))
+    assert any("a frame that can twist at 17" in note for note in found.notes)
+    y, a = band_pass(np.stack([truth.z, found.z]), truth.ds, scored_band(15.0))
+    assert error_over_truth(y, a).pooled < 0.15  # 0.7 without the frame
+    assert uncertainty(y, a, found.z_std).coverage_90 > 0.8

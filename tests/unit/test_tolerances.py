@@ -106,3 +106,19 @@ def test_a_vehicles_file_without_tolerances_is_the_same_vehicle(tmp_path):
     text = config.find("vehicles", "land_rover_defender_110").read_text(encoding="utf-8")
     (tmp_path / "car.yaml").write_text(text.partition("\ntolerances:")[0], encoding="utf-8")
     assert replace(DEFENDER, tolerances={}) == load_vehicle(tmp_path / "car.yaml")
+
+
+def test_a_vector_beyond_the_range_of_a_value_is_no_vehicle():
+    space = parameter_space(load_vehicle("bmw_320i"))
+    x = np.zeros(space.size)
+    x[space.names.index("side.swing_arm.front")] = -10.0
+    with pytest.raises(ArithmeticError, match=r"a fitted vehicle is none: .*swing_arm"):
+        space.from_vector(x)
+
+
+@pytest.mark.parametrize("name", config.names("vehicles"))
+def test_every_shipped_vehicle_says_what_its_frame_may_be(name):
+    car = parameter_space(load_vehicle(name), structure=True).car
+    assert car.variation.frame is not None
+    assert car.variation.bending is not None
+    assert car.variation.bending.length < 2.2 * car.wheelbase
