@@ -38,7 +38,7 @@ from road_envs.sensing.perturbed_vehicle import (
 from road_envs.vehicle.parameters import DEFAULT_STEP, Step, VehicleParameters, load_vehicle
 from road_envs.vehicle.suspension import encode_command
 
-Grade = Literal["S0", "S1", "S2", "S3"]
+Grade = Literal["S0", "S1", "S2", "S3", "S4"]
 StrutMode = Literal["ride", "handling", "soft_high", "stiff_low", "passive"]
 
 SEED_STRIDE = 10_000

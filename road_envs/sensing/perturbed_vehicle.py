@@ -12,16 +12,18 @@ grades are cumulative for the same seed:
 |    | stiffness of the bushings; a body that twists (`parameters.TorsionalFrame`) and bends |
 |    | (`body_bending`), each at its own frequency |
 | S3 | instruments: position, tilt, gain, offset, speed error, clock jitter, lost samples |
+| S4 | side motion: tyres that hold the body sideways, of which a vehicle's file may know nothing; |
+|    | where the file has `side`, each of its numbers is another |
 
 The magnitudes are in `configs/field/*.yaml` and assumed. From S1 on the integrator takes finer
 steps than on the nominal vehicle, so that its error differs from that of an estimator's model.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -36,7 +38,7 @@ from road_envs.sensing.sensor_faults import (
     PositionFixLength,
     SensorFaults,
 )
-from road_envs.vehicle.axles import IndependentWheels
+from road_envs.vehicle.axles import IndependentWheels, SideMotion
 from road_envs.vehicle.equations import Plant, build_plant
 from road_envs.vehicle.parameters import (
     BendingMode,
@@ -48,11 +50,11 @@ from road_envs.vehicle.parameters import (
 from road_envs.vehicle.suspension import WHEELS
 from road_envs.vehicle.tolerances import scale_parameters
 
-GRADES = ("S0", "S1", "S2", "S3")
+GRADES = ("S0", "S1", "S2", "S3", "S4")
 
 Range = Annotated[tuple[Fraction, Fraction], SmallestFirst]
 PositiveRange = Annotated[tuple[Positive, Positive], SmallestFirst]
-MANUFACTURE_LEVEL, STRUCTURE_LEVEL, INSTRUMENT_LEVEL = 1, 2, 3
+MANUFACTURE_LEVEL, STRUCTURE_LEVEL, INSTRUMENT_LEVEL, SIDE_LEVEL = 1, 2, 3, 4
 """Index of the grade that adds each group of deviations, and second key of its random stream."""
 
 PERTURBATION_STREAM = 9
@@ -132,6 +134,20 @@ class SensorFaultLimits(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
+class SideMotionRange(Settings):
+    """Ranges of the side motion of a vehicle whose file has none, and the scatter of one's own."""
+
+    scatter: Annotated[Fraction, "", "largest relative deviation of each number of `side`"]
+    yaw_inertia: Annotated[PositiveRange, "", "of the body, over its pitch inertia"]
+    wheel_radius: Annotated[PositiveRange, "m", "height of the wheels' centres"]
+    solid_roll_centre: Annotated[PositiveRange, "m", "height, of solid axles"]
+    independent_roll_centre: Annotated[PositiveRange, "m", "height, of independent wheels"]
+    C_alpha: Annotated[PositiveRange, "1/rad", "cornering stiffness over a tyre's static load"]
+    relaxation: Annotated[PositiveRange, "m", "relaxation length of the tyres"]
+    swing_arm: Annotated[PositiveRange, "m", "of independent wheels, seen from the front"]
+
+
+@dataclass(frozen=True, kw_only=True)
 class PlantMismatch(Settings):
     """Magnitudes of the deviations of perturbed vehicles from the nominal one."""
 
@@ -140,6 +156,7 @@ class PlantMismatch(Settings):
     manufacture: ManufacturingTolerances
     structure: UnmodelledStructure
     instruments: SensorFaultLimits
+    side: SideMotionRange | None
     sources: dict[str, str]
 
 
@@ -190,6 +207,8 @@ def perturb_vehicle(
     if level >= INSTRUMENT_LEVEL:
         faults = _draw_sensor_faults(mismatch.instruments, seed, accelerometers)
         vehicle = replace(vehicle, faults=faults)
+    if level >= SIDE_LEVEL and mismatch.side is not None:
+        vehicle = replace(vehicle, car=_with_side_motion(vehicle.car, mismatch.side, seed))
     return vehicle
 
 
@@ -257,6 +276,40 @@ def _with_structure(
         else BendingMode(**_draw_mode(rng, b), length=b.length),
     )
     return replace(vehicle, car=replace(car, variation=variation))
+
+
+def _with_side_motion(
+    car: VehicleParameters, limits: SideMotionRange, seed: int | np.random.SeedSequence
+) -> VehicleParameters:
+    """Return the vehicle with another side motion than that of its file, or with one at all."""
+    rng = np.random.default_rng(_seed_sequence(seed, SIDE_LEVEL))
+
+    def scattered(value: float | tuple[float, float]) -> Any:
+        factors = rng.uniform(1.0 - limits.scatter, 1.0 + limits.scatter, np.shape(value))
+        new = (np.asarray(value) * factors).tolist()
+        return tuple(new) if isinstance(value, tuple) else new
+
+    def of_axles(low: float, high: float) -> tuple[float, float]:
+        front, rear = rng.uniform(low, high, 2).tolist()
+        return front, rear
+
+    if car.side is not None:
+        values = {f.name: scattered(getattr(car.side, f.name)) for f in fields(car.side)}
+        return replace(car, side=replace(car.side, **values))
+    independent = isinstance(car.front, IndependentWheels)
+    heights = limits.independent_roll_centre if independent else limits.solid_roll_centre
+    stiffness = np.multiply(of_axles(*limits.C_alpha), car.tyre_loads).tolist()
+    return replace(
+        car,
+        side=SideMotion(
+            I_zz=car.I_yy * float(rng.uniform(*limits.yaw_inertia)),
+            wheel_radius=float(rng.uniform(*limits.wheel_radius)),
+            roll_centre=of_axles(*heights),
+            C_alpha=(stiffness[0], stiffness[1]),
+            relaxation=of_axles(*limits.relaxation),
+            swing_arm=of_axles(*limits.swing_arm),
+        ),
+    )
 
 
 def _draw_mode(rng: np.random.Generator, limits: FrameRange) -> dict[str, float]:

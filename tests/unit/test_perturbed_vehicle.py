@@ -28,6 +28,7 @@ from road_envs.simulation.drive import APRON_LENGTH, DriveSimulator
 from road_envs.simulation.rosenbrock import TWIST
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.equilibrium import equilibrium
+from road_envs.vehicle.parameters import load_vehicle
 from road_envs.vehicle.suspension import encode_command
 
 ROAD, ROUGH = smooth_road(length=20.0, height=0.01), smooth_road(height=0.03)
@@ -98,8 +99,9 @@ def test_manufacturing_deviations_stay_within_their_limits(seed):
 
 @given(seeds)
 def test_every_grade_keeps_the_deviations_of_the_previous_grade(seed):
-    s1, s2, s3 = (perturb_vehicle(DEFENDER, grade, seed) for grade in GRADES[1:])
-    assert s2.car == s3.car and s1.car == replace(s2.car, variation=s1.car.variation)
+    s1, s2, s3, s4 = (perturb_vehicle(DEFENDER, grade, seed) for grade in GRADES[1:])
+    assert s2.car == s3.car == s4.car.sliding and s3.faults == s4.faults
+    assert s1.car == replace(s2.car, variation=s1.car.variation)
     for name in ("gas", "damper", "friction", "bushing"):
         assert getattr(s1.car.variation, name) == getattr(s2.car.variation, name)
     mismatch = ASSUMED.structure
@@ -122,6 +124,28 @@ def test_every_grade_keeps_the_deviations_of_the_previous_grade(seed):
     assert 0.0 < abs(faults.speed) <= limits.speed
     for name in ("position_fix_length", "jitter", "dropout_rate", "dropout_length"):
         assert getattr(faults, name) == getattr(limits, name)
+
+
+@given(seeds)
+def test_the_tyres_of_grade_s4_hold_the_body_sideways_within_published_ranges(seed):
+    car, limits = perturb_vehicle(DEFENDER, "S4", seed).car, ASSUMED.side
+    side = car.side
+    assert side is not None and limits is not None
+    low, high = limits.solid_roll_centre
+    assert all(low <= h <= high for h in side.roll_centre)
+    ratios = np.array(side.C_alpha) / car.tyre_loads
+    assert (limits.C_alpha[0] <= ratios).all() and (ratios <= limits.C_alpha[1]).all()
+    assert all(limits.relaxation[0] <= x <= limits.relaxation[1] for x in side.relaxation)
+    assert abs(car.I_yy - car.I_xx) < side.I_zz < car.I_yy + car.I_xx
+
+
+def test_grade_s4_scatters_the_side_motion_that_a_file_has():
+    described = load_vehicle("bmw_320i")
+    cars = [perturb_vehicle(described, "S4", seed).car for seed in range(200)]
+    for name in ("I_zz", "roll_centre", "C_alpha", "relaxation", "swing_arm"):
+        own = np.array([getattr(car.side, name) for car in cars])
+        ratio = own / np.array(getattr(described.side, name))
+        assert 0.7 <= ratio.min() < 0.73 and 1.27 < ratio.max() <= 1.3
 
 
 def test_draws_cover_their_ranges_in_both_directions():
@@ -172,6 +196,7 @@ ZERO_MISMATCH = replace(
         ASSUMED.instruments, place=0.0, tilt=0.0, gain=0.0, offset=0.0, speed=0.0, jitter=0.0,
         dropout_rate=0.0, position_fix_length=np.inf,
     ),
+    side=None,
 )  # fmt: skip
 
 
@@ -296,7 +321,7 @@ def test_the_finer_of_requested_and_vehicle_step_is_used():
 
 def test_a_symmetric_road_rolls_every_vehicle_but_the_nominal_one():
     road = Surface(np.stack([ROAD.z[0], ROAD.z[0]]), ROAD.ds)
-    for grade, still in zip(GRADES, (True, False, False, False), strict=True):
+    for grade, still in zip(GRADES, (True, False, False, False, False), strict=True):
         vehicle = perturb_vehicle(DEFENDER, grade, 4)
         car = DriveSimulator(vehicle.plant, vehicle.car, road, 15.0)
         motion = car.advance(np.full(car.steps_left, encode_command("ride"), dtype=np.uint8))
@@ -332,7 +357,7 @@ def test_a_perturbed_drive_matches_scipy_with_independent_equations():
 # --- configuration --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("grade", ["S4", "s1", "", None, 1])
+@pytest.mark.parametrize("grade", ["S9", "s1", "", None, 1])
 def test_an_unknown_grade_raises_config_error_with_the_known_ones(grade):
     with pytest.raises(ConfigError, match=r"unknown grade .*known: S0, S1, S2, S3"):
         perturb_vehicle(DEFENDER, grade, 1)
