@@ -22,7 +22,7 @@ from road_envs.vehicle.suspension import encode_command
 Grade = Annotated[
     str,
     typer.Option(
-        help="Grade of the perturbed vehicle: S0 (as described) to S3; the seed draws it."
+        help="Grade of the perturbed vehicle: S0 (as described) to S4; the seed draws it."
     ),
 ]
 

@@ -55,7 +55,7 @@ def simulate_record(
     `road` is a shipped name, a file, a description or a realised Surface; `length` [m] changes
     that of a road that has no fixed one. `mode` is one of the car's ("ride", "handling", ..., or
     "passive"), or one of these for "front" and "rear"; by default it is the first. `grade` "S1" to
-    "S3" drives a vehicle that departs from its description (`road_envs.sensing.perturbed_vehicle`),
+    "S4" drives a vehicle that departs from its description (`road_envs.sensing.perturbed_vehicle`),
     by the shipped `plant_mismatch` unless another is given. `seed` draws the road, the sensor noise
     and the individual vehicle, unless `individual` is the seed of that, for several drives of one.
     `step` [s] is the integrator's. Raises ConfigError, SimulationError.
