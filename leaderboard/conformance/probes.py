@@ -4,7 +4,7 @@
     scale     accelerations halved: the estimate must be lower, with the same shape
     shuffle   samples in random order: the estimate must be uncorrelated
     swap      left and right exchanged: the wheel paths must be exchanged
-    future    noise added from the middle on: a causal estimate must not change before it
+    future    other samples from the middle on: a causal estimate must not change before it
     repeat    estimated twice, and trained twice with one seed: the estimates must be equal
 
 `perturbed_records` makes the records and `evaluate_probes` compares the estimates made from them,
@@ -27,6 +27,7 @@ import numpy as np
 
 from estimators.api import Estimator, Trainable, declared_lag
 from leaderboard.metrics.heights import band_pass, correlation
+from leaderboard.sandbox.retest import EQUALITY_TOLERANCE, largest_change, with_other_future
 from road_envs.core.config import Settings
 from road_envs.records.record import SENSORS, Estimate, Profile, Record, scored_band
 from road_envs.sensing.instruments import Instruments, load_instruments
@@ -42,9 +43,6 @@ SCALE_FACTOR = 0.5
 
 LOOKAHEAD_THRESHOLD = 0.1
 """Least change that counts as use of later samples, relative to the estimate's deviation."""
-
-EQUALITY_TOLERANCE = 1e-9
-"""Largest difference [m] of estimates that count as equal, for rounding."""
 
 MIRRORED_WHEELS = [WHEELS.index(wheel) for wheel in ("FR", "FL", "RR", "RL")]
 
@@ -64,17 +62,15 @@ def perturbed_records(record: Record, instruments: Instruments, seed: int = 0) -
     RF, LR, RR = record.a
     y = [instruments.accelerometers[name].y for name in SENSORS]
     LF = RF - 2.0 * y[0] * (LR - RR) / (y[1] - y[2])
-    late = record.s >= 0.5 * record.length
-    noise = np.nanstd(record.a) * rng.standard_normal(record.a.shape)
     accelerations = {
         "original": record.a,
         "again": record.a,
         "sign": -record.a,
         "scale": SCALE_FACTOR * record.a,
         "shuffle": record.a[:, rng.permutation(record.t.size)],
-        "future": record.a + np.where(late, noise, 0.0),
     }
     records = {name: dataclasses.replace(record, a=a) for name, a in accelerations.items()}
+    records["future"] = with_other_future(record, 0.5 * record.length, rng)
     records["swap"] = dataclasses.replace(
         record,
         a=np.stack([LF, RR, LR]),
@@ -129,34 +125,34 @@ def evaluate_probes(
             f"left and right exchanged: r = {r['swap']:.2f} with exchanged wheel paths",
         ),
         _evaluate_future(estimates, record, causal, lag),
-        _evaluate_repeat(estimates),
+        _evaluate_repeat(estimates, record),
     ]
 
 
 def _evaluate_future(
     estimates: Mapping[str, Estimate], record: Record, causal: bool, lag: float
 ) -> CheckResult:
-    original = estimates["original"]
-    change = np.abs(estimates["future"].z - original.z).max(axis=0)
-    sample = float(np.diff(record.s).max())  # between two samples one may interpolate
-    first = 0.5 * record.length - lag - sample
+    original, future, start = estimates["original"], estimates["future"], 0.5 * record.length
     if causal:
-        early = float(change[original.s < first].max(initial=0.0))
+        early = largest_change(original, future, start, lag, record)
         behind = f", {lag:g} m behind the front axle" if lag else ""
         return CheckResult(
             "future",
             early <= EQUALITY_TOLERANCE,
             f"later samples change the estimate by {1e3 * early:.3g} mm{behind}",
         )
+    change = np.abs(future.z - original.z).max(axis=0)
     changed = original.s[change > LOOKAHEAD_THRESHOLD * original.z.std()]
-    reach = max(0.0, first - changed.min(initial=first))
+    reach = max(0.0, start - changed.min(initial=start))
     return CheckResult("future", None, f"offline: uses samples up to {reach:.1f} m ahead")
 
 
-def _evaluate_repeat(estimates: Mapping[str, Estimate]) -> CheckResult:
+def _evaluate_repeat(estimates: Mapping[str, Estimate], record: Record) -> CheckResult:
     words = {"again": "estimated twice", "retrained": "trained twice with one seed"}
-    original = estimates["original"].z
-    gap = {name: float(np.abs(estimates[name].z - original).max()) for name in words}
+    gap = {
+        name: largest_change(estimates[name], estimates["original"], np.inf, 0.0, record)
+        for name in words
+    }
     message = ", ".join(f"{words[name]}: {1e3 * x:.3g} mm apart" for name, x in gap.items())
     return CheckResult("repeat", max(gap.values()) <= EQUALITY_TOLERANCE, message)
 

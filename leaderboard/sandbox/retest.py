@@ -1,7 +1,8 @@
 """Does an entry look ahead or remember? A second guest is asked again about some test drives.
 
 The second guest, which runs first in half of the cases, estimates drives that the first one also
-estimates, after fewer others, and drives whose samples are other ones from a secret point on.
+estimates, after fewer others, and drives whose accelerations and speeds are other ones from a
+secret point on. Heights and standard deviations are compared.
 """
 
 import dataclasses
@@ -20,7 +21,7 @@ EQUALITY_TOLERANCE = 1e-9
 REPEATED_DRIVES = 2
 """Number of test drives that a second guest estimates again, after other drives than the first."""
 
-REPLACED_FROM = ((0.05, 0.9), (0.9, 1.0))
+REPLACED_FROM = ((0.05, 0.45), (0.45, 0.9), (0.9, 1.0))
 """Ranges of the secret points, as shares of a drive, from which on its samples are replaced: one
 drive for each range.
 """
@@ -43,7 +44,7 @@ def draw_questions(
 ) -> list[Question]:
     """Return drives to be estimated again, each after fewer drives than in `order`.
 
-    Of a causal entry, also drives with other accelerations from a secret station on.
+    Of a causal entry, also drives with other samples from a secret station on.
     """
     places = range(min(1, len(order) - 1), len(order))  # the first drive has none before it
     chosen = secret.sample(places, min(REPEATED_DRIVES, len(places)))
@@ -53,9 +54,7 @@ def draw_questions(
         record = records[drive]
         start = record.length * secret.uniform(low, high)
         rng = np.random.default_rng(secret.getrandbits(128))
-        noise = np.nanstd(record.a) * rng.standard_normal(record.a.shape)
-        a = record.a + np.where(record.s >= start, noise, 0.0)
-        questions.append(Question(drive, dataclasses.replace(record, a=a), start))
+        questions.append(Question(drive, with_other_future(record, start, rng), start))
     return questions
 
 
@@ -67,15 +66,32 @@ def compare_answers(
         return [NOT_RETESTED]
     notes = {}
     for (drive, record, start), estimate in zip(questions, again, strict=True):
-        # between two samples one may interpolate
-        end = start - lag - float(np.diff(record.s).max())
-        if _differ(estimate, run.estimates[drive], end):
+        if largest_change(estimate, run.estimates[drive], start, lag, record) > EQUALITY_TOLERANCE:
             notes[LOOKS_AHEAD if np.isfinite(start) else REMEMBERS] = True
     return list(notes)
 
 
-def _differ(first: Estimate, second: Estimate, end: float) -> bool:
-    """Return whether two estimates differ before the station `end` [m]."""
-    before = first.s < end
-    change = np.abs(first.z - second.z)[:, before]
-    return bool(change.max(initial=0.0) > EQUALITY_TOLERANCE)
+def with_other_future(record: Record, start: float, rng: np.random.Generator) -> Record:
+    """Return a record with other accelerations and speeds from the station `start` [m] on."""
+    later = record.s >= start
+    noise = np.nanstd(record.a) * rng.standard_normal(record.a.shape)
+    gain = rng.uniform(0.9, 1.2, record.v.shape)  # another mean, median and maximum
+    return dataclasses.replace(
+        record, a=record.a + np.where(later, noise, 0.0), v=record.v * np.where(later, gain, 1.0)
+    )
+
+
+def largest_change(
+    first: Estimate, second: Estimate, start: float, lag: float, record: Record
+) -> float:
+    """Return the largest difference [m] of two estimates, of heights or of deviations.
+
+    Only stations count whose estimate may not depend on the samples from `start` [m] on, with that
+    `lag` [m]. It is infinite if only one of them has deviations.
+    """
+    if (first.z_std is None) != (second.z_std is None):
+        return np.inf
+    before = first.s < start - lag - float(np.diff(record.s).max())  # one may interpolate
+    pairs = [(first.z, second.z), (first.z_std, second.z_std)]
+    changes = [np.abs(a - b)[:, before] for a, b in pairs if a is not None and b is not None]
+    return float(max(change.max(initial=0.0) for change in changes))

@@ -118,6 +118,16 @@ def test_samples_of_the_last_tenth_are_tested_for_causality(sandbox, monkeypatch
     assert found.notes == (LOOKS_AHEAD,)
 
 
+@pytest.mark.parametrize("how", ["deviate_by_the_end", "hasten_by_the_end"])
+def test_deviations_and_the_use_of_speed_are_tested_for_causality(sandbox, how):
+    found = run(sandbox, how, causal=True, retest=True)
+    assert found.notes == (LOOKS_AHEAD,) and found.looks_ahead
+
+
+def test_deviations_are_tested_for_memory(sandbox):
+    assert run(sandbox, "deviate_by_memory", retest=True).notes == (REMEMBERS,)
+
+
 @pytest.mark.parametrize("place", [2, 3])
 def test_memory_is_tested_on_any_drive_but_the_first(sandbox, place):
     found = run(sandbox, "remember_one", where=str(place), retest=True, number=3)

@@ -359,6 +359,30 @@ def does_look_at_the_end(where, record):
     return Estimate(stations, np.stack([z, z]))
 
 
+def with_deviation(record, std):
+    """Return a flat road with the standard deviation `std` [m] at every station."""
+    stations = profile_stations(record.length)
+    return Estimate(stations, np.zeros((2, stations.size)), np.full((2, stations.size), std))
+
+
+def does_deviate_by_the_end(where, record):
+    """Use all later samples, but for the standard deviation only."""
+    return with_deviation(record, 1e-3 * record.a[:, record.t.size // 2 :].std())
+
+
+def does_deviate_by_memory(where, record):
+    """Let the standard deviation depend on the number of the drives before."""
+    SEEN.append(record)
+    return with_deviation(record, 1e-3 * len(SEEN))
+
+
+def does_hasten_by_the_end(where, record):
+    """Use the speed of all later samples, but no later acceleration."""
+    stations = profile_stations(record.length)
+    z = 1e-3 * np.median(record.v) * np.sin(stations)
+    return Estimate(stations, np.stack([z, z]))
+
+
 def does_rename(where, record):
     """Take a name that is no text, while the host looks at the process."""
     system_call(157, 15, b"\xff\xfe)(", 0, 0, 0)  # prctl, PR_SET_NAME
