@@ -24,10 +24,11 @@ sys.path[:0] = [str(ROOT / "tests" / "support"), str(ROOT / "tests" / "integrati
 from in_process import InProcessExecutor  # noqa: E402
 from test_executors import VALID, driver, make_request, rows, running_jobs  # noqa: E402
 
+from leaderboard.running import jobs  # noqa: E402
 from leaderboard.running.board import run_board  # noqa: E402
 from leaderboard.running.dask_executor import LOCAL, DaskExecutor  # noqa: E402
 from leaderboard.running.executors import ProcessExecutor  # noqa: E402
-from leaderboard.sandbox import processes, worker  # noqa: E402
+from leaderboard.sandbox import estimator_handler, processes  # noqa: E402
 
 CONDITIONS, LONGEST_DELAY, ATTEMPTS = 2, 1.5, 20
 
@@ -85,15 +86,13 @@ def kill_others(
 
 def kill_jobs(out: Path, kills: int, rng: random.Random) -> Iterator[bool]:
     """Kill jobs of this process."""
-    yield from kill_others(
-        lambda: descendants("leaderboard.running.jobs"), out, kills, rng, ProcessExecutor(2)
-    )
+    yield from kill_others(lambda: descendants(jobs.__name__), out, kills, rng, ProcessExecutor(2))
 
 
 def kill_guests(out: Path, kills: int, rng: random.Random) -> Iterator[bool]:
     """Kill guests of jobs of this process."""
     yield from kill_others(
-        lambda: descendants(worker.__name__), out, kills, rng, ProcessExecutor(2)
+        lambda: descendants(estimator_handler.__name__), out, kills, rng, ProcessExecutor(2)
     )
 
 

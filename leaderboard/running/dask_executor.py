@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from leaderboard.evaluation import store
-from leaderboard.running import executors, jobs
+from leaderboard.running import jobs
 from leaderboard.running.executors import ProcessExecutor
 from leaderboard.running.jobs import Job, JobDone
 from road_envs.core.atomic_io import TempFolder, remove_stale_temp
@@ -80,9 +80,7 @@ class DaskExecutor:
                 results = future.result()
             except KilledWorker:  # the job killed several workers: run its entries one at a time
                 if len(job.entries) == 1:
-                    yield executors.record_crash(
-                        job, job.entries[0], "the death of its worker", out
-                    )
+                    yield jobs.record_crash(job, job.entries[0], "its worker died", out)
                 for entry in job.entries if len(job.entries) > 1 else ():
                     alone = dataclasses.replace(job, entries=(entry,))
                     again = self._submit(alone)

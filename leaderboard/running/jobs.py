@@ -5,17 +5,15 @@ Jobs can be run on any machine, any number of times, in any order.
     road-recon run-job spec.json --out FOLDER
 
 The process that runs a job simulates the drives, holds the truth, runs every entry in a separate
-process, scores the estimates and stores the results. `python -m leaderboard.running.jobs FOLDER`
-runs one job after the other: it reads the path of a job file from each line of standard input, and
-prints a JSON line for each result and at the end of each job. Its guests, which have loaded the
-libraries that estimators of this package use, stay for the jobs that follow.
+process, scores the estimates and stores the results. A `ProcessExecutor` runs jobs by the protocol
+of a guest, with `make_handler`. The guests of such a process, which have loaded the libraries that
+estimators of this package use, stay for the jobs that follow.
 """
 
 import contextlib
 import dataclasses
 import json
-import os
-import sys
+import traceback
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -32,11 +30,10 @@ from leaderboard.evaluation.evaluate import (
 from leaderboard.evaluation.provenance import package_version
 from leaderboard.evaluation.results import RESULT, Result, content_digest, evaluation_version
 from leaderboard.evaluation.tasks import Task
-from leaderboard.evaluation.test_data import DriveSimulation, simulate_drives
 from leaderboard.json_values import to_json_types
 from leaderboard.metrics import heights
 from leaderboard.running import job_files
-from leaderboard.sandbox import processes
+from leaderboard.sandbox import messages
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
 from road_envs.core.atomic_io import remove_stale_temp
@@ -129,19 +126,18 @@ def from_text(text: str, where: str, folder: Path = Path()) -> Job:
     return job
 
 
-def run_job(
-    job: Job, out: Path, run: EntryRunner, simulate: DriveSimulation = simulate_drives
-) -> Iterator[JobDone]:
-    """Evaluate the entries of a job one by one and store each result. Raises ConfigError."""
+def run_job(job: Job, data: ConditionData | str, out: Path, run: EntryRunner) -> Iterator[JobDone]:
+    """Evaluate the entries of a job on the drives `data` one by one and store each result.
+
+    `data` may be the reason why there are none.
+    """
     condition = job.task.conditions[job.condition]
-    data = simulate_condition(job.task, condition, simulate)
     for entry in job.entries:
         result = evaluate_entry(job.task, condition, data, entry, job.seeds, run)
-        yield store_result(result, job, entry, out)
+        yield _store_result(result, job, entry, out)
 
 
-def store_result(result: Result, job: Job, entry: Entry, out: Path) -> JobDone:
-    """Store the result of an entry of a job."""
+def _store_result(result: Result, job: Job, entry: Entry, out: Path) -> JobDone:
     identity = result_identity(job.task, job.condition, entry, job.seeds)
     result = dataclasses.replace(result, identity=identity)
     store.save_part(store.to_text(result), out, identity)
@@ -154,6 +150,15 @@ def store_result(result: Result, job: Job, entry: Entry, out: Path) -> JobDone:
         isolation=result.isolation,
         failure=result.failure,
     )
+
+
+def record_crash(job: Job, entry: Entry, reason: str, out: Path) -> JobDone:
+    """Store a failure of an entry during which the process of the job has ended twice."""
+    condition = job.task.conditions[job.condition]
+    failure = f"{condition.label}, the evaluation process was ended twice while it ran: {reason}"
+    alone = dataclasses.replace(job, entries=(entry,))
+    (done,) = run_job(alone, failure, out, evaluate.in_process(None))
+    return done
 
 
 def in_sandbox(sandbox: SandboxClient) -> EntryRunner:
@@ -170,53 +175,67 @@ def in_sandbox(sandbox: SandboxClient) -> EntryRunner:
     return run
 
 
+def are_ours(entries: Iterable[Entry]) -> bool:
+    """Return whether all entries are of this package: such jobs may share a process."""
+    return not any(job_files.is_from_outside(entry) for entry in entries)
+
+
 def run_job_file(spec: Path, out: Path) -> Iterator[JobDone]:
     """Run the job of a file in this process, each entry in a separate one.
 
     Raises ConfigError, OSError.
     """
     remove_stale_temp()
-    yield from filter(None, serve([spec], out))
+    job = from_text(spec.read_text(encoding="utf-8"), str(spec), spec.parent)
+    with JobRunner(out) as runner:
+        yield from runner.run(job)
 
 
-def are_ours(entries: Iterable[Entry]) -> bool:
-    """Return whether all entries are of this package: such jobs may share a process."""
-    return not any(job_files.is_from_outside(entry) for entry in entries)
+class JobRunner(contextlib.ExitStack):
+    """Runs jobs one after the other and stores their results in `out`; a context manager.
 
-
-def serve(specs: Iterable[Path], out: Path) -> Iterator[JobDone | None]:
-    """Run the jobs of some files; yield each result, and None at the end of each job.
-
-    Jobs after the first must have entries of this package only. Raises ConfigError, OSError.
+    Their limits are those of the first. Jobs of one condition that follow each other share drives.
     """
-    with contextlib.ExitStack() as stack:
-        sandbox: SandboxClient | None = None
-        for spec in specs:
-            job = from_text(spec.read_text(encoding="utf-8"), str(spec), spec.parent)
-            if sandbox is None:
-                code = job_files.code_folders(job.files, job.entries)
-                guests = SandboxClient(job.limits, owns_all_children=True, code=code)
-                sandbox = stack.enter_context(guests)
-            yield from run_job(job, out, in_sandbox(sandbox))
-            yield None
+
+    def __init__(self, out: Path):
+        super().__init__()
+        self._out, self._code = out, dict[str, Path]()
+        self._sandbox: SandboxClient | None = None
+        self._simulated: tuple[tuple[str, int], ConditionData | str] | None = None
+
+    def run(self, job: Job) -> Iterator[JobDone]:
+        """Run a job. Raises ConfigError, OSError."""
+        self._code |= job_files.code_folders(job.files, job.entries)
+        if self._sandbox is None:
+            client = SandboxClient(job.limits, owns_all_children=True, code=self._code)
+            self._sandbox = self.enter_context(client)
+        drives = (job.task.digest, job.condition)
+        if self._simulated is None or self._simulated[0] != drives:
+            condition = job.task.conditions[job.condition]
+            self._simulated = drives, simulate_condition(job.task, condition)
+        yield from run_job(job, self._simulated[1], self._out, in_sandbox(self._sandbox))
 
 
-def main() -> None:
-    """Run the jobs of standard input; print a JSON line for each result, or one with the error."""
-    processes.die_with_parent()
+def make_handler(folder: str | None) -> messages.Handler:
+    """Return the handler of a process that runs jobs and stores their results in the `folder`.
+
+    run    the text of a job with one entry -> its summary `done`, or an `error` of the user
+    close  nothing                          -> nothing; its guests and temporary files are gone
+    """
     remove_stale_temp()
-    specs = (Path(os.fsdecode(line.removesuffix(b"\n"))) for line in sys.stdin.buffer)
-    try:
-        for done in serve(specs, Path(sys.argv[1])):
-            _print_json_line({} if done is None else dataclasses.asdict(done))
-    except (ConfigError, OSError) as error:
-        _print_json_line({"error": " ".join(str(error).split())})
+    assert folder is not None
+    runner = JobRunner(Path(folder))
 
+    def handle(request: dict[str, Any], arrays: list[Any]) -> messages.Reply:
+        if request["do"] == "close":
+            runner.close()
+            return {}, ()
+        try:
+            (done,) = runner.run(from_text(arrays[0].tobytes().decode(), "a job"))
+        except (ConfigError, OSError) as error:
+            return {"error": " ".join(str(error).split())}, ()
+        except Exception:
+            return {"failure": traceback.format_exc()[-4000:]}, ()
+        return {"done": dataclasses.asdict(done)}, ()
 
-def _print_json_line(data: dict[str, Any]) -> None:
-    sys.stdout.write(json.dumps(data) + "\n")
-    sys.stdout.flush()
-
-
-if __name__ == "__main__":
-    main()
+    return handle

@@ -4,6 +4,7 @@ A guest may do anything: write what it likes, stop reading, fork, or never answe
 in a reply within the limits or in an EntryError.
 """
 
+import math
 import os
 import select
 import subprocess
@@ -15,7 +16,7 @@ from typing import Any
 
 from leaderboard.entries.entry import EntryError
 from leaderboard.sandbox import messages, processes
-from leaderboard.sandbox.limits import GIB, Limits
+from leaderboard.sandbox.limits import GIB, UNLIMITED, Limits
 
 POLL_INTERVAL = 0.1
 """Interval [s] of the checks of memory and number of processes."""
@@ -78,7 +79,7 @@ class Guest:
     def start_run(self, limits: Limits) -> None:
         """Apply these limits to all calls from now on together; time between calls is free."""
         self.limits, self._seconds_left, self.peak_memory = limits, limits.seconds, 0.0
-        self._next_check = 0.0
+        self._next_check = math.inf if limits is UNLIMITED else 0.0
 
     def cpu_seconds(self) -> float:
         """Return the processor time [s] of all its processes and threads, ended ones included."""

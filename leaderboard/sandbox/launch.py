@@ -1,6 +1,10 @@
-"""Start of a guest, of an estimator or a policy: what it sees, its environment, its container."""
+"""Start of a guest, of an estimator or a policy, and of a process that runs jobs.
+
+What it sees, its environment, its container. All follow one protocol (`worker`, `messages`).
+"""
 
 import json
+import os
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -9,7 +13,7 @@ from pathlib import Path
 from leaderboard.entries.entry import EntryError
 from leaderboard.sandbox import bubblewrap, worker
 from leaderboard.sandbox.guest import Guest
-from leaderboard.sandbox.limits import Limits, guest_environment
+from leaderboard.sandbox.limits import SET_FOR_ALL, UNLIMITED, Limits, guest_environment
 from road_envs.core.code_digest import cache_home
 from road_envs.kernels import _numba
 
@@ -49,13 +53,13 @@ def start_guest(
     setup = worker.Setup(
         handler=handler,
         limits=limits,
-        code=None if seen is None else str(seen),
+        folder=None if seen is None else str(seen),
         user=bubblewrap.guest_user() if isolated and code is not None else None,
         serves_many=code is None,
         libraries=tuple(libraries),
         cache=(str(shared), _numba.CACHE.name) if has_cache and code is not None else None,
     )
-    words = [sys.executable, "-P", "-s", "-m", worker.__name__, json.dumps(asdict(setup))]
+    words = _words(setup)
     inside = bubblewrap.HOME if isolated else home
     environment = guest_environment(inside, whole_path=not isolated)
     own_cache = isolated or code is not None
@@ -73,3 +77,22 @@ def start_guest(
         except EntryError as error:
             failure = error
     raise EntryError(f"its guest ended {START_ATTEMPTS} times as it started: {failure}")
+
+
+def start_host_process(handler: str, home: Path, folder: Path) -> Guest:
+    """Start a process of this package with the module `handler`, which is given the `folder`.
+
+    It has the rights, the environment and the modules of this process, and no limits. Raises
+    EntryError.
+    """
+    home.mkdir()
+    known = guest_environment(home, whole_path=True)
+    environment = known | os.environ | {name: known[name] for name in SET_FOR_ALL}
+    setup = worker.Setup(handler=handler, limits=UNLIMITED, folder=str(folder), serves_many=True)
+    guest = Guest(_words(setup), environment, home)
+    guest.start_run(UNLIMITED)
+    return guest
+
+
+def _words(setup: worker.Setup) -> list[str]:
+    return [sys.executable, "-P", "-s", "-m", worker.__name__, json.dumps(asdict(setup))]

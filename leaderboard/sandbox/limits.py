@@ -43,6 +43,9 @@ KERNEL_VARIABLES = (
 guest has those of its judge, so that both compute with the same ones.
 """
 
+SET_FOR_ALL = (*THREAD_VARIABLES, "PYTHONPATH", "JE_ARROW_MALLOC_CONF")
+"""Environment variables of a guest that the processes of jobs have, too."""
+
 INHERITED_VARIABLES = ("PATH", "TZ", "VIRTUAL_ENV", "LD_LIBRARY_PATH", *KERNEL_VARIABLES)
 """Environment variables that a guest inherits."""
 
@@ -65,6 +68,10 @@ class Limits(Settings):
         Positive, "GiB", "of each file that it writes, and of all its files under bubblewrap"
     ] = 1.0
     isolation: Isolation = "auto"
+
+
+UNLIMITED = Limits(seconds=1e9, memory=1e6, processes=10**6, file=1e6)
+"""Limits of a process of this package."""
 
 
 def guest_environment(home: Path, *, whole_path: bool) -> dict[str, str]:

@@ -3,10 +3,10 @@
     python -P -s -m leaderboard.sandbox.worker SETUP
 
 Requests come on standard input, replies go to what was standard output; whatever foreign code
-prints goes to standard error. Of all guests (estimators, switching policies) only the handler of
-requests differs: `estimator_handler`, `leaderboard.policies.policy_handler`. It loads foreign code
-in the child, after all privileges are dropped and the limits of the kernel are set. The host checks
-every reply.
+prints goes to standard error. Of all guests (estimators, switching policies), and of the processes
+that run jobs, only the handler of requests differs: `estimator_handler`, `policies.policy_handler`,
+`running.jobs`. It loads foreign code in the child, after all privileges are dropped and the limits
+of the kernel are set. The host checks every reply.
 """
 
 import importlib
@@ -38,8 +38,9 @@ LONGEST_FAILURE = 10_000
 class Setup(Settings):
     """Message that starts a guest.
 
-    `handler` is the module whose `make_handler(code)` makes the `messages.Handler`; `code` the
-    folder with the code from outside; `user` the user and group to become, None to stay;
+    `handler` is the module whose `make_handler(folder)` makes the `messages.Handler`; `folder` has
+    the code from outside, or the results of jobs; `user` is the user and group to become, None to
+    stay;
     `serves_many` allows further children after the first, for which `libraries` are imported once.
     The kernel cache `cache` (folder of all files, name of the folder of today's kernels) is copied
     by links.
@@ -47,7 +48,7 @@ class Setup(Settings):
 
     handler: str
     limits: Limits
-    code: str | None = None
+    folder: str | None = None
     user: int | None = None
     serves_many: bool = False
     libraries: tuple[str, ...] = ()
@@ -147,7 +148,7 @@ def _run_child(setup: Setup, replies: int, request: dict[str, Any]) -> NoReturn:
         _set_resource_limits(setup.limits, is_nobody=setup.user is not None)
         _become(setup.user)
         os.umask(0o022)
-        handle = importlib.import_module(setup.handler).make_handler(setup.code)
+        handle = importlib.import_module(setup.handler).make_handler(setup.folder)
         while request["do"] != "end":
             _serve(handle, replies, request)
             request = _read_request()

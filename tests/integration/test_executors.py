@@ -107,7 +107,10 @@ def test_without_isolation_failing_entries_do_not_change_a_bit_of_the_other_rows
         assert (results[how] is None) == (failure is None), (how, results[how])
         assert failure is None or (failure in results[how] and "\n" not in results[how])
     assert {name: row for name, row in rows(board).items() if name in expected} == expected
-    assert "process was ended twice by SIGKILL while it ran" in results["kill_evaluation"]
+    assert (
+        "process was ended twice while it ran: its process ended without a response, by SIGKILL"
+        in results["kill_evaluation"]
+    )
     assert not running_jobs(tmp_path)
 
 
@@ -175,7 +178,7 @@ def test_a_failure_of_the_evaluation_is_not_attributed_to_an_entry(tmp_path, mon
     monkeypatch.setattr(executors.jobs, "to_text", lambda job: "{")
     with pytest.raises(ConfigError, match="damaged, not valid JSON"):
         run_board(make_request({}), tmp_path, ProcessExecutor(1))
-    monkeypatch.setattr(executors.sys, "executable", "/bin/false")
+    monkeypatch.setattr(sys, "executable", "/bin/false")
     with pytest.raises(EvaluatorError):
         run_board(make_request({}), tmp_path, ProcessExecutor(1))
     with pytest.raises(ConfigError, match="the number of workers must be at least 1, got 0"):

@@ -1,5 +1,6 @@
 """Executor of jobs in this process, without isolation."""
 
+import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -10,7 +11,6 @@ from leaderboard.evaluation import evaluate
 from leaderboard.evaluation.evaluate import ConditionData
 from leaderboard.evaluation.test_data import DriveSimulation, simulate_drives
 from leaderboard.running import jobs
-from leaderboard.running.executors import without_failed
 from leaderboard.running.jobs import Job, JobDone
 
 
@@ -33,9 +33,11 @@ class InProcessExecutor:
         """Run jobs one after the other; skip further conditions of an entry that failed."""
         failed: set[tuple[str, str]] = set()
         for job in jobs_:
-            for done in jobs.run_job(
-                without_failed(job, failed), out, self._run_entry, self._simulate
-            ):
+            entries = [e for e in job.entries if (job.task.name, e.name) not in failed]
+            condition = job.task.conditions[job.condition]
+            data = evaluate.simulate_condition(job.task, condition, self._simulate)
+            left = dataclasses.replace(job, entries=tuple(entries))
+            for done in jobs.run_job(left, data, out, self._run_entry):
                 if done.failure is not None:
                     failed.add((done.task, done.entry))
                 yield done
