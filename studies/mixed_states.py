@@ -9,6 +9,7 @@ of the difference from handling on both axles.
 """
 
 import argparse
+import json
 from typing import Any
 
 import numpy as np
@@ -47,7 +48,9 @@ def case(pair: tuple[str, str], speed: float, roads: int) -> dict[str, np.ndarra
     tests = [drive(TEST_SEED + k) for k in range(roads)]
     band = scored_band(speed / 3.6)
     spectrum = fit_spectrum(tests[0][1], band)
-    bound = np.nan if spectrum is None else pooled_bound(CAR, SENSORS, mode, speed / 3.6, *spectrum)
+    bound = np.nan
+    if spectrum is not None:
+        bound = pooled_bound(CAR, SENSORS, json.dumps(mode), speed / 3.6, *spectrum)
     columns = {"bound": np.full(roads, bound)}
     for name in ESTIMATORS:
         estimator = estimators.create(name, **({"shipped": False} if name == "fir_ridge" else {}))

@@ -230,4 +230,4 @@ def _entries(names: Sequence[str] | None, without: Sequence[str], limits: Limits
     if all(name in estimators.REGISTRY for name in chosen):
         return resolve_entries(chosen, None)
     with SandboxClient(limits) as sandbox:
-        return resolve_entries(chosen, sandbox)
+        return resolve_entries(chosen, sandbox.describe)

@@ -51,7 +51,7 @@ def check_estimator(
     with SandboxClient(
         dataclasses.replace(limits, seconds=min(RUN_TIME_LIMIT, limits.seconds))
     ) as sandbox:
-        (entry,) = resolve_entries([estimator], sandbox)
+        (entry,) = resolve_entries([estimator], sandbox.describe)
         results = check_entry(entry, sandbox, limits)
     return _checks_output("estimator", entry.name, results, summarize(results))
 

@@ -89,7 +89,7 @@ def verify(
     import_from_here(estimator or ())
     limits = parse_limits(time_limit, memory_limit, isolation)
     with SandboxClient(limits) as sandbox, progress_bar() as progress:
-        entries = resolve_entries(estimator or (), sandbox)
+        entries = resolve_entries(estimator or (), sandbox.describe)
         run = jobs.in_sandbox(sandbox)
         found = verify_folder(folder, run, entries, share=share, seed=seed, report=progress)
     save_verified(found, folder)

@@ -50,6 +50,15 @@ UNTRAINED_MODES = {"front": "soft_high", "rear": "stiff_low"}
 DROPOUT_RATE, DROPOUT_LENGTH = 0.02, 20
 """Share of lost samples, and number of consecutive lost samples."""
 
+DAMAGES = {
+    "gaps": f"{DROPOUT_RATE:.0%} of the samples lost, in bursts",
+    "clipped": "accelerations clipped at half of their peak",
+    "field": "car S3 with faulty instruments",
+    "short": f"{SHORT_LENGTH:g} m of road",
+    "mode": "strut modes that were not in the training",
+}
+"""Damaged records by name."""
+
 RUN_TIME_LIMIT = 300.0
 """Time limit [s] of one run on these drives. They are an eighth of a condition's training drives
 and less of its test drives, so a slower estimator would exceed the limit of a board.
@@ -163,37 +172,25 @@ def _check_damaged_records(
     sandbox: SandboxClient, entry: Entry, drives: CheckDrives
 ) -> list[CheckResult]:
     """Run all damaged records at once, and one by one only if that fails."""
-    descriptions = {
-        "gaps": f"{DROPOUT_RATE:.0%} of the samples lost, in bursts",
-        "clipped": "accelerations clipped at half of their peak",
-        "field": "car S3 with faulty instruments",
-        "short": f"{SHORT_LENGTH:g} m of road",
-        "mode": "strut modes that were not in the training",
-    }
+    failures: dict[str, str] = {}
     try:
         _run(sandbox, entry, list(drives.damaged.values()))
     except EntryError:
-        return [
-            _check_damaged_record(sandbox, entry, name, record, descriptions[name])
-            for name, record in drives.damaged.items()
-        ]
-    return [
-        CheckResult(name, True, f"{description}: estimated")
-        for name, description in descriptions.items()
-    ]
+        for name, record in drives.damaged.items():
+            try:
+                _run(sandbox, entry, [record])
+            except EntryError as error:
+                failures[name] = str(error)
+    return [_check_damaged_record(name, failures.get(name)) for name in drives.damaged]
 
 
-def _check_damaged_record(
-    sandbox: SandboxClient, entry: Entry, name: str, record: Record, description: str
-) -> CheckResult:
-    try:
-        _run(sandbox, entry, [record])
-    except EntryError as error:
-        refused = name in REFUSAL_ALLOWED and _is_refusal(str(error))
-        message = re.sub(r"^estimating test drive [^:]*: ", "", str(error))
-        verb = "refused" if refused else "failed"
-        return CheckResult(name, None if refused else False, f"{description}: {verb}: {message}")
-    return CheckResult(name, True, f"{description}: estimated")
+def _check_damaged_record(name: str, failure: str | None) -> CheckResult:
+    if failure is None:
+        return CheckResult(name, True, f"{DAMAGES[name]}: estimated")
+    refused = name in REFUSAL_ALLOWED and _is_refusal(failure)
+    reason = re.sub(r"^estimating test drive [^:]*: ", "", failure)
+    message = f"{DAMAGES[name]}: {'refused' if refused else 'failed'}: {reason}"
+    return CheckResult(name, None if refused else False, message)
 
 
 def _is_refusal(failure: str) -> bool:
@@ -232,19 +229,15 @@ def _check_costs(
     )
     per_100m = 1e5 * training_run.estimate_seconds / metres
     memory = training_run.peak_memory or 0.0
+    message = (
+        f"{train_seconds:.2f} s to train, {_format_number(per_100m)} ms per 100 m: about "
+        f"{_format_number(predicted)} s for a condition of {COST_TASK}, the limit is "
+        f"{limits.seconds:g} s"
+    )
+    peak = f"peak {memory:.2f} GiB, the limit is {limits.memory:g} GiB"
     return [
-        CheckResult(
-            "time",
-            predicted < limits.seconds,
-            f"{train_seconds:.2f} s to train, {_format_number(per_100m)} ms per 100 m: "
-            f"about {_format_number(predicted)} s for a condition of {COST_TASK}, "
-            f"the limit is {limits.seconds:g} s",
-        ),
-        CheckResult(
-            "memory",
-            memory < limits.memory,
-            f"peak {memory:.2f} GiB, the limit is {limits.memory:g} GiB",
-        ),
+        CheckResult("time", predicted < limits.seconds, message),
+        CheckResult("memory", memory < limits.memory, peak),
     ]
 
 

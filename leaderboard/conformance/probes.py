@@ -25,7 +25,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimators.api import Estimator, Trainable, declared_lag
+from estimators.api import Estimator, declared_lag
+from leaderboard.entries.entry import LocalSession
 from leaderboard.metrics.heights import band_pass, correlation
 from leaderboard.sandbox.retest import EQUALITY_TOLERANCE, largest_change, with_other_future
 from road_envs.core.config import Settings
@@ -102,28 +103,18 @@ def evaluate_probes(
         "swap": similarity("swap", original[::-1]),
     }
     level = float(np.sqrt(np.mean(shapes["scale"] ** 2) / max(np.mean(original**2), 1e-30)))
-    is_nonzero = bool(original.any())
+    is_scaled = SCALE_FACTOR**2 < level < SCALE_FACTOR**0.5
+    passed = {name: x > MIN_CORRELATION for name, x in r.items()}
+    passed["scale"] &= is_scaled
+    passed["shuffle"] = bool(original.any()) and abs(r["shuffle"]) < MIN_CORRELATION
+    messages = {
+        "sign": f"accelerations negated: r = {r['sign']:.2f} with the negated estimate",
+        "scale": f"accelerations halved: {level:.2f} of the height, r = {r['scale']:.2f}",
+        "shuffle": f"samples shuffled: r = {r['shuffle']:.2f} with the estimate",
+        "swap": f"left and right exchanged: r = {r['swap']:.2f} with exchanged wheel paths",
+    }
     return [
-        CheckResult(
-            "sign",
-            r["sign"] > MIN_CORRELATION,
-            f"accelerations negated: r = {r['sign']:.2f} with the negated estimate",
-        ),
-        CheckResult(
-            "scale",
-            r["scale"] > MIN_CORRELATION and SCALE_FACTOR**2 < level < SCALE_FACTOR**0.5,
-            f"accelerations halved: {level:.2f} of the height, r = {r['scale']:.2f}",
-        ),
-        CheckResult(
-            "shuffle",
-            is_nonzero and abs(r["shuffle"]) < MIN_CORRELATION,
-            f"samples shuffled: r = {r['shuffle']:.2f} with the estimate",
-        ),
-        CheckResult(
-            "swap",
-            r["swap"] > MIN_CORRELATION,
-            f"left and right exchanged: r = {r['swap']:.2f} with exchanged wheel paths",
-        ),
+        *(CheckResult(name, passed[name], message) for name, message in messages.items()),
         _evaluate_future(estimates, record, causal, lag),
         _evaluate_repeat(estimates, record),
     ]
@@ -170,17 +161,12 @@ def probe_estimator(
 
     A trainable one is fitted to `training` first, twice. Raises what the estimator raises.
     """
-
-    def fitted() -> Estimator:
-        if not (isinstance(estimator, Trainable) and training):
-            return estimator
-        records, truths = [list(part) for part in zip(*training, strict=True)]
-        return estimator.fit(records, truths, car, seed)
-
-    one, again = fitted(), fitted()
+    session = LocalSession(estimator, car)
     records = perturbed_records(record, instruments or load_instruments("paper"))
-    estimates = {name: one.estimate(perturbed, car) for name, perturbed in records.items()}
-    estimates["retrained"] = again.estimate(record, car)
+    estimates: dict[str, Estimate] = {}
+    for names in (records, ("retrained",)):
+        session.fit(training, seed)
+        estimates |= {name: session.estimate(records.get(name, record))[0] for name in names}
     return evaluate_probes(estimates, record, estimator.causal, declared_lag(estimator))
 
 

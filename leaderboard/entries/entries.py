@@ -9,9 +9,9 @@ import hashlib
 import itertools
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -25,25 +25,12 @@ from road_envs.core.artifacts import code_version
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,39}")
 """Pattern of the name of a row. It is part of the names of files and of addresses of pages."""
 
-RESERVED = frozenset(
-    {
-        *estimators.REGISTRY,
-        BUILTIN,
-        "bound",
-        "attainable",
-        "truth",
-        "truth_plus_noise",
-        "memory",
-        "index",
-    }
-)
+_NOT_ESTIMATORS = (BUILTIN, "bound", "attainable", "truth", "truth_plus_noise", "memory", "index")
+RESERVED = frozenset(estimators.REGISTRY).union(_NOT_ESTIMATORS)
 """Names of rows and pages that an entry from outside cannot have, in lower case."""
 
-
-class SupportsDescribe(Protocol):
-    """Describes estimators that this process does not load, such as `SandboxClient`."""
-
-    def describe(self, reference: str) -> dict[str, Any]: ...
+Describe = Callable[[str], dict[str, Any]]
+"""Description of an estimator that this process does not load: `SandboxClient.describe`."""
 
 
 def describe(reference: str, estimator: Estimator) -> dict[str, Any]:
@@ -73,7 +60,7 @@ def make_entry(name: str, estimator: Estimator | None) -> Entry:
     return Entry(name=name, reference=reference, **describe(reference, estimator))
 
 
-def resolve_entries(names: Sequence[str], describer: SupportsDescribe | None) -> list[Entry]:
+def resolve_entries(names: Sequence[str], describer: Describe | None) -> list[Entry]:
     """Return entries by registered name, "module:Class", or path of a wheel, folder or .npz.
 
     Entries from outside this package need a `describer`. One that cannot be constructed, or whose
@@ -112,11 +99,9 @@ def entry_refit_per_case(entry: Entry) -> Entry:
     return make_entry(entry.name, estimators.create(entry.reference, **settings))
 
 
-def _outside_entry(
-    given: str, reference: str, taken: set[str], describer: SupportsDescribe
-) -> Entry:
+def _outside_entry(given: str, reference: str, taken: set[str], describer: Describe) -> Entry:
     try:
-        known = describer.describe(reference)
+        known = describer(reference)
     except EntryError as error:
         name = _free_name(_name_of(given), taken)
         return Entry(name=name, reference=reference, failure=str(error))

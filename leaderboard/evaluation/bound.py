@@ -32,7 +32,8 @@ def nrmse_bound(task: Task, condition: Condition, truth: Profile) -> float:
     road = fit_spectrum(truth, scored_band(v))
     if road is None:
         return np.nan
-    return pooled_bound(task.car, task.instruments, condition.simulator_mode, v, *road)
+    mode = json.dumps(condition.simulator_mode)
+    return pooled_bound(task.car, task.instruments, mode, v, *road)
 
 
 def third_octave_bound(task: Task, condition: Condition) -> list[float]:
@@ -67,22 +68,13 @@ def fit_spectrum(truth: Profile, band: tuple[float, float]) -> tuple[float, floa
     return round(10.0 * np.log10(level)), w
 
 
-def pooled_bound(
-    car: str, instruments: str, mode: str | dict[str, str], v: float, level: float, w: float
-) -> float:
+@lru_cache(maxsize=4096)
+def pooled_bound(car: str, instruments: str, mode: str, v: float, level: float, w: float) -> float:
     """Return the least in-band NRMSE [-] at `v` [m/s] on a road of `level` [dB] and waviness `w`.
 
-    `level` and `w` are rounded as `fit_spectrum` returns them, so that results can be cached.
+    `mode` is JSON text; `level` and `w` are rounded as `fit_spectrum` returns them, so that results
+    can be cached.
     """
-    # the mode may be a dict, which a cache cannot hash
-    return _pooled_bound(car, instruments, json.dumps(mode), v, level, w)
-
-
-@lru_cache(maxsize=4096)
-def _pooled_bound(
-    car: str, instruments: str, command: str, v: float, level: float, w: float
-) -> float:
     vehicle, prior = load_vehicle(car), RoadPrior(G_d0=10.0 ** (level / 10.0), w=w)
     n = np.linspace(*scored_band(v), N_FREQUENCIES)
-    mode = json.loads(command)
-    return bound(vehicle, mode, v, load_instruments(instruments), prior, n=n).pooled
+    return bound(vehicle, json.loads(mode), v, load_instruments(instruments), prior, n=n).pooled

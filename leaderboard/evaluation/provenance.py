@@ -72,16 +72,12 @@ def _commit(folder: Path) -> str | None:
     """Return the commit of a checkout, with "+" if files have changed; None outside a checkout."""
     if not (folder / ".git").exists():
         return None
+    words = ["describe", "--always", "--exclude=*", "--abbrev=12", "--dirty=+"]
+    command = ["git", "-C", str(folder), *words]
     try:
-        commit = _git(folder, "rev-parse", "--short=12", "HEAD")
-        return commit + ("+" if _git(folder, "status", "--porcelain") else "")
+        process = subprocess.run(command, capture_output=True, text=True, timeout=10, check=True)
     except (OSError, subprocess.SubprocessError):
         return None
-
-
-def _git(folder: Path, *arguments: str) -> str:
-    command = ["git", "-C", str(folder), *arguments]
-    process = subprocess.run(command, capture_output=True, text=True, timeout=10, check=True)
     return process.stdout.strip()
 
 

@@ -59,7 +59,7 @@ class _AxleModes(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _ModeAndSpeed(Settings):
+class ModeAndSpeed(Settings):
     """Strut mode and speed of a drive."""
 
     mode: StrutMode | _AxleModes
@@ -72,7 +72,7 @@ class _ModeAndSpeed(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Condition(_ModeAndSpeed):
+class Condition(ModeAndSpeed):
     """Strut mode, speed and plant-mismatch grade of a drive."""
 
     grade: Grade = "S0"  # of the test vehicle (`perturbed_vehicle`); training uses S0
@@ -156,7 +156,7 @@ class DriveSet(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _CalibrationRun(_ModeAndSpeed):
+class _CalibrationRun(ModeAndSpeed):
     """A drive of each test vehicle that estimators are given before its test drive.
 
     On the test road of a seed, the vehicle has driven over `road` of seed + `seed_offset`. With

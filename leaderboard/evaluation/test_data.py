@@ -1,19 +1,18 @@
 """Simulated drives over a task's roads under one condition, each record with its true profile."""
 
 import dataclasses
-from collections.abc import Callable, Container, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from estimators.api import CalibrationDrive
 from leaderboard.evaluation.kept_drives import kept_drive
-from leaderboard.evaluation.tasks import Condition, DriveSet, Task
+from leaderboard.evaluation.tasks import Condition, DriveSet, ModeAndSpeed, Task
 from road_envs.drives.recording import simulate_record
 from road_envs.kernels.filters import LOW_PASS_ORDER, preprocess_accelerations
 from road_envs.records.record import LowPass, Profile, Record
-from road_envs.roads import Road
+from road_envs.roads import Road, Surface
 
 
 @dataclass(frozen=True)
@@ -56,68 +55,56 @@ def simulate_drive(
 ) -> RecordedDrive:
     """Return the drive over the `road` of a `seed`, without drives to calibrate with."""
     surface = road.realise(np.random.default_rng(seed))
-    if condition.plant and drives is task.test:
-        record, truth = kept_drive(
-            condition.plant, condition.car or task.car, surface, condition.speed_kmh, seed
-        )
-        return RecordedDrive(0, surface.name, seed, record, truth, surface.notes)
-    record, truth = simulate_record(
-        surface,
-        speed_kmh=condition.speed_kmh,
-        mode=condition.simulator_mode,
-        seed=np.random.SeedSequence([seed, task.seed_stream(condition)]),
-        **_vehicle(task, drives, condition, seed),
-    )
-    record = _low_passed(record, task.low_pass)
+    stream = task.seed_stream(condition)
+    record, truth = _driven(task, drives, condition, condition, surface, (seed, seed, stream))
     return RecordedDrive(0, surface.name, seed, record, truth, surface.notes)
 
 
 def calibration_drives(task: Task, condition: Condition, seed: int) -> tuple[CalibrationDrive, ...]:
     """Return the calibration drives of the vehicle that drives the test road of a `seed`."""
-    vehicle, runs = _vehicle(task, task.test, condition, seed), range(len(task.calibration))
-    return tuple(_calibration_drive(task, k, seed, condition, vehicle) for k in runs)
+    made = []
+    for k, run in enumerate(task.calibration, start=1):
+        own_seed = seed + run.seed_offset
+        rng = np.random.default_rng(own_seed)
+        surface, seeds = run.driven_road.realise(rng), (seed, own_seed, run.seed_offset)
+        record, truth = _driven(task, task.test, condition, run, surface, seeds)
+        profile = None if run.survey_std is None else levelled(truth, run.survey_std, rng)
+        std = run.survey_std or CalibrationDrive.survey_std
+        made.append(CalibrationDrive(record, profile, std, f"calibration drive {k}"))
+    return tuple(made)
 
 
-def _vehicle(task: Task, drives: DriveSet, condition: Condition, seed: int) -> dict[str, Any]:
-    """Return the vehicle that drives the road of a `seed`, as arguments of `simulate_record`."""
+def _driven(
+    task: Task,
+    drives: DriveSet,
+    condition: Condition,
+    run: ModeAndSpeed,
+    surface: Surface,
+    seeds: tuple[int, int, int],
+) -> tuple[Record, Profile]:
+    """Return record and truth of a `run` over a surface by the vehicle of a condition.
+
+    `seeds` are those of the vehicle, of the surface, and, beside that of the vehicle, of the noise.
+    """
+    of_vehicle, of_surface, of_noise = seeds
+    if condition.plant and drives is task.test:
+        car = condition.car or task.car
+        return kept_drive(condition.plant, car, surface, run.speed_kmh, of_surface)
     instruments = task.sensors
     if not drives.noise:
         instruments = dataclasses.replace(instruments, noise_density=0.0, speed_error=0.0)
-    return {
-        "vehicle": task.vehicle_of(condition),
-        "instruments": instruments,
-        "individual": np.random.SeedSequence(seed),
-        "step": drives.step,
-        "grade": task.grade(drives, condition),
-    }
-
-
-def _calibration_drive(
-    task: Task, k: int, seed: int, condition: Condition, common: Mapping[str, Any]
-) -> CalibrationDrive:
-    """Return the `k`-th calibration drive of the vehicle that drives the test road of a `seed`."""
-    run = task.calibration[k]
-    rng = np.random.default_rng(seed + run.seed_offset)
-    surface = run.driven_road.realise(rng)
-    if condition.plant:
-        car = condition.car or task.car
-        record, truth = kept_drive(
-            condition.plant, car, surface, run.speed_kmh, seed + run.seed_offset
-        )
-    else:
-        record, truth = simulate_record(
-            surface,
-            speed_kmh=run.speed_kmh,
-            mode=run.simulator_mode,
-            seed=np.random.SeedSequence([seed, run.seed_offset]),
-            **common,
-        )
-    profile = None
-    if run.survey_std is not None:
-        profile = levelled(truth, run.survey_std, rng)
-    record = _low_passed(record, task.low_pass)
-    std = run.survey_std or CalibrationDrive.survey_std
-    return CalibrationDrive(record, profile, std, f"calibration drive {k + 1}")
+    record, truth = simulate_record(
+        surface,
+        speed_kmh=run.speed_kmh,
+        mode=run.simulator_mode,
+        seed=np.random.SeedSequence([of_vehicle, of_noise]),
+        vehicle=task.vehicle_of(condition),
+        instruments=instruments,
+        individual=np.random.SeedSequence(of_vehicle),
+        step=drives.step,
+        grade=task.grade(drives, condition),
+    )
+    return _low_passed(record, task.low_pass), truth
 
 
 def levelled(truth: Profile, std: float, rng: np.random.Generator) -> Profile:

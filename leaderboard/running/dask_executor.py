@@ -80,7 +80,7 @@ class DaskExecutor:
                 results = future.result()
             except KilledWorker:  # the job killed several workers: run its entries one at a time
                 if len(job.entries) == 1:
-                    yield jobs.record_crash(job, job.entries[0], "its worker died", out)
+                    yield jobs.record_crash(job, "its worker died", out)
                 for entry in job.entries if len(job.entries) > 1 else ():
                     alone = dataclasses.replace(job, entries=(entry,))
                     again = self._submit(alone)

@@ -5,10 +5,10 @@
 
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from queue import SimpleQueue
-from threading import Lock
+from threading import Thread
 from typing import Protocol
 
 import numpy as np
@@ -73,11 +73,9 @@ class JobProcess:
 
     def close(self, *, ended: bool = False) -> None:
         """End the process, and what is left of an `ended` one."""
-        try:
-            if not ended:
+        if not ended:
+            with suppress(EntryError):
                 self._guest.call(messages.encode({"do": "close"}))
-        except EntryError:
-            pass
         self._guest.close()
         self._folder.close()
 
@@ -94,84 +92,90 @@ class ProcessExecutor:
         if workers < 1:
             raise ConfigError(f"the number of workers must be at least 1, got {workers}")
         self.workers = workers
-        self._processes: set[JobProcess] = set()
-        self._idle: list[JobProcess] = []
-        self._stopped, self._lock = False, Lock()
 
     def run(self, jobs_: Sequence[Job], out: Path) -> Iterator[JobDone]:
         """Run all jobs. Raises the first ConfigError, OSError or EvaluatorError of a job."""
         queue: SimpleQueue[JobDone | BaseException | None] = SimpleQueue()
-        failed: set[tuple[str, str]] = set()
-        pool, self._stopped = ThreadPoolExecutor(self.workers), False
+        waiting, failed = iter(jobs_), set[tuple[str, str]]()
+        count = min(self.workers, len(jobs_))
+        lanes = [_Lane(waiting, failed, out, queue.put) for _ in range(count)]
+        for lane in lanes:
+            lane.start()
         try:
-            for job in jobs_:
-                pool.submit(self._run_job, job, out, failed, queue.put)
-            left = len(jobs_)
-            while left:
+            while count:
                 item = queue.get()
                 if isinstance(item, BaseException):
                     raise item
-                if item is None:  # the end of a job
-                    left -= 1
+                if item is None:  # the end of a lane
+                    count -= 1
                 else:
                     yield item
         finally:
-            pool.shutdown(wait=False, cancel_futures=True)
-            with self._lock:
-                self._stopped = True
-                for process in self._processes.difference(self._idle):
-                    process.kill()
-            pool.shutdown(wait=True)
-            while self._idle:
-                self._discard(self._idle.pop())
+            for lane in lanes:
+                lane.stop()
+            for lane in lanes:
+                lane.join()
 
-    def _run_job(
-        self, job: Job, out: Path, failed: set[tuple[str, str]], put: Callable[..., None]
-    ) -> None:
-        process: JobProcess | None = None
+
+class _Lane(Thread):
+    """Runs `waiting` jobs one after the other and puts each summary, then None or an exception.
+
+    Entries that have `failed`, by task and name, are skipped.
+    """
+
+    def __init__(
+        self,
+        waiting: Iterator[Job],
+        failed: set[tuple[str, str]],
+        out: Path,
+        put: Callable[[JobDone | BaseException | None], None],
+    ):
+        super().__init__()
+        self._waiting, self._failed, self._out, self._put = waiting, failed, out, put
+        self._process: JobProcess | None = None
+        self._stopped = False
+
+    def run(self) -> None:
+        """Run jobs until none is waiting."""
+        end: BaseException | None = None
         try:
-            for entry in job.entries:
-                if (job.task.name, entry.name) in failed:
-                    continue
-                alone = dataclasses.replace(job, entries=(entry,))
-                for attempt in range(ATTEMPTS):
-                    process = process or self._take(out)
-                    try:
-                        done = process.run(alone)
-                        break
-                    except EntryError as error:
-                        self._discard(process, ended=True)
-                        process = None
-                        if attempt == ATTEMPTS - 1:
-                            done = jobs.record_crash(job, entry, str(error), out)
-                if done.failure is not None:
-                    failed.add((done.task, done.entry))
-                put(done)
-            if process is not None and jobs.are_ours(job.entries):
-                with self._lock:
-                    self._idle.append(process)
-                    process = None
+            for job in self._waiting:
+                for entry in job.entries:
+                    if (job.task.name, entry.name) not in self._failed:
+                        self._put(self._run_entry(dataclasses.replace(job, entries=(entry,))))
+                if not jobs.are_ours(job.entries):
+                    self._close()
         except BaseException as error:
-            put(error)
+            end = error
+        self._close()
+        self._put(end)
+
+    def stop(self) -> None:
+        """Let the lane end soon, whatever it does; called by another thread."""
+        self._stopped = True
+        if (process := self._process) is not None:
+            process.kill()
+
+    def _run_entry(self, job: Job) -> JobDone:
+        """Run a job of one entry. Raises what `JobProcess.run` raises, but EntryError."""
+        for _ in range(ATTEMPTS):
+            if self._process is None and not self._stopped:
+                self._process = JobProcess(self._out)
+            if self._process is None or self._stopped:
+                raise EvaluatorError("the run was stopped")
+            try:
+                done = self._process.run(job)
+                break
+            except EntryError as error:
+                reason = str(error)
+                self._close(ended=True)
         else:
-            put(None)
-        finally:
-            if process is not None:
-                self._discard(process)
+            done = jobs.record_crash(job, reason, self._out)
+        if done.failure is not None:
+            self._failed.add((done.task, done.entry))
+        return done
 
-    def _take(self, out: Path) -> JobProcess:
-        """Return an idle process or a new one. Raises EvaluatorError after the end of the run."""
-        with self._lock:
-            process = self._idle.pop() if self._idle else None
-        process = process or JobProcess(out)
-        with self._lock:
-            self._processes.add(process)
-            if not self._stopped:
-                return process
-        self._discard(process)
-        raise EvaluatorError("the run was stopped")
-
-    def _discard(self, process: JobProcess, *, ended: bool = False) -> None:
-        with self._lock:
-            self._processes.discard(process)
-        process.close(ended=ended)
+    def _close(self, *, ended: bool = False) -> None:
+        process, self._process = self._process, None
+        if process is not None:
+            process.close(ended=ended)

@@ -152,12 +152,11 @@ def _store_result(result: Result, job: Job, entry: Entry, out: Path) -> JobDone:
     )
 
 
-def record_crash(job: Job, entry: Entry, reason: str, out: Path) -> JobDone:
-    """Store a failure of an entry during which the process of the job has ended twice."""
+def record_crash(job: Job, reason: str, out: Path) -> JobDone:
+    """Store a failure of a job of one entry during which its process has ended twice."""
     condition = job.task.conditions[job.condition]
     failure = f"{condition.label}, the evaluation process was ended twice while it ran: {reason}"
-    alone = dataclasses.replace(job, entries=(entry,))
-    (done,) = run_job(alone, failure, out, evaluate.in_process(None))
+    (done,) = run_job(job, failure, out, evaluate.in_process(None))
     return done
 
 

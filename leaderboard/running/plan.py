@@ -85,28 +85,31 @@ class Plan:
         """Raises NewerFormatError if a row would replace a file in a newer format."""
         self.rows, self.out = rows, out
         self._digests: dict[Path, str] = {}  # digest of content or file, by path
-        self._failed: set[str] = set()  # parts that hold a failure
+        self._failed: set[Path] = set()  # parts that hold a failure
         self._may_be_altered = False
         self._pending = [row for row in rows if not self._is_current(row, resume)]
         for row in self._pending if resume else []:
-            for part in row.parts:
-                self._find_part(part)
+            for path in self._parts(row):
+                with suppress(ConfigError):  # missing or damaged
+                    if (result := store.load_part(path)).failure is None:
+                        self._digests[path] = content_digest(result)
 
     def missing(self) -> list[tuple[PlannedRow, int]]:
         """Return the rows and conditions that have to be run."""
         return [
             (row, k)
             for row in self._pending
-            for k, part in enumerate(row.parts)
-            if self._part_path(part) not in self._digests
+            for k, path in enumerate(self._parts(row))
+            if path not in self._digests
         ]
 
     def record_part(self, done: JobDone) -> None:
         """Record a part that was run."""
-        self._digests[self._part_path(done.identity)] = done.content_digest
+        path = store.part_path(self.out, done.identity)
+        self._digests[path] = done.content_digest
         self._may_be_altered |= done.isolation not in ISOLATED
         if done.failure is not None:
-            self._failed.add(done.identity)
+            self._failed.add(path)
 
     def assemble_rows(self) -> bool:
         """Assemble and write rows; return False if results are missing.
@@ -114,56 +117,39 @@ class Plan:
         Files that have changed since they were recorded are dropped and have to be run again.
         """
         if self._may_be_altered:
-            for path in [
-                path for path, digest in self._digests.items() if not _is_unchanged(path, digest)
-            ]:
-                del self._digests[path]
-        left = [
-            row
-            for row in self.rows
-            if row in self._pending or self._row_path(row) not in self._digests
-        ]
+            known = self._digests.items()
+            self._digests = {path: digest for path, digest in known if _is_unchanged(path, digest)}
+        left = [x for x in self.rows if x in self._pending or self._path(x) not in self._digests]
         self._pending = [row for row in left if not self._assemble(row)]
         return not self._pending
 
     def _is_current(self, row: PlannedRow, resume: bool) -> bool:
-        path = self._row_path(row)
         try:
-            result, checksum = store.load_with_checksum(path)
+            result, checksum = store.load_with_checksum(self._path(row))
         except NewerFormatError:
             raise
         except ConfigError:  # missing or damaged
             return False
         if not resume or result.identity != row.identity or result.failure is not None:
             return False
-        self._digests[path] = checksum
+        self._digests[self._path(row)] = checksum
         return True
-
-    def _find_part(self, part: str) -> None:
-        path = self._part_path(part)
-        try:
-            result = store.load_part(path)
-        except ConfigError:
-            return
-        if result.failure is None:
-            self._digests[path] = content_digest(result)
 
     def _assemble(self, row: PlannedRow) -> bool:
         """Write a row if all parts are stored; return whether it was written."""
-        stored = [part for part in row.parts if self._part_path(part) in self._digests]
+        stored = [path for path in self._parts(row) if path in self._digests]
         # one failed part fails the row: the other conditions are not run then
         if len(stored) < len(row.parts) and not self._failed.intersection(stored):
             return False
-        parts = [store.load_part(self._part_path(part)) for part in stored]
-        merged = merge_parts(parts, row.identity)
+        merged = merge_parts([store.load_part(path) for path in stored], row.identity)
         self._digests[store.save(merged, self.out)] = content_digest(merged)
         return True
 
-    def _row_path(self, row: PlannedRow) -> Path:
+    def _path(self, row: PlannedRow) -> Path:
         return store.row_path(self.out, row.task.name, row.entry.name)
 
-    def _part_path(self, identity: str) -> Path:
-        return store.part_path(self.out, identity)
+    def _parts(self, row: PlannedRow) -> list[Path]:
+        return [store.part_path(self.out, part) for part in row.parts]
 
 
 def _is_unchanged(path: Path, digest: str) -> bool:
@@ -185,17 +171,12 @@ def make_jobs(missing: Iterable[tuple[PlannedRow, int]], workers: int, limits: L
     for row, condition in missing:
         groups.setdefault((row.task.digest, condition, row.seeds), []).append(row)
     spread = math.ceil(workers / max(1, len(groups)))
-    jobs = [
-        Job(
-            task=rows[0].task,
-            condition=condition,
-            entries=tuple(row.entry for row in rows[k::spread]),
-            seeds=seeds,
-            limits=limits,
-        )
-        for (_, condition, seeds), rows in groups.items()
-        for k in range(min(spread, len(rows)))
-    ]
+    jobs = []
+    for (_, condition, seeds), rows in groups.items():
+        whole = Job(task=rows[0].task, condition=condition, entries=(), seeds=seeds, limits=limits)
+        for k in range(min(spread, len(rows))):
+            entries = tuple(row.entry for row in rows[k::spread])
+            jobs.append(dataclasses.replace(whole, entries=entries))
     jobs.sort(key=_estimated_cost, reverse=True)
     # two jobs side by side seldom compile the same kernels at once if their orders are opposite
     return [

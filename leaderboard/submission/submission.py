@@ -191,7 +191,7 @@ def _submitted_entry(folder: Path, sandbox: SandboxClient) -> Entry:
     """Return the entry of the code in a submission. Raises ConfigError if it cannot be run."""
     code = folder / "code"
     wheels = list(code.glob("*.whl"))
-    (entry,) = resolve_entries([str(wheels[0] if wheels else code)], sandbox)
+    (entry,) = resolve_entries([str(wheels[0] if wheels else code)], sandbox.describe)
     if entry.failure is not None:
         raise ConfigError(f"{entry.name}: {entry.failure}")
     return entry

@@ -48,7 +48,8 @@ def probed(tmp_path_factory):
     out = tmp_path_factory.mktemp("cards")
     with SandboxClient(LIMITS) as sandbox:
         entries = {
-            name: resolve_entries([f"bad_estimators:{name}"], sandbox)[0] for name in ENTRIES
+            name: resolve_entries([f"bad_estimators:{name}"], sandbox.describe)[0]
+            for name in ENTRIES
         }
     lost = Entry(name="lost", reference="nowhere:Lost", failure="cannot be constructed")
     messages = []

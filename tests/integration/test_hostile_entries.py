@@ -245,7 +245,7 @@ def boards(names, tmp_path_factory):
     wheels = {name: path for name, path in write_wheels(folder).items() if name in names}
     before = files_in(folder)
     with SandboxClient(LIMITS) as sandbox:
-        guests = resolve_entries(list(map(str, wheels.values())), sandbox)
+        guests = resolve_entries(list(map(str, wheels.values())), sandbox.describe)
     attacks = [
         make_entry(f"run_{how}", Hostile(how=how, where=str(out) if where == "OUT" else where))
         for how, (where, _) in RUN.items()

@@ -33,7 +33,7 @@ def test_a_plug_in_is_described_without_being_loaded_in_this_process(tmp_path, m
     )
     monkeypatch.syspath_prepend(tmp_path)
     with SandboxClient(limits) as fresh:
-        slope, sunken, flat = entries.resolve_entries(["slope", "sunken", "flat"], fresh)
+        slope, sunken, flat = entries.resolve_entries(["slope", "sunken", "flat"], fresh.describe)
     assert (slope.settings, slope.causal, slope.failure) == ({"steep": 0.5}, True, None)
     assert (slope.name, slope.reference) == ("slope", "external_slope:Slope")
     assert len(slope.code) == 16 and "external_slope" not in sys.modules
@@ -46,7 +46,7 @@ def test_a_plug_in_is_described_without_being_loaded_in_this_process(tmp_path, m
     with SandboxClient(limits) as fresh:
         with pytest.raises(EntryError, match="its files have changed since the run was planned"):
             fresh.reconstruct(slope, *drives(), (1,))
-        (slope,) = entries.resolve_entries(["slope"], fresh)
+        (slope,) = entries.resolve_entries(["slope"], fresh.describe)
     assert slope.code != before and slope.settings == {"steep": 0.6}
 
 
