@@ -31,13 +31,13 @@ from leaderboard.commands.options import (
 from leaderboard.entries.entries import resolve_entries
 from leaderboard.entries.entry import Entry
 from leaderboard.evaluation.evaluate import SEEDS
-from leaderboard.evaluation.results import isolation_notice
 from leaderboard.evaluation.surface_tasks import surface_tasks
 from leaderboard.evaluation.tasks import Task, load_task, shipped_tasks
 from leaderboard.metrics.baselines import ALL_BASELINES
 from leaderboard.report.attainable import with_attainable
 from leaderboard.report.board_definitions import board_columns
 from leaderboard.report.export import as_json
+from leaderboard.report.notes import isolation_notice
 from leaderboard.report.rendering import BOARD_PAGE, write_pending
 from leaderboard.report.sentences import build_report
 from leaderboard.report.site import write_site

@@ -20,11 +20,10 @@ from leaderboard.commands.options import (
 from leaderboard.commands.output import Output, facts_table
 from leaderboard.commands.results import verified_output
 from leaderboard.conformance.method_card import TEMPLATE
-from leaderboard.running.verification import SHARE
 from leaderboard.sandbox.limits import Limits
 from leaderboard.submission import repository, signature
 from leaderboard.submission.rules import load_rules
-from leaderboard.submission.submission import make_submission, verify_submission
+from leaderboard.submission.submission import SUBMISSION_SHARE, make_submission, verify_submission
 from road_envs.core.atomic_io import write_text
 from road_envs.core.config import ConfigError
 
@@ -80,7 +79,7 @@ def verify_one(
     folder: Annotated[Path, typer.Argument(help="Folder of a submission.")],
     *,
     rules: RulesFile = None,
-    share: Share = SHARE,
+    share: Share = SUBMISSION_SHARE,
     replaces: Annotated[
         Path | None,
         typer.Option(help="The submission as it was before: its key, if any, must have signed."),
@@ -91,8 +90,8 @@ def verify_one(
 ) -> Output:
     """Verify a submission; exit status 1 if a row differs from what is found here.
 
-    Files, card, signature and code are compared with its record, its rows with the rules, and a
-    random tenth of the drives is run again.
+    Files, card, signature and code are compared with its record, its rows with the rules, and its
+    drives are run again.
     """
     limits = parse_limits(time_limit, memory_limit, isolation)
     with progress_bar() as progress:

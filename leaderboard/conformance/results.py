@@ -72,29 +72,24 @@ def probe_entries(
     }
     if not missing:
         return 0
+    from leaderboard.conformance.checks import check_drives, probe_entry
+
     with SandboxClient(limits) as sandbox:
         for identity, entry in missing.items():
             report(f"probing {entry.name}")
-            card = _probe_entry(identity, entry, sandbox)
+            known: dict[str, Any] = {
+                "estimator": entry.name,
+                "settings": entry.settings,
+                "code": entry.code,
+            }
+            card = EstimatorCard(identity=identity, drive=check_drives().description, **known)
+            try:
+                card = dataclasses.replace(card, probes=tuple(probe_entry(entry, sandbox)))
+            except EntryError as error:
+                card = dataclasses.replace(card, failure=str(error))
             content = dataclasses.asdict(card)
             CARD.write(card_path(out, identity), content, content.pop("identity"))
     return len(missing)
-
-
-def _probe_entry(identity: str, entry: Entry, sandbox: SandboxClient) -> EstimatorCard:
-    from leaderboard.conformance.checks import check_drives, probe_entry
-
-    empty = EstimatorCard(
-        identity=identity,
-        estimator=entry.name,
-        settings=entry.settings,
-        code=entry.code,
-        drive=check_drives().description,
-    )
-    try:
-        return dataclasses.replace(empty, probes=tuple(probe_entry(entry, sandbox)))
-    except EntryError as error:
-        return dataclasses.replace(empty, failure=str(error))
 
 
 def card_path(out: Path, identity: str) -> Path:

@@ -1,6 +1,5 @@
 """Provenance of a result: versions, commit and machine, stored with every result."""
 
-import hashlib
 import os
 import platform
 import subprocess
@@ -9,7 +8,7 @@ from importlib import metadata
 from pathlib import Path
 
 import road_envs
-from road_envs.core.code_digest import PACKAGES, ROOT
+from road_envs.core.code_digest import PACKAGES, ROOT, digest
 
 LIBRARIES = ("numpy", "scipy", "numba", "torch")
 
@@ -17,13 +16,6 @@ LIBRARIES = ("numpy", "scipy", "numba", "torch")
 def package_version() -> str:
     """Return the version of road-envs."""
     return road_envs.__version__
-
-
-@cache
-def _source_digest() -> str:
-    """Return a digest of all source files of this project; any edit changes it."""
-    sources = sorted(path for name in PACKAGES for path in (ROOT / name).rglob("*.py"))
-    return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:12]
 
 
 @cache
@@ -37,7 +29,7 @@ def describe_environment() -> dict[str, str]:
     return {
         "python": platform.python_version(),
         **libraries,
-        "code": _source_digest(),
+        "code": digest(path for name in PACKAGES for path in (ROOT / name).rglob("*.py")),
         **({"commit": commit} if commit else {}),
         "processor": f"{_processor()}, {os.cpu_count()} cores",
         **_blas(),

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from pydantic import PlainValidator
 
+from leaderboard.entries.entry import Entry
 from leaderboard.evaluation.provenance import package_version
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics import heights
@@ -149,8 +150,11 @@ class Result(Settings):
     isolation: str = "none"  # of the entry: none, process, bubblewrap
     environment: dict[str, str] = dataclasses.field(default_factory=dict)
 
-    def stale_reason(self, task: Task) -> str | None:
-        """Return why this result cannot be compared with current results of `task`, else None."""
+    def stale_reason(self, task: Task, entry: Entry | None = None) -> str | None:
+        """Return why this result cannot be compared with current ones of a task, else None.
+
+        `entry` is the current version of its entry, if that is known.
+        """
         if self.task_digest != task.digest:
             return "the task has changed"
         if self.package_version != package_version():
@@ -159,7 +163,11 @@ class Result(Settings):
             return f"scored by metrics {self.metric_version}, now {heights.VERSION}"
         if self.evaluation_code != evaluation_version():
             return "driven or scored by other code"
-        return None
+        if entry is None:
+            return None
+        if self.code != entry.code:
+            return "its code or its weights have changed"
+        return None if self.settings == entry.settings else "made with other settings"
 
 
 RUN_DEPENDENT = frozenset(
@@ -268,21 +276,6 @@ def merge_parts(parts: Sequence[Result], identity: str) -> Result:
             name: _join_distinct(part.environment.get(name, "none") for part in parts)
             for name in names
         },
-    )
-
-
-def isolation_notice(results: Iterable[Result]) -> str | None:
-    """Return one sentence on the scored rows that ran without isolation; None if all had it."""
-    names = [
-        r.estimator
-        for r in results
-        if r.role == "entry" and r.failure is None and r.isolation not in ISOLATED
-    ]
-    if not names:
-        return None
-    return (
-        f"Run without isolation: {', '.join(dict.fromkeys(names))}. These estimators had the "
-        "rights of the user who ran the board: their rows hold only if that user trusts their code."
     )
 
 

@@ -12,14 +12,10 @@ import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from leaderboard.evaluation.provenance import package_version
-from leaderboard.evaluation.results import (
-    RESULT,
-    Result,
-    evaluation_version,
-    make_table,
-    to_plain,
-)
+from leaderboard.evaluation.results import RESULT, Result, evaluation_version, make_table, to_plain
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics import heights
 from leaderboard.metrics.baselines import ALL_BASELINES
@@ -77,23 +73,21 @@ def load(path: Path) -> Result:
 def load_with_checksum(path: Path) -> tuple[Result, str]:
     """Read a row and the checksum of its file. Raises ConfigError as `load`."""
     result, checksum = read(path)
-    if (result.task, result.estimator) != (path.parent.name, path.stem):
-        raise ConfigError(
-            f"{path}: contains the result of {result.estimator} on {result.task}, "
-            "which its path does not name; evaluate again"
-        )
+    row = f"the result of {result.estimator} on {result.task}"
+    _check_name(path, (result.task, result.estimator) == (path.parent.name, path.stem), row)
     return result, checksum
 
 
 def load_part(path: Path) -> Result:
     """Read a part from its file. Raises ConfigError that names file and fault."""
     result, _ = read(path)
-    if result.identity != path.stem:
-        raise ConfigError(
-            f"{path}: contains the part {result.identity}, which its name does not say; "
-            "evaluate again"
-        )
+    _check_name(path, result.identity == path.stem, f"the part {result.identity}")
     return result
+
+
+def _check_name(path: Path, named: bool, what: str) -> None:
+    if not named:
+        raise ConfigError(f"{path}: contains {what}, which its path does not name; evaluate again")
 
 
 def load_rows(out: Path, task: Task) -> list[Result]:
@@ -132,4 +126,6 @@ def read(path: Path) -> tuple[Result, str]:
     columns = vars(build(_ScoreColumns, scores, f"{path}: scores"))
     if len({len(column) for column in columns.values()}) > 1:
         raise ConfigError(f"{path}: scores: columns have different lengths; evaluate again")
+    if not np.isfinite(columns["value"]).all():  # it would count as a drive that was not driven
+        raise ConfigError(f"{path}: scores: a value is not finite; evaluate again")
     return dataclasses.replace(result, scores=make_table(columns)), checksum

@@ -8,7 +8,7 @@
 its score is what an entry earns there by remembering the training road and where it lay.
 The least error of any linear estimator with the paper's three noisy accelerometers is 3.2 %. An
 entry that scores better than 2 % has used the truth, or the evaluation is faulty; its row is
-flagged (`report.tables.sanity_warnings`).
+flagged (`report.notes.sanity_warnings`).
 """
 
 from collections.abc import Sequence

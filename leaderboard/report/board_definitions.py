@@ -16,6 +16,9 @@ BELOW_BOUND = "below_bound"
 BOUND_NAME = "bound of a linear car without friction, from data below 25 Hz"
 """Name of the bound; estimators that use the nonlinear car and higher frequencies may be below."""
 
+BOUND_ROW, ATTAINABLE_ROW = LIMIT_ROWS = ("bound", "attainable")
+"""Names of the rows that are no estimator's: the information bound, the attainable error."""
+
 RANK_COLUMNS = {"offline": "rank", "causal": "rank_causal"}
 """Column with the ranks of a division."""
 

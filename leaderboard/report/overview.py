@@ -5,7 +5,7 @@ from typing import Any
 
 from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.results import Result
-from leaderboard.report.board_definitions import COLUMNS
+from leaderboard.report.board_definitions import BOUND_ROW, COLUMNS
 from leaderboard.report.charts import height_lines
 from leaderboard.report.figures import (
     QUIET,
@@ -24,7 +24,7 @@ from leaderboard.report.sentences import (
     scored_rows,
     unrelated_level_errors,
 )
-from leaderboard.report.tables import BOUND_ROW, Section, interval_text
+from leaderboard.report.tables import Section, interval_text
 
 MAX_BARS = 16
 """Number of entries in the chart of the ranking, best first."""

@@ -16,18 +16,18 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from leaderboard.evaluation.results import Result, isolation_notice
+from leaderboard.evaluation.results import Result
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics.baselines import NOISE_LEVEL
 from leaderboard.report import estimator_page, export, overview
-from leaderboard.report.board_definitions import COLUMNS, TEXT_COLUMNS, Column
+from leaderboard.report.board_definitions import COLUMNS, LIMIT_ROWS, TEXT_COLUMNS, Column
 from leaderboard.report.charts import task_charts
 from leaderboard.report.figures import rounded
+from leaderboard.report.notes import isolation_notice
 from leaderboard.report.rendering import BOARD_PAGE, POLICY_PAGE, file_name, render, write_static
 from leaderboard.report.sentences import UNRELATED_ROAD, Report, headline, unrelated_level_errors
 from leaderboard.report.tables import (
     ALL_RUNS,
-    LIMIT_ROWS,
     PUBLIC_ROADS,
     BoardView,
     Row,

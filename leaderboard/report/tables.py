@@ -12,13 +12,11 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from estimators.lookup import TRAINING_VEHICLE
 from leaderboard.conformance.results import EstimatorCard
 from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.results import Result, score_arrays
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics.api import UNDEFINED
-from leaderboard.metrics.baselines import NOISE_LEVEL, TRUTH_PLUS_NOISE
 from leaderboard.metrics.bootstrap import (
     MIN_ROADS,
     Interval,
@@ -32,8 +30,9 @@ from leaderboard.metrics.bootstrap import (
 from leaderboard.metrics.level import EQ_12_RAW, STATE_LIMITS
 from leaderboard.metrics.registry import SCORES
 from leaderboard.report.board_definitions import (
+    ATTAINABLE_ROW,
     BELOW_BOUND,
-    BOUND_NAME,
+    BOUND_ROW,
     COLUMNS,
     RANK_COLUMNS,
     TAIL,
@@ -41,24 +40,14 @@ from leaderboard.report.board_definitions import (
     Column,
     board_columns,
 )
+from leaderboard.report.notes import kernel_notes, protocol_notes, sanity_warnings, surface_notes
 from leaderboard.report.run_groups import ScoreSlice, run_groups
 from leaderboard.running.board import Board
-from leaderboard.running.verification import kernel_notes
 from road_envs.sensing.perturbed_vehicle import GRADES
-from road_envs.vehicle.parameters import load_vehicle
 
 RowState = Literal["scored", "baseline", "claim", "failed", "stale"]
 CLAIM_ROW = "paper's claim"
 TRAINING_STATES = ("near_optimal", "sub_optimal", "unstable")
-BOUND_ROW = "bound"
-"""Name of the row with the information bound of the sensors."""
-
-ATTAINABLE_ROW = "attainable"
-"""Name of the row with the attainable error."""
-
-LIMIT_ROWS = (BOUND_ROW, ATTAINABLE_ROW)
-"""Names of the rows that are no estimator's."""
-
 PUBLIC_ROADS = (
     "The test roads of this board are public: an entry can draw them again instead of estimating "
     "them, and its rank then says nothing. A rank counts only in a sealed season, whose seeds are "
@@ -170,8 +159,8 @@ def _section(board: Board, task: Task, definition: BoardDefinition) -> Section:
         (*claim, *rows, *failed, *stale),
         (
             *([PUBLIC_ROADS] if task.is_public else []),
-            *_protocol_notes(task, scored),
-            *_surface_notes(task, [*scored, *board.failed(task)]),
+            *protocol_notes(task, scored),
+            *surface_notes(task, [*scored, *board.failed(task)]),
             *sanity_warnings(rows, task.is_public),
             *kernel_notes(scored, board.verified),
         ),
@@ -311,56 +300,6 @@ def _bound_rows(tables: Sequence[_AggregatedScores], definition: BoardDefinition
         cells = {"nrmse": SCORES[key].format_value(mine["nrmse"])}
         rows.append(Row(name, "baseline", cells, mine, groups=groups))
     return rows
-
-
-def sanity_warnings(rows: Sequence[Row], is_public: bool = False) -> list[str]:
-    """Return remarks on scores better than the truth or the bound, and on faulty baselines.
-
-    On roads that are public, an entry below the bound may have drawn them again.
-    """
-    doubt = ": it knows more than the sensors tell, or has drawn these public roads again"
-    error = {row.name: row.values.get("nrmse") for row in rows}
-    warnings = []
-    best, bound = error.get(TRUTH_PLUS_NOISE), error.get(BOUND_ROW)
-    for row in rows:
-        mine, below = error[row.name], row.values.get(BELOW_BOUND) or 0.0
-        if row.state != "scored" or mine is None:
-            continue
-        if best is not None and mine < best:
-            warnings.append(
-                f"{row.name} scores better than the truth with {100 * NOISE_LEVEL:g} % noise: "
-                "it has used the truth, or the evaluation is faulty"
-            )
-        elif bound is not None and mine < bound:
-            share = f"on {below:.0%} of its drives{doubt * is_public}"
-            warnings.append(f"{row.name} is below the {BOUND_NAME}, {share}")
-    for name, expected in (("flat", 1.0), (TRUTH_PLUS_NOISE, NOISE_LEVEL)):
-        mine = error.get(name)
-        if mine is not None and abs(mine - expected) > 0.1 * expected:
-            warnings.append(
-                f"the evaluation is faulty: {name} scores {mine:.3f} instead of {expected:g}"
-            )
-    return warnings
-
-
-def _protocol_notes(task: Task, results: Sequence[Result]) -> list[str]:
-    trained, pretrained = "", [r.estimator for r in results if r.settings.get("shipped")]
-    if task.trains_on_test_road:
-        trained = "Trained on altered copies of the test road"
-        trained += f"; {', '.join(pretrained)} with pretrained weights." if pretrained else "."
-    elsewhere = ""
-    if pretrained and task.vehicle != load_vehicle(TRAINING_VEHICLE):
-        elsewhere = (
-            f"{', '.join(pretrained)}: trained on drives of {TRAINING_VEHICLE}, not of "
-            f"{task.vehicle.name}."
-        )
-    return [text for text in (trained, elsewhere, task.note) if text]
-
-
-def _surface_notes(task: Task, results: list[Result]) -> list[str]:
-    """Return what was changed on a road surface that was read from a file."""
-    notes = dict.fromkeys(note for r in results for note in r.notes)
-    return [f"Surface: {'; '.join(notes)}."] if notes and task.board_name == "measured" else []
 
 
 def _mean(scores: np.ndarray) -> np.ndarray:

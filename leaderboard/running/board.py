@@ -106,14 +106,7 @@ class Board:
 
     def stale_reason(self, task: Task, result: Result) -> str | None:
         """Return why a result cannot be compared with current ones; None if it can."""
-        if (reason := result.stale_reason(task)) is not None:
-            return reason
-        entry = self.entries.get((task.name, result.estimator))
-        if entry is None or not result.code:
-            return None
-        if result.code != entry.code:
-            return "its code or its weights have changed"
-        return None if result.settings == entry.settings else "made with other settings"
+        return result.stale_reason(task, self.entries.get((task.name, result.estimator)))
 
     def card(self, result: Result) -> EstimatorCard | None:
         """Return the card of the estimator of a result, if it was probed."""

@@ -33,14 +33,12 @@ class DaskExecutor:
     """
 
     def __init__(self, address: str, workers: int = 1):
-        """Raises ConfigError if the scheduler does not answer or has no worker."""
-        try:
-            with optional_import("running on a cluster"):
-                from distributed import Client, LocalCluster
-        except ImportError:
-            raise ConfigError(
-                "Dask is not installed; it comes with the extra: pip install 'road-envs[dask]'"
-            ) from None
+        """Raises ConfigError if the scheduler does not answer or has no worker.
+
+        Raises MissingExtraError without Dask.
+        """
+        with optional_import("running on a cluster"):
+            from distributed import Client, LocalCluster
         self._cluster: Any = None
         if address == LOCAL:
             self._cluster = LocalCluster(

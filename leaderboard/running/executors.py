@@ -15,6 +15,7 @@ import numpy as np
 
 from leaderboard.entries.entry import EntryError
 from leaderboard.running import jobs
+from leaderboard.running.job_files import is_from_outside
 from leaderboard.running.jobs import Job, JobDone
 from leaderboard.sandbox import messages, processes
 from leaderboard.sandbox.launch import start_host_process
@@ -143,7 +144,7 @@ class _Lane(Thread):
                 for entry in job.entries:
                     if (job.task.name, entry.name) not in self._failed:
                         self._put(self._run_entry(dataclasses.replace(job, entries=(entry,))))
-                if not jobs.are_ours(job.entries):
+                if any(map(is_from_outside, job.entries)):
                     self._close()
         except BaseException as error:
             end = error

@@ -95,10 +95,11 @@ def to_packed_text(job: Job) -> tuple[str, dict[str, Path]]:
 
 
 def _to_spec(job: Job) -> dict[str, Any]:
-    evaluation_code = evaluation_version()
-    return to_json_types(
-        dataclasses.replace(job, task_digest=job.task.digest, evaluation_code=evaluation_code)
-    )
+    versions: dict[str, Any] = {
+        "task_digest": job.task.digest,
+        "evaluation_code": evaluation_version(),
+    }
+    return to_json_types(dataclasses.replace(job, **versions))
 
 
 def from_text(text: str, where: str, folder: Path = Path()) -> Job:
@@ -172,11 +173,6 @@ def in_sandbox(sandbox: SandboxClient) -> EntryRunner:
         )  # fmt: skip
 
     return run
-
-
-def are_ours(entries: Iterable[Entry]) -> bool:
-    """Return whether all entries are of this package: such jobs may share a process."""
-    return not any(job_files.is_from_outside(entry) for entry in entries)
 
 
 def run_job_file(spec: Path, out: Path) -> Iterator[JobDone]:

@@ -188,10 +188,13 @@ def _verify_row(
         identity=row.identity,
         kernels=kernels_of(describe_environment()),
         tolerance=_tolerance(row),
-        reason=row.stale_reason(task) or _other_entry(row, entry) or _other_drives(row, task) or "",
     )
-    if entry is None or found.reason:
-        return found
+    if entry is None:
+        unknown = "not of this package: give it with --estimator"
+        return dataclasses.replace(found, reason=row.stale_reason(task) or unknown)
+    reason = entry.failure or row.stale_reason(task, entry) or _other_drives(row, task)
+    if reason is not None:
+        return dataclasses.replace(found, reason=reason)
     stored = scores_by_run(row.scores)
     same = found.tolerance <= SAME_KERNELS
     compared = SCORES if same else [task.board_definition.ranks_by]
@@ -209,11 +212,7 @@ def _verify_row(
     worst = max(found_distances, key=lambda x: x.value, default=Distance("", 0.0))
     typical = statistics.median_low([x.value for x in found_distances] or [0.0])
     return dataclasses.replace(
-        found,
-        runs=len(found_distances),
-        score=worst.score,
-        distance=worst.value,
-        typical=typical,
+        found, runs=len(found_distances), score=worst.score, distance=worst.value, typical=typical
     )
 
 
@@ -252,41 +251,8 @@ def _own_entry(name: str, task: Task) -> Entry | None:
     return registered_entry(name, task.trains_on_test_road)
 
 
-def _other_entry(row: Result, entry: Entry | None) -> str | None:
-    """Return why an entry is not that of a row; None if it is."""
-    if entry is None:
-        return "not of this package: give it with --estimator"
-    if entry.failure is not None:
-        return entry.failure
-    if entry.code != row.code:
-        return "its code or its weights have changed"
-    return None if entry.settings == row.settings else "made with other settings"
-
-
 def _tolerance(row: Result) -> float:
     """Return the tolerance for what was made with the kernels of `row` and is made again here."""
     here = describe_environment()
     same = all(row.environment.get(name) == here.get(name) for name in DECIDE_DIGITS)
     return SAME_KERNELS if same else OTHER_KERNELS
-
-
-def kernel_notes(
-    results: Sequence[Result], verified: Mapping[str, Sequence[Verified]]
-) -> list[str]:
-    """Return a note on the rows of a task that are not known to agree with the kernels of most.
-
-    A row agrees if it was made with them, or verified on them within the tolerance.
-    """
-    made = {result.estimator: kernels_of(result.environment) for result in results}
-    if len(set(made.values())) < 2:
-        return []
-    usual = max(set(made.values()), key=lambda x: (list(made.values()).count(x), x))
-    notes: dict[str, list[str]] = {}
-    for result in results:
-        again = [x for x in verified.get(result.identity, ()) if x.kernels == usual]
-        if made[result.estimator] == usual or any(x.agrees for x in again):
-            continue
-        text = f"ran on {made[result.estimator]}, the others on {usual}: "
-        text += f"{again[0].distance:.1e} apart there" if again else "not verified there"
-        notes.setdefault(text, []).append(result.estimator)
-    return [f"{', '.join(names)} {text}." for text, names in notes.items()]

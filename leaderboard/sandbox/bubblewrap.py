@@ -47,6 +47,12 @@ guest; the second range is for hosts in a namespace of few users.
 SYSTEM = ("/usr", "/lib", "/lib32", "/lib64", "/bin", "/etc/ld.so.cache", "/etc/alternatives")
 """Paths of the operating system that programs need."""
 
+COUNTERS = tuple(Path("/proc", name) for name in (
+    "stat", "vmstat", "diskstats", "loadavg", "interrupts", "softirqs", "schedstat", "zoneinfo",
+    "buddyinfo", "slabinfo", "pagetypeinfo", "timer_list", "locks",
+))  # fmt: skip
+"""Files with counts of the whole machine, by which one guest could tell another a number: empty."""
+
 SHARED_MEMORY = 2**28
 """Size [bytes] of a guest's /dev/shm."""
 
@@ -86,6 +92,8 @@ def command(
         else:
             line += ["--ro-bind", str(source), str(target)]
     line += ["--proc", "/proc", "--dev", "/dev"]
+    for path in filter(Path.exists, COUNTERS):
+        line += ["--ro-bind", os.devnull, str(path)]
     for folder, size in (("/dev/shm", SHARED_MEMORY), (HOME, int(limits.file * GIB))):
         line += ["--perms", "1777", "--size", str(size), "--tmpfs", str(folder)]
     for source, target in writable.items():

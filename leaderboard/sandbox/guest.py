@@ -10,6 +10,7 @@ import select
 import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from signal import Signals
 from typing import Any
@@ -147,11 +148,8 @@ class Guest:
         processes.kill_group(self.pid)
         processes.kill(self.pid)
         for stream in (self._process.stdin, self._process.stdout, self._process.stderr):
-            if stream is not None:
-                try:
-                    stream.close()
-                except OSError:
-                    pass
+            with suppress(OSError, AttributeError):
+                stream.close()  # type: ignore[union-attr]
         self._process.wait()
 
     def _tree(self) -> list[processes.Process]:

@@ -30,6 +30,9 @@ from road_envs.core.config import Settings, build
 SERVED = 64
 """Exit status of a child that has served its requests until the end."""
 
+OPEN_FILES = 256
+"""Largest number of open files of a process: what pipes and sockets hold counts as no memory."""
+
 LONGEST_FAILURE = 10_000
 """Largest number of characters of a failure; the host shows fewer."""
 
@@ -146,7 +149,10 @@ def _run_child(setup: Setup, replies: int, request: dict[str, Any]) -> NoReturn:
             signal.signal(number, signal.SIG_DFL)
         processes.die_with_parent()
         _set_resource_limits(setup.limits, is_nobody=setup.user is not None)
-        _become(setup.user)
+        if setup.user is not None:  # give up this one and its groups
+            os.setgroups([])
+            os.setgid(setup.user)
+            os.setuid(setup.user)
         os.umask(0o022)
         handle = importlib.import_module(setup.handler).make_handler(setup.folder)
         while request["do"] != "end":
@@ -175,19 +181,12 @@ def _serve(handle: Any, replies: int, request: dict[str, Any]) -> None:
     _reply(replies, answer, found)
 
 
-def _become(user: int | None) -> None:
-    """Give up this user and its groups for `user`, if that is not None."""
-    if user is not None:
-        os.setgroups([])
-        os.setgid(user)
-        os.setuid(user)
-
-
 def _set_resource_limits(limits: Limits, *, is_nobody: bool) -> None:
     """Set the limits that the kernel enforces. Reserved but unused memory does not count."""
     mapped = processes.data_size() or GIB  # when it was forked
     values = {
         "RLIMIT_CORE": 0,
+        "RLIMIT_NOFILE": OPEN_FILES,
         "RLIMIT_FSIZE": int(limits.file * GIB),
         "RLIMIT_DATA": int(limits.memory * GIB) + mapped,
         "RLIMIT_CPU": int(limits.seconds * max(1, os.cpu_count() or 1)) + 60,

@@ -17,6 +17,7 @@ from leaderboard.metrics.baselines import ALL_BASELINES
 from leaderboard.report.sentences import build_report
 from leaderboard.report.site import write_site
 from leaderboard.running.board import load_board
+from leaderboard.running.verification import save_definition
 from leaderboard.sandbox.limits import Limits
 from leaderboard.submission.rules import RULES, load_rules, make_run_request
 from leaderboard.submission.submission import CARD, load_submission
@@ -72,10 +73,10 @@ def build_site(repository: Path, out: Path) -> Path:
                 _copy(path, target)
                 if (probed := folder / card.relative_to(out)).exists():
                     _copy(probed, card)
-        for path in sorted((folder / "definitions").glob("*.json")):
-            _copy(path, out / path.relative_to(folder))
         _copy(folder / CARD, method_card_path(out, record.name))
     sized = make_run_request(rules, tasks, (), limits=Limits()).sized_tasks()
+    for task in sized:
+        save_definition(task, out)
     board = load_board(sized, out)
     return write_site(board, build_report(board), out)
 

@@ -43,5 +43,5 @@ def make_run_request(
     rules: Rules, tasks: Sequence[Task], entries: Sequence[Entry], limits: Limits
 ) -> RunRequest:
     """Request to run `entries` on the tasks by these rules, with probes."""
-    seeds = range(1, rules.seeds + 1)
+    seeds = tuple(range(1, rules.seeds + 1))
     return RunRequest(tasks, entries, seeds, rules.roads, limits=limits, probes=True)

@@ -24,12 +24,11 @@ from leaderboard.entries.entry import Entry
 from leaderboard.evaluation import store
 from leaderboard.evaluation.provenance import describe_environment, package_version
 from leaderboard.evaluation.tasks import Task
-from leaderboard.metrics.baselines import ALL_BASELINES
 from leaderboard.new_folder import new_folder
-from leaderboard.running.board import run_board
+from leaderboard.running.board import baseline_names, run_board
 from leaderboard.running.executors import ProcessExecutor
 from leaderboard.running.jobs import in_sandbox
-from leaderboard.running.verification import SHARE, Verified, verify_folder
+from leaderboard.running.verification import Verified, verify_folder
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
 from leaderboard.submission import signature
@@ -42,6 +41,11 @@ SUBMISSION = Kind("submission", 1)
 RECORD, CARD = signature.RECORD, "card.yaml"
 UNSEALED = (RECORD, signature.FILE)
 """Files whose digests the record does not hold."""
+
+SUBMISSION_SHARE = 1.0
+"""Share of the drives of a submission that are run again: a verification of some could be repeated
+until it misses the drives that were forged.
+"""
 
 Progress = Callable[[str, float], None]
 
@@ -132,7 +136,7 @@ def verify_submission(
     rules: tuple[Rules, Sequence[Task]],
     limits: Limits,
     *,
-    share: float = SHARE,
+    share: float = SUBMISSION_SHARE,
     seed: int | None = None,
     replaces: Path | None = None,
     progress: Progress = lambda text, share: None,
@@ -152,16 +156,20 @@ def verify_submission(
         entry = _submitted_entry(folder, sandbox)
         if (entry.name, entry.code) != (record.name, record.code):
             raise ConfigError(f"{folder}: its code is that of {entry.name} {entry.code}")
-        tasks = make_run_request(*rules, [entry], limits).sized_tasks()
-        rows = {path.stem for path in (folder / "results").rglob("*.json")}
-        for other in sorted(rows.difference([entry.name, *ALL_BASELINES])):
-            raise ConfigError(f"{folder}: a row of {other}, which is not its entry")
+        request = make_run_request(*rules, [entry], limits)
+        tasks = request.sized_tasks()
+        stored = {path for path in (folder / "results").rglob("*") if path.is_file()}
         for task in tasks:
-            row = store.load(store.row_path(folder, task.name, record.name))
-            if row.task_digest != task.digest or row.seeds != tuple(range(1, rules[0].seeds + 1)):
-                raise ConfigError(f"{folder}: its row of {task.name} was not made by these rules")
-            if reason := row.failure or row.stale_reason(task):
-                raise ConfigError(f"{folder}: its row of {task.name}: {reason}")
+            for name in (record.name, *baseline_names(task)):
+                path = store.row_path(folder, task.name, name)
+                row, reason = store.load(path), f"{folder}: its row of {name} on {task.name}"
+                stored.discard(path)
+                if row.task_digest != task.digest or row.seeds != request.seeds:
+                    raise ConfigError(f"{reason} was not made by these rules")
+                if row.failure or row.stale_reason(task):
+                    raise ConfigError(f"{reason}: {row.failure or row.stale_reason(task)}")
+        for path in sorted(stored):
+            raise ConfigError(f"{path}: neither a row of its entry nor a baseline of the rules")
         _verify_probes(entry, folder, limits)
         found = verify_folder(
             folder,
@@ -216,10 +224,11 @@ def _digests(folder: Path) -> dict[str, str]:
 
 
 def _files(folder: Path) -> Iterator[Path]:
-    for top, _, names in os.walk(folder):
-        for path in (Path(top, name) for name in names):
+    for top, folders, names in os.walk(folder):
+        for path in [Path(top), *(Path(top, name) for name in (*folders, *names))]:
             if path.is_symlink():
                 raise ConfigError(f"{path}: a submission has no links")
+        for path in (Path(top, name) for name in names):
             if path.relative_to(folder).as_posix() not in UNSEALED:
                 yield path
 

@@ -13,13 +13,14 @@ from estimators.registry import REGISTRY
 from leaderboard.metrics.baselines import BASELINES
 from leaderboard.metrics.heights import band_pass, scored_band
 from leaderboard.metrics.registry import SCORES
-from leaderboard.report.board_definitions import BELOW_BOUND
+from leaderboard.report.board_definitions import BELOW_BOUND, BOUND_ROW
 from leaderboard.report.charts import task_charts
 from leaderboard.report.figures import line_style
+from leaderboard.report.notes import sanity_warnings
 from leaderboard.report.overview import ranking_chart
 from leaderboard.report.sentences import build_report
 from leaderboard.report.site import _render_pages
-from leaderboard.report.tables import BOUND_ROW, Row, board_views, sanity_warnings
+from leaderboard.report.tables import Row, board_views
 from leaderboard.running.board import Board
 
 

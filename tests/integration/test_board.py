@@ -356,15 +356,22 @@ def test_the_row_of_another_wheel_is_replaced_only_on_request(tmp_path):
     assert store.load(path).code == "1" * 16
 
 
-def test_a_row_of_uneven_length_is_a_failed_row_whatever_its_checksum(tmp_path):
+@pytest.mark.parametrize("change", ["uneven", "NaN", "1e999"])
+def test_a_row_of_uneven_length_or_of_no_numbers_is_a_failed_row_whatever_its_checksum(
+    tmp_path, change
+):
     board, _ = run(tmp_path)
     path = store.row_path(tmp_path, small().name, "reader")
     stored = store.load(path)
     text = store.to_text(stored)
     first = json.dumps(stored.traces[0].estimate[0].tolist())
+    other, reason = json.dumps(stored.traces[0].estimate[0][:-3].tolist()), "one number of heights"
+    if change != "uneven":  # a drive without scores would count as not driven
+        first, other = json.dumps(stored.scores["value"].iloc[0]), change
+        reason = "scores: a value is not finite"
     assert first in text
-    cut = text.replace(first, json.dumps(stored.traces[0].estimate[0][:-3].tolist()), 1)
+    cut = text.replace(first, other, 1)
     path.write_text(cut.replace(json.loads(text)["sha256"], text_checksum(cut)))
     again = load_board(board.tasks, tmp_path)
     (row,) = again.failed(small())
-    assert row.estimator == "reader" and "must have one number of heights" in row.failure
+    assert row.estimator == "reader" and reason in row.failure

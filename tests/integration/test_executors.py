@@ -31,6 +31,7 @@ from leaderboard.running.executors import EvaluatorError, ProcessExecutor
 from leaderboard.sandbox import bubblewrap
 from leaderboard.sandbox.limits import Limits
 from road_envs.core.config import ConfigError
+from road_envs.core.extras import MissingExtraError
 from road_envs.roads import load_road, with_length
 from road_envs.roads.formats.write import write_csv
 from road_envs.vehicle.parameters import load_vehicle, write_vehicle
@@ -294,7 +295,7 @@ def test_a_missing_dask_scheduler_is_reported(monkeypatch):
 
 def test_without_dask_the_error_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(ConfigError, match=r"pip install 'road-envs\[dask\]'"):
+    with pytest.raises(MissingExtraError, match=r"pip install 'road-envs\[dask\]'"):
         DaskExecutor("tcp://127.0.0.1:9")
 
 

@@ -20,9 +20,9 @@ from wheels import encrypt, module, write_wheel
 from estimators import create
 from leaderboard.entries.entries import NAME, RESERVED, make_entry, resolve_entries
 from leaderboard.evaluation import hidden_seeds
-from leaderboard.evaluation.results import isolation_notice
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.metrics.baselines import BASELINES
+from leaderboard.report.notes import isolation_notice
 from leaderboard.running.board import RunRequest, run_board
 from leaderboard.running.executors import ProcessExecutor
 from leaderboard.sandbox import bubblewrap

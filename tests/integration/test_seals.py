@@ -107,6 +107,17 @@ def test_page_tables_count_as_memory(sandbox):
         run(sandbox, "map_sparsely")
 
 
+def test_what_sockets_hold_is_little(sandbox):
+    with pytest.raises(EntryError, match=r"RuntimeError: holds (\d+) MB$") as error:
+        run(sandbox, "fill_sockets")
+    assert int(str(error.value).split()[-2]) < 100
+
+
+def test_no_guest_reads_counts_of_the_machine(sandbox, identity):
+    with pytest.raises(EntryError, match=r"RuntimeError: reads \[\]$"):
+        run(sandbox, "read_counters")
+
+
 def test_work_in_a_process_that_nobody_waits_for_takes_time(sandbox):
     assert run(sandbox, "work_unseen").estimate_seconds > 0.8
 

@@ -186,7 +186,7 @@ def verified(made, tmp_path, monkeypatch):
         alter(folder)
         write_record(folder, entry.code)
         rules = Rules(tasks=("small",), seeds=2), [small()]
-        options = {"share": 1.0, "seed": 1, **options}
+        options = {"seed": 1, **options}
         return submission_module.verify_submission(folder, rules, Limits(), **options)
 
     m = monkeypatch
@@ -235,7 +235,9 @@ def test_a_row_of_another_name_is_refused(verified):
         row = store.load(store.row_path(folder, "small", "reader"))
         store.save(dataclasses.replace(row, estimator="phantom"), folder)
 
-    with pytest.raises(ConfigError, match="a row of phantom, which is not its entry"):
+    with pytest.raises(
+        ConfigError, match=r"phantom\.json: neither a row of its entry nor a baseline"
+    ):
         verified(add_row)
 
 
@@ -292,6 +294,66 @@ def test_the_site_has_a_page_of_each_entry_with_its_card(submission, tmp_path, m
     page = (tmp_path / "site" / "estimators" / "reader.html").read_text()
     assert "Ada Author, Bo Author" in page and "Reads the heights from the record." in page
     assert "Ada Author" not in (tmp_path / "site" / "estimators" / "flat.html").read_text()
+
+
+def test_no_text_of_a_submission_becomes_code_of_the_site(submission, tmp_path, monkeypatch):
+    repo, attack = (
+        submission.parents[1],
+        '</script><script>alert("1")</script><img src=x onerror=f()>',
+    )
+    (repo / "rules.yaml").write_text("tasks: [new_road]\nseeds: 2\n")
+    rules, _ = load_rules(repo / "rules.yaml")
+    monkeypatch.setattr(repository, "load_rules", lambda path: (rules, [small()]))
+    card = {"method": attack, "data": attack, "licence": attack, "authors": [attack]}
+    (submission / "card.yaml").write_text(json.dumps(card | {"citation": attack}))
+    row = store.load(store.row_path(submission, "small", "reader"))
+    traces = [dataclasses.replace(trace, road=attack, condition=attack) for trace in row.traces]
+    change_row(
+        submission, notes=(attack,), settings={attack: attack}, isolation=attack, traces=traces,
+        environment={"processor": attack, attack: attack},
+    )  # fmt: skip
+    write_record(submission)
+    repository.build_site(repo, tmp_path / "site")
+    pages = [path.read_text() for path in (tmp_path / "site").rglob("*.html")]
+    assert sum("alert(" in page for page in pages) >= 2
+    assert not [page for page in pages if "<script>alert" in page or "<img src=x" in page]
+
+
+def test_a_link_to_a_folder_is_refused(submission):
+    elsewhere = submission.parent / "elsewhere"
+    (submission / "cards").rename(elsewhere) if (submission / "cards").exists() else None
+    elsewhere.mkdir(exist_ok=True)
+    (submission / "more").symlink_to(elsewhere)
+    with pytest.raises(ConfigError, match="more: a submission has no links"):
+        load_submission(submission)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_single_forged_drive_is_found_in_every_attempt(verified, seed):
+    def improve_one(folder):
+        row = store.load(store.row_path(folder, "small", "reader"))
+        scores = runs_of(row)
+        better = {run: scores[run] | {"nrmse": 0.01} for run in list(scores)[-1:]}
+        change_row(folder, scores=with_runs(row, scores | better).scores)
+
+    assert [row.estimator for row in verified(improve_one, seed=seed) if not row.agrees] == [
+        "reader"
+    ]
+
+
+def test_a_row_of_another_task_and_a_failed_baseline_are_refused(verified):
+    def fail_a_baseline(folder):
+        row = store.load(store.row_path(folder, "small", "truth_plus_noise"))
+        store.save(dataclasses.replace(row, scores=None, failure="it failed"), folder)
+
+    def add_a_task(folder):
+        row = store.load(store.row_path(folder, "small", "flat"))
+        store.save(dataclasses.replace(row, task="large"), folder)
+
+    with pytest.raises(ConfigError, match="row of truth_plus_noise on small: it failed"):
+        verified(fail_a_baseline)
+    with pytest.raises(ConfigError, match="neither a row of its entry nor a baseline"):
+        verified(add_a_task)
 
 
 def test_a_citation_says_what_ran(submission):

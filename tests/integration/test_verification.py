@@ -17,9 +17,9 @@ from leaderboard.evaluation import evaluate, store
 from leaderboard.evaluation.comparison import OTHER_KERNELS, SAME_KERNELS
 from leaderboard.evaluation.provenance import describe_environment
 from leaderboard.metrics.baselines import BASELINES
+from leaderboard.report.notes import kernel_notes
 from leaderboard.running.board import create_baselines, load_board
 from leaderboard.running.verification import (
-    kernel_notes,
     kernels_of,
     load_verified,
     save_verified,

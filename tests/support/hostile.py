@@ -245,6 +245,12 @@ def does_reply(where, record):
     time.sleep(1000.0)
 
 
+UNCOUNTED = {  # fixed as long as the machine runs, of the guest alone, or never ending
+    *("cmdline", "consoles", "cpuinfo", "crypto", "devices", "dma", "fb", "filesystems", "ioports"),
+    *("iomem", "keys", "key-users", "kallsyms", "kcore", "kmsg", "kpagecount", "kpageflags"),
+    *("kpagecgroup", "mdstat", "misc", "modules", "mtrr", "partitions", "swaps", "version"),
+    *("execdomains", "cgroups", "sysrq-trigger", "bootconfig", "uptime", "meminfo", "mounts"),
+}
 USER_KEYRING, SEARCH, READ = -4, 10, 11
 CALLS = {  # by number on x86_64, with arguments that would succeed
     "keyctl": (250, 0, USER_KEYRING, 1),
@@ -325,6 +331,31 @@ def does_map_sparsely(where, record):
         for k in range(0, size, 2**21):
             memory[k]
     time.sleep(1.0)
+
+
+def does_fill_sockets(where, record):
+    """Raise an error with the memory [MB] that a process can leave in sockets and pipes."""
+    held, size = [], 0
+    with contextlib.suppress(OSError):
+        while True:
+            for end in (pair := socket.socketpair()):
+                end.setblocking(False)
+                with contextlib.suppress(BlockingIOError):
+                    while True:
+                        size += end.send(bytes(2**16))
+            held.append(pair)
+    raise RuntimeError(f"holds {size / 1e6:.0f} MB")
+
+
+def does_read_counters(where, record):
+    """Raise an error with what of the whole machine another guest could have changed."""
+    found = []
+    for path in Path("/proc").iterdir():
+        if path.is_file() and not path.name.isdigit():
+            with contextlib.suppress(OSError, UnicodeDecodeError):
+                text = path.read_text() if path.name not in UNCOUNTED else ""
+                found += [path.name] * (text != "")
+    raise RuntimeError(f"reads {sorted(found)}")
 
 
 def does_work_unseen(where, record):

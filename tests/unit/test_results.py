@@ -18,8 +18,9 @@ from fake_results import (
 from fakes import task
 
 from leaderboard.evaluation import results
-from leaderboard.evaluation.results import content_digest, isolation_notice
+from leaderboard.evaluation.results import content_digest
 from leaderboard.evaluation.store import load, load_rows, row_path, save
+from leaderboard.report.notes import isolation_notice
 from leaderboard.report.tables import board_views
 from leaderboard.running.board import Board
 from road_envs.core import atomic_io
