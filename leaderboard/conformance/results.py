@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from leaderboard.conformance.probes import CheckResult, count_passed
+from leaderboard.conformance.probes import CheckResult
 from leaderboard.entries.entry import BUILTIN, Entry, EntryError
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
@@ -34,11 +34,6 @@ class EstimatorCard(Settings):
     drive: str
     probes: tuple[CheckResult, ...] = ()
     failure: str | None = None
-
-    @property
-    def passed_count(self) -> str:
-        """Number of passed and of applicable probes, such as "5/5"."""
-        return count_passed(self.probes)
 
 
 def card_identity(estimator: str, settings: Mapping[str, Any], code: str) -> str:

@@ -25,8 +25,9 @@ from road_envs.core.artifacts import code_version
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,39}")
 """Pattern of the name of a row. It is part of the names of files and of addresses of pages."""
 
-_NOT_ESTIMATORS = (BUILTIN, "bound", "attainable", "truth", "truth_plus_noise", "memory", "index")
-RESERVED = frozenset(estimators.REGISTRY).union(_NOT_ESTIMATORS)
+_MADE_FROM_TRUTH = ("truth_plus_noise", "memory")
+_OTHER_NAMES = (*_MADE_FROM_TRUTH, BUILTIN, "bound", "attainable", "truth", "index")
+RESERVED = frozenset(estimators.REGISTRY).union(_OTHER_NAMES)
 """Names of rows and pages that an entry from outside cannot have, in lower case."""
 
 Describe = Callable[[str], dict[str, Any]]
@@ -79,7 +80,11 @@ def resolve_entries(names: Sequence[str], describer: Describe | None) -> list[En
 
 
 def registered_entry(name: str, each_case: bool) -> Entry | None:
-    """Return the entry of an estimator of this package as it is now; None for any other name."""
+    """Return the entry of an estimator of this package, or of a baseline that the evaluation makes,
+    as it is now; None for any other name.
+    """
+    if name in _MADE_FROM_TRUTH:
+        return make_entry(name, None)
     if name not in estimators.REGISTRY:
         return None
     entry = make_entry(name, estimators.create(name))

@@ -40,16 +40,15 @@ from leaderboard.evaluation.test_data import (
 from leaderboard.metrics import heights
 from leaderboard.metrics.baselines import ALL_BASELINES, MEMORY, memory, truth_plus_noise
 from leaderboard.metrics.registry import compute_scores
-from road_envs.records.record import Estimate
+from road_envs.records.record import Estimate, Record
 from road_envs.simulation.drive import SimulationError
+from road_envs.vehicle.parameters import VehicleParameters
 
 SEEDS = (1, 2, 3)
 """Default training seeds of a trainable estimator."""
 
 TRACE_LENGTH = 100.0
 """Length [m] of the part of the first test road that is stored for plots."""
-
-StatusCallback = Callable[[str], None]
 
 
 class ConditionData(NamedTuple):
@@ -65,6 +64,16 @@ class ConditionData(NamedTuple):
         """Speed [m/s]."""
         return self.condition.speed_kmh / 3.6
 
+    @property
+    def inputs(self) -> tuple[list[Any], list[Record], VehicleParameters, Calibrations]:
+        """What an entry is given: training records with their truths, test records, the vehicle,
+        and the calibration drives of the vehicle of each test record, if the task has any.
+        """
+        training = [(drive.record, drive.truth) for drive in self.training]
+        drives = [drive.calibration for drive in self.tests] if self.task.calibration else ()
+        car = self.task.vehicle_of(self.condition)
+        return training, [drive.record for drive in self.tests], car, drives
+
 
 EntryRunner = Callable[[Entry, ConditionData, Sequence[int]], Iterable[TrainingRun]]
 """Function that trains and runs an entry: one run per training seed, see `reconstruct_all`."""
@@ -76,7 +85,7 @@ def run_task(
     seeds: Sequence[int] = SEEDS,
     *,
     simulate: DriveSimulation = simulate_drives,
-    report: StatusCallback = lambda text: None,
+    report: Callable[[str], None] = lambda text: None,
 ) -> list[Result]:
     """Evaluate `estimators` on a task in this process; None is a baseline made from the truth.
 
@@ -107,24 +116,11 @@ def in_process(estimator: Estimator | None) -> EntryRunner:
 
     def run(entry: Entry, data: ConditionData, seeds: Sequence[int]) -> Iterable[TrainingRun]:
         assert estimator is not None
-        records = [test.record for test in data.tests]
-        session = LocalSession(estimator, data.task.vehicle_of(data.condition))
-        training, drives = training_pairs(data), calibrations(data)
+        training, records, car, drives = data.inputs
+        session = LocalSession(estimator, car)
         return reconstruct_all(session, training, records, seeds, None, drives)
 
     return run
-
-
-def training_pairs(data: ConditionData) -> list[tuple]:
-    """Return training records with their true profiles."""
-    return [(drive.record, drive.truth) for drive in data.training]
-
-
-def calibrations(data: ConditionData) -> Calibrations:
-    """Return the calibration drives of the vehicle of each test drive, if the task has any."""
-    if not data.task.calibration:
-        return ()
-    return [drive.calibration for drive in data.tests]
 
 
 def simulate_condition(
@@ -207,11 +203,12 @@ def _score_fields(
         train.append(training_run.train_seconds)
         seconds += training_run.estimate_seconds
         last = training_run
+    traces.sort(key=lambda trace: trace.scores.get("nrmse", math.inf))
     calibrated = last.calibrate_seconds
     metres = len(train) * sum(test.record.length for test in data.tests)
     return {
         "scores": make_table(rows),
-        "traces": (_median_trace(traces),),
+        "traces": (traces[(len(traces) - 1) // 2],),  # of the median error, the lower of two
         "train_seconds": tuple(train),
         "calibrates": calibrated is not None if data.task.calibration else None,
         "calibrate_seconds": None if calibrated is None else calibrated / len(data.tests),
@@ -249,9 +246,3 @@ def _trace(data: ConditionData, estimate: Estimate, scores: dict[str, float], se
         estimate=quantize_heights(estimate.z[:, kept]),
         deviation=None if estimate.z_std is None else quantize_heights(estimate.z_std[:, kept]),
     )
-
-
-def _median_trace(traces: list[Trace]) -> Trace:
-    """Return the trace with the median in-band error over training seeds, the lower of two."""
-    ordered = sorted(traces, key=lambda t: t.scores.get("nrmse", math.inf))
-    return ordered[(len(ordered) - 1) // 2]

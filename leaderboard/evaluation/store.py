@@ -67,20 +67,15 @@ def to_text(result: Result) -> str:
 
 def load(path: Path) -> Result:
     """Read a row from its file. Raises ConfigError that names file and fault."""
-    return load_with_checksum(path)[0]
-
-
-def load_with_checksum(path: Path) -> tuple[Result, str]:
-    """Read a row and the checksum of its file. Raises ConfigError as `load`."""
-    result, checksum = read(path)
+    result = read(path)
     row = f"the result of {result.estimator} on {result.task}"
     _check_name(path, (result.task, result.estimator) == (path.parent.name, path.stem), row)
-    return result, checksum
+    return result
 
 
 def load_part(path: Path) -> Result:
     """Read a part from its file. Raises ConfigError that names file and fault."""
-    result, _ = read(path)
+    result = read(path)
     _check_name(path, result.identity == path.stem, f"the part {result.identity}")
     return result
 
@@ -114,18 +109,18 @@ def _row_or_failure(path: Path, task: Task) -> Result:
         )
 
 
-def read(path: Path) -> tuple[Result, str]:
-    """Read a row or a part, whatever its name, and the checksum of its file. Raises ConfigError."""
-    data, checksum = RESULT.read(path)
+def read(path: Path) -> Result:
+    """Read a row or a part, whatever its name. Raises ConfigError."""
+    data, _ = RESULT.read(path)
     scores = data.pop("scores", None)
     result = build(Result, data, str(path))
     if scores is None:
         if result.failure is None:
             raise ConfigError(f"{path}: neither scores nor a failure; evaluate again")
-        return result, checksum
+        return result
     columns = vars(build(_ScoreColumns, scores, f"{path}: scores"))
     if len({len(column) for column in columns.values()}) > 1:
         raise ConfigError(f"{path}: scores: columns have different lengths; evaluate again")
     if not np.isfinite(columns["value"]).all():  # it would count as a drive that was not driven
         raise ConfigError(f"{path}: scores: a value is not finite; evaluate again")
-    return dataclasses.replace(result, scores=make_table(columns)), checksum
+    return dataclasses.replace(result, scores=make_table(columns))

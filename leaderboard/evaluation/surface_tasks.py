@@ -114,20 +114,18 @@ def _choose_speed(surface: Surface) -> tuple[float, float]:
 
 def _describe_drive(native: float, length: float, speed: float, lifted: float) -> str:
     """Return the note on what is driven of a surface of `native` length [m], and how."""
+    part = f"All {native:.0f} m are driven"
     if round(native) > round(length):
         part = f"The first {length:.0f} m of {native:.0f} m are driven"
     elif round(native) < round(length):
         part = f"The surface of {native:.0f} m is driven, mirrored up to {length:.0f} m,"
-    else:
-        part = f"All {native:.0f} m are driven"
+    end = "." if speed == SPEEDS_KMH[0] else ": at higher speeds wheels leave the ground."
     if lifted > MAX_LIFTED_TIME:
-        return (
-            f"{part} at {speed:g} km/h, where a wheel is still in the air for {lifted:.1%} of the "
-            "time: the road below it cannot be known, and no bound is given."
+        end = (
+            f", where a wheel is still in the air for {lifted:.1%} of the time: the road below it "
+            "cannot be known, and no bound is given."
         )
-    if speed == SPEEDS_KMH[0]:
-        return f"{part} at {speed:g} km/h."
-    return f"{part} at {speed:g} km/h: at higher speeds wheels leave the ground."
+    return f"{part} at {speed:g} km/h{end}"
 
 
 def _surface_class(surface: Surface) -> str:

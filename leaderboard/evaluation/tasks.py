@@ -137,10 +137,6 @@ class DriveSet(Settings):
         """Every seed that `roads_and_seeds` could contain, for any `number`."""
         return {seed + k * SEED_STRIDE for seed in self.seeds for k in range(len(self.roads))}
 
-    def indices_of_condition(self, condition: int) -> tuple[int, ...]:
-        """Return the indices in `roads_and_seeds` of the drives under a condition, by its index."""
-        return self.design[condition] if self.design else tuple(range(len(self.roads_and_seeds)))
-
     @property
     def strata(self) -> list[list[int]]:
         """Indices in `roads_and_seeds` by family, in which a bootstrap resamples them."""
@@ -265,10 +261,6 @@ class Task(Settings):
         text = json.dumps(to_json_types(parts, _digested_fields), sort_keys=True, default=repr)
         return hashlib.sha256(text.encode()).hexdigest()
 
-    def grade(self, drives: DriveSet, condition: Condition) -> Grade:
-        """Return the grade of the vehicle that is driven; training drives always use S0."""
-        return condition.grade if drives is self.test else "S0"
-
     def seed_stream(self, condition: Condition) -> int:
         """Return the random stream of the sensor noise under a condition, the same for conditions
         that differ in grade only.
@@ -286,8 +278,8 @@ class Task(Settings):
         pairs = drives.roads_and_seeds
         if drives is not self.test:
             return [(k, road, seed) for k, (road, seed) in enumerate(pairs)]
-        indices = drives.indices_of_condition(self.conditions.index(condition))
-        return [(k, *pairs[k]) for k in indices]
+        design = drives.design or [range(len(pairs))] * len(self.conditions)
+        return [(k, *pairs[k]) for k in design[self.conditions.index(condition)]]
 
     @property
     def has_several_test_drives(self) -> bool:

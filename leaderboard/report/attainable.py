@@ -42,7 +42,7 @@ def with_attainable(
     for task in board.tasks:
         found: dict[tuple[str, int], float] = {}
         for condition in task.conditions:
-            if task.grade(task.test, condition) == "S0" and task.bound:
+            if condition.grade == "S0" and task.bound:
                 report(f"{task.name}: attainable error, {condition.label}")
                 errors = _attainable_errors(task, condition, simulate)
                 found |= {(condition.label, k): error for k, error in errors.items()}

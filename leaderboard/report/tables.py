@@ -12,6 +12,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from leaderboard.conformance.probes import count_passed
 from leaderboard.conformance.results import EstimatorCard
 from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.results import Result, score_arrays
@@ -278,7 +279,7 @@ def _scored_row(
         "slope_interval": interval_text(mine.get("slope_low"), mine.get("slope_high"), "slope"),
         "interval": interval_text(mine["low"], mine["high"], definition.ranks_by),
         "states": "/".join(f"{mine[x]:.0f}" for x in TRAINING_STATES if x in mine),
-        "probes": card.passed_count if card else "",
+        "probes": count_passed(card.probes) if card else "",
         "calibrates": {True: "yes", False: "no", None: ""}[result.calibrates if entry else None],
     }
     state: RowState = "scored" if entry else "baseline"

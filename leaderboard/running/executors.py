@@ -29,10 +29,7 @@ ATTEMPTS = 2
 class Executor(Protocol):
     """Executor of jobs."""
 
-    @property
-    def workers(self) -> int:
-        """Number of jobs that run at a time."""
-        ...
+    workers: int  # number of jobs that run at a time
 
     def run(self, jobs: Sequence[Job], out: Path) -> Iterator[JobDone]:
         """Run jobs, store results under `out` and yield each summary in completion order."""

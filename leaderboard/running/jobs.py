@@ -28,7 +28,7 @@ from leaderboard.evaluation.evaluate import (
     simulate_condition,
 )
 from leaderboard.evaluation.provenance import package_version
-from leaderboard.evaluation.results import RESULT, Result, content_digest, evaluation_version
+from leaderboard.evaluation.results import RESULT, content_digest, evaluation_version
 from leaderboard.evaluation.tasks import Task
 from leaderboard.json_values import to_json_types
 from leaderboard.metrics import heights
@@ -63,7 +63,6 @@ class JobDone(Settings):
     entry: str
     condition: str
     content_digest: str
-    isolation: str
     failure: str | None = None
 
 
@@ -134,23 +133,18 @@ def run_job(job: Job, data: ConditionData | str, out: Path, run: EntryRunner) ->
     """
     condition = job.task.conditions[job.condition]
     for entry in job.entries:
+        identity = result_identity(job.task, job.condition, entry, job.seeds)
         result = evaluate_entry(job.task, condition, data, entry, job.seeds, run)
-        yield _store_result(result, job, entry, out)
-
-
-def _store_result(result: Result, job: Job, entry: Entry, out: Path) -> JobDone:
-    identity = result_identity(job.task, job.condition, entry, job.seeds)
-    result = dataclasses.replace(result, identity=identity)
-    store.save_part(store.to_text(result), out, identity)
-    return JobDone(
-        identity=identity,
-        task=job.task.name,
-        entry=entry.name,
-        condition=job.task.conditions[job.condition].label,
-        content_digest=content_digest(result),
-        isolation=result.isolation,
-        failure=result.failure,
-    )
+        result = dataclasses.replace(result, identity=identity)
+        store.save_part(store.to_text(result), out, identity)
+        yield JobDone(
+            identity=identity,
+            task=job.task.name,
+            entry=entry.name,
+            condition=condition.label,
+            content_digest=content_digest(result),
+            failure=result.failure,
+        )
 
 
 def record_crash(job: Job, reason: str, out: Path) -> JobDone:
@@ -165,12 +159,10 @@ def in_sandbox(sandbox: SandboxClient) -> EntryRunner:
     """Return a runner that trains and runs each entry in a guest."""
 
     def run(entry: Entry, data: ConditionData, seeds: Sequence[int]) -> Iterable[TrainingRun]:
-        training, car = evaluate.training_pairs(data), data.task.vehicle_of(data.condition)
-        records = [test.record for test in data.tests]
+        training, records, car, drives = data.inputs
         return sandbox.reconstruct(
-            entry, training, records, car, seeds,
-            calibrations=evaluate.calibrations(data), retest=True,
-        )  # fmt: skip
+            entry, training, records, car, seeds, calibrations=drives, retest=True
+        )
 
     return run
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from leaderboard.entries.entry import Entry
 from leaderboard.evaluation import store
-from leaderboard.evaluation.results import ISOLATED, content_digest, merge_parts
+from leaderboard.evaluation.results import content_digest, merge_parts
 from leaderboard.evaluation.tasks import Task
 from leaderboard.running import job_files
 from leaderboard.running.jobs import Job, JobDone, result_identity
@@ -84,9 +84,8 @@ class Plan:
     def __init__(self, rows: Sequence[PlannedRow], out: Path, resume: bool):
         """Raises NewerFormatError if a row would replace a file in a newer format."""
         self.rows, self.out = rows, out
-        self._digests: dict[Path, str] = {}  # digest of content or file, by path
+        self._digests: dict[Path, str] = {}  # of the content, by path
         self._failed: set[Path] = set()  # parts that hold a failure
-        self._may_be_altered = False
         self._pending = [row for row in rows if not self._is_current(row, resume)]
         for row in self._pending if resume else []:
             for path in self._parts(row):
@@ -107,7 +106,6 @@ class Plan:
         """Record a part that was run."""
         path = store.part_path(self.out, done.identity)
         self._digests[path] = done.content_digest
-        self._may_be_altered |= done.isolation not in ISOLATED
         if done.failure is not None:
             self._failed.add(path)
 
@@ -116,23 +114,22 @@ class Plan:
 
         Files that have changed since they were recorded are dropped and have to be run again.
         """
-        if self._may_be_altered:
-            known = self._digests.items()
-            self._digests = {path: digest for path, digest in known if _is_unchanged(path, digest)}
+        known = self._digests.items()
+        self._digests = {path: digest for path, digest in known if _is_unchanged(path, digest)}
         left = [x for x in self.rows if x in self._pending or self._path(x) not in self._digests]
         self._pending = [row for row in left if not self._assemble(row)]
         return not self._pending
 
     def _is_current(self, row: PlannedRow, resume: bool) -> bool:
         try:
-            result, checksum = store.load_with_checksum(self._path(row))
+            result = store.load(self._path(row))
         except NewerFormatError:
             raise
         except ConfigError:  # missing or damaged
             return False
         if not resume or result.identity != row.identity or result.failure is not None:
             return False
-        self._digests[self._path(row)] = checksum
+        self._digests[self._path(row)] = content_digest(result)
         return True
 
     def _assemble(self, row: PlannedRow) -> bool:
@@ -153,12 +150,10 @@ class Plan:
 
 
 def _is_unchanged(path: Path, digest: str) -> bool:
-    """Return whether `digest` is the checksum of a file or of its reproducible content."""
-    try:
-        result, checksum = store.read(path)
-    except ConfigError:
-        return False
-    return digest in (checksum, content_digest(result))
+    """Return whether `digest` is that of the reproducible content of a file."""
+    with suppress(ConfigError):
+        return digest == content_digest(store.read(path))
+    return False
 
 
 def make_jobs(missing: Iterable[tuple[PlannedRow, int]], workers: int, limits: Limits) -> list[Job]:

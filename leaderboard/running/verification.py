@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from leaderboard.entries.entries import make_entry, registered_entry
+from leaderboard.entries.entries import registered_entry
 from leaderboard.entries.entry import Entry
 from leaderboard.evaluation import store
 from leaderboard.evaluation.comparison import (
@@ -41,7 +41,6 @@ from leaderboard.evaluation.results import Result
 from leaderboard.evaluation.tasks import Condition, Task
 from leaderboard.evaluation.test_data import RecordedDrive, simulate_drives
 from leaderboard.json_values import to_json_types
-from leaderboard.metrics.baselines import MEMORY, TRUTH_PLUS_NOISE
 from leaderboard.metrics.registry import SCORES
 from road_envs.core.artifacts import Kind
 from road_envs.core.config import ConfigError, Settings, build
@@ -169,7 +168,9 @@ def verify_folder(
                 data[condition] = simulate_condition(task, condition, some)
         for row in scored:
             report(f"{task.name}: {row.estimator}", len(found) / len(rows))
-            entry = given.get(row.estimator) or _own_entry(row.estimator, task)
+            entry = given.get(row.estimator) or registered_entry(
+                row.estimator, task.trains_on_test_road
+            )
             found.append(_verify_row(task, row, entry, data, run))
     return found
 
@@ -242,13 +243,6 @@ def _other_claim(row: Result, made: Result) -> str | None:
             return f"its {name} is {getattr(made, name)}, the row says {getattr(row, name)}"
     missing = [note for note in made.notes if note not in row.notes]
     return f"it lacks the note: {missing[0]}" if missing else None
-
-
-def _own_entry(name: str, task: Task) -> Entry | None:
-    """Return the entry of an estimator of this package, as its board would run it."""
-    if name in (MEMORY, TRUTH_PLUS_NOISE):
-        return make_entry(name, None)
-    return registered_entry(name, task.trains_on_test_road)
 
 
 def _tolerance(row: Result) -> float:

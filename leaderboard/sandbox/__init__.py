@@ -9,7 +9,6 @@
     worker             in the guest: becomes another user, sets limits, serves requests
     estimator_handler  in the guest: the requests to an estimator
 
-The host is the process that evaluates. It holds the truth of the test drives, their roads and
-their seeds, and never sends them.
-`docs/running.md` says what is guaranteed, with and without bubblewrap, and what is not.
+The host is the process that evaluates. It holds the truth of the test drives, their roads and their
+seeds, and never sends them. `docs/isolation.md` says what is guaranteed, and what is not.
 """

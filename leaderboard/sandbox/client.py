@@ -90,6 +90,7 @@ class SandboxClient:
             self._temp.close()
             raise ConfigError(f"{obstacle}; install it, or choose the isolation process")
         self._bubblewrap = obstacle is None and self.limits.isolation != "process"
+        self.isolation = "bubblewrap" if self._bubblewrap else "process"
         if owns_all_children:
             processes.become_subreaper()
 
@@ -101,11 +102,6 @@ class SandboxClient:
         if self._owns_all_children:
             processes.kill_descendants()
         self._temp.close()
-
-    @property
-    def isolation(self) -> str:
-        """Isolation of the entries: "bubblewrap" or "process"."""
-        return "bubblewrap" if self._bubblewrap else "process"
 
     def describe(self, reference: str) -> dict[str, Any]:
         """Return settings, causality, lag [m], version and, of a package, the name of its entry
@@ -268,15 +264,14 @@ class SandboxClient:
             self._ours.popitem()[1].close()
 
 
+@dataclasses.dataclass
 class _RemoteSession:
     """A session with an estimator in a guest."""
 
-    def __init__(
-        self, guest: Guest, needs_training: bool, calibrates: bool, uses_seed: bool = True
-    ):
-        self.needs_training, self.calibrates = needs_training, calibrates
-        self.uses_seed = uses_seed
-        self._guest = guest
+    _guest: Guest
+    needs_training: bool
+    calibrates: bool
+    uses_seed: bool = True
 
     def fit(self, training: Sequence[tuple[Record, Profile]], seed: int) -> tuple[int, float]:
         """Train the estimator if it needs training. Raises EntryError."""

@@ -58,6 +58,7 @@ class Guest:
             start_new_session=True,
             pass_fds=handles,
         )
+        self.pid = self._process.pid
         streams = (self._process.stdin, self._process.stdout, self._process.stderr)
         self._requests, self._replies, self._output = (s.fileno() for s in streams if s is not None)
         for handle in (self._requests, self._replies, self._output):
@@ -72,11 +73,6 @@ class Guest:
             self.close()
             raise
 
-    @property
-    def pid(self) -> int:
-        """Number of the process that this one has started."""
-        return self._process.pid
-
     def start_run(self, limits: Limits) -> None:
         """Apply these limits to all calls from now on together; time between calls is free."""
         self.limits, self._seconds_left, self.peak_memory = limits, limits.seconds, 0.0
@@ -84,7 +80,7 @@ class Guest:
 
     def cpu_seconds(self) -> float:
         """Return the processor time [s] of all its processes and threads, ended ones included."""
-        return sum(process.cpu for process in self._tree())
+        return sum(process.cpu for process in processes.tree(self.pid))
 
     def call(
         self, request: bytes, size_of_arrays: Callable[[dict[str, Any]], int] = lambda head: 0
@@ -143,22 +139,19 @@ class Guest:
     def close(self) -> None:
         """Kill the guest and all that it has started."""
         # children first: an orphan would be looked for in vain
-        for process in self._tree()[1:]:
+        for process in processes.tree(self.pid)[1:]:
             processes.kill(process.pid)
-        processes.kill_group(self.pid)
+        processes.kill(-self.pid)
         processes.kill(self.pid)
         for stream in (self._process.stdin, self._process.stdout, self._process.stderr):
             with suppress(OSError, AttributeError):
                 stream.close()  # type: ignore[union-attr]
         self._process.wait()
 
-    def _tree(self) -> list[processes.Process]:
-        return processes.tree(self.pid)
-
     def _measure(self) -> None:
         """Record the memory in use. Raises EntryError above a limit."""
         self._next_check = time.monotonic() + POLL_INTERVAL
-        running = self._tree()
+        running = processes.tree(self.pid)
         tables = processes.page_tables(running)
         used = tables + sum(process.resident for process in running)
         if used > self.limits.memory * GIB and len(running) > 1:

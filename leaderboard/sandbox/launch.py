@@ -38,16 +38,15 @@ def start_guest(
     """
     home.mkdir()
     cache = cache_home()
-    has_cache = (cache / _numba.CACHE.name).is_dir()
+    kernels = cache / _numba.CACHE.name
+    has_cache = kernels.is_dir()
     read_only: dict[Path, Path] = {}
     writable: dict[Path, Path] = {}
     seen, shared = code, cache  # the paths of both inside
     if isolated and code is not None:
         seen, shared = bubblewrap.ENTRY, bubblewrap.SHARED_CACHE
-        read_only[code] = seen
-        if has_cache:
-            needed = [cache / _numba.CACHE.name, *cache.glob("*.json")]
-            read_only |= {path: shared / path.name for path in needed}
+        needed = [kernels, *cache.glob("*.json")] if has_cache else []
+        read_only = {code: seen} | {path: shared / path.name for path in needed}
     elif isolated and has_cache:
         writable[cache] = bubblewrap.HOME / cache.name
     setup = worker.Setup(

@@ -101,15 +101,9 @@ def kill_descendants(timeout: float = 10.0) -> None:
 
 
 def kill(pid: int) -> None:
-    """Kill a process if it exists."""
+    """Kill a process if it exists, or with a negative number the process group of its leader."""
     with suppress(ProcessLookupError, PermissionError):
         os.kill(pid, signal.SIGKILL)
-
-
-def kill_group(pid: int) -> None:
-    """Kill the process group of the leader `pid` if it exists."""
-    with suppress(ProcessLookupError, PermissionError):
-        os.killpg(pid, signal.SIGKILL)
 
 
 def _read_process(pid: int) -> Process | None:
