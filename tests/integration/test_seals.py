@@ -11,8 +11,9 @@ import threading
 
 import pytest
 from fakes import fake_drives, task
+from wheels import module, write_wheel
 
-from leaderboard.entries import entry_files
+from leaderboard.entries import entries, entry_files
 from leaderboard.entries.entry import Entry, EntryError, reconstruct_all
 from leaderboard.sandbox import bubblewrap, client, guest, seccomp
 from leaderboard.sandbox.client import SandboxClient
@@ -186,6 +187,17 @@ def test_a_guest_that_is_killed_as_it_starts_is_started_again(sandbox, monkeypat
     ended_at_once(monkeypatch, 2)
     with pytest.raises(EntryError, match=r"its guest ended 2 times as it started: .*SIGKILL"):
         run(sandbox, "nothing")
+
+
+def test_no_module_of_a_wheel_stands_before_those_of_the_judge(sandbox, tmp_path):
+    code = "raise SystemExit('loaded')\n"
+    names = ("numpy/__init__", "leaderboard/__init__", "sitecustomize", "usercustomize", "signal")
+    files = [(f"{name}.py", code) for name in names]
+    (entry,) = entries.resolve_entries(
+        [str(write_wheel(tmp_path, "shadow", module(), files=files))], sandbox.describe
+    )
+    assert entry.failure is None
+    assert sandbox.reconstruct(entry, [], *drives(1), (1,))[0].estimates
 
 
 def test_an_entry_runs_whatever_the_umask(tmp_path):
