@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimators.api import CalibrationDrive
-from leaderboard.evaluation.kept_drives import kept_drive
+from leaderboard.evaluation.kept_drives import drive_of_plant
 from leaderboard.evaluation.tasks import Condition, DriveSet, ModeAndSpeed, Task
 from road_envs.drives.recording import simulate_record
 from road_envs.kernels.filters import LOW_PASS_ORDER, preprocess_accelerations
@@ -89,7 +89,8 @@ def _driven(
     of_vehicle, of_surface, of_noise = seeds
     if condition.plant and drives is task.test:
         car = condition.car or task.car
-        return kept_drive(condition.plant, car, surface, run.speed_kmh, of_surface)
+        where = (surface, run.speed_kmh, of_surface, task.sensors)
+        return drive_of_plant(condition.plant, car, *where)
     instruments = task.sensors
     if not drives.noise:
         instruments = dataclasses.replace(instruments, noise_density=0.0, speed_error=0.0)

@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 from leaderboard.cli import app
 from leaderboard.evaluation import hidden_seeds
 from leaderboard.evaluation.tasks import load_task
+from leaderboard.evaluation.test_data import simulate_drives
 from leaderboard.running.board import run_board
 from road_envs.core import config
 from road_envs.core.config import ConfigError
@@ -68,6 +69,19 @@ def test_every_shipped_task_goes_from_commitment_to_a_scored_row(name, tmp_path)
     board = run_board(request, tmp_path / "out", Counting({"reader": Reader()}))
     (ran,) = request.sized_tasks()
     assert "reader" in {row.estimator for row in board.scored(ran)} and not board.failed(ran)
+
+
+def test_a_season_of_the_plants_is_driven_by_them(tmp_path):
+    for extra in ("mujoco", "vehiclemodels"):
+        pytest.importorskip(extra, reason="the extra `plants` is not installed")
+    hidden_seeds.save(hidden_seeds.commit(SALT, [load_task("plants_blind")]), tmp_path)
+    hidden = load_task(hidden_seeds.reveal(SALT, tmp_path)[0])
+    of_plant = {condition.plant: condition for condition in hidden.conditions}
+    assert "mujoco" in of_plant
+    for condition in of_plant.values():
+        (drive,) = simulate_drives(hidden, hidden.test, condition)
+        assert drive.seed in hidden.test.seeds and drive.record.length == 100.0
+        assert len(drive.calibration) == len(hidden.calibration) > 0
 
 
 def test_the_design_of_the_public_drives_is_repeated_over_the_hidden_ones(tmp_path):

@@ -1,16 +1,19 @@
 """Kept drives of foreign plants: all that tasks need are there, and are what the plants make."""
 
 import dataclasses
+import importlib.util
+import sys
 
 import numpy as np
 import pytest
 
-from leaderboard.evaluation.kept_drives import kept_digest, kept_drive, kept_path
+from leaderboard.evaluation.kept_drives import drive_of_plant, kept_digest, kept_path
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.evaluation.test_data import simulate_drives
 from road_envs.core.config import ConfigError
 from road_envs.plants.commonroad_car import as_driven
 from road_envs.roads import realise_road
+from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import load_vehicle
 from studies.plant_records import PLACES, TASKS, needed
 
@@ -52,10 +55,15 @@ def test_a_drive_is_driven_over_the_road_of_its_seed():
     assert lags[0] > 1.5 * lags[1]
 
 
-def test_what_is_not_kept_is_refused():
-    surface = realise_road("iso_c", 1, 100.0)
-    with pytest.raises(ConfigError, match=r"is not kept: .* simulate --plant"):
-        kept_drive("mujoco", "bmw_320i", surface, 36.0, 1)
+def test_what_is_not_kept_is_driven_by_the_plant_or_refused(monkeypatch):
+    surface, sensors = realise_road("iso_c", 1, 30.0), load_instruments("paper")
+    drive = ("mujoco", "bmw_320i", surface, 36.0, 1, sensors)
+    if importlib.util.find_spec("mujoco"):
+        record, truth = drive_of_plant(*drive)
+        assert record.length == 30.0 and np.ptp(truth.z) > 0.0
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(ConfigError, match=r"is not kept: .*pip install 'road-envs\[plants\]'"):
+        drive_of_plant(*drive)
 
 
 def test_the_described_car_is_that_of_the_condition():
