@@ -31,7 +31,7 @@ def drive_of_plant(
 ) -> tuple[Record, Profile]:
     """Return the record, kept or made, and the true profile of a drive over a surface.
 
-    `seed` is that of the surface. Raises ConfigError without the program of a drive that is not kept.
+    `seed` is that of the surface. Raises ConfigError if it is not kept nor can be made.
     """
     path = kept_path(plant, car, surface.name, speed_kmh, seed)
     if not path.exists():

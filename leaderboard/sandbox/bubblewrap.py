@@ -49,7 +49,7 @@ SYSTEM = ("/usr", "/lib", "/lib32", "/lib64", "/bin", "/etc/ld.so.cache", "/etc/
 
 COUNTERS = tuple(Path("/proc", name) for name in (
     "stat", "vmstat", "diskstats", "loadavg", "interrupts", "softirqs", "schedstat", "zoneinfo",
-    "buddyinfo", "slabinfo", "pagetypeinfo", "timer_list", "locks",
+    "buddyinfo", "slabinfo", "pagetypeinfo", "timer_list", "locks", "vmallocinfo",
 ))  # fmt: skip
 """Files with counts of the whole machine, by which one guest could tell another a number: empty."""
 
