@@ -35,7 +35,7 @@ def sandbox():
 
 def check_results(sandbox, name):
     (entry,) = resolve_entries(
-        [name if ":" in name or name.islower() else f"bad_estimators:{name}"], sandbox
+        [name if ":" in name or name.islower() else f"bad_estimators:{name}"], sandbox.describe
     )
     return {result.name: result for result in check_entry(entry, sandbox, LIMITS)}
 
