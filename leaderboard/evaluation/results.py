@@ -163,7 +163,7 @@ class Result(Settings):
             return f"scored by metrics {self.metric_version}, now {heights.VERSION}"
         if self.evaluation_code != evaluation_version():
             return "driven or scored by other code"
-        if entry is None:
+        if entry is None or not self.code:
             return None
         if self.code != entry.code:
             return "its code or its weights have changed"

@@ -238,7 +238,7 @@ def _other_drives(row: Result, task: Task) -> str | None:
 
 def _other_claim(row: Result, made: Result) -> str | None:
     """Return what a row says otherwise of its entry than was found; None if nothing."""
-    for name in ("role", "causal", "lag", "calibrates"):
+    for name in ("role", "causal", "lag", "calibrates", "code", "settings"):
         if getattr(row, name) != getattr(made, name):
             return f"its {name} is {getattr(made, name)}, the row says {getattr(row, name)}"
     missing = [note for note in made.notes if note not in row.notes]
