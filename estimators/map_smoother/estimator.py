@@ -34,9 +34,8 @@ import numpy as np
 
 from estimators.api import CalibrationError, copy_with
 from estimators.common.explained import reduce_unexplained
-from estimators.common.misfit import misfit_note
+from estimators.common.misfit import NOISE_SCALE_WARNING, misfit_note
 from estimators.common.odometer import calibrate_odometer
-from estimators.map_smoother.gauss_newton import NOISE_SCALE_WARNING
 from estimators.map_smoother.identification import STRUCTURE_GAIN, identify_structure
 from estimators.map_smoother.identified_vehicle import CalibratedByIdentification
 from estimators.map_smoother.preparation import SolverSettings
@@ -174,7 +173,11 @@ class MapSmoother(CalibratedByIdentification, SolverSettings):
             notes.append(
                 f"the heights are reduced to {share:.0%}: their motion is not the measured one"
             )
-        return Estimate(s, z, z_std, tuple(notes), distance=distance, draws=draws), findings
+        residual = float(np.sqrt(findings.noise_scale.max()))
+        found = Estimate(
+            s, z, z_std, tuple(notes), distance=distance, draws=draws, residual=residual
+        )
+        return found, findings
 
 
 def _findings_notes(findings: Findings, names: Sequence[str]) -> list[str]:

@@ -15,6 +15,7 @@ from scipy.fft import rfftfreq
 from scipy.signal import welch
 
 from estimators.common.conjugate_gradients import Operator, conjugate_gradients
+from estimators.common.misfit import NOISE_SCALE_WARNING
 from estimators.map_smoother.objective import Linearization, Objective
 from estimators.map_smoother.one_pass import LinearizedPass
 from estimators.map_smoother.preconditioner import StationaryHessian
@@ -45,9 +46,6 @@ measurements with a narrow band the road takes most, and what it has not taken y
 
 MAX_HALVINGS = 6
 """Halvings of a step in the line search, at most."""
-
-NOISE_SCALE_WARNING = 2.0
-"""Noise scale above which the vehicle counts as different from the model."""
 
 REWEIGHTING_STEPS, WELCH_SEGMENT = 3, 128
 """Steps under frequency-dependent noise, and blocks in a segment of the residual's periodogram."""

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.fft import irfft
 
 from estimators.common.explained import reduce_unexplained, trusted_share, untrusted_note
-from estimators.common.misfit import misfit_note
+from estimators.common.misfit import NOISE_SCALE_WARNING, misfit_note
 from estimators.common.odometer import calibrate_odometer
 from estimators.preprocessing import mask_record
 from estimators.wiener.adaptation import adapt_vehicle
@@ -35,12 +35,6 @@ from road_envs.vehicle.parameters import VehicleParameters
 
 SEGMENT_LENGTH, SEGMENT_MARGIN = 150.0, 40.0
 """Length [m] of a segment, and of the record used on either side of it."""
-
-NOISE_SCALE_WARNING = 2.0
-"""Mean scale of the noise on a segment above which a note says so. With the paper's instruments it
-is 0.85 to 1.3 for the vehicle and mode described, 1.7 to 2.4 in ride if handling was driven, and
-above 40 for a vehicle of grade S2; a drive in ride that is described as handling stays below.
-"""
 
 
 def smooth_record(
@@ -90,7 +84,8 @@ def smooth_record(
     z, std = total / weights, std_factor * total_std / weights
     share = trusted_share(masked.record, masked.valid, car, sensors, z)
     z, z_std = reduce_unexplained(z, std, share)
-    return Estimate(stations, z, z_std, (*notes, *untrusted_note(share)))
+    residual = float(np.sqrt(unexplained))
+    return Estimate(stations, z, z_std, (*notes, *untrusted_note(share)), residual=residual)
 
 
 def to_grid(

@@ -1,7 +1,5 @@
 """Results of one drive: segments with IRI, class, condition and quality, and obstacles."""
 
-import re
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -15,7 +13,13 @@ from leaderboard.drive_report.mean_path import (
     mean_path_indices,
     path_level_ratio,
     tells_paths_apart,
+    tells_vehicle,
     with_mean_path,
+)
+from leaderboard.drive_report.notes import (
+    in_order_of_weight,
+    is_far_off,
+    misfits,
 )
 from leaderboard.drive_report.obstacles import CERTAIN, DetectedObstacle, detect
 from leaderboard.drive_report.posterior_iri import (
@@ -52,35 +56,6 @@ OCTAVES = (0.125, 0.25, 0.5, 1.0)
 
 WAVES_PER_SEGMENT = 2.0
 """Least number of waves of an octave in a segment."""
-
-MISFIT = r"does not reproduce|times the expected one|heights are reduced"
-"""Notes of an estimator whose model does not give the measured motion."""
-
-WEIGHTS = (
-    r"heights there are not known",
-    MISFIT,
-    r"IRI has no interval where",
-    r"no side motion",
-    r"fits .* better|moved in its mount|the speed and the wheelbase|without tolerances",
-    r"swings by itself|wheels were in the air|the unit|is in g|check ",
-    r"do not tell left from right",
-    r"known IRI|was adapted|adapted to the drive|one road from|not compared",
-    r"is taken to lie|are read as|is taken as|split at its pauses|left out",
-    r"mounted with|follows the front axle|axle to axle|do not reach|does not reach|lie behind",
-    r"",
-    r"values every|interpolated|resampled|scaled by",
-)
-"""Patterns of notes, the weightiest first; a note has the weight of the first that it matches, and
-the empty one is that of all others.
-"""
-
-LARGE_RESIDUAL = 3.0
-"""Residual in times of the sensors' noise from which on obstacles are only possible ones."""
-
-HUGE_RESIDUAL = 8.0
-"""The same from which on the IRI has no interval: a saloon whose frame twists at 15 Hz, with phones
-on both sides, has 10 to 50, and an IRI of 0.3 to 2.4 times the true one; with up to 6 it was right
-to 10 % (`studies/few_sensors.py`, seeds 101 and 103)."""
 
 HUGE_RESIDUAL_NOTE = (
     "the IRI has no interval where the model leaves so much unexplained: on trial it was then a "
@@ -135,13 +110,15 @@ def analyse(
     *,
     segment: float = 100.0,
     clipping: float | np.ndarray = np.inf,
+    noise: float = np.nan,
     distance_std: float = 0.0,
     modes: Modes = MODES,
     known: KnownFactor | None = None,
 ) -> DriveResult:
     """Return the results of a drive by segments of `segment` [m], at whole multiples of it.
 
-    `clipping` [m/s²], one or (k, 1), is the magnitude from which on a sample is clipped,
+    `clipping` [m/s²], one or (k, 1), is the magnitude from which on a sample is clipped, `noise`
+    [m/s²] the RMS of the sensors' noise,
     `distance_std` the relative standard deviation of distances from the first sample. `modes` name
     the states of the struts; `known` is the factor of this car and mount by a stretch of known IRI.
     """
@@ -150,16 +127,16 @@ def analyse(
     if mean_path:
         estimate = with_mean_path(estimate)
     edges = _edges(estimate, measured.chainage, segment, record.s[0])
-    factor, std = known or KnownFactor(1.0, HRI_STD if mean_path else 0.0)
+    factor, std = known or KnownFactor(1.0, 0.0 if tells_vehicle(record.sensors) else HRI_STD)
+    if misfits(estimate, mean_path):
+        std = float(np.hypot(std, MISFIT_STD))
     if mean_path:
-        if misfits(estimate.notes, mean_path):
-            std = float(np.hypot(std, MISFIT_STD))
         index = np.searchsorted(estimate.s, edges)
         half, iri = mean_path_indices(estimate.z[:1], estimate.ds, index, factor, std)
     else:
         half, iri = None, posterior_iri(estimate, edges, factor=factor, relative_std=std)
     missing = (NO_INTERVAL_NOTE,) if np.isnan(iri.high).any() else ()
-    if not mean_path and _largest_residual(estimate.notes) >= HUGE_RESIDUAL:
+    if not mean_path and is_far_off(estimate, record, noise):
         iri, missing = iri.without_interval(), (HUGE_RESIDUAL_NOTE,)
     notes = in_order_of_weight((*estimate.notes, *measured.notes, *missing))
     result = DriveResult(
@@ -281,7 +258,7 @@ def _flags(
 
 def _is_certain(result: DriveResult, found: DetectedObstacle) -> bool:
     """Whether an obstacle is no possible one: its confidence, and a model that fits the record."""
-    return found.confidence >= CERTAIN and not misfits(result.notes, result.is_mean_path)
+    return found.confidence >= CERTAIN and not misfits(result.estimate, result.is_mean_path)
 
 
 def _obstacle(result: DriveResult, found: DetectedObstacle, distance_std: float) -> dict[str, Any]:
@@ -303,28 +280,3 @@ def _obstacle(result: DriveResult, found: DetectedObstacle, distance_std: float)
         "lat": lat,
         "lon": lon,
     }
-
-
-def misfits(notes: Iterable[str], is_mean_path: bool) -> bool:
-    """Whether a note says that the model is far from reproducing the record. The mean path alone
-    can explain any record of its sensors, so what it leaves tells whenever it is noted.
-    """
-    residual = _largest_residual(notes)
-    return residual >= LARGE_RESIDUAL or (is_mean_path and residual > 0.0)
-
-
-def _largest_residual(notes: Iterable[str]) -> float:
-    """Return the residual that notes tell, in times of the sensors' noise; 0 if none does."""
-    told = (re.search(r"residual ([\d.]+) times", note) for note in notes)
-    return max((float(found[1]) for found in told if found), default=0.0)
-
-
-def in_order_of_weight(notes: Iterable[str]) -> tuple[str, ...]:
-    """Return the notes without repetitions, by WEIGHTS; equal ones stay in their order."""
-    return tuple(sorted(dict.fromkeys(notes), key=_weight))
-
-
-def _weight(note: str) -> int:
-    others = WEIGHTS.index("")
-    matches = [k for k, text in enumerate(WEIGHTS) if text and re.search(text, note)]
-    return min(matches, default=others)

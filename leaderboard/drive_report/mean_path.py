@@ -17,21 +17,23 @@ to 1.33. The level of D is that of the geometric mean of theory and the middle o
 
 The HRI is that of the profile. Of a vehicle as described it is 4 % low, as the estimate is smooth.
 Bodies bend at 15 to 40 Hz, which no description says and a device feels as short waves:
-`estimators.wiener.bending_search` finds it in the spectrum (phone on the dashboard, seeds 101 to
+`estimators.wiener.structure_search` finds it in the spectrum (phone on the dashboard, seeds 101 to
 127: without that the IRI of such drives is up to 112 % high).
 """
 
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
+from itertools import combinations
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from scipy.ndimage import median_filter
 
+from estimators.wiener.drive_check import LEAST_CHANNELS
 from leaderboard.drive_report.posterior_iri import IriPosterior
 from road_envs.records.accelerometers import Accelerometer
-from road_envs.records.record import Estimate
+from road_envs.records.record import Estimate, Record
 from road_envs.records.roughness import TRACK, golden_car, root_coherence
 
 MEASURED_RATIO = 1.0 / 0.8
@@ -66,6 +68,9 @@ SAMPLES = 64
 LEAST_APART = 0.4
 """Least distance [m] to the left of one another at which sensors of the body tell its roll."""
 
+SAME_PLACE = 0.5
+"""Most distance [m] along the body of two sensors that are a pair."""
+
 MEAN_PATH_NOTE = (
     "One sensor, or sensors on one line, do not tell left from right: heights are those of the "
     "mean of both wheel paths, HRI is its index (Sayers 1989), and the IRI has the expected "
@@ -84,6 +89,30 @@ def tells_paths_apart(layout: Mapping[str, Accelerometer] | None) -> bool:
         if (ys := [sensor.y for sensor in layout.values() if sensor.mounted == place])
     ]
     return max(apart) >= LEAST_APART
+
+
+def tells_vehicle(layout: Mapping[str, Accelerometer] | None) -> bool:
+    """Whether accelerometers tell a vehicle from a road, whose paths explain any two of them."""
+    return tells_paths_apart(layout) and (layout is None or len(layout) >= LEAST_CHANNELS)
+
+
+def means_of_pairs(record: Record, layout: Mapping[str, Accelerometer]) -> Record | None:
+    """Return a record of the means of sensors of the `layout` on both sides of the body, as sensors
+    on its centre line, which feel neither roll nor twist; None if there are no such pairs.
+    """
+    places, means = list(layout.items()), {}
+    for i, j in combinations(range(len(places)), 2):
+        (name, one), (_, other) = places[i], places[j]
+        is_pair = one.mounted == other.mounted == "body" and one.axle == other.axle
+        if is_pair and abs(one.ahead - other.ahead) <= SAME_PLACE and one.y * other.y < 0.0:
+            share = other.y / (other.y - one.y)
+            ahead = share * one.ahead + (1.0 - share) * other.ahead
+            centred = replace(one, ahead=ahead, y=0.0)
+            means[name] = (centred, share * record.a[i] + (1.0 - share) * record.a[j])
+    if not means:
+        return None
+    sensors = {name: sensor for name, (sensor, _) in means.items()}
+    return replace(record, a=np.array([a for _, a in means.values()]), sensors=sensors)
 
 
 @cache

@@ -131,7 +131,7 @@ def _join(
 def _analysed(each: ReportedPass, drive: DriveFile, chosen: ReportSettings) -> DriveResult:
     distance = each.estimate.distance
     speed_error = load_instruments(drive.sensors).speed_error
-    ranges = instruments_of(each.measured.record, drive.sensors).ranges
+    instruments = instruments_of(each.measured.record, drive.sensors)
     told = drive.description
     known = None
     if told.iri_factor is not None:
@@ -143,7 +143,8 @@ def _analysed(each: ReportedPass, drive: DriveFile, chosen: ReportSettings) -> D
         chosen.conditions,
         segment=chosen.segment,
         modes=drive.car.modes,
-        clipping=ranges[:, None],
+        clipping=instruments.ranges[:, None],
+        noise=instruments.noise_rms(each.measured.record.fs),
         distance_std=distance.std if distance else speed_error,
         known=known,
     )

@@ -110,7 +110,8 @@ class Estimate(Profile):
     are roads drawn from its posterior, in all waves, with the errors of the vehicle. `distance` is
     the scale of the record's odometer, on which the stations are, where a method finds it. `unsure`
     (M,) bool marks stations at which the vehicle turned, changed its speed hard or stood; None if
-    it is not known to have done so.
+    it is not known to have done so. `residual` is the RMS of what the method's model leaves of the
+    accelerations, over that of the sensors' noise; None of methods without such a model.
     """
 
     z_std: np.ndarray | None = None
@@ -119,6 +120,7 @@ class Estimate(Profile):
     distance: DistanceScale | None = None
     unsure: np.ndarray | None = None
     draws: np.ndarray | None = None
+    residual: float | None = None
 
 
 @dataclass(frozen=True)

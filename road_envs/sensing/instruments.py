@@ -74,6 +74,10 @@ class Instruments(Settings):
         own = [sensor.noise_density for sensor in self.accelerometers.values()]
         return np.array([self.noise_density if x is None else x for x in own], dtype=float)
 
+    def noise_rms(self, fs: float) -> float:
+        """Return the RMS [m/s²] of the accelerometers' noise, sampled at `fs` [Hz]."""
+        return float(np.sqrt(0.5 * fs * np.mean(self.noise_densities**2)))
+
     def response(self, f: np.ndarray) -> np.ndarray:
         """Return the complex response [-] of the anti-alias filter at `f` [Hz], any shape.
 

@@ -7,11 +7,12 @@ import pytest
 from phone_recordings import FOLDER
 
 from estimators.common.misfit import misfit_note
-from leaderboard.drive_report.analysis import KnownFactor, analyse, in_order_of_weight
+from leaderboard.drive_report.analysis import KnownFactor, analyse
 from leaderboard.drive_report.conditions import load_conditions
 from leaderboard.drive_report.drive_estimates import make_drive_estimator
 from leaderboard.drive_report.known_iri import known_factor, read_known_iri
 from leaderboard.drive_report.mean_path import path_level_ratio, path_ratio, tells_paths_apart
+from leaderboard.drive_report.notes import in_order_of_weight
 from road_envs.core.config import ConfigError
 from road_envs.drives.measured_record import MeasuredRecord
 from road_envs.drives.places import PLACES
@@ -91,7 +92,7 @@ def test_one_sensor_whose_record_is_not_reproduced_has_a_wider_interval():
     surface, found = result()
     z = np.full((2, profile_stations(300.0).size), 1e-4)
     s = profile_stations(300.0)
-    noted = Estimate(s, surface.height(s), z, (misfit_note(16.0),))
+    noted = Estimate(s, surface.height(s), z, residual=4.0)
     wide = analyse("one", found.measured, noted, HPMS).segments[1]
     narrow = found.segments[1]
     width = [np.log(row["iri_mean_high"] / row["iri_mean_low"]) for row in (wide, narrow)]
@@ -104,7 +105,7 @@ def test_an_iri_has_no_interval_where_the_model_is_far_from_the_record(residual,
     s = profile_stations(300.0)
     z = surface.height(s)
     draws = z + 1e-4 * np.random.default_rng(0).standard_normal((8, *z.shape))
-    estimate = Estimate(s, z, None, (misfit_note(residual**2),), draws=draws)
+    estimate = Estimate(s, z, None, draws=draws, residual=residual)
     doubted = analyse("one", found.measured, estimate, HPMS)
     assert np.isfinite(doubted.segments[1]["iri_mean_high"]) == told
     assert any("IRI has no interval" in note for note in doubted.notes[:2]) != told
@@ -122,10 +123,10 @@ def test_obstacles_are_possible_where_the_model_does_not_reproduce_the_record():
     surface, found = result(layout=None)
     z = surface.height(profile_stations(300.0))
     z[:, 4000:4100] += 0.2
-    bad = Estimate(profile_stations(300.0), z, None, (misfit_note(16.0),))
+    bad = Estimate(profile_stations(300.0), z, residual=4.0)
     measured = found.measured
     doubted = analyse("one", measured, bad, HPMS).obstacles
-    near = Estimate(bad.s, z, None, (misfit_note(3.0),))
+    near = Estimate(bad.s, z, residual=1.7)
     certain = analyse("one", measured, near, HPMS).obstacles
     assert doubted and all(o["kind"].startswith("possible") for o in doubted)
     assert any(not o["kind"].startswith("possible") for o in certain)

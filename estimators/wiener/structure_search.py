@@ -1,0 +1,284 @@
+"""Bending and twist of the body, which descriptions leave out, from the spectrum of a drive.
+
+A body that bends answers the wheels at its own frequency, at every speed. One sensor cannot tell
+that from waves of the road, and puts them into its profile: a bending at 20 Hz of a car that drives
+at 100 km/h makes waves of 1.4 m three times as rough as they are (`studies/phone_reports.py`). A
+frame that twists at 7 to 20 Hz rolls sensors on both sides against one another: a stiff model with
+three or four of them explains that by no road, and halves the heights, or by a difference of the
+paths that is not there (`studies/few_sensors.py`). But a road has no reason for a narrow peak. The
+periodogram of the accelerations, away from obstacles, is therefore compared by Whittle's likelihood
+with those of the linearised vehicle on roads of a power law, with bodies that bend or twist and
+without. Sensors on both sides count by their mean and half their difference.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import combinations, product
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from scipy.ndimage import correlate1d
+from scipy.signal import welch
+
+from estimators.common.bending import sensed_bending
+from estimators.wiener.drive_check import obstacle_samples
+from estimators.wiener.segments import dominant_modes
+from estimators.wiener.spectral_model import SensedVehicle
+from road_envs.analysis.information_bound import RoadPrior, equivalent_damping
+from road_envs.analysis.statistical_linearization import (
+    hermitian,
+    nonlinear_residual,
+    residual_force_psd,
+)
+from road_envs.records.record import Record
+from road_envs.records.roughness import CLASSES
+from road_envs.sensing.instruments import Instruments, SensorLocation, instruments_of
+from road_envs.vehicle.linear_model import force_response, frequency_response, linearise
+from road_envs.vehicle.parameters import (
+    BendingMode,
+    Tolerance,
+    TorsionalFrame,
+    VehicleParameters,
+)
+
+BENDING_F, BENDING_ZETA = np.geomspace(13.0, 40.0, 40), (0.03, 0.06)
+"""Frequencies [Hz] and damping ratios that are tried: from those of bodies on rubber mounts to the
+first bending of trimmed bodies."""
+
+FRAME_F, FRAME_ZETA = np.geomspace(6.5, 22.0, 24), (0.05, 0.1)
+"""The same of a frame's twist; a fit to the drive goes on from what is found, within the
+tolerances FRAME_TOLERANCES."""
+
+FRAME_TOLERANCES = {
+    "variation.frame.f": Tolerance(relative=0.1, source="found in the spectrum of the drive"),
+    "variation.frame.zeta": Tolerance(relative=0.4, source="as its frequency"),
+}
+
+SAME_AXLE, LEAST_APART = 0.5, 0.4
+"""Distances [m] along the vehicle up to which two sensors are a pair, and across it from which on
+they tell its roll."""
+
+BODY_OVER_WHEELBASE = 1.6
+"""Length of a body over the wheelbase."""
+
+WAVINESS = (1.7, 2.0, 2.3)
+"""Exponents of the road's spectrum that are tried."""
+
+WINDOW, F_RANGE = 1.0, (0.9, 38.0)
+"""Length [s] of the windows of the periodogram, and its range [Hz]."""
+
+HANN_LINES = 1.5
+"""Lines that one independent line of a Hann window is spread over."""
+
+LEAST_WINDOWS = 4.0
+"""Independent windows without obstacles below which nothing is looked for."""
+
+SAME_SPEED = 0.1
+"""Relative range of the speeds of the windows."""
+
+MIN_GAIN = 15.0
+"""Least difference of the deviance for a body that bends. With it 10 of 10 such bodies of two
+cars are found (70 and 100 km/h, classes A to C, seeds 101 to 126), 9 of them within 4 % of their
+frequency, and none of 10 stiff ones bends."""
+
+
+LEVEL_UPDATES, LEVEL_STEPS = 2, 8
+"""Updates of the road's level, on which the equivalent dampers depend, and steps for each."""
+
+HANN_KERNEL = np.array([1.0, 4.0, 1.0]) / 6.0
+"""Power that a line of a Hann window takes from its neighbours."""
+
+
+def with_bending(record: Record, car: VehicleParameters, instruments: str) -> VehicleParameters:
+    """Return a `car` with the bending of its body that the spectrum of its drive shows, if any.
+
+    Drives that change the state of their struts, and short ones, are not searched. Raises
+    ConfigError.
+    """
+    drive = _CalmDrive.of(record, car, instruments)
+    if car.variation.bending is not None or not drive.tells(record):
+        return car
+    length = BODY_OVER_WHEELBASE * car.wheelbase
+    modes = [
+        BendingMode(f=float(x), zeta=zeta, length=length)
+        for x, zeta in product(BENDING_F, BENDING_ZETA)
+    ]
+    bent = [replace(car, variation=replace(car.variation, bending=mode)) for mode in modes]
+    vehicle, locations = SensedVehicle.of(bent[0], drive.sensors), drive.sensors.locations(car)
+    bendings = [one for other in bent if (one := sensed_bending(other, locations))]
+    stiff = replace(bendings[0], shape=np.zeros_like(bendings[0].shape))
+    deviances = []
+    for w in WAVINESS:
+        spectra = drive.on_fitted_level(replace(vehicle, bending=stiff), w)
+        parts = [replace(vehicle, bending=one) for one in (stiff, *bendings)]
+        deviances.append([drive.deviance(spectra._replace(vehicle=one)) for one in parts])
+    gain = np.min(deviances, axis=0)
+    best = int(np.argmin(gain[1:]))
+    return bent[best] if gain[0] - gain[1 + best] > MIN_GAIN else car
+
+
+def with_twist(record: Record, car: VehicleParameters, instruments: str) -> VehicleParameters:
+    """Return a `car` with the frame that the spectrum of its drive shows, if any, and tolerances.
+
+    The frame that explains the first half of the drive best has to explain the second one better
+    than a stiff body. Drives as of `with_bending`, and those whose sensors do not tell the roll,
+    are not searched. Raises ConfigError.
+    """
+    drive = _CalmDrive.of(record, car, instruments)
+    if car.variation.frame is not None or not (drive.tells(record) and drive.has_pairs):
+        return car
+    modes = [TorsionalFrame(f=float(x), zeta=y) for x, y in product(FRAME_F, FRAME_ZETA)]
+    bodies = [replace(car, variation=replace(car.variation, frame=mode)) for mode in modes]
+    middle = len(drive.power) // 2
+    halves = [replace(drive, power=part) for part in (drive.power[:middle], drive.power[middle:])]
+    rows = []
+    for w in WAVINESS:
+        first = drive.on_fitted_level(SensedVehicle.of(car, drive.sensors), w)
+        others = [first.of_other(SensedVehicle.of(body, drive.sensors)) for body in bodies]
+        rows.append([[one.deviance(x) for x in (first, *others)] for one in (*halves, drive)])
+    one, other, whole = np.min(rows, axis=0)
+    is_believed = other[0] - other[1 + int(np.argmin(one[1:]))] > MIN_GAIN
+    found = bodies[int(np.argmin(whole[1:]))]
+    return replace(found, tolerances=found.tolerances | FRAME_TOLERANCES) if is_believed else car
+
+
+def _pairs(locations: Mapping[str, SensorLocation]) -> np.ndarray:
+    """Return the weights (C, S) of the sensors in the channels: of pairs on both sides the mean and
+    half the difference, and each sensor that is in no pair.
+    """
+    places, rows = list(locations.values()), []
+    unit, alone = np.eye(len(places)), np.ones(len(places), dtype=bool)
+    for i, j in combinations(range(len(places)), 2):
+        one, other = places[i], places[j]
+        is_near = one.axle == other.axle and abs(one.x - other.x) <= SAME_AXLE
+        if is_near and abs(one.y - other.y) >= LEAST_APART:
+            rows += [0.5 * (unit[i] + unit[j]), 0.5 * (unit[i] - unit[j])]
+            alone[[i, j]] = False
+    return np.array([*rows, *unit[alone]])
+
+
+@dataclass(frozen=True, eq=False)
+class _CalmDrive:
+    """Periodograms `power` (W, C, F) [(m/s²)²/Hz] of the channels `weights` (C, S) of `sensors` at
+    the frequencies `f` (F,) [Hz], in W windows without obstacles at about the speed `v` [m/s], with
+    struts in the state `mode`.
+    """
+
+    sensors: Instruments
+    weights: np.ndarray
+    f: np.ndarray
+    power: np.ndarray
+    v: float
+    mode: Any
+
+    @classmethod
+    def of(cls, record: Record, car: VehicleParameters, instruments: str) -> Self:
+        """Return that of a record."""
+        v, sensors = float(np.median(record.v)), instruments_of(record, instruments)
+        weights = _pairs(sensors.locations(car))
+        mode = dominant_modes(record, np.arange(record.t.size), car.modes)
+        size = round(WINDOW * record.fs)
+        bad = obstacle_samples(record) | ~np.isfinite(record.a).all(axis=0)
+        bad |= np.abs(record.v / v - 1.0) > SAME_SPEED
+        parts = [slice(k, k + size) for k in range(0, record.t.size - size + 1, size // 2)]
+        calm = [weights @ record.a[:, part] for part in parts if not bad[part].any()]
+        if not calm:
+            return cls(sensors, weights, np.zeros(0), np.zeros((0, 1, 0)), v, mode)
+        f, power = welch(np.array(calm), record.fs, "hann", size, detrend="linear")
+        inside = (f >= F_RANGE[0]) & (f <= F_RANGE[1])
+        return cls(sensors, weights, f[inside], power[:, :, inside], v, mode)
+
+    @property
+    def windows(self) -> float:
+        """Number of independent windows: ones that overlap by half count for about half of one each
+        (Welch 1967).
+        """
+        return 0.5 * (len(self.power) + 1)
+
+    @property
+    def has_pairs(self) -> bool:
+        """Whether sensors are on both sides of the body."""
+        return bool((self.weights < 0.0).any())
+
+    def tells(self, record: Record) -> bool:
+        """Whether struts keep their state and enough windows are calm."""
+        return not record.is_switched and self.windows >= LEAST_WINDOWS
+
+    def on_fitted_level(self, vehicle: SensedVehicle, w: float) -> "_Spectra":
+        """Return the spectra of a vehicle on a road of waviness `w` of the drive's level."""
+        prior = RoadPrior(G_d0=CLASSES["B"], w=w, track=vehicle.track)
+        for _ in range(LEVEL_UPDATES):
+            damping = equivalent_damping(vehicle.plant, self.mode, self.v, prior)
+            spectra = _Spectra.of(vehicle, damping, prior, self)
+            prior = replace(prior, G_d0=self._whittle(spectra)[0] * prior.G_d0)
+        return spectra
+
+    def deviance(self, spectra: "_Spectra") -> float:
+        """Return the deviance of all windows, at the level of the road that fits them best."""
+        return 2.0 * self.windows / HANN_LINES * self._whittle(spectra)[1]
+
+    def _whittle(self, spectra: "_Spectra") -> tuple[float, float]:
+        road, forces = spectra.of_channels(self.weights)
+        noise = self.weights**2 @ self.sensors.noise_densities**2
+        return _whittle(self.power.mean(axis=0), road, forces + noise[:, None])
+
+
+class _Spectra(NamedTuple):
+    """Responses `H` (F, S + 2, 2) to wheel paths and `H_force` (F, S + 2, 4) to strut forces, of
+    sensors and body, with struts of this `damping` (4,) on a road of this `prior`, and the spectra
+    `S` and `D` of paths and of residual strut forces.
+    """
+
+    vehicle: SensedVehicle
+    drive: _CalmDrive
+    damping: np.ndarray
+    prior: RoadPrior
+    H: np.ndarray
+    S: np.ndarray
+    H_force: np.ndarray
+    D: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        vehicle: SensedVehicle,
+        damping: np.ndarray,
+        prior: RoadPrior,
+        drive: _CalmDrive,
+        D: np.ndarray | None = None,
+    ) -> Self:
+        """Return those of a vehicle at the speed of a drive."""
+        plant, v, f = vehicle.plant, drive.v, drive.f
+        linear = linearise(plant, drive.mode, vehicle.points, damping=damping, speed=v)
+        if D is None:
+            law = nonlinear_residual(plant, drive.mode, damping)
+            D = residual_force_psd(linear, law, v, prior.spectrum, f)
+        H, H_force = frequency_response(linear, v, f=f), force_response(linear, f)[0]
+        return cls(vehicle, drive, damping, prior, H, prior.spectrum(f / v) / v, H_force, D)
+
+    def of_other(self, vehicle: SensedVehicle) -> "_Spectra":
+        """Return those of another vehicle on the same road, whose dampers work alike."""
+        return self.of(vehicle, self.damping, self.prior, self.drive, self.D)
+
+    def of_channels(self, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the densities (C, F) [(m/s²)²/Hz] of channels of `weights` (C, S) by the road and
+        by the forces.
+        """
+        f = self.drive.f
+        H, H_force = (weights @ self.vehicle.readings(x, f) for x in (self.H, self.H_force))
+        parts = H @ self.S @ hermitian(H), H_force @ self.D @ hermitian(H_force)
+        road, forces = (np.real(np.einsum("fss->sf", part)) for part in parts)
+        return road, forces
+
+
+def _whittle(power: np.ndarray, road: np.ndarray, others: np.ndarray) -> tuple[float, float]:
+    """Return the factor on the density (S, F) of the `road` that fits a periodogram best, beside
+    that of the `others`, and the deviance of one window's lines.
+    """
+    level = 1.0
+    for _ in range(LEVEL_STEPS):
+        weight = (road / (level * road + others)) ** 2
+        best = float(np.sum(weight * (power - others) / road) / np.sum(weight))
+        level = max(best, 0.1 * level)
+    total = correlate1d(level * road + others, HANN_KERNEL, axis=1, mode="nearest")
+    return level, float(np.sum(np.log(total) + power / total))

@@ -1,0 +1,76 @@
+"""Notes of a report in the order of their weight, and what estimates leave unexplained."""
+
+import math
+import re
+from collections.abc import Iterable
+
+import numpy as np
+
+from estimators.common.misfit import NOISE_SCALE_WARNING
+from leaderboard.drive_report.mean_path import tells_vehicle
+from road_envs.records.record import Estimate, Record
+
+MISFIT = r"does not reproduce|times the expected one|heights are reduced"
+"""Notes of an estimator whose model does not give the measured motion."""
+
+WEIGHTS = (
+    r"heights there are not known",
+    MISFIT,
+    r"IRI has no interval where",
+    r"no side motion",
+    r"fits .* better|moved in its mount|the speed and the wheelbase|without tolerances",
+    r"swings by itself|wheels were in the air|the unit|is in g|check ",
+    r"do not tell left from right",
+    r"known IRI|was adapted|adapted to the drive|one road from|not compared",
+    r"is taken to lie|are read as|is taken as|split at its pauses|left out",
+    r"mounted with|follows the front axle|axle to axle|do not reach|does not reach|lie behind",
+    r"",
+    r"values every|interpolated|resampled|scaled by",
+)
+"""Patterns of notes, the weightiest first; a note has the weight of the first that it matches, and
+the empty one is that of all others.
+"""
+
+LARGE_RESIDUAL = 3.0
+"""Residual in times of the sensors' noise from which on obstacles are only possible ones."""
+
+HUGE_RESIDUAL, HUGE_SHARE = 8.0, 0.2
+"""The same from which on the IRI has no interval, if it is also this share of the accelerations or
+if two sensors are all there are, as the paths explain most of any two. A saloon whose frame twists
+has 40 to 120, a share of 0.5 to 0.75, with three or four phones, and an IRI of 0.4 to 0.7 times the
+true one; with two of them 7 to 32 and 0.4 to 3.6 times. With the frame that was found three and
+four have 3.6 to 18.5, a share of 0.04 to 0.16, and the IRI is right to 13 % (`studies/few_sensors.
+py`, seeds 1701 to 1706; of 12 drives one of class A with bumps at 100 km/h errs by more)."""
+
+
+def misfits(estimate: Estimate, is_mean_path: bool) -> bool:
+    """Whether the model is far from reproducing the record. The mean path alone can explain any
+    record of its sensors, so what it leaves tells as soon as it is noted.
+    """
+    limit = math.sqrt(NOISE_SCALE_WARNING) if is_mean_path else LARGE_RESIDUAL
+    return residual_of(estimate) >= limit
+
+
+def is_far_off(estimate: Estimate, record: Record, noise: float) -> bool:
+    """Whether the model with sensors on both sides leaves so much of the record unexplained that
+    its IRI may be anything; `noise` [m/s²] is the RMS of the sensors'.
+    """
+    residual = residual_of(estimate)
+    is_small = residual * noise < HUGE_SHARE * float(np.nanstd(record.a))
+    return residual >= HUGE_RESIDUAL and not (is_small and tells_vehicle(record.sensors))
+
+
+def residual_of(estimate: Estimate) -> float:
+    """Return the residual in times of the sensors' noise; 0 of methods that have none."""
+    return estimate.residual or 0.0
+
+
+def in_order_of_weight(notes: Iterable[str]) -> tuple[str, ...]:
+    """Return the notes without repetitions, by WEIGHTS; equal ones stay in their order."""
+    return tuple(sorted(dict.fromkeys(notes), key=_weight))
+
+
+def _weight(note: str) -> int:
+    others = WEIGHTS.index("")
+    matches = [k for k, text in enumerate(WEIGHTS) if text and re.search(text, note)]
+    return min(matches, default=others)

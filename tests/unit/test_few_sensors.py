@@ -1,0 +1,103 @@
+"""Reports from few sensors: more of them are never worse than one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from leaderboard.drive_report.conditions import load_conditions
+from leaderboard.drive_report.drive_estimates import estimate_drive
+from leaderboard.drive_report.mean_path import means_of_pairs, tells_paths_apart, tells_vehicle
+from leaderboard.drive_report.report import ReportSettings, make_report
+from road_envs.drives.logger_tables.description import DriveDescription
+from road_envs.drives.measured_record import MeasuredRecord
+from road_envs.drives.reading import DriveFile
+from road_envs.drives.recording import simulate_record
+from road_envs.records.accelerometers import Accelerometer
+from road_envs.records.record import Estimate, Record, profile_stations
+from road_envs.records.roughness import iri
+from road_envs.roads import realise_road
+from road_envs.sensing.instruments import load_instruments
+from road_envs.vehicle.parameters import TorsionalFrame, load_vehicle
+from studies.few_sensors import LAYOUTS
+
+
+def as_drive(record):
+    """The drive of a record of phones in a saloon."""
+    car = load_vehicle("saloon")
+    return DriveFile(
+        "d", "d", MeasuredRecord(record), "saloon", car, "phone", False, DriveDescription()
+    )
+
+
+def iri_error(layout, surface):
+    """Relative error of the IRI of a report, and whether the true one is in its interval."""
+    car = load_vehicle("saloon")
+    frame = TorsionalFrame(f=15.0, zeta=0.06)
+    twisting = replace(car, variation=replace(car.variation, frame=frame))
+    phones = replace(load_instruments("phone"), accelerometers=LAYOUTS[layout])
+    record, _ = simulate_record(
+        surface, speed_kmh=70.0, vehicle=twisting, instruments=phones, seed=3
+    )
+    chosen = ReportSettings(conditions=load_conditions("hpms"), settings={})
+    facts = make_report([as_drive(record)], chosen, lambda *_: None).drives[0].facts
+    true = float(iri(surface.z, surface.ds).mean())
+    inside = facts["iri_mean_low"] < true < facts["iri_mean_high"]
+    return abs(facts["iri_mean"] / true - 1.0), inside
+
+
+def test_more_sensors_in_a_car_whose_frame_twists_are_not_worse_than_one():
+    surface = realise_road("iso_b", 7, 120.0)
+    one, _ = iri_error("one", surface)
+    for layout in ("two, both sides", "three"):
+        error, inside = iri_error(layout, surface)
+        assert error < max(one, 0.15) and inside
+
+
+def test_sensors_that_the_model_cannot_explain_count_by_the_means_of_their_pairs():
+    """The estimator that is told both sides leaves 20 times the noise, and of the means 1."""
+    seen = []
+
+    class Doubtful:
+        adapt = False
+
+        def estimate(self, record, car):
+            seen.append(tuple(record.sensors))
+            s = profile_stations(record.length)
+            z = np.random.default_rng(0).standard_normal((2, s.size)).cumsum(axis=1) * 1e-4
+            apart = tells_paths_apart(record.sensors)
+            return Estimate(s, z, residual=20.0 if apart else 1.0)
+
+    off = np.zeros((300, 4), dtype=bool)
+    t = np.arange(300) / 100.0  # too short to look for a frame
+    a = np.random.default_rng(1).standard_normal((4, 300))
+    record = Record(t, a, np.full(300, 15.0), 15.0 * t, off, off, 45.0, LAYOUTS["four"])
+    drive, found = estimate_drive(Doubtful(), as_drive(record))
+    assert seen == [tuple(LAYOUTS["four"]), ("FL", "RL")]
+    assert found.residual == 1.0
+    assert any("only the means of sensors on the left and the right" in n and "residual 20.0" in n
+               for n in drive.measured.notes)  # fmt: skip
+    np.testing.assert_allclose(drive.measured.record.a, [a[:2].mean(axis=0), a[2:].mean(axis=0)])
+
+
+def test_the_mean_of_a_pair_is_that_on_the_centre_line():
+    a = np.array([[1.0, 2.0], [4.0, 5.0], [7.0, 8.0]])
+    layout = {
+        "L": Accelerometer(axle="front", ahead=0.0, y=0.3),
+        "R": Accelerometer(axle="front", ahead=0.3, y=-0.6),
+        "B": Accelerometer(axle="rear", ahead=0.0, y=0.5),
+    }
+    off = np.zeros((2, 4), dtype=bool)
+    record = Record(np.arange(2.0), a, np.ones(2), np.arange(2.0), off, off, 5.0, layout)
+    found = means_of_pairs(record, layout)
+    # a point between them, at a third of the way from the left to the right one
+    np.testing.assert_allclose(found.a, [[2.0, 3.0]])
+    assert found.sensors["L"].y == 0.0
+    assert found.sensors["L"].ahead == pytest.approx(0.1)
+    assert not tells_paths_apart(found.sensors)
+    assert means_of_pairs(record, {"L": layout["L"], "B": layout["B"]}) is None
+
+
+def test_two_sensors_on_both_sides_tell_the_paths_but_no_vehicle():
+    assert not tells_vehicle(LAYOUTS["two, both sides"])
+    assert tells_vehicle(LAYOUTS["three"]) and tells_vehicle(None)
