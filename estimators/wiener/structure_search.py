@@ -95,7 +95,7 @@ def with_bending(record: Record, car: VehicleParameters, instruments: str) -> Ve
     Drives that change the state of their struts, and short ones, are not searched. Raises
     ConfigError.
     """
-    drive = _CalmDrive.of(record, car, instruments)
+    drive = CalmDrive.of(record, car, instruments)
     if car.variation.bending is not None or not drive.tells(record):
         return car
     length = BODY_OVER_WHEELBASE * car.wheelbase
@@ -124,7 +124,7 @@ def with_twist(record: Record, car: VehicleParameters, instruments: str) -> Vehi
     than a stiff body. Drives as of `with_bending`, and those whose sensors do not tell the roll,
     are not searched. Raises ConfigError.
     """
-    drive = _CalmDrive.of(record, car, instruments)
+    drive = CalmDrive.of(record, car, instruments)
     if car.variation.frame is not None or not (drive.tells(record) and drive.has_pairs):
         return car
     modes = [TorsionalFrame(f=float(x), zeta=y) for x, y in product(FRAME_F, FRAME_ZETA)]
@@ -158,7 +158,7 @@ def _pairs(locations: Mapping[str, SensorLocation]) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class _CalmDrive:
+class CalmDrive:
     """Periodograms `power` (W, C, F) [(m/s²)²/Hz] of the channels `weights` (C, S) of `sensors` at
     the frequencies `f` (F,) [Hz], in W windows without obstacles at about the speed `v` [m/s], with
     struts in the state `mode`.
@@ -204,33 +204,33 @@ class _CalmDrive:
         """Whether struts keep their state and enough windows are calm."""
         return not record.is_switched and self.windows >= LEAST_WINDOWS
 
-    def on_fitted_level(self, vehicle: SensedVehicle, w: float) -> "_Spectra":
+    def on_fitted_level(self, vehicle: SensedVehicle, w: float) -> "Spectra":
         """Return the spectra of a vehicle on a road of waviness `w` of the drive's level."""
         prior = RoadPrior(G_d0=CLASSES["B"], w=w, track=vehicle.track)
         for _ in range(LEVEL_UPDATES):
             damping = equivalent_damping(vehicle.plant, self.mode, self.v, prior)
-            spectra = _Spectra.of(vehicle, damping, prior, self)
+            spectra = Spectra.of(vehicle, damping, prior, self)
             prior = replace(prior, G_d0=self._whittle(spectra)[0] * prior.G_d0)
         return spectra
 
-    def deviance(self, spectra: "_Spectra") -> float:
+    def deviance(self, spectra: "Spectra") -> float:
         """Return the deviance of all windows, at the level of the road that fits them best."""
         return 2.0 * self.windows / HANN_LINES * self._whittle(spectra)[1]
 
-    def _whittle(self, spectra: "_Spectra") -> tuple[float, float]:
+    def _whittle(self, spectra: "Spectra") -> tuple[float, float]:
         road, forces = spectra.of_channels(self.weights)
         noise = self.weights**2 @ self.sensors.noise_densities**2
         return _whittle(self.power.mean(axis=0), road, forces + noise[:, None])
 
 
-class _Spectra(NamedTuple):
+class Spectra(NamedTuple):
     """Responses `H` (F, S + 2, 2) to wheel paths and `H_force` (F, S + 2, 4) to strut forces, of
     sensors and body, with struts of this `damping` (4,) on a road of this `prior`, and the spectra
     `S` and `D` of paths and of residual strut forces.
     """
 
     vehicle: SensedVehicle
-    drive: _CalmDrive
+    drive: CalmDrive
     damping: np.ndarray
     prior: RoadPrior
     H: np.ndarray
@@ -244,7 +244,7 @@ class _Spectra(NamedTuple):
         vehicle: SensedVehicle,
         damping: np.ndarray,
         prior: RoadPrior,
-        drive: _CalmDrive,
+        drive: CalmDrive,
         D: np.ndarray | None = None,
     ) -> Self:
         """Return those of a vehicle at the speed of a drive."""
@@ -256,9 +256,14 @@ class _Spectra(NamedTuple):
         H, H_force = frequency_response(linear, v, f=f), force_response(linear, f)[0]
         return cls(vehicle, drive, damping, prior, H, prior.spectrum(f / v) / v, H_force, D)
 
-    def of_other(self, vehicle: SensedVehicle) -> "_Spectra":
+    def of_other(self, vehicle: SensedVehicle) -> "Spectra":
         """Return those of another vehicle on the same road, whose dampers work alike."""
         return self.of(vehicle, self.damping, self.prior, self.drive, self.D)
+
+    def total(self, weights: np.ndarray) -> np.ndarray:
+        """Return the density (C, F) [(m/s²)²/Hz] of channels of `weights` (C, S), without noise."""
+        road, forces = self.of_channels(weights)
+        return road + forces
 
     def of_channels(self, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the densities (C, F) [(m/s²)²/Hz] of channels of `weights` (C, S) by the road and

@@ -111,6 +111,7 @@ def analyse(
     segment: float = 100.0,
     clipping: float | np.ndarray = np.inf,
     noise: float = np.nan,
+    tolerance_std: float = 0.0,
     distance_std: float = 0.0,
     modes: Modes = MODES,
     known: KnownFactor | None = None,
@@ -118,16 +119,18 @@ def analyse(
     """Return the results of a drive by segments of `segment` [m], at whole multiples of it.
 
     `clipping` [m/s²], one or (k, 1), is the magnitude from which on a sample is clipped, `noise`
-    [m/s²] the RMS of the sensors' noise,
-    `distance_std` the relative standard deviation of distances from the first sample. `modes` name
-    the states of the struts; `known` is the factor of this car and mount by a stretch of known IRI.
+    [m/s²] the RMS of the sensors' noise; `tolerance_std` is the relative standard deviation of the
+    IRI by the tolerances of a vehicle that the sensors do not tell (`tolerance_error.py`), and
+    `distance_std` that of distances from the first sample. `modes` name the states of the struts;
+    `known` is the factor of this car and mount by a stretch of known IRI.
     """
     record, v = measured.record, float(np.median(measured.record.v))
     mean_path = not tells_paths_apart(record.sensors)
     if mean_path:
         estimate = with_mean_path(estimate)
     edges = _edges(estimate, measured.chainage, segment, record.s[0])
-    factor, std = known or KnownFactor(1.0, 0.0 if tells_vehicle(record.sensors) else HRI_STD)
+    unknown = 0.0 if tells_vehicle(record.sensors) else float(np.hypot(HRI_STD, tolerance_std))
+    factor, std = known or KnownFactor(1.0, unknown)
     if misfits(estimate, mean_path):
         std = float(np.hypot(std, MISFIT_STD))
     if mean_path:

@@ -18,8 +18,10 @@ from leaderboard.drive_report.drive_estimates import estimate_drive, make_drive_
 from leaderboard.drive_report.export import parse_route, write_geojson, write_hpms, write_tables
 from leaderboard.drive_report.geopackage import write_geopackage
 from leaderboard.drive_report.known_iri import known_factor, read_known_iri
+from leaderboard.drive_report.mean_path import tells_vehicle
 from leaderboard.drive_report.page import write_page
 from leaderboard.drive_report.passes import ReportedPass, align_passes, compare, join
+from leaderboard.drive_report.tolerance_error import roughness_std
 from road_envs.core.config import ConfigError
 from road_envs.drives.logger_tables.description import DriveDescription
 from road_envs.drives.measured_record import MeasuredRecord
@@ -133,7 +135,9 @@ def _analysed(each: ReportedPass, drive: DriveFile, chosen: ReportSettings) -> D
     speed_error = load_instruments(drive.sensors).speed_error
     instruments = instruments_of(each.measured.record, drive.sensors)
     told = drive.description
-    known = None
+    known, tolerance_std = None, 0.0
+    if not tells_vehicle(each.measured.record.sensors):
+        tolerance_std = roughness_std(each.measured.record, drive.car, drive.sensors)
     if told.iri_factor is not None:
         known = KnownFactor(told.iri_factor, told.iri_factor_std or DEFAULT_FACTOR_STD)
     return analyse(
@@ -145,6 +149,7 @@ def _analysed(each: ReportedPass, drive: DriveFile, chosen: ReportSettings) -> D
         modes=drive.car.modes,
         clipping=instruments.ranges[:, None],
         noise=instruments.noise_rms(each.measured.record.fs),
+        tolerance_std=tolerance_std,
         distance_std=distance.std if distance else speed_error,
         known=known,
     )
