@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from leaderboard.drive_report import drive_estimates
 from leaderboard.drive_report.conditions import load_conditions
 from leaderboard.drive_report.drive_estimates import estimate_drive
 from leaderboard.drive_report.mean_path import means_of_pairs, tells_paths_apart, tells_vehicle
@@ -52,6 +53,12 @@ def test_more_sensors_in_a_car_whose_frame_twists_are_not_worse_than_one():
     for layout in ("two, both sides", "three"):
         error, inside = iri_error(layout, surface)
         assert error < max(one, 0.15) and inside
+
+
+def test_two_sensors_whose_frame_is_not_found_tell_the_mean_path(monkeypatch):
+    monkeypatch.setattr(drive_estimates, "with_twist", lambda record, car, instruments: car)
+    error, inside = iri_error("two, both sides", realise_road("iso_b", 7, 120.0))
+    assert error < 0.15 and inside
 
 
 def test_sensors_that_the_model_cannot_explain_count_by_the_means_of_their_pairs():

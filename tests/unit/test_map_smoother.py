@@ -275,6 +275,7 @@ def test_a_tone_outside_the_model_is_down_weighted_at_its_frequency(monkeypatch)
     estimator, wrong = MapSmoother(adapt=False, draws=0), replace(record, a=record.a + tone)
     reweighted = estimator.estimate(wrong, DEFENDER)
     assert "does not reproduce the accelerations" in reweighted.notes[-1]
+    assert f"residual {reweighted.residual:.1f} times" in reweighted.notes[-1]
     monkeypatch.setattr(gauss_newton, "REWEIGHTING_STEPS", 0)
     white = estimator.estimate(wrong, DEFENDER)
     assert error(reweighted, truth, record) < 0.8 * error(white, truth, record)
