@@ -19,6 +19,9 @@ from road_envs.roads import load_road, realise_road
 from road_envs.roads.measured import Measured
 from road_envs.sensing.instruments import instruments_of
 
+FRAME = "variation.frame.f"
+"""Tolerance of a description that says of a frame that twists."""
+
 PAIRS_NOTE = (
     "The model with sensors on both sides does not reproduce the accelerations (residual {:.1f} "
     "times the sensors' noise): only the means of sensors on the left and the right were used"
@@ -64,9 +67,12 @@ def estimate_drive(estimator: Estimator, drive: DriveFile) -> tuple[DriveFile, E
     ways = [drive]
     if car is not drive.car and (mode := car.variation.frame):
         note = f"the frame twists at {mode.f:.0f} Hz, by a peak in the record, and was adapted"
-        ways.insert(0, _with_bending(drive._replace(car=car).with_notes(note)))
+        twisted = _with_bending(drive._replace(car=car).with_notes(note))
+        # a description that says of a frame leaves it to an estimator that fits the vehicle
+        is_fitted = FRAME in drive.car.tolerances and tells_vehicle(record.sensors)
+        ways = [drive, twisted] if is_fitted else [twisted, drive]
     found = []
-    for way in ways:  # the vehicle as described is tried where the one with a frame does not do
+    for way in ways:
         found.append(_estimated(estimator, way))
         if residual_of(found[-1][1]) < LARGE_RESIDUAL:
             break
