@@ -49,7 +49,6 @@ class TrainingConfig(Settings):
     # makes ride exp(bias) times likelier at the start of PPO: the gain of another pair shows
     # only against constant ride, not against random switching
     ride_logit_bias: float = 0.0
-    reward_scale: float = 1.0
     hyperparameters: dict[str, Any] = field(default_factory=dict)  # of Stable-Baselines3
 
 
@@ -121,7 +120,6 @@ def _train(config: TrainingConfig, seed: int, progress: Progress) -> TrainingRes
     envs = FeatureVecEnv(
         RoadReconVecEnv(rows, vector_class=Safe4S4VectorEnv, cost_price=VIOLATION_PRICE),
         seed,
-        reward_scale=config.reward_scale,
         action_repeat=config.action_repeat,
         paired_baseline=config.paired_baseline,
     )

@@ -30,6 +30,7 @@ from road_envs.core.atomic_io import atomic_write, write_text
 from road_envs.core.config import ConfigError, validate_choice
 from road_envs.policies import FILE_SUFFIXES, REGISTRY, make_policy, names, runs_foreign_code
 from road_envs.policies.fixed import FixedPair
+from road_envs.policies.policy_iteration import IterationConfig
 from road_envs.vehicle.suspension import MODES
 
 QUICK_DRIVES = 2
@@ -150,17 +151,17 @@ def _entries(references: list[str] | None, limits: Limits) -> dict[str, Any]:
 
 def train_policy(
     *,
-    name: Annotated[str, typer.Argument(help="evolved, or a YAML file.")],
     out: Annotated[Path, typer.Option(help="File for the best policy (.npz).")],
     seed: Annotated[int, typer.Option(help="First training seed.", min=0)] = 1,
     seeds: Annotated[int, typer.Option(help="Number of training seeds.", min=1)] = 1,
-    steps: Annotated[int | None, typer.Option(help="Generations.", min=1)] = None,
+    steps: Annotated[int, typer.Option(help="Rounds.", min=1)] = IterationConfig.steps,
 ) -> None:
     """Train a policy on training drives, and compare every seed with the laws on public ones."""
-    config = learning.load_training_config(name, steps)
     check_output_path(out, ".npz")
     with on_interrupt(""), progress_bar() as progress:
-        study = learning.train_seeds(config, range(seed, seed + seeds), progress)
+        study = learning.train_seeds(
+            IterationConfig(steps=steps), range(seed, seed + seeds), progress
+        )
         evaluation = learning.evaluate_study(study)
     out.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(out) as partial:

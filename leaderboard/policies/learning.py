@@ -1,4 +1,4 @@
-"""Training study of a learned policy: one configuration trained from several seeds.
+"""Training study of the learned policy: one configuration trained from several seeds.
 
 Training drives decide which policy is kept. The public drives are driven once, at the end, by the
 policy of every seed, so that the spread over seeds is visible: intervals are bootstraps over seeds
@@ -6,7 +6,6 @@ and drives, a drive and its mirror image together.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,59 +13,43 @@ import numpy as np
 from leaderboard.policies import comparison
 from leaderboard.policies.best_found import Progress
 from leaderboard.policies.comparison import GROUPS, interval, members
-from road_envs.core import config
-from road_envs.core.config import ConfigError
-from road_envs.policies import PolicySettings, create
-from road_envs.policies.evolution import EvolutionConfig, evolve
+from road_envs.policies import create
 from road_envs.policies.network_policy import NetworkPolicy, PolicyNetwork
+from road_envs.policies.policy_iteration import IterationConfig, iterate
 
-RIVALS = ("rrms", "rrms_lateral", "lateral")
+RIVALS = ("rrms", "rrms_lateral", "lateral", "mpc")
 """Laws with which every study is compared."""
+
+SIDES = ("left", "right")
+"""Groups whose drives come without their mirror images."""
 
 
 class TrainingStudy(NamedTuple):
-    """Networks and their learning curves on the training drives, by seed."""
+    """Networks and their learning curves on the development drives, by seed."""
 
     networks: list[PolicyNetwork]
     curves: list[tuple[tuple[int, float], ...]]
 
     @property
     def best(self) -> PolicyNetwork:
-        """The network with the best score on training drives."""
+        """The network with the best score on development drives."""
         return self.networks[int(np.argmax([max(v for _, v in curve) for curve in self.curves]))]
 
 
-def load_training_config(name: str, steps: int | None = None) -> EvolutionConfig:
-    """Load the training settings of a learned policy by name or YAML path.
-
-    Raises ConfigError.
-    """
-    shipped = config.load(PolicySettings, "policies", name)
-    if not shipped.training:
-        raise ConfigError(f"{name} has no training section; only learned policies can be trained")
-    built = config.build(EvolutionConfig, shipped.training, f"{name}: training")
-    return built if steps is None else replace(built, steps=steps)
-
-
 def train_seeds(
-    training_config: EvolutionConfig,
+    config: IterationConfig,
     seeds: Sequence[int],
     progress: Progress = lambda text, share: None,
 ) -> TrainingStudy:
     """Train from each of `seeds`."""
-    networks, curves = [], []
+    found = []
     for i, seed in enumerate(seeds):
-        network, curve = evolve(
-            training_config,
-            seed,
-            # the defaults bind the loop variables
-            lambda text, share, i=i, seed=seed: progress(  # type: ignore[misc]
-                f"seed {seed}: {text}", (i + share) / len(seeds)
-            ),
-        )
-        networks.append(network)
-        curves.append(curve)
-    return TrainingStudy(networks, curves)
+
+        def report(text: str, share: float, i: int = i, seed: int = seed) -> None:
+            progress(f"seed {seed}: {text}", (i + share) / len(seeds))
+
+        found.append(iterate(config, seed, report))
+    return TrainingStudy([network for network, _ in found], [curve for _, curve in found])
 
 
 def evaluate_study(study: TrainingStudy) -> dict[str, Any]:
@@ -76,32 +59,26 @@ def evaluate_study(study: TrainingStudy) -> dict[str, Any]:
     """
     drives = comparison.public_drives()
     own = {f"seed {n.metadata['seed']}": NetworkPolicy.from_network(n) for n in study.networks}
-    laws = {name: create(name) for name in RIVALS}
-    found = comparison.compare(own | laws, drives, sweeps=0)
+    found = comparison.compare(own | {name: create(name) for name in RIVALS}, drives, sweeps=0)
     scores = np.stack([found.rollouts[name].score for name in own])
-    everywhere = {"all": np.ones(len(drives), dtype=bool)}
-    groups = everywhere | {group: members(drives, group) for group in GROUPS}
+    groups = {"all": np.ones(len(drives), dtype=bool)}
+    groups |= {group: members(drives, group) for group in GROUPS}
     more = {
         name: {
-            # the drives of one side come without their mirror images
             group: interval((scores - found.rollouts[name].score)[:, inside], group not in SIDES)
             for group, inside in groups.items()
             if inside.any()
         }
-        for name in laws
+        for name in RIVALS
     }
     return found.data | {"curves": dict(zip(own, study.curves, strict=True)), "more": more}
 
 
-SIDES = ("left", "right")
-
-
 def study_lines(evaluation: Mapping[str, Any]) -> list[str]:
     """Return the lines of a terminal report on the result of `evaluate_study`."""
-    lines = [
-        f"{name}: {step:8d} steps  score {value:.4f} on training drives"
+    curves = [
+        f"{name}, score by round: " + " ".join(f"{score:.3f}" for _, score in curve)
         for name, curve in evaluation["curves"].items()
-        for step, value in [curve[0], *curve[:: max(1, len(curve) // 10)][1:], curve[-1]]
     ]
     differences = [
         f"all seeds over {rival}: "
@@ -111,4 +88,4 @@ def study_lines(evaluation: Mapping[str, Any]) -> list[str]:
         )
         for rival, more in evaluation["more"].items()
     ]
-    return [*lines, *comparison.table_lines(evaluation), *differences]
+    return [*curves, "", *comparison.table_lines(evaluation), "", *differences]

@@ -65,6 +65,8 @@ def check_policy(
         reward = {"own": first.returns.mean()}
         for name in ("fixed_ride", "fixed_handling"):
             reward[name] = roll_out(create(name), dict(OPTIONS), SEEDS).returns.mean()
+        spaces = {control: _short(policy, control=control) for control in ("vehicle", "axle")}
+        fewer = {"accelerations alone": _short(policy, observe=["accelerations"])}
         results = [
             CheckResult(
                 "runs",
@@ -73,8 +75,8 @@ def check_policy(
                 f"{reward['own']:.2f}, always ride {reward['fixed_ride']:.2f}, always handling "
                 f"{reward['fixed_handling']:.2f}",
             ),
-            _attempt("actions", lambda: _action_spaces(policy), policy),
-            _attempt("observations", lambda: _fewer_observations(policy), policy),
+            _attempt("actions", lambda: _with_refusals(spaces), policy),
+            _attempt("observations", lambda: _with_refusals(fewer), policy),
             _attempt("repeat", lambda: _repeat(reference, settings, limits, first.actions), policy),
             _attempt("reset", lambda: _reset(policy, first.actions), policy),
             _attempt("vehicles", lambda: _alone(policy, first.actions), policy),
@@ -108,20 +110,9 @@ def _with_refusals(attempts: Mapping[str, Callable[[], object]]) -> Verdict:
     return (None, "; ".join(refused)) if refused else (True, f"{', '.join(attempts)}: valid")
 
 
-def _action_spaces(policy: PolicyProcess) -> Verdict:
-    return _with_refusals(
-        {c: lambda c=c: _short(policy, control=c) for c in ("vehicle", "axle")}  # type: ignore[misc]
-    )
-
-
-def _fewer_observations(policy: PolicyProcess) -> Verdict:
-    return _with_refusals(
-        {"accelerations alone": lambda: _short(policy, observe=["accelerations"])}
-    )
-
-
-def _short(policy: PolicyProcess, **changed: Any) -> None:
-    roll_out(policy, {**OPTIONS, "length": 10.0, **changed}, SEEDS[:2], store_observations=False)
+def _short(policy: PolicyProcess, **changed: Any) -> Callable[[], object]:
+    options = {**OPTIONS, "length": 10.0, **changed}
+    return lambda: roll_out(policy, options, SEEDS[:2], store_observations=False)
 
 
 def _repeat(reference, settings, limits, actions: np.ndarray) -> Verdict:

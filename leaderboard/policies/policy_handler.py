@@ -34,16 +34,11 @@ def make_handler(code: str | None) -> messages.Handler:
             used.reset(pickle.loads(data.tobytes()))  # of the host
             answer: messages.Reply = {}, ()
         else:
-            actions = _whole_numbers(used.act(data)).astype(np.int64)
-            answer = {"actions": actions.size}, [actions]
+            actions = np.asarray(used.act(data))
+            if actions.dtype.kind not in "iu":
+                raise TypeError(f"act must return whole numbers, got {actions.dtype}")
+            answer = {"actions": actions.size}, [actions.astype(np.int64)]
         policy = used
         return answer
 
     return handle
-
-
-def _whole_numbers(actions: object) -> np.ndarray:
-    given = np.asarray(actions)
-    if given.dtype.kind not in "iu":
-        raise TypeError(f"act must return whole numbers, got {given.dtype}")
-    return given

@@ -48,7 +48,7 @@ class Timeline(NamedTuple):
 
     @classmethod
     def from_drive(cls, drives: Drives, i: int, actions: np.ndarray) -> "Timeline":
-        """Return the timeline of drive number `i` under `actions` (T, N)."""
+        """Return drive number `i` under `actions` (T, N), sampled at POINTS_PER_SECOND."""
         setup, start = drives.setup, drives.starts[i]
         fleet = setup.make_fleet(keep_signals=True)
         fleet.start(0, start.drive, start.logger, start.speed_kmh)
@@ -58,28 +58,23 @@ class Timeline(NamedTuple):
             parts.append(fleet.last_interval(0, int(byte)))
             if ended:
                 break
+        sampled = slice(None, None, max(1, round(1.0 / (POINTS_PER_SECOND * fleet.step))))
         names = ("t", "s", "v", "commands", "signals")
-        return cls.from_trajectory(
-            Trajectory(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+        motion = Trajectory(
+            *(np.concatenate([getattr(part, name) for part in parts])[sampled] for name in names)
         )
-
-    @classmethod
-    def from_trajectory(cls, motion: Trajectory) -> "Timeline":
-        """Return the timeline of a motion, sampled at POINTS_PER_SECOND."""
-        stride = max(1, round(1.0 / (POINTS_PER_SECOND * float(motion.t[1] - motion.t[0]))))
-        sampled = slice(None, None, stride)
-        stiff, high = decode_commands(motion.commands[sampled])
+        stiff, high = decode_commands(motion.commands)
         flags = list(MODES.values())
         states = [
             [flags.index((bool(s[w]), bool(h[w]))) for s, h in zip(stiff, high, strict=True)]
             for w in (0, 2)  # left wheels: an axle is commanded as a whole
         ]
         return cls(
-            motion.t[sampled],
-            motion.tyre_load[sampled].T,
+            motion.t,
+            motion.tyre_load.T,
             np.array(states),
-            motion.acceleration[sampled, Z_B],
-            motion.state[sampled, PHI],
+            motion.acceleration[:, Z_B],
+            motion.state[:, PHI],
         )
 
     def curves(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -250,13 +250,10 @@ def advance_blocks(
             t = counts[fa.STEPS_DONE, k] * h
             values[k, fa.OUT_T] = t
             if inputs.profiles.shape[0] > 0:
-                values[k, fa.OUT_STATION], values[k, fa.OUT_SPEED_KMH] = (
-                    workspace.s[2 * n, k],
-                    3.6 * end[k],
-                )
+                values[k, fa.OUT_STATION] = workspace.s[2 * n, k]
+                values[k, fa.OUT_SPEED_KMH] = 3.6 * end[k]
             else:
-                values[k, fa.OUT_STATION] = (
-                    kinematics[fa.DRIVE_START, k] + t * kinematics[fa.SPEED, k]
-                )
+                station = kinematics[fa.DRIVE_START, k] + t * kinematics[fa.SPEED, k]
+                values[k, fa.OUT_STATION] = station
                 values[k, fa.OUT_SPEED_KMH] = kinematics[fa.SPEED_KMH, k]
             events[k, END_OF_ROAD] = counts[fa.STEPS_DONE, k] >= counts[fa.STEPS_TOTAL, k]

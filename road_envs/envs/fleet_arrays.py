@@ -45,8 +45,8 @@ class FleetState(NamedTuple):
     `lanes.LaneBuffers`, command `delay_line` (B, D),
     filter states `antialias_state` (B, n, k, 2), `wk_state` (B, m, 1, 2) and `high_pass_state`
     (B, j, 4, 2) of the tyre loads, times `off` (B, 2) [s] for which the sides have been off the
-    ground, `mounting` (B, k, 5) of k sensors: three factors as `instrumented_fleet.sensor_rows`
-    returns them, gain and offset; `noise_state` (B, 4) as `normal_numbers.generator_state`.
+    ground, `mounting` (B, k, 5) of k sensors: factors of their three `sensor_columns`, gain and
+    offset; `noise_state` (B, 4) as `normal_numbers.generator_state`.
     `counts` (B, 3): steps done, steps in total, row of the profiles. `kinematics` (B, 4): station
     at the start [m], speed [m/s], speed [km/h], gain of the speed signal. `road_layout` (B, 5): the
     fields of `fleet.RoadBuffers` other than the heights. With `safety`, `wk_state` is (B, m, 2, 2);

@@ -40,16 +40,6 @@ COORDINATES = {None: [Z_B, PHI, THETA], 0: [AXLE, AXLE + 1, THETA], 1: [AXLE + 2
 """Coordinates that move a sensor on the body, the front and the rear axle; no axle pitches."""
 
 
-def sensor_columns(logger: DataLogger) -> np.ndarray:
-    """Return the coordinates (k, 3) whose accelerations each sensor measures."""
-    return np.array([COORDINATES[location.axle] for location in logger.locations])
-
-
-def sensor_rows(logger: DataLogger) -> np.ndarray:
-    """Return the factors (k, 3) of these accelerations."""
-    return np.array([sensor_row(*x)[COORDINATES[x.axle]] for x in logger.locations])
-
-
 class FleetSettings(NamedTuple):
     """Settings that all vehicles of a fleet share.
 
@@ -129,7 +119,7 @@ class InstrumentedFleet:
             noise_std=logger.noise_std,
             range=logger.range,
             noisy=int(logger.noise_std.any()),
-            sensor_columns=sensor_columns(logger),
+            sensor_columns=np.array([COORDINATES[x.axle] for x in logger.locations]),
             top_speed=float(settings.top_speed),
             h=step,
             decimation=logger.decimation,
@@ -137,10 +127,8 @@ class InstrumentedFleet:
             struts=int(settings.struts),
         )
         k = logger.range.size
-        self.observation_size = k * self.samples + 5
-        self.observation_size += (
-            settings.planar * fa.N_PLANAR + settings.struts * fa.N_STRUT_SIGNALS
-        )
+        optional = settings.planar * fa.N_PLANAR + settings.struts * fa.N_STRUT_SIGNALS
+        self.observation_size = k * self.samples + 5 + optional
         per_command = 256 if settings.unresolved_variance else 0
         self.unresolved = np.zeros((n_vehicles, per_command))
         self.state = self._initial_state(blocks, delay, k)
@@ -175,16 +163,12 @@ class InstrumentedFleet:
             logger.faults.per_sensor(name, sensors) for name in ("gain", "tilt", "offset")
         )
         constant = gain * GRAVITY * (np.cos(tilt) - 1.0) + offset
-        mounting = np.column_stack([sensor_rows(logger), gain * np.cos(tilt), constant])
+        rows = [sensor_row(*x)[COORDINATES[x.axle]] for x in logger.locations]
+        mounting = np.column_stack([rows, gain * np.cos(tilt), constant])
         state.mounting[b, ..., k] = mounting
         kinematics, counts = state.kinematics[b, :, k], state.counts[b, :, k]
-        kinematics[fa.DRIVE_START], kinematics[fa.SPEED] = drive.start, drive.speed
-        kinematics[fa.SPEED_GAIN], kinematics[fa.SPEED_KMH] = logger.speed_gain, speed_kmh
-        counts[fa.STEPS_DONE], counts[fa.STEPS_TOTAL], counts[fa.PROFILE] = (
-            0,
-            drive.steps_left,
-            row,
-        )
+        kinematics[:] = drive.start, drive.speed, speed_kmh, logger.speed_gain
+        counts[:] = 0, drive.steps_left, row
         state.noise_state[b, :, k] = generator_state(logger.rng)
         if self.settings.unresolved_variance is not None:
             self.unresolved[i] = self.settings.unresolved_variance(drive.speed)
@@ -315,10 +299,7 @@ class InstrumentedFleet:
             path[size - PAD : size] = z[side, -1]
             layout[fa.ROAD_OFFSET + side] = path.size * (2 * row + side)
         layout[fa.ROAD_SIZE] = size
-        layout[fa.ROAD_START], layout[fa.ROAD_PER_DS] = (
-            drive.surface.start,
-            1.0 / drive.surface.ds,
-        )
+        layout[fa.ROAD_START], layout[fa.ROAD_PER_DS] = drive.surface.start, 1.0 / drive.surface.ds
 
     def _set_profile(self, row: int, drive: DriveSimulator) -> None:
         """Set the station, speed and accelerations in `row` to those of a `drive`."""
@@ -379,8 +360,6 @@ class InstrumentedFleet:
             road_layout=aligned_zeros(blocks, 5),
         )
         state.valves[:, 0] = 1.0
-        state.road_layout[:, fa.ROAD_SIZE], state.road_layout[:, fa.ROAD_PER_DS] = (
-            4.0 + 2.0 * PAD,
-            1.0,
-        )
+        state.road_layout[:, fa.ROAD_SIZE] = 4.0 + 2.0 * PAD
+        state.road_layout[:, fa.ROAD_PER_DS] = 1.0
         return state

@@ -76,11 +76,7 @@ class Safe4S4Setup(EnvSetup):
         draw_drive(self.benchmark, self.safe.split, np.random.default_rng(0), options)
         return dict(options)
 
-    def describe(self, random: np.random.Generator, fixed: dict[str, Any]) -> SafeDrive:
-        """Draw the description of a drive alone, as `prepare` draws it."""
-        return self._draw(random, fixed)[0]
-
-    def _draw(
+    def draw(
         self, random: np.random.Generator, fixed: dict[str, Any]
     ) -> tuple[SafeDrive, list[np.random.SeedSequence]]:
         """Draw a description, and the seeds of the road, the car and the sensors."""
@@ -94,7 +90,7 @@ class Safe4S4Setup(EnvSetup):
     def prepare(self, random: np.random.Generator, o: Any) -> EpisodeStart:
         """Draw the start of a drive from `random`; the fields `o` of `SafeDrive` are fixed."""
         fixed = o if isinstance(o, dict) else {}  # after an episode a vector environment has none
-        description, (road_seed, car_seed, sensor_seed) = self._draw(random, fixed)
+        description, (road_seed, car_seed, sensor_seed) = self.draw(random, fixed)
         surface = realise_surface(description, np.random.default_rng(road_seed), self.car)
         k, step = len(self.instruments.accelerometers), self.options.step
         car, faults = individual_car(description, self.car, car_seed, k)

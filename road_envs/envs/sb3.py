@@ -1,14 +1,4 @@
-"""Adapter of `RoadReconVectorEnv` to the vector environments of Stable-Baselines3.
-
-```python
-from stable_baselines3 import PPO
-from stable_baselines3.common.vec_env import VecMonitor
-from road_envs.envs.sb3 import RoadReconVecEnv
-
-envs = VecMonitor(RoadReconVecEnv(64, road="iso_d", truth=False))
-PPO("MlpPolicy", envs).learn(100_000)
-```
-"""
+"""Adapter of `RoadReconVectorEnv` to the vector environments of Stable-Baselines3."""
 
 from collections.abc import Sequence
 from typing import Any

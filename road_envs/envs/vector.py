@@ -17,16 +17,7 @@ from road_envs.envs.options import EnvOptions, EnvSetup, validate_actions
 MAX_ENVS = 100_000
 """Most vehicles of one vector environment: with the shortest roads they need some gigabytes."""
 
-KEPT = (
-    "_generators",
-    "_seeds",
-    "_roads",
-    "failures",
-    "_elapsed",
-    "_done",
-    "_observations",
-    "fleet",
-)
+KEPT = "_generators _seeds _roads failures _elapsed _done _observations fleet".split()
 """Attributes that change from step to step."""
 
 
@@ -183,11 +174,8 @@ class RoadReconVectorEnv(VectorEnv):
         """
         if not (isinstance(state, dict) and set(state) == set(KEPT)):
             raise ConfigError(f"the state must be one that state() returned, got {shown(state)}")
-        if state["fleet"].n_vehicles != self.num_envs:
-            raise ConfigError(
-                f"the state is of {state['fleet'].n_vehicles} environments; there are "
-                f"{self.num_envs}"
-            )
+        if (n := state["fleet"].n_vehicles) != self.num_envs:
+            raise ConfigError(f"the state is of {n} environments; there are {self.num_envs}")
         for name, value in copy.deepcopy(state).items():
             setattr(self, name, value)
 

@@ -19,13 +19,11 @@ from road_envs.core import config
 from road_envs.core.config import ConfigError, Settings, build
 from road_envs.core.registry import PluginWarning, Registry
 from road_envs.policies.api import Policy, PolicyContext, PolicyError
-from road_envs.policies.fixed import FixedPair
+from road_envs.policies.fixed import FixedPair, RandomSwitching
 from road_envs.policies.greedy_information import GreedyInformation
-from road_envs.policies.lateral import LateralThreshold, RrmsLateral
 from road_envs.policies.mpc import ModelPredictive
 from road_envs.policies.network_policy import FILE_SUFFIXES, NetworkPolicy
-from road_envs.policies.random_switching import RandomSwitching
-from road_envs.policies.rrms import RunningRmsPolicy
+from road_envs.policies.turns import LateralThreshold, RrmsLateral, RunningRmsPolicy
 from road_envs.policies.two_state import AccelerationDriven, Groundhook, Skyhook, SkyhookAdd
 
 __all__ = [
@@ -58,21 +56,16 @@ REGISTRY: dict[str, type[Policy]] = {
     "sh_add": SkyhookAdd,
     "mpc": ModelPredictive,
     "greedy_information": GreedyInformation,
-    "evolved": NetworkPolicy,
+    "learned": NetworkPolicy,
 }
 
 
 @dataclass(frozen=True, kw_only=True)
 class PolicySettings(Settings):
-    """Settings of a shipped policy and their source.
-
-    `training` holds the settings with which a learned policy was trained, as
-    `evolution.EvolutionConfig`.
-    """
+    """Settings of a shipped policy and their source."""
 
     settings: dict[str, Any] = field(default_factory=dict)
     source: str = ""
-    training: dict[str, Any] = field(default_factory=dict)
 
 
 def create(name: str, **settings: Any) -> Policy:

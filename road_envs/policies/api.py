@@ -80,12 +80,8 @@ class PolicyContext:
 
     def accelerations(self, observations: np.ndarray) -> np.ndarray:
         """Return the samples (N, S, k) [m/s²] of the accelerometers in the last interval."""
-        return np.stack([self.signal(name, observations) for name in self.accelerometers], axis=1)
-
-    @property
-    def accelerometers(self) -> tuple[str, ...]:
-        """Names of the S accelerometers, which name parts of an observation."""
-        return tuple(self.instruments.accelerometers)
+        names = self.instruments.accelerometers
+        return np.stack([self.signal(name, observations) for name in names], axis=1)
 
 
 class Policy(Protocol):

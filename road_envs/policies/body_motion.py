@@ -26,14 +26,14 @@ class BodyMotionEstimator:
     """
 
     def __init__(self, context: PolicyContext, leak: float):
-        places = list(context.instruments.locations(context.car).values())
+        places = context.instruments.locations(context.car)
         self.context, self.decay = context, np.exp(-2.0 * np.pi * leak * context.interval)
-        self.on_body = [i for i, place in enumerate(places) if place.axle is None]
-        rows = np.array([[1.0, place.y, -place.x] for place in places])[self.on_body]
+        self.on_body = [i for i, place in enumerate(places.values()) if place.axle is None]
+        rows = np.array([[1.0, place.y, -place.x] for place in places.values()])[self.on_body]
         if np.linalg.matrix_rank(rows, tol=MIN_LEVER) < 3:
             raise ConfigError(
                 "this policy needs three accelerometers on the body that are not in one line, to "
-                f"resolve heave, roll and pitch; there are {', '.join(context.accelerometers)}"
+                f"resolve heave, roll and pitch; there are {', '.join(places)}"
             )
         self.sensors_to_motion = np.linalg.inv(rows) if len(rows) == 3 else np.linalg.pinv(rows)
         axles = [axle for axle in context.car.axles for _ in range(2)]

@@ -31,7 +31,7 @@ RIDE = ("ride", "ride")
 class FeatureVecEnv(VecEnvWrapper):
     """Vector environment `env` observed as features, with actions that last for several intervals.
 
-    An action is repeated for `action_repeat` intervals, whose rewards are summed and scaled. With
+    An action is repeated for `action_repeat` intervals, whose rewards are summed. With
     `paired_baseline` the rewards of vehicles that stay in ride on the same roads are subtracted:
     of each pair of rows of `env` the second one, so that there are half as many environments. After
     one vehicle of a pair has rolled over, the two drive different roads of the same kind.
@@ -42,7 +42,6 @@ class FeatureVecEnv(VecEnvWrapper):
         env: RoadReconVecEnv,
         seed: int,
         *,
-        reward_scale: float = 1.0,
         action_repeat: int = 1,
         paired_baseline: bool = False,
     ):
@@ -50,14 +49,15 @@ class FeatureVecEnv(VecEnvWrapper):
         super().__init__(env, gymnasium.spaces.Box(-limits, limits), setup.action_space)
         self.rows = 2 if paired_baseline else 1
         self.num_envs = env.num_envs // self.rows
-        self.reward_scale, self.action_repeat = reward_scale, action_repeat
+        self.action_repeat = action_repeat
         env.seed(seed, alike=self.rows)
         self.features = FeatureExtractor(PolicyContext.from_setup(setup, self.num_envs, seed))
 
     def reset(self) -> np.ndarray:
         """Start episodes in all environments, and return the features (N, K)."""
         self.features.reset(np.ones(self.num_envs, dtype=bool))
-        return self.features.update(self.venv.reset()[:: self.rows])
+        observations: Any = self.venv.reset()
+        return self.features.update(observations[:: self.rows])
 
     def step_async(self, actions: np.ndarray) -> None:
         """Store the actions (N,) for `step_wait`."""
@@ -78,7 +78,7 @@ class FeatureVecEnv(VecEnvWrapper):
             observations, rewards, dones, part_infos = (x[:: self.rows] for x in every_row)
             if self.rows > 1:
                 rewards = rewards - every_row[1][1::2]
-            total += np.where(ended, 0.0, self.reward_scale * rewards).astype(np.float32)
+            total += np.where(ended, 0.0, rewards).astype(np.float32)
             newly_ended = np.flatnonzero(dones & ~ended)
             if newly_ended.size:  # the learner bootstraps from the last features if truncated
                 last = np.zeros_like(observations)

@@ -30,9 +30,6 @@ class GreedyInformation(Settings):
 
     weight: Annotated[NonNegative, "m/s²", "of the unresolved share of variance"] = 100.0
     context: PolicyContext = field(init=False, repr=False, compare=False)
-    best_actions: dict[tuple, int] = field(
-        init=False, repr=False, compare=False, default_factory=dict
-    )
 
     def reset(self, context: PolicyContext) -> None:
         """Discard the choice; the next observation determines a new one."""
@@ -44,15 +41,9 @@ class GreedyInformation(Settings):
         if self.actions.size == 0:
             measured = self.context.signal("speed", observations)[:, 0]
             speeds, which = np.unique(np.round(measured), return_inverse=True)
-            self.actions = np.array([self.best_action(max(float(v), 1.0)) for v in speeds])[which]
+            costs = [self.action_costs(max(float(v), 1.0)) for v in speeds]
+            self.actions = np.argmin(costs, axis=1)[which]
         return self.actions
-
-    def best_action(self, v: float) -> int:
-        """Return the action of least cost at `v` [m/s], cached because it takes a second."""
-        key = (v, self.context.actions, repr(self.context.car), repr(self.context.instruments))
-        if key not in self.best_actions:
-            self.best_actions[key] = int(np.argmin(self.action_costs(v)))
-        return self.best_actions[key]
 
     def action_costs(self, v: float) -> np.ndarray:
         """Return the cost of every action at `v` [m/s]."""

@@ -27,7 +27,6 @@ It ranks policies that violate behind all that do not: a drive on two wheels for
 costs 5 m²/s⁴, four times what handling costs in comfort [assumed].
 """
 
-
 KEPT_FLEETS = 2
 """Fleets that `Drives` keeps to start them again."""
 
@@ -108,7 +107,7 @@ class Drives:
         sides: list[dict[str, Any]] = []
         for k, seed in enumerate(seeds):
             own: dict[str, Any] = dict(options[k]) if options else {}
-            other = setup.describe(seeding.np_random(seed)[0], own).mirrored
+            other = setup.draw(seeding.np_random(seed)[0], own)[0].mirrored
             sides += [own, own | {"side": other.side, "gentle_side": other.gentle_side}]
         return cls(setup, np.repeat(seeds, 2).tolist(), sides)
 
@@ -170,10 +169,6 @@ class _Totals:
         self.running &= ~(output.failed | output.end_of_road)
         return failed
 
-    def named(self) -> dict[str, np.ndarray]:
-        """Return the totals (N,) by the names of their columns."""
-        return dict(zip(self.columns, self.values, strict=True))
-
 
 def roll_out(
     policy: Policy,
@@ -222,7 +217,8 @@ def drive_all(
             observations.append(output.observation)
         progress(min(len(actions) / total, 1.0))
     arrays = np.array(actions), np.array(rewards), np.array(observations)
-    return Rollout(*arrays, totals.intervals, totals.named(), tuple(reasons), setup.interval)
+    named = dict(zip(totals.columns, totals.values, strict=True))
+    return Rollout(*arrays, totals.intervals, named, tuple(reasons), setup.interval)
 
 
 @dataclass

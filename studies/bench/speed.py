@@ -344,7 +344,7 @@ torch.set_num_threads(1)
 observe = ["accelerations", "planar", "struts"]
 case = {"road": "iso_d", "control": "axle", "truth": False, "observe": observe}
 envs = RoadReconVecEnv(64, **case)
-envs = FeatureVecEnv(envs, 0, reward_scale=10.0, action_repeat=25, paired_baseline=True)
+envs = FeatureVecEnv(envs, 0, action_repeat=25, paired_baseline=True)
 model = PPO("MlpPolicy", envs, n_steps=15, batch_size=480, n_epochs=10, device="cpu")
 model.learn(480)
 begin = time.process_time()

@@ -126,7 +126,7 @@ def test_a_sound_policy_passes_and_what_it_refuses_is_noted():
     "name",
     [
         "skyhook",
-        pytest.param("evolved", marks=pytest.mark.processes),
+        pytest.param("learned", marks=pytest.mark.processes),
         pytest.param("greedy_information", marks=pytest.mark.slow),
     ],
 )
@@ -151,7 +151,7 @@ def test_policies_compares_a_class_and_a_file_beside_shipped_ones(
     road_recon, tmp_path, monkeypatch
 ):
     monkeypatch.syspath_prepend(str(SUPPORT))
-    network = Path(__file__).parents[2] / "configs/policies/evolved.npz"
+    network = Path(__file__).parents[2] / "configs/policies/learned.npz"
     (tmp_path / "mine.npz").write_bytes(network.read_bytes())
     words = ("--policy", "fixed_ride", "--policy", "mine.npz", "--policy", "bad_policies:Lateral")
     code, out, _ = road_recon(

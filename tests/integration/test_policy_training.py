@@ -1,6 +1,7 @@
-"""Training of policies: environments as features, evolution, stored networks."""
+"""Training of policies: environments as features, policy iteration, stored networks."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,15 +9,21 @@ import pytest
 from leaderboard.commands.policies import policies
 from leaderboard.policies import comparison, learning
 from road_envs.core.config import ConfigError
-from road_envs.envs.safe4s4 import Safe4S4VectorEnv
+from road_envs.envs.safe4s4 import Safe4S4Setup, Safe4S4VectorEnv
 from road_envs.envs.sb3 import RoadReconVecEnv
 from road_envs.envs.vector import RoadReconVectorEnv
-from road_envs.policies import PolicyContext, make_policy
-from road_envs.policies.evolution import EvolutionConfig, LinearPolicies, as_network, evolve
+from road_envs.policies import PolicyContext, create, make_policy
 from road_envs.policies.feature_env import FeatureVecEnv
 from road_envs.policies.features import N_FEATURES, NAMES, FeatureExtractor
 from road_envs.policies.network_policy import NetworkPolicy
-from road_envs.policies.rollout import VIOLATION_PRICE, drive_all, training_drives
+from road_envs.policies.policy_iteration import (
+    DEVELOPMENT_SEED,
+    IterationConfig,
+    examples,
+    iterate,
+    pair_costs,
+)
+from road_envs.policies.rollout import VIOLATION_PRICE, Drives, drive_all, training_drives
 from studies.trained_networks import TrainingConfig, train
 
 CASE = {
@@ -45,8 +52,8 @@ def features_of(case, n, seed, **options) -> FeatureVecEnv:
     return FeatureVecEnv(RoadReconVecEnv(rows, **case), seed, **options)
 
 
-def test_actions_are_repeated_and_rewards_are_summed_and_scaled():
-    envs = features_of(TURN, 2, 7, reward_scale=3.0, action_repeat=4)
+def test_actions_are_repeated_and_rewards_are_summed():
+    envs = features_of(TURN, 2, 7, action_repeat=4)
     plain = RoadReconVectorEnv(2, **TURN)
     features = FeatureExtractor(PolicyContext.from_setup(plain.setup, 2, 0))
     np.testing.assert_array_equal(envs.reset(), features.update(plain.reset(seed=7)[0]))
@@ -56,7 +63,7 @@ def test_actions_are_repeated_and_rewards_are_summed_and_scaled():
         observations, reward, *_ = plain.step(actions)
         last, total = features.update(observations), total + reward
     np.testing.assert_array_equal(after, last)
-    np.testing.assert_allclose(rewards, 3.0 * total, rtol=1e-5)
+    np.testing.assert_allclose(rewards, total, rtol=1e-5)
     assert after.shape == (2, N_FEATURES) and not dones.any()
 
 
@@ -120,37 +127,54 @@ def test_an_episode_that_ends_during_a_repeat_is_reported_as_ended():
         assert info["TimeLimit.truncated"] and info["terminal_observation"].shape == (N_FEATURES,)
 
 
+TINY = IterationConfig(steps=3, drives=1, every=40, width=8)
+
+
 @pytest.fixture(scope="module")
 def study():
-    return learning.train_seeds(EvolutionConfig(steps=3, population=4, drives=1), [3, 4])
+    return learning.train_seeds(TINY, [3, 4])
 
 
-def test_evolution_starts_from_the_threshold_and_is_reproducible(study):
-    config = EvolutionConfig(steps=3, population=4, drives=1)
-    network, curve = evolve(config, 3)
+def test_policy_iteration_is_reproducible_and_keeps_its_best_round(study):
+    network, curve = iterate(TINY, 3, lambda text, share: None)
     for (W, b), (W_2, b_2) in zip(network.layers, study.networks[0].layers, strict=True):
         np.testing.assert_array_equal(W, W_2)
         np.testing.assert_array_equal(b, b_2)
-    assert curve == study.curves[0]
-    assert study.curves[0][0][1] == study.curves[1][0][1]  # both of the start's weights
-    assert study.curves[0][1:] != study.curves[1][1:]
+    assert curve == study.curves[0] != study.curves[1]
+    compared = range(DEVELOPMENT_SEED, DEVELOPMENT_SEED + 1)
+    drives = Drives.mirrored(Safe4S4Setup({"split": "train"}), compared)
+    own = drive_all(NetworkPolicy.from_network(network), drives).score.mean()
+    assert own == pytest.approx(max(score for _, score in curve), rel=1e-12)
+    assert network.metadata["steps"] == 1 + np.argmax([score for _, score in curve])
 
 
-def test_a_network_of_one_layer_acts_as_the_linear_policy():
-    weights = np.random.default_rng(0).standard_normal((2, 4, N_FEATURES + 1))
-    drives = training_drives(1)
-    one = drive_all(LinearPolicies(weights[None]), drives)
-    other = drive_all(NetworkPolicy.from_network(as_network(weights, {})), drives)
-    np.testing.assert_array_equal(one.actions, other.actions)
-    assert len(np.unique(one.actions)) > 4
+def test_the_cost_of_a_pair_is_that_of_the_drive_in_which_it_is_held():
+    """Whole drives with other actions over `hold` intervals are the oracle."""
+    config, drives = IterationConfig(every=100, price=50.0), training_drives(1)
+    actions = np.full((600, len(drives)), 4)  # ride in front, handling at the rear
+    costs = pair_costs(config, drives, actions, first=120)
+    for pair in (0, 5, 14):
+        other = actions.copy()
+        other[220:223] = pair
+        sums = np.zeros(len(drives))
+        fleet = drives.start()
+        fleet.advance(drives.first_bytes())
+        for k, row in enumerate(other[:236]):
+            values = fleet.advance(drives.setup.command_bytes[row]).values.T
+            by_name = dict(zip(fleet.columns, values, strict=True))
+            sums += (k >= 220) * (by_name["comfort"] + 50.0 * by_name["cost"])
+        np.testing.assert_allclose(costs[1, :, pair], sums, rtol=1e-9)
+    assert np.ptp(costs[1], axis=1).min() > 0.0
 
 
-def test_candidates_of_one_generation_drive_as_each_alone():
-    weights = np.random.default_rng(1).standard_normal((3, 2, 4, N_FEATURES + 1))
-    drives = training_drives(1)
-    together = drive_all(LinearPolicies(weights), drives, copies=3).score.reshape(-1, 3)
-    alone = drive_all(LinearPolicies(weights[1:2]), drives).score
-    np.testing.assert_allclose(together[:, 1], alone, rtol=1e-3)
+def test_learning_lowers_the_cost_of_what_the_network_chooses():
+    config, setup = IterationConfig(drives=1, every=6), Safe4S4Setup({"split": "train"})
+    drives = Drives.mirrored(setup, range(7, 10))
+    features, costs = examples(config, drives, create("rrms"), 0)
+    worse = np.minimum(costs - costs.min(axis=1, keepdims=True), 10.0)
+    network, _ = iterate(replace(config, steps=1, drives=3, width=16), 1, lambda text, share: None)
+    chosen = network.forward(features).argmax(axis=1)
+    assert worse[np.arange(len(worse)), chosen].mean() < 0.8 * worse.mean()
 
 
 def test_a_study_compares_every_seed_with_the_laws_on_public_drives(study, monkeypatch):
@@ -238,14 +262,8 @@ def test_value_learning_trains_a_network(algorithm):
     assert result.network.metadata["activation"] == "relu"
 
 
-def test_shipped_training_settings_are_complete():
-    assert learning.load_training_config("evolved", steps=5).steps == 5
-
-
 def test_invalid_training_settings_are_named():
     with pytest.raises(ConfigError, match=r"hyperparameters of ppo: .*learning_rat"):
         train(TrainingConfig(hyperparameters={"learning_rat": 1.0}, n_envs=1, drives=1), seed=1)
-    with pytest.raises(ConfigError, match="rrms has no training section"):
-        learning.load_training_config("rrms")
     with pytest.raises(ValueError, match="must be at least 1"):
         TrainingConfig(steps=0)

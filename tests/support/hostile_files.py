@@ -124,7 +124,7 @@ def readers(folder: Path) -> dict[str, Reader]:
         "drive description": (read_description, folder / "drive.yaml", ConfigError),
         "weights": (weights_io.load, folder / "weights.npz", weights_io.StorageError),
         "safetensors": (weights_io.load, folder / "weights.safetensors", weights_io.StorageError),
-        "policy": (read_policy_network, config.folder() / "policies/evolved.npz", ConfigError),
+        "policy": (read_policy_network, config.folder() / "policies/learned.npz", ConfigError),
         "hidden seeds": (
             lambda path: hidden_seeds.load(path.parent),
             folder / hidden_seeds.COMMITMENT,

@@ -217,7 +217,7 @@ def test_a_policy_of_another_package_is_available_by_its_name(monkeypatch):
         ("skyhook", {"leak": -1.0}, "leak: must be positive, got -1.0 Hz"),
         ("skyhook", {"high": "hard"}, "'handling' or 'soft_high'"),
         ("rrms", {"window": 0.0}, "window: must be positive"),
-        ("evolved", {"file": "none.npz"}, "none.npz: cannot be read: No such file"),
+        ("learned", {"file": "none.npz"}, "none.npz: cannot be read: No such file"),
     ],
 )
 def test_an_unknown_policy_or_invalid_setting_is_named(name, settings, message):
