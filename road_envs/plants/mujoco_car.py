@@ -6,14 +6,15 @@ Independent wheels swing about axes along the car, at the file's `swing_arm` fro
 line from the contact through the roll centre. MuJoCo finds masses, levers, lengths of struts and
 their rates, and accelerations; the accelerometers are its own. What acts between its bodies:
 
-- struts are tendons, whose forces are the interpolated curves of the file
+- struts are tendons, whose forces are the interpolated curves of the file, or those of a law that
+  is handed over
 - tyres push at the contacts: springs and dampers that never pull, and side forces that follow the
   slip over the relaxation length and end at the friction of the ground
 
 Tyres are points; their side forces grow with the load.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -41,17 +42,31 @@ DRAG = 1e-9
 """Rotary inertia [kg m²] about axes that do not matter, since MuJoCo needs one."""
 
 
-class MujocoCar:
-    """One car in MuJoCo; `locations` are those of its accelerometers."""
+StrutLaw = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Law of the struts FL, FR, RL, RR: extensions (4,) [m] and their rates [m/s] to forces (4,) [N]
+that push the body up."""
 
-    def __init__(self, car: VehicleParameters, locations: Sequence[SensorLocation]):
+
+class MujocoCar:
+    """One car in MuJoCo; `locations` are those of its accelerometers.
+
+    Its struts follow `law`, by default the curves of the vehicle file. Raises ConfigError if it has
+    none, as a car whose struts are switched.
+    """
+
+    def __init__(
+        self,
+        car: VehicleParameters,
+        locations: Sequence[SensorLocation],
+        law: StrutLaw | None = None,
+    ):
         with optional_import("the plant mujoco"):
             import mujoco
 
         self.mujoco, self.car, self.side = mujoco, car, side_values(car)
         self.model = mujoco.MjModel.from_xml_string(_describe(car, self.side, locations))
         self.data = mujoco.MjData(self.model)
-        self.curves = _strut_tables(car)
+        self.law = law or _passive_law(car)
         wheels = [self._id("SITE", f"contact{w}") for w in range(4)]
         self.contacts, self.bodies = np.array(wheels), self.model.site_bodyid[wheels]
         self.k, self.c, self.load, self.C, self.sigma = np.array(
@@ -64,25 +79,27 @@ class MujocoCar:
         mujoco.mj_forward(self.model, self.data)
         self.lengths = self.data.ten_length[:4].copy()
         self.heights = self.data.site_xpos[self.contacts, 2].copy()
-        self.side_force = np.zeros(4)
+        self.side_force, self.tyre_load = np.zeros(4), self.load.copy()
 
     def _id(self, kind: str, name: str) -> int:
         return int(
             self.mujoco.mj_name2id(self.model, getattr(self.mujoco.mjtObj, f"mjOBJ_{kind}"), name)
         )
 
+    @property
+    def extension(self) -> np.ndarray:
+        """Extensions (4,) [m] of the struts from their lengths at rest."""
+        return self.data.ten_length[:4] - self.lengths
+
     def step(self, z_r: np.ndarray, w_r: np.ndarray, v: float) -> None:
         """Take one step at road heights `z_r` (4,) [m] and their rates `w_r` [m/s]."""
         model, data = self.model, self.data
         self.mujoco.mj_step1(model, data)
-        extension = data.ten_length[:4] - self.lengths
-        for w, (e, rate) in enumerate(zip(extension, data.ten_velocity[:4], strict=True)):
-            x, F, u, damping = self.curves[w // 2]
-            data.ctrl[w] = np.interp(e, x, F) - np.interp(rate, u, damping)
+        data.ctrl[:4] = self.law(self.extension, data.ten_velocity[:4])
         speed = data.sensordata[:12].reshape(4, 3)  # of the contacts
         squeezed = self.load / self.k + z_r - (data.site_xpos[self.contacts, 2] - self.heights)
         load = self.k * squeezed + self.c * (w_r - speed[:, 2])
-        load = np.where(squeezed > 0.0, np.maximum(load, 0.0), 0.0)
+        self.tyre_load = load = np.where(squeezed > 0.0, np.maximum(load, 0.0), 0.0)
         slip = speed[:, 1] - v * data.qpos[2]  # against the heading
         stiffness = self.C * load / self.load
         self.side_force -= STEP / self.sigma * (v * self.side_force + stiffness * slip)
@@ -123,8 +140,8 @@ class MujocoCar:
         return found[:, 2::3].T - GRAVITY
 
 
-def _strut_tables(car: VehicleParameters) -> list[tuple[np.ndarray, ...]]:
-    """Return force over extension, and force over its rate, of the struts of both axles."""
+def _passive_law(car: VehicleParameters) -> StrutLaw:
+    """Return the law of the curves in a vehicle file. Raises ConfigError if it has none."""
     if not isinstance(car.strut, PassiveStruts):
         raise ConfigError(f"{car.name} has struts that are switched: a plant needs passive ones")
     tables: list[tuple[np.ndarray, ...]] = []
@@ -135,7 +152,15 @@ def _strut_tables(car: VehicleParameters) -> list[tuple[np.ndarray, ...]]:
             F -= _interpolate(strut.at_wheel(strut.bushing), e)
         losses = [strut.at_wheel(curve) for curve in (strut.damper, strut.friction)]
         tables.append((e, F, rate, np.sum([_interpolate(curve, rate) for curve in losses], axis=0)))
-    return tables
+
+    def law(extension: np.ndarray, rates: np.ndarray) -> np.ndarray:
+        forces = np.empty(4)
+        for w, (e, rate) in enumerate(zip(extension, rates, strict=True)):
+            x, F, u, damping = tables[w // 2]
+            forces[w] = np.interp(e, x, F) - np.interp(rate, u, damping)
+        return forces
+
+    return law
 
 
 def _interpolate(curve: Any, x: np.ndarray) -> np.ndarray:
