@@ -1,0 +1,102 @@
+"""Notes for the reader of a board: doubts about its rows, and how they were made."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from estimators.lookup import TRAINING_VEHICLE
+from leaderboard.evaluation.results import ISOLATED, Result
+from leaderboard.evaluation.tasks import Task
+from leaderboard.metrics.baselines import NOISE_LEVEL, TRUTH_PLUS_NOISE
+from leaderboard.report.board_definitions import BELOW_BOUND, BOUND_NAME, BOUND_ROW
+from leaderboard.running.verification import Verified, kernels_of
+from road_envs.vehicle.parameters import load_vehicle
+
+if TYPE_CHECKING:
+    from leaderboard.report.tables import Row
+
+
+def sanity_warnings(rows: Sequence["Row"], is_public: bool = False) -> list[str]:
+    """Return remarks on scores better than the truth or the bound, and on faulty baselines.
+
+    On roads that are public, an entry below the bound may have drawn them again.
+    """
+    doubt = ": it knows more than the sensors tell, or has drawn these public roads again"
+    error = {row.name: row.values.get("nrmse") for row in rows}
+    warnings = []
+    best, bound = error.get(TRUTH_PLUS_NOISE), error.get(BOUND_ROW)
+    for row in rows:
+        mine, below = error[row.name], row.values.get(BELOW_BOUND) or 0.0
+        if row.state != "scored" or mine is None:
+            continue
+        if best is not None and mine < best:
+            warnings.append(
+                f"{row.name} scores better than the truth with {100 * NOISE_LEVEL:g} % noise: "
+                "it has used the truth, or the evaluation is faulty"
+            )
+        elif bound is not None and mine < bound:
+            share = f"on {below:.0%} of its drives{doubt * is_public}"
+            warnings.append(f"{row.name} is below the {BOUND_NAME}, {share}")
+    for name, expected in (("flat", 1.0), (TRUTH_PLUS_NOISE, NOISE_LEVEL)):
+        mine = error.get(name)
+        if mine is not None and abs(mine - expected) > 0.1 * expected:
+            warnings.append(
+                f"the evaluation is faulty: {name} scores {mine:.3f} instead of {expected:g}"
+            )
+    return warnings
+
+
+def protocol_notes(task: Task, results: Sequence[Result]) -> list[str]:
+    trained, pretrained = "", [r.estimator for r in results if r.settings.get("shipped")]
+    if task.trains_on_test_road:
+        trained = "Trained on altered copies of the test road"
+        trained += f"; {', '.join(pretrained)} with pretrained weights." if pretrained else "."
+    elsewhere = ""
+    if pretrained and task.vehicle != load_vehicle(TRAINING_VEHICLE):
+        elsewhere = (
+            f"{', '.join(pretrained)}: trained on drives of {TRAINING_VEHICLE}, not of "
+            f"{task.vehicle.name}."
+        )
+    return [text for text in (trained, elsewhere, task.note) if text]
+
+
+def surface_notes(task: Task, results: list[Result]) -> list[str]:
+    """Return what was changed on a road surface that was read from a file."""
+    notes = dict.fromkeys(note for r in results for note in r.notes)
+    return [f"Surface: {'; '.join(notes)}."] if notes and task.board_name == "measured" else []
+
+
+def isolation_notice(results: Iterable[Result]) -> str | None:
+    """Return one sentence on the scored rows that ran without isolation; None if all had it."""
+    names = [
+        r.estimator
+        for r in results
+        if r.role == "entry" and r.failure is None and r.isolation not in ISOLATED
+    ]
+    if not names:
+        return None
+    return (
+        f"Run without isolation: {', '.join(dict.fromkeys(names))}. These estimators had the "
+        "rights of the user who ran the board: their rows hold only if that user trusts their code."
+    )
+
+
+def kernel_notes(
+    results: Sequence[Result], verified: Mapping[str, Sequence[Verified]]
+) -> list[str]:
+    """Return a note on the rows of a task that are not known to agree with the kernels of most.
+
+    A row agrees if it was made with them, or verified on them within the tolerance.
+    """
+    made = {result.estimator: kernels_of(result.environment) for result in results}
+    if len(set(made.values())) < 2:
+        return []
+    usual = max(set(made.values()), key=lambda x: (list(made.values()).count(x), x))
+    notes: dict[str, list[str]] = {}
+    for result in results:
+        again = [x for x in verified.get(result.identity, ()) if x.kernels == usual]
+        if made[result.estimator] == usual or any(x.agrees for x in again):
+            continue
+        text = f"ran on {made[result.estimator]}, the others on {usual}: "
+        text += f"{again[0].distance:.1e} apart there" if again else "not verified there"
+        notes.setdefault(text, []).append(result.estimator)
+    return [f"{', '.join(names)} {text}." for text, names in notes.items()]
