@@ -7,7 +7,7 @@ import estimators
 from estimators.api import Estimator, copy_with
 from estimators.common.odometer import to_true_distance
 from estimators.lookup import FILE_SUFFIXES
-from estimators.wiener.drive_check import check_notes
+from estimators.wiener.drive_check import check_notes, side_notes
 from estimators.wiener.structure_search import with_bending, with_twist
 from leaderboard.drive_report.mean_path import means_of_pairs, tells_paths_apart, tells_vehicle
 from leaderboard.drive_report.notes import LARGE_RESIDUAL, is_far_off, residual_of
@@ -29,11 +29,12 @@ PAIRS_NOTE = (
 
 
 def with_doubts(drive: DriveFile) -> DriveFile:
-    """Return a drive with a note if its record fits another description better."""
-    if not drive.is_table:
-        return drive
-    record, known = drive.measured.record, drive.knows_distance
-    return drive.with_notes(*check_notes(record, drive.car, drive.sensors, speed_known=known))
+    """Return a drive with notes if its record fits another description better."""
+    record, car, sensors = drive.measured.record, drive.car, drive.sensors
+    notes = side_notes(record, car, sensors)
+    if drive.is_table:  # a record of `simulate` knows its speed, mode and channels
+        notes += check_notes(record, car, sensors, speed_known=drive.knows_distance)
+    return drive.with_notes(*notes)
 
 
 def make_drive_estimator(name: str, drive: DriveFile, settings: dict[str, Any]) -> Estimator:

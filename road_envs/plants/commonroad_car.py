@@ -27,11 +27,11 @@ import numpy as np
 
 from road_envs.core.config import ConfigError
 from road_envs.core.extras import optional_import
-from road_envs.plants.side_values import side_values
 from road_envs.roads.surface import Surface
 from road_envs.sensing.instruments import SensorLocation
 from road_envs.vehicle.force_curves import Curve
 from road_envs.vehicle.parameters import VehicleParameters
+from road_envs.vehicle.side_values import side_values
 from road_envs.vehicle.struts import CoilSpring, PassiveStrut, PassiveStruts
 
 PATCHES = (

@@ -22,11 +22,11 @@ from scipy.interpolate import PchipInterpolator
 
 from road_envs.core.config import ConfigError
 from road_envs.core.extras import optional_import
-from road_envs.plants.side_values import side_values
 from road_envs.roads.surface import Surface
 from road_envs.sensing.instruments import SensorLocation
 from road_envs.vehicle.axles import IndependentWheels, SideMotion
 from road_envs.vehicle.parameters import GRAVITY, VehicleParameters
+from road_envs.vehicle.side_values import side_values
 from road_envs.vehicle.struts import PassiveStruts
 
 STEP = 2e-4

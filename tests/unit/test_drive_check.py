@@ -7,9 +7,12 @@ import pytest
 from vehicle_fixtures import DEFENDER
 
 from estimators.wiener import drive_check
-from estimators.wiener.drive_check import DOUBTED_SCALE, check_notes, without_obstacles
-from road_envs.drives.recording import simulate_record
+from estimators.wiener.drive_check import DOUBTED_SCALE, check_notes, side_notes, without_obstacles
+from road_envs.core import config
+from road_envs.drives.recording import read_record, simulate_record
 from road_envs.records.record import Record
+from road_envs.sensing.perturbed_vehicle import load_plant_mismatch
+from road_envs.vehicle.parameters import load_vehicle
 from road_envs.vehicle.struts import MODES
 
 
@@ -113,3 +116,31 @@ def test_a_known_speed_is_not_doubted(monkeypatch, known):
     )
     notes = check_notes(record, DEFENDER, "paper", speed_known=known)
     assert any("--units v=km/h" in note for note in notes) == (not known)
+
+
+def kept(stem):
+    return read_record(config.folder() / "plants" / f"{stem}.parquet")[0]
+
+
+@pytest.mark.parametrize("car", ["bmw_320i", "defender_110_coils"])
+def test_another_programs_side_motion_is_noticed_and_that_of_the_file_is_not(car):
+    described = load_vehicle(car)
+    (note,) = side_notes(kept(f"commonroad_{car}_iso8608_B_90_17101"), described, "paper")
+    assert "sideways 2 times as stiffly" in note and "the mean of the wheel paths is not" in note
+    record = kept(f"mujoco_{car}_iso8608_C_36_7101")
+    assert side_notes(record, described, "paper") == ()
+    front, rear = described.side.C_alpha
+    stiff = replace(described, side=replace(described.side, C_alpha=(3.0 * front, 3.0 * rear)))
+    assert "sideways 0.5 times as stiffly" in side_notes(record, stiff, "paper")[0]
+
+
+def test_a_switchable_vehicle_whose_tyres_hold_it_is_noticed():
+    mismatch = load_plant_mismatch()
+    rigid = replace(mismatch, structure=replace(mismatch.structure, frame=None, bending=None))
+    held, _ = simulate_record(
+        "iso_c", speed_kmh=36, mode="handling", seed=7, grade="S4", length=80.0,
+        plant_mismatch=rigid,
+    )  # fmt: skip
+    (note,) = side_notes(held, DEFENDER, "paper")
+    assert "tyres that hold the vehicle sideways" in note and "up to a fifth too low" in note
+    assert side_notes(drive("iso_c", 36, "handling", seed=7), DEFENDER, "paper") == ()

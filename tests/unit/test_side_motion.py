@@ -9,7 +9,6 @@ from vehicle_fixtures import DEFENDER
 
 from road_envs.core.config import ConfigError
 from road_envs.plants.commonroad_car import as_driven
-from road_envs.plants.side_values import side_values
 from road_envs.roads import realise_road
 from road_envs.roads.surface import Surface
 from road_envs.simulation.drive import DriveSimulator, simulate
@@ -28,6 +27,7 @@ from road_envs.vehicle.linear_model import (
 )
 from road_envs.vehicle.natural_modes import natural_modes
 from road_envs.vehicle.parameters import TorsionalFrame, check_plausible, load_vehicle
+from road_envs.vehicle.side_values import side_values
 from road_envs.vehicle.suspension import settled_strut_state
 
 PLAIN = load_vehicle("bmw_320i").sliding

@@ -1,4 +1,4 @@
-"""Numbers of a vehicle's side motion for foreign plants, also of a vehicle that has none."""
+"""Numbers of a vehicle's side motion, also of a vehicle whose file has none."""
 
 from road_envs.vehicle.axles import IndependentWheels, SideMotion
 from road_envs.vehicle.parameters import VehicleParameters
