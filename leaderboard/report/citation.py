@@ -51,7 +51,8 @@ def cite_entry(out: Path, name: str) -> str:
     authors = ""
     if card is not None:
         authors = f"\n  author = {{{' and '.join(card.authors).translate(SPECIAL)}}},"
-    note = _what_ran(rows) + (f"; {card.citation}" if card is not None else "")
+    reference = "none" if card is None else card.citation
+    note = _what_ran(rows) + (f"; {reference}" if reference != "none" else "")
     return ENTRY.format(name=name, authors=authors, note=note.translate(SPECIAL))
 
 

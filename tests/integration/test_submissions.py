@@ -364,6 +364,9 @@ def test_a_citation_says_what_ran(submission):
     row = store.load(store.row_path(submission, "small", "reader"))
     assert "author = {Ada Author and Bo Author}" in text and r"100 \% of it" in text
     assert f"small {row.task_digest[:12]}" in text and row.package_version in text
+    card = submission / "site" / "methods" / "reader.yaml"
+    card.write_text(card.read_text().replace("A. Author, 100 % of it, 2026", "none"))
+    assert "none" not in cite_entry(submission / "site", "reader")
     with pytest.raises(ConfigError, match="unknown entry 'leader'"):
         cite_entry(submission / "site", "leader")
 
