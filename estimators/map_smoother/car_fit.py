@@ -35,9 +35,8 @@ from road_envs.vehicle.tolerances import ParameterSpace, parameter_space
 MAX_STEPS = 6
 """Steps of the parameters at most."""
 
-ROAD_STEPS, FIRST_ROAD_STEPS, N_FIRST = 2, 1, 3
-"""Gauss-Newton steps of the road after each, and after each of the first over unmeasured roads,
-which the next ones correct."""
+ROAD_STEPS = 2
+"""Gauss-Newton steps of the road after each."""
 
 STEPS_WITH_SPEED = 14
 """Steps of the parameters at most where the speed is unknown, too: its error follows them."""
@@ -107,8 +106,7 @@ def fit_car(
 
     `solver`: settings of the road's steps. With `instruments`, errors of the readings are fitted
     too, the same in all drives; possible only where the road is known. `start` (P,) is where the
-    search begins. Over unmeasured roads the second step takes the derivatives of the first one, and
-    those of the third one serve four steps, and so on.
+    search begins.
     """
     errors = InstrumentErrors.of(solutions[0].linearization.objective.passes[0])
     size = space.size + instruments * len(errors.names)
@@ -116,12 +114,11 @@ def fit_car(
     original, now = [s.linearization.objective for s in solutions], tuple(solutions)
     covariance = np.eye(size)
     for k in range(max_steps):
-        if instruments or k == 0 or k % 4 == 2:
-            cars = perturbed_cars(space, x[: space.size])
-            derivatives = [
-                drive_derivatives(solution, objective.passes[0], cars, x[space.size :])
-                for solution, objective in zip(now, original, strict=True)
-            ]
+        cars = perturbed_cars(space, x[: space.size])
+        derivatives = [
+            drive_derivatives(solution, objective.passes[0], cars, x[space.size :])
+            for solution, objective in zip(now, original, strict=True)
+        ]
         terms = [drive_terms(*pair) for pair in zip(now, derivatives, strict=True)]
         gradient = np.sum([term.gradient for term in terms], axis=0) - x
         hessian = np.sum([term.information for term in terms], axis=0) + np.eye(size)
@@ -134,9 +131,8 @@ def fit_car(
         apply = partial(
             _with_parameters, space.from_vector(x[: space.size]), errors, x[space.size :]
         )
-        road_steps = FIRST_ROAD_STEPS if k < N_FIRST and not instruments else ROAD_STEPS
         now = tuple(
-            _resolve(solution, objective.with_passes(apply), solver, road_steps)
+            _resolve(solution, objective.with_passes(apply), solver)
             for solution, objective in zip(now, original, strict=True)
         )
         if (np.abs(step) < SMALL_CHANGE * np.sqrt(np.diag(covariance))).all():
@@ -234,7 +230,6 @@ def _resolve(
     solution: MapSolution,
     objective: Objective,
     solver: GaussNewton,
-    road_steps: int = ROAD_STEPS,
     change: np.ndarray | None = None,
 ) -> MapSolution:
     """Return the solution of a drive with another `objective`, after steps from its road on.
@@ -245,7 +240,7 @@ def _resolve(
     solver = replace(solver, stationary=stationary)
     x = solution.linearization.x + (0.0 if change is None else change)
     lin, noise_scale = objective.linearize(x), solution.noise_scale
-    for _ in range(road_steps):
+    for _ in range(ROAD_STEPS):
         noise_scale = update_noise_scale(lin, stationary, noise_scale)
         lin, _ = solver.step(lin, noise_scale)
         if change is not None:
