@@ -75,7 +75,7 @@ def with_other_future(record: Record, start: float, rng: np.random.Generator) ->
     """Return a record with other accelerations and speeds from the station `start` [m] on."""
     later = record.s >= start
     noise = np.nanstd(record.a) * rng.standard_normal(record.a.shape)
-    gain = rng.uniform(0.9, 1.2, record.v.shape)  # another mean, median and maximum
+    gain = rng.uniform(1.05, 1.25, record.v.shape)  # another mean and maximum, and median of half
     return dataclasses.replace(
         record, a=record.a + np.where(later, noise, 0.0), v=record.v * np.where(later, gain, 1.0)
     )

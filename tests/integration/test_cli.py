@@ -215,7 +215,7 @@ def test_an_exported_road_can_be_read_back_from_every_format(road_recon, tmp_pat
         (("simulate", "--mode", "hard"), ["hard", "handling", "ride"]),
         (("simulate", "--mode", "front=ride"), ["front and rear"]),
         (("simulate", "--plant", "mujoco", "--vehicle", "saloon", "--mode", "ride"), ["passive"]),
-        (("simulate", "--grade", "S4"), ["unknown grade 'S4'", "S0, S1, S2, S3"]),
+        (("simulate", "--grade", "S9"), ["unknown grade 'S9'", "S0, S1, S2, S3, S4"]),
         (("simulate", "--speed-kmh", "0"), ["speed", "above 0"]),
         (("simulate", "--speed-kmh", "-3"), ["speed", "above 0"]),
         (("simulate", "--road", "iso_a", "--length", "2"), ["shorter than the wheelbase"]),
