@@ -58,6 +58,9 @@ PRIOR_LINES = 8.0
 """Spectral lines that the stationary approximation counts for in an octave beside those of the
 exact samples."""
 
+MOST_TWICE = 0.5
+"""Greatest share of the power of the heights that may be their vehicle's errors."""
+
 OBSTACLE_SHARE = 0.02
 """On roads that are rough in places: share of the mean variance that is added between these places.
 From training drives over potholes and bumps."""
@@ -139,6 +142,11 @@ def posterior_mean_and_std(
         )
         steps = np.sqrt(ratio) * np.diff(deviations, axis=2, prepend=0.0)
         deviations = np.cumsum(steps, axis=2)
+        # heights that are wrong by their vehicle have the power of these errors once already
+        heights = road.apply(objective.split(lin.x)[0])
+        power = [mean_square(roads).mean() for roads in ([heights], list(deviations))]
+        twice = min(vehicle_share * float(power[1] / power[0]), MOST_TWICE)
+        deviations -= (1.0 - np.sqrt(1.0 - twice)) * heights
     if road.is_uneven:
         variance = variance + OBSTACLE_SHARE * variance[:, middle].mean()
     lower, errors = road_below_light_wheels(lin)

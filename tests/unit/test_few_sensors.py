@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from estimators.map_smoother.estimator import MapSmoother
 from leaderboard.drive_report import drive_estimates
 from leaderboard.drive_report.conditions import load_conditions
 from leaderboard.drive_report.drive_estimates import estimate_drive
 from leaderboard.drive_report.mean_path import means_of_pairs, tells_paths_apart, tells_vehicle
+from leaderboard.drive_report.posterior_iri import posterior_iri
 from leaderboard.drive_report.report import ReportSettings, make_report
 from road_envs.drives.logger_tables.description import DriveDescription
 from road_envs.drives.measured_record import MeasuredRecord
@@ -108,3 +110,16 @@ def test_the_mean_of_a_pair_is_that_on_the_centre_line():
 def test_two_sensors_on_both_sides_tell_the_paths_but_no_vehicle():
     assert not tells_vehicle(LAYOUTS["two, both sides"])
     assert tells_vehicle(LAYOUTS["three"]) and tells_vehicle(None)
+
+
+def test_a_vehicle_that_is_little_known_makes_no_road_rougher():
+    """Errors of the vehicle are in the heights already, and count in an IRI once."""
+    record, truth = simulate_record(
+        realise_road("iso_c", 9700, 120.0), speed_kmh=54.0, vehicle="saloon", seed=9700,
+        individual=9700, grade="S1", mode="passive",
+    )  # fmt: skip
+    found = MapSmoother().estimate(record, load_vehicle("saloon"))
+    iris = [np.mean(iri(z, truth.ds)) for z in (truth.z, found.z)]
+    (median,) = posterior_iri(found, np.array([0.0, found.s[-1]])).median[-1]
+    assert iris[1] == pytest.approx(iris[0], rel=0.05)
+    assert median == pytest.approx(iris[0], rel=0.1)  # 17 % too high where they count twice
