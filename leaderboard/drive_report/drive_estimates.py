@@ -29,9 +29,13 @@ PAIRS_NOTE = (
 
 
 def with_doubts(drive: DriveFile) -> DriveFile:
-    """Return a drive with notes if its record fits another description better."""
+    """Return a drive with notes if its record fits another description better.
+
+    What holds the vehicle sideways shows only behind the twist and the bending of its body.
+    """
     record, car, sensors = drive.measured.record, drive.car, drive.sensors
-    notes = side_notes(record, car, sensors)
+    body = with_bending(record, with_twist(record, car, sensors), sensors)
+    notes = side_notes(record, body, sensors)
     if drive.is_table:  # a record of `simulate` knows its speed, mode and channels
         notes += check_notes(record, car, sensors, speed_known=drive.knows_distance)
     return drive.with_notes(*notes)
