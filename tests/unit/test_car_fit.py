@@ -3,6 +3,7 @@
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,9 +12,9 @@ from test_map_smoother import residual_at
 from vehicle_fixtures import DEFENDER
 
 from estimators.api import CalibrationDrive, CalibrationError
-from estimators.map_smoother import identification, marginal_likelihood
+from estimators.map_smoother import car_fit, identification, marginal_likelihood
 from estimators.map_smoother.estimator import MapSmoother
-from estimators.map_smoother.gauss_newton import GaussNewton
+from estimators.map_smoother.gauss_newton import GaussNewton, minimize
 from estimators.map_smoother.identification import identify
 from estimators.map_smoother.instrument_errors import InstrumentErrors
 from estimators.map_smoother.marginal_likelihood import (
@@ -201,3 +202,18 @@ def test_an_identification_that_does_not_explain_held_out_readings_is_refused(
     )
     with outcome:
         identification._refuse_unexplained(result, drives)
+
+
+def test_each_step_over_an_unmeasured_road_has_derivatives_of_its_own(monkeypatch):
+    objective, at = short_objective(), []
+    solver = GaussNewton(stationary_hessian(objective), 4.0)
+    few = ParameterSpace(DEFENDER, SPACE.names[:3], SPACE.std[:3])
+
+    def logged(space, x):
+        at.append(x.copy())
+        return perturbed_cars(space, x)
+
+    monkeypatch.setattr(car_fit, "perturbed_cars", logged)
+    fit = car_fit.fit_car([minimize(objective, solver)], few, solver, max_steps=4)
+    assert len(at) >= 3
+    assert all((one != other).any() for one, other in pairwise([*at, fit.x]))
