@@ -100,9 +100,5 @@ def summarize(results: Sequence[CheckResult]) -> str:
     if not failed:
         return "ready for a board"
     if set(failed) <= set(PROBES):  # they do not exclude an entry, but are shown beside its name
-        return f"ready for a board, which will show the failed probes {_join_words(failed)}"
-    return f"not ready for a board: {_join_words(failed)}"
-
-
-def _join_words(words: Sequence[str]) -> str:
-    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))
+        return f"ready for a board, which will show the failed probes {', '.join(failed)}"
+    return f"not ready for a board: {', '.join(failed)}"

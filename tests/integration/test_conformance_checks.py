@@ -166,4 +166,4 @@ def test_a_failed_probe_does_not_exclude_an_estimator_but_a_failed_check_does():
     )
     assert summarize([good]) == "ready for a board"
     assert summarize([good, probe]).endswith("which will show the failed probes sign")
-    assert summarize([good, probe, gaps]) == "not ready for a board: sign and gaps"
+    assert summarize([good, probe, gaps]) == "not ready for a board: sign, gaps"
