@@ -29,7 +29,7 @@ BANDWIDTHS, ATTAINABLE_LENGTH = (25.0, 100.0, 333.0), 100.0
 """Bandwidths [Hz] of the data and length [m] of the road for the attainable error."""
 
 
-class Curve(NamedTuple):
+class BoundCurve(NamedTuple):
     """Posterior of the road over spatial frequency, of one mode at one speed [km/h]."""
 
     mode: str
@@ -50,9 +50,11 @@ def bounds_by_state(
     dampers: Mapping[str, float] | None = None,
     model_error: float = 0.0,
     attainable: bool = False,
+    with_curves: bool = False,
     progress: Callable[[str, float], None] = lambda text, share: None,
-) -> tuple[list[dict[str, Any]], list[Curve]]:
-    """Return a row of bounds, and the curve over frequency, of each mode at each speed [km/h].
+) -> tuple[list[dict[str, Any]], list[BoundCurve]]:
+    """Return a row of bounds and, `with_curves`, the curve over frequency of each mode at each
+    speed [km/h].
 
     `sensors` name the instruments, whose noise `noise_density` [(m/s²)/sqrt(Hz)] replaces;
     `dampers` [N s/m] by name of a mode replace the equivalent ones; `model_error` is relative to
@@ -66,7 +68,7 @@ def bounds_by_state(
     # fails before anything is computed
     chosen = [_damping_by_strut(dampers, mode, car) for mode in modes]
     rows: list[dict[str, Any]] = []
-    curves: list[Curve] = []
+    curves: list[BoundCurve] = []
     jobs = [(*pair, speed) for pair in zip(modes, chosen, strict=True) for speed in speeds_kmh]
     for k, (mode, c, speed) in enumerate(jobs):
         name, v = front_rear(mode), speed / 3.6
@@ -79,9 +81,10 @@ def bounds_by_state(
             floor = bound(car, mode, v, instruments, prior, residual_as_noise=True, **settings)
             rows[-1]["linear_estimators"] = floor.pooled
             rows[-1] |= _nonlinear(car, mode, speed, sensors, noise_density, prior)
-        n = np.geomspace(PLOTTED_BAND[0], min(PLOTTED_BAND[1], F_C / v), 3000)
-        drawn = bound(car, mode, v, instruments, prior, n=n, **settings)
-        curves.append(Curve(name, speed, drawn, posterior.pooled))
+        if with_curves:
+            n = np.geomspace(PLOTTED_BAND[0], min(PLOTTED_BAND[1], F_C / v), 3000)
+            drawn = bound(car, mode, v, instruments, prior, n=n, **settings)
+            curves.append(BoundCurve(name, speed, drawn, posterior.pooled))
     return rows, curves
 
 

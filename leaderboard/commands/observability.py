@@ -84,6 +84,7 @@ def observability(
             dampers=None if damping is None else _dampers(damping),
             model_error=mismatch,
             attainable=attainable,
+            with_curves=out is not None,
             progress=progress,
         )
     facts = {

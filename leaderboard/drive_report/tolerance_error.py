@@ -1,4 +1,4 @@
-"""How far the roughness of a drive may be off by what the tolerances of a vehicle leave open.
+"""Deviation of the roughness of a drive by what the tolerances of a vehicle leave open.
 
 An estimate with the described vehicle makes of each frequency what that vehicle would need for the
 measured acceleration. Vehicles within the tolerances accelerate the sensors more or less on a road

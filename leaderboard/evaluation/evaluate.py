@@ -66,7 +66,7 @@ class ConditionData(NamedTuple):
 
     @property
     def inputs(self) -> tuple[list[Any], list[Record], VehicleParameters, Calibrations]:
-        """What an entry is given: training records with their truths, test records, the vehicle,
+        """Inputs of an entry: training records with their truths, test records, the vehicle,
         and the calibration drives of the vehicle of each test record, if the task has any.
         """
         training = [(drive.record, drive.truth) for drive in self.training]
