@@ -1,14 +1,15 @@
 """Fuzzing of every reader: `make fuzz`; arguments: seconds for each (600), names of some.
 
 Samples are mutated by operations of this file alone, which has no part in the tests: on bytes, on
-lines, and on the tree of a JSON or YAML text. A file must be read or refused by the documented
-error in one sentence, within 5 s of processor time. What ends otherwise is kept in `out/fuzz`, and
-the counts in `docs/runs/fuzz.txt`.
+lines, on the tree of a JSON or YAML text, and on the members of a ZIP archive. A file must be read
+or refused by the documented error in one sentence, within 5 s of processor time. What ends
+otherwise is kept in `out/fuzz`, and the counts in `docs/runs/fuzz.txt`.
 """
 
 import collections
 import copy
 import hashlib
+import io
 import json
 import random
 import sys
@@ -22,16 +23,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas
 import yaml
 
 ROOT = Path(__file__).parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "support")]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "support"), str(ROOT / "tests" / "oracles")]
 
 from board_runs import run, small  # noqa: E402
 from hostile_files import Reader, readers  # noqa: E402
+from oracles_roads import crg_file, erd_file  # noqa: E402
 from phone_recordings import SAMPLES, sample  # noqa: E402
+from ros_recordings import write_mcap  # noqa: E402
 
+from leaderboard.arrays import load_task as load_arrays  # noqa: E402
 from leaderboard.conformance.method_card import load_method_card  # noqa: E402
+from leaderboard.drive_report.export import read_heights  # noqa: E402
 from leaderboard.entries import entry_files  # noqa: E402
 from leaderboard.entries.entry import Entry, EntryError  # noqa: E402
 from leaderboard.evaluation import store  # noqa: E402
@@ -42,10 +48,13 @@ from leaderboard.running.jobs import Job  # noqa: E402
 from leaderboard.sandbox import messages  # noqa: E402
 from leaderboard.submission.rules import load_rules  # noqa: E402
 from leaderboard.submission.submission import SUBMISSION, load_submission  # noqa: E402
+from leaderboard.task_tables import score_file, write_task  # noqa: E402
 from road_envs.core.artifacts import HEADER, text_checksum  # noqa: E402
 from road_envs.core.config import ConfigError  # noqa: E402
 from road_envs.drives.logger_tables.description import DriveDescription  # noqa: E402
-from road_envs.drives.recordings.formats import read_source  # noqa: E402
+from road_envs.drives.recordings.formats import read_source, read_track  # noqa: E402
+from road_envs.roads.formats.opencrg import WIDTHS, SurfaceFileError  # noqa: E402
+from road_envs.roads.measured import Measured  # noqa: E402
 
 NUMBERS = (0, -1, 1e308, -1e-308, 2**31, 2**63, 10**40, 1.5, True, None)
 TEXTS = ("", "\u202e", "\\input{x}", "../x", "\x00", "=1", "a" * 3000, "nan", "1e5", "é")
@@ -119,8 +128,28 @@ def mutated_bytes(data: bytes, rng: random.Random) -> bytes:
     return bytes(content)
 
 
+def mutated_archive(data: bytes, rng: random.Random) -> bytes:
+    """Return a ZIP archive, valid as such, of which one member is mutated, renamed or missing."""
+    with zipfile.ZipFile(io.BytesIO(data)) as file:
+        members = [(name, file.read(name)) for name in file.namelist()]
+    k = rng.randrange(len(members))
+    name, content = members[k]
+    if rng.random() < 0.8:
+        members[k] = (name, mutated(content, name, rng))
+    else:
+        others = [other.strip("\0") or "_" for other in rng.sample(TEXTS, rng.randrange(3))]
+        members[k : k + 1] = [(other, content) for other in others]
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as file:
+        for name, content in members:
+            file.writestr(name, content)
+    return buffer.getvalue()
+
+
 def mutated(sample: bytes, name: str, rng: random.Random) -> bytes:
-    """Return a mutation of a sample; of the tree of a YAML or JSON text two times in three."""
+    """Return a mutation of a sample; of its tree or members two times in three, if it has any."""
+    if name.endswith(("zip", "npz", "whl")) and rng.random() < 0.67:
+        return mutated_archive(sample, rng)
     if name.endswith(("yaml", "json")) and rng.random() < 0.67:
         tree = yaml.safe_load(sample) if name.endswith("yaml") else json.loads(sample)
         with suppress(RecursionError):
@@ -190,7 +219,44 @@ def more_readers(folder: Path) -> dict[str, Reader]:
         "card": one(load_method_card, CARD.encode(), "card.yaml", ConfigError),
         "rules": one(load_rules, RULES.encode(), "rules.yaml", ConfigError),
         **recordings(folder),
+        **surfaces(),
+        **tables_of_heights(folder),
     }  # fmt: skip
+
+
+def surfaces() -> dict[str, Reader]:
+    """Return a reader of each kind of surface file."""
+    z = 0.001 * np.arange(40.0).reshape(2, 20) % 0.007
+    rows = [f"{0.25 * k},{a},{b}" for k, (a, b) in enumerate(z.T)]
+    files = {f"{form}.crg": crg_file(z.T, form) for form in WIDTHS}
+    files["surface.erd"] = b"".join(erd_file(z))
+    files["surface.csv"] = "\n".join(["distance,left,right", *rows]).encode()
+    return {
+        f"surface {name}": Reader(
+            lambda path: Measured(path=str(path), track=0.4, min_length=0.1),
+            content, name, SurfaceFileError,
+        )
+        for name, content in files.items()
+    }  # fmt: skip
+
+
+def tables_of_heights(folder: Path) -> dict[str, Reader]:
+    """Return readers of heights to be scored and of the heights in a report."""
+    task = load_arrays("class", roads=1)
+    write_task(task, folder, form="csv")
+    profiles = pandas.read_csv(folder / "test_profiles.csv")
+    scored = profiles.fillna(0.01).to_csv(index=False).encode()
+    table = {"station_m": 0.05 * np.arange(50), "mean_m": 0.001 * np.arange(50)}
+    report = io.BytesIO()
+    pandas.DataFrame(table).to_parquet(report)
+    return {
+        "heights to score": Reader(
+            lambda path: score_file(task, path), scored, "heights.csv", ConfigError
+        ),
+        "heights of a report": Reader(
+            read_heights, report.getvalue(), "a_heights.parquet", ConfigError
+        ),
+    }
 
 
 def recordings(folder: Path) -> dict[str, Reader]:
@@ -205,21 +271,29 @@ def recordings(folder: Path) -> dict[str, Reader]:
             file.append(Signal(36.0 + t, t, name="speed", unit="km/h"))
             file.save(folder / "drive.mf4")
         found["drive.mf4"] = (folder / "drive.mf4").read_bytes()
+    found["drive.mcap"] = write_mcap(folder / "drive.mcap", sample()).read_bytes()
     return {
-        f"recording {name}": Reader(
-            lambda path: read_source(path, DriveDescription()), content, name, ConfigError
-        )
-        for name, content in found.items()
+        "track drive.gpx": Reader(
+            read_track, SAMPLES["drive.gpx"](sample()), "drive.gpx", ConfigError
+        ),
+        **{
+            f"recording {name}": Reader(
+                lambda path: read_source(path, DriveDescription()), content, name, ConfigError
+            )
+            for name, content in found.items()
+        },
     }
 
 
 def fuzz(
     name: str, reader: Reader, seconds: float, folder: Path, kept: Path
-) -> tuple[int, int, int]:
-    """Return the numbers of files, of refusals, and of other ends, which are kept."""
+) -> tuple[int, int, int, float]:
+    """Return the numbers of files, of refusals, of other ends, which are kept, and the CPU time."""
     rng = random.Random(f"fuzz {name}")
-    end, count, refused, faults = time.monotonic() + seconds, 0, 0, 0
+    end, start, count, refused, faults = time.monotonic() + seconds, time.process_time(), 0, 0, 0
     path = folder / reader.name
+    path.write_bytes(reader.sample)
+    reader.read(path)  # else all are refused for one reason
     while time.monotonic() < end:
         content = mutated(reader.sample, reader.name, rng)
         path.write_bytes(content)
@@ -238,14 +312,15 @@ def fuzz(
             faults += 1
             kept.mkdir(parents=True, exist_ok=True)
             (kept / f"{name.replace(' ', '_')}_{count}_{reader.name}").write_bytes(content)
-    return count, refused, faults
+    return count, refused, faults, time.process_time() - start
 
 
 def main() -> None:
     """Fuzz every reader in turn, print and keep the counts."""
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 600.0
     lines = [
-        f"{'reader':<22}{'files':>9}{'read':>9}{'refused':>9}{'faults':>8}   ({seconds:g} s each)"
+        f"{seconds:g} s for each reader, of which the processor worked for:\n\n"
+        f"{'reader':<26}{'files':>9}{'read':>9}{'refused':>9}{'faults':>8}{'processor':>11}"
     ]
     total = 0
     with tempfile.TemporaryDirectory() as temp:
@@ -255,11 +330,12 @@ def main() -> None:
         chosen = sys.argv[2:] or list(found)
         found = {name: found[name] for name in chosen}
         for name, reader in found.items():
-            count, refused, faults = fuzz(name, reader, seconds, Path(temp), ROOT / "out" / "fuzz")
-            total += faults
-            lines.append(
-                f"{name:<22}{count:>9}{count - refused - faults:>9}{refused:>9}{faults:>8}"
+            count, refused, faults, worked = fuzz(
+                name, reader, seconds, Path(temp), ROOT / "out" / "fuzz"
             )
+            total += faults
+            read = count - refused - faults
+            lines.append(f"{name:<26}{count:>9}{read:>9}{refused:>9}{faults:>8}{worked:>9.0f} s")
             print(lines[-1], flush=True)
     if len(sys.argv) < 3:
         kept = ROOT / "docs" / "runs" / "fuzz.txt"
