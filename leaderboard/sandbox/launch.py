@@ -87,7 +87,8 @@ def start_host_process(handler: str, home: Path, folder: Path) -> Guest:
     home.mkdir()
     known = guest_environment(home, whole_path=True)
     environment = known | os.environ | {name: known[name] for name in SET_FOR_ALL}
-    setup = worker.Setup(handler=handler, limits=UNLIMITED, folder=str(folder.absolute()), serves_many=True)
+    at = str(folder.absolute())
+    setup = worker.Setup(handler=handler, limits=UNLIMITED, folder=at, serves_many=True)
     guest = Guest(_words(setup), environment, home)
     guest.start_run(UNLIMITED)
     return guest

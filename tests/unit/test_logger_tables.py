@@ -1,5 +1,8 @@
 """Tables as data loggers and phones write them: names, units, clocks, slow sensors."""
 
+import gc
+import sys
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -247,6 +250,24 @@ def test_an_mdf_file_with_channels_of_two_rates_is_read(tmp_path):
     record = read(path).record
     np.testing.assert_allclose(record.a, list(ACCELERATION.values()), atol=1e-9)
     np.testing.assert_allclose(record.v[:5900], SPEED[:5900], atol=0.01)
-    path.write_bytes(b"not a measurement")
-    with pytest.raises(ConfigError, match=r"d\.mf4: no readable"):
-        read(path)
+
+
+def test_a_damaged_mdf_file_is_refused_in_one_sentence_without_a_word_after_it(
+    tmp_path, capsys, monkeypatch
+):
+    mdf = pytest.importorskip("asammdf")
+    monkeypatch.setattr(sys, "unraisablehook", sys.__unraisablehook__)  # prints, as in a command
+    path = tmp_path / "d.mf4"
+    with mdf.MDF(version="4.10") as file:
+        file.append(mdf.Signal(SPEED, T, name="speed", unit="km/h"))
+        file.save(path)
+    whole = path.read_bytes()
+    for content in (b"not a measurement", whole[:300], whole[:64] + b"\xff" * 100 + whole[164:]):
+        path.write_bytes(content)
+        with pytest.raises(ConfigError) as refused:
+            read(path)
+        gc.collect()
+        said = str(refused.value)
+        assert said.startswith(f"{path}: no readable MDF file"), said
+        assert said.count(str(path)) == 1 and "mmap" not in said and "\n" not in said
+    assert capsys.readouterr() == ("", "")

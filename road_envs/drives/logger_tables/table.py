@@ -6,11 +6,12 @@ are skipped, and a row of units below it is joined to it. A table that is read i
 stripped headers to columns.
 """
 
+import gc
 import io
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from contextlib import redirect_stdout
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -213,23 +214,29 @@ def _read_mdf(path: Path) -> Any:
     """
     with optional_import("a measurement file (MDF)"):
         from asammdf import MDF
-        from asammdf.blocks.utils import MdfException
 
     import pandas as pd
 
     channels: dict[str, Any] = {}
-    try:
-        with redirect_stdout(io.StringIO()), MDF(path) as file:  # it prints what is damaged
-            for signal in file.iter_channels():
-                samples = np.asarray(signal.samples)
-                if samples.ndim > 1 or samples.dtype.names:
-                    continue
-                if samples.dtype.kind == "S":
-                    samples = np.char.decode(samples, "utf-8", "replace")
-                name = f"{signal.name} [{signal.unit}]" if signal.unit else signal.name
-                channels.setdefault(name, pd.Series(samples, signal.timestamps))
-    except MdfException as error:
-        raise ConfigError(f"{path}: no readable MDF file: {error}") from None
+    failure = ""
+    # it prints what is damaged; an object of a damaged file prints a traceback when it is freed
+    with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
+        try:
+            with MDF(path) as file:
+                for signal in file.iter_channels():
+                    samples = np.asarray(signal.samples)
+                    if samples.ndim > 1 or samples.dtype.names:
+                        continue
+                    if samples.dtype.kind == "S":
+                        samples = np.char.decode(samples, "utf-8", "replace")
+                    name = f"{signal.name} [{signal.unit}]" if signal.unit else signal.name
+                    channels.setdefault(name, pd.Series(samples, signal.timestamps))
+        except Exception as error:
+            said = re.sub(r"^['\"](<mmap|/).*['\"] is not", "not", str(error))
+            failure = f"no readable MDF file: {said or type(error).__name__}"
+        if failure:
+            gc.collect()
+            raise ConfigError(failure)
     frame = pd.DataFrame(channels)
     if "t" not in map(str.lower, frame.columns):
         frame.insert(0, "t", frame.index.to_numpy(dtype=float))
