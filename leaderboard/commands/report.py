@@ -29,6 +29,9 @@ def report(
     ],
     out: Annotated[Path, typer.Option(help="Folder of the page and its files.")],
     estimator: Annotated[str, typer.Option(help="Name, or a file from `train`.")] = "map_smoother",
+    fast: Annotated[
+        bool, typer.Option("--fast", help="Fit no vehicle to the drives: wider intervals, sooner.")
+    ] = False,
     segment: Annotated[
         float, typer.Option(help="Length of a segment in m: 10, 20 or 100.")
     ] = 100.0,
@@ -64,6 +67,7 @@ def report(
         conditions=load_conditions(conditions),
         estimator=estimator,
         settings=parse_settings(settings),
+        fast=fast,
         segment=segment,
         known_iri=known_iri,
         route=route,
@@ -78,7 +82,7 @@ def report(
     facts = {
         "drives": [_facts(drive) for drive in made.drives],
         "agreement": made.agreement,
-        "road": _facts(made.road) if made.road else None,
+        "road": made.road and _facts(made.road),
         "written": [str(path) for path in (page, *written)],
     }
     shows = [part for result in made.results for part in _shown(result)]
@@ -102,13 +106,8 @@ def _agreement_lines(agreement: dict[str, Any]) -> list[str]:
 
 
 def _facts(result: DriveResult) -> dict[str, Any]:
-    return {
-        "name": result.name,
-        **result.facts,
-        "segments": result.segments,
-        "obstacles": result.obstacles,
-        "notes": list(result.notes),
-    }
+    rows = {"segments": result.segments, "obstacles": result.obstacles}
+    return {"name": result.name, **result.facts, **rows, "notes": list(result.notes)}
 
 
 def _interval(low: float, high: float) -> str:

@@ -19,6 +19,7 @@ from leaderboard.drive_report.mean_path import (
 from leaderboard.drive_report.notes import (
     in_order_of_weight,
     is_far_off,
+    is_fitted,
     misfits,
 )
 from leaderboard.drive_report.obstacles import CERTAIN, DetectedObstacle, detect
@@ -160,6 +161,7 @@ def analyse(
         speed_kmh=3.6 * v,
         sampled_hz=float(min(measured.fs, record.fs)),
         duration_s=float(record.t[-1]),
+        vehicle="fitted to the drive" if is_fitted(notes) else "as described",
         iri_mean=float(np.average(iri.median[-1], weights=np.diff(edges))),
         # errors of segments have common causes: the interval of the mean is the mean interval
         iri_mean_low=float(np.average(iri.low[-1], weights=np.diff(edges))),

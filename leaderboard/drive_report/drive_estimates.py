@@ -41,8 +41,10 @@ def with_doubts(drive: DriveFile) -> DriveFile:
     return drive.with_notes(*notes)
 
 
-def make_drive_estimator(name: str, drive: DriveFile, settings: dict[str, Any]) -> Estimator:
-    """Return an estimator by name, class or file for a drive.
+def make_drive_estimator(
+    name: str, drive: DriveFile, settings: dict[str, Any], fast: bool = False
+) -> Estimator:
+    """Return an estimator by name, class or file for a drive; a `fast` one fits no vehicle to it.
 
     One that takes instruments has the drive's. One or two sensors, and those that tell no roll, do
     not tell a road from a vehicle: fitted to them, a saloon over class C got a frame that it does
@@ -52,7 +54,7 @@ def make_drive_estimator(name: str, drive: DriveFile, settings: dict[str, Any]) 
     if Path(name).suffix not in FILE_SUFFIXES and ":" not in name:
         known = getattr(estimators.find(name), "__dataclass_fields__", {})
         fitting: dict[str, Any] = {"instruments": drive.sensors}
-        if not tells_vehicle(drive.measured.record.sensors):
+        if fast or not tells_vehicle(drive.measured.record.sensors):
             fitting["adapt"] = False
         settings = {key: x for key, x in fitting.items() if key in known} | settings
     return estimators.make_estimator(name, **settings)

@@ -13,6 +13,9 @@ from road_envs.records.record import Estimate, Record
 MISFIT = r"does not reproduce|times the expected one|heights are reduced"
 """Notes of an estimator whose model does not give the measured motion."""
 
+FITTED = r"was adapted|adapted to the drive"
+"""Notes of a vehicle whose parameters or elements were found from the drive itself."""
+
 WEIGHTS = (
     r"heights there are not known",
     MISFIT,
@@ -21,7 +24,7 @@ WEIGHTS = (
     r"fits .* better|moved in its mount|the speed and the wheelbase|without tolerances",
     r"swings by itself|wheels were in the air|the unit|is in g|check ",
     r"do not tell left from right",
-    r"known IRI|was adapted|adapted to the drive|one road from|not compared",
+    rf"known IRI|{FITTED}|one road from|not compared",
     r"is taken to lie|are read as|is taken as|split at its pauses|left out",
     r"mounted with|follows the front axle|axle to axle|do not reach|does not reach|lie behind",
     r"",
@@ -72,6 +75,11 @@ def residual_of(estimate: Estimate) -> float:
 def in_order_of_weight(notes: Iterable[str]) -> tuple[str, ...]:
     """Return the notes without repetitions, by WEIGHTS; equal ones stay in their order."""
     return tuple(sorted(dict.fromkeys(notes), key=_weight))
+
+
+def is_fitted(notes: Iterable[str]) -> bool:
+    """Whether the vehicle of an estimate was fitted to its drive, as its `notes` say."""
+    return any(re.search(FITTED, note) for note in notes)
 
 
 def _weight(note: str) -> int:

@@ -44,6 +44,7 @@ def write_page(
 
 def _drive(result: DriveResult, conditions: Conditions, anchor: str) -> dict[str, Any]:
     track = pictures.track_map(result, conditions, anchor)
+    shown = pictures.ShownProfile.of(result)
     lengths = {name: 0.0 for name in conditions.categories}
     for row in result.segments:
         lengths[row["condition"]] += row["end_m"] - row["begin_m"]
@@ -64,7 +65,8 @@ def _drive(result: DriveResult, conditions: Conditions, anchor: str) -> dict[str
         "band": scored_band(result.v),
         "has_interval": math.isfinite(result.facts["iri_mean_high"]),
         "level": {name: k for k, name in enumerate(conditions.categories)},
-        "strip": Markup(pictures.profile_strip(result)),
+        "strip": Markup(pictures.profile_strip(result, shown)),
+        "heights": pictures.strip_data(result, shown),
         "iri": Markup(pictures.iri_chart(result, conditions)),
         "density": Markup(pictures.density_chart(result)),
         "map": Markup(track),

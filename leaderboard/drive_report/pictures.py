@@ -1,7 +1,8 @@
 """Pictures of a drive as SVG for a page that is read on a screen and on paper."""
 
+import base64
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,6 +19,11 @@ CONDITION_COLOURS = ("#009E73", "#F0C000", "#D55E00", "#7B2D26", "#3D1410")
 ROWS, ROW_LENGTH, OVERLAP = 6, 50.0, 3.0
 """Largest number of rows of the strip, the least length [m] of one, and by how much [m] it begins
 before the end of the last one and ends behind the begin of the next, so that no obstacle is cut.
+"""
+
+STRIP_STEP, STRIP_UNIT = 0.15, 0.1
+"""Step [m] and unit [mm] of the heights that the page holds for its segments: 20 km of two paths
+have 0.7 MB.
 """
 
 POINTS = 1500
@@ -41,19 +47,54 @@ def _label(result: DriveResult, side: str) -> str:
     return "mean of both paths" if result.is_mean_path else side
 
 
-def profile_strip(result: DriveResult) -> str:
+class ShownProfile(NamedTuple):
+    """Heights that are shown, without long waves: chainage (M,) [m], each path, and their standard
+    deviation (2, M) [mm], None where the method has none.
+    """
+
+    s: np.ndarray
+    z: np.ndarray
+    std: np.ndarray | None
+
+    @classmethod
+    def of(cls, result: DriveResult) -> "ShownProfile":
+        """Return those of a drive."""
+        estimate, ds = result.estimate, result.estimate.ds
+        band = (1.0 / LONGEST_WAVE, scored_band(result.v)[1])
+        z = 1e3 * band_pass(estimate.z, ds, band)
+        trim = (estimate.s.size - z.shape[1]) // 2
+        s = result.chainage + estimate.s[trim : trim + z.shape[1]]
+        std = None
+        if estimate.draws is not None:
+            errors = (band_pass(road - estimate.z, ds, band) for road in estimate.draws)
+            std = 1e3 * np.sqrt(sum(error**2 for error in errors) / len(estimate.draws))
+        elif estimate.z_std is not None:
+            std = 1e3 * estimate.z_std[:, trim : trim + z.shape[1]]
+        return cls(s, z, std)
+
+
+def strip_data(result: DriveResult, shown: ShownProfile) -> dict[str, Any]:
+    """Return what the page's script draws below the row of a segment: heights in STRIP_UNIT as
+    base64 of 16-bit integers every `step` [m] from `begin` [m], by path with its colour.
+    """
+    stride = max(1, round(STRIP_STEP / result.estimate.ds))
+    paths = [
+        {
+            "name": _label(result, side),
+            "colour": COLOURS[side],
+            "heights": base64.b64encode(
+                np.clip(np.round(z[::stride] / STRIP_UNIT), -32768, 32767).astype("<i2").tobytes()
+            ).decode(),
+        }
+        for side, z in zip(_sides(result), shown.z, strict=False)
+    ]
+    step = stride * result.estimate.ds
+    return {"begin": float(shown.s[0]), "step": step, "unit": STRIP_UNIT, "paths": paths}
+
+
+def profile_strip(result: DriveResult, shown: ShownProfile) -> str:
     """Return the heights of both wheel paths over the chainage, with their 95 % interval."""
-    estimate, ds = result.estimate, result.estimate.ds
-    band = (1.0 / LONGEST_WAVE, scored_band(result.v)[1])
-    z = 1e3 * band_pass(estimate.z, ds, band)
-    trim = (estimate.s.size - z.shape[1]) // 2
-    s = result.chainage + estimate.s[trim : trim + z.shape[1]]
-    std: np.ndarray | None = None
-    if estimate.draws is not None:
-        errors = (band_pass(road - estimate.z, ds, band) for road in estimate.draws)
-        std = 1e3 * np.sqrt(sum(error**2 for error in errors) / len(estimate.draws))
-    elif estimate.z_std is not None:
-        std = 1e3 * estimate.z_std[:, trim : trim + z.shape[1]]
+    (s, z, std), ds = shown, result.estimate.ds
     rows = int(np.clip(np.ceil((s[-1] - s[0]) / ROW_LENGTH), 1, ROWS))
     limit = 1.1 * float(np.abs(z).max()) + 1.0
 

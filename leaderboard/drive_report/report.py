@@ -40,12 +40,14 @@ Progress = Callable[[str, float], None]
 @dataclass(frozen=True, kw_only=True)
 class ReportSettings:
     """Settings of a report: an estimator with its settings, categories, segments [m], the IRI of a
-    stretch if it is known, and the route on which the drives are for HPMS.
+    stretch if it is known, and the route on which the drives are for HPMS. A `fast` report fits no
+    vehicle to its drives.
     """
 
     conditions: Conditions
     estimator: str = "map_smoother"
     settings: dict[str, Any]
+    fast: bool = False
     segment: float = 100.0
     known_iri: str | None = None
     route: str | None = None
@@ -89,7 +91,7 @@ def make_report(
     metres = [max(record.length, 1.0) for record in records]
     for k, drive in enumerate(drives):
         progress(f"estimating {drive.name}", 0.95 * sum(metres[:k]) / sum(metres))
-        one = make_drive_estimator(chosen.estimator, drive, chosen.settings)
+        one = make_drive_estimator(chosen.estimator, drive, chosen.settings, chosen.fast)
         drive, found = estimate_drive(one, drive)
         read.append((drive.name, drive.measured, found))
     assert one is not None

@@ -37,10 +37,10 @@ def test_a_report_has_a_page_that_needs_no_other_file_and_tables_that_agree(road
                                   check_dtype=False, check_exact=False)  # fmt: skip
     page = (tmp_path / "r/index.html").read_text(encoding="utf-8")
     assert not re.search(r"""(src|href)\s*=\s*["'](?!#)""", page) and "@import" not in page
-    assert page.count("<svg") == 4 and f"{rows['iri_mean'][2]:.2f}" in page
+    assert page.count("><svg") == 4 and f"{rows['iri_mean'][2]:.2f}" in page
     shown = re.findall(r'<a xlink:href="#(drive-0-\d+)"><title>[^<]*IRI ([\d.]+)', page)
     assert [float(text) for _, text in shown] == pytest.approx(rows["iri_mean"], abs=0.005)
-    assert all(f'<tr id="{row}">' in page for row, _ in shown)
+    assert all(f'<tr class="of-segment" id="{row}"' in page for row, _ in shown)
     features = json.loads((tmp_path / "r/one.geojson").read_text())["features"]
     assert sum(f["geometry"]["type"] == "LineString" for f in features) == len(rows)
 
@@ -49,7 +49,7 @@ def test_without_positions_there_is_no_map(road_recon, tmp_path):
     road_recon("simulate", *DRIVE, "--out", "one.parquet")
     code, out, err = road_recon("report", "one.parquet", "--out", "r", "--estimator", "wiener")
     assert code == 0 and "written: r/index.html and 5 files beside it" in out, err
-    assert (tmp_path / "r/index.html").read_text(encoding="utf-8").count("<svg") == 3
+    assert (tmp_path / "r/index.html").read_text(encoding="utf-8").count("><svg") == 3
 
 
 def test_passes_are_moved_onto_the_first_and_compared(road_recon, tmp_path):

@@ -1,6 +1,7 @@
 """Reports from sensors that tell no roll; known IRI; the order of notes; indices of a profile."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from road_envs.records.accelerometers import Accelerometer
 from road_envs.records.record import Estimate, Record, profile_stations
 from road_envs.records.roughness import golden_car, iri, profile_indices
 from road_envs.roads import realise_road, write_csv
+from road_envs.sensing.instruments import load_instruments
 
 HPMS = load_conditions("hpms")
 ONE = {"PHONE": PLACES["dashboard"]}
@@ -221,3 +223,21 @@ def test_one_device_does_not_identify_its_vehicle():
     drive = read_drive(FOLDER / "phyphox.zip", vehicle="bmw_320i")
     assert not make_drive_estimator("map_smoother", drive, {}).adapt
     assert make_drive_estimator("map_smoother", drive, {"adapt": True}).adapt
+
+
+def test_three_devices_identify_it_unless_the_report_shall_be_fast():
+    drive = read_drive(FOLDER / "phyphox.zip", vehicle="bmw_320i")
+    three = load_instruments("phone").accelerometers
+    record = replace(drive.measured.record, a=np.zeros((3, 9)), sensors=three)
+    drive = drive._replace(measured=drive.measured._replace(record=record))
+    assert make_drive_estimator("map_smoother", drive, {}).adapt
+    assert not make_drive_estimator("map_smoother", drive, {}, fast=True).adapt
+
+
+def test_the_page_says_whether_the_vehicle_was_fitted_to_its_drive():
+    """By the notes of `estimators`; their words are those that it writes."""
+    _, found = result(3)
+    assert found.facts["vehicle"] == "as described"
+    told = found.measured._replace(notes=("the body bends at 18 Hz, by a peak, and was adapted",))
+    again = analyse("one", told, found.estimate, HPMS)
+    assert again.facts["vehicle"] == "fitted to the drive"
