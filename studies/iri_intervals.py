@@ -48,7 +48,7 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description="Intervals of the IRI.")
     parser.add_argument("--drives", type=int, default=3)
-    parser.add_argument("--seed", type=int, default=9710)
+    parser.add_argument("--seed", type=int, default=9730)
     chosen = parser.parse_args()
     print("IRI over the true one in percent; width: half an interval of 95 %; inside: share of IRI")
     print(("{:<7}{:<9}{:<11}" + "{:>10}" * 6).format(*HEAD))

@@ -25,9 +25,9 @@ from road_envs.core.atomic_io import write_text
 from road_envs.core.code_digest import ROOT
 from road_envs.core.config import ConfigError
 
-COPY = re.compile(r"(<!-- output: (\S+?)(?: (\d+))? -->\n```text\n)(.*?)(\n```)", re.S)
-
-
+COPY = re.compile(
+    r"(<!-- output: (\S+?)(?: (\d+))? -->\n```text\n)(?:(?!```).*\n)*(```\n)", re.MULTILINE
+)
 ROWS = re.compile(r"(<!-- rows: (\S+) ([\w ]+?) -->\n\n)((?:\|.*\n)*)")
 WORDS = {"True": "met", "False": "missed", "None": ""}
 """How verdicts are written."""
@@ -42,12 +42,12 @@ def with_outputs(text: str, read: Callable[[str], str]) -> str:
     """Text of a page with its copies as today's outputs are. Raises ConfigError."""
 
     def copy(found: re.Match[str]) -> str:
-        head, path, part, _, end = found.groups()
+        head, path, part, end = found.groups()
         lines = [line for line in read(path).splitlines() if not line.startswith("$ ")]
         parts = "\n".join(lines).strip("\n").split("\n\n")
         if part is not None and int(part) >= len(parts):
             raise ConfigError(f"{path} has {len(parts)} parts, and a page asks for part {part}")
-        return head + ("\n\n".join(parts) if part is None else parts[int(part)]) + end
+        return head + ("\n\n".join(parts) if part is None else parts[int(part)]) + "\n" + end
 
     def table(found: re.Match[str]) -> str:
         head, path, names, _ = found.groups()

@@ -64,8 +64,8 @@ def estimate_drive(estimator: Estimator, drive: DriveFile) -> tuple[DriveFile, E
     """Return the estimate of a drive and the drive, both in true distance if that is known.
 
     Bending and twist of the body are looked for in the spectrum of the sensors. Where the model
-    with sensors on both sides is far from reproducing the record nevertheless, the drive that is
-    returned has the means of pairs of them, which tell the mean path.
+    with sensors on both sides is far from reproducing the record nevertheless, or could not be
+    fitted to it, the drive that is returned has the means of pairs, which tell the mean path.
     """
     record = drive.measured.record
     if not tells_paths_apart(record.sensors):
@@ -85,7 +85,8 @@ def estimate_drive(estimator: Estimator, drive: DriveFile) -> tuple[DriveFile, E
             break
     best = min(found, key=lambda each: residual_of(each[1]))
     instruments = instruments_of(record, drive.sensors)
-    if not is_far_off(best[1], record, instruments.noise_rms(record.fs)):
+    is_rough = residual_of(best[1]) >= LARGE_RESIDUAL and not getattr(estimator, "adapt", True)
+    if not is_rough and not is_far_off(best[1], record, instruments.noise_rms(record.fs)):
         return best
     centred = means_of_pairs(record, instruments.accelerometers)
     if centred is None:

@@ -16,6 +16,24 @@ def test_a_copy_is_the_part_of_the_output_without_commands():
     assert "```text\ntable\n1 2\n\nsecond\n3 4\n```" in with_outputs(whole, lambda path: OUTPUT)
 
 
+def test_an_empty_block_is_filled_and_what_follows_it_stays():
+    empty = PAGE.replace("old\n", "")
+    more = "\n## Next\n\n```sh\nls\n```\n"
+    assert with_outputs(empty + more, lambda path: OUTPUT) == (
+        PAGE.replace("old", "second\n3 4") + more
+    )
+
+
+@pytest.mark.parametrize("page", pages(), ids=lambda page: page.name)
+def test_no_block_of_code_begins_within_another(page):
+    is_open = False
+    for line in page.read_text(encoding="utf-8").splitlines():
+        if line.lstrip().startswith("```"):
+            assert not (is_open and line.strip() != "```"), line
+            is_open = not is_open
+    assert not is_open
+
+
 def test_a_part_that_the_output_lacks_is_refused():
     with pytest.raises(ConfigError, match=r"runs/a.txt has 1 parts, and a page asks for part 1"):
         with_outputs(PAGE, lambda path: "one")
