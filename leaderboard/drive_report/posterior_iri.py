@@ -26,8 +26,8 @@ RMS error of 0.2 to 2.2 %, the samples a deviation of 0.25 to 1 % (seeds 9700 to
 SMOOTH_STD = 0.05
 """Standard deviation [mm/m] of the IRI by what hides smooth roads. Where dry friction holds the
 struts, the most probable road is flatter than the roads that are: on class A all its waves are 5 %
-low with the noise of the paper's sensors, 0.22 m/s², and 1 % with that of phones, 0.018 m/s², though
-the vehicle is known (seeds 9720 and 9721; IRI 2 to 5 and 0 to 2 % low).
+low with the noise of the paper's sensors, 0.22 m/s², and 1 % with that of phones, 0.018 m/s²; the
+vehicle is known (seeds 9720 and 9721; IRI 2 to 5 and 0 to 2 % low).
 """
 
 NO_INTERVAL_NOTE = (

@@ -1,6 +1,7 @@
 """Reports from few sensors: right within their interval, or of the mean path only."""
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -25,12 +26,34 @@ from road_envs.vehicle.parameters import TorsionalFrame, load_vehicle
 from studies.few_sensors import LAYOUTS
 
 
-def as_drive(record):
-    """The drive of a record of phones in a saloon."""
-    car = load_vehicle("saloon")
+def as_drive(record, car=None):
+    """The drive of a record of phones in a saloon, or another car."""
+    car = load_vehicle("saloon") if car is None else car
     return DriveFile(
         "d", "d", MeasuredRecord(record), "saloon", car, "phone", False, DriveDescription()
     )
+
+
+def short_record(layout):
+    """White noise, too short to look for a frame in it."""
+    off = np.zeros((300, 4), dtype=bool)
+    t = np.arange(300) / 100.0
+    sensors = LAYOUTS[layout]
+    a = np.random.default_rng(1).standard_normal((len(sensors), 300))
+    return Record(t, a, np.full(300, 15.0), 15.0 * t, off, off, 45.0, sensors)
+
+
+@dataclass(frozen=True)
+class Claiming:
+    """An estimator of some road that claims the residual of a function of record and car."""
+
+    residual: Callable
+    adapt: bool
+
+    def estimate(self, record, car):
+        s = profile_stations(record.length)
+        z = np.random.default_rng(0).standard_normal((2, s.size)).cumsum(axis=1) * 1e-4
+        return Estimate(s, z, residual=self.residual(record, car))
 
 
 def iri_error(layout, surface):
@@ -67,26 +90,55 @@ def test_sensors_that_the_model_cannot_explain_count_by_the_means_of_their_pairs
     """The estimator that is told both sides leaves 20 times the noise, and of the means 1."""
     seen = []
 
-    class Doubtful:
-        adapt = False
+    def residual(record, car):
+        seen.append(tuple(record.sensors))
+        return 20.0 if tells_paths_apart(record.sensors) else 1.0
 
-        def estimate(self, record, car):
-            seen.append(tuple(record.sensors))
-            s = profile_stations(record.length)
-            z = np.random.default_rng(0).standard_normal((2, s.size)).cumsum(axis=1) * 1e-4
-            apart = tells_paths_apart(record.sensors)
-            return Estimate(s, z, residual=20.0 if apart else 1.0)
-
-    off = np.zeros((300, 4), dtype=bool)
-    t = np.arange(300) / 100.0  # too short to look for a frame
-    a = np.random.default_rng(1).standard_normal((4, 300))
-    record = Record(t, a, np.full(300, 15.0), 15.0 * t, off, off, 45.0, LAYOUTS["four"])
-    drive, found = estimate_drive(Doubtful(), as_drive(record))
+    record = short_record("four")
+    a = record.a
+    drive, found = estimate_drive(Claiming(residual, adapt=False), as_drive(record))
     assert seen == [tuple(LAYOUTS["four"]), ("FL", "RL")]
     assert found.residual == 1.0
     assert any("only the means of sensors on the left and the right" in n and "residual 20.0" in n
                for n in drive.measured.notes)  # fmt: skip
     np.testing.assert_allclose(drive.measured.record.a, [a[:2].mean(axis=0), a[2:].mean(axis=0)])
+
+
+def test_a_fast_estimate_falls_back_to_pairs_at_less_than_a_fitted_one():
+    def residual(record, car):
+        return 4.0 if tells_paths_apart(record.sensors) else 1.0
+
+    for adapt, expected in ((False, 1.0), (True, 4.0)):
+        _, found = estimate_drive(
+            Claiming(residual, adapt=adapt), as_drive(short_record("four"), load_vehicle("saloon"))
+        )
+        assert found.residual == expected
+
+
+@pytest.mark.parametrize(
+    ("without", "held", "adapt", "is_held"),
+    [(1.5, 1.1, True, True), (1.5, 1.6, True, False), (1.0, 1.0, True, False),
+     (1.5, 1.1, False, False)],
+)  # fmt: skip
+def test_side_motion_of_which_a_file_says_nothing_is_kept_if_it_explains_more(
+    without, held, adapt, is_held
+):
+    car = load_vehicle("land_rover_defender_110")
+    drive = as_drive(short_record("three"), car).with_notes("the paths are not told apart as well")
+
+    def residual(record, car):
+        return without if car.side is None else held
+
+    drive, found = estimate_drive(Claiming(residual, adapt=adapt), drive)
+    assert found.residual == (held if is_held else without)
+    notes = " ".join(drive.measured.notes)
+    assert ("give its file a `side`" in notes) == is_held
+    assert ("not told apart" in notes) != is_held
+    assert (drive.car.side is not None) == is_held
+    if is_held:
+        assert drive.car.tolerances.keys() - car.tolerances.keys() == {
+            f"side.{name}" for name in ("I_zz", "roll_centre", "C_alpha", "relaxation", "swing_arm")
+        }
 
 
 def test_the_mean_of_a_pair_is_that_on_the_centre_line():
