@@ -94,11 +94,8 @@ def to_packed_text(job: Job) -> tuple[str, dict[str, Path]]:
 
 
 def _to_spec(job: Job) -> dict[str, Any]:
-    versions: dict[str, Any] = {
-        "task_digest": job.task.digest,
-        "evaluation_code": evaluation_version(),
-    }
-    return to_json_types(dataclasses.replace(job, **versions))
+    digest, code = job.task.digest, evaluation_version()
+    return to_json_types(dataclasses.replace(job, task_digest=digest, evaluation_code=code))
 
 
 def from_text(text: str, where: str, folder: Path = Path()) -> Job:

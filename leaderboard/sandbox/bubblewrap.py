@@ -50,6 +50,8 @@ SYSTEM = ("/usr", "/lib", "/lib32", "/lib64", "/bin", "/etc/ld.so.cache", "/etc/
 COUNTERS = tuple(Path("/proc", name) for name in (
     "stat", "vmstat", "diskstats", "loadavg", "interrupts", "softirqs", "schedstat", "zoneinfo",
     "buddyinfo", "slabinfo", "pagetypeinfo", "timer_list", "locks", "vmallocinfo",
+    "pressure/cpu", "pressure/io", "pressure/memory",
+    "sys/fs/dentry-state", "sys/fs/inode-nr", "sys/fs/inode-state",
 ))  # fmt: skip
 """Files with counts of the whole machine, by which one guest could tell another a number: empty."""
 
@@ -141,8 +143,11 @@ def forget_reads(more: Iterable[Path] = ()) -> None:
     """Drop what guests have read from the memory of the machine: files that they see, and `more`.
 
     A guest could tell from the time of a read which files another one has read, 0.5 % of a thousand
-    excepted. What a running process has mapped stays. Names are all in memory afterwards.
+    excepted, and from that of a look-up which names it has looked up in vain: only root can drop
+    those. What a running process has mapped stays. Names of files are all in memory afterwards.
     """
+    with suppress(OSError):
+        Path("/proc/sys/vm/drop_caches").write_text("2")  # of names, not of what files contain
     left = [str(path) for path in (*_system_mounts(), *more)]
     while left:
         with suppress(OSError), os.scandir(left.pop()) as entries:

@@ -154,16 +154,14 @@ class Guest:
         running = processes.tree(self.pid)
         tables = processes.page_tables(running)
         used = tables + sum(process.resident for process in running)
-        if used > self.limits.memory * GIB and len(running) > 1:
+        limit = self.limits.memory
+        if used > limit * GIB and len(running) > 1:
             # the sum counts shared pages several times; the exact value is slow to read
             used = tables + processes.proportional_memory(running)
         self.peak_memory = max(self.peak_memory, used / GIB)
-        if used > self.limits.memory * GIB:
-            raise EntryError(
-                f"stopped for using more than {self.limits.memory:g} GiB, the memory limit"
-            )
-        if len(running) > self.limits.processes:
-            limit = self.limits.processes
+        if used > limit * GIB:
+            raise EntryError(f"stopped for using more than {limit:g} GiB, the memory limit")
+        if len(running) > (limit := self.limits.processes):
             raise EntryError(f"stopped for having more than {limit} processes, the limit")
 
     def _send(self, unsent: memoryview) -> memoryview:

@@ -191,6 +191,29 @@ def test_what_guests_have_read_is_dropped_from_memory(monkeypatch):
     assert [path.name for path in paths if in_page_cache(path)] == []
 
 
+def time_of_look_ups(names):
+    """Time [ns] that the quicker quarter of look-ups of names does not exceed."""
+    times = []
+    for name in names:
+        begin = time.perf_counter_ns()
+        os.access(name, os.F_OK)
+        times.append(time.perf_counter_ns() - begin)
+    return sorted(times)[len(times) // 4]
+
+
+def test_names_that_guests_have_looked_up_in_vain_are_dropped_from_memory(monkeypatch):
+    if not bubblewrap.is_root():
+        pytest.skip("only root can drop names")
+    monkeypatch.setattr(bubblewrap, "_system_mounts", dict)
+    told, untold = ([f"/usr/bin/{bit}_{k}_{os.getpid()}" for k in range(500)] for bit in "01")
+    for _ in range(2):
+        again = time_of_look_ups(told)
+    if time_of_look_ups(untold) < 1.5 * again:
+        pytest.skip("the file system does not remember names that do not exist")
+    bubblewrap.forget_reads()
+    assert time_of_look_ups(told) > 1.5 * again
+
+
 @pytest.mark.parametrize("second_first", [True, False])
 @pytest.mark.parametrize("causal", [True, False])
 def test_the_page_cache_is_dropped_between_two_guests_of_a_causal_entry(

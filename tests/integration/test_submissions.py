@@ -403,6 +403,45 @@ def call(*words, cwd, status=0):
     return done.stdout + done.stderr
 
 
+@pytest.fixture
+def verifies(made, tmp_path):
+    """A repository with a rival's submission, and what its ci/verify.sh says of a branch of it."""
+    repo = tmp_path / "repo"
+    repository.write_repository(repo)
+    shutil.copytree(made, repo / "submissions" / "rival")
+    for words in (("init", "-b", "main"), ("add", "."), ("commit", "-m", "a rival")):
+        call("git", *words, cwd=repo)
+    call("git", "switch", "-c", "mine", cwd=repo)
+    program = tmp_path / "road-recon"
+    program.write_text("#!/bin/sh\necho $1 $2\n")
+    program.chmod(0o755)
+    path = f"PATH={tmp_path}:{os.environ['PATH']}"
+    return repo, lambda status=0: call("env", path, "ci/verify.sh", "main", cwd=repo, status=status)
+
+
+def test_a_submission_is_verified_before_it_is_committed_and_after(verifies):
+    repo, said = verifies
+    assert said() == "no submission differs from main\nresults-site .\n"
+    shutil.copytree(repo / "submissions" / "rival", repo / "submissions" / "mine")
+    verified = "verify-submission submissions/mine\nresults-site .\n"
+    assert said() == verified
+    call("git", "add", ".", cwd=repo)
+    assert said() == verified
+    call("git", "commit", "-m", "mine", cwd=repo)
+    assert said() == verified
+
+
+def test_a_rival_cannot_be_moved_into_another_submission(verifies):
+    """By git's detection of renames, the files of the rival would not be named as removed."""
+    repo, said = verifies
+    rival = repo / "submissions" / "rival"
+    shutil.copytree(rival, repo / "submissions" / "mine" / "code" / "data")
+    shutil.rmtree(rival)
+    call("git", "add", ".", cwd=repo)
+    call("git", "commit", "-m", "mine", cwd=repo)
+    assert "submissions/rival is removed: for a maintainer" in said(status=1)
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(bubblewrap.obstacle() is not None, reason=str(bubblewrap.obstacle()))
 def test_from_a_fork_to_the_page(tmp_path):

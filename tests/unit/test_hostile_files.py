@@ -178,7 +178,7 @@ def test_any_type_of_column_of_a_drive_is_read_or_refused(quantity, all_readers,
         pa.array([{"a": 1}] * n), pa.array([b"\xff\0"] * n), pa.array([2**64 - 1] * n, pa.uint64()),
         pa.array(["a", "b"] * (n // 2)).dictionary_encode(), pa.array(range(n), pa.date32()),
         pa.array(range(n), pa.time64("us")), pa.array(range(n), pa.duration("ns")),
-        pa.array(np.arange(n, dtype=np.float16)),
+        pa.array(np.arange(n, dtype=np.float16)), pa.array([b"\xb3"] * n).view(pa.string()),
         *(pa.array(x * TIMES) for x in (1e308, -1e308, 1e155, 1e-320, np.nan)),
     ]  # fmt: skip
     said = []

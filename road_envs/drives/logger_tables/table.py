@@ -59,6 +59,7 @@ def read_table(path: Path) -> Table:
     with parsing(path, ConfigError, "no readable table"):
         if suffix == ".parquet":
             table = read_parquet(path)
+            table.validate(full=True)  # texts that are no UTF-8 are found when they are asked for
         elif suffix in (".mf4", ".mdf"):
             table = pa.Table.from_pandas(_read_mdf(path), preserve_index=False)
         else:
