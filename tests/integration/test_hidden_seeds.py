@@ -1,6 +1,7 @@
 """Hidden test sets: the commitment fixes them, and the salt reveals and verifies them."""
 
 import dataclasses
+import html
 import json
 
 import pytest
@@ -12,6 +13,8 @@ from leaderboard.cli import app
 from leaderboard.evaluation import hidden_seeds
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.evaluation.test_data import simulate_drives
+from leaderboard.report.sentences import build_report
+from leaderboard.report.site import write_site
 from leaderboard.running.board import run_board
 from road_envs.core import config
 from road_envs.core.config import ConfigError
@@ -47,8 +50,8 @@ def test_revealed_tasks_differ_from_the_public_ones_only_in_their_seeds(publishe
 
 
 @pytest.mark.parametrize("name", config.names("tasks"))
-def test_every_shipped_task_goes_from_commitment_to_a_scored_row(name, tmp_path):
-    """Committed, submitted, revealed, verified by anyone with the salt, and run."""
+def test_every_shipped_task_goes_from_commitment_to_the_page(name, tmp_path):
+    """Committed, revealed, verified by anyone with the salt, run, and shown on its page."""
     public = load_task(name)
     hidden_seeds.save(hidden_seeds.commit(SALT, [public]), tmp_path)
     (path,) = hidden_seeds.reveal(SALT, tmp_path)
@@ -69,6 +72,12 @@ def test_every_shipped_task_goes_from_commitment_to_a_scored_row(name, tmp_path)
     board = run_board(request, tmp_path / "out", Counting({"reader": Reader()}))
     (ran,) = request.sized_tasks()
     assert "reader" in {row.estimator for row in board.scored(ran)} and not board.failed(ran)
+    write_site(board, build_report(board), tmp_path / "out")
+    season = hidden_seeds.load(tmp_path).commitment[:8]
+    index = (tmp_path / "out" / "index.html").read_text()
+    assert hidden.name.endswith(season) and hidden.title in html.unescape(index)
+    page = (tmp_path / "out" / "estimators" / "reader.html").read_text()
+    assert season in page and SALT not in index + page
 
 
 def test_a_season_of_the_plants_is_driven_by_them(tmp_path):
