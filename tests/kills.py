@@ -1,12 +1,17 @@
 """Kills at every stage of a run: `make kills`; arguments: kills of each stage (5), names of some.
 
 Whenever a part is stored, a process of the stage is ended by SIGKILL after a random time: the judge
-itself, a job, a guest, or a worker of a Dask cluster. A judge that was killed is started again.
-Then the run is resumed until nothing is missing: its rows must be those of an undisturbed run, to
-the bit, and no process may be left. The counts are kept in `docs/runs/kills.txt`.
+itself, a job, a guest, or a worker of a Dask cluster; or a job or a guest is stopped by SIGSTOP and
+goes on after some seconds. A judge that was killed is started again. Then the run is resumed until
+nothing is missing: its rows must be those of an undisturbed run, to the bit, and no process may be
+left.
+
+The judge also runs as another user, without /dev/shm, and with a clock that jumps by hours (with
+the package libfaketime); then nothing may be missing. The counts are kept in `docs/runs/kills.txt`.
 """
 
 import contextlib
+import importlib.util
 import os
 import random
 import signal
@@ -15,6 +20,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 os.environ["DASK_LOGGING__DISTRIBUTED"] = "critical"  # of workers that end is to be expected
@@ -30,7 +36,7 @@ from leaderboard.running.dask_executor import LOCAL, DaskExecutor  # noqa: E402
 from leaderboard.running.executors import ProcessExecutor  # noqa: E402
 from leaderboard.sandbox import estimator_handler, processes  # noqa: E402
 
-CONDITIONS, LONGEST_DELAY, ATTEMPTS = 2, 1.5, 20
+CONDITIONS, LONGEST_DELAY, STOPPED, ATTEMPTS = 2, 1.5, 3.0, 20
 
 
 def descendants(word: str) -> list[int]:
@@ -60,16 +66,17 @@ def kill_judges(out: Path, kills: int, rng: random.Random) -> Iterator[bool]:
 
 
 def kill_others(
-    victims: Callable[[], list[int]], out: Path, kills: int, rng: random.Random, executor
-) -> Iterator[bool]:
+    victims: Callable[[], list[int]], out: Path, kills: int, rng: random.Random, executor,
+    hurt: Callable[[int], object] = processes.kill,
+) -> Iterator[bool]:  # fmt: skip
     """Run a board; kill one of the `victims` after each part; yield whether there was one."""
     killed: list[bool] = []
 
     def kill_one() -> None:
         pids = victims()
         if pids and len(killed) < kills:
-            processes.kill(rng.choice(pids))
             killed.append(True)
+            hurt(rng.choice(pids))
 
     def progress(done: int, total: int, text: str) -> None:
         if done:
@@ -106,7 +113,69 @@ def kill_workers(out: Path, kills: int, rng: random.Random) -> Iterator[bool]:
         )
 
 
-STAGES = {"judge": kill_judges, "job": kill_jobs, "guest": kill_guests, "Dask worker": kill_workers}
+def stop(pid: int) -> None:
+    """Stop a process for some seconds, if it still runs."""
+    with contextlib.suppress(ProcessLookupError):
+        os.kill(pid, signal.SIGSTOP)
+        time.sleep(STOPPED)
+        os.kill(pid, signal.SIGCONT)
+
+
+def stop_jobs(out: Path, kills: int, rng: random.Random) -> Iterator[bool]:
+    """Stop jobs of this process and let them go on."""
+    victims = partial(descendants, jobs.__name__)
+    yield from kill_others(victims, out, kills, rng, ProcessExecutor(2), stop)
+
+
+def stop_guests(out: Path, kills: int, rng: random.Random) -> Iterator[bool]:
+    """Stop guests of jobs of this process and let them go on."""
+    victims = partial(descendants, estimator_handler.__name__)
+    yield from kill_others(victims, out, kills, rng, ProcessExecutor(2), stop)
+
+
+STAGES = {
+    "judge": kill_judges, "job": kill_jobs, "guest": kill_guests, "Dask worker": kill_workers,
+    "job, stopped": stop_jobs, "guest, stopped": stop_guests,
+}  # fmt: skip
+BARE_DEVICES = ("null", "zero", "full", "random", "urandom", "tty")
+WHOLE = ("bwrap", "--die-with-parent", "--dev-bind", "/", "/")
+CIRCUMSTANCES = {
+    "another user": (*WHOLE, "--unshare-user", "--uid", "1000", "--gid", "1000"),
+    "no /dev/shm": (
+        *WHOLE, "--tmpfs", "/dev",
+        *(x for name in BARE_DEVICES for x in ("--dev-bind", f"/dev/{name}", f"/dev/{name}")),
+    ),
+    "clock jumps": (),
+}  # fmt: skip
+"""What a judge is started by, the whole run long."""
+
+
+def jumping_clock(file: Path) -> dict[str, str]:
+    """Return an environment whose clock is off by what `file` says; monotonic clocks are not."""
+    found = importlib.util.find_spec("libfaketime")
+    assert found is not None and found.origin is not None, "pip install libfaketime"
+    (library,) = Path(found.origin).parent.rglob("libfaketime.so.1")
+    return os.environ | {
+        "LD_PRELOAD": str(library), "FAKETIME_TIMESTAMP_FILE": str(file),
+        "FAKETIME_NO_CACHE": "1", "DONT_FAKE_MONOTONIC": "1", "FAKETIME_DONT_FAKE_MONOTONIC": "1",
+    }  # fmt: skip
+
+
+def check_circumstance(name: str, expected: dict, folder: Path, rng: random.Random) -> str:
+    """Run a board in a circumstance. Raises AssertionError if it ends or a row is not the same."""
+    out, clock, jumps = folder / name, folder / "clock", 0
+    clock.write_text("+0")
+    environment = jumping_clock(clock) if name == "clock jumps" else None
+    process = driver(out, CONDITIONS, VALID, CIRCUMSTANCES[name], environment)
+    while process.poll() is None:
+        time.sleep(LONGEST_DELAY)
+        clock.write_text(f"{rng.randint(-40, 40):+d}h")
+        jumps += 1
+    assert process.returncode == 0, name
+    parts = stored_parts(out)
+    found = rows(run_board(make_request(VALID, CONDITIONS), out, ProcessExecutor(1)))
+    assert found == expected and stored_parts(out) == parts > 0, name
+    return f"{name:15} {jumps * (name == 'clock jumps') or '':6} {1:6}   the same rows"
 
 
 def check(name: str, kills: int, expected: dict, folder: Path, rng: random.Random) -> str:
@@ -132,20 +201,24 @@ def check(name: str, kills: int, expected: dict, folder: Path, rng: random.Rando
             time.sleep(0.1)
         assert not left and not list(out.rglob("*.partial")), name
     assert done >= kills, f"{name}: killed {done} times only"
-    return f"{name:12} {done:6} {runs:6}   the same rows"
+    return f"{name:15} {done:6} {runs:6}   the same rows"
 
 
 def main() -> None:
     """Kill and print the counts."""
-    kills, names = int(sys.argv[1]) if len(sys.argv) > 1 else 5, sys.argv[2:] or list(STAGES)
+    kills = int(sys.argv[1]) if len(sys.argv) > 1 else 5
+    names = sys.argv[2:] or [*STAGES, *CIRCUMSTANCES]
     rng = random.Random(100)
     with tempfile.TemporaryDirectory() as folder:
         undisturbed = InProcessExecutor(estimators=VALID)
         request = make_request(VALID, CONDITIONS)
         expected = rows(run_board(request, Path(folder, "undisturbed"), undisturbed))
-        print(f"{'stage':12} {'kills':>6} {'runs':>6}   after it was resumed")
+        print(f"{'stage':15} {'times':>6} {'runs':>6}   in the end")
         for name in names:
-            print(check(name, kills, expected, Path(folder), rng), flush=True)
+            if name in CIRCUMSTANCES:
+                print(check_circumstance(name, expected, Path(folder), rng), flush=True)
+            else:
+                print(check(name, kills, expected, Path(folder), rng), flush=True)
 
 
 if __name__ == "__main__":

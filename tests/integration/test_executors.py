@@ -138,12 +138,12 @@ run_board(request, Path(sys.argv[1]), ProcessExecutor(2))
 """
 
 
-def driver(out, conditions, names):
+def driver(out, conditions, names, before=(), environment=None):
     code = DRIVER.format(
         folders=[str(Path(__file__).parent), str(Path(__file__).parents[1] / "support")]
     )
-    command = [sys.executable, "-c", code, str(out), str(conditions), *names]
-    return subprocess.Popen(command, cwd=Path(__file__).parents[2])
+    command = [*before, sys.executable, "-c", code, str(out), str(conditions), *names]
+    return subprocess.Popen(command, cwd=Path(__file__).parents[2], env=environment)
 
 
 def killed_and_resumed(out, expected, delays, conditions, estimators=VALID):
