@@ -11,7 +11,7 @@ from estimators.lookup import FILE_SUFFIXES
 from estimators.wiener.drive_check import check_notes, side_notes
 from estimators.wiener.structure_search import with_bending, with_twist
 from leaderboard.drive_report.mean_path import means_of_pairs, tells_paths_apart, tells_vehicle
-from leaderboard.drive_report.notes import LARGE_RESIDUAL, is_far_off, residual_of
+from leaderboard.drive_report.notes import LARGE_RESIDUAL, is_far_off, is_unsure, residual_of
 from road_envs.core.config import ConfigError
 from road_envs.drives.measured_record import MeasuredRecord
 from road_envs.drives.reading import DriveFile
@@ -110,7 +110,8 @@ def estimate_drive(estimator: Estimator, drive: DriveFile) -> tuple[DriveFile, E
     best = _held_sideways(estimator, *min(pairs, key=lambda pair: residual_of(pair[1][1])))
     instruments = instruments_of(record, drive.sensors)
     is_rough = residual_of(best[1]) >= LARGE_RESIDUAL and not getattr(estimator, "adapt", True)
-    if not is_rough and not is_far_off(best[1], record, instruments.noise_rms(record.fs)):
+    is_wrong = is_far_off(best[1], record, instruments.noise_rms(record.fs))
+    if not (is_rough or is_wrong or is_unsure(best[1])):
         return best
     centred = means_of_pairs(record, instruments.accelerometers)
     if centred is None:

@@ -115,6 +115,27 @@ def test_a_fast_estimate_falls_back_to_pairs_at_less_than_a_fitted_one():
         assert found.residual == expected
 
 
+@pytest.mark.parametrize(("spread", "residual", "expected"), [
+    (0.1, 4.0, 4.0), (0.5, 4.0, 1.0), (0.5, 2.0, 2.0),
+])  # fmt: skip
+def test_a_fitted_estimate_falls_back_to_pairs_where_it_is_less_sure_than_one_sensor(
+    spread, residual, expected
+):
+    def drawn(self, record, car):
+        found = Claiming.estimate(self, record, car)
+        factors = np.exp(spread * np.random.default_rng(2).standard_normal(32))
+        return replace(found, draws=factors[:, None, None] * found.z)
+
+    def claimed(record, car):
+        return residual if tells_paths_apart(record.sensors) else 1.0
+
+    class Drawing(Claiming):
+        estimate = drawn
+
+    _, found = estimate_drive(Drawing(claimed, adapt=True), as_drive(short_record("four")))
+    assert found.residual == expected
+
+
 @pytest.mark.parametrize(
     ("without", "held", "adapt", "is_held"),
     [(1.5, 1.1, True, True), (1.5, 1.6, True, False), (1.0, 1.0, True, False),
