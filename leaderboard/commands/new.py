@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from leaderboard.commands import check_output_path
 from leaderboard.commands.output import Output
 from leaderboard.conformance.scaffold import Example, write_package
 from road_envs.core.config import ConfigError
@@ -66,6 +67,7 @@ def new_vehicle(
     What is not given is asked for. The registration papers have mass and wheelbase; the track is
     in any data sheet.
     """
+    check_output_path(out, ".yaml", ".yml")
     if out.exists():
         raise ConfigError(f"{out} exists: choose another file, or remove it")
     car = fitted_vehicle(out.stem, car_class, mass, wheelbase, track)

@@ -143,6 +143,8 @@ def test_a_new_vehicle_is_written_and_drives(road_recon):
     code, _, err = road_recon("new-vehicle", "mine.yaml", *values)
     assert code == 2
     assert "mine.yaml exists" in err
+    code, _, err = road_recon("new-vehicle", "mine", *values)
+    assert code == 2 and "mine: the name must end in .yaml or .yml" in err
     drive = ("--vehicle", "mine.yaml", "--road", "iso_c", "--length", "20", "--speed-kmh", "36")
     code, _, err = road_recon("simulate", *drive, "--out", "d.csv")
     assert code == 0, err

@@ -2,12 +2,14 @@
 
 import subprocess
 import sys
+import tomllib
 
 import numpy as np
 import pytest
 from scipy.signal import csd, welch
 
 from road_envs.core import extras
+from road_envs.core.code_digest import ROOT
 from road_envs.core.config import ConfigError
 from road_envs.drives.recording import simulate_record
 from road_envs.plants import commonroad_car
@@ -134,6 +136,11 @@ def test_a_missing_extra_is_named(monkeypatch, plant, module):
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(extras.MissingExtraError, match=r"road-envs\[plants\]"):
         simulate_on_plant(plant, LEVEL, speed_kmh=36.0, vehicle="bmw_320i")
+
+
+def test_one_extra_brings_the_plants_and_the_command_that_drives_them():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert "road-envs[board]" in project["optional-dependencies"]["plants"]
 
 
 def test_other_equations_of_commonroad_are_refused(monkeypatch):
