@@ -5,10 +5,11 @@
 Each car is described as its owner can: a class with the mass, wheelbase and track of the papers
 (`road-recon new-vehicle`). It drives 500 m of class B at 50 km/h and 500 m of class C at 40 km/h,
 which nobody measured, and from them `road-recon identify` narrows the description. Then it drives
-100 m of each class at 50 km/h, and `road-recon report` has its IRI with the class and with the
-identified car. The cars are those of other projects' programs, and on our own simulator individuals
-that are drawn within the tolerances of their class and then manufactured (grade S1). A row is
-appended to the results for each drive; those that stand there are not computed again.
+100 m of each class at 50 km/h, and `map_smoother` has the IRI with the class and with the
+identified car, by its samples of the road as in a report. The cars are those of another project's
+program, and on our own simulator individuals that are drawn within the tolerances of their class
+and then manufactured (grade S1). A row is appended to the results for each drive; those that stand
+there are not computed again.
 """
 
 from collections.abc import Sequence
@@ -18,14 +19,10 @@ from typing import Any
 import numpy as np
 
 from estimators.api import CalibrationDrive, CalibrationError
+from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.identification import identify
 from estimators.map_smoother.preparation import SolverSettings
-from leaderboard.drive_report.conditions import load_conditions
-from leaderboard.drive_report.drive_estimates import with_doubts
-from leaderboard.drive_report.report import ReportSettings, make_report
-from road_envs.drives.logger_tables.description import DriveDescription
-from road_envs.drives.measured_record import MeasuredRecord
-from road_envs.drives.reading import DriveFile
+from leaderboard.drive_report.posterior_iri import posterior_iri
 from road_envs.drives.recording import simulate_record
 from road_envs.plants.driving import simulate_on_plant
 from road_envs.records.record import Profile, Record
@@ -105,12 +102,11 @@ def described_and_identified(
 
 
 def reported(record: Record, car: VehicleParameters) -> tuple[list[float], list[str]]:
-    """Return the IRI [mm/m] of a drive in its report, with the limits of 95 %, and its notes."""
-    file = DriveFile("", "", MeasuredRecord(record), "", car, "paper", False, DriveDescription())
-    settings = ReportSettings(conditions=load_conditions("hpms"), settings={})
-    result = make_report([with_doubts(file)], settings, lambda what, share: None).drives[0]
-    keys = ("iri_mean", "iri_mean_low", "iri_mean_high")
-    return [round(float(result.facts[key]), 4) for key in keys], list(result.notes)
+    """Return the IRI [mm/m] of a drive with its limits of 95 %, and the notes of the estimate."""
+    found = MapSmoother().estimate(record, car)
+    limits = posterior_iri(found, np.array([0.0, LENGTH]))
+    values = (limits.median, limits.low, limits.high)
+    return [round(float(of_mean[-1, 0]), 4) for of_mean in values], list(found.notes)
 
 
 def drive_result(plant: str, car: str, car_class: str, road_class: str, seed: int) -> Row:
