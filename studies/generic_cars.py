@@ -37,7 +37,6 @@ CARS = (
     ("mujoco", "bmw_320i", "saloon"),
     ("mujoco", "volkswagen_vanagon", "van"),
     ("simulator", "compact", "compact"),
-    ("simulator", "suv", "suv"),
 )
 """Plant, car, and the class by which it is described."""
 
