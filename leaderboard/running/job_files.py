@@ -44,13 +44,9 @@ def pack(spec: dict[str, Any], entries: Iterable[Entry]) -> tuple[dict[str, Any]
 
 
 def locate(spec: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return the JSON object of a packed job whose file lies in `folder`, with absolute paths."""
-
-    def absolute(path: str) -> str:
-        return str(folder.resolve() / path)
-
-    task = _with_paths(spec.get("task"), absolute)
-    return {**spec, "task": task, "files": absolute(spec["files"])}
+    """Return the JSON object of a job whose paths begin in `folder`, with absolute ones."""
+    task = _with_paths(spec.get("task"), lambda path: str(folder.resolve() / path))
+    return {**spec, "task": task, "files": spec["files"] and str(folder.resolve() / spec["files"])}
 
 
 def code_folders(files: str, entries: Iterable[Entry]) -> dict[str, Path]:

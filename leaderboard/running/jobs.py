@@ -95,7 +95,8 @@ def to_packed_text(job: Job) -> tuple[str, dict[str, Path]]:
 
 def _to_spec(job: Job) -> dict[str, Any]:
     digest, code = job.task.digest, evaluation_version()
-    return to_json_types(dataclasses.replace(job, task_digest=digest, evaluation_code=code))
+    spec = to_json_types(dataclasses.replace(job, task_digest=digest, evaluation_code=code))
+    return job_files.locate(spec, Path())  # the process that runs it has another working folder
 
 
 def from_text(text: str, where: str, folder: Path = Path()) -> Job:

@@ -70,12 +70,31 @@ def test_entries_are_split_into_jobs_only_if_workers_would_be_idle(tmp_path):
         assert sorted(done) == sorted((row.entry.name, k) for row, k in missing)
 
 
-def test_planned_jobs_need_no_other_file(tmp_path):
-    given = tmp_path / "given"
+def write_files(given):
+    """Write a vehicle and a surface into a new folder."""
     given.mkdir()
     write_vehicle(given / "car.yaml", load_vehicle("land_rover_defender_110"))
     surface = with_length(load_road("iso_d"), 16.0).realise(np.random.default_rng(3))
     write_csv(surface, given / "road.csv")
+
+
+def test_a_job_finds_the_files_of_its_task_from_another_folder(tmp_path, monkeypatch):
+    """As the process does that runs it."""
+    write_files(tmp_path / "given")
+    monkeypatch.chdir(tmp_path)
+    t = task(
+        car="given/car.yaml",
+        training={"roads": [{"kind": "measured", "path": "given/road.csv"}], "seeds": [1]},
+        trains_on_test_road=True,
+    )
+    text = jobs.to_text(jobs.Job(task=t, condition=0, entries=(), seeds=(1,)))
+    monkeypatch.chdir("/")
+    assert jobs.from_text(text, "a job").task.vehicle == load_vehicle(tmp_path / "given/car.yaml")
+
+
+def test_planned_jobs_need_no_other_file(tmp_path):
+    given = tmp_path / "given"
+    write_files(given)
     (given / "elsewhere.py").write_text(wheels.module())
     changed = {"kind": "noisy_copy", "road": {"kind": "measured", "path": str(given / "road.csv")}}
     t = task(
