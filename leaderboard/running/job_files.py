@@ -33,7 +33,7 @@ def pack(spec: dict[str, Any], entries: Iterable[Entry]) -> tuple[dict[str, Any]
         return name
 
     try:
-        task = _with_paths(spec["task"], copy)
+        task = with_paths(spec["task"], copy)
         for entry in entries:
             if is_from_outside(entry):
                 for source, name in entry_files.list_files(entry.reference):
@@ -45,7 +45,7 @@ def pack(spec: dict[str, Any], entries: Iterable[Entry]) -> tuple[dict[str, Any]
 
 def locate(spec: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Return the JSON object of a job whose paths begin in `folder`, with absolute ones."""
-    task = _with_paths(spec.get("task"), lambda path: str(folder.resolve() / path))
+    task = with_paths(spec.get("task"), lambda path: str(folder.resolve() / path))
     return {**spec, "task": task, "files": spec["files"] and str(folder.resolve() / spec["files"])}
 
 
@@ -65,13 +65,13 @@ def is_from_outside(entry: Entry) -> bool:
     )
 
 
-def _with_paths(value: Any, change: ChangePath, at_top: bool = True) -> Any:
+def with_paths(value: Any, change: ChangePath, at_top: bool = True) -> Any:
     """Return the JSON types of a task with every path of a file changed."""
     if isinstance(value, list):
-        return [_with_paths(item, change, False) for item in value]
+        return [with_paths(item, change, False) for item in value]
     if not isinstance(value, dict):
         return value
-    changed = {key: _with_paths(item, change, False) for key, item in value.items()}
+    changed = {key: with_paths(item, change, False) for key, item in value.items()}
     names = {"path"} if value.get("kind") == "measured" else set()
     for name, kind in {"car": "vehicles", "instruments": "sensors"}.items() if at_top else ():
         if isinstance(file := value.get(name), str) and config.find(kind, file) == Path(file):

@@ -11,6 +11,7 @@ said instead.
 
 import dataclasses
 import math
+import os
 import statistics
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
@@ -42,6 +43,7 @@ from leaderboard.evaluation.tasks import Condition, Task
 from leaderboard.evaluation.test_data import RecordedDrive, simulate_drives
 from leaderboard.json_values import to_json_types
 from leaderboard.metrics.registry import SCORES
+from leaderboard.running import job_files
 from road_envs.core.artifacts import Kind
 from road_envs.core.config import ConfigError, Settings, build
 
@@ -92,7 +94,8 @@ def save_definition(task: Task, out: Path) -> None:
     """Write a task under its digest, so that its results can be verified."""
     path = out / "definitions" / f"{task.digest}.json"
     if not path.exists():
-        DEFINITION.write(path, {"task": to_json_types(task)}, task.digest)
+        plain = job_files.with_paths(to_json_types(task), os.path.abspath)
+        DEFINITION.write(path, {"task": plain}, task.digest)
 
 
 def _load_definitions(out: Path) -> list[Task]:

@@ -23,7 +23,7 @@ from leaderboard.evaluation.results import content_digest
 from leaderboard.evaluation.store import part_path
 from leaderboard.evaluation.tasks import shipped_tasks
 from leaderboard.metrics.baselines import BASELINES
-from leaderboard.running import job_files, jobs, plan
+from leaderboard.running import job_files, jobs, plan, verification
 from leaderboard.running.board import RunRequest, write_jobs
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
@@ -78,8 +78,8 @@ def write_files(given):
     write_csv(surface, given / "road.csv")
 
 
-def test_a_job_finds_the_files_of_its_task_from_another_folder(tmp_path, monkeypatch):
-    """As the process does that runs it."""
+def test_files_of_a_task_are_found_from_another_folder(tmp_path, monkeypatch):
+    """By the process that runs a job, and by whoever verifies a folder of results."""
     write_files(tmp_path / "given")
     monkeypatch.chdir(tmp_path)
     t = task(
@@ -88,7 +88,10 @@ def test_a_job_finds_the_files_of_its_task_from_another_folder(tmp_path, monkeyp
         trains_on_test_road=True,
     )
     text = jobs.to_text(jobs.Job(task=t, condition=0, entries=(), seeds=(1,)))
+    verification.save_definition(t, tmp_path / "out")
     monkeypatch.chdir("/")
+    (defined,) = verification._load_definitions(tmp_path / "out")
+    assert defined.vehicle == load_vehicle(tmp_path / "given/car.yaml")
     assert jobs.from_text(text, "a job").task.vehicle == load_vehicle(tmp_path / "given/car.yaml")
 
 
