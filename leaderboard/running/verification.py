@@ -187,12 +187,9 @@ def _verify_row(
 ) -> Verified:
     """Run an entry again on the drives of each condition and compare with its row."""
     found = Verified(
-        task=task.name,
-        estimator=row.estimator,
-        identity=row.identity,
+        task=task.name, estimator=row.estimator, identity=row.identity, tolerance=_tolerance(row),
         kernels=kernels_of(describe_environment()),
-        tolerance=_tolerance(row),
-    )
+    )  # fmt: skip
     if entry is None:
         unknown = "not of this package: give it with --estimator"
         return dataclasses.replace(found, reason=row.stale_reason(task) or unknown)

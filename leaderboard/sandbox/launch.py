@@ -89,7 +89,10 @@ def start_host_process(handler: str, home: Path, folder: Path) -> Guest:
     environment = known | os.environ | {name: known[name] for name in SET_FOR_ALL}
     at = str(folder.absolute())
     setup = worker.Setup(handler=handler, limits=UNLIMITED, folder=at, serves_many=True)
-    guest = Guest(_words(setup), environment, home)
+    try:
+        guest = Guest(_words(setup), environment, home)
+    except EntryError:  # something else may have ended it
+        guest = Guest(_words(setup), environment, home)
     guest.start_run(UNLIMITED)
     return guest
 

@@ -28,7 +28,7 @@ from leaderboard.running import executors, jobs
 from leaderboard.running.board import RunRequest, run_board
 from leaderboard.running.dask_executor import DaskExecutor
 from leaderboard.running.executors import EvaluatorError, ProcessExecutor
-from leaderboard.sandbox import bubblewrap
+from leaderboard.sandbox import bubblewrap, launch
 from leaderboard.sandbox.limits import Limits
 from road_envs.core.config import ConfigError
 from road_envs.core.extras import MissingExtraError
@@ -184,6 +184,20 @@ def test_a_failure_of_the_evaluation_is_not_attributed_to_an_entry(tmp_path, mon
         run_board(make_request({}), tmp_path, ProcessExecutor(1))
     with pytest.raises(ConfigError, match="the number of workers must be at least 1, got 0"):
         ProcessExecutor(0)
+
+
+def test_a_process_of_jobs_that_something_else_ends_as_it_starts_is_started_once_more(
+    tmp_path, monkeypatch
+):
+    started, make = [], launch.Guest
+
+    def killed_at_first(words, *rest):
+        started.append(words)
+        return make(["sh", "-c", "kill -KILL $$"] if len(started) == 1 else words, *rest)
+
+    monkeypatch.setattr(launch, "Guest", killed_at_first)
+    board = run_board(make_request({"flat": create("flat")}), tmp_path, ProcessExecutor(1))
+    assert len(started) >= 2 and "flat" in rows(board) and not board.failed(small())
 
 
 def test_jobs_with_entries_of_this_package_share_a_process_and_its_guest(tmp_path, monkeypatch):
