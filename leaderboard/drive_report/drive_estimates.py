@@ -58,6 +58,8 @@ def with_doubts(drive: DriveFile) -> DriveFile:
     record, car, sensors = drive.measured.record, drive.car, drive.sensors
     body = with_bending(record, with_twist(record, car, sensors), sensors)
     notes = side_notes(record, body, sensors)
+    if not notes and body is not car:  # peaks of the road may have been taken for the body's
+        notes = side_notes(record, car, sensors)
     if drive.is_table:  # a record of `simulate` knows its speed, mode and channels
         notes += check_notes(record, car, sensors, speed_known=drive.knows_distance)
     return drive.with_notes(*notes)

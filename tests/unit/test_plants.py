@@ -8,9 +8,13 @@ import numpy as np
 import pytest
 from scipy.signal import csd, welch
 
+from leaderboard.drive_report.drive_estimates import with_doubts
 from road_envs.core import extras
 from road_envs.core.code_digest import ROOT
 from road_envs.core.config import ConfigError
+from road_envs.drives.logger_tables.description import DriveDescription
+from road_envs.drives.measured_record import MeasuredRecord
+from road_envs.drives.reading import DriveFile
 from road_envs.drives.recording import simulate_record
 from road_envs.plants import commonroad_car
 from road_envs.plants.commonroad_car import CommonRoadCar, as_driven
@@ -181,3 +185,17 @@ def test_a_record_of_a_plant_is_as_any_other():
 def test_what_a_plant_does_not_have_is_refused(plant, settings, message):
     with pytest.raises(ConfigError, match=message):
         simulate_on_plant(plant, LEVEL, **{"speed_kmh": 36.0, "vehicle": "bmw_320i", **settings})
+
+
+def test_tyres_of_another_program_are_noticed_behind_peaks_of_paving_too():
+    """The paving makes the Defender seem to twist and bend; told so, its error is 0.95."""
+    name = "defender_110_coils"
+    record, _ = simulate_on_plant(
+        "commonroad", "belgian_like", speed_kmh=36.0, seed=11, vehicle=name, length=100.0
+    )
+    described = as_driven(load_vehicle(name))
+    drive = DriveFile(
+        "d", "d", MeasuredRecord(record), "", described, "paper", False, DriveDescription()
+    )
+    (note,) = with_doubts(drive).measured.notes
+    assert "sideways 2 times as stiffly" in note
