@@ -252,6 +252,21 @@ def test_an_mdf_file_with_channels_of_two_rates_is_read(tmp_path):
     np.testing.assert_allclose(record.v[:5900], SPEED[:5900], atol=0.01)
 
 
+def test_what_a_parser_says_of_a_damaged_mdf_file_is_cut_to_one_line(tmp_path, monkeypatch):
+    mdf = pytest.importorskip("asammdf")
+
+    def refuse(path):
+        raise ValueError("samples=array([36.  ,\n 36.01]) " + "x" * 9000)
+
+    monkeypatch.setattr(mdf, "MDF", refuse)
+    (tmp_path / "d.mf4").write_bytes(b"")
+    with pytest.raises(
+        ConfigError, match=r"MDF file: samples=array\(\[36\. , 36\.01\]\) x"
+    ) as said:
+        read(tmp_path / "d.mf4")
+    assert len(str(said.value)) < 600
+
+
 def test_a_damaged_mdf_file_is_refused_in_one_sentence_without_a_word_after_it(
     tmp_path, capsys, monkeypatch
 ):

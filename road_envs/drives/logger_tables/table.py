@@ -19,7 +19,7 @@ import numpy as np
 
 from road_envs.core.config import ConfigError, shown
 from road_envs.core.extras import optional_import
-from road_envs.core.reading import parsing, read_parquet
+from road_envs.core.reading import MAX_MESSAGE, parsing, read_parquet
 from road_envs.records.units import is_unit
 
 SNIFFED_CHARACTERS = 10_000
@@ -234,7 +234,8 @@ def _read_mdf(path: Path) -> Any:
                     channels.setdefault(name, pd.Series(samples, signal.timestamps))
         except Exception as error:
             said = re.sub(r"^['\"](<mmap|/).*['\"] is not", "not", str(error))
-            failure = f"no readable MDF file: {said or type(error).__name__}"
+            said = " ".join(said.split())[:MAX_MESSAGE] or type(error).__name__
+            failure = f"no readable MDF file: {said}"
         if failure:
             gc.collect()
             raise ConfigError(failure)
