@@ -468,7 +468,7 @@ def test_from_a_fork_to_the_page(tmp_path):
     call("git", "add", "submissions", cwd=fork)
     call("git", "commit", "-m", "trial", cwd=fork)
     said = call("ci/verify.sh", "origin/main", cwd=fork)
-    assert "5 of 5 rows agree" in said and "page: site/index.html" in said
+    assert "5 of 5 rows agree" in said and "site/index.html" in said
 
     call("git", "pull", fork, "trial", cwd=upstream)
     call("road-recon", "results-site", ".", cwd=upstream)
