@@ -189,6 +189,13 @@ def test_any_type_of_column_of_a_drive_is_read_or_refused(quantity, all_readers,
     assert sum(x is not None for x in said) > len(columns) // 2
 
 
+def test_a_table_without_rows_is_refused(tmp_path):
+    for name in ("x.parquet", "x.csv"):
+        write_drive(tmp_path / name, {key: column[:0] for key, column in DRIVE.items()})
+        with pytest.raises(ConfigError, match=f"{name}: no readable table"):
+            read_drive(tmp_path / name)
+
+
 def test_a_gap_of_the_clock_is_refused_however_long(tmp_path):
     for gap in (1e3, 1e7, 1e11, 1e12, 1e200):
         for start in (0.4, 0.785):

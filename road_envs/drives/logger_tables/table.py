@@ -69,6 +69,8 @@ def read_table(path: Path) -> Table:
                     "read: write it as Parquet, or cut it into shorter drives"
                 )
             table = _parse_table(path.read_bytes())
+        if not table.num_rows:
+            raise ConfigError("no readable table: it has no rows")
         return _by_header(table)
 
 
