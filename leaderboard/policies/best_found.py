@@ -3,11 +3,16 @@
 A stratified beam search over all sixteen pairs of states keeps, for each pair commanded last, the
 drives with the best score so far: a history that pays later is not lost to others of another pair.
 Sweeps then go on from the best of the beam and of every policy of the comparison. A sweep drives
-through a plan from its beginning. At each choice every pair, held for several times, replaces the
-plan there; the best over a horizon, after which the plan goes on as it was, becomes the plan. Only
-the best trials go on to the end of the horizon. The best plan of a whole drive is kept, so the
-result is at least as good as every policy that it starts from. It knows the road ahead and is no
-attainable policy; a longer search may find more.
+through a plan. At each choice every pair, held for several times, replaces the plan there; the best
+over a horizon, after which the plan goes on as it was, becomes the plan. Only the best trials go on
+to the end of the horizon, which is two periods of the body: over a shorter one a choice gains now
+what it pays later.
+
+Most of a drive's price, and nearly all of what two searches differ by, is in its severe manoeuvre.
+So every sweep of a whole drive is followed by some of its dearest window, which are annealed: the
+costs of the trials are raised by random shares, at first of HEAT, which fall to none. The best plan
+of a whole drive is kept, so the result is at least as good as every policy that it starts from. It
+knows the road ahead and is no attainable policy; a longer search may find more.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,13 +21,14 @@ import numpy as np
 
 from road_envs.envs.fleet_arrays import StepOutput
 from road_envs.envs.instrumented_fleet import InstrumentedFleet
+from road_envs.kernels.simd import LANES
 from road_envs.policies.rollout import VIOLATION_PRICE, Drives, Rollout, replay
 
 HOLD_TIME = 0.2
 """Time [s] between choices of the beam."""
 
-SWEEP_TIME, HORIZON = 0.1, 1.0
-"""Time [s] between choices of a sweep, and over which they are compared: a period of the body."""
+SWEEP_TIME, HORIZON = 0.1, 2.4
+"""Time [s] between choices of a sweep, and over which they are compared."""
 
 LONGEST_SECTION = 1.2
 """Longest time [s] for which a choice of a sweep is held; times are uniform in their logarithm."""
@@ -30,11 +36,17 @@ LONGEST_SECTION = 1.2
 SECTIONS = 3
 """Times for which each pair is tried at each choice."""
 
-TRIAL_TIME, FINALISTS = 0.4, 16
+TRIAL_TIME, FINALISTS = 0.4, LANES
 """Time [s] after which only the best trials of a choice go on, and their number."""
 
-SWEEPS = 8
-"""Sweeps by default."""
+WINDOW, WINDOW_SWEEPS = 5.5, 5
+"""Length [s] of the dearest window, and its sweeps after each one of the whole drive."""
+
+HEAT, COOLING = 0.02, 0.7
+"""Mean share by which the costs of trials are raised at first; share of the sweeps until none."""
+
+SWEEPS = 6
+"""Sweeps of the whole drive by default."""
 
 Progress = Callable[[str, float], None]
 
@@ -55,21 +67,36 @@ def search(
     candidates = [np.concatenate([row, np.repeat(row[-1:], T - len(row), axis=0)]) for row in rows]
     beams = np.zeros((T, n), dtype=np.int64)
     for i in range(n):
-        progress("beam", 0.2 * i / n)
+        progress("beam", 0.1 * i / n)
         own = beam(drives, i)[0]
         beams[: len(own), i] = own[:T]
     candidates.append(beams)
     scores = np.array([replay(drives, actions).score for actions in candidates])
     best = np.stack([candidates[scores[:, i].argmax()][:, i] for i in range(n)], axis=1)
-    score, plans = scores.max(axis=0), best.copy()
-    for k in range(sweeps):
-        for i in range(n):
-            progress("sweeps", 0.2 + 0.8 * (k + i / n) / sweeps)
-            sweep(drives, i, plans[:, i], rng)
-        found = replay(drives, plans).score
-        better = found > score
-        best[:, better], score[better] = plans[:, better], found[better]
+    for i in range(n):
+        progress("sweeps", 0.1 + 0.9 * i / n)
+        climb(drives, i, best[:, i], sweeps, rng)
     return replay(drives, best)
+
+
+def climb(drives: Drives, i: int, best: np.ndarray, sweeps: int, rng: np.random.Generator) -> None:
+    """Replace the plan `best` (T,) of drive number `i` by better ones, in `sweeps` of the drive."""
+    prices, plan = _prices(drives, i, best), best.copy()
+    least, length = prices.sum(), round(WINDOW / drives.setup.interval)
+    for k in range(sweeps):
+        heat = HEAT * max(1.0 - k / (COOLING * sweeps), 0.0)
+        for part in range(1 + WINDOW_SWEEPS):
+            if not heat:
+                plan = best.copy()
+            if part == 0:
+                sweep(drives, i, plan, rng)
+            else:
+                sums = np.convolve(prices, np.ones(length), "valid")
+                first = int(sums.argmax())
+                sweep(drives, i, plan, rng, first, first + length, heat)
+            prices = _prices(drives, i, plan)
+            if prices.sum() < least:
+                best[:], least = plan, prices.sum()
 
 
 def beam(drives: Drives, i: int) -> tuple[np.ndarray, float]:
@@ -84,7 +111,7 @@ def beam(drives: Drives, i: int) -> tuple[np.ndarray, float]:
     while running:
         for _ in range(hold):
             output = fleet.advance(setup.command_bytes[child])
-            score -= _price(output, fleet, fleet.n_vehicles)
+            score -= _price(output, fleet)
             running = not output.end_of_road.all()
             if not running:
                 break
@@ -99,37 +126,50 @@ def beam(drives: Drives, i: int) -> tuple[np.ndarray, float]:
     return np.repeat(best, hold), float(score.max())
 
 
-def sweep(drives: Drives, i: int, plan: np.ndarray, rng: np.random.Generator) -> None:
-    """Improve the `plan` (T,) of actions of drive number `i` in place, from its first choice on."""
+def sweep(
+    drives: Drives, i: int, plan: np.ndarray, rng: np.random.Generator,
+    first: int = 0, stop: int | None = None, heat: float = 0.0,
+) -> None:  # fmt: skip
+    """Improve the `plan` (T,) of actions of drive number `i` in place, from `first` to `stop`."""
     setup, pairs = drives.setup, len(drives.setup.command_bytes)
-    fleet = _started(drives, i, pairs * SECTIONS)
+    fleet, few = (_started(drives, i, size) for size in (pairs * SECTIONS, FINALISTS))
     pair = np.arange(fleet.n_vehicles) % pairs
-    hold, horizon = (round(time / setup.interval) for time in (SWEEP_TIME, HORIZON))
-    shortest, end = max(1, hold), int(fleet.steps_left[0]) // fleet.steps
-    for k in range(0, end, shortest):
+    times = SWEEP_TIME, TRIAL_TIME, HORIZON
+    hold, trial, horizon = (max(1, round(time / setup.interval)) for time in times)
+    end = int(fleet.steps_left[0]) // fleet.steps
+    for action in plan[:first]:
+        fleet.advance(int(setup.command_bytes[action]))
+    for k in range(first, min(stop or end, end), hold):
         kept = plan[k : min(k + horizon, end)]
         seconds = np.exp(rng.uniform(np.log(SWEEP_TIME), np.log(LONGEST_SECTION), SECTIONS))
         lengths = np.repeat(np.maximum(1, np.rint(seconds / setup.interval)), pairs)
         lengths[0] = 0.0  # the plan as it is
         # vehicle v commands its pair for the length of its section, and then the plan
         trials = np.where(np.arange(kept.size)[:, None] < lengths, pair, kept[:, None])
-        cost, alive = np.zeros(fleet.n_vehicles), np.arange(fleet.n_vehicles)
-        for j in range(len(trials)):
-            if j == round(TRIAL_TIME / setup.interval):
-                # the plan as it is goes on in any case
-                order = np.where(np.arange(cost.size) > 0, cost, -np.inf)
-                alive = np.argsort(order, kind="stable")[:FINALISTS]
-                fleet.copy_vehicles(alive, np.arange(len(alive)))
-            commands = np.resize(trials[j, alive], fleet.n_vehicles)
-            moving = np.arange(fleet.n_vehicles) < len(alive)
-            output = fleet.advance(setup.command_bytes[commands], None if moving.all() else moving)
-            cost[alive] += _price(output, fleet, len(alive))
-            if j == min(shortest, len(trials)) - 1:
+        cost = np.zeros(fleet.n_vehicles)
+        for j, row in enumerate(trials[:trial]):
+            cost += _price(fleet.advance(setup.command_bytes[row]), fleet)
+            if j == min(hold, len(trials)) - 1:
                 state = fleet.copy_state()
-        best = int(alive[cost[alive].argmin()])
+        # the plan as it is goes on in any case
+        order = np.where(np.arange(cost.size) > 0, cost, -np.inf)
+        alive = np.argsort(order, kind="stable")[:FINALISTS]
+        fleet.copy_vehicles(alive)
+        few.restore_state([field[:1] for field in fleet.state])  # the first block of lanes
+        for row in trials[trial:, alive]:
+            cost[alive] += _price(few.advance(setup.command_bytes[row]), few)
+        raised = cost[alive] * (1.0 + heat * rng.exponential(size=len(alive)))
+        best = int(alive[raised.argmin()])
         kept[:] = trials[:, best]
         fleet.restore_state(state)
         fleet.copy_vehicles(np.full(fleet.n_vehicles, best))
+
+
+def _prices(drives: Drives, i: int, plan: np.ndarray) -> np.ndarray:
+    """Return the price [m²/s³] of every interval of drive number `i` under a plan (T,)."""
+    fleet = _started(drives, i, FINALISTS)
+    commands = drives.setup.command_bytes[plan[: int(fleet.steps_left[0]) // fleet.steps]]
+    return np.array([_price(fleet.advance(int(byte)), fleet)[0] for byte in commands])
 
 
 def _started(drives: Drives, i: int, size: int) -> InstrumentedFleet:
@@ -139,8 +179,8 @@ def _started(drives: Drives, i: int, size: int) -> InstrumentedFleet:
     return fleet
 
 
-def _price(output: StepOutput, fleet: InstrumentedFleet, n: int) -> np.ndarray:
-    """Return the price (n,) [m²/s³] of an interval for the first `n` vehicles."""
+def _price(output: StepOutput, fleet: InstrumentedFleet) -> np.ndarray:
+    """Return the price (N,) [m²/s³] of an interval for all vehicles."""
     columns = [fleet.columns.index("comfort"), fleet.columns.index("cost")]
-    comfort, cost = output.values[:n, columns].T
-    return np.where(output.failed[:n], np.inf, comfort + VIOLATION_PRICE * cost)
+    comfort, cost = output.values[:, columns].T
+    return np.where(output.failed, np.inf, comfort + VIOLATION_PRICE * cost)
