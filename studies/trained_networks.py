@@ -3,10 +3,12 @@
     python -m studies.trained_networks {ppo,dqn,qrdqn} --out mine.npz [--seed 1] [--steps N]
 
 Every episode draws a new training drive. The network with the best score on some of them is
-written; `road-recon policies --policy mine.npz` gives it a row and a page.
+written; `road-recon policies --policy mine.npz` gives it a row and a page. `studies.agents` trains
+these and a recurrent one from several seeds and compares them.
 """
 
 import argparse
+import copy
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,7 +21,9 @@ from road_envs.core.config import ConfigError, Count, Settings
 from road_envs.core.extras import optional_import
 from road_envs.envs.safe4s4 import Safe4S4VectorEnv
 from road_envs.envs.sb3 import RoadReconVecEnv
+from road_envs.policies.api import PolicyContext
 from road_envs.policies.feature_env import RIDE, FeatureVecEnv
+from road_envs.policies.features import FeatureExtractor
 from road_envs.policies.network_policy import NetworkPolicy, PolicyNetwork, sb3_layers
 from road_envs.policies.rollout import VIOLATION_PRICE, drive_all, training_drives
 
@@ -35,7 +39,7 @@ Progress = Callable[[str, float], None]
 class TrainingConfig(Settings):
     """Settings of a training; a step is one choice of an action in one environment."""
 
-    algorithm: Literal["ppo", "dqn", "qrdqn"] = "ppo"
+    algorithm: Literal["ppo", "dqn", "qrdqn", "recurrent_ppo"] = "ppo"
     steps: Count = 300_000
     n_envs: Count = 32
     layers: tuple[Count, ...] = (64, 64)
@@ -53,10 +57,34 @@ class TrainingConfig(Settings):
 
 
 class TrainingResult(NamedTuple):
-    """Network of the best evaluation, and all evaluations as (steps, mean score)."""
+    """Policy of the best evaluation, and all evaluations as (steps, mean score).
 
-    network: PolicyNetwork
+    The policy is a `NetworkPolicy`, of recurrent networks a `RecurrentPolicy`.
+    """
+
+    policy: Any
     curve: tuple[tuple[int, float], ...]
+
+
+class RecurrentPolicy:
+    """Policy of a recurrent network of sb3-contrib on features, with a new action every `held`."""
+
+    def __init__(self, network: Any, held: int):
+        self.network, self.held = network, held
+
+    def reset(self, context: PolicyContext) -> None:
+        """Forget the drives so far."""
+        self.features, self.state, self.n_intervals = FeatureExtractor(context), None, 0
+
+    def act(self, observations: np.ndarray) -> np.ndarray:
+        """Return actions (N,)."""
+        features = self.features.update(observations)
+        if self.n_intervals % self.held == 0:
+            self.actions, self.state = self.network.predict(
+                features, self.state, np.full(len(features), self.n_intervals == 0), True
+            )
+        self.n_intervals += 1
+        return self.actions
 
 
 VALUE_LEARNING: dict[str, Any] = {
@@ -77,23 +105,28 @@ VALUE_LEARNING: dict[str, Any] = {
         "exploration_final_eps": 0.05,
     },
 }
+POLICY_GRADIENT: dict[str, Any] = {
+    "steps": 76_800,
+    "eval_interval": 15_360,
+    "action_repeat": 4,
+    "paired_baseline": True,
+    "ride_logit_bias": 2.0,
+    "hyperparameters": {
+        "n_steps": 60,
+        "batch_size": 480,
+        "n_epochs": 10,
+        "learning_rate": 0.001,
+        "gamma": 0.97,
+        "gae_lambda": 0.95,
+        "ent_coef": 0.03,
+    },
+}
+GRADIENT = ("ppo", "recurrent_ppo")
+"""Algorithms whose networks give probabilities."""
+
 CONFIGS = {
-    "ppo": TrainingConfig(
-        steps=76_800,
-        eval_interval=15_360,
-        action_repeat=4,
-        paired_baseline=True,
-        ride_logit_bias=2.0,
-        hyperparameters={
-            "n_steps": 60,
-            "batch_size": 480,
-            "n_epochs": 10,
-            "learning_rate": 0.001,
-            "gamma": 0.97,
-            "gae_lambda": 0.95,
-            "ent_coef": 0.03,
-        },
-    ),
+    "ppo": TrainingConfig(**POLICY_GRADIENT),
+    "recurrent_ppo": TrainingConfig(algorithm="recurrent_ppo", **POLICY_GRADIENT),
     "dqn": TrainingConfig(algorithm="dqn", **VALUE_LEARNING),
     "qrdqn": TrainingConfig(algorithm="qrdqn", **VALUE_LEARNING),
 }
@@ -126,7 +159,7 @@ def _train(config: TrainingConfig, seed: int, progress: Progress) -> TrainingRes
     drives = training_drives(config.drives)
     model = _model(config, envs, seed)
     metadata = {  # the keys are those of the file format of `network_policy`
-        "activation": "tanh" if config.algorithm == "ppo" else "relu",
+        "activation": "tanh" if config.algorithm in GRADIENT else "relu",
         "control": drives.setup.options.control,
         "held": config.action_repeat,
         "algorithm": config.algorithm,
@@ -139,42 +172,54 @@ def _train(config: TrainingConfig, seed: int, progress: Progress) -> TrainingRes
         progress(f"{steps} of {config.steps} steps", steps / config.steps)
         return True
 
-    best, curve = (-np.inf, PolicyNetwork((), metadata)), []
+    best: tuple[float, Any, Any] = (-np.inf, None, None)
+    curve = []
     while model.num_timesteps < config.steps:
         steps = min(config.eval_interval, config.steps - model.num_timesteps)
         model.learn(steps, callback=report, reset_num_timesteps=False)
-        network = PolicyNetwork(
-            sb3_layers(model.policy.state_dict(), int(model.action_space.n)), metadata
-        )
-        score = float(drive_all(NetworkPolicy.from_network(network), drives).score.mean())
+        policy: Any
+        if config.algorithm == "recurrent_ppo":
+            policy = RecurrentPolicy(model.policy, config.action_repeat)
+        else:
+            layers = sb3_layers(model.policy.state_dict(), int(model.action_space.n))
+            policy = NetworkPolicy.from_network(PolicyNetwork(layers, metadata))
+        score = float(drive_all(policy, drives).score.mean())
         curve.append((int(model.num_timesteps), score))
-        best = max(best, (score, network), key=lambda pair: pair[0])
+        if score > best[0]:
+            best = score, policy, copy.deepcopy(model.policy.state_dict())
+    if config.algorithm == "recurrent_ppo":  # its policy has gone on learning
+        model.policy.load_state_dict(best[2])
     return TrainingResult(best[1], tuple(curve))
 
 
 def _model(config: TrainingConfig, envs: FeatureVecEnv, seed: int) -> Any:
     """Return the learner. Raises ConfigError on hyperparameters that it does not know."""
-    layers = list(config.layers)
-    activation = torch.nn.Tanh if config.algorithm == "ppo" else torch.nn.ReLU
-    shape: Any = {"pi": layers, "vf": layers} if config.algorithm == "ppo" else layers
+    layers, gradient = list(config.layers), config.algorithm in GRADIENT
+    kwargs: dict[str, Any] = {
+        "net_arch": {"pi": layers, "vf": layers} if gradient else layers,
+        "activation_fn": torch.nn.Tanh if gradient else torch.nn.ReLU,
+    }
     cls: Any = {"ppo": PPO, "dqn": DQN}.get(config.algorithm)
     if cls is None:
-        with optional_import("training by QR-DQN"):
+        with optional_import(f"training by {config.algorithm}"):
             import sb3_contrib
 
-        cls = sb3_contrib.QRDQN
+        cls = {"qrdqn": sb3_contrib.QRDQN}.get(config.algorithm, sb3_contrib.RecurrentPPO)
+    recurrent = config.algorithm == "recurrent_ppo"
+    if recurrent:
+        kwargs["lstm_hidden_size"] = layers[0]
     try:
         model = cls(
-            "MlpPolicy",
+            "MlpLstmPolicy" if recurrent else "MlpPolicy",
             envs,
             seed=seed,
             device="cpu",
-            policy_kwargs={"net_arch": shape, "activation_fn": activation},
+            policy_kwargs=kwargs,
             **config.hyperparameters,
         )
     except (TypeError, ValueError) as error:
         raise ConfigError(f"hyperparameters of {config.algorithm}: {error}") from None
-    if config.algorithm == "ppo":
+    if gradient:
         ride = envs.features.context.action_index(*RIDE)
         model.policy.action_net.bias.data[ride] += config.ride_logit_bias
     return model
@@ -183,7 +228,7 @@ def _model(config: TrainingConfig, envs: FeatureVecEnv, seed: int) -> Any:
 def main() -> None:
     """Train a network, print its learning curve and write it."""
     parser = argparse.ArgumentParser(description="Train a switching policy on training drives.")
-    parser.add_argument("algorithm", choices=CONFIGS)
+    parser.add_argument("algorithm", choices=[name for name in CONFIGS if "recurrent" not in name])
     parser.add_argument("--out", type=Path, required=True, help="file of the network (.npz)")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--steps", type=int, help="actions in all environments")
@@ -191,11 +236,11 @@ def main() -> None:
     config = CONFIGS[arguments.algorithm]
     if arguments.steps:
         config = replace(config, steps=arguments.steps)
-    network, curve = train(config, arguments.seed)
+    policy, curve = train(config, arguments.seed)
     for steps, score in curve:
         print(f"{steps:8d} steps  score {score:.4f} on training drives")
     with atomic_write(arguments.out) as partial:
-        partial.write_bytes(network.to_bytes())
+        partial.write_bytes(policy.network.to_bytes())
 
 
 if __name__ == "__main__":

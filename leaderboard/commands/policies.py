@@ -30,7 +30,7 @@ from road_envs.core.atomic_io import atomic_write, write_text
 from road_envs.core.config import ConfigError, validate_choice
 from road_envs.policies import FILE_SUFFIXES, REGISTRY, make_policy, names, runs_foreign_code
 from road_envs.policies.fixed import FixedPair
-from road_envs.policies.policy_iteration import IterationConfig
+from road_envs.policies.policy_iteration import IterationConfig, iterate
 from road_envs.vehicle.suspension import MODES
 
 QUICK_DRIVES = 2
@@ -152,20 +152,17 @@ def _entries(references: list[str] | None, limits: Limits) -> dict[str, Any]:
 def train_policy(
     *,
     out: Annotated[Path, typer.Option(help="File for the best policy (.npz).")],
-    seed: Annotated[int, typer.Option(help="First training seed.", min=0)] = 1,
-    seeds: Annotated[int, typer.Option(help="Number of training seeds.", min=1)] = 1,
+    seed: Annotated[int, typer.Option(help="Training seed.", min=0)] = 1,
     steps: Annotated[int, typer.Option(help="Rounds.", min=1)] = IterationConfig.steps,
 ) -> None:
-    """Train a policy on training drives, and compare every seed with the laws on public ones."""
+    """Train a policy on training drives, and compare it with laws on public ones."""
     check_output_path(out, ".npz")
     with on_interrupt(""), progress_bar() as progress:
-        study = learning.train_seeds(
-            IterationConfig(steps=steps), range(seed, seed + seeds), progress
-        )
-        evaluation = learning.evaluate_study(study)
+        network, curve = iterate(IterationConfig(steps=steps), seed, progress)
+        evaluation = learning.evaluate(network, curve)
     out.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(out) as partial:
-        partial.write_bytes(study.best.to_bytes())
+        partial.write_bytes(network.to_bytes())
     write_text(out.with_suffix(".json"), to_json(evaluation))
-    for line in learning.study_lines(evaluation):
+    for line in learning.lines(evaluation):
         console.print(line, soft_wrap=True, highlight=False)

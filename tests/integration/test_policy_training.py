@@ -131,16 +131,16 @@ TINY = IterationConfig(steps=3, drives=1, every=40, width=8)
 
 
 @pytest.fixture(scope="module")
-def study():
-    return learning.train_seeds(TINY, [3, 4])
+def trained():
+    return iterate(TINY, 3, lambda text, share: None)
 
 
-def test_policy_iteration_is_reproducible_and_keeps_its_best_round(study):
+def test_policy_iteration_is_reproducible_and_keeps_its_best_round(trained):
     network, curve = iterate(TINY, 3, lambda text, share: None)
-    for (W, b), (W_2, b_2) in zip(network.layers, study.networks[0].layers, strict=True):
+    for (W, b), (W_2, b_2) in zip(network.layers, trained[0].layers, strict=True):
         np.testing.assert_array_equal(W, W_2)
         np.testing.assert_array_equal(b, b_2)
-    assert curve == study.curves[0] != study.curves[1]
+    assert curve == trained[1] != iterate(TINY, 4, lambda text, share: None)[1]
     compared = range(DEVELOPMENT_SEED, DEVELOPMENT_SEED + 1)
     drives = Drives.mirrored(Safe4S4Setup({"split": "train"}), compared)
     own = drive_all(NetworkPolicy.from_network(network), drives).score.mean()
@@ -182,30 +182,28 @@ def test_the_network_learns_better_choices_than_any_constant_pair():
     assert worse[np.arange(len(worse)), chosen].mean() < 0.8 * worse.mean(axis=0).min()
 
 
-def test_a_study_compares_every_seed_with_the_laws_on_public_drives(study, monkeypatch):
+def test_a_learned_policy_stands_beside_the_laws_on_public_drives(trained, monkeypatch):
     drives = comparison.public_drives(2)
     monkeypatch.setattr(comparison, "public_drives", lambda: drives)
-    found = learning.evaluate_study(study)
-    each = [drive_all(NetworkPolicy.from_network(n), drives).score.mean() for n in study.networks]
+    found = learning.evaluate(*trained)
+    score = drive_all(NetworkPolicy.from_network(trained[0]), drives).score.mean()
     means = {row["policy"]: row["score"]["mean"] for row in found["rows"]}
-    assert [means["seed 3"], means["seed 4"]] == pytest.approx(each, rel=1e-4)
-    more = found["more"]["rrms"]["all"]
-    assert more["mean"] == pytest.approx(np.mean(each) - means["rrms"], abs=2e-5)  # five digits
-    assert more["low"] <= more["mean"] <= more["high"]
-    lines = learning.study_lines(found)
-    assert any(line.startswith("all seeds over rrms_lateral: all ") for line in lines)
+    assert set(means) == {"seed 3", *learning.RIVALS}
+    assert means["seed 3"] == pytest.approx(score, rel=1e-4)
+    curve = " ".join(f"{value:.3f}" for _, value in trained[1])
+    assert learning.lines(found)[0] == f"seed 3, score by round: {curve}"
 
 
 def test_training_is_reproducible_and_its_network_can_drive(tmp_path):
     result = train(SMALL, 3)
     for (W, b), (W_2, b_2) in zip(
-        result.network.layers, train(SMALL, 3).network.layers, strict=True
+        result.policy.network.layers, train(SMALL, 3).policy.network.layers, strict=True
     ):
         np.testing.assert_array_equal(W, W_2)
         np.testing.assert_array_equal(b, b_2)
     assert [steps for steps, _ in result.curve] == [64, 128]
     path = tmp_path / "n.npz"
-    path.write_bytes(result.network.to_bytes())
+    path.write_bytes(result.policy.network.to_bytes())
     assert NetworkPolicy(file=str(path)).network.metadata["held"] == 2
 
 
@@ -263,8 +261,31 @@ def test_value_learning_trains_a_network(algorithm):
         hyperparameters=hyper,
     )  # fmt: skip
     result = train(config, seed=1)
-    assert result.network.layers[-1][0].shape == (16, 8)
-    assert result.network.metadata["activation"] == "relu"
+    assert result.policy.network.layers[-1][0].shape == (16, 8)
+    assert result.policy.network.metadata["activation"] == "relu"
+
+
+def test_a_recurrent_policy_acts_as_its_library_predicts():
+    """Its own `predict` in the steps of the features is the oracle."""
+    pytest.importorskip("sb3_contrib")
+    hyper = {"n_steps": 16, "batch_size": 32, "n_epochs": 1}
+    config = TrainingConfig(
+        algorithm="recurrent_ppo", steps=192, n_envs=2, layers=(8,), eval_interval=64, drives=1,
+        hyperparameters=hyper,
+    )  # fmt: skip
+    policy, curve = train(config, seed=1)
+    assert [steps for steps, _ in curve] == [64, 128, 192]
+    drives = training_drives(1)
+    driven = drive_all(policy, drives, store_observations=True)
+    assert driven.score.mean() == pytest.approx(max(score for _, score in curve))
+    extractor = FeatureExtractor(PolicyContext.from_setup(drives.setup, len(drives), 0))
+    features = [extractor.update(x) for x in driven.observations][: 2 * (len(driven.actions) // 2)]
+    state, start = None, np.ones(len(drives), dtype=bool)
+    for k in range(0, len(features), 2):
+        expected, state = policy.network.predict(features[k], state, start, deterministic=True)
+        start = np.zeros_like(start)
+        np.testing.assert_array_equal(driven.actions[k], expected)
+        np.testing.assert_array_equal(driven.actions[k + 1], expected)
 
 
 def test_invalid_training_settings_are_named():
