@@ -138,7 +138,7 @@ def fit_car(
         if (np.abs(step) < SMALL_CHANGE * np.sqrt(np.diag(covariance))).all():
             break
     score = np.sum([term.score_covariance for term in terms], axis=0) + np.eye(size)
-    return CarFit(space, x, covariance @ score @ covariance, now)
+    return CarFit(space, x, covariance @ _at_least_prior(score) @ covariance, now)
 
 
 def _with_parameters(
@@ -224,6 +224,16 @@ def _invert(hessian: np.ndarray) -> np.ndarray:
     """Return the inverse of a Hessian (P, P) that is at least the prior's, which is 1."""
     values, vectors = np.linalg.eigh(hessian)
     return (vectors / np.maximum(values, 1.0)) @ vectors.T
+
+
+def _at_least_prior(information: np.ndarray) -> np.ndarray:
+    """Return an information (P, P) without eigenvalues below the prior's, which is 1: that of a
+    log-determinant is indefinite far from the optimum, and would make variances negative.
+    """
+    values, vectors = np.linalg.eigh(information)
+    if values[0] >= 1.0:
+        return information
+    return (vectors * np.maximum(values, 1.0)) @ vectors.T
 
 
 def _resolve(

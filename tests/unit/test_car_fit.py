@@ -217,3 +217,14 @@ def test_each_step_over_an_unmeasured_road_has_derivatives_of_its_own(monkeypatc
     fit = car_fit.fit_car([minimize(objective, solver)], few, solver, max_steps=4)
     assert len(at) >= 3
     assert all((one != other).any() for one, other in pairwise([*at, fit.x]))
+
+
+def test_variances_are_positive_where_the_information_of_a_drive_is_indefinite():
+    """As on an individual of the generic compact on class C, whose fit ended in masses of nan."""
+    turned = np.linalg.qr(np.random.default_rng(3).standard_normal((4, 4)))[0]
+    indefinite, sound = ((turned * e) @ turned.T for e in ([9.0, 3.0, -8.0, 0.2], [9, 3, 2, 1.5]))
+    covariance = car_fit._invert(indefinite)
+    assert (np.diag(covariance @ indefinite @ covariance) < 0.0).any()
+    spread = covariance @ car_fit._at_least_prior(indefinite) @ covariance
+    np.testing.assert_allclose(spread, covariance)  # the same floor on both
+    assert car_fit._at_least_prior(sound) is sound
