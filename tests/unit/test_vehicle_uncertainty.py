@@ -19,7 +19,7 @@ from leaderboard.metrics.heights import band_pass, uncertainty
 from road_envs.core.config import build
 from road_envs.drives.recording import simulate_record
 from road_envs.records.record import PROFILE_SPACING, scored_band
-from road_envs.vehicle.parameters import Tolerance
+from road_envs.vehicle.parameters import BendingMode, Tolerance
 from road_envs.vehicle.tolerances import parameter_space
 
 INSTRUMENTS = 11
@@ -55,6 +55,16 @@ def test_a_change_is_that_of_the_predicted_accelerations():
     expected = 0.05 * abs(drawn[-1]) * (light - heavy) / 0.002
     error = np.abs(np.abs(change) - np.abs(expected))
     assert error.max() < 0.05 * np.abs(expected).max()
+
+
+def test_errors_that_no_vehicle_has_are_an_arithmetic_error():
+    (one,) = linearized().passes
+    mode = BendingMode(f=25.0, zeta=0.95, length=4.4)
+    car = replace(DEFENDER, variation=replace(DEFENDER.variation, bending=mode))
+    wide = VehicleUncertainty(car, ("variation.bending.zeta",), 4.0 * np.eye(1 + INSTRUMENTS))
+    white = np.ones((2, 1 + INSTRUMENTS)) * [[1.0], [-1.0]]
+    with pytest.raises(ArithmeticError, match="within the errors is none: zeta: must be below 1"):
+        wide.draw_changes(one, white)
 
 
 def test_of_a_fit_the_covariance_is_inflated_up_to_the_tolerances():
