@@ -1,0 +1,54 @@
+"""Scores of the board of foreign plants by plant and car, from the long table of a board.
+
+    python -m studies.plants_by_car BOARD/export/plants.parquet [--estimator NAME]
+
+A row holds the medians of the drives of a division, a plant and a car, or of all cars.
+"""
+
+import argparse
+from pathlib import Path
+
+import pandas as pd
+
+from leaderboard.evaluation.tasks import load_task
+
+SCORES = ("nrmse", "coverage_90", "iri_bias", "iri_error_relative")
+HEAD = ("division", "plant", "car", "error", "in 90 %", "IRI bias", "IRI error")
+TASKS = ("plants_told", "plants_known", "plants_blind")
+
+
+def by_car(table: pd.DataFrame, estimator: str) -> pd.DataFrame:
+    """Return the scores of an estimator by division, plant and car, and of all cars of a plant."""
+    conditions = pd.DataFrame(
+        {"task": name, "condition": k, "plant": condition.plant, "car": condition.car}
+        for name in TASKS
+        for k, condition in enumerate(load_task(name).conditions)
+    )
+    chosen = table[(table["estimator"] == estimator) & table["score"].isin(SCORES)]
+    rows = chosen.merge(conditions, on=["task", "condition"], validate="many_to_one")
+    every = rows.assign(car="all")
+    means = pd.concat([rows, every]).groupby(["task", "plant", "car", "score"])["value"].median()
+    return means.unstack("score")[list(SCORES)].loc[list(TASKS)]
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description="The board of foreign plants by plant and car.")
+    parser.add_argument("table", type=Path)
+    parser.add_argument("--estimator", default="map_smoother")
+    chosen = parser.parse_args()
+    rows = by_car(pd.read_parquet(chosen.table), chosen.estimator)
+    print(
+        f"{chosen.estimator}: error, share inside 90 % intervals, and the IRI"
+    )
+    print("{:<10}{:<12}{:<20}{:>8}{:>9}{:>12}{:>11}".format(*HEAD))
+    for task, plant, car in rows.index:
+        error, inside, bias, relative = rows.loc[task, plant, car]
+        print(
+            f"{task.removeprefix('plants_'):<10}{plant:<12}{car:<20}{error:>8.3f}"
+            f"{100.0 * inside:>9.0f}{bias:>+7.2f} mm/m{100.0 * relative:>9.1f} %"
+        )
+
+
+if __name__ == "__main__":
+    main()
