@@ -38,9 +38,7 @@ def main() -> None:
     parser.add_argument("--estimator", default="map_smoother")
     chosen = parser.parse_args()
     rows = by_car(pd.read_parquet(chosen.table), chosen.estimator)
-    print(
-        f"{chosen.estimator}: error, share inside 90 % intervals, and the IRI"
-    )
+    print(f"{chosen.estimator}: error, share inside 90 % intervals, and the IRI")
     print("{:<10}{:<12}{:<20}{:>8}{:>9}{:>12}{:>11}".format(*HEAD))
     for task, plant, car in rows.index:
         error, inside, bias, relative = rows.loc[task, plant, car]
