@@ -20,9 +20,9 @@ TASKS = ("plants_told", "plants_known", "plants_blind")
 def by_car(table: pd.DataFrame, estimator: str) -> pd.DataFrame:
     """Return the scores of an estimator by division, plant and car, and of all cars of a plant."""
     conditions = pd.DataFrame(
-        {"task": name, "condition": k, "plant": condition.plant, "car": condition.car}
+        {"task": name, "condition": one.label, "plant": one.plant, "car": one.car}
         for name in TASKS
-        for k, condition in enumerate(load_task(name).conditions)
+        for one in load_task(name).conditions
     )
     chosen = table[(table["estimator"] == estimator) & table["score"].isin(SCORES)]
     rows = chosen.merge(conditions, on=["task", "condition"], validate="many_to_one")

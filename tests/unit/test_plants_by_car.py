@@ -9,12 +9,15 @@ from studies.plants_by_car import SCORES, TASKS, by_car
 
 def test_scores_are_those_of_the_drives_of_a_plant_and_a_car():
     table = pd.DataFrame(
-        {"task": name, "estimator": entry, "condition": k, "score": score, "value": value + shift}
+        {
+            "task": name, "estimator": entry, "condition": condition.label,
+            "score": score, "value": value + shift,
+        }
         for name in TASKS
-        for k, _ in enumerate(load_task(name).conditions)
+        for k, condition in enumerate(load_task(name).conditions)
         for score, value in zip(SCORES, (0.1, 0.2, 0.3, 0.4), strict=True)
         for entry, shift in (("one", 10.0 * k), ("another", 500.0))
-    )
+    )  # fmt: skip
     found = by_car(table, "one")
     conditions = load_task("plants_known").conditions
     assert {condition.plant for condition in conditions} == {"mujoco", "commonroad"}
