@@ -1,8 +1,7 @@
-"""Vehicle parameters from drives: Gauss-Newton steps on their marginal likelihood.
+"""Vehicle parameters from drives: Newton steps on their marginal likelihood.
 
-The likelihood and its derivatives are those of `marginal_likelihood`; a last step over unmeasured
-roads has those of `tangent_likelihood`, which are exact and take longer. After each step of the
-parameters the road of each drive follows.
+Over a measured road its terms are those of `marginal_likelihood`, over an unmeasured one those of
+`tangent_likelihood`. After each step of the parameters the road of each drive follows.
 """
 
 from collections.abc import Sequence
@@ -18,15 +17,11 @@ from estimators.map_smoother.gauss_newton import (
     update_prior,
 )
 from estimators.map_smoother.instrument_errors import InstrumentErrors
-from estimators.map_smoother.marginal_likelihood import (
-    drive_derivatives,
-    drive_terms,
-    perturbed_cars,
-)
+from estimators.map_smoother.marginal_likelihood import known_road_terms, perturbed_cars
 from estimators.map_smoother.objective import Objective
 from estimators.map_smoother.one_pass import Pass
 from estimators.map_smoother.preconditioner import stationary_hessian
-from estimators.map_smoother.tangent_likelihood import tangent_terms
+from estimators.map_smoother.tangent_likelihood import TangentTerms, tangent_terms
 from estimators.map_smoother.wheel_liftoff import unloaded_nodes
 from road_envs.sensing.instruments import on_axle
 from road_envs.vehicle.parameters import VehicleParameters
@@ -38,13 +33,7 @@ MAX_STEPS = 6
 ROAD_STEPS = 2
 """Gauss-Newton steps of the road after each."""
 
-STEPS_WITH_SPEED = 14
-"""Steps of the parameters at most where the speed is unknown, too: its error follows them."""
-
-DAMPING = 0.5
-"""Share of each step after the first that is taken where the road is unknown."""
-
-MAX_CHANGE, SMALL_CHANGE = 1.5, 0.2
+MAX_CHANGE, SMALL_CHANGE = 3.0, 0.7
 """Largest change of a parameter in one step, and the change of all below which the steps end, in
 units of the tolerance and of the posterior standard deviation."""
 
@@ -106,39 +95,41 @@ def fit_car(
 
     `solver`: settings of the road's steps. With `instruments`, errors of the readings are fitted
     too, the same in all drives; possible only where the road is known. `start` (P,) is where the
-    search begins.
+    search begins. Raises ArithmeticError if a motion is not finite.
     """
     errors = InstrumentErrors.of(solutions[0].linearization.objective.passes[0])
     size = space.size + instruments * len(errors.names)
     x = np.zeros(size) if start is None else start
     original, now = [s.linearization.objective for s in solutions], tuple(solutions)
-    covariance = np.eye(size)
-    for k in range(max_steps):
+    for _ in range(max_steps):
         cars = perturbed_cars(space, x[: space.size])
-        derivatives = [
-            drive_derivatives(solution, objective.passes[0], cars, x[space.size :])
+        terms = [
+            tangent_terms(solution, cars)
+            if objective.road.free.any()
+            else known_road_terms(solution, objective.passes[0], cars, x[space.size :])
             for solution, objective in zip(now, original, strict=True)
         ]
-        terms = [drive_terms(*pair) for pair in zip(now, derivatives, strict=True)]
         gradient = np.sum([term.gradient for term in terms], axis=0) - x
-        hessian = np.sum([term.information for term in terms], axis=0) + np.eye(size)
-        covariance = _invert(hessian)
+        covariance = np.linalg.inv(np.sum([t.information for t in terms], axis=0) + np.eye(size))
         step = covariance @ gradient
-        # an unknown road follows in a few steps only, so that whole steps would go too far
-        share = 1.0 if instruments or k == 0 else DAMPING
-        step *= min(share, MAX_CHANGE / np.abs(step).max())
+        step *= min(1.0, MAX_CHANGE / np.abs(step).max())
         x = x + step
         apply = partial(
             _with_parameters, space.from_vector(x[: space.size]), errors, x[space.size :]
         )
         now = tuple(
-            _resolve(solution, objective.with_passes(apply), solver)
-            for solution, objective in zip(now, original, strict=True)
+            _resolve(
+                solution,
+                objective.with_passes(apply),
+                solver,
+                term.change(step) if isinstance(term, TangentTerms) else None,
+            )
+            for solution, objective, term in zip(now, original, terms, strict=True)
         )
         if (np.abs(step) < SMALL_CHANGE * np.sqrt(np.diag(covariance))).all():
             break
     score = np.sum([term.score_covariance for term in terms], axis=0) + np.eye(size)
-    return CarFit(space, x, covariance @ _at_least_prior(score) @ covariance, now)
+    return CarFit(space, x, covariance @ score @ covariance, now)
 
 
 def _with_parameters(
@@ -146,34 +137,6 @@ def _with_parameters(
 ) -> Pass:
     """Return the pass of another vehicle and of instruments with the errors `x` (0 or R,)."""
     return errors.apply(one.with_car(car), x)
-
-
-def refine(fit: CarFit, solver: GaussNewton) -> CarFit:
-    """Return a fit to drives over unmeasured roads after a step by exact derivatives.
-
-    Raises ArithmeticError.
-    """
-    space, x = fit.space, fit.x
-    cars = perturbed_cars(space, x)
-    terms = [tangent_terms(solution, cars) for solution in fit.solutions]
-    gradient = np.sum([term.gradient for term in terms], axis=0)
-    sampling = np.sum([term.sampling_covariance for term in terms], axis=0)
-    information = np.sum([term.information for term in terms], axis=0)
-    covariance = _invert(information + np.eye(x.size))
-    step = covariance @ (gradient - x)
-    step *= min(1.0, MAX_CHANGE / np.abs(step).max())
-    car = space.from_vector(x + step)
-    solutions = tuple(
-        _resolve(
-            solution,
-            solution.linearization.objective.with_car(car),
-            solver,
-            change=term.to_optimum + step @ term.by_parameter,
-        )
-        for solution, term in zip(fit.solutions, terms, strict=True)
-    )
-    covariance = covariance + covariance @ sampling @ covariance
-    return CarFit(space, x + step, covariance, solutions)
 
 
 def fit_if_due(
@@ -220,27 +183,11 @@ def is_believed(fit: CarFit, solutions: Sequence[MapSolution]) -> bool:
     return after < min(BELIEVED_GAIN * before, STRUCTURE_POWER)
 
 
-def _invert(hessian: np.ndarray) -> np.ndarray:
-    """Return the inverse of a Hessian (P, P) that is at least the prior's, which is 1."""
-    values, vectors = np.linalg.eigh(hessian)
-    return (vectors / np.maximum(values, 1.0)) @ vectors.T
-
-
-def _at_least_prior(information: np.ndarray) -> np.ndarray:
-    """Return an information (P, P) without eigenvalues below the prior's, which is 1: that of a
-    log-determinant is indefinite far from the optimum, and would make variances negative.
-    """
-    values, vectors = np.linalg.eigh(information)
-    if values[0] >= 1.0:
-        return information
-    return (vectors * np.maximum(values, 1.0)) @ vectors.T
-
-
 def _resolve(
     solution: MapSolution,
     objective: Objective,
     solver: GaussNewton,
-    change: np.ndarray | None = None,
+    change: np.ndarray | None,
 ) -> MapSolution:
     """Return the solution of a drive with another `objective`, after steps from its road on.
 

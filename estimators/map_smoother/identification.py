@@ -1,8 +1,8 @@
 """Identification of a vehicle from calibration drives.
 
 Over a known road (a profile with a survey error) the readings tell the parameters directly; over
-roads that nobody measured by marginal likelihood. Both are one problem with a narrow or a wide
-prior of the road (`car_fit.py`), and drives of both kinds can be combined. The last third of each
+roads that nobody measured by marginal likelihood (`car_fit.py`), and drives of both kinds can be
+combined. The last third of each
 drive is held out: there the described and the identified vehicle are compared.
 """
 
@@ -16,14 +16,7 @@ from scipy.signal import welch
 from estimators.api import CalibrationDrive, CalibrationError
 from estimators.common.blas import single_blas_thread
 from estimators.common.odometer import calibrate_odometer
-from estimators.map_smoother.car_fit import (
-    MAX_STEPS,
-    STEPS_WITH_SPEED,
-    STRUCTURE_POWER,
-    CarFit,
-    fit_car,
-    refine,
-)
+from estimators.map_smoother.car_fit import STRUCTURE_POWER, CarFit, fit_car
 from estimators.map_smoother.gauss_newton import (
     GaussNewton,
     MapSolution,
@@ -36,7 +29,7 @@ from estimators.map_smoother.marginal_likelihood import NO_ERRORS
 from estimators.map_smoother.objective import Objective
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.preparation import READINGS_PER_UNKNOWN, SolverSettings
-from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty, inflated_std
+from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty, inflated_covariance
 from estimators.map_smoother.windows import whole_objective
 from road_envs.records.record import Record
 from road_envs.sensing.instruments import instruments_of
@@ -56,6 +49,9 @@ KNOWN_DATA_RATE = 100.0
 SETTLING_STEPS, SETTLED = 12, 0.97
 """Steps to the first state of a drive over a known road, at most, and the ratio of successive
 noise scales above which they end."""
+
+MAX_STEPS = 14
+"""Steps of the parameters at most."""
 
 MODE_STARTS = {
     "frame": (7.0, 8.5, 10.5, 13.0, 16.0, 20.0),
@@ -222,7 +218,7 @@ def _identify(
 ) -> IdentificationResult:
     """Identify a vehicle from the first part of each drive, and validate it on the second."""
     fit, known = _fit([first for first, _ in parts], car, settings, structure)
-    std, uncertainty = inflated_std(fit.std, known), VehicleUncertainty.of_fit(fit, known)
+    std, uncertainty = _inflated_std(fit, known), VehicleUncertainty.of_fit(fit, known)
     found = fit.x[fit.space.size :]
     unexplained = tuple(
         (_unexplained(rest, car, settings), _unexplained(rest, fit.car, settings, found))
@@ -242,7 +238,7 @@ def identify_structure(
     is_short = FIT_SHARE * record.t.size < MIN_DURATION * record.fs
     first, _ = _parts(CalibrationDrive(record), settings, 1.0 if is_short else FIT_SHARE)
     fit, known = _fit([first], car, settings, structure=True)
-    found = _with_posterior(fit, car, inflated_std(fit.std, known))
+    found = _with_posterior(fit, car, _inflated_std(fit, known))
     return found, VehicleUncertainty.of_fit(fit, known)
 
 
@@ -263,11 +259,7 @@ def _fit(
     errors = len(InstrumentErrors(drives[0].record.channels).names) if known else 0
     x, solutions = _nearest_start(space, space.size + errors, solve)
     solver = GaussNewton(solutions[0].stationary, settings.huber)
-    with_speed = any(one.linearization.passes[0].source.is_speed_unknown for one in solutions)
-    steps = STEPS_WITH_SPEED if with_speed else MAX_STEPS
-    fit = fit_car(solutions, space, solver, instruments=known, start=x, max_steps=steps)
-    if all(drive.profile is None for drive in drives):
-        fit = refine(fit, solver)
+    fit = fit_car(solutions, space, solver, instruments=known, start=x, max_steps=MAX_STEPS)
     return fit, known
 
 
@@ -289,6 +281,11 @@ def _nearest_start(
             left = [sum(float(s.noise_scale[0]) for s in solutions) for solutions in tried]
             x = points[int(np.argmin(left))]
     return x, solve(x)
+
+
+def _inflated_std(fit: CarFit, known: bool) -> np.ndarray:
+    """Return the standard deviations (P,) of the fitted parameters in units of their tolerances."""
+    return np.sqrt(np.diag(inflated_covariance(fit.covariance, known)))
 
 
 def _with_posterior(fit: CarFit, car: VehicleParameters, std: np.ndarray) -> VehicleParameters:

@@ -1,28 +1,16 @@
-"""Vehicle parameters by marginal likelihood: the road, which nobody measured, is integrated out.
+"""Vehicle parameters by the marginal likelihood of a drive over a road that was measured.
 
-With the parameters p in units of their tolerances (`road_envs.vehicle.tolerances`), the most
-probable road x(p) of each drive and its Gauss-Newton Hessian A(p) = I + J' R^-1 J, Laplace's
-approximation is
+Only the error of its profile is unknown; it is small, and noise of the covariance H S H*, with the
+response H of the stationary linear vehicle and the spectrum S of the error. With the parameters p
+in units of their tolerances (`road_envs.vehicle.tolerances`), r the residual and G = d a / d p, by
+drives of varied vehicles, LANES at a time, gradient and information are
 
-    -log p(y, p) = sum over drives [cost(x(p), p) + 1/2 log det A(p)] + 1/2 |p|²
+    sum over f of G(f)* (R + H S H*)^-1 r(f),     sum over f of G(f)* (R + H S H*)^-1 G(f)
 
-The log-determinant is needed: the road's prior alone rewards vehicles that need less road. It is
-that of the stationary linear vehicle (`preconditioner.py`); that of the nonlinear one is in
-`tangent_likelihood.py`. Where x is optimal, the gradient of the cost is that at a fixed road,
-
-    g = G' R^-1 r - p,      G = d a / d p, by drives of varied vehicles, LANES at a time,
-
-with r the residual. For the Hessian the road is eliminated from the linear problem r = J dx + G dp
-+ e by the matrix inversion lemma, frequency by frequency in the stationary linear vehicle:
-
-    I + sum over f of G(f)* (R + H S H*)^-1 G(f),     H: response, S: spectrum of the road's prior
-
-Its inverse is the posterior covariance of the parameters. Over a road that was measured, only the
-error of its profile is unknown; it is small, and noise of the covariance H S H*, so that g = G(f)*
-(R + H S H*)^-1 r summed over f. What then stays unexplained is an error of the model: it adds to
-the noise of its band, and to the covariance of g by all lines of the band at once, since it does
-not average out. (Ljung, "System Identification", 1999, section 7.4; MacKay 2003, "Information
-Theory", chapter 27, for Laplace's approximation.)
+What then stays unexplained is an error of the model: it adds to the noise of its band, and to the
+covariance of the gradient by all lines of the band at once, since it does not average out. (Ljung,
+"System Identification", 1999, section 7.4.) A road that nobody measured is integrated out in
+`tangent_likelihood.py`.
 """
 
 from collections.abc import Sequence
@@ -37,7 +25,6 @@ from estimators.map_smoother.one_pass import LinearizedPass, Pass
 from estimators.map_smoother.preconditioner import (
     linear_responses,
     prior_spectrum,
-    response_differences,
 )
 from estimators.map_smoother.road_prior import RoadTransform
 from road_envs.analysis.statistical_linearization import hermitian
@@ -45,17 +32,16 @@ from road_envs.simulation.lanes import SharedInputs, drive_variants
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.tolerances import ParameterSpace, scale_parameters
 
-DIFFERENCE = 0.1
-"""Difference of a parameter for its derivative, in units of its tolerance."""
+DIFFERENCE = 0.003
+"""Difference of a parameter for its derivative, in units of its tolerance. Readings do not tell the
+scale common to masses and forces, but with a difference of 0.1 the curvature of the single motions
+tells it to a tenth of what the tolerances allow."""
 
 ERROR_BANDWIDTH = 2.0
 """Bandwidth [Hz] in which the error of the model is one: as wide as the resonances of a vehicle. A
 longer drive has more lines in it, but does not tell of another error."""
 
 NO_ERRORS = np.zeros(0)
-
-MAX_LINES = 250
-"""Frequencies at which a log-determinant is evaluated, about."""
 
 
 class LikelihoodTerms(NamedTuple):
@@ -67,18 +53,6 @@ class LikelihoodTerms(NamedTuple):
     gradient: np.ndarray
     information: np.ndarray
     score_covariance: np.ndarray
-
-
-class Derivatives(NamedTuple):
-    """Derivatives that change little from one step of the parameters to the next: `G` (P, S, J) of
-    the block means and their `spectra` (F, S, P), and of the log-determinant the gradient `log_det`
-    (P,) with the part `curvature` (P, P) of the Hessian, 0 over a known road.
-    """
-
-    G: np.ndarray
-    spectra: np.ndarray
-    log_det: np.ndarray
-    curvature: np.ndarray
 
 
 def perturbed_cars(space: ParameterSpace, x: np.ndarray) -> list[VehicleParameters]:
@@ -147,43 +121,25 @@ def reading_sensitivities(lin: LinearizedPass, base: Pass, errors: np.ndarray) -
     return (lin.residual - np.array(found)) / DIFFERENCE
 
 
-def drive_derivatives(
+def known_road_terms(
     solution: MapSolution,
     original: Pass,
     cars: Sequence[VehicleParameters],
     errors: np.ndarray,
-) -> Derivatives:
-    """Return the derivatives of one drive at its solution; arguments as of `perturbed_passes`.
+) -> LikelihoodTerms:
+    """Return the terms of a drive over a measured road; arguments as of `perturbed_passes`.
 
     Raises ArithmeticError if a motion is not finite.
     """
     (lin,), road = solution.linearization.passes, solution.linearization.objective.road
-    varied = perturbed_passes(original, cars, errors)
-    G = sensitivities(lin, varied)
+    G = sensitivities(lin, perturbed_passes(original, cars, errors))
     if errors.size > 0:
         read = reading_sensitivities(lin, original.with_car(cars[0]), errors)
         G = np.concatenate([G, read])
-    spectra = _spectrum(lin.source, G)
-    if not road.free.any():
-        return Derivatives(G, spectra, np.zeros(len(G)), np.zeros((len(G), len(G))))
-    noise = float(solution.noise_variance[0])
-    return Derivatives(G, spectra, *_log_det_terms(road, lin.source, varied, noise))
-
-
-def drive_terms(solution: MapSolution, derivatives: Derivatives) -> LikelihoodTerms:
-    """Return the terms of one drive's marginal likelihood."""
-    (lin,), road = solution.linearization.passes, solution.linearization.objective.road
     f, lines = _lines(lin.source)
-    is_known, A = not road.free.any(), derivatives.spectra
-    noise = lin.source.model.noise_variance * (1.0 if is_known else float(solution.noise_scale[0]))
-    covariance = _covariance(road, lin.source, f, noise)
+    A, r = _spectrum(lin.source, G), _spectrum(lin.source, lin.residual[None])
+    covariance = _covariance(road, lin.source, f)
     weighted = np.linalg.solve(covariance, lines[:, None, None] * A)
-    if not is_known:
-        information = _gram(A, weighted)
-        fit = np.einsum("psj,sj->p", derivatives.G, lin.apply_inverse_covariance(lin.residual))
-        information += derivatives.curvature
-        return LikelihoodTerms(fit - derivatives.log_det, information, information)
-    r = _spectrum(lin.source, lin.residual[None])
     # the error of the profile is noise; what the model cannot explain inflates it, band by band
     power = np.real(np.einsum("fsq,fsq->f", r.conj(), np.linalg.solve(covariance, r))) / r.shape[1]
     band = (f / ERROR_BANDWIDTH).astype(int)
@@ -196,12 +152,6 @@ def drive_terms(solution: MapSolution, derivatives: Derivatives) -> LikelihoodTe
         for share in (1.0 / scale, (1.0 + count[band] * excess) / scale**2)
     )
     return LikelihoodTerms(fit, information, score)
-
-
-def _gram(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Return the real parts (P, P) of the products of spectra (F, S, P), summed over all lines."""
-    a, b = (x.reshape(-1, x.shape[2]) for x in (one, other))
-    return np.real(hermitian(a) @ b)
 
 
 def _spectrum(one: Pass, means: np.ndarray) -> np.ndarray:
@@ -220,33 +170,10 @@ def _lines(one: Pass) -> tuple[np.ndarray, np.ndarray]:
     return f, lines * (f <= one.model.bandwidth)
 
 
-def _covariance(road: RoadTransform, one: Pass, f: np.ndarray, noise: float) -> np.ndarray:
+def _covariance(road: RoadTransform, one: Pass, f: np.ndarray) -> np.ndarray:
     """Return the covariance (F, S, S) [(m/s²)²] of the block means' spectrum at `f` (F,) [Hz]."""
     S = prior_spectrum(road, one, f)[:, None, :]
-    noise_part = (
-        noise / one.measurements.sample_weight.shape[2] * np.eye(len(one.model.sensor_rows))
-    )
+    noise = one.model.noise_variance / one.measurements.sample_weight.shape[2]
     parts = ((share * H * S, H) for share, H in linear_responses(one, f))
-    return noise_part + np.sum([HS @ hermitian(H) for HS, H in parts], axis=0)
-
-
-def _log_det_terms(
-    road: RoadTransform, one: Pass, varied: Sequence[Pass], noise: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the gradient (P,) of 1/2 log det by the parameters, and its part of the Hessian.
-
-    With C = R + H S H* and M_i = C^-1 dH_i S H*, summed over frequencies, they are Re tr M_i and
-    Re tr M_i M_j; together with the information at a fixed road the latter is Whittle's.
-    """
-    f, lines = _lines(one)
-    stride = max(1, f.size // MAX_LINES)
-    f, lines = f[::stride], stride * lines[::stride]
-    base = list(linear_responses(one, f))
-    changes = response_differences(one, varied, f)
-    S = prior_spectrum(road, one, f)[:, None, :]
-    inverse = np.linalg.inv(_covariance(road, one, f, noise))
-    dual = [share * hermitian(S * H) @ inverse for share, H in base]
-    M = np.sum([dH @ d for dH, d in zip(changes, dual, strict=True)], axis=0) / DIFFERENCE
-    flat = M * np.sqrt(lines)[:, None, None]
-    gradient = np.real(np.einsum("pfss,f->p", flat, np.sqrt(lines)))
-    return gradient, np.real(np.einsum("pfst,qfts->pq", flat, flat, optimize=True))
+    eye = np.eye(len(one.model.sensor_rows))
+    return noise * eye + np.sum([HS @ hermitian(H) for HS, H in parts], axis=0)

@@ -14,7 +14,7 @@ the nodes are shared out among levels of local roughness, and the preconditioner
 of the levels.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -32,7 +32,6 @@ from road_envs.vehicle.linear_model import (
     frequency_response,
     gaussian_damping,
     linearise,
-    response_changes,
 )
 from road_envs.vehicle.suspension import MODES, WHEELS, decode_commands
 
@@ -277,18 +276,6 @@ def linear_responses(one: Pass, f: np.ndarray) -> Iterator[tuple[float, np.ndarr
     for share, mode in _modes(one):
         H = frequency_response(_linear_model(one, mode), v, f=f)
         yield share, _sensed(one, H, f)
-
-
-def response_differences(one: Pass, varied: Sequence[Pass], f: np.ndarray) -> Iterator[np.ndarray]:
-    """Yield, of each strut state, by how much the responses (P, F, S, 2) of `linear_responses`
-    change to first order from the first to each other of the passes `varied`.
-    """
-    v, (base, *others) = float(one.inputs.v.mean()), varied
-    for _, mode in _modes(one):
-        linear, *models = (_linear_model(other, mode) for other in varied)
-        H, changes = frequency_response(linear, v, f=f), response_changes(linear, models, v, f)
-        pairs = zip(others, changes, strict=True)
-        yield np.array([_sensed(other, H + dH, f) for other, dH in pairs]) - _sensed(base, H, f)
 
 
 def _modes(one: Pass) -> Iterator[tuple[float, dict[str, str]]]:
