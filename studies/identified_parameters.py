@@ -22,7 +22,6 @@ import numpy as np
 
 from estimators.api import CalibrationDrive
 from estimators.map_smoother.identification import IdentificationResult, identify
-from estimators.map_smoother.vehicle_uncertainty import inflated_std
 from leaderboard.evaluation.test_data import levelled
 from leaderboard.report.plots import COLOURS, write_figure
 from road_envs.drives.recording import simulate_record
@@ -86,7 +85,7 @@ def calibrate(
 def deviations(row: Row) -> dict[str, float]:
     """Return the error of each parameter in its own standard deviations."""
     errors, std = np.array(list(row["parameters"].values())).T
-    z = errors / inflated_std(std, row["division"] == "known")
+    z = errors / std
     return dict(zip(row["parameters"], z.tolist(), strict=True))
 
 

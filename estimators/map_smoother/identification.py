@@ -29,7 +29,7 @@ from estimators.map_smoother.marginal_likelihood import NO_ERRORS
 from estimators.map_smoother.objective import Objective
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.preparation import READINGS_PER_UNKNOWN, SolverSettings
-from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty, inflated_covariance
+from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
 from estimators.map_smoother.windows import whole_objective
 from road_envs.records.record import Record
 from road_envs.sensing.instruments import instruments_of
@@ -91,16 +91,19 @@ FAR = 3.0
 
 @dataclass(frozen=True, eq=False)
 class IdentificationResult:
-    """Result: the `fit`, the identified `car`, the standard deviations `std` (P,) of its
-    parameters, what is not known of it, and what the described and the identified vehicle leave
-    `unexplained` in the held-out part of each drive.
+    """Result: the `fit`, the identified `car`, what is not known of it, and what the described and
+    the identified vehicle leave `unexplained` in the held-out part of each drive.
     """
 
     fit: CarFit
     car: VehicleParameters
-    std: np.ndarray
     uncertainty: VehicleUncertainty
     unexplained: tuple[tuple[Unexplained, Unexplained], ...]
+
+    @property
+    def std(self) -> np.ndarray:
+        """Standard deviations (P,) of the parameters in units of their tolerances."""
+        return self.fit.std
 
     @property
     def left(self) -> float:
@@ -217,15 +220,15 @@ def _identify(
     structure: bool,
 ) -> IdentificationResult:
     """Identify a vehicle from the first part of each drive, and validate it on the second."""
-    fit, known = _fit([first for first, _ in parts], car, settings, structure)
-    std, uncertainty = _inflated_std(fit, known), VehicleUncertainty.of_fit(fit, known)
+    fit = _fit([first for first, _ in parts], car, settings, structure)
     found = fit.x[fit.space.size :]
     unexplained = tuple(
         (_unexplained(rest, car, settings), _unexplained(rest, fit.car, settings, found))
         for _, rest in parts
     )
-    identified = _with_posterior(fit, car, std)
-    return IdentificationResult(fit, identified, std, uncertainty, unexplained)
+    return IdentificationResult(
+        fit, _with_posterior(fit, car), VehicleUncertainty.of_fit(fit), unexplained
+    )
 
 
 def identify_structure(
@@ -237,9 +240,8 @@ def identify_structure(
     """
     is_short = FIT_SHARE * record.t.size < MIN_DURATION * record.fs
     first, _ = _parts(CalibrationDrive(record), settings, 1.0 if is_short else FIT_SHARE)
-    fit, known = _fit([first], car, settings, structure=True)
-    found = _with_posterior(fit, car, _inflated_std(fit, known))
-    return found, VehicleUncertainty.of_fit(fit, known)
+    fit = _fit([first], car, settings, structure=True)
+    return _with_posterior(fit, car), VehicleUncertainty.of_fit(fit)
 
 
 def _fit(
@@ -247,8 +249,8 @@ def _fit(
     car: VehicleParameters,
     settings: SolverSettings,
     structure: bool,
-) -> tuple[CarFit, bool]:
-    """Return the fit to `drives`, and whether all their roads are known."""
+) -> CarFit:
+    """Return the fit to `drives`."""
     space = parameter_space(car, structure)
     known = all(drive.profile is not None for drive in drives)
 
@@ -259,8 +261,7 @@ def _fit(
     errors = len(InstrumentErrors(drives[0].record.channels).names) if known else 0
     x, solutions = _nearest_start(space, space.size + errors, solve)
     solver = GaussNewton(solutions[0].stationary, settings.huber)
-    fit = fit_car(solutions, space, solver, instruments=known, start=x, max_steps=MAX_STEPS)
-    return fit, known
+    return fit_car(solutions, space, solver, instruments=known, start=x, max_steps=MAX_STEPS)
 
 
 def _nearest_start(
@@ -283,17 +284,12 @@ def _nearest_start(
     return x, solve(x)
 
 
-def _inflated_std(fit: CarFit, known: bool) -> np.ndarray:
-    """Return the standard deviations (P,) of the fitted parameters in units of their tolerances."""
-    return np.sqrt(np.diag(inflated_covariance(fit.covariance, known)))
-
-
-def _with_posterior(fit: CarFit, car: VehicleParameters, std: np.ndarray) -> VehicleParameters:
+def _with_posterior(fit: CarFit, car: VehicleParameters) -> VehicleParameters:
     """Return the fitted vehicle; its tolerances are the posterior standard deviations."""
     space: ParameterSpace = fit.space
     found = {
         name: Tolerance(relative=float(s * t), source="identified")
-        for name, s, t in zip(space.names, space.std, std, strict=False)
+        for name, s, t in zip(space.names, space.std, fit.std, strict=False)
     }
     name = car.name if car.name.endswith("identified") else f"{car.name} identified"
     return replace(fit.car, name=name, tolerances=found)

@@ -28,26 +28,9 @@ from road_envs.core.config import ConfigError
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.tolerances import parameter_space, scale_parameters
 
-UNKNOWN_STD_INFLATION = 4.0
-"""Factor on posterior standard deviations over unmeasured roads, for what Laplace's approximation,
-the road's estimated prior and differences between the wheels leave out
-(`studies/identified_parameters.py`)."""
-
 GAIN_STD = 0.012
 """Standard deviation of the gain of an accelerometer that was not identified: within 2 % of 1 by
 its data sheet, anywhere alike."""
-
-
-def inflated_covariance(covariance: np.ndarray, known: bool) -> np.ndarray:
-    """Return the covariance (P, P) of parameters in units of their tolerances from that of a fit
-    over `known` roads, or over unmeasured ones: there the drives, and not the tolerances, tell less
-    than the fit says.
-    """
-    if known:
-        return covariance
-    values, vectors = np.linalg.eigh(covariance)
-    told = np.maximum(1.0 / values - 1.0, 0.0) / UNKNOWN_STD_INFLATION**2
-    return (vectors / (1.0 + told)) @ vectors.T
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +59,8 @@ class VehicleUncertainty:
         return cls(car, space.names, np.diag(variance), is_prior=True)
 
     @classmethod
-    def of_fit(cls, fit: CarFit, known: bool = False) -> "VehicleUncertainty":
-        """Return that of a fit to drives over `known` roads or over unmeasured ones.
+    def of_fit(cls, fit: CarFit) -> "VehicleUncertainty":
+        """Return that of a fit to drives.
 
         Instruments that were not fitted err as their prior says, but for the odometer, of which
         nothing is known.
@@ -85,7 +68,7 @@ class VehicleUncertainty:
         space, errors = fit.space, fit.instrument_errors
         unit = np.ones(fit.x.size)
         unit[: space.size] = space.std
-        covariance = unit[:, None] * inflated_covariance(fit.covariance, known) * unit
+        covariance = unit[:, None] * fit.covariance * unit
         if fit.x.size == space.size:
             rest = np.diag(_unfitted_variance(errors))
             covariance = np.pad(covariance, (0, len(rest)))

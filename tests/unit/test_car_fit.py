@@ -68,27 +68,6 @@ def test_sensitivities_are_differences_of_single_drives():
         np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
 
 
-def test_the_log_determinant_has_its_gradient():
-    objective, noise = short_objective(), 0.05
-    (one,), road = objective.passes, objective.road
-    f, lines = marginal_likelihood._lines(one)
-
-    def half_log_det(car) -> float:
-        C = marginal_likelihood._covariance(road, one.with_car(car), f, noise)
-        return 0.5 * float(lines @ np.linalg.slogdet(C)[1])
-
-    few = ParameterSpace(DEFENDER, SPACE.names[:6], 0.01 * SPACE.std[:6])
-    cars = perturbed_cars(few, np.zeros(few.size))
-    values = np.array([half_log_det(car) for car in cars])
-    gradient, hessian = marginal_likelihood._log_det_terms(
-        road, one, perturbed_passes(one, cars), noise
-    )
-    np.testing.assert_allclose(
-        gradient, (values[1:] - values[0]) / marginal_likelihood.DIFFERENCE, rtol=0.02, atol=1e-3
-    )
-    np.testing.assert_allclose(hessian, hessian.T, atol=1e-9 * np.abs(hessian).max())
-
-
 def compared(result, true):
     """Deviations (P,) from the true vehicle in posterior standard deviations."""
     space = result.fit.space
@@ -217,14 +196,3 @@ def test_each_step_over_an_unmeasured_road_has_derivatives_of_its_own(monkeypatc
     fit = car_fit.fit_car([minimize(objective, solver)], few, solver, max_steps=4)
     assert len(at) >= 3
     assert all((one != other).any() for one, other in pairwise([*at, fit.x]))
-
-
-def test_variances_are_positive_where_the_information_of_a_drive_is_indefinite():
-    """As on an individual of the generic compact on class C, whose fit ended in masses of nan."""
-    turned = np.linalg.qr(np.random.default_rng(3).standard_normal((4, 4)))[0]
-    indefinite, sound = ((turned * e) @ turned.T for e in ([9.0, 3.0, -8.0, 0.2], [9, 3, 2, 1.5]))
-    covariance = car_fit._invert(indefinite)
-    assert (np.diag(covariance @ indefinite @ covariance) < 0.0).any()
-    spread = covariance @ car_fit._at_least_prior(indefinite) @ covariance
-    np.testing.assert_allclose(spread, covariance)  # the same floor on both
-    assert car_fit._at_least_prior(sound) is sound

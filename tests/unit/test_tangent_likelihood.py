@@ -20,6 +20,7 @@ from estimators.map_smoother.marginal_likelihood import (
     sensitivities,
 )
 from estimators.map_smoother.preconditioner import stationary_hessian
+from estimators.map_smoother.preparation import SolverSettings
 from estimators.map_smoother.tangent_likelihood import (
     DRAWS,
     posterior_noise,
@@ -31,6 +32,7 @@ from road_envs.analysis.information_bound import RoadPrior
 from road_envs.drives.recording import simulate_record
 from road_envs.roads.iso8608 import Iso8608
 from road_envs.sensing.instruments import load_instruments
+from road_envs.vehicle.parameters import load_vehicle
 from road_envs.vehicle.tolerances import ParameterSpace, parameter_space
 
 PAPER, FULL = load_instruments("paper"), parameter_space(DEFENDER)
@@ -53,6 +55,7 @@ def terms():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(tangent_likelihood, "CG_ITERATIONS", 1000)
         patch.setattr(tangent_likelihood, "CG_TOLERANCE", 1e-4)
+        patch.setattr(tangent_likelihood, "QUICK_CG", (1000, 1e-4))
         return tangent_terms(solution(), perturbed_cars(SPACE, np.zeros(SPACE.size)))
 
 
@@ -85,11 +88,14 @@ def test_what_the_road_cannot_explain_is_information(terms):
 def test_the_gradient_is_that_at_the_optimum_less_that_of_the_log_determinant(terms):
     (lin, varied), J, A, _, RG = dense_system()
     dx = np.linalg.solve(A, -lin.gradient())
-    traces = [trace_sample(lin, varied, np.linalg.solve(A, b)) for b in posterior_noise(lin)]
-    expected = RG @ (lin.residual[0].ravel() - J @ dx) - np.mean(traces, axis=0)
+    samples = [trace_sample(lin, varied, np.linalg.solve(A, b)) for b in posterior_noise(lin)]
+    at_road, along = (np.mean(part, axis=0) for part in zip(*samples, strict=True))
+    road = np.linalg.solve(A, J.T @ RG.T)  # moves by -road with the parameters
+    expected = RG @ (lin.residual[0].ravel() - J @ dx) - (at_road - road.T @ along)
     scale = np.sqrt(np.diag(terms.information))
     np.testing.assert_allclose(terms.gradient / scale, expected / scale, atol=0.02)
-    assert (np.abs(np.mean(traces, axis=0)) > 0.1 * scale).any()
+    for part in (at_road, road.T @ along):
+        assert (np.abs(part) > 0.1 * scale).any()
 
 
 def test_a_sample_of_the_trace_is_the_change_of_the_tangent_by_a_parameter():
@@ -101,8 +107,36 @@ def test_a_sample_of_the_trace_is_the_change_of_the_tangent_by_a_parameter():
     objectives = (replace(lin.objective, passes=(one,)) for one in varied)
     there = (one.linearize(lin.x, inverse_variance=[weight]) for one in objectives)
     first, *rest = [np.vdot(one.tangent(small)[0], weight * means) for one in there]
-    found = trace_sample(lin, varied, small)
+    found, _ = trace_sample(lin, varied, small)
     np.testing.assert_allclose(found, (np.array(rest) - first) / DIFFERENCE, rtol=0.02)
+
+
+def test_a_sample_of_the_trace_is_the_change_of_the_tangent_along_the_road():
+    lin = solution().linearization
+    small = 1e-3 * next(posterior_noise(lin)) / np.sqrt(lin.x.size)
+    (means,), (weight,) = lin.tangent(small), lin.inverse_variance
+    _, along = trace_sample(lin, [lin.objective.passes[0]] * 2, small)
+    for direction in np.random.default_rng(3).standard_normal((3, lin.x.size)):
+        dx = 1e-4 * direction / np.sqrt(lin.x.size)
+        above, below = (lin.relinearize(lin.x + sign * dx) for sign in (1.0, -1.0))
+        change = 0.5 * (above.tangent(small)[0] - below.tangent(small)[0])
+        assert along @ dx == pytest.approx(np.vdot(change, weight * means), rel=0.02)
+
+
+def test_the_gradient_at_the_true_vehicle_is_as_large_as_the_information_says():
+    """On a road that friction hides in part, the sign of a likelihood that is right."""
+    car = load_vehicle("compact")
+    record, _ = simulate_record("iso_b", vehicle=car, speed_kmh=50.0, seed=12, length=120.0)
+    settings = SolverSettings()
+    drive, _ = settings.prepare(record, car)
+    objective = whole_objective(drive, settings.road_prior)
+    found = minimize(objective, GaussNewton(stationary_hessian(objective), settings.huber))
+    space = parameter_space(car)
+    terms = tangent_terms(found, perturbed_cars(space, np.zeros(space.size)))
+    values, vectors = np.linalg.eigh(terms.information)
+    told = values > 3.0
+    squares = (vectors.T @ terms.gradient)[told] ** 2 / values[told]
+    assert told.sum() > 10 and np.mean(squares) < 3.0
 
 
 def test_a_few_samples_average_a_quadratic_form_of_a_stationary_vehicle_exactly():
