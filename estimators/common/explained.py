@@ -3,18 +3,27 @@
 A linear smoother or a filter that has lost the vehicle gives heights that the nonlinear vehicle
 contradicts: wheels that were in the air press, accelerations are many times those measured. The
 vehicle is simulated over the estimate and the accelerations of the sensors are compared below F_C.
+
+Heights are impossible whatever the estimator if they demand IMPOSSIBLE_RATIO times the measured
+accelerations or more. The wheel loads alone move the vehicle (Newton's second law), so the
+accelerations would have been measured, had the wheels carried the loads that the heights demand.
 """
+
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from estimators.api import Estimator, HasInstruments
 from estimators.common.bending import sensed_bending
 from estimators.common.footprint import Footprint
 from estimators.common.model_inputs import ModelInputs, build_model_inputs, rest_state
 from estimators.common.spline import sample_under_wheels
+from estimators.preprocessing import mask_record
 from road_envs.kernels.filters import preprocess_accelerations
-from road_envs.records.record import F_C, PROFILE_SPACING, Record, profile_stations
-from road_envs.sensing.instruments import Instruments
+from road_envs.records.record import F_C, PROFILE_SPACING, Estimate, Record, profile_stations
+from road_envs.sensing.instruments import Instruments, instruments_of
 from road_envs.simulation.tape import linearize_drive
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.linear_model import linearise
@@ -40,6 +49,71 @@ MAX_SPEED_STEP = 0.001
 """Longest step [s] of the simulation."""
 
 
+IMPOSSIBLE_RATIO = 2.0
+"""Accelerations that heights demand over those measured, as RMS, from which on no road has them.
+
+Of the true road under the described vehicle it is 1.3 at most where a vehicle of grade S0 to S3
+drove over classes A to E, Belgian paving, bumps and potholes at 14.5 to 100 km/h, and 1.7 on the
+washboard, near resonances that the description lacks; of three times its heights 1.5 (on the
+washboard, whose crests then throw the wheels off) to 10. Class F at 75 km/h, over which vehicles
+fly and no description tells where they land, has up to 3.6.
+"""
+
+LEAST_POWER, NOISE_MARGIN = 0.1, 9.0
+"""Share of the drive's mean power, and factor of that of the sensors' noise, below which
+accelerations are too small to make heights impossible."""
+
+SHORTEST_SETTLING = 0.25
+"""Share of a drive that is not compared, instead of SETTLING_TIME, where that is less."""
+
+
+class MotionPower(NamedTuple):
+    """Power below F_C of the accelerations about each station (M,), summed over the samples in
+    WINDOW: `measured`, that `demanded` by heights, and that of the `difference` of the two.
+    """
+
+    measured: np.ndarray
+    demanded: np.ndarray
+    difference: np.ndarray
+
+
+def motion_power(
+    record: Record,
+    valid: np.ndarray,
+    car: VehicleParameters,
+    instruments: Instruments,
+    z: np.ndarray,
+    settling: float = SETTLING_TIME,
+) -> MotionPower:
+    """Compare the motion of `car` on heights `z` (2, M) [m] with that of the `record`, in `valid`
+    (k, N) samples after `settling` [s].
+    """
+    inputs = build_model_inputs(record, instruments, car, MAX_SPEED_STEP)
+    predicted = simulate_sensors(inputs, car, instruments, z)[:, : record.t.size]
+    measured = np.where(valid, record.a, 0.0)
+    finite = np.isfinite(predicted).all(axis=0)
+    predicted = np.where(valid & finite, predicted, 0.0)
+    power = np.array(
+        [
+            (preprocess_accelerations(x, record.fs, F_C) ** 2).sum(axis=0)
+            for x in (measured, predicted, measured - predicted)
+        ]
+    )
+    power[1:, ~finite] = np.inf
+    power[:, record.t < record.t[0] + settling] = 0.0
+    stations = profile_stations(record.length)
+    # both axles excite the body: a sample belongs to the road around the middle of the vehicle
+    cell = ((record.s - 0.5 * car.wheelbase) / PROFILE_SPACING).round().astype(int)
+    inside = (cell >= 0) & (cell < stations.size)
+    width = WINDOW / PROFILE_SPACING
+    return MotionPower(
+        *(
+            gaussian_filter1d(np.bincount(cell[inside], x[inside], stations.size), width)
+            for x in np.minimum(power, 1e12)
+        )
+    )
+
+
 def trusted_share(
     record: Record,
     valid: np.ndarray,
@@ -53,29 +127,50 @@ def trusted_share(
     power, 0 where they explain nothing. `valid` (k, N): samples that are compared, after the first
     SETTLING_TIME.
     """
-    inputs = build_model_inputs(record, instruments, car, MAX_SPEED_STEP)
-    predicted = simulate_sensors(inputs, car, instruments, z)[:, : record.t.size]
-    measured = np.where(valid, record.a, 0.0)
-    finite = np.isfinite(predicted).all(axis=0)
-    predicted = np.where(valid & finite, predicted, 0.0)
-    a, e = (
-        (preprocess_accelerations(x, record.fs, F_C) ** 2).sum(axis=0)
-        for x in (measured, measured - predicted)
-    )
-    e[~finite] = np.inf
-    settling = record.t < record.t[0] + SETTLING_TIME
-    a[settling], e[settling] = 0.0, 0.0
-    stations = profile_stations(record.length)
-    # both axles excite the body: a sample belongs to the road around the middle of the vehicle
-    cell = ((record.s - 0.5 * car.wheelbase) / PROFILE_SPACING).round().astype(int)
-    inside = (cell >= 0) & (cell < stations.size)
-    width = WINDOW / PROFILE_SPACING
-    power, error = (
-        gaussian_filter1d(np.bincount(cell[inside], x[inside], stations.size), width)
-        for x in (a, np.minimum(e, 1e12))
-    )
+    power, _, error = motion_power(record, valid, car, instruments, z)
     explained = 1.0 - error / np.maximum(power, 1e-12 * max(power.max(), 1e-300))
     return np.clip(explained / TRUSTED_SHARE, 0.0, 1.0)
+
+
+def mark_impossible(
+    estimate: Estimate, record: Record, car: VehicleParameters, estimator: Estimator
+) -> Estimate:
+    """Return the `estimate` of an `estimator` with a model of the vehicle with its impossible
+    heights marked as `unsure`, in the first note and by a greater `z_std`. Raises ConfigError.
+    """
+    if not isinstance(estimator, HasInstruments):
+        return estimate
+    instruments = instruments_of(record, estimator.instruments)
+    record, valid, _ = mask_record(record, instruments)
+    settling = min(SETTLING_TIME, SHORTEST_SETTLING * float(record.t[-1] - record.t[0]))
+    power = motion_power(record, valid, car, instruments, estimate.z, settling)
+    noise = F_C * float(np.sum(instruments.noise_densities**2)) * record.t.size / estimate.s.size
+    least = max(LEAST_POWER * float(power.measured.mean()), NOISE_MARGIN * noise)
+    ratio = np.sqrt(power.demanded / np.maximum(power.measured, least))
+    impossible = ratio >= IMPOSSIBLE_RATIO
+    if not impossible.any():
+        return estimate
+    first, last = PROFILE_SPACING * np.flatnonzero(impossible)[[0, -1]]
+    note = (
+        f"no wheel load supports {PROFILE_SPACING * impossible.sum():.0f} m of the road between "
+        f"{first:.0f} and {last:.0f} m, which would move the vehicle up to {ratio.max():.0f} times "
+        "as hard as was measured: heights there are not known; check vehicle, modes, speed and "
+        "channels, or drive more slowly"
+    )
+    return mark_unsure(estimate, impossible, note)
+
+
+def mark_unsure(estimate: Estimate, unsure: np.ndarray, *notes: str) -> Estimate:
+    """Return `estimate` with the stations `unsure` (M,) beside those that are, `notes` before the
+    others, and `z_std` raised there by the RMS of the waves below some metres.
+    """
+    z_std = estimate.z_std
+    if z_std is not None:
+        short = estimate.z - gaussian_filter1d(estimate.z, 1.0 / PROFILE_SPACING, axis=1)
+        level = np.sqrt((short[:, unsure] ** 2).mean(axis=1, keepdims=True))
+        z_std = np.where(unsure, np.hypot(z_std, level), z_std)
+    before = False if estimate.unsure is None else estimate.unsure
+    return replace(estimate, z_std=z_std, unsure=unsure | before, notes=(*notes, *estimate.notes))
 
 
 def untrusted_note(share: np.ndarray) -> tuple[str, ...]:
