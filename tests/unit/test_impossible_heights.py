@@ -61,10 +61,12 @@ def test_the_stretch_that_is_impossible_is_marked_and_its_interval_is_wider():
 
 
 def test_what_is_small_beside_the_sensors_noise_is_not_impossible():
-    record, z = swell(0.0)
-    _, z = swell(1e-3)
-    assert marked(record, z)[1].unsure is None
-    assert marked(record, 300.0 * z)[1].unsure is not None
+    record, _ = swell(0.0)
+    # RMS of the noise below 25 Hz, of which the heights demand 2 times, and 8 times
+    noise = load_instruments("paper").noise_density * 5.0
+    z = swell(noise * np.sqrt(8.0) / (2.0 * np.pi * V / WAVE) ** 2)[1]
+    assert marked(record, 2.0 * z)[1].unsure is None
+    assert marked(record, 8.0 * z)[1].unsure is not None
 
 
 @dataclass(frozen=True)
