@@ -10,10 +10,11 @@ accelerations would have been measured, had the wheels carried the loads that th
 """
 
 from dataclasses import replace
-from typing import NamedTuple
+from itertools import pairwise
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
+from scipy.signal import butter, sosfiltfilt
 
 from estimators.api import Estimator, HasInstruments
 from estimators.common.bending import sensed_bending
@@ -52,66 +53,24 @@ MAX_SPEED_STEP = 0.001
 IMPOSSIBLE_RATIO = 2.0
 """Accelerations that heights demand over those measured, as RMS, from which on no road has them.
 
-Of the true road under the described vehicle it is 1.3 at most where a vehicle of grade S0 to S3
-drove over classes A to E, Belgian paving, bumps and potholes at 14.5 to 100 km/h, and 1.7 on the
-washboard, near resonances that the description lacks; of three times its heights 1.5 (on the
-washboard, whose crests then throw the wheels off) to 10. Class F at 75 km/h, over which vehicles
-fly and no description tells where they land, has up to 3.6.
+The true road under the described vehicle has 1.2 at most where a vehicle of grade S0 to S3 drove
+over classes A to D, Belgian paving and speed bumps at 14.5 to 100 km/h, 1.4 on potholes and 1.8 on
+class E; the washboard 1.7, and 2.4 at 75 km/h, where its waves are beyond F_C. Three times the
+heights of the washboard have 2.2 or more. Class F from 54 km/h on, over which vehicles fly and no
+description tells where they land, has up to 4 times.
 """
 
-LEAST_POWER, NOISE_MARGIN = 0.1, 9.0
-"""Share of the drive's mean power, and factor of that of the sensors' noise, below which
-accelerations are too small to make heights impossible."""
+LEAST_POWER, LEAST_OF_ALL, NOISE_MARGIN = 0.1, 0.003, 9.0
+"""Shares of the drive's mean power in a band and in all, and factor of the power of the sensors'
+noise, below which measured accelerations count as so large: less tells nothing of heights."""
 
 SHORTEST_SETTLING = 0.25
 """Share of a drive that is not compared, instead of SETTLING_TIME, where that is less."""
 
 
-class MotionPower(NamedTuple):
-    """Power below F_C of the accelerations about each station (M,), summed over the samples in
-    WINDOW: `measured`, that `demanded` by heights, and that of the `difference` of the two.
-    """
-
-    measured: np.ndarray
-    demanded: np.ndarray
-    difference: np.ndarray
-
-
-def motion_power(
-    record: Record,
-    valid: np.ndarray,
-    car: VehicleParameters,
-    instruments: Instruments,
-    z: np.ndarray,
-    settling: float = SETTLING_TIME,
-) -> MotionPower:
-    """Compare the motion of `car` on heights `z` (2, M) [m] with that of the `record`, in `valid`
-    (k, N) samples after `settling` [s].
-    """
-    inputs = build_model_inputs(record, instruments, car, MAX_SPEED_STEP)
-    predicted = simulate_sensors(inputs, car, instruments, z)[:, : record.t.size]
-    measured = np.where(valid, record.a, 0.0)
-    finite = np.isfinite(predicted).all(axis=0)
-    predicted = np.where(valid & finite, predicted, 0.0)
-    power = np.array(
-        [
-            (preprocess_accelerations(x, record.fs, F_C) ** 2).sum(axis=0)
-            for x in (measured, predicted, measured - predicted)
-        ]
-    )
-    power[1:, ~finite] = np.inf
-    power[:, record.t < record.t[0] + settling] = 0.0
-    stations = profile_stations(record.length)
-    # both axles excite the body: a sample belongs to the road around the middle of the vehicle
-    cell = ((record.s - 0.5 * car.wheelbase) / PROFILE_SPACING).round().astype(int)
-    inside = (cell >= 0) & (cell < stations.size)
-    width = WINDOW / PROFILE_SPACING
-    return MotionPower(
-        *(
-            gaussian_filter1d(np.bincount(cell[inside], x[inside], stations.size), width)
-            for x in np.minimum(power, 1e12)
-        )
-    )
+IMPOSSIBLE_BANDS = (0.3, 2.0, 8.0, F_C)
+"""Edges of the bands [Hz] in which accelerations are compared: about the resonances of the body,
+of the axles, and between them."""
 
 
 def trusted_share(
@@ -127,9 +86,70 @@ def trusted_share(
     power, 0 where they explain nothing. `valid` (k, N): samples that are compared, after the first
     SETTLING_TIME.
     """
-    power, _, error = motion_power(record, valid, car, instruments, z)
+    measured, predicted, finite = _motions(record, valid, car, instruments, z)
+    a, e = (
+        (preprocess_accelerations(x, record.fs, F_C) ** 2).sum(axis=0)
+        for x in (measured, measured - predicted)
+    )
+    e[~finite] = np.inf
+    power, error = (_by_station(x, record, car, SETTLING_TIME) for x in (a, e))
     explained = 1.0 - error / np.maximum(power, 1e-12 * max(power.max(), 1e-300))
     return np.clip(explained / TRUSTED_SHARE, 0.0, 1.0)
+
+
+def _motions(
+    record: Record,
+    valid: np.ndarray,
+    car: VehicleParameters,
+    instruments: Instruments,
+    z: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the accelerations (k, N) measured and those of `car` on heights `z` (2, M) [m], in
+    `valid` (k, N) samples, and where (N,) the latter are finite.
+    """
+    inputs = build_model_inputs(record, instruments, car, MAX_SPEED_STEP)
+    predicted = simulate_sensors(inputs, car, instruments, z)[:, : record.t.size]
+    finite = np.isfinite(predicted).all(axis=0)
+    return np.where(valid, record.a, 0.0), np.where(valid & finite, predicted, 0.0), finite
+
+
+def _by_station(
+    power: np.ndarray, record: Record, car: VehicleParameters, settling: float
+) -> np.ndarray:
+    """Return the sums (M,) of the `power` (N,) of samples after `settling` [s], about stations."""
+    power = np.where(record.t < record.t[0] + settling, 0.0, np.minimum(power, 1e12))
+    stations = profile_stations(record.length)
+    # both axles excite the body: a sample belongs to the road around the middle of the vehicle
+    cell = ((record.s - 0.5 * car.wheelbase) / PROFILE_SPACING).round().astype(int)
+    inside = (cell >= 0) & (cell < stations.size)
+    total = np.bincount(cell[inside], power[inside], stations.size)
+    return np.asarray(gaussian_filter1d(total, WINDOW / PROFILE_SPACING))
+
+
+def demand_ratio(
+    z: np.ndarray, record: Record, car: VehicleParameters, instruments: Instruments
+) -> np.ndarray:
+    """Return the accelerations that heights `z` (2, M) [m] demand of `car` over those measured, as
+    RMS about each station (M,) in that of IMPOSSIBLE_BANDS in which it is the greatest.
+    """
+    record, valid, _ = mask_record(record, instruments)
+    measured, predicted, finite = _motions(record, valid, car, instruments, z)
+    settling = min(SETTLING_TIME, SHORTEST_SETTLING * float(record.t[-1] - record.t[0]))
+    density = float(np.sum(instruments.noise_densities**2)) * record.t.size / z.shape[1]
+    powers = []
+    for band in pairwise(IMPOSSIBLE_BANDS):
+        sos = butter(2, band, "bandpass", fs=record.fs, output="sos")
+        a, e = (
+            (sosfiltfilt(sos, x - x.mean(axis=1, keepdims=True)) ** 2).sum(axis=0)
+            for x in (measured, predicted)
+        )
+        e[~finite] = np.inf
+        powers.append([_by_station(x, record, car, settling) for x in (a, e)])
+    power, demanded = np.swapaxes(powers, 0, 1)
+    mean = power.mean(axis=1)
+    noise = NOISE_MARGIN * density * np.diff(IMPOSSIBLE_BANDS)
+    least = np.maximum(np.maximum(LEAST_POWER * mean, LEAST_OF_ALL * mean.sum()), noise)
+    return np.asarray(np.sqrt(demanded / np.maximum(power, least[:, None])).max(axis=0))
 
 
 def mark_impossible(
@@ -140,13 +160,7 @@ def mark_impossible(
     """
     if not isinstance(estimator, HasInstruments):
         return estimate
-    instruments = instruments_of(record, estimator.instruments)
-    record, valid, _ = mask_record(record, instruments)
-    settling = min(SETTLING_TIME, SHORTEST_SETTLING * float(record.t[-1] - record.t[0]))
-    power = motion_power(record, valid, car, instruments, estimate.z, settling)
-    noise = F_C * float(np.sum(instruments.noise_densities**2)) * record.t.size / estimate.s.size
-    least = max(LEAST_POWER * float(power.measured.mean()), NOISE_MARGIN * noise)
-    ratio = np.sqrt(power.demanded / np.maximum(power.measured, least))
+    ratio = demand_ratio(estimate.z, record, car, instruments_of(record, estimator.instruments))
     impossible = ratio >= IMPOSSIBLE_RATIO
     if not impossible.any():
         return estimate
