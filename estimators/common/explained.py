@@ -60,13 +60,13 @@ heights of the washboard have 2.2 or more. Class F from 54 km/h on, over which v
 description tells where they land, has up to 4 times.
 """
 
-LEAST_POWER, LEAST_OF_ALL, NOISE_MARGIN = 0.1, 0.003, 9.0
-"""Shares of the drive's mean power in a band and in all, and factor of the power of the sensors'
-noise, below which measured accelerations count as so large: less tells nothing of heights."""
+LEAST_OF_ALL, NOISE_MARGIN = 0.003, 9.0
+"""Share of the drive's mean power in all bands, and factor of the power of the sensors' noise,
+below which measured accelerations count as so large. So they do below the mean power in their own
+band: of drives cut out of longer ones the true road has 1.7 at most, with a tenth of it 2.5."""
 
-SHORTEST_SETTLING = 0.25
-"""Share of a drive that is not compared, instead of SETTLING_TIME, where that is less."""
-
+LONGEST_SETTLING, SETTLING_SHARE = 4.0, 0.5
+"""Time [s] at the beginning, and largest share of a drive, that makes no heights impossible."""
 
 IMPOSSIBLE_BANDS = (0.3, 2.0, 8.0, F_C)
 """Edges of the bands [Hz] in which accelerations are compared: about the resonances of the body,
@@ -134,7 +134,7 @@ def demand_ratio(
     """
     record, valid, _ = mask_record(record, instruments)
     measured, predicted, finite = _motions(record, valid, car, instruments, z)
-    settling = min(SETTLING_TIME, SHORTEST_SETTLING * float(record.t[-1] - record.t[0]))
+    settling = min(LONGEST_SETTLING, SETTLING_SHARE * float(record.t[-1] - record.t[0]))
     density = float(np.sum(instruments.noise_densities**2)) * record.t.size / z.shape[1]
     powers = []
     for band in pairwise(IMPOSSIBLE_BANDS):
@@ -148,7 +148,7 @@ def demand_ratio(
     power, demanded = np.swapaxes(powers, 0, 1)
     mean = power.mean(axis=1)
     noise = NOISE_MARGIN * density * np.diff(IMPOSSIBLE_BANDS)
-    least = np.maximum(np.maximum(LEAST_POWER * mean, LEAST_OF_ALL * mean.sum()), noise)
+    least = np.maximum(np.maximum(mean, LEAST_OF_ALL * mean.sum()), noise)
     return np.asarray(np.sqrt(demanded / np.maximum(power, least[:, None])).max(axis=0))
 
 
