@@ -54,7 +54,7 @@ IMPOSSIBLE_RATIO = 2.0
 """Accelerations that heights demand over those measured, as RMS, from which on no road has them.
 
 The true road under the described vehicle has 1.2 at most where a vehicle of grade S0 to S3 drove
-over classes A to D, Belgian paving and speed bumps at 14.5 to 100 km/h, 1.4 on potholes and 1.8 on
+over classes A to D, Belgian paving and speed bumps at 14.5 to 100 km/h, 1.4 on potholes and 1.95 on
 class E; the washboard 1.7, and 2.4 at 75 km/h, where its waves are beyond F_C. Three times the
 heights of the washboard have 2.2 or more. Class F from 54 km/h on, over which vehicles fly and no
 description tells where they land, has up to 4 times.
