@@ -56,6 +56,13 @@ class HasLag(Protocol):
 
 
 @runtime_checkable
+class HasInstruments(Protocol):
+    """An estimator with a model of the vehicle, and of its `instruments` (name or path)."""
+
+    instruments: str
+
+
+@runtime_checkable
 class DeclaresSeedUse(Protocol):
     """An estimator that says by `uses_seed` whether the seed of `fit` makes a difference."""
 

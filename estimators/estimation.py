@@ -9,6 +9,7 @@ import numpy as np
 
 from estimators.api import Estimator, check_estimate
 from estimators.common.blas import single_blas_thread
+from estimators.common.explained import mark_impossible
 from estimators.common.manoeuvres import mark_manoeuvres
 from estimators.lookup import resolve_estimator, training_notes
 from estimators.passes import estimate_passes
@@ -52,7 +53,8 @@ def estimate(
     notes = (*found.notes, *training_notes(estimator, record, car))
     notes = (*notes, *_notes_on_description(car))
     found = dataclasses.replace(found, notes=notes, speed=float(np.nanmedian(record.v)))
-    return mark_manoeuvres(found, record, car.wheelbase)
+    found = mark_manoeuvres(found, record, car.wheelbase)
+    return mark_impossible(found, record, car, estimator)
 
 
 def _notes_on_description(car: VehicleParameters) -> list[str]:

@@ -23,6 +23,7 @@ import numpy as np
 
 from estimators.api import Estimator, check_estimate
 from estimators.common.alignment import MIN_OVERLAP, StationMap, identity_map, map_stations
+from estimators.common.explained import mark_impossible
 from estimators.common.odometer import calibrate_odometer
 from estimators.lookup import resolve_estimator, training_notes
 from road_envs.core.config import ConfigError
@@ -125,12 +126,11 @@ def join_passes(
 ) -> Estimate:
     """Return one road from aligned passes with the vehicles `cars`, one for each."""
     found = combine(aligned)
-    if not isinstance(estimator, JointEstimator) or len(aligned) == 1:
-        return found
     names, records = [each.name for each in aligned], [each.record for each in aligned]
-    found = estimator.estimate_jointly(records, cars, found, names)
-    check_estimate(found, records[0])
-    return found
+    if isinstance(estimator, JointEstimator) and len(aligned) > 1:
+        found = estimator.estimate_jointly(records, cars, found, names)
+        check_estimate(found, records[0])
+    return mark_impossible(found, records[0], cars[0], estimator)
 
 
 def _load_vehicles(vehicles: Vehicle | Sequence[Vehicle], count: int) -> list[VehicleParameters]:

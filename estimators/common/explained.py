@@ -3,18 +3,28 @@
 A linear smoother or a filter that has lost the vehicle gives heights that the nonlinear vehicle
 contradicts: wheels that were in the air press, accelerations are many times those measured. The
 vehicle is simulated over the estimate and the accelerations of the sensors are compared below F_C.
+
+Heights are impossible whatever the estimator if they demand IMPOSSIBLE_RATIO times the measured
+accelerations or more. The wheel loads alone move the vehicle (Newton's second law), so the
+accelerations would have been measured, had the wheels carried the loads that the heights demand.
 """
+
+from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
+from scipy.signal import butter, sosfiltfilt
 
+from estimators.api import Estimator, HasInstruments
 from estimators.common.bending import sensed_bending
 from estimators.common.footprint import Footprint
 from estimators.common.model_inputs import ModelInputs, build_model_inputs, rest_state
 from estimators.common.spline import sample_under_wheels
+from estimators.preprocessing import mask_record
 from road_envs.kernels.filters import preprocess_accelerations
-from road_envs.records.record import F_C, PROFILE_SPACING, Record, profile_stations
-from road_envs.sensing.instruments import Instruments
+from road_envs.records.record import F_C, PROFILE_SPACING, Estimate, Record, profile_stations
+from road_envs.sensing.instruments import Instruments, instruments_of
 from road_envs.simulation.tape import linearize_drive
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.linear_model import linearise
@@ -40,6 +50,29 @@ MAX_SPEED_STEP = 0.001
 """Longest step [s] of the simulation."""
 
 
+IMPOSSIBLE_RATIO = 2.0
+"""Accelerations that heights demand over those measured, as RMS, from which on no road has them.
+
+The true road under the described vehicle has 1.2 at most where a vehicle of grade S0 to S3 drove
+over classes A to D, Belgian paving and speed bumps at 14.5 to 100 km/h, 1.4 on potholes and 1.95 on
+class E; the washboard 1.7, and 2.4 at 75 km/h, where its waves are beyond F_C. Three times the
+heights of the washboard have 2.2 or more. Class F from 54 km/h on, over which vehicles fly and no
+description tells where they land, has up to 4 times.
+"""
+
+LEAST_OF_ALL, NOISE_MARGIN = 0.003, 9.0
+"""Share of the drive's mean power in all bands, and factor of the power of the sensors' noise,
+below which measured accelerations count as so large. So they do below the mean power in their own
+band: of drives cut out of longer ones the true road has 1.7 at most, with a tenth of it 2.5."""
+
+LONGEST_SETTLING, SETTLING_SHARE = 4.0, 0.5
+"""Time [s] at the beginning, and largest share of a drive, that makes no heights impossible."""
+
+IMPOSSIBLE_BANDS = (0.3, 2.0, 8.0, F_C)
+"""Edges of the bands [Hz] in which accelerations are compared: about the resonances of the body,
+of the axles, and between them."""
+
+
 def trusted_share(
     record: Record,
     valid: np.ndarray,
@@ -53,29 +86,105 @@ def trusted_share(
     power, 0 where they explain nothing. `valid` (k, N): samples that are compared, after the first
     SETTLING_TIME.
     """
-    inputs = build_model_inputs(record, instruments, car, MAX_SPEED_STEP)
-    predicted = simulate_sensors(inputs, car, instruments, z)[:, : record.t.size]
-    measured = np.where(valid, record.a, 0.0)
-    finite = np.isfinite(predicted).all(axis=0)
-    predicted = np.where(valid & finite, predicted, 0.0)
+    measured, predicted, finite = _motions(record, valid, car, instruments, z)
     a, e = (
         (preprocess_accelerations(x, record.fs, F_C) ** 2).sum(axis=0)
         for x in (measured, measured - predicted)
     )
     e[~finite] = np.inf
-    settling = record.t < record.t[0] + SETTLING_TIME
-    a[settling], e[settling] = 0.0, 0.0
+    power, error = (_by_station(x, record, car, SETTLING_TIME) for x in (a, e))
+    explained = 1.0 - error / np.maximum(power, 1e-12 * max(power.max(), 1e-300))
+    return np.clip(explained / TRUSTED_SHARE, 0.0, 1.0)
+
+
+def _motions(
+    record: Record,
+    valid: np.ndarray,
+    car: VehicleParameters,
+    instruments: Instruments,
+    z: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the accelerations (k, N) measured and those of `car` on heights `z` (2, M) [m], in
+    `valid` (k, N) samples, and where (N,) the latter are finite.
+    """
+    inputs = build_model_inputs(record, instruments, car, MAX_SPEED_STEP)
+    predicted = simulate_sensors(inputs, car, instruments, z)[:, : record.t.size]
+    finite = np.isfinite(predicted).all(axis=0)
+    return np.where(valid, record.a, 0.0), np.where(valid & finite, predicted, 0.0), finite
+
+
+def _by_station(
+    power: np.ndarray, record: Record, car: VehicleParameters, settling: float
+) -> np.ndarray:
+    """Return the sums (M,) of the `power` (N,) of samples after `settling` [s], about stations."""
+    power = np.where(record.t < record.t[0] + settling, 0.0, np.minimum(power, 1e12))
     stations = profile_stations(record.length)
     # both axles excite the body: a sample belongs to the road around the middle of the vehicle
     cell = ((record.s - 0.5 * car.wheelbase) / PROFILE_SPACING).round().astype(int)
     inside = (cell >= 0) & (cell < stations.size)
-    width = WINDOW / PROFILE_SPACING
-    power, error = (
-        gaussian_filter1d(np.bincount(cell[inside], x[inside], stations.size), width)
-        for x in (a, np.minimum(e, 1e12))
+    total = np.bincount(cell[inside], power[inside], stations.size)
+    return np.asarray(gaussian_filter1d(total, WINDOW / PROFILE_SPACING))
+
+
+def demand_ratio(
+    z: np.ndarray, record: Record, car: VehicleParameters, instruments: Instruments
+) -> np.ndarray:
+    """Return the accelerations that heights `z` (2, M) [m] demand of `car` over those measured, as
+    RMS about each station (M,) in that of IMPOSSIBLE_BANDS in which it is the greatest.
+    """
+    record, valid, _ = mask_record(record, instruments)
+    measured, predicted, finite = _motions(record, valid, car, instruments, z)
+    settling = min(LONGEST_SETTLING, SETTLING_SHARE * float(record.t[-1] - record.t[0]))
+    density = float(np.sum(instruments.noise_densities**2)) * record.t.size / z.shape[1]
+    powers = []
+    for band in pairwise(IMPOSSIBLE_BANDS):
+        sos = butter(2, band, "bandpass", fs=record.fs, output="sos")
+        a, e = (
+            (sosfiltfilt(sos, x - x.mean(axis=1, keepdims=True)) ** 2).sum(axis=0)
+            for x in (measured, predicted)
+        )
+        e[~finite] = np.inf
+        powers.append([_by_station(x, record, car, settling) for x in (a, e)])
+    power, demanded = np.swapaxes(powers, 0, 1)
+    mean = power.mean(axis=1)
+    noise = NOISE_MARGIN * density * np.diff(IMPOSSIBLE_BANDS)
+    least = np.maximum(np.maximum(mean, LEAST_OF_ALL * mean.sum()), noise)
+    return np.asarray(np.sqrt(demanded / np.maximum(power, least[:, None])).max(axis=0))
+
+
+def mark_impossible(
+    estimate: Estimate, record: Record, car: VehicleParameters, estimator: Estimator
+) -> Estimate:
+    """Return the `estimate` of an `estimator` with a model of the vehicle with its impossible
+    heights marked as `unsure`, in the first note and by a greater `z_std`. Raises ConfigError.
+    """
+    if not isinstance(estimator, HasInstruments):
+        return estimate
+    ratio = demand_ratio(estimate.z, record, car, instruments_of(record, estimator.instruments))
+    impossible = ratio >= IMPOSSIBLE_RATIO
+    if not impossible.any():
+        return estimate
+    first, last = PROFILE_SPACING * np.flatnonzero(impossible)[[0, -1]]
+    note = (
+        f"no wheel load supports {PROFILE_SPACING * impossible.sum():.0f} m of the road between "
+        f"{first:.0f} and {last:.0f} m, which would move the vehicle up to {ratio.max():.0f} times "
+        "as hard as was measured: heights there are not known; check vehicle, modes, speed and "
+        "channels, or drive more slowly"
     )
-    explained = 1.0 - error / np.maximum(power, 1e-12 * max(power.max(), 1e-300))
-    return np.clip(explained / TRUSTED_SHARE, 0.0, 1.0)
+    return mark_unsure(estimate, impossible, note)
+
+
+def mark_unsure(estimate: Estimate, unsure: np.ndarray, *notes: str) -> Estimate:
+    """Return `estimate` with the stations `unsure` (M,) beside those that are, `notes` before the
+    others, and `z_std` raised there by the RMS of the waves below some metres.
+    """
+    z_std = estimate.z_std
+    if z_std is not None:
+        short = estimate.z - gaussian_filter1d(estimate.z, 1.0 / PROFILE_SPACING, axis=1)
+        level = np.sqrt((short[:, unsure] ** 2).mean(axis=1, keepdims=True))
+        z_std = np.where(unsure, np.hypot(z_std, level), z_std)
+    before = False if estimate.unsure is None else estimate.unsure
+    return replace(estimate, z_std=z_std, unsure=unsure | before, notes=(*notes, *estimate.notes))
 
 
 def untrusted_note(share: np.ndarray) -> tuple[str, ...]:

@@ -8,13 +8,13 @@ steady part has no vertical acceleration: a beginning and an end close together 
 turn, and a turn that begins before the record is not seen.
 """
 
-from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 from scipy.ndimage import binary_closing, binary_dilation, gaussian_filter1d, label
 from scipy.signal import butter, sosfiltfilt
 
+from estimators.common.explained import mark_unsure
 from road_envs.records.record import PROFILE_SPACING, Estimate, Record
 from road_envs.sensing.instruments import load_instruments
 
@@ -68,14 +68,7 @@ def mark_manoeuvres(estimate: Estimate, record: Record, wheelbase: float) -> Est
             marked |= (estimate.s >= s.min() - wheelbase) & (estimate.s <= s.max())
         unsure |= marked
         notes += _notes(marked, what)
-    if not unsure.any():
-        return estimate
-    z_std = estimate.z_std
-    if z_std is not None:
-        short = estimate.z - gaussian_filter1d(estimate.z, 1.0 / PROFILE_SPACING, axis=1)
-        level = np.sqrt((short[:, unsure] ** 2).mean(axis=1, keepdims=True))
-        z_std = np.where(unsure, np.hypot(z_std, level), z_std)
-    return replace(estimate, z_std=z_std, unsure=unsure, notes=(*notes, *estimate.notes))
+    return mark_unsure(estimate, unsure, *notes) if unsure.any() else estimate
 
 
 def turns(record: Record) -> np.ndarray:

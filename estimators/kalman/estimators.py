@@ -50,6 +50,7 @@ from estimators.kalman.monitoring import (
     local_nis,
     long_waves,
     obstacle_std,
+    reduce_slope,
     reduce_uncertain,
 )
 from estimators.kalman.pipeline import (
@@ -191,9 +192,9 @@ class _KalmanSettings(CalibratedByIdentification):
                 "are reduced there",
             )
         share = np.where(lost_before_restarts(run, output, LOST_REACH), 0.0, share)
-        long = long_waves(z) if smooth else 0.0  # reducing a drift would make a step of it
+        long = long_waves(z) if smooth else np.zeros_like(z)
         reduced, std = reduce_unexplained(z - long, z_std, share)
-        return Estimate(s, reduced + long, std, notes)
+        return Estimate(s, reduced + reduce_slope(long, share), std, notes)
 
 
 def _output_std(

@@ -99,3 +99,14 @@ def reduce_uncertain(
         for x in (z - long, z_std)
     )
     return long + (z - long) * q / np.maximum(q + variance, 1e-300)
+
+
+def reduce_slope(long: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Return long waves (2, M) [m] whose slope is multiplied by a `share` (M,), 0 to 1.
+
+    A filter that has lost the vehicle drifts by metres; reducing the drift itself would make a step
+    of it where the share is 1 again.
+    """
+    if (share >= 1.0).all():
+        return long
+    return long[:, :1] + np.cumsum(share * np.diff(long, axis=1, prepend=long[:, :1]), axis=1)

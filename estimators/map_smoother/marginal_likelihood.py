@@ -30,7 +30,7 @@ from estimators.map_smoother.road_prior import RoadTransform
 from road_envs.analysis.statistical_linearization import hermitian
 from road_envs.simulation.lanes import SharedInputs, drive_variants
 from road_envs.vehicle.parameters import VehicleParameters
-from road_envs.vehicle.tolerances import ParameterSpace, scale_parameters
+from road_envs.vehicle.tolerances import ParameterSpace, varied_car
 
 DIFFERENCE = 0.003
 """Difference of a parameter for its derivative, in units of its tolerance. Readings do not tell the
@@ -59,7 +59,7 @@ def perturbed_cars(space: ParameterSpace, x: np.ndarray) -> list[VehicleParamete
     """Return the vehicle at `x` (P,), and for each parameter that with it changed by DIFFERENCE."""
     car = space.from_vector(x)
     factors = zip(space.names, np.exp(DIFFERENCE * space.std).tolist(), strict=True)
-    return [car, *(scale_parameters(car, {name: factor}) for name, factor in factors)]
+    return [car, *(varied_car(car, {name: factor}) for name, factor in factors)]
 
 
 def perturbed_passes(

@@ -24,9 +24,8 @@ from estimators.map_smoother.marginal_likelihood import (
     varied_residuals,
 )
 from estimators.map_smoother.one_pass import LinearizedPass
-from road_envs.core.config import ConfigError
 from road_envs.vehicle.parameters import VehicleParameters
-from road_envs.vehicle.tolerances import parameter_space, scale_parameters
+from road_envs.vehicle.tolerances import parameter_space, varied_car
 
 GAIN_STD = 0.012
 """Standard deviation of the gain of an accelerometer that was not identified: within 2 % of 1 by
@@ -89,12 +88,7 @@ class VehicleUncertainty:
         """
         of_car, of_instruments = np.split(white @ self._root.T, [len(self.names)], axis=1)
         factors = np.exp(DIFFERENCE * of_car).tolist()
-        try:
-            cars = [
-                scale_parameters(self.car, dict(zip(self.names, x, strict=True))) for x in factors
-            ]
-        except ConfigError as error:  # beyond the range of a value
-            raise ArithmeticError(f"a vehicle within the errors is none: {error}") from None
+        cars = [varied_car(self.car, dict(zip(self.names, x, strict=True))) for x in factors]
         left = varied_residuals(lin, [lin.source.with_car(car) for car in cars])
         read = reading_sensitivities(lin, lin.source, np.zeros(of_instruments.shape[1]))
         return (lin.residual - left) / DIFFERENCE + np.tensordot(of_instruments, read, axes=1)

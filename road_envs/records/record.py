@@ -109,9 +109,10 @@ class Estimate(Profile):
     scored band; datum and drift are excluded. `draws` (D, 2, M) [m], where a method provides them,
     are roads drawn from its posterior, in all waves, with the errors of the vehicle. `distance` is
     the scale of the record's odometer, on which the stations are, where a method finds it. `unsure`
-    (M,) bool marks stations at which the vehicle turned, changed its speed hard or stood; None if
-    it is not known to have done so. `residual` is the RMS of what the method's model leaves of the
-    accelerations, over that of the sensors' noise; None of methods without such a model.
+    (M,) bool marks stations at which the vehicle turned, changed its speed hard or stood, or whose
+    heights no wheel load supports; None if there are none. `residual` is the RMS of what the
+    method's model leaves of the accelerations, over that of the sensors' noise; None of methods
+    without such a model.
     """
 
     z_std: np.ndarray | None = None

@@ -30,6 +30,7 @@ from road_envs.vehicle.parameters import (
     VehicleParameters,
 )
 from road_envs.vehicle.suspension import WHEELS
+from road_envs.vehicle.tyres import tyre_constants
 
 AXLES = ("front", "rear")
 MODES = {"frame": TorsionalFrame, "bending": BendingMode}
@@ -57,10 +58,7 @@ class ParameterSpace:
         Raises ArithmeticError if it is none, since a value is beyond its range.
         """
         factors = np.exp(self.std * x).tolist()
-        try:
-            return scale_parameters(self.car, dict(zip(self.names, factors, strict=True)))
-        except ConfigError as error:
-            raise ArithmeticError(f"a fitted vehicle is none: {error}") from None
+        return varied_car(self.car, dict(zip(self.names, factors, strict=True)))
 
     def to_vector(self, car: VehicleParameters) -> np.ndarray:
         """Return the vector (P,) of a vehicle that differs from `self.car` in these parameters."""
@@ -117,6 +115,16 @@ def stated_values(
 def scale_parameters(car: VehicleParameters, factors: Mapping[str, float]) -> VehicleParameters:
     """Return `car` with the parameter of each path multiplied by its factor."""
     return reduce(lambda c, item: _scale_at(c, item[0].split("."), item[1]), factors.items(), car)
+
+
+def varied_car(car: VehicleParameters, factors: Mapping[str, float]) -> VehicleParameters:
+    """Return `scale_parameters` of a fit. Raises ArithmeticError if no vehicle has such values."""
+    try:
+        varied = scale_parameters(car, factors)
+        tyre_constants(varied, varied.variation)
+    except ValueError as error:
+        raise ArithmeticError(f"a fitted vehicle is none: {error}") from None
+    return varied
 
 
 def log_values(car: VehicleParameters, names: tuple[str, ...]) -> np.ndarray:

@@ -116,6 +116,17 @@ def test_a_vector_beyond_the_range_of_a_value_is_no_vehicle():
         space.from_vector(x)
 
 
+def test_a_vector_whose_tyres_would_pull_at_first_contact_is_no_vehicle():
+    x = np.zeros(FLEXIBLE.size)
+    i = FLEXIBLE.names.index("variation.tyre_progression")
+    value, limit = FLEXIBLE.car.variation.tyre_progression, 1.0 / max(DEFENDER.tyre_deflections)
+    x[i] = np.log(0.99 * limit / value) / FLEXIBLE.std[i]
+    assert FLEXIBLE.from_vector(x).variation.tyre_progression == pytest.approx(0.99 * limit)
+    x[i] = np.log(1.01 * limit / value) / FLEXIBLE.std[i]
+    with pytest.raises(ArithmeticError, match="a fitted vehicle is none: tyre_progression"):
+        FLEXIBLE.from_vector(x)
+
+
 @pytest.mark.parametrize("name", config.names("vehicles"))
 def test_every_shipped_vehicle_says_what_its_frame_may_be(name):
     car = parameter_space(load_vehicle(name), structure=True).car

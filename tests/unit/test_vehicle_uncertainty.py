@@ -63,7 +63,7 @@ def test_errors_that_no_vehicle_has_are_an_arithmetic_error():
     car = replace(DEFENDER, variation=replace(DEFENDER.variation, bending=mode))
     wide = VehicleUncertainty(car, ("variation.bending.zeta",), 4.0 * np.eye(1 + INSTRUMENTS))
     white = np.ones((2, 1 + INSTRUMENTS)) * [[1.0], [-1.0]]
-    with pytest.raises(ArithmeticError, match="within the errors is none: zeta: must be below 1"):
+    with pytest.raises(ArithmeticError, match="a fitted vehicle is none: zeta: must be below 1"):
         wide.draw_changes(one, white)
 
 
