@@ -39,11 +39,11 @@ from leaderboard.evaluation.evaluate import (
 )
 from leaderboard.evaluation.provenance import describe_environment
 from leaderboard.evaluation.results import Result
+from leaderboard.evaluation.task_files import with_paths
 from leaderboard.evaluation.tasks import Condition, Task
 from leaderboard.evaluation.test_data import RecordedDrive, simulate_drives
 from leaderboard.json_values import to_json_types
 from leaderboard.metrics.registry import SCORES
-from leaderboard.running import job_files
 from road_envs.core.artifacts import Kind
 from road_envs.core.config import ConfigError, Settings, build
 
@@ -94,7 +94,7 @@ def save_definition(task: Task, out: Path) -> None:
     """Write a task under its digest, so that its results can be verified."""
     path = out / "definitions" / f"{task.digest}.json"
     if not path.exists():
-        plain = job_files.with_paths(to_json_types(task), os.path.abspath)
+        plain = with_paths(to_json_types(task), os.path.abspath)
         DEFINITION.write(path, {"task": plain}, task.digest)
 
 

@@ -93,7 +93,7 @@ def start_host_process(handler: str, home: Path, folder: Path) -> Guest:
 
 
 def _with_retry(start: Callable[[], Guest]) -> Guest:
-    """Return a started guest; what ends one as it starts may be something else. Raises EntryError."""
+    """Return a guest; something else may end one as it starts. Raises EntryError."""
     for _ in range(START_ATTEMPTS):
         try:
             return start()
