@@ -82,10 +82,10 @@ class Verified(Settings):
 
     @property
     def agrees(self) -> bool:
-        """Whether every run is within the tolerance, half of them far within, and so their mean.
+        """Whether every run is within the tolerance, half of them far within, and their mean.
 
-        The tolerance is that of the machine which a row names, so any row can have the wide one:
-        its mean may still move by no more than one run can, whose weight is up to 2 / `runs`.
+        Any row can name another machine and have the wide tolerance: its mean may still move by no
+        more than one run, whose weight is up to 2 / `runs`.
         """
         near = min(self.tolerance, TYPICAL)
         mean = near + 2.0 * self.tolerance / max(self.runs, 1)

@@ -55,8 +55,8 @@ COUNTERS = tuple(Path("/proc", name) for name in (
 ))  # fmt: skip
 """Files with counts of the whole machine, by which one guest could tell another a number: empty."""
 
-BATCH, HIDING_PIPES = 2**10, (2**17, 2**24)
-"""Numbers of pipes that a processor takes at once; the fewest and most that may hide others."""
+BATCH, FEWEST, MOST = 2**10, 2**17, 2**24
+"""Numbers of pipes that a processor takes at once; the fewest and most that hide others."""
 
 SHARED_MEMORY = 2**28
 """Size [bytes] of a guest's /dev/shm."""
@@ -170,11 +170,10 @@ def count_pipes() -> int:
 def forget_pipes(before: int) -> None:
     """Open pipes, a random number on each processor, since guests read the numbers of their own.
 
-    `before` is the count before a guest: up to four times as many as since are opened, within
-    HIDING_PIPES. What remains is the order of magnitude, one or two bits. Sockets and files of
-    /proc have numbers of the same count.
+    `before` is the count before a guest: up to four times as many as since are opened, FEWEST to
+    MOST. Their order of magnitude remains, one or two bits. Sockets have numbers of the same count.
     """
-    hiding = max(HIDING_PIPES[0], min(4 * (count_pipes() - before), HIDING_PIPES[1]))
+    hiding = max(FEWEST, min(4 * (count_pipes() - before), MOST))
     for cpu in sorted(os.sched_getaffinity(0)):
         for _ in _open_pipes(cpu, BATCH + secrets.randbelow(BATCH + hiding)):
             pass
@@ -188,9 +187,10 @@ def _open_pipes(cpu: int, count: int) -> Iterator[int]:
     try:
         for _ in range(count):
             ends = os.pipe()
-            yield os.fstat(ends[0]).st_ino
+            number = os.fstat(ends[0]).st_ino
             for end in ends:
                 os.close(end)
+            yield number
     finally:
         os.sched_setaffinity(0, allowed)
 

@@ -79,12 +79,11 @@ def test_a_drive_is_asked_with_another_future_before_it_is_asked_as_it_is(sandbo
     assert found.looks_ahead and LOOKS_AHEAD in found.notes
 
 
-@pytest.mark.parametrize("seed", [2, pytest.param(4, marks=pytest.mark.processes)])
-def test_what_one_guest_has_seen_is_not_told_by_the_number_of_its_pipes(sandbox, monkeypatch, seed):
-    """Of 32 numbers one is the right one by chance; with other seeds the answers are equal."""
+def test_what_one_guest_has_seen_is_not_told_by_the_number_of_its_pipes(sandbox, monkeypatch):
+    """Of 32 numbers one is the right one by chance; with other futures the answers are equal."""
     for _ in range(3):
         bubblewrap.forget_pipes(bubblewrap.count_pipes())  # those of the guests before
-        secret = random.Random(seed)
+        secret = random.Random(2)
         monkeypatch.setattr(client.random, "SystemRandom", lambda secret=secret: secret)
         found = run(sandbox, "count_the_future", causal=True, retest=True, number=1)
         if found.looks_ahead:
