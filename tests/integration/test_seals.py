@@ -22,6 +22,7 @@ from leaderboard.sandbox.retest import LOOKS_AHEAD, REMEMBERS
 
 pytestmark = [
     pytest.mark.skipif(bubblewrap.obstacle() is not None, reason=str(bubblewrap.obstacle())),
+    pytest.mark.usefixtures("kept_caches"),
     pytest.mark.skipif(platform.machine() != "x86_64", reason="numbers of x86_64"),
 ]
 
