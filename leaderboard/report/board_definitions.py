@@ -114,6 +114,11 @@ COLUMNS: dict[str, Metric] = {**SCORES, **{column.key: column for column in _DER
 """Every column by key: the scores, and what is derived from them."""
 
 
+def label_with_unit(form: Metric) -> str:
+    """Return a label and its unit in brackets."""
+    return f"{form.label} [{form.unit}]" if form.unit else form.label
+
+
 def board_columns(name: str, definition: BoardDefinition) -> tuple[Column, ...]:
     """Return the columns of a board in their order. Raises ConfigError for an unknown one."""
     ranks = [RANK_COLUMNS[division] for division in definition.divisions]
