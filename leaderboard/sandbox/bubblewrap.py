@@ -183,7 +183,8 @@ def forget_pipes(before: int) -> None:
 def _open_pipes(cpu: int, count: int) -> Iterator[int]:
     """Open and close pipes on a processor; yield their numbers."""
     allowed = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, {cpu})
+    with suppress(OSError):  # it may have been taken away meanwhile
+        os.sched_setaffinity(0, {cpu})
     try:
         for _ in range(count):
             ends = os.pipe()
