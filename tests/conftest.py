@@ -54,6 +54,14 @@ def pytest_collection_finish():
     gc.enable()
 
 
+@pytest.fixture
+def kept_caches(monkeypatch):
+    """What guests read stays in the memory of the machine, which other tests share."""
+    from leaderboard.sandbox import bubblewrap
+
+    monkeypatch.setattr(bubblewrap, "forget_reads", lambda more=(): None)
+
+
 LEARNS = importlib.util.find_spec("torch") is not None
 collect_ignore = (
     [] if LEARNS else ["integration/test_policy_training.py", "integration/test_sb3.py"]

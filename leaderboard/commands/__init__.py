@@ -117,38 +117,51 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
         return
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=notices, transient=True) as bar:
-        task = bar.add_task("starting", total=1.0)
-        yield lambda text, share: bar.update(task, description=text, completed=share)
+        task, left = bar.add_task("starting", total=1.0), TimeLeft()
+
+        def update(text: str, share: float) -> None:
+            bar.update(task, description=text + left(share), completed=share)
+
+        yield update
 
 
 LINE_INTERVAL = 10.0
 """Time [s] between two lines of progress without a terminal."""
 
 
-class ProgressLines:
-    """Progress as lines: share done, description, and an estimate of the time left.
+class TimeLeft:
+    """An estimate of the time left, as text; none before something is done.
 
-    The estimate takes the rest to be as fast as what is done since the first update, where stored
-    results do not count.
+    The estimate takes the rest to be as fast as what is done since the last update with the first
+    share: neither stored results nor what was prepared before count.
     """
 
+    def __init__(self, clock: Callable[[], float] = time.monotonic):
+        self._clock, self._begin, self._first_share = clock, clock(), math.inf
+
+    def __call__(self, share: float) -> str:
+        """Take the share done; return ", about 40 s left" or nothing."""
+        now = self._clock()
+        if share <= self._first_share:
+            self._begin, self._first_share = now, share
+        done = share - self._first_share
+        left = (now - self._begin) * (1.0 - share) / done if done > 0.0 else 0.0
+        return f", about {describe_duration(left)} left" if left > 0.0 else ""
+
+
+class ProgressLines:
+    """Progress as lines: share done, description, and an estimate of the time left."""
+
     def __init__(self, write: Callable[[str], object], clock: Callable[[], float] = time.monotonic):
-        self._write, self._clock = write, clock
-        self._begin, self._first_share = clock(), math.nan
-        self._next = self._begin + LINE_INTERVAL
+        self._write, self._clock, self._left = write, clock, TimeLeft(clock)
+        self._next = clock() + LINE_INTERVAL
 
     def __call__(self, text: str, share: float) -> None:
         """Take a description and the share done; write a line if one is due."""
-        now = self._clock()
-        if math.isnan(self._first_share):
-            self._begin, self._first_share = now, share
-        if now < self._next:
-            return
-        self._next = now + LINE_INTERVAL
-        done = share - self._first_share
-        left = (now - self._begin) * (1.0 - share) / done if done > 0.0 else math.nan
-        remains = f", about {describe_duration(left)} left" if left > 0.0 else ""
-        self._write(f"{100.0 * share:3.0f} %  {text}{remains}")
+        remains = self._left(share)
+        if self._clock() >= self._next:
+            self._next = self._clock() + LINE_INTERVAL
+            self._write(f"{100.0 * share:3.0f} %  {text}{remains}")
 
 
 def describe_duration(seconds: float) -> str:

@@ -19,15 +19,7 @@ from leaderboard.commands import (
     print_json,
     progress_bar,
 )
-from leaderboard.commands.options import (
-    CORES,
-    Isolation,
-    Json,
-    MemoryLimit,
-    TimeLimit,
-    Workers,
-    parse_limits,
-)
+from leaderboard.commands.options import CORES, Json, LimitOptions, Workers
 from leaderboard.entries.entries import resolve_entries
 from leaderboard.entries.entry import Entry
 from leaderboard.evaluation.evaluate import SEEDS
@@ -126,9 +118,7 @@ def leaderboard(
         Path | None,
         typer.Option(help="Write job files for `run-job` into this folder, run nothing."),
     ] = None,
-    time_limit: TimeLimit = Limits.seconds,
-    memory_limit: MemoryLimit = Limits.memory,
-    isolation: Isolation = "auto",
+    limits: LimitOptions,
     out: Annotated[Path, typer.Option(help="Folder for results and site.")] = Path(
         "out/leaderboard"
     ),
@@ -152,11 +142,11 @@ def leaderboard(
             task.with_test_length(length) if task.has_several_test_drives else task
             for task in chosen
         ]
-    limits = parse_limits(time_limit, memory_limit, isolation)
+    own = limits.parse()
     check_output_folder(out)
-    entries = _entries(estimator, without or [], limits)
+    entries = _entries(estimator, without or [], own)
     request = RunRequest(
-        chosen, entries, range(1, seeds + 1), roads, not again, limits, probes, tuple(replace or ())
+        chosen, entries, range(1, seeds + 1), roads, not again, own, probes, tuple(replace or ())
     )
     if plan:
         notices.print(f"job files written to {plan}: {write_jobs(request, out, plan)}")

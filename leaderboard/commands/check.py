@@ -2,29 +2,21 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.table import Table
 from rich.text import Text
 
 from leaderboard.commands import import_from_here, parse_settings
-from leaderboard.commands.options import (
-    Isolation,
-    MemoryLimit,
-    Settings,
-    TimeLimit,
-    parse_limits,
-)
+from leaderboard.commands.options import LimitOptions, Settings
 from leaderboard.commands.output import Output
-from leaderboard.commands.policies import chosen_isolation, policy_reference
+from leaderboard.commands.policies import POLICY_OPTIONS, chosen_isolation, policy_reference
 from leaderboard.conformance.checks import RUN_TIME_LIMIT, check_entry
 from leaderboard.conformance.probes import PROBES, CheckResult
 from leaderboard.entries.entries import resolve_entries
 from leaderboard.policies.policy_checks import check_policy as run_policy_checks
-from leaderboard.policies.policy_process import POLICY_LIMITS
 from leaderboard.sandbox.client import SandboxClient
-from leaderboard.sandbox.limits import Limits
 
 MARKS = {
     True: Text("passed", style="green"),
@@ -38,21 +30,18 @@ def check_estimator(
         str,
         typer.Argument(help="Installed name, module:Class, or path of a wheel or trained file."),
     ],
-    time_limit: TimeLimit = Limits.seconds,
-    memory_limit: MemoryLimit = Limits.memory,
-    isolation: Isolation = "auto",
+    limits: LimitOptions,
 ) -> Output:
     """Check whether an estimator is ready for a board; exit status 1 if a check fails.
 
     It runs in separate processes on a few short drives: contract, damaged records, probes, cost.
     """
     import_from_here([estimator])
-    limits = parse_limits(time_limit, memory_limit, isolation)
-    with SandboxClient(
-        dataclasses.replace(limits, seconds=min(RUN_TIME_LIMIT, limits.seconds))
-    ) as sandbox:
+    of_board = limits.parse()
+    own = dataclasses.replace(of_board, seconds=min(RUN_TIME_LIMIT, of_board.seconds))
+    with SandboxClient(own) as sandbox:
         (entry,) = resolve_entries([estimator], sandbox.describe)
-        results = check_entry(entry, sandbox, limits)
+        results = check_entry(entry, sandbox, of_board)
     return _checks_output("estimator", entry.name, results, summarize(results))
 
 
@@ -61,20 +50,18 @@ def check_policy(
         str, typer.Argument(help="Installed name, module:Class, or a file from `train-policy`.")
     ],
     settings: Settings = None,
-    time_limit: TimeLimit = POLICY_LIMITS.seconds,
-    memory_limit: MemoryLimit = POLICY_LIMITS.memory,
-    isolation: Isolation = "auto",
+    limits: LimitOptions = POLICY_OPTIONS,
 ) -> Output:
     """Check whether a policy is ready for a comparison; exit status 1 if a check fails.
 
     It drives a few lane changes in a process of its own: actions, repetition, reset, damaged
     sensors, cost.
     """
-    limits = parse_limits(time_limit, memory_limit, isolation)
-    reference = policy_reference(policy, isolation)
+    reference = policy_reference(policy, limits.isolation)
     # a policy of this package needs no bubblewrap
-    limits = dataclasses.replace(limits, isolation=chosen_isolation(isolation) or "process")
-    results = run_policy_checks(reference, parse_settings(settings), limits)
+    isolation: Any = chosen_isolation(limits.isolation) or "process"
+    own = dataclasses.replace(limits.parse(), isolation=isolation)
+    results = run_policy_checks(reference, parse_settings(settings), own)
     failed = ", ".join(result.name for result in results if result.passed is False)
     verdict = f"not ready for a comparison: {failed}" if failed else "ready"
     return _checks_output("policy", policy, results, verdict)

@@ -1,13 +1,13 @@
 """Options that several commands share, and the limits of guests from them."""
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
 import typer
 
-from leaderboard.sandbox import limits
-from leaderboard.sandbox.limits import Limits
+from leaderboard.sandbox.limits import Isolation, Limits
 from road_envs.core.config import ConfigError, names, validate_choice
 from road_envs.vehicle.struts import MODES, PASSIVE_MODES
 
@@ -51,26 +51,33 @@ ResultsFolder = Annotated[Path, typer.Option(help="Folder of results, as for `le
 Share = Annotated[float, typer.Option(help="Share of the drives of each task.", min=0.0, max=1.0)]
 Workers = Annotated[int, typer.Option(help="Jobs at a time on this machine.", min=1)]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
-TimeLimit = Annotated[
-    float,
-    typer.Option(
-        help="Time limit in seconds, of an entry per condition or a policy per case.", min=0.001
-    ),
-]
-MemoryLimit = Annotated[float, typer.Option(help="Memory limit in GiB.", min=0.1)]
-Isolation = Annotated[
-    str,
-    typer.Option(
-        help="Isolation of code from other packages: bubblewrap; process: with your rights; auto: "
-        "bubblewrap where it is available, else the code is refused."
-    ),
-]
 
 
-def parse_limits(seconds: float, memory: float, isolation: str) -> Limits:
-    """Return the limits of the command line. Raises ConfigError."""
-    choice: Any = validate_choice("isolation", isolation, list(get_args(limits.Isolation)))
-    try:
-        return Limits(seconds=seconds, memory=memory, isolation=choice)
-    except ValueError as error:
-        raise ConfigError(f"limits: {error}") from None
+@dataclass(frozen=True, kw_only=True)
+class LimitOptions:
+    """Options that limit code from other packages."""
+
+    time_limit: Annotated[
+        float,
+        typer.Option(
+            help="Time limit in seconds, of an entry per condition or a policy per case.", min=0.001
+        ),
+    ] = Limits.seconds
+    memory_limit: Annotated[float, typer.Option(help="Memory limit in GiB.", min=0.1)] = (
+        Limits.memory
+    )
+    isolation: Annotated[
+        str,
+        typer.Option(
+            help="Isolation of code from other packages: bubblewrap; process: with your rights; "
+            "auto: bubblewrap where it is available, else the code is refused."
+        ),
+    ] = "auto"
+
+    def parse(self) -> Limits:
+        """Return the limits. Raises ConfigError."""
+        choice: Any = validate_choice("isolation", self.isolation, list(get_args(Isolation)))
+        try:
+            return Limits(seconds=self.time_limit, memory=self.memory_limit, isolation=choice)
+        except ValueError as error:
+            raise ConfigError(f"limits: {error}") from None

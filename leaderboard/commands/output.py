@@ -2,7 +2,7 @@
 
 A command returns an `Output` of facts and prints nothing; the layer adds the option --json and
 prints. A parameter of a command that is annotated with a dataclass of options, as `DriveOptions`
-is, becomes these options.
+is, becomes these options; a default of its own has theirs.
 """
 
 import functools
@@ -67,7 +67,8 @@ def as_command(function: Callable[..., Any]) -> Callable[..., None]:
             continue
         groups[name] = cast(type, parameter.annotation)
         parameters += [
-            _keyword(each.name, each.type, each.default) for each in fields(parameter.annotation)
+            _keyword(each.name, each.type, getattr(parameter.default, each.name, each.default))
+            for each in fields(parameter.annotation)
         ]
     returns_output = inspect.signature(function).return_annotation is Output
     if returns_output:

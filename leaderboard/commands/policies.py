@@ -19,7 +19,7 @@ from leaderboard.commands import (
     progress_bar,
     to_json,
 )
-from leaderboard.commands.options import Isolation, Json, MemoryLimit, TimeLimit, parse_limits
+from leaderboard.commands.options import Json, LimitOptions
 from leaderboard.policies import best_found, comparison, learning
 from leaderboard.policies import page as policy_page
 from leaderboard.policies.policy_process import POLICY_LIMITS, PolicyProcess
@@ -33,6 +33,9 @@ from road_envs.policies.fixed import FixedPair
 from road_envs.policies.policy_iteration import IterationConfig, iterate
 from road_envs.vehicle.suspension import MODES
 
+POLICY_OPTIONS = LimitOptions(
+    time_limit=POLICY_LIMITS.seconds, memory_limit=POLICY_LIMITS.memory
+)  # fmt: skip
 QUICK_DRIVES = 2
 """Public drives of `--quick`, each to both sides."""
 
@@ -63,17 +66,14 @@ def policies(
         bool, typer.Option("--quick", help="Two drives, without the search: seconds.")
     ] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for the table and the page.")] = None,
-    time_limit: TimeLimit = POLICY_LIMITS.seconds,
-    memory_limit: MemoryLimit = POLICY_LIMITS.memory,
-    isolation: Isolation = "auto",
+    limits: LimitOptions = POLICY_OPTIONS,
     json: Json = False,
 ) -> None:
     """Compare policies by comfort and safety on the drives of RoadRecon/Safe4S4-v1."""
-    limits = parse_limits(time_limit, memory_limit, isolation)
     check_output_folder(out)
     if quick:
         drives, sweeps = QUICK_DRIVES, 0
-    entries = _entries(policy, limits)
+    entries = _entries(policy, limits.parse())
     if policy is None:
         pairs = {f"{f}/{r}": FixedPair(front=f, rear=r) for r in MODES for f in MODES}  # type: ignore[arg-type]
         entries = {n: p for n, p in entries.items() if not n.startswith("fixed")} | pairs

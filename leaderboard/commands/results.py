@@ -17,15 +17,7 @@ from leaderboard.commands import (
     print_json,
     progress_bar,
 )
-from leaderboard.commands.options import (
-    Isolation,
-    Json,
-    MemoryLimit,
-    ResultsFolder,
-    Share,
-    TimeLimit,
-    parse_limits,
-)
+from leaderboard.commands.options import Json, LimitOptions, ResultsFolder, Share
 from leaderboard.commands.output import Output
 from leaderboard.entries.entries import resolve_entries
 from leaderboard.evaluation import hidden_seeds
@@ -34,7 +26,6 @@ from leaderboard.report.citation import as_bibtex, cite_entry
 from leaderboard.running import jobs
 from leaderboard.running.verification import SHARE, Verified, save_verified, verify_folder
 from leaderboard.sandbox.client import SandboxClient
-from leaderboard.sandbox.limits import Limits
 from leaderboard.task_tables import score_file
 from road_envs.core import artifacts
 from road_envs.core.code_digest import cache_home
@@ -74,9 +65,7 @@ def verify(
         list[str] | None,
         typer.Option(help="Entry of another package: wheel, folder or class; may be given again."),
     ] = None,
-    time_limit: TimeLimit = Limits.seconds,
-    memory_limit: MemoryLimit = Limits.memory,
-    isolation: Isolation = "auto",
+    limits: LimitOptions,
 ) -> Output:
     """Run a random tenth of stored drives again and compare; exit status 1 if one differs.
 
@@ -87,8 +76,7 @@ def verify(
     if not folder.is_dir():
         raise ConfigError(f"{folder}: no such folder")
     import_from_here(estimator or ())
-    limits = parse_limits(time_limit, memory_limit, isolation)
-    with SandboxClient(limits) as sandbox, progress_bar() as progress:
+    with SandboxClient(limits.parse()) as sandbox, progress_bar() as progress:
         entries = resolve_entries(estimator or (), sandbox.describe)
         run = jobs.in_sandbox(sandbox)
         found = verify_folder(folder, run, entries, share=share, seed=seed, report=progress)

@@ -8,25 +8,17 @@ from typing import Annotated
 import typer
 
 from leaderboard.commands import check_output_folder, progress_bar
-from leaderboard.commands.options import (
-    CORES,
-    Isolation,
-    MemoryLimit,
-    Share,
-    TimeLimit,
-    Workers,
-    parse_limits,
-)
+from leaderboard.commands.options import CORES, LimitOptions, Share, Workers
 from leaderboard.commands.output import Output, facts_table
 from leaderboard.commands.results import verified_output
 from leaderboard.conformance.method_card import TEMPLATE
-from leaderboard.sandbox.limits import Limits
 from leaderboard.submission import repository, signature
 from leaderboard.submission.rules import load_rules
 from leaderboard.submission.submission import SUBMISSION_SHARE, make_submission, verify_submission
 from road_envs.core.atomic_io import write_text
 from road_envs.core.config import ConfigError
 
+ISOLATED = LimitOptions(isolation="bubblewrap")
 RulesFile = Annotated[
     Path | None, typer.Option(help="Rules of the results repository; by default new_road whole.")
 ]
@@ -44,9 +36,7 @@ def submit(
         Path | None, typer.Option(help="Sign with this private key; made if it does not exist.")
     ] = None,
     workers: Workers = CORES,
-    time_limit: TimeLimit = Limits.seconds,
-    memory_limit: MemoryLimit = Limits.memory,
-    isolation: Isolation = "auto",
+    limits: LimitOptions,
 ) -> Output:
     """Make the folder that a pull request adds to a results repository.
 
@@ -61,10 +51,9 @@ def submit(
         raise ConfigError(
             f"{card} has been written: fill it in, then give the command again: {again}"
         )
-    limits = parse_limits(time_limit, memory_limit, isolation)
     with progress_bar() as progress:
         record = make_submission(
-            wheel.absolute(), card, load_rules(rules), out, limits, workers, progress
+            wheel.absolute(), card, load_rules(rules), out, limits.parse(), workers, progress
         )
     facts = dataclasses.asdict(record)
     if sign is not None:
@@ -84,19 +73,21 @@ def verify_one(
         Path | None,
         typer.Option(help="The submission as it was before: its key, if any, must have signed."),
     ] = None,
-    time_limit: TimeLimit = Limits.seconds,
-    memory_limit: MemoryLimit = Limits.memory,
-    isolation: Isolation = "bubblewrap",
+    limits: LimitOptions = ISOLATED,
 ) -> Output:
     """Verify a submission; exit status 1 if a row differs from what is found here.
 
     Files, card, signature and code are compared with its record, its rows with the rules, and its
     drives are run again.
     """
-    limits = parse_limits(time_limit, memory_limit, isolation)
     with progress_bar() as progress:
         found = verify_submission(
-            folder, load_rules(rules), limits, share=share, replaces=replaces, progress=progress
+            folder,
+            load_rules(rules),
+            limits.parse(),
+            share=share,
+            replaces=replaces,
+            progress=progress,
         )
     return verified_output(found)
 

@@ -127,20 +127,14 @@ def check_entry(entry: Entry, sandbox: SandboxClient, limits: Limits) -> list[Ch
     except EntryError as error:
         message = f"on {drives.description}: {error}"
         return [contract, CheckResult("runs", False, message)]
-    results = [
-        contract,
-        _check_run(drives, single),
-        *_check_damaged_records(sandbox, entry, drives),
-    ]
+    results = [contract, _check_run(drives, single)]
+    results += _check_damaged_records(sandbox, entry, drives)
     try:
         probed = _run(sandbox, entry, list(drives.perturbed.values()))
     except EntryError as error:
         return [*results, CheckResult("probes", False, str(error))]
-    return [
-        *results,
-        *_evaluate_probes(entry, drives, single, probed),
-        *_check_costs(limits, drives, probed),
-    ]
+    results += _evaluate_probes(entry, drives, single, probed)
+    return results + _check_costs(limits, drives, probed)
 
 
 def probe_entry(entry: Entry, sandbox: SandboxClient) -> list[CheckResult]:

@@ -72,12 +72,10 @@ def probe_entries(
     with SandboxClient(limits) as sandbox:
         for identity, entry in missing.items():
             report(f"probing {entry.name}")
-            known: dict[str, Any] = {
-                "estimator": entry.name,
-                "settings": entry.settings,
-                "code": entry.code,
-            }
-            card = EstimatorCard(identity=identity, drive=check_drives().description, **known)
+            card = EstimatorCard(
+                identity=identity, estimator=entry.name, settings=entry.settings, code=entry.code,
+                drive=check_drives().description,
+            )  # fmt: skip
             try:
                 card = dataclasses.replace(card, probes=tuple(probe_entry(entry, sandbox)))
             except EntryError as error:

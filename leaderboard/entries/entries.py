@@ -7,7 +7,6 @@ settings, causality and lag are used.
 
 import hashlib
 import itertools
-import json
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -17,9 +16,9 @@ import numpy as np
 
 import estimators
 from estimators import pretrained_weights
-from estimators.api import Estimator, Pretrained, Trainable, declared_lag, refits_per_case
+from estimators.api import Estimator, Pretrained, Trainable, refits_per_case
 from leaderboard.entries import entry_files
-from leaderboard.entries.entry import BUILTIN, Entry, EntryError, get_settings, needs_training
+from leaderboard.entries.entry import BUILTIN, Entry, EntryError, describe_estimator, needs_training
 from road_envs.core.artifacts import code_version
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,39}")
@@ -32,16 +31,6 @@ RESERVED = frozenset(estimators.REGISTRY).union(_OTHER_NAMES)
 
 Describe = Callable[[str], dict[str, Any]]
 """Description of an estimator that this process does not load: `SandboxClient.describe`."""
-
-
-def describe(reference: str, estimator: Estimator) -> dict[str, Any]:
-    """Return settings, causality, lag [m] and version of an estimator, as JSON types."""
-    return {
-        "settings": json.loads(json.dumps(get_settings(estimator), default=str)),
-        "causal": estimator.causal,
-        "lag": declared_lag(estimator),
-        "code": _code_of(reference, estimator),
-    }
 
 
 def _code_of(reference: str, estimator: Estimator) -> str:
@@ -58,7 +47,8 @@ def make_entry(name: str, estimator: Estimator | None) -> Entry:
     cls: Any = type(estimator)
     registered = next((key for key, known in estimators.REGISTRY.items() if known is cls), None)
     reference = registered or f"{cls.__module__}:{cls.__qualname__}"
-    return Entry(name=name, reference=reference, **describe(reference, estimator))
+    known = {**describe_estimator(estimator), "code": _code_of(reference, estimator)}
+    return Entry(name=name, reference=reference, **known)
 
 
 def resolve_entries(names: Sequence[str], describer: Describe | None) -> list[Entry]:

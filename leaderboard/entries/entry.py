@@ -4,6 +4,7 @@ All code of an entry runs in a `Session`, which never receives the truth of a te
 """
 
 import dataclasses
+import json
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -18,6 +19,7 @@ from estimators.api import (
     NotFittedError,
     Trainable,
     check_estimate,
+    declared_lag,
     uses_seed,
 )
 from road_envs.core.config import Settings
@@ -27,10 +29,8 @@ from road_envs.vehicle.parameters import VehicleParameters
 BUILTIN = "builtin"
 """Reference of an entry whose estimates the evaluation computes itself, from the truth."""
 
-
 MAX_LAG = 10.0
 """Largest lag [m] of an estimator that counts as causal."""
-
 
 Calibrations = Sequence[Sequence[CalibrationDrive]]
 """Drives of the vehicle of each test record, empty without calibration."""
@@ -202,6 +202,12 @@ def get_settings(estimator: Estimator | None) -> dict[str, Any]:
     if estimator is None or not dataclasses.is_dataclass(estimator):
         return {}
     return {f.name: getattr(estimator, f.name) for f in dataclasses.fields(estimator) if f.init}
+
+
+def describe_estimator(estimator: Estimator) -> dict[str, Any]:
+    """Return settings, causality and lag [m] of an estimator, as JSON types."""
+    settings = json.loads(json.dumps(get_settings(estimator), default=str))
+    return {"settings": settings, "causal": estimator.causal, "lag": declared_lag(estimator)}
 
 
 def describe_error(error: BaseException) -> str:

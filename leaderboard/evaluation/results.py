@@ -42,7 +42,6 @@ ISOLATED = ("bubblewrap",)
 Z_UNIT = 1e-5
 """Unit [m] of the heights of a trace, which are stored as integers."""
 
-
 RUN = ("condition", "drive", "road", "road_seed", "seed")
 """Columns that tell a run among those of its entry: the road is that of `road_seed`, the training
 that of `seed`.

@@ -64,6 +64,7 @@ def surface_tasks(path: Path) -> list[Task]:
         ) from None
     note = _describe_drive(native, length, speed, lifted)
     common = {
+        "board": "measured",
         "version": 2,
         "car": CAR,
         "instruments": "paper",
@@ -77,7 +78,6 @@ def surface_tasks(path: Path) -> list[Task]:
     copies = {
         "name": f"{stem}_paper",
         "title": f"{path.stem}: trained on an altered copy of itself, as the paper does",
-        "board": "measured",
         "training": {"roads": [{"kind": "noisy_copy", "road": road}], "seeds": [1], "noise": False},
         "trains_on_test_road": True,
         "note": note,
@@ -85,7 +85,6 @@ def surface_tasks(path: Path) -> list[Task]:
     others = {
         "name": f"{stem}_new_road",
         "title": f"{path.stem}: trained on random roads of class {letter}, the class of this file",
-        "board": "measured",
         "training": {"roads": [f"iso_{letter.lower()}"], "seeds": list(SEEDS), "length": 100.0},
         "note": f"{note} The class of the training roads was computed from the file; on a drive it "
         "would have to be estimated.",

@@ -21,9 +21,11 @@ from pydantic import Field
 
 from leaderboard.evaluation.boards import BoardDefinition, shipped_boards
 from leaderboard.evaluation.kept_drives import kept_digest
+from leaderboard.evaluation.task_files import DESCRIPTIVE_FIELDS, with_paths
 from leaderboard.json_values import to_json_types
 from road_envs.core import config
 from road_envs.core.config import ConfigError, Count, Positive, Settings
+from road_envs.core.reading import parsing
 from road_envs.plants.commonroad_car import as_driven
 from road_envs.roads import Road, with_length
 from road_envs.roads.api import AnyRoad
@@ -43,11 +45,6 @@ StrutMode = Literal["ride", "handling", "soft_high", "stiff_low", "passive"]
 
 SEED_STRIDE = 10_000
 """Offset between the seeds of one road of a list and those of the next."""
-
-DESCRIPTIVE_FIELDS = frozenset(
-    {"title", "board", "source", "sources", "note", "claimed_level_error", "families"}
-)
-"""Fields that only describe a task: editing them does not invalidate results."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +82,7 @@ class Condition(ModeAndSpeed):
         mode = self.mode
         name = mode if isinstance(mode, str) else f"{mode.front} front, {mode.rear} rear"
         car = "" if self.grade == "S0" else f", car {self.grade}"
-        of = "".join(f", {part}" for part in (self.car, self.plant) if part)
+        of = "".join(f", {Path(part).stem}" for part in (self.car, self.plant) if part)
         return f"{name}, {self.speed_kmh:g} km/h{car}{of}"
 
 
@@ -324,8 +321,14 @@ class Task(Settings):
 
 
 def load_task(name: str | Path) -> Task:
-    """Load a task by shipped name or YAML path. Raises ConfigError."""
-    task = config.load(Task, "tasks", name)
+    """Load a task by shipped name or YAML path. Raises ConfigError.
+
+    The paths of files in a task are relative to its own file.
+    """
+    path = config.find("tasks", name)
+    with parsing(path, ConfigError, "not valid YAML"):
+        data = with_paths(config.read_yaml(path), lambda file: str(path.parent / file))
+    task = config.build(Task, data, str(path))
     stem = Path(name).stem
     if task.name != stem:
         raise ConfigError(
@@ -379,8 +382,8 @@ def _digested_fields(value: Any) -> dict[str, Any]:
         for f in dataclasses.fields(value)
         if f.name not in DESCRIPTIVE_FIELDS and not _is_default(f, x := getattr(value, f.name))
     }
-    if isinstance(value, Task):
-        kept |= {name: Path(kept[name]).name for name in ("car", "instruments")}
+    if isinstance(value, Task | Condition):
+        kept |= {name: Path(kept[name]).name for name in ("car", "instruments") if name in kept}
     if isinstance(value, Measured):
         kept["path"] = hashlib.sha256(Path(value.path).read_bytes()).hexdigest()
     return kept

@@ -1,4 +1,4 @@
-"""What a learned policy is worth: the public drives, driven once, beside laws.
+"""The worth of a learned policy: the public drives, driven once, beside laws.
 
 Training drives decide which round of a training is kept. `studies.agents` compares several seeds
 with every law.

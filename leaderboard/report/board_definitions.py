@@ -26,15 +26,11 @@ TEXT_COLUMNS = ("interval", "states", "slope_interval", "calibrates")
 """Columns that are not a single number."""
 
 
-@dataclass(frozen=True)
-class Column:
-    """A column of a table; `wide` ones are shown on request only. `help` explains it."""
+@dataclass(frozen=True, kw_only=True)
+class Column(Metric):
+    """A metric in a table, labelled by its head; `wide` ones are shown on request only."""
 
-    key: str
-    label: str
-    unit: str = ""
     wide: bool = False
-    help: str = ""
 
 
 _DERIVED = (
@@ -118,6 +114,11 @@ COLUMNS: dict[str, Metric] = {**SCORES, **{column.key: column for column in _DER
 """Every column by key: the scores, and what is derived from them."""
 
 
+def label_with_unit(form: Metric) -> str:
+    """Return a label and its unit in brackets."""
+    return f"{form.label} [{form.unit}]" if form.unit else form.label
+
+
 def board_columns(name: str, definition: BoardDefinition) -> tuple[Column, ...]:
     """Return the columns of a board in their order. Raises ConfigError for an unknown one."""
     ranks = [RANK_COLUMNS[division] for division in definition.divisions]
@@ -127,6 +128,6 @@ def board_columns(name: str, definition: BoardDefinition) -> tuple[Column, ...]:
     declared = [metric.key for metric in SCORES.values() if name in metric.boards]
     keys = dict.fromkeys([*shown, *ranks, *definition.on_request, *declared])
     return tuple(
-        Column(key, form.head or form.label, form.unit, key not in shown, form.help)
-        for key, form in ((key, COLUMNS[key]) for key in keys)
+        Column(**vars(form) | {"label": form.head or form.label, "wide": form.key not in shown})
+        for form in map(COLUMNS.__getitem__, keys)
     )

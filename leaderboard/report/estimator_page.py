@@ -16,7 +16,7 @@ from leaderboard.evaluation.results import Result, Trace
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics.api import UNDEFINED
 from leaderboard.metrics.heights import band_pass, scored_band
-from leaderboard.report.board_definitions import COLUMNS
+from leaderboard.report.board_definitions import COLUMNS, label_with_unit
 from leaderboard.report.charts import bound_line, error_axes, error_lines
 from leaderboard.report.figures import (
     QUIET,
@@ -136,10 +136,9 @@ def _error_figure(row: Row, section: Section, definition: BoardDefinition) -> di
         "marker": {"color": colour(row.name)},
         "hovertemplate": "%{y}<extra></extra>",
     }
-    unit = f" [{score.unit}]" if score.unit else ""
     layout = {
         "height": 30 * len(found) + 80,
-        "xaxis": axis(f"{score.label}{unit}", rangemode="tozero"),
+        "xaxis": axis(label_with_unit(score), rangemode="tozero"),
         "shapes": [upright(1.0)] if key == "nrmse" and max(found.values()) > 0.5 else [],
     }
     return {"data": [bars], "layout": layout}

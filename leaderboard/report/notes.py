@@ -85,18 +85,19 @@ def kernel_notes(
 ) -> list[str]:
     """Return a note on the rows of a task that are not known to agree with the kernels of most.
 
-    A row agrees if it was made with them, or verified on them within the tolerance.
+    A row agrees if it was verified on them within the tolerance, or says that it was made with
+    them and was not run there again: what it says of its machine is taken on trust.
     """
     made = {result.estimator: kernels_of(result.environment) for result in results}
-    if len(set(made.values())) < 2:
-        return []
-    usual = max(set(made.values()), key=lambda x: (list(made.values()).count(x), x))
+    usual = max(set(made.values()), key=lambda x: (list(made.values()).count(x), x), default="")
     notes: dict[str, list[str]] = {}
     for result in results:
         again = [x for x in verified.get(result.identity, ()) if x.kernels == usual]
-        if made[result.estimator] == usual or any(x.agrees for x in again):
+        says_usual = made[result.estimator] == usual
+        if any(x.agrees for x in again) or (says_usual and not again):
             continue
         text = f"ran on {made[result.estimator]}, the others on {usual}: "
+        text = f"says that it ran on {usual}: " if says_usual else text
         text += f"{again[0].distance:.1e} apart there" if again else "not verified there"
         notes.setdefault(text, []).append(result.estimator)
     return [f"{', '.join(names)} {text}." for text, names in notes.items()]

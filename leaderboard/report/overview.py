@@ -5,7 +5,7 @@ from typing import Any
 
 from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.results import Result
-from leaderboard.report.board_definitions import BOUND_ROW, COLUMNS
+from leaderboard.report.board_definitions import BOUND_ROW, COLUMNS, label_with_unit
 from leaderboard.report.charts import height_lines
 from leaderboard.report.figures import (
     QUIET,
@@ -93,10 +93,7 @@ def ranking_chart(section: Section, definition: BoardDefinition) -> Chart | None
 
 
 def _error_label(key: str) -> str:
-    score = COLUMNS[key]
-    if key == "nrmse":
-        return "error"
-    return f"{score.label} [{score.unit}]" if score.unit else score.label
+    return "error" if key == "nrmse" else label_with_unit(COLUMNS[key])
 
 
 def _marked_values(section: Section, key: str) -> dict[str, float]:

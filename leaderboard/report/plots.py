@@ -135,7 +135,7 @@ def estimate_figure(truth: Profile | None, estimate: Estimate, v: float) -> Any:
         low, high = band
         panels[0].set_title(f"scored band: {low:g} to {high:.2g} cycles/m", loc="left", fontsize=10)
 
-    return make_figure(paint, (11.0, 8.5))
+    return _make_figure(paint, (11.0, 8.5))
 
 
 def draw_estimate(truth: Profile | None, estimate: Estimate, v: float, path: Path) -> None:
@@ -226,7 +226,7 @@ def draw_identification(result: "IdentificationResult", drives: Sequence[str], p
     write_figure(paint, (12.0, 6.0), path)
 
 
-def make_figure(paint: Callable[[Any], None], size: tuple[float, float]) -> Any:
+def _make_figure(paint: Callable[[Any], None], size: tuple[float, float]) -> Any:
     """Return a matplotlib figure of `size` [inch] that `paint` has filled."""
     with optional_import("a figure"):
         from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -242,7 +242,7 @@ def make_figure(paint: Callable[[Any], None], size: tuple[float, float]) -> Any:
 
 def write_figure(paint: Callable[[Any], None], size: tuple[float, float], path: Path) -> None:
     """Call `paint` on a figure of `size` [inch] and write it atomically."""
-    _save_figure(make_figure(paint, size), path)
+    _save_figure(_make_figure(paint, size), path)
 
 
 def _save_figure(figure: Any, path: Path) -> None:
@@ -257,7 +257,7 @@ def _page_figure(paint: Callable[[Any], None], size: tuple[float, float]) -> Any
         import matplotlib
 
     with matplotlib.rc_context(SVG_STYLE):
-        return make_figure(paint, size)
+        return _make_figure(paint, size)
 
 
 def inline_svg(paint: Callable[[Any], None], size: tuple[float, float]) -> str:

@@ -60,12 +60,10 @@ class RunRequest:
         """Return the rows of every entry on every task. Raises ConfigError."""
         baselines = {name: make_entry(name, x) for name, x in create_baselines().items()}
         return [
-            PlannedRow(
-                task, entry_refit_per_case(entry) if task.trains_on_test_road else entry, seeds
-            )
+            PlannedRow(task, entry_refit_per_case(x) if task.trains_on_test_road else x, seeds)
             for seeds in [tuple(self.seeds)]
             for task in self.sized_tasks()
-            for entry in [*self.entries, *(baselines[name] for name in baseline_names(task))]
+            for x in [*self.entries, *(baselines[name] for name in baseline_names(task))]
         ]
 
 

@@ -5,19 +5,17 @@ own file and by the digest of their content, so that it can be run where there a
 """
 
 import hashlib
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from leaderboard.entries import entry_files
 from leaderboard.entries.entry import BUILTIN, Entry, EntryError
-from road_envs.core import config
+from leaderboard.evaluation.task_files import with_paths
 from road_envs.core.config import ConfigError
 
 FOLDER = "files"
 """Folder of the copies, beside the file of the job."""
-
-ChangePath = Callable[[str], str]
 
 
 def pack(spec: dict[str, Any], entries: Iterable[Entry]) -> tuple[dict[str, Any], dict[str, Path]]:
@@ -63,17 +61,3 @@ def is_from_outside(entry: Entry) -> bool:
         and entry.reference != BUILTIN
         and not entry_files.is_ours(entry.reference)
     )
-
-
-def with_paths(value: Any, change: ChangePath, at_top: bool = True) -> Any:
-    """Return the JSON types of a task with every path of a file changed."""
-    if isinstance(value, list):
-        return [with_paths(item, change, False) for item in value]
-    if not isinstance(value, dict):
-        return value
-    changed = {key: with_paths(item, change, False) for key, item in value.items()}
-    names = {"path"} if value.get("kind") == "measured" else set()
-    for name, kind in {"car": "vehicles", "instruments": "sensors"}.items() if at_top else ():
-        if isinstance(file := value.get(name), str) and config.find(kind, file) == Path(file):
-            names.add(name)
-    return changed | {k: change(value[k]) for k in names if isinstance(value.get(k), str)}

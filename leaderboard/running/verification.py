@@ -27,7 +27,7 @@ from leaderboard.evaluation.comparison import (
     OTHER_KERNELS,
     SAME_KERNELS,
     TYPICAL,
-    Distance,
+    distance,
     largest_distance,
     scores_by_run,
 )
@@ -39,11 +39,12 @@ from leaderboard.evaluation.evaluate import (
 )
 from leaderboard.evaluation.provenance import describe_environment
 from leaderboard.evaluation.results import Result
+from leaderboard.evaluation.task_files import with_paths
 from leaderboard.evaluation.tasks import Condition, Task
 from leaderboard.evaluation.test_data import RecordedDrive, simulate_drives
 from leaderboard.json_values import to_json_types
+from leaderboard.metrics.bootstrap import interquartile_mean
 from leaderboard.metrics.registry import SCORES
-from leaderboard.running import job_files
 from road_envs.core.artifacts import Kind
 from road_envs.core.config import ConfigError, Settings, build
 
@@ -61,8 +62,9 @@ DECIDE_DIGITS = ("numpy", "scipy", "numba", "torch", "processor", "blas")
 class Verified(Settings):
     """A row and what its drives had when they were run again on the machine `kernels`.
 
-    `distance` is the largest of the `runs` (drives times training seeds), that of `score`, and
-    `typical` the median of the largest of each run. With a `reason` the row was not run again, or
+    `distance` is the largest of the `runs` (drives times training seeds), that of `score`,
+    `typical` the median of the largest of each run, and `shift` that of the interquartile means of
+    the ranking score, by which boards rank. With a `reason` the row was not run again, or
     failed, or says something else of the entry than was found.
     """
 
@@ -75,13 +77,20 @@ class Verified(Settings):
     score: str = ""
     distance: float = 0.0
     typical: float = 0.0
+    shift: float = 0.0
     reason: str = ""
 
     @property
     def agrees(self) -> bool:
-        """Whether every run is within the tolerance, and half of them far within."""
-        near = self.typical <= min(self.tolerance, TYPICAL)
-        return not self.reason and self.distance <= self.tolerance and near
+        """Whether every run is within the tolerance, half of them far within, and their mean.
+
+        Any row can name another machine and have the wide tolerance: its mean may still move by no
+        more than one run, whose weight is up to 2 / `runs`.
+        """
+        near = min(self.tolerance, TYPICAL)
+        mean = near + 2.0 * self.tolerance / max(self.runs, 1)
+        far = self.distance > self.tolerance or self.typical > near or self.shift > mean
+        return not self.reason and not far
 
 
 def kernels_of(environment: Mapping[str, str]) -> str:
@@ -94,7 +103,7 @@ def save_definition(task: Task, out: Path) -> None:
     """Write a task under its digest, so that its results can be verified."""
     path = out / "definitions" / f"{task.digest}.json"
     if not path.exists():
-        plain = job_files.with_paths(to_json_types(task), os.path.abspath)
+        plain = with_paths(to_json_types(task), os.path.abspath)
         DEFINITION.write(path, {"task": plain}, task.digest)
 
 
@@ -198,23 +207,27 @@ def _verify_row(
         return dataclasses.replace(found, reason=reason)
     stored = scores_by_run(row.scores)
     same = found.tolerance <= SAME_KERNELS
-    compared = SCORES if same else [task.board_definition.ranks_by]
-    found_distances: list[Distance] = []
+    ranks_by = task.board_definition.ranks_by
+    compared = SCORES if same else [ranks_by]
+    pairs: list[tuple[dict[str, float], dict[str, float]]] = []
     for condition, drives in data.items():
         made = evaluate_entry(task, condition, drives, entry, row.seeds, run)
         if made.failure is not None:
             return dataclasses.replace(found, reason=made.failure)
         if reason := _other_claim(row, made):
             return dataclasses.replace(found, reason=reason)
-        found_distances += [
-            largest_distance(stored.get(place, {}), scores, compared)
-            for place, scores in scores_by_run(made.scores).items()
-        ]
-    worst = max(found_distances, key=lambda x: x.value, default=Distance("", 0.0))
-    typical = statistics.median_low([x.value for x in found_distances] or [0.0])
+        pairs += [(stored.get(run, {}), own) for run, own in scores_by_run(made.scores).items()]
+    if not pairs:
+        return found
+    distances = [largest_distance(row, own, compared) for row, own in pairs]
+    worst = max(distances, key=lambda x: x.value)
+    ranked = [(a[ranks_by], b[ranks_by]) for a, b in pairs if ranks_by in a and ranks_by in b]
+    means = interquartile_mean(np.array(ranked).reshape(-1, 2), axis=0)
     return dataclasses.replace(
-        found, runs=len(found_distances), score=worst.score, distance=worst.value, typical=typical
-    )
+        found, runs=len(pairs), score=worst.score, distance=worst.value,
+        typical=statistics.median_low([x.value for x in distances]),
+        shift=distance(ranks_by, *means.tolist()) if ranked else 0.0,
+    )  # fmt: skip
 
 
 def _drives(task: Task) -> set[tuple[str, int, int]]:

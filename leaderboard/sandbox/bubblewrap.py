@@ -55,6 +55,9 @@ COUNTERS = tuple(Path("/proc", name) for name in (
 ))  # fmt: skip
 """Files with counts of the whole machine, by which one guest could tell another a number: empty."""
 
+BATCH, FEWEST, MOST = 2**10, 2**17, 2**24
+"""Numbers of pipes that a processor takes at once; the fewest and most that hide others."""
+
 SHARED_MEMORY = 2**28
 """Size [bytes] of a guest's /dev/shm."""
 
@@ -157,6 +160,40 @@ def forget_reads(more: Iterable[Path] = ()) -> None:
                 elif entry.is_file(follow_symlinks=False):
                     with suppress(OSError), open(entry.path, "rb", buffering=0) as file:
                         os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
+
+
+def count_pipes() -> int:
+    """Return the largest number that the kernel now gives a pipe; each processor has a batch."""
+    return max(next(_open_pipes(cpu, 1)) for cpu in os.sched_getaffinity(0))
+
+
+def forget_pipes(before: int) -> None:
+    """Open pipes, a random number on each processor, since guests read the numbers of their own.
+
+    `before` is the count before a guest: up to four times as many as since are opened, FEWEST to
+    MOST. Their order of magnitude remains, one or two bits. Sockets have numbers of the same count.
+    """
+    hiding = max(FEWEST, min(4 * (count_pipes() - before), MOST))
+    for cpu in sorted(os.sched_getaffinity(0)):
+        for _ in _open_pipes(cpu, BATCH + secrets.randbelow(BATCH + hiding)):
+            pass
+        hiding = 0  # the first one takes from the count of all
+
+
+def _open_pipes(cpu: int, count: int) -> Iterator[int]:
+    """Open and close pipes on a processor; yield their numbers."""
+    allowed = os.sched_getaffinity(0)
+    with suppress(OSError):  # it may have been taken away meanwhile
+        os.sched_setaffinity(0, {cpu})
+    try:
+        for _ in range(count):
+            ends = os.pipe()
+            number = os.fstat(ends[0]).st_ino
+            for end in ends:
+                os.close(end)
+            yield number
+    finally:
+        os.sched_setaffinity(0, allowed)
 
 
 def is_root() -> bool:

@@ -171,16 +171,17 @@ class SandboxClient:
         again: list[Estimate] | None = None
         if retest and not ours:
             questions = draw_questions(records, order, bool(entry.causal), secret)
+            pipes = bubblewrap.count_pipes() if self._forgets(entry) else 0
             if secret.random() < 0.5:
                 again = run_again()
-                self._forget_reads(entry)
+                self._forget_guest(entry, pipes)
         runs, trains, peak_memory = run(records, seeds, order, calibrations)
         notes = [ONE_TRAINING] if not ours and trains and len(runs) < len(seeds) else []
         looks_ahead = False
         if questions:
             first = next((one for one in runs if one.seed == seed), runs[0])
             if again is None:
-                self._forget_reads(entry)
+                self._forget_guest(entry, pipes)
                 again = run_again()
             tested = compare_answers(questions, first, again, entry.lag)
             looks_ahead = LOOKS_AHEAD in tested or NOT_RETESTED in tested
@@ -188,10 +189,14 @@ class SandboxClient:
         found = {"peak_memory": peak_memory, "isolation": self.isolation, "notes": tuple(notes)}
         return [dataclasses.replace(one, **found, looks_ahead=looks_ahead) for one in runs]
 
-    def _forget_reads(self, entry: Entry) -> None:
-        """Let a guest of a causal entry tell the next one nothing by which files it has read."""
-        if self._bubblewrap and entry.causal:
+    def _forget_guest(self, entry: Entry, pipes: int) -> None:
+        """Let a guest of a causal entry tell the next one nothing by its files and its pipes."""
+        if self._forgets(entry):
+            bubblewrap.forget_pipes(pipes)
             bubblewrap.forget_reads([cache_home()])
+
+    def _forgets(self, entry: Entry) -> bool:
+        return self._bubblewrap and bool(entry.causal)
 
     def _snapshot(self, reference: str) -> tuple[str, Path]:
         """Return the digest of an outside entry's code and the folder with a copy of it."""

@@ -9,7 +9,6 @@ Request, and after the arrow the reply, which the host checks.
 """
 
 import importlib
-import json
 import os
 import sys
 import zipfile
@@ -20,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from estimators.api import ENTRY_POINT_GROUP, CalibrationDrive, check_class, declared_lag
-from leaderboard.entries.entry import EntryError, LocalSession, describe_error, get_settings
+from estimators.api import ENTRY_POINT_GROUP, CalibrationDrive, check_class
+from leaderboard.entries.entry import EntryError, LocalSession, describe_error, describe_estimator
 from leaderboard.entries.entry_files import CLASS_REFERENCE, WEIGHTS_SUFFIXES
 from leaderboard.sandbox import messages
 from road_envs.core.config import build
@@ -58,11 +57,7 @@ def _start(request: dict[str, Any], code: str | None) -> tuple[dict[str, Any], L
     """Load an estimator; return what it says about itself, or with a car its session and needs."""
     try:
         name, estimator = load(request["reference"], request["settings"], code)
-        known = {
-            "settings": json.loads(json.dumps(get_settings(estimator), default=str)),
-            "causal": estimator.causal,
-            "lag": declared_lag(estimator),
-        }
+        known = describe_estimator(estimator)
     except BaseException as error:
         reason = str(error) if isinstance(error, EntryError) else describe_error(error)
         raise EntryError(f"cannot be constructed: {reason}") from error

@@ -6,7 +6,7 @@ What it sees, its environment, its container. All follow one protocol (`worker`,
 import json
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -63,19 +63,17 @@ def start_guest(
     environment = guest_environment(inside, whole_path=not isolated)
     own_cache = isolated or code is not None
     environment["XDG_CACHE_HOME"] = str(inside if own_cache else cache.parent)
-    failure: EntryError | None = None
-    for _ in range(START_ATTEMPTS):
-        try:
-            if not isolated:
-                return Guest(words, environment, home)
-            with bubblewrap.command(
-                words, environment, limits, user=setup.user, from_outside=code is not None,
-                read_only=read_only, writable=writable,
-            ) as (line, handles):  # fmt: skip
-                return Guest(line, environment, home, handles)
-        except EntryError as error:
-            failure = error
-    raise EntryError(f"its guest ended {START_ATTEMPTS} times as it started: {failure}")
+
+    def start() -> Guest:
+        if not isolated:
+            return Guest(words, environment, home)
+        with bubblewrap.command(
+            words, environment, limits, user=setup.user, from_outside=code is not None,
+            read_only=read_only, writable=writable,
+        ) as (line, handles):  # fmt: skip
+            return Guest(line, environment, home, handles)
+
+    return _with_retry(start)
 
 
 def start_host_process(handler: str, home: Path, folder: Path) -> Guest:
@@ -89,12 +87,19 @@ def start_host_process(handler: str, home: Path, folder: Path) -> Guest:
     environment = known | os.environ | {name: known[name] for name in SET_FOR_ALL}
     at = str(folder.absolute())
     setup = worker.Setup(handler=handler, limits=UNLIMITED, folder=at, serves_many=True)
-    try:
-        guest = Guest(_words(setup), environment, home)
-    except EntryError:  # something else may have ended it
-        guest = Guest(_words(setup), environment, home)
+    guest = _with_retry(lambda: Guest(_words(setup), environment, home))
     guest.start_run(UNLIMITED)
     return guest
+
+
+def _with_retry(start: Callable[[], Guest]) -> Guest:
+    """Return a guest; something else may end one as it starts. Raises EntryError."""
+    for _ in range(START_ATTEMPTS):
+        try:
+            return start()
+        except EntryError as error:
+            failure = error
+    raise EntryError(f"its guest ended {START_ATTEMPTS} times as it started: {failure}")
 
 
 def _words(setup: worker.Setup) -> list[str]:

@@ -44,18 +44,21 @@ def draw_questions(
 ) -> list[Question]:
     """Return drives to be estimated again, each after fewer drives than in `order`.
 
-    Of a causal entry, also drives with other samples from a secret station on.
+    Of a causal entry, also drives with other samples from a secret station on, which the second
+    guest has not seen as they are: it could remember how they go on.
     """
     places = range(min(1, len(order) - 1), len(order))  # the first drive has none before it
     chosen = secret.sample(places, min(REPEATED_DRIVES, len(places)))
-    questions = [Question(order[k], records[order[k]]) for k in sorted(chosen)]
+    repeated = [Question(order[k], records[order[k]]) for k in sorted(chosen)]
+    unseen = [k for k in range(len(records)) if k not in {order[place] for place in chosen}]
+    replaced = []
     for low, high in REPLACED_FROM if causal else ():
-        drive = secret.randrange(len(records))
+        drive = secret.choice(unseen or order)
         record = records[drive]
         start = record.length * secret.uniform(low, high)
         rng = np.random.default_rng(secret.getrandbits(128))
-        questions.append(Question(drive, with_other_future(record, start, rng), start))
-    return questions
+        replaced.append(Question(drive, with_other_future(record, start, rng), start))
+    return [*repeated, *replaced] if unseen else [*replaced, *repeated]
 
 
 def compare_answers(

@@ -14,8 +14,11 @@ from typing import NamedTuple
 AUDIT_ARCH = {"x86_64": 0xC000003E, "aarch64": 0xC00000B7}
 """Machines for which there is a filter, with their number in the kernel."""
 
-NEW_NAMESPACES = 0x7E020000
-"""Flags of `clone` that make namespaces: CLONE_NEWNS to CLONE_NEWNET."""
+NEW_NAMESPACES, PIDFD = 0x7E020000, 0x1000
+"""Flags of `clone` that make namespaces, CLONE_NEWNS to CLONE_NEWNET, and a handle of a process."""
+
+COOKIE, PASSPIDFD, PEERPIDFD = 57, 76, 77
+"""Options of sockets: its number among all of the machine, handles of processes."""
 
 SHARED_ANONYMOUS = 0x21
 """Flags of `mmap`, MAP_SHARED | MAP_ANONYMOUS: its pages stay when no process has them mapped."""
@@ -60,6 +63,11 @@ RULES = (
     Rule("fadvise64", (221, 223), 0),
     Rule("readahead", (187, 213), 0),
     Rule("madvise", (28, 233), 0, _When(2, 0xFFFFFFFE, MADV_COLD, equal=True)),
+    # numbers of the whole machine, of sockets that were asked for it and of processes
+    Rule("getsockopt", (55, 209), errno.ENOPROTOOPT, _When(2, 0xFFFFFFFF, COOKIE, equal=True)),
+    Rule("getsockopt", (55, 209), errno.ENOPROTOOPT, _When(2, 0xFFFFFFFF, PEERPIDFD, equal=True)),
+    Rule("setsockopt", (54, 208), errno.ENOPROTOOPT, _When(2, 0xFFFFFFFF, PASSPIDFD, equal=True)),
+    Rule("pidfd_open", (434, 434), errno.ENOSYS),
     # memory that is part of no process
     Rule("memfd_create", (319, 279), errno.ENOSYS),
     Rule("memfd_secret", (447, 447), errno.ENOSYS),
@@ -67,7 +75,7 @@ RULES = (
     Rule("mmap", (9, 222), when=_When(3, SHARED_ANONYMOUS, SHARED_ANONYMOUS, equal=True)),
     # namespaces, without which nothing can be mounted; clone3 hides its flags in memory, and
     # libraries fall back to clone
-    Rule("clone", (56, 220), when=_When(0, NEW_NAMESPACES, 0, equal=False)),
+    Rule("clone", (56, 220), when=_When(0, NEW_NAMESPACES | PIDFD, 0, equal=False)),
     Rule("clone3", (435, 435), errno.ENOSYS),
     Rule("unshare", (272, 97)),
     Rule("setns", (308, 268)),

@@ -70,7 +70,7 @@ class PolicySettings(Settings):
 
 def create(name: str, **settings: Any) -> Policy:
     """Create a policy with its tuned settings, overridden by `settings`. Raises ConfigError."""
-    return _POLICIES.create(name, settings, tuned_settings(name))
+    return _POLICIES.create(name, settings, _tuned_settings(name))
 
 
 def make_policy(reference: str | Path, **settings: Any) -> Policy:
@@ -112,7 +112,7 @@ def runs_foreign_code(reference: str) -> bool:
     return reference not in REGISTRY and not reference.endswith(FILE_SUFFIXES)
 
 
-def tuned_settings(name: str) -> dict[str, Any]:
+def _tuned_settings(name: str) -> dict[str, Any]:
     """Return the shipped settings of a policy; empty if there are none."""
     if name not in config.names("policies"):
         return {}

@@ -30,6 +30,9 @@ from leaderboard.sandbox.retest import NOT_RETESTED
 from road_envs.core.code_digest import ROOT
 from road_envs.core.config import ConfigError
 
+pytestmark = pytest.mark.usefixtures("kept_caches")
+forget_reads = bubblewrap.forget_reads
+
 MODES = ["process"] if bubblewrap.obstacle() else ["bubblewrap", "process"]
 """Each guest takes a second: the second mode is slow, and `test_executors.py` has attacks in it."""
 
@@ -187,7 +190,7 @@ def test_what_guests_have_read_is_dropped_from_memory(monkeypatch):
         pytest.skip("the file system of the checkout keeps its files in memory")
     assert all(map(in_page_cache, paths))
     monkeypatch.setattr(bubblewrap, "_system_mounts", dict)
-    bubblewrap.forget_reads([folder.parent])
+    forget_reads([folder.parent])
     assert [path.name for path in paths if in_page_cache(path)] == []
 
 
@@ -210,7 +213,7 @@ def test_names_that_guests_have_looked_up_in_vain_are_dropped_from_memory(monkey
         again = time_of_look_ups(told)
     if time_of_look_ups(untold) < 1.5 * again:
         pytest.skip("the file system does not remember names that do not exist")
-    bubblewrap.forget_reads()
+    forget_reads()
     assert time_of_look_ups(told) > 1.5 * again
 
 
@@ -254,7 +257,6 @@ def test_a_second_guest_that_something_else_ended_is_asked_once_more(
 
     monkeypatch.setattr(client_module.random, "SystemRandom", SecondGuestLast)
     monkeypatch.setattr(SandboxClient, "_session", killed_session)
-    monkeypatch.setattr(client_module.bubblewrap, "forget_reads", lambda more: None)
     training, records, car = drives(2)
     entry = Entry(name="x", reference="fake_estimators:Reader", causal=True)
     (run,) = sandbox.reconstruct(entry, training, records, car, (1,), retest=True)

@@ -12,7 +12,7 @@ from fakes import SHORT_TASK
 from typer.testing import CliRunner
 
 from leaderboard.cli import app
-from leaderboard.conformance.scaffold import write_package
+from leaderboard.commands.scaffold import write_package
 from leaderboard.evaluation.store import load
 from road_envs.core.config import ConfigError
 

@@ -117,6 +117,23 @@ def test_a_row_of_other_kernels_that_is_better_on_most_drives_does_not_agree(tmp
         assert found.agrees == agrees and found.distance == pytest.approx(0.05)
 
 
+def test_a_row_of_another_machine_by_its_own_word_is_moved_no_farther_than_by_one_run(tmp_path):
+    run(tmp_path)
+    elsewhere = describe_environment() | {"processor": "Z80, 2 cores"}
+    row = store.load(store.row_path(tmp_path, "small", "reader"))
+    for share, agrees in ((0.2, True), (0.95, False)):  # of the tolerance, three of six runs
+        low = sorted(runs_of(row), key=lambda x: runs_of(row)[x]["nrmse"])[1:4]
+        runs = {
+            name: scores
+            | ({"nrmse": (1.0 - share * OTHER_KERNELS) * scores["nrmse"]} if name in low else {})
+            for name, scores in runs_of(row).items()
+        }
+        store.save(dataclasses.replace(with_runs(row, runs), environment=elsewhere), tmp_path)
+        found = verify(tmp_path, share=1.0)["reader"]
+        assert found.runs == 6 and found.typical == 0.0 and found.distance <= OTHER_KERNELS
+        assert found.agrees == agrees and 0.5 * share < found.shift / OTHER_KERNELS < share
+
+
 def test_a_row_of_chosen_drives_or_of_repeated_ones_is_not_that_of_its_task(tmp_path):
     run(tmp_path)
     row = store.load(store.row_path(tmp_path, "small", "learner"))
@@ -209,6 +226,9 @@ def test_rows_of_other_kernels_are_noted_unless_they_were_verified(tmp_path):
     apart = {reader.identity: [dataclasses.replace(verified[reader.identity][0], distance=0.3)]}
     (note,) = kernel_notes(results, verified | apart)
     assert note.startswith("reader ran on ") and note.endswith("3.0e-01 apart there.")
+    (note,) = kernel_notes([*others, reader], verified | apart)  # whatever it says of its machine
+    assert note == f"reader says that it ran on {usual}: 3.0e-01 apart there."
+    assert kernel_notes([*others, reader], verified) == kernel_notes([], {}) == []
 
 
 def test_what_was_verified_is_kept_by_row_and_kernels_and_shown(tmp_path):

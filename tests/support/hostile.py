@@ -259,6 +259,8 @@ CALLS = {  # by number on x86_64, with arguments that would succeed
     "unshare": (272, 0x10000000),
     "clone": (56, 0x10000000 | signal.SIGCHLD, 0, 0, 0, 0),
     "io_uring_setup": (425, 1, "buffer"),
+    "pidfd_open": (434, 1, 0),
+    "clone_pidfd": (56, 0x1000 | signal.SIGCHLD, 0, "buffer", 0, 0),
     "shared_memory": (9, 0, 4096, 3, 0x21, -1, 0),
     "segment": (29, 0, 4096, 0o1600),
 }
@@ -288,9 +290,16 @@ def does_call(where, record):
     for name, (number, *arguments) in CALLS.items():
         with contextlib.suppress(OSError):
             result = system_call(number, *(places.get(x, x) for x in arguments))
-            if name == "clone" and result == 0:
+            if name.startswith("clone") and result == 0:
                 os._exit(0)
             done.append(name)
+    ends = socket.socketpair()
+    for option in (57, 77):  # SO_COOKIE, SO_PEERPIDFD
+        with contextlib.suppress(OSError):
+            done.append(f"option {option}: {ends[0].getsockopt(socket.SOL_SOCKET, option, 8)}")
+    with contextlib.suppress(OSError):
+        ends[0].setsockopt(socket.SOL_SOCKET, 76, 1)  # SO_PASSPIDFD
+        done.append("option 76")
     with contextlib.suppress(OSError), open(__file__, "rb") as file:
         os.preadv(file.fileno(), [bytearray(8)], 0, os.RWF_NOWAIT)
         done.append("preadv2")
@@ -313,6 +322,47 @@ def does_keep_the_future(where, record):
         with contextlib.suppress(OSError):
             system_call(248, b"user", about, mean, 8, USER_KEYRING)
     return Estimate(stations, np.full((2, stations.size), np.frombuffer(mean)[0]))
+
+
+TOLD = []
+UNIT, TAG = 4096, 5
+"""Pipes of one step of a message, more than others open meanwhile, and what marks a message."""
+
+
+def number_of_pipe():
+    """Return the number that the kernel gives to a new pipe, the next one of this processor."""
+    ends = os.pipe()
+    number = os.fstat(ends[0]).st_ino
+    for end in ends:
+        os.close(end)
+    return number
+
+
+def does_count_the_future(where, record):
+    """Estimate two bits of the later samples, told to the next guest by the number of pipes."""
+    os.sched_setaffinity(0, [min(os.sched_getaffinity(0))])
+    tag, value = divmod(number_of_pipe() // UNIT % 32, 4)
+    if not TOLD and tag == TAG:
+        TOLD.append(value)
+    if not TOLD:
+        later = np.float64(record.a[:, record.t.size // 2 :].mean())
+        TOLD.append(int.from_bytes(later.tobytes()[:4], "little") % 4)
+        slot = 4 * TAG + TOLD[0]
+        while (number := number_of_pipe()) // UNIT % 32 != slot or number % UNIT > UNIT // 4:
+            pass
+    stations = profile_stations(record.length)
+    return Estimate(stations, np.full((2, stations.size), 0.01 * TOLD[0]))
+
+
+RECALLED = {}
+
+
+def does_recall_the_future(where, record):
+    """Estimate the mean of the later samples of the first drive with this beginning."""
+    begin = record.a[:, : record.t.size // 20].tobytes()
+    mean = RECALLED.setdefault(begin, record.a[:, record.t.size // 2 :].mean())
+    stations = profile_stations(record.length)
+    return Estimate(stations, np.full((2, stations.size), mean))
 
 
 def does_tell_when_its_code_was_copied(where, record):

@@ -1,8 +1,18 @@
 """Progress without a terminal, and what an interrupted command says."""
 
-import pytest
+import io
 
-from leaderboard.commands import LINE_INTERVAL, ProgressLines, describe_duration, on_interrupt
+import pytest
+from rich.console import Console
+
+from leaderboard import commands
+from leaderboard.commands import (
+    LINE_INTERVAL,
+    ProgressLines,
+    TimeLeft,
+    describe_duration,
+    on_interrupt,
+)
 
 
 class Clock:
@@ -38,6 +48,29 @@ def test_without_progress_no_time_is_shown():
     clock.now += 20.0
     progress("starting", 0.0)
     assert lines == ["  0 %  starting"]
+
+
+def test_what_is_prepared_before_the_work_does_not_count():
+    clock, lines = Clock(), []
+    progress = ProgressLines(lines.append, clock)
+    progress("checking", 0.0)
+    clock.now += 300.0
+    progress("starting", 0.0)
+    clock.now += 20.0
+    progress("a quarter", 0.25)
+    assert lines == ["  0 %  starting", " 25 %  a quarter, about 60 s left"]
+
+
+def test_a_terminal_shows_the_time_left_too(monkeypatch):
+    clock, said = Clock(), io.StringIO()
+    shown = Console(file=said, force_terminal=True, width=100)
+    monkeypatch.setattr(commands, "notices", shown)
+    monkeypatch.setattr(commands, "TimeLeft", lambda: TimeLeft(clock))
+    with commands.progress_bar() as progress:
+        progress("starting", 0.0)
+        clock.now += 20.0
+        progress("a quarter", 0.25)
+    assert "a quarter, about 60 s left" in said.getvalue()
 
 
 @pytest.mark.parametrize(

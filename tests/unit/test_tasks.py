@@ -1,6 +1,8 @@
 """Tasks: validation, separation of training and test, digests, and simulated drives."""
 
 import dataclasses
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,11 +14,14 @@ from leaderboard.evaluation import tasks, test_data
 from leaderboard.evaluation.surface_tasks import _surface_class
 from leaderboard.evaluation.tasks import Condition, load_task, shipped_tasks
 from leaderboard.evaluation.test_data import simulate_drives
+from road_envs.core import config
 from road_envs.core.config import ConfigError, folder, names
 from road_envs.drives.recording import simulate_record
 from road_envs.records.record import profile_stations
 from road_envs.roads import KINDS, load_road
+from road_envs.sensing.data_logger import load_instruments
 from road_envs.sensing.perturbed_vehicle import load_plant_mismatch
+from road_envs.vehicle.parameters import load_vehicle
 
 DRIVES = {"roads": ["iso_d"], "seeds": [1, 2]}
 
@@ -272,6 +277,47 @@ def test_the_name_of_a_task_must_be_that_of_its_file(tmp_path):
     path.write_text(yaml.safe_dump({**as_settings(), "name": "other"}))
     with pytest.raises(ConfigError, match="named 'other' but its file 'mine'"):
         load_task(path)
+
+
+def test_files_are_named_relative_to_the_file_of_their_task(tmp_path, monkeypatch):
+    there = tmp_path / "tasks"
+    (there / "files").mkdir(parents=True)
+    for kind, name in (("vehicles", "land_rover_defender_110"), ("sensors", "paper")):
+        shutil.copyfile(config.find(kind, name), there / "files" / f"{name}.yaml")
+    heights = "distance [m],left [mm],right [mm]\n"
+    heights += "".join(f"{0.1 * k:.1f},{k % 7},{k % 5}\n" for k in range(400))
+    (there / "files" / "street.csv").write_text(heights)
+    (there / "patched.yaml").write_text("kind: measured\npath: files/street.csv\n")
+    bent = {"kind": "noisy_copy", "road": "patched.yaml", "noise": 0.1}
+    changed = {
+        "car": "files/land_rover_defender_110.yaml",
+        "instruments": str(there / "files" / "paper.yaml"),
+        "conditions": [
+            {"mode": "ride", "speed_kmh": 14.5, "car": "files/land_rover_defender_110.yaml"}
+        ],
+        "test": {
+            "roads": ["files/street.csv", {"kind": "measured", "path": "files/street.csv"}, bent],
+            "seeds": [3],
+        },
+        "note": "as in files/paper.yaml",
+    }
+    (there / "mine.yaml").write_text(yaml.safe_dump({**as_settings(), **changed}))
+    found = []
+    for here, name in ((tmp_path, "tasks/mine.yaml"), (there, "mine.yaml")):
+        monkeypatch.chdir(here)
+        mine = load_task(name)
+        assert mine.vehicle_of(mine.conditions[0]) == load_vehicle("land_rover_defender_110")
+        assert mine.sensors == load_instruments("paper") and mine.note == "as in files/paper.yaml"
+        first, second, third = (road for road, _ in mine.test.roads_and_seeds)
+        assert first == second == third.road and Path(first.path).samefile(
+            there / "files" / "street.csv"
+        )
+        found.append((mine.digest, mine.conditions[0].label))
+    assert found[0] == found[1] and found[0][1] == "ride, 14.5 km/h, land_rover_defender_110"
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ConfigError, match="mine"):
+        (tmp_path / "mine.yaml").write_text((there / "mine.yaml").read_text())
+        load_task("mine.yaml")
 
 
 def as_settings():

@@ -222,7 +222,8 @@ def _read_mdf(path: Path) -> Any:
 
     channels: dict[str, Any] = {}
     failure = ""
-    # it prints what is damaged; an object of a damaged file prints a traceback when it is freed
+    # it prints what is damaged; an object of a damaged file prints a traceback when it is freed, so
+    # no exception may hold it until the streams are back, as one that `parsing` turns would
     with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
         try:
             with MDF(path) as file:
