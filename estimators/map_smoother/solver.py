@@ -53,9 +53,10 @@ JOINT_PRIOR_UPDATES = 2
 ADAPTED_STEPS = 4
 """Gauss-Newton steps of the road of several passes after their vehicles were adapted."""
 
-FIT_INFLATION = 1.4
+FIT_INFLATION = 2.0
 """Factor on the errors of a vehicle that was fitted to this drive alone, as
-`posterior_sampling.TOLERANCE_INFLATION`."""
+`posterior_sampling.TOLERANCE_INFLATION`. On class B in ride, where friction hides the road, the IRI
+of six individuals of grade S1 was 8 to 17 % low; a factor of 1.4 held four (seeds 3410 to 3415)."""
 
 EVIDENCE_DUE, VEHICLE_SHARE_DUE = 100.0, 0.5
 """Power of the residual that errors of the vehicle explain, in units of the noise, and share of the
