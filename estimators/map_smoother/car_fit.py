@@ -37,9 +37,12 @@ MAX_STEPS = 6
 ROAD_STEPS = 2
 """Gauss-Newton steps of the road after each."""
 
-MAX_CHANGE, SMALL_CHANGE = 3.0, 0.7
-"""Largest change of a parameter in one step, and the change of all below which the steps end, in
-units of the tolerance and of the posterior standard deviation."""
+MAX_CHANGE = 3.0
+"""Largest change of a parameter in one step, in units of its tolerance."""
+
+SMALL_CHANGE, SMALL_ON_UNMEASURED = 0.2, 0.7
+"""Change of all parameters below which the steps end, in units of the posterior standard deviation:
+where all roads are known, and otherwise, where a step takes seconds."""
 
 UNMEASURED_WEIGHT = 1.0 / 16.0
 """Weight of the likelihood of drives over unmeasured roads beside the prior of the tolerances: for
@@ -111,6 +114,7 @@ def fit_car(
     size = space.size + instruments * len(errors.names)
     x = np.zeros(size) if start is None else start
     original, now = [s.linearization.objective for s in solutions], tuple(solutions)
+    small = SMALL_CHANGE if instruments else SMALL_ON_UNMEASURED
     for _ in range(max_steps):
         cars = perturbed_cars(space, x[: space.size])
         terms = [
@@ -134,7 +138,7 @@ def fit_car(
             )
             for solution, objective, term in zip(now, original, terms, strict=True)
         )
-        if (np.abs(step) < SMALL_CHANGE * np.sqrt(np.diag(covariance))).all():
+        if (np.abs(step) < small * np.sqrt(np.diag(covariance))).all():
             break
     score = np.sum([term.score_covariance for term in terms], axis=0) + np.eye(size)
     return CarFit(space, x, covariance @ score @ covariance, now)
