@@ -18,9 +18,9 @@ import dataclasses
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.ndimage import binary_dilation
 
+from estimators.even_clock import is_even_clock, resample_evenly, with_lost_samples
 from estimators.low_pass import undo_low_pass
 from road_envs.kernels.filters import preprocess_accelerations
 from road_envs.records.record import (
@@ -53,21 +53,6 @@ from one sample to the next: 60 m/s at the lowest sample rate.
 MISSING_SHARE_MAX = 0.2
 """Largest fraction of a channel's samples that is interpolated: ten times what loggers are assumed
 to lose, and few enough for the measured samples to decide the estimate.
-"""
-
-CLOCK_JITTER_MAX = 0.01
-"""Relative deviation of a time step from the median above which the clock is resampled: a sample
-is then taken at most a tenth of a millimetre off at 36 km/h and 1 kHz.
-"""
-
-GAP_JITTERS = 6.0
-"""Median deviations of the time steps by which a step may be longer without a lost sample: four
-standard deviations.
-"""
-
-FS_SPLINE = 400.0
-"""Sample rate [Hz] below which samples of an uneven clock are interpolated by a cubic spline: at
-100 Hz a straight line takes a fifth of the power of waves of 25 Hz.
 """
 
 RANGE_SHARE = 0.98
@@ -109,7 +94,7 @@ def mask_record(record: Record, instruments: Instruments | None = None) -> Maske
     names = record.channels if instruments is None else tuple(instruments.accelerometers)
     _check_shapes(record, names)
     record, gap_notes = _fill_odometer(record)
-    record, clock_notes = _resample_evenly(record)
+    record, clock_notes = resample_evenly(record)
     record, drive_notes = _check_drive(record)
     finite = np.isfinite(record.a)
     if not finite.any():
@@ -142,9 +127,9 @@ def restore_times(masked: MaskedRecord, record: Record, instruments: Instruments
 
     A record whose samples a low-pass has mixed stays resampled.
     """
-    if masked.record.low_pass is not None or _is_even(np.diff(record.t)):
+    if masked.record.low_pass is not None or is_even_clock(np.diff(record.t)):
         return masked
-    found, _ = _check_drive(_with_lost_samples(_fill_odometer(record)[0]))
+    found, _ = _check_drive(with_lost_samples(_fill_odometer(record)[0]))
     finite = np.isfinite(found.a)
     found = dataclasses.replace(found, a=np.where(finite, found.a, np.nan))
     out_of_range = _is_out_of_range(np.nan_to_num(np.abs(found.a)), instruments)
@@ -278,75 +263,6 @@ def _fill_odometer(record: Record) -> tuple[Record, list[str]]:
             notes.append(f"{name}: {lost:.1%} of the samples are missing")
     filled = dataclasses.replace(record, v=signals["v"], s=signals["s"])
     return filled if notes else record, notes
-
-
-def _is_even(steps: np.ndarray) -> bool:
-    """Return whether the time steps (N - 1,) are those of an even clock."""
-    dt = float(np.median(steps))
-    return bool(np.abs(steps - dt).max() <= CLOCK_JITTER_MAX * dt)
-
-
-def _on_clock(record: Record, t: np.ndarray, a: np.ndarray) -> Record:
-    """Return the record at the times `t` (M,) with accelerations `a` (k, M)."""
-    # strut states are switches: the last known value holds, it is not interpolated
-    before = np.searchsorted(record.t, t + 0.5 * float(np.median(np.diff(t)))) - 1
-    return dataclasses.replace(
-        record,
-        t=t,
-        a=a,
-        v=np.interp(t, record.t, record.v),
-        s=np.interp(t, record.t, record.s),
-        spring_stiff=record.spring_stiff[before],
-        damper_high=record.damper_high[before],
-    )
-
-
-def _with_lost_samples(record: Record) -> Record:
-    """Return the record of an uneven clock with lost samples as NaN.
-
-    A step counts as one interval unless it is longer than the jitter of the others makes likely.
-    """
-    steps = np.diff(record.t)
-    if _is_even(steps):
-        return record
-    dt = float(np.median(steps))
-    jitter = float(np.median(np.abs(steps - dt))) / dt
-    intervals = np.maximum(np.round(steps / dt), 1.0).astype(int)
-    intervals[steps < dt * max(1.5, 1.0 + GAP_JITTERS * jitter)] = 1
-    cell = np.concatenate([[0], np.cumsum(intervals)])
-    t = np.interp(np.arange(cell[-1] + 1), cell, record.t)
-    a = np.full((len(record.a), t.size), np.nan)
-    a[:, cell] = record.a
-    return _on_clock(record, t, a)
-
-
-def _resample_evenly(record: Record) -> tuple[Record, list[str]]:
-    """Return the record on an even clock at its median time step, and notes.
-
-    Accelerations are NaN where samples were lost or dropped.
-    """
-    steps = np.diff(record.t)
-    if _is_even(steps):
-        return record, []
-    dt = float(np.median(steps))
-    t = record.t[0] + dt * np.arange(int((record.t[-1] - record.t[0]) / dt + 1e-6) + 1)
-    a = np.array([_resample(t, record.t, x, dt) for x in record.a])
-    return _on_clock(record, t, a), [f"the clock is uneven (longest step {steps.max():.3f} s)"]
-
-
-def _resample(t: np.ndarray, t_old: np.ndarray, x: np.ndarray, dt: float) -> np.ndarray:
-    """Return `x` (N,) interpolated to the times `t`, NaN in gaps of more than a step `dt`."""
-    good = np.isfinite(x)
-    if not good.any():
-        return np.full(t.size, np.nan)
-    t_old = t_old[good]
-    after = np.clip(np.searchsorted(t_old, t), 1, t_old.size - 1)
-    before, beyond = np.abs(t - t_old[after - 1]), np.abs(t_old[after] - t)
-    # jitter alone does not open a gap; the samples at the ends of one are measured
-    missing = (before + beyond > 1.5 * dt) & (np.minimum(before, beyond) > 0.5 * dt)
-    if FS_SPLINE * dt < 1.0 or t_old.size < 2:
-        return np.where(missing, np.nan, np.interp(t, t_old, x[good]))
-    return np.where(missing, np.nan, CubicSpline(t_old, x[good])(t))
 
 
 def _check_drive(record: Record) -> tuple[Record, list[str]]:
