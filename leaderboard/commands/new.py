@@ -7,7 +7,7 @@ import typer
 
 from leaderboard.commands import check_output_path
 from leaderboard.commands.output import Output
-from leaderboard.commands.scaffold import Example, write_package
+from leaderboard.scaffold import Example, write_package
 from road_envs.core.config import ConfigError
 from road_envs.vehicle.generic_cars import CLASSES, fitted_vehicle
 from road_envs.vehicle.parameters import write_vehicle

@@ -60,5 +60,5 @@ def write_package(name: str, folder: Path, example: Example = "estimator") -> li
 
 
 def _template(name: str) -> str:
-    file = resources.files("leaderboard.commands") / "templates" / f"{name}.txt"
+    file = resources.files("leaderboard") / "templates" / f"{name}.txt"
     return file.read_text(encoding="utf-8")
