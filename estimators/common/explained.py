@@ -49,9 +49,8 @@ record may begin in motion. Two periods of the body's bounce.
 MAX_SPEED_STEP = 0.001
 """Longest step [s] of the simulation."""
 
-
 IMPOSSIBLE_RATIO = 2.0
-"""Accelerations that heights demand over those measured, as RMS, from which on no road has them.
+"""Accelerations that heights demand over those measured, as RMS, from which on they are impossible.
 
 The true road under the described vehicle has 1.2 at most where a vehicle of grade S0 to S3 drove
 over classes A to D, Belgian paving and speed bumps at 14.5 to 100 km/h, 1.4 on potholes and 1.95 on

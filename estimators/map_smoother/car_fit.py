@@ -108,7 +108,8 @@ def fit_car(
 
     `solver`: settings of the road's steps. With `instruments`, errors of the readings are fitted
     too, the same in all drives; possible only where the road is known. `start` (P,) is where the
-    search begins. Raises ArithmeticError if a motion is not finite.
+    search begins. Raises ArithmeticError if a motion is not finite, or no vehicle has the fitted
+    values.
     """
     errors = InstrumentErrors.of(solutions[0].linearization.objective.passes[0])
     size = space.size + instruments * len(errors.names)
@@ -132,7 +133,10 @@ def fit_car(
         now = tuple(
             _resolve(
                 solution,
-                objective.with_passes(apply),
+                # the unknowns are those of the prior that the road has by now
+                replace(
+                    solution.linearization.objective, passes=objective.with_passes(apply).passes
+                ),
                 solver,
                 term.change(step) if isinstance(term, TangentTerms) else None,
             )
@@ -175,7 +179,7 @@ def fit_if_due(
         return None
     try:
         return fit_car(solutions, parameter_space(car), solver)
-    except ArithmeticError:  # a varied vehicle's motion was not finite
+    except ArithmeticError:  # a varied vehicle's motion was not finite, or none has its values
         return None
 
 

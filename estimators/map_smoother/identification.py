@@ -2,8 +2,8 @@
 
 Over a known road (a profile with a survey error) the readings tell the parameters directly; over
 roads that nobody measured by marginal likelihood (`car_fit.py`), and drives of both kinds can be
-combined. The last third of each
-drive is held out: there the described and the identified vehicle are compared.
+combined. The last third of each drive is held out: there the described and the identified vehicle
+are compared.
 """
 
 from collections.abc import Callable, Sequence
@@ -192,10 +192,14 @@ def identify(
     for first, _ in parts:
         if first.profile is not None:
             check_profile(_objective(first, car, chosen), first)
-    result = _identify(parts, car, chosen, bool(structure))
-    if structure is None and result.left >= STRUCTURE_POWER and has_absent_elements(car):
-        flexible = _identify(parts, car, chosen, True)
-        result = flexible if flexible.left < STRUCTURE_GAIN * result.left else result
+    try:
+        result = _identify(parts, car, chosen, bool(structure))
+        if structure is None and result.left >= STRUCTURE_POWER and has_absent_elements(car):
+            flexible = _identify(parts, car, chosen, True)
+            result = flexible if flexible.left < STRUCTURE_GAIN * result.left else result
+    except ArithmeticError as error:
+        names = ", ".join(drive.name for drive in drives)
+        raise CalibrationError(f"{names}: no vehicle explains the drives: {error}") from None
     _refuse_unexplained(result, drives)
     return result
 
@@ -288,7 +292,7 @@ def _with_posterior(fit: CarFit, car: VehicleParameters) -> VehicleParameters:
     """Return the fitted vehicle; its tolerances are the posterior standard deviations."""
     space: ParameterSpace = fit.space
     found = {
-        name: Tolerance(relative=float(s * t), source="identified")
+        name: Tolerance(relative=float(s * min(t, 1.0)), source="identified")
         for name, s, t in zip(space.names, space.std, fit.std, strict=False)
     }
     name = car.name if car.name.endswith("identified") else f"{car.name} identified"

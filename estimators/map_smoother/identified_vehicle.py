@@ -110,11 +110,8 @@ def identify_once(
 def _identify(
     drives: Sequence[CalibrationDrive], car: VehicleParameters, instruments: str
 ) -> IdentifiedVehicle:
-    try:
-        result = identify(drives, car, SolverSettings(instruments=instruments), structure=None)
-    except ArithmeticError as error:
-        raise CalibrationError(f"the vehicle cannot be identified: {error}") from error
-    return IdentifiedVehicle.of(result)
+    settings = SolverSettings(instruments=instruments)
+    return IdentifiedVehicle.of(identify(drives, car, settings, structure=None))
 
 
 def _drives_digest(drives: Sequence[CalibrationDrive]) -> str:

@@ -21,7 +21,6 @@ from estimators.common.model_inputs import ModelInputs
 from estimators.map_smoother.one_pass import LinearizedPass, Pass
 from estimators.map_smoother.road_prior import RoadTransform
 from road_envs.vehicle.equations import Plant
-from road_envs.vehicle.parameters import VehicleParameters
 
 SHIFT_STD = 0.05
 """Prior standard deviation [m] of a shift, after the alignment of the single estimates."""
@@ -83,10 +82,6 @@ class Objective:
     def with_passes(self, change: Callable[[Pass], Pass]) -> "Objective":
         """Apply a `change` to each pass."""
         return replace(self, passes=tuple(map(change, self.passes)))
-
-    def with_car(self, car: VehicleParameters) -> "Objective":
-        """The objective for drives of another vehicle."""
-        return self.with_passes(lambda one: one.with_car(car))
 
     def split(self, x: np.ndarray) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
         """Split the unknowns into `u` (2, K), those of each pass, and the shifts (P, M) [m] of the

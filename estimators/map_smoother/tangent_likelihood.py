@@ -43,8 +43,9 @@ from estimators.map_smoother.objective import Linearization
 from estimators.map_smoother.one_pass import Pass
 from road_envs.vehicle.parameters import VehicleParameters
 
-DRAWS = 4
-"""Samples of the road's posterior for the trace."""
+DRAWS = 5
+"""Samples of the road's posterior for the trace: one for each sensor of three and wheel path, whose
+turned phases then cancel (`posterior_noise`)."""
 
 CG_ITERATIONS, CG_TOLERANCE = 150, 0.01
 """Conjugate gradients of each system."""
@@ -84,16 +85,16 @@ def tangent_terms(solution: MapSolution, cars: Sequence[VehicleParameters]) -> T
     left = G - np.array([lin.tangent(f)[0] for f in F])
     to_optimum = solve(-lin.gradient())
     samples = [trace_sample(lin, varied, solve(b)) for b in posterior_noise(lin)]
-    at_road = np.array([trace for trace, _ in samples])
+    at_road, along = (np.array(part) for part in zip(*samples, strict=True))
     # A is symmetric: one system for the derivative along the road, not one for each parameter
-    moved = lin.tangent(solve(np.mean([along for _, along in samples], axis=0)))[0]
+    moved = lin.tangent(solve(along.mean(axis=0)))[0]
     fit = np.einsum("psj,sj->p", weighted, one.residual - lin.tangent(to_optimum)[0] + moved)
     weighted = np.array([one.apply_inverse_covariance(g) for g in left])
     information = np.einsum("psj,qsj->pq", left, weighted) + F @ F.T
     return TangentTerms(
         gradient=fit - at_road.mean(axis=0),
         information=information,
-        score_covariance=information + np.cov(at_road.T) / len(at_road),
+        score_covariance=information + np.cov(at_road.T - F @ along.T) / len(samples),
         to_optimum=to_optimum,
         by_parameter=-F,
     )

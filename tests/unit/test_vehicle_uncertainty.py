@@ -49,7 +49,13 @@ def test_a_change_is_that_of_the_predicted_accelerations():
     (change,) = VehicleUncertainty(DEFENDER, ("m_b",), mass).draw_changes(one, drawn[None])
     step = 0.001 * DEFENDER.m_b
     heavy, light = (
-        residual_at(lin.objective.with_car(replace(DEFENDER, m_b=DEFENDER.m_b + d)), lin.x)
+        residual_at(
+            replace(
+                lin.objective,
+                passes=(one.source.with_car(replace(DEFENDER, m_b=DEFENDER.m_b + d)),),
+            ),
+            lin.x,
+        )
         for d in (step, -step)
     )
     expected = 0.05 * abs(drawn[-1]) * (light - heavy) / 0.002
