@@ -8,7 +8,7 @@ from vehicle_fixtures import DEFENDER, smooth_road
 
 from estimators import create
 from estimators.api import Calibratable, CalibrationDrive, CalibrationError
-from estimators.map_smoother import identified_vehicle
+from estimators.map_smoother import identification, identified_vehicle
 from estimators.map_smoother.identified_vehicle import IdentifiedVehicle, identify_once
 from road_envs.drives.recording import simulate_record
 
@@ -73,6 +73,6 @@ def test_an_identification_that_breaks_down_says_so(monkeypatch, tmp_path):
         raise ArithmeticError("not finite")
 
     monkeypatch.setattr(identified_vehicle, "cache_home", lambda: tmp_path)
-    monkeypatch.setattr(identified_vehicle, "identify", breaks)
-    with pytest.raises(CalibrationError, match="the vehicle cannot be identified: not finite"):
+    monkeypatch.setattr(identification, "fit_car", breaks)
+    with pytest.raises(CalibrationError, match="no vehicle explains the drives: not finite"):
         create("map_smoother").calibrate([drive()], DEFENDER)

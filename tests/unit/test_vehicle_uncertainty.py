@@ -48,15 +48,10 @@ def test_a_change_is_that_of_the_predicted_accelerations():
     mass[0, 0] = 0.05**2
     (change,) = VehicleUncertainty(DEFENDER, ("m_b",), mass).draw_changes(one, drawn[None])
     step = 0.001 * DEFENDER.m_b
+    cars = [replace(DEFENDER, m_b=DEFENDER.m_b + d) for d in (step, -step)]
     heavy, light = (
-        residual_at(
-            replace(
-                lin.objective,
-                passes=(one.source.with_car(replace(DEFENDER, m_b=DEFENDER.m_b + d)),),
-            ),
-            lin.x,
-        )
-        for d in (step, -step)
+        residual_at(replace(lin.objective, passes=(one.source.with_car(car),)), lin.x)
+        for car in cars
     )
     expected = 0.05 * abs(drawn[-1]) * (light - heavy) / 0.002
     error = np.abs(np.abs(change) - np.abs(expected))
