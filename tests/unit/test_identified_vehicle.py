@@ -73,6 +73,7 @@ def test_an_identification_that_breaks_down_says_so(monkeypatch, tmp_path):
         raise ArithmeticError("not finite")
 
     monkeypatch.setattr(identified_vehicle, "cache_home", lambda: tmp_path)
-    monkeypatch.setattr(identification, "fit_car", breaks)
+    monkeypatch.setattr(identification, "_parts", lambda *arguments: (drive(), drive()))
+    monkeypatch.setattr(identification, "_identify", breaks)
     with pytest.raises(CalibrationError, match="no vehicle explains the drives: not finite"):
         create("map_smoother").calibrate([drive()], DEFENDER)
