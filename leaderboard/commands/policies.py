@@ -33,9 +33,7 @@ from road_envs.policies.fixed import FixedPair
 from road_envs.policies.policy_iteration import IterationConfig, iterate
 from road_envs.vehicle.suspension import MODES
 
-POLICY_OPTIONS = LimitOptions(
-    time_limit=POLICY_LIMITS.seconds, memory_limit=POLICY_LIMITS.memory
-)  # fmt: skip
+POLICY_OPTIONS = LimitOptions(time_limit=POLICY_LIMITS.seconds, memory_limit=POLICY_LIMITS.memory)
 QUICK_DRIVES = 2
 """Public drives of `--quick`, each to both sides."""
 
