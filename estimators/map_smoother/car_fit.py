@@ -154,12 +154,7 @@ def _terms(
     """Return the terms of a drive, of its weight if nobody measured the road."""
     if not solution.linearization.objective.road.free.any():
         return known_road_terms(solution, original, cars, errors)
-    terms = tangent_terms(solution, cars)
-    return terms._replace(
-        gradient=UNMEASURED_WEIGHT * terms.gradient,
-        information=UNMEASURED_WEIGHT * terms.information,
-        score_covariance=UNMEASURED_WEIGHT * terms.score_covariance,
-    )
+    return tangent_terms(solution, cars).weighted(UNMEASURED_WEIGHT)
 
 
 def _with_parameters(

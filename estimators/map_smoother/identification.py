@@ -29,7 +29,7 @@ from estimators.map_smoother.marginal_likelihood import NO_ERRORS
 from estimators.map_smoother.objective import Objective
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.preparation import READINGS_PER_UNKNOWN, SolverSettings
-from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
+from estimators.map_smoother.vehicle_uncertainty import IDENTIFIED, VehicleUncertainty
 from estimators.map_smoother.windows import whole_objective
 from road_envs.records.record import Record
 from road_envs.sensing.instruments import instruments_of
@@ -292,7 +292,7 @@ def _with_posterior(fit: CarFit, car: VehicleParameters) -> VehicleParameters:
     """Return the fitted vehicle; its tolerances are the posterior standard deviations."""
     space: ParameterSpace = fit.space
     found = {
-        name: Tolerance(relative=float(s * min(t, 1.0)), source="identified")
+        name: Tolerance(relative=float(s * min(t, 1.0)), source=IDENTIFIED)
         for name, s, t in zip(space.names, space.std, fit.std, strict=False)
     }
     name = car.name if car.name.endswith("identified") else f"{car.name} identified"
