@@ -162,13 +162,13 @@ class StationaryHessian:
         told = np.sum(1.0 - _posteriors(excess, np.ones(1))[0], axis=1)
         octave = np.round(np.log2(np.maximum(road.n, road.n[1])))
         centre, group = np.unique(octave, return_inverse=True)
-        lines, power, told, log = (
-            np.bincount(group, x) for x in (np.ones(group.size), power, told, np.log(road.density))
-        )
+        lines = np.bincount(group)
+        power, told, before = (np.bincount(group, x) for x in (power, told, np.log(road.density)))
         enough = (told >= 2.0 * LEAST_TOLD * lines) & (told >= LEAST_COUNT)
         if not enough.any():
             return road.density
-        log = log / lines + np.log(np.maximum(power / np.maximum(told, 1e-9), MIN_DENSITY_RATIO))
+        ratio = np.maximum(power / np.maximum(told, 1e-9), MIN_DENSITY_RATIO)
+        log = before / lines + np.log(ratio)
         return np.exp(np.interp(np.log2(np.maximum(road.n, 1e-9)), centre[enough], log[enough]))
 
     def local_roughness(

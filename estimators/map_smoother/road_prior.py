@@ -9,7 +9,7 @@ spectrum: a pothole in a level road is no part of a stationary process. Where it
 level.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 

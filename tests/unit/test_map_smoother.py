@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from oracles import linear_matrices
+from scipy.fft import irfft, rfft
 from scipy.linalg import expm
 from vehicle_fixtures import DEFENDER
 
@@ -105,6 +106,26 @@ def test_local_roughness_is_found_where_it_is_and_not_on_a_stationary_road():
     edges[0, [middle, middle + 20]] = 0.05, -0.05  # a bump, level between its edges
     local = stationary.local_roughness(road, noise, road.whiten(edges), inside)
     assert local[0, middle] > 2.0 * local[0, middle + 10] > 2.0 * np.median(local[:, inside])
+
+
+@pytest.mark.parametrize("collapsed", [1.0, 1e-3])
+def test_the_density_of_a_road_is_found_where_readings_tell_it_and_goes_on_from_there(collapsed):
+    """Of a linear vehicle the power of the most probable road is what the readings tell of it."""
+    objective = objective_of(drive_record(length=80.0)[0])
+    stationary, noise = stationary_hessian(objective), 300.0 * objective.noise_variance
+
+    def told(road):
+        posterior = np.linalg.inv(stationary.precision(road, noise))
+        return 1.0 - np.diagonal(posterior, axis1=1, axis2=2).real.T
+
+    road = objective.road
+    true = replace(road, free=np.ones(road.size), density=np.full(road.n.size, 0.25))
+    white = np.random.default_rng(3).standard_normal((2, true.size))
+    open_ = told(true).mean(axis=0) < 0.2
+    assert 0.1 < open_.mean() < 0.9
+    road = replace(true, density=np.where(open_, 0.25 * collapsed, 0.25))
+    u = irfft(np.sqrt(told(road)) * rfft(white, axis=1), road.size, axis=1)
+    np.testing.assert_allclose(stationary.density_of(road, noise, u), 0.25, rtol=0.3)
 
 
 @pytest.mark.parametrize("uneven", [False, True], ids=["stationary", "with obstacles"])
