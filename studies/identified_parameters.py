@@ -21,7 +21,8 @@ from typing import Any
 import numpy as np
 
 from estimators.api import CalibrationDrive
-from estimators.map_smoother.identification import IdentificationResult, identify
+from estimators.map_smoother.identification import identify
+from estimators.map_smoother.identification_result import IdentificationResult
 from leaderboard.evaluation.test_data import levelled
 from leaderboard.report.plots import COLOURS, write_figure
 from road_envs.drives.recording import simulate_record

@@ -46,9 +46,12 @@ where all roads are known, and otherwise, where a step takes seconds."""
 
 UNMEASURED_WEIGHT = 1.0 / 16.0
 """Weight of the likelihood of drives over unmeasured roads beside the prior of the tolerances: for
-what Laplace's approximation where friction hides a road, the road's estimated prior and differences
-between the wheels leave out, its standard deviations are 2 to 4 times too small
+what Laplace's approximation where friction hides a road and differences between the wheels leave
+out, its standard deviations are 2 to 4 times too small
 (`studies/identified_parameters.py`)."""
+
+TOLD_SHARE = 1e-3
+"""Share of the greatest information in any direction from which on a drive tells a direction."""
 
 MAX_UNLOADED_SHARE = 0.02
 """Share of the road that no wheel pressed on, above which the vehicle is not adapted."""
@@ -66,12 +69,16 @@ the vehicle has elements that its description leaves out."""
 class CarFit:
     """Fitted parameters: vector `x` (P,) in `space`, and if fitted of the instruments behind it;
     its `covariance` (P, P), and the solutions of the drives with the fitted vehicle.
+
+    `contradiction`: mean square of what a single drive would still change of the vehicle, over its
+    expectation, greatest of several drives over unmeasured roads; of fewer 0.
     """
 
     space: ParameterSpace
     x: np.ndarray
     covariance: np.ndarray
     solutions: tuple[MapSolution, ...]
+    contradiction: float
 
     @property
     def instrument_errors(self) -> InstrumentErrors:
@@ -145,7 +152,19 @@ def fit_car(
         if (np.abs(step) < small * np.sqrt(np.diag(covariance))).all():
             break
     score = np.sum([term.score_covariance for term in terms], axis=0) + np.eye(size)
-    return CarFit(space, x, covariance @ score @ covariance, now)
+    return CarFit(space, x, covariance @ score @ covariance, now, _contradiction(terms, step))
+
+
+def _contradiction(terms: Sequence[LikelihoodTerms | TangentTerms], step: np.ndarray) -> float:
+    """Return `CarFit.contradiction` after a `step` (P,) from the vehicle of the `terms`."""
+    powers = []
+    for one in terms:
+        if isinstance(one, TangentTerms):
+            variance, directions = np.linalg.eigh(one.score_covariance)
+            told = variance > TOLD_SHARE * variance[-1]
+            left = directions.T @ (one.gradient - one.information @ step)
+            powers.append(float(np.mean(left[told] ** 2 / variance[told])) / UNMEASURED_WEIGHT)
+    return max(powers) if len(powers) > 1 else 0.0
 
 
 def _terms(
@@ -154,12 +173,7 @@ def _terms(
     """Return the terms of a drive, of its weight if nobody measured the road."""
     if not solution.linearization.objective.road.free.any():
         return known_road_terms(solution, original, cars, errors)
-    terms = tangent_terms(solution, cars)
-    return terms._replace(
-        gradient=UNMEASURED_WEIGHT * terms.gradient,
-        information=UNMEASURED_WEIGHT * terms.information,
-        score_covariance=UNMEASURED_WEIGHT * terms.score_covariance,
-    )
+    return tangent_terms(solution, cars).weighted(UNMEASURED_WEIGHT)
 
 
 def _with_parameters(

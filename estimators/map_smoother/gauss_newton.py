@@ -253,8 +253,8 @@ def update_prior(
     objective, x = lin.objective, lin.x
     u = objective.split(x)[0]
     noise_variance = objective.noise_variance * noise_scale
-    scale = stationary.density_scale(objective.road, noise_variance, u)
-    road = objective.road.scale_density(scale)
+    density = stationary.density_of(objective.road, noise_variance, u)
+    road = replace(objective.road, density=density)
     u = road.convert_noise(u, objective.road)
     local = stationary.local_roughness(road, noise_variance, u, passed_nodes(lin))
     rough = replace(road, local=local)

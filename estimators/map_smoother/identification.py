@@ -7,7 +7,7 @@ are compared.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,12 @@ from estimators.map_smoother.gauss_newton import (
     minimize,
     update_noise_scale,
 )
+from estimators.map_smoother.identification_result import (
+    IdentificationResult,
+    Unexplained,
+    uncertainty_of,
+    with_posterior,
+)
 from estimators.map_smoother.instrument_errors import InstrumentErrors
 from estimators.map_smoother.known_road import check_profile, on_profile
 from estimators.map_smoother.marginal_likelihood import NO_ERRORS
@@ -33,7 +39,7 @@ from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
 from estimators.map_smoother.windows import whole_objective
 from road_envs.records.record import Record
 from road_envs.sensing.instruments import instruments_of
-from road_envs.vehicle.parameters import Tolerance, VehicleParameters
+from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.tolerances import ParameterSpace, has_absent_elements, parameter_space
 
 FIT_SHARE = 2.0 / 3.0
@@ -69,98 +75,6 @@ identified one is refused, unless it leaves less than STRUCTURE_POWER."""
 
 WHEELBASE_MARGIN = 4.0
 """Distance [m] after the beginning of a profile at which all wheels are on it."""
-
-
-@dataclass(frozen=True, eq=False)
-class Unexplained:
-    """Power of the residual over that of the instruments' noise, and its spectrum (F,) over `f`
-    (F,) [Hz], mean of the three sensors.
-    """
-
-    power: float
-    f: np.ndarray
-    spectrum: np.ndarray
-
-
-UNDETERMINED = 0.9
-"""Posterior standard deviation, in tolerances, above which a parameter is not determined."""
-
-FAR = 3.0
-"""Fitted deviation, in units of the tolerance, that is flagged."""
-
-
-@dataclass(frozen=True, eq=False)
-class IdentificationResult:
-    """Result: the `fit`, the identified `car`, what is not known of it, and what the described and
-    the identified vehicle leave `unexplained` in the held-out part of each drive.
-    """
-
-    fit: CarFit
-    car: VehicleParameters
-    uncertainty: VehicleUncertainty
-    unexplained: tuple[tuple[Unexplained, Unexplained], ...]
-
-    @property
-    def std(self) -> np.ndarray:
-        """Standard deviations (P,) of the parameters in units of their tolerances."""
-        return self.fit.std
-
-    @property
-    def left(self) -> float:
-        """Power that the identified vehicle leaves unexplained, mean of the held-out parts."""
-        return float(np.mean([fitted.power for _, fitted in self.unexplained]))
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the parameters (P,), errors of the instruments last."""
-        space = self.fit.space
-        return (*space.names, *self.fit.instrument_errors.names)[: self.fit.x.size]
-
-    @property
-    def sensor_gains(self) -> tuple[float, ...]:
-        """Gain of each accelerometer; 1 over unmeasured roads, where none is identified."""
-        readings, errors = self.fit.instrument_errors, self.fit.x[self.fit.space.size :]
-        gains = np.exp(readings.std * errors) if errors.size else np.ones(len(readings.names))
-        return tuple(gains[: len(readings.sensors)].tolist())
-
-    @property
-    def displacement(self) -> float:
-        """Distance [m] that the odometer lacks, mean of the drives; 0 over unmeasured roads."""
-        errors = self.fit.x[self.fit.space.size :]
-        if errors.size == 0:
-            return 0.0
-        found = (self.fit.instrument_errors.std * errors)[-2:]
-        s = [solution.linearization.passes[0].source.inputs.s for solution in self.fit.solutions]
-        travelled = float(np.mean([np.mean(x - x[0]) for x in s]))
-        return float(found[0] + travelled * found[1])
-
-    @property
-    def factors(self) -> np.ndarray:
-        """Fitted value over described value of each parameter of the vehicle."""
-        space = self.fit.space
-        return np.exp(space.std * self.fit.x[: space.size])
-
-    @property
-    def notes(self) -> list[str]:
-        """Sentences on parameters that the drives do not determine, and on doubtful results."""
-        size = self.fit.space.size
-        x, std, names = self.fit.x[:size], self.std[:size], self.names
-        open_ = [names[i] for i in np.flatnonzero(std > UNDETERMINED)]
-        far = [names[i] for i in np.flatnonzero(np.abs(x) > FAR)]
-        notes = []
-        if open_:
-            notes.append(f"not determined by the drives, kept as described: {', '.join(open_)}")
-        if far:
-            notes.append(f"more than {FAR:g} tolerances from the description: {', '.join(far)}")
-        if self.fit.x.size > size:
-            notes.append(
-                "errors of the instruments are not in the vehicle's file; calibrate of an "
-                "estimator corrects gains and odometer, and leaves accelerometers at the places "
-                "of their sheet"
-            )
-        if any(fitted.power > described.power for described, fitted in self.unexplained):
-            notes.append("on held-out readings the identified vehicle is no better: do not use it")
-        return notes
 
 
 @single_blas_thread()
@@ -230,9 +144,7 @@ def _identify(
         (_unexplained(rest, car, settings), _unexplained(rest, fit.car, settings, found))
         for _, rest in parts
     )
-    return IdentificationResult(
-        fit, _with_posterior(fit, car), VehicleUncertainty.of_fit(fit), unexplained
-    )
+    return IdentificationResult(fit, with_posterior(fit, car), uncertainty_of(fit), unexplained)
 
 
 def identify_structure(
@@ -245,7 +157,7 @@ def identify_structure(
     is_short = FIT_SHARE * record.t.size < MIN_DURATION * record.fs
     first, _ = _parts(CalibrationDrive(record), settings, 1.0 if is_short else FIT_SHARE)
     fit = _fit([first], car, settings, structure=True)
-    return _with_posterior(fit, car), VehicleUncertainty.of_fit(fit)
+    return with_posterior(fit, car), VehicleUncertainty.of_fit(fit)
 
 
 def _fit(
@@ -286,17 +198,6 @@ def _nearest_start(
             left = [sum(float(s.noise_scale[0]) for s in solutions) for solutions in tried]
             x = points[int(np.argmin(left))]
     return x, solve(x)
-
-
-def _with_posterior(fit: CarFit, car: VehicleParameters) -> VehicleParameters:
-    """Return the fitted vehicle; its tolerances are the posterior standard deviations."""
-    space: ParameterSpace = fit.space
-    found = {
-        name: Tolerance(relative=float(s * min(t, 1.0)), source="identified")
-        for name, s, t in zip(space.names, space.std, fit.std, strict=False)
-    }
-    name = car.name if car.name.endswith("identified") else f"{car.name} identified"
-    return replace(fit.car, name=name, tolerances=found)
 
 
 def _parts(

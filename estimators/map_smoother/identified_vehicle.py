@@ -17,7 +17,8 @@ from typing import Self
 import numpy as np
 
 from estimators.api import CalibrationDrive, CalibrationError, copy_with
-from estimators.map_smoother.identification import IdentificationResult, identify
+from estimators.map_smoother.identification import identify
+from estimators.map_smoother.identification_result import IdentificationResult
 from estimators.map_smoother.preparation import SolverSettings
 from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
 from road_envs.core.artifacts import Kind

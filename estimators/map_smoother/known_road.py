@@ -50,7 +50,10 @@ def on_profile(objective: Objective, drive: CalibrationDrive) -> Objective:
     # mean and half difference have half the variance each of what is left of the error
     amplitude = rise * np.sqrt(0.25 * noise * share(road.n) / road.ds) * np.ones((2, 1))
     # the road is not moved: its error counts as noise of the readings
-    known = replace(road, background=background, amplitude=amplitude, free=np.zeros(road.size))
+    known = replace(
+        road, background=background, prior_amplitude=amplitude, density=np.ones(road.n.size),
+        free=np.zeros(road.size),
+    )  # fmt: skip
     return replace(objective, road=known)
 
 

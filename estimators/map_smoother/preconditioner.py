@@ -38,9 +38,9 @@ from road_envs.vehicle.suspension import MODES, WHEELS, decode_commands
 DAMPING_RATE = 0.3
 """Typical strut rate [m/s] at which the dampers are linearized."""
 
-RESOLVED_THRESHOLD = 10.0
-"""A frequency counts as resolved if the posterior precision is this many times the prior's."""
-
+LEAST_TOLD, LEAST_COUNT = 0.5, 16.0
+"""Share of the unknowns of an octave, and number of them, that the measurements determine at least
+where its density is estimated."""
 
 MIN_DENSITY_RATIO = 1e-4
 """Least density, relative to the prior's, that one update takes: a road may be level."""
@@ -148,26 +148,28 @@ class StationaryHessian:
             road.free.sum() * np.mean(2.0 - left) * covered * (traces / max(traces.sum(), 1e-300))
         )
 
-    def density_scale(
+    def density_of(
         self, road: RoadTransform, noise_variance: np.ndarray, u: np.ndarray
     ) -> np.ndarray:
-        """Return the density (F,) of `u` (2, K) over its expectation, averaged over octaves.
+        """Return the density (F,) over the prior's that the road of `u` (2, K) suggests.
 
-        Resolved frequencies alone count: an empirical Bayes estimate of the prior's scale.
+        In each octave the power of `u` over the number of its unknowns that the measurements
+        determine (MacKay 1992, doi:10.1162/neco.1992.4.3.415); where these are too few, the ratio
+        of the nearest octave.
         """
-        U = np.abs(rfft(road.free * u, axis=1)) ** 2 / max(road.free.sum(), 1.0)
-        P = self.precision(road, noise_variance)
-        resolved = np.real(P[:, [0, 1], [0, 1]].T) > RESOLVED_THRESHOLD
+        power = np.sum(np.abs(rfft(road.free * u, axis=1)) ** 2, axis=0) / max(road.free.sum(), 1.0)
+        excess = self.precision(road, noise_variance) - np.eye(2)
+        told = np.sum(1.0 - _posteriors(excess, np.ones(1))[0], axis=1)
         octave = np.round(np.log2(np.maximum(road.n, road.n[1])))
         centre, group = np.unique(octave, return_inverse=True)
-        members = [group == k for k in range(group.max() + 1)]
-        power = np.array([np.sum(U[:, k], where=resolved[:, k]) for k in members])
-        lines = np.array([np.sum(resolved[:, k]) for k in members])
-        enough = lines >= 8
+        lines = np.bincount(group)
+        power, told, before = (np.bincount(group, x) for x in (power, told, np.log(road.density)))
+        enough = (told >= 2.0 * LEAST_TOLD * lines) & (told >= LEAST_COUNT)
         if not enough.any():
-            return np.ones_like(road.n)
-        level = np.log(np.maximum(power[enough] / lines[enough], MIN_DENSITY_RATIO))
-        return np.exp(np.interp(np.log2(np.maximum(road.n, 1e-9)), centre[enough], level))
+            return road.density
+        ratio = np.maximum(power / np.maximum(told, 1e-9), MIN_DENSITY_RATIO)
+        log = before / lines + np.log(ratio)
+        return np.exp(np.interp(np.log2(np.maximum(road.n, 1e-9)), centre[enough], log[enough]))
 
     def local_roughness(
         self, road: RoadTransform, noise_variance: np.ndarray, u: np.ndarray, passed: np.ndarray
@@ -182,8 +184,9 @@ class StationaryHessian:
         obstacle, are more probable than many small ones.
         """
         w = road.local * (TO_WHEEL_PATHS @ u) * np.sqrt(0.5) * road.free
-        left = [posterior.mean() for posterior in self._posteriors(road, noise_variance)]
-        resolved = road.free * np.interp(road.local, ROUGHNESS_STEPS, 1.0 - np.array(left))
+        excess = self.precision(road, noise_variance) - np.eye(2)
+        told = 1.0 - _posteriors(excess, ROUGHNESS_STEPS).mean(axis=(1, 2))
+        resolved = road.free * np.interp(road.local, ROUGHNESS_STEPS, told)
 
         def variance_within(length: float) -> np.ndarray:
             width = length / road.ds
@@ -206,18 +209,10 @@ class StationaryHessian:
         Only the spatial frequencies `lines` (F,) count.
         """
         density = 0.5 * np.abs(road.transfer_function().T) ** 2
-        posteriors = self._posteriors(road, noise_variance)
-        variance = [
-            d**2 * np.sum((density * posterior)[lines])
-            for d, posterior in zip(ROUGHNESS_STEPS, posteriors, strict=True)
-        ]
-        return np.interp(road.local, ROUGHNESS_STEPS, variance)
-
-    def _posteriors(self, road: RoadTransform, noise_variance: np.ndarray) -> list[np.ndarray]:
-        """Return posterior over prior variance (F, 2) of `u`, for each of ROUGHNESS_STEPS."""
         excess = self.precision(road, noise_variance) - np.eye(2)
-        matrices = (_inverse(np.eye(2) + d**2 * excess) for d in ROUGHNESS_STEPS)
-        return [np.real(M[:, [0, 1], [0, 1]]) for M in matrices]
+        posteriors = _posteriors(excess, ROUGHNESS_STEPS)
+        variance = ROUGHNESS_STEPS**2 * np.sum((density * posteriors)[:, lines], axis=(1, 2))
+        return np.interp(road.local, ROUGHNESS_STEPS, variance)
 
 
 def stationary_hessian(objective: Objective) -> StationaryHessian:
@@ -247,6 +242,14 @@ def _road_information(one: Pass, road: RoadTransform) -> np.ndarray:
     response = np.sinc(n * v * one.measurements.sample_weight.shape[2] / fs) ** 2
     response *= n * v <= one.model.bandwidth
     return np.asarray(information * (response * fs * road.ds / v)[:, None, None])
+
+
+def _posteriors(excess: np.ndarray, local: np.ndarray) -> np.ndarray:
+    """Return posterior over prior variance (D, F, 2) of `u` at the local roughness `local` (D,),
+    by what P(n) `excess` (F, 2, 2) has over the prior.
+    """
+    matrices = (_inverse(np.eye(2) + d**2 * excess) for d in local)
+    return np.array([np.real(M[:, [0, 1], [0, 1]]) for M in matrices])
 
 
 def _split_levels(local: np.ndarray) -> list[tuple[float, np.ndarray]]:

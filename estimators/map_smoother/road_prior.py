@@ -9,7 +9,8 @@ spectrum: a pothole in a level road is no part of a stationary process. Where it
 level.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -51,17 +52,23 @@ class RoadTransform:
     """Linear map from `u` to the coefficients of both wheel paths.
 
     Nodes are `ds` [m] apart from the station `origin` [m] on. `background` (2, K) [m] are the
-    coefficients for u = 0; `free` (K,) is 1 where the road may rise or fall, else 0; `amplitude`
-    (2, K // 2 + 1) is A(n) [m]; `local` (2, K) is the local roughness of each wheel path relative
-    to it.
+    coefficients for u = 0; `free` (K,) is 1 where the road may rise or fall, else 0;
+    `prior_amplitude` (2, K // 2 + 1) [m] and `density` (K // 2 + 1,), by which a drive scaled its
+    square, make A(n); `local` (2, K) is the local roughness of each wheel path relative to it.
     """
 
     origin: float
     ds: float
     background: np.ndarray
     free: np.ndarray
-    amplitude: np.ndarray
+    prior_amplitude: np.ndarray
+    density: np.ndarray
     local: np.ndarray
+
+    @cached_property
+    def amplitude(self) -> np.ndarray:
+        """A(n) (2, K // 2 + 1) [m]."""
+        return self.prior_amplitude * np.sqrt(self.density)
 
     @property
     def size(self) -> int:
@@ -107,10 +114,6 @@ class RoadTransform:
     def heights_at(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
         """Return the heights (2, M) [m] of both wheel paths at the stations `s` (M,) [m]."""
         return evaluate_spline(self.coefficients(u), (s - self.origin) / self.ds)
-
-    def scale_density(self, scale: np.ndarray) -> "RoadTransform":
-        """Return the map of a prior with `scale` (K // 2 + 1,) times this density."""
-        return replace(self, amplitude=self.amplitude * np.sqrt(scale))
 
     def whiten(self, increments: np.ndarray) -> np.ndarray:
         """Return the noise (2, K) of the `increments` (2, K) [m] of both wheel paths where free."""

@@ -31,6 +31,9 @@ GAIN_STD = 0.012
 """Standard deviation of the gain of an accelerometer that was not identified: within 2 % of 1 by
 its data sheet, anywhere alike."""
 
+IDENTIFIED = "identified"
+"""Source of the tolerances of a vehicle that was identified: its posterior standard deviations."""
+
 
 @dataclass(frozen=True, eq=False)
 class VehicleUncertainty:
@@ -52,10 +55,13 @@ class VehicleUncertainty:
     ) -> "VehicleUncertainty":
         """Return that of a vehicle as described, by the tolerances that its file states, and of
         accelerometers `sensors` as by their data sheet. Raises ConfigError.
+
+        What an identification left open is what drives do not show: no other one tells it, either.
         """
         space, errors = parameter_space(car), InstrumentErrors(sensors)
         variance = np.concatenate([space.std**2, _unfitted_variance(errors)])
-        return cls(car, space.names, np.diag(variance), is_prior=True)
+        identified = all(tolerance.source == IDENTIFIED for tolerance in car.tolerances.values())
+        return cls(car, space.names, np.diag(variance), is_prior=not identified)
 
     @classmethod
     def of_fit(cls, fit: CarFit) -> "VehicleUncertainty":

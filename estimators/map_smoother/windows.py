@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.fft import rfftfreq
 
 from estimators.common.block_means import block_means
 from estimators.common.model_inputs import ModelInputs
@@ -115,7 +116,7 @@ class RoadSoFar:
     """Road of the windows so far: coefficients `c` (2, K) [m], final before the node
     `first_free_node` and level from there on, the `std` (2, K) [m] of their error in the band, and
     samples `deviations` (D, 2, K) [m] of it in all waves, none before the first window; the
-    `density_scale` of the prior at the frequencies `n` [cycles/m].
+    `density` of the road over that of the prior at the frequencies `n` [cycles/m].
     """
 
     c: np.ndarray
@@ -123,7 +124,7 @@ class RoadSoFar:
     deviations: np.ndarray
     first_free_node: int
     n: np.ndarray
-    density_scale: np.ndarray
+    density: np.ndarray
 
     @classmethod
     def level(cls, size: int) -> "RoadSoFar":
@@ -276,10 +277,9 @@ def _extended(
     before = so_far.deviations if len(so_far.deviations) else np.zeros((count, 2, nodes.size))
     end = before[..., max(first - 1, 0), None]
     deviations = joined(before, end + posterior.deviations)
-    scale = (road.amplitude[0] / prior_amplitude(prior, road.size, road.ds)[0]) ** 2
-    scale *= np.mean(road.local[:, road.free > 0] ** 2)
+    density = road.density * np.mean(road.local[:, road.free > 0] ** 2)
     so_far_std = joined(so_far.std, posterior.std)
-    return RoadSoFar(joined(so_far.c, c), so_far_std, deviations, last, road.n, scale)
+    return RoadSoFar(joined(so_far.c, c), so_far_std, deviations, last, road.n, density)
 
 
 def window_objective(
@@ -298,8 +298,8 @@ def window_objective(
     c, free = np.pad(c, ((0, 0), (0, missing)), mode="edge"), np.pad(free, (0, missing))
     origin, ds = drive.nodes.origin + drive.nodes.ds * low, drive.nodes.ds
     amplitude = prior_amplitude(prior, size, ds)
-    road = RoadTransform(origin, ds, c, free, amplitude, np.ones_like(c))
-    road = road.scale_density(np.interp(road.n, so_far.n, so_far.density_scale))
+    density = np.interp(rfftfreq(size, ds), so_far.n, so_far.density)
+    road = RoadTransform(origin, ds, c, free, amplitude, density, np.ones_like(c))
     passes = tuple(_window_pass(*part, road.nodes) for part in parts)
     if len(parts) == 1:
         return Objective(road, passes)

@@ -7,8 +7,8 @@ import typer
 from rich.table import Table
 
 from estimators.api import CalibrationDrive
-from estimators.map_smoother.identification import UNDETERMINED, IdentificationResult
 from estimators.map_smoother.identification import identify as identify_vehicle
+from estimators.map_smoother.identification_result import UNDETERMINED, IdentificationResult
 from estimators.map_smoother.preparation import SolverSettings
 from leaderboard.commands import check_output_path
 from leaderboard.commands.drive_files import DriveOptions, read_passes

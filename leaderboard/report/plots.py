@@ -21,7 +21,7 @@ from road_envs.records.roughness import CLASSES, N_0, displacement_psd, smooth_p
 from road_envs.roads import Surface
 
 if TYPE_CHECKING:
-    from estimators.map_smoother.identification import IdentificationResult
+    from estimators.map_smoother.identification_result import IdentificationResult
 
 COLOURS = {"left": "#0072B2", "right": "#D55E00", "truth": "#222222", "sensor": "#009E73"}
 SIDES = ("left", "right")

@@ -12,7 +12,7 @@ from test_map_smoother import residual_at
 from vehicle_fixtures import DEFENDER
 
 from estimators.api import CalibrationDrive, CalibrationError
-from estimators.map_smoother import car_fit, identification, marginal_likelihood
+from estimators.map_smoother import car_fit, identification, marginal_likelihood, solver
 from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.gauss_newton import GaussNewton, minimize
 from estimators.map_smoother.identification import identify
@@ -24,6 +24,7 @@ from estimators.map_smoother.marginal_likelihood import (
 )
 from estimators.map_smoother.objective import Objective
 from estimators.map_smoother.preconditioner import stationary_hessian
+from estimators.map_smoother.tangent_likelihood import TangentTerms
 from estimators.map_smoother.windows import whole_objective
 from leaderboard.metrics.heights import nrmse
 from road_envs.analysis.information_bound import RoadPrior
@@ -186,7 +187,7 @@ def test_an_identification_that_does_not_explain_held_out_readings_is_refused(
 
 def test_each_step_over_an_unmeasured_road_has_derivatives_of_its_own(monkeypatch):
     objective, at = short_objective(), []
-    solver = GaussNewton(stationary_hessian(objective), 4.0)
+    steps = GaussNewton(stationary_hessian(objective), 4.0)
     few = ParameterSpace(DEFENDER, SPACE.names[:3], SPACE.std[:3])
 
     def logged(space, x):
@@ -194,6 +195,39 @@ def test_each_step_over_an_unmeasured_road_has_derivatives_of_its_own(monkeypatc
         return perturbed_cars(space, x)
 
     monkeypatch.setattr(car_fit, "perturbed_cars", logged)
-    fit = car_fit.fit_car([minimize(objective, solver)], few, solver, max_steps=4)
+    fit = car_fit.fit_car([minimize(objective, steps)], few, steps, max_steps=4)
     assert len(at) >= 3
     assert all((one != other).any() for one, other in pairwise([*at, fit.x]))
+
+
+def test_drives_of_two_vehicles_contradict_each_other_about_one():
+    """One wants a tenth more of a parameter, the other a tenth less, each sure to a hundredth."""
+
+    def wish(change):
+        information = 1e4 * np.eye(2)
+        gradient = information @ np.array([change, 0.0])
+        return TangentTerms(gradient, information, information, np.zeros(0), np.zeros((2, 0)))
+
+    def contradiction(*changes):
+        terms = [wish(change).weighted(car_fit.UNMEASURED_WEIGHT) for change in changes]
+        return car_fit._contradiction(terms, np.zeros(2))
+
+    assert contradiction(0.1, -0.1) == pytest.approx(0.5 * 10.0**2)
+    assert contradiction(0.01, -0.01) == pytest.approx(0.5)
+    assert contradiction(0.1) == 0.0
+
+
+def test_a_fit_that_was_not_believed_is_not_made_again_for_the_same_drive(monkeypatch):
+    drive, _ = calibration_drive("S1", 1, 60.0)
+    made = []
+
+    def counted(*args, **settings):
+        made.append(car_fit.fit_car(*args, **settings))
+        return made[-1]
+
+    monkeypatch.setattr(solver, "fit_if_due", lambda own, car, s: counted(own, SPACE, s))
+    monkeypatch.setattr(solver, "fit_car", counted)
+    monkeypatch.setattr(solver, "is_believed", lambda fit, own: False)
+    found = MapSmoother().estimate(drive.record, DEFENDER)
+    assert any("the vehicle was adapted" in note for note in found.notes)
+    assert len(made) == 1

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from oracles import linear_matrices
+from scipy.fft import irfft, rfft
 from scipy.linalg import expm
 from vehicle_fixtures import DEFENDER
 
@@ -107,6 +108,27 @@ def test_local_roughness_is_found_where_it_is_and_not_on_a_stationary_road():
     assert local[0, middle] > 2.0 * local[0, middle + 10] > 2.0 * np.median(local[:, inside])
 
 
+@pytest.mark.parametrize("collapsed", [1.0, 1e-3])
+def test_the_density_of_a_road_is_found_where_readings_tell_it_and_goes_on_from_there(collapsed):
+    """Of a linear vehicle the power of the most probable road is what the readings tell of it."""
+    objective = objective_of(drive_record(length=80.0)[0])
+    stationary, noise = stationary_hessian(objective), 300.0 * objective.noise_variance
+
+    def told(road):
+        posterior = np.linalg.inv(stationary.precision(road, noise))
+        return 1.0 - np.diagonal(posterior, axis1=1, axis2=2).real.T
+
+    road = objective.road
+    true = replace(road, free=np.ones(road.size), density=np.full(road.n.size, 0.25))
+    open_ = told(true).mean(axis=0) < 0.2
+    assert 0.1 < open_.mean() < 0.9
+    road = replace(true, density=np.where(open_, 0.25 * collapsed, 0.25))
+    white = np.random.default_rng(3).standard_normal((16, 2, road.size))
+    roads = irfft(np.sqrt(told(road)) * rfft(white, axis=2), road.size, axis=2)
+    found = [stationary.density_of(road, noise, u) for u in roads]
+    np.testing.assert_allclose(np.mean(found, axis=0), 0.25, rtol=0.1)
+
+
 @pytest.mark.parametrize("uneven", [False, True], ids=["stationary", "with obstacles"])
 def test_under_a_lifted_wheel_the_road_becomes_straight_or_as_low_as_where_the_wheel_lands(
     uneven, monkeypatch
@@ -179,7 +201,7 @@ def test_an_update_of_the_prior_changes_neither_road_nor_motion():
     lin = objective.linearize(perturb(np.zeros(objective.size)))
     new = update_prior(lin, stationary_hessian(objective), np.ones(1))
     again = new.objective.linearize(new.x)
-    assert not np.allclose(new.objective.road.amplitude, objective.road.amplitude, rtol=0.1)
+    assert not np.allclose(new.objective.road.amplitude, objective.road.amplitude, rtol=0.03)
     np.testing.assert_allclose(new.residual, again.residual, atol=1e-6)
     assert new.cost == pytest.approx(again.cost, rel=1e-6)
 
@@ -361,7 +383,7 @@ def test_on_a_linear_vehicle_the_map_road_is_the_dense_gaussian_posterior():
     record, _ = drive_record("ride", length=12.0)
     quiet = replace(record, a=np.zeros_like(record.a))
     objective = objective_of(quiet, car, step=0.00025, noise_density=0.01 * scale)
-    road = replace(objective.road, amplitude=scale * objective.road.amplitude)
+    road = replace(objective.road, prior_amplitude=scale * objective.road.prior_amplitude)
     J, rng = dense_tangent(objective) @ road_matrix(road), np.random.default_rng(7)
     drawn = rng.standard_normal(2 * road.size)
     (one,) = objective.passes

@@ -15,7 +15,8 @@ NODES = padded_size(4000)
 
 def free_road(size: int = NODES, ds: float = 0.05) -> RoadTransform:
     level, amplitude = np.zeros((2, size)), prior_amplitude(PRIOR, size, ds)
-    return RoadTransform(0.0, ds, level, np.ones(size), amplitude, np.ones((2, size)))
+    density = np.ones(size // 2 + 1)
+    return RoadTransform(0.0, ds, level, np.ones(size), amplitude, density, np.ones((2, size)))
 
 
 def uneven_road() -> RoadTransform:
@@ -61,7 +62,7 @@ def test_the_road_transform_has_its_transpose_and_is_level_where_not_free():
     c = road.apply(u)
     assert np.sum(c * dual) == pytest.approx(np.sum(u * road.apply_transpose(dual)), rel=1e-10)
     assert (c[:, :50] == 0.0).all() and (c[:, 200:] == c[:, 199:200]).all()
-    twice = road.scale_density(np.full(road.n.size, 4.0))
+    twice = replace(road, density=np.full(road.n.size, 4.0))
     np.testing.assert_allclose(twice.apply(u), 2.0 * c, atol=1e-15)
     np.testing.assert_allclose(twice.apply(twice.convert_noise(u, road)), c, atol=1e-12)
 

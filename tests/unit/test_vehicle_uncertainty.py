@@ -12,6 +12,11 @@ from estimators.api import copy_with
 from estimators.map_smoother.car_fit import CarFit
 from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.gauss_newton import MapSolution
+from estimators.map_smoother.identification_result import (
+    IdentificationResult,
+    uncertainty_of,
+    with_posterior,
+)
 from estimators.map_smoother.identified_vehicle import IdentifiedVehicle
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
@@ -79,7 +84,8 @@ def test_of_a_fit_the_covariance_is_that_of_the_fit_in_units_of_the_tolerances()
     lin = linearized()
     solution = MapSolution(lin, stationary_hessian(lin.objective), np.ones(1))
     covariance = np.array([[0.01, 0.004, 0.0], [0.004, 0.0025, 0.0], [0.0, 0.0, 0.49]])
-    fit = CarFit(parameter_space(car), np.array([0.5, 0.0, 0.0]), covariance, (solution,))
+    x = np.array([0.5, 0.0, 0.0])
+    fit = CarFit(parameter_space(car), x, covariance, (solution,), 0.0)
     found = VehicleUncertainty.of_fit(fit)
     assert found.car.m_b == DEFENDER.m_b * np.exp(0.05) and found.names == ("m_b", "I_xx", "I_yy")
     np.testing.assert_allclose(found.covariance[:3, :3], 0.01 * covariance)
@@ -128,3 +134,29 @@ def test_the_tolerances_of_a_described_vehicle_count_where_its_error_shows(grade
     assert any("times those of a vehicle that is known" in note for note in told.notes) == widened
     y, a = (band_pass(z, PROFILE_SPACING, scored_band(10.0)) for z in (truth.z, told.z))
     assert uncertainty(y, a, told.z_std).coverage_90 > 0.8
+
+
+def test_what_an_identification_left_open_is_not_narrowed_by_the_next_drive():
+    """Drives do not show it: what stays unexplained of one says nothing about it."""
+    told = replace(DEFENDER, tolerances={"m_b": Tolerance(relative=0.1, source="weighed")})
+    found = replace(DEFENDER, tolerances={"m_b": Tolerance(relative=0.1, source="identified")})
+    sensors = ("RF", "LR", "RR")
+    assert VehicleUncertainty.of_tolerances(told, sensors).is_prior
+    assert not VehicleUncertainty.of_tolerances(found, sensors).is_prior
+
+
+@pytest.mark.parametrize(("contradiction", "far", "another"), [(3.0, 4.0, True), (1.4, 4.0, False),
+                                                               (3.0, 2.0, False)])  # fmt: skip
+def test_a_vehicle_of_another_kind_keeps_its_tolerances_and_is_noted(contradiction, far, another):
+    tolerances = {name: Tolerance(relative=0.1, source="weighed") for name in ("m_b", "I_yy")}
+    car = replace(DEFENDER, tolerances=tolerances)
+    lin = linearized()
+    solution = MapSolution(lin, stationary_hessian(lin.objective), np.ones(1))
+    covariance = np.diag([0.04, 0.01])
+    fit = CarFit(parameter_space(car), np.array([far, 0.0]), covariance, (solution,), contradiction)
+    found, uncertainty = with_posterior(fit, car), uncertainty_of(fit)
+    std = [0.1, 0.1] if another else [0.02, 0.01]
+    assert [one.relative for one in found.tolerances.values()] == pytest.approx(std)
+    np.testing.assert_allclose(np.sqrt(np.diag(uncertainty.covariance))[:2], std)
+    notes = IdentificationResult(fit, found, uncertainty, ()).notes
+    assert any("of another kind" in note for note in notes) is another

@@ -1,0 +1,145 @@
+"""Result of an identification: the vehicle, what stays unknown of it, and sentences about both."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimators.map_smoother.car_fit import CarFit
+from estimators.map_smoother.vehicle_uncertainty import IDENTIFIED, VehicleUncertainty
+from road_envs.vehicle.parameters import Tolerance, VehicleParameters
+from road_envs.vehicle.tolerances import ParameterSpace
+
+UNDETERMINED = 0.9
+"""Posterior standard deviation, in tolerances, above which a parameter is not determined."""
+
+FAR = 3.0
+"""Fitted deviation, in units of the tolerance, that is flagged."""
+
+CONTRADICTION = 2.0
+"""`CarFit.contradiction` above which a vehicle with parameters that are FAR is of another kind. It
+is 0.6 to 1.5 where the class is right, 2.8 to 4.3 of a car with solid axles described by one with
+independent wheels (seeds 7700 and 7750), and up to 10 of the Land Rover in ride, whose friction
+hides the road, but nothing of it is FAR."""
+
+AS_DESCRIBED = "as described, since the drives are those of another kind of vehicle"
+"""Source of the tolerances of a vehicle of another kind."""
+
+
+@dataclass(frozen=True, eq=False)
+class Unexplained:
+    """Power of the residual over that of the instruments' noise, and its spectrum (F,) over `f`
+    (F,) [Hz], mean of the three sensors.
+    """
+
+    power: float
+    f: np.ndarray
+    spectrum: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class IdentificationResult:
+    """Result: the `fit`, the identified `car`, what is not known of it, and what the described and
+    the identified vehicle leave `unexplained` in the held-out part of each drive.
+    """
+
+    fit: CarFit
+    car: VehicleParameters
+    uncertainty: VehicleUncertainty
+    unexplained: tuple[tuple[Unexplained, Unexplained], ...]
+
+    @property
+    def std(self) -> np.ndarray:
+        """Standard deviations (P,) of the parameters in units of their tolerances."""
+        return self.fit.std
+
+    @property
+    def left(self) -> float:
+        """Power that the identified vehicle leaves unexplained, mean of the held-out parts."""
+        return float(np.mean([fitted.power for _, fitted in self.unexplained]))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters (P,), errors of the instruments last."""
+        space = self.fit.space
+        return (*space.names, *self.fit.instrument_errors.names)[: self.fit.x.size]
+
+    @property
+    def sensor_gains(self) -> tuple[float, ...]:
+        """Gain of each accelerometer; 1 over unmeasured roads, where none is identified."""
+        readings, errors = self.fit.instrument_errors, self.fit.x[self.fit.space.size :]
+        gains = np.exp(readings.std * errors) if errors.size else np.ones(len(readings.names))
+        return tuple(gains[: len(readings.sensors)].tolist())
+
+    @property
+    def displacement(self) -> float:
+        """Distance [m] that the odometer lacks, mean of the drives; 0 over unmeasured roads."""
+        errors = self.fit.x[self.fit.space.size :]
+        if errors.size == 0:
+            return 0.0
+        found = (self.fit.instrument_errors.std * errors)[-2:]
+        s = [solution.linearization.passes[0].source.inputs.s for solution in self.fit.solutions]
+        travelled = float(np.mean([np.mean(x - x[0]) for x in s]))
+        return float(found[0] + travelled * found[1])
+
+    @property
+    def factors(self) -> np.ndarray:
+        """Fitted value over described value of each parameter of the vehicle."""
+        space = self.fit.space
+        return np.exp(space.std * self.fit.x[: space.size])
+
+    @property
+    def notes(self) -> list[str]:
+        """Sentences on parameters that the drives do not determine, and on doubtful results."""
+        size = self.fit.space.size
+        x, std, names = self.fit.x[:size], self.std[:size], self.names
+        open_ = [names[i] for i in np.flatnonzero(std > UNDETERMINED)]
+        far = [names[i] for i in np.flatnonzero(np.abs(x) > FAR)]
+        notes = []
+        if is_another_kind(self.fit):
+            notes.append(
+                "the drives contradict each other about the vehicle, and it is far from its "
+                "description: it is of another kind, as with a solid axle for independent wheels; "
+                "its tolerances are left as described, so heights and IRI stay as uncertain"
+            )
+        if open_:
+            notes.append(f"not determined by the drives, kept as described: {', '.join(open_)}")
+        if far:
+            notes.append(f"more than {FAR:g} tolerances from the description: {', '.join(far)}")
+        if self.fit.x.size > size:
+            notes.append(
+                "errors of the instruments are not in the vehicle's file; calibrate of an "
+                "estimator corrects gains and odometer, and leaves accelerometers at the places "
+                "of their sheet"
+            )
+        if any(fitted.power > described.power for described, fitted in self.unexplained):
+            notes.append("on held-out readings the identified vehicle is no better: do not use it")
+        return notes
+
+
+def is_another_kind(fit: CarFit) -> bool:
+    """Return whether the drives are those of a vehicle of another kind than the described one."""
+    return bool(fit.contradiction > CONTRADICTION and (np.abs(fit.x) > FAR).any())
+
+
+def uncertainty_of(fit: CarFit) -> VehicleUncertainty:
+    """Return that of the vehicle of `with_posterior`."""
+    if is_another_kind(fit):
+        fit = replace(fit, covariance=np.eye(fit.x.size))
+    return VehicleUncertainty.of_fit(fit)
+
+
+def with_posterior(fit: CarFit, car: VehicleParameters) -> VehicleParameters:
+    """Return the fitted vehicle; its tolerances are the posterior standard deviations, of a vehicle
+    of another kind those of the description.
+    """
+    space: ParameterSpace = fit.space
+    if is_another_kind(fit):
+        std, source = np.ones(space.size), AS_DESCRIBED
+    else:
+        std, source = np.minimum(fit.std[: space.size], 1.0), IDENTIFIED
+    found = {
+        name: Tolerance(relative=relative, source=source)
+        for name, relative in zip(space.names, (space.std * std).tolist(), strict=True)
+    }
+    name = car.name if car.name.endswith("identified") else f"{car.name} identified"
+    return replace(fit.car, name=name, tolerances=found)
