@@ -13,14 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-REPLICATES = 2000
+_REPLICATES = 2000
 """Replicates of an interval or a rank: its quantiles leave 50 of them on each side."""
 
-CONFIDENCE = 0.95
-"""Level of every interval."""
-
-QUANTILES = (0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2)
-"""Shares of the replicates below the lower and the upper end of an interval."""
+_QUANTILES = (0.5 - 0.95 / 2, 0.5 + 0.95 / 2)
+"""Shares of the replicates below the lower and the upper end of an interval, at a level of 95 %."""
 
 MIN_ROADS = 5
 """Least number of roads for an interval or a rank: with two, the interval is their two scores."""
@@ -72,7 +69,7 @@ def interquartile_mean(x: np.ndarray, axis: int = -1) -> np.ndarray:
 
 
 def bootstrap(
-    scores: np.ndarray, seed: int, replicates: int = REPLICATES, strata: Strata | None = None
+    scores: np.ndarray, seed: int, replicates: int = _REPLICATES, strata: Strata | None = None
 ) -> np.ndarray:
     """Return the interquartile means (B,) of resamples of `scores` (R, C, S): roads, then seeds.
 
@@ -94,7 +91,7 @@ class Resampled(NamedTuple):
         """Return the sum with its 95 % interval; NaNs if a replicate is undefined."""
         if not np.isfinite(self.replicates).all():
             return Interval(np.nan, np.nan, np.nan)
-        low, high = np.quantile(self.replicates, QUANTILES)
+        low, high = np.quantile(self.replicates, _QUANTILES)
         return Interval(float(self.mean), float(low), float(high))
 
     def minus(self, other: "Resampled") -> "Resampled":
@@ -106,7 +103,7 @@ def resample(
     parts: Sequence[np.ndarray],
     weights: Sequence[float] = (1.0,),
     seed: int = 0,
-    replicates: int = REPLICATES,
+    replicates: int = _REPLICATES,
     strata: Strata | None = None,
 ) -> Resampled:
     """Return the sum of the interquartile means of `parts`, each (R, C, S), with `weights`.
@@ -130,7 +127,7 @@ def iqm_slope(parts: Sequence[np.ndarray], strata: Strata | None = None) -> Inte
 def performance_profile(
     scores: np.ndarray,
     thresholds: np.ndarray,
-    replicates: int = REPLICATES,
+    replicates: int = _REPLICATES,
     strata: Strata | None = None,
 ) -> PerformanceProfile:
     """Return the share of `scores` (R, C, S) at or below each of `thresholds` (T,).
@@ -145,7 +142,7 @@ def performance_profile(
 
     reached = shares(scores.ravel())
     parts = [shares(x) for x in _replicate_scores(scores, 0, replicates, strata)]
-    low, high = np.quantile(np.concatenate(parts), QUANTILES, axis=0)
+    low, high = np.quantile(np.concatenate(parts), _QUANTILES, axis=0)
     return PerformanceProfile(reached, low, high)
 
 
@@ -199,7 +196,7 @@ def rank_entries(scores: Mapping[str, np.ndarray], strata: Strata | None = None)
         drawn = made[name].replicates
         if np.isnan(drawn).any():  # an undefined score loses every comparison
             drawn = np.full(drawn.size, np.inf)
-        if rank == 0 or np.mean(drawn > leader) > QUANTILES[1]:
+        if rank == 0 or np.mean(drawn > leader) > _QUANTILES[1]:
             rank, leader = place, drawn
         ranks[name] = Rank(rank, made[name].interval())
     return ranks
