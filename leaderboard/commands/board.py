@@ -19,7 +19,7 @@ from leaderboard.commands import (
     print_json,
     progress_bar,
 )
-from leaderboard.commands.options import CORES, Json, LimitOptions, Workers
+from leaderboard.commands.options import CORES, Json, LimitOptions, Workers, option
 from leaderboard.entries.entries import resolve_entries
 from leaderboard.entries.entry import Entry
 from leaderboard.evaluation.evaluate import SEEDS
@@ -47,81 +47,67 @@ def leaderboard(
     *,
     task: Annotated[
         list[str] | None,
-        typer.Option(
-            help="Task: a name of `road-recon list tasks`, or a YAML path; may be given again."
-        ),
+        option("Task: a name of `road-recon list tasks`, or a YAML path; may be given again."),
     ] = None,
     board: Annotated[
         list[str] | None,
-        typer.Option(
-            help=f"Board: {', '.join(names('boards'))}; may be given again. Default: all."
-        ),
+        option(f"Board: {', '.join(names('boards'))}; may be given again. Default: all."),
     ] = None,
     road: Annotated[
         list[Path] | None,
-        typer.Option(help="Train and score on this surface file instead; may be given again."),
+        option("Train and score on this surface file instead; may be given again."),
     ] = None,
     estimator: Annotated[
         list[str] | None,
-        typer.Option(
-            help="Estimator: a name of `road-recon list estimators`, module:Class, or path of a "
+        option(
+            "Estimator: a name of `road-recon list estimators`, module:Class, or path of a "
             "wheel, an installed package or a file from `train`; may be given again. Default: all."
         ),
     ] = None,
     without: Annotated[
-        list[str] | None, typer.Option(help="Estimator to exclude; may be given again.")
+        list[str] | None, option("Estimator to exclude; may be given again.")
     ] = None,
     roads: Annotated[
-        int | None, typer.Option(help="Test drives per condition on random roads.", min=2)
+        int | None, option("Test drives per condition on random roads.", min=2)
     ] = None,
     length: Annotated[
-        float | None, typer.Option(help="Length of random test roads in metres.", min=50.0)
+        float | None, option("Length of random test roads in metres.", min=50.0)
     ] = None,
     full: Annotated[
-        bool, typer.Option("--full", help="All test drives of every task: 50 and more roads.")
+        bool, option("All test drives of every task: 50 and more roads.", "--full")
     ] = False,
-    seeds: Annotated[int, typer.Option(help="Training seeds of each estimator.", min=1)] = len(
-        SEEDS
-    ),
+    seeds: Annotated[int, option("Training seeds of each estimator.", min=1)] = len(SEEDS),
     again: Annotated[
-        bool, typer.Option("--again", help="Run everything again, including valid stored results.")
+        bool, option("Run everything again, including valid stored results.", "--again")
     ] = False,
     replace: Annotated[
         list[str] | None,
-        typer.Option(
-            help="Entry whose stored row may be replaced although other code made it; may be given "
+        option(
+            "Entry whose stored row may be replaced although other code made it; may be given "
             "again. A terminal is asked."
         ),
     ] = None,
     attainable: Annotated[
         bool,
-        typer.Option(
-            "--attainable",
-            help="Also compute the attainable error of each test drive with the nonlinear vehicle: "
+        option(
+            "Also compute the attainable error of each test drive with the nonlinear vehicle: "
             "some seconds per drive, once.",
+            "--attainable",
         ),
     ] = False,
     probes: Annotated[
-        bool,
-        typer.Option(
-            "--probes", help="Also run the conformance probes of new entries, on this machine."
-        ),
+        bool, option("Also run the conformance probes of new entries, on this machine.", "--probes")
     ] = False,
     workers: Workers = CORES,
     dask: Annotated[
         str | None,
-        typer.Option(
-            help="Run on the cluster of the Dask scheduler at this address; local: start one here."
-        ),
+        option("Run on the cluster of the Dask scheduler at this address; local: start one here."),
     ] = None,
     plan: Annotated[
-        Path | None,
-        typer.Option(help="Write job files for `run-job` into this folder, run nothing."),
+        Path | None, option("Write job files for `run-job` into this folder, run nothing.")
     ] = None,
     limits: LimitOptions,
-    out: Annotated[Path, typer.Option(help="Folder for results and site.")] = Path(
-        "out/leaderboard"
-    ),
+    out: Annotated[Path, option("Folder for results and site.")] = Path("out/leaderboard"),
     json: Json = False,
 ) -> None:
     """Evaluate estimators: a result file per task and estimator, tables, and a site.

@@ -4,12 +4,11 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Annotated, Any
 
-import typer
 from rich.table import Table
 from rich.text import Text
 
 from leaderboard.commands import import_from_here, parse_settings
-from leaderboard.commands.options import LimitOptions, Settings
+from leaderboard.commands.options import LimitOptions, Settings, argument
 from leaderboard.commands.output import Output
 from leaderboard.commands.policies import POLICY_OPTIONS, chosen_isolation, policy_reference
 from leaderboard.conformance.checks import RUN_TIME_LIMIT, check_entry
@@ -27,8 +26,7 @@ MARKS = {
 
 def check_estimator(
     estimator: Annotated[
-        str,
-        typer.Argument(help="Installed name, module:Class, or path of a wheel or trained file."),
+        str, argument("Installed name, module:Class, or path of a wheel or trained file.")
     ],
     limits: LimitOptions,
 ) -> Output:
@@ -47,7 +45,7 @@ def check_estimator(
 
 def check_policy(
     policy: Annotated[
-        str, typer.Argument(help="Installed name, module:Class, or a file from `train-policy`.")
+        str, argument("Installed name, module:Class, or a file from `train-policy`.")
     ],
     settings: Settings = None,
     limits: LimitOptions = POLICY_OPTIONS,

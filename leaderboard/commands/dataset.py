@@ -3,11 +3,9 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from leaderboard.arrays import load_task
 from leaderboard.commands import command_line, progress_bar
-from leaderboard.commands.options import Sensors
+from leaderboard.commands.options import Sensors, option
 from leaderboard.commands.output import Output, facts_table
 from leaderboard.episode_tables import DATASETS_PATH, write_episodes
 from leaderboard.new_folder import new_folder
@@ -22,22 +20,18 @@ DRIVES, SEED, SENSORS = 200, 2, "paper"
 
 def dataset(
     *,
-    out: Annotated[Path, typer.Option(help="Folder of the data set; it must not exist.")],
-    drives: Annotated[int, typer.Option(help="Number of drives.", min=10)] = DRIVES,
-    seed: Annotated[int, typer.Option(help="Seed of the drives.", min=0)] = SEED,
+    out: Annotated[Path, option("Folder of the data set; it must not exist.")],
+    drives: Annotated[int, option("Number of drives.", min=10)] = DRIVES,
+    seed: Annotated[int, option("Seed of the drives.", min=0)] = SEED,
     sensors: Sensors = SENSORS,
     episodes: Annotated[
-        str | None,
-        typer.Option(help="Write episodes of this switching policy instead, for Minari."),
+        str | None, option("Write episodes of this switching policy instead, for Minari.")
     ] = None,
     task: Annotated[
-        str | None,
-        typer.Option(help="Write the drives of this task instead, to be scored by `score`."),
+        str | None, option("Write the drives of this task instead, to be scored by `score`.")
     ] = None,
-    roads: Annotated[
-        int | None, typer.Option(help="With --task: test drives per condition.", min=1)
-    ] = None,
-    csv: Annotated[bool, typer.Option("--csv", help="With --task: CSV, not Parquet.")] = False,
+    roads: Annotated[int | None, option("With --task: test drives per condition.", min=1)] = None,
+    csv: Annotated[bool, option("With --task: CSV, not Parquet.", "--csv")] = False,
 ) -> Output:
     """Write simulated drives with true roads as Parquet: splits, card, licence, checksums.
 

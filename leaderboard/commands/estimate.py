@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import typer
 from rich.table import Table
 
 import estimators
@@ -18,7 +17,7 @@ from leaderboard.commands.drive_files import (
     read_drive,
     read_passes,
 )
-from leaderboard.commands.options import Settings
+from leaderboard.commands.options import Settings, argument, option
 from leaderboard.commands.output import Output, facts_table
 from leaderboard.drive_report.drive_estimates import estimate_drive, make_drive_estimator
 from leaderboard.metrics.alignment import align
@@ -39,13 +38,13 @@ DB_PER_LOG = 4.34
 
 def estimate(
     *,
-    estimator: Annotated[str, typer.Argument(help="A file from `train`, or a name.")],
+    estimator: Annotated[str, argument("A file from `train`, or a name.")],
     records: RecordFiles,
-    truth: Annotated[Path | None, typer.Option(help="True profile (.csv), to score.")] = None,
+    truth: Annotated[Path | None, option("True profile (.csv), to score.")] = None,
     options: DriveOptions,
     settings: Settings = None,
-    out: Annotated[Path | None, typer.Option(help="Write the estimate (.csv).")] = None,
-    plot: Annotated[Path | None, typer.Option(help="Draw the estimate (.png).")] = None,
+    out: Annotated[Path | None, option("Write the estimate (.csv).")] = None,
+    plot: Annotated[Path | None, option("Draw the estimate (.png).")] = None,
 ) -> Output:
     """Reconstruct both wheel paths of a record; score them if the truth is given.
 
@@ -109,7 +108,7 @@ def classify(
     record: RecordFile,
     options: DriveOptions,
     method: Annotated[
-        str, typer.Option(help="spectral: by a vehicle model; rms: regression on simulated drives.")
+        str, option("spectral: by a vehicle model; rms: regression on simulated drives.")
     ] = "spectral",
 ) -> Output:
     """Estimate the ISO 8608 class of the road of a record, with its probability.

@@ -3,9 +3,8 @@
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from leaderboard.commands import make_table
+from leaderboard.commands.options import argument, option
 from leaderboard.commands.output import Output
 from road_envs.core.config import ConfigError
 from road_envs.records.roughness import IN_PER_MI, profile_indices
@@ -16,8 +15,8 @@ HEADS = ("from [m]", "to [m]", "left", "right", "mean", "half-car (HRI)", "mean 
 
 def iri(
     *,
-    profile: Annotated[Path, typer.Argument(help="Profile or surface: .csv, .erd, .crg, ...")],
-    segment: Annotated[float, typer.Option(help="Length of a segment in m.", min=1.0)] = 100.0,
+    profile: Annotated[Path, argument("Profile or surface: .csv, .erd, .crg, ...")],
+    segment: Annotated[float, option("Length of a segment in m.", min=1.0)] = 100.0,
 ) -> Output:
     """Print the International Roughness Index of a profile by segment (ASTM E1926).
 

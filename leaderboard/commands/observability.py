@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
 from rich.table import Table
 
 from leaderboard.commands import (
@@ -13,7 +12,7 @@ from leaderboard.commands import (
     parse_pairs,
     progress_bar,
 )
-from leaderboard.commands.options import Sensors, Vehicle
+from leaderboard.commands.options import Sensors, Vehicle, option
 from leaderboard.commands.output import Output
 from leaderboard.observability import BANDWIDTHS, bounds_by_state, instruments_with
 from leaderboard.report import plots
@@ -27,39 +26,33 @@ DEFAULT_MODES = ("ride", "handling", "front=ride,rear=handling", "front=handling
 
 def observability(
     *,
-    speed_kmh: Annotated[
-        list[float] | None, typer.Option(help="Speed in km/h; may be given again.")
-    ] = None,
+    speed_kmh: Annotated[list[float] | None, option("Speed in km/h; may be given again.")] = None,
     mode: Annotated[
         list[str] | None,
-        typer.Option(
-            help="Mode, as in `simulate`; may be given again. Default: those of the vehicle."
-        ),
+        option("Mode, as in `simulate`; may be given again. Default: those of the vehicle."),
     ] = None,
-    road_class: Annotated[str, typer.Option(help="ISO 8608 class of the road, A to H.")] = "D",
+    road_class: Annotated[str, option("ISO 8608 class of the road, A to H.")] = "D",
     noise: Annotated[
-        float | None,
-        typer.Option(help="Noise density in (m/s²)/sqrt(Hz); default: that of the instruments."),
+        float | None, option("Noise density in (m/s²)/sqrt(Hz); default: that of the instruments.")
     ] = None,
     mismatch: Annotated[
-        float, typer.Option(help="Model error relative to the signal of each sensor.", min=0.0)
+        float, option("Model error relative to the signal of each sensor.", min=0.0)
     ] = 0.0,
     damping: Annotated[
-        str | None,
-        typer.Option(help="Dampers in N s/m by mode, such as ride=2000,handling=5000."),
+        str | None, option("Dampers in N s/m by mode, such as ride=2000,handling=5000.")
     ] = None,
     vehicle: Vehicle = "land_rover_defender_110",
     sensors: Sensors = "paper",
     attainable: Annotated[
         bool,
-        typer.Option(
-            "--attainable",
-            help="Also compute the attainable error of the nonlinear vehicle by the bandwidth of "
+        option(
+            "Also compute the attainable error of the nonlinear vehicle by the bandwidth of "
             "the data, its van Trees bound, and the bound of linear estimators, to which friction "
             "is noise.",
+            "--attainable",
         ),
     ] = False,
-    out: Annotated[Path | None, typer.Option(help="Plot over spatial frequency to write.")] = None,
+    out: Annotated[Path | None, option("Plot over spatial frequency to write.")] = None,
 ) -> Output:
     """Compute bounds on the error of an estimate by mode and speed, and plot them over frequency.
 

@@ -6,8 +6,6 @@ import os
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from leaderboard.commands import (
     check_output_folder,
     check_output_path,
@@ -19,7 +17,7 @@ from leaderboard.commands import (
     progress_bar,
     to_json,
 )
-from leaderboard.commands.options import Json, LimitOptions
+from leaderboard.commands.options import Json, LimitOptions, option
 from leaderboard.policies import best_found, comparison, learning
 from leaderboard.policies import page as policy_page
 from leaderboard.policies.policy_process import POLICY_LIMITS, PolicyProcess
@@ -42,28 +40,24 @@ def policies(
     *,
     policy: Annotated[
         list[str] | None,
-        typer.Option(
-            help="Policy: a name of `road-recon list policies`, module:Class, or a file from "
+        option(
+            "Policy: a name of `road-recon list policies`, module:Class, or a file from "
             "`train-policy` (.npz) or Stable-Baselines3 (.zip); may be given again. Default: all "
             "of this package, all constant pairs, and installed ones where they can be isolated."
         ),
     ] = None,
     drives: Annotated[
-        int, typer.Option(help="Public drives, each to both sides.", min=2)
+        int, option("Public drives, each to both sides.", min=2)
     ] = comparison.PUBLIC_DRIVES,
     sweeps: Annotated[
-        int, typer.Option(help="Sweeps of the search for the best switching; 0: none.", min=0)
+        int, option("Sweeps of the search for the best switching; 0: none.", min=0)
     ] = best_found.SWEEPS,
     seal: Annotated[
-        str | None, typer.Option(help="Secret text of the sealed drives, instead of public ones.")
+        str | None, option("Secret text of the sealed drives, instead of public ones.")
     ] = None,
-    reference: Annotated[
-        str, typer.Option(help="Policy that differences refer to.")
-    ] = comparison.REFERENCE,
-    quick: Annotated[
-        bool, typer.Option("--quick", help="Two drives, without the search: seconds.")
-    ] = False,
-    out: Annotated[Path | None, typer.Option(help="Folder for the table and the page.")] = None,
+    reference: Annotated[str, option("Policy that differences refer to.")] = comparison.REFERENCE,
+    quick: Annotated[bool, option("Two drives, without the search: seconds.", "--quick")] = False,
+    out: Annotated[Path | None, option("Folder for the table and the page.")] = None,
     limits: LimitOptions = POLICY_OPTIONS,
     json: Json = False,
 ) -> None:
@@ -149,9 +143,9 @@ def _entries(references: list[str] | None, limits: Limits) -> dict[str, Any]:
 
 def train_policy(
     *,
-    out: Annotated[Path, typer.Option(help="File for the best policy (.npz).")],
-    seed: Annotated[int, typer.Option(help="Training seed.", min=0)] = 1,
-    steps: Annotated[int, typer.Option(help="Rounds.", min=1)] = IterationConfig.steps,
+    out: Annotated[Path, option("File for the best policy (.npz).")],
+    seed: Annotated[int, option("Training seed.", min=0)] = 1,
+    steps: Annotated[int, option("Rounds.", min=1)] = IterationConfig.steps,
 ) -> None:
     """Train a policy on training drives, and compare it with laws on public ones."""
     check_output_path(out, ".npz")

@@ -17,7 +17,7 @@ from leaderboard.commands import (
     print_json,
     progress_bar,
 )
-from leaderboard.commands.options import Json, LimitOptions, ResultsFolder, Share
+from leaderboard.commands.options import Json, LimitOptions, ResultsFolder, Share, argument, option
 from leaderboard.commands.output import Output
 from leaderboard.entries.entries import resolve_entries
 from leaderboard.evaluation import hidden_seeds
@@ -38,7 +38,7 @@ DEFAULT_FOLDER = Path("out/leaderboard")
 
 
 def run_job(
-    spec: Annotated[Path, typer.Argument(help="Job file from `leaderboard --plan`.")],
+    spec: Annotated[Path, argument("Job file from `leaderboard --plan`.")],
     out: ResultsFolder = DEFAULT_FOLDER,
     json: Json = False,
 ) -> None:
@@ -55,15 +55,15 @@ def run_job(
 
 
 def verify(
-    folder: Annotated[Path, typer.Argument(help="Folder of results, the --out of `leaderboard`.")],
+    folder: Annotated[Path, argument("Folder of results, the --out of `leaderboard`.")],
     *,
     share: Share = SHARE,
     seed: Annotated[
-        int | None, typer.Option(help="Seed of the choice of drives; drawn if missing.", min=0)
+        int | None, option("Seed of the choice of drives; drawn if missing.", min=0)
     ] = None,
     estimator: Annotated[
         list[str] | None,
-        typer.Option(help="Entry of another package: wheel, folder or class; may be given again."),
+        option("Entry of another package: wheel, folder or class; may be given again."),
     ] = None,
     limits: LimitOptions,
 ) -> Output:
@@ -115,13 +115,12 @@ def verified_output(found: Sequence[Verified]) -> Output:
 
 def score(
     heights: Annotated[
-        Path,
-        typer.Argument(help="CSV or Parquet file: test_profiles of `dataset --task`, filled in."),
+        Path, argument("CSV or Parquet file: test_profiles of `dataset --task`, filled in.")
     ],
     *,
-    task: Annotated[str, typer.Option(help="Task that the heights are of.")],
+    task: Annotated[str, option("Task that the heights are of.")],
     roads: Annotated[
-        int | None, typer.Option(help="Test drives per condition, as for `dataset`.", min=1)
+        int | None, option("Test drives per condition, as for `dataset`.", min=1)
     ] = None,
 ) -> Output:
     """Score heights of the test drives of a task, made by any program."""
@@ -130,16 +129,16 @@ def score(
 
 
 def season(
-    out: Annotated[Path, typer.Option(help="Folder of the hidden test set.")],
+    out: Annotated[Path, option("Folder of the hidden test set.")],
     salt: Annotated[
-        str | None, typer.Option(help="Secret salt; if missing, one is drawn and printed once.")
+        str | None, option("Secret salt; if missing, one is drawn and printed once.")
     ] = None,
     task: Annotated[
         list[str] | None,
-        typer.Option(help="Shipped task; may be given again. Default: all with random roads."),
+        option("Shipped task; may be given again. Default: all with random roads."),
     ] = None,
     reveal: Annotated[
-        bool, typer.Option("--reveal", help="Verify the salt and write the tasks with their seeds.")
+        bool, option("Verify the salt and write the tasks with their seeds.", "--reveal")
     ] = False,
 ) -> Output:
     """Publish the hash of a hidden test set, and later, with --reveal, its seeds."""
@@ -165,7 +164,7 @@ def season(
 
 
 def cite(
-    entry: Annotated[str | None, typer.Argument(help="Entry with a row in the folder.")] = None,
+    entry: Annotated[str | None, argument("Entry with a row in the folder.")] = None,
     out: ResultsFolder = DEFAULT_FOLDER,
 ) -> None:
     """Print how to cite this project, and an entry with the versions of what ran."""
@@ -174,8 +173,8 @@ def cite(
 
 
 def clean(
-    folder: Annotated[Path | None, typer.Argument(help="Default: the caches of this user.")] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="List them, delete nothing.")] = False,
+    folder: Annotated[Path | None, argument("Default: the caches of this user.")] = None,
+    dry_run: Annotated[bool, option("List them, delete nothing.", "--dry-run")] = False,
 ) -> Output:
     """Delete stale artifacts: results, cards and caches that other code has made."""
     where = folder or cache_home()

@@ -4,26 +4,19 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import typer
 
 from leaderboard.commands import check_output_path, make_table
-from leaderboard.commands.options import Length, Seed
+from leaderboard.commands.options import Length, Seed, argument, option
 from leaderboard.commands.output import Output
 from leaderboard.drive_report.export import read_heights
 from leaderboard.report import plots
 from road_envs.core import config
 from road_envs.core.config import ConfigError
-from road_envs.records.roughness import (
-    displacement_psd,
-    fit_line,
-    iri,
-    roughness_class,
-    smooth_psd,
-)
+from road_envs.records.roughness import displacement_psd, fit_line, iri, roughness_class, smooth_psd
 from road_envs.roads import Surface, load_road, realise_road
 from road_envs.roads.formats.write import WRITERS, write, write_crg
 
-Which = Annotated[str, typer.Argument(help="Shipped name, YAML path or surface file.")]
+Which = Annotated[str, argument("Shipped name, YAML path or surface file.")]
 
 
 def list_roads() -> Output:
@@ -49,7 +42,7 @@ def list_roads() -> Output:
 
 def plot_road(
     road: Which,
-    out: Annotated[Path, typer.Option(help="Picture to write (.png, .svg or .pdf).")],
+    out: Annotated[Path, option("Picture to write (.png, .svg or .pdf).")],
     length: Length = None,
     seed: Seed = 1,
 ) -> Output:
@@ -61,12 +54,10 @@ def plot_road(
 
 def export(
     road: Which,
-    out: Annotated[Path, typer.Option(help="File to write (.csv, .parquet, .crg or .erd).")],
+    out: Annotated[Path, option("File to write (.csv, .parquet, .crg or .erd).")],
     length: Length = None,
     seed: Seed = 1,
-    form: Annotated[
-        str | None, typer.Option(help="Format of a .crg file: KDBI, KRBI, LDFI or LRFI.")
-    ] = None,
+    form: Annotated[str | None, option("Format of a .crg file: KDBI, KRBI, LDFI or LRFI.")] = None,
 ) -> Output:
     """Write both wheel paths of a road to a file that can be read back as a road."""
     check_output_path(out, *WRITERS)
@@ -76,8 +67,8 @@ def export(
 
 
 def export_heights(
-    heights: Annotated[Path, typer.Argument(help="NAME_heights.parquet of a report.")],
-    out: Annotated[Path, typer.Option(help="Road: .erd for ProVAL, .crg for simulators, .csv.")],
+    heights: Annotated[Path, argument("NAME_heights.parquet of a report.")],
+    out: Annotated[Path, option("Road: .erd for ProVAL, .crg for simulators, .csv.")],
 ) -> Output:
     """Write the road that a report found as a surface for other programs.
 

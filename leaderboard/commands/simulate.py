@@ -4,10 +4,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import typer
 
 from leaderboard.commands import check_output_path, parse_mode
-from leaderboard.commands.options import Length, Mode, Road, Seed, Sensors, Speed, Vehicle
+from leaderboard.commands.options import Length, Mode, Road, Seed, Sensors, Speed, Vehicle, option
 from leaderboard.commands.output import Output
 from leaderboard.report import plots
 from road_envs.core.config import ConfigError
@@ -20,16 +19,13 @@ from road_envs.vehicle.parameters import load_vehicle
 from road_envs.vehicle.suspension import encode_command
 
 Grade = Annotated[
-    str,
-    typer.Option(
-        help="Grade of the perturbed vehicle: S0 (as described) to S4; the seed draws it."
-    ),
+    str, option("Grade of the perturbed vehicle: S0 (as described) to S4; the seed draws it.")
 ]
 
 Plant = Annotated[
     str,
-    typer.Option(
-        help="Vehicle model: own, or that of another project, mujoco or commonroad, which needs "
+    option(
+        "Vehicle model: own, or that of another project, mujoco or commonroad, which needs "
         "the extra plants and a vehicle with passive struts."
     ),
 ]
@@ -46,9 +42,9 @@ def simulate(
     sensors: Sensors = "paper",
     grade: Grade = "S0",
     plant: Plant = "own",
-    out: Annotated[Path | None, typer.Option(help="Write the record (.parquet, .csv).")] = None,
-    truth: Annotated[Path | None, typer.Option(help="Write the true profile (.csv).")] = None,
-    plot: Annotated[Path | None, typer.Option(help="Draw profile and record (.png).")] = None,
+    out: Annotated[Path | None, option("Write the record (.parquet, .csv).")] = None,
+    truth: Annotated[Path | None, option("Write the true profile (.csv).")] = None,
+    plot: Annotated[Path | None, option("Draw profile and record (.png).")] = None,
 ) -> Output:
     """Simulate a drive over a road and record the signals of the instruments."""
     check_output_path(out, ".parquet", ".csv")

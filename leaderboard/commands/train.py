@@ -4,8 +4,6 @@ import time
 from pathlib import Path
 from typing import Annotated, Any, cast
 
-import typer
-
 import estimators
 from estimators import weights_io
 from estimators.api import Trainable
@@ -22,7 +20,7 @@ from leaderboard.commands import (
     progress_bar,
 )
 from leaderboard.commands.drive_files import DriveOptions, read_passes
-from leaderboard.commands.options import KnownRoads, Length, Settings
+from leaderboard.commands.options import KnownRoads, Length, Settings, argument, option
 from leaderboard.commands.output import Output
 from leaderboard.drive_report.drive_estimates import read_profiles
 from road_envs.core.config import ConfigError
@@ -38,25 +36,20 @@ SIMULATED = ("vehicle", "sensors", "mode", "speed_kmh")
 
 def train(
     *,
-    estimator: Annotated[str, typer.Argument(help="Name of a trainable estimator.")],
+    estimator: Annotated[str, argument("Name of a trainable estimator.")],
     records: Annotated[
-        list[Path] | None,
-        typer.Argument(help="Own drives to train on, over roads of known --profile."),
+        list[Path] | None, argument("Own drives to train on, over roads of known --profile.")
     ] = None,
-    out: Annotated[
-        Path, typer.Option(help="File for the fitted estimator (.npz or .safetensors).")
-    ],
+    out: Annotated[Path, option("File for the fitted estimator (.npz or .safetensors).")],
     profile: KnownRoads = None,
     road: Annotated[
-        list[str] | None,
-        typer.Option(help="Training road; may be given again. Default: the shipped corpus."),
+        list[str] | None, option("Training road; may be given again. Default: the shipped corpus.")
     ] = None,
     length: Length = None,
     drives: Annotated[
-        int | None,
-        typer.Option(help="Drives on each road with different seeds, or of the corpus.", min=1),
+        int | None, option("Drives on each road with different seeds, or of the corpus.", min=1)
     ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of the training.", min=0)] = 1,
+    seed: Annotated[int, option("Seed of the training.", min=0)] = 1,
     settings: Settings = None,
     options: DriveOptions,
 ) -> Output:

@@ -102,6 +102,15 @@ class Metric:
         rounded = round(self.factor * value, self.digits) + 0.0  # no minus before a zero
         return f"{rounded:{'+' if self.better == 'zero' else ''}.{self.digits}f}"
 
+    def text(self, value: float | None) -> str:
+        """Return the value as text with its unit."""
+        return f"{self.format_value(value)} {self.unit}".strip()
+
+    @property
+    def heading(self) -> str:
+        """The label, with the unit in brackets."""
+        return f"{self.label} [{self.unit}]" if self.unit else self.label
+
 
 _Scores = Callable[[ScoredEstimate], Sequence[float]]
 

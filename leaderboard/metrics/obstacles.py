@@ -105,11 +105,14 @@ def obstacle_scores(y: np.ndarray, a: np.ndarray, ds: float) -> ObstacleScores |
         (abs(f.s - t.s), abs(f.height - t.height), abs(f.height - t.height) / abs(t.height))
         for t, f in pairs
     ]
+    s, height, relative = np.mean(errors, axis=0).tolist() if pairs else (np.nan,) * 3
     return ObstacleScores(
         len(pairs) / n_detected if n_detected else 0.0,
         len(pairs) / n_true,
         2 * len(pairs) / (n_true + n_detected),
-        *(np.mean(errors, axis=0).tolist() if pairs else (np.nan,) * 3),
+        s,
+        height,
+        relative,
         float(wrong_side),
     )
 

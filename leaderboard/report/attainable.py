@@ -82,12 +82,7 @@ def drive_error(
     prior = RoadPrior(G_d0=10.0 ** (road[0] / 10.0), w=road[1])
     try:
         return attainable_error(
-            drive.record,
-            drive.truth,
-            car,
-            prior,
-            bandwidth=BANDWIDTH,
-            instruments=task.instruments,
+            drive.record, drive.truth, car, prior, bandwidth=BANDWIDTH, instruments=task.instruments
         )
     except (ArithmeticError, ValueError):  # the motion is not finite; a frame that twists
         return np.nan

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 from leaderboard.evaluation.results import COLUMNS, scores_table
 from leaderboard.metrics.registry import SCORES
-from leaderboard.report.board_definitions import label_with_unit
 from leaderboard.report.citation import as_bibtex
 from leaderboard.report.tables import ALL_RUNS, BoardView, Section, nonempty_columns
 from leaderboard.running.board import Board
@@ -111,7 +110,7 @@ def _as_latex(view: BoardView, section: Section) -> str:
     import pandas as pd
 
     columns = [column for column in nonempty_columns(view, section) if not column.wide]
-    heads = [label_with_unit(column) for column in columns] or [""]
+    heads = [column.heading for column in columns] or [""]
     lines = []
     for row in section.rows:
         cells = [row.cells.get(column.key, "") for column in columns]

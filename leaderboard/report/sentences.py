@@ -132,12 +132,6 @@ def scored_rows(section: Section, key: str) -> list[Row]:
     return [r for r in section.rows if r.state == "scored" and r.values.get(key) is not None]
 
 
-def format_score(key: str, value: float | None) -> str:
-    """Text of a score with its unit."""
-    score = COLUMNS[key]
-    return f"{score.format_value(value or 0.0)} {score.unit}".strip()
-
-
 def _has_claim(section: Section) -> bool:
     return any(row.state == "claim" for row in section.rows)
 
@@ -182,8 +176,8 @@ def _best_sentence(best: Row, section: Section, definition: BoardDefinition) -> 
     sure = "" if low is None else f", with 95\u00a0% confidence {interval_text(low, high, key)}"
     scale = ", where an exact estimate has 0 and a flat road 1" if key == "nrmse" else ""
     worst = best.values.get(WORST)
-    tail = "" if worst is None else f" On its worst drive it is {format_score(WORST, worst)}."
-    error = format_score(key, best.values[key])
+    tail = "" if worst is None else f" On its worst drive it is {COLUMNS[WORST].text(worst)}."
+    error = COLUMNS[key].text(best.values[key])
     return f"{best.name} is best: its error is {error}{scale}{sure}.{tail}"
 
 
@@ -192,7 +186,7 @@ def _others_sentence(best: Row, others: Sequence[Row], definition: BoardDefiniti
     key, second = definition.ranks_by, others[0]
 
     def score(row: Row) -> str:
-        return format_score(key, row.values[key])
+        return COLUMNS[key].text(row.values[key])
 
     times = (second.values[key] or 0.0) / (best.values[key] or 1.0)
     text = f"{second.name} follows with {score(second)}, {times:.1f} times as much"
