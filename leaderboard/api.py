@@ -39,9 +39,7 @@ class ScoreTable:
         """Return key, text with unit and label of each defined score of `keys`."""
         rows = [(key, SCORES[key], self.values.get(key, math.nan)) for key in keys]
         return [
-            (key, form.text(value), form.label)
-            for key, form, value in rows
-            if math.isfinite(value)
+            (key, form.text(value), form.label) for key, form, value in rows if math.isfinite(value)
         ]
 
     def __str__(self) -> str:

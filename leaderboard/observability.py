@@ -21,15 +21,14 @@ from road_envs.sensing.instruments import Instruments, load_instruments
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import decode_commands, encode_command
 
-Mode = str | dict[str, str]
-PLOTTED_BAND = (0.05, 2.5)
-"""Band [cycles/m] of a curve, cut at the low-pass of the sensors."""
+_Mode = str | dict[str, str]
+_PLOTTED_BAND = (0.05, 2.5)  # Band [cycles/m] of a curve, cut at the low-pass of the sensors
 
-BANDWIDTHS, ATTAINABLE_LENGTH = (25.0, 100.0, 333.0), 100.0
+BANDWIDTHS, _ATTAINABLE_LENGTH = (25.0, 100.0, 333.0), 100.0
 """Bandwidths [Hz] of the data and length [m] of the road for the attainable error."""
 
 
-class BoundCurve(NamedTuple):
+class _BoundCurve(NamedTuple):
     """Posterior of the road over spatial frequency, of one mode at one speed [km/h]."""
 
     mode: str
@@ -43,7 +42,7 @@ def bounds_by_state(
     car: VehicleParameters,
     sensors: str,
     prior: RoadPrior,
-    modes: Sequence[Mode],
+    modes: Sequence[_Mode],
     speeds_kmh: Sequence[float],
     *,
     noise_density: float | None = None,
@@ -52,7 +51,7 @@ def bounds_by_state(
     attainable: bool = False,
     with_curves: bool = False,
     progress: Callable[[str, float], None] = lambda text, share: None,
-) -> tuple[list[dict[str, Any]], list[BoundCurve]]:
+) -> tuple[list[dict[str, Any]], list[_BoundCurve]]:
     """Return a row of bounds and, `with_curves`, the curve over frequency of each mode at each
     speed [km/h].
 
@@ -68,10 +67,10 @@ def bounds_by_state(
     # fails before anything is computed
     chosen = [_damping_by_strut(dampers, mode, car) for mode in modes]
     rows: list[dict[str, Any]] = []
-    curves: list[BoundCurve] = []
+    curves: list[_BoundCurve] = []
     jobs = [(*pair, speed) for pair in zip(modes, chosen, strict=True) for speed in speeds_kmh]
     for k, (mode, c, speed) in enumerate(jobs):
-        name, v = front_rear(mode), speed / 3.6
+        name, v = _front_rear(mode), speed / 3.6
         progress(f"{name}, {speed:g} km/h", k / len(jobs))
         c = equivalent_damping(car, mode, v, prior) if c is None else c
         settings: dict[str, Any] = {"damping": c, "model_error": model_error}
@@ -82,9 +81,9 @@ def bounds_by_state(
             rows[-1]["linear_estimators"] = floor.pooled
             rows[-1] |= _nonlinear(car, mode, speed, sensors, noise_density, prior)
         if with_curves:
-            n = np.geomspace(PLOTTED_BAND[0], min(PLOTTED_BAND[1], F_C / v), 3000)
+            n = np.geomspace(_PLOTTED_BAND[0], min(_PLOTTED_BAND[1], F_C / v), 3000)
             drawn = bound(car, mode, v, instruments, prior, n=n, **settings)
-            curves.append(BoundCurve(name, speed, drawn, posterior.pooled))
+            curves.append(_BoundCurve(name, speed, drawn, posterior.pooled))
     return rows, curves
 
 
@@ -99,7 +98,7 @@ def instruments_with(sensors: str, noise_density: float | None) -> Instruments:
         raise ConfigError(str(error)) from None
 
 
-def front_rear(mode: Mode) -> str:
+def _front_rear(mode: _Mode) -> str:
     """Return a short name of a mode, "ride / handling" for front and rear."""
     if isinstance(mode, str):
         return f"{mode} / {mode}"
@@ -109,7 +108,7 @@ def front_rear(mode: Mode) -> str:
 
 
 def _damping_by_strut(
-    dampers: Mapping[str, float] | None, mode: Mode, car: VehicleParameters
+    dampers: Mapping[str, float] | None, mode: _Mode, car: VehicleParameters
 ) -> np.ndarray | None:
     """Return the damping (4,) [N s/m] of each strut in its mode; None without `dampers`."""
     stiff, high = (flags[0] for flags in decode_commands(np.array([encode_command(mode, car)])))
@@ -141,16 +140,16 @@ def _row(mode: str, speed: float, damping: np.ndarray, posterior: Posterior) -> 
 
 def _nonlinear(
     car: VehicleParameters,
-    mode: Mode,
+    mode: _Mode,
     speed_kmh: float,
     sensors: str,
     noise_density: float | None,
     prior: RoadPrior,
 ) -> dict[str, Any]:
-    """Return the attainable NRMSE for each of BANDWIDTHS on a road of ATTAINABLE_LENGTH, and the
+    """Return the attainable NRMSE for each of BANDWIDTHS on a road of _ATTAINABLE_LENGTH, and the
     bound of van Trees for the widest.
     """
-    road = Iso8608(G_d0=prior.G_d0, w=prior.w, track=prior.track, length=ATTAINABLE_LENGTH)
+    road = Iso8608(G_d0=prior.G_d0, w=prior.w, track=prior.track, length=_ATTAINABLE_LENGTH)
     record, truth = simulate_record(
         road, vehicle=car, speed_kmh=speed_kmh, mode=mode, instruments=sensors
     )

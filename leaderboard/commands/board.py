@@ -119,15 +119,10 @@ def leaderboard(
     chosen = _tasks(task, board, road)
     for each in chosen:
         board_columns(each.board_name, each.board_definition)  # refuses unknown ones
-    if full:
-        chosen = [
-            task.with_test_drives(None) if task.has_several_test_drives else task for task in chosen
-        ]
-    if length:
-        chosen = [
-            task.with_test_length(length) if task.has_several_test_drives else task
-            for task in chosen
-        ]
+    for k, each in enumerate(chosen):
+        if each.has_several_test_drives:
+            each = each.with_test_drives(None) if full else each
+            chosen[k] = each.with_test_length(length) if length else each
     own = limits.parse()
     check_output_folder(out)
     entries = _entries(estimator, without or [], own)

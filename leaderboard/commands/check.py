@@ -17,7 +17,7 @@ from leaderboard.entries.entries import resolve_entries
 from leaderboard.policies.policy_checks import check_policy as run_policy_checks
 from leaderboard.sandbox.client import SandboxClient
 
-MARKS = {
+_MARKS = {
     True: Text("passed", style="green"),
     False: Text("FAILED", style="red"),
     None: Text("noted", style="dim"),
@@ -71,7 +71,7 @@ def _checks_output(kind: str, name: str, results: Sequence[CheckResult], summary
     checks = [dataclasses.asdict(result) for result in results]
     table = Table.grid(padding=(0, 1))
     for result in results:
-        table.add_row(MARKS[result.passed], result.name, result.message)
+        table.add_row(_MARKS[result.passed], result.name, result.message)
     return Output(
         facts={kind: name, "passed": passed, "checks": checks},
         shows=[table, f"{name}: {summary}"],

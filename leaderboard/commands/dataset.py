@@ -14,16 +14,15 @@ from road_envs.core.config import ConfigError
 from road_envs.drives.dataset import write_dataset
 from road_envs.drives.training_corpus import Corpus
 
-DRIVES, SEED, SENSORS = 200, 2, "paper"
-"""Defaults of the drives that are not those of a task."""
+_DRIVES, _SEED, _SENSORS = 200, 2, "paper"  # Defaults of the drives that are not those of a task
 
 
 def dataset(
     *,
     out: Annotated[Path, option("Folder of the data set; it must not exist.")],
-    drives: Annotated[int, option("Number of drives.", min=10)] = DRIVES,
-    seed: Annotated[int, option("Seed of the drives.", min=0)] = SEED,
-    sensors: Sensors = SENSORS,
+    drives: Annotated[int, option("Number of drives.", min=10)] = _DRIVES,
+    seed: Annotated[int, option("Seed of the drives.", min=0)] = _SEED,
+    sensors: Sensors = _SENSORS,
     episodes: Annotated[
         str | None, option("Write episodes of this switching policy instead, for Minari.")
     ] = None,
@@ -43,7 +42,7 @@ def dataset(
         raise ConfigError("give either --task or --episodes, not both")
     if task is None and (csv or roads is not None):
         raise ConfigError("--csv and --roads are of a task: give --task")
-    if task is not None and (drives, seed, sensors) != (DRIVES, SEED, SENSORS):
+    if task is not None and (drives, seed, sensors) != (_DRIVES, _SEED, _SENSORS):
         raise ConfigError("--drives, --seed and --sensors are those of the task: leave them out")
     if not out.parent.is_dir():
         raise ConfigError(f"{out}: the folder {out.parent} does not exist")

@@ -31,9 +31,8 @@ from road_envs.records.record import Profile
 from road_envs.roads import Surface, load_road, realise_road, write_csv
 from road_envs.roads.measured import Measured
 
-METHODS = ["spectral", "rms"]
-DB_PER_LOG = 4.34
-"""10 / ln 10: decibels per unit of the natural logarithm of a PSD."""
+_METHODS = ["spectral", "rms"]
+_DB_PER_LOG = 4.34  # 10 / ln 10: decibels per unit of the natural logarithm of a PSD
 
 
 def estimate(
@@ -116,7 +115,7 @@ def classify(
     Method spectral uses the acceleration spectra by octaves; method rms uses a regression on the
     RMS of drives that are simulated in the modes and at the speeds of the record.
     """
-    validate_choice("method", method, METHODS)
+    validate_choice("method", method, _METHODS)
     drive = read_drive(record, options)
     measured, notes = drive.measured.record, drive.measured.notes
     result: Any = (
@@ -131,7 +130,7 @@ def classify(
     percent = 100.0 * result.probability[result.letter]
     shows: list[Any] = [
         f"class {result.letter} ({percent:.0f} %), Gd(n0) = {1e6 * result.G_d0:.0f}e-6 m³ "
-        f"± {DB_PER_LOG * result.log_std:.1f} dB"
+        f"± {_DB_PER_LOG * result.log_std:.1f} dB"
     ]
     if method == "spectral":
         shows.append(_octaves_table(result))
@@ -145,7 +144,7 @@ def _octaves_table(posterior: spectral.ClassPosterior) -> Table:
         strict=True,
     )  # fmt: skip
     cells = [
-        (f"{centre:g}", f"{1e6 * level:.0f}", f"{DB_PER_LOG * std:.1f}", letter)
+        (f"{centre:g}", f"{1e6 * level:.0f}", f"{_DB_PER_LOG * std:.1f}", letter)
         for centre, level, std, letter in rows
     ]
     heads = ("octave [cycles/m]", "Gd(n0) [1e-6 m³]", "± [dB]", "class")

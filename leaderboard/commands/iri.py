@@ -10,7 +10,7 @@ from road_envs.core.config import ConfigError
 from road_envs.records.roughness import IN_PER_MI, profile_indices
 from road_envs.roads import realise_road
 
-HEADS = ("from [m]", "to [m]", "left", "right", "mean", "half-car (HRI)", "mean [in/mi]")
+_HEADS = ("from [m]", "to [m]", "left", "right", "mean", "half-car (HRI)", "mean [in/mi]")
 
 
 def iri(
@@ -41,4 +41,4 @@ def iri(
     facts = {"file": str(profile), "spacing_m": surface.ds, "segments": rows, "whole": whole,
              "notes": list(surface.notes)}  # fmt: skip
     told = "IRI in mm/m; the last line is that of the whole profile"
-    return Output(facts=facts, shows=[make_table(HEADS, cells), told])
+    return Output(facts=facts, shows=[make_table(_HEADS, cells), told])

@@ -11,13 +11,13 @@ from road_envs.core.config import ConfigError
 from road_envs.vehicle.generic_cars import CLASSES, fitted_vehicle
 from road_envs.vehicle.parameters import write_vehicle
 
-Name = Annotated[str, argument("Name to register it under: lower-case letters, digits and _.")]
-Folder = Annotated[Path | None, option("New or empty folder; by default road-recon-NAME here.")]
+_Name = Annotated[str, argument("Name to register it under: lower-case letters, digits and _.")]
+_Folder = Annotated[Path | None, option("New or empty folder; by default road-recon-NAME here.")]
 
 
 def new_estimator(
-    name: Name,
-    out: Folder = None,
+    name: _Name,
+    out: _Folder = None,
     learns: Annotated[
         bool, option("An estimator that is fitted to training drives.", "--learns")
     ] = False,
@@ -26,7 +26,7 @@ def new_estimator(
     return _write(name, out, "learner" if learns else "estimator", f"check-estimator {name}")
 
 
-def new_policy(name: Name, out: Folder = None) -> Output:
+def new_policy(name: _Name, out: _Folder = None) -> Output:
     """Write a small working package with a new switching policy."""
     return _write(name, out, "policy", f"check-policy {name}")
 

@@ -21,7 +21,7 @@ from road_envs.core.config import ConfigError, validate_choice
 from road_envs.records.roughness import CLASSES
 from road_envs.vehicle.parameters import load_vehicle
 
-DEFAULT_MODES = ("ride", "handling", "front=ride,rear=handling", "front=handling,rear=ride")
+_DEFAULT_MODES = ("ride", "handling", "front=ride,rear=handling", "front=handling,rear=ride")
 
 
 def observability(
@@ -64,7 +64,7 @@ def observability(
     prior = RoadPrior(
         G_d0=CLASSES[validate_choice("road class", road_class, CLASSES)], track=2.0 * car.front.y_t
     )
-    default = list(car.modes) if car.is_passive else DEFAULT_MODES
+    default = list(car.modes) if car.is_passive else _DEFAULT_MODES
     speeds, modes = speed_kmh or [14.5, 54.0], [_parsed(text) for text in mode or default]
     with progress_bar() as progress:
         rows, curves = bounds_by_state(

@@ -24,7 +24,7 @@ def option(text: str, *names: str, **settings: Any) -> Any:
     return typer.Option(*names, help=text, **settings)
 
 
-def shipped(kind: str) -> str:
+def _shipped(kind: str) -> str:
     """Return the shipped names of a kind of configuration for the help of an option."""
     return ", ".join(names(kind))
 
@@ -46,8 +46,8 @@ Mode = Annotated[
 ]
 Length = Annotated[float | None, option("Another length of the road in metres.")]
 Seed = Annotated[int, option("Seed of the road, and of the sensors' noise.", min=0)]
-Vehicle = Annotated[str, option(f"Vehicle: {shipped('vehicles')}, or a YAML path.")]
-Sensors = Annotated[str, option(f"Instruments: {shipped('sensors')}, or a YAML path.")]
+Vehicle = Annotated[str, option(f"Vehicle: {_shipped('vehicles')}, or a YAML path.")]
+Sensors = Annotated[str, option(f"Instruments: {_shipped('sensors')}, or a YAML path.")]
 Settings = Annotated[list[str] | None, option("Setting, key=value; may be given again.", "--set")]
 KnownRoads = Annotated[
     list[str] | None,

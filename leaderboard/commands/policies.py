@@ -32,8 +32,7 @@ from road_envs.policies.policy_iteration import IterationConfig, iterate
 from road_envs.vehicle.suspension import MODES
 
 POLICY_OPTIONS = LimitOptions(time_limit=POLICY_LIMITS.seconds, memory_limit=POLICY_LIMITS.memory)
-QUICK_DRIVES = 2
-"""Public drives of `--quick`, each to both sides."""
+_QUICK_DRIVES = 2  # Public drives of `--quick`, each to both sides
 
 
 def policies(
@@ -64,7 +63,7 @@ def policies(
     """Compare policies by comfort and safety on the drives of RoadRecon/Safe4S4-v1."""
     check_output_folder(out)
     if quick:
-        drives, sweeps = QUICK_DRIVES, 0
+        drives, sweeps = _QUICK_DRIVES, 0
     entries = _entries(policy, limits.parse())
     if policy is None:
         pairs = {f"{f}/{r}": FixedPair(front=f, rear=r) for r in MODES for f in MODES}  # type: ignore[arg-type]

@@ -31,15 +31,14 @@ from road_envs.core import artifacts
 from road_envs.core.code_digest import cache_home
 from road_envs.core.config import ConfigError
 
-RANDOM_ROAD_BOARDS = ("new_road", "field", "class")
-"""Boards with random roads."""
+_RANDOM_ROAD_BOARDS = ("new_road", "field", "class")  # Boards with random roads
 
-DEFAULT_FOLDER = Path("out/leaderboard")
+_DEFAULT_FOLDER = Path("out/leaderboard")
 
 
 def run_job(
     spec: Annotated[Path, argument("Job file from `leaderboard --plan`.")],
-    out: ResultsFolder = DEFAULT_FOLDER,
+    out: ResultsFolder = _DEFAULT_FOLDER,
     json: Json = False,
 ) -> None:
     """Run one job and store its results for the next `leaderboard --out`.
@@ -152,7 +151,7 @@ def season(
         facts = {"commitment": hidden_seeds.load(out).commitment, "salt": salt, "tasks": paths}
     else:
         chosen = [load_task(name) for name in task or ()] or [
-            each for each in shipped_tasks() if each.board_name in RANDOM_ROAD_BOARDS
+            each for each in shipped_tasks() if each.board_name in _RANDOM_ROAD_BOARDS
         ]
         is_drawn, salt = salt is None, salt or secrets.token_urlsafe(24)
         hidden = hidden_seeds.commit(salt, chosen)
@@ -165,7 +164,7 @@ def season(
 
 def cite(
     entry: Annotated[str | None, argument("Entry with a row in the folder.")] = None,
-    out: ResultsFolder = DEFAULT_FOLDER,
+    out: ResultsFolder = _DEFAULT_FOLDER,
 ) -> None:
     """Print how to cite this project, and an entry with the versions of what ran."""
     cited = "" if entry is None else cite_entry(out, entry)

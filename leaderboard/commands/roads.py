@@ -16,7 +16,7 @@ from road_envs.records.roughness import displacement_psd, fit_line, iri, roughne
 from road_envs.roads import Surface, load_road, realise_road
 from road_envs.roads.formats.write import WRITERS, write, write_crg
 
-Which = Annotated[str, argument("Shipped name, YAML path or surface file.")]
+_Which = Annotated[str, argument("Shipped name, YAML path or surface file.")]
 
 
 def list_roads() -> Output:
@@ -41,7 +41,7 @@ def list_roads() -> Output:
 
 
 def plot_road(
-    road: Which,
+    road: _Which,
     out: Annotated[Path, option("Picture to write (.png, .svg or .pdf).")],
     length: Length = None,
     seed: Seed = 1,
@@ -53,7 +53,7 @@ def plot_road(
 
 
 def export(
-    road: Which,
+    road: _Which,
     out: Annotated[Path, option("File to write (.csv, .parquet, .crg or .erd).")],
     length: Length = None,
     seed: Seed = 1,

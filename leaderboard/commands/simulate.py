@@ -18,11 +18,11 @@ from road_envs.sensing.data_logger import load_instruments
 from road_envs.vehicle.parameters import load_vehicle
 from road_envs.vehicle.suspension import encode_command
 
-Grade = Annotated[
+_Grade = Annotated[
     str, option("Grade of the perturbed vehicle: S0 (as described) to S4; the seed draws it.")
 ]
 
-Plant = Annotated[
+_Plant = Annotated[
     str,
     option(
         "Vehicle model: own, or that of another project, mujoco or commonroad, which needs "
@@ -40,8 +40,8 @@ def simulate(
     seed: Seed = 1,
     vehicle: Vehicle = "land_rover_defender_110",
     sensors: Sensors = "paper",
-    grade: Grade = "S0",
-    plant: Plant = "own",
+    grade: _Grade = "S0",
+    plant: _Plant = "own",
     out: Annotated[Path | None, option("Write the record (.parquet, .csv).")] = None,
     truth: Annotated[Path | None, option("Write the true profile (.csv).")] = None,
     plot: Annotated[Path | None, option("Draw profile and record (.png).")] = None,

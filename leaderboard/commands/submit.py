@@ -16,8 +16,8 @@ from leaderboard.submission.submission import SUBMISSION_SHARE, make_submission,
 from road_envs.core.atomic_io import write_text
 from road_envs.core.config import ConfigError
 
-ISOLATED = LimitOptions(isolation="bubblewrap")
-RulesFile = Annotated[
+_ISOLATED = LimitOptions(isolation="bubblewrap")
+_RulesFile = Annotated[
     Path | None, option("Rules of the results repository; by default new_road whole.")
 ]
 
@@ -29,7 +29,7 @@ def submit(
     card: Annotated[
         Path, option("Card of the method (YAML); written to be filled in if missing.")
     ] = Path("card.yaml"),
-    rules: RulesFile = None,
+    rules: _RulesFile = None,
     sign: Annotated[
         Path | None, option("Sign with this private key; made if it does not exist.")
     ] = None,
@@ -65,12 +65,12 @@ def submit(
 def verify_one(
     folder: Annotated[Path, argument("Folder of a submission.")],
     *,
-    rules: RulesFile = None,
+    rules: _RulesFile = None,
     share: Share = SUBMISSION_SHARE,
     replaces: Annotated[
         Path | None, option("The submission as it was before: its key, if any, must have signed.")
     ] = None,
-    limits: LimitOptions = ISOLATED,
+    limits: LimitOptions = _ISOLATED,
 ) -> Output:
     """Verify a submission; exit status 1 if a row differs from what is found here.
 

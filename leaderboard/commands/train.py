@@ -30,7 +30,7 @@ from road_envs.drives.training_corpus import Corpus
 from road_envs.records.record import Profile, Record
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 
-SIMULATED = ("vehicle", "sensors", "mode", "speed_kmh")
+_SIMULATED = ("vehicle", "sensors", "mode", "speed_kmh")
 """Options of drives that simulated ones have, too."""
 
 
@@ -78,7 +78,7 @@ def train(
         facts |= _fit(chosen, pairs, files[0].car, seed, out)
         facts["notes"] = list(dict.fromkeys(n for file in files for n in file.measured.notes))
     elif road:
-        measured = {k: x for k, x in vars(options).items() if k not in SIMULATED}
+        measured = {k: x for k, x in vars(options).items() if k not in _SIMULATED}
         _refuse("simulated drives", {"profile": profile, **measured})
         car, pairs, number = load_vehicle(vehicle), [], drives or 1
         with progress_bar() as progress:

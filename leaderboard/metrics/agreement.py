@@ -19,17 +19,15 @@ from scipy.signal import correlate, correlation_lags
 from leaderboard.metrics.api import Metric, ScoredEstimate, metric, metrics
 from road_envs.records.roughness import golden_car, iri
 
-_SEGMENT_LENGTH = 100.0
-"""Length [m] of the segments whose IRI is compared."""
+_SEGMENT_LENGTH = 100.0  # Length [m] of the segments whose IRI is compared
 
 _SHORT_SEGMENT = 20.0
 """Length [m] of the segments of limits of agreement and ICC, of which a drive needs several."""
 
-_LAG_MAX = 1.0
-"""Largest lag [m] of the cross-correlation."""
+_LAG_MAX = 1.0  # Largest lag [m] of the cross-correlation
 
 
-class BlandAltman(NamedTuple):
+class _BlandAltman(NamedTuple):
     """Mean difference `bias`, and the limits bias ± 1.96 standard deviations of the differences
     (Bland & Altman, Lancet 327, 1986).
     """
@@ -39,12 +37,12 @@ class BlandAltman(NamedTuple):
     upper: float
 
 
-def bland_altman(x: np.ndarray, y: np.ndarray) -> BlandAltman:
+def bland_altman(x: np.ndarray, y: np.ndarray) -> _BlandAltman:
     """Return the limits of agreement of x - y, two measurements (N,) of the same segments."""
     difference = np.asarray(x, dtype=float) - np.asarray(y, dtype=float)
     bias = float(difference.mean())
     spread = 1.96 * float(difference.std(ddof=1)) if difference.size > 1 else np.nan
-    return BlandAltman(bias, bias - spread, bias + spread)
+    return _BlandAltman(bias, bias - spread, bias + spread)
 
 
 def intraclass_correlation(x: np.ndarray) -> float:

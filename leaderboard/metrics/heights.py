@@ -45,7 +45,7 @@ _SEGMENT_LENGTH = 10.0  # [m] Welch segment of the coherence: resolution 0.1 cyc
 _NEGLIGIBLE = 1e-9  # an RMS below this share of the truth's is rounding error
 
 
-class Sides(NamedTuple):
+class _Sides(NamedTuple):
     """A score of each wheel path, and of both pooled."""
 
     left: float
@@ -61,7 +61,7 @@ class Correlation(NamedTuple):
     r_at_lag: float
 
 
-class Uncertainty(NamedTuple):
+class _Uncertainty(NamedTuple):
     """CRPS [m], and the shares [-] of errors inside the 50 % and 90 % intervals."""
 
     crps: float
@@ -69,12 +69,12 @@ class Uncertainty(NamedTuple):
     coverage_90: float
 
 
-def nrmse(y: np.ndarray, a: np.ndarray, ds: float, band: Band) -> Sides:
+def nrmse(y: np.ndarray, a: np.ndarray, ds: float, band: Band) -> _Sides:
     """Return RMS error over RMS truth [-], of estimate `a` and truth `y` (2, M), inside `band`."""
     return error_over_truth(*band_pass(np.stack([y, a]), ds, band))
 
 
-def error_over_truth(y: np.ndarray, a: np.ndarray) -> Sides:
+def error_over_truth(y: np.ndarray, a: np.ndarray) -> _Sides:
     """Return RMS error over RMS truth [-], of `a` and `y` (2, K) as they are."""
     return _ratio(a - y, y)
 
@@ -130,7 +130,7 @@ def coherence(y: np.ndarray, a: np.ndarray, ds: float, band: Band) -> float:
     return float(gamma2.mean()) if P_yy.any() else np.nan
 
 
-def uncertainty(y: np.ndarray, a: np.ndarray, sigma: np.ndarray) -> Uncertainty:
+def uncertainty(y: np.ndarray, a: np.ndarray, sigma: np.ndarray) -> _Uncertainty:
     """Score the standard deviation `sigma` (2, M) [m] against the error of `a` from `y`.
 
     Both are (2, K), band-passed, K < M: the drift outside the band cannot be observed. With a
@@ -140,7 +140,7 @@ def uncertainty(y: np.ndarray, a: np.ndarray, sigma: np.ndarray) -> Uncertainty:
     trim = (sigma.shape[-1] - e.shape[-1]) // 2
     sigma = sigma[:, trim : trim + e.shape[-1]]
     shares = [float(np.mean(np.abs(e) <= ndtri(0.5 + 0.5 * p) * sigma)) for p in (0.5, 0.9)]
-    return Uncertainty(crps(e, sigma), *shares)
+    return _Uncertainty(crps(e, sigma), *shares)
 
 
 def crps(e: np.ndarray, sigma: np.ndarray) -> float:
@@ -152,13 +152,13 @@ def crps(e: np.ndarray, sigma: np.ndarray) -> float:
     return float(np.mean(e * (2.0 * ndtr(x) - 1.0) + spread))
 
 
-def level_error(y: np.ndarray, a: np.ndarray) -> Sides:
+def level_error(y: np.ndarray, a: np.ndarray) -> _Sides:
     """Return equation 12 with its sign [-]: the relative excess of the RMS of `a` over that of `y`.
 
     Heights (2, M) are taken as given, from any datum. The paper prints one number for a drive of
     two wheel paths and does not say how it was formed; `pooled` takes the RMS over both.
     """
-    return Sides(*(level - 1.0 for level in _ratio(a, y)))
+    return _Sides(*(level - 1.0 for level in _ratio(a, y)))
 
 
 def remove_mean(z: np.ndarray) -> np.ndarray:
@@ -166,12 +166,12 @@ def remove_mean(z: np.ndarray) -> np.ndarray:
     return z - z.mean(axis=-1, keepdims=True)
 
 
-def _ratio(above: np.ndarray, below: np.ndarray) -> Sides:
+def _ratio(above: np.ndarray, below: np.ndarray) -> _Sides:
     """Return RMS of `above` over RMS of `below`, both (2, M); NaN over a flat wheel path."""
     a, b = np.mean(above**2, axis=-1), np.mean(below**2, axis=-1)
     a, b = np.append(a, a.mean()), np.append(b, b.mean())
     ratio = np.divide(a, b, out=np.full(3, np.nan), where=b > _NEGLIGIBLE**2 * b[2])
-    return Sides(*np.sqrt(ratio).tolist())
+    return _Sides(*np.sqrt(ratio).tolist())
 
 
 def _pearson(yy: np.ndarray, aa: np.ndarray, ya: np.ndarray) -> np.ndarray:

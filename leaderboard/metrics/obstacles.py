@@ -27,7 +27,7 @@ class Obstacle(NamedTuple):
     height: float
 
 
-class ObstacleMatches(NamedTuple):
+class _ObstacleMatches(NamedTuple):
     """Obstacles of one wheel path: matched `pairs` (true, estimated), misses, false alarms."""
 
     pairs: list[tuple[Obstacle, Obstacle]]
@@ -35,7 +35,7 @@ class ObstacleMatches(NamedTuple):
     false: list[Obstacle]
 
 
-class ObstacleScores(NamedTuple):
+class _ObstacleScores(NamedTuple):
     """Shares [-], mean absolute errors of matched obstacles (NaN if none), number of wrong ones."""
 
     precision: float
@@ -73,7 +73,7 @@ def true_obstacles(y: np.ndarray, ds: float) -> tuple[list[Obstacle], list[Obsta
 
 def match_obstacles(
     y: np.ndarray, a: np.ndarray, ds: float
-) -> tuple[ObstacleMatches, ObstacleMatches] | None:
+) -> tuple[_ObstacleMatches, _ObstacleMatches] | None:
     """Match the obstacles of estimate `a` with those of truth `y`, both (2, M), by wheel path.
 
     Returns None if the truth has no obstacle.
@@ -86,7 +86,7 @@ def match_obstacles(
     return left, right
 
 
-def obstacle_scores(y: np.ndarray, a: np.ndarray, ds: float) -> ObstacleScores | None:
+def obstacle_scores(y: np.ndarray, a: np.ndarray, ds: float) -> _ObstacleScores | None:
     """Return the scores of `a` against `y`, both (2, M) [m]; None without a true obstacle."""
     paths = match_obstacles(y, a, ds)
     if paths is None:
@@ -106,7 +106,7 @@ def obstacle_scores(y: np.ndarray, a: np.ndarray, ds: float) -> ObstacleScores |
         for t, f in pairs
     ]
     s, height, relative = np.mean(errors, axis=0).tolist() if pairs else (np.nan,) * 3
-    return ObstacleScores(
+    return _ObstacleScores(
         len(pairs) / n_detected if n_detected else 0.0,
         len(pairs) / n_true,
         2 * len(pairs) / (n_true + n_detected),
@@ -117,10 +117,10 @@ def obstacle_scores(y: np.ndarray, a: np.ndarray, ds: float) -> ObstacleScores |
     )
 
 
-def _match_path(y: np.ndarray, a: np.ndarray, ds: float, threshold: float) -> ObstacleMatches:
+def _match_path(y: np.ndarray, a: np.ndarray, ds: float, threshold: float) -> _ObstacleMatches:
     true, detected = detect_obstacles(y, ds, threshold), detect_obstacles(a, ds, threshold)
     pairs = _pair_nearest(true, detected)
-    return ObstacleMatches(
+    return _ObstacleMatches(
         pairs,
         [obstacle for obstacle in true if not any(obstacle is t for t, _ in pairs)],
         [obstacle for obstacle in detected if not any(obstacle is f for _, f in pairs)],
@@ -165,4 +165,4 @@ def _is_match(a: Obstacle, b: Obstacle) -> bool:
 )  # fmt: skip
 def _obstacles(scored: ScoredEstimate) -> tuple[float, ...]:
     found = obstacle_scores(scored.y, scored.a, scored.ds) if scored.bumps else None
-    return found or (np.nan,) * len(ObstacleScores._fields)
+    return found or (np.nan,) * len(_ObstacleScores._fields)

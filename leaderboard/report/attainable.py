@@ -25,7 +25,7 @@ from road_envs.core.code_digest import cache_home
 from road_envs.records.record import scored_band
 from road_envs.vehicle.parameters import VehicleParameters
 
-ATTAINABLE = Kind(
+_ATTAINABLE = Kind(
     "attainable error", 1, ("leaderboard.evaluation.evaluate", attainable_error.__module__)
 )
 BANDWIDTH = 100.0
@@ -64,8 +64,8 @@ def _attainable_errors(
         }
         return {"errors": errors}
 
-    identity = ATTAINABLE.identity(task.digest, condition.label)
-    return ATTAINABLE.find_or_make(cache_home(), identity, compute, _errors)
+    identity = _ATTAINABLE.identity(task.digest, condition.label)
+    return _ATTAINABLE.find_or_make(cache_home(), identity, compute, _errors)
 
 
 def _errors(data: Mapping[str, Any]) -> dict[int, float]:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 COLOURS = {"left": "#0072B2", "right": "#D55E00", "truth": "#222222", "sensor": "#009E73"}
 SIDES = ("left", "right")
 
-SVG_STYLE: Any = {
+_SVG_STYLE: Any = {
     "svg.fonttype": "none",
     "svg.hashsalt": "roadrecon",
     "font.size": 8.5,
@@ -224,11 +224,11 @@ def _save_figure(figure: Any, path: Path) -> None:
 
 
 def _page_figure(paint: Callable[[Any], None], size: tuple[float, float]) -> Any:
-    """Return a figure of `size` [inch] that `paint` has filled, in the SVG_STYLE of a page."""
+    """Return a figure of `size` [inch] that `paint` has filled, in the _SVG_STYLE of a page."""
     with optional_import("a figure"):
         import matplotlib
 
-    with matplotlib.rc_context(SVG_STYLE):
+    with matplotlib.rc_context(_SVG_STYLE):
         return _make_figure(paint, size)
 
 
@@ -237,7 +237,7 @@ def inline_svg(paint: Callable[[Any], None], size: tuple[float, float]) -> str:
     figure, buffer = _page_figure(paint, size), io.StringIO()
     import matplotlib
 
-    with matplotlib.rc_context(SVG_STYLE):
+    with matplotlib.rc_context(_SVG_STYLE):
         figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
     svg = buffer.getvalue()
     svg = re.sub(r"\s+", " ", svg[svg.index("<svg") :]).replace("> <", "><")

@@ -26,8 +26,7 @@ from road_envs.roads import load_road
 PAPER_NETWORK = "static_lm"
 """The estimator that implements the paper's network."""
 
-N_PAIRS = 200
-"""Number of pairs of unrelated roads."""
+_N_PAIRS = 200  # Number of pairs of unrelated roads
 
 UNRELATED_ROAD = {"kind": "iso8608", "road_class": "D", "length": 100.0}
 """Road of the pairs, of the class of the training roads."""
@@ -51,7 +50,7 @@ def build_report(board: Board) -> Report:
 def unrelated_level_errors(
     longest_wave: float = 20.0, about_mean: bool = True
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return level errors (2 N_PAIRS,) and correlations (N_PAIRS,) of unrelated class-D roads.
+    """Return level errors (2 _N_PAIRS,) and correlations (_N_PAIRS,) of unrelated class-D roads.
 
     Level errors are those of single wheel paths, of heights about their mean or about the first
     one. The two roads of a pair are 100 m of the same class and independent.
@@ -75,7 +74,7 @@ def _unrelated_roads(longest_wave: float) -> list[list[np.ndarray]]:
     s = profile_stations(100.0)
     return [
         [road.realise(np.random.default_rng([0, k, j])).height(s) for j in range(2)]
-        for k in range(N_PAIRS)
+        for k in range(_N_PAIRS)
     ]
 
 

@@ -37,13 +37,10 @@ from leaderboard.report.tables import (
 from leaderboard.running.board import Board
 from road_envs.core.atomic_io import write_text
 
-MAX_DRAWN = 8
-"""Number of entries of a task that are drawn, best first."""
+_MAX_DRAWN = 8  # Number of entries of a task that are drawn, best first
+_DIGITS = 5  # Significant digits of a number, which sorts and draws; its text is what is read
 
-DIGITS = 5
-"""Significant digits of a number, which sorts and draws; its text is what is read."""
-
-PAGE_FOLDERS = ("tasks", "estimators")
+_PAGE_FOLDERS = ("tasks", "estimators")
 
 
 def write_site(board: Board, report: Report, out: Path) -> Path:
@@ -56,7 +53,7 @@ def write_site(board: Board, report: Report, out: Path) -> Path:
             export.write_exports(board, report.views, out)
         write_text(out / name, text)
         written.append(name)
-    for folder in PAGE_FOLDERS:
+    for folder in _PAGE_FOLDERS:
         for path in (out / folder).glob("*.html"):
             if f"{folder}/{path.name}" not in written:
                 path.unlink()
@@ -163,7 +160,7 @@ def _row_data(row: Row, forms: dict[str, Any]) -> dict[str, Any]:
         "cells": {key: row.cells[key] for key in TEXT_COLUMNS if row.cells.get(key)},
         "groups": {
             name: {
-                key: [rounded(x, DIGITS), form.format_value(x)]
+                key: [rounded(x, _DIGITS), form.format_value(x)]
                 for key, form in forms.items()
                 if (x := values.get(key)) is not None
             }
@@ -179,7 +176,7 @@ def _task(board: Board, view: BoardView, section: Section, task: Task) -> dict[s
     order = [name for name, row in rows.items() if row.state == "scored"] or [
         name for name, row in rows.items() if row.state == "baseline" and name not in LIMIT_ROWS
     ]
-    drawn = {name: by_name[name] for name in order[:MAX_DRAWN]}
+    drawn = {name: by_name[name] for name in order[:_MAX_DRAWN]}
     return {
         "root": "../",
         "view": view,
@@ -188,7 +185,7 @@ def _task(board: Board, view: BoardView, section: Section, task: Task) -> dict[s
         "charts": task_charts(task, view.definition, drawn, rows) if drawn else {},
         "notice": isolation_notice(board.scored(task)),
         "public": PUBLIC_ROADS if task.is_public else None,
-        "left_out": order[MAX_DRAWN:],
+        "left_out": order[_MAX_DRAWN:],
         "facts_rows": [
             ("drives", _drive_counts(task, board.scored(task))),
             ("digest", task.digest),

@@ -46,8 +46,8 @@ from leaderboard.report.run_groups import ScoreSlice, run_groups
 from leaderboard.running.board import Board
 from road_envs.sensing.perturbed_vehicle import GRADES
 
-RowState = Literal["scored", "baseline", "claim", "failed", "stale"]
-CLAIM_ROW = "paper's claim"
+_RowState = Literal["scored", "baseline", "claim", "failed", "stale"]
+_CLAIM_ROW = "paper's claim"
 TRAINING_STATES = ("near_optimal", "sub_optimal", "unstable")
 PUBLIC_ROADS = (
     "The test roads of this board are public: an entry can draw them again instead of estimating "
@@ -60,10 +60,10 @@ ALL_RUNS = ""
 SPECTRUM_SCORES = tuple(name for name in SCORES if name.startswith("error_at_"))
 """Score keys of the third-octave errors."""
 
-Values = dict[str, float | None]
+_Values = dict[str, float | None]
 """Numbers by column; None where one is undefined."""
 
-BOUNDED = [[*SCORES].index(name) for name in ("nrmse", "bound_nrmse")]
+_BOUNDED = [[*SCORES].index(name) for name in ("nrmse", "bound_nrmse")]
 """Positions of the error and of its bound among the scores."""
 
 
@@ -75,12 +75,12 @@ class Row:
     """
 
     name: str
-    state: RowState
+    state: _RowState
     cells: dict[str, str] = field(default_factory=dict)
-    values: Values = field(default_factory=dict)
+    values: _Values = field(default_factory=dict)
     message: str = ""
     causal: bool | None = None
-    groups: dict[str, Values] = field(default_factory=dict)
+    groups: dict[str, _Values] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ def _section(board: Board, task: Task, definition: BoardDefinition) -> Section:
     claim = []
     if (level := task.claimed_level_error) is not None:
         text = SCORES[EQ_12_RAW].format_value(level)
-        claim = [Row(CLAIM_ROW, "claim", {EQ_12_RAW: text}, {EQ_12_RAW: level})]
+        claim = [Row(_CLAIM_ROW, "claim", {EQ_12_RAW: text}, {EQ_12_RAW: level})]
     failed = [Row(r.estimator, "failed", message=r.failure or "") for r in board.failed(task)]
     stale = [Row(r.estimator, "stale", message=why) for r, why in board.stale(task)]
     return Section(
@@ -175,7 +175,7 @@ class _AggregatedScores(NamedTuple):
     """Means of a result by group and score; `ranked` (R, C, S) holds the ranking score."""
 
     name: str
-    values: dict[str, Values]
+    values: dict[str, _Values]
     ranked: np.ndarray
     division: tuple[bool, bool]  # ranked among all, among the causal
 
@@ -192,7 +192,7 @@ def _aggregate(
     ranked = scores[[*SCORES].index(definition.ranks_by)].copy()
     if (np.isnan(ranked) & np.isfinite(scores).any(axis=0)).any():
         ranked[:] = np.nan  # undefined on a road: the entry ranks last
-    values: dict[str, Values] = {}
+    values: dict[str, _Values] = {}
     for group, part in parts.items():
         mine, own = scores[:, *part], ranked[part]
         means = dict(zip(SCORES, _mean(mine), strict=True))
@@ -202,7 +202,7 @@ def _aggregate(
         values[group] = _defined(
             {name: x for name, x in means.items() if group == ALL_RUNS or name in shown}
             | {"low": score.low, "high": score.high, **_tail(own)}
-            | {BELOW_BOUND: _share_below(*mine[BOUNDED])}
+            | {BELOW_BOUND: _share_below(*mine[_BOUNDED])}
         )
     values[ALL_RUNS] |= {
         "train_seconds": float(np.mean(result.train_seconds)) if result.parameters else None,
@@ -233,7 +233,7 @@ def _share_below(error: np.ndarray, bound: np.ndarray) -> float | None:
     return float(np.mean(error[known] < bound[known])) if known.any() else None
 
 
-def _grade_scores(ranked: np.ndarray, parts: Mapping[str, ScoreSlice], strata: Strata) -> Values:
+def _grade_scores(ranked: np.ndarray, parts: Mapping[str, ScoreSlice], strata: Strata) -> _Values:
     """Return the ranking score on each grade of car, and its slope over the grades."""
     by_grade = {grade: ranked[parts[f"car {grade}"]] for grade in GRADES if f"car {grade}" in parts}
     if len(by_grade) < 2:
@@ -260,7 +260,7 @@ def _rank(
                 continue
             within = strata if group == ALL_RUNS else None
             for name, rank in rank_entries(scores, strata=within).items():
-                by_name[name].values[group][key] = rank.rank
+                by_name[name].values[group][key] = rank
 
 
 def _scored_row(
@@ -282,7 +282,7 @@ def _scored_row(
         "probes": count_passed(card.probes) if card else "",
         "calibrates": {True: "yes", False: "no", None: ""}[result.calibrates if entry else None],
     }
-    state: RowState = "scored" if entry else "baseline"
+    state: _RowState = "scored" if entry else "baseline"
     groups = {name: x for name, x in table.values.items() if name != ALL_RUNS}
     return Row(result.estimator, state, cells, mine, causal=result.causal, groups=groups)
 
@@ -308,7 +308,7 @@ def _mean(scores: np.ndarray) -> np.ndarray:
     return interquartile_mean(scores.reshape(len(scores), -1))
 
 
-def _training_states(error: np.ndarray) -> Values:
+def _training_states(error: np.ndarray) -> _Values:
     """Count near-optimal, sub-optimal and unstable runs (Appendix A of the paper) by errors
     (R, C, S).
     """
@@ -327,6 +327,6 @@ def interval_text(low: float | None, high: float | None, score: str) -> str:
     return "–".join(COLUMNS[score].format_value(x) for x in (low, high))
 
 
-def _defined(numbers: Mapping[str, float | None]) -> Values:
+def _defined(numbers: Mapping[str, float | None]) -> _Values:
     """Return numbers as plain floats, None for those that are not finite."""
     return {k: float(x) if x is not None and np.isfinite(x) else None for k, x in numbers.items()}

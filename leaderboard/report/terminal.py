@@ -13,17 +13,16 @@ from leaderboard.report.board_definitions import BOUND_NAME, WORST
 from leaderboard.report.sentences import Report
 from leaderboard.report.tables import BoardView, Row, Section, nonempty_columns
 
-CASE_WIDTH = 18
-"""Width of the column with the titles of the tasks that share a table [characters]."""
+_CASE_WIDTH = 18  # Width of the column with the titles of the tasks that share a table [characters]
 
-STYLES = {
+_STYLES = {
     "scored": "bold",
     "baseline": "dim",
     "claim": "italic",
     "failed": "red",
     "stale": "yellow",
 }
-LEGEND = (
+_LEGEND = (
     "NRMSE: error over truth, RMS, in 0.2 to min(1.8, 22.5 Hz / v) cycles/m; a flat road has 1. "
     "Interquartile means over roads and trainings; worst: the worst drive; > 0.3, > 1: shares of "
     f"drives above. The row bound is the {BOUND_NAME}. "
@@ -46,7 +45,7 @@ def print_tables(report: Report, console: Console) -> None:
                     console.print(families)
                     console.print()
         _remarks(view, console)
-    console.print(Text(LEGEND, style="dim"))
+    console.print(Text(_LEGEND, style="dim"))
     for sentence in report.findings:
         console.print(Text(f"- {sentence}"))
 
@@ -58,14 +57,14 @@ def _table(view: BoardView, sections: tuple[Section, ...]) -> Table:
     title = view.definition.title if grouped else f"{view.definition.title}: {sections[0].title}"
     table = Table(title=title, title_justify="left", box=None, padding=(0, 1, 0, 0), pad_edge=False)
     if grouped:
-        table.add_column("case", width=CASE_WIDTH)
+        table.add_column("case", width=_CASE_WIDTH)
     table.add_column("estimator", no_wrap=True)
     for column in columns:
         table.add_column(
             column.label + (f"\n{column.unit}" if column.unit else ""), justify="right"
         )
     for section in sections:
-        case = textwrap.wrap(f"{section.task}: {section.title}", CASE_WIDTH) if grouped else []
+        case = textwrap.wrap(f"{section.task}: {section.title}", _CASE_WIDTH) if grouped else []
         cells = [_cells(row, [column.key for column in columns]) for row in section.rows]
         blank = [""] * (len(columns) + 1)
         for text, row in zip_longest(case, cells, fillvalue=None):
@@ -90,7 +89,7 @@ def _family_table(view: BoardView, section: Section) -> Table | None:
         table.add_column(Text(name), justify="right")
     for row in section.rows:
         if row.groups:
-            style = STYLES[row.state]
+            style = _STYLES[row.state]
             cells = [_mean_and_worst(row.groups.get(name, {})) for name in names]
             table.add_row(*(Text(text, style=style) for text in [row.name, *cells]))
     return table
@@ -105,7 +104,7 @@ def _mean_and_worst(values: Mapping[str, float | None]) -> str:
 
 
 def _cells(row: Row, keys: list[str]) -> list[Text]:
-    style = STYLES[row.state]
+    style = _STYLES[row.state]
     mark = (f" {row.cells['probes']}", "dim") if row.cells.get("probes") else ""
     name = Text.assemble((row.name, style), mark)
     if row.state in ("failed", "stale"):
