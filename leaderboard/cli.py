@@ -41,7 +41,7 @@ class RoadRecon(LazyGroup):
         "Names": {"list": "listing:list_names"},
         "Estimates": {
             "report": "report:report",
-            "iri": "iri:iri",
+            "iri": "roads:iri",
             "export": "roads:export_heights",
             "estimate": "estimate:estimate",
             "classify": "estimate:classify",
