@@ -7,7 +7,7 @@ rows, curves = bounds_by_state(car, "paper", prior, modes=["ride"], speeds_kmh=[
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -27,15 +27,8 @@ _PLOTTED_BAND = (0.05, 2.5)  # Band [cycles/m] of a curve, cut at the low-pass o
 BANDWIDTHS, _ATTAINABLE_LENGTH = (25.0, 100.0, 333.0), 100.0
 """Bandwidths [Hz] of the data and length [m] of the road for the attainable error."""
 
-
-class _BoundCurve(NamedTuple):
-    """Posterior of the road over spatial frequency, of one mode at one speed [km/h]."""
-
-    mode: str
-    speed_kmh: float
-    posterior: Posterior
-    pooled: float
-    """In-band NRMSE [-] of both wheel paths."""
+_Curve = tuple[str, float, Posterior, float]
+"""Mode, speed [km/h], posterior of the road over spatial frequency, in-band NRMSE [-]."""
 
 
 def bounds_by_state(
@@ -51,7 +44,7 @@ def bounds_by_state(
     attainable: bool = False,
     with_curves: bool = False,
     progress: Callable[[str, float], None] = lambda text, share: None,
-) -> tuple[list[dict[str, Any]], list[_BoundCurve]]:
+) -> tuple[list[dict[str, Any]], list[_Curve]]:
     """Return a row of bounds and, `with_curves`, the curve over frequency of each mode at each
     speed [km/h].
 
@@ -67,7 +60,7 @@ def bounds_by_state(
     # fails before anything is computed
     chosen = [_damping_by_strut(dampers, mode, car) for mode in modes]
     rows: list[dict[str, Any]] = []
-    curves: list[_BoundCurve] = []
+    curves: list[_Curve] = []
     jobs = [(*pair, speed) for pair in zip(modes, chosen, strict=True) for speed in speeds_kmh]
     for k, (mode, c, speed) in enumerate(jobs):
         name, v = _front_rear(mode), speed / 3.6
@@ -75,7 +68,10 @@ def bounds_by_state(
         c = equivalent_damping(car, mode, v, prior) if c is None else c
         settings: dict[str, Any] = {"damping": c, "model_error": model_error}
         posterior = bound(car, mode, v, instruments, prior, **settings)
-        rows.append(_row(name, speed, c, posterior))
+        left, right = posterior.nrmse().tolist()
+        row = {"mode": name, "speed_kmh": speed, "band": scored_band(v)}
+        row |= {"nrmse": posterior.pooled, "nrmse_left": left, "nrmse_right": right}
+        rows.append(row | {"damping": c.tolist()})
         if attainable:
             floor = bound(car, mode, v, instruments, prior, residual_as_noise=True, **settings)
             rows[-1]["linear_estimators"] = floor.pooled
@@ -83,7 +79,7 @@ def bounds_by_state(
         if with_curves:
             n = np.geomspace(_PLOTTED_BAND[0], min(_PLOTTED_BAND[1], F_C / v), 3000)
             drawn = bound(car, mode, v, instruments, prior, n=n, **settings)
-            curves.append(_BoundCurve(name, speed, drawn, posterior.pooled))
+            curves.append((name, speed, drawn, posterior.pooled))
     return rows, curves
 
 
@@ -123,19 +119,6 @@ def _damping_by_strut(
     if missing := sorted(set(modes) - set(dampers)):
         raise ConfigError(f"dampings are given for {sorted(dampers)}, but not for {missing}")
     return np.array([dampers[name] for name in modes])
-
-
-def _row(mode: str, speed: float, damping: np.ndarray, posterior: Posterior) -> dict[str, Any]:
-    left, right = posterior.nrmse()
-    return {
-        "mode": mode,
-        "speed_kmh": speed,
-        "band": scored_band(speed / 3.6),
-        "nrmse": posterior.pooled,
-        "nrmse_left": float(left),
-        "nrmse_right": float(right),
-        "damping": damping.tolist(),
-    }
 
 
 def _nonlinear(

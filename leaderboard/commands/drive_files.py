@@ -60,7 +60,8 @@ class DriveOptions:
         pairs = {k: None if text is None else parse_pairs(k, text) for k, text in named.items()}
         invert = None if self.invert is None else tuple(x.strip() for x in self.invert.split(","))
         plain = {k: getattr(self, k) for k in ("vehicle", "at", "sensors", "speed_kmh", "offset")}
-        return {**plain, **pairs, "invert": invert, "mode": parse_mode(self.mode)}
+        mode = None if self.mode is None else parse_mode(self.mode)
+        return {**plain, **pairs, "invert": invert, "mode": mode}
 
 
 def read_drive(path: Path, options: DriveOptions) -> DriveFile:

@@ -61,11 +61,10 @@ def observability(
     """
     check_output_path(out, ".png", ".svg", ".pdf")
     car = load_vehicle(vehicle)
-    prior = RoadPrior(
-        G_d0=CLASSES[validate_choice("road class", road_class, CLASSES)], track=2.0 * car.front.y_t
-    )
+    validate_choice("road class", road_class, CLASSES)
+    prior = RoadPrior(G_d0=CLASSES[road_class], track=2.0 * car.front.y_t)
     default = list(car.modes) if car.is_passive else _DEFAULT_MODES
-    speeds, modes = speed_kmh or [14.5, 54.0], [_parsed(text) for text in mode or default]
+    speeds, modes = speed_kmh or [14.5, 54.0], [parse_mode(text) for text in mode or default]
     with progress_bar() as progress:
         rows, curves = bounds_by_state(
             car,
@@ -87,19 +86,12 @@ def observability(
         "noise_density": instruments_with(sensors, noise).noise_density,
         "mismatch": mismatch,
     }
+    title = f"class {road_class}, noise {facts['noise_density']:g} (m/s²)/√Hz"
+    title += f", {100 * mismatch:g} % mismatch" if mismatch else ""
     if out is not None:
-        plots.draw_observability(curves, _title(facts), out)
-    shows = [
-        _table(rows, speeds, _title(facts)),
-        *([_attainable_table(rows)] if attainable else []),
-    ]
+        plots.draw_observability(curves, title, out)
+    shows = [_table(rows, speeds, title), *([_attainable_table(rows)] if attainable else [])]
     return Output(facts={**facts, "bounds": rows}, shows=shows)
-
-
-def _parsed(text: str) -> str | dict[str, str]:
-    mode = parse_mode(text)
-    assert mode is not None
-    return mode
 
 
 def _dampers(text: str) -> dict[str, float]:
@@ -113,24 +105,17 @@ def _dampers(text: str) -> dict[str, float]:
 
 def _attainable_table(rows: list[dict[str, Any]]) -> Table:
     heads = ("front / rear", "km/h", *(f"{f:g} Hz" for f in BANDWIDTHS), "van Trees", "linear")
-    errors = [
-        (*row["attainable"].values(), row["van_trees"], row["linear_estimators"]) for row in rows
-    ]
+    cells = []
+    for row in rows:
+        errors = *row["attainable"].values(), row["van_trees"], row["linear_estimators"]
+        cells.append((row["mode"], f"{row['speed_kmh']:g}", *(f"{x:.3f}" for x in errors)))
     return make_table(
         heads,
-        [
-            (row["mode"], f"{row['speed_kmh']:g}", *(f"{x:.3f}" for x in cells))
-            for row, cells in zip(rows, errors, strict=True)
-        ],
+        cells,
         title="Attainable in-band NRMSE: nonlinear vehicle, data up to ...",
         caption="one road; van Trees: no estimator errs less over all such roads; linear: friction "
         "is noise to linear estimators",
     )
-
-
-def _title(facts: dict[str, Any]) -> str:
-    text = f"class {facts['road_class']}, noise {facts['noise_density']:g} (m/s²)/√Hz"
-    return text + (f", {100 * facts['mismatch']:g} % mismatch" if facts["mismatch"] else "")
 
 
 def _table(rows: list[dict[str, Any]], speeds: list[float], title: str) -> Table:

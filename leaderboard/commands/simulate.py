@@ -51,7 +51,7 @@ def simulate(
     check_output_path(truth, ".csv")
     check_output_path(plot, ".png", ".svg", ".pdf")
     surface, car = realise_road(road, seed, length), load_vehicle(vehicle)
-    struts = parse_mode(mode) or next(iter(car.modes))
+    struts = parse_mode(mode) if mode else next(iter(car.modes))
     encode_command(struts, car)  # refuses a mode that the vehicle does not have
     common: dict[str, Any] = {"vehicle": car, "speed_kmh": speed_kmh, "seed": seed}
     common["instruments"] = load_instruments(sensors)

@@ -15,7 +15,6 @@ from leaderboard.commands import (
     check_output_path,
     command_line,
     on_interrupt,
-    parse_mode,
     parse_settings,
     progress_bar,
 )
@@ -89,7 +88,7 @@ def train(
                     length=length,
                     vehicle=car,
                     speed_kmh=options.speed_kmh or 14.5,
-                    mode=parse_mode(options.mode),
+                    mode=options.given()["mode"],
                     instruments=options.sensors or "ideal",
                     seed=seed + i,
                 )
