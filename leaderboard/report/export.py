@@ -71,14 +71,8 @@ def as_json(views: Sequence[BoardView]) -> list[dict[str, Any]]:
             "title": section.title,
             "notes": list(section.notes),
             "entries": [
-                {
-                    "name": row.name,
-                    "state": row.state,
-                    "text": row.message,
-                    "causal": row.causal,
-                    **row.values,
-                    "groups": row.groups,
-                }
+                {"name": row.name, "state": row.state, "text": row.message, "causal": row.causal}
+                | {**row.values, "groups": row.groups}
                 for row in section.rows
             ],
         }
