@@ -54,39 +54,26 @@ def write_episodes(
         for k, n in enumerate(rollout.intervals):
             ended = np.arange(1, n + 1) == n
             failed = bool(rollout.reasons[k])
-            buffers.append(
-                EpisodeBuffer(
-                    id=first + k,
-                    seed=seeds[k],
-                    observations=list(rollout.observations[: n + 1, k]),
-                    actions=list(rollout.actions[:n, k]),
-                    rewards=list(rollout.rewards[:n, k]),
-                    terminations=list(ended & failed),
-                    truncations=list(ended & (not failed)),
-                )
-            )
+            episode = EpisodeBuffer(
+                id=first + k, seed=seeds[k], observations=list(rollout.observations[: n + 1, k]),
+                actions=list(rollout.actions[:n, k]), rewards=list(rollout.rewards[:n, k]),
+                terminations=list(ended & failed), truncations=list(ended & (not failed)),
+            )  # fmt: skip
+            buffers.append(episode)
             returns.append(float(rollout.returns[k]))
     identifier = f"{_NAMESPACE}/{name}-v0"
     env = gymnasium.make(_ENVIRONMENT, **options)
     with _datasets_in(folder), warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # of an address and links that are left out
         minari.create_dataset_from_buffers(
-            identifier,
-            buffers,
-            env=env,
-            algorithm_name=name,
-            author="RoadRecon",
+            identifier, buffers, env=env, algorithm_name=name, author="RoadRecon",
             description=f"Episodes of the policy {name} in {_ENVIRONMENT}, seeds {seed} to "
             f"{seed + number - 1}, road-envs {__version__}; licence CC-BY-4.0.",
-            data_format="arrow",
-            requirements=[f"road-envs=={__version__}"],
-        )
-    return {
-        "data_set": identifier,
-        "episodes": number,
-        "steps": int(sum(len(buffer.rewards) for buffer in buffers)),
-        "mean_return": float(np.mean(returns)),
-    }
+            data_format="arrow", requirements=[f"road-envs=={__version__}"],
+        )  # fmt: skip
+    steps = int(sum(len(buffer.rewards) for buffer in buffers))
+    facts = {"data_set": identifier, "episodes": number, "steps": steps}
+    return {**facts, "mean_return": float(np.mean(returns))}
 
 
 @contextmanager

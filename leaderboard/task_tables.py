@@ -71,14 +71,10 @@ def write_task(task: TaskArrays, folder: Path, form: str, roads: int | None = No
         table.to_parquet(path) if form == "parquet" else table.to_csv(path, index=False)
         written.append(path)
     card = _CARD.format(
-        name=task.name,
-        training=len(task.training),
-        test=len(task.test),
-        form=form,
-        tables=(__doc__ or "").split("\n\n")[1],
-        version=__version__,
+        name=task.name, training=len(task.training), test=len(task.test), form=form,
+        tables=(__doc__ or "").split("\n\n")[1], version=__version__,
         roads="" if roads is None else f" --roads {roads}",
-    )
+    )  # fmt: skip
     write_text(folder / "README.md", card)
     write_text(folder / "vehicle.json", json.dumps(task.vehicle, indent=1, default=str) + "\n")
     return [*written, folder / "README.md", folder / "vehicle.json"]

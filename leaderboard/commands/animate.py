@@ -22,13 +22,7 @@ def animate(
     Passive struts have one state. Wheelbase and track are the vehicle's, the outline is the same.
     """
     check_output_path(out, ".gif", ".webp")
-    options = {
-        "road": road,
-        "vehicle": vehicle,
-        "speed_kmh": speed_kmh,
-        "length": length,
-        "exaggeration": enlarged,
-    }
+    options = {"road": road, "vehicle": vehicle, "speed_kmh": speed_kmh, "length": length}
     with progress_bar() as progress:
-        animation.animate(options, seconds, out, progress)
+        animation.animate(options | {"exaggeration": enlarged}, seconds, out, progress)
     console.print(f"written: {out} ({out.stat().st_size / 1e6:.1f} MB)")

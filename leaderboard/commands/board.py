@@ -10,15 +10,7 @@ from typing import Annotated
 import typer
 
 import estimators
-from leaderboard.commands import (
-    check_output_folder,
-    console,
-    import_from_here,
-    notices,
-    on_interrupt,
-    print_json,
-    progress_bar,
-)
+from leaderboard import commands
 from leaderboard.commands.options import CORES, Json, LimitOptions, Workers, option
 from leaderboard.entries.entries import resolve_entries
 from leaderboard.entries.entry import Entry
@@ -124,19 +116,19 @@ def leaderboard(
             each = each.with_test_drives(None) if full else each
             chosen[k] = each.with_test_length(length) if length else each
     own = limits.parse()
-    check_output_folder(out)
+    commands.check_output_folder(out)
     entries = _entries(estimator, without or [], own)
     request = RunRequest(
         chosen, entries, range(1, seeds + 1), roads, not again, own, probes, tuple(replace or ())
     )
     if plan:
-        notices.print(f"job files written to {plan}: {write_jobs(request, out, plan)}")
+        commands.notices.print(f"job files written to {plan}: {write_jobs(request, out, plan)}")
         return
     request = _asked(request, out)
     made = DaskExecutor(dask, workers) if dask else contextlib.nullcontext(ProcessExecutor(workers))
     write_pending(out / BOARD_PAGE, "Estimators", f"leaderboard --out {out}")
     kept = f"results of finished jobs are kept in {out}; the same command continues"
-    with made as executor, on_interrupt(kept), progress_bar() as progress:
+    with made as executor, commands.on_interrupt(kept), commands.progress_bar() as progress:
         evaluated = run_board(
             request,
             out,
@@ -150,13 +142,13 @@ def leaderboard(
         report = build_report(evaluated)
         page = write_site(evaluated, report, out)
     if json:
-        print_json(as_json(report.views))
+        commands.print_json(as_json(report.views))
     else:
-        print_tables(report, console)
+        print_tables(report, commands.console)
         scored = [row for task in evaluated.tasks for row in evaluated.scored(task)]
         if (notice := isolation_notice(scored)) is not None:
-            notices.print(notice)
-        notices.print(f"page: {page}")
+            commands.notices.print(notice)
+        commands.notices.print(f"page: {page}")
 
 
 def _asked(request: RunRequest, out: Path) -> RunRequest:
@@ -190,14 +182,14 @@ def _tasks(
 def _entries(names: Sequence[str] | None, without: Sequence[str], limits: Limits) -> list[Entry]:
     if names and without:
         raise ConfigError("give either --estimator or --without, not both")
-    import_from_here(names or ())
+    commands.import_from_here(names or ())
     for name in without:
         validate_choice("estimator", name, estimators.names())
     unavailable = estimators.without_weights()
     excluded = {*ALL_BASELINES, *unavailable, *without}
     chosen = names or [name for name in estimators.names() if name not in excluded]
     if unavailable and not names:
-        notices.print(f"excluded, no weights in this package: {', '.join(unavailable)}")
+        commands.notices.print(f"excluded, no weights in this package: {', '.join(unavailable)}")
     if all(name in estimators.REGISTRY for name in chosen):
         return resolve_entries(chosen, None)
     with SandboxClient(limits) as sandbox:

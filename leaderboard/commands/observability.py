@@ -5,13 +5,7 @@ from typing import Annotated, Any
 
 from rich.table import Table
 
-from leaderboard.commands import (
-    check_output_path,
-    make_table,
-    parse_mode,
-    parse_pairs,
-    progress_bar,
-)
+from leaderboard import commands
 from leaderboard.commands.options import Sensors, Vehicle, option
 from leaderboard.commands.output import Output
 from leaderboard.observability import BANDWIDTHS, bounds_by_state, instruments_with
@@ -59,34 +53,23 @@ def observability(
     The first table is the bound of the linear vehicle without friction: it shows where roll does
     not separate the wheel paths.
     """
-    check_output_path(out, ".png", ".svg", ".pdf")
+    commands.check_output_path(out, ".png", ".svg", ".pdf")
     car = load_vehicle(vehicle)
     validate_choice("road class", road_class, CLASSES)
     prior = RoadPrior(G_d0=CLASSES[road_class], track=2.0 * car.front.y_t)
     default = list(car.modes) if car.is_passive else _DEFAULT_MODES
-    speeds, modes = speed_kmh or [14.5, 54.0], [parse_mode(text) for text in mode or default]
-    with progress_bar() as progress:
+    speeds = speed_kmh or [14.5, 54.0]
+    modes = [commands.parse_mode(text) for text in mode or default]
+    with commands.progress_bar() as progress:
         rows, curves = bounds_by_state(
-            car,
-            sensors,
-            prior,
-            modes,
-            speeds,
-            noise_density=noise,
-            dampers=None if damping is None else _dampers(damping),
-            model_error=mismatch,
-            attainable=attainable,
-            with_curves=out is not None,
+            car, sensors, prior, modes, speeds, noise_density=noise, dampers=_dampers(damping),
+            model_error=mismatch, attainable=attainable, with_curves=out is not None,
             progress=progress,
-        )
-    facts = {
-        "vehicle": vehicle,
-        "sensors": sensors,
-        "road_class": road_class,
-        "noise_density": instruments_with(sensors, noise).noise_density,
-        "mismatch": mismatch,
-    }
-    title = f"class {road_class}, noise {facts['noise_density']:g} (m/s²)/√Hz"
+        )  # fmt: skip
+    density = instruments_with(sensors, noise).noise_density
+    facts = {"vehicle": vehicle, "sensors": sensors, "road_class": road_class}
+    facts |= {"noise_density": density, "mismatch": mismatch}
+    title = f"class {road_class}, noise {density:g} (m/s²)/√Hz"
     title += f", {100 * mismatch:g} % mismatch" if mismatch else ""
     if out is not None:
         plots.draw_observability(curves, title, out)
@@ -94,9 +77,11 @@ def observability(
     return Output(facts={**facts, "bounds": rows}, shows=shows)
 
 
-def _dampers(text: str) -> dict[str, float]:
+def _dampers(text: str | None) -> dict[str, float] | None:
     """Parse damping [N s/m] by mode from "ride=2000,handling=5000". Raises ConfigError."""
-    pairs = parse_pairs("damping", text)
+    if text is None:
+        return None
+    pairs = commands.parse_pairs("damping", text)
     try:
         return {mode: float(value) for mode, value in pairs.items()}
     except ValueError:
@@ -109,7 +94,7 @@ def _attainable_table(rows: list[dict[str, Any]]) -> Table:
     for row in rows:
         errors = *row["attainable"].values(), row["van_trees"], row["linear_estimators"]
         cells.append((row["mode"], f"{row['speed_kmh']:g}", *(f"{x:.3f}" for x in errors)))
-    return make_table(
+    return commands.make_table(
         heads,
         cells,
         title="Attainable in-band NRMSE: nonlinear vehicle, data up to ...",
@@ -123,7 +108,7 @@ def _table(rows: list[dict[str, Any]], speeds: list[float], title: str) -> Table
     cells: dict[str, list[str]] = {}
     for row in rows:
         cells.setdefault(row["mode"], [row["mode"]]).append(text.format(**row))
-    return make_table(
+    return commands.make_table(
         ("front / rear", *(f"{speed:g} km/h" for speed in speeds)),
         cells.values(),
         title=f"Bound of a linear vehicle without friction: {title}",

@@ -6,17 +6,7 @@ import os
 from pathlib import Path
 from typing import Annotated, Any
 
-from leaderboard.commands import (
-    check_output_folder,
-    check_output_path,
-    console,
-    import_from_here,
-    notices,
-    on_interrupt,
-    print_json,
-    progress_bar,
-    to_json,
-)
+from leaderboard import commands
 from leaderboard.commands.options import Json, LimitOptions, option
 from leaderboard.policies import best_found, comparison, learning
 from leaderboard.policies import page as policy_page
@@ -61,7 +51,7 @@ def policies(
     json: Json = False,
 ) -> None:
     """Compare policies by comfort and safety on the drives of RoadRecon/Safe4S4-v1."""
-    check_output_folder(out)
+    commands.check_output_folder(out)
     if quick:
         drives, sweeps = _QUICK_DRIVES, 0
     entries = _entries(policy, limits.parse())
@@ -72,7 +62,8 @@ def policies(
         entries[reference] = make_policy(reference)
     if out:
         write_pending(out / POLICY_PAGE, "Switching policies", f"policies --out {out}")
-    with contextlib.ExitStack() as processes, on_interrupt(""), progress_bar() as progress:
+    processes = contextlib.ExitStack()
+    with processes, commands.on_interrupt(""), commands.progress_bar() as progress:
         for entry in entries.values():
             if isinstance(entry, PolicyProcess):
                 processes.enter_context(entry)
@@ -81,14 +72,14 @@ def policies(
         found = comparison.compare(entries, chosen, reference, sweeps=sweeps, progress=progress)
     lines = comparison.table_lines(found.data)
     if out:
-        write_text(out / "benchmark.json", to_json(found.data))
+        write_text(out / "benchmark.json", commands.to_json(found.data))
         write_text(out / "benchmark.txt", "\n".join(lines) + "\n")
         page = policy_page.write_page(found.data, policy_page.timelines(found), out)
-        notices.print(f"page: {page}")
+        commands.notices.print(f"page: {page}")
     if json:
-        print_json(found.data)
+        commands.print_json(found.data)
     for line in [] if json else lines:
-        console.print(line, soft_wrap=True, highlight=False)
+        commands.console.print(line, soft_wrap=True, highlight=False)
     if failed := [row["policy"] for row in found.data["rows"] if row["failure"]]:
         raise ConfigError(f"failed policies: {', '.join(failed)}; the other results are valid")
 
@@ -108,7 +99,7 @@ def chosen_isolation(isolation: str) -> Any:
 
 def policy_reference(reference: str, isolation: str) -> str:
     """Return a reference to a policy that may be run. Raises ConfigError."""
-    import_from_here([reference])
+    commands.import_from_here([reference])
     if ":" not in reference and not reference.endswith(FILE_SUFFIXES):
         validate_choice("policy", reference, names())
     foreign = runs_foreign_code(reference)
@@ -147,13 +138,13 @@ def train_policy(
     steps: Annotated[int, option("Rounds.", min=1)] = IterationConfig.steps,
 ) -> None:
     """Train a policy on training drives, and compare it with laws on public ones."""
-    check_output_path(out, ".npz")
-    with on_interrupt(""), progress_bar() as progress:
+    commands.check_output_path(out, ".npz")
+    with commands.on_interrupt(""), commands.progress_bar() as progress:
         network, curve = iterate(IterationConfig(steps=steps), seed, progress)
         evaluation = learning.evaluate(network, curve)
     out.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(out) as partial:
         partial.write_bytes(network.to_bytes())
-    write_text(out.with_suffix(".json"), to_json(evaluation))
+    write_text(out.with_suffix(".json"), commands.to_json(evaluation))
     for line in learning.lines(evaluation):
-        console.print(line, soft_wrap=True, highlight=False)
+        commands.console.print(line, soft_wrap=True, highlight=False)

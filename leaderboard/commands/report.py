@@ -4,6 +4,8 @@ import math
 from pathlib import Path
 from typing import Annotated, Any
 
+import typer
+
 from leaderboard.commands import (
     check_output_folder,
     import_from_here,
@@ -12,7 +14,7 @@ from leaderboard.commands import (
     progress_bar,
 )
 from leaderboard.commands.drive_files import KINDS, DriveOptions, read_passes
-from leaderboard.commands.options import Settings, argument, option
+from leaderboard.commands.options import Settings
 from leaderboard.commands.output import Output
 from leaderboard.drive_report.analysis import DriveResult
 from leaderboard.drive_report.conditions import load_conditions
@@ -22,25 +24,31 @@ from road_envs.drives.logger_tables.description import write_description
 
 def report(
     *,
-    drives: Annotated[list[Path], argument(f"Drives, each {KINDS}; several are passes.")],
-    out: Annotated[Path, option("Folder of the page and its files.")],
-    estimator: Annotated[str, option("Name, or a file from `train`.")] = "map_smoother",
+    drives: Annotated[
+        list[Path], typer.Argument(help=f"Drives, each {KINDS}; several are passes.")
+    ],
+    out: Annotated[Path, typer.Option(help="Folder of the page and its files.")],
+    estimator: Annotated[str, typer.Option(help="Name, or a file from `train`.")] = "map_smoother",
     fast: Annotated[
-        bool, option("Fit no vehicle to the drives: wider intervals, sooner.", "--fast")
+        bool, typer.Option("--fast", help="Fit no vehicle to the drives: wider intervals, sooner.")
     ] = False,
-    segment: Annotated[float, option("Length of a segment in m: 10, 20 or 100.")] = 100.0,
-    conditions: Annotated[str, option("Condition categories: shipped name or YAML path.")] = "hpms",
+    segment: Annotated[
+        float, typer.Option(help="Length of a segment in m: 10, 20 or 100.")
+    ] = 100.0,
+    conditions: Annotated[
+        str, typer.Option(help="Condition categories: shipped name or YAML path.")
+    ] = "hpms",
     known_iri: Annotated[
         str | None,
-        option(
-            "Known IRI in mm/m of the drive, or a table of stretches (begin_m, end_m, iri): "
+        typer.Option(
+            help="Known IRI in mm/m of the drive, or a table of stretches (begin_m, end_m, iri): "
             "calibrates this car and mount."
         ),
     ] = None,
     route: Annotated[
         str | None,
-        option(
-            "Also write NAME_hpms.csv for this route, miles from its begin; ROUTE,MILE where "
+        typer.Option(
+            help="Also write NAME_hpms.csv for this route, miles from its begin; ROUTE,MILE where "
             "the drive begins."
         ),
     ] = None,

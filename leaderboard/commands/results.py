@@ -8,15 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
+from leaderboard import commands
 from leaderboard.arrays import load_task as load_arrays
-from leaderboard.commands import (
-    check_output_folder,
-    console,
-    import_from_here,
-    make_table,
-    print_json,
-    progress_bar,
-)
 from leaderboard.commands.options import Json, LimitOptions, ResultsFolder, Share, argument, option
 from leaderboard.commands.output import Output
 from leaderboard.entries.entries import resolve_entries
@@ -45,12 +38,13 @@ def run_job(
 
     Jobs can be run any number of times and in parallel.
     """
-    check_output_folder(out)
+    commands.check_output_folder(out)
     for done in jobs.run_job_file(spec, out):
         if json:
-            print_json(dataclasses.asdict(done))
+            commands.print_json(dataclasses.asdict(done))
         else:
-            console.print(f"{done.task}: {done.entry}, {done.condition}: {done.failure or 'done'}")
+            state = done.failure or "done"
+            commands.console.print(f"{done.task}: {done.entry}, {done.condition}: {state}")
 
 
 def verify(
@@ -74,8 +68,8 @@ def verify(
     """
     if not folder.is_dir():
         raise ConfigError(f"{folder}: no such folder")
-    import_from_here(estimator or ())
-    with SandboxClient(limits.parse()) as sandbox, progress_bar() as progress:
+    commands.import_from_here(estimator or ())
+    with SandboxClient(limits.parse()) as sandbox, commands.progress_bar() as progress:
         entries = resolve_entries(estimator or (), sandbox.describe)
         run = jobs.in_sandbox(sandbox)
         found = verify_folder(folder, run, entries, share=share, seed=seed, report=progress)
@@ -98,7 +92,7 @@ def verified_output(found: Sequence[Verified]) -> Output:
         for row in found
     ]
     heads = ("estimator", "task", "runs", "apart", "tolerance", "score", "result")
-    table = make_table(
+    table = commands.make_table(
         heads, [list(map(str, row)) for row in cells], texts=("task", *heads[5:]), box=None
     )
     summary = (

@@ -25,15 +25,9 @@ def list_roads() -> Output:
         _facts(name, load_road(name).realise(np.random.default_rng(1)))
         for name in config.names("roads")
     ]
-    pair = "{:.1f}, {:.1f}".format
+    pair, keys = "{:.1f}, {:.1f}".format, ("rms_mm", "iri_mm_per_m")
     cells = [
-        (
-            x["road"],
-            f"{x['length_m']:.1f}",
-            pair(*x["rms_mm"]),
-            pair(*x["iri_mm_per_m"]),
-            x["class"],
-        )
+        (x["road"], f"{x['length_m']:.1f}", *(pair(*x[key]) for key in keys), x["class"])
         for x in rows
     ]
     heads = ("road", "length [m]", "RMS left, right [mm]", "IRI left, right [mm/m]", "class")

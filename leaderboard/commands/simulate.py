@@ -62,15 +62,9 @@ def simulate(
     else:
         record, profile = simulate_on_plant(plant, surface, **common)
     settings: dict[str, Any] = {
-        "road": road,
-        "speed_kmh": speed_kmh,
-        "mode": struts,
-        "vehicle": vehicle,
-        "sensors": sensors,
-        "grade": grade,
-        "plant": plant,
-        "seed": seed,
-    }
+        "road": road, "speed_kmh": speed_kmh, "mode": struts, "vehicle": vehicle,
+        "sensors": sensors, "grade": grade, "plant": plant, "seed": seed,
+    }  # fmt: skip
     if out:
         write_record(out, record, settings, car.modes)
     if truth:

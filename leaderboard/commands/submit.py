@@ -79,13 +79,9 @@ def verify_one(
     """
     with progress_bar() as progress:
         found = verify_submission(
-            folder,
-            load_rules(rules),
-            limits.parse(),
-            share=share,
-            replaces=replaces,
-            progress=progress,
-        )
+            folder, load_rules(rules), limits.parse(),
+            share=share, replaces=replaces, progress=progress,
+        )  # fmt: skip
     return verified_output(found)
 
 

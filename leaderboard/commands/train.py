@@ -10,14 +10,7 @@ from estimators.api import Trainable
 from estimators.linear.calibrated_fir import CalibratedFir
 from estimators.networks.narx import Narx
 from estimators.networks.static_lm import StaticLm
-from leaderboard import pretraining
-from leaderboard.commands import (
-    check_output_path,
-    command_line,
-    on_interrupt,
-    parse_settings,
-    progress_bar,
-)
+from leaderboard import commands, pretraining
 from leaderboard.commands.drive_files import DriveOptions, read_passes
 from leaderboard.commands.options import KnownRoads, Length, Settings, argument, option
 from leaderboard.commands.output import Output
@@ -60,8 +53,8 @@ def train(
     package. Pretraining takes some minutes and continues from a checkpoint if it is interrupted and
     called again.
     """
-    check_output_path(out, ".npz", ".safetensors")
-    chosen = estimators.create(estimator, **parse_settings(settings))
+    commands.check_output_path(out, ".npz", ".safetensors")
+    chosen = estimators.create(estimator, **commands.parse_settings(settings))
     if not isinstance(chosen, Trainable):
         raise ConfigError(f"{estimator} is not trainable; use it in `estimate` by its name")
     facts: dict[str, Any] = {"estimator": estimator}
@@ -80,18 +73,14 @@ def train(
         measured = {k: x for k, x in vars(options).items() if k not in _SIMULATED}
         _refuse("simulated drives", {"profile": profile, **measured})
         car, pairs, number = load_vehicle(vehicle), [], drives or 1
-        with progress_bar() as progress:
+        with commands.progress_bar() as progress:
             for k, (name, i) in enumerate((name, i) for name in road for i in range(number)):
                 progress(f"simulating {name}", 0.5 * k / (len(road) * number))
                 pair = simulate_record(
-                    name,
-                    length=length,
-                    vehicle=car,
-                    speed_kmh=options.speed_kmh or 14.5,
-                    mode=options.given()["mode"],
-                    instruments=options.sensors or "ideal",
+                    name, length=length, vehicle=car, speed_kmh=options.speed_kmh or 14.5,
+                    mode=options.given()["mode"], instruments=options.sensors or "ideal",
                     seed=seed + i,
-                )
+                )  # fmt: skip
                 pairs.append(pair)
             progress("training", 0.5)
             fitted = _fit(chosen, pairs, car, seed, out)
@@ -103,8 +92,9 @@ def train(
         corpus = Corpus(car=vehicle) if drives is None else Corpus(car=vehicle, number=drives)
         begin = time.process_time()
         kept = f"the last stored state of the training is beside {out}; the same command continues"
-        with on_interrupt(kept), progress_bar() as progress:
-            pretraining.train(chosen, estimator, corpus, seed, out, command_line(), progress)
+        with commands.on_interrupt(kept), commands.progress_bar() as progress:
+            command = commands.command_line()
+            pretraining.train(chosen, estimator, corpus, seed, out, command, progress)
         seconds = time.process_time() - begin
         facts |= {"drives": corpus.number, "corpus": corpus.digest, "cpu_seconds": seconds}
     return Output(facts={**facts, "written": [str(out)]})

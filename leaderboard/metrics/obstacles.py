@@ -106,15 +106,10 @@ def obstacle_scores(y: np.ndarray, a: np.ndarray, ds: float) -> _ObstacleScores 
         for t, f in pairs
     ]
     s, height, relative = np.mean(errors, axis=0).tolist() if pairs else (np.nan,) * 3
-    return _ObstacleScores(
-        len(pairs) / n_detected if n_detected else 0.0,
-        len(pairs) / n_true,
-        2 * len(pairs) / (n_true + n_detected),
-        s,
-        height,
-        relative,
-        float(wrong_side),
-    )
+    precision = len(pairs) / n_detected if n_detected else 0.0
+    f1 = 2 * len(pairs) / (n_true + n_detected)
+    shares = precision, len(pairs) / n_true, f1
+    return _ObstacleScores(*shares, s, height, relative, float(wrong_side))
 
 
 def _match_path(y: np.ndarray, a: np.ndarray, ds: float, threshold: float) -> _ObstacleMatches:

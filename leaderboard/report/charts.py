@@ -111,15 +111,10 @@ def _height_line(name: str, trace: Trace, z: np.ndarray, side: int, kind: str) -
         drawn = band_pass(z, trace.ds, scored_band(trace.speed_kmh / 3.6))
         spacing = _IN_BAND_SPACING
     first, stride = (z.shape[1] - drawn.shape[1]) // 2, max(1, round(spacing / trace.ds))
-    return {
-        "name": name,
-        "legendgroup": name,
-        "mode": "lines",
-        "x0": rounded(first * trace.ds),
-        "dx": rounded(stride * trace.ds),
-        "dy": encode_heights(drawn[side, ::stride]),
-        "hovertemplate": "%{y:.1f} mm",
-    }
+    heights = encode_heights(drawn[side, ::stride])
+    at = {"x0": rounded(first * trace.ds), "dx": rounded(stride * trace.ds), "dy": heights}
+    look = {"legendgroup": name, "mode": "lines", "hovertemplate": "%{y:.1f} mm"}
+    return {"name": name, **at, **look}
 
 
 def _road_chart(drawn: Mapping[Condition, Mapping[str, Trace]]) -> Chart:

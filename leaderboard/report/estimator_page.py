@@ -148,15 +148,12 @@ def _calibration_figure(task: Task, result: Result, *_: Any) -> dict[str, Any] |
     errors = np.concatenate(ratios)
     inside = [np.mean(errors <= norm.ppf(0.5 + share / 2.0)) for share in _NOMINAL_SHARES]
     exact = {"color": QUIET, "dash": "dot", "width": 1.2}
+    x, y = ([rounded(100.0 * s, 4) for s in shares] for shares in (_NOMINAL_SHARES, inside))
     measured = curve(
-        result.estimator,
-        [rounded(100.0 * share, 4) for share in _NOMINAL_SHARES],
-        [rounded(100.0 * share, 4) for share in inside],
-        mode="lines+markers",
-        line=line_style(result.estimator),
+        result.estimator, x, y, mode="lines+markers", line=line_style(result.estimator),
         marker={"color": colour(result.estimator)},
         hovertemplate="%{y:.0f} % of the errors inside the %{x:.0f} % interval",
-    )
+    )  # fmt: skip
     return {"data": [curve("exact", [0, 100], [0, 100], line=exact, hoverinfo="skip"), measured]}
 
 
@@ -177,15 +174,10 @@ def worst_drives(task: Task, result: Result, key: str) -> list[tuple[str, ...]]:
         return []
     form = COLUMNS[key]
     return [
-        (
-            task.name,
-            f"{run.road}, seed {run.road_seed}",
-            run.condition,
-            f"{run.seed}",
-            form.text(run.value),
-        )
+        (task.name, f"{run.road}, seed {run.road_seed}", run.condition, f"{run.seed}",
+         form.text(run.value))
         for run in runs.nlargest(_WORST_DRIVES, "value").itertuples()
-    ]
+    ]  # fmt: skip
 
 
 def cost(task: Task, result: Result) -> tuple[str, ...]:

@@ -112,21 +112,11 @@ def interval_bars(
         (0.0, 0.0) if low is None or high is None else (x - low, high - x)
         for x, (low, high) in zip(values.values(), ends, strict=True)
     ]
-    return {
-        "type": "bar",
-        "orientation": "h",
-        "name": name,
-        "x": [rounded(x, 5) for x in values.values()],
-        "y": list(values),
-        "error_x": {
-            "type": "data",
-            "arrayminus": [rounded(below, 4) for below, _ in spans],
-            "array": [rounded(above, 4) for _, above in spans],
-            "color": INK,
-            "thickness": 1.5,
-            "width": 3,
-        },
-    }
+    below, above = ([rounded(x, 4) for x in ends] for ends in zip(*spans, strict=True))
+    error = {"type": "data", "arrayminus": below, "array": above, "color": INK}
+    bars = {"type": "bar", "orientation": "h", "name": name, "y": list(values)}
+    bars["x"] = [rounded(x, 5) for x in values.values()]
+    return {**bars, "error_x": {**error, "thickness": 1.5, "width": 3}}
 
 
 def upright(x: float, dash: str = "dot") -> dict[str, Any]:
