@@ -72,11 +72,8 @@ def _checks_output(kind: str, name: str, results: Sequence[CheckResult], summary
     table = Table.grid(padding=(0, 1))
     for result in results:
         table.add_row(_MARKS[result.passed], result.name, result.message)
-    return Output(
-        facts={kind: name, "passed": passed, "checks": checks},
-        shows=[table, f"{name}: {summary}"],
-        status=0 if passed else 1,
-    )
+    facts = {kind: name, "passed": passed, "checks": checks}
+    return Output(facts=facts, shows=[table, f"{name}: {summary}"], status=0 if passed else 1)
 
 
 def summarize(results: Sequence[CheckResult]) -> str:

@@ -8,15 +8,10 @@ from rich.table import Table
 
 import estimators
 from estimators.roughness import spectral
+from leaderboard import commands
 from leaderboard.api import ScoreTable
-from leaderboard.commands import check_output_path, import_from_here, make_table, parse_settings
-from leaderboard.commands.drive_files import (
-    DriveOptions,
-    RecordFile,
-    RecordFiles,
-    read_drive,
-    read_passes,
-)
+from leaderboard.commands import drive_files
+from leaderboard.commands.drive_files import DriveOptions, RecordFile, RecordFiles
 from leaderboard.commands.options import Settings, argument, option
 from leaderboard.commands.output import Output, facts_table
 from leaderboard.drive_report.drive_estimates import estimate_drive, make_drive_estimator
@@ -54,11 +49,14 @@ def estimate(
     A measured drive is a table with the columns t [s], a_rf, a_lr, a_rr [m/s²] (or a_rf_g ... [g]),
     v [m/s] or v_kmh, and mode; speed and mode can be given as options instead.
     """
-    check_output_path(out, ".csv"), check_output_path(plot, ".png", ".svg", ".pdf")
-    given = parse_settings(settings)
-    import_from_here([estimator])
+    (
+        commands.check_output_path(out, ".csv"),
+        commands.check_output_path(plot, ".png", ".svg", ".pdf"),
+    )
+    given = commands.parse_settings(settings)
+    commands.import_from_here([estimator])
     estimators.make_estimator(estimator, **given)  # a wrong name ends it before a file is read
-    drives = read_passes(records, options)
+    drives = drive_files.read_passes(records, options)
     drive = drives[0]
     chosen = make_drive_estimator(estimator, drive, given)
     if len(drives) == 1:
@@ -72,13 +70,10 @@ def estimate(
         measured, cars = [each.measured.record for each in drives], [each.car for each in drives]
         result = estimators.estimate_passes(chosen, measured, cars, names=names)
     facts: dict[str, Any] = {
-        "estimator": estimator,
-        "record": ", ".join(str(path) for path in records),
-        "length_m": drive.measured.record.length,
-        "rms_m": [float(z.std()) for z in result.z],
-        "notes": [*notes, *result.notes],
-        "written": [str(p) for p in (out, plot) if p],
-    }
+        "estimator": estimator, "record": ", ".join(str(path) for path in records),
+        "length_m": drive.measured.record.length, "rms_m": [float(z.std()) for z in result.z],
+        "notes": [*notes, *result.notes], "written": [str(p) for p in (out, plot) if p],
+    }  # fmt: skip
     profile, scored, v, scores = None, result, result.speed or 0.0, None
     if truth:
         surface = realise_road(truth, 0)
@@ -116,7 +111,7 @@ def classify(
     RMS of drives that are simulated in the modes and at the speeds of the record.
     """
     validate_choice("method", method, _METHODS)
-    drive = read_drive(record, options)
+    drive = drive_files.read_drive(record, options)
     measured, notes = drive.measured.record, drive.measured.notes
     result: Any = (
         spectral.classify_record(measured, drive.car, drive.sensors)
@@ -148,4 +143,4 @@ def _octaves_table(posterior: spectral.ClassPosterior) -> Table:
         for centre, level, std, letter in rows
     ]
     heads = ("octave [cycles/m]", "Gd(n0) [1e-6 m³]", "± [dB]", "class")
-    return make_table(heads, cells, texts=("class",))
+    return commands.make_table(heads, cells, texts=("class",))

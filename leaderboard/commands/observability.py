@@ -67,7 +67,7 @@ def observability(
             progress=progress,
         )  # fmt: skip
     density = instruments_with(sensors, noise).noise_density
-    facts = {"vehicle": vehicle, "sensors": sensors, "road_class": road_class}
+    facts: dict[str, Any] = {"vehicle": vehicle, "sensors": sensors, "road_class": road_class}
     facts |= {"noise_density": density, "mismatch": mismatch}
     title = f"class {road_class}, noise {density:g} (m/s²)/√Hz"
     title += f", {100 * mismatch:g} % mismatch" if mismatch else ""

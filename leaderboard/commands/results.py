@@ -92,18 +92,14 @@ def verified_output(found: Sequence[Verified]) -> Output:
         for row in found
     ]
     heads = ("estimator", "task", "runs", "apart", "tolerance", "score", "result")
-    table = commands.make_table(
-        heads, [list(map(str, row)) for row in cells], texts=("task", *heads[5:]), box=None
-    )
+    texts = [list(map(str, row)) for row in cells]
+    table = commands.make_table(heads, texts, texts=("task", *heads[5:]), box=None)
     summary = (
         f"{agreeing} of {len(run)} rows agree on {found[0].kernels}; "
         f"{len(found) - len(run)} could not be run again"
     )
-    return Output(
-        facts=[{**dataclasses.asdict(row), "agrees": row.agrees} for row in found],
-        shows=[table, summary],
-        status=int(agreeing < len(run)),
-    )
+    facts = [{**dataclasses.asdict(row), "agrees": row.agrees} for row in found]
+    return Output(facts=facts, shows=[table, summary], status=int(agreeing < len(run)))
 
 
 def score(

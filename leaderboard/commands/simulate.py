@@ -47,8 +47,7 @@ def simulate(
     plot: Annotated[Path | None, option("Draw profile and record (.png).")] = None,
 ) -> Output:
     """Simulate a drive over a road and record the signals of the instruments."""
-    check_output_path(out, ".parquet", ".csv")
-    check_output_path(truth, ".csv")
+    check_output_path(out, ".parquet", ".csv"), check_output_path(truth, ".csv")
     check_output_path(plot, ".png", ".svg", ".pdf")
     surface, car = realise_road(road, seed, length), load_vehicle(vehicle)
     struts = parse_mode(mode) if mode else next(iter(car.modes))
@@ -73,14 +72,10 @@ def simulate(
         plots.draw_drive(record, profile, plot)
     rms = dict(zip(record.channels, np.sqrt(np.nanmean(record.a**2, axis=1)), strict=True))
     facts = {
-        **settings,
-        "length_m": surface.length,
-        "duration_s": float(record.t[-1]),
-        "samples": record.t.size,
-        "lost_samples": int(np.isnan(record.a).any(axis=0).sum()),
+        **settings, "length_m": surface.length, "duration_s": float(record.t[-1]),
+        "samples": record.t.size, "lost_samples": int(np.isnan(record.a).any(axis=0).sum()),
         "iri_mm_per_m": [float(iri(z, surface.ds)) for z in surface.z],
         "rms_acceleration": {name: float(value) for name, value in rms.items()},
-        "notes": list(surface.notes),
-        "written": [str(p) for p in (out, truth, plot) if p],
-    }
+        "notes": list(surface.notes), "written": [str(p) for p in (out, truth, plot) if p],
+    }  # fmt: skip
     return Output(facts=facts)

@@ -114,8 +114,8 @@ def interval_bars(
     ]
     below, above = ([rounded(x, 4) for x in ends] for ends in zip(*spans, strict=True))
     error = {"type": "data", "arrayminus": below, "array": above, "color": INK}
-    bars = {"type": "bar", "orientation": "h", "name": name, "y": list(values)}
-    bars["x"] = [rounded(x, 5) for x in values.values()]
+    x = [rounded(value, 5) for value in values.values()]
+    bars = {"type": "bar", "orientation": "h", "name": name, "x": x, "y": list(values)}
     return {**bars, "error_x": {**error, "thickness": 1.5, "width": 3}}
 
 

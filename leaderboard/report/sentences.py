@@ -10,15 +10,9 @@ from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.metrics import heights
 from leaderboard.metrics.baselines import MEMORY
 from leaderboard.metrics.level import EQ_12_RAW, STATE_LIMITS
+from leaderboard.report import tables
 from leaderboard.report.board_definitions import COLUMNS, WORST
-from leaderboard.report.tables import (
-    TRAINING_STATES,
-    BoardView,
-    Row,
-    Section,
-    board_views,
-    interval_text,
-)
+from leaderboard.report.tables import BoardView, Row, Section
 from leaderboard.running.board import Board
 from road_envs.records.record import PROFILE_SPACING, profile_stations
 from road_envs.roads import load_road
@@ -42,7 +36,7 @@ class Report:
 
 def build_report(board: Board) -> Report:
     """Tables and findings of a board."""
-    views = tuple(board_views(board))
+    views = tuple(tables.board_views(board))
     return Report(views, findings(views))
 
 
@@ -142,7 +136,7 @@ def _paper_protocol(sections: Sequence[Section], rows: Sequence[Row]) -> str:
         return ""
     near, total = (
         sum(int(row.values.get(name) or 0) for row in found for name in names)
-        for names in (TRAINING_STATES[:1], TRAINING_STATES)
+        for names in (tables.TRAINING_STATES[:1], tables.TRAINING_STATES)
     )
     counted = f" ({near} of {total} trainings below 15\u00a0%)" if total else ""
     labels = [label for section in sections for label in section.conditions]
@@ -172,7 +166,8 @@ def _memory(rows: Sequence[Row]) -> str:
 def _best_sentence(best: Row, section: Section, definition: BoardDefinition) -> str:
     key = definition.ranks_by
     low, high = best.values.get("low"), best.values.get("high")
-    sure = "" if low is None else f", with 95\u00a0% confidence {interval_text(low, high, key)}"
+    interval = tables.interval_text(low, high, key)
+    sure = "" if low is None else f", with 95\u00a0% confidence {interval}"
     scale = ", where an exact estimate has 0 and a flat road 1" if key == "nrmse" else ""
     worst = best.values.get(WORST)
     tail = "" if worst is None else f" On its worst drive it is {COLUMNS[WORST].text(worst)}."
