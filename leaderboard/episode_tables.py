@@ -21,7 +21,7 @@ _NAMESPACE = "roadrecon"
 _OPTIONS = {"observe": ("accelerations", "planar", "struts"), "control": "states"}
 """Options of the environment: all that a policy may use, and all states of both axles."""
 
-_BATCH = 16  # Episodes that are driven at once
+_BATCH = 16  # episodes that are driven at once
 
 DATASETS_PATH = "MINARI_DATASETS_PATH"
 """Environment variable of Minari's folder of data sets."""

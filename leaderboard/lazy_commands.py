@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-_INTERRUPTED = 130  # Exit status after SIGINT: 128 and the number of the signal, as shells have it
+_INTERRUPTED = 130  # exit status after SIGINT: 128 and the number of the signal, as shells have it
 
 
 _PACKAGE = "leaderboard.commands"

@@ -22,7 +22,7 @@ from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import decode_commands, encode_command
 
 _Mode = str | dict[str, str]
-_PLOTTED_BAND = (0.05, 2.5)  # Band [cycles/m] of a curve, cut at the low-pass of the sensors
+_PLOTTED_BAND = (0.05, 2.5)  # band [cycles/m] of a curve, cut at the low-pass of the sensors
 
 BANDWIDTHS, _ATTAINABLE_LENGTH = (25.0, 100.0, 333.0), 100.0
 """Bandwidths [Hz] of the data and length [m] of the road for the attainable error."""

@@ -25,7 +25,7 @@ from road_envs.core.reading import parsing, read_parquet
 from road_envs.vehicle.suspension import WHEELS
 
 _SIDES = ("left", "right")
-_STATION_TOLERANCE = 1e-6  # Largest difference [m] of a station from that of the task, for rounding
+_STATION_TOLERANCE = 1e-6  # largest difference [m] of a station from that of the task, for rounding
 
 _CARD = """# RoadRecon task {name}
 

@@ -14,7 +14,7 @@ from road_envs.core.config import ConfigError
 from road_envs.drives.dataset import write_dataset
 from road_envs.drives.training_corpus import Corpus
 
-_DRIVES, _SEED, _SENSORS = 200, 2, "paper"  # Defaults of the drives that are not those of a task
+_DRIVES, _SEED, _SENSORS = 200, 2, "paper"  # defaults of the drives that are not those of a task
 
 
 def dataset(

@@ -22,7 +22,7 @@ from road_envs.policies.policy_iteration import IterationConfig, iterate
 from road_envs.vehicle.suspension import MODES
 
 POLICY_OPTIONS = LimitOptions(time_limit=POLICY_LIMITS.seconds, memory_limit=POLICY_LIMITS.memory)
-_QUICK_DRIVES = 2  # Public drives of `--quick`, each to both sides
+_QUICK_DRIVES = 2  # public drives of `--quick`, each to both sides
 
 
 def policies(

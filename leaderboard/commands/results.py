@@ -24,7 +24,7 @@ from road_envs.core import artifacts
 from road_envs.core.code_digest import cache_home
 from road_envs.core.config import ConfigError
 
-_RANDOM_ROAD_BOARDS = ("new_road", "field", "class")  # Boards with random roads
+_RANDOM_ROAD_BOARDS = ("new_road", "field", "class")  # boards with random roads
 
 _DEFAULT_FOLDER = Path("out/leaderboard")
 

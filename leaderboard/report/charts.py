@@ -35,7 +35,7 @@ from leaderboard.report.figures import (
 from leaderboard.report.tables import SPECTRUM_SCORES, Row
 from road_envs.records.roughness import CLASSES, N_0, displacement_psd, smooth_psd
 
-_RAW_SPACING = 0.05  # Least spacing [m] at which raw heights are drawn
+_RAW_SPACING = 0.05  # least spacing [m] at which raw heights are drawn
 
 _IN_BAND_SPACING = 0.1
 """Least spacing [m] at which band-passed heights are drawn: 5 points of the shortest wave."""
@@ -43,10 +43,10 @@ _IN_BAND_SPACING = 0.1
 _KINDS = ("inside", "raw")
 """Drawn heights: inside the scored band, and about their median, as no sensor knows the datum."""
 
-_N_SHOWN = 2  # Number of entries, best first, whose lines are shown at first
-_CLASS_FREQUENCIES = (0.05, 10.0)  # Range [cycles/m] of the chart of densities
-_THRESHOLDS = 41  # Points of a performance profile, from 0 to the scale of the board
-_REPLICATES = 300  # Bootstrap replicates of a performance profile: enough for a drawn line
+_N_SHOWN = 2  # number of entries, best first, whose lines are shown at first
+_CLASS_FREQUENCIES = (0.05, 10.0)  # range [cycles/m] of the chart of densities
+_THRESHOLDS = 41  # points of a performance profile, from 0 to the scale of the board
+_REPLICATES = 300  # bootstrap replicates of a performance profile: enough for a drawn line
 
 _SYMBOLS = {"detected": "circle-open", "missed": "x-thin-open", "false alarm": "diamond-open"}
 

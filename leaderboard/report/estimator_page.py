@@ -32,8 +32,8 @@ from leaderboard.report.figures import (
 )
 from leaderboard.report.tables import Row, Section
 
-_WORST_DRIVES = 3  # Number of drives of a task with the largest errors that are listed
-_LABEL_LENGTH = 20  # Length at which the name of a group is continued on a second line [characters]
+_WORST_DRIVES = 3  # number of drives of a task with the largest errors that are listed
+_LABEL_LENGTH = 20  # length at which the name of a group is continued on a second line [characters]
 
 _NOMINAL_SHARES = np.linspace(0.05, 0.95, 19)
 """Probabilities of the intervals of a calibration chart."""

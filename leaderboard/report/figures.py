@@ -22,11 +22,11 @@ from typing import Any
 
 import numpy as np
 
-_HEIGHT_UNIT = 1e-4  # Unit [m] of encoded heights
-_DRAWN_HEIGHT_LIMIT = 3.0  # Drawn heights are clipped to +- this [m]
-_N_COLOURS = 7  # Number of colours of lines in `static/site.css`: as many as there are FAMILIES
-_DASHES = ("solid", "dash", "dot")  # Dashes of the estimators in FAMILIES
-_OTHER_DASHES = ("dashdot", "longdash", "longdashdot")  # Dashes of all other estimators
+_HEIGHT_UNIT = 1e-4  # unit [m] of encoded heights
+_DRAWN_HEIGHT_LIMIT = 3.0  # drawn heights are clipped to +- this [m]
+_N_COLOURS = 7  # number of colours of lines in `static/site.css`: as many as there are FAMILIES
+_DASHES = ("solid", "dash", "dot")  # dashes of the estimators in FAMILIES
+_OTHER_DASHES = ("dashdot", "longdash", "longdashdot")  # dashes of all other estimators
 
 FAMILIES = (
     ("map_smoother",),

@@ -22,11 +22,11 @@ from leaderboard.report.rendering import file_name
 from leaderboard.report.sentences import PAPER_NETWORK, scored_rows, unrelated_level_errors
 from leaderboard.report.tables import Section, interval_text
 
-_MAX_BARS = 16  # Number of entries in the chart of the ranking, best first
-_BAR_HEIGHT = 19  # Height of a bar with its gap [pixels]
-_LABEL_HEIGHT = 15  # Height of the label of a line [pixels]
-_MODEBAR_HEIGHT = 34  # Height of the buttons above a chart [pixels]
-_STRIP_LENGTH = 30.0  # Length of road [m] that the strip shows at first
+_MAX_BARS = 16  # number of entries in the chart of the ranking, best first
+_BAR_HEIGHT = 19  # height of a bar with its gap [pixels]
+_LABEL_HEIGHT = 15  # height of the label of a line [pixels]
+_MODEBAR_HEIGHT = 34  # height of the buttons above a chart [pixels]
+_STRIP_LENGTH = 30.0  # length of road [m] that the strip shows at first
 
 
 def ranking_chart(section: Section, definition: BoardDefinition) -> Chart | None:

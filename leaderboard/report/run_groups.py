@@ -9,7 +9,7 @@ from leaderboard.evaluation.tasks import Task
 ScoreSlice = tuple[list[int] | slice | np.ndarray, list[int] | slice | np.ndarray]
 """Index of roads and of conditions into scores (R, C, S), which keeps both axes."""
 
-_FLEXIBLE_GRADES = ("S2", "S3", "S4")  # Grades of vehicles with a frame that twists
+_FLEXIBLE_GRADES = ("S2", "S3", "S4")  # grades of vehicles with a frame that twists
 
 FRAME_BANDS = (0.0, 10.0, 14.0, 100.0)
 """Limits of the groups of frames [Hz]."""

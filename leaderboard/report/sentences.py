@@ -20,7 +20,7 @@ from road_envs.roads import load_road
 PAPER_NETWORK = "static_lm"
 """The estimator that implements the paper's network."""
 
-_N_PAIRS = 200  # Number of pairs of unrelated roads
+_N_PAIRS = 200  # number of pairs of unrelated roads
 
 UNRELATED_ROAD = {"kind": "iso8608", "road_class": "D", "length": 100.0}
 """Road of the pairs, of the class of the training roads."""

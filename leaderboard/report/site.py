@@ -30,8 +30,8 @@ from leaderboard.report.tables import BoardView, Row, Section
 from leaderboard.running.board import Board
 from road_envs.core.atomic_io import write_text
 
-_MAX_DRAWN = 8  # Number of entries of a task that are drawn, best first
-_DIGITS = 5  # Significant digits of a number, which sorts and draws; its text is what is read
+_MAX_DRAWN = 8  # number of entries of a task that are drawn, best first
+_DIGITS = 5  # significant digits of a number, which sorts and draws; its text is what is read
 
 _PAGE_FOLDERS = ("tasks", "estimators")
 
