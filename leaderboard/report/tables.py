@@ -17,17 +17,9 @@ from leaderboard.conformance.results import EstimatorCard
 from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.results import Result, score_arrays
 from leaderboard.evaluation.tasks import Task
+from leaderboard.metrics import bootstrap
 from leaderboard.metrics.api import UNDEFINED
-from leaderboard.metrics.bootstrap import (
-    MIN_ROADS,
-    Interval,
-    Strata,
-    count_roads,
-    interquartile_mean,
-    iqm_interval,
-    iqm_slope,
-    rank_entries,
-)
+from leaderboard.metrics.bootstrap import MIN_ROADS, Interval, Strata, count_roads
 from leaderboard.metrics.level import EQ_12_RAW, STATE_LIMITS
 from leaderboard.metrics.registry import SCORES
 from leaderboard.report.board_definitions import (
@@ -198,7 +190,7 @@ def _aggregate(
         means = dict(zip(SCORES, _mean(mine), strict=True))
         score = Interval(np.nan, np.nan, np.nan)
         if count_roads(own) >= MIN_ROADS:
-            score = iqm_interval(own, strata=strata if group == ALL_RUNS else None)
+            score = bootstrap.iqm_interval(own, strata=strata if group == ALL_RUNS else None)
         values[group] = _defined(
             {name: x for name, x in means.items() if group == ALL_RUNS or name in shown}
             | {"low": score.low, "high": score.high, **_tail(own)}
@@ -240,7 +232,7 @@ def _grade_scores(ranked: np.ndarray, parts: Mapping[str, ScoreSlice], strata: S
         return {}
     values = {f"grade_{grade}": _mean(x[None])[0] for grade, x in by_grade.items()}
     if count_roads(ranked) >= MIN_ROADS:
-        growth = iqm_slope(list(by_grade.values()), strata=strata)
+        growth = bootstrap.iqm_slope(list(by_grade.values()), strata=strata)
         values |= {"slope": growth.mean, "slope_low": growth.low, "slope_high": growth.high}
     return _defined(values)
 
@@ -248,10 +240,7 @@ def _grade_scores(ranked: np.ndarray, parts: Mapping[str, ScoreSlice], strata: S
 def _rank(
     tables: Sequence[_AggregatedScores], parts: Mapping[str, ScoreSlice], strata: Strata
 ) -> None:
-    """Add the ranks of the entries in every group, among all and among the causal.
-
-    Ranks need at least MIN_ROADS roads.
-    """
+    """Add the ranks in every group of MIN_ROADS roads, among all entries and the causal ones."""
     by_name = {table.name: table for table in tables}
     for group, part in parts.items():
         for k, key in enumerate(RANK_COLUMNS.values()):
@@ -259,7 +248,7 @@ def _rank(
             if not any(count_roads(x) >= MIN_ROADS for x in scores.values()):
                 continue
             within = strata if group == ALL_RUNS else None
-            for name, rank in rank_entries(scores, strata=within).items():
+            for name, rank in bootstrap.rank_entries(scores, strata=within).items():
                 by_name[name].values[group][key] = rank
 
 
@@ -288,9 +277,7 @@ def _scored_row(
 
 
 def _bound_rows(tables: Sequence[_AggregatedScores], definition: BoardDefinition) -> list[Row]:
-    """Return the rows of the bound and of the attainable error, as far as they were computed, if
-    NRMSE is the ranking score.
-    """
+    """Return the rows of bound and attainable error, as far as computed, if NRMSE ranks."""
     rows = []
     for name, key in ((BOUND_ROW, "bound_nrmse"), (ATTAINABLE_ROW, "attainable_nrmse")):
         bounded = [x.values for x in tables if x.values[ALL_RUNS].get(key) is not None]
@@ -305,13 +292,11 @@ def _bound_rows(tables: Sequence[_AggregatedScores], definition: BoardDefinition
 
 def _mean(scores: np.ndarray) -> np.ndarray:
     """Return the interquartile means (K,) of scores (K, R, C, S); NaN if no run has the score."""
-    return interquartile_mean(scores.reshape(len(scores), -1))
+    return bootstrap.interquartile_mean(scores.reshape(len(scores), -1))
 
 
 def _training_states(error: np.ndarray) -> _Values:
-    """Count near-optimal, sub-optimal and unstable runs (Appendix A of the paper) by errors
-    (R, C, S).
-    """
+    """Count near-optimal, sub-optimal and unstable runs (Appendix A) by errors (R, C, S)."""
     if error.shape[-1] < 2:
         return {}
     error = error[~np.isnan(error)]
