@@ -10,7 +10,7 @@
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -35,14 +35,10 @@ class ScoreTable:
         """Return the score of a key as computed, not scaled for printing."""
         return self.values[key]
 
-    def rows(self, keys: Iterable[str] = PRINTED_SCORES) -> list[tuple[str, str, str]]:
-        """Return key, text with unit and label of each defined score of `keys`."""
-        rows = [(key, SCORES[key], self.values.get(key, math.nan)) for key in keys]
-        return [
-            (key, f"{form.format_value(value)} {form.unit}".strip(), form.label)
-            for key, form, value in rows
-            if math.isfinite(value)
-        ]
+    def rows(self) -> list[tuple[str, str, str]]:
+        """Return key, text with unit and label of each of PRINTED_SCORES that is defined."""
+        defined = [key for key in PRINTED_SCORES if math.isfinite(self.values.get(key, math.nan))]
+        return [(key, SCORES[key].text(self.values[key]), SCORES[key].label) for key in defined]
 
     def __str__(self) -> str:
         """Return the main scores as text, one on each line; `to_pandas` has them all."""

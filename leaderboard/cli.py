@@ -41,7 +41,7 @@ class RoadRecon(LazyGroup):
         "Names": {"list": "listing:list_names"},
         "Estimates": {
             "report": "report:report",
-            "iri": "iri:iri",
+            "iri": "roads:iri",
             "export": "roads:export_heights",
             "estimate": "estimate:estimate",
             "classify": "estimate:classify",
@@ -108,7 +108,7 @@ def main() -> None:
             error.show()  # type: ignore[attr-defined]
         elif isinstance(error, typer.Abort):
             sys.stderr.write("error: a question was left open: give its answer as an option\n")
-        elif isinstance(error, USAGE_ERROR):
+        elif isinstance(error, _USAGE_ERROR):
             sys.stderr.write(f"error: {_usage_sentence(error)}\n")
         elif "--debug" in sys.argv or not _is_input_error(error):
             raise
@@ -118,10 +118,10 @@ def main() -> None:
     raise SystemExit(status or 0)
 
 
-USAGE_ERROR: Any = typer.BadParameter.__mro__[1]
+_USAGE_ERROR: Any = typer.BadParameter.__mro__[1]
 """Class of errors in the words of a command line, which Typer does not export."""
 
-PARSER_WORDS = (
+_PARSER_WORDS = (
     (
         r"Input should be a valid integer.*|.* is not a valid integer( range)?\.",
         "must be a whole number",
@@ -144,7 +144,7 @@ def _usage_sentence(error: Any) -> str:
     text = text[:1].lower() + text[1:]
     if found := re.fullmatch(r"invalid value for '(.+?)'(?: /.*?)?: (.*)", text):
         option, text = found[1], found[2]
-        for pattern, words in PARSER_WORDS:
+        for pattern, words in _PARSER_WORDS:
             text = re.sub(pattern, words, text)
         text = f"{option} {text}" + _given(option)
     context = getattr(error, "ctx", None)

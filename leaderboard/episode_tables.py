@@ -15,14 +15,13 @@ from road_envs.core.extras import optional_import
 from road_envs.policies import make_policy
 from road_envs.policies.rollout import roll_out
 
-ENVIRONMENT = "RoadRecon-v0"
-NAMESPACE = "roadrecon"
+_ENVIRONMENT = "RoadRecon-v0"
+_NAMESPACE = "roadrecon"
 
-OPTIONS = {"observe": ("accelerations", "planar", "struts"), "control": "states"}
+_OPTIONS = {"observe": ("accelerations", "planar", "struts"), "control": "states"}
 """Options of the environment: all that a policy may use, and all states of both axles."""
 
-BATCH = 16
-"""Episodes that are driven at once."""
+_BATCH = 16  # episodes that are driven at once
 
 DATASETS_PATH = "MINARI_DATASETS_PATH"
 """Environment variable of Minari's folder of data sets."""
@@ -41,53 +40,40 @@ def write_episodes(
     The data set lies in `folder`, Minari's folder of data sets, under the name in the facts;
     `options` are those of the environment. Raises ConfigError, and what the policy raises.
     """
-    options = {**OPTIONS, **options}
+    options = {**_OPTIONS, **options}
     policy, name = make_policy(reference), reference.rpartition(":")[2].lower()
     with optional_import("a data set of episodes"):
         import minari
         from minari.data_collector import EpisodeBuffer
 
     buffers, returns = [], []
-    for first in range(0, number, BATCH):
-        seeds = range(seed + first, seed + min(first + BATCH, number))
+    for first in range(0, number, _BATCH):
+        seeds = range(seed + first, seed + min(first + _BATCH, number))
         progress(f"driving seeds {seeds[0]} to {seeds[-1]}", first / number)
         rollout = roll_out(policy, options, seeds)
         for k, n in enumerate(rollout.intervals):
             ended = np.arange(1, n + 1) == n
             failed = bool(rollout.reasons[k])
-            buffers.append(
-                EpisodeBuffer(
-                    id=first + k,
-                    seed=seeds[k],
-                    observations=list(rollout.observations[: n + 1, k]),
-                    actions=list(rollout.actions[:n, k]),
-                    rewards=list(rollout.rewards[:n, k]),
-                    terminations=list(ended & failed),
-                    truncations=list(ended & (not failed)),
-                )
-            )
+            episode = EpisodeBuffer(
+                id=first + k, seed=seeds[k], observations=list(rollout.observations[: n + 1, k]),
+                actions=list(rollout.actions[:n, k]), rewards=list(rollout.rewards[:n, k]),
+                terminations=list(ended & failed), truncations=list(ended & (not failed)),
+            )  # fmt: skip
+            buffers.append(episode)
             returns.append(float(rollout.returns[k]))
-    identifier = f"{NAMESPACE}/{name}-v0"
-    env = gymnasium.make(ENVIRONMENT, **options)
+    identifier = f"{_NAMESPACE}/{name}-v0"
+    env = gymnasium.make(_ENVIRONMENT, **options)
     with _datasets_in(folder), warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # of an address and links that are left out
         minari.create_dataset_from_buffers(
-            identifier,
-            buffers,
-            env=env,
-            algorithm_name=name,
-            author="RoadRecon",
-            description=f"Episodes of the policy {name} in {ENVIRONMENT}, seeds {seed} to "
+            identifier, buffers, env=env, algorithm_name=name, author="RoadRecon",
+            description=f"Episodes of the policy {name} in {_ENVIRONMENT}, seeds {seed} to "
             f"{seed + number - 1}, road-envs {__version__}; licence CC-BY-4.0.",
-            data_format="arrow",
-            requirements=[f"road-envs=={__version__}"],
-        )
-    return {
-        "data_set": identifier,
-        "episodes": number,
-        "steps": int(sum(len(buffer.rewards) for buffer in buffers)),
-        "mean_return": float(np.mean(returns)),
-    }
+            data_format="arrow", requirements=[f"road-envs=={__version__}"],
+        )  # fmt: skip
+    steps = int(sum(len(buffer.rewards) for buffer in buffers))
+    facts = {"data_set": identifier, "episodes": number, "steps": steps}
+    return {**facts, "mean_return": float(np.mean(returns))}
 
 
 @contextmanager

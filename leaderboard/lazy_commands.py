@@ -13,14 +13,13 @@ from typing import Any, ClassVar
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-INTERRUPTED = 130
-"""Exit status after SIGINT: 128 and the number of the signal, as shells have it."""
+_INTERRUPTED = 130  # exit status after SIGINT: 128 and the number of the signal, as shells have it
 
 
-PACKAGE = "leaderboard.commands"
+_PACKAGE = "leaderboard.commands"
 
 Sections = Mapping[str, Mapping[str, str | type]]
-"""Commands by name, by heading of the help: "module:function" of PACKAGE, or a LazyGroup."""
+"""Commands by name, by heading of the help: "module:function" of _PACKAGE, or a LazyGroup."""
 
 
 OPTION_SECTIONS = {
@@ -89,7 +88,7 @@ class LazyGroup(TyperGroup):
             return super().invoke(ctx)
         except KeyboardInterrupt as error:
             typer.echo(f"interrupted: {error}" if str(error) else "interrupted", err=True)
-            raise typer.Exit(INTERRUPTED) from None
+            raise typer.Exit(_INTERRUPTED) from None
 
 
 def _help_line(target: str | type) -> str:
@@ -97,7 +96,7 @@ def _help_line(target: str | type) -> str:
     if isinstance(target, type):
         return str(target.__doc__)
     module, _, function = target.partition(":")
-    path = Path(__file__).parent / PACKAGE.rpartition(".")[2] / f"{module}.py"
+    path = Path(__file__).parent / _PACKAGE.rpartition(".")[2] / f"{module}.py"
     nodes = ast.parse(path.read_text(encoding="utf-8")).body
     texts = {n.name: ast.get_docstring(n) for n in nodes if isinstance(n, ast.FunctionDef)}
     return " ".join((texts[function] or "").partition("\n\n")[0].split())
@@ -111,7 +110,7 @@ def _build(name: str, target: str | type) -> Any:
     module, _, function = target.partition(":")
     from leaderboard.commands.output import as_command
 
-    app, found = new_app(), getattr(import_module(f"{PACKAGE}.{module}"), function)
+    app, found = new_app(), getattr(import_module(f"{_PACKAGE}.{module}"), function)
     app.command(name, cls=_SectionedCommand)(as_command(found))
     return typer.main.get_command(app)
 

@@ -14,16 +14,16 @@ from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import load_vehicle
 from road_envs.vehicle.suspension import ALL_MODES, PASSIVE_MODES
 
-Lines = dict[str, str]
+_Lines = dict[str, str]
 """What a name stands for, by name."""
 
 
-def names_of(kind: str) -> Lines:
+def names_of(kind: str) -> _Lines:
     """Return the names of a kind of KINDS, each with what it stands for. Raises ConfigError."""
     return KINDS[validate_choice("kind of names", kind, KINDS)]()
 
 
-def _vehicles() -> Lines:
+def _vehicles() -> _Lines:
     lines = {}
     for name in config.names("vehicles"):
         car = load_vehicle(name)
@@ -32,7 +32,7 @@ def _vehicles() -> Lines:
     return lines
 
 
-def _sensors() -> Lines:
+def _sensors() -> _Lines:
     loaded = {name: load_instruments(name) for name in config.names("sensors")}
     return {
         name: f"{', '.join(each.accelerometers)}; {each.fs:g} Hz, noise {each.noise_density:g} "
@@ -50,19 +50,19 @@ def _first_sentence(text: str) -> str:
     return re.split(r"(?<!et al)\. ", " ".join(text.split()))[0].rstrip(".")
 
 
-def _estimators() -> Lines:
+def _estimators() -> _Lines:
     from estimators import registry
 
     return {name: _first_line(cls) for name, cls in sorted(registry.available().items())}
 
 
-def _policies() -> Lines:
+def _policies() -> _Lines:
     from road_envs import policies
 
     return {name: _first_line(cls) for name, cls in sorted(policies.available().items())}
 
 
-def _boards() -> Lines:
+def _boards() -> _Lines:
     from leaderboard.evaluation.boards import shipped_boards
     from leaderboard.evaluation.tasks import shipped_tasks
 
@@ -73,20 +73,20 @@ def _boards() -> Lines:
     }
 
 
-def _tasks() -> Lines:
+def _tasks() -> _Lines:
     from leaderboard.evaluation.tasks import shipped_tasks
 
     return {task.name: task.title for task in shipped_tasks()}
 
 
-def _conditions() -> Lines:
+def _conditions() -> _Lines:
     from leaderboard.drive_report.conditions import load_conditions
 
     loaded = {name: load_conditions(name) for name in config.names("conditions")}
     return {name: f"{each.title}: {', '.join(each.categories)}" for name, each in loaded.items()}
 
 
-def _modes() -> Lines:
+def _modes() -> _Lines:
     cars = {name: load_vehicle(name) for name in config.names("vehicles")}
     lines = {}
     for mode, (stiff, high) in ALL_MODES.items():
@@ -98,7 +98,7 @@ def _modes() -> Lines:
     return lines
 
 
-def _roads() -> Lines:
+def _roads() -> _Lines:
     """Return the first sentence of the comment at the head of each file."""
     lines = {}
     for name in config.names("roads"):
@@ -108,7 +108,7 @@ def _roads() -> Lines:
     return lines
 
 
-KINDS: dict[str, Callable[[], Lines]] = {
+KINDS: dict[str, Callable[[], _Lines]] = {
     "vehicles": _vehicles,
     "sensors": _sensors,
     "estimators": _estimators,

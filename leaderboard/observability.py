@@ -7,7 +7,7 @@ rows, curves = bounds_by_state(car, "paper", prior, modes=["ride"], speeds_kmh=[
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -21,29 +21,21 @@ from road_envs.sensing.instruments import Instruments, load_instruments
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import decode_commands, encode_command
 
-Mode = str | dict[str, str]
-PLOTTED_BAND = (0.05, 2.5)
-"""Band [cycles/m] of a curve, cut at the low-pass of the sensors."""
+_Mode = str | dict[str, str]
+_PLOTTED_BAND = (0.05, 2.5)  # band [cycles/m] of a curve, cut at the low-pass of the sensors
 
-BANDWIDTHS, ATTAINABLE_LENGTH = (25.0, 100.0, 333.0), 100.0
+BANDWIDTHS, _ATTAINABLE_LENGTH = (25.0, 100.0, 333.0), 100.0
 """Bandwidths [Hz] of the data and length [m] of the road for the attainable error."""
 
-
-class BoundCurve(NamedTuple):
-    """Posterior of the road over spatial frequency, of one mode at one speed [km/h]."""
-
-    mode: str
-    speed_kmh: float
-    posterior: Posterior
-    pooled: float
-    """In-band NRMSE [-] of both wheel paths."""
+_Curve = tuple[str, float, Posterior, float]
+"""Mode, speed [km/h], posterior of the road over spatial frequency, in-band NRMSE [-]."""
 
 
 def bounds_by_state(
     car: VehicleParameters,
     sensors: str,
     prior: RoadPrior,
-    modes: Sequence[Mode],
+    modes: Sequence[_Mode],
     speeds_kmh: Sequence[float],
     *,
     noise_density: float | None = None,
@@ -52,7 +44,7 @@ def bounds_by_state(
     attainable: bool = False,
     with_curves: bool = False,
     progress: Callable[[str, float], None] = lambda text, share: None,
-) -> tuple[list[dict[str, Any]], list[BoundCurve]]:
+) -> tuple[list[dict[str, Any]], list[_Curve]]:
     """Return a row of bounds and, `with_curves`, the curve over frequency of each mode at each
     speed [km/h].
 
@@ -68,23 +60,26 @@ def bounds_by_state(
     # fails before anything is computed
     chosen = [_damping_by_strut(dampers, mode, car) for mode in modes]
     rows: list[dict[str, Any]] = []
-    curves: list[BoundCurve] = []
+    curves: list[_Curve] = []
     jobs = [(*pair, speed) for pair in zip(modes, chosen, strict=True) for speed in speeds_kmh]
     for k, (mode, c, speed) in enumerate(jobs):
-        name, v = front_rear(mode), speed / 3.6
+        name, v = _front_rear(mode), speed / 3.6
         progress(f"{name}, {speed:g} km/h", k / len(jobs))
         c = equivalent_damping(car, mode, v, prior) if c is None else c
         settings: dict[str, Any] = {"damping": c, "model_error": model_error}
         posterior = bound(car, mode, v, instruments, prior, **settings)
-        rows.append(_row(name, speed, c, posterior))
+        left, right = posterior.nrmse().tolist()
+        row = {"mode": name, "speed_kmh": speed, "band": scored_band(v)}
+        row |= {"nrmse": posterior.pooled, "nrmse_left": left, "nrmse_right": right}
+        rows.append(row | {"damping": c.tolist()})
         if attainable:
             floor = bound(car, mode, v, instruments, prior, residual_as_noise=True, **settings)
             rows[-1]["linear_estimators"] = floor.pooled
             rows[-1] |= _nonlinear(car, mode, speed, sensors, noise_density, prior)
         if with_curves:
-            n = np.geomspace(PLOTTED_BAND[0], min(PLOTTED_BAND[1], F_C / v), 3000)
+            n = np.geomspace(_PLOTTED_BAND[0], min(_PLOTTED_BAND[1], F_C / v), 3000)
             drawn = bound(car, mode, v, instruments, prior, n=n, **settings)
-            curves.append(BoundCurve(name, speed, drawn, posterior.pooled))
+            curves.append((name, speed, drawn, posterior.pooled))
     return rows, curves
 
 
@@ -99,7 +94,7 @@ def instruments_with(sensors: str, noise_density: float | None) -> Instruments:
         raise ConfigError(str(error)) from None
 
 
-def front_rear(mode: Mode) -> str:
+def _front_rear(mode: _Mode) -> str:
     """Return a short name of a mode, "ride / handling" for front and rear."""
     if isinstance(mode, str):
         return f"{mode} / {mode}"
@@ -109,7 +104,7 @@ def front_rear(mode: Mode) -> str:
 
 
 def _damping_by_strut(
-    dampers: Mapping[str, float] | None, mode: Mode, car: VehicleParameters
+    dampers: Mapping[str, float] | None, mode: _Mode, car: VehicleParameters
 ) -> np.ndarray | None:
     """Return the damping (4,) [N s/m] of each strut in its mode; None without `dampers`."""
     stiff, high = (flags[0] for flags in decode_commands(np.array([encode_command(mode, car)])))
@@ -126,31 +121,18 @@ def _damping_by_strut(
     return np.array([dampers[name] for name in modes])
 
 
-def _row(mode: str, speed: float, damping: np.ndarray, posterior: Posterior) -> dict[str, Any]:
-    left, right = posterior.nrmse()
-    return {
-        "mode": mode,
-        "speed_kmh": speed,
-        "band": scored_band(speed / 3.6),
-        "nrmse": posterior.pooled,
-        "nrmse_left": float(left),
-        "nrmse_right": float(right),
-        "damping": damping.tolist(),
-    }
-
-
 def _nonlinear(
     car: VehicleParameters,
-    mode: Mode,
+    mode: _Mode,
     speed_kmh: float,
     sensors: str,
     noise_density: float | None,
     prior: RoadPrior,
 ) -> dict[str, Any]:
-    """Return the attainable NRMSE for each of BANDWIDTHS on a road of ATTAINABLE_LENGTH, and the
+    """Return the attainable NRMSE for each of BANDWIDTHS on a road of _ATTAINABLE_LENGTH, and the
     bound of van Trees for the widest.
     """
-    road = Iso8608(G_d0=prior.G_d0, w=prior.w, track=prior.track, length=ATTAINABLE_LENGTH)
+    road = Iso8608(G_d0=prior.G_d0, w=prior.w, track=prior.track, length=_ATTAINABLE_LENGTH)
     record, truth = simulate_record(
         road, vehicle=car, speed_kmh=speed_kmh, mode=mode, instruments=sensors
     )

@@ -24,14 +24,14 @@ from road_envs.core.config import ConfigError
 from road_envs.drives.training_corpus import Corpus, drives_in_mode
 from road_envs.records.record import Record
 
-Progress = Callable[[str, float], None]
-SIMULATION_SHARE = 0.15
+_Progress = Callable[[str, float], None]
+_SIMULATION_SHARE = 0.15
 """Share of the run time that simulating the drives takes, for the progress bar."""
 
-CALIBRATION_SHARE = 0.3
+_CALIBRATION_SHARE = 0.3
 """Drives of the nominal vehicle for calibrating standard deviations, per training drive."""
 
-N_DRIVES, SPEED_MARGIN = 60, 1.5
+_N_DRIVES, _SPEED_MARGIN = 60, 1.5
 """Number of drives of the regression on RMS, and factor around the speeds of the record."""
 
 
@@ -73,7 +73,7 @@ def train(
     seed: int,
     out: Path,
     command: str,
-    progress: Progress = lambda text, share: None,
+    progress: _Progress = lambda text, share: None,
 ) -> Pretrained:
     """Pretrain `estimator`, which is called `name`, and write it to `out` (.safetensors).
 
@@ -91,18 +91,18 @@ def train(
     drives = []
     for k in range(corpus.number):
         if k % 10 == 0:
-            progress(f"simulating, {k} of {corpus.number}", SIMULATION_SHARE * k / corpus.number)
+            progress(f"simulating, {k} of {corpus.number}", _SIMULATION_SHARE * k / corpus.number)
         drives.append(estimator.training_example(*corpus.simulate_drive(k)))
     trained = estimator.pretrain(
         drives,
         corpus.vehicle,
         seed,
-        lambda text, share: progress(text, SIMULATION_SHARE + (1.0 - SIMULATION_SHARE) * share),
+        lambda text, share: progress(text, _SIMULATION_SHARE + (1.0 - _SIMULATION_SHARE) * share),
         checkpoint,
     )
     if isinstance(trained, DeviationCalibratable):
         progress("calibrating standard deviations", 1.0)
-        more = range(corpus.number, corpus.number + math.ceil(CALIBRATION_SHARE * corpus.number))
+        more = range(corpus.number, corpus.number + math.ceil(_CALIBRATION_SHARE * corpus.number))
         drives = [trained.training_example(*corpus.simulate_drive(k, True)) for k in more]
         trained = trained.calibrate_deviations(drives)
     metadata = {"command": command, "seed": str(seed), "corpus": corpus.digest, "digest": digest}
@@ -118,5 +118,5 @@ def rms_roughness(record: Record, corpus: Corpus) -> RoughnessEstimate:
     """
     mode = dominant_modes(record, np.arange(record.t.size), corpus.vehicle.modes)
     slow, fast = 3.6 * np.percentile(record.v, [5.0, 95.0])
-    drives = drives_in_mode(corpus, mode, (slow / SPEED_MARGIN, fast * SPEED_MARGIN), N_DRIVES)
+    drives = drives_in_mode(corpus, mode, (slow / _SPEED_MARGIN, fast * _SPEED_MARGIN), _N_DRIVES)
     return RmsRoughness.fit(*zip(*drives, strict=True)).predict(record)

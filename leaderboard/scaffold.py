@@ -18,7 +18,7 @@ from road_envs.core.config import ConfigError
 
 Example = Literal["estimator", "learner", "policy"]
 
-INIT = '"""A ${kind} for RoadRecon: `${name}`."""\n'
+_INIT = '"""A ${kind} for RoadRecon: `${name}`."""\n'
 
 
 def write_package(name: str, folder: Path, example: Example = "estimator") -> list[Path]:
@@ -50,7 +50,7 @@ def write_package(name: str, folder: Path, example: Example = "estimator") -> li
     files = {
         "pyproject.toml": _template("pyproject"),
         "README.md": _template(f"{kind}_readme"),
-        f"{module}/__init__.py": INIT,
+        f"{module}/__init__.py": _INIT,
         f"{module}/{kind}.py": _template(example),
         f"tests/test_{kind}.py": _template(f"{example}_test"),
     }

@@ -24,11 +24,10 @@ from road_envs.core.extras import optional_import
 from road_envs.core.reading import parsing, read_parquet
 from road_envs.vehicle.suspension import WHEELS
 
-SIDES = ("left", "right")
-STATION_TOLERANCE = 1e-6
-"""Largest difference [m] of a station from that of the task, for rounding."""
+_SIDES = ("left", "right")
+_STATION_TOLERANCE = 1e-6  # largest difference [m] of a station from that of the task, for rounding
 
-CARD = """# RoadRecon task {name}
+_CARD = """# RoadRecon task {name}
 
 {training} training drives with the true heights of both wheel paths and {test} test drives without,
 in {form} files:
@@ -61,7 +60,7 @@ def write_task(task: TaskArrays, folder: Path, form: str, roads: int | None = No
                 pandas.DataFrame({"drive": k, **_record_columns(drive)})
             )
             z = drive.get("z", np.full((2, drive["stations"].size), np.nan))
-            heights = dict(zip(SIDES, z, strict=True))
+            heights = dict(zip(_SIDES, z, strict=True))
             tables.setdefault(f"{split}_profiles", []).append(
                 pandas.DataFrame({"drive": k, "station": drive["stations"], **heights})
             )
@@ -71,15 +70,11 @@ def write_task(task: TaskArrays, folder: Path, form: str, roads: int | None = No
         table = pandas.concat(parts, ignore_index=True)
         table.to_parquet(path) if form == "parquet" else table.to_csv(path, index=False)
         written.append(path)
-    card = CARD.format(
-        name=task.name,
-        training=len(task.training),
-        test=len(task.test),
-        form=form,
-        tables=(__doc__ or "").split("\n\n")[1],
-        version=__version__,
+    card = _CARD.format(
+        name=task.name, training=len(task.training), test=len(task.test), form=form,
+        tables=(__doc__ or "").split("\n\n")[1], version=__version__,
         roads="" if roads is None else f" --roads {roads}",
-    )
+    )  # fmt: skip
     write_text(folder / "README.md", card)
     write_text(folder / "vehicle.json", json.dumps(task.vehicle, indent=1, default=str) + "\n")
     return [*written, folder / "README.md", folder / "vehicle.json"]
@@ -96,7 +91,7 @@ def score_file(task: TaskArrays, path: Path) -> ScoreTable:
     with parsing(path, ConfigError, "damaged, or not a table of numbers"):
         is_parquet = path.suffix == ".parquet"
         table = read_parquet(path).to_pandas() if is_parquet else pandas.read_csv(path)
-        columns = ["drive", "station", *SIDES]
+        columns = ["drive", "station", *_SIDES]
         if missing := [name for name in columns if name not in table]:
             raise ConfigError(f"no column {missing[0]!r}; needed are {', '.join(columns)}")
         deviations = [name for name in ("left_std", "right_std") if name in table]
@@ -106,14 +101,14 @@ def score_file(task: TaskArrays, path: Path) -> ScoreTable:
         rows = values["drive"] == k
         stations = values["station"][rows]
         right = drive["stations"]
-        if stations.shape != right.shape or np.abs(stations - right).max() > STATION_TOLERANCE:
+        if stations.shape != right.shape or np.abs(stations - right).max() > _STATION_TOLERANCE:
             raise ConfigError(
                 f"{path}: test drive {k} needs its {right.size} stations, 0 to {right[-1]:g} m, "
                 f"in order; got {stations.size}"
             )
-        heights.append(np.stack([values[name][rows] for name in SIDES]))
+        heights.append(np.stack([values[name][rows] for name in _SIDES]))
         std.append(np.stack([values[name][rows] for name in deviations]) if deviations else None)
-    return score_arrays(task, heights, std if len(deviations) == len(SIDES) else None)
+    return score_arrays(task, heights, std if len(deviations) == len(_SIDES) else None)
 
 
 def _record_columns(drive: dict[str, Any]) -> dict[str, np.ndarray]:

@@ -24,12 +24,9 @@ console = Console(markup=False, emoji=False)
 notices = Console(stderr=True, markup=False, emoji=False)
 
 
-def parse_mode(text: str | None) -> str | dict[str, str] | None:
-    """Parse a mode of the struts, "ride" or "front=ride,rear=handling"; None stays.
-
-    Raises ConfigError.
-    """
-    return text if text is None or "=" not in text else parse_pairs("mode", text)
+def parse_mode(text: str) -> str | dict[str, str]:
+    """Parse a mode of the struts, "ride" or "front=ride,rear=handling". Raises ConfigError."""
+    return parse_pairs("mode", text) if "=" in text else text
 
 
 def parse_pairs(option: str, text: str) -> dict[str, str]:

@@ -10,16 +10,8 @@ from typing import Annotated
 import typer
 
 import estimators
-from leaderboard.commands import (
-    check_output_folder,
-    console,
-    import_from_here,
-    notices,
-    on_interrupt,
-    print_json,
-    progress_bar,
-)
-from leaderboard.commands.options import CORES, Json, LimitOptions, Workers
+from leaderboard import commands
+from leaderboard.commands.options import CORES, Json, LimitOptions, Workers, option
 from leaderboard.entries.entries import resolve_entries
 from leaderboard.entries.entry import Entry
 from leaderboard.evaluation.evaluate import SEEDS
@@ -47,81 +39,67 @@ def leaderboard(
     *,
     task: Annotated[
         list[str] | None,
-        typer.Option(
-            help="Task: a name of `road-recon list tasks`, or a YAML path; may be given again."
-        ),
+        option("Task: a name of `road-recon list tasks`, or a YAML path; may be given again."),
     ] = None,
     board: Annotated[
         list[str] | None,
-        typer.Option(
-            help=f"Board: {', '.join(names('boards'))}; may be given again. Default: all."
-        ),
+        option(f"Board: {', '.join(names('boards'))}; may be given again. Default: all."),
     ] = None,
     road: Annotated[
         list[Path] | None,
-        typer.Option(help="Train and score on this surface file instead; may be given again."),
+        option("Train and score on this surface file instead; may be given again."),
     ] = None,
     estimator: Annotated[
         list[str] | None,
-        typer.Option(
-            help="Estimator: a name of `road-recon list estimators`, module:Class, or path of a "
+        option(
+            "Estimator: a name of `road-recon list estimators`, module:Class, or path of a "
             "wheel, an installed package or a file from `train`; may be given again. Default: all."
         ),
     ] = None,
     without: Annotated[
-        list[str] | None, typer.Option(help="Estimator to exclude; may be given again.")
+        list[str] | None, option("Estimator to exclude; may be given again.")
     ] = None,
     roads: Annotated[
-        int | None, typer.Option(help="Test drives per condition on random roads.", min=2)
+        int | None, option("Test drives per condition on random roads.", min=2)
     ] = None,
     length: Annotated[
-        float | None, typer.Option(help="Length of random test roads in metres.", min=50.0)
+        float | None, option("Length of random test roads in metres.", min=50.0)
     ] = None,
     full: Annotated[
-        bool, typer.Option("--full", help="All test drives of every task: 50 and more roads.")
+        bool, option("All test drives of every task: 50 and more roads.", "--full")
     ] = False,
-    seeds: Annotated[int, typer.Option(help="Training seeds of each estimator.", min=1)] = len(
-        SEEDS
-    ),
+    seeds: Annotated[int, option("Training seeds of each estimator.", min=1)] = len(SEEDS),
     again: Annotated[
-        bool, typer.Option("--again", help="Run everything again, including valid stored results.")
+        bool, option("Run everything again, including valid stored results.", "--again")
     ] = False,
     replace: Annotated[
         list[str] | None,
-        typer.Option(
-            help="Entry whose stored row may be replaced although other code made it; may be given "
+        option(
+            "Entry whose stored row may be replaced although other code made it; may be given "
             "again. A terminal is asked."
         ),
     ] = None,
     attainable: Annotated[
         bool,
-        typer.Option(
-            "--attainable",
-            help="Also compute the attainable error of each test drive with the nonlinear vehicle: "
+        option(
+            "Also compute the attainable error of each test drive with the nonlinear vehicle: "
             "some seconds per drive, once.",
+            "--attainable",
         ),
     ] = False,
     probes: Annotated[
-        bool,
-        typer.Option(
-            "--probes", help="Also run the conformance probes of new entries, on this machine."
-        ),
+        bool, option("Also run the conformance probes of new entries, on this machine.", "--probes")
     ] = False,
     workers: Workers = CORES,
     dask: Annotated[
         str | None,
-        typer.Option(
-            help="Run on the cluster of the Dask scheduler at this address; local: start one here."
-        ),
+        option("Run on the cluster of the Dask scheduler at this address; local: start one here."),
     ] = None,
     plan: Annotated[
-        Path | None,
-        typer.Option(help="Write job files for `run-job` into this folder, run nothing."),
+        Path | None, option("Write job files for `run-job` into this folder, run nothing.")
     ] = None,
     limits: LimitOptions,
-    out: Annotated[Path, typer.Option(help="Folder for results and site.")] = Path(
-        "out/leaderboard"
-    ),
+    out: Annotated[Path, option("Folder for results and site.")] = Path("out/leaderboard"),
     json: Json = False,
 ) -> None:
     """Evaluate estimators: a result file per task and estimator, tables, and a site.
@@ -133,29 +111,24 @@ def leaderboard(
     chosen = _tasks(task, board, road)
     for each in chosen:
         board_columns(each.board_name, each.board_definition)  # refuses unknown ones
-    if full:
-        chosen = [
-            task.with_test_drives(None) if task.has_several_test_drives else task for task in chosen
-        ]
-    if length:
-        chosen = [
-            task.with_test_length(length) if task.has_several_test_drives else task
-            for task in chosen
-        ]
+    for k, each in enumerate(chosen):
+        if each.has_several_test_drives:
+            each = each.with_test_drives(None) if full else each
+            chosen[k] = each.with_test_length(length) if length else each
     own = limits.parse()
-    check_output_folder(out)
+    commands.check_output_folder(out)
     entries = _entries(estimator, without or [], own)
     request = RunRequest(
         chosen, entries, range(1, seeds + 1), roads, not again, own, probes, tuple(replace or ())
     )
     if plan:
-        notices.print(f"job files written to {plan}: {write_jobs(request, out, plan)}")
+        commands.notices.print(f"job files written to {plan}: {write_jobs(request, out, plan)}")
         return
     request = _asked(request, out)
     made = DaskExecutor(dask, workers) if dask else contextlib.nullcontext(ProcessExecutor(workers))
     write_pending(out / BOARD_PAGE, "Estimators", f"leaderboard --out {out}")
     kept = f"results of finished jobs are kept in {out}; the same command continues"
-    with made as executor, on_interrupt(kept), progress_bar() as progress:
+    with made as executor, commands.on_interrupt(kept), commands.progress_bar() as progress:
         evaluated = run_board(
             request,
             out,
@@ -169,13 +142,13 @@ def leaderboard(
         report = build_report(evaluated)
         page = write_site(evaluated, report, out)
     if json:
-        print_json(as_json(report.views))
+        commands.print_json(as_json(report.views))
     else:
-        print_tables(report, console)
+        print_tables(report, commands.console)
         scored = [row for task in evaluated.tasks for row in evaluated.scored(task)]
         if (notice := isolation_notice(scored)) is not None:
-            notices.print(notice)
-        notices.print(f"page: {page}")
+            commands.notices.print(notice)
+        commands.notices.print(f"page: {page}")
 
 
 def _asked(request: RunRequest, out: Path) -> RunRequest:
@@ -209,14 +182,14 @@ def _tasks(
 def _entries(names: Sequence[str] | None, without: Sequence[str], limits: Limits) -> list[Entry]:
     if names and without:
         raise ConfigError("give either --estimator or --without, not both")
-    import_from_here(names or ())
+    commands.import_from_here(names or ())
     for name in without:
         validate_choice("estimator", name, estimators.names())
     unavailable = estimators.without_weights()
     excluded = {*ALL_BASELINES, *unavailable, *without}
     chosen = names or [name for name in estimators.names() if name not in excluded]
     if unavailable and not names:
-        notices.print(f"excluded, no weights in this package: {', '.join(unavailable)}")
+        commands.notices.print(f"excluded, no weights in this package: {', '.join(unavailable)}")
     if all(name in estimators.REGISTRY for name in chosen):
         return resolve_entries(chosen, None)
     with SandboxClient(limits) as sandbox:

@@ -4,12 +4,11 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Annotated, Any
 
-import typer
 from rich.table import Table
 from rich.text import Text
 
 from leaderboard.commands import import_from_here, parse_settings
-from leaderboard.commands.options import LimitOptions, Settings
+from leaderboard.commands.options import LimitOptions, Settings, argument
 from leaderboard.commands.output import Output
 from leaderboard.commands.policies import POLICY_OPTIONS, chosen_isolation, policy_reference
 from leaderboard.conformance.checks import RUN_TIME_LIMIT, check_entry
@@ -18,7 +17,7 @@ from leaderboard.entries.entries import resolve_entries
 from leaderboard.policies.policy_checks import check_policy as run_policy_checks
 from leaderboard.sandbox.client import SandboxClient
 
-MARKS = {
+_MARKS = {
     True: Text("passed", style="green"),
     False: Text("FAILED", style="red"),
     None: Text("noted", style="dim"),
@@ -27,8 +26,7 @@ MARKS = {
 
 def check_estimator(
     estimator: Annotated[
-        str,
-        typer.Argument(help="Installed name, module:Class, or path of a wheel or trained file."),
+        str, argument("Installed name, module:Class, or path of a wheel or trained file.")
     ],
     limits: LimitOptions,
 ) -> Output:
@@ -47,7 +45,7 @@ def check_estimator(
 
 def check_policy(
     policy: Annotated[
-        str, typer.Argument(help="Installed name, module:Class, or a file from `train-policy`.")
+        str, argument("Installed name, module:Class, or a file from `train-policy`.")
     ],
     settings: Settings = None,
     limits: LimitOptions = POLICY_OPTIONS,
@@ -73,12 +71,9 @@ def _checks_output(kind: str, name: str, results: Sequence[CheckResult], summary
     checks = [dataclasses.asdict(result) for result in results]
     table = Table.grid(padding=(0, 1))
     for result in results:
-        table.add_row(MARKS[result.passed], result.name, result.message)
-    return Output(
-        facts={kind: name, "passed": passed, "checks": checks},
-        shows=[table, f"{name}: {summary}"],
-        status=0 if passed else 1,
-    )
+        table.add_row(_MARKS[result.passed], result.name, result.message)
+    facts = {kind: name, "passed": passed, "checks": checks}
+    return Output(facts=facts, shows=[table, f"{name}: {summary}"], status=0 if passed else 1)
 
 
 def summarize(results: Sequence[CheckResult]) -> str:

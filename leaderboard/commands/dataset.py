@@ -3,11 +3,9 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from leaderboard.arrays import load_task
 from leaderboard.commands import command_line, progress_bar
-from leaderboard.commands.options import Sensors
+from leaderboard.commands.options import Sensors, option
 from leaderboard.commands.output import Output, facts_table
 from leaderboard.episode_tables import DATASETS_PATH, write_episodes
 from leaderboard.new_folder import new_folder
@@ -16,28 +14,23 @@ from road_envs.core.config import ConfigError
 from road_envs.drives.dataset import write_dataset
 from road_envs.drives.training_corpus import Corpus
 
-DRIVES, SEED, SENSORS = 200, 2, "paper"
-"""Defaults of the drives that are not those of a task."""
+_DRIVES, _SEED, _SENSORS = 200, 2, "paper"  # defaults of the drives that are not those of a task
 
 
 def dataset(
     *,
-    out: Annotated[Path, typer.Option(help="Folder of the data set; it must not exist.")],
-    drives: Annotated[int, typer.Option(help="Number of drives.", min=10)] = DRIVES,
-    seed: Annotated[int, typer.Option(help="Seed of the drives.", min=0)] = SEED,
-    sensors: Sensors = SENSORS,
+    out: Annotated[Path, option("Folder of the data set; it must not exist.")],
+    drives: Annotated[int, option("Number of drives.", min=10)] = _DRIVES,
+    seed: Annotated[int, option("Seed of the drives.", min=0)] = _SEED,
+    sensors: Sensors = _SENSORS,
     episodes: Annotated[
-        str | None,
-        typer.Option(help="Write episodes of this switching policy instead, for Minari."),
+        str | None, option("Write episodes of this switching policy instead, for Minari.")
     ] = None,
     task: Annotated[
-        str | None,
-        typer.Option(help="Write the drives of this task instead, to be scored by `score`."),
+        str | None, option("Write the drives of this task instead, to be scored by `score`.")
     ] = None,
-    roads: Annotated[
-        int | None, typer.Option(help="With --task: test drives per condition.", min=1)
-    ] = None,
-    csv: Annotated[bool, typer.Option("--csv", help="With --task: CSV, not Parquet.")] = False,
+    roads: Annotated[int | None, option("With --task: test drives per condition.", min=1)] = None,
+    csv: Annotated[bool, option("With --task: CSV, not Parquet.", "--csv")] = False,
 ) -> Output:
     """Write simulated drives with true roads as Parquet: splits, card, licence, checksums.
 
@@ -49,7 +42,7 @@ def dataset(
         raise ConfigError("give either --task or --episodes, not both")
     if task is None and (csv or roads is not None):
         raise ConfigError("--csv and --roads are of a task: give --task")
-    if task is not None and (drives, seed, sensors) != (DRIVES, SEED, SENSORS):
+    if task is not None and (drives, seed, sensors) != (_DRIVES, _SEED, _SENSORS):
         raise ConfigError("--drives, --seed and --sensors are those of the task: leave them out")
     if not out.parent.is_dir():
         raise ConfigError(f"{out}: the folder {out.parent} does not exist")

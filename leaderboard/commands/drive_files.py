@@ -5,59 +5,53 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from leaderboard.commands import check_output_path, parse_mode, parse_pairs
+from leaderboard.commands.options import argument, option
 from leaderboard.drive_report.drive_estimates import with_doubts
 from road_envs.core.config import ConfigError
 from road_envs.drives import reading
 from road_envs.drives.logger_tables.description import write_description
 from road_envs.drives.reading import DriveFile
 
-
-def _option(text: str, **settings: Any) -> Any:
-    return typer.Option(help=text, **settings)
-
-
 KINDS = "a record from `simulate`, or a measured drive: zip or folder of an app, table, .vbo, ..."
-RecordFile = Annotated[Path, typer.Argument(help=f"The drive: {KINDS}")]
-RecordFiles = Annotated[list[Path], typer.Argument(help=f"Drives over one road, each {KINDS}")]
+RecordFile = Annotated[Path, argument(f"The drive: {KINDS}")]
+RecordFiles = Annotated[list[Path], argument(f"Drives over one road, each {KINDS}")]
 
 
 @dataclass(frozen=True, kw_only=True)
 class DriveOptions:
     """Options of a command that describe a drive; None is left to its description or file."""
 
-    vehicle: Annotated[str | None, _option("Vehicle: shipped name or YAML path.")] = None
+    vehicle: Annotated[str | None, option("Vehicle: shipped name or YAML path.")] = None
     at: Annotated[
         str | None,
-        _option(
+        option(
             "Place of one phone: dashboard, floor, seat, trunk, bumper, or metres ahead of the "
             "front axle and to the left, -0.5,0.2."
         ),
     ] = None
     track: Annotated[
-        Path | None, _option("GPX file or table with speed or positions of the drive.")
+        Path | None, option("GPX file or table with speed or positions of the drive.")
     ] = None
-    sensors: Annotated[str | None, _option("Instruments: shipped name or YAML path.")] = None
+    sensors: Annotated[str | None, option("Instruments: shipped name or YAML path.")] = None
     mode: Annotated[
-        str | None, _option("Mode of the struts: ride, handling, ..., or front=..,rear=..; passive")
+        str | None, option("Mode of the struts: ride, handling, ..., or front=..,rear=..; passive")
     ] = None
-    speed_kmh: Annotated[float | None, _option("Speed of the drive in km/h.", min=0.1)] = None
+    speed_kmh: Annotated[float | None, option("Speed of the drive in km/h.", min=0.1)] = None
     columns: Annotated[
         str | None,
-        _option("Names of columns: a_rf=acc_front,v=speed,... (t, a_rf, a_lr, a_rr, v, s)."),
+        option("Names of columns: a_rf=acc_front,v=speed,... (t, a_rf, a_lr, a_rr, v, s)."),
     ] = None
-    units: Annotated[str | None, _option("Units of columns: a_rf=g,t=ms,v=km/h,...")] = None
-    invert: Annotated[str | None, _option("Accelerations whose axis points down: a_rf,...")] = None
+    units: Annotated[str | None, option("Units of columns: a_rf=g,t=ms,v=km/h,...")] = None
+    invert: Annotated[str | None, option("Accelerations whose axis points down: a_rf,...")] = None
     offset: Annotated[
-        float | None, _option("Chainage in metres of the front axle at the first sample.")
+        float | None, option("Chainage in metres of the front axle at the first sample.")
     ] = None
     description: Annotated[
-        Path | None, _option("Read these choices from a description (.yaml).")
+        Path | None, option("Read these choices from a description (.yaml).")
     ] = None
     save_description: Annotated[
-        Path | None, _option("Write the choices, and what was found, as a description (.yaml).")
+        Path | None, option("Write the choices, and what was found, as a description (.yaml).")
     ] = None
 
     def given(self) -> dict[str, Any]:
@@ -66,7 +60,8 @@ class DriveOptions:
         pairs = {k: None if text is None else parse_pairs(k, text) for k, text in named.items()}
         invert = None if self.invert is None else tuple(x.strip() for x in self.invert.split(","))
         plain = {k: getattr(self, k) for k in ("vehicle", "at", "sensors", "speed_kmh", "offset")}
-        return {**plain, **pairs, "invert": invert, "mode": parse_mode(self.mode)}
+        mode = None if self.mode is None else parse_mode(self.mode)
+        return {**plain, **pairs, "invert": invert, "mode": mode}
 
 
 def read_drive(path: Path, options: DriveOptions) -> DriveFile:

@@ -4,21 +4,15 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import typer
 from rich.table import Table
 
 import estimators
 from estimators.roughness import spectral
+from leaderboard import commands
 from leaderboard.api import ScoreTable
-from leaderboard.commands import check_output_path, import_from_here, make_table, parse_settings
-from leaderboard.commands.drive_files import (
-    DriveOptions,
-    RecordFile,
-    RecordFiles,
-    read_drive,
-    read_passes,
-)
-from leaderboard.commands.options import Settings
+from leaderboard.commands import drive_files
+from leaderboard.commands.drive_files import DriveOptions, RecordFile, RecordFiles
+from leaderboard.commands.options import Settings, argument, option
 from leaderboard.commands.output import Output, facts_table
 from leaderboard.drive_report.drive_estimates import estimate_drive, make_drive_estimator
 from leaderboard.metrics.alignment import align
@@ -32,20 +26,19 @@ from road_envs.records.record import Profile
 from road_envs.roads import Surface, load_road, realise_road, write_csv
 from road_envs.roads.measured import Measured
 
-METHODS = ["spectral", "rms"]
-DB_PER_LOG = 4.34
-"""10 / ln 10: decibels per unit of the natural logarithm of a PSD."""
+_METHODS = ["spectral", "rms"]
+_DB_PER_LOG = 4.34  # 10 / ln 10: decibels per unit of the natural logarithm of a PSD
 
 
 def estimate(
     *,
-    estimator: Annotated[str, typer.Argument(help="A file from `train`, or a name.")],
+    estimator: Annotated[str, argument("A file from `train`, or a name.")],
     records: RecordFiles,
-    truth: Annotated[Path | None, typer.Option(help="True profile (.csv), to score.")] = None,
+    truth: Annotated[Path | None, option("True profile (.csv), to score.")] = None,
     options: DriveOptions,
     settings: Settings = None,
-    out: Annotated[Path | None, typer.Option(help="Write the estimate (.csv).")] = None,
-    plot: Annotated[Path | None, typer.Option(help="Draw the estimate (.png).")] = None,
+    out: Annotated[Path | None, option("Write the estimate (.csv).")] = None,
+    plot: Annotated[Path | None, option("Draw the estimate (.png).")] = None,
 ) -> Output:
     """Reconstruct both wheel paths of a record; score them if the truth is given.
 
@@ -56,11 +49,14 @@ def estimate(
     A measured drive is a table with the columns t [s], a_rf, a_lr, a_rr [m/s²] (or a_rf_g ... [g]),
     v [m/s] or v_kmh, and mode; speed and mode can be given as options instead.
     """
-    check_output_path(out, ".csv"), check_output_path(plot, ".png", ".svg", ".pdf")
-    given = parse_settings(settings)
-    import_from_here([estimator])
+    (
+        commands.check_output_path(out, ".csv"),
+        commands.check_output_path(plot, ".png", ".svg", ".pdf"),
+    )
+    given = commands.parse_settings(settings)
+    commands.import_from_here([estimator])
     estimators.make_estimator(estimator, **given)  # a wrong name ends it before a file is read
-    drives = read_passes(records, options)
+    drives = drive_files.read_passes(records, options)
     drive = drives[0]
     chosen = make_drive_estimator(estimator, drive, given)
     if len(drives) == 1:
@@ -74,13 +70,10 @@ def estimate(
         measured, cars = [each.measured.record for each in drives], [each.car for each in drives]
         result = estimators.estimate_passes(chosen, measured, cars, names=names)
     facts: dict[str, Any] = {
-        "estimator": estimator,
-        "record": ", ".join(str(path) for path in records),
-        "length_m": drive.measured.record.length,
-        "rms_m": [float(z.std()) for z in result.z],
-        "notes": [*notes, *result.notes],
-        "written": [str(p) for p in (out, plot) if p],
-    }
+        "estimator": estimator, "record": ", ".join(str(path) for path in records),
+        "length_m": drive.measured.record.length, "rms_m": [float(z.std()) for z in result.z],
+        "notes": [*notes, *result.notes], "written": [str(p) for p in (out, plot) if p],
+    }  # fmt: skip
     profile, scored, v, scores = None, result, result.speed or 0.0, None
     if truth:
         surface = realise_road(truth, 0)
@@ -109,7 +102,7 @@ def classify(
     record: RecordFile,
     options: DriveOptions,
     method: Annotated[
-        str, typer.Option(help="spectral: by a vehicle model; rms: regression on simulated drives.")
+        str, option("spectral: by a vehicle model; rms: regression on simulated drives.")
     ] = "spectral",
 ) -> Output:
     """Estimate the ISO 8608 class of the road of a record, with its probability.
@@ -117,8 +110,8 @@ def classify(
     Method spectral uses the acceleration spectra by octaves; method rms uses a regression on the
     RMS of drives that are simulated in the modes and at the speeds of the record.
     """
-    validate_choice("method", method, METHODS)
-    drive = read_drive(record, options)
+    validate_choice("method", method, _METHODS)
+    drive = drive_files.read_drive(record, options)
     measured, notes = drive.measured.record, drive.measured.notes
     result: Any = (
         spectral.classify_record(measured, drive.car, drive.sensors)
@@ -132,7 +125,7 @@ def classify(
     percent = 100.0 * result.probability[result.letter]
     shows: list[Any] = [
         f"class {result.letter} ({percent:.0f} %), Gd(n0) = {1e6 * result.G_d0:.0f}e-6 m³ "
-        f"± {DB_PER_LOG * result.log_std:.1f} dB"
+        f"± {_DB_PER_LOG * result.log_std:.1f} dB"
     ]
     if method == "spectral":
         shows.append(_octaves_table(result))
@@ -146,8 +139,8 @@ def _octaves_table(posterior: spectral.ClassPosterior) -> Table:
         strict=True,
     )  # fmt: skip
     cells = [
-        (f"{centre:g}", f"{1e6 * level:.0f}", f"{DB_PER_LOG * std:.1f}", letter)
+        (f"{centre:g}", f"{1e6 * level:.0f}", f"{_DB_PER_LOG * std:.1f}", letter)
         for centre, level, std, letter in rows
     ]
     heads = ("octave [cycles/m]", "Gd(n0) [1e-6 m³]", "± [dB]", "class")
-    return make_table(heads, cells, texts=("class",))
+    return commands.make_table(heads, cells, texts=("class",))

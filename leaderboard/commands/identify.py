@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
 from rich.table import Table
 
 from estimators.api import CalibrationDrive
@@ -12,7 +11,7 @@ from estimators.map_smoother.identification_result import UNDETERMINED, Identifi
 from estimators.map_smoother.preparation import SolverSettings
 from leaderboard.commands import check_output_path
 from leaderboard.commands.drive_files import DriveOptions, read_passes
-from leaderboard.commands.options import KnownRoads
+from leaderboard.commands.options import KnownRoads, argument, option
 from leaderboard.commands.output import Output
 from leaderboard.drive_report.drive_estimates import read_profiles
 from leaderboard.report import plots
@@ -21,20 +20,18 @@ from road_envs.vehicle.parameters import write_vehicle
 
 def identify(
     *,
-    records: Annotated[list[Path], typer.Argument(help="Calibration drives of one vehicle.")],
+    records: Annotated[list[Path], argument("Calibration drives of one vehicle.")],
     profile: KnownRoads = None,
     survey_error_mm: Annotated[
-        float, typer.Option(help="Standard deviation of a profile's heights in mm.", min=0.01)
+        float, option("Standard deviation of a profile's heights in mm.", min=0.01)
     ] = 1.0,
     structure: Annotated[
         bool,
-        typer.Option(
-            "--structure", help="Also identify what the vehicle's file leaves out, such as a frame."
-        ),
+        option("Also identify what the vehicle's file leaves out, such as a frame.", "--structure"),
     ] = False,
     options: DriveOptions,
-    out: Annotated[Path | None, typer.Option(help="Write the identified vehicle (.yaml).")] = None,
-    plot: Annotated[Path | None, typer.Option(help="Draw the result (.png).")] = None,
+    out: Annotated[Path | None, option("Write the identified vehicle (.yaml).")] = None,
+    plot: Annotated[Path | None, option("Draw the result (.png).")] = None,
 ) -> Output:
     """Identify a vehicle's parameters from calibration drives, and write its file.
 

@@ -2,15 +2,14 @@
 
 from typing import Annotated
 
-import typer
-
 from leaderboard.commands import make_table
+from leaderboard.commands.options import argument
 from leaderboard.commands.output import Output
 from leaderboard.listing import KINDS, names_of
 
 
 def list_names(
-    kind: Annotated[str, typer.Argument(help=f"{', '.join([*KINDS][:-1])} or {[*KINDS][-1]}.")],
+    kind: Annotated[str, argument(f"{', '.join([*KINDS][:-1])} or {[*KINDS][-1]}.")],
 ) -> Output:
     """List the names that an option takes, each with what it stands for.
 

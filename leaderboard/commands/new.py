@@ -3,35 +3,30 @@
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from leaderboard.commands import check_output_path
+from leaderboard.commands.options import argument, option
 from leaderboard.commands.output import Output
 from leaderboard.scaffold import Example, write_package
 from road_envs.core.config import ConfigError
 from road_envs.vehicle.generic_cars import CLASSES, fitted_vehicle
 from road_envs.vehicle.parameters import write_vehicle
 
-Name = Annotated[
-    str, typer.Argument(help="Name to register it under: lower-case letters, digits and _.")
-]
-Folder = Annotated[
-    Path | None, typer.Option(help="New or empty folder; by default road-recon-NAME here.")
-]
+_Name = Annotated[str, argument("Name to register it under: lower-case letters, digits and _.")]
+_Folder = Annotated[Path | None, option("New or empty folder; by default road-recon-NAME here.")]
 
 
 def new_estimator(
-    name: Name,
-    out: Folder = None,
+    name: _Name,
+    out: _Folder = None,
     learns: Annotated[
-        bool, typer.Option("--learns", help="An estimator that is fitted to training drives.")
+        bool, option("An estimator that is fitted to training drives.", "--learns")
     ] = False,
 ) -> Output:
     """Write a small working package with a new estimator."""
     return _write(name, out, "learner" if learns else "estimator", f"check-estimator {name}")
 
 
-def new_policy(name: Name, out: Folder = None) -> Output:
+def new_policy(name: _Name, out: _Folder = None) -> Output:
     """Write a small working package with a new switching policy."""
     return _write(name, out, "policy", f"check-policy {name}")
 
@@ -50,17 +45,11 @@ def _write(name: str, out: Path | None, example: Example, check: str) -> Output:
 
 
 def new_vehicle(
-    out: Annotated[Path, typer.Argument(help="File to write, such as my_car.yaml.")],
-    car_class: Annotated[
-        str, typer.Option("--class", prompt="class", help=f"One of {', '.join(CLASSES)}.")
-    ],
-    mass: Annotated[float, typer.Option(prompt="mass [kg]", help="Mass ready to drive [kg].")],
-    wheelbase: Annotated[
-        float, typer.Option(prompt="wheelbase [m]", help="Between the axles [m].")
-    ],
-    track: Annotated[
-        float, typer.Option(prompt="track [m]", help="Between a left and right tyre [m].")
-    ],
+    out: Annotated[Path, argument("File to write, such as my_car.yaml.")],
+    car_class: Annotated[str, option(f"One of {', '.join(CLASSES)}.", "--class", prompt="class")],
+    mass: Annotated[float, option("Mass ready to drive [kg].", prompt="mass [kg]")],
+    wheelbase: Annotated[float, option("Between the axles [m].", prompt="wheelbase [m]")],
+    track: Annotated[float, option("Between a left and right tyre [m].", prompt="track [m]")],
 ) -> Output:
     """Write a vehicle file of a class with its mass, wheelbase, track and tolerances.
 

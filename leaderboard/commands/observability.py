@@ -3,17 +3,10 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
 from rich.table import Table
 
-from leaderboard.commands import (
-    check_output_path,
-    make_table,
-    parse_mode,
-    parse_pairs,
-    progress_bar,
-)
-from leaderboard.commands.options import Sensors, Vehicle
+from leaderboard import commands
+from leaderboard.commands.options import Sensors, Vehicle, option
 from leaderboard.commands.output import Output
 from leaderboard.observability import BANDWIDTHS, bounds_by_state, instruments_with
 from leaderboard.report import plots
@@ -22,96 +15,73 @@ from road_envs.core.config import ConfigError, validate_choice
 from road_envs.records.roughness import CLASSES
 from road_envs.vehicle.parameters import load_vehicle
 
-DEFAULT_MODES = ("ride", "handling", "front=ride,rear=handling", "front=handling,rear=ride")
+_DEFAULT_MODES = ("ride", "handling", "front=ride,rear=handling", "front=handling,rear=ride")
 
 
 def observability(
     *,
-    speed_kmh: Annotated[
-        list[float] | None, typer.Option(help="Speed in km/h; may be given again.")
-    ] = None,
+    speed_kmh: Annotated[list[float] | None, option("Speed in km/h; may be given again.")] = None,
     mode: Annotated[
         list[str] | None,
-        typer.Option(
-            help="Mode, as in `simulate`; may be given again. Default: those of the vehicle."
-        ),
+        option("Mode, as in `simulate`; may be given again. Default: those of the vehicle."),
     ] = None,
-    road_class: Annotated[str, typer.Option(help="ISO 8608 class of the road, A to H.")] = "D",
+    road_class: Annotated[str, option("ISO 8608 class of the road, A to H.")] = "D",
     noise: Annotated[
-        float | None,
-        typer.Option(help="Noise density in (m/s²)/sqrt(Hz); default: that of the instruments."),
+        float | None, option("Noise density in (m/s²)/sqrt(Hz); default: that of the instruments.")
     ] = None,
     mismatch: Annotated[
-        float, typer.Option(help="Model error relative to the signal of each sensor.", min=0.0)
+        float, option("Model error relative to the signal of each sensor.", min=0.0)
     ] = 0.0,
     damping: Annotated[
-        str | None,
-        typer.Option(help="Dampers in N s/m by mode, such as ride=2000,handling=5000."),
+        str | None, option("Dampers in N s/m by mode, such as ride=2000,handling=5000.")
     ] = None,
     vehicle: Vehicle = "land_rover_defender_110",
     sensors: Sensors = "paper",
     attainable: Annotated[
         bool,
-        typer.Option(
-            "--attainable",
-            help="Also compute the attainable error of the nonlinear vehicle by the bandwidth of "
+        option(
+            "Also compute the attainable error of the nonlinear vehicle by the bandwidth of "
             "the data, its van Trees bound, and the bound of linear estimators, to which friction "
             "is noise.",
+            "--attainable",
         ),
     ] = False,
-    out: Annotated[Path | None, typer.Option(help="Plot over spatial frequency to write.")] = None,
+    out: Annotated[Path | None, option("Plot over spatial frequency to write.")] = None,
 ) -> Output:
     """Compute bounds on the error of an estimate by mode and speed, and plot them over frequency.
 
     The first table is the bound of the linear vehicle without friction: it shows where roll does
     not separate the wheel paths.
     """
-    check_output_path(out, ".png", ".svg", ".pdf")
+    commands.check_output_path(out, ".png", ".svg", ".pdf")
     car = load_vehicle(vehicle)
-    prior = RoadPrior(
-        G_d0=CLASSES[validate_choice("road class", road_class, CLASSES)], track=2.0 * car.front.y_t
-    )
-    default = list(car.modes) if car.is_passive else DEFAULT_MODES
-    speeds, modes = speed_kmh or [14.5, 54.0], [_parsed(text) for text in mode or default]
-    with progress_bar() as progress:
+    validate_choice("road class", road_class, CLASSES)
+    prior = RoadPrior(G_d0=CLASSES[road_class], track=2.0 * car.front.y_t)
+    default = list(car.modes) if car.is_passive else _DEFAULT_MODES
+    speeds = speed_kmh or [14.5, 54.0]
+    modes = [commands.parse_mode(text) for text in mode or default]
+    with commands.progress_bar() as progress:
         rows, curves = bounds_by_state(
-            car,
-            sensors,
-            prior,
-            modes,
-            speeds,
-            noise_density=noise,
-            dampers=None if damping is None else _dampers(damping),
-            model_error=mismatch,
-            attainable=attainable,
-            with_curves=out is not None,
+            car, sensors, prior, modes, speeds, noise_density=noise, dampers=_dampers(damping),
+            model_error=mismatch, attainable=attainable, with_curves=out is not None,
             progress=progress,
-        )
-    facts = {
-        "vehicle": vehicle,
-        "sensors": sensors,
-        "road_class": road_class,
-        "noise_density": instruments_with(sensors, noise).noise_density,
-        "mismatch": mismatch,
-    }
+        )  # fmt: skip
+    density = instruments_with(sensors, noise).noise_density
+    facts: dict[str, Any] = {"vehicle": vehicle, "sensors": sensors, "road_class": road_class}
+    facts |= {"noise_density": density, "mismatch": mismatch}
+    title = f"class {road_class}, noise {density:g} (m/s²)/√Hz"
+    title += f", {100 * mismatch:g} % mismatch" if mismatch else ""
     if out is not None:
-        plots.draw_observability(curves, _title(facts), out)
-    shows = [
-        _table(rows, speeds, _title(facts)),
-        *([_attainable_table(rows)] if attainable else []),
-    ]
+        plots.draw_observability(curves, title, out)
+    shows = [_table(rows, speeds, title), *([_attainable_table(rows)] if attainable else [])]
     return Output(facts={**facts, "bounds": rows}, shows=shows)
 
 
-def _parsed(text: str) -> str | dict[str, str]:
-    mode = parse_mode(text)
-    assert mode is not None
-    return mode
-
-
-def _dampers(text: str) -> dict[str, float]:
+def _dampers(text: str | None) -> dict[str, float] | None:
     """Parse damping [N s/m] by mode from "ride=2000,handling=5000". Raises ConfigError."""
-    pairs = parse_pairs("damping", text)
+    if text is None:
+        return None
+    pairs = commands.parse_pairs("damping", text)
     try:
         return {mode: float(value) for mode, value in pairs.items()}
     except ValueError:
@@ -120,24 +90,17 @@ def _dampers(text: str) -> dict[str, float]:
 
 def _attainable_table(rows: list[dict[str, Any]]) -> Table:
     heads = ("front / rear", "km/h", *(f"{f:g} Hz" for f in BANDWIDTHS), "van Trees", "linear")
-    errors = [
-        (*row["attainable"].values(), row["van_trees"], row["linear_estimators"]) for row in rows
-    ]
-    return make_table(
+    cells = []
+    for row in rows:
+        errors = *row["attainable"].values(), row["van_trees"], row["linear_estimators"]
+        cells.append((row["mode"], f"{row['speed_kmh']:g}", *(f"{x:.3f}" for x in errors)))
+    return commands.make_table(
         heads,
-        [
-            (row["mode"], f"{row['speed_kmh']:g}", *(f"{x:.3f}" for x in cells))
-            for row, cells in zip(rows, errors, strict=True)
-        ],
+        cells,
         title="Attainable in-band NRMSE: nonlinear vehicle, data up to ...",
         caption="one road; van Trees: no estimator errs less over all such roads; linear: friction "
         "is noise to linear estimators",
     )
-
-
-def _title(facts: dict[str, Any]) -> str:
-    text = f"class {facts['road_class']}, noise {facts['noise_density']:g} (m/s²)/√Hz"
-    return text + (f", {100 * facts['mismatch']:g} % mismatch" if facts["mismatch"] else "")
 
 
 def _table(rows: list[dict[str, Any]], speeds: list[float], title: str) -> Table:
@@ -145,7 +108,7 @@ def _table(rows: list[dict[str, Any]], speeds: list[float], title: str) -> Table
     cells: dict[str, list[str]] = {}
     for row in rows:
         cells.setdefault(row["mode"], [row["mode"]]).append(text.format(**row))
-    return make_table(
+    return commands.make_table(
         ("front / rear", *(f"{speed:g} km/h" for speed in speeds)),
         cells.values(),
         title=f"Bound of a linear vehicle without friction: {title}",

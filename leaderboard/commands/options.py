@@ -14,43 +14,49 @@ from road_envs.vehicle.struts import MODES, PASSIVE_MODES
 CORES = os.cpu_count() or 1
 
 
-def shipped(kind: str) -> str:
+def argument(text: str) -> Any:
+    """An argument with its help."""
+    return typer.Argument(help=text)
+
+
+def option(text: str, *names: str, **settings: Any) -> Any:
+    """An option with its help; `names` are those that differ from its parameter's."""
+    return typer.Option(*names, help=text, **settings)
+
+
+def _shipped(kind: str) -> str:
     """Return the shipped names of a kind of configuration for the help of an option."""
     return ", ".join(names(kind))
 
 
 Road = Annotated[
     str,
-    typer.Option(
-        help="Road: a name of `road-recon list roads`, a YAML path or a surface file "
+    option(
+        "Road: a name of `road-recon list roads`, a YAML path or a surface file "
         "(.crg, .erd, .csv, .parquet)."
     ),
 ]
-Speed = Annotated[float, typer.Option(help="Speed in km/h.")]
+Speed = Annotated[float, option("Speed in km/h.")]
 Mode = Annotated[
     str | None,
-    typer.Option(
-        help=f"Mode of the struts: {', '.join([*MODES, *PASSIVE_MODES])}, or "
+    option(
+        f"Mode of the struts: {', '.join([*MODES, *PASSIVE_MODES])}, or "
         "front=MODE,rear=MODE. Default: the vehicle's first."
     ),
 ]
-Length = Annotated[float | None, typer.Option(help="Another length of the road in metres.")]
-Seed = Annotated[int, typer.Option(help="Seed of the road, and of the sensors' noise.", min=0)]
-Vehicle = Annotated[str, typer.Option(help=f"Vehicle: {shipped('vehicles')}, or a YAML path.")]
-Sensors = Annotated[str, typer.Option(help=f"Instruments: {shipped('sensors')}, or a YAML path.")]
-Settings = Annotated[
-    list[str] | None, typer.Option("--set", help="Setting, key=value; may be given again.")
-]
+Length = Annotated[float | None, option("Another length of the road in metres.")]
+Seed = Annotated[int, option("Seed of the road, and of the sensors' noise.", min=0)]
+Vehicle = Annotated[str, option(f"Vehicle: {_shipped('vehicles')}, or a YAML path.")]
+Sensors = Annotated[str, option(f"Instruments: {_shipped('sensors')}, or a YAML path.")]
+Settings = Annotated[list[str] | None, option("Setting, key=value; may be given again.", "--set")]
 KnownRoads = Annotated[
     list[str] | None,
-    typer.Option(
-        "--profile", help="Known road of each drive in turn (.csv, .crg, ...), or one for all."
-    ),
+    option("Known road of each drive in turn (.csv, .crg, ...), or one for all.", "--profile"),
 ]
-ResultsFolder = Annotated[Path, typer.Option(help="Folder of results, as for `leaderboard`.")]
-Share = Annotated[float, typer.Option(help="Share of the drives of each task.", min=0.0, max=1.0)]
-Workers = Annotated[int, typer.Option(help="Jobs at a time on this machine.", min=1)]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
+ResultsFolder = Annotated[Path, option("Folder of results, as for `leaderboard`.")]
+Share = Annotated[float, option("Share of the drives of each task.", min=0.0, max=1.0)]
+Workers = Annotated[int, option("Jobs at a time on this machine.", min=1)]
+Json = Annotated[bool, option("Print JSON instead of a table.", "--json")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,17 +65,13 @@ class LimitOptions:
 
     time_limit: Annotated[
         float,
-        typer.Option(
-            help="Time limit in seconds, of an entry per condition or a policy per case.", min=0.001
-        ),
+        option("Time limit in seconds, of an entry per condition or a policy per case.", min=0.001),
     ] = Limits.seconds
-    memory_limit: Annotated[float, typer.Option(help="Memory limit in GiB.", min=0.1)] = (
-        Limits.memory
-    )
+    memory_limit: Annotated[float, option("Memory limit in GiB.", min=0.1)] = Limits.memory
     isolation: Annotated[
         str,
-        typer.Option(
-            help="Isolation of code from other packages: bubblewrap; process: with your rights; "
+        option(
+            "Isolation of code from other packages: bubblewrap; process: with your rights; "
             "auto: bubblewrap where it is available, else the code is refused."
         ),
     ] = "auto"

@@ -29,10 +29,6 @@ class Output:
     shows: Sequence[Any] | None = None
     status: int = 0
 
-    def json(self) -> Any:
-        """Return the facts as they are written with --json."""
-        return self.facts
-
     def table(self) -> Sequence[Any]:
         """Return what a terminal shows: tables, and lines of text."""
         return facts_table(self.facts) if self.shows is None else self.shows
@@ -83,7 +79,7 @@ def as_command(function: Callable[..., Any]) -> Callable[..., None]:
         if output is None:
             return
         if json:
-            print_json(output.json())
+            print_json(output.facts)
         for part in () if json else output.table():
             console.print(part, highlight=False, soft_wrap=isinstance(part, str))
         if output.status:

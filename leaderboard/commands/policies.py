@@ -6,20 +6,8 @@ import os
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
-from leaderboard.commands import (
-    check_output_folder,
-    check_output_path,
-    console,
-    import_from_here,
-    notices,
-    on_interrupt,
-    print_json,
-    progress_bar,
-    to_json,
-)
-from leaderboard.commands.options import Json, LimitOptions
+from leaderboard import commands
+from leaderboard.commands.options import Json, LimitOptions, option
 from leaderboard.policies import best_found, comparison, learning
 from leaderboard.policies import page as policy_page
 from leaderboard.policies.policy_process import POLICY_LIMITS, PolicyProcess
@@ -34,43 +22,38 @@ from road_envs.policies.policy_iteration import IterationConfig, iterate
 from road_envs.vehicle.suspension import MODES
 
 POLICY_OPTIONS = LimitOptions(time_limit=POLICY_LIMITS.seconds, memory_limit=POLICY_LIMITS.memory)
-QUICK_DRIVES = 2
-"""Public drives of `--quick`, each to both sides."""
+_QUICK_DRIVES = 2  # public drives of `--quick`, each to both sides
 
 
 def policies(
     *,
     policy: Annotated[
         list[str] | None,
-        typer.Option(
-            help="Policy: a name of `road-recon list policies`, module:Class, or a file from "
+        option(
+            "Policy: a name of `road-recon list policies`, module:Class, or a file from "
             "`train-policy` (.npz) or Stable-Baselines3 (.zip); may be given again. Default: all "
             "of this package, all constant pairs, and installed ones where they can be isolated."
         ),
     ] = None,
     drives: Annotated[
-        int, typer.Option(help="Public drives, each to both sides.", min=2)
+        int, option("Public drives, each to both sides.", min=2)
     ] = comparison.PUBLIC_DRIVES,
     sweeps: Annotated[
-        int, typer.Option(help="Sweeps of the search for the best switching; 0: none.", min=0)
+        int, option("Sweeps of the search for the best switching; 0: none.", min=0)
     ] = best_found.SWEEPS,
     seal: Annotated[
-        str | None, typer.Option(help="Secret text of the sealed drives, instead of public ones.")
+        str | None, option("Secret text of the sealed drives, instead of public ones.")
     ] = None,
-    reference: Annotated[
-        str, typer.Option(help="Policy that differences refer to.")
-    ] = comparison.REFERENCE,
-    quick: Annotated[
-        bool, typer.Option("--quick", help="Two drives, without the search: seconds.")
-    ] = False,
-    out: Annotated[Path | None, typer.Option(help="Folder for the table and the page.")] = None,
+    reference: Annotated[str, option("Policy that differences refer to.")] = comparison.REFERENCE,
+    quick: Annotated[bool, option("Two drives, without the search: seconds.", "--quick")] = False,
+    out: Annotated[Path | None, option("Folder for the table and the page.")] = None,
     limits: LimitOptions = POLICY_OPTIONS,
     json: Json = False,
 ) -> None:
     """Compare policies by comfort and safety on the drives of RoadRecon/Safe4S4-v1."""
-    check_output_folder(out)
+    commands.check_output_folder(out)
     if quick:
-        drives, sweeps = QUICK_DRIVES, 0
+        drives, sweeps = _QUICK_DRIVES, 0
     entries = _entries(policy, limits.parse())
     if policy is None:
         pairs = {f"{f}/{r}": FixedPair(front=f, rear=r) for r in MODES for f in MODES}  # type: ignore[arg-type]
@@ -79,7 +62,8 @@ def policies(
         entries[reference] = make_policy(reference)
     if out:
         write_pending(out / POLICY_PAGE, "Switching policies", f"policies --out {out}")
-    with contextlib.ExitStack() as processes, on_interrupt(""), progress_bar() as progress:
+    processes = contextlib.ExitStack()
+    with processes, commands.on_interrupt(""), commands.progress_bar() as progress:
         for entry in entries.values():
             if isinstance(entry, PolicyProcess):
                 processes.enter_context(entry)
@@ -88,14 +72,14 @@ def policies(
         found = comparison.compare(entries, chosen, reference, sweeps=sweeps, progress=progress)
     lines = comparison.table_lines(found.data)
     if out:
-        write_text(out / "benchmark.json", to_json(found.data))
+        write_text(out / "benchmark.json", commands.to_json(found.data))
         write_text(out / "benchmark.txt", "\n".join(lines) + "\n")
         page = policy_page.write_page(found.data, policy_page.timelines(found), out)
-        notices.print(f"page: {page}")
+        commands.notices.print(f"page: {page}")
     if json:
-        print_json(found.data)
+        commands.print_json(found.data)
     for line in [] if json else lines:
-        console.print(line, soft_wrap=True, highlight=False)
+        commands.console.print(line, soft_wrap=True, highlight=False)
     if failed := [row["policy"] for row in found.data["rows"] if row["failure"]]:
         raise ConfigError(f"failed policies: {', '.join(failed)}; the other results are valid")
 
@@ -115,7 +99,7 @@ def chosen_isolation(isolation: str) -> Any:
 
 def policy_reference(reference: str, isolation: str) -> str:
     """Return a reference to a policy that may be run. Raises ConfigError."""
-    import_from_here([reference])
+    commands.import_from_here([reference])
     if ":" not in reference and not reference.endswith(FILE_SUFFIXES):
         validate_choice("policy", reference, names())
     foreign = runs_foreign_code(reference)
@@ -149,18 +133,18 @@ def _entries(references: list[str] | None, limits: Limits) -> dict[str, Any]:
 
 def train_policy(
     *,
-    out: Annotated[Path, typer.Option(help="File for the best policy (.npz).")],
-    seed: Annotated[int, typer.Option(help="Training seed.", min=0)] = 1,
-    steps: Annotated[int, typer.Option(help="Rounds.", min=1)] = IterationConfig.steps,
+    out: Annotated[Path, option("File for the best policy (.npz).")],
+    seed: Annotated[int, option("Training seed.", min=0)] = 1,
+    steps: Annotated[int, option("Rounds.", min=1)] = IterationConfig.steps,
 ) -> None:
     """Train a policy on training drives, and compare it with laws on public ones."""
-    check_output_path(out, ".npz")
-    with on_interrupt(""), progress_bar() as progress:
+    commands.check_output_path(out, ".npz")
+    with commands.on_interrupt(""), commands.progress_bar() as progress:
         network, curve = iterate(IterationConfig(steps=steps), seed, progress)
         evaluation = learning.evaluate(network, curve)
     out.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(out) as partial:
         partial.write_bytes(network.to_bytes())
-    write_text(out.with_suffix(".json"), to_json(evaluation))
+    write_text(out.with_suffix(".json"), commands.to_json(evaluation))
     for line in learning.lines(evaluation):
-        console.print(line, soft_wrap=True, highlight=False)
+        commands.console.print(line, soft_wrap=True, highlight=False)

@@ -8,16 +8,9 @@ from typing import Annotated, Any
 
 import typer
 
+from leaderboard import commands
 from leaderboard.arrays import load_task as load_arrays
-from leaderboard.commands import (
-    check_output_folder,
-    console,
-    import_from_here,
-    make_table,
-    print_json,
-    progress_bar,
-)
-from leaderboard.commands.options import Json, LimitOptions, ResultsFolder, Share
+from leaderboard.commands.options import Json, LimitOptions, ResultsFolder, Share, argument, option
 from leaderboard.commands.output import Output
 from leaderboard.entries.entries import resolve_entries
 from leaderboard.evaluation import hidden_seeds
@@ -31,39 +24,39 @@ from road_envs.core import artifacts
 from road_envs.core.code_digest import cache_home
 from road_envs.core.config import ConfigError
 
-RANDOM_ROAD_BOARDS = ("new_road", "field", "class")
-"""Boards with random roads."""
+_RANDOM_ROAD_BOARDS = ("new_road", "field", "class")  # boards with random roads
 
-DEFAULT_FOLDER = Path("out/leaderboard")
+_DEFAULT_FOLDER = Path("out/leaderboard")
 
 
 def run_job(
-    spec: Annotated[Path, typer.Argument(help="Job file from `leaderboard --plan`.")],
-    out: ResultsFolder = DEFAULT_FOLDER,
+    spec: Annotated[Path, argument("Job file from `leaderboard --plan`.")],
+    out: ResultsFolder = _DEFAULT_FOLDER,
     json: Json = False,
 ) -> None:
     """Run one job and store its results for the next `leaderboard --out`.
 
     Jobs can be run any number of times and in parallel.
     """
-    check_output_folder(out)
+    commands.check_output_folder(out)
     for done in jobs.run_job_file(spec, out):
         if json:
-            print_json(dataclasses.asdict(done))
+            commands.print_json(dataclasses.asdict(done))
         else:
-            console.print(f"{done.task}: {done.entry}, {done.condition}: {done.failure or 'done'}")
+            state = done.failure or "done"
+            commands.console.print(f"{done.task}: {done.entry}, {done.condition}: {state}")
 
 
 def verify(
-    folder: Annotated[Path, typer.Argument(help="Folder of results, the --out of `leaderboard`.")],
+    folder: Annotated[Path, argument("Folder of results, the --out of `leaderboard`.")],
     *,
     share: Share = SHARE,
     seed: Annotated[
-        int | None, typer.Option(help="Seed of the choice of drives; drawn if missing.", min=0)
+        int | None, option("Seed of the choice of drives; drawn if missing.", min=0)
     ] = None,
     estimator: Annotated[
         list[str] | None,
-        typer.Option(help="Entry of another package: wheel, folder or class; may be given again."),
+        option("Entry of another package: wheel, folder or class; may be given again."),
     ] = None,
     limits: LimitOptions,
 ) -> Output:
@@ -75,8 +68,8 @@ def verify(
     """
     if not folder.is_dir():
         raise ConfigError(f"{folder}: no such folder")
-    import_from_here(estimator or ())
-    with SandboxClient(limits.parse()) as sandbox, progress_bar() as progress:
+    commands.import_from_here(estimator or ())
+    with SandboxClient(limits.parse()) as sandbox, commands.progress_bar() as progress:
         entries = resolve_entries(estimator or (), sandbox.describe)
         run = jobs.in_sandbox(sandbox)
         found = verify_folder(folder, run, entries, share=share, seed=seed, report=progress)
@@ -99,29 +92,24 @@ def verified_output(found: Sequence[Verified]) -> Output:
         for row in found
     ]
     heads = ("estimator", "task", "runs", "apart", "tolerance", "score", "result")
-    table = make_table(
-        heads, [list(map(str, row)) for row in cells], texts=("task", *heads[5:]), box=None
-    )
+    texts = [list(map(str, row)) for row in cells]
+    table = commands.make_table(heads, texts, texts=("task", *heads[5:]), box=None)
     summary = (
         f"{agreeing} of {len(run)} rows agree on {found[0].kernels}; "
         f"{len(found) - len(run)} could not be run again"
     )
-    return Output(
-        facts=[{**dataclasses.asdict(row), "agrees": row.agrees} for row in found],
-        shows=[table, summary],
-        status=int(agreeing < len(run)),
-    )
+    facts = [{**dataclasses.asdict(row), "agrees": row.agrees} for row in found]
+    return Output(facts=facts, shows=[table, summary], status=int(agreeing < len(run)))
 
 
 def score(
     heights: Annotated[
-        Path,
-        typer.Argument(help="CSV or Parquet file: test_profiles of `dataset --task`, filled in."),
+        Path, argument("CSV or Parquet file: test_profiles of `dataset --task`, filled in.")
     ],
     *,
-    task: Annotated[str, typer.Option(help="Task that the heights are of.")],
+    task: Annotated[str, option("Task that the heights are of.")],
     roads: Annotated[
-        int | None, typer.Option(help="Test drives per condition, as for `dataset`.", min=1)
+        int | None, option("Test drives per condition, as for `dataset`.", min=1)
     ] = None,
 ) -> Output:
     """Score heights of the test drives of a task, made by any program."""
@@ -130,16 +118,16 @@ def score(
 
 
 def season(
-    out: Annotated[Path, typer.Option(help="Folder of the hidden test set.")],
+    out: Annotated[Path, option("Folder of the hidden test set.")],
     salt: Annotated[
-        str | None, typer.Option(help="Secret salt; if missing, one is drawn and printed once.")
+        str | None, option("Secret salt; if missing, one is drawn and printed once.")
     ] = None,
     task: Annotated[
         list[str] | None,
-        typer.Option(help="Shipped task; may be given again. Default: all with random roads."),
+        option("Shipped task; may be given again. Default: all with random roads."),
     ] = None,
     reveal: Annotated[
-        bool, typer.Option("--reveal", help="Verify the salt and write the tasks with their seeds.")
+        bool, option("Verify the salt and write the tasks with their seeds.", "--reveal")
     ] = False,
 ) -> Output:
     """Publish the hash of a hidden test set, and later, with --reveal, its seeds."""
@@ -153,7 +141,7 @@ def season(
         facts = {"commitment": hidden_seeds.load(out).commitment, "salt": salt, "tasks": paths}
     else:
         chosen = [load_task(name) for name in task or ()] or [
-            each for each in shipped_tasks() if each.board_name in RANDOM_ROAD_BOARDS
+            each for each in shipped_tasks() if each.board_name in _RANDOM_ROAD_BOARDS
         ]
         is_drawn, salt = salt is None, salt or secrets.token_urlsafe(24)
         hidden = hidden_seeds.commit(salt, chosen)
@@ -165,8 +153,8 @@ def season(
 
 
 def cite(
-    entry: Annotated[str | None, typer.Argument(help="Entry with a row in the folder.")] = None,
-    out: ResultsFolder = DEFAULT_FOLDER,
+    entry: Annotated[str | None, argument("Entry with a row in the folder.")] = None,
+    out: ResultsFolder = _DEFAULT_FOLDER,
 ) -> None:
     """Print how to cite this project, and an entry with the versions of what ran."""
     cited = "" if entry is None else cite_entry(out, entry)
@@ -174,8 +162,8 @@ def cite(
 
 
 def clean(
-    folder: Annotated[Path | None, typer.Argument(help="Default: the caches of this user.")] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="List them, delete nothing.")] = False,
+    folder: Annotated[Path | None, argument("Default: the caches of this user.")] = None,
+    dry_run: Annotated[bool, option("List them, delete nothing.", "--dry-run")] = False,
 ) -> Output:
     """Delete stale artifacts: results, cards and caches that other code has made."""
     where = folder or cache_home()

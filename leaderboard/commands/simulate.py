@@ -4,10 +4,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import typer
 
 from leaderboard.commands import check_output_path, parse_mode
-from leaderboard.commands.options import Length, Mode, Road, Seed, Sensors, Speed, Vehicle
+from leaderboard.commands.options import Length, Mode, Road, Seed, Sensors, Speed, Vehicle, option
 from leaderboard.commands.output import Output
 from leaderboard.report import plots
 from road_envs.core.config import ConfigError
@@ -19,17 +18,14 @@ from road_envs.sensing.data_logger import load_instruments
 from road_envs.vehicle.parameters import load_vehicle
 from road_envs.vehicle.suspension import encode_command
 
-Grade = Annotated[
-    str,
-    typer.Option(
-        help="Grade of the perturbed vehicle: S0 (as described) to S4; the seed draws it."
-    ),
+_Grade = Annotated[
+    str, option("Grade of the perturbed vehicle: S0 (as described) to S4; the seed draws it.")
 ]
 
-Plant = Annotated[
+_Plant = Annotated[
     str,
-    typer.Option(
-        help="Vehicle model: own, or that of another project, mujoco or commonroad, which needs "
+    option(
+        "Vehicle model: own, or that of another project, mujoco or commonroad, which needs "
         "the extra plants and a vehicle with passive struts."
     ),
 ]
@@ -44,18 +40,17 @@ def simulate(
     seed: Seed = 1,
     vehicle: Vehicle = "land_rover_defender_110",
     sensors: Sensors = "paper",
-    grade: Grade = "S0",
-    plant: Plant = "own",
-    out: Annotated[Path | None, typer.Option(help="Write the record (.parquet, .csv).")] = None,
-    truth: Annotated[Path | None, typer.Option(help="Write the true profile (.csv).")] = None,
-    plot: Annotated[Path | None, typer.Option(help="Draw profile and record (.png).")] = None,
+    grade: _Grade = "S0",
+    plant: _Plant = "own",
+    out: Annotated[Path | None, option("Write the record (.parquet, .csv).")] = None,
+    truth: Annotated[Path | None, option("Write the true profile (.csv).")] = None,
+    plot: Annotated[Path | None, option("Draw profile and record (.png).")] = None,
 ) -> Output:
     """Simulate a drive over a road and record the signals of the instruments."""
-    check_output_path(out, ".parquet", ".csv")
-    check_output_path(truth, ".csv")
+    check_output_path(out, ".parquet", ".csv"), check_output_path(truth, ".csv")
     check_output_path(plot, ".png", ".svg", ".pdf")
     surface, car = realise_road(road, seed, length), load_vehicle(vehicle)
-    struts = parse_mode(mode) or next(iter(car.modes))
+    struts = parse_mode(mode) if mode else next(iter(car.modes))
     encode_command(struts, car)  # refuses a mode that the vehicle does not have
     common: dict[str, Any] = {"vehicle": car, "speed_kmh": speed_kmh, "seed": seed}
     common["instruments"] = load_instruments(sensors)
@@ -66,15 +61,9 @@ def simulate(
     else:
         record, profile = simulate_on_plant(plant, surface, **common)
     settings: dict[str, Any] = {
-        "road": road,
-        "speed_kmh": speed_kmh,
-        "mode": struts,
-        "vehicle": vehicle,
-        "sensors": sensors,
-        "grade": grade,
-        "plant": plant,
-        "seed": seed,
-    }
+        "road": road, "speed_kmh": speed_kmh, "mode": struts, "vehicle": vehicle,
+        "sensors": sensors, "grade": grade, "plant": plant, "seed": seed,
+    }  # fmt: skip
     if out:
         write_record(out, record, settings, car.modes)
     if truth:
@@ -83,14 +72,10 @@ def simulate(
         plots.draw_drive(record, profile, plot)
     rms = dict(zip(record.channels, np.sqrt(np.nanmean(record.a**2, axis=1)), strict=True))
     facts = {
-        **settings,
-        "length_m": surface.length,
-        "duration_s": float(record.t[-1]),
-        "samples": record.t.size,
-        "lost_samples": int(np.isnan(record.a).any(axis=0).sum()),
+        **settings, "length_m": surface.length, "duration_s": float(record.t[-1]),
+        "samples": record.t.size, "lost_samples": int(np.isnan(record.a).any(axis=0).sum()),
         "iri_mm_per_m": [float(iri(z, surface.ds)) for z in surface.z],
         "rms_acceleration": {name: float(value) for name, value in rms.items()},
-        "notes": list(surface.notes),
-        "written": [str(p) for p in (out, truth, plot) if p],
-    }
+        "notes": list(surface.notes), "written": [str(p) for p in (out, truth, plot) if p],
+    }  # fmt: skip
     return Output(facts=facts)

@@ -5,10 +5,8 @@ import shlex
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from leaderboard.commands import check_output_folder, progress_bar
-from leaderboard.commands.options import CORES, LimitOptions, Share, Workers
+from leaderboard.commands.options import CORES, LimitOptions, Share, Workers, argument, option
 from leaderboard.commands.output import Output, facts_table
 from leaderboard.commands.results import verified_output
 from leaderboard.conformance.method_card import TEMPLATE
@@ -18,22 +16,22 @@ from leaderboard.submission.submission import SUBMISSION_SHARE, make_submission,
 from road_envs.core.atomic_io import write_text
 from road_envs.core.config import ConfigError
 
-ISOLATED = LimitOptions(isolation="bubblewrap")
-RulesFile = Annotated[
-    Path | None, typer.Option(help="Rules of the results repository; by default new_road whole.")
+_ISOLATED = LimitOptions(isolation="bubblewrap")
+_RulesFile = Annotated[
+    Path | None, option("Rules of the results repository; by default new_road whole.")
 ]
 
 
 def submit(
-    wheel: Annotated[Path, typer.Argument(help="Wheel, or folder of installed packages.")],
+    wheel: Annotated[Path, argument("Wheel, or folder of installed packages.")],
     *,
-    out: Annotated[Path, typer.Option(help="Folder of the submission; it must not exist.")],
+    out: Annotated[Path, option("Folder of the submission; it must not exist.")],
     card: Annotated[
-        Path, typer.Option(help="Card of the method (YAML); written to be filled in if missing.")
+        Path, option("Card of the method (YAML); written to be filled in if missing.")
     ] = Path("card.yaml"),
-    rules: RulesFile = None,
+    rules: _RulesFile = None,
     sign: Annotated[
-        Path | None, typer.Option(help="Sign with this private key; made if it does not exist.")
+        Path | None, option("Sign with this private key; made if it does not exist.")
     ] = None,
     workers: Workers = CORES,
     limits: LimitOptions,
@@ -65,15 +63,14 @@ def submit(
 
 
 def verify_one(
-    folder: Annotated[Path, typer.Argument(help="Folder of a submission.")],
+    folder: Annotated[Path, argument("Folder of a submission.")],
     *,
-    rules: RulesFile = None,
+    rules: _RulesFile = None,
     share: Share = SUBMISSION_SHARE,
     replaces: Annotated[
-        Path | None,
-        typer.Option(help="The submission as it was before: its key, if any, must have signed."),
+        Path | None, option("The submission as it was before: its key, if any, must have signed.")
     ] = None,
-    limits: LimitOptions = ISOLATED,
+    limits: LimitOptions = _ISOLATED,
 ) -> Output:
     """Verify a submission; exit status 1 if a row differs from what is found here.
 
@@ -82,18 +79,14 @@ def verify_one(
     """
     with progress_bar() as progress:
         found = verify_submission(
-            folder,
-            load_rules(rules),
-            limits.parse(),
-            share=share,
-            replaces=replaces,
-            progress=progress,
-        )
+            folder, load_rules(rules), limits.parse(),
+            share=share, replaces=replaces, progress=progress,
+        )  # fmt: skip
     return verified_output(found)
 
 
 def new_results_repo(
-    folder: Annotated[Path, typer.Argument(help="New or empty folder; a .git may be there.")],
+    folder: Annotated[Path, argument("New or empty folder; a .git may be there.")],
 ) -> Output:
     """Write a repository of results: rules, CI that verifies submissions, site, issue form."""
     written = [str(path) for path in repository.write_repository(folder)]
@@ -101,8 +94,8 @@ def new_results_repo(
 
 
 def results_site(
-    folder: Annotated[Path, typer.Argument(help="Results repository.")],
-    out: Annotated[Path, typer.Option(help="Folder of the site.")] = Path("site"),
+    folder: Annotated[Path, argument("Results repository.")],
+    out: Annotated[Path, option("Folder of the site.")] = Path("site"),
 ) -> Output:
     """Build the site of all submissions of a results repository."""
     check_output_folder(out)

@@ -4,25 +4,15 @@ import time
 from pathlib import Path
 from typing import Annotated, Any, cast
 
-import typer
-
 import estimators
 from estimators import weights_io
 from estimators.api import Trainable
 from estimators.linear.calibrated_fir import CalibratedFir
 from estimators.networks.narx import Narx
 from estimators.networks.static_lm import StaticLm
-from leaderboard import pretraining
-from leaderboard.commands import (
-    check_output_path,
-    command_line,
-    on_interrupt,
-    parse_mode,
-    parse_settings,
-    progress_bar,
-)
+from leaderboard import commands, pretraining
 from leaderboard.commands.drive_files import DriveOptions, read_passes
-from leaderboard.commands.options import KnownRoads, Length, Settings
+from leaderboard.commands.options import KnownRoads, Length, Settings, argument, option
 from leaderboard.commands.output import Output
 from leaderboard.drive_report.drive_estimates import read_profiles
 from road_envs.core.config import ConfigError
@@ -32,31 +22,26 @@ from road_envs.drives.training_corpus import Corpus
 from road_envs.records.record import Profile, Record
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 
-SIMULATED = ("vehicle", "sensors", "mode", "speed_kmh")
+_SIMULATED = ("vehicle", "sensors", "mode", "speed_kmh")
 """Options of drives that simulated ones have, too."""
 
 
 def train(
     *,
-    estimator: Annotated[str, typer.Argument(help="Name of a trainable estimator.")],
+    estimator: Annotated[str, argument("Name of a trainable estimator.")],
     records: Annotated[
-        list[Path] | None,
-        typer.Argument(help="Own drives to train on, over roads of known --profile."),
+        list[Path] | None, argument("Own drives to train on, over roads of known --profile.")
     ] = None,
-    out: Annotated[
-        Path, typer.Option(help="File for the fitted estimator (.npz or .safetensors).")
-    ],
+    out: Annotated[Path, option("File for the fitted estimator (.npz or .safetensors).")],
     profile: KnownRoads = None,
     road: Annotated[
-        list[str] | None,
-        typer.Option(help="Training road; may be given again. Default: the shipped corpus."),
+        list[str] | None, option("Training road; may be given again. Default: the shipped corpus.")
     ] = None,
     length: Length = None,
     drives: Annotated[
-        int | None,
-        typer.Option(help="Drives on each road with different seeds, or of the corpus.", min=1),
+        int | None, option("Drives on each road with different seeds, or of the corpus.", min=1)
     ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of the training.", min=0)] = 1,
+    seed: Annotated[int, option("Seed of the training.", min=0)] = 1,
     settings: Settings = None,
     options: DriveOptions,
 ) -> Output:
@@ -68,8 +53,8 @@ def train(
     package. Pretraining takes some minutes and continues from a checkpoint if it is interrupted and
     called again.
     """
-    check_output_path(out, ".npz", ".safetensors")
-    chosen = estimators.create(estimator, **parse_settings(settings))
+    commands.check_output_path(out, ".npz", ".safetensors")
+    chosen = estimators.create(estimator, **commands.parse_settings(settings))
     if not isinstance(chosen, Trainable):
         raise ConfigError(f"{estimator} is not trainable; use it in `estimate` by its name")
     facts: dict[str, Any] = {"estimator": estimator}
@@ -85,21 +70,17 @@ def train(
         facts |= _fit(chosen, pairs, files[0].car, seed, out)
         facts["notes"] = list(dict.fromkeys(n for file in files for n in file.measured.notes))
     elif road:
-        measured = {k: x for k, x in vars(options).items() if k not in SIMULATED}
+        measured = {k: x for k, x in vars(options).items() if k not in _SIMULATED}
         _refuse("simulated drives", {"profile": profile, **measured})
         car, pairs, number = load_vehicle(vehicle), [], drives or 1
-        with progress_bar() as progress:
+        with commands.progress_bar() as progress:
             for k, (name, i) in enumerate((name, i) for name in road for i in range(number)):
                 progress(f"simulating {name}", 0.5 * k / (len(road) * number))
                 pair = simulate_record(
-                    name,
-                    length=length,
-                    vehicle=car,
-                    speed_kmh=options.speed_kmh or 14.5,
-                    mode=parse_mode(options.mode),
-                    instruments=options.sensors or "ideal",
+                    name, length=length, vehicle=car, speed_kmh=options.speed_kmh or 14.5,
+                    mode=options.given()["mode"], instruments=options.sensors or "ideal",
                     seed=seed + i,
-                )
+                )  # fmt: skip
                 pairs.append(pair)
             progress("training", 0.5)
             fitted = _fit(chosen, pairs, car, seed, out)
@@ -111,8 +92,9 @@ def train(
         corpus = Corpus(car=vehicle) if drives is None else Corpus(car=vehicle, number=drives)
         begin = time.process_time()
         kept = f"the last stored state of the training is beside {out}; the same command continues"
-        with on_interrupt(kept), progress_bar() as progress:
-            pretraining.train(chosen, estimator, corpus, seed, out, command_line(), progress)
+        with commands.on_interrupt(kept), commands.progress_bar() as progress:
+            command = commands.command_line()
+            pretraining.train(chosen, estimator, corpus, seed, out, command, progress)
         seconds = time.process_time() - begin
         facts |= {"drives": corpus.number, "corpus": corpus.digest, "cpu_seconds": seconds}
     return Output(facts={**facts, "written": [str(out)]})

@@ -16,20 +16,18 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import correlate, correlation_lags
 
-from leaderboard.metrics.api import ScoredEstimate, metric
+from leaderboard.metrics.api import Metric, ScoredEstimate, metric, metrics
 from road_envs.records.roughness import golden_car, iri
 
-SEGMENT_LENGTH = 100.0
-"""Length [m] of the segments whose IRI is compared."""
+_SEGMENT_LENGTH = 100.0  # length [m] of the segments whose IRI is compared
 
-SHORT_SEGMENT = 20.0
+_SHORT_SEGMENT = 20.0
 """Length [m] of the segments of limits of agreement and ICC, of which a drive needs several."""
 
-LAG_MAX = 1.0
-"""Largest lag [m] of the cross-correlation."""
+_LAG_MAX = 1.0  # largest lag [m] of the cross-correlation
 
 
-class BlandAltman(NamedTuple):
+class _BlandAltman(NamedTuple):
     """Mean difference `bias`, and the limits bias ± 1.96 standard deviations of the differences
     (Bland & Altman, Lancet 327, 1986).
     """
@@ -39,12 +37,12 @@ class BlandAltman(NamedTuple):
     upper: float
 
 
-def bland_altman(x: np.ndarray, y: np.ndarray) -> BlandAltman:
+def bland_altman(x: np.ndarray, y: np.ndarray) -> _BlandAltman:
     """Return the limits of agreement of x - y, two measurements (N,) of the same segments."""
     difference = np.asarray(x, dtype=float) - np.asarray(y, dtype=float)
     bias = float(difference.mean())
     spread = 1.96 * float(difference.std(ddof=1)) if difference.size > 1 else np.nan
-    return BlandAltman(bias, bias - spread, bias + spread)
+    return _BlandAltman(bias, bias - spread, bias + spread)
 
 
 def intraclass_correlation(x: np.ndarray) -> float:
@@ -77,14 +75,12 @@ def iri_filtered_correlation(y: np.ndarray, a: np.ndarray, ds: float) -> float:
     power = float(P @ P), float(Q @ Q)
     if not min(power) > 0.0:
         return np.nan
-    near = np.abs(correlation_lags(P.size, Q.size)) * ds <= LAG_MAX
+    near = np.abs(correlation_lags(P.size, Q.size)) * ds <= _LAG_MAX
     # <PQ> / (sP sQ) x min / max = <PQ> / max²
     return float(correlate(P, Q, method="fft")[near].max() / max(power))
 
 
-def _segment_iri(
-    scored: ScoredEstimate, length: float = SEGMENT_LENGTH
-) -> tuple[np.ndarray, np.ndarray]:
+def _segment_iri(scored: ScoredEstimate, length: float) -> tuple[np.ndarray, np.ndarray]:
     """Return true and estimated IRI [mm/m] of both wheel paths by segment, each (N,)."""
     length = min(length, (scored.y.shape[1] - 1) * scored.ds - 1.0)
     true, found = (iri(z, scored.ds, segment=length).ravel() for z in (scored.y, scored.a))
@@ -102,39 +98,28 @@ def iri_cross_correlation(scored: ScoredEstimate) -> float:
     return float(np.mean([iri_filtered_correlation(y, a, scored.ds) for y, a in pairs]))
 
 
-@metric("IRI bias", unit="mm/m", digits=2, better="zero", head="IRI bias")
-def iri_bias(scored: ScoredEstimate) -> float:
-    """Mean difference of the IRI per 100 m, estimate less truth, of both wheel paths."""
-    true, found = scored.shared(_segment_iri)
-    return bland_altman(found, true).bias
+@metrics(
+    Metric("iri_bias", "IRI bias", unit="mm/m", better="zero", head="IRI bias", help="Mean "
+           "difference of the IRI per 100 m, estimate less truth, of both wheel paths."),
+    Metric("iri_rmse", "IRI RMSE", unit="mm/m", head="IRI RMSE",
+           help="RMS difference of the IRI per 100 m of both wheel paths."),
+)  # fmt: skip
+def _difference(scored: ScoredEstimate) -> tuple[float, ...]:
+    true, found = _segment_iri(scored, _SEGMENT_LENGTH)
+    return bland_altman(found, true).bias, float(np.sqrt(np.mean((found - true) ** 2)))
 
 
-@metric("IRI RMSE", unit="mm/m", digits=2, head="IRI RMSE")
-def iri_rmse(scored: ScoredEstimate) -> float:
-    """RMS difference of the IRI per 100 m of both wheel paths."""
-    true, found = scored.shared(_segment_iri)
-    return float(np.sqrt(np.mean((found - true) ** 2)))
-
-
-def _short_segment_iri(scored: ScoredEstimate) -> tuple[np.ndarray, np.ndarray]:
-    return _segment_iri(scored, SHORT_SEGMENT)
-
-
-@metric("lower limit of agreement of the IRI", unit="mm/m", digits=2, better="zero", head="IRI low")
-def iri_lower_limit(scored: ScoredEstimate) -> float:
-    """Bias of the IRI per 20 m less 1.96 standard deviations of the differences (Bland-Altman)."""
-    true, found = scored.shared(_short_segment_iri)
-    return bland_altman(found, true).lower
-
-
-@metric("upper limit of agreement of the IRI", unit="mm/m", digits=2, better="zero", head="IRI up")
-def iri_upper_limit(scored: ScoredEstimate) -> float:
-    """Bias of the IRI per 20 m plus 1.96 standard deviations of the differences (Bland-Altman)."""
-    true, found = scored.shared(_short_segment_iri)
-    return bland_altman(found, true).upper
-
-
-@metric("intraclass correlation of the IRI", digits=2, better="high", head="IRI ICC")
-def iri_icc(scored: ScoredEstimate) -> float:
-    """ICC(2,1) of the true and the estimated IRI per 20 m of both wheel paths."""
-    return intraclass_correlation(np.stack(scored.shared(_short_segment_iri), axis=1))
+@metrics(
+    Metric("iri_lower_limit", "lower limit of agreement of the IRI", unit="mm/m", better="zero",
+           head="IRI low", help="Bias of the IRI per 20 m less 1.96 standard deviations of the "
+           "differences (Bland-Altman)."),
+    Metric("iri_upper_limit", "upper limit of agreement of the IRI", unit="mm/m", better="zero",
+           head="IRI up", help="Bias of the IRI per 20 m plus 1.96 standard deviations of the "
+           "differences (Bland-Altman)."),
+    Metric("iri_icc", "intraclass correlation of the IRI", better="high", head="IRI ICC",
+           help="ICC(2,1) of the true and the estimated IRI per 20 m of both wheel paths."),
+)  # fmt: skip
+def _agreement(scored: ScoredEstimate) -> tuple[float, ...]:
+    true, found = _segment_iri(scored, _SHORT_SEGMENT)
+    _, lower, upper = bland_altman(found, true)
+    return lower, upper, intraclass_correlation(np.stack([true, found], axis=1))

@@ -17,7 +17,7 @@ from road_envs.records.roughness import band_pass
 from road_envs.roads import Surface
 
 
-class Alignment(NamedTuple):
+class _Alignment(NamedTuple):
     """Truth and estimate over their overlap; the estimate was moved by `lag` [m] towards larger
     stations. `correlation` of the slopes in the scored band, at this lag and where the stations
     had put it.
@@ -40,7 +40,7 @@ class Alignment(NamedTuple):
         )
 
 
-def align(road: Surface, estimate: Estimate, v: float, chainage: float = 0.0) -> Alignment:
+def align(road: Surface, estimate: Estimate, v: float, chainage: float = 0.0) -> _Alignment:
     """Align an estimate of a drive at `v` [m/s] with the `road` that was driven.
 
     `chainage` [m] is the station of the road at which station 0 of the estimate is assumed. Raises
@@ -92,4 +92,4 @@ def align(road: Surface, estimate: Estimate, v: float, chainage: float = 0.0) ->
         estimate, s=s, z=estimate.z[:, inside], z_std=std, unsure=unsure, draws=None
     )
     heights = road.height(chainage + ds * (begin + lag + np.arange(end - begin)))
-    return Alignment(Profile(s, heights), part, ds * lag, correlation, before)
+    return _Alignment(Profile(s, heights), part, ds * lag, correlation, before)

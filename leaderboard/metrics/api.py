@@ -7,14 +7,15 @@ A metric is declared beside its function, which returns NaN where it is not defi
         \"\"\"RMS error over RMS truth in the scored band.\"\"\"
         return ...
 
-Its key is the name of the function, its explanation on pages the docstring, and `registry` collects
-the metrics of every module that it lists.
+Its key is the name of the function, its explanation on pages the docstring. A function of several
+metrics returns them in the order of their forms (`metrics`, as in `level`). `registry` collects the
+metrics of every module that it lists.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal, TypeVar, cast
+from typing import Any, Literal
 
 import numpy as np
 
@@ -25,11 +26,11 @@ from road_envs.records.roughness import displacement_psd
 UNDEFINED = "–"
 """Text of a score that is not defined."""
 
-HEIGHT_LIMIT = 1e6
-"""Estimated heights are clipped to +- this [m], so that an absurd estimate still has a score."""
+PERCENT: Any = {"unit": "%", "factor": 100.0, "digits": 0}
+"""Format of a share."""
 
-Better = Literal["low", "high", "zero", ""]
-T = TypeVar("T")
+_HEIGHT_LIMIT = 1e6
+"""Estimated heights are clipped to +- this [m], so that an absurd estimate still has a score."""
 
 
 class ScoredEstimate:
@@ -43,8 +44,8 @@ class ScoredEstimate:
     def __init__(
         self, truth: Profile, estimate: Estimate, v: float, *, bumps: bool, bound: float = np.nan
     ) -> None:
-        self.y, self.a = truth.z, np.clip(estimate.z, -HEIGHT_LIMIT, HEIGHT_LIMIT)
-        self.std = None if estimate.z_std is None else np.minimum(estimate.z_std, HEIGHT_LIMIT)
+        self.y, self.a = truth.z, np.clip(estimate.z, -_HEIGHT_LIMIT, _HEIGHT_LIMIT)
+        self.std = None if estimate.z_std is None else np.minimum(estimate.z_std, _HEIGHT_LIMIT)
         self.ds, self.v, self.bumps, self.bound = truth.ds, v, bumps, bound
         self._shared: dict[Callable[..., Any], Any] = {}
 
@@ -65,14 +66,14 @@ class ScoredEstimate:
         n, G = displacement_psd(np.stack([self.y, self.a, self.a - self.y]), self.ds)
         return n, G
 
-    def shared(self, function: Callable[["ScoredEstimate"], T]) -> T:
+    def shared(self, function: Callable[["ScoredEstimate"], Any]) -> Any:
         """Return `function(self)`, computed once for all metrics that need it."""
         if function not in self._shared:
             self._shared[function] = function(self)
-        return cast(T, self._shared[function])
+        return self._shared[function]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Metric:
     """A metric: its function, and its format as `factor` times the value with `digits` decimals.
 
@@ -87,7 +88,7 @@ class Metric:
     unit: str = ""
     factor: float = 1.0
     digits: int = 2
-    better: Better = "low"
+    better: Literal["low", "high", "zero", ""] = "low"
     head: str = ""
     help: str = ""
     boards: tuple[str, ...] = ()
@@ -101,14 +102,36 @@ class Metric:
         rounded = round(self.factor * value, self.digits) + 0.0  # no minus before a zero
         return f"{rounded:{'+' if self.better == 'zero' else ''}.{self.digits}f}"
 
+    def text(self, value: float | None) -> str:
+        """Return the value as text with its unit."""
+        return f"{self.format_value(value)} {self.unit}".strip()
+
+    @property
+    def heading(self) -> str:
+        """The label, with the unit in brackets."""
+        return f"{self.label} [{self.unit}]" if self.unit else self.label
+
+
+_Scores = Callable[[ScoredEstimate], Sequence[float]]
+
 
 def metric(label: str, **form: Any) -> Callable[[Callable[[ScoredEstimate], float]], Metric]:
     """Return a decorator that makes a function a Metric with this format."""
 
     def declare(function: Callable[[ScoredEstimate], float]) -> Metric:
         explanation = " ".join((function.__doc__ or "").split())
-        return Metric(
-            key=function.__name__, label=label, help=explanation, compute=function, **form
-        )
+        return Metric(function.__name__, label, help=explanation, compute=function, **form)
+
+    return declare
+
+
+def metrics(*forms: Metric) -> Callable[[_Scores], tuple[Metric, ...]]:
+    """Return a decorator that makes a function of several scores a Metric for each of `forms`."""
+
+    def declare(function: _Scores) -> tuple[Metric, ...]:
+        def score(k: int) -> Callable[[ScoredEstimate], float]:
+            return lambda scored: scored.shared(function)[k]
+
+        return tuple(replace(form, compute=score(k)) for k, form in enumerate(forms))
 
     return declare

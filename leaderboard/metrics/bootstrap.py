@@ -13,14 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-REPLICATES = 2000
+_REPLICATES = 2000
 """Replicates of an interval or a rank: its quantiles leave 50 of them on each side."""
 
-CONFIDENCE = 0.95
-"""Level of every interval."""
-
-QUANTILES = (0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2)
-"""Shares of the replicates below the lower and the upper end of an interval."""
+_QUANTILES = (0.5 - 0.95 / 2, 0.5 + 0.95 / 2)
+"""Shares of the replicates below the lower and the upper end of an interval, at a level of 95 %."""
 
 MIN_ROADS = 5
 """Least number of roads for an interval or a rank: with two, the interval is their two scores."""
@@ -40,19 +37,12 @@ class Interval(NamedTuple):
     high: float
 
 
-class PerformanceProfile(NamedTuple):
+class _PerformanceProfile(NamedTuple):
     """Shares (T,) of runs at or below each threshold, with their bootstrap intervals."""
 
     share: np.ndarray
     low: np.ndarray
     high: np.ndarray
-
-
-class Rank(NamedTuple):
-    """Rank of an entry, the place of the first entry of its group, and its score."""
-
-    rank: int
-    score: Interval
 
 
 def interquartile_mean(x: np.ndarray, axis: int = -1) -> np.ndarray:
@@ -72,7 +62,7 @@ def interquartile_mean(x: np.ndarray, axis: int = -1) -> np.ndarray:
 
 
 def bootstrap(
-    scores: np.ndarray, seed: int, replicates: int = REPLICATES, strata: Strata | None = None
+    scores: np.ndarray, seed: int, replicates: int = _REPLICATES, strata: Strata | None = None
 ) -> np.ndarray:
     """Return the interquartile means (B,) of resamples of `scores` (R, C, S): roads, then seeds.
 
@@ -94,7 +84,7 @@ class Resampled(NamedTuple):
         """Return the sum with its 95 % interval; NaNs if a replicate is undefined."""
         if not np.isfinite(self.replicates).all():
             return Interval(np.nan, np.nan, np.nan)
-        low, high = np.quantile(self.replicates, QUANTILES)
+        low, high = np.quantile(self.replicates, _QUANTILES)
         return Interval(float(self.mean), float(low), float(high))
 
     def minus(self, other: "Resampled") -> "Resampled":
@@ -105,15 +95,13 @@ class Resampled(NamedTuple):
 def resample(
     parts: Sequence[np.ndarray],
     weights: Sequence[float] = (1.0,),
-    seed: int = 0,
-    replicates: int = REPLICATES,
     strata: Strata | None = None,
 ) -> Resampled:
     """Return the sum of the interquartile means of `parts`, each (R, C, S), with `weights`.
 
-    One seed gives all parts the same roads and seeds in each replicate.
+    All parts have the same roads and seeds in each replicate.
     """
-    made = [bootstrap(part, seed, replicates, strata) for part in parts]
+    made = [bootstrap(part, 0, strata=strata) for part in parts]
     means = [float(interquartile_mean(part.ravel())) for part in parts]
     return Resampled(float(np.dot(weights, means)), np.tensordot(weights, made, axes=1))
 
@@ -130,9 +118,9 @@ def iqm_slope(parts: Sequence[np.ndarray], strata: Strata | None = None) -> Inte
 def performance_profile(
     scores: np.ndarray,
     thresholds: np.ndarray,
-    replicates: int = REPLICATES,
+    replicates: int = _REPLICATES,
     strata: Strata | None = None,
-) -> PerformanceProfile:
+) -> _PerformanceProfile:
     """Return the share of `scores` (R, C, S) at or below each of `thresholds` (T,).
 
     Lower scores are better. NaN marks a missing run, infinity a run above every threshold.
@@ -145,8 +133,8 @@ def performance_profile(
 
     reached = shares(scores.ravel())
     parts = [shares(x) for x in _replicate_scores(scores, 0, replicates, strata)]
-    low, high = np.quantile(np.concatenate(parts), QUANTILES, axis=0)
-    return PerformanceProfile(reached, low, high)
+    low, high = np.quantile(np.concatenate(parts), _QUANTILES, axis=0)
+    return _PerformanceProfile(reached, low, high)
 
 
 def _replicate_scores(
@@ -172,9 +160,9 @@ def _replicate_scores(
         yield resampled.reshape(len(resampled), -1)
 
 
-def iqm_interval(scores: np.ndarray, seed: int = 0, strata: Strata | None = None) -> Interval:
+def iqm_interval(scores: np.ndarray, strata: Strata | None = None) -> Interval:
     """Return the interquartile mean of `scores` (R, C, S) with its 95 % interval, or NaNs."""
-    return resample([scores], seed=seed, strata=strata).interval()
+    return resample([scores], strata=strata).interval()
 
 
 def count_roads(scores: np.ndarray) -> int:
@@ -182,7 +170,7 @@ def count_roads(scores: np.ndarray) -> int:
     return int(np.sum(~np.isnan(scores).all(axis=(1, 2))))
 
 
-def rank_entries(scores: Mapping[str, np.ndarray], strata: Strata | None = None) -> dict[str, Rank]:
+def rank_entries(scores: Mapping[str, np.ndarray], strata: Strata | None = None) -> dict[str, int]:
     """Rank the entries by their `scores` (R, C, S), lower is better; best first.
 
     In the order of their interquartile means, an entry shares the rank of the entry that leads the
@@ -193,13 +181,13 @@ def rank_entries(scores: Mapping[str, np.ndarray], strata: Strata | None = None)
     """
     made = {name: resample([x], strata=strata) for name, x in scores.items()}
     means = {name: np.nan_to_num(x.interval().mean, nan=np.inf) for name, x in made.items()}
-    ranks: dict[str, Rank] = {}
+    ranks: dict[str, int] = {}
     rank, leader = 0, np.empty(0)
     for place, name in enumerate(sorted(made, key=lambda name: means[name]), start=1):
         drawn = made[name].replicates
         if np.isnan(drawn).any():  # an undefined score loses every comparison
             drawn = np.full(drawn.size, np.inf)
-        if rank == 0 or np.mean(drawn > leader) > QUANTILES[1]:
+        if rank == 0 or np.mean(drawn > leader) > _QUANTILES[1]:
             rank, leader = place, drawn
-        ranks[name] = Rank(rank, made[name].interval())
+        ranks[name] = rank
     return ranks

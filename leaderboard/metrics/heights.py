@@ -28,9 +28,6 @@ from scipy import signal
 from scipy.fft import rfft, rfftfreq
 from scipy.special import ndtr, ndtri
 
-from road_envs.records.record import SCORED_F_MAX as SCORED_F_MAX
-from road_envs.records.record import SCORED_N_MAX as SCORED_N_MAX
-from road_envs.records.record import SCORED_N_MIN as SCORED_N_MIN
 from road_envs.records.record import scored_band as scored_band
 from road_envs.records.roughness import Band as Band
 from road_envs.records.roughness import band_pass as band_pass
@@ -43,12 +40,12 @@ older results stale.
 FULL_BAND: Band = (0.05, 3.0)
 """Band [cycles/m] of `nrmse_full`: waves of 20 m to 0.33 m, at every speed."""
 
-LAG_MAX = 0.5  # [m]
-SEGMENT_LENGTH = 10.0  # [m] Welch segment of the coherence: resolution 0.1 cycles/m
-NEGLIGIBLE = 1e-9  # an RMS below this share of the truth's is rounding error
+_LAG_MAX = 0.5  # [m]
+_SEGMENT_LENGTH = 10.0  # [m] Welch segment of the coherence: resolution 0.1 cycles/m
+_NEGLIGIBLE = 1e-9  # an RMS below this share of the truth's is rounding error
 
 
-class Sides(NamedTuple):
+class _Sides(NamedTuple):
     """A score of each wheel path, and of both pooled."""
 
     left: float
@@ -64,7 +61,7 @@ class Correlation(NamedTuple):
     r_at_lag: float
 
 
-class Uncertainty(NamedTuple):
+class _Uncertainty(NamedTuple):
     """CRPS [m], and the shares [-] of errors inside the 50 % and 90 % intervals."""
 
     crps: float
@@ -72,18 +69,18 @@ class Uncertainty(NamedTuple):
     coverage_90: float
 
 
-def nrmse(y: np.ndarray, a: np.ndarray, ds: float, band: Band) -> Sides:
+def nrmse(y: np.ndarray, a: np.ndarray, ds: float, band: Band) -> _Sides:
     """Return RMS error over RMS truth [-], of estimate `a` and truth `y` (2, M), inside `band`."""
     return error_over_truth(*band_pass(np.stack([y, a]), ds, band))
 
 
-def error_over_truth(y: np.ndarray, a: np.ndarray) -> Sides:
+def error_over_truth(y: np.ndarray, a: np.ndarray) -> _Sides:
     """Return RMS error over RMS truth [-], of `a` and `y` (2, K) as they are."""
     return _ratio(a - y, y)
 
 
 def correlation(y: np.ndarray, a: np.ndarray, ds: float) -> Correlation:
-    """Return the correlation of two band-passed profiles (2, K); lags are within +-LAG_MAX.
+    """Return the correlation of two band-passed profiles (2, K); lags are within +-_LAG_MAX.
 
     An estimate without content has r = 0 at lag 0.
     """
@@ -99,7 +96,7 @@ def correlation(y: np.ndarray, a: np.ndarray, ds: float) -> Correlation:
 
 
 def error_at_best_lag(y: np.ndarray, a: np.ndarray, ds: float) -> float:
-    """Return the least RMS error over RMS truth [-] of `a` shifted within +-LAG_MAX against `y`.
+    """Return the least RMS error over RMS truth [-] of `a` shifted within +-_LAG_MAX against `y`.
 
     Both are band-passed (2, K); the stations that every shift covers count. NaN over a flat truth.
     """
@@ -112,7 +109,7 @@ def error_at_best_lag(y: np.ndarray, a: np.ndarray, ds: float) -> float:
 
 def _shifts(y: np.ndarray, a: np.ndarray, ds: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the inner stations of `y` (2, L), and `a` there at every lag (2, lags, L)."""
-    reach = min(int(LAG_MAX / ds), y.shape[-1] // 4)
+    reach = min(int(_LAG_MAX / ds), y.shape[-1] // 4)
     inner = y[:, reach : y.shape[-1] - reach]
     return inner, sliding_window_view(a, inner.shape[-1], axis=-1)
 
@@ -122,7 +119,7 @@ def coherence(y: np.ndarray, a: np.ndarray, ds: float, band: Band) -> float:
 
     Two unrelated profiles have 1 / (independent segments), not 0: about 0.1 at 100 m.
     """
-    size = min(round(SEGMENT_LENGTH / ds), y.shape[-1] // 4)
+    size = min(round(_SEGMENT_LENGTH / ds), y.shape[-1] // 4)
     Y, A = _segments(y, size), _segments(a, size)
     n = rfftfreq(size, ds)
     inside = (n >= band[0]) & (n <= band[1])
@@ -133,7 +130,7 @@ def coherence(y: np.ndarray, a: np.ndarray, ds: float, band: Band) -> float:
     return float(gamma2.mean()) if P_yy.any() else np.nan
 
 
-def uncertainty(y: np.ndarray, a: np.ndarray, sigma: np.ndarray) -> Uncertainty:
+def uncertainty(y: np.ndarray, a: np.ndarray, sigma: np.ndarray) -> _Uncertainty:
     """Score the standard deviation `sigma` (2, M) [m] against the error of `a` from `y`.
 
     Both are (2, K), band-passed, K < M: the drift outside the band cannot be observed. With a
@@ -143,7 +140,7 @@ def uncertainty(y: np.ndarray, a: np.ndarray, sigma: np.ndarray) -> Uncertainty:
     trim = (sigma.shape[-1] - e.shape[-1]) // 2
     sigma = sigma[:, trim : trim + e.shape[-1]]
     shares = [float(np.mean(np.abs(e) <= ndtri(0.5 + 0.5 * p) * sigma)) for p in (0.5, 0.9)]
-    return Uncertainty(crps(e, sigma), *shares)
+    return _Uncertainty(crps(e, sigma), *shares)
 
 
 def crps(e: np.ndarray, sigma: np.ndarray) -> float:
@@ -155,13 +152,13 @@ def crps(e: np.ndarray, sigma: np.ndarray) -> float:
     return float(np.mean(e * (2.0 * ndtr(x) - 1.0) + spread))
 
 
-def level_error(y: np.ndarray, a: np.ndarray) -> Sides:
+def level_error(y: np.ndarray, a: np.ndarray) -> _Sides:
     """Return equation 12 with its sign [-]: the relative excess of the RMS of `a` over that of `y`.
 
     Heights (2, M) are taken as given, from any datum. The paper prints one number for a drive of
     two wheel paths and does not say how it was formed; `pooled` takes the RMS over both.
     """
-    return Sides(*(level - 1.0 for level in _ratio(a, y)))
+    return _Sides(*(level - 1.0 for level in _ratio(a, y)))
 
 
 def remove_mean(z: np.ndarray) -> np.ndarray:
@@ -169,19 +166,19 @@ def remove_mean(z: np.ndarray) -> np.ndarray:
     return z - z.mean(axis=-1, keepdims=True)
 
 
-def _ratio(above: np.ndarray, below: np.ndarray) -> Sides:
+def _ratio(above: np.ndarray, below: np.ndarray) -> _Sides:
     """Return RMS of `above` over RMS of `below`, both (2, M); NaN over a flat wheel path."""
     a, b = np.mean(above**2, axis=-1), np.mean(below**2, axis=-1)
     a, b = np.append(a, a.mean()), np.append(b, b.mean())
-    ratio = np.divide(a, b, out=np.full(3, np.nan), where=b > NEGLIGIBLE**2 * b[2])
-    return Sides(*np.sqrt(ratio).tolist())
+    ratio = np.divide(a, b, out=np.full(3, np.nan), where=b > _NEGLIGIBLE**2 * b[2])
+    return _Sides(*np.sqrt(ratio).tolist())
 
 
 def _pearson(yy: np.ndarray, aa: np.ndarray, ya: np.ndarray) -> np.ndarray:
     """Return the correlation from sums of squares and products of zero-mean profiles."""
     if yy == 0.0:
         return np.full_like(ya, np.nan)
-    has_content = aa > NEGLIGIBLE**2 * yy
+    has_content = aa > _NEGLIGIBLE**2 * yy
     return np.where(has_content, ya / np.sqrt(yy * np.where(has_content, aa, 1.0)), 0.0)
 
 

@@ -12,12 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from leaderboard.metrics.api import ScoredEstimate, metric
+from leaderboard.metrics.api import PERCENT, Metric, ScoredEstimate, metrics
 
 MATCH_DISTANCE = 0.3  # [m]
 MERGE_GAP = 0.5  # [m]
-MIN_HEIGHT = 0.02  # [m] lower true heights are no obstacles
-LEVEL_TOLERANCE = 0.005  # [m] about the median, where at least half of each wheel path lies
+_MIN_HEIGHT = 0.02  # [m] lower true heights are no obstacles
+_LEVEL_TOLERANCE = 0.005  # [m] about the median, where at least half of each wheel path lies
 
 
 class Obstacle(NamedTuple):
@@ -27,7 +27,7 @@ class Obstacle(NamedTuple):
     height: float
 
 
-class ObstacleMatches(NamedTuple):
+class _ObstacleMatches(NamedTuple):
     """Obstacles of one wheel path: matched `pairs` (true, estimated), misses, false alarms."""
 
     pairs: list[tuple[Obstacle, Obstacle]]
@@ -35,7 +35,7 @@ class ObstacleMatches(NamedTuple):
     false: list[Obstacle]
 
 
-class ObstacleScores(NamedTuple):
+class _ObstacleScores(NamedTuple):
     """Shares [-], mean absolute errors of matched obstacles (NaN if none), number of wrong ones."""
 
     precision: float
@@ -64,16 +64,16 @@ def detect_obstacles(z: np.ndarray, ds: float, threshold: float) -> list[Obstacl
 
 def true_obstacles(y: np.ndarray, ds: float) -> tuple[list[Obstacle], list[Obstacle]]:
     """Return the obstacles of each wheel path of a true road `y` (2, M) [m]; none if uneven."""
-    about_level = np.abs(y - np.median(y, axis=1, keepdims=True)) < LEVEL_TOLERANCE
+    about_level = np.abs(y - np.median(y, axis=1, keepdims=True)) < _LEVEL_TOLERANCE
     if (about_level.mean(axis=1) < 0.5).any():
         return [], []
-    left, right = (detect_obstacles(z, ds, MIN_HEIGHT) for z in y)
+    left, right = (detect_obstacles(z, ds, _MIN_HEIGHT) for z in y)
     return left, right
 
 
 def match_obstacles(
     y: np.ndarray, a: np.ndarray, ds: float
-) -> tuple[ObstacleMatches, ObstacleMatches] | None:
+) -> tuple[_ObstacleMatches, _ObstacleMatches] | None:
     """Match the obstacles of estimate `a` with those of truth `y`, both (2, M), by wheel path.
 
     Returns None if the truth has no obstacle.
@@ -86,7 +86,7 @@ def match_obstacles(
     return left, right
 
 
-def obstacle_scores(y: np.ndarray, a: np.ndarray, ds: float) -> ObstacleScores | None:
+def obstacle_scores(y: np.ndarray, a: np.ndarray, ds: float) -> _ObstacleScores | None:
     """Return the scores of `a` against `y`, both (2, M) [m]; None without a true obstacle."""
     paths = match_obstacles(y, a, ds)
     if paths is None:
@@ -95,27 +95,27 @@ def obstacle_scores(y: np.ndarray, a: np.ndarray, ds: float) -> ObstacleScores |
     true = [[*path.missed, *(t for t, _ in path.pairs)] for path in paths]
     detected = [[*path.false, *(f for _, f in path.pairs)] for path in paths]
     wrong_side = sum(
-        _has_match(obstacle, true[1 - side]) and not _has_match(obstacle, true[side])
+        any(_is_match(obstacle, other) for other in true[1 - side])
+        and not any(_is_match(obstacle, own) for own in true[side])
         for side in range(2)
         for obstacle in detected[side]
     )
     n_true, n_detected = sum(map(len, true)), sum(map(len, detected))
-    s, height, relative = np.mean(_errors(pairs), axis=0) if pairs else (np.nan,) * 3
-    return ObstacleScores(
-        precision=len(pairs) / n_detected if n_detected else 0.0,
-        recall=len(pairs) / n_true,
-        f1=2 * len(pairs) / (n_true + n_detected),
-        location_error=float(s),
-        height_error=float(height),
-        height_error_relative=float(relative),
-        wrong_side=float(wrong_side),
-    )
+    errors = [
+        (abs(f.s - t.s), abs(f.height - t.height), abs(f.height - t.height) / abs(t.height))
+        for t, f in pairs
+    ]
+    s, height, relative = np.mean(errors, axis=0).tolist() if pairs else (np.nan,) * 3
+    precision = len(pairs) / n_detected if n_detected else 0.0
+    f1 = 2 * len(pairs) / (n_true + n_detected)
+    shares = precision, len(pairs) / n_true, f1
+    return _ObstacleScores(*shares, s, height, relative, float(wrong_side))
 
 
-def _match_path(y: np.ndarray, a: np.ndarray, ds: float, threshold: float) -> ObstacleMatches:
+def _match_path(y: np.ndarray, a: np.ndarray, ds: float, threshold: float) -> _ObstacleMatches:
     true, detected = detect_obstacles(y, ds, threshold), detect_obstacles(a, ds, threshold)
     pairs = _pair_nearest(true, detected)
-    return ObstacleMatches(
+    return _ObstacleMatches(
         pairs,
         [obstacle for obstacle in true if not any(obstacle is t for t, _ in pairs)],
         [obstacle for obstacle in detected if not any(obstacle is f for _, f in pairs)],
@@ -136,67 +136,28 @@ def _pair_nearest(
     return pairs
 
 
-def _has_match(obstacle: Obstacle, others: list[Obstacle]) -> bool:
-    return any(_is_match(obstacle, other) for other in others)
-
-
 def _is_match(a: Obstacle, b: Obstacle) -> bool:
     """Return whether two obstacles have the same sign and lie within MATCH_DISTANCE."""
     return abs(a.s - b.s) <= MATCH_DISTANCE and (a.height > 0.0) == (b.height > 0.0)
 
 
-def _errors(pairs: list[tuple[Obstacle, Obstacle]]) -> list[tuple[float, float, float]]:
-    return [
-        (abs(f.s - t.s), abs(f.height - t.height), abs(f.height - t.height) / abs(t.height))
-        for t, f in pairs
-    ]
-
-
-_UNDEFINED = ObstacleScores(*(np.nan for _ in ObstacleScores._fields))
-
-
-def _obstacles(scored: ScoredEstimate) -> ObstacleScores:
+@metrics(
+    Metric("bump_precision", "bump precision", **PERCENT, better="high",
+           help="Share of detected bumps and holes that are there."),
+    Metric("bump_recall", "bump recall", **PERCENT, better="high",
+           help="Share of bumps and holes that are detected."),
+    Metric("bump_f1", "bump F1", better="high", help="F1 score of the detection of bumps and "
+           "holes, within 0.3 m and on the right wheel path."),
+    Metric("bump_location_error", "bump location error", unit="m", head="location error",
+           help="Mean distance of detected obstacles from their true places."),
+    Metric("bump_height_error", "bump height error", unit="mm", factor=1000.0, digits=0,
+           head="height error", help="Mean absolute error of the height of detected obstacles."),
+    Metric("bump_height_error_relative", "relative bump height error", **PERCENT,
+           head="height error", help="Mean absolute error of the height of detected obstacles, "
+           "relative to the true height."),
+    Metric("bump_wrong_side", "bumps on the wrong side", digits=1, head="wrong side",
+           help="Number of detected obstacles that only the other wheel path has."),
+)  # fmt: skip
+def _obstacles(scored: ScoredEstimate) -> tuple[float, ...]:
     found = obstacle_scores(scored.y, scored.a, scored.ds) if scored.bumps else None
-    return found or _UNDEFINED
-
-
-@metric("bump precision", unit="%", factor=100.0, digits=0, better="high")
-def bump_precision(scored: ScoredEstimate) -> float:
-    """Share of detected bumps and holes that are there."""
-    return scored.shared(_obstacles).precision
-
-
-@metric("bump recall", unit="%", factor=100.0, digits=0, better="high")
-def bump_recall(scored: ScoredEstimate) -> float:
-    """Share of bumps and holes that are detected."""
-    return scored.shared(_obstacles).recall
-
-
-@metric("bump F1", better="high")
-def bump_f1(scored: ScoredEstimate) -> float:
-    """F1 score of the detection of bumps and holes, within 0.3 m and on the right wheel path."""
-    return scored.shared(_obstacles).f1
-
-
-@metric("bump location error", unit="m", head="location error")
-def bump_location_error(scored: ScoredEstimate) -> float:
-    """Mean distance of detected obstacles from their true places."""
-    return scored.shared(_obstacles).location_error
-
-
-@metric("bump height error", unit="mm", factor=1000.0, digits=0, head="height error")
-def bump_height_error(scored: ScoredEstimate) -> float:
-    """Mean absolute error of the height of detected obstacles."""
-    return scored.shared(_obstacles).height_error
-
-
-@metric("relative bump height error", unit="%", factor=100.0, digits=0, head="height error")
-def bump_height_error_relative(scored: ScoredEstimate) -> float:
-    """Mean absolute error of the height of detected obstacles, relative to the true height."""
-    return scored.shared(_obstacles).height_error_relative
-
-
-@metric("bumps on the wrong side", digits=1, head="wrong side")
-def bump_wrong_side(scored: ScoredEstimate) -> float:
-    """Number of detected obstacles that only the other wheel path has."""
-    return scored.shared(_obstacles).wrong_side
+    return found or (np.nan,) * len(_ObstacleScores._fields)

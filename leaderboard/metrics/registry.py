@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from leaderboard.metrics import agreement, level, obstacles, pointwise, spectra
+from leaderboard.metrics import agreement, level, obstacles, pointwise, roughness
 from leaderboard.metrics.api import Metric, ScoredEstimate
 from road_envs.records.record import Estimate, Profile
 
 MODULES = (
     pointwise,
     level,
-    spectra,
+    roughness,
     agreement,
     obstacles,
 )

@@ -1,4 +1,4 @@
-"""Roughness scores: spectral density, ISO 8608 class, IRI.
+"""Roughness: spectral densities, ISO 8608 classes and IRI of an estimate against the true ones.
 
 Truth `y` and estimate `a` are heights (2, M) [m], `ds` [m] apart; their densities `G_y` and `G_a`
 (2, K) [m³] at `n` (K,) [cycles/m] use the same settings (ISO 8608: Welch, Hann, 50 % overlap,
@@ -8,9 +8,11 @@ from. Ratios of densities are 10 log10(estimate / truth) [dB], clipped to +-60 d
 
 import numpy as np
 
-from leaderboard.metrics.heights import SCORED_F_MAX, Band
+from leaderboard.metrics.api import PERCENT, Metric, ScoredEstimate, metrics
+from road_envs.records.record import SCORED_F_MAX
 from road_envs.records.roughness import (
     CLASSES,
+    Band,
     band_means,
     fit_line,
     golden_car,
@@ -19,77 +21,126 @@ from road_envs.records.roughness import (
     smooth_psd,
 )
 
-MAX_RATIO_DB = 60.0  # [dB]
-IRI_SEGMENT_LENGTH = 100.0  # [m]
-OCTAVE_CENTRES = (0.25, 0.5, 1.0, 2.0)  # [cycles/m] octaves in which classes are compared
 THIRD_OCTAVES = 2.0 ** (np.arange(-9, 6) / 3.0)
 """Centres [cycles/m] of the third octaves of the error spectrum: 0.125 to 3.17."""
+
+_MAX_RATIO_DB = 60.0  # [dB]
+_IRI_SEGMENT_LENGTH = 100.0  # [m]
+_OCTAVE_CENTRES = (0.25, 0.5, 1.0, 2.0)  # [cycles/m] octaves in which classes are compared
+
+
+@metrics(
+    Metric("dsd_distance_db", "DSD distance", unit="dB", digits=1, head="DSD", help="RMS ratio of "
+           "the estimated to the true displacement density over third octaves in band."),
+    Metric("dsd_bias_db", "DSD bias", unit="dB", digits=1, better="zero", head="bias",
+           help="Mean ratio of the estimated to the true density over third octaves in band."),
+)  # fmt: skip
+def _density_ratio(scored: ScoredEstimate) -> tuple[float, ...]:
+    n, (G_y, G_a, _) = scored.densities
+    low, high = scored.band
+    k = np.arange(np.ceil(3 * np.log2(low)), np.floor(3 * np.log2(high)) + 1)
+    begin, end = 2.0 ** ((k - 0.5) / 3), 2.0 ** ((k + 0.5) / 3)
+    inside = (begin >= low) & (end <= high)
+    true, estimated = (band_means(n, G, begin[inside], end[inside]) for G in (G_y, G_a))
+    ratio = _decibels(estimated, true)
+    return float(np.sqrt(np.mean(ratio**2))), float(np.mean(ratio))
+
+
+def _class_steps(scored: ScoredEstimate) -> np.ndarray:
+    n, (G_y, G_a, _) = scored.densities
+    return class_differences(n, G_y, G_a, scored.v)
+
+
+@metrics(
+    Metric("class_exact", "octaves in the true class", **PERCENT, better="high", head="class",
+           help="Share of octaves from 0.25 to 2 cycles/m whose ISO 8608 class is that of the true "
+           "road. Octaves that the 25 Hz low-pass cuts do not count. A class is 6 dB wide."),
+    Metric("class_within_one", "octaves within one class", **PERCENT, better="high",
+           head="within one",
+           help="Share of octaves whose class is at most one from that of the true road."),
+)  # fmt: skip
+def _octave_classes(scored: ScoredEstimate) -> tuple[float, ...]:
+    steps = scored.shared(_class_steps)
+    return _share(steps == 0), _share(np.abs(steps) <= 1)
+
+
+@metrics(
+    Metric("fitted_class", "fitted class correct", **PERCENT, better="high", head="fitted",
+           help="Share of wheel paths whose class, of a line with w = 2 fitted in band, is the "
+           "true one."),
+    Metric("G_d0_error_db", "error of Gd(n0)", unit="dB", digits=1, head="level", help="Error of "
+           "the roughness level Gd(n0), fitted with w = 2 in band; a class is 6 dB wide."),
+    Metric("G_d0_bias_db", "signed error of Gd(n0)", unit="dB", digits=1, better="zero",
+           head="± level", help="Signed error of the roughness level Gd(n0): negative where the "
+           "estimate is too smooth."),
+)  # fmt: skip
+def _fitted_line(scored: ScoredEstimate) -> tuple[float, ...]:
+    n, (G_y, G_a, _) = scored.densities
+    true, found = (np.array([_fitted_G_d0(n, G, scored.band) for G in Gs]) for Gs in (G_y, G_a))
+    right = [roughness_class(a) == roughness_class(y) for a, y in zip(found, true, strict=True)]
+    error = _decibels(found, true)
+    return float(np.mean(right)), float(np.mean(np.abs(error))), float(np.mean(error))
+
+
+@metrics(
+    Metric("iri_error", "IRI error", unit="mm/m", head="IRI",
+           help="Mean absolute error of the international roughness index per 100 m."),
+    Metric("iri_error_relative", "relative IRI error", **PERCENT, head="IRI", help="Mean absolute "
+           "error of the international roughness index, relative to the true mean."),
+)  # fmt: skip
+def _iri_errors(scored: ScoredEstimate) -> tuple[float, ...]:
+    true, estimated = _iri(scored.y, scored.ds), _iri(scored.a, scored.ds)
+    error = float(np.mean(np.abs(estimated - true)))
+    return error, error / float(true.mean()) if true.any() else np.nan
+
+
+@metrics(*(
+    Metric(f"class_exact_{n:g}", f"class at {n:g} cycles/m", **PERCENT, better="high",
+           head=f"at {n:g}", help="Share of wheel paths with the true ISO 8608 class in the octave "
+           f"of {n:g} cycles/m.")
+    for n in _OCTAVE_CENTRES
+))  # fmt: skip
+def _class_by_octave(scored: ScoredEstimate) -> list[float]:
+    shares = [_share(steps == 0) for steps in scored.shared(_class_steps).T]
+    return shares + [np.nan] * (len(_OCTAVE_CENTRES) - len(shares))
+
+
+@metrics(*(
+    Metric(f"error_at_{n:.3g}", f"NRMSE at {n:.3g} cycles/m",
+           help=f"RMS error over RMS truth in the third octave of {n:.3g} cycles/m.")
+    for n in THIRD_OCTAVES
+))  # fmt: skip
+def _error_by_third_octave(scored: ScoredEstimate) -> list[float]:
+    n, (G_y, _, G_e) = scored.densities
+    return third_octave_errors(n, G_y, G_e)
 
 
 def third_octave_errors(n: np.ndarray, G_y: np.ndarray, G_e: np.ndarray) -> list[float]:
     """Return the NRMSE [-] in each of THIRD_OCTAVES, of both wheel paths together."""
-    true, wrong = (
-        band_means(
-            n, G.sum(axis=0), THIRD_OCTAVES * 2.0 ** (-1 / 6), THIRD_OCTAVES * 2.0 ** (1 / 6)
-        )
-        for G in (G_y, G_e)
-    )
+    limits = THIRD_OCTAVES * 2.0 ** (-1 / 6), THIRD_OCTAVES * 2.0 ** (1 / 6)
+    true, wrong = (band_means(n, G.sum(axis=0), *limits) for G in (G_y, G_e))
     ratio = np.divide(wrong, true, out=np.full_like(true, np.nan), where=true > 0)
     return np.sqrt(ratio).tolist()
-
-
-def dsd_distance(
-    n: np.ndarray, G_y: np.ndarray, G_a: np.ndarray, band: Band
-) -> tuple[float, float]:
-    """Return RMS and mean [dB] of the density ratios over the third octaves inside `band`."""
-    k = np.arange(np.ceil(3 * np.log2(band[0])), np.floor(3 * np.log2(band[1])) + 1)
-    low, high = 2.0 ** ((k - 0.5) / 3), 2.0 ** ((k + 0.5) / 3)
-    inside = (low >= band[0]) & (high <= band[1])
-    true, estimated = (band_means(n, G, low[inside], high[inside]) for G in (G_y, G_a))
-    ratio = _decibels(estimated, true)
-    return float(np.sqrt(np.mean(ratio**2))), float(np.mean(ratio))
 
 
 def class_differences(n: np.ndarray, G_y: np.ndarray, G_a: np.ndarray, v: float) -> np.ndarray:
     """Return estimated minus true ISO class (2, octaves), in classes; 0 where it is right.
 
-    Covers those of OCTAVE_CENTRES that the 25 Hz low-pass at `v` [m/s] leaves whole; perhaps none.
+    Covers the octaves that the 25 Hz low-pass at `v` [m/s] leaves whole; perhaps none.
     """
-    whole = [n_c for n_c in OCTAVE_CENTRES if n_c * np.sqrt(2.0) <= SCORED_F_MAX / v]
+    whole = [n_c for n_c in _OCTAVE_CENTRES if n_c * np.sqrt(2.0) <= SCORED_F_MAX / v]
     if not whole:
         return np.zeros((2, 0), dtype=int)
-    octaves = (whole[0], whole[-1])
-    true, estimated = (octave_levels(n, G, octaves)[1] for G in (G_y, G_a))
-    return np.vectorize(_class_index, otypes=[int])(estimated) - np.vectorize(
-        _class_index, otypes=[int]
-    )(true)
-
-
-def fitted_class(
-    n: np.ndarray, G_y: np.ndarray, G_a: np.ndarray, band: Band
-) -> tuple[float, float, float]:
-    """Return the share [-] of wheel paths in the right class, and the error of Gd(n0) [dB].
-
-    The error is given as mean magnitude and as signed mean. Class and Gd(n0) are those of the line
-    with w = 2 fitted to the smoothed density inside `band`.
-    """
-    true, estimated = (np.array([_fitted_G_d0(n, path, band) for path in G]) for G in (G_y, G_a))
-    right = [roughness_class(a) == roughness_class(y) for a, y in zip(estimated, true, strict=True)]
-    error = _decibels(estimated, true)
-    return float(np.mean(right)), float(np.mean(np.abs(error))), float(np.mean(error))
-
-
-def iri_error(y: np.ndarray, a: np.ndarray, ds: float) -> tuple[float, float]:
-    """Return the mean absolute IRI error per 100 m, in mm/m and relative to the true mean."""
-    true, estimated = _iri(y, ds), _iri(a, ds)
-    error = float(np.mean(np.abs(estimated - true)))
-    return error, error / float(true.mean()) if true.any() else np.nan
+    levels = np.stack([octave_levels(n, G, (whole[0], whole[-1]))[1] for G in (G_y, G_a)])
+    index = np.vectorize(lambda G_d0: [*CLASSES].index(roughness_class(G_d0)), otypes=[int])
+    true, estimated = index(levels)
+    return estimated - true
 
 
 def _iri(z: np.ndarray, ds: float) -> np.ndarray:
     """Return the IRI (2, segments) [mm/m] of whole segments of about 100 m."""
     motion = 1e3 * np.abs(golden_car(z, ds))  # m/m to mm/m
-    segments = max(1, round(z.shape[-1] * ds / IRI_SEGMENT_LENGTH))
+    segments = max(1, round(z.shape[-1] * ds / _IRI_SEGMENT_LENGTH))
     return np.array([part.mean(axis=-1) for part in np.array_split(motion, segments, axis=-1)]).T
 
 
@@ -100,11 +151,11 @@ def _fitted_G_d0(n: np.ndarray, G: np.ndarray, band: Band) -> float:
     return fit_line(n, G, w=2.0, band=band)[0] if inside.sum() >= 2 else 0.0
 
 
-def _class_index(G_d0: float) -> int:
-    return list(CLASSES).index(roughness_class(G_d0))
-
-
 def _decibels(a: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return 10 log10(a / y), clipped to +-MAX_RATIO_DB; NaN where both are 0."""
+    """Return 10 log10(a / y), clipped to +-60 dB; NaN where both are 0."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.clip(10.0 * np.log10(a / y), -MAX_RATIO_DB, MAX_RATIO_DB)
+        return np.clip(10.0 * np.log10(a / y), -_MAX_RATIO_DB, _MAX_RATIO_DB)
+
+
+def _share(hits: np.ndarray) -> float:
+    return float(np.mean(hits)) if hits.size else np.nan

@@ -17,7 +17,7 @@ from leaderboard.evaluation.bound import fit_spectrum
 from leaderboard.evaluation.comparison import scores_by_run
 from leaderboard.evaluation.results import Result, make_table
 from leaderboard.evaluation.tasks import Condition, Task
-from leaderboard.evaluation.test_data import DriveSimulation, RecordedDrive, simulate_drives
+from leaderboard.evaluation.test_data import RecordedDrive, simulate_drives
 from leaderboard.running.board import Board
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.core.artifacts import Kind
@@ -25,18 +25,14 @@ from road_envs.core.code_digest import cache_home
 from road_envs.records.record import scored_band
 from road_envs.vehicle.parameters import VehicleParameters
 
-ATTAINABLE = Kind(
+_ATTAINABLE = Kind(
     "attainable error", 1, ("leaderboard.evaluation.evaluate", attainable_error.__module__)
 )
 BANDWIDTH = 100.0
 """Bandwidth [Hz] of the data; the estimators of this package use no more."""
 
 
-def with_attainable(
-    board: Board,
-    report: Callable[[str], None] = lambda text: None,
-    simulate: DriveSimulation = simulate_drives,
-) -> Board:
+def with_attainable(board: Board, report: Callable[[str], None] = lambda text: None) -> Board:
     """Return the board with `attainable_nrmse` and `attainable_efficiency` of every drive."""
     results = dict(board.results)
     for task in board.tasks:
@@ -44,32 +40,25 @@ def with_attainable(
         for condition in task.conditions:
             if condition.grade == "S0" and task.bound:
                 report(f"{task.name}: attainable error, {condition.label}")
-                errors = _attainable_errors(task, condition, simulate)
+                errors = _attainable_errors(task, condition)
                 found |= {(condition.label, k): error for k, error in errors.items()}
         results[task.name] = [_with_scores(result, found) for result in results[task.name]]
     return dataclasses.replace(board, results=results)
 
 
-def _attainable_errors(
-    task: Task, condition: Condition, simulate: DriveSimulation = simulate_drives
-) -> dict[int, float]:
+def _attainable_errors(task: Task, condition: Condition) -> dict[int, float]:
     """Return the attainable in-band NRMSE [-] by test drive; NaN where it is not defined."""
 
     def compute() -> dict[str, dict[str, float]]:
-        drives = simulate(task, task.test, condition)
+        drives, car = simulate_drives(task, task.test, condition), task.vehicle_of(condition)
         # keys as text: a file of JSON has no others
-        errors = {
-            str(d.index): drive_error(task, condition, d, task.vehicle_of(condition))
-            for d in drives
-        }
-        return {"errors": errors}
+        return {"errors": {str(d.index): drive_error(task, condition, d, car) for d in drives}}
 
-    identity = ATTAINABLE.identity(task.digest, condition.label)
-    return ATTAINABLE.find_or_make(cache_home(), identity, compute, _errors)
+    def parse(data: Mapping[str, Any]) -> dict[int, float]:
+        return {int(k): np.nan if x is None else x for k, x in data["errors"].items()}
 
-
-def _errors(data: Mapping[str, Any]) -> dict[int, float]:
-    return {int(k): np.nan if x is None else x for k, x in data["errors"].items()}
+    identity = _ATTAINABLE.identity(task.digest, condition.label)
+    return _ATTAINABLE.find_or_make(cache_home(), identity, compute, parse)
 
 
 def drive_error(
@@ -82,12 +71,7 @@ def drive_error(
     prior = RoadPrior(G_d0=10.0 ** (road[0] / 10.0), w=road[1])
     try:
         return attainable_error(
-            drive.record,
-            drive.truth,
-            car,
-            prior,
-            bandwidth=BANDWIDTH,
-            instruments=task.instruments,
+            drive.record, drive.truth, car, prior, bandwidth=BANDWIDTH, instruments=task.instruments
         )
     except (ArithmeticError, ValueError):  # the motion is not finite; a frame that twists
         return np.nan

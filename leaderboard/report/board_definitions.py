@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from leaderboard.evaluation.boards import BoardDefinition
-from leaderboard.metrics.api import Metric
+from leaderboard.metrics.api import PERCENT, Metric
 from leaderboard.metrics.registry import SCORES
 from road_envs.core.config import validate_choice
 from road_envs.sensing.perturbed_vehicle import GRADES
@@ -26,7 +26,7 @@ TEXT_COLUMNS = ("interval", "states", "slope_interval", "calibrates")
 """Columns that are not a single number."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Column(Metric):
     """A metric in a table, labelled by its head; `wide` ones are shown on request only."""
 
@@ -34,89 +34,54 @@ class Column(Metric):
 
 
 _DERIVED = (
-    Metric(
-        key="rank", label="rank", digits=0, blank="",
-        help="In the order of the score, entries share the rank of the best of them unless it is "
-        "significantly better (95 % interval of the paired difference below 0); the next group has "
-        "its place as rank. None from fewer than five roads.",
-    ),
-    Metric(
-        key="rank_causal", label="rank among causal entries", head="among causal", digits=0,
-        blank="", help="Rank among the entries that use no future of the record.",
-    ),
-    Metric(
-        key="interval", label="95 % interval", head="95 %",
-        help="95 % interval of the interquartile mean, by a bootstrap over roads within their "
-        "families, then over training seeds. None from fewer than five roads.",
-    ),
-    Metric(key=WORST, label="worst drive", head="worst",
-        help="Largest score of any drive. None from fewer than five roads.",
-    ),
+    Metric("rank", "rank", digits=0, blank="",
+           help="In the order of the score, entries share the rank of the best of them unless it "
+           "is significantly better (95 % interval of the paired difference below 0); the next "
+           "group has its place as rank. None from fewer than five roads."),
+    Metric("rank_causal", "rank among causal entries", head="among causal", digits=0, blank="",
+           help="Rank among the entries that use no future of the record."),
+    Metric("interval", "95 % interval", head="95 %",
+           help="95 % interval of the interquartile mean, by a bootstrap over roads within their "
+           "families, then over training seeds. None from fewer than five roads."),
+    Metric(WORST, "worst drive", head="worst",
+           help="Largest score of any drive. None from fewer than five roads."),
     *(
-        Metric(
-            key=key, label=f"drives above {limit:g}", head=f"> {limit:g}", unit="%", factor=100.0,
-            digits=0, help=f"Share of drives whose ranking score is above {limit:g}.",
-        )
+        Metric(key, f"drives above {limit:g}", head=f"> {limit:g}", **PERCENT,
+               help=f"Share of drives whose ranking score is above {limit:g}.")
         for key, limit in TAIL.items()
     ),
-    Metric(
-        key=BELOW_BOUND, label="drives below the bound", head="< bound", unit="%", factor=100.0,
-        digits=0, better="",
-        help=f"Share of drives with an error below the {BOUND_NAME}. It is no floor: an estimator "
-        "that uses the nonlinear car and higher frequencies can be below, and so can any on roads "
-        "with single obstacles.",
-    ),
-    Metric(
-        key="train_seconds", label="training time", head="train", unit="s", digits=1, blank="",
-        help="Mean time of one training under one condition.",
-    ),
-    Metric(
-        key="estimate_ms_per_100m", label="time per 100 m", head="time", unit="ms/100m", digits=1,
-        blank="", help="Time of an estimate for 100 m of road, on the machine of the run.",
-    ),
-    Metric(
-        key="parameters", label="fitted parameters", head="weights", digits=0, blank="",
-        help="Number of fitted parameters.",
-    ),
-    Metric(
-        key="states", label="states of the trainings", head="trainings", unit="<15/15-25/>25 %",
-        help="Number of trainings that were near-optimal, sub-optimal and unstable in the sense of "
-        "the paper's Appendix A: eq. 12 as printed below 15, 15 to 25, above 25 %.",
-    ),
+    Metric(BELOW_BOUND, "drives below the bound", head="< bound", **PERCENT, better="",
+           help=f"Share of drives with an error below the {BOUND_NAME}. It is no floor: an "
+           "estimator that uses the nonlinear car and higher frequencies can be below, and so can "
+           "any on roads with single obstacles."),
+    Metric("train_seconds", "training time", head="train", unit="s", digits=1, blank="",
+           help="Mean time of one training under one condition."),
+    Metric("estimate_ms_per_100m", "time per 100 m", head="time", unit="ms/100m", digits=1,
+           blank="", help="Time of an estimate for 100 m of road, on the machine of the run."),
+    Metric("parameters", "fitted parameters", head="weights", digits=0, blank="",
+           help="Number of fitted parameters."),
+    Metric("states", "states of the trainings", head="trainings", unit="<15/15-25/>25 %",
+           help="Number of trainings that were near-optimal, sub-optimal and unstable in the sense "
+           "of the paper's Appendix A: eq. 12 as printed below 15, 15 to 25, above 25 %."),
     *(
-        Metric(
-            key=f"grade_{grade}", label=f"in-band NRMSE on car {grade}", head=grade, digits=3,
-            help=f"In-band NRMSE on cars of grade {grade}.",
-        )
+        Metric(f"grade_{grade}", f"in-band NRMSE on car {grade}", head=grade, digits=3,
+               help=f"In-band NRMSE on cars of grade {grade}.")
         for grade in GRADES
     ),
-    Metric(
-        key="slope", label="growth of the NRMSE per grade", head="slope", unit="per grade",
-        digits=3, better="zero", help="Least-squares slope of the NRMSE over the grades of car.",
-    ),
-    Metric(
-        key="calibrates", label="calibrated to the vehicle", head="calibrated", blank="",
-        help="Whether the estimator uses the calibration drives that it is given before each test "
-        "drive; the others ignore them.",
-    ),
-    Metric(
-        key="calibrate_seconds", label="calibration time", head="calibrate", unit="s", digits=1,
-        blank="", help="Mean time of a calibration. Drives that an estimator before it has "
-        "identified the same vehicle from take none.",
-    ),
-    Metric(
-        key="slope_interval", label="95 % interval of the slope", head="95 %",
-        help="95 % interval of the slope, by the same bootstrap as that of the mean.",
-    ),
+    Metric("slope", "growth of the NRMSE per grade", head="slope", unit="per grade", digits=3,
+           better="zero", help="Least-squares slope of the NRMSE over the grades of car."),
+    Metric("calibrates", "calibrated to the vehicle", head="calibrated", blank="",
+           help="Whether the estimator uses the calibration drives that it is given before each "
+           "test drive; the others ignore them."),
+    Metric("calibrate_seconds", "calibration time", head="calibrate", unit="s", digits=1, blank="",
+           help="Mean time of a calibration. Drives that an estimator before it has identified the "
+           "same vehicle from take none."),
+    Metric("slope_interval", "95 % interval of the slope", head="95 %",
+           help="95 % interval of the slope, by the same bootstrap as that of the mean."),
 )  # fmt: skip
 
 COLUMNS: dict[str, Metric] = {**SCORES, **{column.key: column for column in _DERIVED}}
 """Every column by key: the scores, and what is derived from them."""
-
-
-def label_with_unit(form: Metric) -> str:
-    """Return a label and its unit in brackets."""
-    return f"{form.label} [{form.unit}]" if form.unit else form.label
 
 
 def board_columns(name: str, definition: BoardDefinition) -> tuple[Column, ...]:

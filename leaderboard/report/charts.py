@@ -35,32 +35,25 @@ from leaderboard.report.figures import (
 from leaderboard.report.tables import SPECTRUM_SCORES, Row
 from road_envs.records.roughness import CLASSES, N_0, displacement_psd, smooth_psd
 
-RAW_SPACING = 0.05
-"""Least spacing [m] at which raw heights are drawn."""
+_RAW_SPACING = 0.05  # least spacing [m] at which raw heights are drawn
 
-IN_BAND_SPACING = 0.1
+_IN_BAND_SPACING = 0.1
 """Least spacing [m] at which band-passed heights are drawn: 5 points of the shortest wave."""
 
-KINDS = ("inside", "raw")
+_KINDS = ("inside", "raw")
 """Drawn heights: inside the scored band, and about their median, as no sensor knows the datum."""
 
-N_SHOWN = 2
-"""Number of entries, best first, whose lines are shown at first."""
+_N_SHOWN = 2  # number of entries, best first, whose lines are shown at first
+_CLASS_FREQUENCIES = (0.05, 10.0)  # range [cycles/m] of the chart of densities
+_THRESHOLDS = 41  # points of a performance profile, from 0 to the scale of the board
+_REPLICATES = 300  # bootstrap replicates of a performance profile: enough for a drawn line
 
-CLASS_FREQUENCIES = (0.05, 10.0)
-"""Range [cycles/m] of the chart of densities."""
+_SYMBOLS = {"detected": "circle-open", "missed": "x-thin-open", "false alarm": "diamond-open"}
 
-THRESHOLDS = 41
-"""Points of a performance profile, from 0 to the scale of the board."""
-
-REPLICATES = 300
-"""Bootstrap replicates of a performance profile: enough for a drawn line."""
-
-SIDES = ("left", "right")
-OBSTACLE_SYMBOLS = {
-    "detected": "circle-open",
-    "missed": "x-thin-open",
-    "false alarm": "diamond-open",
+HEIGHT_AXES: dict[str, Any] = {
+    "hovermode": "x unified",
+    "xaxis": axis("distance [m]", unifiedhovertitle={"text": "%{x:.1f} m"}),
+    "yaxis": axis("height [mm]"),
 }
 
 
@@ -95,47 +88,33 @@ def _counted_runs(result: Result, key: str) -> np.ndarray:
 
 def _visibility(k: int) -> dict[str, Any]:
     """Return whether the line of entry number `k` is shown at first."""
-    return {} if k < N_SHOWN else {"visible": "legendonly"}
-
-
-def _heights_of(trace: Trace, z: np.ndarray, kind: str) -> tuple[float, float, np.ndarray]:
-    """Return first station and spacing [m] of drawn heights (2, N) [m] of a kind in KINDS."""
-    if kind == "inside":
-        inside = band_pass(z, trace.ds, scored_band(trace.speed_kmh / 3.6))
-        first, spacing = (z.shape[1] - inside.shape[1]) // 2, IN_BAND_SPACING
-    else:
-        inside = z - np.median(z, axis=1, keepdims=True)
-        first, spacing = 0, RAW_SPACING
-    stride = max(1, round(spacing / trace.ds))
-    return first * trace.ds, stride * trace.ds, inside[:, ::stride]
+    return {} if k < _N_SHOWN else {"visible": "legendonly"}
 
 
 def height_lines(traces: Mapping[str, Trace], side: int, kind: str) -> list[dict[str, Any]]:
-    """Return the truth and the estimates of one wheel path, N_SHOWN of them visible at first."""
+    """Return the truth and the estimates of one wheel path, _N_SHOWN of them visible at first."""
     reference = next(iter(traces.values()))
     lines = [_height_line("truth", reference, reference.z_true, side, kind) | {"line": TRUTH_LINE}]
     for k, (name, trace) in enumerate(traces.items()):
         line = _height_line(name, trace, trace.z_estimated, side, kind)
         if kind == "inside" and trace.z_std is not None:
-            first = round(line["x0"] / trace.ds)
-            stride = round(line["dx"] / trace.ds)
-            std = trace.z_std[side, first:][::stride][: len(line["dy"])]
-            line["std"] = encode_std(std)
+            first, stride = (round(line[key] / trace.ds) for key in ("x0", "dx"))
+            line["std"] = encode_std(trace.z_std[side, first::stride][: len(line["dy"])])
         lines.append(line | {"line": line_style(name)} | _visibility(k))
     return lines
 
 
 def _height_line(name: str, trace: Trace, z: np.ndarray, side: int, kind: str) -> dict[str, Any]:
-    first, spacing, heights = _heights_of(trace, z, kind)
-    return {
-        "name": name,
-        "legendgroup": name,
-        "mode": "lines",
-        "x0": rounded(first),
-        "dx": rounded(spacing),
-        "dy": encode_heights(heights[side]),
-        "hovertemplate": "%{y:.1f} mm",
-    }
+    """Return a line of drawn heights (2, N) [m] of a kind in _KINDS."""
+    drawn, spacing = z - np.median(z, axis=1, keepdims=True), _RAW_SPACING
+    if kind == "inside":
+        drawn = band_pass(z, trace.ds, scored_band(trace.speed_kmh / 3.6))
+        spacing = _IN_BAND_SPACING
+    first, stride = (z.shape[1] - drawn.shape[1]) // 2, max(1, round(spacing / trace.ds))
+    heights = encode_heights(drawn[side, ::stride])
+    at = {"x0": rounded(first * trace.ds), "dx": rounded(stride * trace.ds), "dy": heights}
+    look = {"legendgroup": name, "mode": "lines", "hovertemplate": "%{y:.1f} mm"}
+    return {"name": name, **at, **look}
 
 
 def _road_chart(drawn: Mapping[Condition, Mapping[str, Trace]]) -> Chart:
@@ -147,19 +126,13 @@ def _road_chart(drawn: Mapping[Condition, Mapping[str, Trace]]) -> Chart:
             f"{trace.s[-1] + trace.ds:.0f} m; of a trained entry, the training with the median "
             "error"
         )
-        for side, path in enumerate(SIDES):
+        for side, path in enumerate(("left", "right")):
             marks = _obstacle_marks(traces, side)
-            for kind in KINDS:
+            for kind in _KINDS:
                 lines = height_lines(traces, side, kind) + (marks if kind == "raw" else [])
                 figures[f"{condition.label}|{path}|{kind}"] = {"data": lines, "caption": caption}
-    layout = {
-        "height": 420,
-        "hovermode": "x unified",
-        "xaxis": axis("distance [m]", unifiedhovertitle={"text": "%{x:.1f} m"}),
-        "yaxis": axis("height [mm]"),
-    }
-    title = "Truth and estimates along the road"
-    return chart(title, figures, layout, by=("condition", "side", "kind"))
+    title, by = "Truth and estimates along the road", ("condition", "side", "kind")
+    return chart(title, figures, {"height": 420, **HEIGHT_AXES}, by=by)
 
 
 def _obstacle_marks(traces: Mapping[str, Trace], side: int) -> list[dict[str, Any]]:
@@ -170,9 +143,9 @@ def _obstacle_marks(traces: Mapping[str, Trace], side: int) -> list[dict[str, An
         matches = match_obstacles(trace.z_true, trace.z_estimated, trace.ds)
         if matches is None:
             continue
-        path = matches[side]
-        kinds = ([mine for _, mine in path.pairs], path.missed, path.false)
-        for obstacles, (kind, symbol) in zip(kinds, OBSTACLE_SYMBOLS.items(), strict=True):
+        pairs, missed, false = matches[side]
+        kinds = ([mine for _, mine in pairs], missed, false)
+        for obstacles, (kind, symbol) in zip(kinds, _SYMBOLS.items(), strict=True):
             if obstacles:
                 marks.append(_marks(name, kind, obstacles, symbol, colour(name)) | _visibility(k))
     return marks
@@ -206,7 +179,7 @@ def _density_chart(drawn: Mapping[Condition, Mapping[str, Trace]]) -> Chart:
             "layout": {"shapes": [upright(n) for n in scored_band(condition.speed_kmh / 3.6)]},
         }
     layout = {
-        "xaxis": frequency_axis(*CLASS_FREQUENCIES),
+        "xaxis": frequency_axis(*_CLASS_FREQUENCIES),
         "yaxis": axis("density [m³]", -9, -1, type="log", exponentformat="power", dtick=2),
         "annotations": _class_letters(),
     }
@@ -224,7 +197,7 @@ def _density(name: str, z: np.ndarray, ds: float) -> dict[str, Any]:
 
 def _class_areas() -> list[dict[str, Any]]:
     """Return the areas of every second class; its densities are half to twice the mean."""
-    n = list(CLASS_FREQUENCIES)
+    n = list(_CLASS_FREQUENCIES)
     means = list(CLASSES.values())[::2]
     return [
         area(n, _class_line(0.5 * G), _class_line(2.0 * G), fillcolor=BAND, name="class")
@@ -234,7 +207,7 @@ def _class_areas() -> list[dict[str, Any]]:
 
 def _class_letters() -> list[dict[str, Any]]:
     """Return letters of the shaded classes at the right edge; annotations take powers of ten."""
-    n = CLASS_FREQUENCIES[1]
+    n = _CLASS_FREQUENCIES[1]
     look = {"showarrow": False, "xanchor": "right", "font": {"color": QUIET}}
     at = {letter: np.log10(_class_line(G)[1]) for letter, G in CLASSES.items()}
     return [
@@ -246,7 +219,7 @@ def _class_letters() -> list[dict[str, Any]]:
 
 def _class_line(level: float) -> list[float]:
     # ISO 8608 classes have waviness 2
-    return [level * (n / N_0) ** -2.0 for n in CLASS_FREQUENCIES]
+    return [level * (n / N_0) ** -2.0 for n in _CLASS_FREQUENCIES]
 
 
 def error_lines(rows: Mapping[str, Row], group: str) -> list[dict[str, Any]]:
@@ -255,7 +228,7 @@ def error_lines(rows: Mapping[str, Row], group: str) -> list[dict[str, Any]]:
     for k, (name, row) in enumerate(rows.items()):
         values = row.groups.get(group, row.values)
         y = [None if (x := values.get(key)) is None else rounded(x, 4) for key in SPECTRUM_SCORES]
-        look = {"line": line_style(name), "hovertemplate": ERROR_HOVER}
+        look = {"line": line_style(name), "hovertemplate": _ERROR_HOVER}
         lines.append(curve(name, THIRD_OCTAVES, y, **look, **_visibility(k)))
     return lines
 
@@ -263,7 +236,7 @@ def error_lines(rows: Mapping[str, Row], group: str) -> list[dict[str, Any]]:
 _BOUNDS: dict[tuple[str, str], list[float]] = {}
 """Bounds by task and condition: every page of an estimator shows them."""
 
-ERROR_HOVER = "%{y:.3f} at %{x:.2f} cycles/m"
+_ERROR_HOVER = "%{y:.3f} at %{x:.2f} cycles/m"
 
 
 def bound_line(task: Task, condition: Condition) -> dict[str, Any]:
@@ -272,7 +245,7 @@ def bound_line(task: Task, condition: Condition) -> dict[str, Any]:
     if key not in _BOUNDS:
         _BOUNDS[key] = [rounded(x, 4) for x in third_octave_bound(task, condition)]
     look = {"color": INK, "dash": "dot", "width": 1.6}
-    return curve("bound", THIRD_OCTAVES, _BOUNDS[key], line=look, hovertemplate=ERROR_HOVER)
+    return curve("bound", THIRD_OCTAVES, _BOUNDS[key], line=look, hovertemplate=_ERROR_HOVER)
 
 
 def error_axes() -> dict[str, Any]:
@@ -299,11 +272,11 @@ def _runs_chart(
     scores: Mapping[str, np.ndarray], definition: BoardDefinition, strata: Strata
 ) -> Chart:
     """Return the performance profiles of scores (R, C, S), with their intervals."""
-    thresholds = np.linspace(0.0, definition.scale, THRESHOLDS)
+    thresholds = np.linspace(0.0, definition.scale, _THRESHOLDS)
     x = [rounded(limit) for limit in thresholds]
     data = []
     for k, (name, values) in enumerate(scores.items()):
-        profile = performance_profile(values, thresholds, replicates=REPLICATES, strata=strata)
+        profile = performance_profile(values, thresholds, replicates=_REPLICATES, strata=strata)
         share, low, high = (np.round(100.0 * y, 1).tolist() for y in profile)
         own = {"legendgroup": name, **_visibility(k)}
         data.append(area(x, low, high, fillcolor=f"{colour(name)}2e", name=name, **own))

@@ -9,7 +9,7 @@ from leaderboard.evaluation.results import Result
 from leaderboard.evaluation.store import load
 from road_envs.core.config import ConfigError, validate_choice
 
-PROJECT = """@software{{road_recon,
+_PROJECT = """@software{{road_recon,
   title = {{RoadRecon: road profile reconstruction from vehicle responses}},
   version = {{{version}}},{note}
 }}
@@ -22,19 +22,19 @@ PROJECT = """@software{{road_recon,
   journal = {{Journal of Terramechanics}},
 }}
 """
-ENTRY = """
+_ENTRY = """
 @misc{{road_recon_{name},
   title = {{{name}, an entry of the RoadRecon leaderboard}},{authors}
   note = {{{note}}},
 }}
 """
-SPECIAL = str.maketrans({c: f"\\{c}" for c in "&%$#_{}"} | {"\\": "", "\n": " "})
+_SPECIAL = str.maketrans({c: f"\\{c}" for c in "&%$#_{}"} | {"\\": "", "\n": " "})
 
 
 def as_bibtex(note: str = "") -> str:
     """Entries of this project, with a `note` on what is cited of it, and of the paper."""
-    line = f"\n  note = {{{note.translate(SPECIAL)}}}," if note else ""
-    return PROJECT.format(version=package_version(), note=line)
+    line = f"\n  note = {{{note.translate(_SPECIAL)}}}," if note else ""
+    return _PROJECT.format(version=package_version(), note=line)
 
 
 def cite_entry(out: Path, name: str) -> str:
@@ -50,10 +50,10 @@ def cite_entry(out: Path, name: str) -> str:
     card = find_method_card(out, name)
     authors = ""
     if card is not None:
-        authors = f"\n  author = {{{' and '.join(card.authors).translate(SPECIAL)}}},"
+        authors = f"\n  author = {{{' and '.join(card.authors).translate(_SPECIAL)}}},"
     reference = "none" if card is None else card.citation
     note = _what_ran(rows) + (f"; {reference}" if reference != "none" else "")
-    return ENTRY.format(name=name, authors=authors, note=note.translate(SPECIAL))
+    return _ENTRY.format(name=name, authors=authors, note=note.translate(_SPECIAL))
 
 
 def _what_ran(rows: Sequence[Result]) -> str:

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 from leaderboard.evaluation.results import COLUMNS, scores_table
 from leaderboard.metrics.registry import SCORES
-from leaderboard.report.board_definitions import label_with_unit
 from leaderboard.report.citation import as_bibtex
 from leaderboard.report.tables import ALL_RUNS, BoardView, Section, nonempty_columns
 from leaderboard.running.board import Board
@@ -23,14 +22,14 @@ from road_envs.core.atomic_io import atomic_write, write_text
 if TYPE_CHECKING:
     import pandas as pd
 
-FOLDER = "export"
-ROW_FIELDS = ("board", "task", "group", "estimator", "state", "causal", "text")
-NUMBER_FIELDS = (
+_FOLDER = "export"
+_ROW_FIELDS = ("board", "task", "group", "estimator", "state", "causal", "text")
+_NUMBER_FIELDS = (
     "rank", "rank_causal", "low", "high", *SCORES,
     "grade_S0", "grade_S1", "grade_S2", "grade_S3", "slope", "slope_low", "slope_high",
     "train_seconds", "calibrate_seconds", "estimate_ms_per_100m", "parameters",
 )  # fmt: skip
-FORMULA_SIGNS = ("=", "+", "-", "@", "\t", "\r")
+_FORMULA_SIGNS = ("=", "+", "-", "@", "\t", "\r")
 """First characters by which a spreadsheet takes a text for a formula."""
 
 
@@ -38,15 +37,15 @@ def write_exports(board: Board, views: Sequence[BoardView], out: Path) -> None:
     """Write all exports, each atomically."""
     boards = ", ".join(view.board.replace("_", " ") for view in views)
     texts = {"road_recon.bib": as_bibtex(f"results of board {boards}")}
-    (out / FOLDER).mkdir(parents=True, exist_ok=True)
+    (out / _FOLDER).mkdir(parents=True, exist_ok=True)
     for view in views:
         texts[f"{view.board}.csv"] = _as_csv(view)
         texts[f"{view.board}.json"] = json.dumps(as_json([view]), indent=1) + "\n"
         texts[f"{view.board}.tex"] = "\n".join(_as_latex(view, s) for s in view.sections)
-        with atomic_write(out / FOLDER / f"{view.board}.parquet") as partial:
+        with atomic_write(out / _FOLDER / f"{view.board}.parquet") as partial:
             _long_table(board, view).to_parquet(partial, index=False)
     for name, text in texts.items():
-        write_text(out / FOLDER / name, text)
+        write_text(out / _FOLDER / name, text)
 
 
 def _long_table(board: Board, view: BoardView) -> "pd.DataFrame":
@@ -72,14 +71,8 @@ def as_json(views: Sequence[BoardView]) -> list[dict[str, Any]]:
             "title": section.title,
             "notes": list(section.notes),
             "entries": [
-                {
-                    "name": row.name,
-                    "state": row.state,
-                    "text": row.message,
-                    "causal": row.causal,
-                    **row.values,
-                    "groups": row.groups,
-                }
+                {"name": row.name, "state": row.state, "text": row.message, "causal": row.causal}
+                | {**row.values, "groups": row.groups}
                 for row in section.rows
             ],
         }
@@ -99,10 +92,10 @@ def _as_csv(view: BoardView) -> str:
         for row in section.rows
         for group, values in {ALL_RUNS: row.values, **row.groups}.items()
     ]
-    table = pd.DataFrame(lines, columns=[*ROW_FIELDS, *NUMBER_FIELDS])
+    table = pd.DataFrame(lines, columns=[*_ROW_FIELDS, *_NUMBER_FIELDS])
     table["causal"] = table["causal"].map({True: "true", False: "false"})
-    texts = table[[*ROW_FIELDS]].map(lambda x: f"'{x}" if str(x).startswith(FORMULA_SIGNS) else x)
-    numbers = table[[*NUMBER_FIELDS]].astype(float)
+    texts = table[[*_ROW_FIELDS]].map(lambda x: f"'{x}" if str(x).startswith(_FORMULA_SIGNS) else x)
+    numbers = table[[*_NUMBER_FIELDS]].astype(float)
     return texts.join(numbers).to_csv(index=False, float_format="%.6g", lineterminator="\n")
 
 
@@ -111,7 +104,7 @@ def _as_latex(view: BoardView, section: Section) -> str:
     import pandas as pd
 
     columns = [column for column in nonempty_columns(view, section) if not column.wide]
-    heads = [label_with_unit(column) for column in columns] or [""]
+    heads = [column.heading for column in columns] or [""]
     lines = []
     for row in section.rows:
         cells = [row.cells.get(column.key, "") for column in columns]

@@ -8,7 +8,7 @@ A chart is plain data:
     figures  by the values of these fields, joined by "|": {data, layout, caption}
 
 Colours are variables of `static/site.css`, so that a figure serves the light and the dark page.
-Heights are integers of HEIGHT_UNIT, encoded as differences under `dy`; `std` is their standard
+Heights are integers of _HEIGHT_UNIT, encoded as differences under `dy`; `std` is their standard
 deviation in that unit, of which the script makes a 90 % band.
 
 `static/plotly-basic.min.js` is the unchanged file of the npm package plotly.js-basic-dist-min 4.1.1
@@ -22,20 +22,11 @@ from typing import Any
 
 import numpy as np
 
-HEIGHT_UNIT = 1e-4
-"""Unit [m] of encoded heights."""
-
-DRAWN_HEIGHT_LIMIT = 3.0
-"""Drawn heights are clipped to +- this [m]."""
-
-N_COLOURS = 7
-"""Number of colours of lines in `static/site.css`: as many as there are FAMILIES."""
-
-DASHES = ("solid", "dash", "dot")
-"""Dashes of the estimators in FAMILIES."""
-
-OTHER_DASHES = ("dashdot", "longdash", "longdashdot")
-"""Dashes of all other estimators."""
+_HEIGHT_UNIT = 1e-4  # unit [m] of encoded heights
+_DRAWN_HEIGHT_LIMIT = 3.0  # drawn heights are clipped to +- this [m]
+_N_COLOURS = 7  # number of colours of lines in `static/site.css`: as many as there are FAMILIES
+_DASHES = ("solid", "dash", "dot")  # dashes of the estimators in FAMILIES
+_OTHER_DASHES = ("dashdot", "longdash", "longdashdot")  # dashes of all other estimators
 
 FAMILIES = (
     ("map_smoother",),
@@ -48,12 +39,12 @@ FAMILIES = (
 )
 """Estimators of one method have one colour on every page, and differ by their dashes."""
 
-STYLES = {
+_STYLES = {
     name: (k, dash)
     for k, family in enumerate(FAMILIES)
-    for name, dash in zip(family, DASHES, strict=False)
+    for name, dash in zip(family, _DASHES, strict=False)
 }
-INK, QUIET, RULE, BAND = "var(--ink)", "var(--quiet)", "var(--rule)", "var(--band)"
+INK, QUIET, BAND = "var(--ink)", "var(--quiet)", "var(--band)"
 TRUTH_LINE = {"color": "var(--truth)", "width": 4.0}
 
 Chart = dict[str, Any]
@@ -71,8 +62,8 @@ def line_style(name: str) -> dict[str, Any]:
 
 def _style(name: str) -> tuple[int, str]:
     digest = zlib.crc32(name.encode())
-    other = OTHER_DASHES[digest // N_COLOURS % len(OTHER_DASHES)]
-    return STYLES.get(name, (digest % N_COLOURS, other))
+    other = _OTHER_DASHES[digest // _N_COLOURS % len(_OTHER_DASHES)]
+    return _STYLES.get(name, (digest % _N_COLOURS, other))
 
 
 def chart(
@@ -121,21 +112,11 @@ def interval_bars(
         (0.0, 0.0) if low is None or high is None else (x - low, high - x)
         for x, (low, high) in zip(values.values(), ends, strict=True)
     ]
-    return {
-        "type": "bar",
-        "orientation": "h",
-        "name": name,
-        "x": [rounded(x, 5) for x in values.values()],
-        "y": list(values),
-        "error_x": {
-            "type": "data",
-            "arrayminus": [rounded(below, 4) for below, _ in spans],
-            "array": [rounded(above, 4) for _, above in spans],
-            "color": INK,
-            "thickness": 1.5,
-            "width": 3,
-        },
-    }
+    below, above = ([rounded(x, 4) for x in ends] for ends in zip(*spans, strict=True))
+    error = {"type": "data", "arrayminus": below, "array": above, "color": INK}
+    x = [rounded(value, 5) for value in values.values()]
+    bars = {"type": "bar", "orientation": "h", "name": name, "x": x, "y": list(values)}
+    return {**bars, "error_x": {**error, "thickness": 1.5, "width": 3}}
 
 
 def upright(x: float, dash: str = "dot") -> dict[str, Any]:
@@ -145,14 +126,14 @@ def upright(x: float, dash: str = "dot") -> dict[str, Any]:
 
 
 def encode_heights(z: np.ndarray) -> list[int]:
-    """Return the differences of heights (N,) [m], in units of HEIGHT_UNIT."""
-    limited = np.clip(z, -DRAWN_HEIGHT_LIMIT, DRAWN_HEIGHT_LIMIT)
-    return np.diff(np.rint(limited / HEIGHT_UNIT).astype(int), prepend=0).tolist()
+    """Return the differences of heights (N,) [m], in units of _HEIGHT_UNIT."""
+    limited = np.clip(z, -_DRAWN_HEIGHT_LIMIT, _DRAWN_HEIGHT_LIMIT)
+    return np.diff(np.rint(limited / _HEIGHT_UNIT).astype(int), prepend=0).tolist()
 
 
 def encode_std(std: np.ndarray) -> list[int]:
-    """Return standard deviations (N,) [m] in units of HEIGHT_UNIT."""
-    return np.rint(np.minimum(std, DRAWN_HEIGHT_LIMIT) / HEIGHT_UNIT).astype(int).tolist()
+    """Return standard deviations (N,) [m] in units of _HEIGHT_UNIT."""
+    return np.rint(np.minimum(std, _DRAWN_HEIGHT_LIMIT) / _HEIGHT_UNIT).astype(int).tolist()
 
 
 def rounded(x: float, digits: int = 8) -> float:

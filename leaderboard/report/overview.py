@@ -5,47 +5,34 @@ from typing import Any
 
 from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.results import Result
-from leaderboard.report.board_definitions import BOUND_ROW, COLUMNS, label_with_unit
-from leaderboard.report.charts import height_lines
+from leaderboard.report.board_definitions import BOUND_ROW, COLUMNS
+from leaderboard.report.charts import HEIGHT_AXES, height_lines
 from leaderboard.report.figures import (
     QUIET,
     Chart,
     axis,
     chart,
     colour,
+    curve,
     interval_bars,
     rounded,
     upright,
 )
 from leaderboard.report.rendering import file_name
-from leaderboard.report.sentences import (
-    PAPER_NETWORK,
-    format_score,
-    scored_rows,
-    unrelated_level_errors,
-)
+from leaderboard.report.sentences import PAPER_NETWORK, scored_rows, unrelated_level_errors
 from leaderboard.report.tables import Section, interval_text
 
-MAX_BARS = 16
-"""Number of entries in the chart of the ranking, best first."""
-
-BAR_HEIGHT = 19
-"""Height of a bar with its gap [pixels]."""
-
-LABEL_HEIGHT = 15
-"""Height of the label of a line [pixels]."""
-
-MODEBAR_HEIGHT = 34
-"""Height of the buttons above a chart [pixels]."""
-
-STRIP_LENGTH = 30.0
-"""Length of road [m] that the strip shows at first."""
+_MAX_BARS = 16  # number of entries in the chart of the ranking, best first
+_BAR_HEIGHT = 19  # height of a bar with its gap [pixels]
+_LABEL_HEIGHT = 15  # height of the label of a line [pixels]
+_MODEBAR_HEIGHT = 34  # height of the buttons above a chart [pixels]
+_STRIP_LENGTH = 30.0  # length of road [m] that the strip shows at first
 
 
 def ranking_chart(section: Section, definition: BoardDefinition) -> Chart | None:
     """Return the ranking as bars with intervals; bound and baselines are lines. None if empty."""
     key = definition.ranks_by
-    rows = scored_rows(section, key)[:MAX_BARS]
+    rows = scored_rows(section, key)[:_MAX_BARS]
     if not rows:
         return None
     score = COLUMNS[key]
@@ -59,29 +46,24 @@ def ranking_chart(section: Section, definition: BoardDefinition) -> Chart | None
         f"<b>{score.format_value(x)}</b>": x
         for row, x in zip(rows, values, strict=True)
     }
+    pattern = {"shape": ["/" if row.causal else "" for row in rows], "fillmode": "replace"}
     bars = {
         **interval_bars("entries", labels, ends),
-        "marker": {
-            "color": [colour(row.name) for row in rows],
-            "pattern": {
-                "shape": ["/" if row.causal else "" for row in rows],
-                "fillmode": "replace",
-            },
-        },
+        "marker": {"color": [colour(row.name) for row in rows], "pattern": pattern},
         "hovertext": [
-            f"{row.name}: {format_score(key, x)}"
+            f"{row.name}: {score.text(x)}"
             + ("" if low is None else f", 95 %: {interval_text(low, high, key)}")
             for row, x, (low, high) in zip(rows, values, ends, strict=True)
         ],
         "hovertemplate": "%{hovertext}<extra></extra>",
     }
-    top = MODEBAR_HEIGHT + LABEL_HEIGHT * len(marks)
+    top = _MODEBAR_HEIGHT + _LABEL_HEIGHT * len(marks)
     layout = {
-        "height": BAR_HEIGHT * len(rows) + top + 44,
+        "height": _BAR_HEIGHT * len(rows) + top + 44,
         "margin": {"l": 8, "r": 12, "t": top, "b": 44},
         "showlegend": False,
         "bargap": 0.25,
-        "xaxis": axis(_error_label(key), 0.0, rounded(limit, 4)),
+        "xaxis": axis("error" if key == "nrmse" else score.heading, 0.0, rounded(limit, 4)),
         "yaxis": axis("", autorange="reversed", ticks="", showgrid=False, fixedrange=True),
         "shapes": [upright(x, "dash") for x in marks.values()],
         "annotations": [
@@ -90,10 +72,6 @@ def ranking_chart(section: Section, definition: BoardDefinition) -> Chart | None
     }
     title = f"{section.title}: error of every entry, with 95 % intervals"
     return chart(title, {"": {"data": [bars]}}, layout)
-
-
-def _error_label(key: str) -> str:
-    return "error" if key == "nrmse" else label_with_unit(COLUMNS[key])
 
 
 def _marked_values(section: Section, key: str) -> dict[str, float]:
@@ -111,7 +89,7 @@ def _marked_values(section: Section, key: str) -> dict[str, float]:
 def _mark_label(text: str, x: float, level: int) -> dict[str, Any]:
     """Return the label of a line, left of it: there is room above the names, on any screen."""
     look = {"showarrow": False, "font": {"color": QUIET, "size": 11}, "yanchor": "bottom"}
-    at = {"x": x, "y": 1, "yref": "paper", "yshift": LABEL_HEIGHT * level}
+    at = {"x": x, "y": 1, "yref": "paper", "yshift": _LABEL_HEIGHT * level}
     return {"text": text, **at, "xanchor": "right", "xshift": -2, **look}
 
 
@@ -128,18 +106,14 @@ def strip_chart(section: Section, results: Iterable[Result], ranks_by: str) -> C
     first = lines[0]["x0"]
     layout = {
         "height": 310,
-        "hovermode": "x unified",
         "margin": {"l": 56, "r": 8, "t": 34, "b": 44},
-        "xaxis": axis(
-            "distance [m]",
-            rounded(first),
-            rounded(first + STRIP_LENGTH),
-            unifiedhovertitle={"text": "%{x:.1f} m"},
-        ),
-        "yaxis": axis("height [mm]"),
+        **HEIGHT_AXES,
     }
-    drive = f"{trace.road} at {trace.speed_kmh:g} km/h"
-    caption = f"Left wheel path of {drive}, in the band that the sensors observe"
+    layout["xaxis"] = layout["xaxis"] | {"range": [rounded(first), rounded(first + _STRIP_LENGTH)]}
+    caption = (
+        f"Left wheel path of {trace.road} at {trace.speed_kmh:g} km/h, in the band that the "
+        "sensors observe"
+    )
     title = "Truth, best estimate and the paper's network along a road"
     return chart(title, {"": {"data": lines, "caption": caption}}, layout)
 
@@ -147,15 +121,11 @@ def strip_chart(section: Section, results: Iterable[Result], ranks_by: str) -> C
 def levels_chart(claims: Sequence[float]) -> Chart:
     """Return the distribution of eq. 12 over unrelated roads, with errors that the paper claims."""
     errors, _ = unrelated_level_errors()
-    x = sorted((100.0 * errors).tolist())
-    line = {
-        "name": "unrelated roads",
-        "mode": "lines",
-        "x": [rounded(error, 4) for error in x],
-        "y": [rounded(100.0 * (k + 1) / len(x), 4) for k in range(len(x))],
-        "line": {"color": "var(--line-1)"},
-        "hovertemplate": "%{y:.0f} % below %{x:.1f} %<extra></extra>",
-    }
+    x = [rounded(error, 4) for error in sorted((100.0 * errors).tolist())]
+    y = [rounded(100.0 * (k + 1) / len(x), 4) for k in range(len(x))]
+    hover = "%{y:.0f} % below %{x:.1f} %<extra></extra>"
+    look = {"line": {"color": "var(--line-1)"}, "hovertemplate": hover}
+    line = curve("unrelated roads", x, y, **look)
     layout = {
         "height": 280,
         "showlegend": False,

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 COLOURS = {"left": "#0072B2", "right": "#D55E00", "truth": "#222222", "sensor": "#009E73"}
 SIDES = ("left", "right")
 
-SVG_STYLE: Any = {
+_SVG_STYLE: Any = {
     "svg.fonttype": "none",
     "svg.hashsalt": "roadrecon",
     "font.size": 8.5,
@@ -57,32 +57,17 @@ def draw_road(surface: Surface, path: Path) -> None:
 
 
 def draw_classes(axes: Any) -> None:
-    """Set up the axes of a density plot with the ISO 8608 classes as bands and letters.
-
-    The axes are set even if nothing else is drawn, as for the density of a level road.
-    """
+    """Set up the axes of a density plot with the ISO 8608 classes as bands and letters."""
     n = np.array([0.02, 10.0])
     for k, (letter, mean) in enumerate(CLASSES.items()):
         level = mean * (n / N_0) ** -2.0
         if k % 2 == 0:
             axes.fill_between(n, 0.5 * level, 2.0 * level, color="0.93", lw=0, zorder=0)
-        axes.annotate(
-            letter,
-            (n[1], level[1]),
-            (3, 0),
-            textcoords="offset points",
-            va="center",
-            color="0.4",
-            fontsize=8,
-        )
-    axes.set(
-        xscale="log",
-        yscale="log",
-        xlabel="spatial frequency [cycles/m]",
-        ylabel="displacement spectral density [m³]",
-        xlim=n,
-        ylim=(1e-10, 1e-1),
-    )
+        look = {"textcoords": "offset points", "va": "center", "color": "0.4", "fontsize": 8}
+        axes.annotate(letter, (n[1], level[1]), (3, 0), **look)
+    axes.set(xscale="log", yscale="log", xlim=n, ylim=(1e-10, 1e-1))
+    axes.set_xlabel("spatial frequency [cycles/m]")
+    axes.set_ylabel("displacement spectral density [m³]")
 
 
 def draw_drive(record: Record, truth: Profile, path: Path) -> None:
@@ -112,16 +97,20 @@ def estimate_figure(truth: Profile | None, estimate: Estimate, v: float) -> Any:
     band = scored_band(v)
     titles = ("left", "left, in band", "right", "right, in band")
 
+    def part(profile: Profile, z: np.ndarray, inside: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Stations and heights of a whole path, or of what the band-pass leaves of it."""
+        z = band_pass(z, profile.ds, band) if inside else z
+        trim = (profile.s.size - z.size) // 2
+        return profile.s[trim : trim + z.size], z
+
     def paint(figure: Any) -> None:
         panels = figure.subplots(4, 1, sharex=True)
         for axes, title, side in zip(panels, titles, (0, 0, 1, 1), strict=True):
-            inside = title.endswith("in band")
-            select = _path_part(band, inside)
-            colour = COLOURS[SIDES[side]]
+            inside, colour = title.endswith("in band"), COLOURS[SIDES[side]]
             if truth is not None:
-                s, z = select(truth, truth.z[side])
+                s, z = part(truth, truth.z[side], inside)
                 axes.plot(s, 1000 * z, color=COLOURS["truth"], lw=1.0, label="truth")
-            s, z = select(estimate, estimate.z[side])
+            s, z = part(estimate, estimate.z[side], inside)
             axes.plot(s, 1000 * z, "--", color=colour, lw=1.1, label="estimate")
             if inside and estimate.z_std is not None:
                 # 1.645 standard deviations: 90 % of a normal distribution
@@ -143,22 +132,7 @@ def draw_estimate(truth: Profile | None, estimate: Estimate, v: float, path: Pat
     _save_figure(estimate_figure(truth, estimate, v), path)
 
 
-def _path_part(
-    band: tuple[float, float], inside: bool
-) -> Callable[[Profile, np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    """Return a function that selects a whole path, or its part inside `band` [cycles/m]."""
-
-    def select(profile: Profile, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        if not inside:
-            return profile.s, z
-        part = band_pass(z, profile.ds, band)
-        trim = (profile.s.size - part.size) // 2
-        return profile.s[trim : trim + part.size], part
-
-    return select
-
-
-LINE_STYLES = (("#D55E00", "-"), ("#0072B2", "--"), ("#009E73", "-."), ("#CC79A7", ":"))
+_LINE_STYLES = (("#D55E00", "-"), ("#0072B2", "--"), ("#009E73", "-."), ("#CC79A7", ":"))
 
 
 def draw_observability(
@@ -177,7 +151,7 @@ def draw_observability(
             for axes, which in zip(column, ("mean", "difference"), strict=True):
                 axes.axvspan(*scored_band(speed / 3.6), color="0.94", lw=0)
                 for k, (mode, posterior, nrmse) in enumerate(lines):
-                    colour, style = LINE_STYLES[k % len(LINE_STYLES)]
+                    colour, style = _LINE_STYLES[k % len(_LINE_STYLES)]
                     label = f"{mode}: {nrmse:.3f}"
                     error = posterior.relative_error(which)
                     axes.loglog(posterior.n, error, style, color=colour, lw=1.4, label=label)
@@ -199,13 +173,11 @@ def draw_identification(result: "IdentificationResult", drives: Sequence[str], p
 
     def paint(figure: Any) -> None:
         spectrum, parameters = figure.subplots(1, 2, width_ratios=(1, 1.1))
-        for k, (described, fitted) in enumerate(result.unexplained):
-            for part, colour, what in (
-                (described, COLOURS["right"], "described"),
-                (fitted, COLOURS["left"], "identified"),
-            ):
-                label = f"{what} vehicle" if k == 0 else None
-                spectrum.plot(part.f[1:], part.spectrum[1:], color=colour, lw=1.2, label=label)
+        looks = ((COLOURS["right"], "described vehicle"), (COLOURS["left"], "identified vehicle"))
+        for k, pair in enumerate(result.unexplained):
+            for part, (colour, label) in zip(pair, looks, strict=True):
+                own = {"color": colour, "lw": 1.2, "label": label if k == 0 else None}
+                spectrum.plot(part.f[1:], part.spectrum[1:], **own)
         spectrum.set(
             xscale="log", yscale="log", xlabel="frequency [Hz]",
             ylabel="unexplained power per Hz / noise variance",
@@ -252,11 +224,11 @@ def _save_figure(figure: Any, path: Path) -> None:
 
 
 def _page_figure(paint: Callable[[Any], None], size: tuple[float, float]) -> Any:
-    """Return a figure of `size` [inch] that `paint` has filled, in the SVG_STYLE of a page."""
+    """Return a figure of `size` [inch] that `paint` has filled, in the _SVG_STYLE of a page."""
     with optional_import("a figure"):
         import matplotlib
 
-    with matplotlib.rc_context(SVG_STYLE):
+    with matplotlib.rc_context(_SVG_STYLE):
         return _make_figure(paint, size)
 
 
@@ -265,7 +237,7 @@ def inline_svg(paint: Callable[[Any], None], size: tuple[float, float]) -> str:
     figure, buffer = _page_figure(paint, size), io.StringIO()
     import matplotlib
 
-    with matplotlib.rc_context(SVG_STYLE):
+    with matplotlib.rc_context(_SVG_STYLE):
         figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
     svg = buffer.getvalue()
     svg = re.sub(r"\s+", " ", svg[svg.index("<svg") :]).replace("> <", "><")

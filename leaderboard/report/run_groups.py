@@ -9,8 +9,7 @@ from leaderboard.evaluation.tasks import Task
 ScoreSlice = tuple[list[int] | slice | np.ndarray, list[int] | slice | np.ndarray]
 """Index of roads and of conditions into scores (R, C, S), which keeps both axes."""
 
-FLEXIBLE_GRADES = ("S2", "S3", "S4")
-"""Grades of vehicles with a frame that twists."""
+_FLEXIBLE_GRADES = ("S2", "S3", "S4")  # grades of vehicles with a frame that twists
 
 FRAME_BANDS = (0.0, 10.0, 14.0, 100.0)
 """Limits of the groups of frames [Hz]."""
@@ -39,7 +38,7 @@ def run_groups(task: Task) -> dict[str, dict[str, ScoreSlice]]:
 
 def _frames(task: Task) -> dict[str, ScoreSlice]:
     """Return the runs of vehicles whose frame twists, by its frequency in FRAME_BANDS."""
-    flexible = [k for k, c in enumerate(task.conditions) if c.grade in FLEXIBLE_GRADES]
+    flexible = [k for k, c in enumerate(task.conditions) if c.grade in _FLEXIBLE_GRADES]
     if not flexible:
         return {}
     grade = task.conditions[flexible[0]].grade

@@ -10,15 +10,9 @@ from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.metrics import heights
 from leaderboard.metrics.baselines import MEMORY
 from leaderboard.metrics.level import EQ_12_RAW, STATE_LIMITS
+from leaderboard.report import tables
 from leaderboard.report.board_definitions import COLUMNS, WORST
-from leaderboard.report.tables import (
-    TRAINING_STATES,
-    BoardView,
-    Row,
-    Section,
-    board_views,
-    interval_text,
-)
+from leaderboard.report.tables import BoardView, Row, Section
 from leaderboard.running.board import Board
 from road_envs.records.record import PROFILE_SPACING, profile_stations
 from road_envs.roads import load_road
@@ -26,8 +20,7 @@ from road_envs.roads import load_road
 PAPER_NETWORK = "static_lm"
 """The estimator that implements the paper's network."""
 
-N_PAIRS = 200
-"""Number of pairs of unrelated roads."""
+_N_PAIRS = 200  # number of pairs of unrelated roads
 
 UNRELATED_ROAD = {"kind": "iso8608", "road_class": "D", "length": 100.0}
 """Road of the pairs, of the class of the training roads."""
@@ -43,7 +36,7 @@ class Report:
 
 def build_report(board: Board) -> Report:
     """Tables and findings of a board."""
-    views = tuple(board_views(board))
+    views = tuple(tables.board_views(board))
     return Report(views, findings(views))
 
 
@@ -51,7 +44,7 @@ def build_report(board: Board) -> Report:
 def unrelated_level_errors(
     longest_wave: float = 20.0, about_mean: bool = True
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return level errors (2 N_PAIRS,) and correlations (N_PAIRS,) of unrelated class-D roads.
+    """Return level errors (2 _N_PAIRS,) and correlations (_N_PAIRS,) of unrelated class-D roads.
 
     Level errors are those of single wheel paths, of heights about their mean or about the first
     one. The two roads of a pair are 100 m of the same class and independent.
@@ -75,7 +68,7 @@ def _unrelated_roads(longest_wave: float) -> list[list[np.ndarray]]:
     s = profile_stations(100.0)
     return [
         [road.realise(np.random.default_rng([0, k, j])).height(s) for j in range(2)]
-        for k in range(N_PAIRS)
+        for k in range(_N_PAIRS)
     ]
 
 
@@ -132,12 +125,6 @@ def scored_rows(section: Section, key: str) -> list[Row]:
     return [r for r in section.rows if r.state == "scored" and r.values.get(key) is not None]
 
 
-def format_score(key: str, value: float | None) -> str:
-    """Text of a score with its unit."""
-    score = COLUMNS[key]
-    return f"{score.format_value(value or 0.0)} {score.unit}".strip()
-
-
 def _has_claim(section: Section) -> bool:
     return any(row.state == "claim" for row in section.rows)
 
@@ -149,7 +136,7 @@ def _paper_protocol(sections: Sequence[Section], rows: Sequence[Row]) -> str:
         return ""
     near, total = (
         sum(int(row.values.get(name) or 0) for row in found for name in names)
-        for names in (TRAINING_STATES[:1], TRAINING_STATES)
+        for names in (tables.TRAINING_STATES[:1], tables.TRAINING_STATES)
     )
     counted = f" ({near} of {total} trainings below 15\u00a0%)" if total else ""
     labels = [label for section in sections for label in section.conditions]
@@ -179,11 +166,12 @@ def _memory(rows: Sequence[Row]) -> str:
 def _best_sentence(best: Row, section: Section, definition: BoardDefinition) -> str:
     key = definition.ranks_by
     low, high = best.values.get("low"), best.values.get("high")
-    sure = "" if low is None else f", with 95\u00a0% confidence {interval_text(low, high, key)}"
+    interval = tables.interval_text(low, high, key)
+    sure = "" if low is None else f", with 95\u00a0% confidence {interval}"
     scale = ", where an exact estimate has 0 and a flat road 1" if key == "nrmse" else ""
     worst = best.values.get(WORST)
-    tail = "" if worst is None else f" On its worst drive it is {format_score(WORST, worst)}."
-    error = format_score(key, best.values[key])
+    tail = "" if worst is None else f" On its worst drive it is {COLUMNS[WORST].text(worst)}."
+    error = COLUMNS[key].text(best.values[key])
     return f"{best.name} is best: its error is {error}{scale}{sure}.{tail}"
 
 
@@ -192,7 +180,7 @@ def _others_sentence(best: Row, others: Sequence[Row], definition: BoardDefiniti
     key, second = definition.ranks_by, others[0]
 
     def score(row: Row) -> str:
-        return format_score(key, row.values[key])
+        return COLUMNS[key].text(row.values[key])
 
     times = (second.values[key] or 0.0) / (best.values[key] or 1.0)
     text = f"{second.name} follows with {score(second)}, {times:.1f} times as much"

@@ -19,31 +19,21 @@ from typing import Any
 from leaderboard.evaluation.results import Result
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics.baselines import NOISE_LEVEL
-from leaderboard.report import estimator_page, export, overview
+from leaderboard.report import estimator_page, export, overview, tables
 from leaderboard.report.board_definitions import COLUMNS, LIMIT_ROWS, TEXT_COLUMNS, Column
 from leaderboard.report.charts import task_charts
 from leaderboard.report.figures import rounded
 from leaderboard.report.notes import isolation_notice
 from leaderboard.report.rendering import BOARD_PAGE, POLICY_PAGE, file_name, render, write_static
 from leaderboard.report.sentences import UNRELATED_ROAD, Report, headline, unrelated_level_errors
-from leaderboard.report.tables import (
-    ALL_RUNS,
-    PUBLIC_ROADS,
-    BoardView,
-    Row,
-    Section,
-    nonempty_columns,
-)
+from leaderboard.report.tables import BoardView, Row, Section
 from leaderboard.running.board import Board
 from road_envs.core.atomic_io import write_text
 
-MAX_DRAWN = 8
-"""Number of entries of a task that are drawn, best first."""
+_MAX_DRAWN = 8  # number of entries of a task that are drawn, best first
+_DIGITS = 5  # significant digits of a number, which sorts and draws; its text is what is read
 
-DIGITS = 5
-"""Significant digits of a number, which sorts and draws; its text is what is read."""
-
-PAGE_FOLDERS = ("tasks", "estimators")
+_PAGE_FOLDERS = ("tasks", "estimators")
 
 
 def write_site(board: Board, report: Report, out: Path) -> Path:
@@ -56,7 +46,7 @@ def write_site(board: Board, report: Report, out: Path) -> Path:
             export.write_exports(board, report.views, out)
         write_text(out / name, text)
         written.append(name)
-    for folder in PAGE_FOLDERS:
+    for folder in _PAGE_FOLDERS:
         for path in (out / folder).glob("*.html"):
             if f"{folder}/{path.name}" not in written:
                 path.unlink()
@@ -77,15 +67,12 @@ def _render_pages(
             task = next(task for task in board.tasks if task.name == section.task)
             for result in board.results[task.name]:
                 results.setdefault(result.estimator, []).append((task, result))
-            yield (
-                f"tasks/{task.name}.html",
-                render("site/task.html", **linked, **_task(board, view, section, task)),
-            )
+            values = _task(board, view, section, task)
+            yield f"tasks/{task.name}.html", render("site/task.html", **linked, **values)
     for name, own in results.items():
-        yield (
-            f"estimators/{file_name(name)}",
-            render("site/estimator.html", **linked, **_estimator(board, report.views, name, own)),
-        )
+        values = _estimator(board, report.views, name, own)
+        page = render("site/estimator.html", **linked, **values)
+        yield f"estimators/{file_name(name)}", page
     yield BOARD_PAGE, render("site/index.html", **linked, **_index(board, report))
 
 
@@ -108,7 +95,7 @@ def _index(board: Board, report: Report) -> dict[str, Any]:
         "ranked_by": definition.ranks_by,
         "causal": any(row.causal for row in section.rows),
         "notice": isolation_notice(scored),
-        "public": PUBLIC_ROADS if any(task.is_public for task in board.tasks) else None,
+        "public": tables.PUBLIC_ROADS if any(task.is_public for task in board.tasks) else None,
         "findings": report.findings,
         "levels": overview.levels_chart(sorted(claims)),
         "claims": claims,
@@ -122,15 +109,11 @@ def _index(board: Board, report: Report) -> dict[str, Any]:
 
 def _table(view: BoardView, section: Section) -> dict[str, Any]:
     """Return one table: its columns, and the numbers for the scripts."""
-    columns = nonempty_columns(view, section)
+    columns = tables.nonempty_columns(view, section)
     groups = dict.fromkeys(section.conditions)
     groups |= dict.fromkeys(name for names in section.groups.values() for name in names)
-    return {
-        "section": section,
-        "columns": columns,
-        "groups": list(groups),
-        "data": _table_data(view, section, columns),
-    }
+    data = _table_data(view, section, columns)
+    return {"section": section, "columns": columns, "groups": list(groups), "data": data}
 
 
 def _table_data(view: BoardView, section: Section, columns: Sequence[Column]) -> dict[str, Any]:
@@ -144,15 +127,13 @@ def _table_data(view: BoardView, section: Section, columns: Sequence[Column]) ->
         "scale": view.definition.scale,
         "flat": 1.0 if ranks_by == "nrmse" else None,
         "groups": {kind: list(names) for kind, names in section.groups.items()},
-        "columns": {
-            key: {"better": form.better, "blank": form.blank} for key, form in forms.items()
-        },
+        "columns": {k: {"better": form.better, "blank": form.blank} for k, form in forms.items()},
         "rows": [_row_data(row, numeric) for row in section.rows],
     }
 
 
 def _row_data(row: Row, forms: dict[str, Any]) -> dict[str, Any]:
-    groups = {ALL_RUNS: row.values, **row.groups}
+    groups = {tables.ALL_RUNS: row.values, **row.groups}
     return {
         "name": row.name,
         "state": row.state,
@@ -163,7 +144,7 @@ def _row_data(row: Row, forms: dict[str, Any]) -> dict[str, Any]:
         "cells": {key: row.cells[key] for key in TEXT_COLUMNS if row.cells.get(key)},
         "groups": {
             name: {
-                key: [rounded(x, DIGITS), form.format_value(x)]
+                key: [rounded(x, _DIGITS), form.format_value(x)]
                 for key, form in forms.items()
                 if (x := values.get(key)) is not None
             }
@@ -174,25 +155,23 @@ def _row_data(row: Row, forms: dict[str, Any]) -> dict[str, Any]:
 
 def _task(board: Board, view: BoardView, section: Section, task: Task) -> dict[str, Any]:
     rows = {row.name: row for row in section.rows}
-    by_name = {result.estimator: result for result in board.scored(task)}
+    scored = board.scored(task)
+    by_name = {result.estimator: result for result in scored}
     # without entries, the baselines are drawn
     order = [name for name, row in rows.items() if row.state == "scored"] or [
         name for name, row in rows.items() if row.state == "baseline" and name not in LIMIT_ROWS
     ]
-    drawn = {name: by_name[name] for name in order[:MAX_DRAWN]}
+    drawn = {name: by_name[name] for name in order[:_MAX_DRAWN]}
     return {
         "root": "../",
         "view": view,
         "score_table": _table(view, section),
         "task": task,
         "charts": task_charts(task, view.definition, drawn, rows) if drawn else {},
-        "notice": isolation_notice(board.scored(task)),
-        "public": PUBLIC_ROADS if task.is_public else None,
-        "left_out": order[MAX_DRAWN:],
-        "facts_rows": [
-            ("drives", _drive_counts(task, board.scored(task))),
-            ("digest", task.digest),
-        ],
+        "notice": isolation_notice(scored),
+        "public": tables.PUBLIC_ROADS if task.is_public else None,
+        "left_out": order[_MAX_DRAWN:],
+        "facts_rows": [("drives", _drive_counts(task, scored)), ("digest", task.digest)],
     }
 
 
@@ -235,9 +214,7 @@ def _estimator(
             for drive in estimator_page.worst_drives(task, result, definition.ranks_by)
         ],
         "failures": [(task, result.failure) for task, result in results if result.failure],
-        "results": [
-            (task, result, _result_provenance(board, task, result)) for task, result in results
-        ],
+        "results": [(task, one, _result_provenance(board, task, one)) for task, one in results],
     }
 
 

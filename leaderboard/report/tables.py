@@ -17,17 +17,9 @@ from leaderboard.conformance.results import EstimatorCard
 from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.results import Result, score_arrays
 from leaderboard.evaluation.tasks import Task
+from leaderboard.metrics import bootstrap
 from leaderboard.metrics.api import UNDEFINED
-from leaderboard.metrics.bootstrap import (
-    MIN_ROADS,
-    Interval,
-    Strata,
-    count_roads,
-    interquartile_mean,
-    iqm_interval,
-    iqm_slope,
-    rank_entries,
-)
+from leaderboard.metrics.bootstrap import MIN_ROADS, Interval, Strata, count_roads
 from leaderboard.metrics.level import EQ_12_RAW, STATE_LIMITS
 from leaderboard.metrics.registry import SCORES
 from leaderboard.report.board_definitions import (
@@ -46,8 +38,8 @@ from leaderboard.report.run_groups import ScoreSlice, run_groups
 from leaderboard.running.board import Board
 from road_envs.sensing.perturbed_vehicle import GRADES
 
-RowState = Literal["scored", "baseline", "claim", "failed", "stale"]
-CLAIM_ROW = "paper's claim"
+_RowState = Literal["scored", "baseline", "claim", "failed", "stale"]
+_CLAIM_ROW = "paper's claim"
 TRAINING_STATES = ("near_optimal", "sub_optimal", "unstable")
 PUBLIC_ROADS = (
     "The test roads of this board are public: an entry can draw them again instead of estimating "
@@ -60,10 +52,10 @@ ALL_RUNS = ""
 SPECTRUM_SCORES = tuple(name for name in SCORES if name.startswith("error_at_"))
 """Score keys of the third-octave errors."""
 
-Values = dict[str, float | None]
+_Values = dict[str, float | None]
 """Numbers by column; None where one is undefined."""
 
-BOUNDED = [[*SCORES].index(name) for name in ("nrmse", "bound_nrmse")]
+_BOUNDED = [[*SCORES].index(name) for name in ("nrmse", "bound_nrmse")]
 """Positions of the error and of its bound among the scores."""
 
 
@@ -75,12 +67,12 @@ class Row:
     """
 
     name: str
-    state: RowState
+    state: _RowState
     cells: dict[str, str] = field(default_factory=dict)
-    values: Values = field(default_factory=dict)
+    values: _Values = field(default_factory=dict)
     message: str = ""
     causal: bool | None = None
-    groups: dict[str, Values] = field(default_factory=dict)
+    groups: dict[str, _Values] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -151,7 +143,7 @@ def _section(board: Board, task: Task, definition: BoardDefinition) -> Section:
     claim = []
     if (level := task.claimed_level_error) is not None:
         text = SCORES[EQ_12_RAW].format_value(level)
-        claim = [Row(CLAIM_ROW, "claim", {EQ_12_RAW: text}, {EQ_12_RAW: level})]
+        claim = [Row(_CLAIM_ROW, "claim", {EQ_12_RAW: text}, {EQ_12_RAW: level})]
     failed = [Row(r.estimator, "failed", message=r.failure or "") for r in board.failed(task)]
     stale = [Row(r.estimator, "stale", message=why) for r, why in board.stale(task)]
     return Section(
@@ -175,7 +167,7 @@ class _AggregatedScores(NamedTuple):
     """Means of a result by group and score; `ranked` (R, C, S) holds the ranking score."""
 
     name: str
-    values: dict[str, Values]
+    values: dict[str, _Values]
     ranked: np.ndarray
     division: tuple[bool, bool]  # ranked among all, among the causal
 
@@ -192,17 +184,17 @@ def _aggregate(
     ranked = scores[[*SCORES].index(definition.ranks_by)].copy()
     if (np.isnan(ranked) & np.isfinite(scores).any(axis=0)).any():
         ranked[:] = np.nan  # undefined on a road: the entry ranks last
-    values: dict[str, Values] = {}
+    values: dict[str, _Values] = {}
     for group, part in parts.items():
         mine, own = scores[:, *part], ranked[part]
         means = dict(zip(SCORES, _mean(mine), strict=True))
         score = Interval(np.nan, np.nan, np.nan)
         if count_roads(own) >= MIN_ROADS:
-            score = iqm_interval(own, strata=strata if group == ALL_RUNS else None)
+            score = bootstrap.iqm_interval(own, strata=strata if group == ALL_RUNS else None)
         values[group] = _defined(
             {name: x for name, x in means.items() if group == ALL_RUNS or name in shown}
             | {"low": score.low, "high": score.high, **_tail(own)}
-            | {BELOW_BOUND: _share_below(*mine[BOUNDED])}
+            | {BELOW_BOUND: _share_below(*mine[_BOUNDED])}
         )
     values[ALL_RUNS] |= {
         "train_seconds": float(np.mean(result.train_seconds)) if result.parameters else None,
@@ -233,14 +225,14 @@ def _share_below(error: np.ndarray, bound: np.ndarray) -> float | None:
     return float(np.mean(error[known] < bound[known])) if known.any() else None
 
 
-def _grade_scores(ranked: np.ndarray, parts: Mapping[str, ScoreSlice], strata: Strata) -> Values:
+def _grade_scores(ranked: np.ndarray, parts: Mapping[str, ScoreSlice], strata: Strata) -> _Values:
     """Return the ranking score on each grade of car, and its slope over the grades."""
     by_grade = {grade: ranked[parts[f"car {grade}"]] for grade in GRADES if f"car {grade}" in parts}
     if len(by_grade) < 2:
         return {}
     values = {f"grade_{grade}": _mean(x[None])[0] for grade, x in by_grade.items()}
     if count_roads(ranked) >= MIN_ROADS:
-        growth = iqm_slope(list(by_grade.values()), strata=strata)
+        growth = bootstrap.iqm_slope(list(by_grade.values()), strata=strata)
         values |= {"slope": growth.mean, "slope_low": growth.low, "slope_high": growth.high}
     return _defined(values)
 
@@ -248,10 +240,7 @@ def _grade_scores(ranked: np.ndarray, parts: Mapping[str, ScoreSlice], strata: S
 def _rank(
     tables: Sequence[_AggregatedScores], parts: Mapping[str, ScoreSlice], strata: Strata
 ) -> None:
-    """Add the ranks of the entries in every group, among all and among the causal.
-
-    Ranks need at least MIN_ROADS roads.
-    """
+    """Add the ranks in every group of MIN_ROADS roads, among all entries and the causal ones."""
     by_name = {table.name: table for table in tables}
     for group, part in parts.items():
         for k, key in enumerate(RANK_COLUMNS.values()):
@@ -259,8 +248,8 @@ def _rank(
             if not any(count_roads(x) >= MIN_ROADS for x in scores.values()):
                 continue
             within = strata if group == ALL_RUNS else None
-            for name, rank in rank_entries(scores, strata=within).items():
-                by_name[name].values[group][key] = rank.rank
+            for name, rank in bootstrap.rank_entries(scores, strata=within).items():
+                by_name[name].values[group][key] = rank
 
 
 def _scored_row(
@@ -282,15 +271,13 @@ def _scored_row(
         "probes": count_passed(card.probes) if card else "",
         "calibrates": {True: "yes", False: "no", None: ""}[result.calibrates if entry else None],
     }
-    state: RowState = "scored" if entry else "baseline"
+    state: _RowState = "scored" if entry else "baseline"
     groups = {name: x for name, x in table.values.items() if name != ALL_RUNS}
     return Row(result.estimator, state, cells, mine, causal=result.causal, groups=groups)
 
 
 def _bound_rows(tables: Sequence[_AggregatedScores], definition: BoardDefinition) -> list[Row]:
-    """Return the rows of the bound and of the attainable error, as far as they were computed, if
-    NRMSE is the ranking score.
-    """
+    """Return the rows of bound and attainable error, as far as computed, if NRMSE ranks."""
     rows = []
     for name, key in ((BOUND_ROW, "bound_nrmse"), (ATTAINABLE_ROW, "attainable_nrmse")):
         bounded = [x.values for x in tables if x.values[ALL_RUNS].get(key) is not None]
@@ -305,13 +292,11 @@ def _bound_rows(tables: Sequence[_AggregatedScores], definition: BoardDefinition
 
 def _mean(scores: np.ndarray) -> np.ndarray:
     """Return the interquartile means (K,) of scores (K, R, C, S); NaN if no run has the score."""
-    return interquartile_mean(scores.reshape(len(scores), -1))
+    return bootstrap.interquartile_mean(scores.reshape(len(scores), -1))
 
 
-def _training_states(error: np.ndarray) -> Values:
-    """Count near-optimal, sub-optimal and unstable runs (Appendix A of the paper) by errors
-    (R, C, S).
-    """
+def _training_states(error: np.ndarray) -> _Values:
+    """Count near-optimal, sub-optimal and unstable runs (Appendix A) by errors (R, C, S)."""
     if error.shape[-1] < 2:
         return {}
     error = error[~np.isnan(error)]
@@ -327,6 +312,6 @@ def interval_text(low: float | None, high: float | None, score: str) -> str:
     return "–".join(COLUMNS[score].format_value(x) for x in (low, high))
 
 
-def _defined(numbers: Mapping[str, float | None]) -> Values:
+def _defined(numbers: Mapping[str, float | None]) -> _Values:
     """Return numbers as plain floats, None for those that are not finite."""
     return {k: float(x) if x is not None and np.isfinite(x) else None for k, x in numbers.items()}

@@ -3,6 +3,7 @@
 import textwrap
 from collections.abc import Mapping
 from itertools import zip_longest
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -13,17 +14,11 @@ from leaderboard.report.board_definitions import BOUND_NAME, WORST
 from leaderboard.report.sentences import Report
 from leaderboard.report.tables import BoardView, Row, Section, nonempty_columns
 
-CASE_WIDTH = 18
-"""Width of the column with the titles of the tasks that share a table [characters]."""
+_CASE_WIDTH = 18  # width of the column with the titles of the tasks that share a table [characters]
 
-STYLES = {
-    "scored": "bold",
-    "baseline": "dim",
-    "claim": "italic",
-    "failed": "red",
-    "stale": "yellow",
-}
-LEGEND = (
+_LOOK: Any = {"title_justify": "left", "box": None, "padding": (0, 1, 0, 0), "pad_edge": False}
+_STYLES = dict(scored="bold", baseline="dim", claim="italic", failed="red", stale="yellow")
+_LEGEND = (
     "NRMSE: error over truth, RMS, in 0.2 to min(1.8, 22.5 Hz / v) cycles/m; a flat road has 1. "
     "Interquartile means over roads and trainings; worst: the worst drive; > 0.3, > 1: shares of "
     f"drives above. The row bound is the {BOUND_NAME}. "
@@ -46,7 +41,7 @@ def print_tables(report: Report, console: Console) -> None:
                     console.print(families)
                     console.print()
         _remarks(view, console)
-    console.print(Text(LEGEND, style="dim"))
+    console.print(Text(_LEGEND, style="dim"))
     for sentence in report.findings:
         console.print(Text(f"- {sentence}"))
 
@@ -56,16 +51,14 @@ def _table(view: BoardView, sections: tuple[Section, ...]) -> Table:
     columns = [column for column in nonempty_columns(view, *sections) if not column.wide]
     grouped = len(sections) > 1
     title = view.definition.title if grouped else f"{view.definition.title}: {sections[0].title}"
-    table = Table(title=title, title_justify="left", box=None, padding=(0, 1, 0, 0), pad_edge=False)
+    table = Table(title=title, **_LOOK)
     if grouped:
-        table.add_column("case", width=CASE_WIDTH)
+        table.add_column("case", width=_CASE_WIDTH)
     table.add_column("estimator", no_wrap=True)
     for column in columns:
-        table.add_column(
-            column.label + (f"\n{column.unit}" if column.unit else ""), justify="right"
-        )
+        table.add_column(f"{column.label}\n{column.unit}".rstrip("\n"), justify="right")
     for section in sections:
-        case = textwrap.wrap(f"{section.task}: {section.title}", CASE_WIDTH) if grouped else []
+        case = textwrap.wrap(f"{section.task}: {section.title}", _CASE_WIDTH) if grouped else []
         cells = [_cells(row, [column.key for column in columns]) for row in section.rows]
         blank = [""] * (len(columns) + 1)
         for text, row in zip_longest(case, cells, fillvalue=None):
@@ -81,16 +74,13 @@ def _family_table(view: BoardView, section: Section) -> Table | None:
         return None
     shown = [row.groups.get(name, {}) for row in section.rows for name in names]
     worst = " (worst drive)" if any(values.get(WORST) is not None for values in shown) else ""
-    table = Table(
-        title=f"NRMSE by family of roads: interquartile mean{worst}",
-        title_justify="left", box=None, padding=(0, 1, 0, 0), pad_edge=False,
-    )  # fmt: skip
+    table = Table(title=f"NRMSE by family of roads: interquartile mean{worst}", **_LOOK)
     table.add_column("estimator", no_wrap=True)
     for name in names:
         table.add_column(Text(name), justify="right")
     for row in section.rows:
         if row.groups:
-            style = STYLES[row.state]
+            style = _STYLES[row.state]
             cells = [_mean_and_worst(row.groups.get(name, {})) for name in names]
             table.add_row(*(Text(text, style=style) for text in [row.name, *cells]))
     return table
@@ -105,7 +95,7 @@ def _mean_and_worst(values: Mapping[str, float | None]) -> str:
 
 
 def _cells(row: Row, keys: list[str]) -> list[Text]:
-    style = STYLES[row.state]
+    style = _STYLES[row.state]
     mark = (f" {row.cells['probes']}", "dim") if row.cells.get("probes") else ""
     name = Text.assemble((row.name, style), mark)
     if row.state in ("failed", "stale"):

@@ -27,6 +27,7 @@ def computed(tmp_path, monkeypatch):
         assert options == {"bandwidth": 100.0, "instruments": task().instruments}
         return 0.01 / truth.z.std()
 
+    monkeypatch.setattr(attainable, "simulate_drives", fake_drives)
     monkeypatch.setattr(attainable, "attainable_error", error)
     monkeypatch.setattr(error, "__module__", "estimators.map_smoother.attainable")
     return records
@@ -36,7 +37,7 @@ def test_every_drive_is_computed_once_and_efficiency_is_relative_to_it(computed)
     t = task()
     rows = run_task(t, {"reader": Reader(), "flat": Reader(gain=0.0)}, (1,), simulate=fake_drives)
     for _ in range(2):
-        board = attainable.with_attainable(Board((t,), {t.name: rows}), simulate=fake_drives)
+        board = attainable.with_attainable(Board((t,), {t.name: rows}))
         runs = [scores for row in board.results[t.name] for scores in runs_of(row).values()]
         assert len(computed) == len(runs) / 2
     for scores in runs:
@@ -56,9 +57,7 @@ def test_drives_of_perturbed_vehicles_and_tasks_without_a_bound_have_none(comput
     field = replace(t, conditions=tuple(replace(c, grade="S2") for c in t.conditions))
     for other in (field, replace(t, bound=False)):
         rows = run_task(other, {"reader": Reader()}, (1,), simulate=fake_drives)
-        board = attainable.with_attainable(
-            Board((other,), {other.name: rows}), simulate=fake_drives
-        )
+        board = attainable.with_attainable(Board((other,), {other.name: rows}))
         assert "attainable_nrmse" not in set(board.results[other.name][0].scores["score"])
     assert computed == []
 
@@ -66,7 +65,7 @@ def test_drives_of_perturbed_vehicles_and_tasks_without_a_bound_have_none(comput
 def test_the_pages_of_a_board_have_its_row(computed, tmp_path):
     t = task()
     rows = run_task(t, {"flat": Reader(gain=0.0)}, (1,), simulate=fake_drives)
-    board = attainable.with_attainable(Board((t,), {t.name: rows}), simulate=fake_drives)
+    board = attainable.with_attainable(Board((t,), {t.name: rows}))
     write_site(board, build_report(board), tmp_path)
     (page,) = (p for p in tmp_path.rglob("*.html") if p.stem == t.name)
     assert '<th scope="row">attainable' in page.read_text()

@@ -29,7 +29,8 @@ def test_bootstrap_intervals_have_their_nominal_coverage():
     inside = 0
     for k in range(200):
         roads = rng.standard_normal((30, 1, 1))  # equal for all seeds, which add no information
-        _, low, high = iqm_interval(roads + np.zeros((1, 1, 3)), seed=k)
+        drawn = bootstrap(roads + np.zeros((1, 1, 3)), seed=k)
+        low, high = np.quantile(drawn, [0.025, 0.975])
         inside += low <= 0.0 <= high
     # 95 % of 200, three standard errors; a bootstrap of 30 roads is a little narrow
     assert 0.87 <= inside / 200 <= 0.99
@@ -57,7 +58,7 @@ def test_entries_without_a_significant_difference_share_a_rank():
         "not either": np.full((20, 2, 3), np.nan),
     }
     found = rank_entries(scores)
-    assert {name: row.rank for name, row in found.items()} == {
+    assert found == {
         "equal": 1,
         "same": 1,
         "worst": 3,
@@ -70,5 +71,5 @@ def test_entries_without_a_significant_difference_share_a_rank():
 def test_a_small_difference_on_every_road_is_significant_since_roads_are_paired():
     road = np.random.default_rng(4).standard_normal((20, 1, 1))
     found = rank_entries({"better": road, "worse": road + 0.1})
-    assert [row.rank for row in found.values()] == [1, 2]
-    assert found["worse"].score.low < found["better"].score.high
+    assert list(found.values()) == [1, 2]
+    assert iqm_interval(road + 0.1).low < iqm_interval(road).high

@@ -242,7 +242,7 @@ def test_the_iri_error_is_averaged_over_segments_of_100_m():
     y = road(11, 300.0)
     part = S.size
     a = y * np.repeat([2.0, 0.0, 1.0], part)[: y.shape[1]]  # too rough and too smooth do not cancel
-    error, relative = roughness.iri_error(y, a, DS)
+    error, relative = (scores(y, a)[name] for name in ("iri_error", "iri_error_relative"))
     truth = 2.173 * np.sqrt(CLASS_D / 16e-6)  # closed form for w = 2, with the 250 mm filter
     assert relative == pytest.approx(2.0 / 3.0, abs=0.1)
     assert error == pytest.approx(truth * 2.0 / 3.0, rel=0.2)

@@ -354,8 +354,6 @@ def test_a_gif_reproduces_the_colours_of_the_frames(tmp_path):
 
 
 def test_a_failed_animation_leaves_the_old_file_unchanged(tmp_path, monkeypatch):
-    with pytest.raises(ConfigError, match=r"the suffix must be \.gif or \.webp"):
-        animate(SHORT, 0.2, tmp_path / "drive.mp4")
     with pytest.raises(ConfigError, match=r"at least 0\.1 s, got 0\.05 s"):
         animate(SHORT, 0.05, tmp_path / "drive.gif")
     (tmp_path / "drive.gif").write_bytes(b"old")
