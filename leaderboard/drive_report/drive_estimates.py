@@ -169,17 +169,17 @@ def _estimated(
 ) -> tuple[DriveFile, Estimate]:
     record = drive.measured.record
     one = sections.estimator(estimator) if sections else estimator
-    found = estimators.estimate(one, record, drive.car)
-    if found.distance is not None and found.draws is not None:
-        # sample by sample: a spline takes forty times the memory of what it goes through
-        plain = replace(found, draws=None, z_std=None, unsure=None)
-        moved = (to_true_distance(record, replace(plain, z=z))[1].z for z in found.draws)
-        draws = np.array([z.astype(found.draws.dtype) for z in moved])
-        record, found = to_true_distance(record, replace(found, draws=None))
-        found = replace(found, draws=draws)
-    else:
-        record, found = to_true_distance(record, found)
-    return drive._replace(measured=drive.measured._replace(record=record)), found
+    given = estimators.estimate(one, record, drive.car)
+    moved, found = to_true_distance(record, replace(given, draws=None))
+    samples = given.draws
+    if samples is not None and given.distance is not None:
+        # one by one: a spline takes forty times the memory of what it goes through
+        draws = np.empty((len(samples), *found.z.shape), samples.dtype)
+        for k, z in enumerate(samples):
+            draws[k] = to_true_distance(record, replace(given, z=z, z_std=None, draws=None))[1].z
+        samples = draws
+    drive = drive._replace(measured=drive.measured._replace(record=moved))
+    return drive, replace(found, draws=samples)
 
 
 def read_profiles(names: list[str], drives: list[MeasuredRecord]) -> list[Profile | None]:
