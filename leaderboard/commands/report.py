@@ -30,7 +30,7 @@ def report(
     drives: Annotated[
         list[Path], typer.Argument(help=f"Drives, each {KINDS}; several are passes.")
     ],
-    out: Annotated[Path, typer.Option(help="Folder of the page and its files.")],
+    out: Annotated[Path, typer.Option(help="Folder of the page and its files.")] = Path("report"),
     estimator: Annotated[str, typer.Option(help="Name, or a file from `train`.")] = "map_smoother",
     fast: Annotated[
         bool, typer.Option("--fast", help="Fit no vehicle to the drives: wider intervals, sooner.")
