@@ -170,14 +170,18 @@ def _estimated(
     record = drive.measured.record
     one = sections.estimator(estimator) if sections else estimator
     given = estimators.estimate(one, record, drive.car)
-    moved, found = to_true_distance(record, replace(given, draws=None))
-    samples = given.draws
+    samples, given = given.draws, replace(given, draws=None)
+    if samples is not None and not tells_paths_apart(record.sensors):
+        samples = samples.mean(axis=1, keepdims=True)  # half of the memory
+    moved, found = to_true_distance(record, given)
     if samples is not None and given.distance is not None:
         # one by one: a spline takes forty times the memory of what it goes through
-        draws = np.empty((len(samples), *found.z.shape), samples.dtype)
+        draws = np.empty((*samples.shape[:2], found.s.size), samples.dtype)
         for k, z in enumerate(samples):
-            draws[k] = to_true_distance(record, replace(given, z=z, z_std=None, draws=None))[1].z
+            draws[k] = to_true_distance(record, replace(given, z=z, z_std=None))[1].z
         samples = draws
+    if samples is not None:
+        samples = np.broadcast_to(samples, (len(samples), *found.z.shape))
     drive = drive._replace(measured=drive.measured._replace(record=moved))
     return drive, replace(found, draws=samples)
 
