@@ -207,7 +207,7 @@ class Sections:
                 parts[k], latest = estimate, path.stat().st_mtime
         if parts:
             when = datetime.fromtimestamp(latest).strftime("%H:%M")
-            self.said(f"{len(parts)} of {len(sections)} sections are kept from {when}")
+            self.said(f"kept from {when}: {len(parts)} of {len(sections)} sections")
         missing = [k for k in range(len(sections)) if k not in parts]
         for number, k in enumerate(missing):
             several = f", section {k + 1} of {len(sections)}" if len(sections) > 1 else ""
