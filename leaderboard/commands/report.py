@@ -10,6 +10,8 @@ from leaderboard.commands import (
     check_output_folder,
     import_from_here,
     make_table,
+    notices,
+    on_interrupt,
     parse_settings,
     progress_bar,
 )
@@ -19,6 +21,7 @@ from leaderboard.commands.output import Output
 from leaderboard.drive_report.analysis import DriveResult
 from leaderboard.drive_report.conditions import load_conditions
 from leaderboard.drive_report.report import ReportSettings, make_report, write_report
+from leaderboard.drive_report.sections import KEPT, Sections
 from road_envs.drives.logger_tables.description import write_description
 
 
@@ -27,7 +30,7 @@ def report(
     drives: Annotated[
         list[Path], typer.Argument(help=f"Drives, each {KINDS}; several are passes.")
     ],
-    out: Annotated[Path, typer.Option(help="Folder of the page and its files.")],
+    out: Annotated[Path, typer.Option(help="Folder of the page and its files.")] = Path("report"),
     estimator: Annotated[str, typer.Option(help="Name, or a file from `train`.")] = "map_smoother",
     fast: Annotated[
         bool, typer.Option("--fast", help="Fit no vehicle to the drives: wider intervals, sooner.")
@@ -72,11 +75,14 @@ def report(
         known_iri=known_iri,
         route=route,
     )
-    with progress_bar() as progress:
+    kept = f"finished sections are kept in {out}; the same command continues"
+    with on_interrupt(kept), progress_bar() as progress:
         progress("reading", 0.0)
         read = read_passes(drives, options)
-        made = make_report(read, chosen, progress)
-    page, *written = write_report(made, chosen, out)
+        sections = Sections(out / KEPT, said=notices.print)
+        made = make_report(read, chosen, progress, sections)
+        page, *written = write_report(made, chosen, out)
+        sections.clear()
     if options.save_description:  # with the factor of a known IRI
         write_description(options.save_description, made.descriptions[0])
     facts = {

@@ -19,8 +19,8 @@ from leaderboard.drive_report.mean_path import (
 from leaderboard.drive_report.notes import (
     in_order_of_weight,
     is_far_off,
-    is_fitted,
     misfits,
+    vehicle_in_words,
 )
 from leaderboard.drive_report.obstacles import CERTAIN, DetectedObstacle, detect
 from leaderboard.drive_report.posterior_iri import (
@@ -161,7 +161,7 @@ def analyse(
         speed_kmh=3.6 * v,
         sampled_hz=float(min(measured.fs, record.fs)),
         duration_s=float(record.t[-1]),
-        vehicle="fitted to the drive" if is_fitted(notes) else "as described",
+        vehicle=vehicle_in_words(notes),
         iri_mean=float(np.average(iri.median[-1], weights=np.diff(edges))),
         # errors of segments have common causes: the interval of the mean is the mean interval
         iri_mean_low=float(np.average(iri.low[-1], weights=np.diff(edges))),

@@ -4,6 +4,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import estimators
 from estimators.api import Estimator, copy_with
 from estimators.common.odometer import to_true_distance
@@ -12,6 +14,7 @@ from estimators.wiener.drive_check import check_notes, side_notes
 from estimators.wiener.structure_search import with_bending, with_twist
 from leaderboard.drive_report.mean_path import means_of_pairs, tells_paths_apart, tells_vehicle
 from leaderboard.drive_report.notes import LARGE_RESIDUAL, is_far_off, is_unsure, residual_of
+from leaderboard.drive_report.sections import Sections
 from road_envs.core.config import ConfigError
 from road_envs.drives.measured_record import MeasuredRecord
 from road_envs.drives.reading import DriveFile
@@ -84,8 +87,11 @@ def make_drive_estimator(
     return estimators.make_estimator(name, **settings)
 
 
-def estimate_drive(estimator: Estimator, drive: DriveFile) -> tuple[DriveFile, Estimate]:
-    """Return the estimate of a drive and the drive, both in true distance if that is known.
+def estimate_drive(
+    estimator: Estimator, drive: DriveFile, sections: Sections | None = None
+) -> tuple[DriveFile, Estimate]:
+    """Return the estimate of a drive, by `sections` if they are given, and the drive, both in true
+    distance if that is known.
 
     Bending and twist of the body are looked for in the spectrum of the sensors. Where the model
     with sensors on both sides leaves something unexplained, side motion is tried of which the
@@ -94,7 +100,7 @@ def estimate_drive(estimator: Estimator, drive: DriveFile) -> tuple[DriveFile, E
     """
     record = drive.measured.record
     if not tells_paths_apart(record.sensors):
-        return _estimated(estimator, _with_bending(drive))
+        return _estimated(estimator, _with_bending(drive), sections)
     car = with_twist(record, drive.car, drive.sensors)
     ways = [drive]
     if car is not drive.car and (mode := car.variation.frame):
@@ -105,11 +111,12 @@ def estimate_drive(estimator: Estimator, drive: DriveFile) -> tuple[DriveFile, E
         ways = [drive, twisted] if is_fitted else [twisted, drive]
     found = []
     for way in ways:
-        found.append(_estimated(estimator, way))
+        found.append(_estimated(estimator, way, sections))
         if residual_of(found[-1][1]) < LARGE_RESIDUAL:
             break
     pairs = zip(ways, found, strict=False)
-    best = _held_sideways(estimator, *min(pairs, key=lambda pair: residual_of(pair[1][1])))
+    likeliest = min(pairs, key=lambda pair: residual_of(pair[1][1]))
+    best = _held_sideways(estimator, *likeliest, sections)
     instruments = instruments_of(record, drive.sensors)
     is_rough = residual_of(best[1]) >= LARGE_RESIDUAL and not getattr(estimator, "adapt", True)
     is_wrong = is_far_off(best[1], record, instruments.noise_rms(record.fs))
@@ -121,11 +128,14 @@ def estimate_drive(estimator: Estimator, drive: DriveFile) -> tuple[DriveFile, E
     note = PAIRS_NOTE.format(residual_of(best[1]))
     means = drive._replace(measured=drive.measured._replace(record=centred)).with_notes(note)
     alone = copy_with(estimator, adapt=False) if hasattr(estimator, "adapt") else estimator
-    return _estimated(alone, _with_bending(means))
+    return _estimated(alone, _with_bending(means), sections)
 
 
 def _held_sideways(
-    estimator: Estimator, drive: DriveFile, found: tuple[DriveFile, Estimate]
+    estimator: Estimator,
+    drive: DriveFile,
+    found: tuple[DriveFile, Estimate],
+    sections: Sections | None,
 ) -> tuple[DriveFile, Estimate]:
     """Return what is `found` of a drive if its vehicle is held sideways, if that explains more."""
     car, before = drive.car, residual_of(found[1])
@@ -137,7 +147,7 @@ def _held_sideways(
     spread = load_vehicle(SIDE_CLASS).tolerances.items()
     known = car.tolerances | {key: x for key, x in spread if key.startswith("side.")}
     held = drive._replace(car=replace(car, side=side_values(car), tolerances=known))
-    held, estimate = _estimated(estimator, held)
+    held, estimate = _estimated(estimator, held, sections)
     if residual_of(estimate) >= before:
         return found
     notes = [note for note in held.measured.notes if SIDE_DOUBT not in note]
@@ -154,10 +164,26 @@ def _with_bending(drive: DriveFile) -> DriveFile:
     return drive._replace(car=car).with_notes(note)
 
 
-def _estimated(estimator: Estimator, drive: DriveFile) -> tuple[DriveFile, Estimate]:
+def _estimated(
+    estimator: Estimator, drive: DriveFile, sections: Sections | None
+) -> tuple[DriveFile, Estimate]:
     record = drive.measured.record
-    record, found = to_true_distance(record, estimators.estimate(estimator, record, drive.car))
-    return drive._replace(measured=drive.measured._replace(record=record)), found
+    one = sections.estimator(estimator) if sections else estimator
+    given = estimators.estimate(one, record, drive.car)
+    samples, given = given.draws, replace(given, draws=None)
+    if samples is not None and not tells_paths_apart(record.sensors):
+        samples = samples.mean(axis=1, keepdims=True)  # half of the memory
+    moved, found = to_true_distance(record, given)
+    if samples is not None and given.distance is not None:
+        # one by one: a spline takes forty times the memory of what it goes through
+        draws = np.empty((*samples.shape[:2], found.s.size), samples.dtype)
+        for k, z in enumerate(samples):
+            draws[k] = to_true_distance(record, replace(given, z=z, z_std=None))[1].z
+        samples = draws
+    if samples is not None:
+        samples = np.broadcast_to(samples, (len(samples), *found.z.shape))
+    drive = drive._replace(measured=drive.measured._replace(record=moved))
+    return drive, replace(found, draws=samples)
 
 
 def read_profiles(names: list[str], drives: list[MeasuredRecord]) -> list[Profile | None]:

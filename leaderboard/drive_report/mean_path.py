@@ -151,7 +151,7 @@ def with_mean_path(estimate: Estimate) -> Estimate:
         std = np.tile(std.min(axis=0), (2, 1))
     draws = estimate.draws
     if draws is not None:
-        draws = np.repeat(draws.mean(axis=1, keepdims=True), 2, axis=1)
+        draws = np.broadcast_to(draws.mean(axis=1, keepdims=True), draws.shape)
     notes = (MEAN_PATH_NOTE, *estimate.notes)
     return replace(estimate, z=mean, z_std=std, draws=draws, notes=notes)
 

@@ -17,6 +17,9 @@ MISFIT = r"does not reproduce|times the expected one|heights are reduced"
 FITTED = r"was adapted|adapted to the drive"
 """Notes of a vehicle whose parameters or elements were found from the drive itself."""
 
+SLOW = ": values every"
+"""Words after the name of a column that has fewer samples."""
+
 WEIGHTS = (
     r"heights there are not known",
     MISFIT,
@@ -95,13 +98,27 @@ def residual_of(estimate: Estimate) -> float:
 
 
 def in_order_of_weight(notes: Iterable[str]) -> tuple[str, ...]:
-    """Return the notes without repetitions, by WEIGHTS; equal ones stay in their order."""
-    return tuple(sorted(dict.fromkeys(notes), key=_weight))
+    """Return the notes without repetitions, by WEIGHTS; equal ones stay in their order.
+
+    Columns of which one thing is said are in one note.
+    """
+    alike: dict[str, list[str]] = {}
+    for note in dict.fromkeys(notes):
+        name, slow, rest = note.partition(SLOW)
+        alike.setdefault(slow + rest if slow else note, []).append(name)
+    joined = [
+        ", ".join(names) + what if what.startswith(SLOW) else what for what, names in alike.items()
+    ]
+    return tuple(sorted(joined, key=_weight))
 
 
-def is_fitted(notes: Iterable[str]) -> bool:
-    """Whether the vehicle of an estimate was fitted to its drive, as its `notes` say."""
-    return any(re.search(FITTED, note) for note in notes)
+def vehicle_in_words(notes: Iterable[str]) -> str:
+    """Return how much of its vehicle an estimate found in the drive, as its `notes` say."""
+    found = [note for note in notes if re.search(FITTED, note)]
+    if not found:
+        return "as described"
+    is_bent = all("body bends" in note for note in found)
+    return "as described, but for the bending of its body" if is_bent else "fitted to the drive"
 
 
 def _weight(note: str) -> int:

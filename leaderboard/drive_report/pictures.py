@@ -121,7 +121,7 @@ def profile_strip(result: DriveResult, shown: ShownProfile) -> str:
                     )
             axes.set(xlim=(s[part[0]], s[part[-1]]), ylim=(-limit, 1.4 * limit))
             axes.grid(color="0.9", lw=0.5)
-        panels[0].legend(frameon=False, ncols=2, loc="lower right", bbox_to_anchor=(1.0, 1.0))
+        panels[0].legend(frameon=False, ncols=2, loc="lower left", bbox_to_anchor=(0.0, 1.0))
         panels[rows // 2].set_ylabel("height [mm]")
         panels[-1].set_xlabel("chainage [m]")
 
@@ -163,7 +163,7 @@ def iri_chart(result: DriveResult, conditions: Conditions) -> str:
         )  # fmt: skip
         axes.set(xlabel="chainage [m]", ylabel="IRI [mm/m]", xlim=(edges[0], edges[-1]))
         axes.set_ylim(0.0, top)
-        axes.legend(frameon=False, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
+        axes.legend(frameon=False, ncols=3, loc="lower left", bbox_to_anchor=(0.0, 1.0))
 
     return inline_svg(paint, (8.0, 3.0))
 

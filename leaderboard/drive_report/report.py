@@ -1,7 +1,7 @@
 """A report of one or more drives: estimates, one road of all passes, and the files of the page."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from leaderboard.drive_report.known_iri import known_factor, read_known_iri
 from leaderboard.drive_report.mean_path import tells_vehicle
 from leaderboard.drive_report.page import write_page
 from leaderboard.drive_report.passes import ReportedPass, align_passes, compare, join
+from leaderboard.drive_report.sections import Sections
 from leaderboard.drive_report.tolerance_error import roughness_std
 from road_envs.core.config import ConfigError
 from road_envs.drives.logger_tables.description import DriveDescription
@@ -78,10 +79,14 @@ class RoadReport:
 
 
 def make_report(
-    drives: Sequence[DriveFile], chosen: ReportSettings, progress: Progress
+    drives: Sequence[DriveFile],
+    chosen: ReportSettings,
+    progress: Progress,
+    sections: Sections | None = None,
 ) -> RoadReport:
     """Return the report of drives; several are passes over one road where they match.
 
+    Long drives are estimated by `sections`, which are kept if these have a folder.
     Raises ConfigError, RecordError.
     """
     sensors = same_instruments(drives)
@@ -90,9 +95,12 @@ def make_report(
     read, one = [], None
     metres = [max(record.length, 1.0) for record in records]
     for k, drive in enumerate(drives):
-        progress(f"estimating {drive.name}", 0.95 * sum(metres[:k]) / sum(metres))
+        begin, share = (0.95 * x / sum(metres) for x in (sum(metres[:k]), metres[k]))
+        part = replace(
+            sections or Sections(), told=_within(progress, f"estimating {drive.name}", begin, share)
+        )
         one = make_drive_estimator(chosen.estimator, drive, chosen.settings, chosen.fast)
-        drive, found = estimate_drive(one, drive)
+        drive, found = estimate_drive(one, drive, part)
         read.append((drive.name, drive.measured, found))
     assert one is not None
     passes = align_passes(read)
@@ -113,6 +121,11 @@ def make_report(
         vehicle=", ".join(dict.fromkeys(drive.car.name for drive in drives)),
         sensors=sensors,
     )
+
+
+def _within(progress: Progress, what: str, begin: float, share: float) -> Progress:
+    """Return the progress of a part that begins at `begin` and has this `share` of the whole."""
+    return lambda text, done: progress(what + text, begin + share * done)
 
 
 def _with_factor(drive: DriveFile, known: KnownFactor) -> DriveFile:

@@ -13,7 +13,7 @@ from leaderboard.drive_report.conditions import load_conditions
 from leaderboard.drive_report.drive_estimates import make_drive_estimator
 from leaderboard.drive_report.known_iri import known_factor, read_known_iri
 from leaderboard.drive_report.mean_path import path_level_ratio, path_ratio, tells_paths_apart
-from leaderboard.drive_report.notes import in_order_of_weight
+from leaderboard.drive_report.notes import in_order_of_weight, vehicle_in_words
 from road_envs.core.config import ConfigError
 from road_envs.drives.measured_record import MeasuredRecord
 from road_envs.drives.places import PLACES
@@ -169,9 +169,11 @@ def test_notes_stand_in_the_order_of_their_weight():
         "the device is mounted with its z axis 18 degrees from the vertical",
         misfit_note(33.8),
         "the record fits a speed of 10 km/h better",
+        "lon: values every 1 s are interpolated",
         "lat: values every 1 s are interpolated",
     )
-    assert in_order_of_weight(notes) == (notes[3], notes[4], notes[2], notes[1], notes[0])
+    slow = "lat, lon: values every 1 s are interpolated"
+    assert in_order_of_weight(notes) == (notes[3], notes[4], notes[2], notes[1], slow)
 
 
 def test_indices_of_a_profile_are_those_of_its_paths_and_of_their_mean():
@@ -238,6 +240,7 @@ def test_the_page_says_whether_the_vehicle_was_fitted_to_its_drive():
     """By the notes of `estimators`; their words are those that it writes."""
     _, found = result(3)
     assert found.facts["vehicle"] == "as described"
-    told = found.measured._replace(notes=("the body bends at 18 Hz, by a peak, and was adapted",))
-    again = analyse("one", told, found.estimate, HPMS)
-    assert again.facts["vehicle"] == "fitted to the drive"
+    bent, frame = "the body bends at 18 Hz, by a peak, and was adapted", "the frame was adapted"
+    told = found.measured._replace(notes=(bent, frame))
+    assert analyse("one", told, found.estimate, HPMS).facts["vehicle"] == "fitted to the drive"
+    assert vehicle_in_words([bent]) == "as described, but for the bending of its body"
