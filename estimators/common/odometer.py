@@ -154,8 +154,11 @@ def to_true_distance(record: Record, estimate: Estimate) -> tuple[Record, Estima
     if z_std is not None:
         z_std = np.array([np.interp(old, estimate.s, path) for path in z_std])
     draws = estimate.draws
-    if draws is not None:
-        draws = CubicSpline(estimate.s, draws, axis=2)(old).astype(draws.dtype)
+    if draws is not None:  # one by one: a spline takes forty times the memory of its heights
+        moved_draws = np.empty((*draws.shape[:2], s.size), draws.dtype)
+        for k, z in enumerate(draws):
+            moved_draws[k] = CubicSpline(estimate.s, z, axis=1)(old)
+        draws = moved_draws
     unsure = estimate.unsure
     if unsure is not None:
         unsure = np.interp(old, estimate.s, unsure) > 0.0

@@ -170,20 +170,13 @@ def _estimated(
     record = drive.measured.record
     one = sections.estimator(estimator) if sections else estimator
     given = estimators.estimate(one, record, drive.car)
-    samples, given = given.draws, replace(given, draws=None)
-    if samples is not None and not tells_paths_apart(record.sensors):
-        samples = samples.mean(axis=1, keepdims=True)  # half of the memory
+    if given.draws is not None and not tells_paths_apart(record.sensors):  # half of the memory
+        given = replace(given, draws=given.draws.mean(axis=1, keepdims=True))
     moved, found = to_true_distance(record, given)
-    if samples is not None and given.distance is not None:
-        # one by one: a spline takes forty times the memory of what it goes through
-        draws = np.empty((*samples.shape[:2], found.s.size), samples.dtype)
-        for k, z in enumerate(samples):
-            draws[k] = to_true_distance(record, replace(given, z=z, z_std=None))[1].z
-        samples = draws
-    if samples is not None:
-        samples = np.broadcast_to(samples, (len(samples), *found.z.shape))
-    drive = drive._replace(measured=drive.measured._replace(record=moved))
-    return drive, replace(found, draws=samples)
+    if found.draws is not None:
+        samples = np.broadcast_to(found.draws, (len(found.draws), *found.z.shape))
+        found = replace(found, draws=samples)
+    return drive._replace(measured=drive.measured._replace(record=moved)), found
 
 
 def read_profiles(names: list[str], drives: list[MeasuredRecord]) -> list[Profile | None]:
