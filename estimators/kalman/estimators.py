@@ -139,7 +139,6 @@ class _KalmanSettings(CalibratedByIdentification):
         noise = density**2 * 0.5 * record.fs
         prior = RoadPrior(G_d0=self.G_d0, w=self.w, track=2.0 * car.front.y_t)
         ahead = POWER_WINDOW if smooth else min(max(lag - LAG, 0.0), POWER_WINDOW)
-        emitted_lag = lag - (0.0 if smooth else ahead)
         run = setup_run(
             record,
             car,
@@ -149,9 +148,10 @@ class _KalmanSettings(CalibratedByIdentification):
             noise_variance=noise,
             prior=prior,
             level_ends=self.level_ends,
+            lag=lag - (0.0 if smooth else ahead),
         )
         sensor_latency = (ANTIALIAS_SPREAD + 1) / record.fs + antialias_delay(instruments)
-        output = setup_output(run, record, emitted_lag, sensor_latency, detrended=not smooth)
+        output = setup_output(run, record, sensor_latency, detrended=not smooth)
         if smooth:
             run_smoother(run, output)
         else:

@@ -17,22 +17,17 @@ import math
 
 import numpy as np
 
-from estimators.kalman.filtered import BandVariance, NodesAtEmission
 from estimators.kalman.friction_linearization import choose_linearization
-from estimators.kalman.joint_state import read_heights, read_nodes, update_state
 from estimators.kalman.jumps import step_is_likely
 from estimators.kalman.linearization import linearize_block
-from estimators.kalman.road_process import RoadProcess
 from estimators.kalman.state import (
     NOISE_SCALE,
     SIGNAL_POWER,
     FilterInputs,
     FilterModel,
-    JointState,
     LinearizedBlock,
     LocalState,
     StepTest,
-    WindowPart,
 )
 from road_envs.kernels._numba import kernel
 
@@ -46,42 +41,7 @@ fault of the sensor."""
 
 
 @kernel(inline=False)
-def filter_window(
-    model: FilterModel,
-    inputs: FilterInputs,
-    road: RoadProcess,
-    joint: JointState,
-    part: WindowPart,
-    local: LocalState,
-    test: StepTest,
-    nodes: NodesAtEmission,
-    bands: BandVariance,
-):
-    """Filter the blocks of a `part` of a window, to its last or until a step of the road is likely,
-    read what is emitted until then, and update `joint`. Return the block behind the last one,
-    whether a step is likely, and `update_state`'s V and W.
-    """
-    size, n, P = local.x.size, joint.x.size, joint.P
-    P_local = np.empty((size, P.shape[1]))
-    local.rows[:] = 0.0
-    for i in range(size):
-        at = part.local[i]
-        local.x[i], local.rows[i, size + i] = joint.x[at], 1.0
-        for k in range(P.shape[1]):
-            P_local[i, k] = P[at, k]
-            if k >= n:
-                test.direction[i, k - n] = P[at, k]
-        for k in range(size):
-            local.rows[i, k] = P[at, part.local[k]]
-    last, likely = _filter_blocks(model, inputs, local, test, part.first, part.last)
-    read_nodes(road, joint, part, local, P_local, nodes, last)
-    read_heights(road, joint, part, local, bands, last)
-    V, W = update_state(joint, part, local, P_local, road.n_vehicle, 3 * (last - part.first))
-    return last, likely, V, W
-
-
-@kernel(inline=False)
-def _filter_blocks(
+def filter_blocks(
     model: FilterModel, inputs: FilterInputs, local: LocalState, test: StepTest, first, last
 ):
     """Filter the blocks from `first` on, to `last` (excluded) or until a step of the road is

@@ -97,7 +97,7 @@ def add_information(score, information, response, innovation):
 
 @dataclass(frozen=True, eq=False)
 class AcceptedStep:
-    """A step of `size` [m] of the `candidate` at a `node`, in the `direction` (k,), its `variance`
+    """A step of `size` [m] of the `candidate` at a `node`, in the `direction` (n,), its `variance`
     [m²] by the innovations and the one `added` [m²] to the state, and the information (m,) [1/m²]
     that the innovations have on it and each other candidate, `cross`.
     """
@@ -138,12 +138,13 @@ class RoadJumps:
         near = np.zeros(nodes, dtype=bool)
         return cls(score, information, np.zeros((nodes, 2)), near, length, reach)
 
-    def begin(self, nodes: np.ndarray) -> None:
-        """Replace the oldest candidates by those of new `nodes` (M,)."""
+    def begin(self, nodes: np.ndarray) -> np.ndarray:
+        """Replace the oldest candidates by those of new `nodes` (M,); return them (2 M,)."""
         candidates = (2 * nodes[:, None] + np.arange(2)).ravel() % self.score.size
         self.score[candidates] = 0.0
         self.information[candidates] = 0.0
         self.information[:, candidates] = 0.0
+        return candidates
 
     def add(self, node: int, side: int, step: float) -> None:
         """Add a `step` [m] at a `node` in a wheel path."""
@@ -154,9 +155,8 @@ class RoadJumps:
         self, x: np.ndarray, P: np.ndarray, direction: np.ndarray, reached: int, least: float
     ) -> list[AcceptedStep]:
         """Add the steps of a log likelihood ratio of more than `least`, of nodes up to the number
-        `reached`, to the state, of mean `x` (n,). Of k quantities, of which the state is the first,
-        `P` (n, k) is the covariance with the state, and `direction` (k, m) the error per unit step
-        of each candidate.
+        `reached`, to the state, of mean `x` (n,) and covariance `P` (n, n), with the `direction`
+        (n, m) of each candidate.
         """
         score, information, accepted = self.score, self.information, list[AcceptedStep]()
         m, prior = score.size, JUMP_STD**2
@@ -168,8 +168,8 @@ class RoadJumps:
             step = variance * score[best]
             f, cross = direction[:, best].copy(), information[best].copy()
             added = variance + (RELATIVE_ERROR * step) ** 2
-            x += step * f[: x.size]
-            P += np.outer(added * f[: x.size], f)
+            x += step * f
+            P += np.outer(added * f, f)
             score -= step * cross
             direction -= np.outer(f, variance * cross)
             information -= np.outer(variance * cross, cross)

@@ -27,7 +27,6 @@ N_DETREND = 0.1
 HALF_WINDOW = 1.0
 """Half length [m] of the kernel `low`."""
 
-
 VARIANCE_STRIDE = 16
 """Stations from one whose variance is computed to the next."""
 
@@ -50,7 +49,7 @@ class ProfileOutput:
     """Emission schedule and emitted heights of M stations, in order.
 
     Schedule: node numbers `node` (M,); the number of blocks `emit_block` (M,) after which each is
-    emitted; `cutoff` (M, 2) [cycles/node] of the kernel `low`, for height and for variance; its
+    emitted; `cutoff` (2, M) [cycles/node] of the kernel `low`, for height and for variance; its
     half length `half_window` [nodes]; `detrended`: whether long waves are subtracted from the
     height (from the variance they always are); `both_axles`: whether the rear axle has passed a
     station then. Results: heights `z` [m] and their in-band `variance` [m²] (M, 2), left and right.
@@ -130,13 +129,10 @@ def output_weights(u, at, decay, cutoff, half_window):
 
 
 @kernel(inline=False)
-def fill_weights(at, nodes, decay, cutoff, half_window, u):
-    """Write the `output_weights` of M positions `at` (M,) from the oldest of so many `nodes` (M,)
-    to `u` (M, 2 + L), where a row has zeros beyond its nodes.
-    """
+def fill_weights(at, decay, cutoff, half_window, u):
+    """Write the `output_weights` of M positions `at` (M,) to `u` (M, 2 + L)."""
     for m in range(at.size):
-        u[m, 2 + nodes[m] :] = 0.0
-        output_weights(u[m, : 2 + nodes[m]], at[m], decay, cutoff[m], half_window)
+        output_weights(u[m], at[m], decay, cutoff[m], half_window)
 
 
 def lost_noise_scale(signal_power: np.ndarray | float) -> np.ndarray | float:

@@ -20,7 +20,6 @@ from estimators.kalman.state import (
     ROUGHNESS_SCALE,
     ROUGHNESS_SUM,
     ROUGHNESS_WEIGHT,
-    JointState,
 )
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.kernels._numba import kernel
@@ -162,14 +161,12 @@ def _node_law(road: RoadProcess, newest):
 
 
 @kernel(inline=False)
-def add_node(road: RoadProcess, joint: JointState, newest, scale):
-    """Replace the oldest node by the one behind the `newest`, for a roughness `scale`. Steps of
-    both wheel paths at it are the newest candidates.
+def add_node(road: RoadProcess, x, P, newest, scale):
+    """Replace the oldest node by the one behind the `newest`, for a roughness `scale`, in the mean
+    `x` (n,) and in `P` (n, n + m). Steps of both wheel paths at it are the newest candidates.
     """
     entries, sources, factors = _node_law(road, newest)
-    x, P, n = joint.x, joint.P, joint.x.size
-    mean, rows = np.zeros(6), np.zeros((6, P.shape[1]))
-    heights = np.zeros((P.shape[0] - n, 6))
+    mean, rows, n = np.zeros(6), np.zeros((6, P.shape[1])), x.size
     for e in range(6):
         for k in range(factors.shape[1]):
             source, factor = sources[e, k], factors[e, k]
@@ -178,8 +175,6 @@ def add_node(road: RoadProcess, joint: JointState, newest, scale):
             mean[e] += factor * x[source]
             for i in range(P.shape[1]):
                 rows[e, i] += factor * P[source, i]
-            for i in range(n, P.shape[0]):
-                heights[i - n, e] += factor * P[i, source]
     corner = np.zeros((6, 6))
     for e in range(6):
         for k in range(factors.shape[1]):
@@ -193,47 +188,46 @@ def add_node(road: RoadProcess, joint: JointState, newest, scale):
         x[at] = mean[e]
         for i in range(P.shape[1]):
             P[at, i] = rows[e, i]
-        for i in range(P.shape[0]):
-            P[i, at] = rows[e, i] if i < n else heights[i - n, e]
+        for i in range(n):
+            P[i, at] = rows[e, i]
     for e in range(6):
         for i in range(6):
             P[entries[i], entries[e]] = corner[i, e]
     for side in range(2):
         candidate = n + (2 * (newest + 1) + side) % (P.shape[1] - n)
-        for i in range(P.shape[0]):
-            P[i, candidate] = 0.0
+        P[:, candidate] = 0.0
         P[entries[4], candidate] = 0.5 * free
         P[entries[5], candidate] = (0.5 - side) * free
 
 
 @kernel(inline=False)
-def transpose_nodes(road: RoadProcess, nodes, r, columns):
-    """Replace `columns` of `r` (n, M) by F' r of the steps in which the `nodes` are replaced; of
-    both, numbers from a first one to a last one (excluded).
+def transpose_nodes(road: RoadProcess, first, last, r):
+    """Replace `r` (n, M) by F' r of the steps in which the nodes from the `first` to the `last`
+    (excluded) are replaced.
     """
     after = np.empty((6, r.shape[1]))
-    for node in range(nodes[1] - 1, nodes[0] - 1, -1):
+    for node in range(last - 1, first - 1, -1):
         entries, sources, factors = _node_law(road, node + road.n_nodes - 1)
         for e in range(6):
-            for i in range(columns[0], columns[1]):
+            for i in range(r.shape[1]):
                 after[e, i], r[entries[e], i] = r[entries[e], i], 0.0
         for e in range(6):
             for k in range(factors.shape[1]):
                 source, factor = sources[e, k], factors[e, k]
                 if factor == 0.0:
                     continue
-                for i in range(columns[0], columns[1]):
+                for i in range(r.shape[1]):
                     r[source, i] += factor * after[e, i]
 
 
 @kernel(inline=False)
-def update_roughness(road: RoadProcess, joint: JointState, adaptive, square, passed):
+def update_roughness(road: RoadProcess, x, P, adaptive, square, passed):
     """Update the roughness scale by the increments up to each node from the first to the last one
     (excluded) of `passed`; one with an accepted step in `square` (N, 2) is none of the prior.
 
     One step of expectation maximization: the expected square is the squared mean plus the variance.
     """
-    x, P, span = joint.x, joint.P, road.increment_span
+    span = road.increment_span
     kept = 1.0 - 0.5 / road.roughness_memory  # half a node: there are two components
     for node in range(passed[0], passed[1]):
         steps = 0.0

@@ -207,9 +207,9 @@ def test_what_is_measured_after_a_restart_tells_nothing_of_the_road_before():
     for later in (1.0, 0.5):
         a = np.where(record.s > 27.0, later, 1.0) * np.nan_to_num(record.a)
         measurements = block_means(a, np.isfinite(record.a), 3)
-        options = {"noise_variance": 0.05, "prior": PRIOR, "level_ends": True}
+        options = {"noise_variance": 0.05, "prior": PRIOR, "level_ends": True, "lag": 2.79}
         run = setup_run(record, DEFENDER, PAPER, inputs, measurements, **options)
-        output = setup_output(run, record, 2.79, 0.004, detrended=False)
+        output = setup_output(run, record, 0.004, detrended=False)
         run_smoother(run, output)
         heights.append(output.z)
         assert run.state.restarts[0] < np.argmax(run.known_front(0.0) > 27.0)
@@ -311,7 +311,7 @@ def test_intervals_widen_where_obstacles_surprise_the_filter(name):
 def test_nodes_that_have_left_are_smoothed_as_if_all_were_held(monkeypatch):
     """Over obstacles, whose steps are accepted after nodes have left that their edges disturb."""
     case = "ride", 30.0, 72, 60.0, "random_bumps"
-    (record, _), few = drive(*case), estimate_of("kalman_lag", *case)
+    (record, _), few = drive(*case), estimate_of("kalman_rts", *case)
 
     def hold_all(*arguments):
         windows = schedule_windows(*arguments)
@@ -323,7 +323,7 @@ def test_nodes_that_have_left_are_smoothed_as_if_all_were_held(monkeypatch):
         "estimators.kalman.estimators.obstacle_std",
         lambda square, *_: steps.append(np.count_nonzero(square)) or 0.0,
     )
-    all_held = create("kalman_lag").estimate(record, DEFENDER)
+    all_held = create("kalman_rts").estimate(record, DEFENDER)
     assert steps[0] > 3
     np.testing.assert_allclose(few.z, all_held.z, rtol=0.0, atol=1e-6)
 
@@ -383,9 +383,9 @@ def test_the_roughness_scale_is_estimated_within_a_factor_of_two():
         record, _ = drive("handling", 54.0, 2, 60.0, name)
         inputs = build_model_inputs(record, PAPER, DEFENDER, 0.001)
         measurements = block_means(record.a, np.isfinite(record.a), 3)
-        options = {"noise_variance": 0.05, "prior": PRIOR, "level_ends": True}
+        options = {"noise_variance": 0.05, "prior": PRIOR, "level_ends": True, "lag": 4.79}
         run = setup_run(record, DEFENDER, PAPER, inputs, measurements, **options)
-        run_filter(run, setup_output(run, record, 4.79, 0.004, detrended=True))
+        run_filter(run, setup_output(run, record, 0.004, detrended=True))
         assert abs(np.log2(run.state.adaptive[ROUGHNESS_SCALE] / scale)) < 1.0
 
 

@@ -17,7 +17,7 @@ from vehicle_fixtures import DEFENDER
 from estimators.common.block_means import block_means
 from estimators.common.model_inputs import REST_STD, build_model_inputs
 from estimators.kalman.filter import normal_hazard, update_block
-from estimators.kalman.filtered import NodesAtEmission
+from estimators.kalman.forward import WindowFilter
 from estimators.kalman.pipeline import (
     BIAS_STD,
     NODE_SPACING,
@@ -25,12 +25,10 @@ from estimators.kalman.pipeline import (
     run_smoother,
     setup_output,
     setup_run,
-    window_filter,
 )
 from estimators.kalman.profile_output import HALF_WINDOW, VARIANCE_STRIDE, decay_per_node
 from estimators.kalman.road_process import fit_ar_model
 from estimators.kalman.state import ROUGHNESS_SUM, ROUGHNESS_WEIGHT, LinearizedBlock, LocalState
-from estimators.kalman.windows import EmissionTimes
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.records.record import Record
 from road_envs.sensing.instruments import load_instruments
@@ -76,14 +74,14 @@ def record_of(a: np.ndarray) -> Record:
     return Record(t, a, np.full(t.size, SPEED), s, state, state, SPEED * TIME - LEAD - 1.0)
 
 
-def run_of(a: np.ndarray, flexible: bool = False):
+def run_of(a: np.ndarray, flexible: bool = False, lag: float = DEFENDER.wheelbase):
     """The short drive before its first block, without adaptation, and from a narrow initial state,
     in which the gas springs are linear.
     """
     record, car = record_of(a), linear_car(flexible)
     inputs = build_model_inputs(record, PAPER, car, STEP)
     measurements = block_means(record.a, np.isfinite(record.a), 3)
-    options = {"noise_variance": NOISE, "prior": SMOOTH, "level_ends": True}
+    options = {"noise_variance": NOISE, "prior": SMOOTH, "level_ends": True, "lag": lag}
     run = setup_run(record, car, PAPER, inputs, measurements, **options)
     run.state.adaptive[[ROUGHNESS_SUM, ROUGHNESS_WEIGHT]] = 1e15
     vehicle = slice(run.road.n_vehicle)
@@ -242,8 +240,8 @@ FLEXIBLE = pytest.param(4.79, True, marks=pytest.mark.slow, id="a body that twis
 @pytest.mark.parametrize("lag, flexible", [(0.0, False), (4.79, False), (6.5, False), FLEXIBLE])
 def test_an_emitted_station_is_the_dense_posterior_of_the_blocks_until_then(lag, flexible):
     """Heights within a tenth of their standard deviation, standard deviations to a hundredth."""
-    run, record, _ = run_of(drawn_samples(flexible), flexible)
-    output = setup_output(run, record, lag, 0.004, detrended=True)
+    run, record, _ = run_of(drawn_samples(flexible), flexible, lag)
+    output = setup_output(run, record, 0.004, detrended=True)
     output = replace(output, cutoff=np.full_like(output.cutoff, CUTOFF))
     assert np.searchsorted(output.emit_block, run.n_blocks) > 100
     run_filter(run, output)
@@ -258,7 +256,7 @@ def test_an_emitted_station_is_the_dense_posterior_of_the_blocks_until_then(lag,
 
 def test_the_smoothed_profile_is_the_dense_posterior_of_all_blocks():
     run, record, _ = run_of(drawn_samples())
-    output = setup_output(run, record, DEFENDER.wheelbase, 0.004, detrended=False)
+    output = setup_output(run, record, 0.004, detrended=False)
     output = replace(output, cutoff=np.full_like(output.cutoff, CUTOFF))
     run_smoother(run, output)
     passed = int(np.searchsorted(output.emit_block, run.n_blocks))
@@ -275,7 +273,7 @@ def test_smoothing_in_chunks_is_nearly_smoothing_at_once():
     once, chunks = [], []
     for result, size in ((once, 10**6), (chunks, 16)):
         run, record, _ = run_of(drawn_samples())
-        output = setup_output(run, record, DEFENDER.wheelbase, 0.004, detrended=False)
+        output = setup_output(run, record, 0.004, detrended=False)
         run_smoother(run, output, size)
         result += [output.z, np.sqrt(output.variance)]
     assert np.abs(once[0] - chunks[0]).max() < 0.3 * once[1].max()
@@ -285,9 +283,7 @@ def test_smoothing_in_chunks_is_nearly_smoothing_at_once():
 
 def test_innovations_on_the_filters_own_model_are_white_with_unit_variance():
     run, record, _ = run_of(drawn_samples())
-    output = setup_output(run, record, 4.79, 0.004, detrended=True)
-    never = EmissionTimes(*5 * (np.zeros(0, dtype=int),), 0)
-    one = window_filter(run, output, NodesAtEmission(never, np.zeros((0, 2, 2)), np.zeros((0, 0))))
+    one = WindowFilter(run, setup_output(run, record, 0.004, detrended=True))
     windows = [part for i in range(run.windows.newest.size) for part in one.filter_window(i)]
     innovation = np.concatenate([window.innovation for window in windows]).reshape(-1, 3)
     count = innovation.size
