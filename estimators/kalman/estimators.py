@@ -46,7 +46,6 @@ from estimators.common.explained import reduce_unexplained, trusted_share, untru
 from estimators.common.model_inputs import antialias_delay, build_model_inputs
 from estimators.common.odometer import calibrate_stations
 from estimators.kalman.monitoring import (
-    POWER_WINDOW,
     local_nis,
     long_waves,
     obstacle_std,
@@ -64,6 +63,7 @@ from estimators.kalman.pipeline import (
 )
 from estimators.kalman.profile_output import ProfileOutput
 from estimators.kalman.state import NOISE_SCALE, ROUGHNESS_SCALE
+from estimators.kalman.tuning import TUNING
 from estimators.map_smoother.identified_vehicle import CalibratedByIdentification
 from estimators.preprocessing import (
     ANTIALIAS_SPREAD,
@@ -88,12 +88,6 @@ from road_envs.vehicle.parameters import VehicleParameters
 N_SENSORS = 3
 """Accelerometers that the state vector has biases for."""
 
-NOISE_SCALE_WARNING = 2.0
-"""Noise scale above which a note says that the vehicle may differ from the one described."""
-
-LOST_REACH = 10.0
-"""Distance [m] about a lost vehicle over which smoothed heights are reduced, and before a restart
-over which heights are wrong, at most."""
 
 Lag = Annotated[float, Field(ge=0, lt=100), "m", "from the front axle back to the station emitted"]
 StdFactor = Annotated[Positive, "", "on the in-band standard deviation, fitted to training drives"]
@@ -138,7 +132,7 @@ class _KalmanSettings(CalibratedByIdentification):
         density = self.noise_density or max(instruments.noise_density, MIN_NOISE_DENSITY)
         noise = density**2 * 0.5 * record.fs
         prior = RoadPrior(G_d0=self.G_d0, w=self.w, track=2.0 * car.front.y_t)
-        ahead = POWER_WINDOW if smooth else min(max(lag - LAG, 0.0), POWER_WINDOW)
+        ahead = TUNING.power_window if smooth else min(max(lag - LAG, 0.0), TUNING.power_window)
         run = setup_run(
             record,
             car,
@@ -161,7 +155,7 @@ class _KalmanSettings(CalibratedByIdentification):
                 "the filter diverged (heights are not finite): check the vehicle, the commanded "
                 "states and the signs of the sensors"
             )
-        if (scale := float(run.state.adaptive[NOISE_SCALE])) > NOISE_SCALE_WARNING:
+        if (scale := float(run.state.adaptive[NOISE_SCALE])) > TUNING.noise_scale_warning:
             notes += (
                 f"at the end the noise power is {scale:.1f} times the expected one: the vehicle "
                 "may differ from the one described",
@@ -169,9 +163,9 @@ class _KalmanSettings(CalibratedByIdentification):
         if run.state.restarts:
             at = ", ".join(f"{x:.0f}" for x in run.known_front(0.0)[run.state.restarts])
             notes += (
-                f"the filter lost the vehicle and began anew at {at} m: the heights of the "
-                f"{LOST_REACH:g} m before are not known; the vehicle may differ from the one "
-                "described (docs/howto/identify)",
+                f"the filter lost the vehicle and began anew at {at} m: the heights of "
+                f"the {TUNING.lost_reach:g} m before are not known; the vehicle may differ from "
+                "the one described (docs/howto/identify)",
             )
         s, front = profile_stations(record.length), run.known_front(sensor_latency)
         z, emitted = output.z.T.copy(), emitted_share(run, output)
@@ -184,14 +178,14 @@ class _KalmanSettings(CalibratedByIdentification):
         if smooth:
             explained = trusted_share(record, valid, car, instruments, z)
             # a filter that is lost later errs before that too, once smoothed
-            share = minimum_filter1d(emitted, 2 * round(LOST_REACH / PROFILE_SPACING) + 1)
+            share = minimum_filter1d(emitted, 2 * round(TUNING.lost_reach / PROFILE_SPACING) + 1)
             share, notes = share * explained, notes + untrusted_note(explained)
         if (lost := PROFILE_SPACING * float(np.sum(emitted < 0.95))) >= 1.0:
             notes += (
                 f"over {lost:.0f} m the innovations are far beyond their covariance; the heights "
                 "are reduced there",
             )
-        share = np.where(lost_before_restarts(run, output, LOST_REACH), 0.0, share)
+        share = np.where(lost_before_restarts(run, output, TUNING.lost_reach), 0.0, share)
         long = long_waves(z) if smooth else np.zeros_like(z)
         reduced, std = reduce_unexplained(z - long, z_std, share)
         return Estimate(s, reduced + reduce_slope(long, share), std, notes)

@@ -29,15 +29,10 @@ from estimators.kalman.state import (
     LocalState,
     StepTest,
 )
+from estimators.kalman.tuning import TUNING
 from road_envs.kernels._numba import kernel
 
-MAX_NIS = 16.0
-"""Greatest normalized innovation squared per measurement; greater innovations are scaled down to
-it."""
-
-MAX_LIMIT = 1.5
-"""Standard deviations by which a clipped sample exceeds its prediction, at most: clipping may be a
-fault of the sensor."""
+_MAX_LIMIT, _MAX_NIS = TUNING.max_limit, TUNING.max_nis
 
 
 @kernel(inline=False)
@@ -170,7 +165,7 @@ def whiten(
         inverse_std = 1.0 / np.sqrt(max(variance, noise_variance))
         innovation[s] *= inverse_std
         if censored[s] != 0.0:
-            limit = min(censored[s] * innovation[s], MAX_LIMIT)
+            limit = min(censored[s] * innovation[s], _MAX_LIMIT)
             hazard = normal_hazard(limit)
             innovation[s] = censored[s] * np.sqrt(hazard / (hazard - limit))
             inverse_std *= np.sqrt(hazard * (hazard - limit))
@@ -179,7 +174,7 @@ def whiten(
     nis = innovation[0] ** 2 + innovation[1] ** 2 + innovation[2] ** 2
     local.nis[i] = nis / max(n_measured, 1)
     if n_measured > 0:
-        mean = min(local.nis[i], MAX_NIS)  # one outlier must not raise the noise much
+        mean = min(local.nis[i], _MAX_NIS)  # one outlier must not raise the noise much
         local.adaptive[NOISE_SCALE] = max(
             1.0, noise_scale * (1.0 + (mean - 1.0) / model.noise_time)
         )
@@ -187,7 +182,7 @@ def whiten(
         local.adaptive[SIGNAL_POWER] += power / (n_measured * model.noise_time)
     local.noise_scale[i] = local.adaptive[NOISE_SCALE]
     local.signal_power[i] = local.adaptive[SIGNAL_POWER]
-    if nis > MAX_NIS * n_measured:
-        reduction = np.sqrt(MAX_NIS * n_measured / nis)
+    if nis > _MAX_NIS * n_measured:
+        reduction = np.sqrt(_MAX_NIS * n_measured / nis)
         for s in range(3):
             innovation[s] *= reduction

@@ -7,10 +7,8 @@ import numpy as np
 from estimators.kalman.jumps import AcceptedStep, RoadJumps
 from estimators.kalman.road_process import RoadProcess
 from estimators.kalman.state import FilterInputs, FilterModel
+from estimators.kalman.tuning import TUNING
 from estimators.kalman.windows import WindowSchedule
-
-NODE_SPACING = 0.05
-"""Distance of the road's nodes [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +57,7 @@ class FilterState:
 @dataclass(frozen=True, eq=False)
 class FilterRun:
     """A drive prepared for the filter: `model`, `inputs`, the `road` and the `windows`, and the
-    current `state`. A station s has the node number (s - `origin`) / NODE_SPACING, and is emitted
+    current `state`. A station s has the node number (s - `origin`) / node_spacing, and is emitted
     when the front axle is `lag` [m] past it.
     """
 
@@ -79,7 +77,7 @@ class FilterRun:
     @property
     def node_stations(self) -> np.ndarray:
         """Stations (N,) [m] of all nodes of the drive."""
-        return self.origin + NODE_SPACING * np.arange(self.state.jumps.square.shape[0])
+        return self.origin + TUNING.node_spacing * np.arange(self.state.jumps.square.shape[0])
 
     def known_front(self, sensor_latency: float) -> np.ndarray:
         """Return the front axle's station (J,) [m] when a block is known, `sensor_latency` [s]
@@ -87,7 +85,9 @@ class FilterRun:
         """
         h, node = self.model.h, self.inputs.front_node
         t = sensor_latency + h * self.model.steps_per_block * np.arange(1, self.n_blocks + 1)
-        return self.origin + NODE_SPACING * np.interp(t, 0.5 * h * np.arange(node.size), node)
+        return self.origin + TUNING.node_spacing * np.interp(
+            t, 0.5 * h * np.arange(node.size), node
+        )
 
 
 @dataclass(eq=False)

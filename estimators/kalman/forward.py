@@ -20,14 +20,8 @@ import numpy as np
 from scipy.linalg.blas import dgemm
 
 from estimators.kalman.filter import filter_blocks
-from estimators.kalman.filtered import NODE_SPACING, FilteredWindow, FilterRun
-from estimators.kalman.jumps import MIN_LOG_RATIO
-from estimators.kalman.profile_output import (
-    VARIANCE_STRIDE,
-    ProfileOutput,
-    fill_weights,
-    lost_noise_scale,
-)
+from estimators.kalman.filtered import FilteredWindow, FilterRun
+from estimators.kalman.profile_output import ProfileOutput, fill_weights, lost_noise_scale
 from estimators.kalman.road_process import add_node, update_roughness
 from estimators.kalman.state import (
     N_SUMS,
@@ -37,20 +31,9 @@ from estimators.kalman.state import (
     LocalState,
     StepTest,
 )
+from estimators.kalman.tuning import TUNING
 
-LOST_NIS, LOST_BLOCKS = 5.0, 60
-"""Median of the normalized innovation squared over so many blocks above which the filter is lost.
-On obstacles it is as high for fewer blocks, on vehicles of grade S1 below 2 before they are lost.
-On a road that became rough at once it was above 3 on the described vehicle itself.
-"""
-
-OBSTACLE_LENGTH = 6.5
-"""Distance [m] behind the newest node within which an accepted step explains the innovations."""
-
-RESTART_NOISE, MAX_RESTARTS, RESTART_BLOCKS = 4.0, 2, 400
-"""Factor by which each restart raises the least noise scale, as the vehicle is not the one that is
-described; restarts at most; and blocks since the beginning or the last restart below which a filter
-that is lost is not begun anew any more, as it would be lost again and again."""
+_MIN_LOG_RATIO = TUNING.min_log_ratio
 
 
 class WindowFilter:
@@ -62,7 +45,7 @@ class WindowFilter:
         self.run, self.output, self.smoothing = run, output, smoothing
         self._emitted = 0  # stations so far
         self._recent: list[FilteredWindow] = []
-        self._least_noise, self._restarts_left = 1.0, MAX_RESTARTS
+        self._least_noise, self._restarts_left = 1.0, TUNING.max_restarts
         road, schedule = run.road, run.windows
         # nodes whose increment is known when a window begins
         low, high = road.free_range
@@ -102,8 +85,8 @@ class WindowFilter:
         """Emit the stations that are left after the last window."""
         self._emit(self.run.windows.newest.size - 1, self.run.n_blocks)
         variance = self.output.variance
-        each = variance[::VARIANCE_STRIDE]
-        variance[:] = np.repeat(each, VARIANCE_STRIDE, axis=0)[: len(variance)]
+        each = variance[:: TUNING.variance_stride]
+        variance[:] = np.repeat(each, TUNING.variance_stride, axis=0)[: len(variance)]
 
     def _is_lost(self, i: int) -> bool:
         """Return whether the filter has lost the vehicle before the window `i`."""
@@ -111,13 +94,15 @@ class WindowFilter:
         first = int(schedule.edges[i])
         since = first - (state.restarts[-1] if state.restarts else 0)
         newest, (low, high) = int(schedule.reached[first]), self.run.road.free_range
-        if since < LOST_BLOCKS or not low < newest < high:  # innovations of a known level road
+        if (
+            since < TUNING.lost_blocks or not low < newest < high
+        ):  # innovations of a known level road
             return False
-        near = max(newest - round(OBSTACLE_LENGTH / NODE_SPACING), 0)
+        near = max(newest - round(TUNING.obstacle_length / TUNING.node_spacing), 0)
         if state.jumps.square[near : newest + 1].any():
             return False
-        lost = bool(np.median(state.nis[first - LOST_BLOCKS : first]) > LOST_NIS)
-        if lost and since < RESTART_BLOCKS:
+        lost = bool(np.median(state.nis[first - TUNING.lost_blocks : first]) > TUNING.lost_nis)
+        if lost and since < TUNING.restart_blocks:
             self._restarts_left = 0
         return lost and self._restarts_left > 0
 
@@ -133,7 +118,7 @@ class WindowFilter:
         state.P[:, :n] = state.unknown.covariance(road, newest, state.adaptive[ROUGHNESS_SCALE])
         state.jumps.score[:], state.jumps.information[:] = 0.0, 0.0
         self._recent = []
-        self._least_noise *= RESTART_NOISE
+        self._least_noise *= TUNING.restart_noise
         self._restarts_left -= 1
         state.adaptive[NOISE_SCALE] = self._least_noise
 
@@ -199,7 +184,7 @@ class WindowFilter:
         since their nodes are in the state.
         """
         state, newest, reached = self.run.state, self.run.windows.newest, self.run.windows.reached
-        n, least = state.x.size, MIN_LOG_RATIO * state.adaptive[NOISE_SCALE]
+        n, least = state.x.size, _MIN_LOG_RATIO * state.adaptive[NOISE_SCALE]
         P, direction = state.P[:, :n], state.P[:, n:]
         for step in state.jumps.accept(state.x, P, direction, int(reached[blocks]), least):
             part.accepted.append(step)
@@ -231,7 +216,7 @@ class WindowFilter:
         fill_weights(at, decay, output.cutoff[0, first:last], output.half_window, weights)
         mean, difference = (weights @ state.x[entries]).T
         output.z[first:last] = np.stack([mean + difference, mean - difference], axis=1)
-        chosen = np.arange(-first % VARIANCE_STRIDE, last - first, VARIANCE_STRIDE)
+        chosen = np.arange(-first % TUNING.variance_stride, last - first, TUNING.variance_stride)
         cutoff = output.cutoff[1, first + chosen]
         fill_weights(at[chosen], road.decay, cutoff, output.half_window, weights)
         emitted = []

@@ -7,21 +7,11 @@ import numpy as np
 from estimators.common.block_means import BlockMeans
 from estimators.common.model_inputs import MOVING_STD, REST_STD, ModelInputs, rest_state
 from estimators.kalman.filter_model import build_model
-from estimators.kalman.filtered import (
-    NODE_SPACING,
-    FilteredWindow,
-    FilterRun,
-    FilterState,
-    UnknownState,
-)
+from estimators.kalman.filtered import FilteredWindow, FilterRun, FilterState, UnknownState
 from estimators.kalman.forward import WindowFilter
 from estimators.kalman.jumps import RoadJumps
 from estimators.kalman.monitoring import recent_nis
 from estimators.kalman.profile_output import (
-    EARLY_LENGTH,
-    EARLY_NIS,
-    EARLY_NOISE_SCALE,
-    HALF_WINDOW,
     ProfileOutput,
     decay_per_node,
     fill_weights,
@@ -30,41 +20,13 @@ from estimators.kalman.profile_output import (
 from estimators.kalman.road_process import RoadProcess, fit_ar_model, prior_covariance
 from estimators.kalman.smoother import smooth_backward
 from estimators.kalman.state import N_BIAS, FilterInputs
+from estimators.kalman.tuning import TUNING
 from estimators.kalman.windows import round_to_windows, schedule_windows
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.records.record import F_C, Record, profile_stations, scored_band
 from road_envs.sensing.instruments import Instruments
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import settled_strut_state
-
-INCREMENT_LENGTH = 0.5
-"""Length [m] of the increments from which roughness is estimated."""
-
-ROUGHNESS_LENGTH = 8.0
-"""Length of road [m] over which roughness is averaged."""
-
-BIAS_STD = 0.05
-"""Prior standard deviation [m/s²] of the sensor biases."""
-
-N_MAX_OUTPUT = 5.0
-"""Highest spatial frequency [cycles/m] of the output, unless the speed puts 25 Hz below it."""
-
-INITIAL_LENGTH = 2.0
-"""Distance [m] from the origin of the node numbers to the rear axle at the record's start."""
-
-MAX_WHEELBASES_PER_BLOCK = 0.5
-"""Greatest advance of the vehicle in one block, in wheelbases."""
-
-MAX_SPEED = 110.0
-"""Speed [m/s] above which the scored band is empty."""
-
-WINDOW_LENGTH = 0.3
-"""Distance [m] that the vehicle moves in a window of the filter, unless a block is longer."""
-
-CHUNK_WINDOWS = 400
-"""Windows that are smoothed at once, 120 m. A chunk of a whole-drive smoother is smoothed by itself
-and the next chunk only; long waves, which later measurements still change, would show at the joints
-of shorter chunks."""
 
 
 def setup_run(
@@ -88,60 +50,62 @@ def setup_run(
     steps_per_block = measurements.sample_weight.shape[2] * model_inputs.decimation
     s, half_steps = model_inputs.s, 2 * steps_per_block
     moved = float(np.max(s[half_steps:] - s[:-half_steps]))
-    if moved > (most := MAX_WHEELBASES_PER_BLOCK * car.wheelbase):
+    if moved > (most := TUNING.max_wheelbases_per_block * car.wheelbase):
         raise ValueError(
             f"the odometer jumps by {moved:.2f} m within {steps_per_block * model_inputs.h:.3g} s; "
             f"at most {most:.2f} m are allowed: cut the record at the jump or correct s"
         )
-    behind = car.wheelbase + INITIAL_LENGTH
-    origin = float(s[0]) - NODE_SPACING * np.ceil(behind / NODE_SPACING)  # a node at the start
+    behind = car.wheelbase + TUNING.initial_length
+    origin = float(s[0]) - TUNING.node_spacing * np.ceil(
+        behind / TUNING.node_spacing
+    )  # a node at the start
     ends = np.array([0.0, record.length]) if level_ends else np.array([-np.inf, np.inf])
     inputs = FilterInputs(
-        (s - origin) / NODE_SPACING,
-        model_inputs.v / NODE_SPACING,
+        (s - origin) / TUNING.node_spacing,
+        model_inputs.v / TUNING.node_spacing,
         model_inputs.commands,
         measurements.y,
         measurements.sample_count,
         measurements.censored_blocks,
     )
     model = build_model(
-        car, instruments, model_inputs, steps_per_block, noise_variance, NODE_SPACING
+        car, instruments, model_inputs, steps_per_block, noise_variance, TUNING.node_spacing
     )
-    ar_model = fit_ar_model(prior, NODE_SPACING)
-    increment_span = round(INCREMENT_LENGTH / NODE_SPACING)
+    ar_model = fit_ar_model(prior, TUNING.node_spacing)
+    increment_span = round(TUNING.increment_length / TUNING.node_spacing)
     windows = schedule_windows(
         inputs.front_node,
         steps_per_block,
         model.wheelbase_nodes,
-        WINDOW_LENGTH / NODE_SPACING,
+        TUNING.window_length / TUNING.node_spacing,
         max(increment_span, ar_model.weights.shape[1] - int(model.wheelbase_nodes)),
-        int((lag + HALF_WINDOW) / NODE_SPACING) + 3,
+        int((lag + TUNING.half_window) / TUNING.node_spacing) + 3,
     )
     road = RoadProcess(
         n_vehicle=model.force_effect.shape[1] - 3,
         n_nodes=windows.n_nodes,
         weights=ar_model.weights,
         prediction_variance=ar_model.prediction_variance,
-        free_range=(ends - origin) / NODE_SPACING,
-        decay=decay_per_node(NODE_SPACING),
+        free_range=(ends - origin) / TUNING.node_spacing,
+        decay=decay_per_node(TUNING.node_spacing),
         increment_span=increment_span,
         increment_variance=ar_model.increment_variance(increment_span),
-        roughness_memory=ROUGHNESS_LENGTH / NODE_SPACING,
+        roughness_memory=TUNING.roughness_length / TUNING.node_spacing,
     )
     level = level_ends and record.s[0] <= 0.0
     nodes = int(windows.newest[-1]) + 1
-    jumps = RoadJumps.none(WINDOW_LENGTH, nodes, NODE_SPACING)
+    jumps = RoadJumps.none(TUNING.window_length, nodes, TUNING.node_spacing)
     # exactly at rest the friction law has a kink and no tangent
     motion, blocks = rest_state(car, model_inputs) + 1e-7, measurements.y.shape[1]
     entries = [motion.size // 2, road.n_vehicle - motion.size // 2]
     moving, at_rest = (
-        np.append(np.repeat(std[[0, -1]], entries), np.full(N_BIAS, BIAS_STD))
+        np.append(np.repeat(std[[0, -1]], entries), np.full(N_BIAS, TUNING.bias_std))
         for std in (MOVING_STD, REST_STD)
     )
     vehicle = np.pad(motion, (0, road.n_vehicle - motion.size))
     unknown = UnknownState(vehicle, moving, prior_covariance(ar_model, road.n_nodes))
     level_start = replace(unknown, std=at_rest, nodes=np.zeros_like(unknown.nodes))
-    weight = ROUGHNESS_LENGTH / NODE_SPACING  # that of a stationary average
+    weight = TUNING.roughness_length / TUNING.node_spacing  # that of a stationary average
     P = (level_start if level else unknown).covariance(road, windows.initial, 1.0)
     state = FilterState(
         x=np.pad(vehicle, (0, road.n_states - vehicle.size)),
@@ -165,21 +129,21 @@ def setup_output(
     the rear axle has passed it then, it is emitted at the last edge of a window before that.
     """
     s, lag = profile_stations(record.length), run.lag
-    node = (s - run.origin) / NODE_SPACING
+    node = (s - run.origin) / TUNING.node_spacing
     v = np.interp(s, record.s, record.v)
-    if lag > HALF_WINDOW:
-        high = np.array([scored_band(x)[1] for x in np.clip(v, 0.1, MAX_SPEED)])
-        fine = np.minimum(N_MAX_OUTPUT, F_C / np.maximum(v, 0.1))
-        cutoff = NODE_SPACING * np.stack([fine, high])
+    if lag > TUNING.half_window:
+        high = np.array([scored_band(x)[1] for x in np.clip(v, 0.1, TUNING.max_speed)])
+        fine = np.minimum(TUNING.n_max_output, F_C / np.maximum(v, 0.1))
+        cutoff = TUNING.node_spacing * np.stack([fine, high])
     else:  # the kernel would need road ahead that no wheel has passed: no low-pass
         cutoff = np.full((2, s.size), 0.5)
-    both_axles = lag >= NODE_SPACING * run.model.wheelbase_nodes - 1e-9
+    both_axles = lag >= TUNING.node_spacing * run.model.wheelbase_nodes - 1e-9
     block = np.searchsorted(run.known_front(sensor_latency), s + lag)
     return ProfileOutput(
         node=node,
         emit_block=round_to_windows(run.windows, block) if both_axles else block,
         cutoff=cutoff,
-        half_window=HALF_WINDOW / NODE_SPACING,
+        half_window=TUNING.half_window / TUNING.node_spacing,
         detrended=detrended,
         both_axles=both_axles,
         z=np.zeros((s.size, 2)),
@@ -195,7 +159,7 @@ def run_filter(run: FilterRun, output: ProfileOutput) -> None:
     one.finish()
 
 
-def run_smoother(run: FilterRun, output: ProfileOutput, chunk: int = CHUNK_WINDOWS) -> None:
+def run_smoother(run: FilterRun, output: ProfileOutput, chunk: int = TUNING.chunk_windows) -> None:
     """Filter and smooth a drive, `chunk` windows with the measurements of the next ones at once."""
     windows, kept = run.windows, list[FilteredWindow]()
     count, oldest, newest = windows.newest.size, windows.oldest, int(windows.newest[-1])
@@ -227,9 +191,9 @@ def emitted_share(run: FilterRun, output: ProfileOutput) -> np.ndarray:
     if output.both_axles:
         ratio = lost_noise_scale(state.signal_power) / state.noise_scale
     else:
-        nis = recent_nis(state.nis, run.known_front(0.0), EARLY_LENGTH)
-        ratio = np.minimum(1.0, EARLY_NOISE_SCALE / state.noise_scale)
-        ratio *= np.minimum(1.0, EARLY_NIS / np.maximum(nis, 1e-300))
+        nis = recent_nis(state.nis, run.known_front(0.0), TUNING.early_length)
+        ratio = np.minimum(1.0, TUNING.early_noise_scale / state.noise_scale)
+        ratio *= np.minimum(1.0, TUNING.early_nis / np.maximum(nis, 1e-300))
     return np.minimum(1.0, ratio[last]) ** 2
 
 
@@ -238,7 +202,7 @@ def lost_before_restarts(run: FilterRun, output: ProfileOutput, reach: float) ->
     that were emitted after it.
     """
     lost, front = np.zeros(output.node.size, dtype=bool), run.known_front(0.0)
-    s = run.origin + NODE_SPACING * output.node
+    s = run.origin + TUNING.node_spacing * output.node
     for block in run.state.restarts:
         passed = (s > front[block] - reach) & (s <= front[block])
         lost |= passed & (output.emit_block >= block)

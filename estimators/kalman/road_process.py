@@ -21,17 +21,11 @@ from estimators.kalman.state import (
     ROUGHNESS_SUM,
     ROUGHNESS_WEIGHT,
 )
+from estimators.kalman.tuning import TUNING
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.kernels._numba import kernel
 
-AR_LENGTH = 2.0
-"""Length [m] of road from which the next node is predicted."""
-
-CIRCULANT_LENGTH = 400.0
-"""Least length [m] of the circle on which covariances are computed by FFT."""
-
-MIN_ROUGHNESS_SCALE, MAX_ROUGHNESS_SCALE = 1e-4, 1e3
-"""Bounds of the roughness scale relative to the prior: far beyond classes A to H."""
+_MAX_ROUGHNESS_SCALE, _MIN_ROUGHNESS_SCALE = TUNING.max_roughness_scale, TUNING.min_roughness_scale
 
 
 class ARModel(NamedTuple):
@@ -51,11 +45,11 @@ class ARModel(NamedTuple):
 
 def fit_ar_model(prior: RoadPrior, ds: float) -> ARModel:
     """Fit autoregressive models to `prior`, for nodes `ds` [m] apart."""
-    size = 2 ** int(np.ceil(np.log2(CIRCULANT_LENGTH / ds)))
+    size = 2 ** int(np.ceil(np.log2(TUNING.circulant_length / ds)))
     increment_psd = increment_amplitude(prior, size, ds) ** 2
     n = np.maximum(rfftfreq(size, ds), N_MIN)
     covariance = irfft(increment_psd / (2.0 * np.sin(np.pi * n * ds)) ** 2, size, axis=1)
-    order = round(AR_LENGTH / ds)
+    order = round(TUNING.ar_length / ds)
     phi, mean_variance = _yule_walker(irfft(increment_psd[0], size), order - 1)
     half, half_variance = _yule_walker(covariance[1], order)
     # the last increments, times phi, and the last value give the next value of the mean
@@ -242,4 +236,4 @@ def update_roughness(road: RoadProcess, x, P, adaptive, square, passed):
             adaptive[ROUGHNESS_SUM] = kept * adaptive[ROUGHNESS_SUM] + ratio
             adaptive[ROUGHNESS_WEIGHT] = kept * adaptive[ROUGHNESS_WEIGHT] + 0.5
     scale = adaptive[ROUGHNESS_SUM] / adaptive[ROUGHNESS_WEIGHT]
-    adaptive[ROUGHNESS_SCALE] = min(max(scale, MIN_ROUGHNESS_SCALE), MAX_ROUGHNESS_SCALE)
+    adaptive[ROUGHNESS_SCALE] = min(max(scale, _MIN_ROUGHNESS_SCALE), _MAX_ROUGHNESS_SCALE)

@@ -5,8 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-MAX_BLOCKS = 24
-"""Blocks in one window, at most: the covariance takes the update of a window at once."""
+from estimators.kalman.tuning import TUNING
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +53,7 @@ def schedule_windows(
     start, end = node[:, 0], node[:, -1]
     edges = [0]
     while (now := edges[-1]) < blocks:
-        far = end[now : now + MAX_BLOCKS] > start[now] + max_advance
+        far = end[now : now + TUNING.max_blocks] > start[now] + max_advance
         edges.append(now + max(int(np.argmax(np.append(far, True))), 1))
     first = np.array(edges[:-1])
     low = np.floor(np.minimum.reduceat(node.min(axis=1), first)).astype(int)

@@ -19,7 +19,6 @@ from scipy.special import ndtr
 
 from estimators.preprocessing import mask_record
 from estimators.wiener.segments import Segment, split_segments
-from estimators.wiener.smoother import SEGMENT_LENGTH, SEGMENT_MARGIN
 from estimators.wiener.spectral_model import (
     SensedVehicle,
     SpectralModel,
@@ -27,6 +26,7 @@ from estimators.wiener.spectral_model import (
     fit_hyperparameters,
     windowed_spectrum,
 )
+from estimators.wiener.tuning import TUNING
 from road_envs.analysis.information_bound import RoadPrior, posterior
 from road_envs.analysis.statistical_linearization import hermitian
 from road_envs.records.record import SCORED_F_MAX, Record, scored_band
@@ -79,7 +79,7 @@ def classify_record(
     masked = mask_record(record, sensors)
     octaves = scored_octaves(float(np.median(masked.record.v)))
     parts = []
-    for segment in split_segments(masked, SEGMENT_LENGTH, SEGMENT_MARGIN):
+    for segment in split_segments(masked, TUNING.segment_length, TUNING.segment_margin):
         model = fit_hyperparameters(vehicle, segment)
         parts.append(_levels(model, segment, octaves))
     weights = np.array([part.lines for part in parts])

@@ -19,6 +19,7 @@ from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from estimators.common.bending import BODY, SensedBending, sensed_bending
 from estimators.common.conjugate_gradients import conjugate_gradients
 from estimators.wiener.segments import Segment
+from estimators.wiener.tuning import TUNING
 from road_envs.analysis.information_bound import (
     F_C,
     RoadPrior,
@@ -42,30 +43,11 @@ from road_envs.vehicle.linear_model import (
 )
 from road_envs.vehicle.parameters import VehicleParameters
 
-CIRCLE_PADDING = 40.0
-"""Unobserved road [m] appended to a segment before it repeats in the DFT circle."""
-
-F_LOW = 0.4
-"""Lowest frequency [Hz] of the fit; below it sensor offset and drift dominate."""
-
 NOISE_OCTAVES = np.array([0.7, 1.4, 2.8, 5.6, 11.0, 20.0])
 """Band centres [Hz] of the noise scale, interpolated over log f."""
 
 ROAD_OCTAVES = 0.125 * 2.0 ** np.arange(6)
 """Band centres [cycles/m] of the road's shape, interpolated over log n."""
-
-PSEUDO_COUNT = 12.0
-"""Spectral lines that the prior value 1 of a band's noise scale or shape counts for."""
-
-CG_TOLERANCE, CG_STEPS_MAX = 1e-3, 80
-"""Conjugate gradients: relative size of the final residual, and maximum steps."""
-
-DAMPING_ITERATIONS, EM_ITERATIONS = 4, 6
-"""Updates of the equivalent dampers at most, and EM iterations in each."""
-
-LEVEL_TOLERANCE = 0.02
-"""Relative change of the road's level below which the dampers are not updated again: they follow
-its root, and the error of the estimate changes by a thousandth."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,14 +142,16 @@ class SpectralModel:
 
 def fit_hyperparameters(vehicle: SensedVehicle, segment: Segment) -> SpectralModel:
     """Return the model of a `segment` with fitted road prior and noise scale."""
-    size = next_fast_len(segment.a.shape[1] + round(CIRCLE_PADDING / segment.spacing), real=True)
+    size = next_fast_len(
+        segment.a.shape[1] + round(TUNING.circle_padding / segment.spacing), real=True
+    )
     prior = ShapedRoadPrior(track=vehicle.track)
     noise_scale = np.ones(size // 2 + 1)
-    for k in range(DAMPING_ITERATIONS):
+    for k in range(TUNING.damping_iterations):
         model = build_model(vehicle, segment, prior, size, noise_scale)
         lines = windowed_spectrum(model, segment)
         prior, noise_scale = run_em(model, lines, active_sensors(segment))
-        if k > 0 and abs(prior.G_d0 / model.prior.G_d0 - 1.0) < LEVEL_TOLERANCE:
+        if k > 0 and abs(prior.G_d0 / model.prior.G_d0 - 1.0) < TUNING.level_tolerance:
             break
     return replace(model, noise_scale=noise_scale, prior=prior, S=prior.spectrum(model.n))
 
@@ -249,7 +233,7 @@ def run_em(
 
     With fewer than three sensors the noise scale is kept: noise and road are not separable.
     """
-    in_band = (model.f > F_LOW) & (model.f < F_C)
+    in_band = (model.f > TUNING.f_low) & (model.f < F_C)
     n, y, H = model.n[in_band], lines[in_band][:, sensors], model.H[in_band][:, sensors]
     base = (model.noise_psd(share) / model.noise_scale[:, None, None])[in_band][:, sensors][
         :, :, sensors
@@ -260,7 +244,7 @@ def run_em(
     level = model.prior.G_d0
     unit = replace(model.prior, G_d0=1.0, shape=ShapedRoadPrior.shape).spectrum(n)
     shape = np.array(model.prior.shape)
-    for _ in range(EM_ITERATIONS):
+    for _ in range(TUNING.em_iterations):
         road_posterior = posterior(
             n, H, unit * (level * shape[octave, None, None]), base * factor[band, None, None]
         )
@@ -280,8 +264,8 @@ def run_em(
 
 def _shrunk_band_means(values: np.ndarray, band: np.ndarray, bands: int) -> np.ndarray:
     """Return means (bands,) of the lines' values by `band`, shrunk to 1 by PSEUDO_COUNT."""
-    return (np.bincount(band, values, bands) + PSEUDO_COUNT) / (
-        np.bincount(band, minlength=bands) + PSEUDO_COUNT
+    return (np.bincount(band, values, bands) + TUNING.pseudo_count) / (
+        np.bincount(band, minlength=bands) + TUNING.pseudo_count
     )
 
 
@@ -317,8 +301,8 @@ def solve_circulant(
         lambda x: valid * circulant_product(C, x, size),
         valid * y,
         lambda r: valid * circulant_product(inverse, r, size),
-        CG_STEPS_MAX,
-        CG_TOLERANCE,
+        TUNING.cg_steps_max,
+        TUNING.cg_tolerance,
         start,
     )
     return x

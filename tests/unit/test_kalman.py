@@ -19,15 +19,15 @@ from estimators.kalman import pipeline
 from estimators.kalman.friction_linearization import RATE_STDS, residual_variance, smoothed_tables
 from estimators.kalman.monitoring import local_nis, recent_nis, reduce_uncertain
 from estimators.kalman.pipeline import (
-    NODE_SPACING,
     run_filter,
     run_smoother,
     setup_output,
     setup_run,
 )
-from estimators.kalman.profile_output import HALF_WINDOW, decay_per_node, output_weights
+from estimators.kalman.profile_output import decay_per_node, output_weights
 from estimators.kalman.road_process import fit_ar_model
 from estimators.kalman.state import ROUGHNESS_SCALE
+from estimators.kalman.tuning import TUNING
 from estimators.kalman.windows import schedule_windows
 from estimators.preprocessing import RecordError
 from leaderboard.conformance.probes import probe_estimator
@@ -50,7 +50,7 @@ PRIOR = RoadPrior()
 
 
 def test_simulated_ar_roads_have_the_density_and_coherence_of_the_prior():
-    road, rng, size = fit_ar_model(PRIOR, NODE_SPACING), np.random.default_rng(1), 12000
+    road, rng, size = fit_ar_model(PRIOR, TUNING.node_spacing), np.random.default_rng(1), 12000
     order = road.weights.shape[1]
     z = np.zeros((2, 2, size))
     noise = np.sqrt(road.prediction_variance)[:, None] * rng.standard_normal((2, 2, size))
@@ -58,8 +58,8 @@ def test_simulated_ar_roads_have_the_density_and_coherence_of_the_prior():
         past = z[:, :, k - 1 : k - order - 1 : -1] if k > order else z[:, :, order - 1 :: -1]
         z[:, :, k] = np.einsum("rpk,pk->rp", past, road.weights) + noise[:, :, k]
     heights = (z[:, :, :-2] + 4.0 * z[:, :, 1:-1] + z[:, :, 2:]) / 6.0
-    n, mean = displacement_psd(heights[:, 0, 500:], NODE_SPACING)
-    _, half = displacement_psd(heights[:, 1, 500:], NODE_SPACING)
+    n, mean = displacement_psd(heights[:, 0, 500:], TUNING.node_spacing)
+    _, half = displacement_psd(heights[:, 1, 500:], TUNING.node_spacing)
     for low, high in ((0.2, 0.5), (0.5, 1.8)):
         inside = (n > low) & (n < high)
         S = PRIOR.spectrum(n[inside])
@@ -72,14 +72,14 @@ def test_simulated_ar_roads_have_the_density_and_coherence_of_the_prior():
 
 def test_the_output_kernel_passes_its_band_and_no_long_waves():
     number, u = np.arange(4000), np.empty(2 + 4000)
-    at, half = 1998.3, HALF_WINDOW / NODE_SPACING
+    at, half = 1998.3, TUNING.half_window / TUNING.node_spacing
     for n, cutoff, gain in (
         (0.02, 0.25, 0.0016), (0.1, 0.25, 0.5), (1.0, 0.25, 1.0), (4.0, 0.1, 0.0),
     ):  # fmt: skip
-        output_weights(u, at, decay_per_node(NODE_SPACING), cutoff, half)
-        height = u[2:] @ np.cos(2.0 * np.pi * n * NODE_SPACING * (number - at))
+        output_weights(u, at, decay_per_node(TUNING.node_spacing), cutoff, half)
+        height = u[2:] @ np.cos(2.0 * np.pi * n * TUNING.node_spacing * (number - at))
         # the curve is lower than its coefficients
-        attenuation = (2.0 + np.cos(2.0 * np.pi * n * NODE_SPACING)) / 3.0
+        attenuation = (2.0 + np.cos(2.0 * np.pi * n * TUNING.node_spacing)) / 3.0
         assert height * (attenuation if n < 1.0 else 1.0) == pytest.approx(
             gain * (1.0 if n < 1.0 else attenuation), abs=0.02
         )
@@ -315,7 +315,7 @@ def test_nodes_that_have_left_are_smoothed_as_if_all_were_held(monkeypatch):
 
     def hold_all(*arguments):
         windows = schedule_windows(*arguments)
-        return replace(windows, n_nodes=windows.n_nodes + round(LAG / NODE_SPACING))
+        return replace(windows, n_nodes=windows.n_nodes + round(LAG / TUNING.node_spacing))
 
     monkeypatch.setattr(pipeline, "schedule_windows", hold_all)
     steps = []

@@ -19,16 +19,15 @@ from estimators.common.model_inputs import REST_STD, build_model_inputs
 from estimators.kalman.filter import normal_hazard, update_block
 from estimators.kalman.forward import WindowFilter
 from estimators.kalman.pipeline import (
-    BIAS_STD,
-    NODE_SPACING,
     run_filter,
     run_smoother,
     setup_output,
     setup_run,
 )
-from estimators.kalman.profile_output import HALF_WINDOW, VARIANCE_STRIDE, decay_per_node
+from estimators.kalman.profile_output import decay_per_node
 from estimators.kalman.road_process import fit_ar_model
 from estimators.kalman.state import ROUGHNESS_SUM, ROUGHNESS_WEIGHT, LinearizedBlock, LocalState
+from estimators.kalman.tuning import TUNING
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.records.record import Record
 from road_envs.sensing.instruments import load_instruments
@@ -96,7 +95,7 @@ def dense(flexible: bool = False):
     of each (3, J, unknowns), the first node number of the front axle, and the number of nodes.
     """
     run, _, inputs = run_of(np.zeros((3, round(1000 * TIME))), flexible)
-    road, newest_node = fit_ar_model(SMOOTH, NODE_SPACING), run.windows.initial
+    road, newest_node = fit_ar_model(SMOOTH, TUNING.node_spacing), run.windows.initial
     last = int(run.inputs.front_node[-1]) + 3
     number = np.arange(last + 1)
     free = (
@@ -127,7 +126,7 @@ def dense(flexible: bool = False):
     for x in run.inputs.front_node[::2]:
         under = np.zeros((8, unknowns))
         for axle in range(2):
-            at = x - axle * DEFENDER.wheelbase / NODE_SPACING
+            at = x - axle * DEFENDER.wheelbase / TUNING.node_spacing
             i, t = int(at), at - int(at)
             r = 1.0 - t
             z = np.array([r**3, 4 - 6 * t**2 + 3 * t**3, 4 - 6 * r**2 + 3 * r**3, t**3]) / 6.0
@@ -136,7 +135,7 @@ def dense(flexible: bool = False):
             for side, sign in enumerate((1.0, -1.0)):
                 for rows, shares in (
                     (2 * axle + side, z),
-                    (4 + 2 * axle + side, w * SPEED / NODE_SPACING),
+                    (4 + 2 * axle + side, w * SPEED / TUNING.node_spacing),
                 ):
                     under[rows, nodes] = shares
                     under[rows, number.size + nodes] = sign * shares
@@ -166,7 +165,7 @@ def dense(flexible: bool = False):
     P = np.zeros((unknowns, unknowns))
     P[:half, :half], P[half:size, half:size] = root[0] @ root[0].T, root[1] @ root[1].T
     rest = START * np.concatenate([np.repeat(REST_STD[[0, -1]], d), REST_STD[-2 * flexible :]])
-    std = np.concatenate([rest[: bias - size], np.full(3, BIAS_STD)])
+    std = np.concatenate([rest[: bias - size], np.full(3, TUNING.bias_std)])
     P[size:, size:] = np.diag(std**2)
     return P, means, run.inputs.front_node[0], half
 
@@ -186,7 +185,7 @@ def drawn_samples(flexible: bool = False) -> np.ndarray:
 def dense_weights(at: float, detrended: bool) -> np.ndarray:
     """Weights of the coefficients in the output at a node number, as a sum over all nodes."""
     half = dense()[3]
-    number, window = np.arange(half), HALF_WINDOW / NODE_SPACING
+    number, window = np.arange(half), TUNING.half_window / TUNING.node_spacing
 
     def low(d):
         shape = np.where(np.abs(d) < window, np.cos(0.5 * np.pi * d / window) ** 2, 0.0)
@@ -199,8 +198,8 @@ def dense_weights(at: float, detrended: bool) -> np.ndarray:
     np.add.at(weights, np.clip(far, 0, half - 1), kernel)
     weights /= weights.sum()
     if detrended:
-        u = decay_per_node(NODE_SPACING) * np.abs(number - at)
-        weights -= 0.5 * decay_per_node(NODE_SPACING) * np.exp(-u) * (np.cos(u) + np.sin(u))
+        u = decay_per_node(TUNING.node_spacing) * np.abs(number - at)
+        weights -= 0.5 * decay_per_node(TUNING.node_spacing) * np.exp(-u) * (np.cos(u) + np.sin(u))
     return weights
 
 
@@ -228,7 +227,7 @@ def detrended_weights(run, output, m) -> np.ndarray:
     front = int(np.floor(run.inputs.front_node[2 * blocks * run.model.steps_per_block - 1])) + 2
     weights = dense_weights(output.node[m], True)
     low = dense_weights(output.node[m], False)[front + 1 :].sum()
-    u = decay_per_node(NODE_SPACING) * (front + 0.5 - output.node[m])
+    u = decay_per_node(TUNING.node_spacing) * (front + 0.5 - output.node[m])
     weights[front + 1 :] = 0.0
     weights[front] += low - 0.5 * np.exp(-u) * np.cos(u)
     return weights
@@ -245,7 +244,9 @@ def test_an_emitted_station_is_the_dense_posterior_of_the_blocks_until_then(lag,
     output = replace(output, cutoff=np.full_like(output.cutoff, CUTOFF))
     assert np.searchsorted(output.emit_block, run.n_blocks) > 100
     run_filter(run, output)
-    compared = range(VARIANCE_STRIDE * 4, output.node.size, VARIANCE_STRIDE * 2)  # after the apron
+    compared = range(
+        TUNING.variance_stride * 4, output.node.size, TUNING.variance_stride * 2
+    )  # after the apron
     for m in compared:
         blocks = min(output.emit_block[m], run.n_blocks)
         z, variance = posterior(blocks, detrended_weights(run, output, m), flexible)
@@ -260,9 +261,9 @@ def test_the_smoothed_profile_is_the_dense_posterior_of_all_blocks():
     output = replace(output, cutoff=np.full_like(output.cutoff, CUTOFF))
     run_smoother(run, output)
     passed = int(np.searchsorted(output.emit_block, run.n_blocks))
-    assert passed > 10 * VARIANCE_STRIDE
+    assert passed > 10 * TUNING.variance_stride
 
-    for m in range(VARIANCE_STRIDE * 4, passed, VARIANCE_STRIDE * 2):
+    for m in range(TUNING.variance_stride * 4, passed, TUNING.variance_stride * 2):
         z, variance = posterior(run.n_blocks, dense_weights(output.node[m], False))
         assert np.abs(output.z[m] - z).max() < 0.1 * np.sqrt(variance.min())
         _, variance = posterior(run.n_blocks, detrended_weights(run, output, m))
