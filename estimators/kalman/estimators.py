@@ -85,12 +85,11 @@ from road_envs.records.roughness import CLASSES
 from road_envs.sensing.instruments import instruments_of, on_axle
 from road_envs.vehicle.parameters import VehicleParameters
 
-N_SENSORS = 3
-"""Accelerometers that the state vector has biases for."""
+_N_SENSORS = 3  # accelerometers that the state vector has biases for
 
 
 Lag = Annotated[float, Field(ge=0, lt=100), "m", "from the front axle back to the station emitted"]
-StdFactor = Annotated[Positive, "", "on the in-band standard deviation, fitted to training drives"]
+_StdFactor = Annotated[Positive, "", "on the in-band standard deviation, fitted to training drives"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +106,7 @@ class _KalmanSettings(CalibratedByIdentification):
     data_rate: Annotated[Positive, "Hz", "of the block means"] = 1000.0 / 3.0
     step: Annotated[Positive, "s", "longest step of the model"] = 0.001
     level_ends: bool = True
-    std_factor: StdFactor = 1.0
+    std_factor: _StdFactor = 1.0
 
     def _estimate(
         self, record: Record, car: VehicleParameters, lag: float, smooth: bool
@@ -115,9 +114,9 @@ class _KalmanSettings(CalibratedByIdentification):
         """Return both wheel paths. Raises ConfigError, RecordError, ValueError, ArithmeticError."""
         instruments = instruments_of(record, self.instruments)
         places = instruments.locations(car)
-        if len(places) != N_SENSORS or on_axle(places):
+        if len(places) != _N_SENSORS or on_axle(places):
             raise RecordError(
-                f"the Kalman filters take {N_SENSORS} accelerometers on the body; the record has "
+                f"the Kalman filters take {_N_SENSORS} accelerometers on the body; the record has "
                 f"{', '.join(instruments.accelerometers)}: map_smoother and wiener take any"
             )
         record, odometer_note = calibrate_stations(record, causal=not smooth)
@@ -211,7 +210,7 @@ class Kalman(_KalmanSettings):
     causal: ClassVar[bool] = True
 
     lag: Lag = 0.0
-    std_factor: StdFactor = 1.5
+    std_factor: _StdFactor = 1.5
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Return both wheel paths. Raises ConfigError, ValueError, ArithmeticError."""
@@ -223,7 +222,7 @@ class KalmanLag(Kalman):
     """Extended Kalman filter, as a smoother of the last 10 m: usable while driving."""
 
     lag: Lag = 10.0
-    std_factor: StdFactor = 0.87
+    std_factor: _StdFactor = 0.87
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -232,7 +231,7 @@ class KalmanRts(_KalmanSettings):
 
     causal: ClassVar[bool] = False
 
-    std_factor: StdFactor = 0.85
+    std_factor: _StdFactor = 0.85
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Return both wheel paths. Raises ConfigError, ValueError, ArithmeticError."""

@@ -60,7 +60,7 @@ class WindowFilter:
         state, road, schedule = self.run.state, self.run.road, self.run.windows
         adaptive, n, x, P = state.adaptive, road.n_states, state.x, state.P
         if adaptive[NOISE_SCALE] <= lost_noise_scale(adaptive[SIGNAL_POWER]):
-            passed = self._passed[0][i], self._passed[1][i]
+            passed = range(self._passed[0][i], self._passed[1][i])
             update_roughness(road, x, P, adaptive, state.jumps.square, passed)
         oldest, end = schedule.oldest[i], schedule.oldest[i + 1]
         adaptive[NOISE_SCALE] = max(adaptive[NOISE_SCALE], self._least_noise)

@@ -56,45 +56,42 @@ def setup_run(
             f"at most {most:.2f} m are allowed: cut the record at the jump or correct s"
         )
     behind = car.wheelbase + TUNING.initial_length
-    origin = float(s[0]) - TUNING.node_spacing * np.ceil(
-        behind / TUNING.node_spacing
-    )  # a node at the start
+    ds = TUNING.node_spacing
+    origin = float(s[0]) - ds * np.ceil(behind / ds)  # a node at the start
     ends = np.array([0.0, record.length]) if level_ends else np.array([-np.inf, np.inf])
     inputs = FilterInputs(
-        (s - origin) / TUNING.node_spacing,
-        model_inputs.v / TUNING.node_spacing,
+        (s - origin) / ds,
+        model_inputs.v / ds,
         model_inputs.commands,
         measurements.y,
         measurements.sample_count,
         measurements.censored_blocks,
     )
-    model = build_model(
-        car, instruments, model_inputs, steps_per_block, noise_variance, TUNING.node_spacing
-    )
-    ar_model = fit_ar_model(prior, TUNING.node_spacing)
-    increment_span = round(TUNING.increment_length / TUNING.node_spacing)
+    model = build_model(car, instruments, model_inputs, steps_per_block, noise_variance, ds)
+    ar_model = fit_ar_model(prior, ds)
+    increment_span = round(TUNING.increment_length / ds)
     windows = schedule_windows(
         inputs.front_node,
         steps_per_block,
         model.wheelbase_nodes,
-        TUNING.window_length / TUNING.node_spacing,
+        TUNING.window_length / ds,
         max(increment_span, ar_model.weights.shape[1] - int(model.wheelbase_nodes)),
-        int((lag + TUNING.half_window) / TUNING.node_spacing) + 3,
+        int((lag + TUNING.half_window) / ds) + 3,
     )
     road = RoadProcess(
         n_vehicle=model.force_effect.shape[1] - 3,
         n_nodes=windows.n_nodes,
         weights=ar_model.weights,
         prediction_variance=ar_model.prediction_variance,
-        free_range=(ends - origin) / TUNING.node_spacing,
-        decay=decay_per_node(TUNING.node_spacing),
+        free_range=(ends - origin) / ds,
+        decay=decay_per_node(ds),
         increment_span=increment_span,
         increment_variance=ar_model.increment_variance(increment_span),
-        roughness_memory=TUNING.roughness_length / TUNING.node_spacing,
+        roughness_memory=TUNING.roughness_length / ds,
     )
     level = level_ends and record.s[0] <= 0.0
     nodes = int(windows.newest[-1]) + 1
-    jumps = RoadJumps.none(TUNING.window_length, nodes, TUNING.node_spacing)
+    jumps = RoadJumps.none(TUNING.window_length, nodes, ds)
     # exactly at rest the friction law has a kink and no tangent
     motion, blocks = rest_state(car, model_inputs) + 1e-7, measurements.y.shape[1]
     entries = [motion.size // 2, road.n_vehicle - motion.size // 2]
@@ -105,7 +102,7 @@ def setup_run(
     vehicle = np.pad(motion, (0, road.n_vehicle - motion.size))
     unknown = UnknownState(vehicle, moving, prior_covariance(ar_model, road.n_nodes))
     level_start = replace(unknown, std=at_rest, nodes=np.zeros_like(unknown.nodes))
-    weight = TUNING.roughness_length / TUNING.node_spacing  # that of a stationary average
+    weight = TUNING.roughness_length / ds  # that of a stationary average
     P = (level_start if level else unknown).covariance(road, windows.initial, 1.0)
     state = FilterState(
         x=np.pad(vehicle, (0, road.n_states - vehicle.size)),

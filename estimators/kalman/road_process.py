@@ -25,10 +25,8 @@ from estimators.kalman.tuning import TUNING
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.kernels._numba import kernel
 
-_MAX_ROUGHNESS_SCALE, _MIN_ROUGHNESS_SCALE = TUNING.max_roughness_scale, TUNING.min_roughness_scale
 
-
-class ARModel(NamedTuple):
+class _ARModel(NamedTuple):
     """Autoregressive models of mean and half difference: `weights` (2, order) of the last nodes,
     newest first; `prediction_variance` (2,) [m²]; `covariance` (2, M) [m²] at lags of 0 to M - 1
     nodes.
@@ -43,7 +41,7 @@ class ARModel(NamedTuple):
         return 2.0 * (self.covariance[:, 0] - self.covariance[:, span])
 
 
-def fit_ar_model(prior: RoadPrior, ds: float) -> ARModel:
+def fit_ar_model(prior: RoadPrior, ds: float) -> _ARModel:
     """Fit autoregressive models to `prior`, for nodes `ds` [m] apart."""
     size = 2 ** int(np.ceil(np.log2(TUNING.circulant_length / ds)))
     increment_psd = increment_amplitude(prior, size, ds) ** 2
@@ -56,7 +54,7 @@ def fit_ar_model(prior: RoadPrior, ds: float) -> ARModel:
     mean = np.append(phi, 0.0) - np.append(0.0, phi)
     mean[0] += 1.0
     variance = np.array([mean_variance, half_variance])
-    return ARModel(np.array([mean, half]), variance, covariance[:, : size // 2])
+    return _ARModel(np.array([mean, half]), variance, covariance[:, : size // 2])
 
 
 def _yule_walker(covariance: np.ndarray, order: int) -> tuple[np.ndarray, float]:
@@ -65,7 +63,7 @@ def _yule_walker(covariance: np.ndarray, order: int) -> tuple[np.ndarray, float]
     return weights, float(covariance[0] - weights @ covariance[1 : order + 1])
 
 
-def prior_covariance(ar_model: ARModel, size: int) -> np.ndarray:
+def prior_covariance(ar_model: _ARModel, size: int) -> np.ndarray:
     """Return the prior covariance (2 `size`, 2 `size`) [m²] of so many nodes."""
     P = np.zeros((2 * size, 2 * size))
     for component in range(2):
@@ -114,7 +112,7 @@ class RoadProcess(NamedTuple):
 
 
 @kernel
-def node_entry(road: RoadProcess, k):
+def _node_entry(road: RoadProcess, k):
     """Return the entry of the mean of node `k`."""
     return road.n_vehicle + N_BIAS + N_SUMS + 2 * (k % road.n_nodes)
 
@@ -134,7 +132,7 @@ def _node_law(road: RoadProcess, newest):
     """
     order, first = road.weights.shape[1], road.n_vehicle + N_BIAS
     entries, sources = np.empty(6, dtype=np.int64), np.zeros((6, order), dtype=np.int64)
-    factors, at = np.zeros((6, order)), node_entry(road, newest + 1)
+    factors, at = np.zeros((6, order)), _node_entry(road, newest + 1)
     a, b = np.exp(-road.decay) * np.cos(road.decay), np.exp(-road.decay) * np.sin(road.decay)
     free = _is_free(road, newest)
     for c in range(2):
@@ -148,7 +146,7 @@ def _node_law(road: RoadProcess, newest):
             factors[2 + c, k] = (b, a, b)[k]
         entries[4 + c] = at + c
         for k in range(order):
-            sources[4 + c, k] = node_entry(road, newest - k) + c
+            sources[4 + c, k] = _node_entry(road, newest - k) + c
             factors[4 + c, k] = free * road.weights[c, k]
         factors[4 + c, 0] += 1.0 - free
     return entries, sources, factors
@@ -163,27 +161,18 @@ def add_node(road: RoadProcess, x, P, newest, scale):
     mean, rows, n = np.zeros(6), np.zeros((6, P.shape[1])), x.size
     for e in range(6):
         for k in range(factors.shape[1]):
-            source, factor = sources[e, k], factors[e, k]
-            if factor == 0.0:
-                continue
-            mean[e] += factor * x[source]
-            for i in range(P.shape[1]):
-                rows[e, i] += factor * P[source, i]
+            if factors[e, k] != 0.0:
+                mean[e] += factors[e, k] * x[sources[e, k]]
+                rows[e] += factors[e, k] * P[sources[e, k]]
     corner = np.zeros((6, 6))
     for e in range(6):
         for k in range(factors.shape[1]):
-            for i in range(6):
-                corner[i, e] += factors[e, k] * rows[i, sources[e, k]]
+            corner[:, e] += factors[e, k] * rows[:, sources[e, k]]
     free = _is_free(road, newest)
     for c in range(2):
         corner[4 + c, 4 + c] += scale * road.prediction_variance[c] * free
     for e in range(6):
-        at = entries[e]
-        x[at] = mean[e]
-        for i in range(P.shape[1]):
-            P[at, i] = rows[e, i]
-        for i in range(n):
-            P[i, at] = rows[e, i]
+        x[entries[e]], P[entries[e]], P[:, entries[e]] = mean[e], rows[e], rows[e, :n]
     for e in range(6):
         for i in range(6):
             P[entries[i], entries[e]] = corner[i, e]
@@ -203,37 +192,37 @@ def transpose_nodes(road: RoadProcess, first, last, r):
     for node in range(last - 1, first - 1, -1):
         entries, sources, factors = _node_law(road, node + road.n_nodes - 1)
         for e in range(6):
-            for i in range(r.shape[1]):
-                after[e, i], r[entries[e], i] = r[entries[e], i], 0.0
+            after[e] = r[entries[e]]
+            r[entries[e]] = 0.0
         for e in range(6):
             for k in range(factors.shape[1]):
-                source, factor = sources[e, k], factors[e, k]
-                if factor == 0.0:
-                    continue
-                for i in range(r.shape[1]):
-                    r[source, i] += factor * after[e, i]
+                if factors[e, k] != 0.0:
+                    r[sources[e, k]] += factors[e, k] * after[e]
 
 
-@kernel(inline=False)
-def update_roughness(road: RoadProcess, x, P, adaptive, square, passed):
-    """Update the roughness scale by the increments up to each node from the first to the last one
-    (excluded) of `passed`; one with an accepted step in `square` (N, 2) is none of the prior.
+def update_roughness(
+    road: RoadProcess,
+    x: np.ndarray,
+    P: np.ndarray,
+    adaptive: np.ndarray,
+    square: np.ndarray,
+    passed: range,
+) -> None:
+    """Update the roughness scale by the increments up to each node of `passed`; one with an
+    accepted step in `square` (N, 2) is none of the prior.
 
     One step of expectation maximization: the expected square is the squared mean plus the variance.
     """
     span = road.increment_span
     kept = 1.0 - 0.5 / road.roughness_memory  # half a node: there are two components
-    for node in range(passed[0], passed[1]):
-        steps = 0.0
-        for k in range(node - span - 1, node + 2):
-            steps += square[k, 0] + square[k, 1]
-        if steps > 0.0:
+    for node in passed:
+        if square[node - span - 1 : node + 2].any():
             continue
-        for c in range(2):
-            a, b = node_entry(road, node) + c, node_entry(road, node - span) + c
+        for a, b in road.node_entries(np.array([node, node - span])).reshape(2, 2).T:
             increment = (x[a] - x[b]) ** 2 + P[a, a] + P[b, b] - 2.0 * P[a, b]
-            ratio = 0.5 * increment / road.increment_variance[c]
+            ratio = 0.5 * increment / road.increment_variance[(a - road.first_node) % 2]
             adaptive[ROUGHNESS_SUM] = kept * adaptive[ROUGHNESS_SUM] + ratio
             adaptive[ROUGHNESS_WEIGHT] = kept * adaptive[ROUGHNESS_WEIGHT] + 0.5
     scale = adaptive[ROUGHNESS_SUM] / adaptive[ROUGHNESS_WEIGHT]
-    adaptive[ROUGHNESS_SCALE] = min(max(scale, _MIN_ROUGHNESS_SCALE), _MAX_ROUGHNESS_SCALE)
+    scale = max(scale, TUNING.min_roughness_scale)
+    adaptive[ROUGHNESS_SCALE] = min(scale, TUNING.max_roughness_scale)

@@ -43,7 +43,7 @@ from road_envs.vehicle.tolerances import ParameterSpace, has_absent_elements, pa
 
 
 @dataclass(frozen=True, eq=False)
-class AdaptedVehicle:
+class _AdaptedVehicle:
     """A vehicle `x` (P,) of a `space`, the `covariance` (P, P) of what is unknown of it, and the
     noise scale that is left unexplained `before` and `after`.
     """
@@ -82,7 +82,7 @@ def adapt_vehicle(
     car: VehicleParameters,
     instruments: Instruments,
     passes: int,
-) -> AdaptedVehicle | None:
+) -> _AdaptedVehicle | None:
     """Return the most probable vehicle on a `segment` of a `record`; None if it may well be `car`,
     or if no other explains more.
 
@@ -114,7 +114,9 @@ def adapt_vehicle(
     except ArithmeticError:  # a fitted vehicle is none
         return None
     return (
-        AdaptedVehicle(space, instruments, x, covariance, before, after) if after < before else None
+        _AdaptedVehicle(space, instruments, x, covariance, before, after)
+        if after < before
+        else None
     )
 
 

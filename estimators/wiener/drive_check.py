@@ -44,7 +44,7 @@ from road_envs.sensing.instruments import Instruments, instruments_of
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.side_values import side_values
 
-SPEED_UNITS = {"km/h": 1.0 / 3.6, "mph": 0.44704}
+_SPEED_UNITS = {"km/h": 1.0 / 3.6, "mph": 0.44704}
 """Units in which a speed may be given without a word, and their factors to m/s."""
 
 
@@ -70,7 +70,7 @@ def check_notes(
     part = _middle(record)
     described = deviance(part, car, instruments)
     best, highest = None, 0.0
-    others = list(other_modes(part, car))
+    others = list(_other_modes(part, car))
     if described[1] > TUNING.doubted_scale:
         others += other_readings(part, speed_known)
     for other in others:
@@ -112,7 +112,7 @@ def side_notes(record: Record, car: VehicleParameters, instruments: str) -> tupl
     described = deviance(part, car, instruments)
     if described[1] > TUNING.doubted_scale:
         return ()
-    others = dict(other_side_motions(car))
+    others = dict(_other_side_motions(car))
     gains = {
         what: _clear_gain(described, deviance(part, other, instruments), TUNING.side_gain)
         for what, other in others.items()
@@ -135,7 +135,7 @@ def side_notes(record: Record, car: VehicleParameters, instruments: str) -> tupl
     )
 
 
-def other_side_motions(car: VehicleParameters) -> Iterator[tuple[str, VehicleParameters]]:
+def _other_side_motions(car: VehicleParameters) -> Iterator[tuple[str, VehicleParameters]]:
     """Yield what holds a vehicle sideways in another way than described, and that vehicle.
 
     A passive car whose file has no `side` is noted without a trial.
@@ -172,7 +172,7 @@ def obstacle_samples(record: Record) -> np.ndarray:
     return np.asarray(maximum_filter1d(far, 2 * round(TUNING.surroundings * record.fs) + 1))
 
 
-def other_modes(record: Record, car: VehicleParameters) -> Iterator[Alternative]:
+def _other_modes(record: Record, car: VehicleParameters) -> Iterator[Alternative]:
     """Yield a record in the other modes of its car."""
     described = dominant_modes(record, np.arange(record.t.size), car.modes)
     names = " and ".join(dict.fromkeys(described.values()))
@@ -188,7 +188,7 @@ def other_modes(record: Record, car: VehicleParameters) -> Iterator[Alternative]
 
 def other_readings(record: Record, speed_known: bool = False) -> Iterator[Alternative]:
     """Yield a record with other units of its speed, other signs, and exchanged channels."""
-    for unit, factor in SPEED_UNITS.items():
+    for unit, factor in _SPEED_UNITS.items():
         if not speed_known:
             slower = replace(
                 record,

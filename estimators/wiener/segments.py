@@ -47,7 +47,7 @@ def split_segments(masked: MaskedRecord, length: float, margin: float) -> Iterat
     """
     record, good, _ = masked
     fs = record.fs
-    a = bridge_and_lowpass(record.a, good, fs)
+    a = _bridge_and_lowpass(record.a, good, fs)
     reach = np.ones(2 * round(TUNING.filter_time * fs) + 1)
     bad = np.array([signal.fftconvolve(~g, reach, "same") > 0.5 for g in good])
     count = max(1, round(record.length / length))
@@ -56,7 +56,7 @@ def split_segments(masked: MaskedRecord, length: float, margin: float) -> Iterat
         yield _segment(record, a, bad, (float(low), float(high)), margin)
 
 
-def bridge_and_lowpass(a: np.ndarray, good: np.ndarray, fs: float) -> np.ndarray:
+def _bridge_and_lowpass(a: np.ndarray, good: np.ndarray, fs: float) -> np.ndarray:
     """Return signals (k, N) without their mean over `good` samples, interpolated where not `good`,
     and low-passed at 40 Hz without phase.
     """

@@ -68,7 +68,7 @@ def smooth_record(
         model = middle if segment is segments[k] else fit(segment)
         unexplained = max(unexplained, float(np.mean(model.noise_scale)))
         last = list(smooth_segment(model, segment, passes))[-1]
-        z, std = to_grid(model, segment, last)
+        z, std = _to_grid(model, segment, last)
         at = np.round(stations / PROFILE_SPACING).astype(int) - segment.first * segment.stride
         weight = _blend_weights(stations, segment.core, record.length)
         inside = (at >= 0) & (at < z.shape[1]) & (weight > 0.0)
@@ -86,7 +86,7 @@ def smooth_record(
     return Estimate(stations, z, z_std, (*notes, *untrusted_note(share)), residual=residual)
 
 
-def to_grid(
+def _to_grid(
     model: SpectralModel, segment: Segment, iterate: Iterate
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return heights and standard deviations (2, N) [m] at profile stations of the segment."""

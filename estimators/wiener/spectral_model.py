@@ -43,22 +43,22 @@ from road_envs.vehicle.linear_model import (
 )
 from road_envs.vehicle.parameters import VehicleParameters
 
-NOISE_OCTAVES = np.array([0.7, 1.4, 2.8, 5.6, 11.0, 20.0])
+_NOISE_OCTAVES = np.array([0.7, 1.4, 2.8, 5.6, 11.0, 20.0])
 """Band centres [Hz] of the noise scale, interpolated over log f."""
 
-ROAD_OCTAVES = 0.125 * 2.0 ** np.arange(6)
+_ROAD_OCTAVES = 0.125 * 2.0 ** np.arange(6)
 """Band centres [cycles/m] of the road's shape, interpolated over log n."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ShapedRoadPrior(RoadPrior):
-    """Road prior with a factor `shape` at ROAD_OCTAVES on its power law."""
+    """Road prior with a factor `shape` at _ROAD_OCTAVES on its power law."""
 
-    shape: tuple[float, ...] = (1.0,) * ROAD_OCTAVES.size
+    shape: tuple[float, ...] = (1.0,) * _ROAD_OCTAVES.size
 
     def density(self, n: np.ndarray) -> np.ndarray:
         """Return the one-sided displacement PSD [m³] of a wheel path at `n` [cycles/m] > 0."""
-        log_shape = np.interp(np.log(n), np.log(ROAD_OCTAVES), np.log(self.shape))
+        log_shape = np.interp(np.log(n), np.log(_ROAD_OCTAVES), np.log(self.shape))
         return super().density(n) * np.exp(log_shape)
 
 
@@ -206,7 +206,7 @@ def windowed_spectrum(model: SpectralModel, segment: Segment) -> np.ndarray:
     a = segment.a
     if (span & ~segment.valid[active_sensors(segment)]).any():
         C = signal_psd(model, model.noise_psd()) / (2.0 * segment.spacing)
-        expected_signals = circulant_product(
+        expected_signals = _circulant_product(
             C, solve_circulant(C, a, segment.valid, model.size), model.size
         )
         a = np.where(segment.valid, a, expected_signals)
@@ -238,9 +238,9 @@ def run_em(
     base = (model.noise_psd(share) / model.noise_scale[:, None, None])[in_band][:, sensors][
         :, :, sensors
     ]
-    band = np.argmin(np.abs(np.log(model.f[in_band, None] / NOISE_OCTAVES)), axis=1)
-    factor = np.interp(np.log(NOISE_OCTAVES), np.log(model.f), model.noise_scale)
-    octave = np.argmin(np.abs(np.log(n[:, None] / ROAD_OCTAVES)), axis=1)
+    band = np.argmin(np.abs(np.log(model.f[in_band, None] / _NOISE_OCTAVES)), axis=1)
+    factor = np.interp(np.log(_NOISE_OCTAVES), np.log(model.f), model.noise_scale)
+    octave = np.argmin(np.abs(np.log(n[:, None] / _ROAD_OCTAVES)), axis=1)
     level = model.prior.G_d0
     unit = replace(model.prior, G_d0=1.0, shape=ShapedRoadPrior.shape).spectrum(n)
     shape = np.array(model.prior.shape)
@@ -254,12 +254,12 @@ def run_em(
         noise = e @ hermitian(e) + H @ road_posterior.error @ hermitian(H)
         level_per_line = _trace(np.linalg.solve(unit, road)) / 2.0
         level = float(np.mean(level_per_line / shape[octave]))
-        shape = _shrunk_band_means(level_per_line / level, octave, ROAD_OCTAVES.size)
+        shape = _shrunk_band_means(level_per_line / level, octave, _ROAD_OCTAVES.size)
         if sensors.size >= 3:
             scale_per_line = _trace(np.linalg.solve(base, noise)) / sensors.size
-            factor = _shrunk_band_means(scale_per_line, band, NOISE_OCTAVES.size)
+            factor = _shrunk_band_means(scale_per_line, band, _NOISE_OCTAVES.size)
     prior = replace(model.prior, G_d0=level, shape=tuple(shape.tolist()))
-    return prior, np.exp(np.interp(np.log(model.f), np.log(NOISE_OCTAVES), np.log(factor)))
+    return prior, np.exp(np.interp(np.log(model.f), np.log(_NOISE_OCTAVES), np.log(factor)))
 
 
 def _shrunk_band_means(values: np.ndarray, band: np.ndarray, bands: int) -> np.ndarray:
@@ -284,7 +284,7 @@ def apply_response(responses: np.ndarray, lines: np.ndarray) -> np.ndarray:
     return np.einsum("fab,bf->af", responses, lines)
 
 
-def circulant_product(spectrum: np.ndarray, x: np.ndarray, size: int) -> np.ndarray:
+def _circulant_product(spectrum: np.ndarray, x: np.ndarray, size: int) -> np.ndarray:
     """Return the circulant matrix of a spectrum (F, a, a) times signals `x` (a, M)."""
     return irfft(apply_response(spectrum, rfft(x, size)), size)[:, : x.shape[1]]
 
@@ -298,9 +298,9 @@ def solve_circulant(
     """
     inverse = np.linalg.inv(C)
     x, _ = conjugate_gradients(
-        lambda x: valid * circulant_product(C, x, size),
+        lambda x: valid * _circulant_product(C, x, size),
         valid * y,
-        lambda r: valid * circulant_product(inverse, r, size),
+        lambda r: valid * _circulant_product(inverse, r, size),
         TUNING.cg_steps_max,
         TUNING.cg_tolerance,
         start,

@@ -48,15 +48,15 @@ first bending of trimmed bodies."""
 
 FRAME_F, FRAME_ZETA = np.geomspace(6.5, 22.0, 24), (0.05, 0.1)
 """The same of a frame's twist; a fit to the drive goes on from what is found, within the
-tolerances FRAME_TOLERANCES."""
+tolerances _FRAME_TOLERANCES."""
 
-FRAME_TOLERANCES = {
+_FRAME_TOLERANCES = {
     "variation.frame.f": Tolerance(relative=0.1, source="found in the spectrum of the drive"),
     "variation.frame.zeta": Tolerance(relative=0.4, source="as its frequency"),
 }
 
 
-HANN_KERNEL = np.array([1.0, 4.0, 1.0]) / 6.0
+_HANN_KERNEL = np.array([1.0, 4.0, 1.0]) / 6.0
 """Power that a line of a Hann window takes from its neighbours."""
 
 
@@ -110,7 +110,7 @@ def with_twist(record: Record, car: VehicleParameters, instruments: str) -> Vehi
     one, other, whole = np.min(rows, axis=0)
     is_believed = other[0] - other[1 + int(np.argmin(one[1:]))] > TUNING.structure_gain
     found = bodies[int(np.argmin(whole[1:]))]
-    return replace(found, tolerances=found.tolerances | FRAME_TOLERANCES) if is_believed else car
+    return replace(found, tolerances=found.tolerances | _FRAME_TOLERANCES) if is_believed else car
 
 
 def _pairs(locations: Mapping[str, SensorLocation]) -> np.ndarray:
@@ -256,5 +256,5 @@ def _whittle(power: np.ndarray, road: np.ndarray, others: np.ndarray) -> tuple[f
         weight = (road / (level * road + others)) ** 2
         best = float(np.sum(weight * (power - others) / road) / np.sum(weight))
         level = max(best, 0.1 * level)
-    total = correlate1d(level * road + others, HANN_KERNEL, axis=1, mode="nearest")
+    total = correlate1d(level * road + others, _HANN_KERNEL, axis=1, mode="nearest")
     return level, float(np.sum(np.log(total) + power / total))
