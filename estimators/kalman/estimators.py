@@ -17,7 +17,7 @@ Heights are emitted relative to their long waves (`profile_output.py`).
     kalman_rts   emitted after the whole drive (`smoother.py`)
 
 The measurements are means over 3 ms of the raw samples. Lost samples are left out; a clipped one is
-a limit.
+a limit. The nodes of the lag are held, so the cost grows with its square beyond some 10 m.
 
 The standard deviation follows the innovations of the metres about a station, and heights no larger
 than it are reduced (`monitoring.py`). Where the innovations are far beyond their covariance for
