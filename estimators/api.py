@@ -11,7 +11,7 @@ import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol, Self, TypeVar, runtime_checkable
+from typing import Any, ClassVar, Protocol, Self, TypeAlias, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -25,6 +25,9 @@ ENTRY_POINT_GROUP = "road_envs.estimators"
 
 LAG = 4.79
 """Lag [m] of the fixed-lag estimators: the Defender's wheelbase and 2 m."""
+
+Records: TypeAlias = Sequence[Record]
+Profiles: TypeAlias = Sequence[Profile]
 
 
 class EstimateError(ValueError):
@@ -80,13 +83,7 @@ class DeclaresLibraries(Protocol):
 class Trainable(Estimator, Protocol):
     """An estimator that is fitted to drives over known roads."""
 
-    def fit(
-        self,
-        records: Sequence[Record],
-        truths: Sequence[Profile],
-        car: VehicleParameters,
-        seed: int,
-    ) -> Self:
+    def fit(self, records: Records, truths: Profiles, car: VehicleParameters, seed: int) -> Self:
         """Return a fitted copy; equal arguments and `seed` give an equal copy."""
         ...
 

@@ -7,17 +7,17 @@ from scipy.interpolate import CubicSpline
 
 from road_envs.records.record import Record
 
-CLOCK_JITTER_MAX = 0.01
+_CLOCK_JITTER_MAX = 0.01
 """Relative deviation of a time step from the median above which the clock is resampled: a sample
 is then taken at most a tenth of a millimetre off at 36 km/h and 1 kHz.
 """
 
-GAP_JITTERS = 6.0
+_GAP_JITTERS = 6.0
 """Median deviations of the time steps by which a step may be longer without a lost sample: four
 standard deviations.
 """
 
-FS_SPLINE = 400.0
+_FS_SPLINE = 400.0
 """Sample rate [Hz] below which samples of an uneven clock are interpolated by a cubic spline: at
 100 Hz a straight line takes a fifth of the power of waves of 25 Hz.
 """
@@ -26,7 +26,7 @@ FS_SPLINE = 400.0
 def is_even_clock(steps: np.ndarray) -> bool:
     """Return whether the time steps (N - 1,) are those of an even clock."""
     dt = float(np.median(steps))
-    return bool(np.abs(steps - dt).max() <= CLOCK_JITTER_MAX * dt)
+    return bool(np.abs(steps - dt).max() <= _CLOCK_JITTER_MAX * dt)
 
 
 def _on_clock(record: Record, t: np.ndarray, a: np.ndarray) -> Record:
@@ -55,7 +55,7 @@ def with_lost_samples(record: Record) -> Record:
     dt = float(np.median(steps))
     jitter = float(np.median(np.abs(steps - dt))) / dt
     intervals = np.maximum(np.round(steps / dt), 1.0).astype(int)
-    intervals[steps < dt * max(1.5, 1.0 + GAP_JITTERS * jitter)] = 1
+    intervals[steps < dt * max(1.5, 1.0 + _GAP_JITTERS * jitter)] = 1
     cell = np.concatenate([[0], np.cumsum(intervals)])
     t = np.interp(np.arange(cell[-1] + 1), cell, record.t)
     a = np.full((len(record.a), t.size), np.nan)
@@ -87,6 +87,6 @@ def _resample(t: np.ndarray, t_old: np.ndarray, x: np.ndarray, dt: float) -> np.
     before, beyond = np.abs(t - t_old[after - 1]), np.abs(t_old[after] - t)
     # jitter alone does not open a gap; the samples at the ends of one are measured
     missing = (before + beyond > 1.5 * dt) & (np.minimum(before, beyond) > 0.5 * dt)
-    if FS_SPLINE * dt < 1.0 or t_old.size < 2:
+    if _FS_SPLINE * dt < 1.0 or t_old.size < 2:
         return np.where(missing, np.nan, np.interp(t, t_old, x[good]))
     return np.where(missing, np.nan, CubicSpline(t_old, x[good])(t))

@@ -17,8 +17,7 @@ from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 TRAINING_VEHICLE = "land_rover_defender_110"
 """Vehicle of the drives that the shipped weights were trained on."""
 
-TRAINING_INSTRUMENTS = "paper"
-"""Instruments of these drives."""
+_TRAINING_INSTRUMENTS = "paper"  # instruments of these drives
 
 FILE_SUFFIXES = (".npz", pretrained_weights.SUFFIX)
 
@@ -81,7 +80,7 @@ def training_notes(estimator: Estimator, record: Record, car: VehicleParameters)
             f"{weights} were trained on {trained_on.name}; that the vehicle is {car.name} makes "
             "no difference to this estimate"
         )
-    places, sensors = load_instruments(TRAINING_INSTRUMENTS).accelerometers, record.sensors or {}
+    places, sensors = load_instruments(_TRAINING_INSTRUMENTS).accelerometers, record.sensors or {}
     moved = [x for x in places if x in sensors and not _same_place(sensors[x], places[x])]
     if moved:
         notes.append(

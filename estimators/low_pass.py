@@ -19,8 +19,7 @@ from scipy.signal import welch
 
 from road_envs.records.record import LowPass, Record
 
-TAPER = 1.2
-"""Frequency at which the spectrum of filtered accelerations ends, over the bandwidth."""
+_TAPER = 1.2  # frequency at which the spectrum of filtered accelerations ends, over the bandwidth
 
 GAP_REACH, END_REACH = 2.0, 5.0
 """Periods of the cut-off around a gap and at the ends of a record in which what is not measured
@@ -35,8 +34,7 @@ MIN_CORNER, MAX_CORNER = 10.0, 100.0
 ORDERS, CORNER_RATIOS = (3, 4, 5, 6, 8, 10), np.geomspace(0.8, 1.4, 60)
 """Orders that are tried, and corners over the frequency at which the fall begins."""
 
-WELCH_SECONDS = 0.5
-"""Length [s] of the periodograms: their lines are 2 Hz apart."""
+_WELCH_SECONDS = 0.5  # length [s] of the periodograms: their lines are 2 Hz apart
 
 
 def undo_low_pass(
@@ -60,7 +58,7 @@ def undo_low_pass(
     padded = np.pad(a, ((0, 0), (reach, reach)), mode="reflect", reflect_type="odd")
     size = next_fast_len(padded.shape[1], real=True)
     f = rfftfreq(size, 1.0 / fs)
-    taper = np.clip((TAPER - f / end) / (TAPER - 1.0), 0.0, 1.0)
+    taper = np.clip((_TAPER - f / end) / (_TAPER - 1.0), 0.0, 1.0)
     inverse = np.sin(0.5 * np.pi * taper) ** 2 / np.maximum(low_pass.gain(f, fs), 1e-6)
     # the beginning is that of the padded signal's end on the circle: both are level
     undone = irfft(inverse * rfft(padded, size), size)[:, reach : reach + a.shape[1]]
@@ -84,7 +82,7 @@ def bridge(a: np.ndarray) -> np.ndarray:
 
 def _find_low_pass(a: np.ndarray, fs: float, noise_density: float) -> LowPass | None:
     """Return the low-pass that accelerations (k, N) seem to have passed, None if they have not."""
-    size = min(round(WELCH_SECONDS * fs), a.shape[1])
+    size = min(round(_WELCH_SECONDS * fs), a.shape[1])
     f, S = welch(a, fs, window="blackmanharris", nperseg=size, axis=1)
     used = (f >= MIN_CORNER) & (f <= 0.4 * fs)
     f, S = f[used], S[:, used].max(axis=0)

@@ -35,7 +35,7 @@ Vehicle = str | Path | VehicleParameters
 
 WANDER_NOTE = "lateral wander between the passes is neglected"
 
-LEVEL_START = 2.0
+_LEVEL_START = 2.0
 """Largest displacement [m] of an odometer for which passes count as begun at the same place."""
 
 
@@ -200,7 +200,7 @@ def _alignment_note(
         f"{stations.correlation:.2f})"
     )
     begin, end = max(0.0, float(begin)), min(reference.length, float(end))
-    if end - begin < reference.length - LEVEL_START:
+    if end - begin < reference.length - _LEVEL_START:
         note += f"; it covers {begin:.1f} to {end:.1f} m"
     return note
 

@@ -36,10 +36,10 @@ from road_envs.sensing.instruments import Instruments
 FS_MIN = 2.4 * F_C
 """Lowest sample rate [Hz]: twice the bandwidth, and a fifth for the flank of the low-pass."""
 
-DURATION_MIN = 1.0
+_DURATION_MIN = 1.0
 """Shortest duration [s]: one period of the body's bounce."""
 
-TRAVEL_MIN = 1.0
+_TRAVEL_MIN = 1.0
 """Shortest distance travelled [m]: less than two of the shortest scored waves, of 0.56 m."""
 
 SPEED_MIN = 0.1
@@ -50,12 +50,12 @@ BACKWARD_MAX, JUMP_MAX = 0.1, 1.0
 from one sample to the next: 60 m/s at the lowest sample rate.
 """
 
-MISSING_SHARE_MAX = 0.2
+_MISSING_SHARE_MAX = 0.2
 """Largest fraction of a channel's samples that is interpolated: ten times what loggers are assumed
 to lose, and few enough for the measured samples to decide the estimate.
 """
 
-RANGE_SHARE = 0.98
+_RANGE_SHARE = 0.98
 """Share of the instruments' range from which on a sample is clipped: the sensors' gain errors are
 below 2 %.
 """
@@ -138,7 +138,7 @@ def restore_times(masked: MaskedRecord, record: Record, instruments: Instruments
 
 def _is_out_of_range(size: np.ndarray, instruments: Instruments | None) -> np.ndarray:
     """Return which samples of this `size` (k, N) [m/s²] the instruments, if known, clip."""
-    limits = np.inf if instruments is None else RANGE_SHARE * instruments.ranges[:, None]
+    limits = np.inf if instruments is None else _RANGE_SHARE * instruments.ranges[:, None]
     return np.asarray(size >= limits)
 
 
@@ -228,9 +228,9 @@ def _check_shapes(record: Record, names: tuple[str, ...]) -> None:
             f"the times t must be finite and increase; they do not after sample {late[0]}"
         )
     duration = float(record.t[-1] - record.t[0]) if size else 0.0
-    if not duration >= DURATION_MIN:
+    if not duration >= _DURATION_MIN:
         raise RecordError(
-            f"the record lasts {duration:.2f} s; at least {DURATION_MIN:g} s are needed"
+            f"the record lasts {duration:.2f} s; at least {_DURATION_MIN:g} s are needed"
         )
     if (fs := 1.0 / float(np.median(steps))) < FS_MIN:
         raise RecordError(
@@ -246,10 +246,10 @@ def _check_shapes(record: Record, names: tuple[str, ...]) -> None:
 def _fill_gaps(name: str, t: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Return `x` (N,) with non-finite samples interpolated. Raises RecordError if too many are."""
     good = np.isfinite(x)
-    if (share := np.mean(~good)) > MISSING_SHARE_MAX:
+    if (share := np.mean(~good)) > _MISSING_SHARE_MAX:
         raise RecordError(
             f"{name} is missing in {share:.0%} of its samples; "
-            f"at most {MISSING_SHARE_MAX:.0%} can be interpolated"
+            f"at most {_MISSING_SHARE_MAX:.0%} can be interpolated"
         )
     return np.interp(t, t[good], x[good])
 
@@ -274,9 +274,9 @@ def _check_drive(record: Record) -> tuple[Record, list[str]]:
         raise RecordError(f"the odometer decreases by {back:.2f} m; a drive must go forward")
     if slowest < -SPEED_MIN:
         raise RecordError(f"the speed falls to {slowest:.2g} m/s; a drive must go forward")
-    if (moved := float(forward[-1] - forward[0])) < TRAVEL_MIN:
+    if (moved := float(forward[-1] - forward[0])) < _TRAVEL_MIN:
         raise RecordError(
-            f"the vehicle moved by {moved:.2f} m; at least {TRAVEL_MIN:g} m are needed"
+            f"the vehicle moved by {moved:.2f} m; at least {_TRAVEL_MIN:g} m are needed"
         )
     if (mean := float(record.v.mean())) < SPEED_MIN:
         raise RecordError(

@@ -19,8 +19,7 @@ from road_envs.core.reading import parsing
 
 FOLDER = Path(__file__).parent / "weights"
 SUFFIX = ".safetensors"
-METADATA_KEY = "about"
-"""Key of the single metadata entry; its value is JSON."""
+_METADATA_KEY = "about"  # key of the single metadata entry; its value is JSON
 
 
 class WeightsError(ValueError):
@@ -38,7 +37,7 @@ def write_weights(
     with atomic_write(path, durable=True) as partial:
         # one entry only: safetensors writes several in an order that varies between files
         partial.write_bytes(
-            save(solid, metadata={METADATA_KEY: json.dumps(dict(metadata), sort_keys=True)})
+            save(solid, metadata={_METADATA_KEY: json.dumps(dict(metadata), sort_keys=True)})
         )
 
 
@@ -51,9 +50,9 @@ def read_weights(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, str
         Path(path).open("rb").close()  # its own error of a missing file has no reason
         with safe_open(path, framework="numpy") as file:
             arrays = {name: file.get_tensor(name) for name in file.keys()}
-            metadata = json.loads((file.metadata() or {}).get(METADATA_KEY, "{}"))
+            metadata = json.loads((file.metadata() or {}).get(_METADATA_KEY, "{}"))
         if not isinstance(metadata, dict):
-            raise WeightsError(f"its metadata {METADATA_KEY!r} are not a mapping")
+            raise WeightsError(f"its metadata {_METADATA_KEY!r} are not a mapping")
         return arrays, metadata
 
 

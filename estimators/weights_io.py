@@ -21,7 +21,7 @@ from road_envs.core.atomic_io import atomic_write
 from road_envs.core.reading import parsing, read_npz
 
 FORMAT = "roadrecon estimator 1"
-WEIGHT_PREFIX = "weights."
+_WEIGHT_PREFIX = "weights."
 """Prefix of the weights' names in an `.npz` file; keeps them apart from the header."""
 
 
@@ -53,7 +53,7 @@ def save(estimator: Estimator, path: str | Path, metadata: Mapping[str, str] | N
             path, weights, {**(metadata or {}), "header": json.dumps(header)}
         )
         return
-    arrays: dict[str, Any] = {WEIGHT_PREFIX + key: value for key, value in weights.items()}
+    arrays: dict[str, Any] = {_WEIGHT_PREFIX + key: value for key, value in weights.items()}
     with atomic_write(path, durable=True) as partial, partial.open("wb") as file:
         np.savez(file, header=np.array(json.dumps(header)), **arrays)
 
@@ -80,6 +80,6 @@ def _read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
         except pretrained_weights.WeightsError as error:
             raise StorageError(str(error)) from None
     with parsing(path, StorageError, "damaged or not an .npz file of RoadRecon"):
-        arrays = {name.removeprefix(WEIGHT_PREFIX): x for name, x in read_npz(path).items()}
+        arrays = {name.removeprefix(_WEIGHT_PREFIX): x for name, x in read_npz(path).items()}
     header = arrays.pop("header", None)
     return arrays, {} if header is None else {"header": str(header)}

@@ -12,7 +12,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from estimators.api import copy_with, require_fitted, validate_weights
+from estimators.api import Profiles, Records, copy_with, require_fitted, validate_weights
 from estimators.preprocessing import mask_record, sample_profile
 from road_envs.core.config import Settings
 from road_envs.records.record import Estimate, Profile, Record, profile_stations
@@ -29,13 +29,7 @@ class Mean(Settings):
     z: np.ndarray | None = field(default=None, init=False, repr=False, compare=False)
     """Mean heights (2, M) [m] at the stations of the longest training road."""
 
-    def fit(
-        self,
-        records: Sequence[Record],
-        truths: Sequence[Profile],
-        car: VehicleParameters,
-        seed: int,
-    ) -> Self:
+    def fit(self, records: Records, truths: Profiles, car: VehicleParameters, seed: int) -> Self:
         """Average the truths; records, car and seed are unused."""
         return copy_with(self, z=_mean_profile(truths))
 

@@ -18,7 +18,7 @@ from typing import ClassVar, NamedTuple, Self
 import numpy as np
 from scipy.fft import irfft, rfftfreq
 
-from estimators.api import copy_with, require_fitted, validate_weights
+from estimators.api import Profiles, Records, copy_with, require_fitted, validate_weights
 from estimators.preprocessing import mask_record
 from road_envs.core.config import Settings
 from road_envs.records.record import PROFILE_SPACING, Estimate, Profile, Record, profile_stations
@@ -42,13 +42,7 @@ class UnrelatedRoad(Settings):
 
     fitted_state: _FittedRoad | None = field(default=None, init=False, repr=False, compare=False)
 
-    def fit(
-        self,
-        records: Sequence[Record],
-        truths: Sequence[Profile],
-        car: VehicleParameters,
-        seed: int,
-    ) -> Self:
+    def fit(self, records: Records, truths: Profiles, car: VehicleParameters, seed: int) -> Self:
         """Fit level and waviness of the truths; `seed` draws the phases. Raises ValueError."""
         phases = int(np.random.default_rng(seed).integers(2**31))  # exact as a float
         return copy_with(self, fitted_state=_FittedRoad(*fit_spectrum(truths), phases))

@@ -17,7 +17,7 @@ Heights are emitted relative to their long waves (`profile_output.py`).
     kalman_rts   emitted after the whole drive (`smoother.py`)
 
 The measurements are means over 3 ms of the raw samples. Lost samples are left out; a clipped one is
-a limit.
+a limit. The nodes of the lag are held, so the cost grows with its square beyond some 10 m.
 
 The standard deviation follows the innovations of the metres about a station, and heights no larger
 than it are reduced (`monitoring.py`). Where the innovations are far beyond their covariance for
@@ -46,7 +46,6 @@ from estimators.common.explained import reduce_unexplained, trusted_share, untru
 from estimators.common.model_inputs import antialias_delay, build_model_inputs
 from estimators.common.odometer import calibrate_stations
 from estimators.kalman.monitoring import (
-    POWER_WINDOW,
     local_nis,
     long_waves,
     obstacle_std,
@@ -64,6 +63,7 @@ from estimators.kalman.pipeline import (
 )
 from estimators.kalman.profile_output import ProfileOutput
 from estimators.kalman.state import NOISE_SCALE, ROUGHNESS_SCALE
+from estimators.kalman.tuning import TUNING
 from estimators.map_smoother.identified_vehicle import CalibratedByIdentification
 from estimators.preprocessing import (
     ANTIALIAS_SPREAD,
@@ -85,18 +85,11 @@ from road_envs.records.roughness import CLASSES
 from road_envs.sensing.instruments import instruments_of, on_axle
 from road_envs.vehicle.parameters import VehicleParameters
 
-N_SENSORS = 3
-"""Accelerometers that the state vector has biases for."""
+_N_SENSORS = 3  # accelerometers that the state vector has biases for
 
-NOISE_SCALE_WARNING = 2.0
-"""Noise scale above which a note says that the vehicle may differ from the one described."""
-
-LOST_REACH = 10.0
-"""Distance [m] about a lost vehicle over which smoothed heights are reduced, and before a restart
-over which heights are wrong, at most."""
 
 Lag = Annotated[float, Field(ge=0, lt=100), "m", "from the front axle back to the station emitted"]
-StdFactor = Annotated[Positive, "", "on the in-band standard deviation, fitted to training drives"]
+_StdFactor = Annotated[Positive, "", "on the in-band standard deviation, fitted to training drives"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +106,7 @@ class _KalmanSettings(CalibratedByIdentification):
     data_rate: Annotated[Positive, "Hz", "of the block means"] = 1000.0 / 3.0
     step: Annotated[Positive, "s", "longest step of the model"] = 0.001
     level_ends: bool = True
-    std_factor: StdFactor = 1.0
+    std_factor: _StdFactor = 1.0
 
     def _estimate(
         self, record: Record, car: VehicleParameters, lag: float, smooth: bool
@@ -121,9 +114,9 @@ class _KalmanSettings(CalibratedByIdentification):
         """Return both wheel paths. Raises ConfigError, RecordError, ValueError, ArithmeticError."""
         instruments = instruments_of(record, self.instruments)
         places = instruments.locations(car)
-        if len(places) != N_SENSORS or on_axle(places):
+        if len(places) != _N_SENSORS or on_axle(places):
             raise RecordError(
-                f"the Kalman filters take {N_SENSORS} accelerometers on the body; the record has "
+                f"the Kalman filters take {_N_SENSORS} accelerometers on the body; the record has "
                 f"{', '.join(instruments.accelerometers)}: map_smoother and wiener take any"
             )
         record, odometer_note = calibrate_stations(record, causal=not smooth)
@@ -138,8 +131,7 @@ class _KalmanSettings(CalibratedByIdentification):
         density = self.noise_density or max(instruments.noise_density, MIN_NOISE_DENSITY)
         noise = density**2 * 0.5 * record.fs
         prior = RoadPrior(G_d0=self.G_d0, w=self.w, track=2.0 * car.front.y_t)
-        ahead = POWER_WINDOW if smooth else min(max(lag - LAG, 0.0), POWER_WINDOW)
-        emitted_lag = lag - (0.0 if smooth else ahead)
+        ahead = TUNING.power_window if smooth else min(max(lag - LAG, 0.0), TUNING.power_window)
         run = setup_run(
             record,
             car,
@@ -149,9 +141,10 @@ class _KalmanSettings(CalibratedByIdentification):
             noise_variance=noise,
             prior=prior,
             level_ends=self.level_ends,
+            lag=lag - (0.0 if smooth else ahead),
         )
         sensor_latency = (ANTIALIAS_SPREAD + 1) / record.fs + antialias_delay(instruments)
-        output = setup_output(run, record, emitted_lag, sensor_latency, detrended=not smooth)
+        output = setup_output(run, record, sensor_latency, detrended=not smooth)
         if smooth:
             run_smoother(run, output)
         else:
@@ -161,7 +154,7 @@ class _KalmanSettings(CalibratedByIdentification):
                 "the filter diverged (heights are not finite): check the vehicle, the commanded "
                 "states and the signs of the sensors"
             )
-        if (scale := float(run.state.adaptive[NOISE_SCALE])) > NOISE_SCALE_WARNING:
+        if (scale := float(run.state.adaptive[NOISE_SCALE])) > TUNING.noise_scale_warning:
             notes += (
                 f"at the end the noise power is {scale:.1f} times the expected one: the vehicle "
                 "may differ from the one described",
@@ -169,9 +162,9 @@ class _KalmanSettings(CalibratedByIdentification):
         if run.state.restarts:
             at = ", ".join(f"{x:.0f}" for x in run.known_front(0.0)[run.state.restarts])
             notes += (
-                f"the filter lost the vehicle and began anew at {at} m: the heights of the "
-                f"{LOST_REACH:g} m before are not known; the vehicle may differ from the one "
-                "described (docs/howto/identify)",
+                f"the filter lost the vehicle and began anew at {at} m: the heights of "
+                f"the {TUNING.lost_reach:g} m before are not known; the vehicle may differ from "
+                "the one described (docs/howto/identify)",
             )
         s, front = profile_stations(record.length), run.known_front(sensor_latency)
         z, emitted = output.z.T.copy(), emitted_share(run, output)
@@ -184,14 +177,14 @@ class _KalmanSettings(CalibratedByIdentification):
         if smooth:
             explained = trusted_share(record, valid, car, instruments, z)
             # a filter that is lost later errs before that too, once smoothed
-            share = minimum_filter1d(emitted, 2 * round(LOST_REACH / PROFILE_SPACING) + 1)
+            share = minimum_filter1d(emitted, 2 * round(TUNING.lost_reach / PROFILE_SPACING) + 1)
             share, notes = share * explained, notes + untrusted_note(explained)
         if (lost := PROFILE_SPACING * float(np.sum(emitted < 0.95))) >= 1.0:
             notes += (
                 f"over {lost:.0f} m the innovations are far beyond their covariance; the heights "
                 "are reduced there",
             )
-        share = np.where(lost_before_restarts(run, output, LOST_REACH), 0.0, share)
+        share = np.where(lost_before_restarts(run, output, TUNING.lost_reach), 0.0, share)
         long = long_waves(z) if smooth else np.zeros_like(z)
         reduced, std = reduce_unexplained(z - long, z_std, share)
         return Estimate(s, reduced + reduce_slope(long, share), std, notes)
@@ -217,7 +210,7 @@ class Kalman(_KalmanSettings):
     causal: ClassVar[bool] = True
 
     lag: Lag = 0.0
-    std_factor: StdFactor = 1.5
+    std_factor: _StdFactor = 1.5
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Return both wheel paths. Raises ConfigError, ValueError, ArithmeticError."""
@@ -229,7 +222,7 @@ class KalmanLag(Kalman):
     """Extended Kalman filter, as a smoother of the last 10 m: usable while driving."""
 
     lag: Lag = 10.0
-    std_factor: StdFactor = 0.87
+    std_factor: _StdFactor = 0.87
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -238,7 +231,7 @@ class KalmanRts(_KalmanSettings):
 
     causal: ClassVar[bool] = False
 
-    std_factor: StdFactor = 0.85
+    std_factor: _StdFactor = 0.85
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Return both wheel paths. Raises ConfigError, ValueError, ArithmeticError."""

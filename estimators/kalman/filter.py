@@ -17,71 +17,26 @@ import math
 
 import numpy as np
 
-from estimators.kalman.filtered import BandVariance, NodesAtEmission
 from estimators.kalman.friction_linearization import choose_linearization
-from estimators.kalman.joint_state import read_heights, read_nodes, update_state
 from estimators.kalman.jumps import step_is_likely
 from estimators.kalman.linearization import linearize_block
-from estimators.kalman.road_process import RoadProcess
 from estimators.kalman.state import (
     NOISE_SCALE,
     SIGNAL_POWER,
     FilterInputs,
     FilterModel,
-    JointState,
     LinearizedBlock,
     LocalState,
     StepTest,
-    WindowPart,
 )
+from estimators.kalman.tuning import TUNING
 from road_envs.kernels._numba import kernel
 
-MAX_NIS = 16.0
-"""Greatest normalized innovation squared per measurement; greater innovations are scaled down to
-it."""
-
-MAX_LIMIT = 1.5
-"""Standard deviations by which a clipped sample exceeds its prediction, at most: clipping may be a
-fault of the sensor."""
+_MAX_LIMIT, _MAX_NIS = TUNING.max_limit, TUNING.max_nis
 
 
 @kernel(inline=False)
-def filter_window(
-    model: FilterModel,
-    inputs: FilterInputs,
-    road: RoadProcess,
-    joint: JointState,
-    part: WindowPart,
-    local: LocalState,
-    test: StepTest,
-    nodes: NodesAtEmission,
-    bands: BandVariance,
-):
-    """Filter the blocks of a `part` of a window, to its last or until a step of the road is likely,
-    read what is emitted until then, and update `joint`. Return the block behind the last one,
-    whether a step is likely, and `update_state`'s V and W.
-    """
-    size, n, P = local.x.size, joint.x.size, joint.P
-    P_local = np.empty((size, P.shape[1]))
-    local.rows[:] = 0.0
-    for i in range(size):
-        at = part.local[i]
-        local.x[i], local.rows[i, size + i] = joint.x[at], 1.0
-        for k in range(P.shape[1]):
-            P_local[i, k] = P[at, k]
-            if k >= n:
-                test.direction[i, k - n] = P[at, k]
-        for k in range(size):
-            local.rows[i, k] = P[at, part.local[k]]
-    last, likely = _filter_blocks(model, inputs, local, test, part.first, part.last)
-    read_nodes(road, joint, part, local, P_local, nodes, last)
-    read_heights(road, joint, part, local, bands, last)
-    V, W = update_state(joint, part, local, P_local, road.n_vehicle, 3 * (last - part.first))
-    return last, likely, V, W
-
-
-@kernel(inline=False)
-def _filter_blocks(
+def filter_blocks(
     model: FilterModel, inputs: FilterInputs, local: LocalState, test: StepTest, first, last
 ):
     """Filter the blocks from `first` on, to `last` (excluded) or until a step of the road is
@@ -210,7 +165,7 @@ def whiten(
         inverse_std = 1.0 / np.sqrt(max(variance, noise_variance))
         innovation[s] *= inverse_std
         if censored[s] != 0.0:
-            limit = min(censored[s] * innovation[s], MAX_LIMIT)
+            limit = min(censored[s] * innovation[s], _MAX_LIMIT)
             hazard = normal_hazard(limit)
             innovation[s] = censored[s] * np.sqrt(hazard / (hazard - limit))
             inverse_std *= np.sqrt(hazard * (hazard - limit))
@@ -219,7 +174,7 @@ def whiten(
     nis = innovation[0] ** 2 + innovation[1] ** 2 + innovation[2] ** 2
     local.nis[i] = nis / max(n_measured, 1)
     if n_measured > 0:
-        mean = min(local.nis[i], MAX_NIS)  # one outlier must not raise the noise much
+        mean = min(local.nis[i], _MAX_NIS)  # one outlier must not raise the noise much
         local.adaptive[NOISE_SCALE] = max(
             1.0, noise_scale * (1.0 + (mean - 1.0) / model.noise_time)
         )
@@ -227,7 +182,7 @@ def whiten(
         local.adaptive[SIGNAL_POWER] += power / (n_measured * model.noise_time)
     local.noise_scale[i] = local.adaptive[NOISE_SCALE]
     local.signal_power[i] = local.adaptive[SIGNAL_POWER]
-    if nis > MAX_NIS * n_measured:
-        reduction = np.sqrt(MAX_NIS * n_measured / nis)
+    if nis > _MAX_NIS * n_measured:
+        reduction = np.sqrt(_MAX_NIS * n_measured / nis)
         for s in range(3):
             innovation[s] *= reduction

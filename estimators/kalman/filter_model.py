@@ -5,19 +5,14 @@ from scipy.signal import sosfilt
 
 from estimators.common.bending import sensed_bending
 from estimators.common.model_inputs import ModelInputs
-from estimators.kalman.friction_linearization import RATE_STDS, STD_INFLATION, smoothed_tables
+from estimators.kalman.friction_linearization import RATE_STDS, smoothed_tables
 from estimators.kalman.state import FilterModel
+from estimators.kalman.tuning import TUNING
 from road_envs.sensing.instruments import Instruments
 from road_envs.vehicle import body_bending
 from road_envs.vehicle.equations import THETA, Z_B, build_plant
 from road_envs.vehicle.linear_model import linearise
 from road_envs.vehicle.parameters import VehicleParameters
-
-NOISE_TIME = 1.2
-"""Time constant [s] of the noise scale."""
-
-FORCE_CORRELATION_TIME = 0.005
-"""Correlation time [s] of a strut force residual."""
 
 
 def build_model(
@@ -52,8 +47,10 @@ def build_model(
         velocity=tables,
         displacement=one.displacement,
         first_table=one.constants["velocity_table"][0].copy(),
-        rate_stds=RATE_STDS / STD_INFLATION,
-        force_variance=force_variance * FORCE_CORRELATION_TIME / (steps_per_block * model_inputs.h),
+        rate_stds=RATE_STDS / TUNING.std_inflation,
+        force_variance=force_variance
+        * TUNING.force_correlation_time
+        / (steps_per_block * model_inputs.h),
         strut_rows=line.strut_rows,
         sensor_rows=line.sensor_rows,
         force_effect=np.concatenate(force_effect).T.copy(),
@@ -69,5 +66,5 @@ def build_model(
         node_spacing=float(node_spacing),
         wheelbase_nodes=car.wheelbase / node_spacing,
         noise_variance=noise_variance,
-        noise_time=NOISE_TIME / (steps_per_block * model_inputs.h),
+        noise_time=TUNING.noise_time / (steps_per_block * model_inputs.h),
     )

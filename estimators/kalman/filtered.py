@@ -1,17 +1,14 @@
-"""Results of the filter over a drive: its state, its windows, and heights when they are emitted."""
+"""A drive prepared for the filter, its state, and the windows that it has filtered."""
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 
 from estimators.kalman.jumps import AcceptedStep, RoadJumps
 from estimators.kalman.road_process import RoadProcess
 from estimators.kalman.state import FilterInputs, FilterModel
-from estimators.kalman.windows import EmissionTimes, WindowSchedule
-
-NODE_SPACING = 0.05
-"""Distance of the road's nodes [m]."""
+from estimators.kalman.tuning import TUNING
+from estimators.kalman.windows import WindowSchedule
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,9 +33,10 @@ class UnknownState:
 
 @dataclass(eq=False)
 class FilterState:
-    """Mean `x` (n,), covariance `P` (n, n), valve states of the struts `strut_state` (4, 3), the
-    parameters `adaptive` (5,), the steps of the road `jumps`, and the blocks before which the
-    filter was begun anew, `restarts`, from the state `unknown`.
+    """Mean `x` (n,); `P` (n, n + m), the covariance and, beside it, the error per unit step of each
+    of m candidates (`jumps.py`); valve states of the struts `strut_state` (4, 3); the parameters
+    `adaptive` (5,); the steps of the road `jumps`; and the blocks before which the filter was begun
+    anew, `restarts`, from the state `unknown`.
 
     Of each block (J,): normalized innovation squared per measurement `nis`, `noise_scale` and
     `signal_power` after it.
@@ -59,7 +57,8 @@ class FilterState:
 @dataclass(frozen=True, eq=False)
 class FilterRun:
     """A drive prepared for the filter: `model`, `inputs`, the `road` and the `windows`, and the
-    current `state`. A station s has the node number (s - `origin`) / NODE_SPACING.
+    current `state`. A station s has the node number (s - `origin`) / node_spacing, and is emitted
+    when the front axle is `lag` [m] past it.
     """
 
     model: FilterModel
@@ -68,6 +67,7 @@ class FilterRun:
     windows: WindowSchedule
     state: FilterState
     origin: float
+    lag: float
 
     @property
     def n_blocks(self) -> int:
@@ -77,7 +77,7 @@ class FilterRun:
     @property
     def node_stations(self) -> np.ndarray:
         """Stations (N,) [m] of all nodes of the drive."""
-        return self.origin + NODE_SPACING * np.arange(self.state.jumps.square.shape[0])
+        return self.origin + TUNING.node_spacing * np.arange(self.state.jumps.square.shape[0])
 
     def known_front(self, sensor_latency: float) -> np.ndarray:
         """Return the front axle's station (J,) [m] when a block is known, `sensor_latency` [s]
@@ -85,29 +85,32 @@ class FilterRun:
         """
         h, node = self.model.h, self.inputs.front_node
         t = sensor_latency + h * self.model.steps_per_block * np.arange(1, self.n_blocks + 1)
-        return self.origin + NODE_SPACING * np.interp(t, 0.5 * h * np.arange(node.size), node)
+        return self.origin + TUNING.node_spacing * np.interp(
+            t, 0.5 * h * np.arange(node.size), node
+        )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class FilteredWindow:
-    """A filtered window for the smoother, or the part of one in its `blocks` (first, last) before
-    or after an accepted step.
+    """A filtered window, or a part of one, for the smoother.
 
     Its number `index`; the entries `local` (L,) of the state vector; `transition` (N, L), the
     derivative of the vehicle's error at the end by the local error at the start; the whitened
     `innovation` (R,), its derivative `U` (R, L) by that error, and its covariance `W` (R, n) with
-    the rest of the state at the start, 0 with the vehicle. Before it, M nodes have entered, and
-    before these the retired-node sums and the nodes that leave, the oldest first, had the mean
-    `leaving` (4 + 2 M,) and the `covariance` (4 + 2 M, n) with the state; all none in a later part.
+    the rest of the state at the start, 0 with the vehicle.
+
+    Before it, M nodes have entered, and before these the M nodes that leave, the oldest first, had
+    the mean `leaving` (2 M,) and the `covariance` (2 M, n) with the state; none in a later part.
+    `emitted`: numbers of the stations emitted at the start, and the covariance (2, n) of their
+    heights with the state.
 
     Per unit step of each candidate of the road's: the mean of the innovation `response` (R, m), the
-    error of the mean `direction` (4 + 2 M, m). After it, the steps `accepted`. Of steps that are
-    accepted then or later, `corrections` has the U' response (L,) and direction (4 + 2 M,).
+    error of the mean `direction` (2 M, m). After it, the steps `accepted`. Of steps that are
+    accepted then or later, `corrections` has the U' response (L,) and direction (2 M,).
     If `restarted`, the state before the window is forgotten.
     """
 
     index: int
-    blocks: tuple[int, int]
     local: np.ndarray
     transition: np.ndarray
     innovation: np.ndarray
@@ -117,7 +120,8 @@ class FilteredWindow:
     covariance: np.ndarray
     direction: np.ndarray
     response: np.ndarray
-    restarted: bool
+    emitted: list[tuple[int, np.ndarray]]
+    restarted: bool = False
     accepted: list[AcceptedStep] = field(default_factory=list)
     corrections: list[tuple[AcceptedStep, np.ndarray, np.ndarray]] = field(default_factory=list)
 
@@ -127,34 +131,3 @@ class FilteredWindow:
         D[self.local, np.arange(self.local.size)] += 1.0
         D[:vehicle] = self.transition
         return D
-
-
-class NodesAtEmission(NamedTuple):
-    """Estimates of sums and nodes at T moments: `c` (T, 2 + K, 2), mean and half difference of the
-    real and imaginary sums, then of the nodes from the base on. `adjoint` (T, L): the adjoint of
-    the local state at the start of the moment's window.
-    """
-
-    times: EmissionTimes
-    c: np.ndarray
-    adjoint: np.ndarray
-
-
-class BandVariance(NamedTuple):
-    """In-band variance (F, 2) [m²] of heights at F moments, by `weights` (F, 2 + K) of sums and of
-    nodes from the base on, and, if asked, the `covariance` (F, 2, n), else (0, 2, n), with the
-    state at the start of the moment's window.
-    """
-
-    times: EmissionTimes
-    weights: np.ndarray
-    variance: np.ndarray
-    covariance: np.ndarray
-
-    @property
-    def most_live(self) -> int:
-        """Most heights of which nodes have left before they are read, at a time; 1 at least."""
-        live = np.zeros(int(self.times.window.max(initial=0)) + 3, dtype=int)
-        np.add.at(live, self.times.first, 1)
-        np.add.at(live, self.times.window + 1, -1)
-        return max(int(np.cumsum(live).max()), 1)

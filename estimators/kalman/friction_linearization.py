@@ -23,10 +23,6 @@ from road_envs.vehicle.suspension import DAMPING_HIGH, V_0, V_STEP
 RATE_STDS = np.array([0.0, 0.01, 0.02, 0.03, 0.05, 0.08, 0.12, 0.2, 0.3])
 """Standard deviations of a rate [m/s] for which tables are computed in advance."""
 
-STD_INFLATION = 1.2
-"""Factor on the standard deviation of a rate: the covariance P lacks the errors of the filter's
-other linearizations. Tuned on training drives."""
-
 
 def smoothed_tables(velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return tables (W K, cells, 4) of the expected force, from the tables `velocity` (K, cells,

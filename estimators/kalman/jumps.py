@@ -1,20 +1,20 @@
 """Steps of the road that its stationary prior does not expect: edges of obstacles.
 
-The increments of the road are Gaussian but for a few, whose variance is larger by JUMP_STD². Which
+The increments of the road are Gaussian but for a few, whose variance is larger by jump_std². Which
 ones is decided by the log likelihood ratio of the innovations (generalized likelihood ratio test:
 Willsky & Jones, IEEE Trans. Automatic Control 21, 1976, doi:10.1109/TAC.1976.1101146). Each recent
 node of each wheel path is a candidate. Had it a step b, the state would err by the `direction` f
 times b and the whitened innovation e would have the mean g b with g = H f, so
 
-    score l = sum g' e     information C = sum g' g     b ~ N(v l, v), v = 1 / (C + 1 / JUMP_STD²)
+    score l = sum g' e     information C = sum g' g     b ~ N(v l, v), v = 1 / (C + 1 / jump_std²)
 
 is exact for the linearized vehicle (Friedland, IEEE Trans. Automatic Control 14, 1969,
 doi:10.1109/TAC.1969.1099223), and the log likelihood ratio of a step to none is
 
-    (v l² - log(JUMP_STD² / v)) / 2
+    (v l² - log(jump_std² / v)) / 2
 
 The most likely candidate enters the state, as if its increment had had that variance from the
-beginning, and the others are conditioned on it, until none exceeds MIN_LOG_RATIO.
+beginning, and the others are conditioned on it, until none exceeds `min_log_ratio`.
 """
 
 from dataclasses import dataclass
@@ -22,34 +22,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimators.kalman.state import NOISE_SCALE, LocalState, StepTest
+from estimators.kalman.tuning import TUNING
 from road_envs.kernels._numba import kernel
 
-JUMP_LENGTH = 0.3
-"""Length [m] of road behind the newest node on which nodes are candidates."""
-
-JUMP_STD = 0.04
-"""Prior standard deviation [m] of a step: edges of bumps and potholes of 25 to 100 mm, over one to
-three nodes."""
-
-MIN_LOG_RATIO = 8.0
-"""Log likelihood ratio, in units of the noise scale, above which a step is accepted: the prior odds
-against one at a node. On a vehicle that is not the one described, much is unexplained that is no
-obstacle."""
-
-MIN_INFORMATION = 10.0
-"""Information of the innovations on a step, relative to its prior's, below which it is not yet
-accepted: the step of a node that the wheel has hardly reached would be taken far too high."""
-
-RELATIVE_ERROR = 0.4
-"""Relative error of an accepted step, which is added to its variance: tyre and friction are
-linearized about the road without it, and the wheel may lift off."""
-
-REAR_REACH = 0.2
-"""Distance [m] of the rear axle from an accepted step within which none is accepted: the innovation
-is the error of that step, not another one under the front axle."""
-
-MAX_JUMPS = 4
-"""Steps accepted at a time, at most."""
+_JUMP_STD, _MIN_LOG_RATIO = TUNING.jump_std, TUNING.min_log_ratio
+_MIN_INFORMATION = TUNING.min_information
 
 
 @kernel(inline=False)
@@ -57,10 +34,10 @@ def most_likely(score, information, reached, n_nodes):
     """Return the most likely candidate of the `n_nodes` nodes up to the number `reached`, from
     `score` (m,) and `information` (m, m), and its log likelihood ratio.
     """
-    best, most, m, prior = -1, 0.0, score.size, JUMP_STD**2
+    best, most, m, prior = -1, 0.0, score.size, _JUMP_STD**2
     for c in range(m):
         ratio = prior * information[c, c]
-        if ratio < MIN_INFORMATION or (reached - c // 2) % (m // 2) >= n_nodes:
+        if ratio < _MIN_INFORMATION or (reached - c // 2) % (m // 2) >= n_nodes:
             continue
         gain = 0.5 * (prior * score[c] ** 2 / (1.0 + ratio) - np.log1p(ratio))
         if gain > most:
@@ -79,7 +56,7 @@ def step_is_likely(test: StepTest, local: LocalState, i):
     if test.near_step[i]:
         return False
     _, most = most_likely(test.score, test.information, test.reached[i], test.n_nodes)
-    return most > MIN_LOG_RATIO * local.adaptive[NOISE_SCALE]
+    return most > _MIN_LOG_RATIO * local.adaptive[NOISE_SCALE]
 
 
 @kernel
@@ -97,7 +74,7 @@ def add_information(score, information, response, innovation):
 
 @dataclass(frozen=True, eq=False)
 class AcceptedStep:
-    """A step of `size` [m] of the `candidate` at a `node`, in the `direction` (k,), its `variance`
+    """A step of `size` [m] of the `candidate` at a `node`, in the `direction` (n,), its `variance`
     [m²] by the innovations and the one `added` [m²] to the state, and the information (m,) [1/m²]
     that the innovations have on it and each other candidate, `cross`.
     """
@@ -117,8 +94,8 @@ class RoadJumps:
     in the left (0) or right (1) wheel path.
 
     `score` (m,) [1/m]; `information` (m, m) [1/m²]; `square` (N, 2) [m²]: squares of the accepted
-    steps of each node of the drive; `near` (N,): whether one is near it. In nodes: `length`,
-    JUMP_LENGTH, and `rear_reach`, REAR_REACH.
+    steps of each node of the drive; `near` (N,): whether one is near it. In nodes: `length`
+    and `rear_reach`, as in the tuning.
     """
 
     score: np.ndarray
@@ -133,17 +110,18 @@ class RoadJumps:
         """Return no steps, in a drive of so many `nodes`, which are `ds` [m] apart and enter the
         state up to `ahead` [m] before the front axle has reached them.
         """
-        m, length = 2 * round((JUMP_LENGTH + ahead) / ds), round(JUMP_LENGTH / ds)
-        score, information, reach = np.zeros(m), np.zeros((m, m)), round(REAR_REACH / ds)
+        m, length = 2 * round((TUNING.jump_length + ahead) / ds), round(TUNING.jump_length / ds)
+        score, information, reach = np.zeros(m), np.zeros((m, m)), round(TUNING.rear_reach / ds)
         near = np.zeros(nodes, dtype=bool)
         return cls(score, information, np.zeros((nodes, 2)), near, length, reach)
 
-    def begin(self, nodes: np.ndarray) -> None:
-        """Replace the oldest candidates by those of new `nodes` (M,)."""
+    def begin(self, nodes: np.ndarray) -> np.ndarray:
+        """Replace the oldest candidates by those of new `nodes` (M,); return them (2 M,)."""
         candidates = (2 * nodes[:, None] + np.arange(2)).ravel() % self.score.size
         self.score[candidates] = 0.0
         self.information[candidates] = 0.0
         self.information[:, candidates] = 0.0
+        return candidates
 
     def add(self, node: int, side: int, step: float) -> None:
         """Add a `step` [m] at a `node` in a wheel path."""
@@ -154,22 +132,21 @@ class RoadJumps:
         self, x: np.ndarray, P: np.ndarray, direction: np.ndarray, reached: int, least: float
     ) -> list[AcceptedStep]:
         """Add the steps of a log likelihood ratio of more than `least`, of nodes up to the number
-        `reached`, to the state, of mean `x` (n,). Of k quantities, of which the state is the first,
-        `P` (n, k) is the covariance with the state, and `direction` (k, m) the error per unit step
-        of each candidate.
+        `reached`, to the state, of mean `x` (n,) and covariance `P` (n, n), with the `direction`
+        (n, m) of each candidate.
         """
         score, information, accepted = self.score, self.information, list[AcceptedStep]()
-        m, prior = score.size, JUMP_STD**2
-        for _ in range(MAX_JUMPS):
+        m, prior = score.size, _JUMP_STD**2
+        for _ in range(TUNING.max_jumps):
             best, most = most_likely(score, information, reached, self.length)
             if most <= least:
                 break
             variance = prior / (1.0 + prior * information[best, best])
             step = variance * score[best]
             f, cross = direction[:, best].copy(), information[best].copy()
-            added = variance + (RELATIVE_ERROR * step) ** 2
-            x += step * f[: x.size]
-            P += np.outer(added * f[: x.size], f)
+            added = variance + (TUNING.relative_error * step) ** 2
+            x += step * f
+            P += np.outer(added * f, f)
             score -= step * cross
             direction -= np.outer(f, variance * cross)
             information -= np.outer(variance * cross, cross)

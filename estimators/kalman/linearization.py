@@ -29,7 +29,7 @@ from road_envs.vehicle.equations import N_DOF, THETA, Z_B, Motion
 from road_envs.vehicle.suspension import VehicleBuffers
 
 
-class AxleWeights(NamedTuple):
+class _AxleWeights(NamedTuple):
     """Spline weights of both axles at both half steps of the steps of a block.
 
     `node` (steps, 2, 2): the first of the four nodes that carry an axle; `height` and `slope` [1/s]
@@ -42,7 +42,7 @@ class AxleWeights(NamedTuple):
 
 
 @kernel(inline=False)
-def _axle_spline_weights(inputs: FilterInputs, wheelbase_nodes, first, weights: AxleWeights):
+def _axle_spline_weights(inputs: FilterInputs, wheelbase_nodes, first, weights: _AxleWeights):
     """Fill the spline weights of a block's steps, from the step `first` on."""
     node, height, slope = weights
     for k in range(node.shape[0]):
@@ -70,7 +70,7 @@ def linearize_block(
     first = j * steps_per_block
     node = np.empty((steps_per_block, 2, 2), dtype=np.int64)
     heights, slopes = np.empty((steps_per_block, 2, 2, 4)), np.empty((steps_per_block, 2, 2, 4))
-    weights = AxleWeights(node, heights, slopes)
+    weights = _AxleWeights(node, heights, slopes)
     _axle_spline_weights(inputs, model.wheelbase_nodes, first, weights)
     rows = np.empty((steps_per_block, TAPE_ROW_SIZE))
     _simulate_block(model, inputs, local, first, weights, rows, block)
@@ -152,7 +152,7 @@ def bend(model: FilterModel, acceleration, bending):
 
 
 @kernel(inline=False)
-def _node_derivatives(weights: AxleWeights, i, direction, road):
+def _node_derivatives(weights: _AxleWeights, i, direction, road):
     """Write the derivatives of heights and rates under the wheels at the step `i` by the block's
     nodes to `road` (G, 16, LANES), in the layout of `rosenbrock.step`.
 
@@ -185,7 +185,7 @@ def _tangent_columns(
     local: LocalState,
     first,
     rows,
-    weights: AxleWeights,
+    weights: _AxleWeights,
     block,
 ):
     """Write the tangents along the vehicle states and the nodes to `block.factors`."""

@@ -12,28 +12,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import convolve
 
+from estimators.kalman.tuning import TUNING
 from road_envs.records.record import PROFILE_SPACING
-
-NIS_CELL = 0.25
-"""Length of road [m] over which the NIS is averaged."""
-
-NIS_BEHIND, NIS_AHEAD = 0.5, 4.79
-"""Positions of the front axle [m] before and beyond a station whose NIS counts for it: while either
-axle is within two metres of it."""
-
-MIN_BLOCKS = 20
-"""Blocks whose mean is taken where the vehicle moves less than a length, at least."""
-
-POWER_WINDOW = 1.0
-"""Length [m] to either side of a station in which the mean square of the heights is taken."""
-
-DETREND_LENGTH = 1.6
-"""Standard deviation [m] of the Gaussian whose low-pass is taken off before; half at 0.12
-cycles/m."""
-
-OBSTACLE_ERROR, OBSTACLE_REACH = 0.2, 1.0
-"""Error of heights within so many metres of accepted steps of the road, relative to the root of the
-sum of their squares. Tuned on drives over bumps and potholes."""
 
 
 def obstacle_std(square: np.ndarray, nodes: np.ndarray, s: np.ndarray) -> np.ndarray:
@@ -43,8 +23,11 @@ def obstacle_std(square: np.ndarray, nodes: np.ndarray, s: np.ndarray) -> np.nda
     height is found by laws that are linear about the road without it.
     """
     total = np.cumsum(np.vstack([np.zeros(2), square]), axis=0)
-    first, last = (np.searchsorted(nodes, s + reach) for reach in (-OBSTACLE_REACH, OBSTACLE_REACH))
-    return OBSTACLE_ERROR * np.sqrt(np.maximum(total[last] - total[first], 0.0)).T
+    first, last = (
+        np.searchsorted(nodes, s + reach)
+        for reach in (-TUNING.obstacle_reach, TUNING.obstacle_reach)
+    )
+    return TUNING.obstacle_error * np.sqrt(np.maximum(total[last] - total[first], 0.0)).T
 
 
 def local_nis(nis: np.ndarray, front: np.ndarray, s: np.ndarray, lag: float) -> np.ndarray:
@@ -54,13 +37,15 @@ def local_nis(nis: np.ndarray, front: np.ndarray, s: np.ndarray, lag: float) -> 
     the front axle is `lag` [m] past the station.
     """
     origin = min(front[0], s[0]) - 1.0
-    cell = ((front - origin) / NIS_CELL).astype(int)
-    size = max(cell.max(), int((s[-1] - origin) / NIS_CELL)) + 2
+    cell = ((front - origin) / TUNING.nis_cell).astype(int)
+    size = max(cell.max(), int((s[-1] - origin) / TUNING.nis_cell)) + 2
     count = np.bincount(cell, minlength=size)
     mean = np.bincount(cell, nis, size) / np.maximum(count, 1)
-    ahead = min(NIS_AHEAD, lag - NIS_CELL)
-    low = ((s - NIS_BEHIND - NIS_CELL * (ahead < 0.0) - origin) / NIS_CELL).astype(int)
-    high = np.floor((s + ahead - origin) / NIS_CELL).astype(int)
+    ahead = min(TUNING.nis_ahead, lag - TUNING.nis_cell)
+    low = (
+        (s - TUNING.nis_behind - TUNING.nis_cell * (ahead < 0.0) - origin) / TUNING.nis_cell
+    ).astype(int)
+    high = np.floor((s + ahead - origin) / TUNING.nis_cell).astype(int)
     width = int(np.max(high - low)) + 1
     windows = np.minimum(np.maximum(low, 0)[:, None] + np.arange(width), high[:, None])
     return np.maximum(mean[np.clip(windows, 0, size - 1)].max(axis=1), 1.0)
@@ -68,17 +53,17 @@ def local_nis(nis: np.ndarray, front: np.ndarray, s: np.ndarray, lag: float) -> 
 
 def recent_nis(nis: np.ndarray, front: np.ndarray, length: float) -> np.ndarray:
     """Return the mean (J,) of the `nis` (J,) over the last `length` [m] of the front axle, which
-    has the station `front` (J,) [m] at each block; over MIN_BLOCKS, at least.
+    has the station `front` (J,) [m] at each block; over `min_blocks`, at least.
     """
     total, last = np.cumsum(np.append(0.0, nis)), np.arange(1, nis.size + 1)
-    first = np.minimum(np.searchsorted(front, front - length), last - MIN_BLOCKS)
+    first = np.minimum(np.searchsorted(front, front - length), last - TUNING.min_blocks)
     first = np.maximum(first, 0)
     return (total[last] - total[first]) / (last - first)
 
 
 def long_waves(z: np.ndarray) -> np.ndarray:
     """Return the waves (2, M) of heights `z` (2, M) [m] that are longer than the scored band."""
-    return gaussian_filter1d(z, DETREND_LENGTH / PROFILE_SPACING, axis=1)
+    return gaussian_filter1d(z, TUNING.detrend_length / PROFILE_SPACING, axis=1)
 
 
 def reduce_uncertain(
@@ -86,11 +71,11 @@ def reduce_uncertain(
 ) -> np.ndarray:
     """Return heights `z` (2, M) [m] times q / (q + `z_std`² (2, M)).
 
-    q is the mean square over POWER_WINDOW behind and `ahead` [m] of each station. Of `drifting`
+    q is the mean square over `power_window` behind and `ahead` [m] of each station. Of `drifting`
     heights the waves that are longer than the scored band are left as they are.
     """
     long = long_waves(z) if drifting else np.zeros_like(z)
-    width = round(POWER_WINDOW / PROFILE_SPACING)
+    width = round(TUNING.power_window / PROFILE_SPACING)
     kernel = np.ones(2 * width + 1)
     kernel[: width - round(ahead / PROFILE_SPACING)] = 0.0
     ones = convolve(np.ones(z.shape[1]), kernel, "same", "direct")

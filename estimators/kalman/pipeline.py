@@ -7,24 +7,11 @@ import numpy as np
 from estimators.common.block_means import BlockMeans
 from estimators.common.model_inputs import MOVING_STD, REST_STD, ModelInputs, rest_state
 from estimators.kalman.filter_model import build_model
-from estimators.kalman.filtered import (
-    NODE_SPACING,
-    BandVariance,
-    FilteredWindow,
-    FilterRun,
-    FilterState,
-    NodesAtEmission,
-    UnknownState,
-)
+from estimators.kalman.filtered import FilteredWindow, FilterRun, FilterState, UnknownState
 from estimators.kalman.forward import WindowFilter
 from estimators.kalman.jumps import RoadJumps
 from estimators.kalman.monitoring import recent_nis
 from estimators.kalman.profile_output import (
-    EARLY_LENGTH,
-    EARLY_NIS,
-    EARLY_NOISE_SCALE,
-    HALF_WINDOW,
-    VARIANCE_STRIDE,
     ProfileOutput,
     decay_per_node,
     fill_weights,
@@ -33,49 +20,13 @@ from estimators.kalman.profile_output import (
 from estimators.kalman.road_process import RoadProcess, fit_ar_model, prior_covariance
 from estimators.kalman.smoother import smooth_backward
 from estimators.kalman.state import N_BIAS, FilterInputs
-from estimators.kalman.windows import (
-    EmissionTimes,
-    emission_times,
-    round_to_windows,
-    schedule_windows,
-)
+from estimators.kalman.tuning import TUNING
+from estimators.kalman.windows import round_to_windows, schedule_windows
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.records.record import F_C, Record, profile_stations, scored_band
 from road_envs.sensing.instruments import Instruments
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import settled_strut_state
-
-INCREMENT_LENGTH = 0.5
-"""Length [m] of the increments from which roughness is estimated."""
-
-ROUGHNESS_LENGTH = 8.0
-"""Length of road [m] over which roughness is averaged."""
-
-BIAS_STD = 0.05
-"""Prior standard deviation [m/s²] of the sensor biases."""
-
-N_MAX_OUTPUT = 5.0
-"""Highest spatial frequency [cycles/m] of the output, unless the speed puts 25 Hz below it."""
-
-STATIONS_AT_ONCE = 1000
-"""Stations that are emitted at once, in bounded memory."""
-
-INITIAL_LENGTH = 2.0
-"""Distance [m] from the origin of the node numbers to the rear axle at the record's start."""
-
-MAX_WHEELBASES_PER_BLOCK = 0.5
-"""Greatest advance of the vehicle in one block, in wheelbases."""
-
-MAX_SPEED = 110.0
-"""Speed [m/s] above which the scored band is empty."""
-
-WINDOW_LENGTH = 0.3
-"""Distance [m] that the vehicle moves in a window of the filter, unless a block is longer."""
-
-CHUNK_WINDOWS = 400
-"""Windows that are smoothed at once, 120 m. A chunk of a whole-drive smoother is smoothed by itself
-and the next chunk only; long waves, which later measurements still change, would show at the joints
-of shorter chunks."""
 
 
 def setup_run(
@@ -88,8 +39,10 @@ def setup_run(
     noise_variance: float,
     prior: RoadPrior,
     level_ends: bool,
+    lag: float,
 ) -> FilterRun:
-    """Return the run of a record before its first block.
+    """Return the run of a record before its first block, for stations that are emitted when the
+    front axle is `lag` [m] past them.
 
     `noise_variance` [(m/s²)²] of a sample; with `level_ends` the road is level before station 0 and
     after its end. Raises ValueError if the odometer jumps.
@@ -97,62 +50,63 @@ def setup_run(
     steps_per_block = measurements.sample_weight.shape[2] * model_inputs.decimation
     s, half_steps = model_inputs.s, 2 * steps_per_block
     moved = float(np.max(s[half_steps:] - s[:-half_steps]))
-    if moved > (most := MAX_WHEELBASES_PER_BLOCK * car.wheelbase):
+    if moved > (most := TUNING.max_wheelbases_per_block * car.wheelbase):
         raise ValueError(
             f"the odometer jumps by {moved:.2f} m within {steps_per_block * model_inputs.h:.3g} s; "
             f"at most {most:.2f} m are allowed: cut the record at the jump or correct s"
         )
-    behind = car.wheelbase + INITIAL_LENGTH
-    origin = float(s[0]) - NODE_SPACING * np.ceil(behind / NODE_SPACING)  # a node at the start
+    behind = car.wheelbase + TUNING.initial_length
+    ds = TUNING.node_spacing
+    origin = float(s[0]) - ds * np.ceil(behind / ds)  # a node at the start
     ends = np.array([0.0, record.length]) if level_ends else np.array([-np.inf, np.inf])
     inputs = FilterInputs(
-        (s - origin) / NODE_SPACING,
-        model_inputs.v / NODE_SPACING,
+        (s - origin) / ds,
+        model_inputs.v / ds,
         model_inputs.commands,
         measurements.y,
         measurements.sample_count,
         measurements.censored_blocks,
     )
-    model = build_model(
-        car, instruments, model_inputs, steps_per_block, noise_variance, NODE_SPACING
-    )
-    ar_model = fit_ar_model(prior, NODE_SPACING)
-    increment_span = round(INCREMENT_LENGTH / NODE_SPACING)
+    model = build_model(car, instruments, model_inputs, steps_per_block, noise_variance, ds)
+    ar_model = fit_ar_model(prior, ds)
+    increment_span = round(TUNING.increment_length / ds)
     windows = schedule_windows(
         inputs.front_node,
         steps_per_block,
         model.wheelbase_nodes,
-        WINDOW_LENGTH / NODE_SPACING,
+        TUNING.window_length / ds,
         max(increment_span, ar_model.weights.shape[1] - int(model.wheelbase_nodes)),
+        int((lag + TUNING.half_window) / ds) + 3,
     )
     road = RoadProcess(
         n_vehicle=model.force_effect.shape[1] - 3,
         n_nodes=windows.n_nodes,
         weights=ar_model.weights,
         prediction_variance=ar_model.prediction_variance,
-        free_range=(ends - origin) / NODE_SPACING,
-        decay=decay_per_node(NODE_SPACING),
+        free_range=(ends - origin) / ds,
+        decay=decay_per_node(ds),
         increment_span=increment_span,
         increment_variance=ar_model.increment_variance(increment_span),
-        roughness_memory=ROUGHNESS_LENGTH / NODE_SPACING,
+        roughness_memory=TUNING.roughness_length / ds,
     )
     level = level_ends and record.s[0] <= 0.0
     nodes = int(windows.newest[-1]) + 1
-    jumps = RoadJumps.none(WINDOW_LENGTH, nodes, NODE_SPACING)
+    jumps = RoadJumps.none(TUNING.window_length, nodes, ds)
     # exactly at rest the friction law has a kink and no tangent
     motion, blocks = rest_state(car, model_inputs) + 1e-7, measurements.y.shape[1]
     entries = [motion.size // 2, road.n_vehicle - motion.size // 2]
     moving, at_rest = (
-        np.append(np.repeat(std[[0, -1]], entries), np.full(N_BIAS, BIAS_STD))
+        np.append(np.repeat(std[[0, -1]], entries), np.full(N_BIAS, TUNING.bias_std))
         for std in (MOVING_STD, REST_STD)
     )
     vehicle = np.pad(motion, (0, road.n_vehicle - motion.size))
     unknown = UnknownState(vehicle, moving, prior_covariance(ar_model, road.n_nodes))
     level_start = replace(unknown, std=at_rest, nodes=np.zeros_like(unknown.nodes))
-    weight = ROUGHNESS_LENGTH / NODE_SPACING  # that of a stationary average
+    weight = TUNING.roughness_length / ds  # that of a stationary average
+    P = (level_start if level else unknown).covariance(road, windows.initial, 1.0)
     state = FilterState(
         x=np.pad(vehicle, (0, road.n_states - vehicle.size)),
-        P=(level_start if level else unknown).covariance(road, windows.initial, 1.0),
+        P=np.pad(P, ((0, 0), (0, jumps.score.size))),
         strut_state=settled_strut_state(int(model_inputs.commands[0])),
         adaptive=np.array([1.0, weight, weight, 1.0, 0.0]),
         jumps=jumps,
@@ -161,32 +115,32 @@ def setup_run(
         noise_scale=np.ones(blocks),
         signal_power=np.zeros(blocks),
     )
-    return FilterRun(model, inputs, road, windows, state, origin)
+    return FilterRun(model, inputs, road, windows, state, origin, lag)
 
 
 def setup_output(
-    run: FilterRun, record: Record, lag: float, sensor_latency: float, detrended: bool
+    run: FilterRun, record: Record, sensor_latency: float, detrended: bool
 ) -> ProfileOutput:
     """Return the stations of a record, with the block before which each is emitted: once the front
-    axle is `lag` [m] past the station and another `sensor_latency` [s] has been recorded. Where the
-    rear axle has passed it then, it is emitted at the last edge of a window before that.
+    axle is the run's lag past the station and another `sensor_latency` [s] has been recorded. Where
+    the rear axle has passed it then, it is emitted at the last edge of a window before that.
     """
-    s = profile_stations(record.length)
-    node = (s - run.origin) / NODE_SPACING
+    s, lag = profile_stations(record.length), run.lag
+    node = (s - run.origin) / TUNING.node_spacing
     v = np.interp(s, record.s, record.v)
-    if lag > HALF_WINDOW:
-        high = np.array([scored_band(x)[1] for x in np.clip(v, 0.1, MAX_SPEED)])
-        fine = np.minimum(N_MAX_OUTPUT, F_C / np.maximum(v, 0.1))
-        cutoff = NODE_SPACING * np.stack([fine, high], axis=1)
+    if lag > TUNING.half_window:
+        high = np.array([scored_band(x)[1] for x in np.clip(v, 0.1, TUNING.max_speed)])
+        fine = np.minimum(TUNING.n_max_output, F_C / np.maximum(v, 0.1))
+        cutoff = TUNING.node_spacing * np.stack([fine, high])
     else:  # the kernel would need road ahead that no wheel has passed: no low-pass
-        cutoff = np.full((s.size, 2), 0.5)
-    both_axles = lag >= NODE_SPACING * run.model.wheelbase_nodes - 1e-9
+        cutoff = np.full((2, s.size), 0.5)
+    both_axles = lag >= TUNING.node_spacing * run.model.wheelbase_nodes - 1e-9
     block = np.searchsorted(run.known_front(sensor_latency), s + lag)
     return ProfileOutput(
         node=node,
         emit_block=round_to_windows(run.windows, block) if both_axles else block,
         cutoff=cutoff,
-        half_window=HALF_WINDOW / NODE_SPACING,
+        half_window=TUNING.half_window / TUNING.node_spacing,
         detrended=detrended,
         both_axles=both_axles,
         z=np.zeros((s.size, 2)),
@@ -194,61 +148,38 @@ def setup_output(
     )
 
 
-def run_filter(run: FilterRun, output: ProfileOutput, chunk: int = CHUNK_WINDOWS) -> None:
-    """Filter a drive and emit each station with what was measured until then, `chunk` windows of
-    fixed-lag smoothing at once.
-    """
-    block, first_station = np.unique(output.emit_block, return_index=True)
-    times = emission_times(run.windows, block, _oldest_needed(output, first_station))
-    nodes = _empty_nodes(run, times, run.windows.newest[times.window])
-    one, kept, smoothed = window_filter(run, output, nodes), [], 0
-    smoothing = bool(np.any(times.first <= times.window))
-    count = run.windows.newest.size
-    for i in range(count):
-        parts = one.filter_window(i)
-        if not smoothing:
-            continue
-        kept += parts
-        if len(kept) >= chunk or i == count - 1:
-            end = int(np.searchsorted(times.window, i, side="right"))
-            entering = slice(smoothed, end)
-            smooth_backward(run.road, kept, run.windows.oldest, nodes, entering=entering)
-            needed = times.first[end] if end < times.first.size else count
-            kept, smoothed = [window for window in kept if window.index >= needed], end
-    moment = np.searchsorted(block, output.emit_block)
-    for k in range(0, output.node.size, STATIONS_AT_ONCE):
-        here = slice(k, k + STATIONS_AT_ONCE)
-        t = moment[here]
-        base = times.base[t]
-        _emit(run, output, here, nodes.c[t], base, times.newest[t] - base + 1)
-    _store_variance(output, one.bands)
+def run_filter(run: FilterRun, output: ProfileOutput) -> None:
+    """Filter a drive and emit each station with what was measured until then."""
+    one = WindowFilter(run, output)
+    for i in range(run.windows.newest.size):
+        one.filter_window(i)
+    one.finish()
 
 
-def run_smoother(run: FilterRun, output: ProfileOutput, chunk: int = CHUNK_WINDOWS) -> None:
+def run_smoother(run: FilterRun, output: ProfileOutput, chunk: int = TUNING.chunk_windows) -> None:
     """Filter and smooth a drive, `chunk` windows with the measurements of the next ones at once."""
-    windows, zero = run.windows, np.zeros(1, dtype=int)
-    count, oldest = windows.newest.size, windows.oldest
-    end = run.n_blocks
-    times = EmissionTimes(zero + end + 1, zero + count, oldest[:1], windows.newest[-1:], zero, end)
-    nodes = _empty_nodes(run, times, windows.newest[-1:])
-    one, kept = window_filter(run, output, nodes, covariance=True), list[FilteredWindow]()
+    windows, kept = run.windows, list[FilteredWindow]()
+    count, oldest, newest = windows.newest.size, windows.oldest, int(windows.newest[-1])
+    one, c = WindowFilter(run, output, smoothing=True), np.zeros((newest - oldest[0] + 1, 2))
     for i in range(count):
         kept += one.filter_window(i)
         if len(kept) >= 2 * chunk or i == count - 1:
             corrected = count if i == count - 1 else kept[chunk].index
-            smooth_backward(run.road, kept, oldest, nodes, bands=one.bands, corrected=corrected)
+            smooth_backward(run.road, kept, oldest, c, output.variance, corrected)
             kept = [window for window in kept if window.index >= corrected]
-    held = np.arange(oldest[-1], windows.newest[-1] + 1)
-    nodes.c[0, 2 + held - oldest[0]] = run.state.x[run.road.node_entries(held)].reshape(-1, 2)
-    # the nodes in the low-pass of a station are enough
-    c, reach = nodes.c[0, 2:], int(output.half_window) + 3
-    size = min(2 * reach, c.shape[0])
-    base = np.clip(output.node.astype(int) - oldest[0] - reach, 0, c.shape[0] - size)
-    for k in range(0, output.node.size, STATIONS_AT_ONCE):
-        here = slice(k, k + STATIONS_AT_ONCE)
-        near = c[base[here, None] + np.arange(-2, size)]
-        _emit(run, output, here, near, base[here] + oldest[0], np.full(near.shape[0], size))
-    _store_variance(output, one.bands)
+    one.finish()
+    held = np.arange(oldest[-1], newest + 1)
+    c[held - oldest[0]] = run.state.x[run.road.node_entries(held)].reshape(-1, 2)
+    # of a station, the nodes in the low-pass
+    reach = int(output.half_window) + 3
+    size = min(2 * reach, len(c))
+    base = np.clip(output.node.astype(int) - oldest[0] - reach, 0, len(c) - size)
+    at = np.clip(output.node - oldest[0] - base, 0.0, size - 1.0)
+    weights = np.empty((at.size, 2 + size))
+    fill_weights(at, 0.0, output.cutoff[0], output.half_window, weights)
+    near = c[base[:, None] + np.arange(size)]
+    mean, difference = np.einsum("mk,mkc->cm", weights[:, 2:], near)
+    output.z[:] = np.stack([mean + difference, mean - difference], axis=1)
 
 
 def emitted_share(run: FilterRun, output: ProfileOutput) -> np.ndarray:
@@ -257,9 +188,9 @@ def emitted_share(run: FilterRun, output: ProfileOutput) -> np.ndarray:
     if output.both_axles:
         ratio = lost_noise_scale(state.signal_power) / state.noise_scale
     else:
-        nis = recent_nis(state.nis, run.known_front(0.0), EARLY_LENGTH)
-        ratio = np.minimum(1.0, EARLY_NOISE_SCALE / state.noise_scale)
-        ratio *= np.minimum(1.0, EARLY_NIS / np.maximum(nis, 1e-300))
+        nis = recent_nis(state.nis, run.known_front(0.0), TUNING.early_length)
+        ratio = np.minimum(1.0, TUNING.early_noise_scale / state.noise_scale)
+        ratio *= np.minimum(1.0, TUNING.early_nis / np.maximum(nis, 1e-300))
     return np.minimum(1.0, ratio[last]) ** 2
 
 
@@ -268,71 +199,8 @@ def lost_before_restarts(run: FilterRun, output: ProfileOutput, reach: float) ->
     that were emitted after it.
     """
     lost, front = np.zeros(output.node.size, dtype=bool), run.known_front(0.0)
-    s = run.origin + NODE_SPACING * output.node
+    s = run.origin + TUNING.node_spacing * output.node
     for block in run.state.restarts:
         passed = (s > front[block] - reach) & (s <= front[block])
         lost |= passed & (output.emit_block >= block)
     return lost
-
-
-def _oldest_needed(output: ProfileOutput, stations: np.ndarray) -> np.ndarray:
-    """Return the oldest node (K,) in the low-pass of so many `stations` (K,)."""
-    return np.floor(output.node[stations] - output.half_window).astype(int) - 1
-
-
-def _empty_nodes(run: FilterRun, times: EmissionTimes, newest: np.ndarray) -> NodesAtEmission:
-    size = 2 + int(np.max(newest - times.base)) + 1
-    local = run.road.first_sum + 2 * int(np.max(run.windows.n_front + run.windows.n_rear))
-    count = times.window.size
-    return NodesAtEmission(times, np.zeros((count, size, 2)), np.zeros((count, local)))
-
-
-def window_filter(
-    run: FilterRun,
-    output: ProfileOutput,
-    nodes: NodesAtEmission,
-    covariance: bool = False,
-) -> WindowFilter:
-    """Return the filter that emits the `nodes` and the variance of every VARIANCE_STRIDE-th
-    station.
-    """
-    chosen = np.arange(0, output.node.size, VARIANCE_STRIDE)
-    block = output.emit_block[chosen]
-    times = emission_times(run.windows, block, _oldest_needed(output, chosen))
-    size = times.newest - times.base + 1
-    most = int(np.max(run.windows.newest[times.window] - times.base)) + 1
-    weights = np.empty((chosen.size, 2 + most))
-    at = np.clip(output.node[chosen] - times.base, 0.0, size - 1.0)
-    cutoff = np.ascontiguousarray(output.cutoff[chosen, 1])
-    fill_weights(at, size, run.road.decay, cutoff, output.half_window, weights)
-    bands = BandVariance(
-        times,
-        weights,
-        np.zeros((chosen.size, 2)),
-        np.zeros((chosen.size if covariance else 0, 2, run.road.n_states)),
-    )
-    return WindowFilter(run, nodes, bands)
-
-
-def _emit(
-    run: FilterRun,
-    output: ProfileOutput,
-    here: slice,
-    c: np.ndarray,
-    base: np.ndarray,
-    count: np.ndarray,
-) -> None:
-    """Emit the M stations `here` from the sums and nodes `c` (M, 2 + K, 2) of each; the nodes are
-    so many, `count` (M,), from the number `base` (M,) on.
-    """
-    weights = np.empty(c.shape[:2])
-    at = np.clip(output.node[here] - base, 0.0, count - 1.0)
-    decay = run.road.decay if output.detrended else 0.0
-    cutoff = np.ascontiguousarray(output.cutoff[here, 0])
-    fill_weights(at, count, decay, cutoff, output.half_window, weights)
-    mean, difference = np.einsum("mk,mkc->cm", weights, c)
-    output.z[here] = np.stack([mean + difference, mean - difference], axis=1)
-
-
-def _store_variance(output: ProfileOutput, bands: BandVariance) -> None:
-    output.variance[:] = np.repeat(bands.variance, VARIANCE_STRIDE, axis=0)[: output.node.size]

@@ -7,9 +7,9 @@ emitted relative to the long waves of the road about it, as estimated at the sam
     output(s) = E[(low * z)(s) - (long * z)(s)]
 
 `low` is a windowed sinc (Hann) that ends at the frequency `cutoff`. `long` is the zero-phase
-low-pass with the response 1 / (1 + (n / N_DETREND)^4). Its kernel, with u = decay |s|,
+low-pass with the response 1 / (1 + (n / n_detrend)^4). Its kernel, with u = decay |s|,
 
-    decay / 2 e^-u (cos u + sin u)           decay = sqrt 2 pi N_DETREND
+    decay / 2 e^-u (cos u + sin u)           decay = sqrt 2 pi n_detrend
 
 extends over all the road behind; two decaying sums carry the retired part of it (`state.py`).
 """
@@ -18,31 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from estimators.kalman.tuning import TUNING
 from road_envs.kernels._numba import kernel
-
-N_DETREND = 0.1
-"""Spatial frequency [cycles/m] at which half the height is emitted; the scored band begins at 0.2.
-"""
-
-HALF_WINDOW = 1.0
-"""Half length [m] of the kernel `low`."""
-
-
-VARIANCE_STRIDE = 16
-"""Stations from one whose variance is computed to the next."""
-
-LOST_NOISE_SCALE, LOST_POWER_SHARE = 20.0, 0.05
-"""Noise scale, a mean of the normalized innovation squared over the last second, above which the
-filter has lost the vehicle, if the noise also exceeds this share of the measurements' power.
-Heights are then emitted reduced, and the roughness is no longer adapted to them."""
-
-EARLY_NOISE_SCALE = 8.0
-"""Noise scale above which heights are reduced that are emitted before the rear axle has passed: of
-a vehicle that is not the one described they are worth nothing."""
-
-EARLY_NIS, EARLY_LENGTH = 3.0, 2.0
-"""Mean of the normalized innovation squared over the last so many metres above which they are
-reduced, too: the noise scale follows within ten metres only."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +27,7 @@ class ProfileOutput:
     """Emission schedule and emitted heights of M stations, in order.
 
     Schedule: node numbers `node` (M,); the number of blocks `emit_block` (M,) after which each is
-    emitted; `cutoff` (M, 2) [cycles/node] of the kernel `low`, for height and for variance; its
+    emitted; `cutoff` (2, M) [cycles/node] of the kernel `low`, for height and for variance; its
     half length `half_window` [nodes]; `detrended`: whether long waves are subtracted from the
     height (from the variance they always are); `both_axles`: whether the rear axle has passed a
     station then. Results: heights `z` [m] and their in-band `variance` [m²] (M, 2), left and right.
@@ -68,7 +45,7 @@ class ProfileOutput:
 
 def decay_per_node(ds: float) -> float:
     """Return the decay of the retired-node sums per node, for nodes `ds` [m] apart."""
-    return float(np.sqrt(2.0) * np.pi * N_DETREND * ds)
+    return float(np.sqrt(2.0) * np.pi * TUNING.n_detrend * ds)
 
 
 @kernel
@@ -130,15 +107,12 @@ def output_weights(u, at, decay, cutoff, half_window):
 
 
 @kernel(inline=False)
-def fill_weights(at, nodes, decay, cutoff, half_window, u):
-    """Write the `output_weights` of M positions `at` (M,) from the oldest of so many `nodes` (M,)
-    to `u` (M, 2 + L), where a row has zeros beyond its nodes.
-    """
+def fill_weights(at, decay, cutoff, half_window, u):
+    """Write the `output_weights` of M positions `at` (M,) to `u` (M, 2 + L)."""
     for m in range(at.size):
-        u[m, 2 + nodes[m] :] = 0.0
-        output_weights(u[m, : 2 + nodes[m]], at[m], decay, cutoff[m], half_window)
+        output_weights(u[m], at[m], decay, cutoff[m], half_window)
 
 
 def lost_noise_scale(signal_power: np.ndarray | float) -> np.ndarray | float:
     """Return the noise scale above which a filter of `signal_power` has lost the vehicle."""
-    return np.maximum(LOST_NOISE_SCALE, LOST_POWER_SHARE * signal_power)
+    return np.maximum(TUNING.lost_noise_scale, TUNING.lost_power_share * signal_power)

@@ -20,22 +20,13 @@ from estimators.kalman.state import (
     ROUGHNESS_SCALE,
     ROUGHNESS_SUM,
     ROUGHNESS_WEIGHT,
-    JointState,
 )
+from estimators.kalman.tuning import TUNING
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.kernels._numba import kernel
 
-AR_LENGTH = 2.0
-"""Length [m] of road from which the next node is predicted."""
 
-CIRCULANT_LENGTH = 400.0
-"""Least length [m] of the circle on which covariances are computed by FFT."""
-
-MIN_ROUGHNESS_SCALE, MAX_ROUGHNESS_SCALE = 1e-4, 1e3
-"""Bounds of the roughness scale relative to the prior: far beyond classes A to H."""
-
-
-class ARModel(NamedTuple):
+class _ARModel(NamedTuple):
     """Autoregressive models of mean and half difference: `weights` (2, order) of the last nodes,
     newest first; `prediction_variance` (2,) [m²]; `covariance` (2, M) [m²] at lags of 0 to M - 1
     nodes.
@@ -50,20 +41,20 @@ class ARModel(NamedTuple):
         return 2.0 * (self.covariance[:, 0] - self.covariance[:, span])
 
 
-def fit_ar_model(prior: RoadPrior, ds: float) -> ARModel:
+def fit_ar_model(prior: RoadPrior, ds: float) -> _ARModel:
     """Fit autoregressive models to `prior`, for nodes `ds` [m] apart."""
-    size = 2 ** int(np.ceil(np.log2(CIRCULANT_LENGTH / ds)))
+    size = 2 ** int(np.ceil(np.log2(TUNING.circulant_length / ds)))
     increment_psd = increment_amplitude(prior, size, ds) ** 2
     n = np.maximum(rfftfreq(size, ds), N_MIN)
     covariance = irfft(increment_psd / (2.0 * np.sin(np.pi * n * ds)) ** 2, size, axis=1)
-    order = round(AR_LENGTH / ds)
+    order = round(TUNING.ar_length / ds)
     phi, mean_variance = _yule_walker(irfft(increment_psd[0], size), order - 1)
     half, half_variance = _yule_walker(covariance[1], order)
     # the last increments, times phi, and the last value give the next value of the mean
     mean = np.append(phi, 0.0) - np.append(0.0, phi)
     mean[0] += 1.0
     variance = np.array([mean_variance, half_variance])
-    return ARModel(np.array([mean, half]), variance, covariance[:, : size // 2])
+    return _ARModel(np.array([mean, half]), variance, covariance[:, : size // 2])
 
 
 def _yule_walker(covariance: np.ndarray, order: int) -> tuple[np.ndarray, float]:
@@ -72,7 +63,7 @@ def _yule_walker(covariance: np.ndarray, order: int) -> tuple[np.ndarray, float]
     return weights, float(covariance[0] - weights @ covariance[1 : order + 1])
 
 
-def prior_covariance(ar_model: ARModel, size: int) -> np.ndarray:
+def prior_covariance(ar_model: _ARModel, size: int) -> np.ndarray:
     """Return the prior covariance (2 `size`, 2 `size`) [m²] of so many nodes."""
     P = np.zeros((2 * size, 2 * size))
     for component in range(2):
@@ -121,7 +112,7 @@ class RoadProcess(NamedTuple):
 
 
 @kernel
-def node_entry(road: RoadProcess, k):
+def _node_entry(road: RoadProcess, k):
     """Return the entry of the mean of node `k`."""
     return road.n_vehicle + N_BIAS + N_SUMS + 2 * (k % road.n_nodes)
 
@@ -141,7 +132,7 @@ def _node_law(road: RoadProcess, newest):
     """
     order, first = road.weights.shape[1], road.n_vehicle + N_BIAS
     entries, sources = np.empty(6, dtype=np.int64), np.zeros((6, order), dtype=np.int64)
-    factors, at = np.zeros((6, order)), node_entry(road, newest + 1)
+    factors, at = np.zeros((6, order)), _node_entry(road, newest + 1)
     a, b = np.exp(-road.decay) * np.cos(road.decay), np.exp(-road.decay) * np.sin(road.decay)
     free = _is_free(road, newest)
     for c in range(2):
@@ -155,97 +146,83 @@ def _node_law(road: RoadProcess, newest):
             factors[2 + c, k] = (b, a, b)[k]
         entries[4 + c] = at + c
         for k in range(order):
-            sources[4 + c, k] = node_entry(road, newest - k) + c
+            sources[4 + c, k] = _node_entry(road, newest - k) + c
             factors[4 + c, k] = free * road.weights[c, k]
         factors[4 + c, 0] += 1.0 - free
     return entries, sources, factors
 
 
 @kernel(inline=False)
-def add_node(road: RoadProcess, joint: JointState, newest, scale):
-    """Replace the oldest node by the one behind the `newest`, for a roughness `scale`. Steps of
-    both wheel paths at it are the newest candidates.
+def add_node(road: RoadProcess, x, P, newest, scale):
+    """Replace the oldest node by the one behind the `newest`, for a roughness `scale`, in the mean
+    `x` (n,) and in `P` (n, n + m). Steps of both wheel paths at it are the newest candidates.
     """
     entries, sources, factors = _node_law(road, newest)
-    x, P, n = joint.x, joint.P, joint.x.size
-    mean, rows = np.zeros(6), np.zeros((6, P.shape[1]))
-    heights = np.zeros((P.shape[0] - n, 6))
+    mean, rows, n = np.zeros(6), np.zeros((6, P.shape[1])), x.size
     for e in range(6):
         for k in range(factors.shape[1]):
-            source, factor = sources[e, k], factors[e, k]
-            if factor == 0.0:
-                continue
-            mean[e] += factor * x[source]
-            for i in range(P.shape[1]):
-                rows[e, i] += factor * P[source, i]
-            for i in range(n, P.shape[0]):
-                heights[i - n, e] += factor * P[i, source]
+            if factors[e, k] != 0.0:
+                mean[e] += factors[e, k] * x[sources[e, k]]
+                rows[e] += factors[e, k] * P[sources[e, k]]
     corner = np.zeros((6, 6))
     for e in range(6):
         for k in range(factors.shape[1]):
-            for i in range(6):
-                corner[i, e] += factors[e, k] * rows[i, sources[e, k]]
+            corner[:, e] += factors[e, k] * rows[:, sources[e, k]]
     free = _is_free(road, newest)
     for c in range(2):
         corner[4 + c, 4 + c] += scale * road.prediction_variance[c] * free
     for e in range(6):
-        at = entries[e]
-        x[at] = mean[e]
-        for i in range(P.shape[1]):
-            P[at, i] = rows[e, i]
-        for i in range(P.shape[0]):
-            P[i, at] = rows[e, i] if i < n else heights[i - n, e]
+        x[entries[e]], P[entries[e]], P[:, entries[e]] = mean[e], rows[e], rows[e, :n]
     for e in range(6):
         for i in range(6):
             P[entries[i], entries[e]] = corner[i, e]
     for side in range(2):
         candidate = n + (2 * (newest + 1) + side) % (P.shape[1] - n)
-        for i in range(P.shape[0]):
-            P[i, candidate] = 0.0
+        P[:, candidate] = 0.0
         P[entries[4], candidate] = 0.5 * free
         P[entries[5], candidate] = (0.5 - side) * free
 
 
 @kernel(inline=False)
-def transpose_nodes(road: RoadProcess, nodes, r, columns):
-    """Replace `columns` of `r` (n, M) by F' r of the steps in which the `nodes` are replaced; of
-    both, numbers from a first one to a last one (excluded).
+def transpose_nodes(road: RoadProcess, first, last, r):
+    """Replace `r` (n, M) by F' r of the steps in which the nodes from the `first` to the `last`
+    (excluded) are replaced.
     """
     after = np.empty((6, r.shape[1]))
-    for node in range(nodes[1] - 1, nodes[0] - 1, -1):
+    for node in range(last - 1, first - 1, -1):
         entries, sources, factors = _node_law(road, node + road.n_nodes - 1)
         for e in range(6):
-            for i in range(columns[0], columns[1]):
-                after[e, i], r[entries[e], i] = r[entries[e], i], 0.0
+            after[e] = r[entries[e]]
+            r[entries[e]] = 0.0
         for e in range(6):
             for k in range(factors.shape[1]):
-                source, factor = sources[e, k], factors[e, k]
-                if factor == 0.0:
-                    continue
-                for i in range(columns[0], columns[1]):
-                    r[source, i] += factor * after[e, i]
+                if factors[e, k] != 0.0:
+                    r[sources[e, k]] += factors[e, k] * after[e]
 
 
-@kernel(inline=False)
-def update_roughness(road: RoadProcess, joint: JointState, adaptive, square, passed):
-    """Update the roughness scale by the increments up to each node from the first to the last one
-    (excluded) of `passed`; one with an accepted step in `square` (N, 2) is none of the prior.
+def update_roughness(
+    road: RoadProcess,
+    x: np.ndarray,
+    P: np.ndarray,
+    adaptive: np.ndarray,
+    square: np.ndarray,
+    passed: range,
+) -> None:
+    """Update the roughness scale by the increments up to each node of `passed`; one with an
+    accepted step in `square` (N, 2) is none of the prior.
 
     One step of expectation maximization: the expected square is the squared mean plus the variance.
     """
-    x, P, span = joint.x, joint.P, road.increment_span
+    span = road.increment_span
     kept = 1.0 - 0.5 / road.roughness_memory  # half a node: there are two components
-    for node in range(passed[0], passed[1]):
-        steps = 0.0
-        for k in range(node - span - 1, node + 2):
-            steps += square[k, 0] + square[k, 1]
-        if steps > 0.0:
+    for node in passed:
+        if square[node - span - 1 : node + 2].any():
             continue
-        for c in range(2):
-            a, b = node_entry(road, node) + c, node_entry(road, node - span) + c
+        for a, b in road.node_entries(np.array([node, node - span])).reshape(2, 2).T:
             increment = (x[a] - x[b]) ** 2 + P[a, a] + P[b, b] - 2.0 * P[a, b]
-            ratio = 0.5 * increment / road.increment_variance[c]
+            ratio = 0.5 * increment / road.increment_variance[(a - road.first_node) % 2]
             adaptive[ROUGHNESS_SUM] = kept * adaptive[ROUGHNESS_SUM] + ratio
             adaptive[ROUGHNESS_WEIGHT] = kept * adaptive[ROUGHNESS_WEIGHT] + 0.5
     scale = adaptive[ROUGHNESS_SUM] / adaptive[ROUGHNESS_WEIGHT]
-    adaptive[ROUGHNESS_SCALE] = min(max(scale, MIN_ROUGHNESS_SCALE), MAX_ROUGHNESS_SCALE)
+    scale = max(scale, TUNING.min_roughness_scale)
+    adaptive[ROUGHNESS_SCALE] = min(scale, TUNING.max_roughness_scale)

@@ -113,33 +113,6 @@ class LocalState(NamedTuple):
     signal_power: np.ndarray
 
 
-class JointState(NamedTuple):
-    """Filtered state of n entries, and S heights in the left and the right wheel path that are
-    emitted later: mean `x` (n,), `P` (n + 2 S, n + m), the covariance of both with the state and,
-    beside it, their error per unit step of each of m candidates (`jumps.py`), and the `variance`
-    (2 S,) of the heights.
-    """
-
-    x: np.ndarray
-    P: np.ndarray
-    variance: np.ndarray
-
-
-class WindowPart(NamedTuple):
-    """Part of the window `number` from the block `first` to the block `last` (excluded).
-
-    The `oldest` node held; the entries `local` (L,) of the local state in the state vector; the
-    `moments` (2,) at which nodes and heights have been read so far.
-    """
-
-    number: int
-    first: int
-    last: int
-    oldest: int
-    local: np.ndarray
-    moments: np.ndarray
-
-
 class StepTest(NamedTuple):
     """Test for m candidate steps of the road in a window of B blocks (`jumps.py`): `direction`
     (L, m), error of the local state at the window's start per unit step; `score` (m,) and

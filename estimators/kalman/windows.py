@@ -2,12 +2,10 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
-MAX_BLOCKS = 24
-"""Blocks in one window, at most: the covariance takes the update of a window at once."""
+from estimators.kalman.tuning import TUNING
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,16 +42,18 @@ def schedule_windows(
     wheelbase_nodes: float,
     max_advance: float,
     increment_span: int,
+    held_nodes: int,
 ) -> WindowSchedule:
     """Divide a drive into windows in which the vehicle moves `max_advance` nodes at most, or one
-    block. `front_node` (2 steps,): node number of the front axle at each half step.
+    block. `front_node` (2 steps,): node number of the front axle at each half step. At least
+    `held_nodes` nodes are held behind it, and `increment_span` behind the rear axle.
     """
     blocks = front_node.size // (2 * steps_per_block)
     node = front_node[: 2 * steps_per_block * blocks].reshape(blocks, -1)
     start, end = node[:, 0], node[:, -1]
     edges = [0]
     while (now := edges[-1]) < blocks:
-        far = end[now : now + MAX_BLOCKS] > start[now] + max_advance
+        far = end[now : now + TUNING.max_blocks] > start[now] + max_advance
         edges.append(now + max(int(np.argmax(np.append(far, True))), 1))
     first = np.array(edges[:-1])
     low = np.floor(np.minimum.reduceat(node.min(axis=1), first)).astype(int)
@@ -65,7 +65,8 @@ def schedule_windows(
     initial = int(front_node[0]) + 2
     before = np.append(rear[0], rear[:-1]) - increment_span
     held = np.append(initial, newest[:-1])  # while roughness is updated
-    n_nodes = 1 + max(np.max(held - before), np.max(newest - rear_low + 1))
+    behind = np.minimum(rear_low - 1, low - held_nodes)
+    n_nodes = 1 + max(np.max(held - before), np.max(newest - behind))
     return WindowSchedule(
         edges=np.append(first, blocks),
         newest=newest,
@@ -79,46 +80,8 @@ def schedule_windows(
     )
 
 
-class EmissionTimes(NamedTuple):
-    """T moments at which heights are read: after so many blocks `block` (T,) of the `n_blocks` of
-    the drive, in the window `window` (T,) or before its first block.
-
-    Nodes from `base` (T,) to `newest` (T,) are read; those that are no longer held leave from the
-    window `first` (T,) on, which is `window` + 1 if all are held.
-    """
-
-    block: np.ndarray
-    window: np.ndarray
-    base: np.ndarray
-    newest: np.ndarray
-    first: np.ndarray
-    n_blocks: int
-
-    def within(self, blocks: tuple[int, int]) -> slice:
-        """Return the moments in a part of the drive, from the first of its `blocks` to the last one
-        (excluded); the end of the drive belongs to the last part.
-        """
-        first, last = blocks
-        return slice(*np.searchsorted(self.block, [first, last + (last == self.n_blocks)]))
-
-
 def round_to_windows(schedule: WindowSchedule, block: np.ndarray) -> np.ndarray:
     """Return the last edge of a window before each `block` (M,); the end of the drive is kept."""
     edges = schedule.edges
     rounded = edges[np.searchsorted(edges, block, side="right") - 1]
     return np.where(block >= edges[-1], edges[-1], rounded)
-
-
-def emission_times(
-    schedule: WindowSchedule, block: np.ndarray, oldest_needed: np.ndarray
-) -> EmissionTimes:
-    """Return the moments after so many blocks `block` (T,), at which nodes from the number
-    `oldest_needed` (T,) on are read.
-    """
-    edges, oldest = schedule.edges, schedule.oldest
-    window = np.searchsorted(edges, np.minimum(block, edges[-1] - 1), side="right") - 1
-    first = np.searchsorted(oldest[1:], oldest_needed, side="right")
-    first = np.minimum(first, window + 1)
-    block = np.minimum(block, edges[-1])
-    newest = schedule.reached[block]
-    return EmissionTimes(block, window, oldest[first], newest, first, int(edges[-1]))

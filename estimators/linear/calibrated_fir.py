@@ -31,6 +31,8 @@ from scipy.ndimage import gaussian_filter1d
 from estimators.api import (
     CalibrationDrive,
     CalibrationError,
+    Profiles,
+    Records,
     copy_with,
     require_fitted,
     validate_weights,
@@ -75,11 +77,8 @@ from road_envs.vehicle.parameters import VehicleParameters
 WINDOW = 200.0
 """Length [m] of the road that is estimated at a time, with a road prior of its own."""
 
-NODE_TIME = 0.01
-"""Time [s] between nodes, four in a period of 25 Hz."""
-
-NODE_SPACING = (0.1, 0.25)
-"""Least and greatest spacing [m] of nodes."""
+_NODE_TIME = 0.01  # time [s] between nodes, four in a period of 25 Hz
+_NODE_SPACING = (0.1, 0.25)  # least and greatest spacing [m] of nodes
 
 DRAWS = 40
 """Samples of the posterior for the standard deviation."""
@@ -87,18 +86,16 @@ DRAWS = 40
 SMOOTHING = 5.0
 """Distance [m] over which the power of the samples is averaged."""
 
-VALIDATED = 3
-"""Calibration drives at most on which standard deviations are calibrated."""
+_VALIDATED = 3  # calibration drives at most on which standard deviations are calibrated
 
-COVERAGE = ((0.5, 0.6745), (0.9, 1.6449))
+_COVERAGE = ((0.5, 0.6745), (0.9, 1.6449))
 """Probabilities of the intervals that are calibrated, and their Gaussian bounds."""
 
 MAX_HELD_OUT = 0.7
 """Greatest error on held-out parts of the road, over the road, of responses that are used; 1 is no
 information."""
 
-FAR_SPEED = 1.3
-"""Factor between the speeds of calibration and drive from which on a note is given."""
+_FAR_SPEED = 1.3  # factor between the speeds of calibration and drive from which on a note is given
 
 
 class _VehicleResponse(NamedTuple):
@@ -139,13 +136,7 @@ class CalibratedFir(Settings):
         default=None, init=False, repr=False, compare=False
     )
 
-    def fit(
-        self,
-        records: Sequence[Record],
-        truths: Sequence[Profile],
-        car: VehicleParameters,
-        seed: int,
-    ) -> Self:
+    def fit(self, records: Records, truths: Profiles, car: VehicleParameters, seed: int) -> Self:
         """Identify the responses from drives over known roads; `seed` is unused. Of `car` only the
         wheelbase is used, unless it is a setting. Raises RecordError, CalibrationError.
         """
@@ -274,11 +265,11 @@ def _identify_state(
 def _validate(
     found: IdentifiedResponses, drives: Sequence[CalibrationDrive], axles: np.ndarray
 ) -> tuple[float, float]:
-    """Return the factor on standard deviations that gives COVERAGE on segments that responses were
+    """Return the factor on standard deviations that gives _COVERAGE on segments that responses were
     identified without, and the in-band RMS error over the RMS of the road there.
     """
     ratios, square, power = [], 0.0, 0.0
-    for drive in drives[:VALIDATED]:
+    for drive in drives[:_VALIDATED]:
         record, profile = drive.record, cast(Profile, drive.profile)
         s, band = profile_stations(record.length), scored_band(float(record.v.mean()))
         truth = sample_profile(profile, s)
@@ -293,7 +284,7 @@ def _validate(
             square += float(np.sum(error**2))
             power += float(np.sum(inside[:, here] ** 2))
     all_ratios = np.concatenate(ratios)
-    factors = [np.quantile(all_ratios, share) / bound for share, bound in COVERAGE]
+    factors = [np.quantile(all_ratios, share) / bound for share, bound in _COVERAGE]
     return float(np.exp(np.mean(np.log(factors)))), float(np.sqrt(square / power))
 
 
@@ -305,7 +296,7 @@ def _reconstruct(
     """
     stations, rng = profile_stations(record.length), np.random.default_rng(seed)
     v = float(np.median(record.v))
-    ds = float(np.clip(NODE_TIME * v, *NODE_SPACING))
+    ds = float(np.clip(_NODE_TIME * v, *_NODE_SPACING))
     margin = axles[-1] + MEMORY * v
     t = sample_times(record)
     a, s = sensed(record, t), np.interp(t, record.t, record.s)
@@ -357,7 +348,7 @@ def _notes(chosen: _VehicleResponse, state: np.ndarray, record: Record) -> tuple
             "no calibration drive was in this state of the struts; the responses are those of the "
             "nearest state"
         )
-    if not chosen.speed / FAR_SPEED < v < chosen.speed * FAR_SPEED:
+    if not chosen.speed / _FAR_SPEED < v < chosen.speed * _FAR_SPEED:
         notes.append(
             f"calibrated at {3.6 * chosen.speed:.0f} km/h, driven at {3.6 * v:.0f} km/h: friction "
             "acts otherwise there, and errors exceed the standard deviations"

@@ -16,19 +16,19 @@ from estimators.linear.impulse_responses import (
 )
 from road_envs.records.record import F_C, Profile
 
-LENGTH_MIN = 25.0
+_LENGTH_MIN = 25.0
 """Shortest distance [m] that is of use, of all drives in one state together: five of the longest
 waves of the scored band."""
 
-FREQUENCIES_MIN = 30.0
+_FREQUENCIES_MIN = 30.0
 """Least number of independent frequencies in the road's acceleration, of each wheel path and of
 their difference. A tenth of what 100 m of an ISO 8608 road have; a sine has one or two."""
 
-EXPLAINED_MIN = 0.3
+_EXPLAINED_MIN = 0.3
 """Least share of the sensors' power that must be predicted where the responses were not identified.
 100 m of class C or rougher give 0.6 to 0.95, a profile of elsewhere less than 0.1."""
 
-GAIN_RANGE = (0.3, 4.0)
+_GAIN_RANGE = (0.3, 4.0)
 """Gain of all wheels together on long waves: a vehicle moves as its road does, whatever it is.
 Drives over 100 m to 1 km give 0.8 to 1.7; accelerations in g divide it by 10."""
 
@@ -44,10 +44,11 @@ def check_drives(drives: Sequence[CalibrationDrive], data: Sequence[RoadDrive]) 
     for drive, here in zip(drives, used, strict=True):
         s = np.interp(sample_times(drive.record), drive.record.t, drive.record.s)
         length += float(np.ptp(s[here])) if here.any() else 0.0
-    if length < LENGTH_MIN:
+    if length < _LENGTH_MIN:
         raise CalibrationError(
-            f"{names}: all axles are on the profile over {length:.0f} m; at least {LENGTH_MIN:.0f} "
-            "m are needed: check where the profile begins, or drive over a longer one"
+            f"{names}: all axles are on the profile over {length:.0f} m; at least "
+            f"{_LENGTH_MIN:.0f} m are needed: check where the profile begins, or drive over a "
+            "longer one"
         )
     parts = [each.u[0][:, here] for each, here in zip(data, used, strict=True) if here.sum() > 1]
     counts = {
@@ -58,10 +59,10 @@ def check_drives(drives: Sequence[CalibrationDrive], data: Sequence[RoadDrive]) 
         ),
     }
     name = min(counts, key=counts.__getitem__)
-    if counts[name] < FREQUENCIES_MIN:
+    if counts[name] < _FREQUENCIES_MIN:
         raise CalibrationError(
             f"{names}: {name} moves the wheels at {counts[name]:.0f} independent frequencies; at "
-            f"least {FREQUENCIES_MIN:.0f} are needed to identify the vehicle's responses: choose "
+            f"least {_FREQUENCIES_MIN:.0f} are needed to identify the vehicle's responses: choose "
             "a rougher or longer road"
         )
 
@@ -82,15 +83,15 @@ def check_responses(
     found: IdentifiedResponses, drives: Sequence[CalibrationDrive], axles: np.ndarray
 ) -> None:
     """Raise CalibrationError if the profiles do not explain the drives, or not in their units."""
-    if (least := float(found.explained.min())) < EXPLAINED_MIN:
+    if (least := float(found.explained.min())) < _EXPLAINED_MIN:
         sensor = f"sensor {1 + int(found.explained.argmin())} of {found.explained.size}"
         raise CalibrationError(
             f"the profile explains {max(least, 0.0):.0%} of what {sensor} measured on parts of the "
-            f"road that were left out; at least {EXPLAINED_MIN:.0%} are needed"
+            f"road that were left out; at least {_EXPLAINED_MIN:.0%} are needed"
             f"{_reason(drives[0], axles)}"
         )
     gain = float(np.median(found.responses.long_wave_gain))
-    low, high = GAIN_RANGE
+    low, high = _GAIN_RANGE
     if not low < gain < high:
         turned = "; an axis that points down, or heights counted downwards" if gain < 0.0 else ""
         raise CalibrationError(
@@ -111,7 +112,7 @@ def _reason(drive: CalibrationDrive, axles: np.ndarray) -> str:
         )
         for shift in SEARCHED
     }
-    best, text = EXPLAINED_MIN, ": it is of another road or lane, or too smooth"
+    best, text = _EXPLAINED_MIN, ": it is of another road or lane, or too smooth"
     for name, other in tried.items():
         data = road_drive(drive.record, other, axles)
         if (data.segment >= 0).sum() > RATE and (

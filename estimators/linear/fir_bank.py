@@ -29,19 +29,17 @@ from estimators.common.training_data import SPEED_RANGE
 KNOTS = np.geomspace(*SPEED_RANGE, 9)
 """Speeds [m/s] of the taps; outside, the taps of the first or last knot hold."""
 
-N_STATE_COMBINATIONS = 16
+_N_STATE_COMBINATIONS = 16
 """Of front spring, front damper, rear spring, rear damper; the first is bit 3."""
 
 RIDGE = 1e-4
 SMOOTHNESS = 1e-4
-N_SHORT = 0.15
-"""Spatial frequency [cycles/m] of the high-pass on the errors."""
+_N_SHORT = 0.15  # spatial frequency [cycles/m] of the high-pass on the errors
 
 LEVEL_MIN = 3e-4
 """Added to a drive's level [m], so that noise on a smooth road does not dominate."""
 
-MM = 1e-3
-"""Unit of the heights [m]: taps are stored as float16 for heights in mm."""
+_MM = 1e-3  # unit of the heights [m]: taps are stored as float16 for heights in mm
 
 
 class FirBank(NamedTuple):
@@ -70,12 +68,12 @@ class FirBank(NamedTuple):
                 np.correlate(x, h, "valid") for x, h in zip(motions, taps, strict=True)
             )
             z += share * np.array([front + rear, roll])
-        return MM * z
+        return _MM * z
 
 
 def taps_shape(behind: int, ahead: int) -> tuple[int, ...]:
     """Return the shape of a bank's taps."""
-    return N_STATE_COMBINATIONS, KNOTS.size, N_MOTIONS, behind + 1 + ahead
+    return _N_STATE_COMBINATIONS, KNOTS.size, N_MOTIONS, behind + 1 + ahead
 
 
 def fit_bank(
@@ -96,8 +94,8 @@ def fit_bank(
         for i in indices:
             _add_drive(sums, all_signals[i], targets[i], behind, ahead)
         solution = np.concatenate([part.solve() for part in sums], axis=1)
-        taps[combination] = (solution / MM).reshape(taps.shape[1:])
-    for combination in set(range(N_STATE_COMBINATIONS)) - drives.keys():
+        taps[combination] = (solution / _MM).reshape(taps.shape[1:])
+    for combination in set(range(_N_STATE_COMBINATIONS)) - drives.keys():
         nearest = min(drives, key=lambda other: ((combination ^ other).bit_count(), other))
         taps[combination] = taps[nearest]
     return FirBank(taps, ahead)
@@ -149,8 +147,8 @@ class _KnotNormalEquations(NamedTuple):
 
 
 def keep_short_waves(x: np.ndarray, causal: bool = False) -> np.ndarray:
-    """Return rows at the stations, high-passed at N_SHORT; without phase unless `causal`."""
-    sos = signal.butter(2, N_SHORT, "high", fs=1.0 / SPACING, output="sos")
+    """Return rows at the stations, high-passed at _N_SHORT; without phase unless `causal`."""
+    sos = signal.butter(2, _N_SHORT, "high", fs=1.0 / SPACING, output="sos")
     if causal:
         return signal.sosfilt(sos, x)
     return signal.sosfiltfilt(sos, x, padlen=min(x.shape[-1] - 1, 100))
@@ -199,7 +197,7 @@ def _locate_knots(v: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
 def _knot_shares(v: np.ndarray, states: np.ndarray) -> Iterator[tuple[int, int, np.ndarray]]:
     """Yield combination, knot and weight (M,) of each set of taps in use."""
     k, above = _locate_knots(v)
-    for combination in range(N_STATE_COMBINATIONS):
+    for combination in range(_N_STATE_COMBINATIONS):
         # bit by bit the states of the combination: its weight is the product of their shares
         on = (combination >> np.arange(3, -1, -1)) & 1
         here = np.prod(np.where(on, states, 1.0 - states), axis=1)

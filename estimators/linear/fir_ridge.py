@@ -33,7 +33,14 @@ import numpy as np
 from pydantic import Field
 from scipy import signal
 
-from estimators.api import CalibrationDrive, copy_with, require_fitted, validate_weights
+from estimators.api import (
+    CalibrationDrive,
+    Profiles,
+    Records,
+    copy_with,
+    require_fitted,
+    validate_weights,
+)
 from estimators.common.blas import single_blas_thread
 from estimators.common.least_squares import LeastSquaresSums, cross_validate
 from estimators.common.odometer import calibrate_odometer
@@ -80,8 +87,7 @@ from road_envs.records.record import (
 )
 from road_envs.vehicle.parameters import VehicleParameters
 
-DEFAULT_REACH = 12.0
-"""Default reach [m], approximately that of the shipped bank."""
+_DEFAULT_REACH = 12.0  # default reach [m], approximately that of the shipped bank
 
 FOLDS = 5
 RIDGES = 10.0 ** np.arange(-6, 1)
@@ -110,7 +116,7 @@ class FirRidge(Settings):
     refit_per_case: ClassVar[bool] = True
     uses_seed: ClassVar[bool] = False
 
-    reach: Annotated[float, Field(gt=0, le=100), "m", "of the window"] = DEFAULT_REACH
+    reach: Annotated[float, Field(gt=0, le=100), "m", "of the window"] = _DEFAULT_REACH
     shipped: bool = True
     fitted_state: Taps | FirBank | None = field(default=None, init=False, repr=False, compare=False)
     corrections: tuple[VehicleCorrection, ...] = field(
@@ -118,13 +124,7 @@ class FirRidge(Settings):
     )
 
     @single_blas_thread()  # small products: as in the LM training
-    def fit(
-        self,
-        records: Sequence[Record],
-        truths: Sequence[Profile],
-        car: VehicleParameters,
-        seed: int,
-    ) -> Self:
+    def fit(self, records: Records, truths: Profiles, car: VehicleParameters, seed: int) -> Self:
         """Fit taps to the speed and mode of these drives; `seed` is unused. Raises RecordError."""
         records = [clean_record(record)[0] for record in records]
         speed = float(np.mean([record.v.mean() for record in records]))
@@ -226,7 +226,7 @@ class FirRidge(Settings):
         if self.fitted_state is not None:
             return self.fitted_state
         weights = (
-            load_pretrained(self.name) if self.shipped and self.reach == DEFAULT_REACH else None
+            load_pretrained(self.name) if self.shipped and self.reach == _DEFAULT_REACH else None
         )
         return self.with_weights(require_fitted(weights, self))._fitted_or_pretrained()
 

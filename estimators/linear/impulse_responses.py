@@ -35,7 +35,7 @@ RATE = 62.5
 OVERSAMPLING = 8
 """Instants per sample at which the road under an axle is read, before its low-pass."""
 
-STOP_FREQUENCY = 36.0
+_STOP_FREQUENCY = 36.0
 """Frequency [Hz] from which the low-pass of the road's acceleration leaves nothing."""
 
 MEMORY = 1.2
@@ -45,8 +45,7 @@ tenth.
 
 N_TAPS = int(MEMORY * RATE)
 AR_ORDER = 12
-SEGMENTS = 5
-"""Parts of each drive; every one is predicted from the others."""
+_SEGMENTS = 5  # parts of each drive; every one is predicted from the others
 
 F_BODY = 0.5
 """Frequency [Hz] below which accelerometers measure offset and drift rather than the road."""
@@ -95,7 +94,7 @@ class Responses(NamedTuple):
 
 
 class IdentifiedResponses(NamedTuple):
-    """`responses`; those without each segment, `held_out` (SEGMENTS,); and the shares `explained`
+    """`responses`; those without each segment, `held_out` (_SEGMENTS,); and the shares `explained`
     (k,) of each sensor's power in segments that were not used.
     """
 
@@ -119,8 +118,8 @@ def sensed(record: Record, t: np.ndarray) -> np.ndarray:
 def acceleration_filter() -> np.ndarray:
     """Return the taps [1/s²] of a low-pass and a second difference, at RATE * OVERSAMPLING."""
     fs = RATE * OVERSAMPLING
-    length, beta = signal.kaiserord(50.0, (STOP_FREQUENCY - F_C) / (0.5 * fs))
-    cut = 0.5 * (F_C + STOP_FREQUENCY)
+    length, beta = signal.kaiserord(50.0, (_STOP_FREQUENCY - F_C) / (0.5 * fs))
+    cut = 0.5 * (F_C + _STOP_FREQUENCY)
     low_pass = signal.firwin(length | 1, cut, window=("kaiser", beta), fs=fs)
     return np.convolve(low_pass, np.array([1.0, -2.0, 1.0]) * fs**2)
 
@@ -160,8 +159,8 @@ def segment_of(s: np.ndarray, profile: Profile, axles: np.ndarray) -> np.ndarray
     on the profile.
     """
     start, end = profile.s[0] + axles[-1], profile.s[-1]
-    part = np.floor(SEGMENTS * (s - start) / max(end - start, 1e-9)).astype(int)
-    return np.where((part >= 0) & (part < SEGMENTS), part, -1)
+    part = np.floor(_SEGMENTS * (s - start) / max(end - start, 1e-9)).astype(int)
+    return np.where((part >= 0) & (part < _SEGMENTS), part, -1)
 
 
 def _stack_delays(u: np.ndarray, n_taps: int) -> np.ndarray:
@@ -278,10 +277,10 @@ def _segment_sums(
     drives: Sequence[RoadDrive], X: list[np.ndarray], a: list[np.ndarray], white: np.ndarray
 ) -> list[LeastSquaresSums]:
     """Return the sums of each segment over all drives, of signals filtered by `white`."""
-    sums = [LeastSquaresSums.zeros(X[0].shape[1], len(a[0]))] * SEGMENTS
+    sums = [LeastSquaresSums.zeros(X[0].shape[1], len(a[0]))] * _SEGMENTS
     for drive, x, y in zip(drives, X, a, strict=True):
         xw, yw = signal.lfilter(white, 1.0, x, axis=0), signal.lfilter(white, 1.0, y)
-        for part in range(SEGMENTS):
+        for part in range(_SEGMENTS):
             here = drive.segment == part
             sums[part] = sums[part].plus(LeastSquaresSums.from_samples(xw[here], yw[:, here].T))
     return sums

@@ -55,29 +55,23 @@ from road_envs.vehicle.equations import Plant, build_plant
 from road_envs.vehicle.linear_model import gaussian_damping, strut_forces
 from road_envs.vehicle.parameters import VehicleParameters
 
-PADDING_TIME = 8.0
-"""Zeros [s] appended to a record before it repeats in the DFT circle."""
-
-FADE_RATIO = 1.2
-"""The response fades to zero from F_C to this multiple of it."""
+_PADDING_TIME = 8.0  # zeros [s] appended to a record before it repeats in the DFT circle
+_FADE_RATIO = 1.2  # the response fades to zero from F_C to this multiple of it
 
 MIN_LEVER = 0.1
 """Least singular value of the sensors' lever arms [m]: with less, noise hides the rotations."""
 
-OCTAVE_SHARE = 1.0 / 3.0
+_OCTAVE_SHARE = 1.0 / 3.0
 """Width of the bands in which the spectrum of the inverse is averaged, in octaves."""
 
 PATHS = 0.5 * np.array([[1.0, 1.0, 0.0, 0.0], [1.0, -1.0, 0.0, 0.0],
                         [0.0, 0.0, 1.0, 1.0], [0.0, 0.0, 1.0, -1.0]])  # fmt: skip
 """From heights in wheel order to mean and half difference under the front and the rear axle."""
 
-SWITCHED_NOTE = "treated as driven in the dominant strut states"
+_SWITCHED_NOTE = "treated as driven in the dominant strut states"
 
-INITIAL_RATE_STD = 0.1
-"""Initial standard deviation [m/s] of the struts' rates."""
-
-DAMPING_ITERATIONS = 4
-"""Number of updates of the dampers."""
+_INITIAL_RATE_STD = 0.1  # initial standard deviation [m/s] of the struts' rates
+_DAMPING_ITERATIONS = 4  # number of updates of the dampers
 
 
 class _QuarterCars(NamedTuple):
@@ -123,13 +117,13 @@ class InverseQuarterCar(Settings):
         """Estimate both wheel paths. Raises ConfigError, RecordError."""
         sensors = instruments_of(record, self.instruments)
         record, notes = clean_record(record, None)
-        size = next_fast_len(record.t.size + round(PADDING_TIME * record.fs), real=True)
+        size = next_fast_len(record.t.size + round(_PADDING_TIME * record.fs), real=True)
         f = rfftfreq(size, 1.0 / record.fs)
         f[0] = 0.5 * f[1]  # R has a pole at 0
         a = _accelerations_at_struts(record.a, sensors.locations(car), car)
         lines = rfft(a - a.mean(axis=1, keepdims=True), size)
         lines *= np.clip(
-            (FADE_RATIO * F_C - f) / ((FADE_RATIO - 1.0) * F_C), 0.0, 1.0
+            (_FADE_RATIO * F_C - f) / ((_FADE_RATIO - 1.0) * F_C), 0.0, 1.0
         ) / sensors.response(f)
         mode, samples = dominant_modes(record, np.arange(record.t.size)), record.t.size
         corners = _fit_corners(build_plant(car.rigid), car, mode, f, lines, samples)
@@ -145,7 +139,7 @@ class InverseQuarterCar(Settings):
         return Estimate(
             stations,
             _merge_axles(record, z, car.wheelbase),
-            notes=(*notes, *[SWITCHED_NOTE] * record.is_switched, band),
+            notes=(*notes, *[_SWITCHED_NOTE] * record.is_switched, band),
         )
 
 
@@ -201,8 +195,8 @@ def _fit_corners(
     `lines` (4, F): Fourier transform of the accelerations above the struts at `f` (F,) [Hz], of
     which the first `samples` were recorded.
     """
-    rate = np.full(4, INITIAL_RATE_STD)
-    for _ in range(DAMPING_ITERATIONS):
+    rate = np.full(4, _INITIAL_RATE_STD)
+    for _ in range(_DAMPING_ITERATIONS):
         corners = _quarter_cars(plant, car, mode, rate)
         e_dot = irfft(2j * np.pi * f * corners.extension(f) * lines)[:, :samples]
         rate = np.maximum(e_dot.std(axis=1), 1e-3)
@@ -214,7 +208,7 @@ def _weigh_by_road(heights: np.ndarray, f: np.ndarray, f_low: float) -> np.ndarr
     filter would for roads with a spectrum in proportion to 1 / f² from `f_low` on.
     """
     paths = PATHS @ heights
-    bands = round(np.log2(F_C / f_low) / OCTAVE_SHARE)
+    bands = round(np.log2(F_C / f_low) / _OCTAVE_SHARE)
     edges = np.geomspace(f_low, F_C, bands + 1)
     power, weights = np.abs(f * paths) ** 2, np.ones_like(f) * np.ones((4, 1))
     inside = [band for lo, hi in pairwise(edges) if (band := (f >= lo) & (f < hi)).any()]

@@ -25,12 +25,12 @@ from estimators.linear.impulse_responses import (
 CHUNK = 64
 """Samples whose rows are formed at a time."""
 
-LEVEL_LENGTH = 16.0
+_LEVEL_LENGTH = 16.0
 """Length [m] over which a random walk is pulled towards level ground: about 1 / (2 pi n), with n
 0.01 cycles/m.
 """
 
-PATH_LENGTH = 1.2
+_PATH_LENGTH = 1.2
 """Length [m] over which the difference of the paths is pulled towards zero: about 1 / (2 pi n),
 with the n of 0.13 cycles/m at which the coherence of paths 1.5 m apart is one half.
 """
@@ -159,7 +159,7 @@ def prior_bands(nodes: Nodes) -> np.ndarray:
     # order of the coefficients: left and right of the first node, then of the next. Squared rises
     # from node to node give 2 on the diagonal (1 at both ends) and -1 at the same side of the next
     # node, two places on; squared differences of the paths couple left to right, one place on
-    level, path = (nodes.ds / LEVEL_LENGTH) ** 2, 0.5 * (nodes.ds / PATH_LENGTH) ** 2
+    level, path = (nodes.ds / _LEVEL_LENGTH) ** 2, 0.5 * (nodes.ds / _PATH_LENGTH) ** 2
     bands = np.zeros((3, 2 * nodes.size))
     bands[0] = 2.0 + level + path
     bands[0, [0, 1, -2, -1]] -= 1.0

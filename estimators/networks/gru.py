@@ -17,8 +17,7 @@ from estimators.networks.inputs import N_CONDITIONS, N_INPUTS
 from estimators.networks.sequence_estimator import KernelSize, SequenceEstimator
 from road_envs.core.config import Count
 
-WARM_UP_STATIONS = 60
-"""Stations of warm-up."""
+_WARM_UP_STATIONS = 60  # stations of warm-up
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +29,7 @@ class _Recurrent(SequenceEstimator, abc.ABC):
         """Return the torch network with its initial weights."""
         from estimators.networks.modules import GatedRecurrentNet
 
-        size = self.channels, self.kernel, WARM_UP_STATIONS
+        size = self.channels, self.kernel, _WARM_UP_STATIONS
         return GatedRecurrentNet(N_INPUTS, N_CONDITIONS, *size, self.causal)
 
 

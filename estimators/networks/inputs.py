@@ -13,7 +13,7 @@ inputs, and both outputs are averaged.
 The level is the RMS of the first estimate above 0.15 cycles/m, the band in which the network
 corrects and for which its standard deviation holds. A causal network uses samples up to the moment
 when the front axle is LAG ahead of the estimated station; its level is an exponentially weighted
-mean with length LEVEL_DECAY_LENGTH.
+mean with length _LEVEL_DECAY_LENGTH.
 """
 
 from typing import NamedTuple, Protocol
@@ -36,8 +36,7 @@ from estimators.linear.fir_bank import FirBank, keep_short_waves
 STATIONS_AHEAD = int((LAG - 2.0 * FILTER_REACH) / SPACING)
 """Stations ahead of the estimated one in a causal window; the filters use the rest of LAG."""
 
-LEVEL_DECAY_LENGTH = 30.0
-"""Decay length [m] of the causal level."""
+_LEVEL_DECAY_LENGTH = 30.0  # decay length [m] of the causal level
 
 LEVEL_MIN = 3e-4
 """Added to the level [m], so that noise on a level road is not amplified."""
@@ -128,7 +127,7 @@ def _level(short_waves: np.ndarray, extra: int, causal: bool) -> np.ndarray:
     if not causal:
         inside = square[extra : square.size - extra]
         return np.full(square.size, LEVEL_MIN + np.sqrt(inside.mean()))
-    decay = np.exp(-SPACING / LEVEL_DECAY_LENGTH)
+    decay = np.exp(-SPACING / _LEVEL_DECAY_LENGTH)
     on_road = (np.arange(square.size) >= extra - EDGE_STATIONS).astype(float)
     total, weight = signal.lfilter([1.0], [1.0, -decay], np.array([square * on_road, on_road]))
     return LEVEL_MIN + np.sqrt(total / np.maximum(weight, 5.0 / SPACING))

@@ -35,14 +35,11 @@ from estimators.common.blas import single_blas_thread
 CHUNK = 512
 """Samples per block of derivatives: 1 MB for the 3-50-2 network, which fits the cache."""
 
-MU_FLOOR = 1e-20
-"""Lower limit of mu, so that a failing step needs few increases to succeed."""
+_MU_FLOOR = 1e-20  # lower limit of mu, so that a failing step needs few increases to succeed
+_ACTIVE_RANGE = 2.0  # active range of tanh, net inputs of -2 to 2, as MATLAB's tansig('active')
 
-ACTIVE_RANGE = 2.0
-"""Active range of tanh, net inputs of -2 to 2, as MATLAB's tansig('active')."""
-
-StopReason = Literal["epochs", "goal", "gradient", "mu", "validation"]
-STOP_REASONS: tuple[StopReason, ...] = ("epochs", "goal", "gradient", "mu", "validation")
+_StopReason = Literal["epochs", "goal", "gradient", "mu", "validation"]
+_STOP_REASONS: tuple[_StopReason, ...] = ("epochs", "goal", "gradient", "mu", "validation")
 CURVES = ("train", "validation", "test", "mu", "gradient")
 HISTORY_SHAPES: dict[str, tuple[int | None, ...]] = {"curves": (len(CURVES), None), "stop": (2,)}
 """Shapes of the arrays of `LmResult.to_arrays`."""
@@ -128,7 +125,7 @@ class LmResult:
     """
 
     network: TwoLayerNetwork
-    stop: StopReason
+    stop: _StopReason
     best_epoch: int
     train: np.ndarray
     validation: np.ndarray
@@ -143,13 +140,13 @@ class LmResult:
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Return all but the network: `curves` (5, epochs + 1) with -1 for NaN, and `stop`, the
-        index of the reason in STOP_REASONS and the best epoch.
+        index of the reason in _STOP_REASONS and the best epoch.
         """
         curves = np.array([getattr(self, name) for name in CURVES])
         curves[np.isnan(curves)] = -1.0
         return {
             "curves": curves,
-            "stop": np.array([STOP_REASONS.index(self.stop), self.best_epoch]),
+            "stop": np.array([_STOP_REASONS.index(self.stop), self.best_epoch]),
         }
 
     @classmethod
@@ -158,12 +155,11 @@ class LmResult:
     ) -> "LmResult":
         """Return the result of this `network` and the arrays of `to_arrays`. Raises ValueError."""
         reason, best_epoch = (int(x) for x in stop)
-        if not 0 <= reason < len(STOP_REASONS):
-            raise ValueError(
-                f"stop: the reason must be an index from 0 to {len(STOP_REASONS) - 1}, got {reason}"
-            )
+        if not 0 <= reason < len(_STOP_REASONS):
+            last = len(_STOP_REASONS) - 1
+            raise ValueError(f"stop: the reason must be an index from 0 to {last}, got {reason}")
         return cls(
-            network, STOP_REASONS[reason], best_epoch, *np.where(curves < 0.0, np.nan, curves)
+            network, _STOP_REASONS[reason], best_epoch, *np.where(curves < 0.0, np.nan, curves)
         )
 
 
@@ -205,7 +201,7 @@ def nguyen_widrow(
     the 2 extends Nguyen and Widrow's unit range to the active range of tanh; the biases are evenly
     spaced. The output layer is uniform in [-1, 1], as a linear layer has no active region.
     """
-    magnitude = ACTIVE_RANGE * 0.7 * hidden ** (1.0 / inputs)
+    magnitude = _ACTIVE_RANGE * 0.7 * hidden ** (1.0 / inputs)
     W1 = rng.uniform(-1.0, 1.0, (inputs, hidden))
     W1 *= magnitude / np.linalg.norm(W1, axis=0)
     spread = np.linspace(-1.0, 1.0, hidden) if hidden > 1 else np.zeros(1)
@@ -256,9 +252,9 @@ def train(
 
 def _stop_reason(
     options: TrainlmOptions, epoch: int, normal: _NormalEquations, mu: float, failures: int
-) -> StopReason | None:
+) -> _StopReason | None:
     """Return the first stop criterion that holds, or None."""
-    reasons: dict[StopReason, bool] = {
+    reasons: dict[_StopReason, bool] = {
         "goal": normal.mse <= options.goal,
         "epochs": epoch >= options.max_epochs,
         "gradient": normal.gradient <= options.min_grad,
@@ -279,7 +275,7 @@ def _take_step(
         if step is not None:
             trial = evaluate(at.network.add_step(step), at.inputs, t)
             if trial.mse < normal.mse:
-                return trial, max(mu * options.mu_decrease, MU_FLOOR)
+                return trial, max(mu * options.mu_decrease, _MU_FLOOR)
         mu *= options.mu_increase
     return at, mu
 

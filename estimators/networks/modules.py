@@ -21,8 +21,7 @@ with optional_import("a neural network"):
     from torch import Tensor, nn
 
 
-EMBEDDING_SIZE = 32
-"""Size of the embedding of the conditions."""
+_EMBEDDING_SIZE = 32  # size of the embedding of the conditions
 
 
 class _Head(nn.Module):
@@ -45,7 +44,7 @@ class _Film(nn.Module):
 
     def __init__(self, channels: int):
         super().__init__()
-        self.both = nn.Conv1d(EMBEDDING_SIZE, 2 * channels, 1)
+        self.both = nn.Conv1d(_EMBEDDING_SIZE, 2 * channels, 1)
         for weight in self.both.parameters():
             nn.init.zeros_(weight)
 
@@ -131,8 +130,11 @@ class GatedRecurrentNet(nn.Module):
 
 
 def _embed_conditions(conditions: int) -> nn.Sequential:
-    """Return the layers from conditions (B, n, T) to their embedding (B, EMBEDDING_SIZE, T)."""
-    layers = nn.Conv1d(conditions, EMBEDDING_SIZE, 1), nn.Conv1d(EMBEDDING_SIZE, EMBEDDING_SIZE, 1)
+    """Return the layers from conditions (B, n, T) to their embedding (B, _EMBEDDING_SIZE, T)."""
+    layers = (
+        nn.Conv1d(conditions, _EMBEDDING_SIZE, 1),
+        nn.Conv1d(_EMBEDDING_SIZE, _EMBEDDING_SIZE, 1),
+    )
     return nn.Sequential(layers[0], nn.GELU(), layers[1], nn.GELU())
 
 

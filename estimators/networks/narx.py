@@ -21,16 +21,16 @@ from typing import Annotated, ClassVar, Self
 
 import numpy as np
 
-from estimators.api import copy_with, require_fitted
+from estimators.api import Profiles, Records, copy_with, require_fitted
 from estimators.networks import levenberg_marquardt as lm
 from estimators.networks.lm_estimator import PATHS, FittedNetwork, LmEstimator, training_data
 from estimators.preprocessing import clean_record, spatial_accelerations
 from road_envs.core.config import Count
 from road_envs.kernels._numba import kernel
-from road_envs.records.record import SENSORS, Estimate, Profile, Record, profile_stations
+from road_envs.records.record import SENSORS, Estimate, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
-HELD_OUT_SHARE = 0.15
+_HELD_OUT_SHARE = 0.15
 """Fraction of each training drive, at its end, on which both loops are evaluated."""
 
 
@@ -52,13 +52,7 @@ class Narx(LmEstimator):
         """Number of inputs of the network."""
         return len(SENSORS) * (self.delays + 1) + PATHS * self.delays
 
-    def fit(
-        self,
-        records: Sequence[Record],
-        truths: Sequence[Profile],
-        car: VehicleParameters,
-        seed: int,
-    ) -> Self:
+    def fit(self, records: Records, truths: Profiles, car: VehicleParameters, seed: int) -> Self:
         """Train series-parallel; `seed` draws division and initial weights. Raises RecordError."""
         a, z, inputs, outputs = training_data(records, truths)
         drives = [(inputs.apply(x), outputs.apply(y)) for x, y in zip(a, z, strict=True)]
@@ -149,4 +143,4 @@ def _run_parallel(hidden, output, x, before, z):
 
 def _n_training(z: np.ndarray) -> int:
     """Return the number of stations of a drive used for training."""
-    return z.shape[1] - int(HELD_OUT_SHARE * z.shape[1])
+    return z.shape[1] - int(_HELD_OUT_SHARE * z.shape[1])

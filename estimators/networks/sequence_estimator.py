@@ -13,7 +13,14 @@ from typing import Annotated, Any, ClassVar, NamedTuple, Self
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from estimators.api import CalibrationDrive, copy_with, require_fitted, validate_weights
+from estimators.api import (
+    CalibrationDrive,
+    Profiles,
+    Records,
+    copy_with,
+    require_fitted,
+    validate_weights,
+)
 from estimators.common.odometer import calibrate_stations
 from estimators.common.spatial_signals import (
     EDGE_STATIONS,
@@ -78,13 +85,12 @@ from road_envs.core.config import Count, Settings
 from road_envs.records.record import Estimate, Profile, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
-NETWORK_PREFIX = "network."
-"""Prefix of the names of the network's weights."""
+_NETWORK_PREFIX = "network."  # prefix of the names of the network's weights
 
-MOTION_UNIT = 500.0
+_MOTION_UNIT = 500.0
 """Accelerations in the window of a correction are divided by this many levels per s²."""
 
-WHEELBASE_TOLERANCE = 0.02
+_WHEELBASE_TOLERANCE = 0.02
 """Relative deviation from the trained wheelbase above which a note is added."""
 
 
@@ -140,13 +146,7 @@ class SequenceEstimator(Settings, abc.ABC):
         """Return what is kept of a drive for training. Raises RecordError."""
         return training_example(record, truth, self.causal, rigid)
 
-    def fit(
-        self,
-        records: Sequence[Record],
-        truths: Sequence[Profile],
-        car: VehicleParameters,
-        seed: int,
-    ) -> Self:
+    def fit(self, records: Records, truths: Profiles, car: VehicleParameters, seed: int) -> Self:
         """Return a copy trained from scratch on these drives. Raises RecordError."""
         pairs = zip(records, truths, strict=True)
         return self.pretrain([self.training_example(*pair) for pair in pairs], car, seed)
@@ -246,7 +246,7 @@ class SequenceEstimator(Settings, abc.ABC):
         z = inputs.first + inputs.level * residual
         ahead = STATIONS_AHEAD if self.causal else CORRECTION_REACH
         windows = motion_windows(signals, CORRECTION_REACH, ahead, self.causal)
-        x = np.concatenate(list(windows), axis=1).T / (MOTION_UNIT * inputs.level)
+        x = np.concatenate(list(windows), axis=1).T / (_MOTION_UNIT * inputs.level)
         features = np.concatenate([hidden, np.array([x, x])], axis=1)
         return Prediction(z, self._short_waves(z), features, inputs.level)
 
@@ -273,7 +273,7 @@ class SequenceEstimator(Settings, abc.ABC):
         std_m = factors * inputs.level * np.hypot(*std)
         z_std = np.interp(stations, SPACING * (np.arange(std_m.size) - EDGE_STATIONS), std_m)
         notes = (*notes, *odometer, LONG_WAVE_NOTE, *validity_notes(signals))
-        if abs(car.wheelbase - wheelbase) > WHEELBASE_TOLERANCE * wheelbase:
+        if abs(car.wheelbase - wheelbase) > _WHEELBASE_TOLERANCE * wheelbase:
             notes += (f"trained with a wheelbase of {wheelbase:.2f} m, not {car.wheelbase:.2f} m",)
         return Estimate(stations, z, np.array([z_std, z_std]), notes)
 
@@ -286,7 +286,7 @@ class SequenceEstimator(Settings, abc.ABC):
             "taps": bank.taps,
             "widths": coefficients,
             "wheelbase": np.array(wheelbase),
-            **{NETWORK_PREFIX + name: x for name, x in network.items()},
+            **{_NETWORK_PREFIX + name: x for name, x in network.items()},
         }
 
     def with_weights(self, weights: Mapping[str, np.ndarray]) -> Self:
@@ -300,11 +300,11 @@ class SequenceEstimator(Settings, abc.ABC):
         torch = require_torch()
         with torch.device("meta"):  # shapes only: the settings of a file may ask for any size
             own = {
-                NETWORK_PREFIX + name: tuple(x.shape)
+                _NETWORK_PREFIX + name: tuple(x.shape)
                 for name, x in self.network().state_dict().items()
             }
         taps, coefficients, wheelbase, *rest = validate_weights(weights, shapes | own)
-        names = (name.removeprefix(NETWORK_PREFIX) for name in own)
+        names = (name.removeprefix(_NETWORK_PREFIX) for name in own)
         network = {name: x.astype(np.float16) for name, x in zip(names, rest, strict=True)}
         bank = FirBank(taps.astype(np.float16), ahead)
         return copy_with(

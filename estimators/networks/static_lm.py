@@ -12,17 +12,16 @@ correlation with the truth is about zero. Trained on a modified version of the t
 the level of the profile, which is all that the paper's equation 12 measures.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 
-from estimators.api import copy_with, require_fitted
+from estimators.api import Profiles, Records, copy_with, require_fitted
 from estimators.networks.lm_estimator import FittedNetwork, LmEstimator, training_data
 from estimators.preprocessing import clean_record, spatial_accelerations
 from road_envs.core.config import Count
-from road_envs.records.record import Estimate, Profile, Record, profile_stations
+from road_envs.records.record import Estimate, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
 
@@ -36,13 +35,7 @@ class StaticLm(LmEstimator):
     max_epochs: Annotated[Count, "", "most epochs"] = 1000
     division: Literal["random", "block"] = "random"
 
-    def fit(
-        self,
-        records: Sequence[Record],
-        truths: Sequence[Profile],
-        car: VehicleParameters,
-        seed: int,
-    ) -> Self:
+    def fit(self, records: Records, truths: Profiles, car: VehicleParameters, seed: int) -> Self:
         """Train on all drives; `seed` draws division and initial weights. Raises RecordError."""
         a, z, inputs, outputs = training_data(records, truths)
         samples = inputs.apply(np.hstack(a)), outputs.apply(np.hstack(z))

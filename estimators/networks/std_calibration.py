@@ -28,24 +28,20 @@ from scipy.special import expit
 from estimators.common.spatial_signals import SPACING
 from road_envs.records.record import scored_band
 
-COVERAGE_LEVELS = ((0.5, 0.6745), (0.9, 1.6449))
+_COVERAGE_LEVELS = ((0.5, 0.6745), (0.9, 1.6449))
 """Coverage probabilities, and the Gaussian bounds in standard deviations."""
 
 N_TERMS = 46
 RIDGE = 0.1
 """Penalty on w for a unit of each term, in equivalent drives."""
 
-N_QUANTILES = 50
-"""Quantiles that represent the errors of a drive."""
-
-RATIO_MIN = 1e-9
-"""Smallest ratio of errors."""
+_N_QUANTILES = 50  # quantiles that represent the errors of a drive
+_RATIO_MIN = 1e-9  # smallest ratio of errors
 
 SMOOTHING = 0.1
 """Width, in the logarithm, over which the check function is smoothed."""
 
-PAD_LENGTH = 20.0
-"""Length [m] by which a drive is extended before filtering."""
+_PAD_LENGTH = 20.0  # length [m] by which a drive is extended before filtering
 
 EDGE_LENGTH = 5.0
 """Length [m] of each end of a drive that is ignored."""
@@ -74,13 +70,13 @@ def fit_std_scale(ratios: Sequence[np.ndarray], conditions: Sequence[np.ndarray]
     drive, and its `conditions` (8, M or 1).
     """
     x = np.array([_design_matrix(drive_conditions).mean(axis=1) for drive_conditions in conditions])
-    levels = (np.arange(N_QUANTILES) + 0.5) / N_QUANTILES
+    levels = (np.arange(_N_QUANTILES) + 0.5) / _N_QUANTILES
     log_ratios = np.log(
-        [np.maximum(np.quantile(np.abs(each), levels), RATIO_MIN) for each in ratios]
+        [np.maximum(np.quantile(np.abs(each), levels), _RATIO_MIN) for each in ratios]
     )
     # (2, drives, quantiles)
-    over = np.array([log_ratios - np.log(n_std) for _, n_std in COVERAGE_LEVELS])
-    share = np.array([covered for covered, _ in COVERAGE_LEVELS])[:, None, None]
+    over = np.array([log_ratios - np.log(n_std) for _, n_std in _COVERAGE_LEVELS])
+    share = np.array([covered for covered, _ in _COVERAGE_LEVELS])[:, None, None]
     ridge = RIDGE * np.append(0.0, np.ones(N_TERMS - 1)) / len(x)
 
     def loss(w: np.ndarray) -> tuple[float, np.ndarray]:
@@ -98,12 +94,12 @@ def calibration_factor(ratios: np.ndarray) -> float:
     """Return the constant factor on standard deviations that best gives both coverages; `ratios`
     (any shape) are errors over standard deviations.
     """
-    return float(np.mean([np.quantile(np.abs(ratios), p) / n_std for p, n_std in COVERAGE_LEVELS]))
+    return float(np.mean([np.quantile(np.abs(ratios), p) / n_std for p, n_std in _COVERAGE_LEVELS]))
 
 
 def in_scored_band(x: np.ndarray, v: float) -> np.ndarray:
     """Return the part of rows (k, M) at the stations in the scored band at `v` [m/s]."""
-    pad = min(round(PAD_LENGTH / SPACING), x.shape[1] - 1)
+    pad = min(round(_PAD_LENGTH / SPACING), x.shape[1] - 1)
     low, high = scored_band(v)
     padded = np.pad(x, ((0, 0), (pad, pad)), mode="reflect", reflect_type="odd")
     size = padded.shape[1]

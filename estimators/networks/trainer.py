@@ -1,6 +1,6 @@
 """Training of a sequence network: random crops of drives, AdamW, early stopping on validation data.
 
-The loss of a crop is the mean squared residual in units of the drive's level, clamped at LOSS_MAX
+The loss of a crop is the mean squared residual in units of the drive's level, clamped at _LOSS_MAX
 so that a hopeless drive cannot dominate a step. The standard deviations are trained by the Gaussian
 likelihood of these residuals. The learning rate rises over 100 steps and falls as a cosine. Every
 tenth drive is used for validation (with fewer than ten drives, the last fifth of each); the weights
@@ -18,21 +18,14 @@ import numpy as np
 from estimators.networks.inputs import MIRROR_SIGNS, NetworkInputs
 from road_envs.core.extras import optional_import
 
-LOSS_MAX = 4.0
-WARM_UP_STEPS = 100
-FINAL_RATE_SHARE = 0.02
-"""Final learning rate over the highest."""
+_LOSS_MAX = 4.0
+_WARM_UP_STEPS = 100
+_FINAL_RATE_SHARE = 0.02  # final learning rate over the highest
+_N_VALIDATIONS = 20  # number of evaluations of the validation error
+_PATIENCE = 6  # evaluations without improvement after which training stops
+_VALIDATION_INTERVAL = 10  # one drive in so many is used for validation
 
-N_VALIDATIONS = 20
-"""Number of evaluations of the validation error."""
-
-PATIENCE = 6
-"""Evaluations without improvement after which training stops."""
-
-VALIDATION_INTERVAL = 10
-"""One drive in so many is used for validation."""
-
-LIKELIHOOD_WEIGHT = 0.1
+_LIKELIHOOD_WEIGHT = 0.1
 """Weight of the likelihood in the loss; it affects only the standard deviations."""
 
 LOG_STD_RANGE = (-6.0, 3.0)
@@ -102,7 +95,7 @@ def train_network(
     )
     state = _TrainerState(network, optimiser)
     begin = state.restore(checkpoint.load() if checkpoint else None)
-    every = max(1, config.steps // N_VALIDATIONS)
+    every = max(1, config.steps // _N_VALIDATIONS)
     with single_thread():
         for step in range(begin, config.steps + 1):
             if step % every == 0 or step == config.steps:
@@ -110,7 +103,7 @@ def train_network(
                 if checkpoint:
                     checkpoint.save(state.to_arrays(step))
                 progress(f"validation error {state.best_error:.4f}", step / config.steps)
-                if step - state.best_step > PATIENCE * every:
+                if step - state.best_step > _PATIENCE * every:
                     break
             if step < config.steps:
                 # a generator per step: a resumed training draws the same batches
@@ -128,8 +121,8 @@ def split_validation(
     validation: list[_SequencePart] = []
     for k, sequence in enumerate(sequences):
         M = sequence.residual.shape[1]
-        if len(sequences) >= VALIDATION_INTERVAL:
-            is_validation = k % VALIDATION_INTERVAL == VALIDATION_INTERVAL - 1
+        if len(sequences) >= _VALIDATION_INTERVAL:
+            is_validation = k % _VALIDATION_INTERVAL == _VALIDATION_INTERVAL - 1
             (validation if is_validation else training).append(_SequencePart(sequence, 0, M))
         else:
             training.append(_SequencePart(sequence, 0, M - M // 5))
@@ -149,7 +142,7 @@ def _validation_error(network: Any, parts: Sequence[_SequencePart], size: int) -
                 torch.from_numpy(np.stack(group)) for group in zip(*crops, strict=True)
             )
             squared_error = (network(x, c)[:, :2] - residual).square().mean(dim=(1, 2))
-            total += float(squared_error.clamp(max=LOSS_MAX).sum())
+            total += float(squared_error.clamp(max=_LOSS_MAX).sum())
             count += len(crops)
     return total / count
 
@@ -251,8 +244,8 @@ def _train_step(
     output = network(x, c)
     error, log_std = output[:, :2] - residual, output[:, 2:].clamp(*LOG_STD_RANGE)
     likelihood = 0.5 * error.detach().square() * torch.exp(-2.0 * log_std) + log_std
-    squared_error = error.square().mean(dim=(1, 2)).clamp(max=LOSS_MAX)
-    loss = squared_error.mean() + LIKELIHOOD_WEIGHT * likelihood.mean()
+    squared_error = error.square().mean(dim=(1, 2)).clamp(max=_LOSS_MAX)
+    loss = squared_error.mean() + _LIKELIHOOD_WEIGHT * likelihood.mean()
     for group in optimiser.param_groups:
         group["lr"] = config.learning_rate * _learning_rate_factor(step, config.steps)
     optimiser.zero_grad()
@@ -263,7 +256,7 @@ def _train_step(
 
 def _learning_rate_factor(step: int, steps: int) -> float:
     """Return the learning rate at a step over the highest."""
-    falling = FINAL_RATE_SHARE + (1.0 - FINAL_RATE_SHARE) * 0.5 * (
+    falling = _FINAL_RATE_SHARE + (1.0 - _FINAL_RATE_SHARE) * 0.5 * (
         1.0 + np.cos(np.pi * step / steps)
     )
-    return float(min(1.0, (step + 1) / WARM_UP_STEPS) * falling)
+    return float(min(1.0, (step + 1) / _WARM_UP_STEPS) * falling)

@@ -40,7 +40,7 @@ N_INPUTS = 1 + N_MOTIONS
 SLOPE_STD = 3.0
 """Standard deviation of b for standardised inputs and output: a wide prior."""
 
-THETA_BOUNDS = ((-4.0, 1.5), *((-1.5, 4.0),) * N_INPUTS, (-5.0, 0.0))
+_THETA_BOUNDS = ((-4.0, 1.5), *((-1.5, 4.0),) * N_INPUTS, (-5.0, 0.0))
 """Bounds of the hyperparameters theta: logarithms of the process amplitude, of its length scales
 and of the noise amplitude, for inputs and output of standard deviation 1.
 """
@@ -81,7 +81,7 @@ class _Standardizer(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class RmsRoughness:
     """A fitted regression: standardised inputs `x` (N, N_INPUTS) and outputs `y` (N,), their
-    standardizers, and `theta`, logarithms as in THETA_BOUNDS.
+    standardizers, and `theta`, logarithms as in _THETA_BOUNDS.
     """
 
     x: np.ndarray
@@ -107,7 +107,7 @@ class RmsRoughness:
             start,
             jac=True,
             method="L-BFGS-B",
-            bounds=THETA_BOUNDS,
+            bounds=_THETA_BOUNDS,
         )
         return cls(x, y, *scales, optimum.x)
 

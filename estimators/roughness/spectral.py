@@ -19,7 +19,6 @@ from scipy.special import ndtr
 
 from estimators.preprocessing import mask_record
 from estimators.wiener.segments import Segment, split_segments
-from estimators.wiener.smoother import SEGMENT_LENGTH, SEGMENT_MARGIN
 from estimators.wiener.spectral_model import (
     SensedVehicle,
     SpectralModel,
@@ -27,6 +26,7 @@ from estimators.wiener.spectral_model import (
     fit_hyperparameters,
     windowed_spectrum,
 )
+from estimators.wiener.tuning import TUNING
 from road_envs.analysis.information_bound import RoadPrior, posterior
 from road_envs.analysis.statistical_linearization import hermitian
 from road_envs.records.record import SCORED_F_MAX, Record, scored_band
@@ -34,11 +34,10 @@ from road_envs.records.roughness import CLASSES
 from road_envs.sensing.instruments import instruments_of
 from road_envs.vehicle.parameters import VehicleParameters
 
-MODEL_ERROR = 0.10
+_MODEL_ERROR = 0.10
 """Standard deviation of the log level due to deviations of the vehicle [assumed]."""
 
-EM_ITERATIONS = 8
-"""Expectation-maximisation iterations of an octave's level."""
+_EM_ITERATIONS = 8  # expectation-maximisation iterations of an octave's level
 
 
 class ClassPosterior(NamedTuple):
@@ -79,17 +78,17 @@ def classify_record(
     masked = mask_record(record, sensors)
     octaves = scored_octaves(float(np.median(masked.record.v)))
     parts = []
-    for segment in split_segments(masked, SEGMENT_LENGTH, SEGMENT_MARGIN):
+    for segment in split_segments(masked, TUNING.segment_length, TUNING.segment_margin):
         model = fit_hyperparameters(vehicle, segment)
         parts.append(_levels(model, segment, octaves))
     weights = np.array([part.lines for part in parts])
     total = np.maximum(weights.sum(axis=0), 1e-9)
     levels = (weights * [part.levels for part in parts]).sum(axis=0) / total
-    stds = np.sqrt(1.0 / np.maximum(total, 1.0) + MODEL_ERROR**2)
+    stds = np.sqrt(1.0 / np.maximum(total, 1.0) + _MODEL_ERROR**2)
     use = total > 1.0
     share = np.where(use, 1.0 / stds**2, 0.0)
     log_level = float(share @ np.log(levels) / share.sum())
-    log_std = float(np.sqrt(1.0 / total[use].sum() + MODEL_ERROR**2))
+    log_std = float(np.sqrt(1.0 / total[use].sum() + _MODEL_ERROR**2))
     return ClassPosterior(
         float(np.exp(log_level)),
         log_std,
@@ -145,7 +144,7 @@ def _levels(model: SpectralModel, segment: Segment, octaves: np.ndarray) -> _Oct
         H, R = model.H[inside][:, sensors], noise[inside][:, sensors][:, :, sensors]
         unit = RoadPrior(G_d0=1.0, track=model.prior.track).spectrum(n)
         known = 0.0
-        for _ in range(EM_ITERATIONS):
+        for _ in range(_EM_ITERATIONS):
             road_posterior = posterior(n, H, unit * levels[k], R)
             z = road_posterior.gain @ y
             second = z @ hermitian(z) + road_posterior.error

@@ -17,17 +17,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimators.wiener.drive_check import LEAST_CHANNELS, obstacle_samples
+from estimators.wiener.drive_check import obstacle_samples
 from estimators.wiener.iteration import Iterate, smooth_segment
 from estimators.wiener.segments import Segment
 from estimators.wiener.spectral_model import (
-    F_LOW,
     SensedVehicle,
     SpectralModel,
     active_sensors,
     fit_hyperparameters,
     windowed_spectrum,
 )
+from estimators.wiener.tuning import TUNING
 from road_envs.analysis.information_bound import equivalent_damping, strut_rate_std
 from road_envs.analysis.statistical_linearization import hermitian
 from road_envs.records.record import F_C, Record
@@ -41,37 +41,9 @@ from road_envs.vehicle.linear_model import (
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.tolerances import ParameterSpace, has_absent_elements, parameter_space
 
-DIFFERENCE = 0.02
-"""Step of the differences of parameters, in units of their tolerances."""
-
-INDEPENDENT_SHARE = 0.5
-"""Independent share of the lines of a segment under a Hann window."""
-
-MAX_STEP, MAX_DEVIATION = 1.5, 4.0
-"""Greatest change of a parameter in a step, and greatest deviation, in units of its tolerance."""
-
-DOUBTED_SCALE, STRUCTURE_SCALE = 1.2, 4.0
-"""Noise scale of the description above which the vehicle is doubted, and above which it may twist
-and bend. It is 0.9 to 1.4 for the vehicle described, 1.3 to 1.9 for vehicles of grade S1 and above
-18 for those of grade S2.
-"""
-
-MIN_GAIN = 12.0
-"""Least gain of the log posterior that the first step promises. It is 3 to 10 for the vehicle
-described, 10 to 160 for those of grade S1.
-"""
-
-MAX_OBSTACLES = 0.4
-"""Largest share of samples about obstacles. It is up to 0.3 on ISO and Belgian roads, above 0.4
-with potholes or bumps."""
-
-ROUNDS, FLEXIBLE_ROUNDS = ((1, 2), (15, 1)), ((1, 2), (1, 2), (15, 1))
-"""Passes of the smoother, at most those of the estimate, and steps of scoring in each round; for a
-rigid vehicle and for one that may twist and bend."""
-
 
 @dataclass(frozen=True, eq=False)
-class AdaptedVehicle:
+class _AdaptedVehicle:
     """A vehicle `x` (P,) of a `space`, the `covariance` (P, P) of what is unknown of it, and the
     noise scale that is left unexplained `before` and `after`.
     """
@@ -110,39 +82,41 @@ def adapt_vehicle(
     car: VehicleParameters,
     instruments: Instruments,
     passes: int,
-) -> AdaptedVehicle | None:
+) -> _AdaptedVehicle | None:
     """Return the most probable vehicle on a `segment` of a `record`; None if it may well be `car`,
     or if no other explains more.
 
     `model` is that of the segment for `car`, `passes` those of the estimate. A vehicle is never
-    adapted if its file gives no tolerances, the record has fewer than LEAST_CHANNELS channels, or
+    adapted if its file gives no tolerances, the record has fewer than `least_channels` channels, or
     much of it is obstacles, which are no part of a Gaussian process.
     """
     before = after = float(np.mean(model.noise_scale))
     if (
-        before < DOUBTED_SCALE
+        before < TUNING.adapted_scale
         or not car.tolerances
-        or active_sensors(segment).size < LEAST_CHANNELS
-        or obstacle_samples(record).mean() > MAX_OBSTACLES
+        or active_sensors(segment).size < TUNING.least_channels
+        or obstacle_samples(record).mean() > TUNING.max_obstacles
     ):
         return None
-    flexible = before > STRUCTURE_SCALE and has_absent_elements(car)
+    flexible = before > TUNING.structure_scale and has_absent_elements(car)
     space = parameter_space(car, structure=flexible)
     x, covariance = np.zeros(space.size), np.eye(space.size)
     try:
-        for k, (most, steps) in enumerate(FLEXIBLE_ROUNDS if flexible else ROUNDS):
+        for k, (most, steps) in enumerate(TUNING.flexible_rounds if flexible else TUNING.rounds):
             if k > 0 or flexible:
                 vehicle = SensedVehicle.of(space.from_vector(x), instruments)
                 model = fit_hyperparameters(vehicle, segment)
                 after = float(np.mean(model.noise_scale))
             last = list(smooth_segment(model, segment, min(most, passes)))[-1]
             x, covariance, gain = fisher_scoring(space, x, instruments, segment, last, steps)
-            if k == 0 and not flexible and gain < MIN_GAIN:
+            if k == 0 and not flexible and gain < TUNING.adaptation_gain:
                 return None
     except ArithmeticError:  # a fitted vehicle is none
         return None
     return (
-        AdaptedVehicle(space, instruments, x, covariance, before, after) if after < before else None
+        _AdaptedVehicle(space, instruments, x, covariance, before, after)
+        if after < before
+        else None
     )
 
 
@@ -162,7 +136,7 @@ def responses(
     linear = linearise(vehicle.plant, mode, vehicle.points, damping=damping, speed=v)
     rate = strut_rate_std(linear, v, f, model.S / v)
     from_rate = gaussian_damping(vehicle.plant, mode, rate)
-    shifted = DIFFERENCE * np.eye(space.size)
+    shifted = TUNING.difference * np.eye(space.size)
     others = [SensedVehicle.of(space.from_vector(x + d), instruments) for d in shifted]
     models = [
         linearise(
@@ -178,7 +152,7 @@ def responses(
     changes = response_changes(linear, models, v, f)
     H = vehicle.response(unbent, f, n)
     dH = [one.response(unbent + d, f, n) - H for one, d in zip(others, changes, strict=True)]
-    return H, np.array(dH) / DIFFERENCE
+    return H, np.array(dH) / TUNING.difference
 
 
 def model_error_psd(dH: np.ndarray, covariance: np.ndarray, S: np.ndarray) -> np.ndarray:
@@ -207,12 +181,12 @@ def fisher_scoring(
     The signals are those of an `iterate`, without nonlinear force residuals.
     """
     model, gain = iterate.model, np.nan
-    used = (model.f > F_LOW) & (model.f < F_C)
+    used = (model.f > TUNING.f_low) & (model.f < F_C)
     sensors = active_sensors(segment)
     y = windowed_spectrum(model, replace(segment, a=iterate.y))[used][:, sensors]
     R = iterate.noise[used][:, sensors][:, :, sensors]
     part = replace(model, n=model.n[used], f=model.f[used], S=model.S[used])
-    kappa = INDEPENDENT_SHARE * segment.a.shape[1] / model.size
+    kappa = TUNING.independent_share * segment.a.shape[1] / model.size
     for _ in range(steps):
         H, dH = responses(space, x, instruments, segment, part)
         H, dH = H[:, sensors], dH[:, :, sensors]
@@ -226,6 +200,6 @@ def fisher_scoring(
         information = kappa * np.real(flat @ flat.conj().T) + np.eye(space.size)
         step = np.linalg.solve(information, gradient)
         gain = 0.5 * float(gradient @ step) if np.isnan(gain) else gain
-        x = x - step * min(1.0, MAX_STEP / max(np.abs(step).max(), 1e-12))
-        x = np.clip(x, -MAX_DEVIATION, MAX_DEVIATION)
+        x = x - step * min(1.0, TUNING.max_step / max(np.abs(step).max(), 1e-12))
+        x = np.clip(x, -TUNING.max_deviation, TUNING.max_deviation)
     return x, np.linalg.inv(information), gain

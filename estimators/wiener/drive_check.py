@@ -4,15 +4,15 @@ The accelerations are a Gaussian process under the vehicle linearised in a state
 (`spectral_model.py`), with road level, spectral shape and noise fitted to them. The deviance of a
 description is minus twice its log-likelihood by Whittle's approximation. Other modes of the
 vehicle and, where much noise is left unexplained, speeds in other units, channels with the opposite
-sign and exchanged channels are tried on CHECKED_LENGTH in the middle of the drive, some tenths of a
-second each.
+sign and exchanged channels are tried on 150 m in the middle of the drive, some tenths of a second
+each.
 
 Where the description explains the drive otherwise, vehicles that are held sideways in another way
 are tried, too: three accelerometers can be explained by two wheel paths whatever the vehicle, but
 not with the same likelihood.
 
 Obstacles, where wheels lift off, are no part of a Gaussian process: a doubt has to be as clear
-without what is beyond FAR_OUT standard deviations, and its surroundings.
+without what is beyond four standard deviations, and its surroundings.
 
 The difference of the deviance is divided by the number of spectral lines, and by the smaller noise
 scale of the two where that is above 1: a vehicle that is not the one described changes the deviance
@@ -31,53 +31,21 @@ from scipy.stats import median_abs_deviation
 from estimators.preprocessing import mask_record
 from estimators.wiener.segments import dominant_modes, split_segments
 from estimators.wiener.spectral_model import (
-    F_LOW,
     SensedVehicle,
     active_sensors,
     fit_hyperparameters,
     signal_psd,
     windowed_spectrum,
 )
+from estimators.wiener.tuning import TUNING
 from road_envs.core.config import ConfigError
 from road_envs.records.record import F_C, Record
 from road_envs.sensing.instruments import Instruments, instruments_of
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.side_values import side_values
 
-CHECKED_LENGTH = 150.0
-"""Length [m] of the part of a drive that is checked."""
-
-MIN_GAIN, FAR_SCALE = 0.15, 4.5
-"""Least difference of the deviance per line and noise scale; twice as much where that noise scale
-is above FAR_SCALE, as of vehicles far from their description. A test has drives of both kinds.
-"""
-
-DOUBTED_SCALE = 3.0
-"""Noise scale of the description above which speed and channels are doubted, too. It is below on
-the vehicle described, and 9 or more with wrong channels.
-"""
-
-SIDE_GAIN = 0.08
-"""Least difference of the deviance per line for another side motion. It is below 0.06 on vehicles
-as described and in MuJoCo, 0.10 to 0.32 in CommonRoad's cars, and 0.11 to 0.8 on 20 of 24 drives of
-a Defender described without side motion; one of 32 drives of grade S1 has 0.11."""
-
-SIDE_FACTORS = (0.5, 2.0)
-"""Factors of the cornering stiffness, and of the height of the roll centres, that are tried."""
-
-FAR_OUT, SURROUNDINGS, MOST_LEFT_OUT = 4.0, 0.4, 0.6
-"""Standard deviations, by the median, beyond which an acceleration is an obstacle's; the time [s]
-on either side of it that is left out, too; and the share of a drive above which nothing is.
-"""
-
-SPEED_UNITS = {"km/h": 1.0 / 3.6, "mph": 0.44704}
+_SPEED_UNITS = {"km/h": 1.0 / 3.6, "mph": 0.44704}
 """Units in which a speed may be given without a word, and their factors to m/s."""
-
-LEAST_CHANNELS = 3
-"""Least number of channels that separates noise from road: one more than wheel paths."""
-
-MAX_EXCHANGED = 4
-"""Most channels of which any two are exchanged."""
 
 
 @dataclass(frozen=True)
@@ -97,13 +65,13 @@ def check_notes(
     A drive that changes the state of its struts, or has few channels, is not checked. With
     `speed_known`, the speed is not doubted. Raises ConfigError, RecordError.
     """
-    if record.is_switched or len(record.channels) < LEAST_CHANNELS:
+    if record.is_switched or len(record.channels) < TUNING.least_channels:
         return ()
     part = _middle(record)
     described = deviance(part, car, instruments)
     best, highest = None, 0.0
-    others = list(other_modes(part, car))
-    if described[1] > DOUBTED_SCALE:
+    others = list(_other_modes(part, car))
+    if described[1] > TUNING.doubted_scale:
         others += other_readings(part, speed_known)
     for other in others:
         gain = _clear_gain(described, deviance(other.record, car, instruments))
@@ -124,12 +92,12 @@ def check_notes(
 def _clear_gain(
     described: tuple[float, float, float],
     other: tuple[float, float, float],
-    least: float = MIN_GAIN,
+    least: float = TUNING.check_gain,
 ) -> float:
     """Return by how much the deviance is lower, per line and noise scale, 0 if not clearly."""
     smaller = max(1.0, min(described[1], other[1]))
     gain = (described[0] - other[0]) / (described[2] * smaller)
-    return gain if gain > least * (2.0 if smaller > FAR_SCALE else 1.0) else 0.0
+    return gain if gain > least * (2.0 if smaller > TUNING.far_scale else 1.0) else 0.0
 
 
 def side_notes(record: Record, car: VehicleParameters, instruments: str) -> tuple[str, ...]:
@@ -138,15 +106,15 @@ def side_notes(record: Record, car: VehicleParameters, instruments: str) -> tupl
     Only where the description leaves little unexplained otherwise, and three sensors or more tell
     roll from heave and pitch. Raises ConfigError, RecordError.
     """
-    if record.is_switched or len(record.channels) < LEAST_CHANNELS:
+    if record.is_switched or len(record.channels) < TUNING.least_channels:
         return ()
     part = _middle(record)
     described = deviance(part, car, instruments)
-    if described[1] > DOUBTED_SCALE:
+    if described[1] > TUNING.doubted_scale:
         return ()
-    others = dict(other_side_motions(car))
+    others = dict(_other_side_motions(car))
     gains = {
-        what: _clear_gain(described, deviance(part, other, instruments), SIDE_GAIN)
+        what: _clear_gain(described, deviance(part, other, instruments), TUNING.side_gain)
         for what, other in others.items()
     }
     best = max(gains, key=gains.__getitem__, default="")
@@ -154,7 +122,7 @@ def side_notes(record: Record, car: VehicleParameters, instruments: str) -> tupl
         return ()
     calm = without_obstacles(part)
     own, other = (deviance(calm, one, instruments) for one in (car, others[best]))
-    if not _clear_gain(own, other, SIDE_GAIN):
+    if not _clear_gain(own, other, TUNING.side_gain):
         return ()
     remedy = (
         "the IRI may be up to a fifth too low: give the vehicle's file its `side`"
@@ -167,7 +135,7 @@ def side_notes(record: Record, car: VehicleParameters, instruments: str) -> tupl
     )
 
 
-def other_side_motions(car: VehicleParameters) -> Iterator[tuple[str, VehicleParameters]]:
+def _other_side_motions(car: VehicleParameters) -> Iterator[tuple[str, VehicleParameters]]:
     """Yield what holds a vehicle sideways in another way than described, and that vehicle.
 
     A passive car whose file has no `side` is noted without a trial.
@@ -178,7 +146,7 @@ def other_side_motions(car: VehicleParameters) -> Iterator[tuple[str, VehiclePar
         return
     yield "tyres that slide sideways", car.sliding
     (C_front, C_rear), (h_front, h_rear) = car.side.C_alpha, car.side.roll_centre
-    for f in SIDE_FACTORS:
+    for f in TUNING.side_factors:
         with suppress(ConfigError):  # beyond what any vehicle has
             stiff = replace(car.side, C_alpha=(f * C_front, f * C_rear))
             yield f"tyres that hold it sideways {f:g} times as stiffly", replace(car, side=stiff)
@@ -190,7 +158,7 @@ def other_side_motions(car: VehicleParameters) -> Iterator[tuple[str, VehiclePar
 def without_obstacles(record: Record) -> Record:
     """Return a record whose samples about obstacles are lost."""
     near, a = obstacle_samples(record), record.a.copy()
-    if near.mean() < MOST_LEFT_OUT:
+    if near.mean() < TUNING.most_left_out:
         a[:, near] = np.nan
     return replace(record, a=a)
 
@@ -200,11 +168,11 @@ def obstacle_samples(record: Record) -> np.ndarray:
     a = np.where(np.isfinite(record.a), record.a, 0.0)
     a -= np.median(a, axis=1, keepdims=True)
     std = median_abs_deviation(a, axis=1, scale="normal")
-    far = (np.abs(a) > FAR_OUT * std[:, None]).any(axis=0)
-    return np.asarray(maximum_filter1d(far, 2 * round(SURROUNDINGS * record.fs) + 1))
+    far = (np.abs(a) > TUNING.far_out * std[:, None]).any(axis=0)
+    return np.asarray(maximum_filter1d(far, 2 * round(TUNING.surroundings * record.fs) + 1))
 
 
-def other_modes(record: Record, car: VehicleParameters) -> Iterator[Alternative]:
+def _other_modes(record: Record, car: VehicleParameters) -> Iterator[Alternative]:
     """Yield a record in the other modes of its car."""
     described = dominant_modes(record, np.arange(record.t.size), car.modes)
     names = " and ".join(dict.fromkeys(described.values()))
@@ -220,7 +188,7 @@ def other_modes(record: Record, car: VehicleParameters) -> Iterator[Alternative]
 
 def other_readings(record: Record, speed_known: bool = False) -> Iterator[Alternative]:
     """Yield a record with other units of its speed, other signs, and exchanged channels."""
-    for unit, factor in SPEED_UNITS.items():
+    for unit, factor in _SPEED_UNITS.items():
         if not speed_known:
             slower = replace(
                 record,
@@ -243,7 +211,7 @@ def other_readings(record: Record, speed_known: bool = False) -> Iterator[Altern
             replace(record, a=sign[:, None] * record.a),
         )
     pairs = combinations(range(len(record.channels)), 2)
-    for i, j in pairs if len(record.channels) <= MAX_EXCHANGED else ():
+    for i, j in pairs if len(record.channels) <= TUNING.max_exchanged else ():
         order = np.arange(len(record.channels))
         order[[i, j]] = j, i
         yield Alternative(
@@ -262,7 +230,7 @@ def deviance(
     sensors: Instruments = instruments_of(record, instruments)
     (segment,) = split_segments(mask_record(record, sensors), np.inf, 0.0)
     model = fit_hyperparameters(SensedVehicle.of(car, sensors), segment)
-    used, band = active_sensors(segment), (model.f > F_LOW) & (model.f < F_C)
+    used, band = active_sensors(segment), (model.f > TUNING.f_low) & (model.f < F_C)
     y = windowed_spectrum(model, segment)[band][:, used]
     C = signal_psd(model, model.noise_psd())[band][:, used][:, :, used]
     misfit = np.real(np.sum(y.conj() * np.linalg.solve(C, y), axis=(1, 2)))
@@ -274,8 +242,8 @@ def deviance(
 
 
 def _middle(record: Record) -> Record:
-    """Return CHECKED_LENGTH in the middle of a record, from station 0 on."""
-    reach = 0.5 * CHECKED_LENGTH
+    """Return `checked_length` in the middle of a record, from station 0 on."""
+    reach = 0.5 * TUNING.checked_length
     middle = 0.5 * (record.s[0] + record.s[-1])
     inside = np.flatnonzero(np.abs(record.s - middle) <= reach)
     part = record.select(slice(int(inside[0]), int(inside[-1]) + 1))

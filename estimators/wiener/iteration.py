@@ -30,26 +30,10 @@ from estimators.wiener.spectral_model import (
     solve_circulant,
     windowed_spectrum,
 )
+from estimators.wiener.tuning import TUNING
 from road_envs.analysis.information_bound import posterior
 from road_envs.analysis.statistical_linearization import NonlinearResidual, hermitian
 from road_envs.records.record import F_C
-
-F_DATUM = 0.1
-"""Lowest frequency [Hz] that is estimated."""
-
-RELAXATION = 0.7
-"""Relaxation factor of the update of the force residual."""
-
-RESIDUAL_NOISE_SHARE = 0.5
-"""Fraction of the residual's unresolved power that counts as noise in the next pass. Less than 1,
-since errors of neighbouring samples cancel; tuned on training drives.
-"""
-
-DIVERGENCE_THRESHOLD = 0.8
-"""Relative change of the residual between passes that may indicate divergence."""
-
-CONVERGED = 0.02
-"""Relative change of the residual below which further passes change the error by half a percent."""
 
 
 class Iterate(NamedTuple):
@@ -88,10 +72,14 @@ def smooth_segment(model: SpectralModel, segment: Segment, passes: int) -> Itera
         ) / len(y)
         first = neg_log_likelihood if first is None else first
         # less likely than the first pass while q still changes much: keep the previous pass
-        if change > DIVERGENCE_THRESHOLD and not neg_log_likelihood <= first:
+        if change > TUNING.divergence_threshold and not neg_log_likelihood <= first:
             return
         SH = model.S @ hermitian(model.H)
-        z = apply_response(SH, rfft(start, size)) / (2.0 * segment.spacing) * (model.f > F_DATUM)
+        z = (
+            apply_response(SH, rfft(start, size))
+            / (2.0 * segment.spacing)
+            * (model.f > TUNING.f_datum)
+        )
         w = apply_response(model.X, z) + apply_response(model.X_force, rfft(q))
         error = posterior(model.n, model.H, model.S, noise).error
         iterate = Iterate(z, w, error, model, y, noise)
@@ -100,17 +88,19 @@ def smooth_segment(model: SpectralModel, segment: Segment, passes: int) -> Itera
             return
         expected, unknown = _residual_forces(model, iterate)
         change = float(np.linalg.norm(expected - q)) / max(float(np.linalg.norm(expected)), 1e-9)
-        if change < CONVERGED:
+        if change < TUNING.converged:
             return
-        q += RELAXATION * (expected - q)
+        q += TUNING.relaxation * (expected - q)
         share = np.clip(
-            RESIDUAL_NOISE_SHARE * unknown / np.maximum(model.residual_power, 1e-9), 0.01, 1.0
+            TUNING.residual_noise_share * unknown / np.maximum(model.residual_power, 1e-9),
+            0.01,
+            1.0,
         )
 
 
 def _residual_forces(model: SpectralModel, iterate: Iterate) -> tuple[np.ndarray, np.ndarray]:
     """Return expected force residuals (4, size) [N] and their mean variances (4,) [N²]."""
-    slow = model.f > F_DATUM
+    slow = model.f > TUNING.f_datum
     per_rate = np.where(slow, 1.0 / (2j * np.pi * model.f), 0.0)
     w, e = irfft(iterate.w, model.size), irfft(iterate.w * per_rate, model.size)
     P = np.real(np.einsum("fwa,fab,fwb->wf", model.X, iterate.error, model.X.conj()))

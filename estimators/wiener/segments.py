@@ -13,15 +13,9 @@ from scipy import signal
 
 from estimators.low_pass import bridge
 from estimators.preprocessing import SPEED_MIN, MaskedRecord
+from estimators.wiener.tuning import TUNING
 from road_envs.records.record import PROFILE_SPACING, Record
 from road_envs.vehicle.struts import MODES, Modes
-
-STATION_RATE = 100.0
-"""Lowest rate [Hz] at which a segment's stations are passed; signals end at 40 Hz."""
-
-PASS_ORDER, F_PASS = 8, 40.0
-FILTER_TIME = 0.08
-"""Time [s] over which the low-pass spreads an invalid sample to either side."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +47,8 @@ def split_segments(masked: MaskedRecord, length: float, margin: float) -> Iterat
     """
     record, good, _ = masked
     fs = record.fs
-    a = bridge_and_lowpass(record.a, good, fs)
-    reach = np.ones(2 * round(FILTER_TIME * fs) + 1)
+    a = _bridge_and_lowpass(record.a, good, fs)
+    reach = np.ones(2 * round(TUNING.filter_time * fs) + 1)
     bad = np.array([signal.fftconvolve(~g, reach, "same") > 0.5 for g in good])
     count = max(1, round(record.length / length))
     edges = np.linspace(0.0, record.length, count + 1)
@@ -62,13 +56,13 @@ def split_segments(masked: MaskedRecord, length: float, margin: float) -> Iterat
         yield _segment(record, a, bad, (float(low), float(high)), margin)
 
 
-def bridge_and_lowpass(a: np.ndarray, good: np.ndarray, fs: float) -> np.ndarray:
+def _bridge_and_lowpass(a: np.ndarray, good: np.ndarray, fs: float) -> np.ndarray:
     """Return signals (k, N) without their mean over `good` samples, interpolated where not `good`,
     and low-passed at 40 Hz without phase.
     """
     mean = [x[g].mean() if g.any() else 0.0 for x, g in zip(a, good, strict=True)]
     filled = bridge(np.where(good, a - np.array(mean)[:, None], np.nan))
-    sos = signal.butter(PASS_ORDER, min(F_PASS, 0.4 * fs), fs=fs, output="sos")
+    sos = signal.butter(TUNING.pass_order, min(TUNING.f_pass, 0.4 * fs), fs=fs, output="sos")
     return signal.sosfiltfilt(sos, filled, axis=1, padlen=min(50, a.shape[1] - 1))
 
 
@@ -86,7 +80,7 @@ def _segment(record: Record, a: np.ndarray, bad: np.ndarray, core, margin: float
     v = float(np.median(record.v[part][moving])) if moving.any() else 0.0
     if not v > SPEED_MIN:
         v = max((s[-1] - s[0]) / (t[-1] - t[0]), SPEED_MIN)
-    stride = max(1, int(v / STATION_RATE / PROFILE_SPACING))
+    stride = max(1, int(v / TUNING.station_rate / PROFILE_SPACING))
     spacing = stride * PROFILE_SPACING
     first = int(np.ceil((min(core[0], low) - 1e-9) / spacing))
     size = max(int(np.floor((max(core[1], high) + 1e-9) / spacing)) - first + 1, 16)

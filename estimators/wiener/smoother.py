@@ -22,6 +22,7 @@ from estimators.wiener.spectral_model import (
     SpectralModel,
     fit_hyperparameters,
 )
+from estimators.wiener.tuning import TUNING
 from road_envs.records.record import (
     F_C,
     PROFILE_SPACING,
@@ -32,9 +33,6 @@ from road_envs.records.record import (
 )
 from road_envs.sensing.instruments import instruments_of
 from road_envs.vehicle.parameters import VehicleParameters
-
-SEGMENT_LENGTH, SEGMENT_MARGIN = 150.0, 40.0
-"""Length [m] of a segment, and of the record used on either side of it."""
 
 
 def smooth_record(
@@ -56,7 +54,7 @@ def smooth_record(
     total, total_std, weights = (np.zeros((2, stations.size)) for _ in range(3))
     masked = mask_record(record, sensors)
     notes = [*masked.notes, *odometer]
-    segments = list(split_segments(masked, SEGMENT_LENGTH, SEGMENT_MARGIN))
+    segments = list(split_segments(masked, TUNING.segment_length, TUNING.segment_margin))
     vehicle = SensedVehicle.of(car, sensors)
     k = len(segments) // 2
     fit: Callable[[Segment], SpectralModel] = partial(fit_hyperparameters, vehicle)
@@ -70,7 +68,7 @@ def smooth_record(
         model = middle if segment is segments[k] else fit(segment)
         unexplained = max(unexplained, float(np.mean(model.noise_scale)))
         last = list(smooth_segment(model, segment, passes))[-1]
-        z, std = to_grid(model, segment, last)
+        z, std = _to_grid(model, segment, last)
         at = np.round(stations / PROFILE_SPACING).astype(int) - segment.first * segment.stride
         weight = _blend_weights(stations, segment.core, record.length)
         inside = (at >= 0) & (at < z.shape[1]) & (weight > 0.0)
@@ -88,7 +86,7 @@ def smooth_record(
     return Estimate(stations, z, z_std, (*notes, *untrusted_note(share)), residual=residual)
 
 
-def to_grid(
+def _to_grid(
     model: SpectralModel, segment: Segment, iterate: Iterate
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return heights and standard deviations (2, N) [m] at profile stations of the segment."""
@@ -120,7 +118,7 @@ def _blend_weights(stations: np.ndarray, core: tuple[float, float], length: floa
     """Return a segment's weight at each station: 1 in its core, with a linear transition of half
     the margin to its neighbours.
     """
-    transition = 0.5 * SEGMENT_MARGIN
+    transition = 0.5 * TUNING.segment_margin
     up = np.clip((stations - core[0]) / transition + 0.5, 0.0, 1.0) if core[0] > 0.0 else 1.0
     down = np.clip((core[1] - stations) / transition + 0.5, 0.0, 1.0) if core[1] < length else 1.0
     return np.minimum(up, down) * np.ones(stations.size)

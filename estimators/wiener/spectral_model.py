@@ -19,6 +19,7 @@ from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from estimators.common.bending import BODY, SensedBending, sensed_bending
 from estimators.common.conjugate_gradients import conjugate_gradients
 from estimators.wiener.segments import Segment
+from estimators.wiener.tuning import TUNING
 from road_envs.analysis.information_bound import (
     F_C,
     RoadPrior,
@@ -42,41 +43,22 @@ from road_envs.vehicle.linear_model import (
 )
 from road_envs.vehicle.parameters import VehicleParameters
 
-CIRCLE_PADDING = 40.0
-"""Unobserved road [m] appended to a segment before it repeats in the DFT circle."""
-
-F_LOW = 0.4
-"""Lowest frequency [Hz] of the fit; below it sensor offset and drift dominate."""
-
-NOISE_OCTAVES = np.array([0.7, 1.4, 2.8, 5.6, 11.0, 20.0])
+_NOISE_OCTAVES = np.array([0.7, 1.4, 2.8, 5.6, 11.0, 20.0])
 """Band centres [Hz] of the noise scale, interpolated over log f."""
 
-ROAD_OCTAVES = 0.125 * 2.0 ** np.arange(6)
+_ROAD_OCTAVES = 0.125 * 2.0 ** np.arange(6)
 """Band centres [cycles/m] of the road's shape, interpolated over log n."""
-
-PSEUDO_COUNT = 12.0
-"""Spectral lines that the prior value 1 of a band's noise scale or shape counts for."""
-
-CG_TOLERANCE, CG_STEPS_MAX = 1e-3, 80
-"""Conjugate gradients: relative size of the final residual, and maximum steps."""
-
-DAMPING_ITERATIONS, EM_ITERATIONS = 4, 6
-"""Updates of the equivalent dampers at most, and EM iterations in each."""
-
-LEVEL_TOLERANCE = 0.02
-"""Relative change of the road's level below which the dampers are not updated again: they follow
-its root, and the error of the estimate changes by a thousandth."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ShapedRoadPrior(RoadPrior):
-    """Road prior with a factor `shape` at ROAD_OCTAVES on its power law."""
+    """Road prior with a factor `shape` at _ROAD_OCTAVES on its power law."""
 
-    shape: tuple[float, ...] = (1.0,) * ROAD_OCTAVES.size
+    shape: tuple[float, ...] = (1.0,) * _ROAD_OCTAVES.size
 
     def density(self, n: np.ndarray) -> np.ndarray:
         """Return the one-sided displacement PSD [m³] of a wheel path at `n` [cycles/m] > 0."""
-        log_shape = np.interp(np.log(n), np.log(ROAD_OCTAVES), np.log(self.shape))
+        log_shape = np.interp(np.log(n), np.log(_ROAD_OCTAVES), np.log(self.shape))
         return super().density(n) * np.exp(log_shape)
 
 
@@ -160,14 +142,16 @@ class SpectralModel:
 
 def fit_hyperparameters(vehicle: SensedVehicle, segment: Segment) -> SpectralModel:
     """Return the model of a `segment` with fitted road prior and noise scale."""
-    size = next_fast_len(segment.a.shape[1] + round(CIRCLE_PADDING / segment.spacing), real=True)
+    size = next_fast_len(
+        segment.a.shape[1] + round(TUNING.circle_padding / segment.spacing), real=True
+    )
     prior = ShapedRoadPrior(track=vehicle.track)
     noise_scale = np.ones(size // 2 + 1)
-    for k in range(DAMPING_ITERATIONS):
+    for k in range(TUNING.damping_iterations):
         model = build_model(vehicle, segment, prior, size, noise_scale)
         lines = windowed_spectrum(model, segment)
         prior, noise_scale = run_em(model, lines, active_sensors(segment))
-        if k > 0 and abs(prior.G_d0 / model.prior.G_d0 - 1.0) < LEVEL_TOLERANCE:
+        if k > 0 and abs(prior.G_d0 / model.prior.G_d0 - 1.0) < TUNING.level_tolerance:
             break
     return replace(model, noise_scale=noise_scale, prior=prior, S=prior.spectrum(model.n))
 
@@ -222,7 +206,7 @@ def windowed_spectrum(model: SpectralModel, segment: Segment) -> np.ndarray:
     a = segment.a
     if (span & ~segment.valid[active_sensors(segment)]).any():
         C = signal_psd(model, model.noise_psd()) / (2.0 * segment.spacing)
-        expected_signals = circulant_product(
+        expected_signals = _circulant_product(
             C, solve_circulant(C, a, segment.valid, model.size), model.size
         )
         a = np.where(segment.valid, a, expected_signals)
@@ -249,18 +233,18 @@ def run_em(
 
     With fewer than three sensors the noise scale is kept: noise and road are not separable.
     """
-    in_band = (model.f > F_LOW) & (model.f < F_C)
+    in_band = (model.f > TUNING.f_low) & (model.f < F_C)
     n, y, H = model.n[in_band], lines[in_band][:, sensors], model.H[in_band][:, sensors]
     base = (model.noise_psd(share) / model.noise_scale[:, None, None])[in_band][:, sensors][
         :, :, sensors
     ]
-    band = np.argmin(np.abs(np.log(model.f[in_band, None] / NOISE_OCTAVES)), axis=1)
-    factor = np.interp(np.log(NOISE_OCTAVES), np.log(model.f), model.noise_scale)
-    octave = np.argmin(np.abs(np.log(n[:, None] / ROAD_OCTAVES)), axis=1)
+    band = np.argmin(np.abs(np.log(model.f[in_band, None] / _NOISE_OCTAVES)), axis=1)
+    factor = np.interp(np.log(_NOISE_OCTAVES), np.log(model.f), model.noise_scale)
+    octave = np.argmin(np.abs(np.log(n[:, None] / _ROAD_OCTAVES)), axis=1)
     level = model.prior.G_d0
     unit = replace(model.prior, G_d0=1.0, shape=ShapedRoadPrior.shape).spectrum(n)
     shape = np.array(model.prior.shape)
-    for _ in range(EM_ITERATIONS):
+    for _ in range(TUNING.em_iterations):
         road_posterior = posterior(
             n, H, unit * (level * shape[octave, None, None]), base * factor[band, None, None]
         )
@@ -270,18 +254,18 @@ def run_em(
         noise = e @ hermitian(e) + H @ road_posterior.error @ hermitian(H)
         level_per_line = _trace(np.linalg.solve(unit, road)) / 2.0
         level = float(np.mean(level_per_line / shape[octave]))
-        shape = _shrunk_band_means(level_per_line / level, octave, ROAD_OCTAVES.size)
+        shape = _shrunk_band_means(level_per_line / level, octave, _ROAD_OCTAVES.size)
         if sensors.size >= 3:
             scale_per_line = _trace(np.linalg.solve(base, noise)) / sensors.size
-            factor = _shrunk_band_means(scale_per_line, band, NOISE_OCTAVES.size)
+            factor = _shrunk_band_means(scale_per_line, band, _NOISE_OCTAVES.size)
     prior = replace(model.prior, G_d0=level, shape=tuple(shape.tolist()))
-    return prior, np.exp(np.interp(np.log(model.f), np.log(NOISE_OCTAVES), np.log(factor)))
+    return prior, np.exp(np.interp(np.log(model.f), np.log(_NOISE_OCTAVES), np.log(factor)))
 
 
 def _shrunk_band_means(values: np.ndarray, band: np.ndarray, bands: int) -> np.ndarray:
     """Return means (bands,) of the lines' values by `band`, shrunk to 1 by PSEUDO_COUNT."""
-    return (np.bincount(band, values, bands) + PSEUDO_COUNT) / (
-        np.bincount(band, minlength=bands) + PSEUDO_COUNT
+    return (np.bincount(band, values, bands) + TUNING.pseudo_count) / (
+        np.bincount(band, minlength=bands) + TUNING.pseudo_count
     )
 
 
@@ -300,7 +284,7 @@ def apply_response(responses: np.ndarray, lines: np.ndarray) -> np.ndarray:
     return np.einsum("fab,bf->af", responses, lines)
 
 
-def circulant_product(spectrum: np.ndarray, x: np.ndarray, size: int) -> np.ndarray:
+def _circulant_product(spectrum: np.ndarray, x: np.ndarray, size: int) -> np.ndarray:
     """Return the circulant matrix of a spectrum (F, a, a) times signals `x` (a, M)."""
     return irfft(apply_response(spectrum, rfft(x, size)), size)[:, : x.shape[1]]
 
@@ -314,11 +298,11 @@ def solve_circulant(
     """
     inverse = np.linalg.inv(C)
     x, _ = conjugate_gradients(
-        lambda x: valid * circulant_product(C, x, size),
+        lambda x: valid * _circulant_product(C, x, size),
         valid * y,
-        lambda r: valid * circulant_product(inverse, r, size),
-        CG_STEPS_MAX,
-        CG_TOLERANCE,
+        lambda r: valid * _circulant_product(inverse, r, size),
+        TUNING.cg_steps_max,
+        TUNING.cg_tolerance,
         start,
     )
     return x

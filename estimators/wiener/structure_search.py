@@ -24,6 +24,7 @@ from estimators.common.bending import sensed_bending
 from estimators.wiener.drive_check import obstacle_samples
 from estimators.wiener.segments import dominant_modes
 from estimators.wiener.spectral_model import SensedVehicle
+from estimators.wiener.tuning import TUNING
 from road_envs.analysis.information_bound import RoadPrior, equivalent_damping
 from road_envs.analysis.statistical_linearization import (
     hermitian,
@@ -47,45 +48,15 @@ first bending of trimmed bodies."""
 
 FRAME_F, FRAME_ZETA = np.geomspace(6.5, 22.0, 24), (0.05, 0.1)
 """The same of a frame's twist; a fit to the drive goes on from what is found, within the
-tolerances FRAME_TOLERANCES."""
+tolerances _FRAME_TOLERANCES."""
 
-FRAME_TOLERANCES = {
+_FRAME_TOLERANCES = {
     "variation.frame.f": Tolerance(relative=0.1, source="found in the spectrum of the drive"),
     "variation.frame.zeta": Tolerance(relative=0.4, source="as its frequency"),
 }
 
-SAME_AXLE, LEAST_APART = 0.5, 0.4
-"""Distances [m] along the vehicle up to which two sensors are a pair, and across it from which on
-they tell its roll."""
 
-BODY_OVER_WHEELBASE = 1.6
-"""Length of a body over the wheelbase."""
-
-WAVINESS = (1.7, 2.0, 2.3)
-"""Exponents of the road's spectrum that are tried."""
-
-WINDOW, F_RANGE = 1.0, (0.9, 38.0)
-"""Length [s] of the windows of the periodogram, and its range [Hz]."""
-
-HANN_LINES = 1.5
-"""Lines that one independent line of a Hann window is spread over."""
-
-LEAST_WINDOWS = 4.0
-"""Independent windows without obstacles below which nothing is looked for."""
-
-SAME_SPEED = 0.1
-"""Relative range of the speeds of the windows."""
-
-MIN_GAIN = 15.0
-"""Least difference of the deviance for a body that bends. With it 10 of 10 such bodies of two
-cars are found (70 and 100 km/h, classes A to C, seeds 101 to 126), 9 of them within 4 % of their
-frequency, and none of 10 stiff ones bends."""
-
-
-LEVEL_UPDATES, LEVEL_STEPS = 2, 8
-"""Updates of the road's level, on which the equivalent dampers depend, and steps for each."""
-
-HANN_KERNEL = np.array([1.0, 4.0, 1.0]) / 6.0
+_HANN_KERNEL = np.array([1.0, 4.0, 1.0]) / 6.0
 """Power that a line of a Hann window takes from its neighbours."""
 
 
@@ -98,7 +69,7 @@ def with_bending(record: Record, car: VehicleParameters, instruments: str) -> Ve
     drive = CalmDrive.of(record, car, instruments)
     if car.variation.bending is not None or not drive.tells(record):
         return car
-    length = BODY_OVER_WHEELBASE * car.wheelbase
+    length = TUNING.body_over_wheelbase * car.wheelbase
     modes = [
         BendingMode(f=float(x), zeta=zeta, length=length)
         for x, zeta in product(BENDING_F, BENDING_ZETA)
@@ -108,13 +79,13 @@ def with_bending(record: Record, car: VehicleParameters, instruments: str) -> Ve
     bendings = [one for other in bent if (one := sensed_bending(other, locations))]
     stiff = replace(bendings[0], shape=np.zeros_like(bendings[0].shape))
     deviances = []
-    for w in WAVINESS:
+    for w in TUNING.waviness:
         spectra = drive.on_fitted_level(replace(vehicle, bending=stiff), w)
         parts = [replace(vehicle, bending=one) for one in (stiff, *bendings)]
         deviances.append([drive.deviance(spectra._replace(vehicle=one)) for one in parts])
     gain = np.min(deviances, axis=0)
     best = int(np.argmin(gain[1:]))
-    return bent[best] if gain[0] - gain[1 + best] > MIN_GAIN else car
+    return bent[best] if gain[0] - gain[1 + best] > TUNING.structure_gain else car
 
 
 def with_twist(record: Record, car: VehicleParameters, instruments: str) -> VehicleParameters:
@@ -132,14 +103,14 @@ def with_twist(record: Record, car: VehicleParameters, instruments: str) -> Vehi
     middle = len(drive.power) // 2
     halves = [replace(drive, power=part) for part in (drive.power[:middle], drive.power[middle:])]
     rows = []
-    for w in WAVINESS:
+    for w in TUNING.waviness:
         first = drive.on_fitted_level(SensedVehicle.of(car, drive.sensors), w)
         others = [first.of_other(SensedVehicle.of(body, drive.sensors)) for body in bodies]
         rows.append([[one.deviance(x) for x in (first, *others)] for one in (*halves, drive)])
     one, other, whole = np.min(rows, axis=0)
-    is_believed = other[0] - other[1 + int(np.argmin(one[1:]))] > MIN_GAIN
+    is_believed = other[0] - other[1 + int(np.argmin(one[1:]))] > TUNING.structure_gain
     found = bodies[int(np.argmin(whole[1:]))]
-    return replace(found, tolerances=found.tolerances | FRAME_TOLERANCES) if is_believed else car
+    return replace(found, tolerances=found.tolerances | _FRAME_TOLERANCES) if is_believed else car
 
 
 def _pairs(locations: Mapping[str, SensorLocation]) -> np.ndarray:
@@ -150,8 +121,8 @@ def _pairs(locations: Mapping[str, SensorLocation]) -> np.ndarray:
     unit, alone = np.eye(len(places)), np.ones(len(places), dtype=bool)
     for i, j in combinations(range(len(places)), 2):
         one, other = places[i], places[j]
-        is_near = one.axle == other.axle and abs(one.x - other.x) <= SAME_AXLE
-        if is_near and abs(one.y - other.y) >= LEAST_APART:
+        is_near = one.axle == other.axle and abs(one.x - other.x) <= TUNING.same_axle
+        if is_near and abs(one.y - other.y) >= TUNING.least_apart:
             rows += [0.5 * (unit[i] + unit[j]), 0.5 * (unit[i] - unit[j])]
             alone[[i, j]] = False
     return np.array([*rows, *unit[alone]])
@@ -177,15 +148,15 @@ class CalmDrive:
         v, sensors = float(np.median(record.v)), instruments_of(record, instruments)
         weights = _pairs(sensors.locations(car))
         mode = dominant_modes(record, np.arange(record.t.size), car.modes)
-        size = round(WINDOW * record.fs)
+        size = round(TUNING.window * record.fs)
         bad = obstacle_samples(record) | ~np.isfinite(record.a).all(axis=0)
-        bad |= np.abs(record.v / v - 1.0) > SAME_SPEED
+        bad |= np.abs(record.v / v - 1.0) > TUNING.same_speed
         parts = [slice(k, k + size) for k in range(0, record.t.size - size + 1, size // 2)]
         calm = [weights @ record.a[:, part] for part in parts if not bad[part].any()]
         if not calm:
             return cls(sensors, weights, np.zeros(0), np.zeros((0, 1, 0)), v, mode)
         f, power = welch(np.array(calm), record.fs, "hann", size, detrend="linear")
-        inside = (f >= F_RANGE[0]) & (f <= F_RANGE[1])
+        inside = (f >= TUNING.f_range[0]) & (f <= TUNING.f_range[1])
         return cls(sensors, weights, f[inside], power[:, :, inside], v, mode)
 
     @property
@@ -202,12 +173,12 @@ class CalmDrive:
 
     def tells(self, record: Record) -> bool:
         """Whether struts keep their state and enough windows are calm."""
-        return not record.is_switched and self.windows >= LEAST_WINDOWS
+        return not record.is_switched and self.windows >= TUNING.least_windows
 
     def on_fitted_level(self, vehicle: SensedVehicle, w: float) -> "Spectra":
         """Return the spectra of a vehicle on a road of waviness `w` of the drive's level."""
         prior = RoadPrior(G_d0=CLASSES["B"], w=w, track=vehicle.track)
-        for _ in range(LEVEL_UPDATES):
+        for _ in range(TUNING.level_updates):
             damping = equivalent_damping(vehicle.plant, self.mode, self.v, prior)
             spectra = Spectra.of(vehicle, damping, prior, self)
             prior = replace(prior, G_d0=self._whittle(spectra)[0] * prior.G_d0)
@@ -215,7 +186,7 @@ class CalmDrive:
 
     def deviance(self, spectra: "Spectra") -> float:
         """Return the deviance of all windows, at the level of the road that fits them best."""
-        return 2.0 * self.windows / HANN_LINES * self._whittle(spectra)[1]
+        return 2.0 * self.windows / TUNING.hann_lines * self._whittle(spectra)[1]
 
     def _whittle(self, spectra: "Spectra") -> tuple[float, float]:
         road, forces = spectra.of_channels(self.weights)
@@ -281,9 +252,9 @@ def _whittle(power: np.ndarray, road: np.ndarray, others: np.ndarray) -> tuple[f
     that of the `others`, and the deviance of one window's lines.
     """
     level = 1.0
-    for _ in range(LEVEL_STEPS):
+    for _ in range(TUNING.level_steps):
         weight = (road / (level * road + others)) ** 2
         best = float(np.sum(weight * (power - others) / road) / np.sum(weight))
         level = max(best, 0.1 * level)
-    total = correlate1d(level * road + others, HANN_KERNEL, axis=1, mode="nearest")
+    total = correlate1d(level * road + others, _HANN_KERNEL, axis=1, mode="nearest")
     return level, float(np.sum(np.log(total) + power / total))

@@ -30,7 +30,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from scipy.ndimage import median_filter
 
-from estimators.wiener.drive_check import LEAST_CHANNELS
+from estimators.wiener.tuning import TUNING
 from leaderboard.drive_report.posterior_iri import IriPosterior
 from road_envs.records.accelerometers import Accelerometer
 from road_envs.records.record import Estimate, Record
@@ -93,7 +93,7 @@ def tells_paths_apart(layout: Mapping[str, Accelerometer] | None) -> bool:
 
 def tells_vehicle(layout: Mapping[str, Accelerometer] | None) -> bool:
     """Whether accelerometers tell a vehicle from a road, whose paths explain any two of them."""
-    return tells_paths_apart(layout) and (layout is None or len(layout) >= LEAST_CHANNELS)
+    return tells_paths_apart(layout) and (layout is None or len(layout) >= TUNING.least_channels)
 
 
 def means_of_pairs(record: Record, layout: Mapping[str, Accelerometer]) -> Record | None:

@@ -7,7 +7,8 @@ import pytest
 from vehicle_fixtures import DEFENDER
 
 from estimators.wiener import drive_check
-from estimators.wiener.drive_check import DOUBTED_SCALE, check_notes, side_notes, without_obstacles
+from estimators.wiener.drive_check import check_notes, side_notes, without_obstacles
+from estimators.wiener.tuning import TUNING
 from leaderboard.drive_report.drive_estimates import with_doubts
 from road_envs.core import config
 from road_envs.drives.logger_tables.description import DriveDescription
@@ -115,7 +116,7 @@ def test_a_known_speed_is_not_doubted(monkeypatch, known):
     """Each deviance takes some tenths of a second; here a slower drive would fit best."""
     record = drive("iso_b", 50, "ride")
     monkeypatch.setattr(
-        drive_check, "deviance", lambda r, *_: (np.median(r.v), 2.0 * DOUBTED_SCALE, 1)
+        drive_check, "deviance", lambda r, *_: (np.median(r.v), 2.0 * TUNING.doubted_scale, 1)
     )
     notes = check_notes(record, DEFENDER, "paper", speed_known=known)
     assert any("--units v=km/h" in note for note in notes) == (not known)

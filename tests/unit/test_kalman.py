@@ -19,15 +19,15 @@ from estimators.kalman import pipeline
 from estimators.kalman.friction_linearization import RATE_STDS, residual_variance, smoothed_tables
 from estimators.kalman.monitoring import local_nis, recent_nis, reduce_uncertain
 from estimators.kalman.pipeline import (
-    NODE_SPACING,
     run_filter,
     run_smoother,
     setup_output,
     setup_run,
 )
-from estimators.kalman.profile_output import HALF_WINDOW, decay_per_node, output_weights
+from estimators.kalman.profile_output import decay_per_node, output_weights
 from estimators.kalman.road_process import fit_ar_model
 from estimators.kalman.state import ROUGHNESS_SCALE
+from estimators.kalman.tuning import TUNING
 from estimators.kalman.windows import schedule_windows
 from estimators.preprocessing import RecordError
 from leaderboard.conformance.probes import probe_estimator
@@ -50,7 +50,7 @@ PRIOR = RoadPrior()
 
 
 def test_simulated_ar_roads_have_the_density_and_coherence_of_the_prior():
-    road, rng, size = fit_ar_model(PRIOR, NODE_SPACING), np.random.default_rng(1), 12000
+    road, rng, size = fit_ar_model(PRIOR, TUNING.node_spacing), np.random.default_rng(1), 12000
     order = road.weights.shape[1]
     z = np.zeros((2, 2, size))
     noise = np.sqrt(road.prediction_variance)[:, None] * rng.standard_normal((2, 2, size))
@@ -58,8 +58,8 @@ def test_simulated_ar_roads_have_the_density_and_coherence_of_the_prior():
         past = z[:, :, k - 1 : k - order - 1 : -1] if k > order else z[:, :, order - 1 :: -1]
         z[:, :, k] = np.einsum("rpk,pk->rp", past, road.weights) + noise[:, :, k]
     heights = (z[:, :, :-2] + 4.0 * z[:, :, 1:-1] + z[:, :, 2:]) / 6.0
-    n, mean = displacement_psd(heights[:, 0, 500:], NODE_SPACING)
-    _, half = displacement_psd(heights[:, 1, 500:], NODE_SPACING)
+    n, mean = displacement_psd(heights[:, 0, 500:], TUNING.node_spacing)
+    _, half = displacement_psd(heights[:, 1, 500:], TUNING.node_spacing)
     for low, high in ((0.2, 0.5), (0.5, 1.8)):
         inside = (n > low) & (n < high)
         S = PRIOR.spectrum(n[inside])
@@ -72,14 +72,14 @@ def test_simulated_ar_roads_have_the_density_and_coherence_of_the_prior():
 
 def test_the_output_kernel_passes_its_band_and_no_long_waves():
     number, u = np.arange(4000), np.empty(2 + 4000)
-    at, half = 1998.3, HALF_WINDOW / NODE_SPACING
+    at, half = 1998.3, TUNING.half_window / TUNING.node_spacing
     for n, cutoff, gain in (
         (0.02, 0.25, 0.0016), (0.1, 0.25, 0.5), (1.0, 0.25, 1.0), (4.0, 0.1, 0.0),
     ):  # fmt: skip
-        output_weights(u, at, decay_per_node(NODE_SPACING), cutoff, half)
-        height = u[2:] @ np.cos(2.0 * np.pi * n * NODE_SPACING * (number - at))
+        output_weights(u, at, decay_per_node(TUNING.node_spacing), cutoff, half)
+        height = u[2:] @ np.cos(2.0 * np.pi * n * TUNING.node_spacing * (number - at))
         # the curve is lower than its coefficients
-        attenuation = (2.0 + np.cos(2.0 * np.pi * n * NODE_SPACING)) / 3.0
+        attenuation = (2.0 + np.cos(2.0 * np.pi * n * TUNING.node_spacing)) / 3.0
         assert height * (attenuation if n < 1.0 else 1.0) == pytest.approx(
             gain * (1.0 if n < 1.0 else attenuation), abs=0.02
         )
@@ -207,9 +207,9 @@ def test_what_is_measured_after_a_restart_tells_nothing_of_the_road_before():
     for later in (1.0, 0.5):
         a = np.where(record.s > 27.0, later, 1.0) * np.nan_to_num(record.a)
         measurements = block_means(a, np.isfinite(record.a), 3)
-        options = {"noise_variance": 0.05, "prior": PRIOR, "level_ends": True}
+        options = {"noise_variance": 0.05, "prior": PRIOR, "level_ends": True, "lag": 2.79}
         run = setup_run(record, DEFENDER, PAPER, inputs, measurements, **options)
-        output = setup_output(run, record, 2.79, 0.004, detrended=False)
+        output = setup_output(run, record, 0.004, detrended=False)
         run_smoother(run, output)
         heights.append(output.z)
         assert run.state.restarts[0] < np.argmax(run.known_front(0.0) > 27.0)
@@ -311,11 +311,11 @@ def test_intervals_widen_where_obstacles_surprise_the_filter(name):
 def test_nodes_that_have_left_are_smoothed_as_if_all_were_held(monkeypatch):
     """Over obstacles, whose steps are accepted after nodes have left that their edges disturb."""
     case = "ride", 30.0, 72, 60.0, "random_bumps"
-    (record, _), few = drive(*case), estimate_of("kalman_lag", *case)
+    (record, _), few = drive(*case), estimate_of("kalman_rts", *case)
 
     def hold_all(*arguments):
         windows = schedule_windows(*arguments)
-        return replace(windows, n_nodes=windows.n_nodes + round(LAG / NODE_SPACING))
+        return replace(windows, n_nodes=windows.n_nodes + round(LAG / TUNING.node_spacing))
 
     monkeypatch.setattr(pipeline, "schedule_windows", hold_all)
     steps = []
@@ -323,7 +323,7 @@ def test_nodes_that_have_left_are_smoothed_as_if_all_were_held(monkeypatch):
         "estimators.kalman.estimators.obstacle_std",
         lambda square, *_: steps.append(np.count_nonzero(square)) or 0.0,
     )
-    all_held = create("kalman_lag").estimate(record, DEFENDER)
+    all_held = create("kalman_rts").estimate(record, DEFENDER)
     assert steps[0] > 3
     np.testing.assert_allclose(few.z, all_held.z, rtol=0.0, atol=1e-6)
 
@@ -383,9 +383,9 @@ def test_the_roughness_scale_is_estimated_within_a_factor_of_two():
         record, _ = drive("handling", 54.0, 2, 60.0, name)
         inputs = build_model_inputs(record, PAPER, DEFENDER, 0.001)
         measurements = block_means(record.a, np.isfinite(record.a), 3)
-        options = {"noise_variance": 0.05, "prior": PRIOR, "level_ends": True}
+        options = {"noise_variance": 0.05, "prior": PRIOR, "level_ends": True, "lag": 4.79}
         run = setup_run(record, DEFENDER, PAPER, inputs, measurements, **options)
-        run_filter(run, setup_output(run, record, 4.79, 0.004, detrended=True))
+        run_filter(run, setup_output(run, record, 0.004, detrended=True))
         assert abs(np.log2(run.state.adaptive[ROUGHNESS_SCALE] / scale)) < 1.0
 
 

@@ -1,14 +1,17 @@
 """Accepted steps of the road against the dense posterior of a linear model with their prior."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from estimators.kalman import jumps
 from estimators.kalman.state import LocalState, StepTest
+from estimators.kalman.tuning import TUNING
 
 N_NODES, N_STATES, BLOCKS = 6, 20, 12
 NODES = slice(8, 20)
 """Means and half differences of the nodes, in turn; before them the vehicle."""
-LEAST = jumps.MIN_LOG_RATIO
+LEAST = TUNING.min_log_ratio
 
 
 def filtered(steps: dict[int, float], seed: int):
@@ -17,7 +20,7 @@ def filtered(steps: dict[int, float], seed: int):
     with their mean per unit step, and the model.
     """
     rng = np.random.default_rng(seed)
-    one = jumps.RoadJumps.none(0.0, N_NODES, jumps.JUMP_LENGTH / N_NODES)
+    one = jumps.RoadJumps.none(0.0, N_NODES, TUNING.jump_length / N_NODES)
     one.begin(np.arange(N_NODES))
     direction = np.zeros((N_STATES, 2 * N_NODES))
     for node in range(N_NODES):
@@ -43,14 +46,14 @@ def filtered(steps: dict[int, float], seed: int):
 
 
 def test_accepted_steps_give_the_dense_posterior_and_innovations_of_their_prior(monkeypatch):
-    monkeypatch.setattr(jumps, "RELATIVE_ERROR", 0.0)
+    monkeypatch.setattr(jumps, "TUNING", replace(TUNING, relative_error=0.0))
     steps = {3: 0.08, 8: -0.06}  # of the right path at node 1, of the left one at node 4
     one, (x, P, direction), (innovation, response), (P0, H, y, unit) = filtered(steps, 5)
     before = x.copy(), (innovation**2).mean()
     accepted = one.accept(x, P, direction, N_NODES - 1, LEAST)
     assert {step.candidate for step in accepted} == set(steps)
     assert {2 * node + side for node, side in np.argwhere(one.square > 0.0)} == set(steps)
-    prior = P0 + jumps.JUMP_STD**2 * sum(np.outer(unit[i], unit[i]) for i in steps)
+    prior = P0 + TUNING.jump_std**2 * sum(np.outer(unit[i], unit[i]) for i in steps)
     gain = prior @ H.T @ np.linalg.inv(H @ prior @ H.T + np.eye(y.size))
     np.testing.assert_allclose(x, gain @ y.ravel(), rtol=1e-6, atol=1e-7)
     np.testing.assert_allclose(P, prior - gain @ H @ prior, rtol=1e-5, atol=1e-9)
@@ -73,7 +76,7 @@ def test_no_step_is_accepted_on_a_stationary_road_or_a_vehicle_that_is_not_the_o
 def test_a_window_ends_at_the_block_after_which_a_step_is_likely():
     """Unless the rear axle is near an earlier step, or another vehicle makes noise."""
     _, _, (innovation, response), (*_, unit) = filtered({3: 0.02}, 6)
-    one = jumps.RoadJumps.none(0.0, N_NODES, jumps.JUMP_LENGTH / N_NODES)
+    one = jumps.RoadJumps.none(0.0, N_NODES, TUNING.jump_length / N_NODES)
     expected = 0
     for expected in range(BLOCKS):
         jumps.add_information.py_func(
@@ -103,5 +106,5 @@ def test_the_rear_axle_meets_a_step_within_its_reach():
     one, node = jumps.RoadJumps.none(0.0, 40, 0.05), np.arange(40)
     one.add(20, 1, 0.05)
     np.testing.assert_array_equal(np.argwhere(one.square > 0.0), [[20, 1]])
-    reach = round(jumps.REAR_REACH / 0.05)
+    reach = round(TUNING.rear_reach / 0.05)
     np.testing.assert_array_equal(one.near, (node > 20 - reach) & (node <= 20 + reach))

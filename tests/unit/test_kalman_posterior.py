@@ -17,20 +17,17 @@ from vehicle_fixtures import DEFENDER
 from estimators.common.block_means import block_means
 from estimators.common.model_inputs import REST_STD, build_model_inputs
 from estimators.kalman.filter import normal_hazard, update_block
-from estimators.kalman.filtered import NodesAtEmission
+from estimators.kalman.forward import WindowFilter
 from estimators.kalman.pipeline import (
-    BIAS_STD,
-    NODE_SPACING,
     run_filter,
     run_smoother,
     setup_output,
     setup_run,
-    window_filter,
 )
-from estimators.kalman.profile_output import HALF_WINDOW, VARIANCE_STRIDE, decay_per_node
+from estimators.kalman.profile_output import decay_per_node
 from estimators.kalman.road_process import fit_ar_model
 from estimators.kalman.state import ROUGHNESS_SUM, ROUGHNESS_WEIGHT, LinearizedBlock, LocalState
-from estimators.kalman.windows import EmissionTimes
+from estimators.kalman.tuning import TUNING
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.records.record import Record
 from road_envs.sensing.instruments import load_instruments
@@ -76,14 +73,14 @@ def record_of(a: np.ndarray) -> Record:
     return Record(t, a, np.full(t.size, SPEED), s, state, state, SPEED * TIME - LEAD - 1.0)
 
 
-def run_of(a: np.ndarray, flexible: bool = False):
+def run_of(a: np.ndarray, flexible: bool = False, lag: float = DEFENDER.wheelbase):
     """The short drive before its first block, without adaptation, and from a narrow initial state,
     in which the gas springs are linear.
     """
     record, car = record_of(a), linear_car(flexible)
     inputs = build_model_inputs(record, PAPER, car, STEP)
     measurements = block_means(record.a, np.isfinite(record.a), 3)
-    options = {"noise_variance": NOISE, "prior": SMOOTH, "level_ends": True}
+    options = {"noise_variance": NOISE, "prior": SMOOTH, "level_ends": True, "lag": lag}
     run = setup_run(record, car, PAPER, inputs, measurements, **options)
     run.state.adaptive[[ROUGHNESS_SUM, ROUGHNESS_WEIGHT]] = 1e15
     vehicle = slice(run.road.n_vehicle)
@@ -98,7 +95,7 @@ def dense(flexible: bool = False):
     of each (3, J, unknowns), the first node number of the front axle, and the number of nodes.
     """
     run, _, inputs = run_of(np.zeros((3, round(1000 * TIME))), flexible)
-    road, newest_node = fit_ar_model(SMOOTH, NODE_SPACING), run.windows.initial
+    road, newest_node = fit_ar_model(SMOOTH, TUNING.node_spacing), run.windows.initial
     last = int(run.inputs.front_node[-1]) + 3
     number = np.arange(last + 1)
     free = (
@@ -129,7 +126,7 @@ def dense(flexible: bool = False):
     for x in run.inputs.front_node[::2]:
         under = np.zeros((8, unknowns))
         for axle in range(2):
-            at = x - axle * DEFENDER.wheelbase / NODE_SPACING
+            at = x - axle * DEFENDER.wheelbase / TUNING.node_spacing
             i, t = int(at), at - int(at)
             r = 1.0 - t
             z = np.array([r**3, 4 - 6 * t**2 + 3 * t**3, 4 - 6 * r**2 + 3 * r**3, t**3]) / 6.0
@@ -138,7 +135,7 @@ def dense(flexible: bool = False):
             for side, sign in enumerate((1.0, -1.0)):
                 for rows, shares in (
                     (2 * axle + side, z),
-                    (4 + 2 * axle + side, w * SPEED / NODE_SPACING),
+                    (4 + 2 * axle + side, w * SPEED / TUNING.node_spacing),
                 ):
                     under[rows, nodes] = shares
                     under[rows, number.size + nodes] = sign * shares
@@ -168,7 +165,7 @@ def dense(flexible: bool = False):
     P = np.zeros((unknowns, unknowns))
     P[:half, :half], P[half:size, half:size] = root[0] @ root[0].T, root[1] @ root[1].T
     rest = START * np.concatenate([np.repeat(REST_STD[[0, -1]], d), REST_STD[-2 * flexible :]])
-    std = np.concatenate([rest[: bias - size], np.full(3, BIAS_STD)])
+    std = np.concatenate([rest[: bias - size], np.full(3, TUNING.bias_std)])
     P[size:, size:] = np.diag(std**2)
     return P, means, run.inputs.front_node[0], half
 
@@ -188,7 +185,7 @@ def drawn_samples(flexible: bool = False) -> np.ndarray:
 def dense_weights(at: float, detrended: bool) -> np.ndarray:
     """Weights of the coefficients in the output at a node number, as a sum over all nodes."""
     half = dense()[3]
-    number, window = np.arange(half), HALF_WINDOW / NODE_SPACING
+    number, window = np.arange(half), TUNING.half_window / TUNING.node_spacing
 
     def low(d):
         shape = np.where(np.abs(d) < window, np.cos(0.5 * np.pi * d / window) ** 2, 0.0)
@@ -201,8 +198,8 @@ def dense_weights(at: float, detrended: bool) -> np.ndarray:
     np.add.at(weights, np.clip(far, 0, half - 1), kernel)
     weights /= weights.sum()
     if detrended:
-        u = decay_per_node(NODE_SPACING) * np.abs(number - at)
-        weights -= 0.5 * decay_per_node(NODE_SPACING) * np.exp(-u) * (np.cos(u) + np.sin(u))
+        u = decay_per_node(TUNING.node_spacing) * np.abs(number - at)
+        weights -= 0.5 * decay_per_node(TUNING.node_spacing) * np.exp(-u) * (np.cos(u) + np.sin(u))
     return weights
 
 
@@ -230,7 +227,7 @@ def detrended_weights(run, output, m) -> np.ndarray:
     front = int(np.floor(run.inputs.front_node[2 * blocks * run.model.steps_per_block - 1])) + 2
     weights = dense_weights(output.node[m], True)
     low = dense_weights(output.node[m], False)[front + 1 :].sum()
-    u = decay_per_node(NODE_SPACING) * (front + 0.5 - output.node[m])
+    u = decay_per_node(TUNING.node_spacing) * (front + 0.5 - output.node[m])
     weights[front + 1 :] = 0.0
     weights[front] += low - 0.5 * np.exp(-u) * np.cos(u)
     return weights
@@ -242,12 +239,14 @@ FLEXIBLE = pytest.param(4.79, True, marks=pytest.mark.slow, id="a body that twis
 @pytest.mark.parametrize("lag, flexible", [(0.0, False), (4.79, False), (6.5, False), FLEXIBLE])
 def test_an_emitted_station_is_the_dense_posterior_of_the_blocks_until_then(lag, flexible):
     """Heights within a tenth of their standard deviation, standard deviations to a hundredth."""
-    run, record, _ = run_of(drawn_samples(flexible), flexible)
-    output = setup_output(run, record, lag, 0.004, detrended=True)
+    run, record, _ = run_of(drawn_samples(flexible), flexible, lag)
+    output = setup_output(run, record, 0.004, detrended=True)
     output = replace(output, cutoff=np.full_like(output.cutoff, CUTOFF))
     assert np.searchsorted(output.emit_block, run.n_blocks) > 100
     run_filter(run, output)
-    compared = range(VARIANCE_STRIDE * 4, output.node.size, VARIANCE_STRIDE * 2)  # after the apron
+    compared = range(
+        TUNING.variance_stride * 4, output.node.size, TUNING.variance_stride * 2
+    )  # after the apron
     for m in compared:
         blocks = min(output.emit_block[m], run.n_blocks)
         z, variance = posterior(blocks, detrended_weights(run, output, m), flexible)
@@ -258,13 +257,13 @@ def test_an_emitted_station_is_the_dense_posterior_of_the_blocks_until_then(lag,
 
 def test_the_smoothed_profile_is_the_dense_posterior_of_all_blocks():
     run, record, _ = run_of(drawn_samples())
-    output = setup_output(run, record, DEFENDER.wheelbase, 0.004, detrended=False)
+    output = setup_output(run, record, 0.004, detrended=False)
     output = replace(output, cutoff=np.full_like(output.cutoff, CUTOFF))
     run_smoother(run, output)
     passed = int(np.searchsorted(output.emit_block, run.n_blocks))
-    assert passed > 10 * VARIANCE_STRIDE
+    assert passed > 10 * TUNING.variance_stride
 
-    for m in range(VARIANCE_STRIDE * 4, passed, VARIANCE_STRIDE * 2):
+    for m in range(TUNING.variance_stride * 4, passed, TUNING.variance_stride * 2):
         z, variance = posterior(run.n_blocks, dense_weights(output.node[m], False))
         assert np.abs(output.z[m] - z).max() < 0.1 * np.sqrt(variance.min())
         _, variance = posterior(run.n_blocks, detrended_weights(run, output, m))
@@ -275,7 +274,7 @@ def test_smoothing_in_chunks_is_nearly_smoothing_at_once():
     once, chunks = [], []
     for result, size in ((once, 10**6), (chunks, 16)):
         run, record, _ = run_of(drawn_samples())
-        output = setup_output(run, record, DEFENDER.wheelbase, 0.004, detrended=False)
+        output = setup_output(run, record, 0.004, detrended=False)
         run_smoother(run, output, size)
         result += [output.z, np.sqrt(output.variance)]
     assert np.abs(once[0] - chunks[0]).max() < 0.3 * once[1].max()
@@ -285,9 +284,7 @@ def test_smoothing_in_chunks_is_nearly_smoothing_at_once():
 
 def test_innovations_on_the_filters_own_model_are_white_with_unit_variance():
     run, record, _ = run_of(drawn_samples())
-    output = setup_output(run, record, 4.79, 0.004, detrended=True)
-    never = EmissionTimes(*5 * (np.zeros(0, dtype=int),), 0)
-    one = window_filter(run, output, NodesAtEmission(never, np.zeros((0, 2, 2)), np.zeros((0, 0))))
+    one = WindowFilter(run, setup_output(run, record, 0.004, detrended=True))
     windows = [part for i in range(run.windows.newest.size) for part in one.filter_window(i)]
     innovation = np.concatenate([window.innovation for window in windows]).reshape(-1, 3)
     count = innovation.size

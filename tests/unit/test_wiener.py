@@ -13,7 +13,7 @@ from vehicle_fixtures import DEFENDER
 from estimators import create
 from estimators.api import check_estimate
 from estimators.preprocessing import mask_record
-from estimators.wiener import iteration, spectral_model
+from estimators.wiener import iteration, smoother, spectral_model
 from estimators.wiener.iteration import gaussian_expectation
 from estimators.wiener.segments import Segment, split_segments
 from estimators.wiener.spectral_model import (
@@ -25,6 +25,7 @@ from estimators.wiener.spectral_model import (
     run_em,
     windowed_spectrum,
 )
+from estimators.wiener.tuning import TUNING
 from leaderboard.metrics.heights import band_pass, nrmse
 from road_envs.analysis.information_bound import RoadPrior, bound
 from road_envs.analysis.statistical_linearization import NonlinearResidual
@@ -76,8 +77,8 @@ def test_iterations_that_end_early_find_the_road_of_all_of_them(monkeypatch):
     record, truth = drive(mode="ride", length=40.0)
     early = in_band(create("iterated_wiener", adapt=False).estimate(record, DEFENDER), truth, 54.0)
     calls, residual_forces = [], iteration._residual_forces
-    monkeypatch.setattr(iteration, "CONVERGED", 0.0)
-    monkeypatch.setattr(spectral_model, "LEVEL_TOLERANCE", 0.0)
+    monkeypatch.setattr(iteration, "TUNING", replace(TUNING, converged=0.0))
+    monkeypatch.setattr(spectral_model, "TUNING", replace(TUNING, level_tolerance=0.0))
     monkeypatch.setattr(
         iteration, "_residual_forces", lambda *of: calls.append(1) or residual_forces(*of)
     )
@@ -284,7 +285,7 @@ def test_standard_deviations_follow_a_change_of_roughness():
     assert std[0, std.shape[1] * 5 // 6] > 2.0 * std[0, std.shape[1] // 6]
 
 
-def test_segments_are_joined_without_steps():
+def test_segments_are_joined_without_steps(monkeypatch):
     """Two segments give the estimate of one in the scored band."""
     record, truth = drive("defender", "iso_c", "ride", length=210.0)
     whole = create("wiener").estimate(record, DEFENDER)
@@ -292,14 +293,8 @@ def test_segments_are_joined_without_steps():
     assert len(parts) == 1
     parts = list(split_segments(mask_record(record, PAPER), 100.0, 40.0))
     assert [p.core for p in parts] == [(0.0, 105.0), (105.0, 210.0)]
-    import estimators.wiener.smoother as smoothing
-
-    before = smoothing.SEGMENT_LENGTH
-    try:
-        smoothing.SEGMENT_LENGTH = 100.0
-        pieces = create("wiener").estimate(record, DEFENDER)
-    finally:
-        smoothing.SEGMENT_LENGTH = before
+    monkeypatch.setattr(smoother, "TUNING", replace(TUNING, segment_length=100.0))
+    pieces = create("wiener").estimate(record, DEFENDER)
     band = scored_band(15.0)
     gap = band_pass(pieces.z - whole.z, PROFILE_SPACING, band).std()
     error = band_pass(whole.z - truth.z, PROFILE_SPACING, band).std()

@@ -11,6 +11,7 @@ from estimators.wiener import adaptation
 from estimators.wiener.adaptation import fisher_scoring, model_error_psd, responses
 from estimators.wiener.iteration import Iterate
 from estimators.wiener.spectral_model import SensedVehicle, build_model
+from estimators.wiener.tuning import TUNING
 from road_envs.analysis.information_bound import equivalent_damping
 from road_envs.drives.recording import simulate_record
 from road_envs.vehicle.linear_model import frequency_response, linearise
@@ -72,7 +73,7 @@ def test_the_error_of_a_model_is_that_of_random_models():
 
 def test_a_vehicle_as_described_is_not_adapted(monkeypatch):
     """Even if its noise, which chance makes large, gives rise to a first step."""
-    monkeypatch.setattr(adaptation, "DOUBTED_SCALE", 0.0)
+    monkeypatch.setattr(adaptation, "TUNING", replace(TUNING, adapted_scale=0.0))
     record, _ = drive("defender", "iso_d", "split", 54.0, 1, 60.0)
     adapted, told = (create("wiener", adapt=a).estimate(record, DEFENDER) for a in (True, False))
     np.testing.assert_array_equal(adapted.z, told.z)
