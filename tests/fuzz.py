@@ -336,7 +336,7 @@ def main() -> None:
     head = f"{'reader':<26}{'files':>9}{'read':>9}{'refused':>9}{'faults':>8}{'processor':>11}"
     lines = [
         f"$ make fuzz SECONDS={seconds:g} JOBS={jobs}",
-        f"{seconds:g} s on the clock for each reader, processes at once: {jobs}; processor: its time",
+        f"{seconds:g} s on the clock for each reader ({jobs} at once), and that of the processor",
         head,
     ]
     total = 0
