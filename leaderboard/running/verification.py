@@ -45,6 +45,8 @@ from leaderboard.evaluation.test_data import RecordedDrive, simulate_drives
 from leaderboard.json_values import to_json_types
 from leaderboard.metrics.bootstrap import interquartile_mean
 from leaderboard.metrics.registry import SCORES
+from leaderboard.sandbox.client import ONE_TRAINING
+from leaderboard.sandbox.retest import LOOKS_AHEAD, NOT_RETESTED, REMEMBERS
 from road_envs.core.artifacts import Kind
 from road_envs.core.config import ConfigError, Settings, build
 
@@ -53,6 +55,9 @@ VERIFICATION = Kind("verification", 1)
 
 SHARE = 0.1
 """Share of the drives of a task that are run again."""
+
+NOTES = (LOOKS_AHEAD, REMEMBERS, NOT_RETESTED, ONE_TRAINING)
+"""What a judge may find out about an entry by chance, and not again."""
 
 DECIDE_DIGITS = ("numpy", "scipy", "numba", "torch", "processor", "blas")
 """Parts of the environment of a result that decide its last digits."""
@@ -210,13 +215,17 @@ def _verify_row(
     ranks_by = task.board_definition.ranks_by
     compared = SCORES if same else [ranks_by]
     pairs: list[tuple[dict[str, float], dict[str, float]]] = []
+    notes = {f"{row.estimator}: {note}" for note in NOTES}
     for condition, drives in data.items():
         made = evaluate_entry(task, condition, drives, entry, row.seeds, run)
         if made.failure is not None:
             return dataclasses.replace(found, reason=made.failure)
         if reason := _other_claim(row, made):
             return dataclasses.replace(found, reason=reason)
+        notes.update(made.notes)
         pairs += [(stored.get(run, {}), own) for run, own in scores_by_run(made.scores).items()]
+    if (more := [x for x in row.notes if x not in notes]) and len(pairs) >= len(stored):
+        return dataclasses.replace(found, reason=f"its note is not found here: {more[0]}")
     if not pairs:
         return found
     distances = [largest_distance(row, own, compared) for row, own in pairs]

@@ -44,16 +44,23 @@ GUEST_USERS = ((0x70000000, 2**28), (61184, 4335))
 guest; the second range is for hosts in a namespace of few users.
 """
 
-SYSTEM = ("/usr", "/lib", "/lib32", "/lib64", "/bin", "/etc/ld.so.cache", "/etc/alternatives")
-"""Paths of the operating system that programs need."""
+SYSTEM = ("/lib", "/lib32", "/lib64", "/bin", "/etc/ld.so.cache", "/etc/alternatives")
+"""Paths of the operating system that programs need, beside PARTS of /usr and /usr/local."""
+
+PARTS = ("bin", "include", "lib", "lib32", "lib64", "libexec", "share", "pyvenv.cfg")
+"""What a guest sees below a prefix where programs are installed: results may lie in /usr/src."""
 
 COUNTERS = tuple(Path("/proc", name) for name in (
     "stat", "vmstat", "diskstats", "loadavg", "interrupts", "softirqs", "schedstat", "zoneinfo",
-    "buddyinfo", "slabinfo", "pagetypeinfo", "timer_list", "locks", "vmallocinfo",
-    "pressure/cpu", "pressure/io", "pressure/memory",
-    "sys/fs/dentry-state", "sys/fs/inode-nr", "sys/fs/inode-state",
+    "buddyinfo", "slabinfo", "pagetypeinfo", "timer_list", "locks", "vmallocinfo", "uptime",
+    "sys/fs/dentry-state", "sys/fs/inode-nr", "sys/fs/inode-state", "sys/fs/file-nr",
+    "sys/fs/aio-nr", "sys/kernel/pty/nr",
+    "acpi", "bus", "driver", "fs", "irq", "pressure", "scsi", "tty",
 ))  # fmt: skip
-"""Files with counts of the whole machine, by which one guest could tell another a number: empty."""
+"""Files and folders with counts of the whole machine, by which one guest could tell another a
+number: empty. A file system counts each look-up of an extent, of which a guest makes a million in
+a second.
+"""
 
 BATCH, FEWEST, MOST = 2**10, 2**17, 2**24
 """Numbers of pipes that a processor takes at once; the fewest and most that hide others."""
@@ -98,7 +105,8 @@ def command(
             line += ["--ro-bind", str(source), str(target)]
     line += ["--proc", "/proc", "--dev", "/dev"]
     for path in filter(Path.exists, COUNTERS):
-        line += ["--ro-bind", os.devnull, str(path)]
+        empty = ["--tmpfs"] if path.is_dir() else ["--ro-bind", os.devnull]
+        line += [*empty, str(path), *(["--remount-ro", str(path)] if path.is_dir() else [])]
     for folder, size in (("/dev/shm", SHARED_MEMORY), (HOME, int(limits.file * GIB))):
         line += ["--perms", "1777", "--size", str(size), "--tmpfs", str(folder)]
     for source, target in writable.items():
@@ -230,9 +238,10 @@ def _system_mounts() -> dict[Path, Path]:
     words = os.environ.get("LD_LIBRARY_PATH", "").split(os.pathsep)
     libraries = [Path(word) for word in words if word.startswith("/")]
     executable = Path(sys.executable)
+    prefixes = (sys.base_prefix, sys.base_exec_prefix, sys.prefix, sys.exec_prefix)
     wanted = [
         *map(Path, SYSTEM),
-        *map(Path, (sys.base_prefix, sys.base_exec_prefix, sys.prefix, sys.exec_prefix)),
+        *(Path(x, part) for x in ("/usr", "/usr/local", *prefixes) for part in PARTS),
         *(Path(p) for p in sys.path if Path(p).name in ("site-packages", "dist-packages")),
         *project,
         *libraries,

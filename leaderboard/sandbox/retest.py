@@ -1,8 +1,8 @@
 """Does an entry look ahead or remember? A second guest is asked again about some test drives.
 
 The second guest, which runs first in half of the cases, estimates drives that the first one also
-estimates, after fewer others, and drives whose accelerations and speeds are other ones from a
-secret point on. Heights and standard deviations are compared.
+estimates, after fewer others, and drives whose accelerations, speeds and odometer are other ones
+from a secret point on. Heights and standard deviations are compared.
 """
 
 import dataclasses
@@ -75,12 +75,18 @@ def compare_answers(
 
 
 def with_other_future(record: Record, start: float, rng: np.random.Generator) -> Record:
-    """Return a record with other accelerations and speeds from the station `start` [m] on."""
+    """Return a record with other accelerations, speeds and distances from the station `start` [m]
+    on: the end of the odometer would tell its error.
+    """
     later = record.s >= start
     noise = np.nanstd(record.a) * rng.standard_normal(record.a.shape)
     gain = rng.uniform(1.05, 1.25, record.v.shape)  # another mean and maximum, and median of half
+    scale = rng.choice([-1, 1]) * rng.uniform(0.01, 0.03)
     return dataclasses.replace(
-        record, a=record.a + np.where(later, noise, 0.0), v=record.v * np.where(later, gain, 1.0)
+        record,
+        a=record.a + np.where(later, noise, 0.0),
+        v=record.v * np.where(later, gain, 1.0),
+        s=record.s + scale * np.where(later, record.s - start, 0.0),
     )
 
 

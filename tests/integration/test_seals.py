@@ -8,6 +8,7 @@ import os
 import platform
 import random
 import threading
+from pathlib import Path
 
 import pytest
 from fakes import fake_drives, task
@@ -60,6 +61,16 @@ def test_calls_by_which_data_and_memory_outlive_a_guest_are_refused(sandbox, ide
         run(sandbox, "call")
 
 
+def test_a_guest_sees_no_results_beside_the_programs_that_it_needs(tmp_path, monkeypatch):
+    for name in ("bin", "results"):
+        (tmp_path / name).mkdir()
+    monkeypatch.setattr("sys.prefix", str(tmp_path))
+    seen = bubblewrap._system_mounts()
+    assert tmp_path / "bin" in seen
+    for hidden in (tmp_path / "results", Path("/usr/src/app")):
+        assert not any(hidden.is_relative_to(path) for path in seen)
+
+
 def test_the_filter_refuses_the_same_calls_on_each_machine():
     programs = [seccomp.program(machine) for machine in seccomp.AUDIT_ARCH]
     assert len({len(program) for program in programs}) == 1 and len(set(programs)) == 2
@@ -72,6 +83,11 @@ def test_the_filter_refuses_the_same_calls_on_each_machine():
 def test_what_one_guest_has_seen_of_the_future_is_not_kept_for_the_next(sandbox, identity):
     found = run(sandbox, "keep_the_future", causal=True, retest=True)
     assert found.looks_ahead and found.notes[-1] == LOOKS_AHEAD
+
+
+def test_the_end_of_the_odometer_counts_as_a_later_sample(sandbox):
+    found = run(sandbox, "end_the_odometer", causal=True, retest=True)
+    assert found.looks_ahead and LOOKS_AHEAD in found.notes
 
 
 @pytest.mark.parametrize("number", [1, 2])
