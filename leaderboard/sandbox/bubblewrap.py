@@ -30,6 +30,9 @@ from road_envs.core.code_digest import PACKAGES, ROOT
 HOME = Path("/tmp/guest")
 """Working folder of a guest."""
 
+IN_MEMORY = (HOME, Path("/dev/shm"))
+"""Folders that a guest can write to."""
+
 ENTRY = Path("/entry")
 """Folder with the code of the entry."""
 
@@ -57,10 +60,8 @@ COUNTERS = tuple(Path("/proc", name) for name in (
     "sys/fs/aio-nr", "sys/kernel/pty/nr",
     "acpi", "bus", "driver", "fs", "irq", "pressure", "scsi", "tty",
 ))  # fmt: skip
-"""Files and folders with counts of the whole machine, by which one guest could tell another a
-number: empty. A file system counts each look-up of an extent, of which a guest makes a million in
-a second.
-"""
+"""Files and folders with counts of the machine, such as the look-ups of a file system, by which one
+guest could tell another a number: empty."""
 
 BATCH, FEWEST, MOST = 2**10, 2**17, 2**24
 """Numbers of pipes that a processor takes at once; the fewest and most that hide others."""
@@ -90,12 +91,8 @@ def command(
     parents = {
         parent for target in [*mounts.values(), *writable.values()] for parent in target.parents
     }
-    line = [
-        shutil.which("bwrap") or "bwrap",
-        *_privileges(user is not None),
-        "--die-with-parent",
-        "--new-session",
-    ]
+    line = [shutil.which("bwrap") or "bwrap", *_privileges(user is not None)]
+    line += ["--die-with-parent", "--new-session"]
     for parent in sorted(parents | {HOME.parent}, key=lambda path: len(path.parts))[1:]:
         line += ["--perms", "0755", "--dir", str(parent)]  # else hidden from nobody
     for source, target in mounts.items():
@@ -105,10 +102,10 @@ def command(
             line += ["--ro-bind", str(source), str(target)]
     line += ["--proc", "/proc", "--dev", "/dev"]
     for path in filter(Path.exists, COUNTERS):
-        empty = ["--tmpfs"] if path.is_dir() else ["--ro-bind", os.devnull]
-        line += [*empty, str(path), *(["--remount-ro", str(path)] if path.is_dir() else [])]
-    for folder, size in (("/dev/shm", SHARED_MEMORY), (HOME, int(limits.file * GIB))):
-        line += ["--perms", "1777", "--size", str(size), "--tmpfs", str(folder)]
+        folder = ["--tmpfs", str(path), "--remount-ro", str(path)]
+        line += folder if path.is_dir() else ["--ro-bind", os.devnull, str(path)]
+    for path, size in zip(IN_MEMORY, (int(limits.file * GIB), SHARED_MEMORY), strict=True):
+        line += ["--perms", "1777", "--size", str(size), "--tmpfs", str(path)]
     for source, target in writable.items():
         line += ["--bind", str(source), str(target)]
     line += ["--remount-ro", "/dev", "--remount-ro", "/", "--chdir", str(HOME), "--clearenv"]
@@ -137,12 +134,7 @@ def obstacle() -> str | None:
     try:
         with command(words, {}, Limits(), user=user, from_outside=True) as (line, handles):
             ended = subprocess.run(
-                line,
-                capture_output=True,
-                encoding="utf-8",
-                errors="replace",
-                timeout=30.0,
-                pass_fds=handles,
+                line, capture_output=True, errors="replace", timeout=30.0, pass_fds=handles
             )
     except (OSError, subprocess.TimeoutExpired) as error:
         return f"bubblewrap cannot be started: {error}"

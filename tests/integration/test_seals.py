@@ -16,7 +16,7 @@ from wheels import module, write_wheel
 
 from leaderboard.entries import entries, entry_files
 from leaderboard.entries.entry import Entry, EntryError, reconstruct_all
-from leaderboard.sandbox import bubblewrap, client, guest, seccomp
+from leaderboard.sandbox import bubblewrap, client, guest, processes, seccomp
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
 from leaderboard.sandbox.retest import LOOKS_AHEAD, REMEMBERS
@@ -141,6 +141,22 @@ def test_the_threads_of_one_guest_leave_room_for_those_of_another():
 def test_page_tables_count_as_memory(sandbox):
     with pytest.raises(EntryError, match=r"more than 0\.5 GiB, the memory limit"):
         run(sandbox, "map_sparsely")
+
+
+def test_files_without_content_count_as_memory(sandbox, identity, monkeypatch):
+    monkeypatch.setattr(processes, "INODE", 2**20)
+    with pytest.raises(EntryError, match=r"more than 0\.5 GiB, the memory limit"):
+        run(sandbox, "make_empty_files")
+
+
+@pytest.mark.parametrize("root", [True, False])
+def test_no_process_of_a_guest_that_it_could_change_has_other_limits(sandbox, monkeypatch, root):
+    monkeypatch.setattr(bubblewrap, "is_root", lambda: root and os.geteuid() == 0)
+    with pytest.raises(EntryError, match=r"RuntimeError: limits \[.*\]$") as error:
+        run(sandbox, "look_at_limits")
+    limits = [int(x) for x in str(error.value).rpartition("[")[2].rstrip("]").split(", ") if x]
+    assert all(0 < x <= 256 for x in limits[::2]) and all(0 < x < 2**31 for x in limits[1::2])
+    assert len(limits) == (0 if bubblewrap.is_root() else 4)
 
 
 def test_what_sockets_hold_is_little(sandbox):

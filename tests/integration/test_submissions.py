@@ -389,6 +389,9 @@ def test_a_results_repository_is_not_written_over_files(tmp_path):
     assert rules.roads == 4 and [task.name for task in tasks] == ["new_road"]
     with pytest.raises(ConfigError, match="is not empty"):
         repository.write_repository(tmp_path)
+    (tmp_path / "more.yaml").write_text("seeds: 100000000000\n")
+    with pytest.raises(ConfigError, match="seeds: must be at most 100"):
+        load_rules(tmp_path / "more.yaml")
     with pytest.raises(ConfigError, match="has no submission"):
         repository.build_site(tmp_path, tmp_path / "site")
 
@@ -476,7 +479,10 @@ def test_code_that_is_newer_than_the_roads_of_a_season_is_refused(verifies):
     repo, said = verifies
     (repo / "submissions" / "rival" / "code").mkdir()
     (repo / "submissions" / "rival" / "code" / "a.whl").write_text("a")
-    for name, text in (("rules.yaml", "tasks: [seasons/1/class.yaml]\n"), ("seasons/1/class.yaml", "")):
+    for name, text in (
+        ("rules.yaml", "tasks: [seasons/1/class.yaml]\n"),
+        ("seasons/1/class.yaml", ""),
+    ):
         call("git", "add", ".", cwd=repo)
         call("git", "commit", "-m", "before", cwd=repo)
         (repo / name).parent.mkdir(exist_ok=True)

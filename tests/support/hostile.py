@@ -4,6 +4,7 @@ import contextlib
 import fcntl
 import json
 import os
+import resource
 import signal
 import socket
 import stat
@@ -382,6 +383,24 @@ def does_map_sparsely(where, record):
         for k in range(0, size, 2**21):
             memory[k]
     time.sleep(1.0)
+
+
+def does_make_empty_files(where, record):
+    """Make files without content, which take up memory of the kernel: 1 kB each."""
+    for k in range(1000):
+        os.mknod(str(k))
+    time.sleep(10.0)
+
+
+def does_look_at_limits(where, record):
+    """Raise an error with the limits of the processes above that this one may change."""
+    found = []
+    for pid in (1, os.getppid()):
+        with contextlib.suppress(OSError):
+            found += [
+                resource.prlimit(pid, x)[1] for x in (resource.RLIMIT_NOFILE, resource.RLIMIT_DATA)
+            ]
+    raise RuntimeError(f"limits {found}")
 
 
 def does_fill_sockets(where, record):
