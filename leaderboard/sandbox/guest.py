@@ -154,7 +154,7 @@ class Guest:
         self._next_check = time.monotonic() + POLL_INTERVAL
         running = processes.tree(self.pid)
         tables = processes.page_tables(running)
-        tables += processes.memory_of_files(running[-1].pid, self.counted) if running else 0
+        tables += sum(processes.memory_of_files(x.pid, self.counted) for x in running[1:2])
         used = tables + sum(process.resident for process in running)
         limit = self.limits.memory
         if used > limit * GIB and len(running) > 1:
