@@ -79,8 +79,9 @@ mutants: $(READY)
 
 # ten minutes for each reader; SECONDS=20 for less
 fuzz: SECONDS := 600
+fuzz: JOBS := 1
 fuzz: $(READY)
-	$(VENV)/bin/python tests/fuzz.py $(SECONDS)
+	$(VENV)/bin/python tests/fuzz.py $(SECONDS) $(JOBS)
 
 # processes of every stage of a run are killed, and it is resumed; KILLS=20 for more
 kills: KILLS := 5

@@ -1,4 +1,4 @@
-"""Fuzzing of every reader: `make fuzz`; arguments: seconds for each (600), names of some.
+"""Fuzzing of every reader: `make fuzz`; arguments: seconds for each (600), processes (1), names.
 
 Samples are mutated by operations of this file alone, which has no part in the tests: on bytes, on
 lines, on the tree of a JSON or YAML text, and on the members of a ZIP archive. A file must be read
@@ -8,9 +8,12 @@ otherwise is kept in `out/fuzz`, and the counts in `docs/runs/fuzz.txt`.
 
 import collections
 import copy
+import functools
 import hashlib
 import io
 import json
+import multiprocessing
+import os
 import random
 import sys
 import tempfile
@@ -18,6 +21,7 @@ import time
 import traceback
 import zipfile
 from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -56,6 +60,7 @@ from road_envs.drives.recordings.formats import read_source, read_track  # noqa:
 from road_envs.roads.formats.opencrg import WIDTHS, SurfaceFileError  # noqa: E402
 from road_envs.roads.measured import Measured  # noqa: E402
 
+KEPT = ROOT / "out" / "fuzz"
 NUMBERS = (0, -1, 1e308, -1e-308, 2**31, 2**63, 10**40, 1.5, True, None)
 TEXTS = ("", "\u202e", "\\input{x}", "../x", "\x00", "=1", "a" * 3000, "nan", "1e5", "é")
 KINDS = (list, dict)
@@ -285,10 +290,10 @@ def recordings(folder: Path) -> dict[str, Reader]:
     }
 
 
-def fuzz(
-    name: str, reader: Reader, seconds: float, folder: Path, kept: Path
-) -> tuple[int, int, int, float]:
+def fuzz(name: str, seconds: float) -> tuple[int, int, int, float]:
     """Return the numbers of files, of refusals, of other ends, which are kept, and the CPU time."""
+    folder, found = samples()
+    reader = found[name]
     rng = random.Random(f"fuzz {name}")
     end, start, count, refused, faults = time.monotonic() + seconds, time.process_time(), 0, 0, 0
     path = folder / reader.name
@@ -310,34 +315,46 @@ def fuzz(
             fault = False
         if fault or time.process_time() - began > 5.0:
             faults += 1
-            kept.mkdir(parents=True, exist_ok=True)
-            (kept / f"{name.replace(' ', '_')}_{count}_{reader.name}").write_bytes(content)
+            KEPT.mkdir(parents=True, exist_ok=True)
+            (KEPT / f"{name.replace(' ', '_')}_{count}_{reader.name}").write_bytes(content)
     return count, refused, faults, time.process_time() - start
 
 
+@functools.cache
+def samples() -> tuple[Path, dict[str, Reader]]:
+    """Return a folder of this process, for mutated files, and all readers."""
+    folder = Path(tempfile.mkdtemp())
+    made = folder / "samples"
+    made.mkdir()
+    return folder, {**readers(made), **more_readers(made)}
+
+
 def main() -> None:
-    """Fuzz every reader in turn, print and keep the counts."""
+    """Fuzz every reader, print and keep the counts, in the order of the readers."""
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 600.0
+    jobs = int(sys.argv[2]) if len(sys.argv) > 2 else 1
+    head = f"{'reader':<26}{'files':>9}{'read':>9}{'refused':>9}{'faults':>8}{'processor':>11}"
     lines = [
-        f"{seconds:g} s for each reader, of which the processor worked for:\n\n"
-        f"{'reader':<26}{'files':>9}{'read':>9}{'refused':>9}{'faults':>8}{'processor':>11}"
+        f"$ make fuzz SECONDS={seconds:g} JOBS={jobs}",
+        f"{seconds:g} s on the clock for each reader ({jobs} at once), and that of the processor",
+        head,
     ]
     total = 0
     with tempfile.TemporaryDirectory() as temp:
-        made = Path(temp, "samples")
-        made.mkdir()
-        found = {**readers(made), **more_readers(made)}
-        chosen = sys.argv[2:] or list(found)
-        found = {name: found[name] for name in chosen}
-        for name, reader in found.items():
-            count, refused, faults, worked = fuzz(
-                name, reader, seconds, Path(temp), ROOT / "out" / "fuzz"
-            )
-            total += faults
-            read = count - refused - faults
-            lines.append(f"{name:<26}{count:>9}{read:>9}{refused:>9}{faults:>8}{worked:>9.0f} s")
-            print(lines[-1], flush=True)
-    if len(sys.argv) < 3:
+        os.environ["TMPDIR"] = temp  # of all processes
+        tempfile.tempdir = None
+        chosen = sys.argv[3:] or list(samples()[1])
+        context = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(jobs, context) as pool:
+            counts = pool.map(fuzz, chosen, [seconds] * len(chosen))
+            for name, (count, refused, faults, worked) in zip(chosen, counts, strict=True):
+                total += faults
+                read = count - refused - faults
+                lines.append(
+                    f"{name:<26}{count:>9}{read:>9}{refused:>9}{faults:>8}{worked:>9.0f} s"
+                )
+                print(lines[-1], flush=True)
+    if len(sys.argv) < 4:
         kept = ROOT / "docs" / "runs" / "fuzz.txt"
         kept.write_text("\n".join(lines) + "\n", encoding="utf-8")
     sys.exit(total > 0)

@@ -229,10 +229,8 @@ def _check_costs(
         f"{limits.seconds:g} s"
     )
     peak = f"peak {memory:.2f} GiB, the limit is {limits.memory:g} GiB"
-    return [
-        CheckResult("time", predicted < limits.seconds, message),
-        CheckResult("memory", memory < limits.memory, peak),
-    ]
+    time = CheckResult("time", predicted < limits.seconds, message)
+    return [time, CheckResult("memory", memory < limits.memory, peak)]
 
 
 def _format_number(x: float) -> str:

@@ -103,9 +103,8 @@ def evaluate_probes(
         "swap": similarity("swap", original[::-1]),
     }
     level = float(np.sqrt(np.mean(shapes["scale"] ** 2) / max(np.mean(original**2), 1e-30)))
-    is_scaled = SCALE_FACTOR**2 < level < SCALE_FACTOR**0.5
     passed = {name: x > MIN_CORRELATION for name, x in r.items()}
-    passed["scale"] &= is_scaled
+    passed["scale"] &= SCALE_FACTOR**2 < level < SCALE_FACTOR**0.5
     passed["shuffle"] = bool(original.any()) and abs(r["shuffle"]) < MIN_CORRELATION
     messages = {
         "sign": f"accelerations negated: r = {r['sign']:.2f} with the negated estimate",
@@ -127,11 +126,8 @@ def _evaluate_future(
     if causal:
         early = largest_change(original, future, start, lag, record)
         behind = f", {lag:g} m behind the front axle" if lag else ""
-        return CheckResult(
-            "future",
-            early <= EQUALITY_TOLERANCE,
-            f"later samples change the estimate by {1e3 * early:.3g} mm{behind}",
-        )
+        message = f"later samples change the estimate by {1e3 * early:.3g} mm{behind}"
+        return CheckResult("future", early <= EQUALITY_TOLERANCE, message)
     change = np.abs(future.z - original.z).max(axis=0)
     changed = original.s[change > LOOKAHEAD_THRESHOLD * original.z.std()]
     reach = max(0.0, start - changed.min(initial=start))

@@ -9,7 +9,6 @@ the probes, so a card is never modified. A damaged card is ignored. The name fol
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -46,9 +45,8 @@ def find_card(
 ) -> EstimatorCard | None:
     """Return the card of this version of an estimator; None if it is missing or damaged."""
     identity = card_identity(estimator, settings, code)
-    make = partial(build, EstimatorCard, where="card")
-    path = card_path(out, identity)
-    return CARD.find(path, identity, lambda x: make(x | {"identity": identity}))
+    more, path = {"identity": identity}, card_path(out, identity)
+    return CARD.find(path, identity, lambda x: build(EstimatorCard, x | more, "card"))
 
 
 def probe_entries(

@@ -64,8 +64,7 @@ def snapshot(reference: str, folder: Path | None) -> str:
         for source, name in list_files(reference):
             if not name.isprintable():  # a line break would give two snapshots one digest
                 raise EntryError(f"the name of a file must be printable, got {name!r}"[:300])
-            count += 1
-            size += source.stat().st_size
+            count, size = count + 1, size + source.stat().st_size
             if count > MAX_FILES or size > MAX_SIZE:
                 raise EntryError(
                     f"its code has more than {MAX_FILES} files or {MAX_SIZE >> 30} GiB"

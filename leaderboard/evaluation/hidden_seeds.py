@@ -24,6 +24,7 @@ from road_envs.core.config import ConfigError, Settings, build, find, read_yaml
 from road_envs.core.reading import parsing
 
 COMMITMENT = "commitment.json"
+AS_GIVEN = ("utf-8", "surrogateescape")  # a salt may be any bytes
 MIN_SALT_LENGTH = 12
 """Least number of characters of a salt; a shorter one could be found by brute force."""
 
@@ -104,7 +105,7 @@ def _hidden_task(salt: str, hidden: HiddenSeeds, name: str) -> dict[str, Any]:
     if task.digest != hidden.tasks[name]:
         raise ConfigError(f"{name}: the public task has changed since the commitment was made")
     data: dict[str, Any] = read_yaml(find("tasks", name))
-    test = {**data["test"], "seeds": seeds(salt, task, hidden.roads[name])}
+    test = {**data["test"], "seeds": seeds(salt, task, hidden.roads.get(name, 0))}
     test.pop("number", None)
     if task.test.design:
         block = len(task.test.roads_and_seeds)
@@ -126,7 +127,7 @@ def seeds(salt: str, task: Task, count: int) -> list[int]:
     k = 0
     while len(drawn) < count:
         text = "\0".join([salt, task.name, task.digest, str(k)])
-        seed = int.from_bytes(hashlib.sha256(text.encode()).digest()[:6], "big")
+        seed = int.from_bytes(hashlib.sha256(text.encode(*AS_GIVEN)).digest()[:6], "big")
         roads = {seed + i * SEED_STRIDE for i in range(len(task.test.roads))}
         if not roads & public:
             drawn.append(seed)
@@ -137,5 +138,5 @@ def seeds(salt: str, task: Task, count: int) -> list[int]:
 def _commitment(salt: str, hidden: HiddenSeeds) -> str:
     """Return the commitment to a salt, by a slow hash so that guessing the salt is expensive."""
     fields = {**dataclasses.asdict(hidden), "commitment": ""}
-    text = json.dumps(fields, sort_keys=True)
-    return hashlib.scrypt(salt.encode(), salt=text.encode(), n=2**14, r=8, p=1, dklen=32).hex()
+    text = json.dumps(fields, sort_keys=True).encode()
+    return hashlib.scrypt(salt.encode(*AS_GIVEN), salt=text, n=2**14, r=8, p=1, dklen=32).hex()

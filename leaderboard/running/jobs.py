@@ -21,12 +21,6 @@ from typing import Any
 
 from leaderboard.entries.entry import Entry, TrainingRun
 from leaderboard.evaluation import evaluate, store
-from leaderboard.evaluation.evaluate import (
-    ConditionData,
-    EntryRunner,
-    evaluate_entry,
-    simulate_condition,
-)
 from leaderboard.evaluation.provenance import package_version
 from leaderboard.evaluation.results import RESULT, content_digest, evaluation_version
 from leaderboard.evaluation.tasks import Task
@@ -124,7 +118,9 @@ def from_text(text: str, where: str, folder: Path = Path()) -> Job:
     return job
 
 
-def run_job(job: Job, data: ConditionData | str, out: Path, run: EntryRunner) -> Iterator[JobDone]:
+def run_job(
+    job: Job, data: evaluate.ConditionData | str, out: Path, run: evaluate.EntryRunner
+) -> Iterator[JobDone]:
     """Evaluate the entries of a job on the drives `data` one by one and store each result.
 
     `data` may be the reason why there are none.
@@ -132,7 +128,7 @@ def run_job(job: Job, data: ConditionData | str, out: Path, run: EntryRunner) ->
     condition = job.task.conditions[job.condition]
     for entry in job.entries:
         identity = result_identity(job.task, job.condition, entry, job.seeds)
-        result = evaluate_entry(job.task, condition, data, entry, job.seeds, run)
+        result = evaluate.evaluate_entry(job.task, condition, data, entry, job.seeds, run)
         result = dataclasses.replace(result, identity=identity)
         store.save_part(store.to_text(result), out, identity)
         yield JobDone(
@@ -153,10 +149,12 @@ def record_crash(job: Job, reason: str, out: Path) -> JobDone:
     return done
 
 
-def in_sandbox(sandbox: SandboxClient) -> EntryRunner:
+def in_sandbox(sandbox: SandboxClient) -> evaluate.EntryRunner:
     """Return a runner that trains and runs each entry in a guest."""
 
-    def run(entry: Entry, data: ConditionData, seeds: Sequence[int]) -> Iterable[TrainingRun]:
+    def run(
+        entry: Entry, data: evaluate.ConditionData, seeds: Sequence[int]
+    ) -> Iterable[TrainingRun]:
         training, records, car, drives = data.inputs
         return sandbox.reconstruct(
             entry, training, records, car, seeds, calibrations=drives, retest=True
@@ -186,7 +184,7 @@ class JobRunner(contextlib.ExitStack):
         super().__init__()
         self._out, self._code = out, dict[str, Path]()
         self._sandbox: SandboxClient | None = None
-        self._simulated: tuple[tuple[str, int], ConditionData | str] | None = None
+        self._simulated: tuple[tuple[str, int], evaluate.ConditionData | str] | None = None
 
     def run(self, job: Job) -> Iterator[JobDone]:
         """Run a job. Raises ConfigError, OSError."""
@@ -197,7 +195,7 @@ class JobRunner(contextlib.ExitStack):
         drives = (job.task.digest, job.condition)
         if self._simulated is None or self._simulated[0] != drives:
             condition = job.task.conditions[job.condition]
-            self._simulated = drives, simulate_condition(job.task, condition)
+            self._simulated = drives, evaluate.simulate_condition(job.task, condition)
         yield from run_job(job, self._simulated[1], self._out, in_sandbox(self._sandbox))
 
 

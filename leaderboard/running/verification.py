@@ -22,21 +22,7 @@ import numpy as np
 
 from leaderboard.entries.entries import registered_entry
 from leaderboard.entries.entry import Entry
-from leaderboard.evaluation import store
-from leaderboard.evaluation.comparison import (
-    OTHER_KERNELS,
-    SAME_KERNELS,
-    TYPICAL,
-    distance,
-    largest_distance,
-    scores_by_run,
-)
-from leaderboard.evaluation.evaluate import (
-    ConditionData,
-    EntryRunner,
-    evaluate_entry,
-    simulate_condition,
-)
+from leaderboard.evaluation import comparison, evaluate, store
 from leaderboard.evaluation.provenance import describe_environment
 from leaderboard.evaluation.results import Result
 from leaderboard.evaluation.task_files import with_paths
@@ -45,6 +31,8 @@ from leaderboard.evaluation.test_data import RecordedDrive, simulate_drives
 from leaderboard.json_values import to_json_types
 from leaderboard.metrics.bootstrap import interquartile_mean
 from leaderboard.metrics.registry import SCORES
+from leaderboard.sandbox.client import ONE_TRAINING
+from leaderboard.sandbox.retest import LOOKS_AHEAD, NOT_RETESTED, REMEMBERS
 from road_envs.core.artifacts import Kind
 from road_envs.core.config import ConfigError, Settings, build
 
@@ -53,6 +41,9 @@ VERIFICATION = Kind("verification", 1)
 
 SHARE = 0.1
 """Share of the drives of a task that are run again."""
+
+NOTES = (LOOKS_AHEAD, REMEMBERS, NOT_RETESTED, ONE_TRAINING)
+"""What a judge may find out about an entry by chance, and not again."""
 
 DECIDE_DIGITS = ("numpy", "scipy", "numba", "torch", "processor", "blas")
 """Parts of the environment of a result that decide its last digits."""
@@ -72,7 +63,7 @@ class Verified(Settings):
     estimator: str
     identity: str  # of the row
     kernels: str
-    tolerance: float = OTHER_KERNELS
+    tolerance: float = comparison.OTHER_KERNELS
     runs: int = 0
     score: str = ""
     distance: float = 0.0
@@ -87,7 +78,7 @@ class Verified(Settings):
         Any row can name another machine and have the wide tolerance: its mean may still move by no
         more than one run, whose weight is up to 2 / `runs`.
         """
-        near = min(self.tolerance, TYPICAL)
+        near = min(self.tolerance, comparison.TYPICAL)
         mean = near + 2.0 * self.tolerance / max(self.runs, 1)
         far = self.distance > self.tolerance or self.typical > near or self.shift > mean
         return not self.reason and not far
@@ -144,7 +135,7 @@ def save_verified(found: Iterable[Verified], out: Path) -> None:
 
 def verify_folder(
     out: Path,
-    run: EntryRunner,
+    run: evaluate.EntryRunner,
     entries: Sequence[Entry] = (),
     *,
     tasks: Sequence[Task] | None = None,
@@ -177,7 +168,7 @@ def verify_folder(
             if picked := {drive for label, drive in chosen if label == condition.label}:
                 report(f"{task.name}: simulating, {condition.label}", len(found) / len(rows))
                 some = partial(simulate, chosen=picked)
-                data[condition] = simulate_condition(task, condition, some)
+                data[condition] = evaluate.simulate_condition(task, condition, some)
         for row in scored:
             report(f"{task.name}: {row.estimator}", len(found) / len(rows))
             entry = given.get(row.estimator) or registered_entry(
@@ -191,8 +182,8 @@ def _verify_row(
     task: Task,
     row: Result,
     entry: Entry | None,
-    data: Mapping[Condition, ConditionData | str],
-    run: EntryRunner,
+    data: Mapping[Condition, evaluate.ConditionData | str],
+    run: evaluate.EntryRunner,
 ) -> Verified:
     """Run an entry again on the drives of each condition and compare with its row."""
     found = Verified(
@@ -205,28 +196,34 @@ def _verify_row(
     reason = entry.failure or row.stale_reason(task, entry) or _other_drives(row, task)
     if reason is not None:
         return dataclasses.replace(found, reason=reason)
-    stored = scores_by_run(row.scores)
-    same = found.tolerance <= SAME_KERNELS
+    stored = comparison.scores_by_run(row.scores)
+    same = found.tolerance <= comparison.SAME_KERNELS
     ranks_by = task.board_definition.ranks_by
     compared = SCORES if same else [ranks_by]
     pairs: list[tuple[dict[str, float], dict[str, float]]] = []
+    notes = {f"{row.estimator}: {note}" for note in NOTES}
     for condition, drives in data.items():
-        made = evaluate_entry(task, condition, drives, entry, row.seeds, run)
+        made = evaluate.evaluate_entry(task, condition, drives, entry, row.seeds, run)
         if made.failure is not None:
             return dataclasses.replace(found, reason=made.failure)
         if reason := _other_claim(row, made):
             return dataclasses.replace(found, reason=reason)
-        pairs += [(stored.get(run, {}), own) for run, own in scores_by_run(made.scores).items()]
+        notes.update(made.notes)
+        pairs += [
+            (stored.get(run, {}), own) for run, own in comparison.scores_by_run(made.scores).items()
+        ]
+    if (more := [x for x in row.notes if x not in notes]) and len(pairs) >= len(stored):
+        return dataclasses.replace(found, reason=f"its note is not found here: {more[0]}")
     if not pairs:
         return found
-    distances = [largest_distance(row, own, compared) for row, own in pairs]
+    distances = [comparison.largest_distance(row, own, compared) for row, own in pairs]
     worst = max(distances, key=lambda x: x.value)
     ranked = [(a[ranks_by], b[ranks_by]) for a, b in pairs if ranks_by in a and ranks_by in b]
     means = interquartile_mean(np.array(ranked).reshape(-1, 2), axis=0)
     return dataclasses.replace(
         found, runs=len(pairs), score=worst.score, distance=worst.value,
         typical=statistics.median_low([x.value for x in distances]),
-        shift=distance(ranks_by, *means.tolist()) if ranked else 0.0,
+        shift=comparison.distance(ranks_by, *means.tolist()) if ranked else 0.0,
     )  # fmt: skip
 
 
@@ -262,4 +259,4 @@ def _tolerance(row: Result) -> float:
     """Return the tolerance for what was made with the kernels of `row` and is made again here."""
     here = describe_environment()
     same = all(row.environment.get(name) == here.get(name) for name in DECIDE_DIGITS)
-    return SAME_KERNELS if same else OTHER_KERNELS
+    return comparison.SAME_KERNELS if same else comparison.OTHER_KERNELS

@@ -30,6 +30,9 @@ from road_envs.core.code_digest import PACKAGES, ROOT
 HOME = Path("/tmp/guest")
 """Working folder of a guest."""
 
+IN_MEMORY = (HOME, Path("/dev/shm"))
+"""Folders that a guest can write to."""
+
 ENTRY = Path("/entry")
 """Folder with the code of the entry."""
 
@@ -44,16 +47,21 @@ GUEST_USERS = ((0x70000000, 2**28), (61184, 4335))
 guest; the second range is for hosts in a namespace of few users.
 """
 
-SYSTEM = ("/usr", "/lib", "/lib32", "/lib64", "/bin", "/etc/ld.so.cache", "/etc/alternatives")
-"""Paths of the operating system that programs need."""
+SYSTEM = ("/lib", "/lib32", "/lib64", "/bin", "/etc/ld.so.cache", "/etc/alternatives")
+"""Paths of the operating system that programs need, beside PARTS of /usr and /usr/local."""
+
+PARTS = ("bin", "include", "lib", "lib32", "lib64", "libexec", "share", "pyvenv.cfg")
+"""What a guest sees below a prefix where programs are installed: results may lie in /usr/src."""
 
 COUNTERS = tuple(Path("/proc", name) for name in (
     "stat", "vmstat", "diskstats", "loadavg", "interrupts", "softirqs", "schedstat", "zoneinfo",
-    "buddyinfo", "slabinfo", "pagetypeinfo", "timer_list", "locks", "vmallocinfo",
-    "pressure/cpu", "pressure/io", "pressure/memory",
-    "sys/fs/dentry-state", "sys/fs/inode-nr", "sys/fs/inode-state",
+    "buddyinfo", "slabinfo", "pagetypeinfo", "timer_list", "locks", "vmallocinfo", "uptime",
+    "sys/fs/dentry-state", "sys/fs/inode-nr", "sys/fs/inode-state", "sys/fs/file-nr",
+    "sys/fs/aio-nr", "sys/kernel/pty/nr",
+    "acpi", "bus", "driver", "fs", "irq", "pressure", "scsi", "tty",
 ))  # fmt: skip
-"""Files with counts of the whole machine, by which one guest could tell another a number: empty."""
+"""Files and folders with counts of the machine, such as the look-ups of a file system, by which one
+guest could tell another a number: empty."""
 
 BATCH, FEWEST, MOST = 2**10, 2**17, 2**24
 """Numbers of pipes that a processor takes at once; the fewest and most that hide others."""
@@ -83,12 +91,8 @@ def command(
     parents = {
         parent for target in [*mounts.values(), *writable.values()] for parent in target.parents
     }
-    line = [
-        shutil.which("bwrap") or "bwrap",
-        *_privileges(user is not None),
-        "--die-with-parent",
-        "--new-session",
-    ]
+    line = [shutil.which("bwrap") or "bwrap", *_privileges(user is not None)]
+    line += ["--die-with-parent", "--new-session"]
     for parent in sorted(parents | {HOME.parent}, key=lambda path: len(path.parts))[1:]:
         line += ["--perms", "0755", "--dir", str(parent)]  # else hidden from nobody
     for source, target in mounts.items():
@@ -98,9 +102,10 @@ def command(
             line += ["--ro-bind", str(source), str(target)]
     line += ["--proc", "/proc", "--dev", "/dev"]
     for path in filter(Path.exists, COUNTERS):
-        line += ["--ro-bind", os.devnull, str(path)]
-    for folder, size in (("/dev/shm", SHARED_MEMORY), (HOME, int(limits.file * GIB))):
-        line += ["--perms", "1777", "--size", str(size), "--tmpfs", str(folder)]
+        folder = ["--tmpfs", str(path), "--remount-ro", str(path)]
+        line += folder if path.is_dir() else ["--ro-bind", os.devnull, str(path)]
+    for path, size in zip(IN_MEMORY, (int(limits.file * GIB), SHARED_MEMORY), strict=True):
+        line += ["--perms", "1777", "--size", str(size), "--tmpfs", str(path)]
     for source, target in writable.items():
         line += ["--bind", str(source), str(target)]
     line += ["--remount-ro", "/dev", "--remount-ro", "/", "--chdir", str(HOME), "--clearenv"]
@@ -129,12 +134,7 @@ def obstacle() -> str | None:
     try:
         with command(words, {}, Limits(), user=user, from_outside=True) as (line, handles):
             ended = subprocess.run(
-                line,
-                capture_output=True,
-                encoding="utf-8",
-                errors="replace",
-                timeout=30.0,
-                pass_fds=handles,
+                line, capture_output=True, errors="replace", timeout=30.0, pass_fds=handles
             )
     except (OSError, subprocess.TimeoutExpired) as error:
         return f"bubblewrap cannot be started: {error}"
@@ -230,9 +230,10 @@ def _system_mounts() -> dict[Path, Path]:
     words = os.environ.get("LD_LIBRARY_PATH", "").split(os.pathsep)
     libraries = [Path(word) for word in words if word.startswith("/")]
     executable = Path(sys.executable)
+    prefixes = (sys.base_prefix, sys.base_exec_prefix, sys.prefix, sys.exec_prefix)
     wanted = [
         *map(Path, SYSTEM),
-        *map(Path, (sys.base_prefix, sys.base_exec_prefix, sys.prefix, sys.exec_prefix)),
+        *(Path(x, part) for x in ("/usr", "/usr/local", *prefixes) for part in PARTS),
         *(Path(p) for p in sys.path if Path(p).name in ("site-packages", "dist-packages")),
         *project,
         *libraries,

@@ -34,13 +34,7 @@ from leaderboard.sandbox import bubblewrap, estimator_handler, messages, process
 from leaderboard.sandbox.guest import Guest
 from leaderboard.sandbox.launch import START_ATTEMPTS, start_guest
 from leaderboard.sandbox.limits import Limits
-from leaderboard.sandbox.retest import (
-    LOOKS_AHEAD,
-    NOT_RETESTED,
-    Question,
-    compare_answers,
-    draw_questions,
-)
+from leaderboard.sandbox.retest import LOOKS_AHEAD, NOT_RETESTED, compare_answers, draw_questions
 from road_envs.core.atomic_io import TempFolder
 from road_envs.core.code_digest import cache_home
 from road_envs.core.config import ConfigError
@@ -90,6 +84,7 @@ class SandboxClient:
             self._temp.close()
             raise ConfigError(f"{obstacle}; install it, or choose the isolation process")
         self._bubblewrap = obstacle is None and self.limits.isolation != "process"
+        self._pipes = bubblewrap.count_pipes() if self._bubblewrap else 0
         self.isolation = "bubblewrap" if self._bubblewrap else "process"
         if owns_all_children:
             processes.become_subreaper()
@@ -166,37 +161,33 @@ class SandboxClient:
                     return run(asked, [seed], range(len(asked)), known)[0][0].estimates
             return []
 
-        questions: list[Question] = []
-        seed = secret.choice(seeds)
-        again: list[Estimate] | None = None
-        if retest and not ours:
-            questions = draw_questions(records, order, bool(entry.causal), secret)
-            pipes = bubblewrap.count_pipes() if self._forgets(entry) else 0
-            if secret.random() < 0.5:
-                again = run_again()
-                self._forget_guest(entry, pipes)
-        runs, trains, peak_memory = run(records, seeds, order, calibrations)
+        seed, causal = secret.choice(seeds), bool(entry.causal)
+        questions = draw_questions(records, order, causal, secret) if retest and not ours else []
+        steps: list[Callable[[], Any]] = [lambda: run(records, seeds, order, calibrations)]
+        if questions:
+            steps.insert(secret.random() >= 0.5, run_again)
+        answers = {}
+        for k, step in enumerate(steps):
+            if questions and (k == 1) == causal:  # other conditions have the same roads
+                self._forget_guests()
+            answers[step] = step()
+        again = answers.pop(run_again, None)
+        ((runs, trains, peak_memory),) = answers.values()
         notes = [ONE_TRAINING] if not ours and trains and len(runs) < len(seeds) else []
-        looks_ahead = False
+        tested: list[str] = []
         if questions:
             first = next((one for one in runs if one.seed == seed), runs[0])
-            if again is None:
-                self._forget_guest(entry, pipes)
-                again = run_again()
             tested = compare_answers(questions, first, again, entry.lag)
-            looks_ahead = LOOKS_AHEAD in tested or NOT_RETESTED in tested
-            notes += tested
+        looks_ahead, notes = not {LOOKS_AHEAD, NOT_RETESTED}.isdisjoint(tested), notes + tested
         found = {"peak_memory": peak_memory, "isolation": self.isolation, "notes": tuple(notes)}
         return [dataclasses.replace(one, **found, looks_ahead=looks_ahead) for one in runs]
 
-    def _forget_guest(self, entry: Entry, pipes: int) -> None:
-        """Let a guest of a causal entry tell the next one nothing by its files and its pipes."""
-        if self._forgets(entry):
-            bubblewrap.forget_pipes(pipes)
+    def _forget_guests(self) -> None:
+        """Let guests tell the next one nothing by their files and their pipes."""
+        if self._bubblewrap:
+            bubblewrap.forget_pipes(self._pipes)
             bubblewrap.forget_reads([cache_home()])
-
-    def _forgets(self, entry: Entry) -> bool:
-        return self._bubblewrap and bool(entry.causal)
+            self._pipes = bubblewrap.count_pipes()
 
     def _snapshot(self, reference: str) -> tuple[str, Path]:
         """Return the digest of an outside entry's code and the folder with a copy of it."""

@@ -38,7 +38,7 @@ class Guest:
     """A guest that has loaded its libraries; `close` ends it. Raises EntryError.
 
     It inherits the open files `handles`. `peak_memory` [GiB] is the largest that was seen, of all
-    its processes together.
+    its processes together, with the inodes of `counted` file systems in memory.
     """
 
     def __init__(
@@ -65,6 +65,7 @@ class Guest:
             os.set_blocking(handle, False)
         self.output_size, self.output_tail, self.peak_memory = 0, b"", 0.0
         self._end_of_output = False
+        self.counted: tuple[Path, ...] = ()
         self.limits, self._seconds_left = Limits(), 0.0
         self.start_run(Limits(seconds=STARTUP_TIMEOUT))
         try:
@@ -153,6 +154,7 @@ class Guest:
         self._next_check = time.monotonic() + POLL_INTERVAL
         running = processes.tree(self.pid)
         tables = processes.page_tables(running)
+        tables += sum(processes.memory_of_files(x.pid, self.counted) for x in running[1:2])
         used = tables + sum(process.resident for process in running)
         limit = self.limits.memory
         if used > limit * GIB and len(running) > 1:

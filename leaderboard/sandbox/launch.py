@@ -11,11 +11,14 @@ from dataclasses import asdict
 from pathlib import Path
 
 from leaderboard.entries.entry import EntryError
-from leaderboard.sandbox import bubblewrap, worker
+from leaderboard.sandbox import bubblewrap, processes, worker
 from leaderboard.sandbox.guest import Guest
-from leaderboard.sandbox.limits import SET_FOR_ALL, UNLIMITED, Limits, guest_environment
+from leaderboard.sandbox.limits import GIB, SET_FOR_ALL, UNLIMITED, Limits, guest_environment
 from road_envs.core.code_digest import cache_home
 from road_envs.kernels import _numba
+
+OPEN_FILES = 256
+"""Largest number of open files of a process: what pipes and sockets hold counts as no memory."""
 
 START_ATTEMPTS = 2
 """Number of times that a guest which ends while it starts is started."""
@@ -51,7 +54,7 @@ def start_guest(
         writable[cache] = bubblewrap.HOME / cache.name
     setup = worker.Setup(
         handler=handler,
-        limits=limits,
+        threads=4 * limits.processes + 64,
         folder=None if seen is None else str(seen),
         user=bubblewrap.guest_user() if isolated and code is not None else None,
         serves_many=code is None,
@@ -71,9 +74,22 @@ def start_guest(
             words, environment, limits, user=setup.user, from_outside=code is not None,
             read_only=read_only, writable=writable,
         ) as (line, handles):  # fmt: skip
-            return Guest(line, environment, home, handles)
+            guest = Guest(line, environment, home, handles)
+        guest.counted = bubblewrap.IN_MEMORY
+        return guest
 
-    return _with_retry(start)
+    guest = _with_retry(start)
+    values = {
+        "RLIMIT_CORE": 0,
+        "RLIMIT_NOFILE": OPEN_FILES,
+        "RLIMIT_FSIZE": int(limits.file * GIB),
+        "RLIMIT_DATA": int(limits.memory * GIB),  # reserved but unused memory does not count
+        "RLIMIT_CPU": int(limits.seconds * max(1, os.cpu_count() or 1)) + 60,
+    }
+    # of all its processes: in a user namespace an entry can make those above it work for it
+    for process in processes.tree(guest.pid):
+        processes.set_limits(process.pid, values)
+    return guest
 
 
 def start_host_process(handler: str, home: Path, folder: Path) -> Guest:
@@ -86,7 +102,7 @@ def start_host_process(handler: str, home: Path, folder: Path) -> Guest:
     known = guest_environment(home, whole_path=True)
     environment = known | os.environ | {name: known[name] for name in SET_FOR_ALL}
     at = str(folder.absolute())
-    setup = worker.Setup(handler=handler, limits=UNLIMITED, folder=at, serves_many=True)
+    setup = worker.Setup(handler=handler, folder=at, serves_many=True)
     guest = _with_retry(lambda: Guest(_words(setup), environment, home))
     guest.start_run(UNLIMITED)
     return guest

@@ -5,9 +5,11 @@ Descendants are read from /proc, so only on Linux. Elsewhere only process groups
 
 import ctypes
 import os
+import resource
 import signal
 import sys
 import time
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
@@ -16,6 +18,9 @@ PROC = Path("/proc")
 PAGE, TICKS = os.sysconf("SC_PAGE_SIZE"), os.sysconf("SC_CLK_TCK")
 LINUX = sys.platform == "linux"
 PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36
+
+INODE = 1024
+"""Memory [bytes] that an empty file takes up."""
 
 libc = ctypes.CDLL(None, use_errno=True)
 
@@ -72,9 +77,27 @@ def page_tables(processes: list[Process]) -> int:
     return sum(_size(process.pid, "status", "VmPTE") for process in processes)
 
 
-def data_size() -> int:
-    """Return the writable memory [bytes] that this process has mapped; 0 if that is not known."""
-    return _size(os.getpid(), "status", "VmData")
+def memory_of_files(pid: int, folders: Iterable[Path]) -> int:
+    """Return the memory [bytes] of the inodes of file systems in memory, mounted for a process."""
+    with suppress(OSError):
+        found = [os.statvfs(f"{PROC}/{pid}/root{folder}") for folder in folders]
+        return INODE * sum(x.f_files - x.f_ffree for x in found)
+    return 0
+
+
+def set_limits(pid: int, values: Mapping[str, int]) -> None:
+    """Set limits of a process that the kernel enforces, by their names in `resource`.
+
+    That of its writable memory is beyond what it has mapped. Nothing is set if it has ended.
+    """
+    mapped = _size(pid, "status", "VmData") or 2**30
+    for name, value in values.items():
+        kind = getattr(resource, name)
+        with suppress(ProcessLookupError):
+            _, hard = resource.prlimit(pid, kind)
+            value += mapped if name == "RLIMIT_DATA" else 0
+            value = value if hard == resource.RLIM_INFINITY else min(value, hard)
+            resource.prlimit(pid, kind, (value, value))
 
 
 def _size(pid: int, file: str, name: str) -> int:

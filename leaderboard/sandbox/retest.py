@@ -1,8 +1,8 @@
 """Does an entry look ahead or remember? A second guest is asked again about some test drives.
 
 The second guest, which runs first in half of the cases, estimates drives that the first one also
-estimates, after fewer others, and drives whose accelerations and speeds are other ones from a
-secret point on. Heights and standard deviations are compared.
+estimates, after fewer others, and drives whose accelerations, speeds and odometer are other ones
+from a secret point on. Heights and standard deviations are compared.
 """
 
 import dataclasses
@@ -22,9 +22,7 @@ REPEATED_DRIVES = 2
 """Number of test drives that a second guest estimates again, after other drives than the first."""
 
 REPLACED_FROM = ((0.05, 0.45), (0.45, 0.9), (0.9, 1.0))
-"""Ranges of the secret points, as shares of a drive, from which on its samples are replaced: one
-drive for each range.
-"""
+"""Shares of a drive between which its samples are replaced from a secret point on: a drive each."""
 
 LOOKS_AHEAD = "claims to be causal, but its estimate of a test drive depends on later samples"
 REMEMBERS = "its estimate of a test drive depends on the drives that it has seen before"
@@ -75,12 +73,16 @@ def compare_answers(
 
 
 def with_other_future(record: Record, start: float, rng: np.random.Generator) -> Record:
-    """Return a record with other accelerations and speeds from the station `start` [m] on."""
+    """Return a record with other signals from the station `start` [m] on, but for the states."""
     later = record.s >= start
     noise = np.nanstd(record.a) * rng.standard_normal(record.a.shape)
     gain = rng.uniform(1.05, 1.25, record.v.shape)  # another mean and maximum, and median of half
+    scale = rng.choice([-1, 1]) * rng.uniform(0.01, 0.03)  # its end tells an odometer's error
     return dataclasses.replace(
-        record, a=record.a + np.where(later, noise, 0.0), v=record.v * np.where(later, gain, 1.0)
+        record,
+        a=record.a + np.where(later, noise, 0.0),
+        v=record.v * np.where(later, gain, 1.0),
+        s=record.s + scale * np.where(later, record.s - start, 0.0),
     )
 
 

@@ -5,14 +5,13 @@
 Requests come on standard input, replies go to what was standard output; whatever foreign code
 prints goes to standard error. Of all guests (estimators, switching policies), and of the processes
 that run jobs, only the handler of requests differs: `estimator_handler`, `policies.policy_handler`,
-`running.jobs`. It loads foreign code in the child, after all privileges are dropped and the limits
-of the kernel are set. The host checks every reply.
+`running.jobs`. It loads foreign code in the child, after all privileges are dropped. The host sets
+the limits of the kernel before, and checks every reply.
 """
 
 import importlib
 import json
 import os
-import resource
 import signal
 import stat
 import sys
@@ -24,14 +23,10 @@ from typing import Any, NoReturn
 
 # what compiles kernels is imported after `_link_cache`
 from leaderboard.sandbox import processes
-from leaderboard.sandbox.limits import GIB, Limits
 from road_envs.core.config import Settings, build
 
 SERVED = 64
 """Exit status of a child that has served its requests until the end."""
-
-OPEN_FILES = 256
-"""Largest number of open files of a process: what pipes and sockets hold counts as no memory."""
 
 LONGEST_FAILURE = 10_000
 """Largest number of characters of a failure; the host shows fewer."""
@@ -43,14 +38,13 @@ class Setup(Settings):
 
     `handler` is the module whose `make_handler(folder)` makes the `messages.Handler`; `folder` has
     the code from outside, or the results of jobs; `user` is the user and group to become, None to
-    stay;
-    `serves_many` allows further children after the first, for which `libraries` are imported once.
-    The kernel cache `cache` (folder of all files, name of the folder of today's kernels) is copied
-    by links.
+    stay, and `threads` the largest number of its processes and threads; `serves_many` allows
+    further children after the first, for which `libraries` are imported once; `cache` (folder of
+    all files, name of that of today's kernels) is copied by links.
     """
 
     handler: str
-    limits: Limits
+    threads: int = 0
     folder: str | None = None
     user: int | None = None
     serves_many: bool = False
@@ -148,8 +142,9 @@ def _run_child(setup: Setup, replies: int, request: dict[str, Any]) -> NoReturn:
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, signal.SIG_DFL)
         processes.die_with_parent()
-        _set_resource_limits(setup.limits, is_nobody=setup.user is not None)
         if setup.user is not None:  # give up this one and its groups
+            # not before: of this one it would count all processes
+            processes.set_limits(os.getpid(), {"RLIMIT_NPROC": setup.threads})
             os.setgroups([])
             os.setgid(setup.user)
             os.setuid(setup.user)
@@ -179,25 +174,6 @@ def _serve(handle: Any, replies: int, request: dict[str, Any]) -> None:
         reason = str(error) if isinstance(error, EntryError) else describe_error(error)
         answer, found = {"failure": reason[:LONGEST_FAILURE]}, ()
     _reply(replies, answer, found)
-
-
-def _set_resource_limits(limits: Limits, *, is_nobody: bool) -> None:
-    """Set the limits that the kernel enforces. Reserved but unused memory does not count."""
-    mapped = processes.data_size() or GIB  # when it was forked
-    values = {
-        "RLIMIT_CORE": 0,
-        "RLIMIT_NOFILE": OPEN_FILES,
-        "RLIMIT_FSIZE": int(limits.file * GIB),
-        "RLIMIT_DATA": int(limits.memory * GIB) + mapped,
-        "RLIMIT_CPU": int(limits.seconds * max(1, os.cpu_count() or 1)) + 60,
-    }
-    if is_nobody:  # of any other user it would count all processes
-        values["RLIMIT_NPROC"] = 4 * limits.processes + 64
-    for name, value in values.items():
-        kind = getattr(resource, name)
-        _, hard = resource.getrlimit(kind)
-        value = value if hard == resource.RLIM_INFINITY else min(value, hard)
-        resource.setrlimit(kind, (value, value))
 
 
 if __name__ == "__main__":

@@ -56,24 +56,27 @@ def build_site(repository: Path, out: Path) -> Path:
     """Write the site of all submissions of a repository into the folder `out`; its index.
 
     Rows of baselines are taken from the first submission that has them. Raises ConfigError for a
-    damaged submission, and if there is none.
+    damaged submission, if there is none, and for a row in `out` that is of none.
     """
     rules, tasks = load_rules(repository / RULES)
     folders = sorted(path.parent for path in (repository / SUBMISSIONS).glob("*/submission.json"))
     if not folders:
         raise ConfigError(f"{repository / SUBMISSIONS} has no submission")
+    written: set[Path] = set()
     for folder in folders:
         record = load_submission(folder)
         for path in sorted((folder / "results").rglob("*.json")):
             target = out / path.relative_to(folder)
-            known = (path.stem in ALL_BASELINES and not target.exists()) or path.stem == record.name
-            if known:
+            if path.stem == record.name or (path.stem in ALL_BASELINES and target not in written):
+                written.add(target)
                 row = store.load(path)
                 card = card_path(out, card_identity(row.estimator, row.settings, row.code))
                 _copy(path, target)
                 if (probed := folder / card.relative_to(out)).exists():
                     _copy(probed, card)
         _copy(folder / CARD, method_card_path(out, record.name))
+    for path in {*(out / "results").rglob("*.json"), *out.glob("verified.json")} - written:
+        raise ConfigError(f"{path}: of no submission; remove {out}")
     sized = make_run_request(rules, tasks, (), limits=Limits()).sized_tasks()
     for task in sized:
         save_definition(task, out)

@@ -8,6 +8,9 @@ seeds: 3        training seeds
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field
 
 from leaderboard.entries.entry import Entry
 from leaderboard.evaluation.tasks import Task, load_task
@@ -24,7 +27,7 @@ class Rules(Settings):
 
     tasks: tuple[str, ...] = ("new_road",)
     roads: Count | None = None
-    seeds: Count = 3
+    seeds: Annotated[Count, Field(le=100)] = 3
 
 
 def load_rules(path: Path | None) -> tuple[Rules, list[Task]]:

@@ -154,6 +154,16 @@ def test_a_task_changed_after_the_commitment_is_refused(published, monkeypatch):
         hidden_seeds.reveal(SALT, published)
 
 
+def test_a_salt_of_any_bytes_and_a_commitment_without_roads_end_in_no_traceback(tmp_path):
+    salt = "\udcff" * 12  # as Python reads an argument that is no UTF-8
+    hidden = hidden_seeds.commit(salt, [load_task("class")])
+    hidden = dataclasses.replace(hidden, roads={}, commitment="")
+    hidden = dataclasses.replace(hidden, commitment=hidden_seeds._commitment(salt, hidden))
+    hidden_seeds.save(hidden, tmp_path)
+    with pytest.raises(ConfigError, match=r"test\.seeds: must have at least 1 element"):
+        hidden_seeds.reveal(salt, tmp_path)
+
+
 def test_a_folder_can_hold_only_one_hidden_test_set(published):
     with pytest.raises(ConfigError, match="is of another hidden test set"):
         hidden_seeds.save(hidden_seeds.commit(SALT + "!", [load_task("class")]), published)

@@ -8,6 +8,7 @@ import os
 import platform
 import random
 import threading
+from pathlib import Path
 
 import pytest
 from fakes import fake_drives, task
@@ -15,7 +16,7 @@ from wheels import module, write_wheel
 
 from leaderboard.entries import entries, entry_files
 from leaderboard.entries.entry import Entry, EntryError, reconstruct_all
-from leaderboard.sandbox import bubblewrap, client, guest, seccomp
+from leaderboard.sandbox import bubblewrap, client, guest, processes, seccomp
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
 from leaderboard.sandbox.retest import LOOKS_AHEAD, REMEMBERS
@@ -60,6 +61,16 @@ def test_calls_by_which_data_and_memory_outlive_a_guest_are_refused(sandbox, ide
         run(sandbox, "call")
 
 
+def test_a_guest_sees_no_results_beside_the_programs_that_it_needs(tmp_path, monkeypatch):
+    for name in ("bin", "results"):
+        (tmp_path / name).mkdir()
+    monkeypatch.setattr("sys.prefix", str(tmp_path))
+    seen = bubblewrap._system_mounts()
+    assert tmp_path / "bin" in seen
+    for hidden in (tmp_path / "results", Path("/usr/src/app")):
+        assert not any(hidden.is_relative_to(path) for path in seen)
+
+
 def test_the_filter_refuses_the_same_calls_on_each_machine():
     programs = [seccomp.program(machine) for machine in seccomp.AUDIT_ARCH]
     assert len({len(program) for program in programs}) == 1 and len(set(programs)) == 2
@@ -72,6 +83,11 @@ def test_the_filter_refuses_the_same_calls_on_each_machine():
 def test_what_one_guest_has_seen_of_the_future_is_not_kept_for_the_next(sandbox, identity):
     found = run(sandbox, "keep_the_future", causal=True, retest=True)
     assert found.looks_ahead and found.notes[-1] == LOOKS_AHEAD
+
+
+def test_the_end_of_the_odometer_counts_as_a_later_sample(sandbox):
+    found = run(sandbox, "end_the_odometer", causal=True, retest=True)
+    assert found.looks_ahead and LOOKS_AHEAD in found.notes
 
 
 @pytest.mark.parametrize("number", [1, 2])
@@ -125,6 +141,22 @@ def test_the_threads_of_one_guest_leave_room_for_those_of_another():
 def test_page_tables_count_as_memory(sandbox):
     with pytest.raises(EntryError, match=r"more than 0\.5 GiB, the memory limit"):
         run(sandbox, "map_sparsely")
+
+
+def test_files_without_content_count_as_memory(sandbox, identity, monkeypatch):
+    monkeypatch.setattr(processes, "INODE", 2**20)
+    with pytest.raises(EntryError, match=r"more than 0\.5 GiB, the memory limit"):
+        run(sandbox, "make_empty_files")
+
+
+@pytest.mark.parametrize("root", [True, False])
+def test_no_process_of_a_guest_that_it_could_change_has_other_limits(sandbox, monkeypatch, root):
+    monkeypatch.setattr(bubblewrap, "is_root", lambda: root and os.geteuid() == 0)
+    with pytest.raises(EntryError, match=r"RuntimeError: limits \[.*\]$") as error:
+        run(sandbox, "look_at_limits")
+    limits = [int(x) for x in str(error.value).rpartition("[")[2].rstrip("]").split(", ") if x]
+    assert all(0 < x <= 256 for x in limits[::2]) and all(0 < x < 2**31 for x in limits[1::2])
+    assert len(limits) == (0 if bubblewrap.is_root() else 4)
 
 
 def test_what_sockets_hold_is_little(sandbox):

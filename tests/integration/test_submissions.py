@@ -28,6 +28,7 @@ from leaderboard.report.citation import cite_entry
 from leaderboard.running.verification import save_definition, verify_folder
 from leaderboard.sandbox import bubblewrap
 from leaderboard.sandbox.limits import Limits
+from leaderboard.sandbox.retest import REMEMBERS
 from leaderboard.submission import repository, signature
 from leaderboard.submission import submission as submission_module
 from leaderboard.submission.rules import Rules, load_rules
@@ -252,6 +253,15 @@ def test_a_row_of_the_easiest_drive_or_with_a_false_claim_is_refused(verified):
         verified(lambda folder: change_row(folder, lag=3.0))
 
 
+def test_a_note_on_another_entry_is_refused(verified):
+    def accuse(name):
+        return lambda folder: change_row(folder, notes=(f"{name}: {REMEMBERS}",))
+
+    assert all(row.agrees for row in verified(accuse("reader")))  # found by chance
+    with pytest.raises(ConfigError, match="its note is not found here: rival: its estimate"):
+        verified(accuse("rival"))
+
+
 def test_a_card_that_the_probes_do_not_give_is_refused(verified):
     def forge(folder):
         probes = (CheckResult("causality", False, "it is not"),)
@@ -379,6 +389,9 @@ def test_a_results_repository_is_not_written_over_files(tmp_path):
     assert rules.roads == 4 and [task.name for task in tasks] == ["new_road"]
     with pytest.raises(ConfigError, match="is not empty"):
         repository.write_repository(tmp_path)
+    (tmp_path / "more.yaml").write_text("seeds: 100000000000\n")
+    with pytest.raises(ConfigError, match="seeds: must be at most 100"):
+        load_rules(tmp_path / "more.yaml")
     with pytest.raises(ConfigError, match="has no submission"):
         repository.build_site(tmp_path, tmp_path / "site")
 
@@ -440,6 +453,72 @@ def test_a_rival_cannot_be_moved_into_another_submission(verifies):
     call("git", "add", ".", cwd=repo)
     call("git", "commit", "-m", "mine", cwd=repo)
     assert "submissions/rival is removed: for a maintainer" in said(status=1)
+
+
+def test_no_attribute_hides_the_signature_of_what_is_replaced(verifies, tmp_path):
+    repo, said = verifies
+    (repo / "submissions" / "rival" / "signature.json").write_text("{}")
+    (repo / ".gitattributes").write_text("signature.json export-ignore\n")
+    call("git", "add", ".", cwd=repo)
+    call("git", "commit", "-m", "signed", cwd=repo)
+    call("git", "branch", "-f", "main", cwd=repo)
+    (repo / "submissions" / "rival" / "signature.json").unlink()
+    (tmp_path / "road-recon").write_text('#!/bin/sh\n[ $1 = results-site ] || ls "$8"\n')
+    assert said().split() == ["signature.json", "submission.json"]
+
+
+def test_a_link_in_place_of_all_submissions_is_refused(verifies):
+    repo, said = verifies
+    (repo / "submissions").rename(repo / "others")
+    (repo / "submissions").symlink_to("others")
+    shutil.copytree(repo / "others" / "rival", repo / "others" / "mine")
+    assert said(status=1) == "submissions is a link\n"
+
+
+def test_code_that_is_newer_than_the_roads_of_a_season_is_refused(verifies):
+    repo, said = verifies
+    (repo / "submissions" / "rival" / "code").mkdir()
+    (repo / "submissions" / "rival" / "code" / "a.whl").write_text("a")
+    for name, text in (
+        ("rules.yaml", "tasks: [seasons/1/class.yaml]\n"),
+        ("seasons/1/class.yaml", ""),
+    ):
+        call("git", "add", ".", cwd=repo)
+        call("git", "commit", "-m", "before", cwd=repo)
+        (repo / name).parent.mkdir(exist_ok=True)
+        (repo / name).write_text(text)
+    call("git", "add", ".", cwd=repo)
+    call("git", "commit", "-m", "the season ends", cwd=repo)
+    call("git", "branch", "-f", "main", cwd=repo)
+    (repo / "submissions" / "rival" / "results" / "more.json").write_text("")
+    assert "verify-submission submissions/rival" in said()  # with its row of the season
+    newer = "its code is newer than the roads of seasons/1/class.yaml\n"
+    mine = shutil.copytree(repo / "submissions" / "rival", repo / "submissions" / "mine")
+    assert said(status=1).endswith(f"submissions/mine: {newer}")
+    shutil.rmtree(mine)
+    (repo / "submissions" / "rival" / "code" / "a.whl").write_text("b")
+    assert said(status=1) == f"submissions/rival: {newer}"
+    (repo / "rules.yaml").write_text("tasks: [class]\n")
+    assert "verify-submission submissions/rival" in said()
+
+
+def test_what_lies_in_the_folder_of_the_site_is_no_row_of_it(submission, verifies, monkeypatch):
+    repo, said = verifies
+    (repo / "site").mkdir()
+    said()
+    assert not (repo / "site").exists()
+    repo = submission.parents[1]
+    (repo / "rules.yaml").write_text("tasks: [new_road]\nseeds: 2\n")
+    rules, _ = load_rules(repo / "rules.yaml")
+    monkeypatch.setattr(repository, "load_rules", lambda path: (rules, [small()]))
+    row = store.load(store.row_path(submission, "small", "flat"))
+    store.save(dataclasses.replace(row, failure="forged", scores=None), repo / "site")
+    repository.build_site(repo, repo / "site")
+    assert store.load(store.row_path(repo / "site", "small", "flat")).failure is None
+    repository.build_site(repo, repo / "site")
+    store.save(dataclasses.replace(row, estimator="phantom"), repo / "site")
+    with pytest.raises(ConfigError, match=r"phantom\.json: of no submission; remove"):
+        repository.build_site(repo, repo / "site")
 
 
 @pytest.mark.slow
