@@ -193,6 +193,7 @@ def write_jobs(request: RunRequest, out: Path, folder: Path) -> int:
         text, sources = to_packed_text(job)
         for name, source in sources.items():
             if not (folder / name).exists():
+                (folder / name).parent.mkdir(parents=True, exist_ok=True)
                 with atomic_write(folder / name) as partial:
                     partial.write_bytes(source.read_bytes())
         write_text(folder / f"{k}.json", text)
