@@ -13,7 +13,7 @@ from rich.table import Table
 
 from leaderboard.commands import notices, progress_bar
 from leaderboard.commands.output import Output, as_command
-from studies.bench import estimator_speed, speed, start_up
+from studies.bench import estimator_speed, side_motion, speed, start_up
 from studies.bench.identification_speed import identification_speed
 
 
@@ -22,6 +22,7 @@ def bench() -> Output:
     parts: dict[str, Callable[[], list[dict[str, Any]]]] = {
         "integrators": speed.integrator_speed,
         "lanes": speed.fleet_throughput,
+        "side motion": side_motion.side_motion_cost,
         "environment": speed.environment_overhead,
         "policies": speed.training_cost,
         "training": estimator_speed.training,
