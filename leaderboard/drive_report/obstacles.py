@@ -139,7 +139,7 @@ def _detect_path(z: np.ndarray, std: np.ndarray, ds: float) -> Iterator[Detected
     least = GUMBEL_LOCATION - GUMBEL_SCALE * np.log(-np.log(MIN_CONFIDENCE))
     limit = np.maximum(MIN_HEIGHT, least * scatter)
     halves = [round(0.5 * span / ds) for span in SPANS]
-    beyond = np.where(np.abs(d) > limit, np.abs(d), 0.0)
+    beyond, done = np.where(np.abs(d) > limit, np.abs(d), 0.0), np.zeros(z.size, dtype=bool)
     while beyond.any():  # the highest first: its rims depart by up to half as much
         j, peak = (int(k) for k in np.unravel_index(beyond.argmax(), beyond.shape))
         begin, end, found = _read(z, peak, halves[j], float(np.sign(d[j, peak])), ds)
@@ -157,6 +157,8 @@ def _detect_path(z: np.ndarray, std: np.ndarray, ds: float) -> Iterator[Detected
         part = np.abs(d[:, low:high])
         beyond[:, low:high] = np.where(part > limit[:, low:high], part, 0.0)
         beyond[:, begin : end + 1] = 0.0
+        done[peak] = True  # its feet may lie beside it
+        beyond[:, done] = 0.0
 
 
 def _read(
@@ -171,6 +173,8 @@ def _read(
         line = np.interp(np.arange(z.size), [first, last], levels)
         above = sign * (z - line)
         top = first + int(np.argmax(above[first : last + 1]))
+        if above[top] <= 0.0:
+            return first, last, None
         over = above > 0.5 * above[top]
         begin = top - int(np.argmin(over[top::-1])) + 1 if not over[: top + 1].all() else 0
         end = top + int(np.argmin(over[top:])) - 1 if not over[top:].all() else z.size - 1

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from leaderboard.drive_report import analysis
+from leaderboard.drive_report import analysis, obstacles
 from leaderboard.drive_report.analysis import analyse
 from leaderboard.drive_report.conditions import Conditions, load_conditions
 from leaderboard.drive_report.export import write_geojson
@@ -255,3 +255,25 @@ def test_geojson_has_lines_for_segments_and_points_for_obstacles(tmp_path):
         write_geojson(analyse("d", MeasuredRecord(record), estimate("iso_c"), HPMS), tmp_path, "e")
         == []
     )
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("seed", [82, 100, 119, 162, 220])
+def test_obstacles_whose_feet_lie_beside_their_peak_end_the_search(seed, monkeypatch):
+    """Steps near the ends: the feet that are read may be those of a neighbour."""
+    rng, z, readings = np.random.default_rng(seed), np.zeros(400), []
+    for _ in range(rng.integers(1, 4)):
+        at, width = rng.integers(0, z.size), rng.integers(1, 120)
+        z[at : at + width] += rng.choice([-1, 1]) * rng.uniform(0.01, 0.06)
+    if rng.random() < 0.5:
+        z += np.cumsum(rng.standard_normal(z.size)) * rng.choice([0, 1e-4, 5e-4])
+    read = obstacles._read
+
+    def counted(*args):
+        readings.append(args)
+        assert len(readings) <= z.size
+        return read(*args)
+
+    monkeypatch.setattr(obstacles, "_read", counted)
+    list(obstacles._detect_path(z, np.zeros(z.size), PROFILE_SPACING))
+    assert readings
