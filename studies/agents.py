@@ -172,7 +172,7 @@ def summary(rows: list[Row]) -> str:
             f"{group:24s}{signed(gain)}{ride:+15.3f}{own:10.0%} ({base:.0%})"
             for group, (gain, ride, own, base) in found.groups_of(name).items()
         ]
-    lines += ["", f"each seed over {REFERENCE}; its scores on training drives"]
+    lines += ["", f"each seed over {REFERENCE}; its violations; scores on training drives"]
     for row in rows:
         if row["policy"] in LEARNERS:
             gains = []
@@ -180,7 +180,8 @@ def summary(rows: list[Row]) -> str:
                 gain = row["scores"][drives] - found.of(REFERENCE, "scores", drives)[0]
                 gains.append(f"{part} {gain[inside].mean():+.3f}")
             curve = " ".join(f"{score:.2f}" for _, score in row["curve"])
-            lines.append(f"{row['policy']} {row['seed']}: {', '.join(gains)}; {curve}")
+            violated = f"{np.mean(row['violated']['public']):.0%}"
+            lines.append(f"{row['policy']} {row['seed']}: {', '.join(gains)}; {violated}; {curve}")
     return "\n".join(lines)
 
 
