@@ -1,6 +1,9 @@
 """Training of policies: environments as features, policy iteration, stored networks."""
 
 import json
+import re
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -192,6 +195,29 @@ def test_a_learned_policy_stands_beside_the_laws_on_public_drives(trained, monke
     assert means["seed 3"] == pytest.approx(score, rel=1e-4)
     curve = " ".join(f"{value:.3f}" for _, value in trained[1])
     assert learning.lines(found)[0] == f"seed 3, score by round: {curve}"
+
+
+@pytest.mark.parametrize(
+    "steps",
+    [pytest.param(1, marks=pytest.mark.processes), pytest.param(None, marks=pytest.mark.slow)],
+    ids=["one round", "as it stands"],
+)
+def test_the_training_of_the_tutorial_beats_ride_in_ten_minutes(steps, road_recon, tmp_path):
+    """By processor time, which does not depend on what runs beside it."""
+    pytest.importorskip("torch")
+    page = Path(__file__).parents[2] / "docs/tutorials/own_policy.md"
+    (command,) = re.findall(r"^road-recon (train-policy .*)$", page.read_text("utf-8"), re.M)
+    begin = time.process_time()
+    code, printed, error = road_recon(*command.split(), *(["--steps", steps] if steps else []))
+    assert code == 0, printed + error
+    assert time.process_time() - begin < 600.0
+    drives = comparison.public_drives()
+    own, ride, rrms = (
+        drive_all(make_policy(name), drives).score
+        for name in (str(tmp_path / "mine.npz"), "fixed_ride", "rrms")
+    )
+    assert own.mean() > ride.mean() + 2.0
+    assert steps or own.mean() > rrms.mean()
 
 
 def test_training_is_reproducible_and_its_network_can_drive(tmp_path):
