@@ -54,7 +54,7 @@ TEMPLATES = {"bmw_320i": 2, "volkswagen_vanagon": 3}
 def as_driven(car: VehicleParameters) -> VehicleParameters:
     """Return the vehicle that the plant has: linear springs and dampers, no friction, no stops.
 
-    Its wheels lean with their axle, as on swing arms of half the track.
+    Its wheels lean with their axle, as on swing arms of half the track, and do not go fore and aft.
     """
     if not isinstance(car.strut, PassiveStruts):
         raise ConfigError(f"{car.name} has struts that are switched: a plant needs passive ones")
@@ -78,7 +78,7 @@ def as_driven(car: VehicleParameters) -> VehicleParameters:
     )
     axles = {end: replace(getattr(car, end), c_t=0.0) for end in ("front", "rear")}
     arms = (car.front.y_t, car.rear.y_t)
-    side = None if car.side is None else replace(car.side, swing_arm=arms)
+    side = None if car.side is None else replace(car.side, swing_arm=arms, fore_and_aft=False)
     strut = replace(car.strut, front=front, rear=rear)
     return replace(car, strut=strut, side=side, **axles)
 

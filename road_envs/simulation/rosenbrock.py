@@ -48,6 +48,8 @@ from road_envs.vehicle.equations import (
 from road_envs.vehicle.side_motion import (
     add_rolls,
     advance_side,
+    contact_speeds,
+    load_shares,
     rolls,
     side_increments,
     side_middle,
@@ -183,6 +185,13 @@ def _stage_2_at_wheel(vehicle, inputs, work, twist, side, w):
 
 
 @kernel
+def _loaded_slip(p, roll_rates, state, T):
+    """Return l_a u_a [m/s] of both axles under tyre loads `T` (4,)."""
+    u, share = contact_speeds(p, roll_rates, state), load_shares(p, T)
+    return share[0] * u[0], share[1] * u[1]
+
+
+@kernel
 def step(vehicle, motion, inputs, work, out, twist=None, side=None):
     """Advance the `motion` of one or LANES vehicles by one step of StepInputs, in place.
 
@@ -214,7 +223,8 @@ def step(vehicle, motion, inputs, work, out, twist=None, side=None):
     add_manoeuvre_moments(p, get(q, PHI), get(q, THETA), a_x, a_y, f)
     if side is not None:
         state = side_state(q, v)
-        rates = side_rates(p, rolls(q), rolls(v), rolls(f), state, inputs.v, a_y)
+        slip = _loaded_slip(p, rolls(v), state, T)
+        rates = side_rates(p, rolls(q), rolls(f), state, slip, inputs.v, a_y)
         add_rolls(f, rates)
         slopes = side_increments(p, rates, inputs.v, hd)
         middle = side_middle(state, slopes, h)
@@ -256,8 +266,8 @@ def step(vehicle, motion, inputs, work, out, twist=None, side=None):
             own_f += get(p.twist_share, 0) * twist[2]
             own_r += get(p.twist_share, 1) * twist[2]
         moments = roll_moments(p, work.dF, work.dT, own_f, own_r)
-        at, moving = rolls(work.q), rolls(work.v)
-        rates = side_rates(p, at, moving, moments, middle, inputs.v, get(a_xy, 3))
+        slip = _loaded_slip(p, rolls(work.v), middle, work.dT)
+        rates = side_rates(p, rolls(work.q), moments, middle, slip, inputs.v, get(a_xy, 3))
         add_rolls(f, rates)
         advance_side(p, motion, slopes, rates, inputs.v, h, hd)
     if twist is not None:

@@ -17,15 +17,16 @@ shortest gas column) the derivative is that of the branch taken by the step; the
 lift-off is neglected. A vehicle exactly at rest is at such a kink, because the friction law has
 opposite curvature for opening and closing struts. The strut state follows the commands, but its
 derivative is neglected: the dependence of a held extension on the road before the switch is
-missing. Side motion is linear, so its tangent is the same law applied to changes; that by the speed
-is neglected.
+missing. Side motion is linear but for the product of load and side speed of each axle; its change
+by the speed of the drive is neglected.
 
 One row of the tape (TAPE_ROW_SIZE,) holds the derivative of one step. Per strut (4 each): K_1, C_1
 and K_2, C_2, stiffness and damping at stages 1 and 2; G_K, G_C and F_K, F_C, minus the derivatives
 of the right-hand sides of stages 1 and 2 by e and e_dot at the step's beginning (F_K, F_C without
 the contributions of K_2, C_2). Per tyre: TK_1, TC_1, TK_2, TC_2 likewise; G_U, the derivative of
 the first right-hand side by the compression u, and F_U, minus that of the second without TK_2.
-Last come the factors of W.
+Then come the factors of W, and with side motion load shares and side speeds at the contacts of both
+axles (2 each) at stage 1 and at stage 2.
 """
 
 from road_envs.kernels._numba import kernel
@@ -33,6 +34,8 @@ from road_envs.kernels.simd_arrays import add, get, put
 from road_envs.simulation.block_elimination import solve_factored
 from road_envs.simulation.rosenbrock import (
     EXTENSION,
+    LOAD,
+    SIDE,
     TWIST,
     D,
     any_step,
@@ -54,6 +57,8 @@ from road_envs.vehicle.equations import (
 from road_envs.vehicle.side_motion import (
     add_rolls,
     advance_side,
+    contact_speeds,
+    load_shares,
     rolls,
     side_increments,
     side_middle,
@@ -65,7 +70,7 @@ from road_envs.vehicle.tyres import tyre_curvature, tyre_force
 
 K_1, C_1, K_2, C_2, G_K, G_C, F_K, F_C = range(0, 32, 4)
 TK_1, TC_1, TK_2, TC_2, G_U, F_U, BLOCKS, BODY = *range(32, 60, 4), 68
-TAPE_ROW_SIZE = 74
+SHARE, SLIP, TAPE_ROW_SIZE = 74, 78, 82
 
 
 @kernel
@@ -108,8 +113,23 @@ def step_with_derivative(vehicle, motion, inputs, work, out, row, flexible=None,
     # element by element: an assignment of slices takes as long as the rest of the derivative
     for k in range(BODY - BLOCKS):
         row[BLOCKS + k] = work.blocks[k]
-    for k in range(TAPE_ROW_SIZE - BODY):
+    for k in range(SHARE - BODY):
         row[BODY + k] = work.body[k]
+    if side is not None:
+        state = out[SIDE], out[SIDE + 1], out[SIDE + 2], out[SIDE + 3]
+        row[SHARE], row[SHARE + 1] = load_shares(p, out[LOAD : LOAD + 4])
+        row[SLIP], row[SLIP + 1] = contact_speeds(p, rolls(before), state)
+        state = side_middle(state, (0.0, 0.0, out[SIDE + 4], out[SIDE + 5]), h)
+        row[SHARE + 2], row[SHARE + 3] = load_shares(p, work.dT)
+        row[SLIP + 2], row[SLIP + 3] = contact_speeds(p, rolls(work.v), state)
+
+
+@kernel
+def _slip_change(p, row, stage, roll_rates, state, T):
+    """Return the change of l_a u_a of both axles, by those of rates, state and loads `T` (4,)."""
+    u, share, k = contact_speeds(p, roll_rates, state), load_shares(p, T), 2 * stage
+    front = row[SHARE + k] * u[0] + row[SLIP + k] * share[0]
+    return front, row[SHARE + k + 1] * u[1] + row[SLIP + k + 1] * share[1]
 
 
 @kernel
@@ -130,7 +150,7 @@ def tangent_step(p, row, motion, inputs, work, a, flexible=None, side=None):
     (q, v), road, h = motion, inputs.road, inputs.h
     hd = h * D
     f, g, r, k_q, F, T, dF, dT = work.f, work.g, work.r, work.k_q, work.F, work.T, work.dF, work.dT
-    blocks, body = row[BLOCKS:BODY], row[BODY:TAPE_ROW_SIZE]
+    blocks, body = row[BLOCKS:BODY], row[BODY:SHARE]
     # stage 1: F, T give f'; dF, dT give g' - W' k; s, t keep what stage 2 needs of the state at t
     for w in range(4):
         e, e_dot = extension(p, q, w), extension(p, v, w)
@@ -170,7 +190,8 @@ def tangent_step(p, row, motion, inputs, work, a, flexible=None, side=None):
     add_manoeuvre_moments(p, phi, theta, 0.0, 0.0, g)
     if side is not None:  # f and g hold the moments alone, g those of W' k as well
         state = side_state(q, v)
-        rates = side_rates(p, rolls(q), rolls(v), rolls(f), state, inputs.v, 0.0)
+        slip = _slip_change(p, row, 0, rolls(v), state, T)
+        rates = side_rates(p, rolls(q), rolls(f), state, slip, inputs.v, 0.0)
         add_rolls(f, rates)
         add_rolls(g, rates)
         slopes = side_increments(p, rates, inputs.v, hd)
@@ -211,7 +232,8 @@ def tangent_step(p, row, motion, inputs, work, a, flexible=None, side=None):
         add(v, N_DOF, h * (t_v + t_m))
     if side is not None:
         moments = roll_moments(p, dF, dT, front, rear)
-        rates = side_rates(p, rolls(work.q), rolls(work.v), moments, middle, inputs.v, 0.0)
+        slip = _slip_change(p, row, 1, rolls(work.v), middle, dT)
+        rates = side_rates(p, rolls(work.q), moments, middle, slip, inputs.v, 0.0)
         add_rolls(f, rates)
         advance_side(p, motion, slopes, rates, inputs.v, h, hd)
     front, rear = front + hd * relative_roll(r, 0), rear + hd * relative_roll(r, 1)

@@ -108,3 +108,6 @@ class SideMotion(Settings):
         "m",
         "of independent wheels: swing arm seen from the front, wheel to instantaneous centre",
     ] = (1.5, 1.5)
+    fore_and_aft: Annotated[bool, "", "whether the wheels go fore and aft as the body pitches"] = (
+        True
+    )

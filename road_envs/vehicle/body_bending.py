@@ -11,7 +11,7 @@ at the axles' positions x_f and x_r, beyond the weight,
     q'' + 2 zeta w q' + w² q = (psi(x_f) F_f + psi(x_r) F_r) / (m / 4)
 
 and a sensor at x measures psi(x) q'' in addition. The forces follow from the motion of the rigid
-body: F_f + F_r = m z'', x_f F_f + x_r F_r = -I_yy theta''. The coupling is one-way: at 1 m/s² and
+body: F_f + F_r = m z'', x_f F_f + x_r F_r = -I theta''. The coupling is one-way: at 1 m/s² and
 20 Hz the beam bends by 0.06 mm, which the struts do not feel.
 """
 
@@ -36,7 +36,7 @@ def shape(mode: BendingMode, x: np.ndarray | float) -> np.ndarray:
 def modal_force(mode: BendingMode, car: VehicleParameters) -> np.ndarray:
     """Return the modal force per modal mass (2,) by the body's accelerations z'' and theta''."""
     x = np.array([car.front.x, car.rear.x])
-    forces = np.linalg.inv(np.array([[1.0, 1.0], x])) @ np.diag([car.m_b, -car.I_yy])
+    forces = np.linalg.inv(np.array([[1.0, 1.0], x])) @ np.diag([car.m_b, -car.pitch_inertia])
     return shape(mode, x) @ forces / (0.25 * car.m_b)
 
 

@@ -17,7 +17,8 @@ a_x, a_y [m/s²]. Inertia force and displaced weight then add the moments
 
     m_b l_roll (a_y + g phi)  to roll,      m_b l_pitch (g theta - a_x)  to pitch.
 
-They are left out on a straight drive at constant speed, as in the paper.
+They are left out on a straight drive at constant speed, as in the paper, but for what `side_motion`
+says of pitch.
 
 State (14,): z_b [m], phi, theta [rad], z_af [m], phi_af [rad], z_ar, phi_ar, then their rates. At
 the origin every strut has its static length and every tyre its static deflection. Small angles.
@@ -152,9 +153,9 @@ def build_plant(
     velocity, velocity_indices = velocity_tables(car, variation)
     displacement, displacement_indices = displacement_tables(car, variation)
     values = {
-        "M": [car.m_b, car.I_xx, car.I_yy, *(v for a in axles for v in (a.m, a.I_xx))],
+        "M": [car.m_b, car.I_xx, car.pitch_inertia, *(v for a in axles for v in (a.m, a.I_xx))],
         "roll_moment": car.m_b * (car.h_cg - car.roll_centre) * quasi_static,
-        "pitch_moment": car.m_b * (car.h_cg - car.pitch_centre) if manoeuvres else 0.0,
+        "pitch_moment": car.m_b * (car.h_cg - car.pitch_centre if manoeuvres else car.pitch_lever),
         "equalisation": car.valve.equalisation,
         "x": [a.x for a in axles],
         "delta": car.tyre_deflections,

@@ -194,6 +194,22 @@ class VehicleParameters(Settings):
         return self.front.x - self.rear.x
 
     @property
+    def pitch_lever(self) -> float:
+        """Height [m] of the centre of mass above wheels that go fore and aft as the body pitches,
+        as links keep them below it; 0 without such motion (`SideMotion.fore_and_aft`).
+        """
+        if self.side is None or not self.side.fore_and_aft:
+            return 0.0
+        return self.h_cg - self.side.wheel_radius
+
+    @property
+    def pitch_inertia(self) -> float:
+        """Inertia [kg m²] that pitch accelerates: that of the body, and that of wheels and axles
+        which go fore and aft.
+        """
+        return self.I_yy + (self.front.m + self.rear.m) * self.pitch_lever**2
+
+    @property
     def strut_loads(self) -> tuple[float, float]:
         """Static load [N] of one front and of one rear strut, by the lever arms of the body."""
         weight = self.m_b * GRAVITY / self.wheelbase

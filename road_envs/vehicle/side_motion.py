@@ -17,9 +17,12 @@ k_a = y_t / l_a
 (Milliken & Milliken, "Race Car Vehicle Dynamics", 1995, chapter 17). The tyres deflect sideways by
 d_a, which a relaxation length sigma of rolling undoes, and their force follows the deflection
 (Pacejka, "Tire and Vehicle Dynamics", 2012, section 5.4, the linear contact line as a spring of
-rate 2 C_alpha / sigma):
+rate 2 C_alpha / sigma). C_alpha is the cornering stiffness under the static load, and grows with
+the load (its ratio to the load, the cornering coefficient, is about constant: Gillespie,
+"Fundamentals of Vehicle Dynamics", 1992, chapter 6), so that with l_a the load of the axle's tyres
+over the static one
 
-    d_a' = -u_a - (v / sigma) d_a,      F_a = (2 C_alpha / sigma) d_a
+    d_a' = -l_a u_a - (v / sigma) d_a,      F_a = (2 C_alpha / sigma) d_a
 
 It acts on V, r, phi and phi_a with the levers of u_a. At v = 0 the tyres are springs. The masses
 m_a of the axles move with their centres, so that the accelerations of
@@ -32,6 +35,11 @@ struts and of the tyres, which a body held at its roll centres leans over, add t
     sum W_a (h_cg - h_a) phi  to the body,      (W_a h_a + m_a g R k_a²) phi_a  to axle a
 
 (k_a = 1 of a solid axle).
+
+Links keep the wheels below the body, so that they go fore and aft as it pitches (`fore_and_aft`).
+Their masses add
+m_a (h_cg - R)² each to its pitch inertia, and its weight, which they stand under no longer, the
+moment m_b g (h_cg - R) theta.
 
 In a manoeuvre the vehicle's axes accelerate sideways by a_y, and the moments about the roll axis of
 `equations` are left out: the tyres' forces make them. Yaw of a car that is steered is not modelled.
@@ -54,11 +62,12 @@ ROLLS = (1, 4, 6)
 
 SIDE_FIELDS = [
     *((name, "f8", (2,)) for name in ("side_lever", "side_height", "side_rate", "relaxation")),
+    ("load_share", "f8", (2,)),
     ("side_gravity", "f8", (3,)),
     ("side_inverse", "f8", (25,)),
 ]
-"""Constants: h_cg - h_a, h_a, 2 C_alpha / sigma, sigma (0 without side motion), the moments of the
-static loads per angle, and M^-1."""
+"""Constants: h_cg - h_a, h_a, 2 C_alpha / sigma, sigma (0 without side motion), 1 over the static
+load of an axle's tyres, the moments of the static loads per angle, and M^-1."""
 
 
 def side_constants(car: VehicleParameters, gravity: float) -> dict[str, object]:
@@ -82,6 +91,7 @@ def side_constants(car: VehicleParameters, gravity: float) -> dict[str, object]:
         "side_height": height,
         "side_rate": 2.0 * np.array(side.C_alpha) / sigma,
         "relaxation": sigma,
+        "load_share": 0.5 / np.array(car.tyre_loads),
         "side_gravity": [float(load @ lever), *leaning],
         "side_inverse": np.linalg.inv(M).ravel(),
     }
@@ -122,40 +132,48 @@ def side_state(q, v):
 
 
 @kernel
-def side_rates(p, angles, angle_rates, moments, state, v, a_y):
+def load_shares(p, T):
+    """Return the loads `T` (4,) [N] of the tyres of each axle, or their changes, over the static
+    ones.
+    """
+    front = get(p.load_share, 0) * (get(T, 0) + get(T, 1))
+    return front, get(p.load_share, 1) * (get(T, 2) + get(T, 3))
+
+
+@kernel
+def contact_speeds(p, angle_rates, state):
+    """Return u_front and u_rear [m/s] by the rates of `rolls` and the `side_state`."""
+    front = state[2] + get(p.side_lever, 0) * angle_rates[0]
+    rear = state[2] + get(p.side_lever, 1) * angle_rates[0]
+    front = front + get(p.x, 0) * state[3] + get(p.side_height, 0) * angle_rates[1]
+    return front, rear + get(p.x, 1) * state[3] + get(p.side_height, 1) * angle_rates[2]
+
+
+@kernel
+def side_rates(p, angles, moments, state, slip, v, a_y):
     """Return what the side motion adds to the roll `moments` (3), and the rates of its `state`.
 
-    `angles` [rad] and their rates are those of `rolls`; the added moments give the diagonal masses
-    of `equations` the accelerations that M gives all forces. Linear in all but `v`.
+    `angles` [rad] are `rolls`, `slip` (2) [m/s] is l_a u_a. The added moments give the diagonal
+    masses of `equations` the accelerations that M gives all forces. Linear in all but `v`.
     """
-    d_f, d_r, V, r = state
-    x_f, x_r, lever_f, lever_r = (
-        get(p.x, 0),
-        get(p.x, 1),
-        get(p.side_lever, 0),
-        get(p.side_lever, 1),
-    )
-    h_f, h_r = get(p.side_height, 0), get(p.side_height, 1)
+    d_f, d_r, _, r = state
     F_f, F_r = get(p.side_rate, 0) * d_f, get(p.side_rate, 1) * d_r
-    body = moments[0] + (lever_f * F_f + lever_r * F_r) + get(p.side_gravity, 0) * angles[0]
-    front = moments[1] + h_f * F_f + get(p.side_gravity, 1) * angles[1]
-    rear = moments[2] + h_r * F_r + get(p.side_gravity, 2) * angles[2]
-    side, yaw = F_f + F_r, x_f * F_f + x_r * F_r
+    held = get(p.side_lever, 0) * F_f + get(p.side_lever, 1) * F_r
+    body = moments[0] + held + get(p.side_gravity, 0) * angles[0]
+    front = moments[1] + get(p.side_height, 0) * F_f + get(p.side_gravity, 1) * angles[1]
+    rear = moments[2] + get(p.side_height, 1) * F_r + get(p.side_gravity, 2) * angles[2]
+    side, yaw = F_f + F_r, get(p.x, 0) * F_f + get(p.x, 1) * F_r
     to_body = _accelerated(p, 0, body, front, rear, side, yaw)
     to_front = _accelerated(p, 1, body, front, rear, side, yaw)
     to_rear = _accelerated(p, 2, body, front, rear, side, yaw)
     V_rate = _accelerated(p, 3, body, front, rear, side, yaw) - (v * r + a_y)
     r_rate = _accelerated(p, 4, body, front, rear, side, yaw)
-    u = V + lever_f * angle_rates[0]
-    u_f = u + x_f * r + h_f * angle_rates[1]
-    u = V + lever_r * angle_rates[0]
-    u_r = u + x_r * r + h_r * angle_rates[2]
     return (
         get(p.M, 1) * to_body - moments[0],
         get(p.M, 4) * to_front - moments[1],
         get(p.M, 6) * to_rear - moments[2],
-        -u_f - v / get(p.relaxation, 0) * d_f,
-        -u_r - v / get(p.relaxation, 1) * d_r,
+        -slip[0] - v / get(p.relaxation, 0) * d_f,
+        -slip[1] - v / get(p.relaxation, 1) * d_r,
         V_rate,
         r_rate,
     )

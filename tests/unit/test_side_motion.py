@@ -82,6 +82,10 @@ def lagrangian_matrices(car, v):
         centre[[1, r]] = np.array([car.h_cg - h, h]) - s.wheel_radius * camber(car, i)
         contact[[1, r, 7, 8]] = car.h_cg - h, h, 1.0, axle.x
         M += axle.m * np.outer(centre, centre)
+        if s.fore_and_aft:  # the body's weight stands ahead of the wheels' centres
+            lever = car.h_cg - s.wheel_radius
+            M[2, 2] += axle.m * lever**2
+            K[2, 2] -= weight[i] * lever
         contacts.append(contact)
         for sign in (1.0, -1.0):
             e, u = np.zeros((2, 9))
@@ -191,11 +195,13 @@ def test_without_cornering_stiffness_only_the_axles_masses_remain():
     assert abs(push[0]) < 1e-12 * np.abs(a).max() * weak.m_b
 
 
-def test_at_rest_the_tyres_are_springs():
-    M, _, K, contacts = lagrangian_matrices(LINEAR, 0.0)
+@pytest.mark.parametrize("fore_and_aft", [False, True])
+def test_at_rest_the_tyres_are_springs(fore_and_aft):
+    car = with_side(LINEAR, fore_and_aft=fore_and_aft)
+    M, _, K, contacts = lagrangian_matrices(car, 0.0)
     for a, p in enumerate(contacts):
-        K = K + 2.0 * LINEAR.side.C_alpha[a] / LINEAR.side.relaxation[a] * np.outer(p, p)
-    model = linearise(LINEAR, "passive", POINTS, speed=0.0, damping=np.full(4, 1e-9))
+        K = K + 2.0 * car.side.C_alpha[a] / car.side.relaxation[a] * np.outer(p, p)
+    model = linearise(car, "passive", POINTS, speed=0.0, damping=np.full(4, 1e-9))
     found = np.sort(np.abs(np.linalg.eigvals(model.A).imag))[::2]
     expected = np.sqrt(np.sort(np.linalg.eigvals(np.linalg.solve(M, K)).real))
     np.testing.assert_allclose(found, expected, rtol=1e-6)
@@ -205,13 +211,19 @@ def test_at_rest_the_tyres_are_springs():
 
 
 def linear_reference(car, surface, v, t):
+    """Return the states of the linear vehicle, whose side forces grow with the axles' loads."""
     model, L = linearise(car, "passive", POINTS, speed=v), car.wheelbase
+    _, _, _, contacts = lagrangian_matrices(car, v)
 
     def rate(now, x):
         s = v * now - 5.0 - np.array([0.0, 0.0, L, L])
         z = surface.height(s)[[0, 1, 0, 1], range(4)]
         w = v * surface.slope(s)[[0, 1, 0, 1], range(4)]
-        return model.A @ x + model.B @ np.concatenate([z, w])
+        found = model.A @ x + model.B @ np.concatenate([z, w])
+        for a, (axle, load) in enumerate(zip(car.axles, car.tyre_loads, strict=True)):
+            more = axle.k_t * (0.5 * (z[2 * a] + z[2 * a + 1]) - x[3 + 2 * a]) / load
+            found[7 + a] -= more * (contacts[a] @ x[9:])
+        return found
 
     start = np.zeros(len(model.A))
     return solve_ivp(rate, (0.0, t[-1]), start, t_eval=t, rtol=1e-8, atol=1e-12, max_step=0.005).y.T
@@ -224,7 +236,7 @@ def states(drive):
     )
 
 
-def test_the_step_is_of_order_two_on_a_linear_vehicle():
+def test_the_step_is_of_order_two():
     errors = []
     for h in (1e-3, 5e-4):
         drive = simulate(LINEAR, CLASS_C, V, step=h)
