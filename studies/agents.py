@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from leaderboard.evaluation.provenance import describe_environment
 from leaderboard.policies.comparison import GROUPS, REFERENCE, TIE, interval, members
 from road_envs.policies import REGISTRY, create
 from road_envs.policies.fixed import FixedPair
@@ -53,8 +54,10 @@ def compute(policy: str, seed: int) -> Row:
     """Train a learner from a seed, or take a law, and drive all sets.
 
     `curve` are steps or rounds and scores on other training drives, `seconds` the CPU time of the
-    training, `scores` [m²/s⁴] and `violated` (N,) of each set.
+    training on `machine`, `scores` [m²/s⁴] and `violated` (N,) of each set.
     """
+    environment = describe_environment()
+    machine = ", ".join(f"{name} {environment[name]}" for name in ("numpy", "torch", "processor"))
     begin = time.process_time()
     curve: Sequence[tuple[int, float]] = ()
     driver: Any
@@ -68,7 +71,8 @@ def compute(policy: str, seed: int) -> Row:
     else:
         front, rear = policy.split("/")
         driver = FixedPair(front=front, rear=rear)  # type: ignore[arg-type]
-    return {"curve": curve, "seconds": time.process_time() - begin} | evaluate(driver)
+    seconds = time.process_time() - begin
+    return {"curve": curve, "seconds": seconds, "machine": machine} | evaluate(driver)
 
 
 def evaluate(driver: Any) -> Row:
@@ -165,6 +169,8 @@ def summary(rows: list[Row]) -> str:
             lines.append(f"{head:28s}  {part:10s}{signed(gain)} {law:13s} {other}")
             head = ""
         lines.append(f"{'':30s}bar: {'; '.join(found.missed(name)) or 'reached'}")
+    trained = {(row["machine"], row["policy"]) for row in rows if row["policy"] in learners}
+    lines += [f"{policy} trained with {machine}" for machine, policy in sorted(trained)]
     for name in learners:
         title = f"{name}, by group"
         lines += ["", f"{title:24s}over {BEST_LAW:24s} over ride  violations ({REFERENCE})"]

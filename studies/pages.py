@@ -6,7 +6,7 @@
     ```
 
 The block of code becomes the output without its commands; a number behind the path takes the one
-part, of those that blank lines separate.
+part, of those that blank lines separate, and a regular expression in slashes lines with it.
 
     <!-- rows: docs/runs/bench.json what measured aim met -->
 
@@ -26,7 +26,8 @@ from road_envs.core.code_digest import ROOT
 from road_envs.core.config import ConfigError
 
 COPY = re.compile(
-    r"(<!-- output: (\S+?)(?: (\d+))? -->\n```text\n)(?:(?!```).*\n)*(```\n)", re.MULTILINE
+    r"(<!-- output: (\S+?)(?: (\d+))?(?: /(.+)/)? -->\n```text\n)(?:(?!```).*\n)*(```\n)",
+    re.MULTILINE,
 )
 ROWS = re.compile(r"(<!-- rows: (\S+) ([\w ]+?) -->\n\n)((?:\|.*\n)*)")
 WORDS = {"True": "met", "False": "missed", "None": ""}
@@ -42,12 +43,14 @@ def with_outputs(text: str, read: Callable[[str], str]) -> str:
     """Text of a page with its copies as today's outputs are. Raises ConfigError."""
 
     def copy(found: re.Match[str]) -> str:
-        head, path, part, end = found.groups()
+        head, path, part, wanted, end = found.groups()
         lines = [line for line in read(path).splitlines() if not line.startswith("$ ")]
         parts = "\n".join(lines).strip("\n").split("\n\n")
         if part is not None and int(part) >= len(parts):
             raise ConfigError(f"{path} has {len(parts)} parts, and a page asks for part {part}")
-        return head + ("\n\n".join(parts) if part is None else parts[int(part)]) + "\n" + end
+        chosen = "\n\n".join(parts) if part is None else parts[int(part)]
+        lines = [line for line in chosen.splitlines() if not wanted or re.search(wanted, line)]
+        return head + "\n".join(lines) + "\n" + end
 
     def table(found: re.Match[str]) -> str:
         head, path, names, _ = found.groups()

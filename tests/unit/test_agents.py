@@ -23,6 +23,7 @@ def row(policy, score, seed=0, violated=0):
         "seed": seed,
         "curve": [[1, score - 1.0], [2, score]],
         "seconds": 60.0,
+        "machine": "one core",
         "scores": {name: [score] * SIZE for name in agents.SETS},
         "violated": {name: [k < violated for k in range(SIZE)] for name in agents.SETS},
     }
@@ -75,6 +76,7 @@ def test_a_group_below_ride_and_more_violations_are_named(rows):
 def test_the_summary_has_the_bar_the_groups_and_the_curves(rows, tmp_path):
     text = agents.summary(rows)
     assert "bar: reached" in text and "learned 2: public +0.200" in text
+    assert "\nlearned trained with one core\n" in text and "mpc trained" not in text
     assert "over mpc" in text and "-0.300 (-0.300 to -0.300)" in text
     assert "unseen                  +0.100 (+0.100 to +0.100)         +4.200" in text
     agents.draw(rows, tmp_path / "curves.png")

@@ -16,6 +16,11 @@ def test_a_copy_is_the_part_of_the_output_without_commands():
     assert "```text\ntable\n1 2\n\nsecond\n3 4\n```" in with_outputs(whole, lambda path: OUTPUT)
 
 
+def test_a_copy_may_have_some_lines_of_a_part():
+    some = PAGE.replace("a.txt 1", "a.txt 1 /^(3|second) ?/")
+    assert with_outputs(some, lambda path: OUTPUT + "1 3\n") == some.replace("old", "second\n3 4")
+
+
 def test_an_empty_block_is_filled_and_what_follows_it_stays():
     empty = PAGE.replace("old\n", "")
     more = "\n## Next\n\n```sh\nls\n```\n"
