@@ -70,4 +70,4 @@ def test_a_bending_vehicle_that_is_known_leaves_no_more_noise_than_a_stiff_one()
         name: np.std(MapSmoother(draws=0, adapt=False).estimate(record, told).z - truth.z)
         for name, told in (("stiff", DEFENDER), ("bending", car))
     }
-    assert error["bending"] < 0.6 * error["stiff"]
+    assert error["bending"] < 0.65 * error["stiff"]
