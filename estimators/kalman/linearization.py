@@ -17,7 +17,7 @@ from road_envs.kernels.simd_arrays import add, get, put, stack_array, stack_rows
 from road_envs.simulation.rosenbrock import (
     ACCELERATION,
     N_SIDE_SIGNALS,
-    SIDE,
+    SIDE_ACCELERATION,
     TWIST,
     WORKSPACE_ROWS,
     StepInputs,
@@ -26,6 +26,7 @@ from road_envs.simulation.rosenbrock import (
 )
 from road_envs.simulation.sensitivity import TAPE_ROW_SIZE, step_with_derivative, tangent_step
 from road_envs.vehicle.equations import N_DOF, THETA, Z_B, Motion
+from road_envs.vehicle.side_motion import side_size
 from road_envs.vehicle.suspension import VehicleBuffers
 
 
@@ -123,7 +124,8 @@ def _simulate_block(
             if model.flexible is not None:
                 acceleration[N_DOF] = out[TWIST + 2]
             if model.side is not None:
-                acceleration[n_dof - 2], acceleration[n_dof - 1] = out[SIDE + 4], out[SIDE + 5]
+                for j in range(side_size(motion.q)):
+                    acceleration[n_dof - side_size(motion.q) + j] = out[SIDE_ACCELERATION + j]
             bent = 0.0
             if bending.size > 0:
                 bent = bend(model, acceleration, bending)

@@ -139,18 +139,21 @@ def known_road_terms(
     f, lines = _lines(lin.source)
     A, r = _spectrum(lin.source, G), _spectrum(lin.source, lin.residual[None])
     covariance = _covariance(road, lin.source, f)
-    weighted = np.linalg.solve(covariance, lines[:, None, None] * A)
-    # the error of the profile is noise; what the model cannot explain inflates it, band by band
-    power = np.real(np.einsum("fsq,fsq->f", r.conj(), np.linalg.solve(covariance, r))) / r.shape[1]
+    # the error of the profile is noise; what the model cannot explain adds to it, band by band
+    root = np.linalg.cholesky(covariance)
+    A, r = np.linalg.solve(root, A), np.linalg.solve(root, r)
     band = (f / ERROR_BANDWIDTH).astype(int)
     count = np.maximum(np.bincount(band), 1)
-    excess = (np.maximum(np.bincount(band, power) / count, 1.0) - 1.0)[band]
-    scale = 1.0 + excess
-    fit = np.real(np.einsum("f,fsp,fsq->p", 1.0 / scale, weighted.conj(), r))
-    information, score = (
-        np.real(np.einsum("f,fsp,fsq->pq", share, A.conj(), weighted))
-        for share in (1.0 / scale, (1.0 + count[band] * excess) / scale**2)
-    )
+    power = np.zeros((count.size, *root.shape[1:]), dtype=complex)
+    np.add.at(power, band, r @ hermitian(r))
+    values, axes = np.linalg.eigh(power / count[:, None, None])
+    excess = (np.maximum(values, 1.0) - 1.0)[band, :, None]
+    A, r = hermitian(axes)[band] @ A, hermitian(axes)[band] @ r
+    weighted = lines[:, None, None] * A / (1.0 + excess)
+    fit = np.real(np.einsum("fsp,fsq->p", weighted.conj(), r))
+    information = np.real(np.einsum("fsp,fsq->pq", A.conj(), weighted))
+    spread = (1.0 + count[band, None, None] * excess) / (1.0 + excess)
+    score = np.real(np.einsum("fsp,fsq->pq", A.conj(), spread * weighted))
     return LikelihoodTerms(fit, information, score)
 
 

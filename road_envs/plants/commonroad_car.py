@@ -47,6 +47,13 @@ PATCHES = (
 DAMPING_RATE = 0.1
 """Rate [m/s] within which the linear dampers have the slope of the file's."""
 
+CORNERING, RELAXATION = 21.92, 0.05
+"""Cornering stiffness of a tyre over its load [1/rad], p_ky1 of the package; its tyres have no
+relaxation, for which the least length [m] of `SideMotion` stands."""
+
+JOINT_STIFFNESS, JOINT_DAMPING = 175_186.659, 10_215.732
+"""Stiffness [N/m] and damping [N s/m] of the joints of an axle, K_ras and K_rad of all its cars."""
+
 TEMPLATES = {"bmw_320i": 2, "volkswagen_vanagon": 3}
 """Cars of the package; all others have the tyres and joints of the BMW."""
 
@@ -54,7 +61,8 @@ TEMPLATES = {"bmw_320i": 2, "volkswagen_vanagon": 3}
 def as_driven(car: VehicleParameters) -> VehicleParameters:
     """Return the vehicle that the plant has: linear springs and dampers, no friction, no stops.
 
-    Its wheels lean with their axle, as on swing arms of half the track, and do not go fore and aft.
+    Its wheels lean with their axle, as on swing arms of half the track, and do not go fore and aft;
+    tyres and the joints of the axles are those of the package.
     """
     if not isinstance(car.strut, PassiveStruts):
         raise ConfigError(f"{car.name} has struts that are switched: a plant needs passive ones")
@@ -77,8 +85,17 @@ def as_driven(car: VehicleParameters) -> VehicleParameters:
         for strut, load in zip((car.strut.front, car.strut.rear), car.strut_loads, strict=True)
     )
     axles = {end: replace(getattr(car, end), c_t=0.0) for end in ("front", "rear")}
-    arms = (car.front.y_t, car.rear.y_t)
-    side = None if car.side is None else replace(car.side, swing_arm=arms, fore_and_aft=False)
+    side = None
+    if car.side is not None:
+        side = replace(
+            car.side,
+            swing_arm=(car.front.y_t, car.rear.y_t),
+            fore_and_aft=False,
+            C_alpha=tuple(CORNERING * load for load in car.tyre_loads),
+            relaxation=(RELAXATION, RELAXATION),
+            joint_stiffness=(JOINT_STIFFNESS, JOINT_STIFFNESS),
+            joint_damping=(JOINT_DAMPING, JOINT_DAMPING),
+        )
     strut = replace(car.strut, front=front, rear=rear)
     return replace(car, strut=strut, side=side, **axles)
 

@@ -71,7 +71,7 @@ class Trajectory:
 
     @property
     def side(self) -> np.ndarray:
-        """Side motion (N, 6), as from `rosenbrock.SIDE` on; (N, 0) of a vehicle without."""
+        """Side motion (N, 12), as from `rosenbrock.SIDE` on; (N, 0) of a vehicle without."""
         return self.signals[:, rosenbrock.SIDE :]
 
     def vertical_acceleration(self, x: float, y: float, axle: int | None = None) -> np.ndarray:

@@ -342,8 +342,11 @@ class Fleet:
             raise ConfigError(f"the drives of a fleet must have one integrator step, got {steps} s")
         if len({drive.plant.flexible for drive in drives}) > 1:
             raise ConfigError("the cars of a fleet must all have a flexible frame, or none of them")
-        if len({drive.plant.sideways for drive in drives}) > 1:
-            raise ConfigError("the cars of a fleet must all have side motion, or none of them")
+        if len({drive.plant.n_dof for drive in drives}) > 1:
+            raise ConfigError(
+                "the cars of a fleet must all have side motion, or none of them, and joints of the "
+                "axles alike"
+            )
         rows = n_signals(drives[0].plant)
         columns = range(rows) if columns is None else columns
         if wrong := [c for c in columns if not 0 <= c < rows]:

@@ -17,7 +17,7 @@ from road_envs.kernels.simd_arrays import get, put, stack_array, stack_rows
 from road_envs.simulation.rosenbrock import (
     ACCELERATION,
     N_SIDE_SIGNALS,
-    SIDE,
+    SIDE_ACCELERATION,
     TWIST,
     WORKSPACE_ROWS,
     StepInputs,
@@ -26,6 +26,7 @@ from road_envs.simulation.rosenbrock import (
     update_valves,
 )
 from road_envs.vehicle.equations import N_DOF, PLANT_DTYPE, Motion, Plant
+from road_envs.vehicle.side_motion import side_size
 from road_envs.vehicle.suspension import VehicleBuffers
 
 _LANE_CONSTANTS = np.dtype(
@@ -163,8 +164,8 @@ def _integrate_on_road(lanes, road, speed, commands, h, out, flexible=None, side
         if flexible is not None:
             put(out[n], N_DOF, get(row, TWIST + 2))
         if side is not None:
-            put(out[n], q.shape[0] - 2, get(row, SIDE + 4))
-            put(out[n], q.shape[0] - 1, get(row, SIDE + 5))
+            for j in range(side_size(q)):
+                put(out[n], q.shape[0] - side_size(q) + j, get(row, SIDE_ACCELERATION + j))
         for j in range(N_DOF):
             put(out[n], j, get(row, ACCELERATION + j))
 

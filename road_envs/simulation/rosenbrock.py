@@ -68,9 +68,9 @@ N_SIGNALS = 29
 TWIST, N_FLEXIBLE_SIGNALS = 29, 32
 """Further columns of a flexible vehicle: frame twist [rad], its rate and its acceleration."""
 
-SIDE, N_SIDE_SIGNALS = 32, 38
-"""Further columns of a vehicle with side motion: d_front, d_rear, V, r, V' and r' of `side_motion`;
-those of the twist are 0 if its frame is rigid."""
+SIDE, SIDE_ACCELERATION, N_SIDE_SIGNALS = 32, 40, 44
+"""Further columns of a vehicle with side motion: its `side_state` (8), then V', r', w_front' and
+w_rear'. Those of the twist are 0 if its frame is rigid."""
 
 
 def n_signals(plant: Plant) -> int:
@@ -228,10 +228,10 @@ def step(vehicle, motion, inputs, work, out, twist=None, side=None):
         add_rolls(f, rates)
         slopes = side_increments(p, rates, inputs.v, hd)
         middle = side_middle(state, slopes, h)
-        for j in range(4):
+        for j in range(8):
             put(out, SIDE + j, state[j])
-        put(out, SIDE + 4, rates[5])
-        put(out, SIDE + 5, rates[6])
+        for j in range(4):
+            put(out, SIDE_ACCELERATION + j, rates[7 + j])
     for j in range(N_DOF):
         put(g, j, get(f, j))
         put(out, STATE + j, get(q, j))

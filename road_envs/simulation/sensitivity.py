@@ -35,7 +35,9 @@ from road_envs.simulation.block_elimination import solve_factored
 from road_envs.simulation.rosenbrock import (
     EXTENSION,
     LOAD,
+    N_SIDE_SIGNALS,
     SIDE,
+    SIDE_ACCELERATION,
     TWIST,
     D,
     any_step,
@@ -63,6 +65,7 @@ from road_envs.vehicle.side_motion import (
     side_increments,
     side_middle,
     side_rates,
+    side_size,
     side_state,
 )
 from road_envs.vehicle.suspension import strut_curvature, strut_force
@@ -116,10 +119,12 @@ def step_with_derivative(vehicle, motion, inputs, work, out, row, flexible=None,
     for k in range(SHARE - BODY):
         row[BODY + k] = work.body[k]
     if side is not None:
-        state = out[SIDE], out[SIDE + 1], out[SIDE + 2], out[SIDE + 3]
+        V, r, w_f, w_r = out[SIDE + 4], out[SIDE + 5], out[SIDE + 6], out[SIDE + 7]
+        state = out[SIDE], out[SIDE + 1], out[SIDE + 2], out[SIDE + 3], V, r, w_f, w_r
         row[SHARE], row[SHARE + 1] = load_shares(p, out[LOAD : LOAD + 4])
         row[SLIP], row[SLIP + 1] = contact_speeds(p, rolls(before), state)
-        state = side_middle(state, (0.0, 0.0, out[SIDE + 4], out[SIDE + 5]), h)
+        a = out[SIDE_ACCELERATION:N_SIDE_SIGNALS]
+        state = side_middle(state, (0.0, 0.0, 0.0, 0.0, a[0], a[1], a[2], a[3]), h)
         row[SHARE + 2], row[SHARE + 3] = load_shares(p, work.dT)
         row[SLIP + 2], row[SLIP + 3] = contact_speeds(p, rolls(work.v), state)
 
@@ -196,8 +201,8 @@ def tangent_step(p, row, motion, inputs, work, a, flexible=None, side=None):
         add_rolls(g, rates)
         slopes = side_increments(p, rates, inputs.v, hd)
         middle = side_middle(state, slopes, h)
-        put(a, q.shape[0] - 2, rates[5])
-        put(a, q.shape[0] - 1, rates[6])
+        for j in range(side_size(q)):
+            put(a, q.shape[0] - side_size(q) + j, rates[7 + j])
     solve_factored(p, blocks, body, g)
     for j in range(N_DOF):
         rate, k_v = get(v, j), get(g, j)

@@ -12,7 +12,7 @@ from road_envs.kernels._numba import kernel
 from road_envs.kernels.simd_arrays import stack_array
 from road_envs.simulation.rosenbrock import (
     ACCELERATION,
-    SIDE,
+    SIDE_ACCELERATION,
     TWIST,
     WORKSPACE_ROWS,
     StepInputs,
@@ -26,6 +26,7 @@ from road_envs.simulation.sensitivity import (
     tangent_step,
 )
 from road_envs.vehicle.equations import N_DOF, Motion, Plant
+from road_envs.vehicle.side_motion import n_side
 
 
 class TapeInputs(NamedTuple):
@@ -106,7 +107,8 @@ class Tape:
         if self.plant.flexible:
             found = np.column_stack([found, self.signals[:, TWIST + 2]])
         if self.plant.sideways:
-            found = np.column_stack([found, self.signals[:, SIDE + 4 : SIDE + 6]])
+            end = SIDE_ACCELERATION + n_side(self.plant.constants[0])
+            found = np.column_stack([found, self.signals[:, SIDE_ACCELERATION:end]])
         return found
 
     def tangent(self, start: np.ndarray, road: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

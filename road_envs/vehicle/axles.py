@@ -94,8 +94,8 @@ class SideMotion(Settings):
     ]
     relaxation: Annotated[
         tuple[
-            Annotated[float, Field(ge=0.05, le=2.0)],
-            Annotated[float, Field(ge=0.05, le=2.0)],
+            Annotated[float, Field(ge=0.01, le=2.0)],
+            Annotated[float, Field(ge=0.01, le=2.0)],
         ],
         "m",
         "relaxation length of the tyres",
@@ -108,6 +108,27 @@ class SideMotion(Settings):
         "m",
         "of independent wheels: swing arm seen from the front, wheel to instantaneous centre",
     ] = (1.5, 1.5)
-    fore_and_aft: Annotated[bool, "", "whether the wheels go fore and aft as the body pitches"] = (
-        True
-    )
+    fore_and_aft: Annotated[bool, "", "if the wheels go fore and aft as the body pitches"] = True
+    joint_stiffness: Annotated[
+        tuple[Annotated[float, Field(ge=0, le=1e7)], Annotated[float, Field(ge=0, le=1e7)]],
+        "N/m",
+        "of the joints that hold each axle sideways; 0 at both: rigid",
+    ] = (0.0, 0.0)
+    joint_damping: Annotated[
+        tuple[Annotated[float, Field(ge=0, le=1e6)], Annotated[float, Field(ge=0, le=1e6)]],
+        "N s/m",
+        "of these joints",
+    ] = (0.0, 0.0)
+
+    def __post_init__(self):
+        super().__post_init__()
+        if (self.joint_stiffness[0] > 0.0) != (self.joint_stiffness[1] > 0.0):
+            raise ValueError(
+                "joint_stiffness: the joints of one axle only give way; give that of the other, or "
+                f"0 at both, got {list(self.joint_stiffness)} N/m"
+            )
+
+    @property
+    def has_joints(self) -> bool:
+        """True if the joints that hold the axles sideways give way."""
+        return self.joint_stiffness[0] > 0.0

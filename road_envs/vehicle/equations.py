@@ -47,7 +47,7 @@ import numpy as np
 from road_envs.kernels._numba import kernel
 from road_envs.kernels.simd_arrays import add, get, stack_array, stack_rows
 from road_envs.vehicle.parameters import GRAVITY, VehicleParameters, VehicleVariation
-from road_envs.vehicle.side_motion import SIDE_FIELDS, side_constants
+from road_envs.vehicle.side_motion import SIDE_FIELDS, n_side, side_constants
 from road_envs.vehicle.suspension import (
     VehicleBuffers,
     displacement_tables,
@@ -109,8 +109,10 @@ class Plant:
 
     @property
     def n_dof(self) -> int:
-        """Half the number of states: 7, 1 more of a flexible frame, 2 more with side motion."""
-        return N_DOF + self.flexible + 2 * self.sideways
+        """Half the number of states: 7, 1 more of a flexible frame, 2 more with side motion, 2 more
+        with joints of the axles that give way.
+        """
+        return N_DOF + self.flexible + n_side(self.constants[0])
 
     @property
     def kernel_flags(self) -> tuple[bool | None, ...]:

@@ -59,7 +59,7 @@ class LinearModel:
     accelerations [m/s²]. `M` (7,): masses [kg] and inertias [kg m²] of the coordinates.
     `strut_rows` (4, 7), `sensor_rows` (S, 7): strut extensions and sensor heights as linear
     functions of the coordinates. `wheelbase` [m]. A flexible frame adds an eighth coordinate, so
-    that there are 16 states; side motion adds two deflections and two rates (`side_motion`), and
+    that there are 16 states; side motion adds two deflections and two rates or twice these, and
     the model is that at `speed` [m/s], which is None without it.
     """
 
@@ -127,7 +127,9 @@ def linearise(
     if plant.sideways:
         more["inverse_inertia"] = inverse_inertia(plant.constants[0], plant.inertias)
         more["speed"] = float(speed)
-        more["states"] = (*names, "d_f", "d_r", *rates, "V", "r")
+        size = plant.n_dof - own
+        coordinates, speeds = ("d_f", "d_r", "y_f", "y_r"), ("V", "r", "w_f", "w_r")
+        more["states"] = (*names, *coordinates[:size], *rates, *speeds[:size])
     return LinearModel(
         *(A, B, C, D, plant.inertias.copy(), struts, heights, wheelbase, tuple(sensors)), **more
     )
@@ -143,7 +145,7 @@ def jacobian(
 ):
     """Return the Jacobian (14, 14) of the state's rate by the state; (16, 16) if flexible.
 
-    With side motion there are four more states, and it depends on the `speed` [m/s].
+    With side motion there are four more states or eight, and it depends on the `speed` [m/s].
     """
     M, n = plant.inertias[:, None], plant.inertias.size
     K, C = np.empty((n, n)), np.empty((n, n))
