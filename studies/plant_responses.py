@@ -1,4 +1,4 @@
-"""Why the roll of the Defender is another in CommonRoad than in the model, and its pitch in MuJoCo.
+"""Responses of the plants and of the model that is told them, and what a part of it is for.
 
     python -m studies.plant_responses
 
@@ -6,8 +6,7 @@ The plants, with the linear struts of `as_driven`, drive 200 m of class C at 36 
 responses of heave and pitch to the mean of the wheel paths and of roll to the difference are
 compared with those of the linear model. In each band of frequencies stand the gain of the model
 over the plant's and the RMS of the complex difference over that of the plant, both weighted by the
-road. A change of the plant, and one of the vehicle that the model is told, say which part is the
-cause.
+road.
 """
 
 from collections.abc import Iterator
@@ -29,9 +28,6 @@ PLACES = {"centre": (0.0, 0.0), "left": (0.0, 1.0), "behind": (-1.0, 0.0)}
 BANDS = ((1.5, 3.0), (3.0, 5.0), (5.0, 9.0), (9.0, 15.0))
 SEGMENT = 4000
 """Samples of a spectral estimate; at 0.25 Hz a band has six lines or more."""
-
-RIGID = 20.0
-"""Factor of the joints' stiffness that makes them rigid here."""
 
 MOTIONS = ("heave", "pitch", "roll")
 Response = dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]
@@ -71,42 +67,26 @@ def comparison(plant: Response, car: VehicleParameters, motion: str) -> str:
     return cells
 
 
-def commonroad(car: VehicleParameters, rigid: bool = False, camber: bool = True) -> CommonRoadCar:
-    """Return the plant, with `rigid` joints between axles and body, or without `camber` forces."""
-    plant = CommonRoadCar(car, [SensorLocation(*at) for at in PLACES.values()])
-    plant.p.K_ras *= RIGID if rigid else 1.0
-    if not camber:
-        plant.p.tire.p_hy3 = plant.p.tire.p_vy3 = 0.0
-    return plant
-
-
-def with_tyres_of(plant: CommonRoadCar, car: VehicleParameters) -> VehicleParameters:
-    """Return a car whose tyres hold it sideways as the plant's do, almost without relaxation."""
-    assert car.side is not None
-    front, rear = (plant.p.tire.p_ky1 * load for load in car.tyre_loads)
-    side = replace(car.side, C_alpha=(abs(front), abs(rear)), relaxation=(0.05, 0.05))
-    return replace(car, side=side)
-
-
 def cases() -> Iterator[tuple[str, str, str, str, Response, VehicleParameters]]:
     """Yield plant, car, change, motion, response of the plant, and vehicle of the model."""
+    places = [SensorLocation(*at) for at in PLACES.values()]
+    for name in ("bmw_320i", "jeep_cherokee", "defender_110_coils"):
+        car = load_vehicle(name)
+        plant, told = response_of(CommonRoadCar(car, places)), as_driven(car)
+        assert told.side is not None
+        rigid = replace(told, side=replace(told.side, joint_stiffness=(0.0, 0.0)))
+        for motion in MOTIONS:
+            yield "commonroad", name, "told", motion, plant, told
+        yield "commonroad", name, "told that the joints are rigid", "roll", plant, rigid
     for name in ("bmw_320i", "defender_110_coils"):
         car = load_vehicle(name)
-        told = as_driven(car)
-        plain = commonroad(car)
-        own, whole = with_tyres_of(plain, told), response_of(plain)
-        yield "commonroad", name, "told", "heave", whole, told
-        yield "commonroad", name, "told", "pitch", whole, told
-        yield "commonroad", name, "told", "roll", whole, told
-        yield "commonroad", name, "told its tyres", "roll", whole, own
-        rigid = response_of(commonroad(car, rigid=True, camber=False))
-        yield "commonroad", name, "told its tyres; rigid joints, no camber", "roll", rigid, own
-    plant = response_of(MujocoCar(told, [SensorLocation(*at) for at in PLACES.values()]))
-    assert told.side is not None
-    moving = replace(told, side=replace(told.side, fore_and_aft=True))
-    for motion in MOTIONS:
-        yield "mujoco", name, "told", motion, plant, moving
-    yield "mujoco", name, "told that its axles stay as it pitches", "pitch", plant, told
+        assert car.side is not None
+        told = replace(as_driven(car), side=car.side)
+        plant = response_of(MujocoCar(told, places))
+        for motion in MOTIONS:
+            yield "mujoco", name, "told", motion, plant, told
+        staying = replace(told, side=replace(car.side, fore_and_aft=False))
+        yield "mujoco", name, "told that its axles stay as it pitches", "pitch", plant, staying
 
 
 def main() -> None:

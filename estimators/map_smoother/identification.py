@@ -157,7 +157,7 @@ def identify_structure(
     is_short = FIT_SHARE * record.t.size < MIN_DURATION * record.fs
     first, _ = _parts(CalibrationDrive(record), settings, 1.0 if is_short else FIT_SHARE)
     fit = _fit([first], car, settings, structure=True)
-    return with_posterior(fit, car), VehicleUncertainty.of_fit(fit)
+    return with_posterior(fit, car), uncertainty_of(fit)
 
 
 def _fit(

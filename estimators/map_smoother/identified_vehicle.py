@@ -28,7 +28,7 @@ from road_envs.records.accelerometers import to_plain
 from road_envs.records.record import Record
 from road_envs.vehicle.parameters import VehicleParameters
 
-IDENTIFIED = Kind("identified vehicle", 1, ("estimators.map_smoother.identification",))
+KIND = Kind("identified vehicle", 1, ("estimators.map_smoother.identification",))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,8 +99,8 @@ def identify_once(
     Raises CalibrationError, ConfigError.
     """
     files = [path for path in [Path(instruments)] if path.is_file()]
-    identity = IDENTIFIED.identity(asdict(car), instruments, _drives_digest(drives), files=files)
-    return IDENTIFIED.find_or_make(
+    identity = KIND.identity(asdict(car), instruments, _drives_digest(drives), files=files)
+    return KIND.find_or_make(
         cache_home(),
         identity,
         lambda: asdict(_identify(drives, car, instruments)),

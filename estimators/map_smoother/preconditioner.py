@@ -100,18 +100,18 @@ class StationaryHessian:
         """That of the pass `k` alone."""
         return StationaryHessian((self.passes[k]._replace(covered=1.0),))
 
-    def precision(self, road: RoadTransform, noise_variance: np.ndarray) -> np.ndarray:
-        """P(n) (F, 2, 2) under the noise variances (P,)."""
+    def excess(self, road: RoadTransform, noise_variance: np.ndarray) -> np.ndarray:
+        """What P(n) has over that of the prior, 1, (F, 2, 2) under the noise variances (P,)."""
         T = road.transfer_function().T
         pairs = zip(self.passes, noise_variance, strict=True)
         information = np.sum([one.on_road / variance for one, variance in pairs], axis=0)
-        return np.eye(2) + information * T.conj()[:, :, None] * T[:, None, :]
+        return information * T.conj()[:, :, None] * T[:, None, :]
 
     def preconditioner(
         self, road: RoadTransform, noise_variance: np.ndarray, offset_scale: np.ndarray
     ) -> Callable[[np.ndarray], np.ndarray]:
         """A function that maps a gradient to a step; `offset_scale` of `Linearization`."""
-        excess = self.precision(road, noise_variance) - np.eye(2)
+        excess = self.excess(road, noise_variance)
         roots = [
             (np.sqrt(share), _inverse(_root(np.eye(2) + level**2 * excess)))
             for level, share in _split_levels(road.local)
@@ -133,7 +133,7 @@ class StationaryHessian:
 
         What all determine is shared out by the traces of posterior covariance times information.
         """
-        covariance = _inverse(self.precision(road, noise_variance))
+        covariance = _inverse(np.eye(2) + self.excess(road, noise_variance))
         left = np.real(np.trace(covariance, axis1=1, axis2=2))
         T = road.transfer_function().T
         product = T.conj()[:, :, None] * T[:, None, :]
@@ -158,7 +158,7 @@ class StationaryHessian:
         of the nearest octave.
         """
         power = np.sum(np.abs(rfft(road.free * u, axis=1)) ** 2, axis=0) / max(road.free.sum(), 1.0)
-        excess = self.precision(road, noise_variance) - np.eye(2)
+        excess = self.excess(road, noise_variance)
         told = np.sum(1.0 - _posteriors(excess, np.ones(1))[0], axis=1)
         octave = np.round(np.log2(np.maximum(road.n, road.n[1])))
         centre, group = np.unique(octave, return_inverse=True)
@@ -184,7 +184,7 @@ class StationaryHessian:
         obstacle, are more probable than many small ones.
         """
         w = road.local * (TO_WHEEL_PATHS @ u) * np.sqrt(0.5) * road.free
-        excess = self.precision(road, noise_variance) - np.eye(2)
+        excess = self.excess(road, noise_variance)
         told = 1.0 - _posteriors(excess, ROUGHNESS_STEPS).mean(axis=(1, 2))
         resolved = road.free * np.interp(road.local, ROUGHNESS_STEPS, told)
 
@@ -209,7 +209,7 @@ class StationaryHessian:
         Only the spatial frequencies `lines` (F,) count.
         """
         density = 0.5 * np.abs(road.transfer_function().T) ** 2
-        excess = self.precision(road, noise_variance) - np.eye(2)
+        excess = self.excess(road, noise_variance)
         posteriors = _posteriors(excess, ROUGHNESS_STEPS)
         variance = ROUGHNESS_STEPS**2 * np.sum((density * posteriors)[:, lines], axis=(1, 2))
         return np.interp(road.local, ROUGHNESS_STEPS, variance)

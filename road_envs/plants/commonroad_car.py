@@ -91,7 +91,7 @@ def as_driven(car: VehicleParameters) -> VehicleParameters:
             car.side,
             swing_arm=(car.front.y_t, car.rear.y_t),
             fore_and_aft=False,
-            C_alpha=tuple(CORNERING * load for load in car.tyre_loads),
+            C_alpha=(CORNERING * car.tyre_loads[0], CORNERING * car.tyre_loads[1]),
             relaxation=(RELAXATION, RELAXATION),
             joint_stiffness=(JOINT_STIFFNESS, JOINT_STIFFNESS),
             joint_damping=(JOINT_DAMPING, JOINT_DAMPING),

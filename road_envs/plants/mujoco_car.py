@@ -51,7 +51,7 @@ class MujocoCar:
     """One car in MuJoCo; `locations` are those of its accelerometers.
 
     Its struts follow `law`, by default the curves of the vehicle file. Raises ConfigError if it has
-    none, as a car whose struts are switched.
+    none, as a car whose struts are switched, or if the joints of its axles give way.
     """
 
     def __init__(
@@ -64,6 +64,10 @@ class MujocoCar:
             import mujoco
 
         self.mujoco, self.car, self.side = mujoco, car, side_values(car)
+        if self.side.has_joints:
+            raise ConfigError(
+                f"the axles of the plant mujoco have rigid joints, those of {car.name} not"
+            )
         self.model = mujoco.MjModel.from_xml_string(_describe(car, self.side, locations))
         self.data = mujoco.MjData(self.model)
         self.law = law or _passive_law(car)

@@ -110,10 +110,9 @@ def test_information_and_degrees_of_freedom_of_the_passes_add():
     road = objective.road
     alone = [stationary_hessian(Objective(road, (each,))) for each in objective.passes]
     excess = sum(
-        each.precision(road, variance[None]) - np.eye(2)
-        for each, variance in zip(alone, noise, strict=True)
+        each.excess(road, variance[None]) for each, variance in zip(alone, noise, strict=True)
     )
-    np.testing.assert_allclose(joint.precision(road, noise), np.eye(2) + excess, rtol=1e-9)
+    np.testing.assert_allclose(joint.excess(road, noise), excess, rtol=1e-9)
     covered = StationaryHessian(tuple(each._replace(covered=1.0) for each in joint.passes))
     whole = covered.effective_dof(road, noise)
     posterior = np.linalg.inv(np.eye(2) + excess)

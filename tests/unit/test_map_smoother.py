@@ -115,7 +115,7 @@ def test_the_density_of_a_road_is_found_where_readings_tell_it_and_goes_on_from_
     stationary, noise = stationary_hessian(objective), 300.0 * objective.noise_variance
 
     def told(road):
-        posterior = np.linalg.inv(stationary.precision(road, noise))
+        posterior = np.linalg.inv(np.eye(2) + stationary.excess(road, noise))
         return 1.0 - np.diagonal(posterior, axis1=1, axis2=2).real.T
 
     road = objective.road
