@@ -25,10 +25,10 @@ knows the force laws, and is neglected by default. For a linear estimator it is 
 (`statistical_linearization.py`).
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -144,14 +144,6 @@ def posterior(
     return Posterior(n, S, 0.5 * (error + hermitian(error)), gain)
 
 
-class OperatingPoint(NamedTuple):
-    """A vehicle in a `mode` at `v` [m/s], in which it passes over a road."""
-
-    car: Plant | VehicleParameters
-    mode: Mode
-    v: float
-
-
 def bound(
     car: Plant | VehicleParameters,
     mode: Mode,
@@ -177,37 +169,17 @@ def bound(
     if not 0 <= model_error < np.inf:
         raise ValueError(f"model_error must not be negative, got {model_error}")
     n = np.linspace(*scored_band(v), N_FREQUENCIES) if n is None else np.asarray(n, dtype=float)
-    options: dict[str, Any] = {"residual_as_noise": residual_as_noise, "f_c": f_c}
-    options |= {"locations": locations, "damping": damping}
-    H, R = measurement(OperatingPoint(car, mode, v), instruments, prior, n, **options)
+    H, R = measurement(
+        car, mode, v, instruments, prior, n,
+        locations=locations, damping=damping, residual_as_noise=residual_as_noise, f_c=f_c,
+    )  # fmt: skip
     return posterior(n, H, prior.spectrum(n), R, model_error)
 
 
-def bound_of_passes(
-    passes: Sequence[OperatingPoint],
-    instruments: Instruments,
-    prior: RoadPrior,
-    *,
-    n: np.ndarray | None = None,
-) -> Posterior:
-    """Return the least error of linear reconstruction of one road from several passes over it.
-
-    The noise of the passes is independent, so that their information H* R^-1 H adds. `n`
-    [cycles/m] is by default the band of the fastest.
-    """
-    if n is None:
-        n = np.linspace(*scored_band(max(one.v for one in passes)), N_FREQUENCIES)
-    parts = [measurement(one, instruments, prior, n) for one in passes]
-    H = np.concatenate([H for H, _ in parts], axis=1)
-    R, first = np.zeros((n.size, H.shape[1], H.shape[1]), dtype=complex), 0
-    for _, one in parts:
-        inside = slice(first, first + one.shape[1])
-        R[:, inside, inside], first = one, inside.stop
-    return posterior(n, H, prior.spectrum(n), R)
-
-
 def measurement(
-    at: OperatingPoint,
+    car: Plant | VehicleParameters,
+    mode: Mode,
+    v: float,
     instruments: Instruments,
     prior: RoadPrior,
     n: np.ndarray,
@@ -221,7 +193,6 @@ def measurement(
 
     The arguments are those of `bound`.
     """
-    car, mode, v = at
     if damping is None:
         damping = equivalent_damping(car, mode, v, prior)
     if locations is None:
