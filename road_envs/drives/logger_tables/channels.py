@@ -68,15 +68,6 @@ class TableFindings:
             raise ConfigError(f"{len(problems)} problems: {listed}")
 
 
-def _without_spikes(a: np.ndarray) -> tuple[np.ndarray, int]:
-    """Return a channel (N,) without the few samples that no sensor measures, and their number."""
-    beyond = np.abs(a - np.nanmedian(a)) > LOUDEST
-    lost = int(beyond.sum())
-    if not 0 < lost <= MAX_SPIKES * a.size:
-        return a, 0
-    return np.where(beyond, np.nan, a), lost
-
-
 class Channels:
     """The columns of a `table` by quantity, by a `description` and the headers.
 
@@ -141,16 +132,15 @@ class Channels:
         name = self.headers[quantity]
         a = -a if quantity in self.description.invert else a
         problems, notes = self.findings.problems, self.findings.notes
-        a, lost = _without_spikes(a)
-        if lost:
+        beyond = np.abs(a - np.nanmedian(a)) > LOUDEST
+        if 0 < (lost := int(beyond.sum())) <= MAX_SPIKES * a.size:
+            a = np.where(beyond, np.nan, a)
             notes.append(
                 f"{name}: {lost} samples beyond {LOUDEST:g} m/s² of the others are taken as lost"
             )
         finite = a[np.isfinite(a)]
         mean, spread = float(finite.mean()), float(finite.std())
-        in_g = self.unit(quantity) is None and (
-            GRAVITY_IN_G[0] < mean < GRAVITY_IN_G[1] or -GRAVITY_IN_G[1] < mean < -GRAVITY_IN_G[0]
-        )
+        in_g = self.unit(quantity) is None and GRAVITY_IN_G[0] < abs(mean) < GRAVITY_IN_G[1]
         if spread <= 1e-12:
             problems.append(
                 f"{name} is {mean:g} in all rows: the sensor is dead, or the wrong column"

@@ -63,7 +63,7 @@ def read_motion(
     if v is not None and STANDING < v.min() < 0.0:
         findings.notes.append(f"speeds down to {v.min():.2g} m/s are taken as standstill")
         v = np.maximum(v, 0.0)
-    if position is not None and not _is_on_earth(position):
+    if position is not None and (np.abs(position).max(axis=1) > (90.0, 180.0)).any():
         findings.problems.append(
             "the positions are no latitudes within ±90° and longitudes within ±180°"
         )
@@ -206,10 +206,6 @@ def _without_fix(channels: Channels) -> np.ndarray:
     if lat is None or lon is None:
         return np.zeros(len(next(iter(channels.table.values()))), dtype=bool)
     return (lat == 0.0) & (lon == 0.0)
-
-
-def _is_on_earth(position: np.ndarray) -> bool:
-    return bool((np.abs(position[0]) <= 90.0).all() and (np.abs(position[1]) <= 180.0).all())
 
 
 def _check(

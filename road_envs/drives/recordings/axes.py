@@ -48,12 +48,8 @@ def find_axes(table: Table, description: DriveDescription) -> Axes | None:
     complete = {key: axes for key, axes in groups.items() if len(axes) == 3}
     if not complete:
         return None
-
     # gravity tells the mount: axes that include it come first, then those that are named
-    def rank(key: str) -> tuple[bool, bool]:
-        return _is_linear(key), "acc" not in key
-
-    best = min(complete, key=rank)
+    best = min(complete, key=lambda key: (_is_linear(key), "acc" not in key))
     x, y, z = (complete[best][axis] for axis in "xyz")
     return Axes((x, y, z), _is_linear(best))
 

@@ -29,7 +29,6 @@ from road_envs.drives.recordings import (
     gpx,
     json_lines,
     mcap,
-    member_tables,
     phyphox,
     rosbag,
     sensor_logger,
@@ -44,19 +43,7 @@ READ = (
 )
 """What is read, in words."""
 
-SUFFIXES = (
-    ".csv",
-    ".txt",
-    ".zip",
-    ".parquet",
-    ".mf4",
-    ".mdf",
-    ".vbo",
-    ".json",
-    ".jsonl",
-    ".mcap",
-    ".db3",
-)
+SUFFIXES = ".csv .txt .zip .parquet .mf4 .mdf .vbo .json .jsonl .mcap .db3".split()
 """Ends of the names of files in a folder of several drives."""
 
 HEAD = 20_000
@@ -144,7 +131,7 @@ def _table_and_track(
     for member, data in members.items():
         if member.lower().endswith((".csv", ".txt")):
             with suppress(ConfigError):
-                tables[member] = member_tables.parse_member(member, data)
+                tables[member] = archive.parse_member(member, data)
     with_axes = {m: found for m, x in tables.items() if (found := axes.find_axes(x, description))}
     if len(with_axes) != 1:
         return None

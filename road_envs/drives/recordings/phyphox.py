@@ -15,7 +15,7 @@ import numpy as np
 
 from road_envs.core.config import ConfigError
 from road_envs.drives.logger_tables.table import Table
-from road_envs.drives.recordings.member_tables import find_member, number_column, parse_member
+from road_envs.drives.recordings.archive import find_member, number_column, parse_member
 from road_envs.drives.recordings.recording import Recording, Series, make_track
 
 AXES = (("X", "Y", "Z"), ("Acceleration x", "Acceleration y", "Acceleration z"))

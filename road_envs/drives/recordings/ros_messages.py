@@ -114,9 +114,7 @@ def to_recording(name: str, app: str, messages: Iterable[RosMessage]) -> Recordi
     a = _in_order(units[chosen])
     zero = float(a[0, 0])
     parts = [_track(values, kind, zero) for (kind, _), values in rows.items() if kind != IMU]
-    track = None
-    if parts:
-        track = _merged(np.concatenate(parts))
+    track = _merged(np.concatenate(parts)) if parts else None
     return Recording(
         name=name, app=app, acceleration=Series(a[:, 0] - zero, a[:, 1:]), track=track,
         epoch=zero, notes=notes,

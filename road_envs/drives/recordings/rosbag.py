@@ -4,6 +4,7 @@ After the "rosbag2 storage" documents of https://github.com/ros2/rosbag2: a file
 tables `topics` (id, name, type, serialization_format) and `messages` (topic_id, timestamp, data).
 """
 
+import itertools
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing
@@ -38,7 +39,8 @@ def read_rosbag(path: Path) -> Recording:
         )
     files = _files(path) if path.is_dir() else [path]
     name = path.name if path.is_dir() else path.stem
-    return to_recording(name, "ROS 2 bag", _messages(files))
+    messages = (_of_sqlite(p) if p.suffix != ".mcap" else mcap_messages(p) for p in files)
+    return to_recording(name, "ROS 2 bag", itertools.chain.from_iterable(messages))
 
 
 def _files(folder: Path) -> list[Path]:
@@ -47,11 +49,6 @@ def _files(folder: Path) -> list[Path]:
 
 def _packed(folder: Path) -> list[Path]:
     return sorted(folder.glob("*.db3.zstd")) + sorted(folder.glob("*.mcap.zstd"))
-
-
-def _messages(files: list[Path]) -> Iterator[RosMessage]:
-    for path in files:
-        yield from _of_sqlite(path) if path.suffix != ".mcap" else mcap_messages(path)
 
 
 def _of_sqlite(path: Path) -> Iterator[RosMessage]:

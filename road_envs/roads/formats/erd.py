@@ -91,7 +91,8 @@ def _parse_header(data: bytes) -> tuple[Header, bytes]:
         raise SurfaceFileError(
             f"unknown number type {number_type}; known: 1 (4-byte float) and 5 (text)"
         )
-    keywords = _keywords(lines[2:])
+    # the first of repeated keywords counts
+    keywords = {line[:8].strip().upper(): line[8:] for line in reversed(lines[2:])}
     step = number(fields[5], "the step") * metres(keywords.get("XUNITS", ""), "the step")
     if not 0.0 < step < MAX_LENGTH:
         raise SurfaceFileError(
@@ -166,11 +167,6 @@ def _fields(header: Header, keyword: str, width: int) -> list[str]:
     """Return the text of each channel under a keyword, `width` characters per channel."""
     text = header.keywords.get(keyword, "")
     return [text[k * width : (k + 1) * width].strip() for k in range(header.channels)]
-
-
-def _keywords(lines: list[str]) -> dict[str, str]:
-    """Return the texts by keyword; the first of repeated keywords counts."""
-    return {line[:8].strip().upper(): line[8:] for line in reversed(lines)}
 
 
 def _whole_number(text: str) -> int:
