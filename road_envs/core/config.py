@@ -242,9 +242,9 @@ def _range_adapters(cls: Any) -> dict[str, TypeAdapter]:
 
 def _unnoted(hint: Any) -> Any:
     """Return a type without unit and meaning: fields of one range then share a validator."""
-    rules = tuple(note for note in getattr(hint, "__metadata__", ()) if not isinstance(note, str))
     if get_origin(hint) is not Annotated:
         return hint
+    rules = [note for note in hint.__metadata__ if not isinstance(note, str)]
     return Annotated[(hint.__origin__, *rules)] if rules else hint.__origin__
 
 

@@ -174,7 +174,11 @@ class InstrumentedFleet:
             self.unresolved[i] = self.settings.unresolved_variance(drive.speed)
         if self.settings.individual:
             self.cars.put(i, drive.plant, drive.car)
-            self._set_profile(row, drive)
+            # at least one interval, which a drive that has ended repeats
+            s, v, a_xy = drive.half_step_inputs(max(drive.steps_left, self.steps))
+            if (more := s.size - self._profiles.shape[2]) > 0:
+                self._profiles = np.pad(self._profiles, ((0, 0), (0, 0), (0, more)))
+            self._profiles[row, :, : s.size] = s, v, *a_xy.T
 
     def share(self, i: int, others: range) -> None:
         """Start the vehicles `others` on the drive of vehicle `i`, which all then share."""
@@ -222,7 +226,14 @@ class InstrumentedFleet:
         moving = self._moving if mask is None else np.unique(np.flatnonzero(mask) // LANES)
         # blocks advance as a whole: lanes outside the mask are restored afterwards
         saved = None if mask is None else [field[moving] for field in self.state]
-        output, a_xy = self._allocate_output(), self._manoeuvre_inputs()
+        size = self.n_vehicles
+        output = StepOutput(
+            np.empty((size, self.observation_size), dtype=np.float32),
+            np.empty((size, len(self.columns))),
+            np.empty((size, 3), dtype=np.int64),
+            np.empty((size, fa.N_TRUE * self.settings.truth, self.samples)),
+        )
+        a_xy = self._manoeuvre_inputs()
         inputs = IntervalInputs(
             self.road_heights.ravel(), self._commands.reshape(-1, LANES), a_xy, self._profiles
         )
@@ -301,14 +312,6 @@ class InstrumentedFleet:
         layout[fa.ROAD_SIZE] = size
         layout[fa.ROAD_START], layout[fa.ROAD_PER_DS] = drive.surface.start, 1.0 / drive.surface.ds
 
-    def _set_profile(self, row: int, drive: DriveSimulator) -> None:
-        """Set the station, speed and accelerations in `row` to those of a `drive`."""
-        # at least one interval, which a drive that has ended repeats
-        s, v, a_xy = drive.half_step_inputs(max(drive.steps_left, self.steps))
-        if (more := s.size - self._profiles.shape[2]) > 0:
-            self._profiles = np.pad(self._profiles, ((0, 0), (0, 0), (0, more)))
-        self._profiles[row, :, : s.size] = s, v, *a_xy.T
-
     def _manoeuvre_inputs(self) -> np.ndarray:
         """Return alternating a_x, a_y (B or 1, ..., LANES) for the next interval."""
         manoeuvre = self.settings.manoeuvre
@@ -318,15 +321,6 @@ class InstrumentedFleet:
         instants = 0.5 * self.step * (2 * done[:, None] + np.arange(2 * self.steps + 1)[:, None])
         a_xy = manoeuvre.at(instants)
         return np.moveaxis(a_xy, -1, 2).reshape(len(done), 4 * self.steps + 2, LANES)
-
-    def _allocate_output(self) -> StepOutput:
-        size = self.n_vehicles
-        return StepOutput(
-            np.empty((size, self.observation_size), dtype=np.float32),
-            np.empty((size, len(self.columns))),
-            np.empty((size, 3), dtype=np.int64),
-            np.empty((size, fa.N_TRUE * self.settings.truth, self.samples)),
-        )
 
     def _restore_unmasked(
         self, moving: np.ndarray, mask: np.ndarray, saved: list[np.ndarray]

@@ -42,18 +42,16 @@ from road_envs.vehicle.suspension import MODES, encode_command
 
 T = TypeVar("T")
 
-ACTIONS: dict[str, tuple[Any, ...]] = {
-    "vehicle": ("ride", "handling"),
-    "axle": tuple(
-        {"front": front, "rear": rear}
-        for rear in ("ride", "handling")
-        for front in ("ride", "handling")
-    ),
+RIDE_OR_HANDLING = ("ride", "handling")
+
+ACTIONS: dict[str, tuple[dict[str, str], ...]] = {
+    "vehicle": tuple({"front": mode, "rear": mode} for mode in RIDE_OR_HANDLING),
+    "axle": tuple({"front": f, "rear": r} for r in RIDE_OR_HANDLING for f in RIDE_OR_HANDLING),
     "states": tuple({"front": front, "rear": rear} for rear in MODES for front in MODES),
 }
 """Strut states commanded by the actions 0, 1, ..., for each choice of `control`."""
 
-PASSIVE_ACTIONS = ("passive",)
+PASSIVE_ACTIONS = ({"front": "passive", "rear": "passive"},)
 """The only action of a car with passive struts, which changes nothing."""
 
 Speed = Annotated[float, Field(gt=0, le=MAX_SPEED_KMH)]
@@ -129,11 +127,6 @@ class EnvOptions(Settings):
                 f"control_rate must give a whole number of integrator steps of {self.step} s, "
                 f"got {self.control_rate} Hz"
             )
-
-
-def _axle_modes(action: str | dict[str, str]) -> dict[str, str]:
-    """Return the strut states of both axles under an action."""
-    return action if isinstance(action, dict) else {"front": action, "rear": action}
 
 
 class EpisodeStart(NamedTuple):
@@ -223,7 +216,7 @@ class EnvSetup:
         self.action_space = gymnasium.spaces.Discrete(len(self.command_bytes))
 
     @property
-    def actions(self) -> tuple[Any, ...]:
+    def actions(self) -> tuple[dict[str, str], ...]:
         """Strut states that the actions 0, 1, ... command."""
         return PASSIVE_ACTIONS if self.car.is_passive else ACTIONS[self.options.control]
 
@@ -256,7 +249,7 @@ class EnvSetup:
         speeds = np.atleast_1d(np.asarray(self.options.speed_kmh, dtype=float)) / 3.6
         if speeds[0] < speeds[-1]:
             speeds = np.linspace(speeds[0], speeds[-1], 5)  # the table interpolates in between
-        used = {f[axle] for f in map(_axle_modes, self.actions) for axle in f}
+        used = {mode for action in self.actions for mode in action.values()}
         modes = tuple(mode for mode in self.car.modes if mode in used)
         # half a second each: shared by all environments of one vehicle, its instruments and speeds
         key = repr(self.car), repr(self.instruments), tuple(speeds), modes
@@ -272,8 +265,7 @@ class EnvSetup:
         """
         share = np.ones(256)
         for action in self.actions:
-            pair = _axle_modes(action)
-            error = self.bound_table.interpolate(pair["front"], pair["rear"], v)
+            error = self.bound_table.interpolate(**action, v=v)
             share[encode_command(action)] = error**2
         return share
 
@@ -352,10 +344,9 @@ class EnvSetup:
     @cached_property
     def info_columns(self) -> dict[str, int]:
         """Columns of `StepOutput.values` that `info` holds, by name."""
-        omitted = {"reward"}
-        if not self.options.weights.unresolved_variance:
-            omitted.add("unresolved_variance")
-        return {name: j for j, name in enumerate(self.output_columns) if name not in omitted}
+        unused = () if self.options.weights.unresolved_variance else ("unresolved_variance",)
+        columns = enumerate(self.output_columns)
+        return {name: j for j, name in columns if name not in ("reward", *unused)}
 
     def rewards(self, values: np.ndarray) -> np.ndarray:
         """Return the rewards (N,) in the values (N, columns) of an interval."""
