@@ -61,13 +61,6 @@ class NonlinearResidual:
     e_dot: np.ndarray
     over_rate: np.ndarray
 
-    def force(self, e: np.ndarray, e_dot: np.ndarray) -> np.ndarray:
-        """Return the force (4, N) [N] at extensions (4, N) [m] from rest, rates (4, N) [m/s]."""
-        tables = zip(self.over_extension, self.over_rate, e, e_dot, strict=True)
-        return np.array(
-            [np.interp(x, self.e, r) + np.interp(w, self.e_dot, q) for r, q, x, w in tables]
-        )
-
 
 def nonlinear_residual(
     car: Plant | VehicleParameters, mode: str | Mapping[str, str], damping: np.ndarray

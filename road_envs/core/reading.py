@@ -31,14 +31,15 @@ def parsing(path: str | Path, error: type[Exception], reason: str) -> Iterator[N
 
     Parsers of other packages answer hostile bytes with exceptions of any class (MemoryError,
     RecursionError, NotImplementedError, ...). An `error` raised inside is prefixed by the path
-    alone, others by `reason`, such as "not valid YAML".
+    alone, unless it has it, others by `reason`, such as "not valid YAML".
     """
     try:
         yield
     except MissingExtraError:
         raise
     except error as failure:
-        raise error(f"{path}: {failure}") from None
+        text = str(failure)
+        raise error(text if text.startswith(f"{path}: ") else f"{path}: {text}") from None
     except Exception as failure:
         said = " ".join(str(failure).split()) or type(failure).__name__
         if isinstance(failure, OSError):

@@ -25,12 +25,7 @@ import numpy as np
 
 from road_envs.core.config import ConfigError
 from road_envs.drives.logger_tables.channels import Channels, TableFindings
-from road_envs.drives.logger_tables.clock import (
-    MAX_LOST_SHARE,
-    check_rate,
-    read_clock,
-    resample,
-)
+from road_envs.drives.logger_tables.clock import MAX_LOST_SHARE, check_rate, read_clock, resample
 from road_envs.drives.logger_tables.description import DEVICE, SEAT_NOTE, DriveDescription
 from road_envs.drives.logger_tables.motion import read_motion
 from road_envs.drives.logger_tables.table import Table
@@ -113,16 +108,15 @@ def to_measured_record(
     sample to that of the front axle at the last. Raises one ConfigError that lists all problems,
     with the columns, and the rows if there are any.
     """
-    findings = TableFindings()
     instruments = load_instruments(description.instruments)
     if description.layout is not None:
         instruments = replace(instruments, accelerometers=description.layout)
     layout = instruments.layout
-    channels = Channels(table, description, findings, layout)
-    clock = read_clock(channels, findings)
+    channels = Channels(table, description, layout)
+    findings, clock = channels.findings, read_clock(channels)
     found = [channels.acceleration(column(name)) for name in layout]
     given = [x for x in found if x is not None]
-    commands = _commands(channels, findings, car)
+    commands = _commands(channels, car)
     if not given and description.layout is None:
         findings.problems.append(ONE_DEVICE)
     if clock is None or not given:
@@ -138,7 +132,7 @@ def to_measured_record(
     sampled &= _new_samples(a, findings)
     t = clock.t[sampled]
     dt = check_rate(t, findings)
-    motion = read_motion(channels, clock.t, t, findings)
+    motion = read_motion(channels, clock.t, t)
     findings.raise_problems()
     assert motion is not None and commands is not None
     start = float(t[0])
@@ -181,17 +175,16 @@ def _new_samples(a: np.ndarray, findings: TableFindings) -> np.ndarray:
     return new
 
 
-def _commands(
-    channels: Channels, findings: TableFindings, car: VehicleParameters | None
-) -> np.ndarray | None:
+def _commands(channels: Channels, car: VehicleParameters | None) -> np.ndarray | None:
     """Return the command bytes (N,) of the strut states, None if unknown."""
+    problems = channels.findings.problems
     mode, size = channels.description.mode, len(next(iter(channels.table.values()), ()))
     given = [name for name in ("mode", "mode_front", "mode_rear") if name in channels]
     if car is not None and car.is_passive and not given and mode is None:
         mode = "passive"
     if given not in ([], ["mode"], ["mode_front", "mode_rear"]) or not (given or mode):
         problem = f"given as {', '.join(given)}" if given else "missing"
-        findings.problems.append(
+        problems.append(
             f"the state of the struts is {problem}: give the column mode, or mode_front and "
             f"mode_rear, or one mode for the whole drive (--mode); {channels.list_columns()}"
         )
@@ -214,5 +207,5 @@ def _commands(
             )
         return commands
     except ConfigError as error:
-        findings.problems.append(str(error))
+        problems.append(str(error))
         return None

@@ -20,11 +20,7 @@ from road_envs.drives.logger_tables.description import (
     DriveDescription,
     read_description,
 )
-from road_envs.drives.measured_record import (
-    MeasuredRecord,
-    recording_to_record,
-    to_measured_record,
-)
+from road_envs.drives.measured_record import MeasuredRecord, recording_to_record, to_measured_record
 from road_envs.drives.recording import is_record, read_record
 from road_envs.drives.recordings.formats import drives_in, read_source, read_track
 from road_envs.drives.recordings.recording import Recording, drives_of

@@ -90,10 +90,7 @@ def simulate_record(
 
 
 def write_record(
-    path: Path,
-    record: Record,
-    provenance: Mapping[str, object],
-    modes: Modes = MODES,
+    path: Path, record: Record, provenance: Mapping[str, object], modes: Modes = MODES
 ) -> None:
     """Write a record atomically as Parquet, with `provenance` in the metadata, or as CSV.
 

@@ -20,10 +20,10 @@ from road_envs.envs.fleet_arrays import (
     FleetParameters,
     FleetState,
     IntervalInputs,
+    LaneCars,
     StepOutput,
     allocate_workspace,
 )
-from road_envs.envs.lane_cars import LaneCars
 from road_envs.envs.safety_step import SAFETY_COLUMNS, safety_parameters
 from road_envs.kernels.normal_numbers import generator_state
 from road_envs.kernels.simd import LANES

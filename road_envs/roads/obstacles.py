@@ -29,13 +29,7 @@ import numpy as np
 from pydantic import Field
 
 from road_envs.core.config import Count, Finite, NonNegative, Positive, Settings, SmallestFirst
-from road_envs.roads.surface import (
-    DEFAULT_LENGTH,
-    RoadLength,
-    SampleSpacing,
-    Surface,
-    check_size,
-)
+from road_envs.roads.surface import DEFAULT_LENGTH, RoadLength, SampleSpacing, Surface, check_size
 
 Layout = Literal["small", "large_small", "asymmetric"]
 LAYOUTS: dict[Layout, tuple[tuple[str, str], ...]] = {

@@ -23,7 +23,7 @@ TILT = Rotation.from_euler("zxy", [20.0, 35.0, 10.0], degrees=True)
 
 def recording(one, **changes):
     track = Series(one.fix_t, np.column_stack([one.lat, one.lon, one.v, np.nan * one.v]))
-    made = Recording(name="x", app="test", acceleration=Series(one.t, one.axes), track=track)
+    made = Recording(name="x", acceleration=Series(one.t, one.axes), track=track)
     return replace(made, **changes)
 
 

@@ -71,18 +71,14 @@ class TableFindings:
 class Channels:
     """The columns of a `table` by quantity, by a `description` and the headers.
 
-    The table has the accelerations of these `accelerometers`.
+    The table has the accelerations of these `accelerometers`; what is found wrong is in `findings`.
     """
 
     def __init__(
-        self,
-        table: Table,
-        description: DriveDescription,
-        findings: TableFindings,
-        accelerometers: Iterable[str] = SENSORS,
+        self, table: Table, description: DriveDescription, accelerometers: Iterable[str] = SENSORS
     ):
         description.check_names(accelerometers)
-        self.table, self.description, self.findings = table, description, findings
+        self.table, self.description, self.findings = table, description, TableFindings()
         self.quantities = quantities(accelerometers)
         self.headers = {name: self._find(name) for name in self.quantities}
 
@@ -107,11 +103,9 @@ class Channels:
             unit = self.unit(quantity)
             factor = units.factor(kind, unit) if unit else 1.0
             x = to_si(numeric_values(self.table[header]), factor)
-        except ConfigError as error:
-            self.findings.problems.append(f"{quantity}: {error}")
-            return None
         except ValueError as error:
-            self.findings.problems.append(f"the column {header}: {error}")
+            where = quantity if isinstance(error, ConfigError) else f"the column {header}"
+            self.findings.problems.append(f"{where}: {error}")
             return None
         if not np.isfinite(x).any():
             self.findings.problems.append(f"the column {header} holds no number")

@@ -62,9 +62,9 @@ class Clock(NamedTuple):
     epoch: float | None
 
 
-def read_clock(channels: Channels, findings: TableFindings) -> Clock | None:
+def read_clock(channels: Channels) -> Clock | None:
     """Return the clock of a table; None if there is none, which is added to the problems."""
-    header = channels.headers["t"]
+    header, findings = channels.headers["t"], channels.findings
     if header is None:
         if "t" not in channels.description.columns:
             findings.problems.append(
@@ -74,11 +74,9 @@ def read_clock(channels: Channels, findings: TableFindings) -> Clock | None:
         return None
     try:
         t = _seconds(channels.table[header], channels.unit("t"), findings)
-    except ConfigError as error:
-        findings.problems.append(str(error))
-        return None
     except ValueError as error:
-        findings.problems.append(f"the column {header}: {error}")
+        where = "" if isinstance(error, ConfigError) else f"the column {header}: "
+        findings.problems.append(f"{where}{error}")
         return None
     if np.isnan(t).any():
         k = int(np.flatnonzero(np.isnan(t))[0]) + 1

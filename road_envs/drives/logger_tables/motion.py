@@ -45,18 +45,17 @@ class DrivenMotion(NamedTuple):
     position: np.ndarray | None
 
 
-def read_motion(
-    channels: Channels, t_rows: np.ndarray, t: np.ndarray, findings: TableFindings
-) -> DrivenMotion | None:
+def read_motion(channels: Channels, t_rows: np.ndarray, t: np.ndarray) -> DrivenMotion | None:
     """Return the motion at the times `t` (N,) of a table with rows at `t_rows` [s].
 
     The distance is the odometer's, the integral of the speed, or the length of the track, in this
     order. Returns None if it is unknown, which is added to the problems.
     """
+    findings = channels.findings
     before = len(findings.problems)
     whole = channels.description.speed_kmh
     v, s, lat, lon = (
-        _at(channels, name, t_rows, t, findings) if name in channels else None
+        _at(channels, name, t_rows, t) if name in channels else None
         for name in ("v", "s", "lat", "lon")
     )
     position = None if lat is None or lon is None else np.stack([lat, lon])
@@ -130,15 +129,15 @@ def _calibrated(
     return scale * v
 
 
-def _at(
-    channels: Channels, name: str, t_rows: np.ndarray, t: np.ndarray, findings: TableFindings
-) -> np.ndarray | None:
+def _at(channels: Channels, name: str, t_rows: np.ndarray, t: np.ndarray) -> np.ndarray | None:
     """Return a slow channel interpolated to the times `t`; None if it cannot be read."""
     if (x := channels.numbers(name)) is None:
         return None
-    header = channels.headers[name]
+    header, findings = channels.headers[name], channels.findings
     if name in ("lat", "lon") and "lat" in channels and "lon" in channels:
-        missing = _without_fix(channels)
+        # 0° N 0° E, as a receiver writes before it has a fix
+        lat, lon = (channels.numbers(each) for each in ("lat", "lon"))
+        missing = np.logical_and(lat == 0.0, lon == 0.0)
         x = np.where(missing, np.nan, x)
         if missing.any() and name == "lat":
             findings.notes.append(f"{missing.sum()} positions at 0° N 0° E are taken as missing")
@@ -198,14 +197,6 @@ def _smoothed(s: np.ndarray, t: np.ndarray, duration: float) -> np.ndarray:
     half = max(1, min(round(0.5 * duration * t.size / (t[-1] - t[0])), (t.size - 1) // 2))
     padded = np.r_[2 * s[0] - s[half:0:-1], s, 2 * s[-1] - s[-2 : -half - 2 : -1]]
     return scipy.signal.oaconvolve(padded, np.full(2 * half + 1, 1.0 / (2 * half + 1)), "valid")
-
-
-def _without_fix(channels: Channels) -> np.ndarray:
-    """Return where the position (N,) is 0° N 0° E, as a receiver writes before it has a fix."""
-    lat, lon = (channels.numbers(name) for name in ("lat", "lon"))
-    if lat is None or lon is None:
-        return np.zeros(len(next(iter(channels.table.values()))), dtype=bool)
-    return (lat == 0.0) & (lon == 0.0)
 
 
 def _check(

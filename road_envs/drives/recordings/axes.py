@@ -60,9 +60,8 @@ def _is_linear(key: str) -> bool:
 
 def to_recording(name: str, table: Table, axes: Axes, description: DriveDescription) -> Recording:
     """Return the recording in a table with three axes. Raises ConfigError."""
-    findings = TableFindings()
-    channels = Channels(table, description, findings)
-    clock = read_clock(channels, findings)
+    channels = Channels(table, description)
+    findings, clock = channels.findings, read_clock(channels)
     x = np.column_stack([_acceleration(table, h, findings) for h in axes.headers])
     names = ("lat", "lon", "v", "s")
     columns = [channels.numbers(key) if key in channels else None for key in names]
@@ -72,7 +71,6 @@ def to_recording(name: str, table: Table, axes: Axes, description: DriveDescript
     slow, fast = np.isfinite(track).any(axis=1), np.isfinite(x).all(axis=1)
     return Recording(
         name=name,
-        app="table",
         acceleration=Series(clock.t[fast], x[fast]),
         track=Series(clock.t[slow], track[slow]) if slow.any() else None,
         lacks_gravity=axes.linear,

@@ -45,7 +45,7 @@ def read_phyphox(name: str, members: Mapping[str, bytes]) -> Recording:
     track = None if location is None else _track(location, members[location])
     epoch, breaks = _events(members)
     return Recording(
-        name=name, app="phyphox", acceleration=a, track=track, lacks_gravity=lacks, epoch=epoch,
+        name=name, acceleration=a, track=track, lacks_gravity=lacks, epoch=epoch,
         breaks=breaks,
     )  # fmt: skip
 

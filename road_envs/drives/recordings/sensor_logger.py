@@ -39,7 +39,7 @@ def read_sensor_logger(name: str, members: Mapping[str, bytes]) -> Recording:
             a = Series(a.t, a.x + _at(gravity, a.t))
     track = _track(members, epoch)
     return Recording(
-        name=name, app="Sensor Logger", acceleration=a, track=track, lacks_gravity=lacks,
+        name=name, acceleration=a, track=track, lacks_gravity=lacks,
         epoch=epoch,
     )  # fmt: skip
 
