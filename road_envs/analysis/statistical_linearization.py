@@ -41,11 +41,8 @@ ORDERS = 24
 Spectrum = Callable[[np.ndarray], np.ndarray]
 """From `n` (F,) [cycles/m] to the spectrum (F, 2, 2) [m³] of both wheel paths."""
 
-BANDWIDTH = 60.0
-"""Highest frequency [Hz] of the spectrum of the motion."""
-
-N_FREQUENCIES = 4096
-"""Number of frequencies of that spectrum."""
+BANDWIDTH = 60.0  # highest frequency [Hz] of the spectrum of the motion
+N_FREQUENCIES = 4096  # number of frequencies of that spectrum
 
 
 @dataclass(frozen=True, eq=False)

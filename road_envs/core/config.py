@@ -37,17 +37,10 @@ NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0, lt=1)]
 Count = Annotated[int, Field(ge=1)]
 
-MAX_FILE_SIZE = 2**22
-"""Largest YAML file [bytes]."""
-
-MAX_VALUES = 10**6
-"""Most values in a YAML file, every alias counted as what it stands for."""
-
-MAX_SHOWN = 200
-"""Characters of a value that a message repeats."""
-
-UNKNOWN_KEY = "unexpected_keyword_argument"
-"""Pydantic's type of this error."""
+MAX_FILE_SIZE = 2**22  # largest YAML file [bytes]
+MAX_VALUES = 10**6  # most values in a YAML file, every alias counted as what it stands for
+MAX_SHOWN = 200  # characters of a value that a message repeats
+UNKNOWN_KEY = "unexpected_keyword_argument"  # pydantic's type of this error
 
 _validator = cache(TypeAdapter)
 

@@ -36,11 +36,8 @@ MOVED, MOVED_BLINDLY = np.radians(6.0), np.radians(15.0)
 of 10 %. The second where speed and heading are not known, so that braking and turning change it.
 """
 
-MOST_MOVES = 4
-"""Most movements of a device that is still mounted; more are of a loose one."""
-
-LEFT_OUT = 1.5
-"""Time [s] on either side of a movement that is left out."""
+MOST_MOVES = 4  # most movements of a device that is still mounted; more are of a loose one
+LEFT_OUT = 1.5  # time [s] on either side of a movement that is left out
 
 EXCITED = 0.25
 """Least standard deviation [m/s²] of a manoeuvre's acceleration that is regressed on."""

@@ -29,17 +29,10 @@ from road_envs.vehicle.parameters import GRAVITY, VehicleParameters
 from road_envs.vehicle.side_values import side_values
 from road_envs.vehicle.struts import PassiveStruts
 
-STEP = 2e-4
-"""Step [s] of MuJoCo's integrator."""
-
-FRICTION = 0.9
-"""Greatest side force of a tyre over its load [-]."""
-
-SETTLING = 1.0
-"""Time [s] at rest before a drive begins."""
-
-DRAG = 1e-9
-"""Rotary inertia [kg m²] about axes that do not matter, since MuJoCo needs one."""
+STEP = 2e-4  # step [s] of MuJoCo's integrator
+FRICTION = 0.9  # greatest side force of a tyre over its load [-]
+SETTLING = 1.0  # time [s] at rest before a drive begins
+DRAG = 1e-9  # rotary inertia [kg m²] about axes that do not matter, since MuJoCo needs one
 
 
 StrutLaw = Callable[[np.ndarray, np.ndarray], np.ndarray]

@@ -35,14 +35,9 @@ LOUD_RMS, LOUDEST = 200.0, 1000.0
 beyond are lost.
 """
 
-GRAVITY_IN_G = (0.9, 1.1)
-"""Mean of a channel in m/s² that suggests a channel in g."""
-
-MAX_SPIKES = 0.01
-"""Largest share of a channel's samples that may be such."""
-
-MAX_LISTED = 1500
-"""Characters of all problems, each of which may have 300."""
+GRAVITY_IN_G = (0.9, 1.1)  # mean of a channel in m/s² that suggests a channel in g
+MAX_SPIKES = 0.01  # largest share of a channel's samples that may be such
+MAX_LISTED = 1500  # characters of all problems, each of which may have 300
 
 QUIET_RMS, SILENT_RMS = 0.15, 0.02
 """RMS [m/s²] at which a driven car is questioned, and below which there is none: 50 km/h on a good

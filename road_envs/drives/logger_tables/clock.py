@@ -26,14 +26,9 @@ channel is interpolated: of a clock with missing rows, and of one that jitters.
 JITTERING = 0.02
 """Median relative deviation of the steps from the sampling interval of a jittering clock."""
 
-MAX_LOST_SHARE = 0.2
-"""Largest share of samples that may be lost."""
-
-MIN_SAMPLES = 32
-"""Smallest number of samples of a drive."""
-
-SHORTEST_STEP = 1e-12
-"""Smallest increase of a clock [s]; rates of change over less would overflow."""
+MAX_LOST_SHARE = 0.2  # largest share of samples that may be lost
+MIN_SAMPLES = 32  # smallest number of samples of a drive
+SHORTEST_STEP = 1e-12  # smallest increase of a clock [s]; rates of change over less would overflow
 
 CLOSEST_STEP = 0.25
 """Shortest step, in sampling intervals, of times that are believed: those of samples which a device

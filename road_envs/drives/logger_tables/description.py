@@ -37,11 +37,8 @@ QUANTITIES = {
 and state of the struts.
 """
 
-PREFIX = column("")
-"""Beginning of the name of every acceleration."""
-
-DEVICE = "PHONE"
-"""Name of the one accelerometer of a device at a place."""
+PREFIX = column("")  # beginning of the name of every acceleration
+DEVICE = "PHONE"  # name of the one accelerometer of a device at a place
 
 PLACES = {
     "dashboard": Accelerometer(axle="front", ahead=-0.5, y=0.0),

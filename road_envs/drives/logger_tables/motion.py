@@ -7,11 +7,8 @@ import scipy
 
 from road_envs.drives.logger_tables.channels import Channels, TableFindings
 
-EARTH_RADIUS = 6_371_008.8
-"""Mean radius of the earth [m]."""
-
-LONGEST_GAP = 10.0
-"""Longest time [s] over which a speed or position is interpolated."""
+EARTH_RADIUS = 6_371_008.8  # mean radius of the earth [m]
+LONGEST_GAP = 10.0  # longest time [s] over which a speed or position is interpolated
 
 HELD_ROWS = 5
 """Rows per change of value from which on a column is taken to hold those of a slower sensor."""

@@ -22,20 +22,14 @@ from road_envs.core.extras import optional_import
 from road_envs.core.reading import MAX_MESSAGE, parsing, read_parquet
 from road_envs.records.units import is_unit
 
-SNIFFED_CHARACTERS = 10_000
-"""Number of characters that are searched for a decimal comma."""
-
-SNIFFED_LINES = 60
-"""Number of lines among which the header is looked for."""
+SNIFFED_CHARACTERS = 10_000  # number of characters that are searched for a decimal comma
+SNIFFED_LINES = 60  # number of lines among which the header is looked for
 
 DELIMITERS = (";", "\t", "|", ",", " ")
 """Separators of columns, in the order in which they are tried."""
 
-MAX_BYTES = 2**29
-"""Largest text that is read: three hours of ten columns at 500 Hz."""
-
-MAX_COLUMNS, MAX_HEADER = 4096, 200
-"""Most columns of a table, and most characters of a header."""
+MAX_BYTES = 2**29  # largest text that is read: three hours of ten columns at 500 Hz
+MAX_COLUMNS, MAX_HEADER = 4096, 200  # most columns of a table, and most characters of a header
 
 LARGEST = 1e12
 """Greater numbers, in SI units, are none of a drive; their squares and sums would overflow."""

@@ -11,22 +11,16 @@ from road_envs.core.config import ConfigError
 from road_envs.drives.logger_tables.table import Table, numeric_values, parse_text
 from road_envs.records import units
 
-MAX_MEMBERS = 2000
-"""Most files of an archive or a folder."""
-
-MAX_UNPACKED = 2**29
-"""Most bytes of all files together: an hour of six sensors at 400 Hz."""
+MAX_MEMBERS = 2000  # most files of an archive or a folder
+MAX_UNPACKED = 2**29  # most bytes of all files together: an hour of six sensors at 400 Hz
 
 MAX_RATIO, RATIO_FREE = 100, 2**20
 """Largest ratio of unpacked to packed bytes of a file of more than RATIO_FREE bytes. Tables of
 sensors shrink to a third to a tenth.
 """
 
-ZIP = b"PK\x03\x04"
-"""First bytes of a zip file."""
-
-READ = (".csv", ".json", ".txt", ".gpx")
-"""Ends of the names of members that are read."""
+ZIP = b"PK\x03\x04"  # first bytes of a zip file
+READ = (".csv", ".json", ".txt", ".gpx")  # ends of the names of members that are read
 
 
 def is_zip(path: Path) -> bool:

@@ -30,23 +30,12 @@ from road_envs.drives.recordings.recording import Recording, Series
 
 IMU, FIX = "sensor_msgs/msg/Imu", "sensor_msgs/msg/NavSatFix"
 TWIST = "geometry_msgs/msg/TwistStamped"
-KINDS = (IMU, FIX, TWIST)
-"""Types of messages that are read."""
-
-MOST_MESSAGES = 20_000_000
-"""Most messages of a recording: 14 hours at 400 Hz."""
-
-NO_FIX = -1
-"""Status of a fix that is none."""
-
-MCAP_MAGIC, SQLITE_MAGIC = b"\x89MCAP0\r\n", b"SQLite format 3\x00"
-"""First bytes of the files."""
-
-MAX_CHUNK = 2**28
-"""Most bytes of a chunk when unpacked; writers make chunks of 1 to 8 MiB."""
-
-MAX_MESSAGE = 2**16
-"""Most bytes of a message that is read; one of an inertial unit has some 350."""
+KINDS = (IMU, FIX, TWIST)  # types of messages that are read
+MOST_MESSAGES = 20_000_000  # most messages of a recording: 14 hours at 400 Hz
+NO_FIX = -1  # status of a fix that is none
+MCAP_MAGIC, SQLITE_MAGIC = b"\x89MCAP0\r\n", b"SQLite format 3\x00"  # first bytes of the files
+MAX_CHUNK = 2**28  # most bytes of a chunk when unpacked; writers make chunks of 1 to 8 MiB
+MAX_MESSAGE = 2**16  # most bytes of a message that is read; one of an inertial unit has some 350
 
 
 class RosMessage(NamedTuple):

@@ -33,11 +33,8 @@ from road_envs.roads.formats.opencrg import (
 )
 from road_envs.roads.formats.table import WheelPaths, metres, parse_number_rows
 
-FLOAT, TEXT = 1, 5
-"""Number types that can be read."""
-
-PLAUSIBLE_RANGE = (1e-9, 1e9)
-"""Range of the magnitude of plausible numbers other than 0."""
+FLOAT, TEXT = 1, 5  # number types that can be read
+PLAUSIBLE_RANGE = (1e-9, 1e9)  # range of the magnitude of plausible numbers other than 0
 
 MIN_PLAUSIBLE_SHARE = 0.9
 """Least fraction of plausible numbers that the better byte order must reach."""
