@@ -151,28 +151,19 @@ def bound(
     instruments: Instruments,
     prior: RoadPrior,
     *,
-    locations: Mapping[str, tuple[Any, ...]] | None = None,
-    damping: np.ndarray | None = None,
     model_error: float = 0.0,
-    residual_as_noise: bool = False,
     n: np.ndarray | None = None,
-    f_c: float = F_C,
+    **options: Any,
 ) -> Posterior:
     """Return the least error of linear reconstruction of a road with the given `prior`.
 
     The vehicle drives in `mode` at `v` [m/s]. `n` [cycles/m] is the scored band by default.
-    `locations`, as in `linearise`, replace those of the `instruments`. `damping` (4,) [N s/m] of
-    the struts is `equivalent_damping` by default. With `residual_as_noise` the nonlinear residual
-    of the strut forces adds to the noise, which gives the bound of purely linear estimators. Raises
-    ValueError on invalid arguments.
+    `options` are those of `measurement`. Raises ValueError on invalid arguments.
     """
     if not 0 <= model_error < np.inf:
         raise ValueError(f"model_error must not be negative, got {model_error}")
     n = np.linspace(*scored_band(v), N_FREQUENCIES) if n is None else np.asarray(n, dtype=float)
-    H, R = measurement(
-        car, mode, v, instruments, prior, n,
-        locations=locations, damping=damping, residual_as_noise=residual_as_noise, f_c=f_c,
-    )  # fmt: skip
+    H, R = measurement(car, mode, v, instruments, prior, n, **options)
     return posterior(n, H, prior.spectrum(n), R, model_error)
 
 
@@ -191,7 +182,10 @@ def measurement(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return response H (F, S, 2) and noise spectrum R (F, S, S) of the sensors at `n` (F,).
 
-    The arguments are those of `bound`.
+    `locations`, as in `linearise`, replace those of the `instruments`. `damping` (4,) [N s/m] of
+    the struts is `equivalent_damping` by default. With `residual_as_noise` the nonlinear residual
+    of the strut forces adds to the noise, which gives the bound of purely linear estimators. Above
+    `f_c` [Hz] nothing is measured.
     """
     if damping is None:
         damping = equivalent_damping(car, mode, v, prior)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from road_envs.core.extras import MissingExtraError, optional_import
+from road_envs.core.extras import MissingExtraError, import_pyarrow
 
 MAX_COMPRESSION = 100
 """Largest ratio of uncompressed to stored bytes; guards against decompression bombs."""
@@ -80,9 +80,7 @@ def read_parquet(path: Path) -> Any:
 
     Raises an exception of any class if the file is damaged: call it inside `parsing`.
     """
-    with optional_import("a table as CSV or Parquet"):
-        import pyarrow.parquet as pq
-
+    _, pq = import_pyarrow()
     with path.open("rb") as file:
         if file.read(4) != b"PAR1":
             raise ValueError("it does not begin with PAR1")

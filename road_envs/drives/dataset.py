@@ -11,7 +11,7 @@ import numpy as np
 
 from road_envs._version import __version__
 from road_envs.core.atomic_io import write_text
-from road_envs.core.extras import optional_import
+from road_envs.core.extras import import_pyarrow
 from road_envs.drives.training_corpus import Corpus
 from road_envs.records.accelerometers import column
 from road_envs.records.record import Profile, Record
@@ -64,10 +64,7 @@ def write_dataset(
     The card says by which `command`; `progress` is called with a description and the share done.
     Raises MissingExtraError without pyarrow.
     """
-    with optional_import("a table as CSV or Parquet"):
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-
+    pa, pq = import_pyarrow()
     rows: list[dict[str, Any]] = []
     for split in dict.fromkeys(CYCLE):
         chosen = [k for k in range(corpus.number) if CYCLE[k % len(CYCLE)] == split]

@@ -144,22 +144,14 @@ def drives_in_mode(
     drives fail.
     """
     drives: list[tuple[Record, Profile]] = []
+    shared: Any = {"vehicle": corpus.vehicle, "instruments": corpus.sensors, "mode": mode}
     for k in itertools.count():
         # the attempt number ATTEMPTS keeps this stream apart from that of `simulate_drive`
         rng = np.random.default_rng([SEED_STREAM, corpus.seed, k, ATTEMPTS])
         speed = float(np.exp(rng.uniform(*np.log(speeds_kmh))))
         road = draw_road(rng, 100.0).realise(rng)
         try:
-            drives.append(
-                simulate_record(
-                    road,
-                    vehicle=corpus.vehicle,
-                    speed_kmh=speed,
-                    mode=mode,
-                    instruments=corpus.sensors,
-                    seed=k,
-                )
-            )
+            drives.append(simulate_record(road, speed_kmh=speed, seed=k, **shared))
         except SimulationError:
             if k >= ATTEMPTS * number:
                 raise

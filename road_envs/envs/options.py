@@ -19,16 +19,8 @@ from road_envs.core.config import (
     UnknownKeyError,
     build,
 )
+from road_envs.envs import fleet_arrays as fa
 from road_envs.envs.failures import ANGLES, MAX_ANGLE, NONFINITE_STEP, ROLLOVER
-from road_envs.envs.fleet_arrays import (
-    MAX_EXTENSION,
-    MAX_EXTENSION_RATE,
-    MAX_PLANAR,
-    N_PLANAR,
-    N_STRUT_SIGNALS,
-    OUTPUT_COLUMNS,
-    StepOutput,
-)
 from road_envs.envs.instrumented_fleet import FleetSettings, InstrumentedFleet
 from road_envs.roads import load_road, with_length
 from road_envs.roads.surface import Surface
@@ -176,7 +168,7 @@ def validate_actions(actions: Any, size: int, n_actions: int) -> np.ndarray:
 class EnvSetup:
     """Objects built from the keyword arguments of the environments. Raises ConfigError."""
 
-    output_columns: tuple[str, ...] = OUTPUT_COLUMNS
+    output_columns: tuple[str, ...] = fa.OUTPUT_COLUMNS
 
     def __init__(self, options: dict[str, Any]):
         if isinstance(options.get("weights"), Weights):
@@ -229,11 +221,11 @@ class EnvSetup:
         parts |= {"speed": (1, 0.0, MAX_OBSERVED_SPEED), "front": (2, 0.0, 1.0)}
         parts["rear"] = parts["front"]
         if "planar" in self.options.observe:
-            parts["planar"] = N_PLANAR, -MAX_PLANAR, MAX_PLANAR
+            parts["planar"] = fa.N_PLANAR, -fa.MAX_PLANAR, fa.MAX_PLANAR
         if "struts" in self.options.observe:
-            half = N_STRUT_SIGNALS // 2
-            parts["extension"] = half, -MAX_EXTENSION, MAX_EXTENSION
-            parts["extension_rate"] = half, -MAX_EXTENSION_RATE, MAX_EXTENSION_RATE
+            half = fa.N_STRUT_SIGNALS // 2
+            parts["extension"] = half, -fa.MAX_EXTENSION, fa.MAX_EXTENSION
+            parts["extension_rate"] = half, -fa.MAX_EXTENSION_RATE, fa.MAX_EXTENSION_RATE
         return parts
 
     @cached_property
@@ -287,18 +279,13 @@ class EnvSetup:
         )
 
     def make_fleet(
-        self,
-        n_vehicles: int = 1,
-        threads: int = 1,
-        *,
-        distinct: int | None = None,
-        keep_signals: bool = False,
+        self, n_vehicles: int = 1, threads: int = 1, **options: Any
     ) -> InstrumentedFleet:
-        """Return a fleet at rest, one vehicle for each environment."""
+        """Return a fleet at rest, one vehicle for each environment, with these of its `options`."""
+        settings = self.fleet_settings()
         return InstrumentedFleet(
-            self.plant, self.car, self.fleet_settings(), n_vehicles,
-            distinct=distinct, keep_signals=keep_signals, threads=threads,
-        )  # fmt: skip
+            self.plant, self.car, settings, n_vehicles, threads=threads, **options
+        )
 
     def episode_options(self, options: dict[str, Any]) -> Any:
         """Return the options with those of one episode. Raises ConfigError on unknown ones."""
@@ -353,12 +340,12 @@ class EnvSetup:
         return values[:, self.output_columns.index("reward")]
 
     @staticmethod
-    def failure_code(output: StepOutput, i: int) -> int:
+    def failure_code(output: fa.StepOutput, i: int) -> int:
         """Return 0 if the episode of environment `i` goes on, else ROLLOVER or NONFINITE_STEP."""
         _, rollover, nonfinite_step = output.events[i].tolist()
         return NONFINITE_STEP if nonfinite_step >= 0 else ROLLOVER if rollover >= 0 else 0
 
-    def failure_text(self, output: StepOutput, i: int, road: str) -> str:
+    def failure_text(self, output: fa.StepOutput, i: int, road: str) -> str:
         """Return why the episode of environment `i` on `road` has failed; empty if it has not."""
         _, rollover, nonfinite_step = output.events[i].tolist()
         if nonfinite_step < 0 and rollover < 0:

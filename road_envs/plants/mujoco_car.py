@@ -60,7 +60,8 @@ class MujocoCar:
         self.model = mujoco.MjModel.from_xml_string(_describe(car, self.side, locations))
         self.data = mujoco.MjData(self.model)
         self.law = law or _passive_law(car)
-        wheels = [self._id("SITE", f"contact{w}") for w in range(4)]
+        site = mujoco.mjtObj.mjOBJ_SITE
+        wheels = [mujoco.mj_name2id(self.model, site, f"contact{w}") for w in range(4)]
         self.contacts, self.bodies = np.array(wheels), self.model.site_bodyid[wheels]
         self.k, self.c, self.load, self.C, self.sigma = np.array(
             [
@@ -73,11 +74,6 @@ class MujocoCar:
         self.lengths = self.data.ten_length[:4].copy()
         self.heights = self.data.site_xpos[self.contacts, 2].copy()
         self.side_force, self.tyre_load = np.zeros(4), self.load.copy()
-
-    def _id(self, kind: str, name: str) -> int:
-        return int(
-            self.mujoco.mj_name2id(self.model, getattr(self.mujoco.mjtObj, f"mjOBJ_{kind}"), name)
-        )
 
     @property
     def extension(self) -> np.ndarray:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from road_envs.core.config import ConfigError, shown
-from road_envs.core.extras import optional_import
+from road_envs.core.extras import import_pyarrow, optional_import
 from road_envs.core.reading import MAX_MESSAGE, parsing, read_parquet
 from road_envs.records.units import is_unit
 
@@ -46,9 +46,7 @@ Table = Mapping[str, Any]
 
 def read_table(path: Path) -> Table:
     """Read the columns of a table by header. Raises ConfigError."""
-    with optional_import("a table as CSV or Parquet"):
-        import pyarrow as pa
-
+    pa, _ = import_pyarrow()
     suffix = path.suffix.lower()
     with parsing(path, ConfigError, "no readable table"):
         if suffix == ".parquet":
@@ -120,8 +118,8 @@ def to_si(x: np.ndarray, factor: float) -> np.ndarray:
 
 
 def _parse_table(data: bytes) -> Any:
-    with optional_import("a table as CSV or Parquet"):
-        from pyarrow import csv
+    import_pyarrow()  # says what is missing
+    from pyarrow import csv
 
     text = decode(data).replace("\r\n", "\n").replace("\r", "\n")
     if "\0" in text:

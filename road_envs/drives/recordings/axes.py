@@ -70,14 +70,11 @@ def to_recording(name: str, table: Table, axes: Axes, description: DriveDescript
     track = make_track(clock.t, *columns).x
     slow, fast = np.isfinite(track).any(axis=1), np.isfinite(x).all(axis=1)
     return Recording(
-        name=name,
-        acceleration=Series(clock.t[fast], x[fast]),
+        name=name, acceleration=Series(clock.t[fast], x[fast]),
         track=Series(clock.t[slow], track[slow]) if slow.any() else None,
-        lacks_gravity=axes.linear,
+        lacks_gravity=axes.linear, epoch=clock.epoch, notes=tuple(findings.notes),
         unit_named=any(units.split_header(h)[1] for h in axes.headers),
-        epoch=clock.epoch,
-        notes=tuple(findings.notes),
-    )
+    )  # fmt: skip
 
 
 def _acceleration(table: Table, header: str, findings: TableFindings) -> np.ndarray:
