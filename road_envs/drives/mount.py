@@ -52,7 +52,7 @@ CORRELATED = 4.0
 """Blocks for which a residual of the slow motion lasts, in the standard error of the mount."""
 
 
-class Mount(NamedTuple):
+class _Mount(NamedTuple):
     """A device in its vehicle: the unit vector `up` (3,) in device axes.
 
     `gravity` [m/s²] is the magnitude found, `tilt_std` [rad] the standard error of `up`.
@@ -71,7 +71,7 @@ class Levelled(NamedTuple):
 
     t: np.ndarray
     vertical: np.ndarray
-    mounts: tuple[Mount, ...]
+    mounts: tuple[_Mount, ...]
     notes: tuple[str, ...]
 
 
@@ -214,7 +214,7 @@ def _fit(f: np.ndarray, common: np.ndarray, breaks: list[int]) -> tuple[np.ndarr
     return B[: len(breaks) + 1], float(np.sum((f - X @ B) ** 2))
 
 
-def _mount(f: np.ndarray, manoeuvres: list[np.ndarray]) -> Mount:
+def _mount(f: np.ndarray, manoeuvres: list[np.ndarray]) -> _Mount:
     """Return the mount by regression of the averages `f` (K, 3) on the manoeuvres (K,)."""
     used = [x for x in manoeuvres if float(np.std(x)) > EXCITED]
     X = np.column_stack([np.ones(f.shape[0]), *used])
@@ -226,10 +226,10 @@ def _mount(f: np.ndarray, manoeuvres: list[np.ndarray]) -> Mount:
     spread = np.sqrt(np.sum(across**2) / max(f.shape[0] - X.shape[1], 1))
     inverse = np.linalg.pinv(X.T @ X)
     tilt_std = float(spread * np.sqrt(CORRELATED * inverse[0, 0]) / gravity)
-    return Mount(up, gravity, tilt_std)
+    return _Mount(up, gravity, tilt_std)
 
 
-def _mount_notes(mounts: list[Mount], moves: list[float]) -> list[str]:
+def _mount_notes(mounts: list[_Mount], moves: list[float]) -> list[str]:
     if not mounts:
         raise ConfigError("the device moves all the time: fix it in its mount and drive again")
     angles = [np.degrees(np.arccos(np.clip(np.abs(m.up).max(), -1.0, 1.0))) for m in mounts]

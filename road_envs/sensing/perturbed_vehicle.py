@@ -62,7 +62,7 @@ itself, so that it is the same under every grade."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class ManufacturingTolerances(Settings):
+class _ManufacturingTolerances(Settings):
     """Relative deviations of one vehicle from its parameters.
 
     A pair is the smallest and the largest magnitude, of either sign; a number is the largest.
@@ -78,7 +78,7 @@ class ManufacturingTolerances(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FrameRange(Settings):
+class _FrameRange(Settings):
     """Range of the frames of vehicles of one kind; frequencies are uniform in their logarithm."""
 
     f: Annotated[PositiveRange, "Hz", "of the torsion mode, as in `parameters.TorsionalFrame`"]
@@ -86,14 +86,14 @@ class FrameRange(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class BendingRange(FrameRange):
+class _BendingRange(_FrameRange):
     """Range of the vertical bending modes of bodies."""
 
     length: Annotated[Positive, "m", "of the beam, as in `body_bending.BendingMode`"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class UnmodelledStructure(Settings):
+class _UnmodelledStructure(Settings):
     """Structural effects that the nominal equations of motion leave out."""
 
     contact_length: Annotated[NonNegative, "m", "contact length of the tyres"]
@@ -105,8 +105,8 @@ class UnmodelledStructure(Settings):
     roll_stiffness: Annotated[
         tuple[NonNegative, NonNegative], "N m/rad", "of the bushings, front and rear"
     ]
-    frame: FrameRange | None
-    bending: BendingRange | None
+    frame: _FrameRange | None
+    bending: _BendingRange | None
 
     def __post_init__(self):
         super().__post_init__()
@@ -133,7 +133,7 @@ class SensorFaultLimits(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SideMotionRange(Settings):
+class _SideMotionRange(Settings):
     """Ranges of the side motion of a vehicle whose file has none, and the scatter of one's own."""
 
     scatter: Annotated[Fraction, "", "largest relative deviation of each number of `side`"]
@@ -152,10 +152,10 @@ class PlantMismatch(Settings):
 
     name: str
     step: Step
-    manufacture: ManufacturingTolerances
-    structure: UnmodelledStructure
+    manufacture: _ManufacturingTolerances
+    structure: _UnmodelledStructure
     instruments: SensorFaultLimits
-    side: SideMotionRange | None
+    side: _SideMotionRange | None
     sources: dict[str, str]
 
 
@@ -222,7 +222,7 @@ def _four_factors(rng: np.random.Generator, most: float) -> PerWheel:
 
 
 def _with_tolerances(
-    car: VehicleParameters, limits: ManufacturingTolerances, seed: int | np.random.SeedSequence
+    car: VehicleParameters, limits: _ManufacturingTolerances, seed: int | np.random.SeedSequence
 ) -> VehicleParameters:
     rng = np.random.default_rng(_seed_sequence(seed, MANUFACTURE_LEVEL))
 
@@ -249,7 +249,7 @@ def _with_tolerances(
 
 
 def _with_structure(
-    car: VehicleParameters, limits: UnmodelledStructure, seed: int | np.random.SeedSequence
+    car: VehicleParameters, limits: _UnmodelledStructure, seed: int | np.random.SeedSequence
 ) -> VehicleParameters:
     rng = np.random.default_rng(_seed_sequence(seed, STRUCTURE_LEVEL))
     variation = replace(
@@ -267,7 +267,7 @@ def _with_structure(
 
 
 def _with_side_motion(
-    car: VehicleParameters, limits: SideMotionRange, seed: int | np.random.SeedSequence
+    car: VehicleParameters, limits: _SideMotionRange, seed: int | np.random.SeedSequence
 ) -> VehicleParameters:
     """Return the vehicle with another side motion than that of its file, or with one at all."""
     rng = np.random.default_rng(_seed_sequence(seed, SIDE_LEVEL))
@@ -297,7 +297,7 @@ def _with_side_motion(
     return replace(car, side=side)
 
 
-def _draw_mode(rng: np.random.Generator, limits: FrameRange) -> dict[str, float]:
+def _draw_mode(rng: np.random.Generator, limits: _FrameRange) -> dict[str, float]:
     """Draw frequency and damping ratio of a mode."""
     f = float(np.exp(rng.uniform(*np.log(limits.f))))
     return {"f": f, "zeta": float(rng.uniform(*limits.zeta))}

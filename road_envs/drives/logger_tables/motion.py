@@ -34,7 +34,7 @@ DISAGREEMENT = 0.25
 """Relative difference of two distances of a drive above which one of them is wrong."""
 
 
-class DrivenMotion(NamedTuple):
+class _DrivenMotion(NamedTuple):
     """Speed `v` [m/s] and odometer `s` [m] (N,); latitude and longitude [°] (2, N) or None."""
 
     v: np.ndarray
@@ -42,7 +42,7 @@ class DrivenMotion(NamedTuple):
     position: np.ndarray | None
 
 
-def read_motion(channels: Channels, t_rows: np.ndarray, t: np.ndarray) -> DrivenMotion | None:
+def read_motion(channels: Channels, t_rows: np.ndarray, t: np.ndarray) -> _DrivenMotion | None:
     """Return the motion at the times `t` (N,) of a table with rows at `t_rows` [s].
 
     The distance is the odometer's, the integral of the speed, or the length of the track, in this
@@ -91,7 +91,7 @@ def read_motion(channels: Channels, t_rows: np.ndarray, t: np.ndarray) -> Driven
     if v is None:
         v = np.maximum(np.gradient(_smoothed(distance, t, 1.0), t), 0.0)
     _check(t, v, distance, track, s is not None, findings)
-    return DrivenMotion(v, distance, position) if len(findings.problems) == before else None
+    return _DrivenMotion(v, distance, position) if len(findings.problems) == before else None
 
 
 def integrate(t: np.ndarray, v: np.ndarray) -> np.ndarray:
