@@ -1,7 +1,7 @@
 """Simulator of a vehicle on rough roads, and the Gymnasium environment `RoadRecon-v0`.
 
-Reading order, which is the order of the data flow: `config`, `data.record`, `roads`, `vehicle`,
-`simulation`, `sensing`, `data.recording`, `analysis`, `envs`, `policies`, `rendering`.
+Reading order, which is the order of the data flow: `core`, `records`, `roads`, `vehicle`,
+`simulation`, `sensing`, `drives`, `analysis`, `envs`, `policies`, `rendering`.
 """
 
 from importlib import import_module

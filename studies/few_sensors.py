@@ -20,7 +20,7 @@ import numpy as np
 
 from leaderboard.drive_report.conditions import load_conditions
 from leaderboard.drive_report.report import ReportSettings, make_report
-from road_envs.drives.places import PLACES
+from road_envs.drives.logger_tables.description import PLACES
 from road_envs.drives.reading import read_drive
 from road_envs.drives.recording import simulate_record, write_record
 from road_envs.records.accelerometers import Accelerometer

@@ -16,7 +16,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,14 +24,21 @@ import estimators
 from estimators.map_smoother.estimator import MapSmoother
 from leaderboard.metrics.heights import nrmse
 from leaderboard.report.plots import COLOURS, write_figure
-from road_envs.analysis.information_bound import OperatingPoint, RoadPrior, bound_of_passes
+from road_envs.analysis.information_bound import (
+    N_FREQUENCIES,
+    Mode,
+    Posterior,
+    RoadPrior,
+    measurement,
+    posterior,
+)
 from road_envs.drives.recording import simulate_record
 from road_envs.records.record import Profile, Record, scored_band
 from road_envs.records.roughness import CLASSES
 from road_envs.roads import realise_road
-from road_envs.sensing.instruments import load_instruments
+from road_envs.sensing.instruments import Instruments, load_instruments
 from road_envs.sensing.perturbed_vehicle import perturb_vehicle
-from road_envs.vehicle.parameters import load_vehicle
+from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 from studies.study import Row, run_study, study_parser
 
 Condition = tuple[float, Any]
@@ -97,6 +104,37 @@ def road_results(road: int, grade: str) -> Row:
         bounds = _bounds(road, mix, band)
         row[mix] = {"nrmse": errors, "seconds": seconds, "bound": bounds}
     return row
+
+
+class OperatingPoint(NamedTuple):
+    """A vehicle in a `mode` at `v` [m/s], in which it passes over a road."""
+
+    car: VehicleParameters
+    mode: Mode
+    v: float
+
+
+def bound_of_passes(
+    passes: Sequence[OperatingPoint],
+    instruments: Instruments,
+    prior: RoadPrior,
+    *,
+    n: np.ndarray | None = None,
+) -> Posterior:
+    """Return the least error of linear reconstruction of one road from several passes over it.
+
+    The noise of the passes is independent, so that their information H* R^-1 H adds. `n`
+    [cycles/m] is by default the band of the fastest.
+    """
+    if n is None:
+        n = np.linspace(*scored_band(max(one.v for one in passes)), N_FREQUENCIES)
+    parts = [measurement(*one, instruments, prior, n) for one in passes]
+    H = np.concatenate([H for H, _ in parts], axis=1)
+    R, first = np.zeros((n.size, H.shape[1], H.shape[1]), dtype=complex), 0
+    for _, one in parts:
+        inside = slice(first, first + one.shape[1])
+        R[:, inside, inside], first = one, inside.stop
+    return posterior(n, H, prior.spectrum(n), R)
 
 
 def _bounds(number: int, mix: str, band: tuple[float, float]) -> list[float] | None:

@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 
 from leaderboard.drive_report.conditions import load_conditions
 from leaderboard.drive_report.report import ReportSettings, make_report
-from road_envs.drives.places import PLACES
+from road_envs.drives.logger_tables.description import PLACES
 from road_envs.drives.reading import read_drive
 from road_envs.drives.recording import simulate_record
 from road_envs.records.roughness import golden_car

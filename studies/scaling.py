@@ -32,10 +32,10 @@ from road_envs.core.atomic_io import TempFolder, write_text
 from road_envs.core.extras import optional_import
 from road_envs.drives.recording import simulate_record
 from road_envs.roads import load_road, with_length
-from road_envs.simulation.fleet import Fleet
 from road_envs.simulation.rosenbrock import ACCELERATION
 from road_envs.vehicle.parameters import load_vehicle
 from road_envs.vehicle.suspension import encode_command
+from studies.bench.fleet import Fleet
 from studies.bench.integrators import IntegrationProblem
 
 VEHICLES, STEPS = (64, 128, 256, 512, 1024, 2048), 250

@@ -22,13 +22,13 @@ for library in ("OMP", "OPENBLAS", "MKL"):  # before they are loaded: a sum depe
 import gymnasium
 import numpy as np
 from fakes import task
+from weighted import weighted_rms
 
 import estimators
 import road_envs  # noqa: F401  registers the environment
 from leaderboard.evaluation.comparison import scores_by_run
 from leaderboard.evaluation.evaluate import run_task
 from leaderboard.evaluation.test_data import simulate_drives
-from road_envs.analysis.comfort import weighted_rms
 from road_envs.analysis.information_bound import RoadPrior, bound
 from road_envs.drives.recording import simulate_record
 from road_envs.records.roughness import iri
@@ -36,11 +36,11 @@ from road_envs.roads import load_road
 from road_envs.sensing.data_logger import load_instruments
 from road_envs.sensing.perturbed_vehicle import perturb_vehicle
 from road_envs.simulation.drive import DriveSimulator, simulate
-from road_envs.simulation.fleet import Fleet, select_vehicle
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.parameters import load_vehicle
 from road_envs.vehicle.suspension import encode_command
 from studies.bench.adaptive_drive import simulate_adaptive
+from studies.bench.fleet import Fleet, select_vehicle
 
 MIXED = {"front": "ride", "rear": "handling"}
 ROADS = ("iso_d", "belgian", "potholes", "random_bumps", "twist", "iso_c_varying", "sine_sweep")

@@ -36,7 +36,10 @@ from road_envs.core.atomic_io import write_text
 from road_envs.core.code_digest import cache_home, closure, code_digest, digest, find_source
 
 ROOT = Path(__file__).resolve().parent.parent
-COPIED = ("road_envs", "estimators", "leaderboard", "configs", "tests", "docs", "pyproject.toml")
+COPIED = (
+    "road_envs", "estimators", "leaderboard", "studies", "configs", "tests", "docs",
+    "pyproject.toml",
+)  # fmt: skip
 FAULTS_FOLDER = ROOT / "tests" / "faults"
 VERDICTS = ROOT / "docs" / "runs" / "faults.txt"
 TITLE = (

@@ -1,4 +1,4 @@
-"""Ride comfort after ISO 2631-1: vertical weighting Wk, weighted RMS and vibration dose value.
+"""Ride comfort after ISO 2631-1: the vertical weighting Wk.
 
 The weighting is the product of four second-order sections (ISO 2631-1, annex A; s = 2 pi i f):
 
@@ -8,7 +8,6 @@ The weighting is the product of four second-order sections (ISO 2631-1, annex A;
 """
 
 import numpy as np
-import scipy
 
 W_1, W_2, W_3, W_4, W_5, W_6 = 2.0 * np.pi * np.array([0.4, 100.0, 12.5, 12.5, 2.37, 3.35])
 Q_4, Q_5, Q_6 = 0.63, 0.91, 0.91
@@ -36,21 +35,6 @@ def wk_sos(fs: float) -> np.ndarray:
     if not 0.0 < fs < np.inf:
         raise ValueError(f"the sampling rate fs must be positive, got {fs}")
     return np.array([_match_section(b, a, corner, fs) for b, a, corner in WK_SECTIONS])
-
-
-def weighted_rms(a: np.ndarray, fs: float) -> np.ndarray:
-    """Return the Wk-weighted RMS (...,) [m/s²] of vertical accelerations `a` (..., N) [m/s²]."""
-    return np.sqrt(np.mean(_apply_wk(a, fs) ** 2, axis=-1))
-
-
-def vdv(a: np.ndarray, fs: float) -> np.ndarray:
-    """Return the vibration dose value (...,) [m/s^1.75], (integral of (Wk a)^4 dt)^(1/4)."""
-    return (np.sum(_apply_wk(a, fs) ** 4, axis=-1) / fs) ** 0.25
-
-
-def _apply_wk(a: np.ndarray, fs: float) -> np.ndarray:
-    """Filter accelerations `a` (..., N) [m/s²], sampled at `fs` [Hz], by Wk from rest."""
-    return scipy.signal.sosfilt(wk_sos(fs), a, axis=-1)
 
 
 def _match_section(b: np.ndarray, a: np.ndarray, corner: float, fs: float) -> np.ndarray:

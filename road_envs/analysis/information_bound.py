@@ -25,10 +25,10 @@ knows the force laws, and is neglected by default. For a linear estimator it is 
 (`statistical_linearization.py`).
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -144,14 +144,6 @@ def posterior(
     return Posterior(n, S, 0.5 * (error + hermitian(error)), gain)
 
 
-class OperatingPoint(NamedTuple):
-    """A vehicle in a `mode` at `v` [m/s], in which it passes over a road."""
-
-    car: Plant | VehicleParameters
-    mode: Mode
-    v: float
-
-
 def bound(
     car: Plant | VehicleParameters,
     mode: Mode,
@@ -159,55 +151,26 @@ def bound(
     instruments: Instruments,
     prior: RoadPrior,
     *,
-    locations: Mapping[str, tuple[Any, ...]] | None = None,
-    damping: np.ndarray | None = None,
     model_error: float = 0.0,
-    residual_as_noise: bool = False,
     n: np.ndarray | None = None,
-    f_c: float = F_C,
+    **options: Any,
 ) -> Posterior:
     """Return the least error of linear reconstruction of a road with the given `prior`.
 
     The vehicle drives in `mode` at `v` [m/s]. `n` [cycles/m] is the scored band by default.
-    `locations`, as in `linearise`, replace those of the `instruments`. `damping` (4,) [N s/m] of
-    the struts is `equivalent_damping` by default. With `residual_as_noise` the nonlinear residual
-    of the strut forces adds to the noise, which gives the bound of purely linear estimators. Raises
-    ValueError on invalid arguments.
+    `options` are those of `measurement`. Raises ValueError on invalid arguments.
     """
     if not 0 <= model_error < np.inf:
         raise ValueError(f"model_error must not be negative, got {model_error}")
     n = np.linspace(*scored_band(v), N_FREQUENCIES) if n is None else np.asarray(n, dtype=float)
-    options: dict[str, Any] = {"residual_as_noise": residual_as_noise, "f_c": f_c}
-    options |= {"locations": locations, "damping": damping}
-    H, R = measurement(OperatingPoint(car, mode, v), instruments, prior, n, **options)
+    H, R = measurement(car, mode, v, instruments, prior, n, **options)
     return posterior(n, H, prior.spectrum(n), R, model_error)
 
 
-def bound_of_passes(
-    passes: Sequence[OperatingPoint],
-    instruments: Instruments,
-    prior: RoadPrior,
-    *,
-    n: np.ndarray | None = None,
-) -> Posterior:
-    """Return the least error of linear reconstruction of one road from several passes over it.
-
-    The noise of the passes is independent, so that their information H* R^-1 H adds. `n`
-    [cycles/m] is by default the band of the fastest.
-    """
-    if n is None:
-        n = np.linspace(*scored_band(max(one.v for one in passes)), N_FREQUENCIES)
-    parts = [measurement(one, instruments, prior, n) for one in passes]
-    H = np.concatenate([H for H, _ in parts], axis=1)
-    R, first = np.zeros((n.size, H.shape[1], H.shape[1]), dtype=complex), 0
-    for _, one in parts:
-        inside = slice(first, first + one.shape[1])
-        R[:, inside, inside], first = one, inside.stop
-    return posterior(n, H, prior.spectrum(n), R)
-
-
 def measurement(
-    at: OperatingPoint,
+    car: Plant | VehicleParameters,
+    mode: Mode,
+    v: float,
     instruments: Instruments,
     prior: RoadPrior,
     n: np.ndarray,
@@ -219,9 +182,11 @@ def measurement(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return response H (F, S, 2) and noise spectrum R (F, S, S) of the sensors at `n` (F,).
 
-    The arguments are those of `bound`.
+    `locations`, as in `linearise`, replace those of the `instruments`. `damping` (4,) [N s/m] of
+    the struts is `equivalent_damping` by default. With `residual_as_noise` the nonlinear residual
+    of the strut forces adds to the noise, which gives the bound of purely linear estimators. Above
+    `f_c` [Hz] nothing is measured.
     """
-    car, mode, v = at
     if damping is None:
         damping = equivalent_damping(car, mode, v, prior)
     if locations is None:

@@ -41,11 +41,8 @@ ORDERS = 24
 Spectrum = Callable[[np.ndarray], np.ndarray]
 """From `n` (F,) [cycles/m] to the spectrum (F, 2, 2) [m³] of both wheel paths."""
 
-BANDWIDTH = 60.0
-"""Highest frequency [Hz] of the spectrum of the motion."""
-
-N_FREQUENCIES = 4096
-"""Number of frequencies of that spectrum."""
+BANDWIDTH = 60.0  # highest frequency [Hz] of the spectrum of the motion
+N_FREQUENCIES = 4096  # number of frequencies of that spectrum
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,13 +57,6 @@ class NonlinearResidual:
     over_extension: np.ndarray
     e_dot: np.ndarray
     over_rate: np.ndarray
-
-    def force(self, e: np.ndarray, e_dot: np.ndarray) -> np.ndarray:
-        """Return the force (4, N) [N] at extensions (4, N) [m] from rest, rates (4, N) [m/s]."""
-        tables = zip(self.over_extension, self.over_rate, e, e_dot, strict=True)
-        return np.array(
-            [np.interp(x, self.e, r) + np.interp(w, self.e_dot, q) for r, q, x, w in tables]
-        )
 
 
 def nonlinear_residual(

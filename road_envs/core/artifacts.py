@@ -184,17 +184,14 @@ def clean(folder: Path, delete: bool = True) -> list[Path]:
 
     Files that are no artifacts, or say nothing of their code, stay. With `delete` False all stay.
     """
-    found = [path for path in sorted(folder.rglob("*.json")) if _is_stale(path)]
+    found = []
+    for path in filter(is_artifact, sorted(folder.rglob("*.json"))):
+        digest_then, *modules = json.loads(path.read_text(encoding="utf-8")).get("made_by") or [""]
+        if modules and digest_then != code_version(*modules):
+            found.append(path)
     for path in found if delete else ():
         path.unlink(missing_ok=True)
     return found
-
-
-def _is_stale(path: Path) -> bool:
-    if not is_artifact(path):
-        return False
-    digest_then, *modules = json.loads(path.read_text(encoding="utf-8")).get("made_by") or [""]
-    return bool(modules) and digest_then != code_version(*modules)
 
 
 def _dump_by_lines(value: Any, depth: int = 2) -> str:

@@ -12,14 +12,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-PARTIAL_SUFFIX = ".partial"
-"""Suffix of a file that is still being written."""
-
-TEMP_PREFIX = "roadrecon-scratch-"
-"""Prefix of the name of a temporary folder."""
-
-LOCK_INTERVAL = 0.02
-"""Time [s] between two attempts to take a lock."""
+PARTIAL_SUFFIX = ".partial"  # suffix of a file that is still being written
+TEMP_PREFIX = "roadrecon-scratch-"  # prefix of the name of a temporary folder
+LOCK_INTERVAL = 0.02  # time [s] between two attempts to take a lock
 
 _counter = itertools.count()
 

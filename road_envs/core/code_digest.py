@@ -27,11 +27,8 @@ PACKAGES = ("road_envs", "estimators", "leaderboard")
 DIGESTED = (*PACKAGES, "studies")
 """Packages whose imports of one another are followed; the studies exist in a checkout alone."""
 
-DIGITS = 16
-"""Hex digits of a digest."""
-
-LARGEST_MEMORY = 1000
-"""Most files that are remembered from one process to the next."""
+DIGITS = 16  # hex digits of a digest
+LARGEST_MEMORY = 1000  # most files that are remembered from one process to the next
 
 
 class Source(NamedTuple):

@@ -37,17 +37,10 @@ NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0, lt=1)]
 Count = Annotated[int, Field(ge=1)]
 
-MAX_FILE_SIZE = 2**22
-"""Largest YAML file [bytes]."""
-
-MAX_VALUES = 10**6
-"""Most values in a YAML file, every alias counted as what it stands for."""
-
-MAX_SHOWN = 200
-"""Characters of a value that a message repeats."""
-
-UNKNOWN_KEY = "unexpected_keyword_argument"
-"""Pydantic's type of this error."""
+MAX_FILE_SIZE = 2**22  # largest YAML file [bytes]
+MAX_VALUES = 10**6  # most values in a YAML file, every alias counted as what it stands for
+MAX_SHOWN = 200  # characters of a value that a message repeats
+UNKNOWN_KEY = "unexpected_keyword_argument"  # pydantic's type of this error
 
 _validator = cache(TypeAdapter)
 
@@ -242,9 +235,9 @@ def _range_adapters(cls: Any) -> dict[str, TypeAdapter]:
 
 def _unnoted(hint: Any) -> Any:
     """Return a type without unit and meaning: fields of one range then share a validator."""
-    rules = tuple(note for note in getattr(hint, "__metadata__", ()) if not isinstance(note, str))
     if get_origin(hint) is not Annotated:
         return hint
+    rules = [note for note in hint.__metadata__ if not isinstance(note, str)]
     return Annotated[(hint.__origin__, *rules)] if rules else hint.__origin__
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 DISTRIBUTION = "road-envs"
 
@@ -33,6 +34,15 @@ def optional_import(purpose: str) -> Iterator[None]:
         yield
     except ModuleNotFoundError as error:
         raise MissingExtraError(missing_extra(error, purpose)) from error
+
+
+def import_pyarrow() -> tuple[Any, Any]:
+    """Return `pyarrow` and `pyarrow.parquet`. Raises MissingExtraError."""
+    with optional_import("a table as CSV or Parquet"):
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+    return pa, pq
 
 
 def missing_extra(error: ModuleNotFoundError, purpose: str) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from road_envs.core.extras import MissingExtraError, optional_import
+from road_envs.core.extras import MissingExtraError, import_pyarrow
 
 MAX_COMPRESSION = 100
 """Largest ratio of uncompressed to stored bytes; guards against decompression bombs."""
@@ -31,14 +31,15 @@ def parsing(path: str | Path, error: type[Exception], reason: str) -> Iterator[N
 
     Parsers of other packages answer hostile bytes with exceptions of any class (MemoryError,
     RecursionError, NotImplementedError, ...). An `error` raised inside is prefixed by the path
-    alone, others by `reason`, such as "not valid YAML".
+    alone, unless it has it, others by `reason`, such as "not valid YAML".
     """
     try:
         yield
     except MissingExtraError:
         raise
     except error as failure:
-        raise error(f"{path}: {failure}") from None
+        text = str(failure)
+        raise error(text if text.startswith(f"{path}: ") else f"{path}: {text}") from None
     except Exception as failure:
         said = " ".join(str(failure).split()) or type(failure).__name__
         if isinstance(failure, OSError):
@@ -79,9 +80,7 @@ def read_parquet(path: Path) -> Any:
 
     Raises an exception of any class if the file is damaged: call it inside `parsing`.
     """
-    with optional_import("a table as CSV or Parquet"):
-        import pyarrow.parquet as pq
-
+    _, pq = import_pyarrow()
     with path.open("rb") as file:
         if file.read(4) != b"PAR1":
             raise ValueError("it does not begin with PAR1")

@@ -40,12 +40,9 @@ class Registry(Generic[T]):
             try:
                 classes[name] = self.check(entry.load())
             except Exception as error:  # a faulty package must not disable the other plug-ins
-                reason = f"{type(error).__name__}: {error}"
-                warnings.warn(
-                    f"the {self.kind} {name!r} of {entry.value} is skipped: {reason}",
-                    PluginWarning,
-                    stacklevel=2,
-                )
+                reason = f"is skipped: {type(error).__name__}: {error}"
+                text = f"the {self.kind} {name!r} of {entry.value} {reason}"
+                warnings.warn(text, PluginWarning, stacklevel=2)
         return classes
 
     def names(self) -> list[str]:

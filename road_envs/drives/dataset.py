@@ -11,13 +11,12 @@ import numpy as np
 
 from road_envs._version import __version__
 from road_envs.core.atomic_io import write_text
-from road_envs.core.extras import optional_import
+from road_envs.core.extras import import_pyarrow
 from road_envs.drives.training_corpus import Corpus
 from road_envs.records.accelerometers import column
 from road_envs.records.record import Profile, Record
 
 FORMAT = "roadrecon dataset 1"
-SPLITS = ("train", "validation", "test")
 CYCLE = ("train",) * 8 + ("validation", "test")
 """Split of the drives k = 0, 1, ..., repeated: every prefix of a data set has 80, 10 and 10 %."""
 
@@ -35,7 +34,7 @@ configs:
 ---
 # RoadRecon drives
 
-{number} simulated drives of a Land Rover Defender with switchable suspension over {metres:.0f} m of
+{drives} simulated drives of a Land Rover Defender with switchable suspension over {metres:.0f} m of
 road, with the true heights of both wheel paths. Road, speed, strut states, vehicle, noise and gains
 are drawn for each drive (`road_envs.drives.training_corpus`); a third of the vehicles have flexible
 bodies or faulty instruments. No drive is one of the benchmark.
@@ -48,7 +47,7 @@ bodies or faulty instruments. No drive is one of the benchmark.
 - `dataset.json`: version, settings, and the SHA-256 of every file.
 
 Splits: train, validation, test; every drive has a road of its own. Made by `{command}` with
-road-envs {version}, corpus {digest}. Licence: {licence}. These are no measured data; the vehicles
+road-envs {version}, corpus {corpus}. Licence: {licence}. These are no measured data; the vehicles
 are variants of one model, so an error on it says nothing about another kind of vehicle.
 """
 
@@ -65,19 +64,19 @@ def write_dataset(
     The card says by which `command`; `progress` is called with a description and the share done.
     Raises MissingExtraError without pyarrow.
     """
-    with optional_import("a table as CSV or Parquet"):
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-
+    pa, pq = import_pyarrow()
     rows: list[dict[str, Any]] = []
-    for split in SPLITS:
+    for split in dict.fromkeys(CYCLE):
         chosen = [k for k in range(corpus.number) if CYCLE[k % len(CYCLE)] == split]
         writers: dict[str, Any] = {}
         try:
             for k in chosen:
                 progress(f"simulating drive {k}", len(rows) / corpus.number)
                 record, truth, _ = corpus.simulate_drive(k)
-                rows.append(_row(k, split, record))
+                rows.append({
+                    "drive": k, "split": split, "length_m": float(record.length),
+                    "speed_kmh": 3.6 * float(np.median(record.v)), "samples": record.t.size,
+                })  # fmt: skip
                 for name, columns in _tables(k, record, truth).items():
                     table = pa.table(columns)
                     if name not in writers:
@@ -97,25 +96,13 @@ def write_dataset(
         "metres": float(sum(row["length_m"] for row in rows)),
         "licence": LICENCE,
     }
-    card = CARD.format(
-        number=corpus.number,
-        metres=facts["metres"],
-        size="n<1K" if corpus.number < 1000 else "1K<n<10K",
-        command=command,
-        version=__version__,
-        digest=corpus.digest,
-        licence=LICENCE,
-    )
+    size = "n<1K" if corpus.number < 1000 else "1K<n<10K"
+    card = CARD.format(**facts, size=size, command=command)
     (folder / "README.md").write_text(card, encoding="utf-8")
-    files = {
-        path.name: hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(folder.iterdir())
-    }
-    settings = json.loads(json.dumps(asdict(corpus)))
-    write_text(
-        folder / "dataset.json",
-        json.dumps({**facts, "settings": settings, "files": files}, indent=2) + "\n",
-    )
+    paths = sorted(folder.iterdir())
+    files = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
+    about = {**facts, "settings": asdict(corpus), "files": files}
+    write_text(folder / "dataset.json", json.dumps(about, indent=2) + "\n")
     return facts
 
 
@@ -136,14 +123,4 @@ def _tables(k: int, record: Record, truth: Profile) -> dict[str, dict[str, Any]]
             "left": truth.z[0].astype(np.float32),
             "right": truth.z[1].astype(np.float32),
         },
-    }
-
-
-def _row(k: int, split: str, record: Record) -> dict[str, Any]:
-    return {
-        "drive": k,
-        "split": split,
-        "length_m": float(record.length),
-        "speed_kmh": 3.6 * float(np.median(record.v)),
-        "samples": record.t.size,
     }

@@ -18,26 +18,18 @@ are interpolated between the rows that hold them. A clock that jitters is resamp
 """  # noqa: E501
 
 import itertools
-from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from road_envs.core.config import ConfigError
 from road_envs.drives.logger_tables.channels import Channels, TableFindings
-from road_envs.drives.logger_tables.clock import (
-    MAX_LOST_SHARE,
-    check_rate,
-    read_clock,
-    resample,
-)
-from road_envs.drives.logger_tables.description import DriveDescription
+from road_envs.drives.logger_tables.clock import MAX_LOST_SHARE, check_rate, read_clock, resample
+from road_envs.drives.logger_tables.description import DEVICE, SEAT_NOTE, DriveDescription
 from road_envs.drives.logger_tables.motion import read_motion
-from road_envs.drives.logger_tables.table import Table, read_table
+from road_envs.drives.logger_tables.table import Table
 from road_envs.drives.mount import Levelled, level
-from road_envs.drives.places import DEVICE, SEAT_NOTE
 from road_envs.drives.recordings.recording import Recording, Series
 from road_envs.records.accelerometers import column
 from road_envs.records.record import LowPass, Record
@@ -68,32 +60,6 @@ class MeasuredRecord(NamedTuple):
     fs: float = np.inf
     has_distance: bool = False
     place: str = ""
-
-
-def read_measured_record(
-    path: Path,
-    wheelbase: float,
-    *,
-    speed_kmh: float | None = None,
-    mode: str | Mapping[str, str] | None = None,
-    description: DriveDescription | None = None,
-    car: VehicleParameters | None = None,
-) -> MeasuredRecord:
-    """Read the record of a measured drive of a vehicle of this `wheelbase` [m].
-
-    `speed_kmh` and `mode` apply to the whole drive, as those of the `description` do; each is
-    required if the table does not hold it. A speed besides that of the table is invalid, and so is
-    a mode that differs from it. Modes are those of the `car`, by
-    default of a 4S4 suspension; a car with passive struts needs none. The road extends from the
-    position of the rear axle at the first sample to that of the front axle at the last. Raises one
-    ConfigError that lists all problems, with the columns, and the rows if there are any.
-    """
-    chosen = (description or DriveDescription()).updated(speed_kmh=speed_kmh, mode=mode)
-    table = read_table(path)
-    try:
-        return to_measured_record(table, wheelbase, chosen, car)
-    except ConfigError as error:
-        raise ConfigError(f"{path}: {error}") from None
 
 
 def recording_to_record(
@@ -133,18 +99,24 @@ def _joined_table(upright: Levelled, track: Series | None) -> Table:
 def to_measured_record(
     table: Table, wheelbase: float, description: DriveDescription, car: VehicleParameters | None
 ) -> MeasuredRecord:
-    """Return the record in a table, as `read_measured_record` does. Raises ConfigError."""
-    findings = TableFindings()
-    one_device = description.layout is not None and description.accelerometers is None
-    instruments = load_instruments(description.sensors or ("phone" if one_device else "paper"))
+    """Return the record in a table, of a vehicle of this `wheelbase` [m].
+
+    The speed and the mode of a description are those of the whole drive; each is required if the
+    table does not hold it. A speed besides that of the table is invalid, and so is a mode that
+    differs from it. Modes are those of the `car`, by default of a 4S4 suspension; a car with
+    passive struts needs none. The road extends from the position of the rear axle at the first
+    sample to that of the front axle at the last. Raises one ConfigError that lists all problems,
+    with the columns, and the rows if there are any.
+    """
+    instruments = load_instruments(description.instruments)
     if description.layout is not None:
         instruments = replace(instruments, accelerometers=description.layout)
     layout = instruments.layout
-    channels = Channels(table, description, findings, layout)
-    clock = read_clock(channels, findings)
+    channels = Channels(table, description, layout)
+    findings, clock = channels.findings, read_clock(channels)
     found = [channels.acceleration(column(name)) for name in layout]
     given = [x for x in found if x is not None]
-    commands = _commands(channels, findings, car)
+    commands = _commands(channels, car)
     if not given and description.layout is None:
         findings.problems.append(ONE_DEVICE)
     if clock is None or not given:
@@ -152,14 +124,15 @@ def to_measured_record(
     assert clock is not None
     a = np.array(given)
     sampled = np.isfinite(a).any(axis=0)  # the other rows are those of slower sensors
-    names = [
-        channels.headers[column(x)] for x, a in zip(layout, found, strict=True) if a is not None
-    ]
-    _check_different(dict(zip(names, a[:, sampled], strict=True)), findings)
+    pairs = zip(layout, found, strict=True)
+    named = {channels.headers[column(name)]: x[sampled] for name, x in pairs if x is not None}
+    for (one, x), (other, y) in itertools.combinations(named.items(), 2):
+        if np.array_equal(x, y, equal_nan=True):
+            findings.problems.append(f"{one} and {other} are equal in all rows")
     sampled &= _new_samples(a, findings)
     t = clock.t[sampled]
     dt = check_rate(t, findings)
-    motion = read_motion(channels, clock.t, t, findings)
+    motion = read_motion(channels, clock.t, t)
     findings.raise_problems()
     assert motion is not None and commands is not None
     start = float(t[0])
@@ -177,17 +150,14 @@ def to_measured_record(
     chainage = (s[0] if description.offset is None else description.offset) - wheelbase
     s = s - s[0] + wheelbase
     low_pass = None if description.low_pass is None else LowPass(description.low_pass)
-    record = Record(even, a, v, s, stiff, high, float(s[-1]), layout, low_pass)
-    has_distance = "s" in channels or position is not None
-    notes = tuple(findings.notes)
-    return MeasuredRecord(record, notes, float(chainage), position, 1.0 / dt, has_distance)
-
-
-def _check_different(columns: Mapping[str | None, np.ndarray], findings: TableFindings) -> None:
-    """Add a problem for each two columns (N,) that are equal."""
-    for (one, x), (other, y) in itertools.combinations(columns.items(), 2):
-        if np.array_equal(x, y, equal_nan=True):
-            findings.problems.append(f"{one} and {other} are equal in all rows")
+    return MeasuredRecord(
+        Record(even, a, v, s, stiff, high, float(s[-1]), layout, low_pass),
+        notes=tuple(findings.notes),
+        chainage=float(chainage),
+        position=position,
+        fs=1.0 / dt,
+        has_distance="s" in channels or position is not None,
+    )
 
 
 def _new_samples(a: np.ndarray, findings: TableFindings) -> np.ndarray:
@@ -205,17 +175,16 @@ def _new_samples(a: np.ndarray, findings: TableFindings) -> np.ndarray:
     return new
 
 
-def _commands(
-    channels: Channels, findings: TableFindings, car: VehicleParameters | None
-) -> np.ndarray | None:
+def _commands(channels: Channels, car: VehicleParameters | None) -> np.ndarray | None:
     """Return the command bytes (N,) of the strut states, None if unknown."""
+    problems = channels.findings.problems
     mode, size = channels.description.mode, len(next(iter(channels.table.values()), ()))
     given = [name for name in ("mode", "mode_front", "mode_rear") if name in channels]
     if car is not None and car.is_passive and not given and mode is None:
         mode = "passive"
     if given not in ([], ["mode"], ["mode_front", "mode_rear"]) or not (given or mode):
         problem = f"given as {', '.join(given)}" if given else "missing"
-        findings.problems.append(
+        problems.append(
             f"the state of the struts is {problem}: give the column mode, or mode_front and "
             f"mode_rear, or one mode for the whole drive (--mode); {channels.list_columns()}"
         )
@@ -238,5 +207,5 @@ def _commands(
             )
         return commands
     except ConfigError as error:
-        findings.problems.append(str(error))
+        problems.append(str(error))
         return None

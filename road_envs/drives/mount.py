@@ -6,14 +6,14 @@ A device at rest in its mount measures, along its own axes, the specific force
 
 Over seconds the vibration averages to zero, and the manoeuvres are known where the speed v and the
 heading psi are: a_ahead = dv/dt, a_left = v dpsi/dt. Regression of the averages over BLOCK on
-[1, a_ahead, a_left] therefore gives g u, which is the mount, and p and q where braking and turning
-suffice. Its residuals have a standard error, which is that of the tilt; where the direction of the
-averages changes and stays changed, the device has moved in its mount, and each part has a mount of
-its own. The vertical acceleration is f u - g. Unlike the complementary filters of attitude (Mahony,
-Hamel & Pflimlin, IEEE Trans. Automatic Control 53, 2008), which need a gyroscope, this has no phase
-and no drift.
+[1, a_ahead, a_left] therefore gives g u, which is the mount. Its residuals have a standard error,
+which is that of the tilt; where the direction of the averages changes and stays changed, the device
+has moved in its mount, and each part has a mount of its own. The vertical acceleration is f u - g.
+Unlike the complementary filters of attitude (Mahony, Hamel & Pflimlin, IEEE Trans. Automatic
+Control 53, 2008), which need a gyroscope, this has no phase and no drift.
 """
 
+import itertools
 from typing import NamedTuple
 
 import numpy as np
@@ -36,14 +36,11 @@ MOVED, MOVED_BLINDLY = np.radians(6.0), np.radians(15.0)
 of 10 %. The second where speed and heading are not known, so that braking and turning change it.
 """
 
-MOST_MOVES = 4
-"""Most movements of a device that is still mounted; more are of a loose one."""
-
-LEFT_OUT = 1.5
-"""Time [s] on either side of a movement that is left out."""
+MOST_MOVES = 4  # most movements of a device that is still mounted; more are of a loose one
+LEFT_OUT = 1.5  # time [s] on either side of a movement that is left out
 
 EXCITED = 0.25
-"""Least standard deviation [m/s²] of a manoeuvre's acceleration that shows its direction."""
+"""Least standard deviation [m/s²] of a manoeuvre's acceleration that is regressed on."""
 
 GRAVITY_RANGE = (0.93 * STANDARD_GRAVITY, 1.07 * STANDARD_GRAVITY)
 """Magnitude [m/s²] of the mean that is gravity: offsets of phones are up to some tenths."""
@@ -55,33 +52,31 @@ CORRELATED = 4.0
 """Blocks for which a residual of the slow motion lasts, in the standard error of the mount."""
 
 
-class Mount(NamedTuple):
-    """A device in its vehicle: unit vectors `up` (3,), and `ahead` (3,) or None, in device axes.
+class _Mount(NamedTuple):
+    """A device in its vehicle: the unit vector `up` (3,) in device axes.
 
     `gravity` [m/s²] is the magnitude found, `tilt_std` [rad] the standard error of `up`.
     """
 
     up: np.ndarray
-    ahead: np.ndarray | None
     gravity: float
     tilt_std: float
 
 
 class Levelled(NamedTuple):
-    """Accelerations (N,) [m/s²] of the vehicle at times `t`: vertical, and ahead and to the left,
-    NaN where the heading of the device is not known; its mounts; and notes.
+    """Vertical accelerations (N,) [m/s²] of the vehicle at times `t` [s], mounts and notes.
+
+    They are NaN where the device moved in its mount.
     """
 
     t: np.ndarray
     vertical: np.ndarray
-    ahead: np.ndarray
-    left: np.ndarray
-    mounts: tuple[Mount, ...]
+    mounts: tuple[_Mount, ...]
     notes: tuple[str, ...]
 
 
 def level(recording: Recording) -> Levelled:
-    """Return the accelerations of a recording in the frame of its vehicle.
+    """Return the vertical accelerations of the vehicle in a recording.
 
     Raises ConfigError if gravity is missing, has no plausible magnitude, or moves all the time.
     """
@@ -102,21 +97,16 @@ def level(recording: Recording) -> Levelled:
             "it is loose; fix it and drive again"
         )
     edges = [-np.inf, *moves, np.inf]
-    vertical, ahead, left = (np.full(a.t.size, np.nan) for _ in range(3))
-    mounts = []
-    for k in range(len(edges) - 1):
-        inside = (t > edges[k] + LEFT_OUT) & (t < edges[k + 1] - LEFT_OUT)
-        part = (a.t > edges[k] + LEFT_OUT) & (a.t < edges[k + 1] - LEFT_OUT)
+    vertical, mounts = np.full(a.t.size, np.nan), []
+    for begin, end in itertools.pairwise(edges):
+        inside, part = ((x > begin + LEFT_OUT) & (x < end - LEFT_OUT) for x in (t, a.t))
         if inside.sum() < 3:
             continue
-        mount = _mount(f[inside], {key: x[inside] for key, x in manoeuvres.items()})
+        mount = _mount(f[inside], [x[inside] for x in manoeuvres])
         mounts.append(mount)
         vertical[part] = a.x[part] @ mount.up - mount.gravity
-        if mount.ahead is not None:
-            ahead[part] = a.x[part] @ mount.ahead
-            left[part] = a.x[part] @ np.cross(mount.up, mount.ahead)
     notes += _mount_notes(mounts, moves)
-    return Levelled(a.t, vertical, ahead, left, tuple(mounts), tuple(notes))
+    return Levelled(a.t, vertical, tuple(mounts), tuple(notes))
 
 
 def _in_si(recording: Recording) -> tuple[Series, list[str]]:
@@ -155,11 +145,11 @@ def _blocks(a: Series) -> tuple[np.ndarray, np.ndarray]:
     return t[0] + BLOCK * (np.flatnonzero(full) + 0.5), means
 
 
-def _manoeuvres(track: Series | None, t: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the accelerations ahead and to the left at the times `t` (K,), where known."""
+def _manoeuvres(track: Series | None, t: np.ndarray) -> list[np.ndarray]:
+    """Return the accelerations (K,) ahead and to the left at the times `t` (K,), where known."""
     if track is None:
-        return {}
-    found = {}
+        return []
+    found = []
     v, lat, lon = (_known(track, column, t) for column in (2, 0, 1))
     north, east = np.zeros((2, t.size))
     if lat is not None and lon is not None and t.size > 4:
@@ -168,12 +158,12 @@ def _manoeuvres(track: Series | None, t: np.ndarray) -> dict[str, np.ndarray]:
         east = scale * np.gradient(lon, t) * np.cos(np.radians(lat))
         v = np.hypot(north, east) if v is None else v
     if v is not None and t.size > 2:
-        found["ahead"] = np.gradient(v, t)
+        found.append(np.gradient(v, t))
     if v is not None and north.any():
         heading = np.unwrap(np.arctan2(north, east))  # counter-clockwise: positive to the left
         turn = v * np.gradient(heading, t)
-        found["left"] = np.where(v > 3.0, np.clip(turn, -8.0, 8.0), 0.0)
-    return {key: x for key, x in found.items() if float(np.std(x)) > EXCITED}
+        found.append(np.where(v > 3.0, np.clip(turn, -8.0, 8.0), 0.0))
+    return [x for x in found if float(np.std(x)) > EXCITED]
 
 
 def _known(track: Series, column: int, t: np.ndarray) -> np.ndarray | None:
@@ -183,13 +173,13 @@ def _known(track: Series, column: int, t: np.ndarray) -> np.ndarray | None:
     return np.interp(t, *continued(track.t[good], track.x[good, column], t[0], t[-1]))
 
 
-def _moves(t: np.ndarray, f: np.ndarray, manoeuvres: dict[str, np.ndarray]) -> list[float]:
+def _moves(t: np.ndarray, f: np.ndarray, manoeuvres: list[np.ndarray]) -> list[float]:
     """Return the times [s] at which the direction of gravity in the averages `f` (K, 3) changes.
 
     One break after the other is placed where the regression with a level for each part, and the
     manoeuvres in common, fits best; the last is one if the levels on both sides differ by MOVED.
     """
-    common = np.column_stack([np.empty((t.size, 0)), *manoeuvres.values()])
+    common = np.column_stack([np.empty((t.size, 0)), *manoeuvres])
     least = MOVED if manoeuvres else MOVED_BLINDLY
     breaks: list[int] = []
     while len(breaks) <= MOST_MOVES:
@@ -224,10 +214,10 @@ def _fit(f: np.ndarray, common: np.ndarray, breaks: list[int]) -> tuple[np.ndarr
     return B[: len(breaks) + 1], float(np.sum((f - X @ B) ** 2))
 
 
-def _mount(f: np.ndarray, manoeuvres: dict[str, np.ndarray]) -> Mount:
-    """Return the mount by regression of the averages `f` (K, 3) on the manoeuvres."""
-    used = {key: x for key, x in manoeuvres.items() if float(np.std(x)) > EXCITED}
-    X = np.column_stack([np.ones(f.shape[0]), *used.values()])
+def _mount(f: np.ndarray, manoeuvres: list[np.ndarray]) -> _Mount:
+    """Return the mount by regression of the averages `f` (K, 3) on the manoeuvres (K,)."""
+    used = [x for x in manoeuvres if float(np.std(x)) > EXCITED]
+    X = np.column_stack([np.ones(f.shape[0]), *used])
     B = np.linalg.lstsq(X, f, rcond=None)[0]
     residual = f - X @ B
     gravity = float(np.linalg.norm(B[0]))
@@ -236,22 +226,10 @@ def _mount(f: np.ndarray, manoeuvres: dict[str, np.ndarray]) -> Mount:
     spread = np.sqrt(np.sum(across**2) / max(f.shape[0] - X.shape[1], 1))
     inverse = np.linalg.pinv(X.T @ X)
     tilt_std = float(spread * np.sqrt(CORRELATED * inverse[0, 0]) / gravity)
-    return Mount(up, _heading(B, list(used), up), gravity, tilt_std)
+    return _Mount(up, gravity, tilt_std)
 
 
-def _heading(B: np.ndarray, used: list[str], up: np.ndarray) -> np.ndarray | None:
-    """Return the direction ahead (3,), perpendicular to `up`, from braking, else from turning."""
-    for key in ("ahead", "left"):
-        if key in used:
-            row = B[1 + used.index(key)]
-            across = row - (row @ up) * up
-            if 0.5 < (size := float(np.linalg.norm(across))) < 1.5:  # 1 for a true direction
-                unit = across / size
-                return unit if key == "ahead" else np.cross(unit, up)
-    return None
-
-
-def _mount_notes(mounts: list[Mount], moves: list[float]) -> list[str]:
+def _mount_notes(mounts: list[_Mount], moves: list[float]) -> list[str]:
     if not mounts:
         raise ConfigError("the device moves all the time: fix it in its mount and drive again")
     angles = [np.degrees(np.arccos(np.clip(np.abs(m.up).max(), -1.0, 1.0))) for m in mounts]

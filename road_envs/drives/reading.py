@@ -15,24 +15,21 @@ from typing import Any, NamedTuple
 from road_envs.core.config import ConfigError
 from road_envs.drives.logger_tables.description import (
     DEFAULT_PLACE,
+    DEFAULT_SENSORS,
+    DEVICE_SENSORS,
     DriveDescription,
     read_description,
 )
-from road_envs.drives.measured_record import (
-    MeasuredRecord,
-    recording_to_record,
-    to_measured_record,
-)
+from road_envs.drives.measured_record import MeasuredRecord, recording_to_record, to_measured_record
 from road_envs.drives.recording import is_record, read_record
 from road_envs.drives.recordings.formats import drives_in, read_source, read_track
 from road_envs.drives.recordings.recording import Recording, drives_of
-from road_envs.records.record import Record
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 from road_envs.vehicle.suspension import check_modes
 
-DEFAULT_VEHICLE, DEFAULT_SENSORS, DEVICE_SENSORS = "land_rover_defender_110", "paper", "phone"
-"""Vehicle and instruments of the paper's drives, and the instruments of one device."""
+DEFAULT_VEHICLE = "land_rover_defender_110"
+"""Vehicle of the paper's drives."""
 
 
 class DriveFile(NamedTuple):
@@ -127,14 +124,12 @@ def read_drives(
 def _of_recording(
     part: Recording, label: str, chosen: DriveDescription, car: VehicleParameters
 ) -> DriveFile:
-    notes: tuple[str, ...] = ()
-    if chosen.at is None:
-        notes = (f"the device is taken to lie on the {DEFAULT_PLACE} (--at says where it lay)",)
+    place = f"the device is taken to lie on the {DEFAULT_PLACE} (--at says where it lay)"
+    notes = () if chosen.at else (place,)
     chosen = chosen.updated(at=chosen.at or DEFAULT_PLACE, sensors=chosen.sensors or DEVICE_SENSORS)
     measured = recording_to_record(part, car.wheelbase, chosen, car)
-    drive = DriveFile(
-        part.name, label, measured, str(chosen.vehicle), car, str(chosen.sensors), True, chosen
-    )
+    vehicle, sensors = str(chosen.vehicle), str(chosen.sensors)
+    drive = DriveFile(part.name, label, measured, vehicle, car, sensors, True, chosen)
     return drive.with_notes(*notes)
 
 
@@ -145,9 +140,7 @@ def _read_table(path: Path, table: Any, chosen: DriveDescription) -> DriveFile:
         measured = to_measured_record(table, car.wheelbase, chosen, car)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
-    one_device = chosen.layout is not None and chosen.accelerometers is None
-    sensors = chosen.sensors or (DEVICE_SENSORS if one_device else DEFAULT_SENSORS)
-    return DriveFile(path.stem, path.name, measured, name, car, sensors, True, chosen)
+    return DriveFile(path.stem, path.name, measured, name, car, chosen.instruments, True, chosen)
 
 
 def _read_record(
@@ -161,28 +154,19 @@ def _read_record(
         raise ConfigError(f"{path} contains all that belongs to the drive: leave out {left}")
     name = chosen.vehicle or DEFAULT_VEHICLE
     car = load_vehicle(name)
-    record = _with_layout(read_record(path)[0], chosen.sensors, path)
+    record, _ = read_record(path)
+    if chosen.sensors is not None:
+        layout = load_instruments(chosen.sensors).layout
+        if tuple(layout) != record.channels:
+            raise ConfigError(
+                f"{path} has the accelerometers {', '.join(record.channels)}, and the instruments "
+                f"{chosen.sensors} have {', '.join(layout)}: give those of the drive, or leave out "
+                "--sensors"
+            )
+        record = replace(record, sensors=layout)
     check_modes(record, car)
-    sensors = chosen.sensors or DEFAULT_SENSORS
-    return DriveFile(
-        path.stem, path.name, MeasuredRecord(record), name, car, sensors, False, chosen
-    )
-
-
-def _with_layout(record: Record, sensors: str | None, path: Path) -> Record:
-    """Return a record with the accelerometers of the instruments `sensors`, if they are given.
-
-    Raises ConfigError if they have other names.
-    """
-    if sensors is None:
-        return record
-    layout = load_instruments(sensors).layout
-    if tuple(layout) != record.channels:
-        raise ConfigError(
-            f"{path} has the accelerometers {', '.join(record.channels)}, and the instruments "
-            f"{sensors} have {', '.join(layout)}: give those of the drive, or leave out --sensors"
-        )
-    return replace(record, sensors=layout)
+    measured, sensors = MeasuredRecord(record), chosen.sensors or DEFAULT_SENSORS
+    return DriveFile(path.stem, path.name, measured, name, car, sensors, False, chosen)
 
 
 def read_passes(

@@ -9,7 +9,7 @@ import numpy as np
 
 from road_envs.core.atomic_io import atomic_write, write_text
 from road_envs.core.config import ConfigError
-from road_envs.core.extras import optional_import
+from road_envs.core.extras import import_pyarrow
 from road_envs.core.reading import parsing, read_parquet
 from road_envs.records.accelerometers import column, from_plain, to_plain
 from road_envs.records.record import SENSORS, LowPass, Profile, Record, profile_stations
@@ -90,10 +90,7 @@ def simulate_record(
 
 
 def write_record(
-    path: Path,
-    record: Record,
-    provenance: Mapping[str, object],
-    modes: Modes = MODES,
+    path: Path, record: Record, provenance: Mapping[str, object], modes: Modes = MODES
 ) -> None:
     """Write a record atomically as Parquet, with `provenance` in the metadata, or as CSV.
 
@@ -103,10 +100,7 @@ def write_record(
     if path.suffix.lower() == ".csv":
         _write_csv(path, record, provenance, modes)
         return
-    with optional_import("a table as CSV or Parquet"):
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-
+    pa, pq = import_pyarrow()
     data = (record.t, *record.a, record.v, record.s, record.commands)
     about = {"format": FORMAT, "length": record.length, "provenance": dict(provenance)}
     if record.sensors is not None:
@@ -141,10 +135,7 @@ def _write_csv(path: Path, record: Record, provenance: Mapping[str, object], mod
 
 def is_record(path: Path) -> bool:
     """Return whether a file is a record of this package, or a Parquet file that is damaged."""
-    with optional_import("a table as CSV or Parquet"):
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-
+    pa, pq = import_pyarrow()
     if path.suffix.lower() != ".parquet":
         return False
     try:

@@ -32,9 +32,8 @@ from road_envs.drives.recording import simulate_record
 from road_envs.records.record import Profile, Record
 from road_envs.records.roughness import CLASSES
 from road_envs.roads import Belgian, Bumps, Defects, Iso8608, Potholes, Road, Scaled, Superposed
-from road_envs.roads.nonstationary import RoughnessVariation
-from road_envs.roads.obstacles import Defect
-from road_envs.roads.trapezoids import LAYOUTS
+from road_envs.roads.iso8608 import RoughnessVariation
+from road_envs.roads.obstacles import LAYOUTS, Defect
 from road_envs.sensing.data_logger import load_instruments
 from road_envs.sensing.perturbed_vehicle import load_plant_mismatch
 from road_envs.simulation.drive import SimulationError
@@ -46,11 +45,8 @@ from road_envs.vehicle.suspension import MODES
 SEED_STREAM = 0x7EAC4
 """First entry of the seed of every drive; no task uses it."""
 
-MIXED_MODES = (("ride", "handling"), ("handling", "ride"))
 GRADE_SHARES = {"S0": 0.66, "S1": 0.06, "S2": 0.14, "S3": 0.14}
 """Shares of the grades. The odometer of S0 to S2 is exact; that of S3 is off by up to 0.2 m."""
-
-RIGID_GRADES = ("S0", "S1")
 
 WHEEL_PATHS: tuple[Literal["left", "right", "both"], ...] = ("left", "right", "both", "both")
 ATTEMPTS = 10
@@ -123,11 +119,8 @@ class Corpus(Settings):
         noise = float(np.exp(rng.uniform(-1.0, 0.7)))
         if nominal:
             grade, deviation_scale, noise = "S0", 0.0, 1.0
-        instruments = dataclasses.replace(
-            self.sensors,
-            noise_density=noise * self.sensors.noise_density,
-            speed_error=0.0,
-        )
+        density = noise * self.sensors.noise_density
+        instruments = dataclasses.replace(self.sensors, noise_density=density, speed_error=0.0)
         record, truth = simulate_record(
             surface,
             vehicle=perturb_parameters(self.vehicle, rng, deviation_scale),
@@ -139,7 +132,7 @@ class Corpus(Settings):
         )
         gains = 1.0 + 0.01 * deviation_scale * rng.standard_normal((3, 1))
         record = dataclasses.replace(record, a=gains * record.a)
-        return CorpusDrive(record, truth, rigid=grade in RIGID_GRADES)
+        return CorpusDrive(record, truth, rigid=grade in ("S0", "S1"))
 
 
 def drives_in_mode(
@@ -151,22 +144,14 @@ def drives_in_mode(
     drives fail.
     """
     drives: list[tuple[Record, Profile]] = []
+    shared: Any = {"vehicle": corpus.vehicle, "instruments": corpus.sensors, "mode": mode}
     for k in itertools.count():
         # the attempt number ATTEMPTS keeps this stream apart from that of `simulate_drive`
         rng = np.random.default_rng([SEED_STREAM, corpus.seed, k, ATTEMPTS])
         speed = float(np.exp(rng.uniform(*np.log(speeds_kmh))))
         road = draw_road(rng, 100.0).realise(rng)
         try:
-            drives.append(
-                simulate_record(
-                    road,
-                    vehicle=corpus.vehicle,
-                    speed_kmh=speed,
-                    mode=mode,
-                    instruments=corpus.sensors,
-                    seed=k,
-                )
-            )
+            drives.append(simulate_record(road, speed_kmh=speed, seed=k, **shared))
         except SimulationError:
             if k >= ATTEMPTS * number:
                 raise
@@ -230,7 +215,7 @@ def _draw_modes(rng: np.random.Generator) -> tuple[str, str]:
         same = "ride" if kind < 0.25 else "handling"
         return same, same
     if kind < 0.7:
-        return MIXED_MODES[int(kind < 0.6)]
+        return ("handling", "ride") if kind < 0.6 else ("ride", "handling")
     front, rear = rng.choice(list(MODES), size=2)
     return str(front), str(rear)
 
@@ -263,22 +248,15 @@ def perturb_parameters(
             rear=_perturb_passive(car.strut.rear, damping, friction, factor),
         )
     tyre = factor(0.08)
-    axles: list[Any] = []
-    for axle in car.axles:
+    axles: dict[str, Any] = {}
+    for name, axle in zip(("front", "rear"), car.axles, strict=True):
         changes: dict[str, Any] = {"m": axle.m * factor(0.07)}
         if isinstance(axle, Axle):
             changes["I_xx"] = axle.I_xx * factor(0.08)
         changes |= {"k_t": axle.k_t * tyre * factor(0.03), "c_t": axle.c_t * factor(0.15)}
-        axles.append(dataclasses.replace(axle, **changes))
-    return dataclasses.replace(
-        car,
-        m_b=car.m_b * load,
-        I_xx=car.I_xx * factor(0.08),
-        I_yy=car.I_yy * factor(0.08),
-        front=axles[0],
-        rear=axles[1],
-        strut=strut,
-    )
+        axles[name] = dataclasses.replace(axle, **changes)
+    inertia = {name: getattr(car, name) * factor(0.08) for name in ("I_xx", "I_yy")}
+    return dataclasses.replace(car, m_b=car.m_b * load, strut=strut, **inertia, **axles)
 
 
 def _perturb_passive(

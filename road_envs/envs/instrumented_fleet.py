@@ -14,16 +14,6 @@ from road_envs.analysis.comfort import wk_sos
 from road_envs.core.config import ConfigError
 from road_envs.envs import fleet_arrays as fa
 from road_envs.envs.control_step import advance_blocks
-from road_envs.envs.fleet_arrays import (
-    OUTPUT_COLUMNS,
-    ControlStepWorkspace,
-    FleetParameters,
-    FleetState,
-    IntervalInputs,
-    StepOutput,
-    allocate_workspace,
-)
-from road_envs.envs.lane_cars import LaneCars
 from road_envs.envs.safety_step import SAFETY_COLUMNS, safety_parameters
 from road_envs.kernels.normal_numbers import generator_state
 from road_envs.kernels.simd import LANES
@@ -34,7 +24,7 @@ from road_envs.simulation.fleet import NO_MANOEUVRE, run_in_threads
 from road_envs.simulation.lanes import aligned_zeros
 from road_envs.simulation.manoeuvres import Manoeuvre
 from road_envs.vehicle.equations import AXLE, PHI, THETA, Z_B, Plant, sensor_row
-from road_envs.vehicle.parameters import GRAVITY, VehicleParameters
+from road_envs.vehicle.parameters import VehicleParameters
 
 COORDINATES = {None: [Z_B, PHI, THETA], 0: [AXLE, AXLE + 1, THETA], 1: [AXLE + 2, AXLE + 3, THETA]}
 """Coordinates that move a sensor on the body, the front and the rear axle; no axle pitches."""
@@ -107,10 +97,10 @@ class InstrumentedFleet:
         self.step, self.steps, self.n_vehicles = step, steps, n_vehicles
         self.threads, self.samples = threads, steps // logger.decimation
         blocks, delay = ceil(n_vehicles / LANES), round(car.valve.delay / step)
-        self.cars = LaneCars(plant, car, step, blocks, settings.individual)
+        self.cars = fa.LaneCars(plant, car, step, blocks, settings.individual)
         self.safety = safety_parameters(car, step) if settings.individual else None
-        self.columns = SAFETY_COLUMNS if settings.individual else OUTPUT_COLUMNS
-        self.parameters = FleetParameters(
+        self.columns = SAFETY_COLUMNS if settings.individual else fa.OUTPUT_COLUMNS
+        self.parameters = fa.FleetParameters(
             delay=np.full(LANES, delay),
             per_static_load=1.0 / np.repeat(car.tyre_loads, 2),
             weights=np.array(settings.weights, dtype=float),
@@ -139,7 +129,7 @@ class InstrumentedFleet:
         self._moving = np.arange(blocks)
         self._commands = np.zeros(blocks * LANES, dtype=np.uint8)
         self._workspaces = [
-            allocate_workspace(steps, self.samples, k, keep_signals)
+            fa.allocate_workspace(steps, self.samples, k, keep_signals)
             for _ in range(min(threads, blocks))
         ]
         self._idle = [True]  # emptied by the thread that advances: taking from a list is atomic
@@ -158,14 +148,9 @@ class InstrumentedFleet:
         state.delay_line[b, :, k] = drive.delay_line
         state.antialias_state[b, ..., k], state.wk_state[b, ..., k] = 0.0, 0.0
         state.high_pass_state[b, ..., k], state.off[b, ..., k] = 0.0, 0.0
-        sensors = len(logger.range)
-        gain, tilt, offset = (
-            logger.faults.per_sensor(name, sensors) for name in ("gain", "tilt", "offset")
-        )
-        constant = gain * GRAVITY * (np.cos(tilt) - 1.0) + offset
         rows = [sensor_row(*x)[COORDINATES[x.axle]] for x in logger.locations]
-        mounting = np.column_stack([rows, gain * np.cos(tilt), constant])
-        state.mounting[b, ..., k] = mounting
+        readings = logger.faults.readings(len(logger.range))
+        state.mounting[b, ..., k] = np.column_stack([rows, *readings])
         kinematics, counts = state.kinematics[b, :, k], state.counts[b, :, k]
         kinematics[:] = drive.start, drive.speed, speed_kmh, logger.speed_gain
         counts[:] = 0, drive.steps_left, row
@@ -174,7 +159,11 @@ class InstrumentedFleet:
             self.unresolved[i] = self.settings.unresolved_variance(drive.speed)
         if self.settings.individual:
             self.cars.put(i, drive.plant, drive.car)
-            self._set_profile(row, drive)
+            # at least one interval, which a drive that has ended repeats
+            s, v, a_xy = drive.half_step_inputs(max(drive.steps_left, self.steps))
+            if (more := s.size - self._profiles.shape[2]) > 0:
+                self._profiles = np.pad(self._profiles, ((0, 0), (0, 0), (0, more)))
+            self._profiles[row, :, : s.size] = s, v, *a_xy.T
 
     def share(self, i: int, others: range) -> None:
         """Start the vehicles `others` on the drive of vehicle `i`, which all then share."""
@@ -201,7 +190,7 @@ class InstrumentedFleet:
         for field, old in zip(self.state, saved, strict=True):
             field[...] = old
 
-    def advance(self, commands: np.ndarray | int, mask: np.ndarray | None = None) -> StepOutput:
+    def advance(self, commands: np.ndarray | int, mask: np.ndarray | None = None) -> fa.StepOutput:
         """Advance by one interval under `commands` (N,) uint8 or one for all vehicles.
 
         With a `mask` (N,) only the vehicles in it advance; output rows outside it are undefined.
@@ -217,19 +206,26 @@ class InstrumentedFleet:
         finally:
             self._idle.append(True)
 
-    def _advance(self, commands: np.ndarray | int, mask: np.ndarray | None) -> StepOutput:
+    def _advance(self, commands: np.ndarray | int, mask: np.ndarray | None) -> fa.StepOutput:
         self._commands[: self.n_vehicles] = commands
         moving = self._moving if mask is None else np.unique(np.flatnonzero(mask) // LANES)
         # blocks advance as a whole: lanes outside the mask are restored afterwards
         saved = None if mask is None else [field[moving] for field in self.state]
-        output, a_xy = self._allocate_output(), self._manoeuvre_inputs()
-        inputs = IntervalInputs(
+        size = self.n_vehicles
+        output = fa.StepOutput(
+            np.empty((size, self.observation_size), dtype=np.float32),
+            np.empty((size, len(self.columns))),
+            np.empty((size, 3), dtype=np.int64),
+            np.empty((size, fa.N_TRUE * self.settings.truth, self.samples)),
+        )
+        a_xy = self._manoeuvre_inputs()
+        inputs = fa.IntervalInputs(
             self.road_heights.ravel(), self._commands.reshape(-1, LANES), a_xy, self._profiles
         )
         flags = self.safety, *self.plant.kernel_flags[1:]
         cars = self.cars.buffers
 
-        def run(job: np.ndarray, workspace: ControlStepWorkspace) -> None:
+        def run(job: np.ndarray, workspace: fa.ControlStepWorkspace) -> None:
             advance_blocks(
                 job, self.state, self.parameters, cars, inputs, workspace, output, *flags
             )
@@ -301,14 +297,6 @@ class InstrumentedFleet:
         layout[fa.ROAD_SIZE] = size
         layout[fa.ROAD_START], layout[fa.ROAD_PER_DS] = drive.surface.start, 1.0 / drive.surface.ds
 
-    def _set_profile(self, row: int, drive: DriveSimulator) -> None:
-        """Set the station, speed and accelerations in `row` to those of a `drive`."""
-        # at least one interval, which a drive that has ended repeats
-        s, v, a_xy = drive.half_step_inputs(max(drive.steps_left, self.steps))
-        if (more := s.size - self._profiles.shape[2]) > 0:
-            self._profiles = np.pad(self._profiles, ((0, 0), (0, 0), (0, more)))
-        self._profiles[row, :, : s.size] = s, v, *a_xy.T
-
     def _manoeuvre_inputs(self) -> np.ndarray:
         """Return alternating a_x, a_y (B or 1, ..., LANES) for the next interval."""
         manoeuvre = self.settings.manoeuvre
@@ -318,15 +306,6 @@ class InstrumentedFleet:
         instants = 0.5 * self.step * (2 * done[:, None] + np.arange(2 * self.steps + 1)[:, None])
         a_xy = manoeuvre.at(instants)
         return np.moveaxis(a_xy, -1, 2).reshape(len(done), 4 * self.steps + 2, LANES)
-
-    def _allocate_output(self) -> StepOutput:
-        size = self.n_vehicles
-        return StepOutput(
-            np.empty((size, self.observation_size), dtype=np.float32),
-            np.empty((size, len(self.columns))),
-            np.empty((size, 3), dtype=np.int64),
-            np.empty((size, fa.N_TRUE * self.settings.truth, self.samples)),
-        )
 
     def _restore_unmasked(
         self, moving: np.ndarray, mask: np.ndarray, saved: list[np.ndarray]
@@ -339,11 +318,11 @@ class InstrumentedFleet:
                 lanes = unmasked[b * LANES : (b + 1) * LANES]
                 field[b][..., lanes] = before[j][..., lanes]
 
-    def _initial_state(self, blocks: int, delay: int, sensors: int) -> FleetState:
+    def _initial_state(self, blocks: int, delay: int, sensors: int) -> fa.FleetState:
         """Return the state of vehicles at rest on level ground, in all lanes of every block."""
         parameters, n_dof, individual = self.parameters, self.plant.n_dof, self.settings.individual
         high_pass = 0 if self.safety is None else len(self.safety.high_pass_sos)
-        state = FleetState(
+        state = fa.FleetState(
             q=aligned_zeros(blocks, n_dof),
             v=aligned_zeros(blocks, n_dof),
             strut_state=aligned_zeros(blocks, 4, 3),

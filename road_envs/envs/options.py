@@ -19,16 +19,8 @@ from road_envs.core.config import (
     UnknownKeyError,
     build,
 )
+from road_envs.envs import fleet_arrays as fa
 from road_envs.envs.failures import ANGLES, MAX_ANGLE, NONFINITE_STEP, ROLLOVER
-from road_envs.envs.fleet_arrays import (
-    MAX_EXTENSION,
-    MAX_EXTENSION_RATE,
-    MAX_PLANAR,
-    N_PLANAR,
-    N_STRUT_SIGNALS,
-    OUTPUT_COLUMNS,
-    StepOutput,
-)
 from road_envs.envs.instrumented_fleet import FleetSettings, InstrumentedFleet
 from road_envs.roads import load_road, with_length
 from road_envs.roads.surface import Surface
@@ -42,18 +34,16 @@ from road_envs.vehicle.suspension import MODES, encode_command
 
 T = TypeVar("T")
 
-ACTIONS: dict[str, tuple[Any, ...]] = {
-    "vehicle": ("ride", "handling"),
-    "axle": tuple(
-        {"front": front, "rear": rear}
-        for rear in ("ride", "handling")
-        for front in ("ride", "handling")
-    ),
+RIDE_OR_HANDLING = ("ride", "handling")
+
+ACTIONS: dict[str, tuple[dict[str, str], ...]] = {
+    "vehicle": tuple({"front": mode, "rear": mode} for mode in RIDE_OR_HANDLING),
+    "axle": tuple({"front": f, "rear": r} for r in RIDE_OR_HANDLING for f in RIDE_OR_HANDLING),
     "states": tuple({"front": front, "rear": rear} for rear in MODES for front in MODES),
 }
 """Strut states commanded by the actions 0, 1, ..., for each choice of `control`."""
 
-PASSIVE_ACTIONS = ("passive",)
+PASSIVE_ACTIONS = ({"front": "passive", "rear": "passive"},)
 """The only action of a car with passive struts, which changes nothing."""
 
 Speed = Annotated[float, Field(gt=0, le=MAX_SPEED_KMH)]
@@ -131,11 +121,6 @@ class EnvOptions(Settings):
             )
 
 
-def _axle_modes(action: str | dict[str, str]) -> dict[str, str]:
-    """Return the strut states of both axles under an action."""
-    return action if isinstance(action, dict) else {"front": action, "rear": action}
-
-
 class EpisodeStart(NamedTuple):
     """Start of one episode: speed [km/h], command byte, surface, drive over it, and instruments.
 
@@ -183,7 +168,7 @@ def validate_actions(actions: Any, size: int, n_actions: int) -> np.ndarray:
 class EnvSetup:
     """Objects built from the keyword arguments of the environments. Raises ConfigError."""
 
-    output_columns: tuple[str, ...] = OUTPUT_COLUMNS
+    output_columns: tuple[str, ...] = fa.OUTPUT_COLUMNS
 
     def __init__(self, options: dict[str, Any]):
         if isinstance(options.get("weights"), Weights):
@@ -223,7 +208,7 @@ class EnvSetup:
         self.action_space = gymnasium.spaces.Discrete(len(self.command_bytes))
 
     @property
-    def actions(self) -> tuple[Any, ...]:
+    def actions(self) -> tuple[dict[str, str], ...]:
         """Strut states that the actions 0, 1, ... command."""
         return PASSIVE_ACTIONS if self.car.is_passive else ACTIONS[self.options.control]
 
@@ -236,11 +221,11 @@ class EnvSetup:
         parts |= {"speed": (1, 0.0, MAX_OBSERVED_SPEED), "front": (2, 0.0, 1.0)}
         parts["rear"] = parts["front"]
         if "planar" in self.options.observe:
-            parts["planar"] = N_PLANAR, -MAX_PLANAR, MAX_PLANAR
+            parts["planar"] = fa.N_PLANAR, -fa.MAX_PLANAR, fa.MAX_PLANAR
         if "struts" in self.options.observe:
-            half = N_STRUT_SIGNALS // 2
-            parts["extension"] = half, -MAX_EXTENSION, MAX_EXTENSION
-            parts["extension_rate"] = half, -MAX_EXTENSION_RATE, MAX_EXTENSION_RATE
+            half = fa.N_STRUT_SIGNALS // 2
+            parts["extension"] = half, -fa.MAX_EXTENSION, fa.MAX_EXTENSION
+            parts["extension_rate"] = half, -fa.MAX_EXTENSION_RATE, fa.MAX_EXTENSION_RATE
         return parts
 
     @cached_property
@@ -256,7 +241,7 @@ class EnvSetup:
         speeds = np.atleast_1d(np.asarray(self.options.speed_kmh, dtype=float)) / 3.6
         if speeds[0] < speeds[-1]:
             speeds = np.linspace(speeds[0], speeds[-1], 5)  # the table interpolates in between
-        used = {f[axle] for f in map(_axle_modes, self.actions) for axle in f}
+        used = {mode for action in self.actions for mode in action.values()}
         modes = tuple(mode for mode in self.car.modes if mode in used)
         # half a second each: shared by all environments of one vehicle, its instruments and speeds
         key = repr(self.car), repr(self.instruments), tuple(speeds), modes
@@ -272,8 +257,7 @@ class EnvSetup:
         """
         share = np.ones(256)
         for action in self.actions:
-            pair = _axle_modes(action)
-            error = self.bound_table.interpolate(pair["front"], pair["rear"], v)
+            error = self.bound_table.interpolate(**action, v=v)
             share[encode_command(action)] = error**2
         return share
 
@@ -295,18 +279,13 @@ class EnvSetup:
         )
 
     def make_fleet(
-        self,
-        n_vehicles: int = 1,
-        threads: int = 1,
-        *,
-        distinct: int | None = None,
-        keep_signals: bool = False,
+        self, n_vehicles: int = 1, threads: int = 1, **options: Any
     ) -> InstrumentedFleet:
-        """Return a fleet at rest, one vehicle for each environment."""
+        """Return a fleet at rest, one vehicle for each environment, with these of its `options`."""
+        settings = self.fleet_settings()
         return InstrumentedFleet(
-            self.plant, self.car, self.fleet_settings(), n_vehicles,
-            distinct=distinct, keep_signals=keep_signals, threads=threads,
-        )  # fmt: skip
+            self.plant, self.car, settings, n_vehicles, threads=threads, **options
+        )
 
     def episode_options(self, options: dict[str, Any]) -> Any:
         """Return the options with those of one episode. Raises ConfigError on unknown ones."""
@@ -352,22 +331,21 @@ class EnvSetup:
     @cached_property
     def info_columns(self) -> dict[str, int]:
         """Columns of `StepOutput.values` that `info` holds, by name."""
-        omitted = {"reward"}
-        if not self.options.weights.unresolved_variance:
-            omitted.add("unresolved_variance")
-        return {name: j for j, name in enumerate(self.output_columns) if name not in omitted}
+        unused = () if self.options.weights.unresolved_variance else ("unresolved_variance",)
+        columns = enumerate(self.output_columns)
+        return {name: j for j, name in columns if name not in ("reward", *unused)}
 
     def rewards(self, values: np.ndarray) -> np.ndarray:
         """Return the rewards (N,) in the values (N, columns) of an interval."""
         return values[:, self.output_columns.index("reward")]
 
     @staticmethod
-    def failure_code(output: StepOutput, i: int) -> int:
+    def failure_code(output: fa.StepOutput, i: int) -> int:
         """Return 0 if the episode of environment `i` goes on, else ROLLOVER or NONFINITE_STEP."""
         _, rollover, nonfinite_step = output.events[i].tolist()
         return NONFINITE_STEP if nonfinite_step >= 0 else ROLLOVER if rollover >= 0 else 0
 
-    def failure_text(self, output: StepOutput, i: int, road: str) -> str:
+    def failure_text(self, output: fa.StepOutput, i: int, road: str) -> str:
         """Return why the episode of environment `i` on `road` has failed; empty if it has not."""
         _, rollover, nonfinite_step = output.events[i].tolist()
         if nonfinite_step < 0 and rollover < 0:

@@ -126,8 +126,6 @@ class CommonRoadCar:
             from vehiclemodels.vehicle_parameters import setup_vehicle_parameters
 
             self.rate = _patched()
-        if any(at.axle is not None for at in locations):
-            raise ConfigError("a foreign plant has accelerometers on its body only")
         self.car, self.init = as_driven(car), init_mb
         self.p = setup_vehicle_parameters(TEMPLATES.get(car.name, 2))
         for name, value in _parameters(self.car).items():

@@ -20,11 +20,8 @@ from road_envs.vehicle.parameters import NOMINAL, VehicleParameters, load_vehicl
 PLANTS: dict[str, Callable[..., Any]] = {"mujoco": MujocoCar, "commonroad": CommonRoadCar}
 """Cars of other projects, by name."""
 
-RUN_IN = 5.0
-"""Level road [m] before and behind the surface, on which a drive begins and ends."""
-
-MAX_SPEED_KMH = 150.0
-"""Greatest speed of a drive [km/h]."""
+RUN_IN = 5.0  # level road [m] before and behind the surface, on which a drive begins and ends
+MAX_SPEED_KMH = 150.0  # greatest speed of a drive [km/h]
 
 
 def simulate_on_plant(

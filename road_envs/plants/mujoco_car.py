@@ -29,17 +29,10 @@ from road_envs.vehicle.parameters import GRAVITY, VehicleParameters
 from road_envs.vehicle.side_values import side_values
 from road_envs.vehicle.struts import PassiveStruts
 
-STEP = 2e-4
-"""Step [s] of MuJoCo's integrator."""
-
-FRICTION = 0.9
-"""Greatest side force of a tyre over its load [-]."""
-
-SETTLING = 1.0
-"""Time [s] at rest before a drive begins."""
-
-DRAG = 1e-9
-"""Rotary inertia [kg m²] about axes that do not matter, since MuJoCo needs one."""
+STEP = 2e-4  # step [s] of MuJoCo's integrator
+FRICTION = 0.9  # greatest side force of a tyre over its load [-]
+SETTLING = 1.0  # time [s] at rest before a drive begins
+DRAG = 1e-9  # rotary inertia [kg m²] about axes that do not matter, since MuJoCo needs one
 
 
 StrutLaw = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -71,7 +64,8 @@ class MujocoCar:
         self.model = mujoco.MjModel.from_xml_string(_describe(car, self.side, locations))
         self.data = mujoco.MjData(self.model)
         self.law = law or _passive_law(car)
-        wheels = [self._id("SITE", f"contact{w}") for w in range(4)]
+        site = mujoco.mjtObj.mjOBJ_SITE
+        wheels = [mujoco.mj_name2id(self.model, site, f"contact{w}") for w in range(4)]
         self.contacts, self.bodies = np.array(wheels), self.model.site_bodyid[wheels]
         self.k, self.c, self.load, self.C, self.sigma = np.array(
             [
@@ -84,11 +78,6 @@ class MujocoCar:
         self.lengths = self.data.ten_length[:4].copy()
         self.heights = self.data.site_xpos[self.contacts, 2].copy()
         self.side_force, self.tyre_load = np.zeros(4), self.load.copy()
-
-    def _id(self, kind: str, name: str) -> int:
-        return int(
-            self.mujoco.mj_name2id(self.model, getattr(self.mujoco.mjtObj, f"mjOBJ_{kind}"), name)
-        )
 
     @property
     def extension(self) -> np.ndarray:
@@ -196,9 +185,7 @@ def _describe(car: VehicleParameters, side: SideMotion, locations: Sequence[Sens
                 f'<joint joint="swing{2 * i}" coef="{side.swing_arm[i]}"/>'
                 f'<joint joint="swing{2 * i + 1}" coef="{side.swing_arm[i]}"/></fixed>'
             )
-    for k, (x, y, mounted) in enumerate(locations):
-        if mounted is not None:
-            raise ConfigError("a foreign plant has accelerometers on its body only")
+    for k, (x, y, _) in enumerate(locations):
         tops += f'<site name="sensor{k}" pos="{x} {y} 0"/>'
     velocities = "".join(f'<framelinvel objtype="site" objname="contact{w}"/>' for w in range(4))
     accelerometers = "".join(f'<accelerometer site="sensor{k}"/>' for k in range(len(locations)))

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, TypeAdapter
 
-from road_envs.core.config import Settings, build
+from road_envs.core.config import NonNegative, Settings, build
 
 MAX_ACCELEROMETERS = 32
 """Most accelerometers of one vehicle."""
@@ -39,9 +39,7 @@ class Accelerometer(Settings):
     range: Annotated[Annotated[float, Field(gt=0)] | None, "m/s²", "clipping level, either way"] = (
         None
     )
-    noise_density: Annotated[
-        Annotated[float, Field(ge=0, allow_inf_nan=False)] | None, "(m/s²)/sqrt(Hz)", "one-sided"
-    ] = None
+    noise_density: Annotated[NonNegative | None, "(m/s²)/sqrt(Hz)", "one-sided"] = None
 
     def __post_init__(self):
         super().__post_init__()

@@ -19,14 +19,9 @@ SENSORS = ("RF", "LR", "RR")
 PROFILE_SPACING = 100.0 / 3964
 """Spacing of the stations of a profile [m], as in the paper: 3964 over 100 m (section 5)."""
 
-SCORED_N_MIN = 0.2
-"""Lower limit of the band [cycles/m] in which heights are scored."""
-
-SCORED_N_MAX = 1.8
-"""Upper limit of that band [cycles/m]."""
-
-F_C = 25.0
-"""Cut-off of the low-pass of the processed accelerations [Hz]."""
+SCORED_N_MIN = 0.2  # lower limit of the band [cycles/m] in which heights are scored
+SCORED_N_MAX = 1.8  # upper limit of that band [cycles/m]
+F_C = 25.0  # cut-off of the low-pass of the processed accelerations [Hz]
 
 SCORED_F_MAX = 0.9 * F_C
 """Highest scored frequency [Hz]: nine tenths of the cut-off of the accelerometers' low-pass."""

@@ -15,11 +15,8 @@ import scipy
 
 from road_envs.core.config import Positive
 
-Band = tuple[float, float]
-"""Lower and upper limit of spatial frequency [cycles/m]."""
-
-N_0 = 0.1
-"""Reference spatial frequency of ISO 8608 [cycles/m]."""
+Band = tuple[float, float]  # lower and upper limit of spatial frequency [cycles/m]
+N_0 = 0.1  # reference spatial frequency of ISO 8608 [cycles/m]
 
 TrackWidth = Annotated[Positive, "m", "distance between the wheel paths"]
 TRACK: TrackWidth = 1.5

@@ -10,26 +10,16 @@ from road_envs.rendering.scene import Scene, free_travel
 from road_envs.vehicle.struts import MODES, Modes
 from road_envs.vehicle.suspension import WHEELS, decode_commands
 
-ROAD_BEHIND = 10.0
-"""Length of road [m] shown behind the front axle."""
-
-ROAD_AHEAD = 20.0
-"""Length of road [m] shown ahead of the front axle."""
-
-GAUGE_TRAVEL = 0.16
-"""Strut extension [m] at the ends of the gauge."""
-
-GAUGE_LOAD = 3.0
-"""Tyre load at the end of the bar, in static loads."""
+ROAD_BEHIND = 10.0  # length of road [m] shown behind the front axle
+ROAD_AHEAD = 20.0  # length of road [m] shown ahead of the front axle
+GAUGE_TRAVEL = 0.16  # strut extension [m] at the ends of the gauge
+GAUGE_LOAD = 3.0  # tyre load at the end of the bar, in static loads
 
 PATH_STYLES = ((style.LEFT_PATH, 1.5), (style.PALE, 2.5))
 """Colour and thickness of the left and the right wheel path."""
 
-MAX_NAME_LENGTH = 24
-"""Longest name of a road that fits into the heading [characters]."""
-
-MARGIN = 62
-"""Width of the labels left of a curve [pixels]."""
+MAX_NAME_LENGTH = 24  # longest name of a road that fits into the heading [characters]
+MARGIN = 62  # width of the labels left of a curve [pixels]
 
 
 def heading(canvas: Canvas, scene: Scene) -> None:

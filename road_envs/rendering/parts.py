@@ -6,14 +6,9 @@ from road_envs.rendering import style
 from road_envs.rendering.canvas import Canvas
 from road_envs.rendering.scene import Scene
 
-MOUNT = 1.02
-"""Height [m] of the upper strut mounts on the body."""
-
-TUBE = 0.34
-"""Length [m] of the lower tube of a strut."""
-
-COLLAR = 0.06
-"""Length [m] of the stops of a strut."""
+MOUNT = 1.02  # height [m] of the upper strut mounts on the body
+TUBE = 0.34  # length [m] of the lower tube of a strut
+COLLAR = 0.06  # length [m] of the stops of a strut
 
 
 def strut(

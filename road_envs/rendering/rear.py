@@ -11,14 +11,9 @@ from road_envs.rendering.parts import MOUNT, strut
 from road_envs.rendering.scene import REAR_LEFT, REAR_RIGHT, Scene
 from road_envs.vehicle.equations import AXLE, PHI
 
-SCALE = 104.0
-"""Pixels per metre."""
-
-GROUND = 254.0
-"""Row of the canvas of level ground."""
-
-TYRE = 0.22
-"""Width of a tyre [m]."""
+SCALE = 104.0  # pixels per metre
+GROUND = 254.0  # row of the canvas of level ground
+TYRE = 0.22  # width of a tyre [m]
 
 # Left halves of outlines, completed by their mirror images: lateral position and height [m]
 SHELL = ((0.86, 0.62), (0.895, 1.20), (0.895, 1.30), (0.80, 1.88))

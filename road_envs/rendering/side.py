@@ -26,26 +26,16 @@ SCALE = 92.0
 SHEAR = np.array([0.07, 0.13])
 """Displacement to the right and upwards of a point one metre to the left [m]."""
 
-GROUND = 254.0
-"""Row of the canvas of a level right wheel path."""
-
-SHOULDER = 0.3
-"""Width of the road outside the wheel paths [m]."""
+GROUND = 254.0  # row of the canvas of a level right wheel path
+SHOULDER = 0.3  # width of the road outside the wheel paths [m]
 
 PAVING = "belgian"
 """Part of the name of a surface that is drawn with paving stones; others are asphalt."""
 
-STONE = 0.25
-"""Length of a paving stone [m]."""
-
-COURSES = 4
-"""Number of courses of paving stones between the wheel paths."""
-
-DASH = 1.0
-"""Length of the painted dashes on asphalt [m]."""
-
-GAP = 2.0
-"""Spacing of the painted dashes [m]."""
+STONE = 0.25  # length of a paving stone [m]
+COURSES = 4  # number of courses of paving stones between the wheel paths
+DASH = 1.0  # length of the painted dashes on asphalt [m]
+GAP = 2.0  # spacing of the painted dashes [m]
 
 DASH_EDGES = (0.46, 0.54)
 """Edges of the painted dashes, from the left (0) to the right wheel path (1)."""

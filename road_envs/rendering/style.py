@@ -49,14 +49,8 @@ BLENDED_EDGES = (
 )
 """Pairs of adjacent colours, and the number of intermediate shades of their smooth edges."""
 
-STATE_NAMES = {
-    "ride": "ride",
-    "handling": "handling",
-    "soft_high": "soft/high",
-    "stiff_low": "stiff/low",
-    "passive": "passive",
-}
-"""Names of the states of a strut: spring/damping where they are not those of a named state."""
+STATE_NAMES = {"soft_high": "soft/high", "stiff_low": "stiff/low"}
+"""Names of the states of a strut that are not those of its modes: spring/damping."""
 
 
 def palette() -> list[int]:
@@ -81,7 +75,8 @@ def describe_tilt(angle: float, positive: str, negative: str) -> str:
 
 def describe_state(stiff: bool, high: bool, modes: Modes = MODES) -> str:
     """Return the name of the state of a strut, by the `modes` of the car."""
-    return STATE_NAMES[next(mode for mode, state in modes.items() if state == (stiff, high))]
+    mode = next(mode for mode, state in modes.items() if state == (stiff, high))
+    return STATE_NAMES.get(mode, mode)
 
 
 def state_colour(firm: bool) -> str:

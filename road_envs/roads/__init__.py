@@ -21,10 +21,9 @@ from road_envs.roads.composite import (
 from road_envs.roads.formats.write import write, write_csv
 from road_envs.roads.iso8608 import Iso8608
 from road_envs.roads.measured import Measured
-from road_envs.roads.obstacles import Defects, Potholes
+from road_envs.roads.obstacles import Bumps, Defects, Potholes
 from road_envs.roads.sine_sweep import SineSweep
 from road_envs.roads.surface import Surface
-from road_envs.roads.trapezoids import Bumps
 
 __all__ = [
     "KINDS",

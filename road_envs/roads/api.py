@@ -91,7 +91,8 @@ def with_length(road: Road, length: float) -> Road:
         return road.with_length(length)
     settings: Any = road
     if "length" not in {f.name for f in dataclasses.fields(settings)}:
-        raise ConfigError(f"the length of a {_kind_of(road)} road follows from its other settings")
+        kind = {cls: kind for kind, cls in KINDS.items()}.get(type(road), type(road).__name__)
+        raise ConfigError(f"the length of a {kind} road follows from its other settings")
     try:
         return dataclasses.replace(settings, length=float(length))
     except ConfigError:
@@ -103,7 +104,10 @@ def with_length(road: Road, length: float) -> Road:
 def _from_mapping(data: Mapping[str, Any]) -> Road:
     settings = dict(data)
     if "name" in settings and "kind" not in settings:
-        return _load_named(settings)
+        if extra := settings.keys() - {"name", "length"}:
+            raise ConfigError(f"road: unknown {sorted(extra)} next to name; known: length")
+        road = load_road(settings["name"])
+        return with_length(road, settings["length"]) if "length" in settings else road
     if "kind" not in settings:
         raise ConfigError(f"road: missing kind; known: {', '.join(KINDS)}")
     kind = validate_choice("kind of road", settings.pop("kind"), KINDS)
@@ -120,17 +124,6 @@ def _resolve_paths(data: Any, folder: Path) -> Any:
     if data.get("kind") == "measured" and isinstance(data.get("path"), str):
         inner["path"] = str(folder / data["path"])
     return inner
-
-
-def _load_named(settings: dict[str, Any]) -> Road:
-    if extra := settings.keys() - {"name", "length"}:
-        raise ConfigError(f"road: unknown {sorted(extra)} next to name; known: length")
-    road = load_road(settings["name"])
-    return with_length(road, settings["length"]) if "length" in settings else road
-
-
-def _kind_of(road: Road) -> str:
-    return next((kind for kind, cls in KINDS.items() if type(road) is cls), type(road).__name__)
 
 
 AnyRoad = Annotated[Road, PlainValidator(load_road), "", "a road: shipped name, path or mapping"]

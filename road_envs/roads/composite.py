@@ -20,6 +20,8 @@ from road_envs.roads.surface import DEFAULT_LENGTH, RoadLength, Surface, check_s
 MAX_ROADS = 200
 """Largest number of roads of which one road is composed."""
 
+_Roads = Annotated[tuple[AnyRoad, ...], Field(min_length=1, max_length=MAX_ROADS)]
+
 MAX_LEVEL = 200.0
 """Largest level [dB] of a road relative to another, up or down: a factor of 1e10."""
 
@@ -84,24 +86,15 @@ class NoisyCopy(_Modified):
         """Draw the road and the noise, each from its own random stream."""
         road_rng, noise_rng = _spawn_streams(rng, 2)
         surface = self.road.realise(road_rng)
-        s = surface.s
-        z = surface.z + self._noise(surface, noise_rng).height(s)
-        noisy = Surface(z - z[:, :1], surface.ds, surface.start)
-        return Surface(
-            noisy.height(s - self.delay),
-            surface.ds,
-            surface.start,
-            f"{surface.name}, altered",
-            (*surface.notes, f"{self.noise:.0%} RMS noise, {self.delay:g} m delay"),
-        )
-
-    def _noise(self, surface: Surface, rng: np.random.Generator) -> Surface:
+        s, ds, start = surface.s, surface.ds, surface.start
         # on a finer grid white noise would be steps too short for a wheel to follow
         nodes = int(np.ceil(surface.length / PROFILE_SPACING)) + 4
-        rms = surface.z.std(axis=1, keepdims=True)
-        return Surface(
-            self.noise * rms * rng.standard_normal((2, nodes)), PROFILE_SPACING, surface.start
-        )
+        scale = self.noise * surface.z.std(axis=1, keepdims=True)
+        noise = Surface(scale * noise_rng.standard_normal((2, nodes)), PROFILE_SPACING, start)
+        z = surface.z + noise.height(s)
+        delayed = Surface(z - z[:, :1], ds, start).height(s - self.delay)
+        notes = (*surface.notes, f"{self.noise:.0%} RMS noise, {self.delay:g} m delay")
+        return Surface(delayed, ds, start, f"{surface.name}, altered", notes)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -217,7 +210,7 @@ class Tiled(Settings):
 class Concatenated(Settings):
     """Consecutive roads; each starts at the final height of the one before it."""
 
-    roads: Annotated[tuple[AnyRoad, ...], Field(min_length=1, max_length=MAX_ROADS)]
+    roads: _Roads
 
     @property
     def length(self) -> float:
@@ -234,7 +227,7 @@ class Concatenated(Settings):
 class Superposed(Settings):
     """Sum of the heights of several roads; a shorter one is continued at its final height."""
 
-    roads: Annotated[tuple[AnyRoad, ...], Field(min_length=1, max_length=MAX_ROADS)]
+    roads: _Roads
 
     @property
     def length(self) -> float:
@@ -268,9 +261,8 @@ def _superpose(
 
 def _realise_all(roads: Sequence[AnyRoad], rng: np.random.Generator) -> list[Surface]:
     """Draw one surface of each road; appending a road does not change the draws before it."""
-    return [
-        road.realise(own) for road, own in zip(roads, _spawn_streams(rng, len(roads)), strict=True)
-    ]
+    streams = _spawn_streams(rng, len(roads))
+    return [road.realise(own) for road, own in zip(roads, streams, strict=True)]
 
 
 def _spawn_streams(rng: np.random.Generator, count: int) -> list[np.random.Generator]:

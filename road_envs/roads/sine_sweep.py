@@ -72,9 +72,10 @@ class SineSweep(Settings):
     def height(self, s: np.ndarray) -> np.ndarray:
         """Return the height [m] of the sine at stations `s` [m] in [0, length], of any shape."""
         envelope = self.amplitude * (self.amplitude_end / self.amplitude) ** (s / self.length)
-        return envelope * self._taper(s) * np.sin(self._phase(s))
-
-    def _phase(self, s: np.ndarray) -> np.ndarray:
+        taper = np.ones_like(s)
+        if self.taper > 0.0:
+            inside = np.clip(np.minimum(s, self.length - s) / self.taper, 0.0, 1.0)
+            taper = 0.5 - 0.5 * np.cos(np.pi * inside)
         b = np.log(self.n_end / self.n_start)
         if b == 0.0:
             cycles = self.n_start * s
@@ -82,10 +83,4 @@ class SineSweep(Settings):
             cycles = self.n_start * s + (self.n_end - self.n_start) * s**2 / (2.0 * self.length)
         else:
             cycles = self.n_start * self.length / b * np.expm1(b * s / self.length)
-        return 2.0 * np.pi * cycles
-
-    def _taper(self, s: np.ndarray) -> np.ndarray:
-        if self.taper == 0.0:
-            return np.ones_like(s)
-        inside = np.clip(np.minimum(s, self.length - s) / self.taper, 0.0, 1.0)
-        return 0.5 - 0.5 * np.cos(np.pi * inside)
+        return envelope * taper * np.sin(2.0 * np.pi * cycles)

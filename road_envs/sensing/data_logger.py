@@ -42,16 +42,9 @@ class DataLogger:
         self.range = instruments.ranges
         self.noise_std = instruments.noise_densities * np.sqrt(0.5 / step)
         k = self.range.size
-        shifts = zip(
-            instruments.locations(car).values(),
-            faults.per_sensor("dx", k),
-            faults.per_sensor("dy", k),
-            strict=True,
-        )
-        self.locations = [
-            location._replace(x=location.x + float(dx), y=location.y + float(dy))
-            for location, dx, dy in shifts
-        ]
+        dx, dy = (faults.per_sensor(name, k).tolist() for name in ("dx", "dy"))
+        shifts = zip(instruments.locations(car).values(), dx, dy, strict=True)
+        self.locations = [at._replace(x=at.x + x, y=at.y + y) for at, x, y in shifts]
         self.faults, self.sampler = faults, None
         mode = car.variation.bending
         self.bending = None if mode is None else BendingMotion(mode, car, step)
@@ -81,7 +74,8 @@ class DataLogger:
     def digitise(self, a: np.ndarray) -> np.ndarray:
         """Return the samples (k, n) of true accelerations `a` (k, N) [m/s²] at the sensors."""
         if self.faults is not NO_FAULTS:
-            a = self.faults.apply(a)
+            factor, constant = self.faults.readings(len(a))
+            a = factor[:, None] * a + constant[:, None]
         if self.noise_std.any():  # drawn time step by time step, so that chunks equal the whole
             a += self.noise_std[:, None] * self.rng.standard_normal(a.shape[::-1]).T
         a = np.clip(a, -self.range[:, None], self.range[:, None])

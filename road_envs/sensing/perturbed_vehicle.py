@@ -19,7 +19,6 @@ The magnitudes are in `configs/field/*.yaml` and assumed. From S1 on the integra
 steps than on the nominal vehicle, so that its error differs from that of an estimator's model.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -63,7 +62,7 @@ itself, so that it is the same under every grade."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class ManufacturingTolerances(Settings):
+class _ManufacturingTolerances(Settings):
     """Relative deviations of one vehicle from its parameters.
 
     A pair is the smallest and the largest magnitude, of either sign; a number is the largest.
@@ -79,7 +78,7 @@ class ManufacturingTolerances(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FrameRange(Settings):
+class _FrameRange(Settings):
     """Range of the frames of vehicles of one kind; frequencies are uniform in their logarithm."""
 
     f: Annotated[PositiveRange, "Hz", "of the torsion mode, as in `parameters.TorsionalFrame`"]
@@ -87,14 +86,14 @@ class FrameRange(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class BendingRange(FrameRange):
+class _BendingRange(_FrameRange):
     """Range of the vertical bending modes of bodies."""
 
     length: Annotated[Positive, "m", "of the beam, as in `body_bending.BendingMode`"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class UnmodelledStructure(Settings):
+class _UnmodelledStructure(Settings):
     """Structural effects that the nominal equations of motion leave out."""
 
     contact_length: Annotated[NonNegative, "m", "contact length of the tyres"]
@@ -106,8 +105,8 @@ class UnmodelledStructure(Settings):
     roll_stiffness: Annotated[
         tuple[NonNegative, NonNegative], "N m/rad", "of the bushings, front and rear"
     ]
-    frame: FrameRange | None
-    bending: BendingRange | None
+    frame: _FrameRange | None
+    bending: _BendingRange | None
 
     def __post_init__(self):
         super().__post_init__()
@@ -134,7 +133,7 @@ class SensorFaultLimits(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SideMotionRange(Settings):
+class _SideMotionRange(Settings):
     """Ranges of the side motion of a vehicle whose file has none, and the scatter of one's own."""
 
     scatter: Annotated[Fraction, "", "largest relative deviation of each number of `side`"]
@@ -153,10 +152,10 @@ class PlantMismatch(Settings):
 
     name: str
     step: Step
-    manufacture: ManufacturingTolerances
-    structure: UnmodelledStructure
+    manufacture: _ManufacturingTolerances
+    structure: _UnmodelledStructure
     instruments: SensorFaultLimits
-    side: SideMotionRange | None
+    side: _SideMotionRange | None
     sources: dict[str, str]
 
 
@@ -199,17 +198,14 @@ def perturb_vehicle(
     if level == 0:
         return PerturbedVehicle(grade, car)
     mismatch = load_plant_mismatch() if plant_mismatch is None else plant_mismatch
-    vehicle = _with_tolerances(
-        PerturbedVehicle(grade, car, step=mismatch.step), mismatch.manufacture, seed
-    )
+    car, faults = _with_tolerances(car, mismatch.manufacture, seed), NO_FAULTS
     if level >= STRUCTURE_LEVEL:
-        vehicle = _with_structure(vehicle, mismatch.structure, seed)
+        car = _with_structure(car, mismatch.structure, seed)
     if level >= INSTRUMENT_LEVEL:
         faults = _draw_sensor_faults(mismatch.instruments, seed, accelerometers)
-        vehicle = replace(vehicle, faults=faults)
     if level >= SIDE_LEVEL and mismatch.side is not None:
-        vehicle = replace(vehicle, car=_with_side_motion(vehicle.car, mismatch.side, seed))
-    return vehicle
+        car = _with_side_motion(car, mismatch.side, seed)
+    return PerturbedVehicle(grade, car, faults, mismatch.step)
 
 
 def _seed_sequence(seed: int | np.random.SeedSequence, group: int) -> np.random.SeedSequence:
@@ -219,15 +215,6 @@ def _seed_sequence(seed: int | np.random.SeedSequence, group: int) -> np.random.
     )
 
 
-def _two_sided_factor(rng: np.random.Generator) -> Callable[..., float]:
-    """Return a function that draws a factor 1 ± x, with x between `least` and `most`."""
-
-    def factor(least: float, most: float) -> float:
-        return 1.0 + float(rng.choice((-1.0, 1.0)) * rng.uniform(least, most))
-
-    return factor
-
-
 def _four_factors(rng: np.random.Generator, most: float) -> PerWheel:
     """Draw factors between 1 - `most` and 1 + `most`."""
     a, b, c, d = (1.0 + rng.uniform(-most, most, 4)).tolist()
@@ -235,16 +222,18 @@ def _four_factors(rng: np.random.Generator, most: float) -> PerWheel:
 
 
 def _with_tolerances(
-    vehicle: PerturbedVehicle, limits: ManufacturingTolerances, seed: int | np.random.SeedSequence
-) -> PerturbedVehicle:
+    car: VehicleParameters, limits: _ManufacturingTolerances, seed: int | np.random.SeedSequence
+) -> VehicleParameters:
     rng = np.random.default_rng(_seed_sequence(seed, MANUFACTURE_LEVEL))
-    factor = _two_sided_factor(rng)
+
+    def factor(least: float, most: float) -> float:
+        return 1.0 + float(rng.choice((-1.0, 1.0)) * rng.uniform(least, most))
 
     mass, inertia = limits.mass, limits.inertia
     factors = {"m_b": factor(*mass), "I_xx": factor(*inertia), "I_yy": factor(*inertia)}
     for axle in ("front", "rear"):
         factors |= {f"{axle}.m": factor(*mass), f"{axle}.I_xx": factor(*inertia)}
-        if isinstance(getattr(vehicle.car, axle), IndependentWheels):  # it follows from the mass
+        if isinstance(getattr(car, axle), IndependentWheels):  # it follows from the mass
             del factors[f"{axle}.I_xx"]
     common, each = factor(*limits.friction), _four_factors(rng, limits.strut_friction)
     struts = {
@@ -256,14 +245,13 @@ def _with_tolerances(
     for name, values in struts.items():
         for wheel, value in zip(WHEELS, values, strict=True):
             factors[f"variation.{name}.{wheel}"] = value
-    return replace(vehicle, car=scale_parameters(vehicle.car, factors))
+    return scale_parameters(car, factors)
 
 
 def _with_structure(
-    vehicle: PerturbedVehicle, limits: UnmodelledStructure, seed: int | np.random.SeedSequence
-) -> PerturbedVehicle:
+    car: VehicleParameters, limits: _UnmodelledStructure, seed: int | np.random.SeedSequence
+) -> VehicleParameters:
     rng = np.random.default_rng(_seed_sequence(seed, STRUCTURE_LEVEL))
-    car = vehicle.car
     variation = replace(
         car.variation,
         tyre=_four_factors(rng, limits.tyre_pressure * limits.tyre_pressure_effect),
@@ -275,11 +263,11 @@ def _with_structure(
         if (b := limits.bending) is None
         else BendingMode(**_draw_mode(rng, b), length=b.length),
     )
-    return replace(vehicle, car=replace(car, variation=variation))
+    return replace(car, variation=variation)
 
 
 def _with_side_motion(
-    car: VehicleParameters, limits: SideMotionRange, seed: int | np.random.SeedSequence
+    car: VehicleParameters, limits: _SideMotionRange, seed: int | np.random.SeedSequence
 ) -> VehicleParameters:
     """Return the vehicle with another side motion than that of its file, or with one at all."""
     rng = np.random.default_rng(_seed_sequence(seed, SIDE_LEVEL))
@@ -289,30 +277,27 @@ def _with_side_motion(
         new = (np.asarray(value) * factors).tolist()
         return tuple(new) if isinstance(value, tuple) else new
 
-    def of_axles(low: float, high: float) -> tuple[float, float]:
-        front, rear = rng.uniform(low, high, 2).tolist()
-        return front, rear
+    def of_axles(limits: tuple[float, float]) -> Any:
+        return tuple(rng.uniform(*limits, 2).tolist())
 
     if car.side is not None:
         values = {f.name: scattered(getattr(car.side, f.name)) for f in fields(car.side)}
         return replace(car, side=replace(car.side, **values))
     independent = isinstance(car.front, IndependentWheels)
     heights = limits.independent_roll_centre if independent else limits.solid_roll_centre
-    stiffness = np.multiply(of_axles(*limits.C_alpha), car.tyre_loads).tolist()
-    return replace(
-        car,
-        side=SideMotion(
-            I_zz=car.I_yy * float(rng.uniform(*limits.yaw_inertia)),
-            wheel_radius=float(rng.uniform(*limits.wheel_radius)),
-            roll_centre=of_axles(*heights),
-            C_alpha=(stiffness[0], stiffness[1]),
-            relaxation=of_axles(*limits.relaxation),
-            swing_arm=of_axles(*limits.swing_arm),
-        ),
+    stiffness: Any = np.multiply(of_axles(limits.C_alpha), car.tyre_loads).tolist()
+    side = SideMotion(
+        I_zz=car.I_yy * float(rng.uniform(*limits.yaw_inertia)),
+        wheel_radius=float(rng.uniform(*limits.wheel_radius)),
+        roll_centre=of_axles(heights),
+        C_alpha=tuple(stiffness),
+        relaxation=of_axles(limits.relaxation),
+        swing_arm=of_axles(limits.swing_arm),
     )
+    return replace(car, side=side)
 
 
-def _draw_mode(rng: np.random.Generator, limits: FrameRange) -> dict[str, float]:
+def _draw_mode(rng: np.random.Generator, limits: _FrameRange) -> dict[str, float]:
     """Draw frequency and damping ratio of a mode."""
     f = float(np.exp(rng.uniform(*np.log(limits.f))))
     return {"f": f, "zeta": float(rng.uniform(*limits.zeta))}
@@ -328,6 +313,7 @@ def _draw_sensor_faults(
     def draw(most: float, centre: float = 0.0) -> PerSensor:
         return tuple((centre + rng.uniform(-most, most, k)).tolist())
 
+    own = ("position_fix_length", "jitter", "dropout_rate", "dropout_length")
     return SensorFaults(
         dx=draw(limits.place),
         dy=draw(limits.place),
@@ -335,9 +321,6 @@ def _draw_sensor_faults(
         gain=draw(limits.gain, 1.0),
         offset=draw(limits.offset),
         speed=float(rng.uniform(-limits.speed, limits.speed)),
-        position_fix_length=limits.position_fix_length,
-        jitter=limits.jitter,
-        dropout_rate=limits.dropout_rate,
-        dropout_length=limits.dropout_length,
         seed=tuple(int(x) for x in stream.generate_state(4)),
+        **{name: getattr(limits, name) for name in own},
     )

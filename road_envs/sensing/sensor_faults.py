@@ -57,12 +57,11 @@ class SensorFaults(Settings):
             raise ConfigError(f"{name} is given for {len(values)} accelerometers; there are {k}")
         return np.array(values)
 
-    def apply(self, a: np.ndarray) -> np.ndarray:
-        """Return the readings of true accelerations (k, N) [m/s²] at the true locations."""
-        gain, tilt, offset = (self.per_sensor(x, len(a)) for x in ("gain", "tilt", "offset"))
+    def readings(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the factor (k,) on true accelerations and the constant (k,) [m/s²] of readings."""
+        gain, tilt, offset = (self.per_sensor(x, k) for x in ("gain", "tilt", "offset"))
         axis_cosine = np.cos(tilt)
-        constant = gain * GRAVITY * (axis_cosine - 1.0) + offset
-        return (gain * axis_cosine)[:, None] * a + constant[:, None]
+        return gain * axis_cosine, gain * GRAVITY * (axis_cosine - 1.0) + offset
 
 
 NO_FAULTS = SensorFaults()

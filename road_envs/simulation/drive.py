@@ -205,7 +205,7 @@ class DriveSimulator:
 
         They are those of the next `n` steps, at every half step.
         """
-        instants = _half_step_times(self.step, self.steps, n)
+        instants = 0.5 * self.step * (2 * self.steps + np.arange(2 * n + 1))
         distance, v, a_x = self.speed_profile.at(instants)
         a_xy = np.zeros((v.size, 2)) if self.manoeuvre is None else self.manoeuvre.at(instants)
         if not self.speed_profile.is_constant:
@@ -236,11 +236,6 @@ class DriveSimulator:
                 f"{self.step * (self.steps - n + n_finite):.3f} s; check the vehicle and the step"
             )
         return Trajectory(t, s[:-1:2], v[:-1:2], commands, signals)
-
-
-def _half_step_times(step: float, done: int, n: int) -> np.ndarray:
-    """Return the times (2 n + 1,) [s] of `n` steps after `done` steps, at every half step."""
-    return 0.5 * step * (2 * done + np.arange(2 * n + 1))
 
 
 def simulate(

@@ -32,7 +32,6 @@ from road_envs.vehicle.equations import (
     THETA,
     Motion,
     Plant,
-    accelerations,
     add_manoeuvre_moments,
     add_struts,
     add_tyres,
@@ -342,20 +341,6 @@ def sample_road(p, surface, s, v, road):
         behind = p.x[0] - p.x[w // 2]
         z, slope = height_and_slope(surface, w % 2, s - behind)
         road[w], road[4 + w] = z, slope * v
-
-
-@kernel(count_references=False)
-def state_rate(vehicle, surface, s, v, y, out):
-    """Write the rate (14,) of the state `y` with the front axle at station `s` [m] to `out`.
-
-    This is the right-hand side for other integrators; the strut state stays constant. Of a
-    flexible vehicle `y` and `out` are (16,).
-    """
-    road, n = stack_array(8), y.size // 2
-    sample_road(vehicle.constants[0], surface, s, v, road)
-    for i in range(n):  # Numba 0.61 counts references in the assignment of a slice
-        out[i] = y[n + i]
-    accelerations(vehicle, Motion(y[:n], y[n:]), road[:4], road[4:], out[n:])
 
 
 @kernel

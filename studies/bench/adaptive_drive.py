@@ -65,6 +65,20 @@ MAX_STEP = 0.01
 """Default longest step [s]: 150 mm of road at 54 km/h, sampled at three points."""
 
 
+@kernel(count_references=False)
+def state_rate(vehicle, surface, s, v, y, out):
+    """Write the rate (14,) of the state `y` with the front axle at station `s` [m] to `out`.
+
+    This is the right-hand side for other integrators; the strut state stays constant. Of a
+    flexible vehicle `y` and `out` are (16,).
+    """
+    road, n = stack_array(8), y.size // 2
+    sample_road(vehicle.constants[0], surface, s, v, road)
+    for i in range(n):  # Numba 0.61 counts references in the assignment of a slice
+        out[i] = y[n + i]
+    accelerations(vehicle, Motion(y[:n], y[n:]), road[:4], road[4:], out[n:])
+
+
 @kernel
 def step_size_factor(error):
     """Return the factor from this step to the next, for an `error` in units of the tolerance.

@@ -22,12 +22,12 @@ from scipy.io import loadmat, savemat
 from road_envs.roads import load_road, with_length
 from road_envs.roads.surface import PAD, Surface
 from road_envs.simulation.drive import DriveSimulator
-from road_envs.simulation.rosenbrock import sample_road, state_rate
+from road_envs.simulation.rosenbrock import sample_road
 from road_envs.vehicle.equations import N_DOF, build_plant, extension, wheel_height
 from road_envs.vehicle.linear_model import jacobian
 from road_envs.vehicle.parameters import GRAVITY, load_vehicle
 from road_envs.vehicle.suspension import E_0, E_STEP, V_0, V_STEP, VALVE_OPEN, encode_command
-from studies.bench.adaptive_drive import MAX_STEP, integrate_adaptive
+from studies.bench.adaptive_drive import MAX_STEP, integrate_adaptive, state_rate
 
 CAR, SPEED, MODE = "land_rover_defender_110", 15.0, "ride"
 OUTPUT_STEP = 0.001

@@ -10,11 +10,11 @@ import numpy as np
 
 from road_envs.roads import load_road, with_length
 from road_envs.simulation.drive import DriveSimulator
-from road_envs.simulation.fleet import Fleet
 from road_envs.simulation.rosenbrock import ACCELERATION
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 from road_envs.vehicle.suspension import encode_command
+from studies.bench.fleet import Fleet
 from studies.bench.speed import FLEET_SIZE, benchmark_row, cpu_time
 
 CAR, MODE, SPEED, STEPS = "bmw_320i", "passive", 15.0, 1000

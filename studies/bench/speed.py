@@ -20,11 +20,11 @@ from road_envs.kernels.normal_numbers import fill_normal, generator_state
 from road_envs.kernels.simd import LANES
 from road_envs.roads import load_road
 from road_envs.simulation.drive import DriveSimulator
-from road_envs.simulation.fleet import Fleet, integrate_lanes
 from road_envs.simulation.lanes import aligned_zeros
 from road_envs.simulation.rosenbrock import ACCELERATION
 from road_envs.simulation.substeps import MAX_RATE_CHANGE, SUBSTEPS
 from road_envs.vehicle.suspension import encode_command
+from studies.bench.fleet import Fleet, integrate_lanes
 from studies.bench.integrators import (
     MODE,
     SPEED,

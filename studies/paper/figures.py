@@ -16,7 +16,7 @@ import numpy as np
 from leaderboard.metrics.level import EQ_12_RAW, STATE_LIMITS
 from leaderboard.report.plots import COLOURS, draw_classes
 from road_envs.records.roughness import displacement_psd, smooth_psd
-from road_envs.roads.trapezoids import LAYOUTS, SIDES, Bumps
+from road_envs.roads.obstacles import LAYOUTS, SIDES, Bumps
 from studies.paper.study import PaperScenario, Study, training_state
 
 OVERLAY_LENGTH = 20.0

@@ -16,10 +16,10 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from measured import read_measured_record
 
 from leaderboard import cli
 from road_envs.core import config
-from road_envs.drives.measured_record import read_measured_record
 from road_envs.drives.recording import simulate_record, write_record
 from road_envs.roads import realise_road, write_csv
 

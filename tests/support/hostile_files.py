@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from measured import read_measured_record
 
 from estimators import create, weights_io
 from leaderboard.evaluation import hidden_seeds
@@ -23,7 +24,7 @@ from road_envs.drives.logger_tables.description import (
     read_description,
     write_description,
 )
-from road_envs.drives.measured_record import MeasuredRecord, read_measured_record
+from road_envs.drives.measured_record import MeasuredRecord
 from road_envs.drives.recording import read_record, simulate_record, write_record
 from road_envs.policies import PolicySettings
 from road_envs.policies.network_policy import read_policy_network

@@ -41,7 +41,7 @@ class Phone:
 
 def phone(
     rotation: Rotation, vertical: np.ndarray | None = None, *, fs: float = 100.0,
-    duration: float = 60.0, seed: int = 1, speed: float | None = None, weave: bool = False,
+    duration: float = 60.0, seed: int = 1, speed: float | None = None,
 ) -> Phone:  # fmt: skip
     """Return a drive with braking, turning and noise; constant `speed` [m/s] if it is given."""
     rng = np.random.default_rng(seed)
@@ -51,7 +51,7 @@ def phone(
         body = np.sin(2 * np.pi * 1.4 * t + rng.uniform(0, 6)) * (0.5 + 0.3 * np.sin(0.2 * t))
         vertical = body + 0.4 * rng.standard_normal(n)
     v = 12.0 + 4.0 * np.sin(2 * np.pi * t / 23.0) if speed is None else np.full(n, speed)
-    heading = 0.7 + 0.9 * np.sin(2 * np.pi * t / 41.0) * (speed is None or weave)
+    heading = 0.7 + 0.9 * np.sin(2 * np.pi * t / 41.0) * (speed is None)
     ahead = np.gradient(v, t) + 0.15 * rng.standard_normal(n)
     left = -v * np.gradient(heading, t) + 0.15 * rng.standard_normal(n)  # heading is clockwise
     axes = rotation.apply(np.column_stack([ahead, left, vertical + G]))

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from measured import read_measured_record
 from scipy import signal
 from vehicle_fixtures import DEFENDER, smooth_road
 
@@ -16,7 +17,6 @@ from road_envs.drives.logger_tables.description import (
     read_description,
     write_description,
 )
-from road_envs.drives.measured_record import read_measured_record
 from road_envs.drives.recording import read_record, simulate_record, write_record
 from road_envs.envs.road_recon import RoadReconEnv
 from road_envs.records.accelerometers import Accelerometer, from_plain, to_plain

@@ -6,12 +6,12 @@ import numpy as np
 import oracles
 import pytest
 from scipy.integrate import solve_ivp
+from speeds import speed_ramp
 from vehicle_fixtures import CARS, PLANTS, VARIED_PLANTS, smooth_road
 
 from road_envs.roads import load_road
 from road_envs.simulation import rosenbrock
 from road_envs.simulation.drive import DriveSimulator, SimulationError, simulate
-from road_envs.simulation.speed import speed_ramp
 from road_envs.vehicle.equations import Motion
 from road_envs.vehicle.equilibrium import equilibrium
 from road_envs.vehicle.linear_model import jacobian
@@ -44,7 +44,7 @@ def equations(simulator):
 
     def rate(t, y):
         out, s = np.empty(14), simulator.start + SPEED * t
-        rosenbrock.state_rate(vehicle, surface, s, SPEED, y, out)
+        adaptive_drive.state_rate(vehicle, surface, s, SPEED, y, out)
         return out
 
     def J(t, y):

@@ -4,17 +4,17 @@ import dataclasses
 
 import numpy as np
 import pytest
+from speeds import speed_ramp
 
 from road_envs.core.config import ConfigError
 from road_envs.kernels.simd import LANES
 from road_envs.roads import load_road
 from road_envs.simulation.drive import DriveSimulator
-from road_envs.simulation.fleet import Fleet, select_vehicle
 from road_envs.simulation.lanes import aligned_zeros
 from road_envs.simulation.manoeuvres import Slalom
-from road_envs.simulation.speed import speed_ramp
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.parameters import NOMINAL, TorsionalFrame, VehicleVariation, load_vehicle
+from studies.bench.fleet import Fleet, select_vehicle
 
 CAR = load_vehicle("land_rover_defender_110")
 DAMPER = CAR.strut.damper

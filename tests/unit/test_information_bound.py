@@ -16,10 +16,8 @@ from vehicle_fixtures import CARS, DEFENDER, PLANTS
 
 from road_envs.analysis.information_bound import (
     BoundTable,
-    OperatingPoint,
     RoadPrior,
     bound,
-    bound_of_passes,
     equivalent_damping,
     posterior,
     strut_rate_std,
@@ -29,6 +27,7 @@ from road_envs.roads import load_road, with_length
 from road_envs.sensing.instruments import load_instruments
 from road_envs.simulation.drive import simulate
 from road_envs.vehicle.linear_model import frequency_response, linearise, strut_rate_response
+from studies.passes import OperatingPoint, bound_of_passes
 
 PAPER = load_instruments("paper")
 PAIRS = (("ride",) * 2, ("handling",) * 2, ("ride", "handling"), ("handling", "ride"))

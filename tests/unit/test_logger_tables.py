@@ -6,6 +6,7 @@ import sys
 import numpy as np
 import pandas as pd
 import pytest
+from measured import read_measured_record
 from vehicle_fixtures import DEFENDER
 
 from road_envs.core.config import ConfigError
@@ -14,7 +15,6 @@ from road_envs.drives.logger_tables.description import (
     read_description,
     write_description,
 )
-from road_envs.drives.measured_record import read_measured_record
 from road_envs.records.units import STANDARD_GRAVITY, factor, split_header
 
 BASE = DEFENDER.wheelbase

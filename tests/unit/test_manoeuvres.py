@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from scipy.integrate import cumulative_trapezoid
+from speeds import speed_ramp
 
 from road_envs.core.config import ConfigError
 from road_envs.roads import load_road
@@ -18,7 +19,6 @@ from road_envs.simulation.manoeuvres import (
     Successive,
     load_manoeuvre,
 )
-from road_envs.simulation.speed import speed_ramp
 from road_envs.vehicle.equations import PHI, THETA, build_plant
 from road_envs.vehicle.force_curves import Curve
 from road_envs.vehicle.linear_model import jacobian

@@ -31,7 +31,7 @@ from road_envs.analysis.information_bound import RoadPrior
 from road_envs.drives.recording import simulate_record
 from road_envs.records.record import Record, scored_band
 from road_envs.roads.iso8608 import Iso8608
-from road_envs.roads.trapezoids import Bumps, Trapezoid
+from road_envs.roads.obstacles import Bumps, Trapezoid
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.force_curves import Curve, interpolate_table

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from speeds import stop_and_go
 
 from estimators import estimate
 from estimators.common.manoeuvres import mark_manoeuvres, speed_changes, turns
@@ -13,7 +14,6 @@ from road_envs.roads import realise_road
 from road_envs.sensing.instruments import load_instruments
 from road_envs.simulation.drive import simulate
 from road_envs.simulation.manoeuvres import LaneChange, SteadyTurn
-from road_envs.simulation.speed import stop_and_go
 from road_envs.vehicle.parameters import load_vehicle
 
 CAR = load_vehicle("land_rover_defender_110")

@@ -15,8 +15,8 @@ from leaderboard.drive_report.known_iri import known_factor, read_known_iri
 from leaderboard.drive_report.mean_path import path_level_ratio, path_ratio, tells_paths_apart
 from leaderboard.drive_report.notes import in_order_of_weight, vehicle_in_words
 from road_envs.core.config import ConfigError
+from road_envs.drives.logger_tables.description import PLACES
 from road_envs.drives.measured_record import MeasuredRecord
-from road_envs.drives.places import PLACES
 from road_envs.drives.reading import read_drive
 from road_envs.records.accelerometers import Accelerometer
 from road_envs.records.record import Estimate, Record, profile_stations

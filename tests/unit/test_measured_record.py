@@ -8,12 +8,12 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from measured import read_measured_record
 from vehicle_fixtures import DEFENDER
 
 import estimators
 from leaderboard.metrics.heights import band_pass
 from road_envs.core.config import ConfigError
-from road_envs.drives.measured_record import read_measured_record
 from road_envs.drives.recording import is_record, simulate_record, write_record
 from road_envs.records.record import scored_band
 from road_envs.records.units import STANDARD_GRAVITY

@@ -6,7 +6,7 @@ from estimators.map_smoother.gauss_newton import GaussNewton, minimize
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.preparation import SolverSettings
 from estimators.map_smoother.windows import whole_objective
-from road_envs.drives.places import PLACES
+from road_envs.drives.logger_tables.description import PLACES
 from road_envs.drives.recording import simulate_record
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import load_vehicle

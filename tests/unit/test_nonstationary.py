@@ -8,8 +8,7 @@ from scipy.stats import gamma, kstest, lognorm
 
 from road_envs.core.config import ConfigError
 from road_envs.roads import load_road
-from road_envs.roads.iso8608 import Iso8608
-from road_envs.roads.nonstationary import RoughnessVariation
+from road_envs.roads.iso8608 import Iso8608, RoughnessVariation
 
 LAWS = {
     "gamma": lambda cv: gamma(1.0 / cv**2, scale=cv**2),

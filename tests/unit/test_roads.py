@@ -14,7 +14,7 @@ from road_envs.roads import KINDS, Road, load_road, with_length
 from road_envs.roads.belgian import Belgian
 from road_envs.roads.composite import FixedSeed, Flat, NoisyCopy
 from road_envs.roads.iso8608 import Iso8608
-from road_envs.roads.trapezoids import Bumps, Trapezoid
+from road_envs.roads.obstacles import Bumps, Trapezoid
 
 SHIPPED = names("roads")
 RANDOM = ["belgian_like", "belgian_training", "iso_c"]

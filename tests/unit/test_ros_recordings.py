@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from road_envs.core.config import ConfigError
 from road_envs.drives.reading import read_drive, read_drives, read_passes
-from road_envs.drives.recordings.mcap import MAGIC
+from road_envs.drives.recordings.ros import MCAP_MAGIC
 
 CAR = {"vehicle": "bmw_320i"}
 ONE = phone(Rotation.from_euler("zxy", [20.0, 35.0, 10.0], degrees=True), duration=20.0)
@@ -128,7 +128,7 @@ def test_a_damaged_mcap_file_is_refused_in_one_sentence(tmp_path):
             read_drives(tmp_path / "e.mcap", **CAR)
         except ConfigError as error:
             assert "e.mcap" in str(error) and "\n" not in str(error)
-    bomb = MAGIC + b"\x06" + struct.pack("<Q", 60) + struct.pack("<QQQI", 0, 1, 2**40, 0)
+    bomb = MCAP_MAGIC + b"\x06" + struct.pack("<Q", 60) + struct.pack("<QQQI", 0, 1, 2**40, 0)
     (tmp_path / "e.mcap").write_bytes(bomb + struct.pack("<I", 4) + b"zstd" + b"\0" * 30)
     with pytest.raises(ConfigError, match="a chunk of 1048576 MiB"):
         read_drives(tmp_path / "e.mcap", **CAR)

@@ -12,7 +12,6 @@ from road_envs.plants.commonroad_car import as_driven
 from road_envs.roads import realise_road
 from road_envs.roads.surface import Surface
 from road_envs.simulation.drive import DriveSimulator, simulate
-from road_envs.simulation.fleet import Fleet
 from road_envs.simulation.lanes import SharedInputs, drive_variants
 from road_envs.simulation.manoeuvres import SteadyTurn
 from road_envs.simulation.tape import linearize_drive
@@ -29,6 +28,7 @@ from road_envs.vehicle.natural_modes import natural_modes
 from road_envs.vehicle.parameters import TorsionalFrame, check_plausible, load_vehicle
 from road_envs.vehicle.side_values import side_values
 from road_envs.vehicle.suspension import settled_strut_state
+from studies.bench.fleet import Fleet
 
 PLAIN = load_vehicle("bmw_320i").sliding
 BMW = replace(PLAIN, side=side_values(PLAIN))

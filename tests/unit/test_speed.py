@@ -6,11 +6,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.optimize import brentq
+from speeds import speed_ramp, stop_and_go
 
 from road_envs.core.config import ConfigError
 from road_envs.roads import load_road
 from road_envs.simulation.drive import APRON_LENGTH, DriveSimulator, simulate
-from road_envs.simulation.speed import SpeedProfile, constant_speed, speed_ramp, stop_and_go
+from road_envs.simulation.speed import SpeedProfile, constant_speed
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.parameters import load_vehicle
 from road_envs.vehicle.suspension import encode_command

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from estimators.wiener.structure_search import with_bending, with_twist
-from road_envs.drives.places import PLACES
+from road_envs.drives.logger_tables.description import PLACES
 from road_envs.drives.recording import simulate_record
 from road_envs.records.accelerometers import Accelerometer
 from road_envs.sensing.instruments import load_instruments

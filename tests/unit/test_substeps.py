@@ -8,12 +8,12 @@ from road_envs.envs.road_recon import RoadReconEnv
 from road_envs.roads import load_road
 from road_envs.roads.surface import MAX_RISE, RISE_LENGTH, Surface
 from road_envs.simulation.drive import DriveSimulator, simulate
-from road_envs.simulation.fleet import Fleet, select_vehicle
 from road_envs.simulation.substeps import SUBSTEPS, interpolate
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.parameters import load_vehicle
 from road_envs.vehicle.suspension import encode_command
 from studies.bench.adaptive_drive import simulate_adaptive
+from studies.bench.fleet import Fleet, select_vehicle
 
 CAR = load_vehicle("land_rover_defender_110")
 

@@ -31,7 +31,6 @@ from vehicle_fixtures import (
 
 from road_envs.roads.surface import Surface
 from road_envs.simulation.drive import DriveSimulator
-from road_envs.simulation.fleet import Fleet, select_vehicle
 from road_envs.simulation.rosenbrock import ACCELERATION, EXTENSION
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.equilibrium import equilibrium
@@ -43,6 +42,7 @@ from road_envs.vehicle.suspension import (
     settled_strut_state,
     strut_force,
 )
+from studies.bench.fleet import Fleet, select_vehicle
 
 CAR = CARS["unequal_axles"]
 LOSSLESS = {name: build_plant(lossless(CAR), variation=v) for name, v in VARIATIONS.items()}

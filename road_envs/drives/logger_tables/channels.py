@@ -35,14 +35,9 @@ LOUD_RMS, LOUDEST = 200.0, 1000.0
 beyond are lost.
 """
 
-GRAVITY_IN_G = (0.9, 1.1)
-"""Mean of a channel in m/s² that suggests a channel in g."""
-
-MAX_SPIKES = 0.01
-"""Largest share of a channel's samples that may be such."""
-
-MAX_LISTED = 1500
-"""Characters of all problems, each of which may have 300."""
+GRAVITY_IN_G = (0.9, 1.1)  # mean of a channel in m/s² that suggests a channel in g
+MAX_SPIKES = 0.01  # largest share of a channel's samples that may be such
+MAX_LISTED = 1500  # characters of all problems, each of which may have 300
 
 QUIET_RMS, SILENT_RMS = 0.15, 0.02
 """RMS [m/s²] at which a driven car is questioned, and below which there is none: 50 km/h on a good
@@ -68,30 +63,17 @@ class TableFindings:
             raise ConfigError(f"{len(problems)} problems: {listed}")
 
 
-def _without_spikes(a: np.ndarray) -> tuple[np.ndarray, int]:
-    """Return a channel (N,) without the few samples that no sensor measures, and their number."""
-    beyond = np.abs(a - np.nanmedian(a)) > LOUDEST
-    lost = int(beyond.sum())
-    if not 0 < lost <= MAX_SPIKES * a.size:
-        return a, 0
-    return np.where(beyond, np.nan, a), lost
-
-
 class Channels:
     """The columns of a `table` by quantity, by a `description` and the headers.
 
-    The table has the accelerations of these `accelerometers`.
+    The table has the accelerations of these `accelerometers`; what is found wrong is in `findings`.
     """
 
     def __init__(
-        self,
-        table: Table,
-        description: DriveDescription,
-        findings: TableFindings,
-        accelerometers: Iterable[str] = SENSORS,
+        self, table: Table, description: DriveDescription, accelerometers: Iterable[str] = SENSORS
     ):
         description.check_names(accelerometers)
-        self.table, self.description, self.findings = table, description, findings
+        self.table, self.description, self.findings = table, description, TableFindings()
         self.quantities = quantities(accelerometers)
         self.headers = {name: self._find(name) for name in self.quantities}
 
@@ -116,11 +98,9 @@ class Channels:
             unit = self.unit(quantity)
             factor = units.factor(kind, unit) if unit else 1.0
             x = to_si(numeric_values(self.table[header]), factor)
-        except ConfigError as error:
-            self.findings.problems.append(f"{quantity}: {error}")
-            return None
         except ValueError as error:
-            self.findings.problems.append(f"the column {header}: {error}")
+            where = quantity if isinstance(error, ConfigError) else f"the column {header}"
+            self.findings.problems.append(f"{where}: {error}")
             return None
         if not np.isfinite(x).any():
             self.findings.problems.append(f"the column {header} holds no number")
@@ -141,16 +121,15 @@ class Channels:
         name = self.headers[quantity]
         a = -a if quantity in self.description.invert else a
         problems, notes = self.findings.problems, self.findings.notes
-        a, lost = _without_spikes(a)
-        if lost:
+        beyond = np.abs(a - np.nanmedian(a)) > LOUDEST
+        if 0 < (lost := int(beyond.sum())) <= MAX_SPIKES * a.size:
+            a = np.where(beyond, np.nan, a)
             notes.append(
                 f"{name}: {lost} samples beyond {LOUDEST:g} m/s² of the others are taken as lost"
             )
         finite = a[np.isfinite(a)]
         mean, spread = float(finite.mean()), float(finite.std())
-        in_g = self.unit(quantity) is None and (
-            GRAVITY_IN_G[0] < mean < GRAVITY_IN_G[1] or -GRAVITY_IN_G[1] < mean < -GRAVITY_IN_G[0]
-        )
+        in_g = self.unit(quantity) is None and GRAVITY_IN_G[0] < abs(mean) < GRAVITY_IN_G[1]
         if spread <= 1e-12:
             problems.append(
                 f"{name} is {mean:g} in all rows: the sensor is dead, or the wrong column"

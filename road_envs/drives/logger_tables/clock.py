@@ -26,14 +26,9 @@ channel is interpolated: of a clock with missing rows, and of one that jitters.
 JITTERING = 0.02
 """Median relative deviation of the steps from the sampling interval of a jittering clock."""
 
-MAX_LOST_SHARE = 0.2
-"""Largest share of samples that may be lost."""
-
-MIN_SAMPLES = 32
-"""Smallest number of samples of a drive."""
-
-SHORTEST_STEP = 1e-12
-"""Smallest increase of a clock [s]; rates of change over less would overflow."""
+MAX_LOST_SHARE = 0.2  # largest share of samples that may be lost
+MIN_SAMPLES = 32  # smallest number of samples of a drive
+SHORTEST_STEP = 1e-12  # smallest increase of a clock [s]; rates of change over less would overflow
 
 CLOSEST_STEP = 0.25
 """Shortest step, in sampling intervals, of times that are believed: those of samples which a device
@@ -62,9 +57,9 @@ class Clock(NamedTuple):
     epoch: float | None
 
 
-def read_clock(channels: Channels, findings: TableFindings) -> Clock | None:
+def read_clock(channels: Channels) -> Clock | None:
     """Return the clock of a table; None if there is none, which is added to the problems."""
-    header = channels.headers["t"]
+    header, findings = channels.headers["t"], channels.findings
     if header is None:
         if "t" not in channels.description.columns:
             findings.problems.append(
@@ -74,11 +69,9 @@ def read_clock(channels: Channels, findings: TableFindings) -> Clock | None:
         return None
     try:
         t = _seconds(channels.table[header], channels.unit("t"), findings)
-    except ConfigError as error:
-        findings.problems.append(str(error))
-        return None
     except ValueError as error:
-        findings.problems.append(f"the column {header}: {error}")
+        where = "" if isinstance(error, ConfigError) else f"the column {header}: "
+        findings.problems.append(f"{where}{error}")
         return None
     if np.isnan(t).any():
         k = int(np.flatnonzero(np.isnan(t))[0]) + 1

@@ -7,11 +7,8 @@ import scipy
 
 from road_envs.drives.logger_tables.channels import Channels, TableFindings
 
-EARTH_RADIUS = 6_371_008.8
-"""Mean radius of the earth [m]."""
-
-LONGEST_GAP = 10.0
-"""Longest time [s] over which a speed or position is interpolated."""
+EARTH_RADIUS = 6_371_008.8  # mean radius of the earth [m]
+LONGEST_GAP = 10.0  # longest time [s] over which a speed or position is interpolated
 
 HELD_ROWS = 5
 """Rows per change of value from which on a column is taken to hold those of a slower sensor."""
@@ -37,7 +34,7 @@ DISAGREEMENT = 0.25
 """Relative difference of two distances of a drive above which one of them is wrong."""
 
 
-class DrivenMotion(NamedTuple):
+class _DrivenMotion(NamedTuple):
     """Speed `v` [m/s] and odometer `s` [m] (N,); latitude and longitude [°] (2, N) or None."""
 
     v: np.ndarray
@@ -45,25 +42,24 @@ class DrivenMotion(NamedTuple):
     position: np.ndarray | None
 
 
-def read_motion(
-    channels: Channels, t_rows: np.ndarray, t: np.ndarray, findings: TableFindings
-) -> DrivenMotion | None:
+def read_motion(channels: Channels, t_rows: np.ndarray, t: np.ndarray) -> _DrivenMotion | None:
     """Return the motion at the times `t` (N,) of a table with rows at `t_rows` [s].
 
     The distance is the odometer's, the integral of the speed, or the length of the track, in this
     order. Returns None if it is unknown, which is added to the problems.
     """
+    findings = channels.findings
     before = len(findings.problems)
     whole = channels.description.speed_kmh
     v, s, lat, lon = (
-        _at(channels, name, t_rows, t, findings) if name in channels else None
+        _at(channels, name, t_rows, t) if name in channels else None
         for name in ("v", "s", "lat", "lon")
     )
     position = None if lat is None or lon is None else np.stack([lat, lon])
     if v is not None and STANDING < v.min() < 0.0:
         findings.notes.append(f"speeds down to {v.min():.2g} m/s are taken as standstill")
         v = np.maximum(v, 0.0)
-    if position is not None and not _is_on_earth(position):
+    if position is not None and (np.abs(position).max(axis=1) > (90.0, 180.0)).any():
         findings.problems.append(
             "the positions are no latitudes within ±90° and longitudes within ±180°"
         )
@@ -95,7 +91,7 @@ def read_motion(
     if v is None:
         v = np.maximum(np.gradient(_smoothed(distance, t, 1.0), t), 0.0)
     _check(t, v, distance, track, s is not None, findings)
-    return DrivenMotion(v, distance, position) if len(findings.problems) == before else None
+    return _DrivenMotion(v, distance, position) if len(findings.problems) == before else None
 
 
 def integrate(t: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -130,15 +126,15 @@ def _calibrated(
     return scale * v
 
 
-def _at(
-    channels: Channels, name: str, t_rows: np.ndarray, t: np.ndarray, findings: TableFindings
-) -> np.ndarray | None:
+def _at(channels: Channels, name: str, t_rows: np.ndarray, t: np.ndarray) -> np.ndarray | None:
     """Return a slow channel interpolated to the times `t`; None if it cannot be read."""
     if (x := channels.numbers(name)) is None:
         return None
-    header = channels.headers[name]
+    header, findings = channels.headers[name], channels.findings
     if name in ("lat", "lon") and "lat" in channels and "lon" in channels:
-        missing = _without_fix(channels)
+        # 0° N 0° E, as a receiver writes before it has a fix
+        lat, lon = (channels.numbers(each) for each in ("lat", "lon"))
+        missing = np.logical_and(lat == 0.0, lon == 0.0)
         x = np.where(missing, np.nan, x)
         if missing.any() and name == "lat":
             findings.notes.append(f"{missing.sum()} positions at 0° N 0° E are taken as missing")
@@ -198,18 +194,6 @@ def _smoothed(s: np.ndarray, t: np.ndarray, duration: float) -> np.ndarray:
     half = max(1, min(round(0.5 * duration * t.size / (t[-1] - t[0])), (t.size - 1) // 2))
     padded = np.r_[2 * s[0] - s[half:0:-1], s, 2 * s[-1] - s[-2 : -half - 2 : -1]]
     return scipy.signal.oaconvolve(padded, np.full(2 * half + 1, 1.0 / (2 * half + 1)), "valid")
-
-
-def _without_fix(channels: Channels) -> np.ndarray:
-    """Return where the position (N,) is 0° N 0° E, as a receiver writes before it has a fix."""
-    lat, lon = (channels.numbers(name) for name in ("lat", "lon"))
-    if lat is None or lon is None:
-        return np.zeros(len(next(iter(channels.table.values()))), dtype=bool)
-    return (lat == 0.0) & (lon == 0.0)
-
-
-def _is_on_earth(position: np.ndarray) -> bool:
-    return bool((np.abs(position[0]) <= 90.0).all() and (np.abs(position[1]) <= 180.0).all())
 
 
 def _check(

@@ -18,24 +18,18 @@ from typing import Any
 import numpy as np
 
 from road_envs.core.config import ConfigError, shown
-from road_envs.core.extras import optional_import
+from road_envs.core.extras import import_pyarrow, optional_import
 from road_envs.core.reading import MAX_MESSAGE, parsing, read_parquet
 from road_envs.records.units import is_unit
 
-SNIFFED_CHARACTERS = 10_000
-"""Number of characters that are searched for a decimal comma."""
-
-SNIFFED_LINES = 60
-"""Number of lines among which the header is looked for."""
+SNIFFED_CHARACTERS = 10_000  # number of characters that are searched for a decimal comma
+SNIFFED_LINES = 60  # number of lines among which the header is looked for
 
 DELIMITERS = (";", "\t", "|", ",", " ")
 """Separators of columns, in the order in which they are tried."""
 
-MAX_BYTES = 2**29
-"""Largest text that is read: three hours of ten columns at 500 Hz."""
-
-MAX_COLUMNS, MAX_HEADER = 4096, 200
-"""Most columns of a table, and most characters of a header."""
+MAX_BYTES = 2**29  # largest text that is read: three hours of ten columns at 500 Hz
+MAX_COLUMNS, MAX_HEADER = 4096, 200  # most columns of a table, and most characters of a header
 
 LARGEST = 1e12
 """Greater numbers, in SI units, are none of a drive; their squares and sums would overflow."""
@@ -52,9 +46,7 @@ Table = Mapping[str, Any]
 
 def read_table(path: Path) -> Table:
     """Read the columns of a table by header. Raises ConfigError."""
-    with optional_import("a table as CSV or Parquet"):
-        import pyarrow as pa
-
+    pa, _ = import_pyarrow()
     suffix = path.suffix.lower()
     with parsing(path, ConfigError, "no readable table"):
         if suffix == ".parquet":
@@ -126,8 +118,8 @@ def to_si(x: np.ndarray, factor: float) -> np.ndarray:
 
 
 def _parse_table(data: bytes) -> Any:
-    with optional_import("a table as CSV or Parquet"):
-        from pyarrow import csv
+    import_pyarrow()  # says what is missing
+    from pyarrow import csv
 
     text = decode(data).replace("\r\n", "\n").replace("\r", "\n")
     if "\0" in text:

@@ -1,28 +1,26 @@
-"""Zip files and folders of recording apps, as texts by name; bounded, whatever they claim."""
+"""Zip files and folders of recording apps, bounded whatever they claim, and tables in them."""
 
 import io
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 
+import numpy as np
+
 from road_envs.core.config import ConfigError
+from road_envs.drives.logger_tables.table import Table, numeric_values, parse_text
+from road_envs.records import units
 
-MAX_MEMBERS = 2000
-"""Most files of an archive or a folder."""
-
-MAX_UNPACKED = 2**29
-"""Most bytes of all files together: an hour of six sensors at 400 Hz."""
+MAX_MEMBERS = 2000  # most files of an archive or a folder
+MAX_UNPACKED = 2**29  # most bytes of all files together: an hour of six sensors at 400 Hz
 
 MAX_RATIO, RATIO_FREE = 100, 2**20
 """Largest ratio of unpacked to packed bytes of a file of more than RATIO_FREE bytes. Tables of
 sensors shrink to a third to a tenth.
 """
 
-ZIP = b"PK\x03\x04"
-"""First bytes of a zip file."""
-
-READ = (".csv", ".json", ".txt", ".gpx")
-"""Ends of the names of members that are read."""
+ZIP = b"PK\x03\x04"  # first bytes of a zip file
+READ = (".csv", ".json", ".txt", ".gpx")  # ends of the names of members that are read
 
 
 def is_zip(path: Path) -> bool:
@@ -113,3 +111,35 @@ def _check_compression(member: zipfile.ZipInfo) -> None:
         raise ConfigError(
             f"{member.filename} is more than {MAX_RATIO} times as large when unpacked: no recording"
         )
+
+
+def parse_member(name: str, data: bytes) -> Table:
+    """Return the table in the bytes of a member. Raises ConfigError naming the member."""
+    try:
+        return parse_text(data)
+    except ConfigError as error:
+        raise ConfigError(f"{name}: {error}") from None
+    except ValueError as error:
+        raise ConfigError(f"{name}: no readable table: {error}") from None
+
+
+def number_column(table: Table, wanted: str, kind: str, member: str) -> np.ndarray | None:
+    """Return the column whose header without its unit is `wanted`, in SI units (N,).
+
+    Headers are compared without case; None if there is no such column. Raises ConfigError.
+    """
+    matches = [h for h in table if units.split_header(h)[0].lower() == wanted.lower()]
+    if not matches:
+        return None
+    try:
+        x = numeric_values(table[matches[0]])
+        unit = units.split_header(matches[0])[1]
+        return x * (units.factor(kind, unit) if unit else 1.0)
+    except (ValueError, ConfigError) as error:
+        raise ConfigError(f"{member}, column {matches[0]}: {error}") from None
+
+
+def find_member(members: Mapping[str, bytes], *names: str) -> str | None:
+    """Return the first member of one of these names, without case and folder; None if none is."""
+    by_name = {path.rsplit("/", 1)[-1].lower(): path for path in sorted(members, reverse=True)}
+    return next((by_name[name.lower()] for name in names if name.lower() in by_name), None)

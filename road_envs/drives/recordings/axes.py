@@ -48,12 +48,8 @@ def find_axes(table: Table, description: DriveDescription) -> Axes | None:
     complete = {key: axes for key, axes in groups.items() if len(axes) == 3}
     if not complete:
         return None
-
     # gravity tells the mount: axes that include it come first, then those that are named
-    def rank(key: str) -> tuple[bool, bool]:
-        return _is_linear(key), "acc" not in key
-
-    best = min(complete, key=rank)
+    best = min(complete, key=lambda key: (_is_linear(key), "acc" not in key))
     x, y, z = (complete[best][axis] for axis in "xyz")
     return Axes((x, y, z), _is_linear(best))
 
@@ -64,9 +60,8 @@ def _is_linear(key: str) -> bool:
 
 def to_recording(name: str, table: Table, axes: Axes, description: DriveDescription) -> Recording:
     """Return the recording in a table with three axes. Raises ConfigError."""
-    findings = TableFindings()
-    channels = Channels(table, description, findings)
-    clock = read_clock(channels, findings)
+    channels = Channels(table, description)
+    findings, clock = channels.findings, read_clock(channels)
     x = np.column_stack([_acceleration(table, h, findings) for h in axes.headers])
     names = ("lat", "lon", "v", "s")
     columns = [channels.numbers(key) if key in channels else None for key in names]
@@ -75,15 +70,11 @@ def to_recording(name: str, table: Table, axes: Axes, description: DriveDescript
     track = make_track(clock.t, *columns).x
     slow, fast = np.isfinite(track).any(axis=1), np.isfinite(x).all(axis=1)
     return Recording(
-        name=name,
-        app="table",
-        acceleration=Series(clock.t[fast], x[fast]),
+        name=name, acceleration=Series(clock.t[fast], x[fast]),
         track=Series(clock.t[slow], track[slow]) if slow.any() else None,
-        lacks_gravity=axes.linear,
+        lacks_gravity=axes.linear, epoch=clock.epoch, notes=tuple(findings.notes),
         unit_named=any(units.split_header(h)[1] for h in axes.headers),
-        epoch=clock.epoch,
-        notes=tuple(findings.notes),
-    )
+    )  # fmt: skip
 
 
 def _acceleration(table: Table, header: str, findings: TableFindings) -> np.ndarray:

@@ -6,8 +6,7 @@
 | zip file or folder of Sensor Logger | `sensor_logger.py` |
 | zip file or folder of one table with three axes and one with the track | `formats.py` |
 | VBOX (`.vbo`) | `vbox.py` |
-| MCAP | `mcap.py` |
-| bag of ROS 2, a folder or its file of SQLite | `rosbag.py` |
+| MCAP; bag of ROS 2, a folder or its file of SQLite | `ros.py` |
 | GPX, as a track beside another file | `gpx.py` |
 | JSON lines | `json_lines.py` |
 | text, Parquet, MDF4 | `road_envs/drives/logger_tables/table.py` |
@@ -19,7 +18,7 @@ from pathlib import Path
 
 from road_envs.core.config import ConfigError
 from road_envs.core.reading import parsing
-from road_envs.drives.logger_tables.channels import Channels, TableFindings
+from road_envs.drives.logger_tables.channels import Channels
 from road_envs.drives.logger_tables.clock import read_clock
 from road_envs.drives.logger_tables.description import DriveDescription
 from road_envs.drives.logger_tables.table import MAX_BYTES, Table, read_table
@@ -28,10 +27,8 @@ from road_envs.drives.recordings import (
     axes,
     gpx,
     json_lines,
-    mcap,
-    member_tables,
     phyphox,
-    rosbag,
+    ros,
     sensor_logger,
     vbox,
 )
@@ -44,19 +41,7 @@ READ = (
 )
 """What is read, in words."""
 
-SUFFIXES = (
-    ".csv",
-    ".txt",
-    ".zip",
-    ".parquet",
-    ".mf4",
-    ".mdf",
-    ".vbo",
-    ".json",
-    ".jsonl",
-    ".mcap",
-    ".db3",
-)
+SUFFIXES = ".csv .txt .zip .parquet .mf4 .mdf .vbo .json .jsonl .mcap .db3".split()
 """Ends of the names of files in a folder of several drives."""
 
 HEAD = 20_000
@@ -69,16 +54,14 @@ def read_source(path: Path, description: DriveDescription) -> Recording | Table:
     Raises ConfigError.
     """
     with parsing(path, ConfigError, "no readable recording"):
-        if path.is_dir() and rosbag.is_bag(path):
-            return rosbag.read_rosbag(path)
+        if path.is_dir() and ros.is_bag(path):
+            return ros.read_ros(path)
         if path.is_dir() or archive.is_zip(path):
             return _of_members(path, description)
         with path.open("rb") as file:
             head = file.read(HEAD)
-        if mcap.is_mcap(head):
-            return mcap.read_mcap(path)
-        if rosbag.is_sqlite(head):
-            return rosbag.read_rosbag(path)
+        if head.startswith((ros.MCAP_MAGIC, ros.SQLITE_MAGIC)):
+            return ros.read_ros(path)
         if gpx.is_gpx(head):
             raise ConfigError(
                 "a GPX file has a track without accelerations: give it beside those "
@@ -97,7 +80,7 @@ def drives_in(path: Path) -> list[Path]:
     A folder of an app, a bag of ROS 2 or one of a table and its track is one drive. Raises
     ConfigError.
     """
-    if not path.is_dir() or rosbag.is_bag(path):
+    if not path.is_dir() or ros.is_bag(path):
         return [path]
     inside = sorted(p for p in path.iterdir() if not p.name.startswith("."))
     if any(_is_app_folder(folder) for folder in inside if folder.is_dir()):
@@ -114,7 +97,7 @@ def _is_app_folder(folder: Path) -> bool:
     if not folder.is_dir():
         return False
     with parsing(folder, ConfigError, "no readable folder"):
-        return rosbag.is_bag(folder) or _is_app(archive.read_members(folder))
+        return ros.is_bag(folder) or _is_app(archive.read_members(folder))
 
 
 def _is_app(members: Mapping[str, bytes]) -> bool:
@@ -144,7 +127,7 @@ def _table_and_track(
     for member, data in members.items():
         if member.lower().endswith((".csv", ".txt")):
             with suppress(ConfigError):
-                tables[member] = member_tables.parse_member(member, data)
+                tables[member] = archive.parse_member(member, data)
     with_axes = {m: found for m, x in tables.items() if (found := axes.find_axes(x, description))}
     if len(with_axes) != 1:
         return None
@@ -157,12 +140,9 @@ def _table_and_track(
 
 
 def _table(path: Path, head: bytes) -> Table:
-    is_vbo, is_json = vbox.is_vbo(head), json_lines.is_json(head)
-    if not (is_vbo or is_json):
-        try:
-            return read_table(path)
-        except ConfigError as error:
-            raise ConfigError(str(error).removeprefix(f"{path}: ")) from None
+    is_vbo = vbox.is_vbo(head)
+    if not (is_vbo or json_lines.is_json(head)):
+        return read_table(path)
     if (size := path.stat().st_size) > MAX_BYTES:
         raise ConfigError(f"{size / 2**20:.0f} MiB; at most {MAX_BYTES / 2**20:.0f} MiB are read")
     data = path.read_bytes()
@@ -194,13 +174,12 @@ def _track_of(table: Table) -> tuple[Series, float | None] | None:
 
     Raises ConfigError.
     """
-    findings = TableFindings()
-    channels = Channels(table, DriveDescription(), findings)
+    channels = Channels(table, DriveDescription())
     names = [key for key in ("lat", "lon", "v", "s") if key in channels]
     if "t" not in channels or not names:
         return None
-    clock = read_clock(channels, findings)
+    clock = read_clock(channels)
     columns = {key: channels.numbers(key) for key in names}
-    findings.raise_problems()
+    channels.findings.raise_problems()
     assert clock is not None
     return make_track(clock.t, **columns), clock.epoch

@@ -15,7 +15,7 @@ import numpy as np
 
 from road_envs.core.config import ConfigError
 from road_envs.drives.logger_tables.table import Table
-from road_envs.drives.recordings.member_tables import find_member, number_column, parse_member
+from road_envs.drives.recordings.archive import find_member, number_column, parse_member
 from road_envs.drives.recordings.recording import Recording, Series, make_track
 
 AXES = (("X", "Y", "Z"), ("Acceleration x", "Acceleration y", "Acceleration z"))
@@ -45,7 +45,7 @@ def read_phyphox(name: str, members: Mapping[str, bytes]) -> Recording:
     track = None if location is None else _track(location, members[location])
     epoch, breaks = _events(members)
     return Recording(
-        name=name, app="phyphox", acceleration=a, track=track, lacks_gravity=lacks, epoch=epoch,
+        name=name, acceleration=a, track=track, lacks_gravity=lacks, epoch=epoch,
         breaks=breaks,
     )  # fmt: skip
 

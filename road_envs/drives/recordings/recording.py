@@ -63,7 +63,6 @@ class Recording:
     """
 
     name: str
-    app: str
     acceleration: Series
     track: Series | None = None
     lacks_gravity: bool = False

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from road_envs.core.config import ConfigError
-from road_envs.drives.recordings.member_tables import find_member, number_column, parse_member
+from road_envs.drives.recordings.archive import find_member, number_column, parse_member
 from road_envs.drives.recordings.recording import Recording, Series, make_track
 
 TOTAL, LINEAR, GRAVITY = "TotalAcceleration.csv", "Accelerometer.csv", "Gravity.csv"
@@ -39,7 +39,7 @@ def read_sensor_logger(name: str, members: Mapping[str, bytes]) -> Recording:
             a = Series(a.t, a.x + _at(gravity, a.t))
     track = _track(members, epoch)
     return Recording(
-        name=name, app="Sensor Logger", acceleration=a, track=track, lacks_gravity=lacks,
+        name=name, acceleration=a, track=track, lacks_gravity=lacks,
         epoch=epoch,
     )  # fmt: skip
 

@@ -33,11 +33,8 @@ from road_envs.roads.formats.opencrg import (
 )
 from road_envs.roads.formats.table import WheelPaths, metres, parse_number_rows
 
-FLOAT, TEXT = 1, 5
-"""Number types that can be read."""
-
-PLAUSIBLE_RANGE = (1e-9, 1e9)
-"""Range of the magnitude of plausible numbers other than 0."""
+FLOAT, TEXT = 1, 5  # number types that can be read
+PLAUSIBLE_RANGE = (1e-9, 1e9)  # range of the magnitude of plausible numbers other than 0
 
 MIN_PLAUSIBLE_SHARE = 0.9
 """Least fraction of plausible numbers that the better byte order must reach."""
@@ -91,7 +88,8 @@ def _parse_header(data: bytes) -> tuple[Header, bytes]:
         raise SurfaceFileError(
             f"unknown number type {number_type}; known: 1 (4-byte float) and 5 (text)"
         )
-    keywords = _keywords(lines[2:])
+    # the first of repeated keywords counts
+    keywords = {line[:8].strip().upper(): line[8:] for line in reversed(lines[2:])}
     step = number(fields[5], "the step") * metres(keywords.get("XUNITS", ""), "the step")
     if not 0.0 < step < MAX_LENGTH:
         raise SurfaceFileError(
@@ -166,11 +164,6 @@ def _fields(header: Header, keyword: str, width: int) -> list[str]:
     """Return the text of each channel under a keyword, `width` characters per channel."""
     text = header.keywords.get(keyword, "")
     return [text[k * width : (k + 1) * width].strip() for k in range(header.channels)]
-
-
-def _keywords(lines: list[str]) -> dict[str, str]:
-    """Return the texts by keyword; the first of repeated keywords counts."""
-    return {line[:8].strip().upper(): line[8:] for line in reversed(lines)}
 
 
 def _whole_number(text: str) -> int:

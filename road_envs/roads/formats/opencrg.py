@@ -72,12 +72,16 @@ def parse(data: bytes) -> CurvedGrid:
     scale = _numbers(blocks.get("ROAD_CRG_MODS", []), "ROAD_CRG_MODS")
     data_format, channels = _channels(blocks["KD_DEFINITION"])
     sections, v = _sections(channels, road)
-    table = _table(payload, data_format, len(channels), _rows(road))
+    du = _positive(road, "reference_line_increment", DEFAULT_INCREMENT)
+    read = _binary if data_format.startswith("K") else _text
+    table = read(payload, WIDTHS[data_format], len(channels), _rows(road, du))
+    if len(table) < 2:
+        raise SurfaceFileError(f"at least 2 rows of data are required, got {len(table)}")
     z = checked_heights(table[:, sections], scale.get("scale_z_grid", 1.0))
     return CurvedGrid(
         z=z,
         u_start=road.get("reference_line_start_u", 0.0),
-        du=_increment(road) * _positive(scale, "scale_length", 1.0),
+        du=du * _positive(scale, "scale_length", 1.0),
         v=v * _positive(scale, "scale_width", 1.0),
         notes=_notes(table, channels, road),
     )
@@ -210,10 +214,6 @@ def _lateral_grid(road: dict[str, float], sections: int) -> tuple[float, float]:
     return right, step
 
 
-def _increment(road: dict[str, float]) -> float:
-    return _positive(road, "reference_line_increment", DEFAULT_INCREMENT)
-
-
 def _positive(values: dict[str, float], key: str, default: float) -> float:
     if not 0.0 < values.get(key, default) < MAX_LENGTH:
         raise SurfaceFileError(
@@ -222,27 +222,17 @@ def _positive(values: dict[str, float], key: str, default: float) -> float:
     return values.get(key, default)
 
 
-def _rows(road: dict[str, float]) -> int | None:
+def _rows(road: dict[str, float], du: float) -> int | None:
     """Return the number of rows stated by the header, or None if it states no end of u."""
     if "reference_line_end_u" not in road:
         return None
     length = road["reference_line_end_u"] - road.get("reference_line_start_u", 0.0)
-    steps = length / _increment(road)
+    steps = length / du
     if not (0.5 < steps < 1e12 and abs(steps - round(steps)) < 0.1):
         raise SurfaceFileError(
-            f"a reference line of {length:g} m is not a whole number of steps of "
-            f"{_increment(road)} m"
+            f"a reference line of {length:g} m is not a whole number of steps of {du} m"
         )
     return round(steps) + 1
-
-
-def _table(payload: bytes, data_format: str, columns: int, rows: int | None) -> np.ndarray:
-    """Return all channels (nu, columns)."""
-    read = _binary if data_format.startswith("K") else _text
-    table = read(payload, WIDTHS[data_format], columns, rows)
-    if len(table) < 2:
-        raise SurfaceFileError(f"at least 2 rows of data are required, got {len(table)}")
-    return table
 
 
 def _binary(payload: bytes, width: int, columns: int, rows: int | None) -> np.ndarray:

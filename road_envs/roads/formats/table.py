@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from road_envs.core.config import ConfigError
-from road_envs.core.extras import optional_import
+from road_envs.core.extras import import_pyarrow
 from road_envs.core.reading import MAX_COMPRESSION
 from road_envs.records import units
 from road_envs.roads.formats.opencrg import MAX_LENGTH, SurfaceFileError, checked_heights
@@ -78,10 +78,7 @@ def metres(unit: str, what: str) -> float:
 
 def parse_parquet(data: bytes) -> WheelPaths:
     """Return both wheel paths from the bytes of a Parquet file. Raises SurfaceFileError."""
-    with optional_import("a table as CSV or Parquet"):
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-
+    pa, pq = import_pyarrow()
     try:
         file = pq.ParquetFile(
             pa.BufferReader(data),

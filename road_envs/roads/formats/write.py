@@ -14,7 +14,7 @@ import numpy as np
 
 from road_envs.core.atomic_io import atomic_write, write_text
 from road_envs.core.config import ConfigError
-from road_envs.core.extras import optional_import
+from road_envs.core.extras import import_pyarrow
 from road_envs.records.roughness import TRACK
 from road_envs.roads.formats.opencrg import RECORD, WIDTHS
 from road_envs.roads.surface import Surface
@@ -40,10 +40,7 @@ def write_csv(surface: Surface, path: str | Path) -> None:
 
 def _write_parquet(surface: Surface, path: str | Path) -> None:
     """Write distance, left and right height [m] as Parquet; name and notes go into the metadata."""
-    with optional_import("a table as CSV or Parquet"):
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-
+    pa, pq = import_pyarrow()
     columns = dict(zip(("distance", "left", "right"), (surface.s, *surface.z), strict=True))
     about = json.dumps({"name": surface.name, "notes": surface.notes})
     table = pa.table(columns).replace_schema_metadata({"roadrecon surface": about})
