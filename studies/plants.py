@@ -5,11 +5,13 @@
 One line of JSON for each drive of 100 m is appended to the results; those that stand there are not
 computed again. The vehicle that the estimator is told has the numbers of the plant: the vehicle
 file, of `commonroad` with its linear struts (`road_envs.plants.commonroad_car.as_driven`). With
-`side` false it is told that vehicle without side motion, as all estimates were before. The plot has
-the responses of the body's roll to the difference of the wheel paths.
+`side` false it is told that vehicle without side motion. `own` is the error where our own simulator
+drives the told vehicle over the same road and the estimator knows it: what the readings tell. The
+plot has the responses of the body's roll to the difference of the wheel paths.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,7 @@ from scipy.signal import csd, welch
 from estimators.map_smoother.estimator import MapSmoother
 from leaderboard.metrics.heights import band_pass, nrmse, uncertainty
 from leaderboard.report.plots import COLOURS, write_figure
+from road_envs.drives.recording import simulate_record
 from road_envs.plants.commonroad_car import as_driven
 from road_envs.plants.driving import PLANTS, RUN_IN, simulate_on_plant
 from road_envs.records.record import scored_band
@@ -61,6 +64,10 @@ def drive_result(plant: str, car: str, road: str, speed_kmh: float, side: bool) 
         plant, surface, speed_kmh=speed_kmh, seed=ROAD_SEED, vehicle=load_vehicle(car)
     )
     found = MapSmoother().estimate(record, told if side else told.sliding)
+    own, own_truth = simulate_record(
+        surface, speed_kmh=speed_kmh, seed=ROAD_SEED, vehicle=told, instruments="paper"
+    )
+    known = MapSmoother(adapt=False).estimate(own, told)
     band = scored_band(speed_kmh / 3.6)
     y, a = band_pass(np.stack([truth.z, found.z]), truth.ds, band)
     mean, half = (
@@ -71,6 +78,7 @@ def drive_result(plant: str, car: str, road: str, speed_kmh: float, side: bool) 
     indices = [float(np.mean([iri(z, x.ds) for z in x.z])) for x in (truth, found)]
     return {
         "nrmse": nrmse(truth.z, found.z, truth.ds, band).pooled,
+        "own": nrmse(own_truth.z, known.z, own_truth.ds, band).pooled,
         "mean": mean,
         "difference": half,
         "coverage_90": uncertainty(y, a, found.z_std).coverage_90,
@@ -82,7 +90,9 @@ def drive_result(plant: str, car: str, road: str, speed_kmh: float, side: bool) 
 
 def summary(rows: list[Row]) -> str:
     """Return the medians over roads and speeds by plant and car, and all drives below."""
-    head = f"{'error':>7}  {'mean':>7}  {'difference':>10}  inside 90 %  IRI bias  IRI RMSE  noted"
+    head = (
+        f"{'error':>7}{'own':>9}{'mean':>9}{'difference':>12}  in 90 %  IRI bias  IRI RMSE  noted"
+    )
     lines = [f"{'median, told the description':<40}{head}"]
     for side in (True, False):
         for plant in sorted(PLANTS):
@@ -104,12 +114,12 @@ def _label(side: bool) -> str:
 def _numbers(rows: Sequence[Row]) -> str:
     if not rows:
         return "  not computed"
-    medians = [np.median([row[k] for row in rows]) for k in ("nrmse", "mean", "difference")]
+    medians = [np.median([row[k] for row in rows]) for k in ("nrmse", "own", "mean", "difference")]
     error = np.array([row["iri_error"] for row in rows])
     coverage = np.mean([row["coverage_90"] for row in rows])
     noted = sum(bool(row["notes"]) for row in rows)
     return (
-        f"{medians[0]:7.3f}  {medians[1]:7.3f}  {medians[2]:10.3f}  {coverage:11.2f}"
+        f"{medians[0]:7.3f}{medians[1]:9.3f}{medians[2]:9.3f}{medians[3]:12.3f}{coverage:9.2f}"
         f"  {error.mean():+8.1%}  {np.sqrt(np.mean(error**2)):8.1%}  {noted} of {len(rows)}"
     )
 
@@ -130,7 +140,9 @@ def roll_responses(car: str, f: np.ndarray, v: float) -> dict[str, np.ndarray]:
         found[plant] = np.interp(f, own, np.abs(cross) / power)
     linear = as_driven(described)
     places = {"centre": (0.0, 0.0), "left": (0.0, 1.0)}
-    for name, each in (("model, sliding", linear.sliding), ("model, side motion", linear)):
+    told = {"commonroad": linear, "mujoco": replace(linear, side=described.side)}
+    models = {f"model of {plant}": car for plant, car in told.items()}
+    for name, each in {**models, "model, sliding": linear.sliding}.items():
         model = linearise(each, "passive", places, speed=v)
         H = frequency_response(model, v, f=f)
         found[name] = np.abs((H[:, 1] - H[:, 0]) @ [0.5, -0.5])
