@@ -25,8 +25,7 @@ from road_envs.sensing.instruments import instruments_of
 from road_envs.vehicle.parameters import load_vehicle
 from road_envs.vehicle.side_values import side_values
 
-FRAME = "variation.frame.f"
-"""Tolerance of a description that says of a frame that twists."""
+FRAME = "variation.frame.f"  # tolerance of a description that says of a frame that twists
 
 UNEXPLAINED = 1.02
 """Residual in times of the sensors' noise above which side motion is tried that a file leaves out.

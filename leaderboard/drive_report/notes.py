@@ -17,8 +17,7 @@ MISFIT = r"does not reproduce|times the expected one|heights are reduced"
 FITTED = r"was adapted|adapted to the drive"
 """Notes of a vehicle whose parameters or elements were found from the drive itself."""
 
-SLOW = ": values every"
-"""Words after the name of a column that has fewer samples."""
+SLOW = ": values every"  # words after the name of a column that has fewer samples
 
 WEIGHTS = (
     r"heights there are not known",
