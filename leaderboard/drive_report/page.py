@@ -10,6 +10,7 @@ from markupsafe import Markup
 from leaderboard.drive_report import pictures
 from leaderboard.drive_report.analysis import DriveResult
 from leaderboard.drive_report.conditions import Conditions
+from leaderboard.drive_report.notes import ONE_ROAD
 from leaderboard.drive_report.obstacles import FALSE_ALARMS
 from leaderboard.report.rendering import render
 from road_envs import __version__
@@ -56,6 +57,7 @@ def _drive(result: DriveResult, conditions: Conditions, anchor: str) -> dict[str
         "sensors": _sensors(result),
         "facts": result.facts,
         "notes": result.notes,
+        "doubts": [note for note in result.notes if not note.startswith(ONE_ROAD)],
         "segments": result.segments[:TABLE_ROWS],
         "hidden": max(0, len(result.segments) - TABLE_ROWS),
         "obstacles": result.obstacles,

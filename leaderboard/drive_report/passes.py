@@ -11,6 +11,7 @@ from estimators.api import Estimator
 from estimators.common.alignment import identity_map
 from estimators.passes import AlignedPass
 from leaderboard.drive_report.analysis import DriveResult
+from leaderboard.drive_report.notes import ONE_ROAD
 from leaderboard.metrics import agreement
 from road_envs.core.config import ConfigError
 from road_envs.drives.measured_record import MeasuredRecord
@@ -99,7 +100,7 @@ def join(
         return None
     road = estimators.passes.join_passes(estimator, aligned, [car for _, car in chosen])
     first, names = passes[0].measured, ", ".join(each.name for each, _ in chosen)
-    note = f"one road from {names}; speed and states are those of {passes[0].name}"
+    note = f"{ONE_ROAD} {names}; speed and states are those of {passes[0].name}"
     notes = (note, estimators.passes.WANDER_NOTE)
     road = replace(road, notes=(), distance=passes[0].estimate.distance)
     return ReportedPass(JOINED, first._replace(notes=notes), road, None)

@@ -131,7 +131,7 @@ def iri_chart(result: DriveResult, conditions: Conditions) -> str:
         for k, (low, high) in enumerate(pairwise(limits)):
             shade = CONDITION_COLOURS[min(k, len(CONDITION_COLOURS) - 1)]
             axes.axhspan(low, high, color=shade, alpha=0.10, lw=0)
-            if low < top:
+            if min(high, top) - low > 0.07 * top:  # there is room for its name
                 axes.annotate(
                     conditions.categories[k], (edges[-1], low), (-3, 2), ha="right", va="bottom",
                     textcoords="offset points", color="0.35", fontsize=8, zorder=5,

@@ -52,7 +52,7 @@ ARRAYS = ("z", "z_std", "unsure", "draws")
 """Fields of an estimate that are kept as arrays, by station in their last axis."""
 
 
-class DriveSection(NamedTuple):
+class _DriveSection(NamedTuple):
     """A section of a drive: its samples `begin` to `end` (excluded), the index `first` of the
     station that is the first of its own road, and the index `start` of the one at which it begins.
     """
@@ -69,9 +69,9 @@ class DriveSection(NamedTuple):
         return replace(part, t=part.t - part.t[0], s=part.s - shift, length=end - shift)
 
 
-def split(record: Record, wheelbase: float, length: float = SECTION) -> list[DriveSection]:
+def split(record: Record, wheelbase: float, length: float = SECTION) -> list[_DriveSection]:
     """Return the sections of a record, one if it is short or its odometer is not finite."""
-    whole = [DriveSection(0, record.t.size, 0, 0)]
+    whole = [_DriveSection(0, record.t.size, 0, 0)]
     if not np.isfinite(record.s).all():
         return whole
     s = np.maximum.accumulate(record.s)
@@ -83,11 +83,11 @@ def split(record: Record, wheelbase: float, length: float = SECTION) -> list[Dri
     firsts = ((s[begins] - wheelbase) / PROFILE_SPACING).astype(int)
     starts = np.round(edges / PROFILE_SPACING).astype(int)
     columns = [begins, [*ends[1:], record.t.size], firsts, starts]
-    rows = [DriveSection(*map(int, row)) for row in zip(*columns, strict=True)]
+    rows = [_DriveSection(*map(int, row)) for row in zip(*columns, strict=True)]
     return [whole[0]._replace(end=int(ends[0])), *rows]
 
 
-def join(parts: Sequence[Estimate], sections: Sequence[DriveSection], length: float) -> Estimate:
+def join(parts: Sequence[Estimate], sections: Sequence[_DriveSection], length: float) -> Estimate:
     """Return the estimate of a road of `length` [m] from those of its sections.
 
     Notes that differ in their numbers alone are one, with those of the section that the model
@@ -141,7 +141,7 @@ def _joined_distance(found: Sequence[DistanceScale]) -> DistanceScale | None:
 
 
 def _joined_notes(
-    parts: Sequence[Estimate], sections: Sequence[DriveSection], length: float
+    parts: Sequence[Estimate], sections: Sequence[_DriveSection], length: float
 ) -> tuple[str, ...]:
     alike: dict[str, list[tuple[float, int, str]]] = {}
     for k, part in enumerate(parts):
