@@ -223,21 +223,16 @@ def _save_figure(figure: Any, path: Path) -> None:
         figure.savefig(partial, format=path.suffix.removeprefix("."))
 
 
-def _page_figure(paint: Callable[[Any], None], size: tuple[float, float]) -> Any:
-    """Return a figure of `size` [inch] that `paint` has filled, in the _SVG_STYLE of a page."""
+def inline_svg(paint: Callable[[Any], None], size: tuple[float, float]) -> str:
+    """Return a figure of `size` [inch] that `paint` has filled as SVG in the _SVG_STYLE of a page,
+    without size and fonts; equal figures give equal text.
+    """
     with optional_import("a figure"):
         import matplotlib
 
+    buffer = io.StringIO()
     with matplotlib.rc_context(_SVG_STYLE):
-        return _make_figure(paint, size)
-
-
-def inline_svg(paint: Callable[[Any], None], size: tuple[float, float]) -> str:
-    """Return `_page_figure` as SVG, without size and fonts; equal figures give equal text."""
-    figure, buffer = _page_figure(paint, size), io.StringIO()
-    import matplotlib
-
-    with matplotlib.rc_context(_SVG_STYLE):
+        figure = _make_figure(paint, size)
         figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
     svg = buffer.getvalue()
     svg = re.sub(r"\s+", " ", svg[svg.index("<svg") :]).replace("> <", "><")

@@ -78,7 +78,7 @@ def _render_pages(
 
 def _index(board: Board, report: Report) -> dict[str, Any]:
     errors, _ = unrelated_level_errors()
-    claims = [t.claimed_level_error for t in board.tasks if t.claimed_level_error is not None]
+    claims = [x for task in board.tasks if (x := task.claimed_level_error) is not None]
     boards = [(view, [_table(view, s) for s in view.sections]) for view in report.views]
     explained = {(c.label, c.help): c for _, made in boards for t in made for c in t["columns"]}
     view = report.views[0]
@@ -133,7 +133,6 @@ def _table_data(view: BoardView, section: Section, columns: Sequence[Column]) ->
 
 
 def _row_data(row: Row, forms: dict[str, Any]) -> dict[str, Any]:
-    groups = {tables.ALL_RUNS: row.values, **row.groups}
     return {
         "name": row.name,
         "state": row.state,
@@ -148,7 +147,7 @@ def _row_data(row: Row, forms: dict[str, Any]) -> dict[str, Any]:
                 for key, form in forms.items()
                 if (x := values.get(key)) is not None
             }
-            for name, values in groups.items()
+            for name, values in {tables.ALL_RUNS: row.values, **row.groups}.items()
         },
     }
 
@@ -191,16 +190,19 @@ def _estimator(
         for view, section, row in rows
         if row.state in ("scored", "baseline")
     ]
-    first = results[0][1]
+    first, about = results[0][1], board.methods.get(name)
+    settings = (f"{key.replace('_', ' ')} {x}" for key, x in first.settings.items())
     return {
         "root": "../",
         "name": name,
         "role": first.role,
         "causal": first.causal,
         "lag": first.lag,
-        "settings": estimator_page.settings_in_words(first.settings),
+        "settings": ", ".join(settings),
         "method": estimator_page.method(name),
-        "method_card": estimator_page.method_card_rows(board.methods.get(name)),
+        "method_card": {**vars(about), "authors": ", ".join(about.authors)}.items()
+        if about
+        else (),
         "cards": list(
             {card.identity: card for _, result in results if (card := board.card(result))}.values()
         ),
