@@ -4,6 +4,8 @@ import inspect
 import itertools
 import re
 from collections.abc import Callable
+from functools import partial
+from importlib import import_module
 from typing import Annotated
 
 from leaderboard.commands import make_table
@@ -36,25 +38,15 @@ def _sensors() -> _Lines:
     }
 
 
-def _first_line(cls: type) -> str:
-    """Return the first sentence of the docstring of a class, without Markdown's backticks."""
-    return _first_sentence((inspect.getdoc(cls) or "").partition("\n\n")[0]).replace("`", "")
-
-
 def _first_sentence(text: str) -> str:
     return re.split(r"(?<!et al)\. ", " ".join(text.split()))[0].rstrip(".")
 
 
-def _estimators() -> _Lines:
-    from estimators import registry
-
-    return {name: _first_line(cls) for name, cls in sorted(registry.available().items())}
-
-
-def _policies() -> _Lines:
-    from road_envs import policies
-
-    return {name: _first_line(cls) for name, cls in sorted(policies.available().items())}
+def _registered(module: str) -> _Lines:
+    """Return the first sentence, without backticks, of each class that a module has registered."""
+    classes = sorted(import_module(module).available().items())
+    heads = {name: (inspect.getdoc(cls) or "").partition("\n\n")[0] for name, cls in classes}
+    return {name: _first_sentence(head).replace("`", "") for name, head in heads.items()}
 
 
 def _boards() -> _Lines:
@@ -106,8 +98,8 @@ def _roads() -> _Lines:
 KINDS: dict[str, Callable[[], _Lines]] = {
     "vehicles": _vehicles,
     "sensors": _sensors,
-    "estimators": _estimators,
-    "policies": _policies,
+    "estimators": partial(_registered, "estimators.registry"),
+    "policies": partial(_registered, "road_envs.policies"),
     "boards": _boards,
     "tasks": _tasks,
     "conditions": _conditions,
