@@ -91,7 +91,7 @@ def estimate(
         start = drive.measured.chainage if drive.is_table else 0.0
         write_csv(Surface(result.z, result.ds, start, name=f"estimate of {records[0].name}"), out)
     if plot:
-        plots.draw_estimate(profile, scored, v, plot)
+        plots.save_figure(plots.estimate_figure(profile, scored, v), plot)
     return Output(facts=facts, shows=shows)
 
 

@@ -138,10 +138,8 @@ def _held_sideways(
 ) -> tuple[DriveFile, Estimate]:
     """Return what is `found` of a drive if its vehicle is held sideways, if that explains more."""
     car, before = drive.car, residual_of(found[1])
-    fits = getattr(estimator, "adapt", False)
-    if not (fits and tells_vehicle(drive.measured.record.sensors) and car.tolerances):
-        return found
-    if car.side is not None or before <= UNEXPLAINED:
+    is_fitted = getattr(estimator, "adapt", False) and tells_vehicle(drive.measured.record.sensors)
+    if not (is_fitted and car.tolerances) or car.side is not None or before <= UNEXPLAINED:
         return found
     spread = load_vehicle(SIDE_CLASS).tolerances.items()
     known = car.tolerances | {key: x for key, x in spread if key.startswith("side.")}

@@ -67,6 +67,7 @@ def _drive(result: DriveResult, conditions: Conditions, anchor: str) -> dict[str
         "has_interval": math.isfinite(result.facts["iri_mean_high"]),
         "level": {name: k for k, name in enumerate(conditions.categories)},
         "strip": Markup(pictures.profile_strip(result, shown)),
+        "is_shaded": shown.std is not None,
         "heights": pictures.strip_data(result, shown),
         "iri": Markup(pictures.iri_chart(result, conditions)),
         "density": Markup(pictures.density_chart(result)),

@@ -20,7 +20,7 @@ from leaderboard.evaluation.results import Result
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics.baselines import NOISE_LEVEL
 from leaderboard.report import estimator_page, export, overview, tables
-from leaderboard.report.board_definitions import COLUMNS, LIMIT_ROWS, TEXT_COLUMNS, Column
+from leaderboard.report.board_definitions import COLUMNS, LIMIT_ROWS, TEXT_COLUMNS
 from leaderboard.report.charts import task_charts
 from leaderboard.report.figures import rounded
 from leaderboard.report.notes import isolation_notice
@@ -108,21 +108,16 @@ def _index(board: Board, report: Report) -> dict[str, Any]:
 
 
 def _table(view: BoardView, section: Section) -> dict[str, Any]:
-    """Return one table: its columns, and the numbers for the scripts."""
-    columns = tables.nonempty_columns(view, section)
+    """Return one table: its columns, and for the scripts the rows with their numbers over all runs
+    and over each group, each [number, text].
+    """
+    columns, ranks_by = tables.nonempty_columns(view, section), view.definition.ranks_by
     groups = dict.fromkeys(section.conditions)
     groups |= dict.fromkeys(name for names in section.groups.values() for name in names)
-    data = _table_data(view, section, columns)
-    return {"section": section, "columns": columns, "groups": list(groups), "data": data}
-
-
-def _table_data(view: BoardView, section: Section, columns: Sequence[Column]) -> dict[str, Any]:
-    """Rows of a task, with their numbers over all runs and over each group, each [number, text]."""
-    ranks_by = view.definition.ranks_by
     keys = dict.fromkeys([*(column.key for column in columns), ranks_by, "rank_causal"])
     forms = {key: COLUMNS[key] for key in keys if key not in TEXT_COLUMNS}
     numeric = {**forms, "low": COLUMNS[ranks_by], "high": COLUMNS[ranks_by]}
-    return {
+    data = {
         "ranks_by": ranks_by,
         "scale": view.definition.scale,
         "flat": 1.0 if ranks_by == "nrmse" else None,
@@ -130,6 +125,7 @@ def _table_data(view: BoardView, section: Section, columns: Sequence[Column]) ->
         "columns": {k: {"better": form.better, "blank": form.blank} for k, form in forms.items()},
         "rows": [_row_data(row, numeric) for row in section.rows],
     }
+    return {"section": section, "columns": columns, "groups": list(groups), "data": data}
 
 
 def _row_data(row: Row, forms: dict[str, Any]) -> dict[str, Any]:
