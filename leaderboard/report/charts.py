@@ -38,6 +38,10 @@ HEIGHT_AXES: dict[str, Any] = {
     "xaxis": fig.axis("distance [m]", unifiedhovertitle={"text": "%{x:.1f} m"}),
     "yaxis": fig.axis("height [mm]"),
 }
+ERROR_AXES: dict[str, Any] = {
+    "xaxis": fig.frequency_axis(THIRD_OCTAVES[0], THIRD_OCTAVES[-1]),
+    "yaxis": fig.axis("error over truth", 0.0, 2.0),
+}
 
 
 def task_charts(
@@ -237,14 +241,6 @@ def bound_line(task: Task, condition: Condition) -> dict[str, Any]:
     return fig.curve("bound", THIRD_OCTAVES, _BOUNDS[key], line=look, hovertemplate=_ERROR_HOVER)
 
 
-def error_axes() -> dict[str, Any]:
-    """Return the axes of errors over spatial frequency."""
-    return {
-        "xaxis": fig.frequency_axis(THIRD_OCTAVES[0], THIRD_OCTAVES[-1]),
-        "yaxis": fig.axis("error over truth", 0.0, 2.0),
-    }
-
-
 def _error_chart(task: Task, rows: Mapping[str, Row]) -> fig.Chart:
     figures = {
         condition.label: {
@@ -254,7 +250,7 @@ def _error_chart(task: Task, rows: Mapping[str, Row]) -> fig.Chart:
         for condition in task.conditions
     }
     title = "Error over spatial frequency, with the bound"
-    return fig.chart(title, figures, error_axes(), by=("condition",))
+    return fig.chart(title, figures, ERROR_AXES, by=("condition",))
 
 
 def _runs_chart(

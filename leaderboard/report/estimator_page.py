@@ -17,7 +17,7 @@ from leaderboard.metrics.api import UNDEFINED
 from leaderboard.metrics.heights import band_pass, scored_band
 from leaderboard.report import figures as fig
 from leaderboard.report.board_definitions import COLUMNS
-from leaderboard.report.charts import bound_line, error_axes, error_lines
+from leaderboard.report.charts import ERROR_AXES, bound_line, error_lines
 from leaderboard.report.tables import Row, Section
 
 _WORST_DRIVES = 3  # number of drives of a task with the largest errors that are listed
@@ -34,7 +34,7 @@ def estimator_charts(evaluated: Sequence[_Evaluated]) -> dict[str, fig.Chart]:
     """Return the charts of an estimator that are not empty, with a figure for each task."""
     made: dict[str, tuple[str, dict[str, Any], Callable[..., dict[str, Any] | None]]] = {
         "errors": ("Error by condition and family", _ERROR_LAYOUT, _error_figure),
-        "spectrum": ("Error over spatial frequency", error_axes(), _spectrum_figure),
+        "spectrum": ("Error over spatial frequency", ERROR_AXES, _spectrum_figure),
         "calibration": (
             "Calibration of the stated intervals", _CALIBRATION_LAYOUT, _calibration_figure,
         ),
