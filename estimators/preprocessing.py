@@ -33,6 +33,9 @@ from road_envs.records.record import (
 )
 from road_envs.sensing.instruments import Instruments
 
+LATE_START = "lie behind the front axle at the start"
+"""Words of a note that is true of the first section of a drive alone: others begin on a road."""
+
 FS_MIN = 2.4 * F_C
 """Lowest sample rate [Hz]: twice the bandwidth, and a fifth for the flank of the low-pass."""
 
@@ -298,8 +301,7 @@ def _check_drive(record: Record) -> tuple[Record, list[str]]:
         )
     if (missed := forward[0]) > PROFILE_SPACING:
         notes.append(
-            f"the first {missed:.2f} m lie behind the front axle at the start: at most the rear "
-            "wheels drove over them"
+            f"the first {missed:.2f} m {LATE_START}: at most the rear wheels drove over them"
         )
     if (missed := record.length - forward[-1]) > PROFILE_SPACING:
         notes.append(

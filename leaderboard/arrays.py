@@ -65,13 +65,9 @@ def load_task(
         if isinstance(made, str):
             raise ConfigError(f"{chosen.name}: {made}")
         data.append(made)
-    return TaskArrays(
-        chosen.name,
-        tuple(_arrays(part, d, True) for part in data for d in part.training),
-        tuple(_arrays(part, d, False) for part in data for d in part.tests),
-        asdict(chosen.vehicle),
-        tuple(data),
-    )
+    training = tuple(_arrays(part, drive, True) for part in data for drive in part.training)
+    test = tuple(_arrays(part, drive, False) for part in data for drive in part.tests)
+    return TaskArrays(chosen.name, training, test, asdict(chosen.vehicle), tuple(data))
 
 
 def score_arrays(

@@ -122,11 +122,8 @@ _USAGE_ERROR: Any = typer.BadParameter.__mro__[1]
 """Class of errors in the words of a command line, which Typer does not export."""
 
 _PARSER_WORDS = (
-    (
-        r"Input should be a valid integer.*|.* is not a valid integer( range)?\.",
-        "must be a whole number",
-    ),
-    (r"Input should be a valid number.*|.* is not a valid float( range)?\.", "must be a number"),
+    (r"Input should be a valid integer.*|.* is not a valid integer.*", "must be a whole number"),
+    (r"Input should be a valid number.*|.* is not a valid float.*", "must be a number"),
     (r"Input should be greater than or equal to (\S+)", r"must be at least \1"),
     (r"Input should be less than or equal to (\S+)", r"must be at most \1"),
     (r"Input should be (.*)", r"must be \1"),
@@ -136,11 +133,8 @@ _PARSER_WORDS = (
 
 def _usage_sentence(error: Any) -> str:
     """Return one sentence on words that the command line does not understand."""
-    text = (
-        " ".join(error.format_message().split())
-        .removesuffix(".")
-        .replace("'. Did you mean", "': did you mean")
-    )
+    text = " ".join(error.format_message().split()).removesuffix(".")
+    text = text.replace("'. Did you mean", "': did you mean")
     text = text[:1].lower() + text[1:]
     if found := re.fullmatch(r"invalid value for '(.+?)'(?: /.*?)?: (.*)", text):
         option, text = found[1], found[2]

@@ -23,8 +23,7 @@ _OPTIONS = {"observe": ("accelerations", "planar", "struts"), "control": "states
 
 _BATCH = 16  # episodes that are driven at once
 
-DATASETS_PATH = "MINARI_DATASETS_PATH"
-"""Environment variable of Minari's folder of data sets."""
+DATASETS_PATH = "MINARI_DATASETS_PATH"  # environment variable of Minari's folder of data sets
 
 
 def write_episodes(

@@ -15,7 +15,6 @@ from typer.core import TyperCommand, TyperGroup
 
 _INTERRUPTED = 130  # exit status after SIGINT: 128 and the number of the signal, as shells have it
 
-
 _PACKAGE = "leaderboard.commands"
 
 Sections = Mapping[str, Mapping[str, str | type]]

@@ -93,13 +93,11 @@ def train(
         if k % 10 == 0:
             progress(f"simulating, {k} of {corpus.number}", _SIMULATION_SHARE * k / corpus.number)
         drives.append(estimator.training_example(*corpus.simulate_drive(k)))
-    trained = estimator.pretrain(
-        drives,
-        corpus.vehicle,
-        seed,
-        lambda text, share: progress(text, _SIMULATION_SHARE + (1.0 - _SIMULATION_SHARE) * share),
-        checkpoint,
-    )
+
+    def shown(text: str, share: float) -> None:
+        progress(text, _SIMULATION_SHARE + (1.0 - _SIMULATION_SHARE) * share)
+
+    trained = estimator.pretrain(drives, corpus.vehicle, seed, shown, checkpoint)
     if isinstance(trained, DeviationCalibratable):
         progress("calibrating standard deviations", 1.0)
         more = range(corpus.number, corpus.number + math.ceil(_CALIBRATION_SHARE * corpus.number))

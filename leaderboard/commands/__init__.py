@@ -110,11 +110,11 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
     A terminal shows a bar; a file or pipe gets a line every LINE_INTERVAL with the time left.
     """
     if not notices.is_terminal:
-        yield ProgressLines(partial(notices.print, soft_wrap=True, highlight=False))
+        yield _progress_lines(partial(notices.print, soft_wrap=True, highlight=False))
         return
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=notices, transient=True) as bar:
-        task, left = bar.add_task("starting", total=1.0), TimeLeft()
+        task, left = bar.add_task("starting", total=1.0), _time_left()
 
         def update(text: str, share: float) -> None:
             bar.update(task, description=text + left(share), completed=share)
@@ -122,46 +122,45 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
         yield update
 
 
-LINE_INTERVAL = 10.0
-"""Time [s] between two lines of progress without a terminal."""
+LINE_INTERVAL = 10.0  # time [s] between two lines of progress without a terminal
 
 
-class TimeLeft:
-    """An estimate of the time left, as text; none before something is done.
+def _time_left(clock: Callable[[], float] = time.monotonic) -> Callable[[float], str]:
+    """Return a function of the share done that tells the time left as ", about 40 s left", if any.
 
-    The estimate takes the rest to be as fast as what is done since the last update with the first
-    share: neither stored results nor what was prepared before count.
+    The rest is taken to be as fast as what is done since the last update with the first share:
+    neither stored results nor what was prepared before count.
     """
+    begin, first_share = clock(), math.inf
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic):
-        self._clock, self._begin, self._first_share = clock, clock(), math.inf
+    def remains(share: float) -> str:
+        nonlocal begin, first_share
+        if share <= first_share:
+            begin, first_share = clock(), share
+        done = share - first_share
+        left = (clock() - begin) * (1.0 - share) / done if done > 0.0 else 0.0
+        return f", about {_describe_duration(left)} left" if left > 0.0 else ""
 
-    def __call__(self, share: float) -> str:
-        """Take the share done; return ", about 40 s left" or nothing."""
-        now = self._clock()
-        if share <= self._first_share:
-            self._begin, self._first_share = now, share
-        done = share - self._first_share
-        left = (now - self._begin) * (1.0 - share) / done if done > 0.0 else 0.0
-        return f", about {describe_duration(left)} left" if left > 0.0 else ""
-
-
-class ProgressLines:
-    """Progress as lines: share done, description, and an estimate of the time left."""
-
-    def __init__(self, write: Callable[[str], object], clock: Callable[[], float] = time.monotonic):
-        self._write, self._clock, self._left = write, clock, TimeLeft(clock)
-        self._next = clock() + LINE_INTERVAL
-
-    def __call__(self, text: str, share: float) -> None:
-        """Take a description and the share done; write a line if one is due."""
-        remains = self._left(share)
-        if self._clock() >= self._next:
-            self._next = self._clock() + LINE_INTERVAL
-            self._write(f"{100.0 * share:3.0f} %  {text}{remains}")
+    return remains
 
 
-def describe_duration(seconds: float) -> str:
+def _progress_lines(
+    write: Callable[[str], object], clock: Callable[[], float] = time.monotonic
+) -> Callable[[str, float], None]:
+    """Return an update that writes lines: share done, description, and the time left."""
+    left, due = _time_left(clock), clock() + LINE_INTERVAL
+
+    def update(text: str, share: float) -> None:
+        nonlocal due
+        remains = left(share)
+        if clock() >= due:
+            due = clock() + LINE_INTERVAL
+            write(f"{100.0 * share:3.0f} %  {text}{remains}")
+
+    return update
+
+
+def _describe_duration(seconds: float) -> str:
     """Return a time in whole seconds, minutes or hours, as "40 s", "12 min" or "3 h 05 min"."""
     if seconds < 90.0:
         return f"{seconds:.0f} s"

@@ -40,7 +40,7 @@ def check_estimator(
     with SandboxClient(own) as sandbox:
         (entry,) = resolve_entries([estimator], sandbox.describe)
         results = check_entry(entry, sandbox, of_board)
-    return _checks_output("estimator", entry.name, results, summarize(results))
+    return _checks_output("estimator", entry.name, results, _summarize(results))
 
 
 def check_policy(
@@ -76,7 +76,7 @@ def _checks_output(kind: str, name: str, results: Sequence[CheckResult], summary
     return Output(facts=facts, shows=[table, f"{name}: {summary}"], status=0 if passed else 1)
 
 
-def summarize(results: Sequence[CheckResult]) -> str:
+def _summarize(results: Sequence[CheckResult]) -> str:
     """Return one sentence on all check results."""
     failed = [result.name for result in results if result.passed is False]
     if not failed:

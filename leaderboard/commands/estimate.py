@@ -49,10 +49,8 @@ def estimate(
     A measured drive is a table with the columns t [s], a_rf, a_lr, a_rr [m/s²] (or a_rf_g ... [g]),
     v [m/s] or v_kmh, and mode; speed and mode can be given as options instead.
     """
-    (
-        commands.check_output_path(out, ".csv"),
-        commands.check_output_path(plot, ".png", ".svg", ".pdf"),
-    )
+    commands.check_output_path(out, ".csv")
+    commands.check_output_path(plot, ".png", ".svg", ".pdf")
     given = commands.parse_settings(settings)
     commands.import_from_here([estimator])
     estimators.make_estimator(estimator, **given)  # a wrong name ends it before a file is read
@@ -93,7 +91,7 @@ def estimate(
         start = drive.measured.chainage if drive.is_table else 0.0
         write_csv(Surface(result.z, result.ds, start, name=f"estimate of {records[0].name}"), out)
     if plot:
-        plots.draw_estimate(profile, scored, v, plot)
+        plots.save_figure(plots.estimate_figure(profile, scored, v), plot)
     return Output(facts=facts, shows=shows)
 
 
@@ -113,15 +111,13 @@ def classify(
     validate_choice("method", method, _METHODS)
     drive = drive_files.read_drive(record, options)
     measured, notes = drive.measured.record, drive.measured.notes
-    result: Any = (
-        spectral.classify_record(measured, drive.car, drive.sensors)
-        if method == "spectral"
-        else rms_roughness(measured, Corpus(car=drive.vehicle, instruments=drive.sensors))
-    )
-    facts = {
-        key: value.tolist() if isinstance(value, np.ndarray) else value
-        for key, value in result._asdict().items()
-    }
+    result: Any
+    if method == "spectral":
+        result = spectral.classify_record(measured, drive.car, drive.sensors)
+    else:
+        result = rms_roughness(measured, Corpus(car=drive.vehicle, instruments=drive.sensors))
+    found = result._asdict().items()
+    facts = {key: x.tolist() if isinstance(x, np.ndarray) else x for key, x in found}
     percent = 100.0 * result.probability[result.letter]
     shows: list[Any] = [
         f"class {result.letter} ({percent:.0f} %), Gd(n0) = {1e6 * result.G_d0:.0f}e-6 m³ "
@@ -134,13 +130,9 @@ def classify(
 
 
 def _octaves_table(posterior: spectral.ClassPosterior) -> Table:
-    rows = zip(
-        posterior.octaves, posterior.levels, posterior.level_stds, posterior.octave_classes,
-        strict=True,
-    )  # fmt: skip
-    cells = [
-        (f"{centre:g}", f"{1e6 * level:.0f}", f"{_DB_PER_LOG * std:.1f}", letter)
-        for centre, level, std, letter in rows
-    ]
+    levels = zip(posterior.levels, posterior.level_stds, strict=True)
+    numbers = [(f"{1e6 * level:.0f}", f"{_DB_PER_LOG * std:.1f}") for level, std in levels]
+    octaves = zip(posterior.octaves, numbers, posterior.octave_classes, strict=True)
+    cells = [(f"{centre:g}", *level, letter) for centre, level, letter in octaves]
     heads = ("octave [cycles/m]", "Gd(n0) [1e-6 m³]", "± [dB]", "class")
     return commands.make_table(heads, cells, texts=("class",))

@@ -35,11 +35,8 @@ def _write(name: str, out: Path | None, example: Example, check: str) -> Output:
     folder = out or Path(f"road-recon-{name.replace('_', '-')}")
     written = [str(path) for path in write_package(name, folder, example)]
     target = folder if folder.is_absolute() else f"./{folder}"
-    following = [
-        f'pip install --editable "{target}[test]"',
-        f"python -m pytest {target}",
-        f"road-recon {check}",
-    ]
+    install, test = f'pip install --editable "{target}[test]"', f"python -m pytest {target}"
+    following = [install, test, f"road-recon {check}"]
     shows = [*written, "next: " + "\n      ".join(following)]
     return Output(facts={"written": written, "next": following}, shows=shows)
 

@@ -94,13 +94,12 @@ def _attainable_table(rows: list[dict[str, Any]]) -> Table:
     for row in rows:
         errors = *row["attainable"].values(), row["van_trees"], row["linear_estimators"]
         cells.append((row["mode"], f"{row['speed_kmh']:g}", *(f"{x:.3f}" for x in errors)))
-    return commands.make_table(
-        heads,
-        cells,
-        title="Attainable in-band NRMSE: nonlinear vehicle, data up to ...",
-        caption="one road; van Trees: no estimator errs less over all such roads; linear: friction "
-        "is noise to linear estimators",
+    title = "Attainable in-band NRMSE: nonlinear vehicle, data up to ..."
+    caption = (
+        "one road; van Trees: no estimator errs less over all such roads; linear: friction is "
+        "noise to linear estimators"
     )
+    return commands.make_table(heads, cells, title=title, caption=caption)
 
 
 def _table(rows: list[dict[str, Any]], speeds: list[float], title: str) -> Table:
@@ -108,9 +107,7 @@ def _table(rows: list[dict[str, Any]], speeds: list[float], title: str) -> Table
     cells: dict[str, list[str]] = {}
     for row in rows:
         cells.setdefault(row["mode"], [row["mode"]]).append(text.format(**row))
-    return commands.make_table(
-        ("front / rear", *(f"{speed:g} km/h" for speed in speeds)),
-        cells.values(),
-        title=f"Bound of a linear vehicle without friction: {title}",
-        caption="in-band NRMSE: left, right wheel path; pooled",
-    )
+    heads = ("front / rear", *(f"{speed:g} km/h" for speed in speeds))
+    title = f"Bound of a linear vehicle without friction: {title}"
+    caption = "in-band NRMSE: left, right wheel path; pooled"
+    return commands.make_table(heads, cells.values(), title=title, caption=caption)

@@ -24,11 +24,6 @@ def option(text: str, *names: str, **settings: Any) -> Any:
     return typer.Option(*names, help=text, **settings)
 
 
-def _shipped(kind: str) -> str:
-    """Return the shipped names of a kind of configuration for the help of an option."""
-    return ", ".join(names(kind))
-
-
 Road = Annotated[
     str,
     option(
@@ -46,8 +41,8 @@ Mode = Annotated[
 ]
 Length = Annotated[float | None, option("Another length of the road in metres.")]
 Seed = Annotated[int, option("Seed of the road, and of the sensors' noise.", min=0)]
-Vehicle = Annotated[str, option(f"Vehicle: {_shipped('vehicles')}, or a YAML path.")]
-Sensors = Annotated[str, option(f"Instruments: {_shipped('sensors')}, or a YAML path.")]
+Vehicle = Annotated[str, option(f"Vehicle: {', '.join(names('vehicles'))}, or a YAML path.")]
+Sensors = Annotated[str, option(f"Instruments: {', '.join(names('sensors'))}, or a YAML path.")]
 Settings = Annotated[list[str] | None, option("Setting, key=value; may be given again.", "--set")]
 KnownRoads = Annotated[
     list[str] | None,

@@ -29,10 +29,6 @@ class Output:
     shows: Sequence[Any] | None = None
     status: int = 0
 
-    def table(self) -> Sequence[Any]:
-        """Return what a terminal shows: tables, and lines of text."""
-        return facts_table(self.facts) if self.shows is None else self.shows
-
 
 def facts_table(facts: dict[str, Any]) -> Sequence[Any]:
     """Return a table of facts, and below it their notes, one per line."""
@@ -80,8 +76,9 @@ def as_command(function: Callable[..., Any]) -> Callable[..., None]:
             return
         if json:
             print_json(output.facts)
-        for part in () if json else output.table():
-            console.print(part, highlight=False, soft_wrap=isinstance(part, str))
+        else:
+            for part in facts_table(output.facts) if output.shows is None else output.shows:
+                console.print(part, highlight=False, soft_wrap=isinstance(part, str))
         if output.status:
             raise typer.Exit(output.status)
 

@@ -4,19 +4,9 @@ import math
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
-from leaderboard.commands import (
-    check_output_folder,
-    import_from_here,
-    make_table,
-    notices,
-    on_interrupt,
-    parse_settings,
-    progress_bar,
-)
+from leaderboard import commands
 from leaderboard.commands.drive_files import KINDS, DriveOptions, read_passes
-from leaderboard.commands.options import Settings
+from leaderboard.commands.options import Settings, argument, option
 from leaderboard.commands.output import Output
 from leaderboard.drive_report.analysis import DriveResult
 from leaderboard.drive_report.conditions import load_conditions
@@ -27,31 +17,25 @@ from road_envs.drives.logger_tables.description import write_description
 
 def report(
     *,
-    drives: Annotated[
-        list[Path], typer.Argument(help=f"Drives, each {KINDS}; several are passes.")
-    ],
-    out: Annotated[Path, typer.Option(help="Folder of the page and its files.")] = Path("report"),
-    estimator: Annotated[str, typer.Option(help="Name, or a file from `train`.")] = "map_smoother",
+    drives: Annotated[list[Path], argument(f"Drives, each {KINDS}; several are passes.")],
+    out: Annotated[Path, option("Folder of the page and its files.")] = Path("report"),
+    estimator: Annotated[str, option("Name, or a file from `train`.")] = "map_smoother",
     fast: Annotated[
-        bool, typer.Option("--fast", help="Fit no vehicle to the drives: wider intervals, sooner.")
+        bool, option("Fit no vehicle to the drives: wider intervals, sooner.", "--fast")
     ] = False,
-    segment: Annotated[
-        float, typer.Option(help="Length of a segment in m: 10, 20 or 100.")
-    ] = 100.0,
-    conditions: Annotated[
-        str, typer.Option(help="Condition categories: shipped name or YAML path.")
-    ] = "hpms",
+    segment: Annotated[float, option("Length of a segment in m: 10, 20 or 100.")] = 100.0,
+    conditions: Annotated[str, option("Condition categories: shipped name or YAML path.")] = "hpms",
     known_iri: Annotated[
         str | None,
-        typer.Option(
-            help="Known IRI in mm/m of the drive, or a table of stretches (begin_m, end_m, iri): "
+        option(
+            "Known IRI in mm/m of the drive, or a table of stretches (begin_m, end_m, iri): "
             "calibrates this car and mount."
         ),
     ] = None,
     route: Annotated[
         str | None,
-        typer.Option(
-            help="Also write NAME_hpms.csv for this route, miles from its begin; ROUTE,MILE where "
+        option(
+            "Also write NAME_hpms.csv for this route, miles from its begin; ROUTE,MILE where "
             "the drive begins."
         ),
     ] = None,
@@ -64,22 +48,17 @@ def report(
     NAME_segments, NAME_obstacles (.csv, .parquet), NAME_heights (.parquet; `export` makes a road of
     it) and, if the drive has positions, NAME.geojson and report.gpkg.
     """
-    check_output_folder(out)
-    import_from_here([estimator])
+    commands.check_output_folder(out)
+    commands.import_from_here([estimator])
     chosen = ReportSettings(
-        conditions=load_conditions(conditions),
-        estimator=estimator,
-        settings=parse_settings(settings),
-        fast=fast,
-        segment=segment,
-        known_iri=known_iri,
-        route=route,
-    )
+        conditions=load_conditions(conditions), settings=commands.parse_settings(settings),
+        estimator=estimator, fast=fast, segment=segment, known_iri=known_iri, route=route,
+    )  # fmt: skip
     kept = f"finished sections are kept in {out}; the same command continues"
-    with on_interrupt(kept), progress_bar() as progress:
+    with commands.on_interrupt(kept), commands.progress_bar() as progress:
         progress("reading", 0.0)
         read = read_passes(drives, options)
-        sections = Sections(out / KEPT, said=notices.print)
+        sections = Sections(out / KEPT, said=commands.notices.print)
         made = make_report(read, chosen, progress, sections)
         page, *written = write_report(made, chosen, out)
         sections.clear()
@@ -94,9 +73,8 @@ def report(
     shows = [part for result in made.results for part in _shown(result)]
     if made.agreement:
         shows += _agreement_lines(made.agreement)
-    return Output(
-        facts=facts, shows=[*shows, f"written: {page} and {len(written)} files beside it"]
-    )
+    shows.append(f"written: {page} and {len(written)} files beside it")
+    return Output(facts=facts, shows=shows)
 
 
 def _agreement_lines(agreement: dict[str, Any]) -> list[str]:
@@ -116,36 +94,31 @@ def _facts(result: DriveResult) -> dict[str, Any]:
     return {"name": result.name, **result.facts, **rows, "notes": list(result.notes)}
 
 
-def _interval(low: float, high: float) -> str:
-    """The limits of an interval in words, a dash where there is none."""
-    return "–" if math.isnan(high) else f"{low:.2f} to {high:.2f}"
-
-
 def _shown(result: DriveResult) -> list[Any]:
     """Return the line of a drive, the table of its segments, its obstacles and its notes."""
     length, iri = (result.facts[key] for key in ("length_m", "iri_mean"))
     heads = ("from [m]", "to [m]", "IRI mean [mm/m]", "95 %", "condition", "class", "flags")
+    numbers = ("{begin_m:.0f}", "{end_m:.0f}", "{iri_mean:.2f}")
+    interval = "{iri_mean_low:.2f} to {iri_mean_high:.2f}"
     cells = [
         (
-            f"{row['begin_m']:.0f}",
-            f"{row['end_m']:.0f}",
-            f"{row['iri_mean']:.2f}",
-            _interval(row["iri_mean_low"], row["iri_mean_high"]),
+            *(text.format(**row) for text in numbers),
+            "–" if math.isnan(row["iri_mean_high"]) else interval.format(**row),
             *(row[name] for name in heads[4:]),
         )
         for row in result.segments
     ]
+    obstacle = (
+        "{kind} at {station_m:.1f} ± {place:.1f} m: {height_mm:+.0f} mm ({height_low_mm:.0f} to "
+        "{height_high_mm:.0f}), {length_m:.1f} m long, wheel path {wheel_path}, "
+        "confidence {confidence:.2f}"
+    )
     obstacles = [
-        f"{row['kind']} at {row['station_m']:.1f} ± {1.96 * row['station_std_m']:.1f} m: "
-        f"{row['height_mm']:+.0f} mm ({row['height_low_mm']:.0f} to "
-        f"{row['height_high_mm']:.0f}), {row['length_m']:.1f} m long, "
-        f"wheel path {row['wheel_path']}, "
-        f"confidence {row['confidence']:.2f}"
-        for row in result.obstacles
+        obstacle.format(**row, place=1.96 * row["station_std_m"]) for row in result.obstacles
     ]
     return [
         f"{result.name}: {length:.0f} m, mean IRI {iri:.2f} mm/m",
-        make_table(heads, cells, texts=heads[4:]),
+        commands.make_table(heads, cells, texts=heads[4:]),
         *obstacles,
         *(f"- {note}" for note in result.notes),
     ]

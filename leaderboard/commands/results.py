@@ -81,19 +81,15 @@ def verified_output(found: Sequence[Verified]) -> Output:
     """Return what was found of each row; exit status 1 if one differs."""
     run = [row for row in found if row.runs]
     agreeing = sum(row.agrees for row in run)
-    cells = [
-        [
-            row.estimator,
-            row.task,
-            *([row.runs, f"{row.distance:.1e}", f"{row.tolerance:.0e}"] if row.runs else [""] * 3),
-            row.score,
-            row.reason or ("agrees" if row.agrees else "DIFFERS"),
-        ]
-        for row in found
-    ]
+    cells = []
+    for row in found:
+        numbers = [""] * 3
+        if row.runs:
+            numbers = [str(row.runs), f"{row.distance:.1e}", f"{row.tolerance:.0e}"]
+        verdict = row.reason or ("agrees" if row.agrees else "DIFFERS")
+        cells.append([row.estimator, row.task, *numbers, str(row.score), verdict])
     heads = ("estimator", "task", "runs", "apart", "tolerance", "score", "result")
-    texts = [list(map(str, row)) for row in cells]
-    table = commands.make_table(heads, texts, texts=("task", *heads[5:]), box=None)
+    table = commands.make_table(heads, cells, texts=("task", *heads[5:]), box=None)
     summary = (
         f"{agreeing} of {len(run)} rows agree on {found[0].kernels}; "
         f"{len(found) - len(run)} could not be run again"

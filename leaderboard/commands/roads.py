@@ -21,10 +21,8 @@ _Which = Annotated[str, argument("Shipped name, YAML path or surface file.")]
 
 def list_roads() -> Output:
     """List the shipped roads, each realised with seed 1."""
-    rows = [
-        _facts(name, load_road(name).realise(np.random.default_rng(1)))
-        for name in config.names("roads")
-    ]
+    roads = {name: load_road(name) for name in config.names("roads")}
+    rows = [_facts(name, x.realise(np.random.default_rng(1))) for name, x in roads.items()]
     pair, keys = "{:.1f}, {:.1f}".format, ("rms_mm", "iri_mm_per_m")
     cells = [
         (x["road"], f"{x['length_m']:.1f}", *(pair(*x[key]) for key in keys), x["class"])
@@ -100,10 +98,7 @@ def iri(
 
 def _written(surface: Surface, out: Path, form: str | None = None) -> Output:
     """Write a road, of which a .crg file can have a `form`, and return what was written."""
-    if form:
-        write_crg(surface, out, form)
-    else:
-        write(surface, out)
+    write_crg(surface, out, form) if form else write(surface, out)
     return Output(facts={"written": str(out), "length_m": surface.length, "spacing_m": surface.ds})
 
 

@@ -49,10 +49,9 @@ def submit(
         raise ConfigError(
             f"{card} has been written: fill it in, then give the command again: {again}"
         )
+    own, code = load_rules(rules), wheel.absolute()
     with progress_bar() as progress:
-        record = make_submission(
-            wheel.absolute(), card, load_rules(rules), out, limits.parse(), workers, progress
-        )
+        record = make_submission(code, card, own, out, limits.parse(), workers, progress)
     facts = dataclasses.asdict(record)
     if sign is not None:
         facts["signed by"] = signature.sign(out, sign)

@@ -1,6 +1,7 @@
 """Command `train`: fit an estimator to drives over known roads, or pretrain it on the corpus."""
 
 import time
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -74,7 +75,7 @@ def train(
         _refuse("simulated drives", {"profile": profile, **measured})
         car, pairs, number = load_vehicle(vehicle), [], drives or 1
         with commands.progress_bar() as progress:
-            for k, (name, i) in enumerate((name, i) for name in road for i in range(number)):
+            for k, (name, i) in enumerate(product(road, range(number))):
                 progress(f"simulating {name}", 0.5 * k / (len(road) * number))
                 pair = simulate_record(
                     name, length=length, vehicle=car, speed_kmh=options.speed_kmh or 14.5,

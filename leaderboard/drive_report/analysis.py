@@ -6,57 +6,31 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from estimators.wiener.segments import dominant_modes
+from leaderboard.drive_report import mean_path
 from leaderboard.drive_report.conditions import Conditions
-from leaderboard.drive_report.mean_path import (
-    HRI_STD,
-    MISFIT_STD,
-    mean_path_indices,
-    path_level_ratio,
-    tells_paths_apart,
-    tells_vehicle,
-    with_mean_path,
-)
-from leaderboard.drive_report.notes import (
-    in_order_of_weight,
-    is_far_off,
-    misfits,
-    vehicle_in_words,
-)
+from leaderboard.drive_report.mean_path import HRI_STD, MISFIT_STD, tells_paths_apart, tells_vehicle
+from leaderboard.drive_report.notes import in_order_of_weight, is_far_off, misfits, vehicle_in_words
 from leaderboard.drive_report.obstacles import CERTAIN, DetectedObstacle, detect
-from leaderboard.drive_report.posterior_iri import (
-    NO_INTERVAL_NOTE,
-    IriPosterior,
-    posterior_iri,
-)
+from leaderboard.drive_report.posterior_iri import NO_INTERVAL_NOTE, IriPosterior, posterior_iri
 from road_envs.drives.measured_record import MeasuredRecord
+from road_envs.records import roughness
 from road_envs.records.record import Estimate, scored_band
-from road_envs.records.roughness import (
-    IN_PER_MI,
-    displacement_psd,
-    octave_levels,
-    roughness_class,
-)
 from road_envs.vehicle.struts import MODES, Modes
 
-SEGMENT_LENGTHS = (10.0, 20.0, 100.0)
-"""Lengths [m] of segments."""
+SEGMENT_LENGTHS = (10.0, 20.0, 100.0)  # lengths [m] of segments
 
 PLACE_STD = 0.15
 """Standard deviation [m] of an obstacle's place in a drive whose distance is right; by
 `tests/long/report_trial.py` with seeds 201 to 203.
 """
 
-RUN_IN = 11.0
-"""Length [m] of the golden car's run-in (Sayers 1995)."""
+RUN_IN = 11.0  # length [m] of the golden car's run-in (Sayers 1995)
 
 SLOW = 20.0 / 3.6
 """Speed [m/s] below which long waves are flagged: at 0.5 Hz they are shorter than 11 m."""
 
-OCTAVES = (0.125, 0.25, 0.5, 1.0)
-"""Centres [cycles/m] of the octaves of a class."""
-
-WAVES_PER_SEGMENT = 2.0
-"""Least number of waves of an octave in a segment."""
+OCTAVES = (0.125, 0.25, 0.5, 1.0)  # centres [cycles/m] of the octaves of a class
+WAVES_PER_SEGMENT = 2.0  # least number of waves of an octave in a segment
 
 HUGE_RESIDUAL_NOTE = (
     "the IRI has no interval where the model leaves so much unexplained: on trial it was then a "
@@ -126,36 +100,34 @@ def analyse(
     `known` is the factor of this car and mount by a stretch of known IRI.
     """
     record, v = measured.record, float(np.median(measured.record.v))
-    mean_path = not tells_paths_apart(record.sensors)
-    if mean_path:
-        estimate = with_mean_path(estimate)
+    is_mean_path = not tells_paths_apart(record.sensors)
+    if is_mean_path:
+        estimate = mean_path.with_mean_path(estimate)
     edges = _edges(estimate, measured.chainage, segment, record.s[0])
     unknown = 0.0 if tells_vehicle(record.sensors) else float(np.hypot(HRI_STD, tolerance_std))
     factor, std = known or KnownFactor(1.0, unknown)
-    if misfits(estimate, mean_path):
+    if misfits(estimate, is_mean_path):
         std = float(np.hypot(std, MISFIT_STD))
-    if mean_path:
+    if is_mean_path:
         index = np.searchsorted(estimate.s, edges)
-        half, iri = mean_path_indices(estimate.z[:1], estimate.ds, index, factor, std)
+        half, iri = mean_path.mean_path_indices(estimate.z[:1], estimate.ds, index, factor, std)
     else:
         half, iri = None, posterior_iri(estimate, edges, factor=factor, relative_std=std)
     missing = (NO_INTERVAL_NOTE,) if np.isnan(iri.high).any() else ()
-    if not mean_path and is_far_off(estimate, record, noise):
+    if not is_mean_path and is_far_off(estimate, record, noise):
         iri, missing = iri.without_interval(), (HUGE_RESIDUAL_NOTE,)
     notes = in_order_of_weight((*estimate.notes, *measured.notes, *missing))
-    result = DriveResult(
-        name, measured, estimate, v, measured.chainage, [], [], notes, {}, mean_path
-    )
+    place = measured.chainage
+    result = DriveResult(name, measured, estimate, v, place, [], [], notes, {}, is_mean_path)
     for k in range(edges.size - 1):
         row = _segment(result, edges, k, iri, clipping, modes)
         row["condition"] = conditions.category(row["iri_mean"])
-        row["iri_in_per_mi"] = IN_PER_MI * row["iri_mean"]
+        row["iri_in_per_mi"] = roughness.IN_PER_MI * row["iri_mean"]
         if half is not None:
             row |= {"hri": float(half.median[-1, k]), "hri_low": float(half.low[-1, k]),
                     "hri_high": float(half.high[-1, k])}  # fmt: skip
         result.segments.append(row)
-    for obstacle in detect(estimate):
-        result.obstacles.append(_obstacle(result, obstacle, distance_std))
+    result.obstacles.extend(_obstacle(result, found, distance_std) for found in detect(estimate))
     result.facts.update(
         length_m=float(edges[-1] - edges[0]),
         speed_kmh=3.6 * v,
@@ -199,7 +171,7 @@ def _segment(
     speed = float(np.mean(record.v[inside]))
     levels = _levels(result.estimate, begin, end, result.v)
     if result.is_mean_path:
-        levels = {n: path_level_ratio(n) * level for n, level in levels.items()}
+        levels = {n: mean_path.path_level_ratio(n) * level for n, level in levels.items()}
     row: dict[str, Any] = {"begin_m": result.chainage + begin, "end_m": result.chainage + end}
     paths = ("mean",) if result.is_mean_path else ("left", "right", "mean")
     for j, path in enumerate(paths):
@@ -207,11 +179,12 @@ def _segment(
         row[f"iri_{path}_low"] = float(iri.low[j, k])
         row[f"iri_{path}_high"] = float(iri.high[j, k])
     whole = np.exp(np.mean(np.log(list(levels.values())))) if levels else np.nan
-    row["class"] = roughness_class(float(whole)) if levels else ""
-    for centre in OCTAVES:
-        row[f"class_{centre:g}"] = roughness_class(levels[centre]) if centre in levels else ""
+    row["class"] = roughness.roughness_class(float(whole)) if levels else ""
+    for n in OCTAVES:
+        row[f"class_{n:g}"] = roughness.roughness_class(levels[n]) if n in levels else ""
     row["speed_kmh"] = 3.6 * speed
-    row["state"] = _state(record, inside, modes)
+    by_wheel = dominant_modes(record, inside, modes)
+    row["state"] = "/".join(dict.fromkeys(by_wheel[wheel] for wheel in ("FL", "RL")))
     row["flags"] = "; ".join(_flags(result, inside, speed, begin, clipping))
     row["lat"], row["lon"] = result.position(0.5 * (begin + end))
     return row
@@ -221,20 +194,14 @@ def _levels(estimate: Estimate, begin: float, end: float, v: float) -> dict[floa
     """Return the level G_d(n0) [m³] of each octave that segment and speed resolve."""
     i, j = np.searchsorted(estimate.s, [begin, end])
     roads = estimate.z[None] if estimate.draws is None else estimate.draws
-    n, _ = displacement_psd(estimate.z[:, i:j], estimate.ds)
-    G = np.mean([displacement_psd(z[:, i:j], estimate.ds)[1] for z in roads], axis=0)
+    parts = [roughness.displacement_psd(z[:, i:j], estimate.ds) for z in roads]
+    n, G = parts[0][0], np.mean([G for _, G in parts], axis=0)
     low = max(WAVES_PER_SEGMENT * np.sqrt(2.0) / (end - begin), OCTAVES[0])
     high = min(scored_band(v)[1] / np.sqrt(2.0), OCTAVES[-1])
     if not high >= low:
         return {}
-    centres, levels = octave_levels(n, G.mean(axis=0), (low, high))
+    centres, levels = roughness.octave_levels(n, G.mean(axis=0), (low, high))
     return {float(c): max(float(x), 1e-12) for c, x in zip(centres, levels, strict=True)}
-
-
-def _state(record: Any, inside: np.ndarray, modes: Modes) -> str:
-    by_wheel = dominant_modes(record, inside, modes)
-    front, rear = by_wheel["FL"], by_wheel["RL"]
-    return front if front == rear else f"{front}/{rear}"
 
 
 def _flags(
@@ -261,19 +228,14 @@ def _flags(
     return flags
 
 
-def _is_certain(result: DriveResult, found: DetectedObstacle) -> bool:
-    """Whether an obstacle is no possible one: its confidence, and a model that fits the record."""
-    return found.confidence >= CERTAIN and not misfits(result.estimate, result.is_mean_path)
-
-
 def _obstacle(result: DriveResult, found: DetectedObstacle, distance_std: float) -> dict[str, Any]:
+    is_certain = found.confidence >= CERTAIN and not misfits(result.estimate, result.is_mean_path)
     lat, lon = result.position(found.station)
     distance = distance_std * (found.station - result.measured.record.s[0])
     found = found.in_an_estimate()
     low, high = (found.height + 1.96 * way * found.height_std for way in (-1.0, 1.0))
     return {
-        "kind": ("" if _is_certain(result, found) else "possible ")
-        + ("bump" if found.height > 0.0 else "hole"),
+        "kind": ("" if is_certain else "possible ") + ("bump" if found.height > 0.0 else "hole"),
         "station_m": result.chainage + found.station,
         "station_std_m": float(np.hypot(PLACE_STD, distance)),
         "height_mm": 1e3 * found.height,

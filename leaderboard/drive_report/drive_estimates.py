@@ -25,8 +25,7 @@ from road_envs.sensing.instruments import instruments_of
 from road_envs.vehicle.parameters import load_vehicle
 from road_envs.vehicle.side_values import side_values
 
-FRAME = "variation.frame.f"
-"""Tolerance of a description that says of a frame that twists."""
+FRAME = "variation.frame.f"  # tolerance of a description that says of a frame that twists
 
 UNEXPLAINED = 1.02
 """Residual in times of the sensors' noise above which side motion is tried that a file leaves out.
@@ -139,10 +138,8 @@ def _held_sideways(
 ) -> tuple[DriveFile, Estimate]:
     """Return what is `found` of a drive if its vehicle is held sideways, if that explains more."""
     car, before = drive.car, residual_of(found[1])
-    fits = getattr(estimator, "adapt", False)
-    if not (fits and tells_vehicle(drive.measured.record.sensors) and car.tolerances):
-        return found
-    if car.side is not None or before <= UNEXPLAINED:
+    is_fitted = getattr(estimator, "adapt", False) and tells_vehicle(drive.measured.record.sensors)
+    if not (is_fitted and car.tolerances) or car.side is not None or before <= UNEXPLAINED:
         return found
     spread = load_vehicle(SIDE_CLASS).tolerances.items()
     known = car.tolerances | {key: x for key, x in spread if key.startswith("side.")}

@@ -14,8 +14,7 @@ from road_envs.core.extras import optional_import
 from road_envs.core.reading import parsing, read_parquet
 from road_envs.roads import Surface
 
-VERTEX_SPACING = 2.0
-"""Distance [m] of the vertices of a segment's line."""
+VERTEX_SPACING = 2.0  # distance [m] of the vertices of a segment's line
 
 OBSTACLE_COLUMNS = (
     "kind", "station_m", "station_std_m", "height_mm", "height_low_mm", "height_high_mm",
@@ -23,8 +22,7 @@ OBSTACLE_COLUMNS = (
 )  # fmt: skip
 """Columns of the table of obstacles."""
 
-MILE = 1609.344
-"""Metres in a mile."""
+MILE = 1609.344  # metres in a mile
 
 
 def write_tables(result: DriveResult, folder: Path, stem: str) -> list[Path]:
@@ -34,17 +32,14 @@ def write_tables(result: DriveResult, folder: Path, stem: str) -> list[Path]:
 
     estimate = result.estimate
     std = np.full_like(estimate.z, np.nan) if estimate.z_std is None else estimate.z_std
-    columns_z = {"station_m": result.chainage + estimate.s}
-    if result.is_mean_path:
-        columns_z |= {"mean_m": estimate.z[0], "mean_std_m": std[0]}
-    else:
-        columns_z |= {"left_m": estimate.z[0], "right_m": estimate.z[1]}
-        columns_z |= {"left_std_m": std[0], "right_std_m": std[1]}
-    heights = pd.DataFrame(columns_z)
+    paths = ("mean",) if result.is_mean_path else ("left", "right")
+    heights = {"station_m": result.chainage + estimate.s}
+    heights |= {f"{path}_m": z for path, z in zip(paths, estimate.z, strict=False)}
+    heights |= {f"{path}_std_m": x for path, x in zip(paths, std, strict=False)}
     tables = {
         "segments": pd.DataFrame(result.segments),
         "obstacles": pd.DataFrame(result.obstacles, columns=OBSTACLE_COLUMNS),
-        "heights": heights,
+        "heights": pd.DataFrame(heights),
     }
     written = []
     for name, table in tables.items():
@@ -83,13 +78,11 @@ def write_hpms(result: DriveResult, folder: Path, stem: str, route: str) -> list
     ConfigError.
     """
     name, mile = parse_route(route)
-    heads = "Route_ID,Begin_Point,End_Point,Section_Length,Data_Item,Value_Numeric,Value_Text"
-    lines = [heads]
+    lines = ["Route_ID,Begin_Point,End_Point,Section_Length,Data_Item,Value_Numeric,Value_Text"]
     for row in result.segments:
         begin, end = (mile + row[key] / MILE for key in ("begin_m", "end_m"))
-        value = f"{row['iri_in_per_mi']:.0f}"
-        flags = row["flags"].replace('"', "'")
-        lines.append(f'{name},{begin:.4f},{end:.4f},{end - begin:.4f},IRI,{value},"{flags}"')
+        place, flags = f"{begin:.4f},{end:.4f},{end - begin:.4f}", row["flags"].replace('"', "'")
+        lines.append(f'{name},{place},IRI,{row["iri_in_per_mi"]:.0f},"{flags}"')
     path = folder / f"{stem}_hpms.csv"
     write_text(path, "\n".join(lines) + "\n")
     return [path]

@@ -6,7 +6,6 @@ version, flags, reference system) before well-known binary. Coordinates are long
 in WGS 84.
 """
 
-import math
 import sqlite3
 import struct
 from collections.abc import Iterable, Sequence
@@ -97,7 +96,7 @@ def _write_layer(base: sqlite3.Connection, layer: _Layer) -> None:
     marks = ", ".join("?" * (len(layer.columns) + 1))
     columns = ", ".join(["geom", *map(_quoted, layer.columns)])
     rows = [
-        [_geometry(points, layer.kind), *(None if _is_nan(x) else x for x in values)]
+        [_geometry(points, layer.kind), *values]  # a NaN is stored as NULL
         for points, values in layer.rows
     ]
     base.executemany(f"INSERT INTO {table} ({columns}) VALUES ({marks})", rows)
@@ -123,10 +122,6 @@ def _geometry(points: list[list[float]], kind: str) -> bytes:
     if kind == "POINT":
         return header + struct.pack("<BI", 1, 1) + coordinates
     return header + struct.pack("<BII", 1, 2, len(points)) + coordinates
-
-
-def _is_nan(x: Any) -> bool:
-    return isinstance(x, float) and math.isnan(x)
 
 
 def _quoted(name: str) -> str:

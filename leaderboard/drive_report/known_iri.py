@@ -15,11 +15,8 @@ stretch of STRETCH [m], which falls with the root of its length. Assumed; after 
 reports of a passenger car from three sensors had an RMS error of 5.7 %.
 """
 
-LEAST_LENGTH = 50.0
-"""Least length [m] of a stretch of known IRI."""
-
-LARGEST = 2.0
-"""Largest factor, and the inverse of the smallest, that a car and a mount explain."""
+LEAST_LENGTH = 50.0  # least length [m] of a stretch of known IRI
+LARGEST = 2.0  # largest factor, and the inverse of the smallest, that a car and a mount explain
 
 
 def read_known_iri(text: str) -> list[tuple[float, float, float]]:
@@ -62,10 +59,10 @@ def known_factor(
     """
     known, found, length = 0.0, 0.0, 0.0
     for row in result.segments:
-        middle = 0.5 * (row["begin_m"] + row["end_m"])
-        values = [value for begin, end, value in stretches if begin <= middle < end]
+        first, last = row["begin_m"], row["end_m"]
+        values = [x for begin, end, x in stretches if begin <= 0.5 * (first + last) < end]
         if values:
-            part = row["end_m"] - row["begin_m"]
+            part = last - first
             length += part
             known += part * values[0]
             found += part * row["iri_mean"]

@@ -21,23 +21,22 @@ Bodies bend at 15 to 40 Hz, which no description says and a device feels as shor
 127: without that the IRI of such drives is up to 112 % high).
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import cache
 from itertools import combinations
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
-from scipy.ndimage import median_filter
 
 from estimators.wiener.tuning import TUNING
-from leaderboard.drive_report.posterior_iri import IriPosterior
+from leaderboard.drive_report.obstacles import running_median
+from leaderboard.drive_report.posterior_iri import IriPosterior, segment_means
 from road_envs.records.accelerometers import Accelerometer
 from road_envs.records.record import Estimate, Record
 from road_envs.records.roughness import TRACK, golden_car, root_coherence
 
-MEASURED_RATIO = 1.0 / 0.8
-"""Middle of the published ratios: HRI 20 % below IRI."""
+MEASURED_RATIO = 1.0 / 0.8  # middle of the published ratios: HRI 20 % below IRI
 
 HRI_STD = 0.065
 """Relative standard deviation of the HRI of a drive by a vehicle whose structure is not the one
@@ -50,26 +49,16 @@ MISFIT_STD = 0.12
 HRI of such drives of the development seeds errs by 0.09, and 0.06 of the others.
 """
 
-LEVEL_STD = 0.15
-"""Standard deviation of the logarithm of D's level among roads: 0.06 of the ratio."""
-
-LEVEL_WINDOW = 60.0
-"""Window [m] of the median of |M|, by which the level of D follows the road."""
-
-NORMAL_MEDIAN = 0.6745
-"""Median magnitude of a standard normal number."""
-
-QUANTILES = (0.025, 0.5, 0.975)
-"""The interval of 95 % and the median."""
-
-SAMPLES = 64
-"""Samples of D."""
+LEVEL_STD = 0.15  # standard deviation of the logarithm of D's level among roads: 0.06 of the ratio
+LEVEL_WINDOW = 60.0  # window [m] of the median of |M|, by which the level of D follows the road
+NORMAL_MEDIAN = 0.6745  # median magnitude of a standard normal number
+QUANTILES = (0.025, 0.5, 0.975)  # the interval of 95 % and the median
+SAMPLES = 64  # samples of D
 
 LEAST_APART = 0.4
 """Least distance [m] to the left of one another at which sensors of the body tell its roll."""
 
-SAME_PLACE = 0.5
-"""Most distance [m] along the body of two sensors that are a pair."""
+SAME_PLACE = 0.5  # most distance [m] along the body of two sensors that are a pair
 
 MEAN_PATH_NOTE = (
     "One sensor, or sensors on one line, do not tell left from right: heights are those of the "
@@ -127,7 +116,7 @@ def golden_power(ds: float, size: int) -> tuple[np.ndarray, np.ndarray]:
     return n, power
 
 
-def path_ratio(w: float = 2.0, track: float = TRACK) -> float:
+def _path_ratio(w: float = 2.0, track: float = TRACK) -> float:
     """Return the expected IRI over HRI of a road of waviness `w` with paths `track` [m] apart."""
     n, power = golden_power(0.05, 6000)
     power = power * np.maximum(n, n[1]) ** (2.0 - w)
@@ -145,14 +134,12 @@ def with_mean_path(estimate: Estimate) -> Estimate:
 
     The error of the mean is the common part of both errors, at most as large as either.
     """
-    mean = np.tile(estimate.z.mean(axis=0), (2, 1))
-    std = estimate.z_std
+    std, draws = estimate.z_std, estimate.draws
     if std is not None:
         std = np.tile(std.min(axis=0), (2, 1))
-    draws = estimate.draws
     if draws is not None:
         draws = np.broadcast_to(draws.mean(axis=1, keepdims=True), draws.shape)
-    notes = (MEAN_PATH_NOTE, *estimate.notes)
+    mean, notes = np.tile(estimate.z.mean(axis=0), (2, 1)), (MEAN_PATH_NOTE, *estimate.notes)
     return replace(estimate, z=mean, z_std=std, draws=draws, notes=notes)
 
 
@@ -166,53 +153,36 @@ def mean_path_indices(
     """
     rng = np.random.default_rng(0)
     motion = 1e3 * np.abs(golden_car(z, ds))
-    index = np.minimum(index, motion.shape[1] - 1)
-    level, unit = _difference_level(motion, ds), _UnitDifference(motion.shape[1], ds)
+    level, units = _difference_level(motion, ds), _unit_differences(motion.shape[1], ds, rng)
     half, iri = [], []
     for k in range(SAMPLES):
         one, scale = motion[k % len(z)], float(np.exp(std * rng.standard_normal()))
         spread = level[k % len(z)] * np.exp(LEVEL_STD * rng.standard_normal())
-        unseen = np.abs(spread * unit.draw(rng))
-        half.append(scale * _means(one, index))
-        iri.append(scale * _means(np.maximum(one, unseen), index))
+        unseen = np.abs(spread * next(units))
+        half.append(scale * segment_means(one, index))
+        iri.append(scale * segment_means(np.maximum(one, unseen), index))
     return _quantiles(factor * np.array(half)), _quantiles(factor * np.array(iri))
 
 
 def _difference_level(motion: np.ndarray, ds: float) -> np.ndarray:
     """Return the standard deviation of D (L, N) along the road from |M| (L, N)."""
     # IRI² / HRI² = 1 + (D / M)² of the standard deviations on a road without obstacles
-    ratio = np.sqrt(path_ratio() * MEASURED_RATIO)
+    ratio = np.sqrt(_path_ratio() * MEASURED_RATIO)
     share = float(np.sqrt(ratio**2 - 1.0))
-    stride = max(1, round(0.5 / ds))  # medians of long windows are slow
-    window = round(LEVEL_WINDOW / (stride * ds)) | 1
-    station = np.arange(motion.shape[1])
-    medians = [median_filter(x[::stride], window, mode="reflect") for x in motion]
-    std = [np.interp(station, station[::stride], x) for x in medians]
-    return share / NORMAL_MEDIAN * np.array(std)
+    return share / NORMAL_MEDIAN * running_median(motion, ds, LEVEL_WINDOW, 0.5)
 
 
-class _UnitDifference:
-    """Samples (N,) of D of variance 1: the golden car over the difference of isotropic paths."""
-
-    def __init__(self, size: int, ds: float):
-        self._size, whole = size, next_fast_len(size + round(50.0 / ds), real=True)
-        self._whole = whole
-        n, power = golden_power(ds, round(300.0 / ds))
-        power = power * 0.5 * (1.0 - root_coherence(n, 2.0, TRACK))
-        # that of isotropic paths: half the density of a path, less what both have in common
-        lines = np.interp(rfftfreq(whole, ds), n, power)
-        self._amplitude = np.sqrt(lines / (4.0 * lines.sum())) * whole
-
-    def draw(self, rng: np.random.Generator) -> np.ndarray:
-        """Return one sample."""
-        white = rng.standard_normal((2, self._amplitude.size))
-        return irfft(self._amplitude * (white[0] + 1j * white[1]), self._whole)[: self._size]
-
-
-def _means(x: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Return the means (K,) of `x` (N,) between the indices (K + 1,); the last sample counts."""
-    ends = np.r_[index[:-1], x.size]
-    return np.add.reduceat(x, ends[:-1])[: index.size - 1] / np.diff(ends)
+def _unit_differences(size: int, ds: float, rng: np.random.Generator) -> Iterator[np.ndarray]:
+    """Yield samples (N,) of D of variance 1: the golden car over unlike isotropic paths."""
+    whole = next_fast_len(size + round(50.0 / ds), real=True)
+    n, power = golden_power(ds, round(300.0 / ds))
+    # that of isotropic paths: half the density of a path, less what both have in common
+    power = power * 0.5 * (1.0 - root_coherence(n, 2.0, TRACK))
+    lines = np.interp(rfftfreq(whole, ds), n, power)
+    amplitude = np.sqrt(lines / (4.0 * lines.sum())) * whole
+    while True:
+        white = rng.standard_normal((2, amplitude.size))
+        yield irfft(amplitude * (white[0] + 1j * white[1]), whole)[:size]
 
 
 def _quantiles(samples: np.ndarray) -> IriPosterior:

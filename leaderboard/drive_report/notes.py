@@ -14,11 +14,12 @@ from road_envs.records.record import Estimate, Record
 MISFIT = r"does not reproduce|times the expected one|heights are reduced"
 """Notes of an estimator whose model does not give the measured motion."""
 
+ONE_ROAD = "one road from"  # words of the note of the road of all passes, which is no doubt
+
 FITTED = r"was adapted|adapted to the drive"
 """Notes of a vehicle whose parameters or elements were found from the drive itself."""
 
-SLOW = ": values every"
-"""Words after the name of a column that has fewer samples."""
+SLOW = ": values every"  # words after the name of a column that has fewer samples
 
 WEIGHTS = (
     r"heights there are not known",
@@ -28,7 +29,7 @@ WEIGHTS = (
     r"fits .* better|moved in its mount|the speed and the wheelbase|without tolerances",
     r"swings by itself|wheels were in the air|the unit|is in g|check ",
     r"do not tell left from right",
-    rf"known IRI|{FITTED}|one road from|not compared",
+    rf"known IRI|{FITTED}|{ONE_ROAD}|not compared",
     r"is taken to lie|are read as|is taken as|split at its pauses|left out",
     r"mounted with|follows the front axle|axle to axle|do not reach|does not reach|lie behind",
     r"",

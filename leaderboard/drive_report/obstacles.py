@@ -19,7 +19,7 @@ level:
 """
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -30,11 +30,8 @@ from road_envs.records.record import Estimate
 SPANS = (0.6, 1.0, 1.6, 2.5, 4.0, 6.3)
 """Spans [m] of the straightedge: from a pothole that swallows a tyre to a speed hump."""
 
-SCATTER_LENGTH = 60.0
-"""Window [m] of the scatter of the random road around an obstacle."""
-
-MIN_HEIGHT = 0.015
-"""Least height [m] of an obstacle."""
+SCATTER_LENGTH = 60.0  # window [m] of the scatter of the random road around an obstacle
+MIN_HEIGHT = 0.015  # least height [m] of an obstacle
 
 MIN_CONFIDENCE, CERTAIN = 0.95, 0.99
 """Obstacles of a lower confidence than the first are left out, than the second called possible."""
@@ -52,8 +49,7 @@ ends; its height is the median over this share of the length, and at least this 
 TOP = 0.2
 """The height is the mean of this share of the obstacle that is highest: not the waves upon it."""
 
-READINGS = 3
-"""Iterations that find feet and line, each by the line before."""
+READINGS = 3  # iterations that find feet and line, each by the line before
 
 HEIGHT_STD = 0.07
 """Relative standard deviation of a height by tyres that envelop an obstacle and a vehicle that is
@@ -101,16 +97,9 @@ def detect(estimate: Estimate) -> list[DetectedObstacle]:
             merged.append(one._replace(side="left"))
             continue
         right.remove(twin)
-        merged.append(
-            DetectedObstacle(
-                0.5 * (one.station + twin.station),
-                0.5 * (one.height + twin.height),
-                0.5 * (one.height_std + twin.height_std),
-                0.5 * (one.length + twin.length),
-                "both",
-                max(one.confidence, twin.confidence),
-            )
-        )
+        confidence, names = max(one.confidence, twin.confidence), one._fields[:4]
+        means: Any = {name: 0.5 * (getattr(one, name) + getattr(twin, name)) for name in names}
+        merged.append(one._replace(side="both", confidence=confidence, **means))
     return sorted([*merged, *(o._replace(side="right") for o in right)])
 
 
@@ -119,13 +108,19 @@ def _departures(z: np.ndarray, std: np.ndarray, ds: float) -> tuple[np.ndarray, 
     road and the error `std` (M,) [m] of the estimate.
     """
     d = np.array([_departure(z, round(0.5 * span / ds)) for span in SPANS])
-    stride = max(1, round(0.2 / ds))  # medians of long windows are slow
-    window = round(SCATTER_LENGTH / (stride * ds)) | 1
-    k = np.arange(z.size)
-    mad = [median_filter(np.abs(x[::stride]), window, mode="reflect") for x in d]
-    road = MAD_TO_STD * np.array([np.interp(k, k[::stride], x) for x in mad])
+    road = MAD_TO_STD * running_median(np.abs(d), ds, SCATTER_LENGTH, 0.2)
     # the scatter of an estimate has its share of the error; no more than as much is added
     return d, np.maximum(np.hypot(road, np.minimum(std, road)), 1e-9)
+
+
+def running_median(x: np.ndarray, ds: float, window: float, step: float) -> np.ndarray:
+    """Return the medians (L, M) of `x` (L, M), every `ds` [m], over a `window` [m]; they are found
+    every `step` [m] and interpolated, as medians of long windows are slow.
+    """
+    stride = max(1, round(step / ds))
+    size, k = round(window / (stride * ds)) | 1, np.arange(x.shape[1])
+    medians = [median_filter(row[::stride], size, mode="reflect") for row in x]
+    return np.array([np.interp(k, k[::stride], row) for row in medians])
 
 
 def _departure(z: np.ndarray, half: int) -> np.ndarray:

@@ -10,14 +10,14 @@ from markupsafe import Markup
 from leaderboard.drive_report import pictures
 from leaderboard.drive_report.analysis import DriveResult
 from leaderboard.drive_report.conditions import Conditions
+from leaderboard.drive_report.notes import ONE_ROAD
 from leaderboard.drive_report.obstacles import FALSE_ALARMS
 from leaderboard.report.rendering import render
 from road_envs import __version__
 from road_envs.core.atomic_io import write_text
 from road_envs.records.record import scored_band
 
-TABLE_ROWS = 200
-"""Largest number of segments that the page lists; the files have all."""
+TABLE_ROWS = 200  # largest number of segments that the page lists; the files have all
 
 
 def write_page(
@@ -43,8 +43,8 @@ def write_page(
 
 
 def _drive(result: DriveResult, conditions: Conditions, anchor: str) -> dict[str, Any]:
-    track = pictures.track_map(result, conditions, anchor)
     shown = pictures.ShownProfile.of(result)
+    paths = ("hri", "iri_mean") if result.is_mean_path else ("iri_left", "iri_right", "iri_mean")
     lengths = {name: 0.0 for name in conditions.categories}
     for row in result.segments:
         lengths[row["condition"]] += row["end_m"] - row["begin_m"]
@@ -52,11 +52,12 @@ def _drive(result: DriveResult, conditions: Conditions, anchor: str) -> dict[str
     return {
         "name": result.name,
         "anchor": anchor,
-        "paths": _indices(result),
+        "paths": paths,
         "is_mean_path": result.is_mean_path,
         "sensors": _sensors(result),
         "facts": result.facts,
         "notes": result.notes,
+        "doubts": [note for note in result.notes if not note.startswith(ONE_ROAD)],
         "segments": result.segments[:TABLE_ROWS],
         "hidden": max(0, len(result.segments) - TABLE_ROWS),
         "obstacles": result.obstacles,
@@ -66,10 +67,11 @@ def _drive(result: DriveResult, conditions: Conditions, anchor: str) -> dict[str
         "has_interval": math.isfinite(result.facts["iri_mean_high"]),
         "level": {name: k for k, name in enumerate(conditions.categories)},
         "strip": Markup(pictures.profile_strip(result, shown)),
+        "is_shaded": shown.std is not None,
         "heights": pictures.strip_data(result, shown),
         "iri": Markup(pictures.iri_chart(result, conditions)),
         "density": Markup(pictures.density_chart(result)),
-        "map": Markup(track),
+        "map": Markup(pictures.track_map(result, conditions, anchor)),
     }
 
 
@@ -82,8 +84,3 @@ def _sensors(result: DriveResult) -> str:
         return f"one device ({at})"
     mounted = sorted({sensor.mounted for sensor in layout.values()}) if layout else ["body"]
     return f"{count} accelerometer{'s' if count > 1 else ''} on the {' and '.join(mounted)}"
-
-
-def _indices(result: DriveResult) -> tuple[str, ...]:
-    """Return the columns of roughness indices that a drive has."""
-    return ("hri", "iri_mean") if result.is_mean_path else ("iri_left", "iri_right", "iri_mean")

@@ -11,23 +11,17 @@ from estimators.api import Estimator
 from estimators.common.alignment import identity_map
 from estimators.passes import AlignedPass
 from leaderboard.drive_report.analysis import DriveResult
-from leaderboard.metrics.agreement import (
-    bland_altman,
-    intraclass_correlation,
-    iri_filtered_correlation,
-    repeatability,
-)
+from leaderboard.drive_report.notes import ONE_ROAD
+from leaderboard.metrics import agreement
 from road_envs.core.config import ConfigError
 from road_envs.drives.measured_record import MeasuredRecord
 from road_envs.records.record import Estimate
 from road_envs.vehicle.parameters import VehicleParameters
 
-MIN_SEGMENTS = 3
-"""Least number of common segments for limits of agreement and for an ICC."""
+MIN_SEGMENTS = 3  # least number of common segments for limits of agreement and for an ICC
 
 
-JOINED = "all_passes"
-"""Name of the road of all passes, in the page and in its files."""
+JOINED = "all_passes"  # name of the road of all passes, in the page and in its files
 
 
 class ReportedPass(NamedTuple):
@@ -39,6 +33,10 @@ class ReportedPass(NamedTuple):
     measured: MeasuredRecord
     estimate: Estimate
     aligned: AlignedPass | None
+
+    def with_note(self, note: str) -> "ReportedPass":
+        """The pass with a further note."""
+        return self._replace(measured=self.measured._replace(notes=(*self.measured.notes, note)))
 
 
 def align_passes(passes: Sequence[tuple[str, MeasuredRecord, Estimate]]) -> list[ReportedPass]:
@@ -54,14 +52,11 @@ def align_passes(passes: Sequence[tuple[str, MeasuredRecord, Estimate]]) -> list
         try:
             (_, aligned), notes = estimators.passes.align_passes(records, (first, estimate), names)
         except ConfigError as error:
-            note = f"not compared with the first drive: {error}"
-            noted = other._replace(notes=(*other.notes, note))
-            found.append(ReportedPass(name, noted, estimate, None))
+            alone = ReportedPass(name, other, estimate, None)
+            found.append(alone.with_note(f"not compared with the first drive: {error}"))
             continue
         moved = other._replace(
-            record=aligned.record,
-            chainage=measured.chainage,
-            notes=(*other.notes, *notes),
+            record=aligned.record, chainage=measured.chainage, notes=(*other.notes, *notes)
         )
         found.append(_cut(ReportedPass(name, moved, estimate, aligned), first))
     return found
@@ -76,27 +71,18 @@ def _cut(one: ReportedPass, first: Estimate) -> ReportedPass:
     own, estimate = one.aligned.stations.inverse().apply(s), one.estimate
     inside = np.flatnonzero((own >= 0.0) & (own <= estimate.s[-1]))
     begin, record = float(s[inside[0]]), one.measured.record
-    z, std = (
-        None if x is None else np.array([np.interp(own[inside], estimate.s, path) for path in x])
-        for x in (estimate.z, estimate.z_std)
-    )
-    assert z is not None
+    moved: dict[str, Any] = {
+        name: np.apply_along_axis(lambda x: np.interp(own[inside], estimate.s, x), -1, values)
+        for name in ("z", "z_std", "draws", "unsure")
+        if (values := getattr(estimate, name)) is not None
+    }
+    if estimate.unsure is not None:
+        moved["unsure"] = moved["unsure"] > 0.0
     measured = one.measured._replace(
         record=replace(record, s=record.s - begin, length=float(s[inside[-1]]) - begin),
         chainage=one.measured.chainage + begin,
     )
-    draws = estimate.draws
-    if draws is not None:
-        draws = np.array(
-            [[np.interp(own[inside], estimate.s, path) for path in road] for road in draws]
-        )
-    unsure = estimate.unsure
-    if unsure is not None:
-        unsure = np.interp(own[inside], estimate.s, unsure) > 0.0
-    part = replace(
-        estimate, s=s[inside] - begin, z=z, z_std=std, distance=first.distance, unsure=unsure,
-        draws=draws,
-    )  # fmt: skip
+    part = replace(estimate, s=s[inside] - begin, distance=first.distance, **moved)
     return one._replace(measured=measured, estimate=part)
 
 
@@ -114,7 +100,7 @@ def join(
         return None
     road = estimators.passes.join_passes(estimator, aligned, [car for _, car in chosen])
     first, names = passes[0].measured, ", ".join(each.name for each, _ in chosen)
-    note = f"one road from {names}; speed and states are those of {passes[0].name}"
+    note = f"{ONE_ROAD} {names}; speed and states are those of {passes[0].name}"
     notes = (note, estimators.passes.WANDER_NOTE)
     road = replace(road, notes=(), distance=passes[0].estimate.distance)
     return ReportedPass(JOINED, first._replace(notes=notes), road, None)
@@ -127,33 +113,22 @@ def compare(results: Sequence[DriveResult]) -> dict[str, Any] | None:
     if len(results) < 2 or not common:
         return None
     x = np.array([[each[key]["iri_mean"] for each in rows] for key in common])
-    others = [
-        {
-            "name": result.name,
-            "speed_kmh": result.facts["speed_kmh"],
-            **bland_altman(x[:, k], x[:, 0])._asdict(),
-            "rmse": float(np.sqrt(np.mean((x[:, k] - x[:, 0]) ** 2))),
-            "correlation": _profile_correlation(results[0], result),
-        }
-        for k, result in enumerate(results)
-        if k
-    ]
+    segments, others = [], []
+    for (begin, end), line in zip(common, x, strict=True):
+        spread = {"mean": float(line.mean()), "std": float(line.std(ddof=1))}
+        segments.append({"begin_m": begin, "end_m": end, "iri": line.tolist(), **spread})
+    for result, own in zip(results[1:], x.T[1:], strict=True):
+        one = {"name": result.name, "speed_kmh": result.facts["speed_kmh"]}
+        one |= agreement.bland_altman(own, x[:, 0])._asdict()
+        one["rmse"] = float(np.sqrt(np.mean((own - x[:, 0]) ** 2)))
+        others.append(one | {"correlation": _profile_correlation(results[0], result)})
     return {
         "first": results[0].name,
         "names": [result.name for result in results],
-        "segments": [
-            {
-                "begin_m": key[0],
-                "end_m": key[1],
-                "iri": [float(value) for value in line],
-                "mean": float(line.mean()),
-                "std": float(line.std(ddof=1)),
-            }
-            for key, line in zip(common, x, strict=True)
-        ],
-        "repeatability": repeatability(x),
-        "relative": repeatability(x) / float(x.mean()),
-        "icc": intraclass_correlation(x) if len(common) >= MIN_SEGMENTS else np.nan,
+        "segments": segments,
+        "repeatability": agreement.repeatability(x),
+        "relative": agreement.repeatability(x) / float(x.mean()),
+        "icc": agreement.intraclass_correlation(x) if len(common) >= MIN_SEGMENTS else np.nan,
         "passes": others,
     }
 
@@ -170,7 +145,7 @@ def _profile_correlation(first: DriveResult, other: DriveResult) -> float:
         [np.interp(s, r.chainage + r.estimate.s, z) for z in r.estimate.z] for r in (first, other)
     ]
     pairs = zip(*paths, strict=True)
-    return float(np.mean([iri_filtered_correlation(y, a, ds) for y, a in pairs]))
+    return float(np.mean([agreement.iri_filtered_correlation(y, a, ds) for y, a in pairs]))
 
 
 def _key(row: dict[str, Any]) -> tuple[float, float]:

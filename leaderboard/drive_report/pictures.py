@@ -26,11 +26,8 @@ STRIP_STEP, STRIP_UNIT = 0.15, 0.1
 have 0.7 MB.
 """
 
-POINTS = 1500
-"""Largest number of points of a line."""
-
-LONGEST_WAVE = 20.0
-"""Longest wave [m] of the profile strip."""
+POINTS = 1500  # largest number of points of a line
+LONGEST_WAVE = 20.0  # longest wave [m] of the profile strip
 
 
 def colour(conditions: Conditions, iri: float) -> str:
@@ -38,13 +35,11 @@ def colour(conditions: Conditions, iri: float) -> str:
     return CONDITION_COLOURS[min(conditions.level(iri), len(CONDITION_COLOURS) - 1)]
 
 
-def _sides(result: DriveResult) -> tuple[str, ...]:
-    """Return the wheel paths that are drawn; the mean path has the colour of the first."""
-    return SIDES[:1] if result.is_mean_path else SIDES
-
-
-def _label(result: DriveResult, side: str) -> str:
-    return "mean of both paths" if result.is_mean_path else side
+def _drawn_paths(result: DriveResult) -> dict[str, str]:
+    """Return the colours of the drawn wheel paths by name; the mean path has that of the first."""
+    if result.is_mean_path:
+        return {"mean of both paths": COLOURS[SIDES[0]]}
+    return {side: COLOURS[side] for side in SIDES}
 
 
 class ShownProfile(NamedTuple):
@@ -80,13 +75,13 @@ def strip_data(result: DriveResult, shown: ShownProfile) -> dict[str, Any]:
     stride = max(1, round(STRIP_STEP / result.estimate.ds))
     paths = [
         {
-            "name": _label(result, side),
-            "colour": COLOURS[side],
+            "name": name,
+            "colour": shade,
             "heights": base64.b64encode(
                 np.clip(np.round(z[::stride] / STRIP_UNIT), -32768, 32767).astype("<i2").tobytes()
             ).decode(),
         }
-        for side, z in zip(_sides(result), shown.z, strict=False)
+        for (name, shade), z in zip(_drawn_paths(result).items(), shown.z, strict=False)
     ]
     step = stride * result.estimate.ds
     return {"begin": float(shown.s[0]), "step": step, "unit": STRIP_UNIT, "paths": paths}
@@ -103,22 +98,16 @@ def profile_strip(result: DriveResult, shown: ShownProfile) -> str:
         for axes, core in zip(panels, np.array_split(np.arange(s.size), rows), strict=True):
             step, more = max(1, core.size // POINTS), round(OVERLAP / ds)
             part = np.arange(max(0, core[0] - more), min(s.size, core[-1] + 1 + more), step)
-            for k, side in enumerate(_sides(result)):
-                axes.plot(
-                    s[part], z[k, part], color=COLOURS[side], lw=0.9, label=_label(result, side)
-                )
+            for k, (name, shade) in enumerate(_drawn_paths(result).items()):
+                axes.plot(s[part], z[k, part], color=shade, lw=0.9, label=name)
                 if std is not None:
                     low, high = (z[k, part] + f * std[k, part] for f in (-1.96, 1.96))
-                    axes.fill_between(s[part], low, high, color=COLOURS[side], alpha=0.2, lw=0)
+                    axes.fill_between(s[part], low, high, color=shade, alpha=0.2, lw=0)
             for obstacle in result.obstacles:
-                if s[core[0]] <= obstacle["station_m"] <= s[core[-1]]:
-                    axes.annotate(
-                        f"{obstacle['height_mm']:+.0f} mm",
-                        (obstacle["station_m"], 1.35 * limit),
-                        ha="center",
-                        va="top",
-                        fontsize=8,
-                    )
+                if s[core[0]] <= (station := obstacle["station_m"]) <= s[core[-1]]:
+                    look = {"ha": "center", "va": "top", "fontsize": 8}
+                    text = f"{obstacle['height_mm']:+.0f} mm"
+                    axes.annotate(text, (station, 1.35 * limit), **look)
             axes.set(xlim=(s[part[0]], s[part[-1]]), ylim=(-limit, 1.4 * limit))
             axes.grid(color="0.9", lw=0.5)
         panels[0].legend(frameon=False, ncols=2, loc="lower left", bbox_to_anchor=(0.0, 1.0))
@@ -142,18 +131,16 @@ def iri_chart(result: DriveResult, conditions: Conditions) -> str:
         for k, (low, high) in enumerate(pairwise(limits)):
             shade = CONDITION_COLOURS[min(k, len(CONDITION_COLOURS) - 1)]
             axes.axhspan(low, high, color=shade, alpha=0.10, lw=0)
-            if low < top:
+            if min(high, top) - low > 0.07 * top:  # there is room for its name
                 axes.annotate(
                     conditions.categories[k], (edges[-1], low), (-3, 2), ha="right", va="bottom",
                     textcoords="offset points", color="0.35", fontsize=8, zorder=5,
                     bbox={"facecolor": "white", "alpha": 0.7, "lw": 0, "pad": 1},
                 )  # fmt: skip
-        for side in _sides(result):
-            key = "hri" if result.is_mean_path else f"iri_{side}"
-            axes.stairs(
-                [row[key] for row in segments], edges, baseline=None,
-                color=COLOURS[side], lw=1.2, label="HRI" if result.is_mean_path else side,
-            )  # fmt: skip
+        for name, shade in _drawn_paths(result).items():
+            key, label = ("hri", "HRI") if result.is_mean_path else (f"iri_{name}", name)
+            values = [row[key] for row in segments]
+            axes.stairs(values, edges, baseline=None, color=shade, lw=1.2, label=label)
         middle = [0.5 * (row["begin_m"] + row["end_m"]) for row in segments]
         mean = np.array([row["iri_mean"] for row in segments])
         low, high = (np.array([row[f"iri_mean_{x}"] for row in segments]) for x in ("low", "high"))
@@ -175,13 +162,13 @@ def density_chart(result: DriveResult) -> str:
     def paint(figure: Any) -> None:
         axes = figure.subplots()
         draw_classes(axes)
-        for side, z in zip(_sides(result), result.estimate.z, strict=False):
+        for (name, shade), z in zip(_drawn_paths(result).items(), result.estimate.z, strict=False):
             n, G = smooth_psd(*displacement_psd(z, result.estimate.ds))
             inside = (n >= 0.5 * band[0]) & (n <= band[1])
-            axes.plot(n, G, color=COLOURS[side], lw=0.7, alpha=0.5)
-            axes.plot(n[inside], G[inside], color=COLOURS[side], lw=1.6, label=_label(result, side))
-        axes.axvspan(0.02, 0.5 * band[0], color="0.5", alpha=0.12, lw=0)
-        axes.axvspan(band[1], 10.0, color="0.5", alpha=0.12, lw=0)
+            axes.plot(n, G, color=shade, lw=0.7, alpha=0.5)
+            axes.plot(n[inside], G[inside], color=shade, lw=1.6, label=name)
+        for outside in ((0.02, 0.5 * band[0]), (band[1], 10.0)):
+            axes.axvspan(*outside, color="0.5", alpha=0.12, lw=0)
         axes.legend(frameon=False)
 
     return inline_svg(paint, (4.6, 3.6))
@@ -204,8 +191,7 @@ def track_map(result: DriveResult, conditions: Conditions, anchor: str) -> str:
         axes.plot(east, north, color="0.8", lw=6, solid_capstyle="round", zorder=1)
         for k, row in enumerate(result.segments):
             part = np.flatnonzero((station >= row["begin_m"]) & (station <= row["end_m"]))
-            step = max(1, part.size // 200)
-            part = part[::step]
+            part = part[:: max(1, part.size // 200)]
             shade = colour(conditions, row["iri_mean"])
             axes.plot(east[part], north[part], color=shade, lw=4.5, zorder=2, url=f"#{anchor}-{k}")
         for obstacle in result.obstacles:

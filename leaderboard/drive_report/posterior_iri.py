@@ -14,8 +14,7 @@ import numpy as np
 from road_envs.records.record import Estimate
 from road_envs.records.roughness import golden_car
 
-NORMAL_QUANTILE = 1.96
-"""Half the width of an interval of 95 %, in standard deviations."""
+NORMAL_QUANTILE = 1.96  # half the width of an interval of 95 %, in standard deviations
 
 MODEL_STD = 0.01
 """Relative standard deviation of what the samples do not contain: the model of a known vehicle is
@@ -64,7 +63,7 @@ def posterior_iri(
     """
     index = np.searchsorted(estimate.s, edges)
     roads = estimate.z[None] if estimate.draws is None else estimate.draws
-    log = np.log(factor * np.array([_segment_iri(z, estimate.ds, index) for z in roads]))
+    log = np.log(factor * np.array([_path_indices(z, estimate.ds, index) for z in roads]))
     middle, std = log.mean(axis=0), np.hypot(log.std(axis=0), relative_std)
     if estimate.draws is not None:
         std = np.sqrt(std**2 + MODEL_STD**2 + (SMOOTH_STD / np.exp(middle)) ** 2)
@@ -74,13 +73,15 @@ def posterior_iri(
     return IriPosterior(*(np.exp(middle + part) for part in (-spread, 0.0, spread)))
 
 
-def _segment_iri(z: np.ndarray, ds: float, index: np.ndarray) -> np.ndarray:
+def _path_indices(z: np.ndarray, ds: float, index: np.ndarray) -> np.ndarray:
     """IRI (3, K) [mm/m] of left, right and their mean between the indices (K + 1,)."""
     motion = 1e3 * np.abs(golden_car(np.asarray(z, dtype=float), ds))
-    index = np.minimum(index, motion.shape[1] - 1)
-    sums = np.add.reduceat(motion, index[:-1], axis=1)
-    sums[:, -1] = motion[:, index[-2] : index[-1] + 1].sum(axis=1)
-    counts = np.diff(index)
-    counts[-1] += 1
-    left, right = sums / counts
+    left, right = segment_means(motion, index)
     return np.array([left, right, 0.5 * (left + right)])
+
+
+def segment_means(x: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """Means (..., K) of `x` (..., N) between the indices (K + 1,), the last one included."""
+    ends = np.minimum(index, x.shape[-1] - 1)
+    ends[-1] += 1
+    return np.add.reduceat(x[..., : ends[-1]], ends[:-1], axis=-1) / np.diff(ends)

@@ -2,17 +2,12 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
 import estimators
-from estimators.api import Estimator
-from leaderboard.drive_report.analysis import (
-    SEGMENT_LENGTHS,
-    DriveResult,
-    KnownFactor,
-    analyse,
-)
+from leaderboard.drive_report.analysis import SEGMENT_LENGTHS, DriveResult, KnownFactor, analyse
 from leaderboard.drive_report.conditions import Conditions
 from leaderboard.drive_report.drive_estimates import estimate_drive, make_drive_estimator
 from leaderboard.drive_report.export import parse_route, write_geojson, write_hpms, write_tables
@@ -25,7 +20,6 @@ from leaderboard.drive_report.sections import Sections
 from leaderboard.drive_report.tolerance_error import roughness_std
 from road_envs.core.config import ConfigError
 from road_envs.drives.logger_tables.description import DriveDescription
-from road_envs.drives.measured_record import MeasuredRecord
 from road_envs.drives.reading import DriveFile, same_instruments
 from road_envs.sensing.instruments import instruments_of, load_instruments
 
@@ -34,8 +28,7 @@ DEFAULT_FACTOR_STD = 0.06
 known IRI, reports of a passenger car from three sensors had an RMS error of 5.7 %.
 """
 
-Progress = Callable[[str, float], None]
-"""Takes what is being done and the share done, 0 to 1."""
+Progress = Callable[[str, float], None]  # takes what is being done and the share done, 0 to 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +55,7 @@ class ReportSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RoadReport:
+class _RoadReport:
     """Results by drive, the road of all passes if there are several, and their agreement."""
 
     drives: list[DriveResult]
@@ -83,7 +76,7 @@ def make_report(
     chosen: ReportSettings,
     progress: Progress,
     sections: Sections | None = None,
-) -> RoadReport:
+) -> _RoadReport:
     """Return the report of drives; several are passes over one road where they match.
 
     Long drives are estimated by `sections`, which are kept if these have a folder.
@@ -105,15 +98,15 @@ def make_report(
     assert one is not None
     passes = align_passes(read)
     progress("joining the passes" if len(drives) > 1 else "writing the report", 0.95)
-    joined = _join(one, passes, drives)
-    results = [_analysed(p, d, chosen) for p, d in zip(passes, drives, strict=True)]
+    joined = join(one, passes, [drive.car for drive in drives])
+    results = list(map(_analysed, passes, drives, repeat(chosen)))
     if chosen.known_iri is not None:
         known, note = known_factor(results[0], read_known_iri(chosen.known_iri))
         drives = [_with_factor(drive, known) for drive in drives]
-        passes = [p._replace(measured=_with_note(p.measured, note)) for p in passes]
-        results = [_analysed(p, d, chosen) for p, d in zip(passes, drives, strict=True)]
+        passes = [p.with_note(note) for p in passes]
+        results = list(map(_analysed, passes, drives, repeat(chosen)))
     compared = [r for r, p in zip(results, passes, strict=True) if p.aligned]
-    return RoadReport(
+    return _RoadReport(
         drives=results,
         road=_analysed(joined, drives[0], chosen) if joined else None,
         agreement=compare(compared),
@@ -133,16 +126,6 @@ def _with_factor(drive: DriveFile, known: KnownFactor) -> DriveFile:
     before = drive.description.iri_factor or 1.0
     changes = {"iri_factor": before * known.factor, "iri_factor_std": known.std}
     return drive._replace(description=drive.description.updated(**changes))
-
-
-def _with_note(measured: MeasuredRecord, note: str) -> MeasuredRecord:
-    return measured._replace(notes=(*measured.notes, note))
-
-
-def _join(
-    one: Estimator, passes: list[ReportedPass], drives: Sequence[DriveFile]
-) -> ReportedPass | None:
-    return join(one, passes, [drive.car for drive in drives])
 
 
 def _analysed(each: ReportedPass, drive: DriveFile, chosen: ReportSettings) -> DriveResult:
@@ -170,7 +153,7 @@ def _analysed(each: ReportedPass, drive: DriveFile, chosen: ReportSettings) -> D
     )
 
 
-def write_report(report: RoadReport, chosen: ReportSettings, folder: Path) -> list[Path]:
+def write_report(report: _RoadReport, chosen: ReportSettings, folder: Path) -> list[Path]:
     """Write the page and the files of a report into a folder; return them, the page first."""
     folder.mkdir(parents=True, exist_ok=True)
     written = []
@@ -180,9 +163,7 @@ def write_report(report: RoadReport, chosen: ReportSettings, folder: Path) -> li
         if chosen.route is not None:
             written += write_hpms(result, folder, result.name, chosen.route)
     written += write_geopackage(report.results, folder / "report.gpkg")
-    about = {
-        "estimator": chosen.estimator, "vehicle": report.vehicle, "sensors": report.sensors,
-    }  # fmt: skip
+    about = {"vehicle": report.vehicle, "sensors": report.sensors, "estimator": chosen.estimator}
     page = folder / "index.html"
     write_page(report.results, chosen.conditions, about, report.agreement, page)
     return [page, *written]

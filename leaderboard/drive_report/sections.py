@@ -23,6 +23,7 @@ import numpy as np
 from estimators.api import Estimator, HasInstruments, check_estimate, copy_with
 from estimators.common.odometer import calibrate_odometer
 from estimators.map_smoother.estimator import MapSmoother
+from estimators.preprocessing import LATE_START
 from leaderboard.entries.entries import make_entry
 from leaderboard.entries.entry import EntryError
 from road_envs.core.artifacts import Kind
@@ -43,19 +44,15 @@ SECTION, FITTED_SECTION = 2000.0, 10_000.0
 RUN_IN, RUN_OUT = 150.0, 50.0
 """Distances [m] before and behind a section that are estimated with it."""
 
-KEPT = "unfinished"
-"""Folder of kept sections in that of a report."""
+KEPT = "unfinished"  # folder of kept sections in that of a report
 
 KIND = Kind("drive section", 1, ("leaderboard.drive_report.sections", "estimators.registry"))
-
-LATE_START = "lie behind the front axle at the start"
-"""Words of a note that is true of the first section alone: others begin on the road before them."""
 
 ARRAYS = ("z", "z_std", "unsure", "draws")
 """Fields of an estimate that are kept as arrays, by station in their last axis."""
 
 
-class Section(NamedTuple):
+class _DriveSection(NamedTuple):
     """A section of a drive: its samples `begin` to `end` (excluded), the index `first` of the
     station that is the first of its own road, and the index `start` of the one at which it begins.
     """
@@ -72,9 +69,9 @@ class Section(NamedTuple):
         return replace(part, t=part.t - part.t[0], s=part.s - shift, length=end - shift)
 
 
-def split(record: Record, wheelbase: float, length: float = SECTION) -> list[Section]:
+def split(record: Record, wheelbase: float, length: float = SECTION) -> list[_DriveSection]:
     """Return the sections of a record, one if it is short or its odometer is not finite."""
-    whole = [Section(0, record.t.size, 0, 0)]
+    whole = [_DriveSection(0, record.t.size, 0, 0)]
     if not np.isfinite(record.s).all():
         return whole
     s = np.maximum.accumulate(record.s)
@@ -86,11 +83,11 @@ def split(record: Record, wheelbase: float, length: float = SECTION) -> list[Sec
     firsts = ((s[begins] - wheelbase) / PROFILE_SPACING).astype(int)
     starts = np.round(edges / PROFILE_SPACING).astype(int)
     columns = [begins, [*ends[1:], record.t.size], firsts, starts]
-    rows = [Section(*map(int, row)) for row in zip(*columns, strict=True)]
+    rows = [_DriveSection(*map(int, row)) for row in zip(*columns, strict=True)]
     return [whole[0]._replace(end=int(ends[0])), *rows]
 
 
-def join(parts: Sequence[Estimate], sections: Sequence[Section], length: float) -> Estimate:
+def join(parts: Sequence[Estimate], sections: Sequence[_DriveSection], length: float) -> Estimate:
     """Return the estimate of a road of `length` [m] from those of its sections.
 
     Notes that differ in their numbers alone are one, with those of the section that the model
@@ -144,7 +141,7 @@ def _joined_distance(found: Sequence[DistanceScale]) -> DistanceScale | None:
 
 
 def _joined_notes(
-    parts: Sequence[Estimate], sections: Sequence[Section], length: float
+    parts: Sequence[Estimate], sections: Sequence[_DriveSection], length: float
 ) -> tuple[str, ...]:
     alike: dict[str, list[tuple[float, int, str]]] = {}
     for k, part in enumerate(parts):
@@ -262,15 +259,9 @@ def _plain(estimate: Estimate) -> dict[str, Any]:
 
 def _from_plain(content: Mapping[str, Any], record: Record) -> Estimate:
     arrays: dict[str, Any] = {}
-    for name in ARRAYS:
-        if name in content:
-            kind, shape, text = content[name]
-            arrays[name] = np.frombuffer(base64.b64decode(text), kind).reshape(shape)
-    distance = content["distance"]
-    return Estimate(
-        profile_stations(record.length),
-        notes=tuple(content["notes"]),
-        distance=distance and DistanceScale(*distance),
-        residual=content["residual"],
-        **arrays,
-    )
+    for name in content.keys() & set(ARRAYS):
+        kind, shape, text = content[name]
+        arrays[name] = np.frombuffer(base64.b64decode(text), kind).reshape(shape)
+    distance, notes = content["distance"], tuple(content["notes"])
+    own = {"distance": distance and DistanceScale(*distance), "residual": content["residual"]}
+    return Estimate(profile_stations(record.length), notes=notes, **own, **arrays)

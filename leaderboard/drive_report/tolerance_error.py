@@ -20,14 +20,9 @@ from road_envs.records.record import Record
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.tolerances import parameter_space
 
-DRAWS = 24
-"""Vehicles that are drawn."""
-
-GOLDEN_STEP, GOLDEN_SIZE = 0.05, 6000
-"""Step [m] and number of samples of the golden car's response."""
-
-SIDE = "side."
-"""Beginning of the names of parameters that play no part on a straight road."""
+DRAWS = 24  # vehicles that are drawn
+GOLDEN_STEP, GOLDEN_SIZE = 0.05, 6000  # step [m] and number of samples of the golden car's response
+SIDE = "side."  # beginning of the names of parameters that play no part on a straight road
 
 
 def roughness_std(record: Record, car: VehicleParameters, instruments: str) -> float:

@@ -6,7 +6,7 @@ correlation of their slopes in the scored band (`estimators.common.alignment`).
 """
 
 import dataclasses
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -86,10 +86,8 @@ def align(road: Surface, estimate: Estimate, v: float, chainage: float = 0.0) ->
         )
     inside = slice(begin, end)
     s = ds * np.arange(end - begin)
-    std = None if estimate.z_std is None else estimate.z_std[:, inside]
-    unsure = None if estimate.unsure is None else estimate.unsure[inside]
-    part = dataclasses.replace(
-        estimate, s=s, z=estimate.z[:, inside], z_std=std, unsure=unsure, draws=None
-    )
+    fields = {name: getattr(estimate, name) for name in ("z", "z_std", "unsure")}
+    kept: Any = {name: x[..., inside] for name, x in fields.items() if x is not None}
+    part = dataclasses.replace(estimate, s=s, draws=None, **kept)
     heights = road.height(chainage + ds * (begin + lag + np.arange(end - begin)))
     return _Alignment(Profile(s, heights), part, ds * lag, correlation, before)

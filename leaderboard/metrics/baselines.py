@@ -20,12 +20,9 @@ from road_envs.records.record import Estimate, Profile
 
 TRUTH_PLUS_NOISE = "truth_plus_noise"
 MEMORY = "memory"
-BASELINES = ("flat", "mean", "unrelated_road", TRUTH_PLUS_NOISE)
-"""Baselines of every task."""
-ALL_BASELINES = (*BASELINES, MEMORY)
-"""Names of all baselines; no entry may have one of them."""
-NOISE_LEVEL = 0.02
-"""Ratio of the noise of `truth_plus_noise` to the truth, both as in-band RMS."""
+BASELINES = ("flat", "mean", "unrelated_road", TRUTH_PLUS_NOISE)  # baselines of every task
+ALL_BASELINES = (*BASELINES, MEMORY)  # names of all baselines; no entry may have one of them
+NOISE_LEVEL = 0.02  # ratio of the noise of `truth_plus_noise` to the truth, both as in-band RMS
 
 
 def truth_plus_noise(truth: Profile, band: Band, seed: int) -> Estimate:

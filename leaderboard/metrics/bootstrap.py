@@ -22,11 +22,8 @@ _QUANTILES = (0.5 - 0.95 / 2, 0.5 + 0.95 / 2)
 MIN_ROADS = 5
 """Least number of roads for an interval or a rank: with two, the interval is their two scores."""
 
-MAX_BATCH_SCORES = 2_000_000
-"""Scores held in memory at once while resampling: 16 MB."""
-
-Strata = Sequence[Sequence[int]]
-"""Indices of the roads of each stratum (family of roads)."""
+MAX_BATCH_SCORES = 2_000_000  # scores held in memory at once while resampling: 16 MB
+Strata = Sequence[Sequence[int]]  # indices of the roads of each stratum (family of roads)
 
 
 class Interval(NamedTuple):

@@ -8,8 +8,7 @@ from typing import Any
 from leaderboard.metrics import heights
 from leaderboard.metrics.api import Metric, ScoredEstimate, metrics
 
-EQ_12_RAW = "level_error_raw"
-"""Key of the paper's equation 12 as printed: raw heights."""
+EQ_12_RAW = "level_error_raw"  # key of the paper's equation 12 as printed: raw heights
 
 STATE_LIMITS = (0.15, 0.25)
 """Equation 12 up to which a training is near-optimal, and sub-optimal (Appendix A of the paper)."""

@@ -8,6 +8,7 @@ the same sign and on the same wheel path; each is matched at most once. They are
 with obstacles, on roads that have some.
 """
 
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -86,7 +87,7 @@ def match_obstacles(
     return left, right
 
 
-def obstacle_scores(y: np.ndarray, a: np.ndarray, ds: float) -> _ObstacleScores | None:
+def _obstacle_scores(y: np.ndarray, a: np.ndarray, ds: float) -> _ObstacleScores | None:
     """Return the scores of `a` against `y`, both (2, M) [m]; None without a true obstacle."""
     paths = match_obstacles(y, a, ds)
     if paths is None:
@@ -127,9 +128,7 @@ def _pair_nearest(
 ) -> list[tuple[Obstacle, Obstacle]]:
     """Return pairs (true, estimated) that match, nearest first, each obstacle in one pair."""
     pairs: list[tuple[Obstacle, Obstacle]] = []
-    for t, f in sorted(
-        ((t, f) for t in true for f in detected), key=lambda p: abs(p[0].s - p[1].s)
-    ):
+    for t, f in sorted(product(true, detected), key=lambda pair: abs(pair[0].s - pair[1].s)):
         taken = any(t is t_ or f is f_ for t_, f_ in pairs)
         if _is_match(t, f) and not taken:
             pairs.append((t, f))
@@ -159,5 +158,5 @@ def _is_match(a: Obstacle, b: Obstacle) -> bool:
            help="Number of detected obstacles that only the other wheel path has."),
 )  # fmt: skip
 def _obstacles(scored: ScoredEstimate) -> tuple[float, ...]:
-    found = obstacle_scores(scored.y, scored.a, scored.ds) if scored.bumps else None
+    found = _obstacle_scores(scored.y, scored.a, scored.ds) if scored.bumps else None
     return found or (np.nan,) * len(_ObstacleScores._fields)

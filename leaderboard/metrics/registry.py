@@ -6,13 +6,7 @@ from leaderboard.metrics import agreement, level, obstacles, pointwise, roughnes
 from leaderboard.metrics.api import Metric, ScoredEstimate
 from road_envs.records.record import Estimate, Profile
 
-MODULES = (
-    pointwise,
-    level,
-    roughness,
-    agreement,
-    obstacles,
-)
+MODULES = (pointwise, level, roughness, agreement, obstacles)
 """Modules of metrics, in the order of the table of scores."""
 
 

@@ -48,7 +48,7 @@ def _density_ratio(scored: ScoredEstimate) -> tuple[float, ...]:
 
 def _class_steps(scored: ScoredEstimate) -> np.ndarray:
     n, (G_y, G_a, _) = scored.densities
-    return class_differences(n, G_y, G_a, scored.v)
+    return _class_differences(n, G_y, G_a, scored.v)
 
 
 @metrics(
@@ -112,10 +112,10 @@ def _class_by_octave(scored: ScoredEstimate) -> list[float]:
 ))  # fmt: skip
 def _error_by_third_octave(scored: ScoredEstimate) -> list[float]:
     n, (G_y, _, G_e) = scored.densities
-    return third_octave_errors(n, G_y, G_e)
+    return _third_octave_errors(n, G_y, G_e)
 
 
-def third_octave_errors(n: np.ndarray, G_y: np.ndarray, G_e: np.ndarray) -> list[float]:
+def _third_octave_errors(n: np.ndarray, G_y: np.ndarray, G_e: np.ndarray) -> list[float]:
     """Return the NRMSE [-] in each of THIRD_OCTAVES, of both wheel paths together."""
     limits = THIRD_OCTAVES * 2.0 ** (-1 / 6), THIRD_OCTAVES * 2.0 ** (1 / 6)
     true, wrong = (band_means(n, G.sum(axis=0), *limits) for G in (G_y, G_e))
@@ -123,7 +123,7 @@ def third_octave_errors(n: np.ndarray, G_y: np.ndarray, G_e: np.ndarray) -> list
     return np.sqrt(ratio).tolist()
 
 
-def class_differences(n: np.ndarray, G_y: np.ndarray, G_a: np.ndarray, v: float) -> np.ndarray:
+def _class_differences(n: np.ndarray, G_y: np.ndarray, G_a: np.ndarray, v: float) -> np.ndarray:
     """Return estimated minus true ISO class (2, octaves), in classes; 0 where it is right.
 
     Covers the octaves that the 25 Hz low-pass at `v` [m/s] leaves whole; perhaps none.

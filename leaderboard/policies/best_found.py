@@ -24,8 +24,7 @@ from road_envs.envs.instrumented_fleet import InstrumentedFleet
 from road_envs.kernels.simd import LANES
 from road_envs.policies.rollout import VIOLATION_PRICE, Drives, Rollout, replay
 
-HOLD_TIME = 0.2
-"""Time [s] between choices of the beam."""
+HOLD_TIME = 0.2  # time [s] between choices of the beam
 
 SWEEP_TIME, HORIZON = 0.1, 2.4
 """Time [s] between choices of a sweep, and over which they are compared."""
@@ -33,8 +32,7 @@ SWEEP_TIME, HORIZON = 0.1, 2.4
 LONGEST_SECTION = 1.2
 """Longest time [s] for which a choice of a sweep is held; times are uniform in their logarithm."""
 
-SECTIONS = 3
-"""Times for which each pair is tried at each choice."""
+SECTIONS = 3  # times for which each pair is tried at each choice
 
 TRIAL_TIME, FINALISTS = 0.4, LANES
 """Time [s] after which only the best trials of a choice go on, and their number."""
@@ -45,8 +43,7 @@ WINDOW, WINDOW_SWEEPS = 5.5, 5
 HEAT, COOLING = 0.02, 0.7
 """Mean share by which the costs of trials are raised at first; share of the sweeps until none."""
 
-SWEEPS = 6
-"""Sweeps of the whole drive by default."""
+SWEEPS = 6  # sweeps of the whole drive by default
 
 Progress = Callable[[str, float], None]
 

@@ -19,19 +19,13 @@ from road_envs.envs.safe_drives import SafeDrive
 from road_envs.policies.api import Policy
 from road_envs.policies.rollout import Drives, Rollout, drive_all
 
-BEST_FOUND = "best found"
-"""Name of the row of `best_found.search`."""
-
-REFERENCE = "rrms"
-"""Policy that differences refer to by default."""
-
-PUBLIC_DRIVES = 8
-"""Number of public drives; each is driven to both sides."""
+BEST_FOUND = "best found"  # name of the row of `best_found.search`
+REFERENCE = "rrms"  # policy that differences refer to by default
+PUBLIC_DRIVES = 8  # number of public drives; each is driven to both sides
 
 SEARCH_SEED, BOOTSTRAPS = 1, 2000
 
-TIE = 0.01
-"""Difference of scores [m²/s⁴] within which two policies are even on a drive."""
+TIE = 0.01  # difference of scores [m²/s⁴] within which two policies are even on a drive
 
 GROUPS: Mapping[str, tuple[str, str]] = {
     "known": ("group", "known"),
@@ -101,17 +95,14 @@ def compare(
     rows_of_table += [{"policy": name, "failure": text} for name, text in failures.items()]
     progress("done", 1.0)
     setup: Any = drives.setup
-    return Comparison(
-        {
-            "benchmark": setup.benchmark.name,
-            "split": setup.safe.split,
-            "drives": [label(start.description) for start in drives.starts],
-            "reference": reference,
-            "rows": rows_of_table,
-        },
-        drives,
-        rollouts,
-    )
+    data = {
+        "benchmark": setup.benchmark.name,
+        "split": setup.safe.split,
+        "drives": [label(start.description) for start in drives.starts],
+        "reference": reference,
+        "rows": rows_of_table,
+    }
+    return Comparison(data, drives, rollouts)
 
 
 def label(drive: SafeDrive) -> str:
@@ -134,10 +125,9 @@ def _row(name: str, rollout: Rollout, base: Rollout | None, drives: Drives) -> d
         "comfort": interval(rollout.comfort),
         "violations": float(violated.mean()),
         "worst": _round(score.min()),
-        "cost": _round(totals["cost"].mean()),
-        "stop": _round(totals["stop"].mean()),
-        "lift_off": _round(totals["lift_off"].mean()),
-        "load_transfer": _round(totals["load_transfer"].mean()),
+        **{
+            key: _round(totals[key].mean()) for key in ("cost", "stop", "lift_off", "load_transfer")
+        },
         "roll": _round(np.degrees(totals["roll"]).max()),
         "tyre_load": _round(np.sqrt(totals["tyre_load"] / rollout.duration).mean()),
         "switches": _round((np.diff(rollout.actions, axis=0) != 0).mean() / rollout.interval),

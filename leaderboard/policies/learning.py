@@ -11,8 +11,7 @@ from leaderboard.policies import comparison
 from road_envs.policies import create
 from road_envs.policies.network_policy import NetworkPolicy, PolicyNetwork
 
-RIVALS = ("rrms", "rrms_lateral", "lateral", "mpc")
-"""Laws beside which a learned policy is shown."""
+RIVALS = ("rrms", "rrms_lateral", "lateral", "mpc")  # laws beside which a learned policy is shown
 
 
 def evaluate(network: PolicyNetwork, curve: Sequence[tuple[int, float]]) -> dict[str, Any]:

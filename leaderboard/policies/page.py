@@ -11,8 +11,7 @@ from leaderboard.report.figures import QUIET, Chart, axis, chart
 from leaderboard.report.rendering import BOARD_PAGE, POLICY_PAGE, render, write_static
 from road_envs.core.atomic_io import write_text
 
-SHOWN_DRIVE = 0
-"""Number of the drive that is shown over time."""
+SHOWN_DRIVE = 0  # number of the drive that is shown over time
 
 SHOWN_POLICIES = 8
 """Policies of the chart and of the drive over time: the best of the table, and the reference."""
@@ -22,19 +21,19 @@ def timelines(comparison: Comparison) -> dict[str, Timeline]:
     """Return the shown drive under each of the shown policies."""
     return {
         name: Timeline.from_drive(comparison.drives, SHOWN_DRIVE, comparison.rollouts[name].actions)
-        for name in shown_policies(comparison.data)
+        for name in _shown_policies(comparison.data)
     }
 
 
 def write_page(data: Mapping[str, Any], lines: Mapping[str, Timeline], out: Path) -> Path:
-    """Write policies.html under `out`, and return its path; arguments as of `render_page`."""
+    """Write policies.html under `out`, and return its path; arguments as of `_render_page`."""
     page = out / POLICY_PAGE
     write_static(out)
-    write_text(page, render_page(data, lines, board=(out / BOARD_PAGE).exists()))
+    write_text(page, _render_page(data, lines, board=(out / BOARD_PAGE).exists()))
     return page
 
 
-def render_page(
+def _render_page(
     data: Mapping[str, Any],
     lines: Mapping[str, Timeline] = MappingProxyType({}),
     board: bool = False,
@@ -50,7 +49,7 @@ def render_page(
         data=data,
         best_found=BEST_FOUND,
         groups=present,
-        scores=score_chart(data) if shown_policies(data) else None,
+        scores=_score_chart(data) if _shown_policies(data) else None,
         shown=data["drives"][SHOWN_DRIVE],
         drives=drive_chart(lines) if lines else None,
         board=board,
@@ -58,36 +57,29 @@ def render_page(
     )
 
 
-def shown_policies(data: Mapping[str, Any]) -> list[str]:
+def _shown_policies(data: Mapping[str, Any]) -> list[str]:
     """Return the policies that charts show: the best rows, and the reference."""
     names = [row["policy"] for row in data["rows"] if not row["failure"]]
     return [n for k, n in enumerate(names) if k < SHOWN_POLICIES or n == data["reference"]]
 
 
-def score_chart(data: Mapping[str, Any]) -> Chart:
+def _score_chart(data: Mapping[str, Any]) -> Chart:
     """Return the score of each drive: markers of the policies, the best found as a line."""
     rows = {row["policy"]: row for row in data["rows"]}
     traces = []
-    for k, name in enumerate(shown_policies(data)):
-        line = name == BEST_FOUND
-        traces.append(
-            {
-                "name": name,
-                "mode": "lines" if line else "markers",
-                "x": [str(i + 1) for i in range(len(data["drives"]))],
-                "y": rows[name]["scores"],
-                "customdata": data["drives"],
-                "hovertemplate": f"{name}: %{{y:.2f}}, %{{customdata}}<extra></extra>",
-                **(
-                    {"line": {"color": QUIET, "width": 2, "shape": "hvh"}}
-                    if line
-                    else {"marker": {"size": 9, "color": f"var(--line-{k % 7})"}}
-                ),
-            }
-        )
-    layout = {
-        "height": 420,
-        "xaxis": axis("drive", type="category"),
-        "yaxis": axis("score [m²/s⁴]"),
-    }
+    for k, name in enumerate(_shown_policies(data)):
+        look: dict[str, Any] = {"marker": {"size": 9, "color": f"var(--line-{k % 7})"}}
+        if name == BEST_FOUND:
+            look = {"line": {"color": QUIET, "width": 2, "shape": "hvh"}}
+        trace = {
+            "name": name,
+            "mode": "lines" if name == BEST_FOUND else "markers",
+            "x": [str(i + 1) for i in range(len(data["drives"]))],
+            "y": rows[name]["scores"],
+            "customdata": data["drives"],
+            "hovertemplate": f"{name}: %{{y:.2f}}, %{{customdata}}<extra></extra>",
+        }
+        traces.append(trace | look)
+    axes = {"xaxis": axis("drive", type="category"), "yaxis": axis("score [m²/s⁴]")}
+    layout = {"height": 420, **axes}
     return chart("Score of each drive", {"": {"data": traces}}, layout)

@@ -39,8 +39,7 @@ OPTIONS: Mapping[str, Any] = {
     "manoeuvre": {"kind": "lane_change", "offset": 2.0},
     "observe": ["accelerations", "planar", "struts"],
 }
-SEEDS = range(4)
-"""Seeds of the roads, one for each vehicle."""
+SEEDS = range(4)  # seeds of the roads, one for each vehicle
 
 REFUSALS = ("ConfigError", "ValueError", "NotImplementedError")
 """Errors by which a policy may refuse an action space or an observation on purpose."""
@@ -67,14 +66,13 @@ def check_policy(
             reward[name] = roll_out(create(name), dict(OPTIONS), SEEDS).returns.mean()
         spaces = {control: _short(policy, control=control) for control in ("vehicle", "axle")}
         fewer = {"accelerations alone": _short(policy, observe=["accelerations"])}
+        ran = (
+            f"{len(SEEDS)} lane changes on class D, in a process of its own: return "
+            f"{reward['own']:.2f}, always ride {reward['fixed_ride']:.2f}, always handling "
+            f"{reward['fixed_handling']:.2f}"
+        )
         results = [
-            CheckResult(
-                "runs",
-                True,
-                f"{len(SEEDS)} lane changes on class D, in a process of its own: return "
-                f"{reward['own']:.2f}, always ride {reward['fixed_ride']:.2f}, always handling "
-                f"{reward['fixed_handling']:.2f}",
-            ),
+            CheckResult("runs", True, ran),
             _attempt("actions", lambda: _with_refusals(spaces), policy),
             _attempt("observations", lambda: _with_refusals(fewer), policy),
             _attempt("repeat", lambda: _repeat(reference, settings, limits, first.actions), policy),
@@ -163,17 +161,12 @@ def _costs(limits: Limits, seconds: Sequence[float], memory: float) -> list[Chec
     once = max(seconds)
     per_call = (sum(seconds) - once) / max(len(seconds) - 1, 1)
     predicted = once + per_call * calls * 2 * PUBLIC_DRIVES / len(SEEDS)
+    cost = (
+        f"{once:.2g} s once and {1e6 * per_call / len(SEEDS):.0f} µs per vehicle and interval: at "
+        f"most {predicted:.2g} s for {2 * PUBLIC_DRIVES} drives, the limit is {limits.seconds:g} s"
+    )
+    peak = f"peak {memory:.2f} GiB, the limit is {limits.memory:g} GiB"
     return [
-        CheckResult(
-            "time",
-            predicted < limits.seconds,
-            f"{once:.2g} s once and {1e6 * per_call / len(SEEDS):.0f} µs per vehicle and "
-            f"interval: at most {predicted:.2g} s for {2 * PUBLIC_DRIVES} drives, the limit is "
-            f"{limits.seconds:g} s",
-        ),
-        CheckResult(
-            "memory",
-            memory < limits.memory,
-            f"peak {memory:.2f} GiB, the limit is {limits.memory:g} GiB",
-        ),
+        CheckResult("time", predicted < limits.seconds, cost),
+        CheckResult("memory", memory < limits.memory, peak),
     ]

@@ -25,8 +25,7 @@ from road_envs.core.atomic_io import TempFolder
 from road_envs.policies import FILE_SUFFIXES, entry_point, runs_foreign_code
 from road_envs.policies.api import PolicyContext, PolicyError
 
-STARTUP_SECONDS = 60.0
-"""Time [s] in which the process must have loaded the policy."""
+STARTUP_SECONDS = 60.0  # time [s] in which the process must have loaded the policy
 
 LONGEST_COMPARISON = 1e5
 """Time [s] after which the kernel ends a process, which serves all cases of a comparison."""
@@ -92,13 +91,9 @@ class PolicyProcess:
         self._temp.path.chmod(0o755)  # the process has another user
         code = self._code(self._temp.path / "code")
         self._count += 1
-        return start_guest(
-            policy_handler.__name__,
-            self._temp.path / str(self._count),
-            replace(self.limits, seconds=LONGEST_COMPARISON),
-            isolated=code is not None,
-            code=code,
-        )
+        home, module = self._temp.path / str(self._count), policy_handler.__name__
+        limits = replace(self.limits, seconds=LONGEST_COMPARISON)
+        return start_guest(module, home, limits, isolated=code is not None, code=code)
 
     def _code(self, folder: Path) -> Path | None:
         """Return `folder` with a copy of the code, which is not imported here.

@@ -9,10 +9,9 @@ from leaderboard.report.figures import INK, Chart, axis, chart, rounded
 from road_envs.policies.rollout import Drives
 from road_envs.simulation.drive import Trajectory
 from road_envs.vehicle.equations import PHI, Z_B
-from road_envs.vehicle.suspension import MODES, decode_commands
+from road_envs.vehicle.suspension import MODES, WHEELS, decode_commands
 
-POINTS_PER_SECOND = 50.0
-"""Sample rate [Hz] of the drawn curves."""
+POINTS_PER_SECOND = 50.0  # sample rate [Hz] of the drawn curves
 
 MODE_NAMES = tuple(MODES)
 MODE_COLOURS = {
@@ -22,12 +21,10 @@ MODE_COLOURS = {
 }
 """Colours of the states; ride mode is drawn as a gap."""
 
-WHEELS = ("FL", "FR", "RL", "RR")
 LOAD_COLOURS = (INK, "var(--line-1)", "var(--line-2)", "var(--line-3)")
-"""Wheels, and the colours of their loads."""
+"""Colours of the loads of WHEELS."""
 
-AXLES = ("rear", "front")
-"""Axles in the order of their strips, from below."""
+AXLES = ("rear", "front")  # axles in the order of their strips, from below
 
 DOMAINS = ((0.80, 1.0), (0.58, 0.72), (0.27, 0.50), (0.0, 0.19))
 """Share of the height of each panel."""
@@ -69,13 +66,8 @@ class Timeline(NamedTuple):
             [flags.index((bool(s[w]), bool(h[w]))) for s, h in zip(stiff, high, strict=True)]
             for w in (0, 2)  # left wheels: an axle is commanded as a whole
         ]
-        return cls(
-            motion.t,
-            motion.tyre_load.T,
-            np.array(states),
-            motion.acceleration[:, Z_B],
-            motion.state[:, PHI],
-        )
+        heave, roll = motion.acceleration[:, Z_B], motion.state[:, PHI]
+        return cls(motion.t, motion.tyre_load.T, np.array(states), heave, roll)
 
     def curves(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return tyre loads (4, T) [kN], heave acceleration (1, T) [m/s²] and roll (1, T) [deg]."""
@@ -90,6 +82,8 @@ def drive_chart(timelines: Mapping[str, Timeline]) -> Chart:
     ]
     load, heave, roll = (rounded(1.05 * limit, 3) for limit in limits)
     seconds = max(float(line.t[-1] - line.t[0]) for line in timelines.values())
+    time = axis("time [s]", 0.0, rounded(seconds, 4), anchor="y4")
+    layout = {"height": 480, "barmode": "overlay", "xaxis": time}
     names = ("yaxis", "yaxis2", "yaxis3", "yaxis4")
     axes = (
         axis("tyre load [kN]", 0.0, load),
@@ -97,15 +91,8 @@ def drive_chart(timelines: Mapping[str, Timeline]) -> Chart:
         axis("heave [m/s²]", -heave, heave),
         axis("roll [deg]", -roll, roll),
     )
-    layout = {
-        "height": 480,
-        "barmode": "overlay",
-        "xaxis": axis("time [s]", 0.0, rounded(seconds, 4), anchor="y4"),
-        **{
-            name: {**one, "domain": domain, "nticks": 4}
-            for name, one, domain in zip(names, axes, DOMAINS, strict=True)
-        },
-    }
+    for name, one, domain in zip(names, axes, DOMAINS, strict=True):
+        layout[name] = {**one, "domain": domain, "nticks": 4}
     figures = {name: {"data": _drive_data(line)} for name, line in timelines.items()}
     return chart("One drive over time", figures, layout, by=("policy",))
 

@@ -28,8 +28,7 @@ from road_envs.vehicle.parameters import VehicleParameters
 _ATTAINABLE = Kind(
     "attainable error", 1, ("leaderboard.evaluation.evaluate", attainable_error.__module__)
 )
-BANDWIDTH = 100.0
-"""Bandwidth [Hz] of the data; the estimators of this package use no more."""
+BANDWIDTH = 100.0  # bandwidth [Hz] of the data; the estimators of this package use no more
 
 
 def with_attainable(board: Board, report: Callable[[str], None] = lambda text: None) -> Board:

@@ -19,8 +19,7 @@ BOUND_NAME = "bound of a linear car without friction, from data below 25 Hz"
 BOUND_ROW, ATTAINABLE_ROW = LIMIT_ROWS = ("bound", "attainable")
 """Names of the rows that are no estimator's: the information bound, the attainable error."""
 
-RANK_COLUMNS = {"offline": "rank", "causal": "rank_causal"}
-"""Column with the ranks of a division."""
+RANK_COLUMNS = {"offline": "rank", "causal": "rank_causal"}  # column with the ranks of a division
 
 TEXT_COLUMNS = ("interval", "states", "slope_interval", "calibrates")
 """Columns that are not a single number."""

@@ -14,24 +14,7 @@ from leaderboard.metrics.heights import band_pass, scored_band
 from leaderboard.metrics.obstacles import Obstacle, match_obstacles, true_obstacles
 from leaderboard.metrics.registry import SCORES
 from leaderboard.metrics.roughness import THIRD_OCTAVES
-from leaderboard.report.figures import (
-    BAND,
-    INK,
-    QUIET,
-    TRUTH_LINE,
-    Chart,
-    area,
-    axis,
-    chart,
-    colour,
-    curve,
-    encode_heights,
-    encode_std,
-    frequency_axis,
-    line_style,
-    rounded,
-    upright,
-)
+from leaderboard.report import figures as fig
 from leaderboard.report.tables import SPECTRUM_SCORES, Row
 from road_envs.records.roughness import CLASSES, N_0, displacement_psd, smooth_psd
 
@@ -52,14 +35,18 @@ _SYMBOLS = {"detected": "circle-open", "missed": "x-thin-open", "false alarm": "
 
 HEIGHT_AXES: dict[str, Any] = {
     "hovermode": "x unified",
-    "xaxis": axis("distance [m]", unifiedhovertitle={"text": "%{x:.1f} m"}),
-    "yaxis": axis("height [mm]"),
+    "xaxis": fig.axis("distance [m]", unifiedhovertitle={"text": "%{x:.1f} m"}),
+    "yaxis": fig.axis("height [mm]"),
+}
+ERROR_AXES: dict[str, Any] = {
+    "xaxis": fig.frequency_axis(THIRD_OCTAVES[0], THIRD_OCTAVES[-1]),
+    "yaxis": fig.axis("error over truth", 0.0, 2.0),
 }
 
 
 def task_charts(
     task: Task, definition: BoardDefinition, results: Mapping[str, Result], rows: Mapping[str, Row]
-) -> dict[str, Chart]:
+) -> dict[str, fig.Chart]:
     """Return the charts of a task by name, with the given results in their order, best first."""
     traces = [
         {name: r.traces[k] for name, r in results.items() if len(r.traces) > k}
@@ -94,13 +81,15 @@ def _visibility(k: int) -> dict[str, Any]:
 def height_lines(traces: Mapping[str, Trace], side: int, kind: str) -> list[dict[str, Any]]:
     """Return the truth and the estimates of one wheel path, _N_SHOWN of them visible at first."""
     reference = next(iter(traces.values()))
-    lines = [_height_line("truth", reference, reference.z_true, side, kind) | {"line": TRUTH_LINE}]
+    lines = [
+        _height_line("truth", reference, reference.z_true, side, kind) | {"line": fig.TRUTH_LINE}
+    ]
     for k, (name, trace) in enumerate(traces.items()):
         line = _height_line(name, trace, trace.z_estimated, side, kind)
         if kind == "inside" and trace.z_std is not None:
             first, stride = (round(line[key] / trace.ds) for key in ("x0", "dx"))
-            line["std"] = encode_std(trace.z_std[side, first::stride][: len(line["dy"])])
-        lines.append(line | {"line": line_style(name)} | _visibility(k))
+            line["std"] = fig.encode_std(trace.z_std[side, first::stride][: len(line["dy"])])
+        lines.append(line | {"line": fig.line_style(name)} | _visibility(k))
     return lines
 
 
@@ -111,13 +100,13 @@ def _height_line(name: str, trace: Trace, z: np.ndarray, side: int, kind: str) -
         drawn = band_pass(z, trace.ds, scored_band(trace.speed_kmh / 3.6))
         spacing = _IN_BAND_SPACING
     first, stride = (z.shape[1] - drawn.shape[1]) // 2, max(1, round(spacing / trace.ds))
-    heights = encode_heights(drawn[side, ::stride])
-    at = {"x0": rounded(first * trace.ds), "dx": rounded(stride * trace.ds), "dy": heights}
+    heights = fig.encode_heights(drawn[side, ::stride])
+    at = {"x0": fig.rounded(first * trace.ds), "dx": fig.rounded(stride * trace.ds), "dy": heights}
     look = {"legendgroup": name, "mode": "lines", "hovertemplate": "%{y:.1f} mm"}
     return {"name": name, **at, **look}
 
 
-def _road_chart(drawn: Mapping[Condition, Mapping[str, Trace]]) -> Chart:
+def _road_chart(drawn: Mapping[Condition, Mapping[str, Trace]]) -> fig.Chart:
     figures = {}
     for condition, traces in drawn.items():
         trace = next(iter(traces.values()))
@@ -132,13 +121,13 @@ def _road_chart(drawn: Mapping[Condition, Mapping[str, Trace]]) -> Chart:
                 lines = height_lines(traces, side, kind) + (marks if kind == "raw" else [])
                 figures[f"{condition.label}|{path}|{kind}"] = {"data": lines, "caption": caption}
     title, by = "Truth and estimates along the road", ("condition", "side", "kind")
-    return chart(title, figures, {"height": 420, **HEIGHT_AXES}, by=by)
+    return fig.chart(title, figures, {"height": 420, **HEIGHT_AXES}, by=by)
 
 
 def _obstacle_marks(traces: Mapping[str, Trace], side: int) -> list[dict[str, Any]]:
     reference = next(iter(traces.values()))
     found = true_obstacles(reference.z_true, reference.ds)[side]
-    marks = [_marks("truth", "true obstacle", found, "triangle-down", INK)] if found else []
+    marks = [_marks("truth", "true obstacle", found, "triangle-down", fig.INK)] if found else []
     for k, (name, trace) in enumerate(traces.items()):
         matches = match_obstacles(trace.z_true, trace.z_estimated, trace.ds)
         if matches is None:
@@ -147,7 +136,9 @@ def _obstacle_marks(traces: Mapping[str, Trace], side: int) -> list[dict[str, An
         kinds = ([mine for _, mine in pairs], missed, false)
         for obstacles, (kind, symbol) in zip(kinds, _SYMBOLS.items(), strict=True):
             if obstacles:
-                marks.append(_marks(name, kind, obstacles, symbol, colour(name)) | _visibility(k))
+                marks.append(
+                    _marks(name, kind, obstacles, symbol, fig.colour(name)) | _visibility(k)
+                )
     return marks
 
 
@@ -166,33 +157,33 @@ def _marks(
     }
 
 
-def _density_chart(drawn: Mapping[Condition, Mapping[str, Trace]]) -> Chart:
+def _density_chart(drawn: Mapping[Condition, Mapping[str, Trace]]) -> fig.Chart:
     figures = {}
     for condition, traces in drawn.items():
         reference = next(iter(traces.values()))
-        lines = [_density("truth", reference.z_true, reference.ds) | {"line": TRUTH_LINE}]
+        lines = [_density("truth", reference.z_true, reference.ds) | {"line": fig.TRUTH_LINE}]
         for k, (name, trace) in enumerate(traces.items()):
             line = _density(name, trace.z_estimated, trace.ds)
-            lines.append(line | {"line": line_style(name)} | _visibility(k))
+            lines.append(line | {"line": fig.line_style(name)} | _visibility(k))
         figures[condition.label] = {
             "data": [*_class_areas(), *lines],
-            "layout": {"shapes": [upright(n) for n in scored_band(condition.speed_kmh / 3.6)]},
+            "layout": {"shapes": [fig.upright(n) for n in scored_band(condition.speed_kmh / 3.6)]},
         }
     layout = {
-        "xaxis": frequency_axis(*_CLASS_FREQUENCIES),
-        "yaxis": axis("density [m³]", -9, -1, type="log", exponentformat="power", dtick=2),
+        "xaxis": fig.frequency_axis(*_CLASS_FREQUENCIES),
+        "yaxis": fig.axis("density [m³]", -9, -1, type="log", exponentformat="power", dtick=2),
         "annotations": _class_letters(),
     }
     title = "Displacement spectral densities over the classes of ISO 8608"
-    return chart(title, figures, layout, by=("condition",))
+    return fig.chart(title, figures, layout, by=("condition",))
 
 
 def _density(name: str, z: np.ndarray, ds: float) -> dict[str, Any]:
     """Return the mean density of both wheel paths, with gaps where it is 0."""
     n, G = smooth_psd(*displacement_psd(z, ds))
-    y = [rounded(x, 3) if x > 0.0 else None for x in G.mean(axis=0)]
+    y = [fig.rounded(x, 3) if x > 0.0 else None for x in G.mean(axis=0)]
     hover = "%{y:.2e} m³ at %{x:.2f} cycles/m"
-    return curve(name, [rounded(x, 4) for x in n], y, hovertemplate=hover)
+    return fig.curve(name, [fig.rounded(x, 4) for x in n], y, hovertemplate=hover)
 
 
 def _class_areas() -> list[dict[str, Any]]:
@@ -200,7 +191,7 @@ def _class_areas() -> list[dict[str, Any]]:
     n = list(_CLASS_FREQUENCIES)
     means = list(CLASSES.values())[::2]
     return [
-        area(n, _class_line(0.5 * G), _class_line(2.0 * G), fillcolor=BAND, name="class")
+        fig.area(n, _class_line(0.5 * G), _class_line(2.0 * G), fillcolor=fig.BAND, name="class")
         for G in means
     ]
 
@@ -208,10 +199,10 @@ def _class_areas() -> list[dict[str, Any]]:
 def _class_letters() -> list[dict[str, Any]]:
     """Return letters of the shaded classes at the right edge; annotations take powers of ten."""
     n = _CLASS_FREQUENCIES[1]
-    look = {"showarrow": False, "xanchor": "right", "font": {"color": QUIET}}
+    look = {"showarrow": False, "xanchor": "right", "font": {"color": fig.QUIET}}
     at = {letter: np.log10(_class_line(G)[1]) for letter, G in CLASSES.items()}
     return [
-        {"text": letter, "x": np.log10(n), "y": rounded(y, 4), **look}
+        {"text": letter, "x": np.log10(n), "y": fig.rounded(y, 4), **look}
         for letter, y in at.items()
         if y > -9 and letter in "ACEG"
     ]
@@ -227,9 +218,11 @@ def error_lines(rows: Mapping[str, Row], group: str) -> list[dict[str, Any]]:
     lines = []
     for k, (name, row) in enumerate(rows.items()):
         values = row.groups.get(group, row.values)
-        y = [None if (x := values.get(key)) is None else rounded(x, 4) for key in SPECTRUM_SCORES]
-        look = {"line": line_style(name), "hovertemplate": _ERROR_HOVER}
-        lines.append(curve(name, THIRD_OCTAVES, y, **look, **_visibility(k)))
+        y = [
+            None if (x := values.get(key)) is None else fig.rounded(x, 4) for key in SPECTRUM_SCORES
+        ]
+        look = {"line": fig.line_style(name), "hovertemplate": _ERROR_HOVER}
+        lines.append(fig.curve(name, THIRD_OCTAVES, y, **look, **_visibility(k)))
     return lines
 
 
@@ -243,47 +236,41 @@ def bound_line(task: Task, condition: Condition) -> dict[str, Any]:
     """Return the bound in third octaves under a condition, on a class-D road."""
     key = (task.digest, condition.label)
     if key not in _BOUNDS:
-        _BOUNDS[key] = [rounded(x, 4) for x in third_octave_bound(task, condition)]
-    look = {"color": INK, "dash": "dot", "width": 1.6}
-    return curve("bound", THIRD_OCTAVES, _BOUNDS[key], line=look, hovertemplate=_ERROR_HOVER)
+        _BOUNDS[key] = [fig.rounded(x, 4) for x in third_octave_bound(task, condition)]
+    look = {"color": fig.INK, "dash": "dot", "width": 1.6}
+    return fig.curve("bound", THIRD_OCTAVES, _BOUNDS[key], line=look, hovertemplate=_ERROR_HOVER)
 
 
-def error_axes() -> dict[str, Any]:
-    """Return the axes of errors over spatial frequency."""
-    return {
-        "xaxis": frequency_axis(THIRD_OCTAVES[0], THIRD_OCTAVES[-1]),
-        "yaxis": axis("error over truth", 0.0, 2.0),
-    }
-
-
-def _error_chart(task: Task, rows: Mapping[str, Row]) -> Chart:
+def _error_chart(task: Task, rows: Mapping[str, Row]) -> fig.Chart:
     figures = {
         condition.label: {
             "data": [bound_line(task, condition), *error_lines(rows, condition.label)],
-            "layout": {"shapes": [upright(n) for n in scored_band(condition.speed_kmh / 3.6)]},
+            "layout": {"shapes": [fig.upright(n) for n in scored_band(condition.speed_kmh / 3.6)]},
         }
         for condition in task.conditions
     }
     title = "Error over spatial frequency, with the bound"
-    return chart(title, figures, error_axes(), by=("condition",))
+    return fig.chart(title, figures, ERROR_AXES, by=("condition",))
 
 
 def _runs_chart(
     scores: Mapping[str, np.ndarray], definition: BoardDefinition, strata: Strata
-) -> Chart:
+) -> fig.Chart:
     """Return the performance profiles of scores (R, C, S), with their intervals."""
     thresholds = np.linspace(0.0, definition.scale, _THRESHOLDS)
-    x = [rounded(limit) for limit in thresholds]
+    x = [fig.rounded(limit) for limit in thresholds]
     data = []
     for k, (name, values) in enumerate(scores.items()):
         profile = performance_profile(values, thresholds, replicates=_REPLICATES, strata=strata)
         share, low, high = (np.round(100.0 * y, 1).tolist() for y in profile)
         own = {"legendgroup": name, **_visibility(k)}
-        data.append(area(x, low, high, fillcolor=f"{colour(name)}2e", name=name, **own))
+        data.append(fig.area(x, low, high, fillcolor=f"{fig.colour(name)}2e", name=name, **own))
         hover = "%{y:.0f} % of runs up to %{x:.2f}"
-        data.append(curve(name, x, share, line=line_style(name), hovertemplate=hover, **own))
+        data.append(
+            fig.curve(name, x, share, line=fig.line_style(name), hovertemplate=hover, **own)
+        )
     layout = {
-        "xaxis": axis(SCORES[definition.ranks_by].label, 0.0, definition.scale),
-        "yaxis": axis("share of runs [%]", 0.0, 100.0),
+        "xaxis": fig.axis(SCORES[definition.ranks_by].label, 0.0, definition.scale),
+        "yaxis": fig.axis("share of runs [%]", 0.0, 100.0),
     }
-    return chart("Share of runs at or below an error", {"": {"data": data}}, layout)
+    return fig.chart("Share of runs at or below an error", {"": {"data": data}}, layout)

@@ -3,33 +3,21 @@
 import inspect
 import re
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from scipy.stats import norm
 
 from estimators.registry import REGISTRY
-from leaderboard.conformance.method_card import MethodCard
 from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.results import Result, Trace
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics.api import UNDEFINED
 from leaderboard.metrics.heights import band_pass, scored_band
+from leaderboard.report import figures as fig
 from leaderboard.report.board_definitions import COLUMNS
-from leaderboard.report.charts import bound_line, error_axes, error_lines
-from leaderboard.report.figures import (
-    QUIET,
-    Chart,
-    axis,
-    chart,
-    colour,
-    curve,
-    interval_bars,
-    line_style,
-    rounded,
-    upright,
-)
+from leaderboard.report.charts import ERROR_AXES, bound_line, error_lines
 from leaderboard.report.tables import Row, Section
 
 _WORST_DRIVES = 3  # number of drives of a task with the largest errors that are listed
@@ -42,27 +30,24 @@ _Evaluated = tuple[Task, Result, Row, Section, BoardDefinition]
 """One result with its task and its row on the board."""
 
 
-def estimator_charts(evaluated: Sequence[_Evaluated]) -> dict[str, Chart]:
+def estimator_charts(evaluated: Sequence[_Evaluated]) -> dict[str, fig.Chart]:
     """Return the charts of an estimator that are not empty, with a figure for each task."""
     made: dict[str, tuple[str, dict[str, Any], Callable[..., dict[str, Any] | None]]] = {
         "errors": ("Error by condition and family", _ERROR_LAYOUT, _error_figure),
-        "spectrum": ("Error over spatial frequency", error_axes(), _spectrum_figure),
+        "spectrum": ("Error over spatial frequency", ERROR_AXES, _spectrum_figure),
         "calibration": (
             "Calibration of the stated intervals", _CALIBRATION_LAYOUT, _calibration_figure,
         ),
     }  # fmt: skip
     return {
-        name: chart(title, figures, layout, by=("task",))
+        name: fig.chart(title, figures, layout, by=("task",))
         for name, (title, layout, draw) in made.items()
         if (figures := {one[0].name: figure for one in evaluated if (figure := draw(*one))})
     }
 
 
 def method(name: str) -> dict[str, Any] | None:
-    """Return the paragraphs of the docstrings of an estimator's module and of its class.
-
-    None if it comes from another package.
-    """
+    """Paragraphs of the docstrings of an estimator's module and class; None of another package."""
     cls = REGISTRY.get(name)
     if cls is None:
         return None
@@ -71,11 +56,6 @@ def method(name: str) -> dict[str, Any] | None:
         "settings": _paragraphs(cls),
         "source": f"{cls.__module__.replace('.', '/')}.py",
     }
-
-
-def method_card_rows(card: MethodCard | None) -> list[tuple[str, str]]:
-    """Return label and text of each line of the authors' card of an entry."""
-    return [] if card is None else [*{**vars(card), "authors": ", ".join(card.authors)}.items()]
 
 
 def _paragraphs(documented: object) -> list[tuple[str, bool]]:
@@ -94,11 +74,11 @@ _ERROR_LAYOUT = {
     "margin": {"l": 8, "r": 12, "t": 34, "b": 44},
     "showlegend": False,
     "bargap": 0.3,
-    "yaxis": axis("", autorange="reversed", showgrid=False, fixedrange=True),
+    "yaxis": fig.axis("", autorange="reversed", showgrid=False, fixedrange=True),
 }
 _CALIBRATION_LAYOUT = {
-    "xaxis": axis("stated probability [%]", 0.0, 100.0),
-    "yaxis": axis("errors inside [%]", 0.0, 100.0),
+    "xaxis": fig.axis("stated probability [%]", 0.0, 100.0),
+    "yaxis": fig.axis("errors inside [%]", 0.0, 100.0),
 }
 
 
@@ -118,14 +98,14 @@ def _error_figure(
     }
     ends = [(groups[name].get("low"), groups[name].get("high")) for name in found]
     bars = {
-        **interval_bars(row.name, labels, ends),
-        "marker": {"color": colour(row.name)},
+        **fig.interval_bars(row.name, labels, ends),
+        "marker": {"color": fig.colour(row.name)},
         "hovertemplate": "%{y}<extra></extra>",
     }
     layout = {
         "height": 30 * len(found) + 80,
-        "xaxis": axis(score.heading, rangemode="tozero"),
-        "shapes": [upright(1.0)] if key == "nrmse" and max(found.values()) > 0.5 else [],
+        "xaxis": fig.axis(score.heading, rangemode="tozero"),
+        "shapes": [fig.upright(1.0)] if key == "nrmse" and max(found.values()) > 0.5 else [],
     }
     return {"data": [bars], "layout": layout}
 
@@ -147,14 +127,16 @@ def _calibration_figure(task: Task, result: Result, *_: Any) -> dict[str, Any] |
         return None
     errors = np.concatenate(ratios)
     inside = [np.mean(errors <= norm.ppf(0.5 + share / 2.0)) for share in _NOMINAL_SHARES]
-    exact = {"color": QUIET, "dash": "dot", "width": 1.2}
-    x, y = ([rounded(100.0 * s, 4) for s in shares] for shares in (_NOMINAL_SHARES, inside))
-    measured = curve(
-        result.estimator, x, y, mode="lines+markers", line=line_style(result.estimator),
-        marker={"color": colour(result.estimator)},
+    exact = {"color": fig.QUIET, "dash": "dot", "width": 1.2}
+    x, y = ([fig.rounded(100.0 * s, 4) for s in shares] for shares in (_NOMINAL_SHARES, inside))
+    measured = fig.curve(
+        result.estimator, x, y, mode="lines+markers", line=fig.line_style(result.estimator),
+        marker={"color": fig.colour(result.estimator)},
         hovertemplate="%{y:.0f} % of the errors inside the %{x:.0f} % interval",
     )  # fmt: skip
-    return {"data": [curve("exact", [0, 100], [0, 100], line=exact, hoverinfo="skip"), measured]}
+    return {
+        "data": [fig.curve("exact", [0, 100], [0, 100], line=exact, hoverinfo="skip"), measured]
+    }
 
 
 def _standardized(trace: Trace) -> np.ndarray:
@@ -194,8 +176,3 @@ def cost(task: Task, result: Result) -> tuple[str, ...]:
 
 def _text(value: float | None, form: str) -> str:
     return UNDEFINED if value is None else form.format(value)
-
-
-def settings_in_words(settings: Mapping[str, Any]) -> str:
-    """Return the settings of an entry in one line."""
-    return ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in settings.items())

@@ -52,14 +52,10 @@ def _long_table(board: Board, view: BoardView) -> "pd.DataFrame":
     """Return the scores of all runs of a board by task, and in each by entry."""
     import pandas as pd
 
-    tasks = {task.name: task for task in board.tasks}
-    return pd.concat(
-        [
-            scores_table(board.scored(tasks[section.task])).assign(task=section.task)
-            for section in view.sections
-        ],
-        ignore_index=True,
-    )[["task", "estimator", *COLUMNS]]
+    scored = {task.name: board.scored(task) for task in board.tasks}
+    names = [section.task for section in view.sections]
+    parts = [scores_table(scored[name]).assign(task=name) for name in names]
+    return pd.concat(parts, ignore_index=True)[["task", "estimator", *COLUMNS]]
 
 
 def as_json(views: Sequence[BoardView]) -> list[dict[str, Any]]:

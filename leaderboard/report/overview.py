@@ -5,19 +5,9 @@ from typing import Any
 
 from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.results import Result
+from leaderboard.report import figures as fig
 from leaderboard.report.board_definitions import BOUND_ROW, COLUMNS
 from leaderboard.report.charts import HEIGHT_AXES, height_lines
-from leaderboard.report.figures import (
-    QUIET,
-    Chart,
-    axis,
-    chart,
-    colour,
-    curve,
-    interval_bars,
-    rounded,
-    upright,
-)
 from leaderboard.report.rendering import file_name
 from leaderboard.report.sentences import PAPER_NETWORK, scored_rows, unrelated_level_errors
 from leaderboard.report.tables import Section, interval_text
@@ -29,7 +19,7 @@ _MODEBAR_HEIGHT = 34  # height of the buttons above a chart [pixels]
 _STRIP_LENGTH = 30.0  # length of road [m] that the strip shows at first
 
 
-def ranking_chart(section: Section, definition: BoardDefinition) -> Chart | None:
+def ranking_chart(section: Section, definition: BoardDefinition) -> fig.Chart | None:
     """Return the ranking as bars with intervals; bound and baselines are lines. None if empty."""
     key = definition.ranks_by
     rows = scored_rows(section, key)[:_MAX_BARS]
@@ -48,8 +38,8 @@ def ranking_chart(section: Section, definition: BoardDefinition) -> Chart | None
     }
     pattern = {"shape": ["/" if row.causal else "" for row in rows], "fillmode": "replace"}
     bars = {
-        **interval_bars("entries", labels, ends),
-        "marker": {"color": [colour(row.name) for row in rows], "pattern": pattern},
+        **fig.interval_bars("entries", labels, ends),
+        "marker": {"color": [fig.colour(row.name) for row in rows], "pattern": pattern},
         "hovertext": [
             f"{row.name}: {score.text(x)}"
             + ("" if low is None else f", 95 %: {interval_text(low, high, key)}")
@@ -63,15 +53,15 @@ def ranking_chart(section: Section, definition: BoardDefinition) -> Chart | None
         "margin": {"l": 8, "r": 12, "t": top, "b": 44},
         "showlegend": False,
         "bargap": 0.25,
-        "xaxis": axis("error" if key == "nrmse" else score.heading, 0.0, rounded(limit, 4)),
-        "yaxis": axis("", autorange="reversed", ticks="", showgrid=False, fixedrange=True),
-        "shapes": [upright(x, "dash") for x in marks.values()],
+        "xaxis": fig.axis("error" if key == "nrmse" else score.heading, 0.0, fig.rounded(limit, 4)),
+        "yaxis": fig.axis("", autorange="reversed", ticks="", showgrid=False, fixedrange=True),
+        "shapes": [fig.upright(x, "dash") for x in marks.values()],
         "annotations": [
             _mark_label(text, x, level) for level, (text, x) in enumerate(marks.items())
         ],
     }
     title = f"{section.title}: error of every entry, with 95 % intervals"
-    return chart(title, {"": {"data": [bars]}}, layout)
+    return fig.chart(title, {"": {"data": [bars]}}, layout)
 
 
 def _marked_values(section: Section, key: str) -> dict[str, float]:
@@ -82,18 +72,20 @@ def _marked_values(section: Section, key: str) -> dict[str, float]:
         if value is not None and row.state == "baseline":
             text = "linear bound" if row.name == BOUND_ROW else row.name.replace("_", " ")
             found.setdefault(COLUMNS[key].format_value(value), ([], value))[0].append(text)
-    marks = {f"{', '.join(names)} {text}": rounded(value) for text, (names, value) in found.items()}
+    marks = {
+        f"{', '.join(names)} {text}": fig.rounded(value) for text, (names, value) in found.items()
+    }
     return dict(sorted(marks.items(), key=lambda item: item[1]))
 
 
 def _mark_label(text: str, x: float, level: int) -> dict[str, Any]:
     """Return the label of a line, left of it: there is room above the names, on any screen."""
-    look = {"showarrow": False, "font": {"color": QUIET, "size": 11}, "yanchor": "bottom"}
+    look = {"showarrow": False, "font": {"color": fig.QUIET, "size": 11}, "yanchor": "bottom"}
     at = {"x": x, "y": 1, "yref": "paper", "yshift": _LABEL_HEIGHT * level}
     return {"text": text, **at, "xanchor": "right", "xshift": -2, **look}
 
 
-def strip_chart(section: Section, results: Iterable[Result], ranks_by: str) -> Chart | None:
+def strip_chart(section: Section, results: Iterable[Result], ranks_by: str) -> fig.Chart | None:
     """Return the truth against the best estimate and the paper's network; None without traces."""
     by_name = {result.estimator: result for result in results if result.traces}
     order = [row.name for row in scored_rows(section, ranks_by) if row.name in by_name]
@@ -104,33 +96,31 @@ def strip_chart(section: Section, results: Iterable[Result], ranks_by: str) -> C
     trace = next(iter(traces.values()))
     lines = height_lines(traces, side=0, kind="inside")
     first = lines[0]["x0"]
-    layout = {
-        "height": 310,
-        "margin": {"l": 56, "r": 8, "t": 34, "b": 44},
-        **HEIGHT_AXES,
+    layout = {"height": 310, "margin": {"l": 56, "r": 8, "t": 34, "b": 44}, **HEIGHT_AXES}
+    layout["xaxis"] = layout["xaxis"] | {
+        "range": [fig.rounded(first), fig.rounded(first + _STRIP_LENGTH)]
     }
-    layout["xaxis"] = layout["xaxis"] | {"range": [rounded(first), rounded(first + _STRIP_LENGTH)]}
     caption = (
         f"Left wheel path of {trace.road} at {trace.speed_kmh:g} km/h, in the band that the "
         "sensors observe"
     )
     title = "Truth, best estimate and the paper's network along a road"
-    return chart(title, {"": {"data": lines, "caption": caption}}, layout)
+    return fig.chart(title, {"": {"data": lines, "caption": caption}}, layout)
 
 
-def levels_chart(claims: Sequence[float]) -> Chart:
+def levels_chart(claims: Sequence[float]) -> fig.Chart:
     """Return the distribution of eq. 12 over unrelated roads, with errors that the paper claims."""
     errors, _ = unrelated_level_errors()
-    x = [rounded(error, 4) for error in sorted((100.0 * errors).tolist())]
-    y = [rounded(100.0 * (k + 1) / len(x), 4) for k in range(len(x))]
+    x = [fig.rounded(error, 4) for error in sorted((100.0 * errors).tolist())]
+    y = [fig.rounded(100.0 * (k + 1) / len(x), 4) for k in range(len(x))]
     hover = "%{y:.0f} % below %{x:.1f} %<extra></extra>"
     look = {"line": {"color": "var(--line-1)"}, "hovertemplate": hover}
-    line = curve("unrelated roads", x, y, **look)
+    line = fig.curve("unrelated roads", x, y, **look)
     layout = {
         "height": 280,
         "showlegend": False,
-        "xaxis": axis("level error, eq. 12 [%]", 0.0, 40.0),
-        "yaxis": axis("unrelated roads below [%]", 0.0, 100.0),
-        "shapes": [upright(100.0 * claim) for claim in claims],
+        "xaxis": fig.axis("level error, eq. 12 [%]", 0.0, 40.0),
+        "yaxis": fig.axis("unrelated roads below [%]", 0.0, 100.0),
+        "shapes": [fig.upright(100.0 * claim) for claim in claims],
     }
-    return chart("Level error of unrelated roads", {"": {"data": [line]}}, layout)
+    return fig.chart("Level error of unrelated roads", {"": {"data": [line]}}, layout)

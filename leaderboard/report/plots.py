@@ -127,11 +127,6 @@ def estimate_figure(truth: Profile | None, estimate: Estimate, v: float) -> Any:
     return _make_figure(paint, (11.0, 8.5))
 
 
-def draw_estimate(truth: Profile | None, estimate: Estimate, v: float, path: Path) -> None:
-    """Write `estimate_figure` to a file."""
-    _save_figure(estimate_figure(truth, estimate, v), path)
-
-
 _LINE_STYLES = (("#D55E00", "-"), ("#0072B2", "--"), ("#009E73", "-."), ("#CC79A7", ":"))
 
 
@@ -214,30 +209,25 @@ def _make_figure(paint: Callable[[Any], None], size: tuple[float, float]) -> Any
 
 def write_figure(paint: Callable[[Any], None], size: tuple[float, float], path: Path) -> None:
     """Call `paint` on a figure of `size` [inch] and write it atomically."""
-    _save_figure(_make_figure(paint, size), path)
+    save_figure(_make_figure(paint, size), path)
 
 
-def _save_figure(figure: Any, path: Path) -> None:
+def save_figure(figure: Any, path: Path) -> None:
     """Write a figure in the format of the path's suffix, whole or not at all."""
     with atomic_write(path) as partial:
         figure.savefig(partial, format=path.suffix.removeprefix("."))
 
 
-def _page_figure(paint: Callable[[Any], None], size: tuple[float, float]) -> Any:
-    """Return a figure of `size` [inch] that `paint` has filled, in the _SVG_STYLE of a page."""
+def inline_svg(paint: Callable[[Any], None], size: tuple[float, float]) -> str:
+    """Return a figure of `size` [inch] that `paint` has filled as SVG in the _SVG_STYLE of a page,
+    without size and fonts; equal figures give equal text.
+    """
     with optional_import("a figure"):
         import matplotlib
 
+    buffer = io.StringIO()
     with matplotlib.rc_context(_SVG_STYLE):
-        return _make_figure(paint, size)
-
-
-def inline_svg(paint: Callable[[Any], None], size: tuple[float, float]) -> str:
-    """Return `_page_figure` as SVG, without size and fonts; equal figures give equal text."""
-    figure, buffer = _page_figure(paint, size), io.StringIO()
-    import matplotlib
-
-    with matplotlib.rc_context(_SVG_STYLE):
+        figure = _make_figure(paint, size)
         figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
     svg = buffer.getvalue()
     svg = re.sub(r"\s+", " ", svg[svg.index("<svg") :]).replace("> <", "><")

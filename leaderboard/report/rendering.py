@@ -13,7 +13,6 @@ from road_envs.core.extras import optional_import
 STATIC = Path(__file__).parent / "static"
 """Style, scripts and pictures that all pages of a site share."""
 
-
 BOARD_PAGE = "index.html"
 """Page of the board, which the comparison of policies links to if it is there."""
 

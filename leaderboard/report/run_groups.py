@@ -11,8 +11,7 @@ ScoreSlice = tuple[list[int] | slice | np.ndarray, list[int] | slice | np.ndarra
 
 _FLEXIBLE_GRADES = ("S2", "S3", "S4")  # grades of vehicles with a frame that twists
 
-FRAME_BANDS = (0.0, 10.0, 14.0, 100.0)
-"""Limits of the groups of frames [Hz]."""
+FRAME_BANDS = (0.0, 10.0, 14.0, 100.0)  # limits of the groups of frames [Hz]
 
 
 def run_groups(task: Task) -> dict[str, dict[str, ScoreSlice]]:

@@ -17,8 +17,7 @@ from leaderboard.running.board import Board
 from road_envs.records.record import PROFILE_SPACING, profile_stations
 from road_envs.roads import load_road
 
-PAPER_NETWORK = "static_lm"
-"""The estimator that implements the paper's network."""
+PAPER_NETWORK = "static_lm"  # the estimator that implements the paper's network
 
 _N_PAIRS = 200  # number of pairs of unrelated roads
 
@@ -97,7 +96,7 @@ def findings(views: Sequence[BoardView]) -> tuple[str, ...]:
     """Sentences about all boards; those for which results are missing are left out."""
     found = [_unrelated_sentence()]
     for view in views:
-        claimed = [section for section in view.sections if _has_claim(section)]
+        claimed = [x for x in view.sections if any(row.state == "claim" for row in x.rows)]
         rows = [row for section in claimed for row in section.rows if row.state != "claim"]
         found += [_paper_protocol(claimed, rows), _memory(rows)]
         for section in view.sections:
@@ -123,10 +122,6 @@ def headline(section: Section, definition: BoardDefinition) -> list[str]:
 def scored_rows(section: Section, key: str) -> list[Row]:
     """Rows of entries that have the score `key`, best first."""
     return [r for r in section.rows if r.state == "scored" and r.values.get(key) is not None]
-
-
-def _has_claim(section: Section) -> bool:
-    return any(row.state == "claim" for row in section.rows)
 
 
 def _paper_protocol(sections: Sequence[Section], rows: Sequence[Row]) -> str:

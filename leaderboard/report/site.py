@@ -20,7 +20,7 @@ from leaderboard.evaluation.results import Result
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics.baselines import NOISE_LEVEL
 from leaderboard.report import estimator_page, export, overview, tables
-from leaderboard.report.board_definitions import COLUMNS, LIMIT_ROWS, TEXT_COLUMNS, Column
+from leaderboard.report.board_definitions import COLUMNS, LIMIT_ROWS, TEXT_COLUMNS
 from leaderboard.report.charts import task_charts
 from leaderboard.report.figures import rounded
 from leaderboard.report.notes import isolation_notice
@@ -78,7 +78,7 @@ def _render_pages(
 
 def _index(board: Board, report: Report) -> dict[str, Any]:
     errors, _ = unrelated_level_errors()
-    claims = [t.claimed_level_error for t in board.tasks if t.claimed_level_error is not None]
+    claims = [x for task in board.tasks if (x := task.claimed_level_error) is not None]
     boards = [(view, [_table(view, s) for s in view.sections]) for view in report.views]
     explained = {(c.label, c.help): c for _, made in boards for t in made for c in t["columns"]}
     view = report.views[0]
@@ -108,21 +108,16 @@ def _index(board: Board, report: Report) -> dict[str, Any]:
 
 
 def _table(view: BoardView, section: Section) -> dict[str, Any]:
-    """Return one table: its columns, and the numbers for the scripts."""
-    columns = tables.nonempty_columns(view, section)
+    """Return one table: its columns, and for the scripts the rows with their numbers over all runs
+    and over each group, each [number, text].
+    """
+    columns, ranks_by = tables.nonempty_columns(view, section), view.definition.ranks_by
     groups = dict.fromkeys(section.conditions)
     groups |= dict.fromkeys(name for names in section.groups.values() for name in names)
-    data = _table_data(view, section, columns)
-    return {"section": section, "columns": columns, "groups": list(groups), "data": data}
-
-
-def _table_data(view: BoardView, section: Section, columns: Sequence[Column]) -> dict[str, Any]:
-    """Rows of a task, with their numbers over all runs and over each group, each [number, text]."""
-    ranks_by = view.definition.ranks_by
     keys = dict.fromkeys([*(column.key for column in columns), ranks_by, "rank_causal"])
     forms = {key: COLUMNS[key] for key in keys if key not in TEXT_COLUMNS}
     numeric = {**forms, "low": COLUMNS[ranks_by], "high": COLUMNS[ranks_by]}
-    return {
+    data = {
         "ranks_by": ranks_by,
         "scale": view.definition.scale,
         "flat": 1.0 if ranks_by == "nrmse" else None,
@@ -130,10 +125,10 @@ def _table_data(view: BoardView, section: Section, columns: Sequence[Column]) ->
         "columns": {k: {"better": form.better, "blank": form.blank} for k, form in forms.items()},
         "rows": [_row_data(row, numeric) for row in section.rows],
     }
+    return {"section": section, "columns": columns, "groups": list(groups), "data": data}
 
 
 def _row_data(row: Row, forms: dict[str, Any]) -> dict[str, Any]:
-    groups = {tables.ALL_RUNS: row.values, **row.groups}
     return {
         "name": row.name,
         "state": row.state,
@@ -148,7 +143,7 @@ def _row_data(row: Row, forms: dict[str, Any]) -> dict[str, Any]:
                 for key, form in forms.items()
                 if (x := values.get(key)) is not None
             }
-            for name, values in groups.items()
+            for name, values in {tables.ALL_RUNS: row.values, **row.groups}.items()
         },
     }
 
@@ -191,16 +186,19 @@ def _estimator(
         for view, section, row in rows
         if row.state in ("scored", "baseline")
     ]
-    first = results[0][1]
+    first, about = results[0][1], board.methods.get(name)
+    settings = (f"{key.replace('_', ' ')} {x}" for key, x in first.settings.items())
     return {
         "root": "../",
         "name": name,
         "role": first.role,
         "causal": first.causal,
         "lag": first.lag,
-        "settings": estimator_page.settings_in_words(first.settings),
+        "settings": ", ".join(settings),
         "method": estimator_page.method(name),
-        "method_card": estimator_page.method_card_rows(board.methods.get(name)),
+        "method_card": {**vars(about), "authors": ", ".join(about.authors)}.items()
+        if about
+        else (),
         "cards": list(
             {card.identity: card for _, result in results if (card := board.card(result))}.values()
         ),

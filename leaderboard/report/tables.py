@@ -46,14 +46,12 @@ PUBLIC_ROADS = (
     "them, and its rank then says nothing. A rank counts only in a sealed season, whose seeds are "
     "revealed after the entries are in."
 )
-ALL_RUNS = ""
-"""Name of the group of all runs."""
+ALL_RUNS = ""  # name of the group of all runs
 
 SPECTRUM_SCORES = tuple(name for name in SCORES if name.startswith("error_at_"))
 """Score keys of the third-octave errors."""
 
-_Values = dict[str, float | None]
-"""Numbers by column; None where one is undefined."""
+_Values = dict[str, float | None]  # numbers by column; None where one is undefined
 
 _BOUNDED = [[*SCORES].index(name) for name in ("nrmse", "bound_nrmse")]
 """Positions of the error and of its bound among the scores."""
@@ -104,14 +102,12 @@ class BoardView:
 def board_views(board: Board) -> list[BoardView]:
     """Return the boards that have a task, the main one first."""
     definitions = {task.board_name: task.board_definition for task in board.tasks}
-    return [
-        BoardView(
-            name,
-            definition,
-            tuple(_section(board, t, definition) for t in board.tasks if t.board_name == name),
-        )
-        for name, definition in sorted(definitions.items(), key=lambda item: item[1].order)
-    ]
+    views = []
+    for name, definition in sorted(definitions.items(), key=lambda item: item[1].order):
+        tasks = [task for task in board.tasks if task.board_name == name]
+        sections = tuple(_section(board, task, definition) for task in tasks)
+        views.append(BoardView(name, definition, sections))
+    return views
 
 
 def nonempty_columns(view: BoardView, *sections: Section) -> list[Column]:

@@ -39,8 +39,7 @@ from road_envs.core.config import ConfigError, Settings, build
 
 SUBMISSION = Kind("submission", 1)
 RECORD, CARD = signature.RECORD, "card.yaml"
-UNSEALED = (RECORD, signature.FILE)
-"""Files whose digests the record does not hold."""
+UNSEALED = (RECORD, signature.FILE)  # files whose digests the record does not hold
 
 SUBMISSION_SHARE = 1.0
 """Share of the drives of a submission that are run again: a verification of some could be repeated
@@ -51,7 +50,7 @@ Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Submission(Settings):
+class _Submission(Settings):
     """Record of a submission; `cpu_seconds` is the processor time of all its runs together."""
 
     name: str
@@ -71,7 +70,7 @@ def make_submission(
     limits: Limits,
     workers: int = 1,
     progress: Progress = lambda text, share: None,
-) -> Submission:
+) -> _Submission:
     """Check an entry, run it by the `rules` and write the folder of its submission.
 
     Raises ConfigError for a card that is not filled in, a failed check, a failed row, and a folder
@@ -88,32 +87,28 @@ def make_submission(
             progress(f"checking {entry.name}", 0.0)
             _refuse_failed_checks(entry, sandbox, limits)
         request = make_run_request(*rules, [entry], limits)
-        board = run_board(
-            request,
-            partial,
-            ProcessExecutor(workers),
-            lambda done, total, text: progress(text, done / max(total, 1)),
-        )
+
+        def shown(done: float, total: float, text: str) -> None:
+            progress(text, done / max(total, 1))
+
+        board = run_board(request, partial, ProcessExecutor(workers), shown)
         for failed in (row for task in board.tasks for row in board.failed(task)):
             raise ConfigError(f"{failed.estimator} failed on {failed.task}: {failed.failure}")
         shutil.rmtree(partial / "jobs", ignore_errors=True)
-        record = Submission(
-            name=entry.name,
-            code=entry.code,
-            package_version=package_version(),
-            hardware=describe_environment(),
-            cpu_seconds=round(_cpu_seconds() - began, 1),
-            files=_digests(partial),
-        )
+        cost = round(_cpu_seconds() - began, 1)
+        record = _Submission(
+            name=entry.name, code=entry.code, package_version=package_version(),
+            hardware=describe_environment(), cpu_seconds=cost, files=_digests(partial),
+        )  # fmt: skip
         SUBMISSION.write(partial / RECORD, asdict(record))
     return record
 
 
-def load_submission(folder: Path) -> Submission:
+def load_submission(folder: Path) -> _Submission:
     """Read the record of a submission whose files are those of the record. Raises ConfigError."""
     data, _ = SUBMISSION.read(folder / RECORD)
     data.pop("identity")
-    record = build(Submission, data, str(folder / RECORD))
+    record = build(_Submission, data, str(folder / RECORD))
     if folder.resolve().name != record.name or not NAME.fullmatch(record.name):
         raise ConfigError(
             f"{folder}: the folder must have the name of its entry, {record.name!r}, which has up "
@@ -172,14 +167,9 @@ def verify_submission(
             raise ConfigError(f"{path}: neither a row of its entry nor a baseline of the rules")
         _verify_probes(entry, folder, limits)
         found = verify_folder(
-            folder,
-            in_sandbox(sandbox),
-            [entry],
-            tasks=tasks,
-            share=share,
-            seed=seed,
-            report=progress,
-        )
+            folder, in_sandbox(sandbox), [entry],
+            tasks=tasks, share=share, seed=seed, report=progress,
+        )  # fmt: skip
     for x in (x for x in found if x.reason):
         raise ConfigError(f"{folder}: its row of {x.estimator} on {x.task}: {x.reason}")
     return found
@@ -206,13 +196,9 @@ def _submitted_entry(folder: Path, sandbox: SandboxClient) -> Entry:
 
 
 def _refuse_failed_checks(entry: Entry, sandbox: SandboxClient, limits: Limits) -> None:
-    failed = [
-        check
-        for check in check_entry(entry, sandbox, limits)
-        if check.passed is False and check.name not in PROBES  # these are shown beside its name
-    ]
-    if failed:
-        raise ConfigError(f"{entry.name} fails the check {failed[0].name}: {failed[0].message}")
+    for check in check_entry(entry, sandbox, limits):
+        if check.passed is False and check.name not in PROBES:  # these are shown beside its name
+            raise ConfigError(f"{entry.name} fails the check {check.name}: {check.message}")
 
 
 def _digests(folder: Path) -> dict[str, str]:

@@ -8,7 +8,7 @@ from example_site import POLICIES, lines_of, results, site, tasks
 from html_checker import HtmlChecker
 
 from leaderboard.metrics.registry import SCORES
-from leaderboard.policies.page import shown_policies, write_page
+from leaderboard.policies.page import _shown_policies, write_page
 from leaderboard.report.figures import rounded
 from leaderboard.report.sentences import build_report
 from leaderboard.report.site import write_site
@@ -127,7 +127,7 @@ def test_the_page_of_the_policies_shows_the_kept_comparison(browser, tmp_path):
         "document.querySelector('[data-chart=scores]').data.map(t => t.name + ' ' + t.y.length)"
     )
     number = len(kept["drives"])
-    assert drawn == [f"{name} {number}" for name in shown_policies(kept)]
+    assert drawn == [f"{name} {number}" for name in _shown_policies(kept)]
 
 
 def test_the_site_links_to_the_policies_once_they_are_compared(tmp_path):

@@ -15,7 +15,7 @@ from fake_results import run_scores, runs_of
 from html_checker import HtmlChecker
 
 from leaderboard.evaluation.store import row_path, save
-from leaderboard.policies.page import render_page
+from leaderboard.policies.page import _render_page
 from leaderboard.report import export
 from leaderboard.report.rendering import write_pending
 from leaderboard.report.sentences import build_report, findings, unrelated_level_errors
@@ -91,14 +91,14 @@ POLICIES = json.loads((Path(__file__).parents[2] / "docs/policies/benchmark.json
 
 def test_board_and_policies_of_one_folder_link_to_each_other_whichever_ends_first(tmp_path):
     index, policies = tmp_path / "index.html", tmp_path / "policies.html"
-    assert 'href="index.html"' not in render_page(POLICIES)
+    assert 'href="index.html"' not in _render_page(POLICIES)
     write_pending(index, "Estimators", "leaderboard --out here")
     write_pending(policies, "Switching policies", "policies --out here")
     assert "road-recon leaderboard --out here" in text_of(index.read_text())
     parser = HtmlChecker()
     parser.feed(index.read_text())
     assert parser.open == [] and not [x for x in parser.addresses if x.endswith(".html")]
-    first = render_page(POLICIES, board=index.exists())
+    first = _render_page(POLICIES, board=index.exists())
     assert 'href="index.html"' in first
     last = built(Board(tuple(tasks()[:1]), {"held_out": results()["held_out"]}), tmp_path)
     assert 'href="policies.html"' in last.read_text()

@@ -10,8 +10,8 @@ import pytest
 import typer
 
 from leaderboard import cli
+from leaderboard.commands.listing import KINDS
 from leaderboard.lazy_commands import OPTION_SECTIONS, _help_line
-from leaderboard.listing import KINDS
 from road_envs.core import config
 from road_envs.core.config import ConfigError
 from road_envs.drives.recording import read_record

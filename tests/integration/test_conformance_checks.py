@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from leaderboard.cli import app
-from leaderboard.commands.check import summarize
+from leaderboard.commands.check import _summarize
 from leaderboard.conformance import checks
 from leaderboard.conformance.checks import UNINTENDED_ERRORS, check_drives, check_entry
 from leaderboard.conformance.probes import PROBES, CheckResult
@@ -164,6 +164,6 @@ def test_a_failed_probe_does_not_exclude_an_estimator_but_a_failed_check_does():
         CheckResult(name=name, passed=passed, message="so")
         for name, passed in (("runs", True), ("sign", False), ("gaps", False))
     )
-    assert summarize([good]) == "ready for a board"
-    assert summarize([good, probe]).endswith("which will show the failed probes sign")
-    assert summarize([good, probe, gaps]) == "not ready for a board: sign, gaps"
+    assert _summarize([good]) == "ready for a board"
+    assert _summarize([good, probe]).endswith("which will show the failed probes sign")
+    assert _summarize([good, probe, gaps]) == "not ready for a board: sign, gaps"

@@ -4,6 +4,7 @@ import dataclasses
 import json
 from functools import cache
 
+import matplotlib
 import numpy as np
 import pytest
 import typer
@@ -13,7 +14,7 @@ from typer.testing import CliRunner
 
 from estimators.networks.static_lm import StaticLm
 from leaderboard.metrics.registry import SCORES
-from leaderboard.report.plots import _page_figure
+from leaderboard.report import plots
 from studies.paper import claims as statements
 from studies.paper import report, study
 from studies.paper.__main__ import paper
@@ -26,7 +27,8 @@ TRAININGS = 3
 
 
 def drawn_figure(figure):
-    return _page_figure(figure.paint, figure.size)
+    with matplotlib.rc_context(plots._SVG_STYLE):
+        return plots._make_figure(figure.paint, figure.size)
 
 
 driven = []

@@ -49,7 +49,8 @@ def test_without_positions_there_is_no_map(road_recon, tmp_path):
     road_recon("simulate", *DRIVE, "--out", "one.parquet")
     code, out, err = road_recon("report", "one.parquet", "--out", "r", "--estimator", "wiener")
     assert code == 0 and "written: r/index.html and 5 files beside it" in out, err
-    assert (tmp_path / "r/index.html").read_text(encoding="utf-8").count("><svg") == 3
+    page = (tmp_path / "r/index.html").read_text(encoding="utf-8")
+    assert page.count("><svg") == 3 and "on the track" not in page
 
 
 def test_passes_are_moved_onto_the_first_and_compared(road_recon, tmp_path):
@@ -79,6 +80,7 @@ def test_passes_are_moved_onto_the_first_and_compared(road_recon, tmp_path):
     assert (tmp_path / "r/all_passes_segments.csv").exists()
     page = (tmp_path / "r/index.html").read_text(encoding="utf-8")
     assert "R 56-style" in page and "compliant" not in page
+    assert "<li>one road from one, two" in page and "First doubt: one road" not in page
 
 
 @pytest.mark.parametrize(

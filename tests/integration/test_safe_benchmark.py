@@ -8,7 +8,7 @@ import pytest
 from leaderboard.commands import policies as policies_command
 from leaderboard.policies import best_found
 from leaderboard.policies.comparison import BEST_FOUND, compare, label, public_drives, table_lines
-from leaderboard.policies.page import render_page, score_chart, timelines
+from leaderboard.policies.page import _render_page, _score_chart, timelines
 from leaderboard.policies.timeline import MODE_NAMES, Timeline, drive_chart
 from road_envs.envs.safe4s4 import Safe4S4Env, Safe4S4Setup
 from road_envs.policies import create
@@ -130,7 +130,7 @@ def test_a_policy_that_fails_is_a_row_with_its_failure():
     ride = data["rows"][0]
     assert ride["wins"] == ride["losses"] == 0 and ride["ties"] == 4
     assert any("broken failed: AttributeError" in line for line in table_lines(data))
-    assert "failed: AttributeError" in render_page(data)
+    assert "failed: AttributeError" in _render_page(data)
 
 
 def test_a_sweep_keeps_a_plan_that_no_trial_improves(monkeypatch):
@@ -168,10 +168,10 @@ def test_the_timeline_of_a_drive_has_its_motion_and_states(drives, rollouts):
 
 def test_the_page_shows_every_row_and_the_best_found_as_a_line(searched):
     data = searched.data
-    page = render_page(data, timelines(searched))
+    page = _render_page(data, timelines(searched))
     assert all(f'id="policy-{row["policy"].replace(" ", "-")}"' in page for row in data["rows"])
     assert f"<option selected>{BEST_FOUND}</option>" in page
-    lines = [t["name"] for t in score_chart(data)["figures"][""]["data"] if t["mode"] == "lines"]
+    lines = [t["name"] for t in _score_chart(data)["figures"][""]["data"] if t["mode"] == "lines"]
     assert lines == [BEST_FOUND]
     assert label(searched.drives.starts[0].description) == data["drives"][0]
 

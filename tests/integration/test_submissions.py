@@ -35,8 +35,8 @@ from leaderboard.submission.rules import Rules, load_rules
 from leaderboard.submission.submission import (
     RECORD,
     SUBMISSION,
-    Submission,
     _digests,
+    _Submission,
     load_submission,
 )
 from road_envs.core.config import ConfigError
@@ -51,7 +51,7 @@ citation: A. Author, 100 % of it, 2026
 
 
 def write_record(folder, code=""):
-    record = Submission(
+    record = _Submission(
         name="reader", code=code, package_version="1", hardware={"processor": "one"},
         cpu_seconds=1.0, files=_digests(folder),
     )  # fmt: skip

@@ -18,6 +18,7 @@ from leaderboard.drive_report.obstacles import (
     DetectedObstacle,
     detect,
 )
+from leaderboard.drive_report.pictures import iri_chart
 from leaderboard.drive_report.posterior_iri import posterior_iri
 from road_envs.core.config import ConfigError
 from road_envs.drives.measured_record import MeasuredRecord
@@ -194,6 +195,14 @@ def test_categories_change_at_95_and_170_inches_per_mile():
         Conditions(name="x", title="x", categories=("a", "b"), limits=(1.0, 2.0), source="")
     with pytest.raises(ConfigError, match="must increase"):
         Conditions(name="x", title="x", categories=("a", "b", "c"), limits=(2.0, 1.0), source="")
+
+
+@pytest.mark.parametrize(
+    ("road", "named"), [("iso_b", {"good", "fair", "poor"}), ("iso_d", {"poor"})]
+)
+def test_the_chart_names_the_categories_for_which_there_is_room(road, named):
+    chart = iri_chart(analyse("d", MeasuredRecord(drive()), estimate(road), HPMS), HPMS)
+    assert {name for name in HPMS.categories if f">{name}<" in chart} == named
 
 
 def test_segments_end_at_multiples_of_their_length_in_the_chainage_of_the_user():

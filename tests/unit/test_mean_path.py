@@ -12,7 +12,7 @@ from leaderboard.drive_report.analysis import KnownFactor, analyse
 from leaderboard.drive_report.conditions import load_conditions
 from leaderboard.drive_report.drive_estimates import make_drive_estimator
 from leaderboard.drive_report.known_iri import known_factor, read_known_iri
-from leaderboard.drive_report.mean_path import path_level_ratio, path_ratio, tells_paths_apart
+from leaderboard.drive_report.mean_path import _path_ratio, path_level_ratio, tells_paths_apart
 from leaderboard.drive_report.notes import in_order_of_weight, vehicle_in_words
 from road_envs.core.config import ConfigError
 from road_envs.drives.logger_tables.description import PLACES
@@ -48,8 +48,8 @@ def test_the_ratio_of_iri_and_hri_is_that_of_random_roads():
         z = surface.height(0.05 * np.arange(9990))
         motion = np.abs(golden_car(np.stack([*z, z.mean(axis=0)]), 0.05)).mean(axis=1)
         ratios.append(motion[:2].mean() / motion[2])
-    assert path_ratio() == pytest.approx(np.mean(ratios), rel=0.02)
-    assert 1.15 < path_ratio(2.3, 1.3) < path_ratio() < path_ratio(1.8, 1.8) < 1.4
+    assert _path_ratio() == pytest.approx(np.mean(ratios), rel=0.02)
+    assert 1.15 < _path_ratio(2.3, 1.3) < _path_ratio() < _path_ratio(1.8, 1.8) < 1.4
     assert path_level_ratio(0.01) == pytest.approx(1.0, abs=0.02)
     assert path_level_ratio(2.0) == pytest.approx(2.0, abs=0.02)
 

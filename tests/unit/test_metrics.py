@@ -10,7 +10,7 @@ from scipy import signal
 from scipy.fft import next_fast_len
 
 from leaderboard.metrics import heights, roughness
-from leaderboard.metrics.obstacles import detect_obstacles, obstacle_scores
+from leaderboard.metrics.obstacles import _obstacle_scores, detect_obstacles
 from leaderboard.metrics.registry import SCORES, compute_scores
 from road_envs.records.record import PROFILE_SPACING, Estimate, Profile, profile_stations
 from road_envs.records.roughness import displacement_psd
@@ -230,12 +230,12 @@ def test_octaves_above_the_low_pass_are_not_scored():
     y = road(10, 300.0)
     n, G = displacement_psd(y, DS)
     wrong = G * np.where(n > 1.5, 100.0, 1.0)
-    assert not roughness.class_differences(n, G, wrong, v=15.0).any()
-    assert (roughness.class_differences(n, G, wrong, v=4.0) == [0, 0, 0, 3]).all()
+    assert not roughness._class_differences(n, G, wrong, v=15.0).any()
+    assert (roughness._class_differences(n, G, wrong, v=4.0) == [0, 0, 0, 3]).all()
     # at 18 m/s the low-pass ends at 1.25 cycles/m, inside the octave from 0.71 to 1.41
-    cut = roughness.class_differences(n, G, G * np.where(n > 0.71, 100.0, 1.0), v=18.0)
+    cut = roughness._class_differences(n, G, G * np.where(n > 0.71, 100.0, 1.0), v=18.0)
     assert cut.shape == (2, 2) and not cut.any()
-    assert roughness.class_differences(n, G, G, v=80.0).shape == (2, 0)
+    assert roughness._class_differences(n, G, G, v=80.0).shape == (2, 0)
 
 
 def test_the_iri_error_is_averaged_over_segments_of_100_m():
@@ -256,7 +256,7 @@ def test_a_bump_is_detected_at_its_middle_with_its_height():
 def test_bumps_are_matched_on_their_own_wheel_path():
     y = np.stack([plate((20.0, 20.8, 0.15)), plate((30.4, 31.2, 0.10))])
     a = np.stack([plate((20.2, 21.0, 0.12)), plate((20.0, 20.8, 0.08))])
-    found = obstacle_scores(y, a, DS)
+    found = _obstacle_scores(y, a, DS)
     assert (found.precision, found.recall, found.f1) == (0.5, 0.5, 0.5)
     assert found.location_error == pytest.approx(0.2, abs=DS)
     assert found.height_error == pytest.approx(0.03)
@@ -267,21 +267,21 @@ def test_bumps_are_matched_on_their_own_wheel_path():
 def test_a_bump_beyond_the_match_distance_is_a_miss_and_a_false_alarm():
     y = np.stack([plate((20.0, 20.8, 0.1))] * 2)
     a = np.stack([plate((20.35, 21.15, 0.1)), plate((20.0, 20.8, 0.1))])
-    found = obstacle_scores(y, a, DS)
+    found = _obstacle_scores(y, a, DS)
     assert (found.precision, found.recall, found.wrong_side) == (0.5, 0.5, 0)
 
 
 def test_an_estimated_bump_matches_at_most_one_true_bump():
     y = np.stack([plate((20.0, 20.05, 0.1), (20.57, 20.62, 0.1))] * 2)
     a = np.stack([plate((20.28, 20.34, 0.1))] * 2)
-    assert obstacle_scores(y, a, DS).recall == 0.5
+    assert _obstacle_scores(y, a, DS).recall == 0.5
 
 
 def test_a_flat_estimate_has_no_detections_and_a_flat_truth_no_obstacle_scores():
     y = np.stack([plate((20.0, 20.8, 0.1))] * 2)
-    found = obstacle_scores(y, 0.0 * y, DS)
+    found = _obstacle_scores(y, 0.0 * y, DS)
     assert found.f1 == 0.0 and np.isnan(found.location_error)
-    assert obstacle_scores(0.0 * y, y, DS) is None
+    assert _obstacle_scores(0.0 * y, y, DS) is None
 
 
 def test_every_score_of_the_truth_is_perfect_and_in_the_table_of_scores():

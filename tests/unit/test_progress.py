@@ -8,9 +8,9 @@ from rich.console import Console
 from leaderboard import commands
 from leaderboard.commands import (
     LINE_INTERVAL,
-    ProgressLines,
-    TimeLeft,
-    describe_duration,
+    _describe_duration,
+    _progress_lines,
+    _time_left,
     on_interrupt,
 )
 
@@ -24,18 +24,18 @@ class Clock:
 
 def test_a_line_is_written_at_most_every_interval_with_the_time_left():
     clock, lines = Clock(), []
-    progress = ProgressLines(lines.append, clock)
+    progress = _progress_lines(lines.append, clock)
     for k in range(31):
         clock.now = 100.0 + 2.0 * k  # a fiftieth of the work in 2 s
         progress(f"drive {k}", k / 50.0)
     assert len(lines) == int(60.0 / LINE_INTERVAL)
-    assert lines[0] == " 10 %  drive 5, about 90 s left".replace("90 s", describe_duration(90.0))
+    assert lines[0] == " 10 %  drive 5, about 90 s left".replace("90 s", _describe_duration(90.0))
     assert lines[-1] == " 60 %  drive 30, about 40 s left"
 
 
 def test_stored_results_do_not_count_as_fast_work():
     clock, lines = Clock(), []
-    progress = ProgressLines(lines.append, clock)
+    progress = _progress_lines(lines.append, clock)
     progress("found 90 of 100", 0.9)
     clock.now += 20.0
     progress("one more", 0.91)
@@ -44,7 +44,7 @@ def test_stored_results_do_not_count_as_fast_work():
 
 def test_without_progress_no_time_is_shown():
     clock, lines = Clock(), []
-    progress = ProgressLines(lines.append, clock)
+    progress = _progress_lines(lines.append, clock)
     clock.now += 20.0
     progress("starting", 0.0)
     assert lines == ["  0 %  starting"]
@@ -52,7 +52,7 @@ def test_without_progress_no_time_is_shown():
 
 def test_what_is_prepared_before_the_work_does_not_count():
     clock, lines = Clock(), []
-    progress = ProgressLines(lines.append, clock)
+    progress = _progress_lines(lines.append, clock)
     progress("checking", 0.0)
     clock.now += 300.0
     progress("starting", 0.0)
@@ -65,7 +65,7 @@ def test_a_terminal_shows_the_time_left_too(monkeypatch):
     clock, said = Clock(), io.StringIO()
     shown = Console(file=said, force_terminal=True, width=100)
     monkeypatch.setattr(commands, "notices", shown)
-    monkeypatch.setattr(commands, "TimeLeft", lambda: TimeLeft(clock))
+    monkeypatch.setattr(commands, "_time_left", lambda: _time_left(clock))
     with commands.progress_bar() as progress:
         progress("starting", 0.0)
         clock.now += 20.0
@@ -78,7 +78,7 @@ def test_a_terminal_shows_the_time_left_too(monkeypatch):
     [(4.4, "4 s"), (89.0, "89 s"), (150.0, "2 min"), (7500.0, "2 h 05 min")],
 )
 def test_durations_are_written_in_whole_units(seconds, text):
-    assert describe_duration(seconds) == text
+    assert _describe_duration(seconds) == text
 
 
 def test_an_interruption_says_what_is_kept():

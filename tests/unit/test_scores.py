@@ -22,7 +22,7 @@ from leaderboard.metrics.bootstrap import (
     performance_profile,
     rank_entries,
 )
-from leaderboard.metrics.obstacles import detect_obstacles, obstacle_scores, true_obstacles
+from leaderboard.metrics.obstacles import _obstacle_scores, detect_obstacles, true_obstacles
 from leaderboard.metrics.registry import SCORES, compute_scores
 from road_envs.records.record import PROFILE_SPACING, Estimate, Profile, profile_stations
 from road_envs.records.roughness import displacement_psd
@@ -178,10 +178,10 @@ def test_the_third_octave_error_is_largest_at_the_frequency_of_an_added_sine():
     s = ds * np.arange(y.shape[1])
     a = y + 0.002 * np.sin(2.0 * np.pi * 1.26 * s)
     n, (G_y, G_e) = displacement_psd(np.stack([y, a - y]), ds)
-    error = roughness.third_octave_errors(n, G_y, G_e)
+    error = roughness._third_octave_errors(n, G_y, G_e)
     assert int(np.argmax(error)) == list(np.round(roughness.THIRD_OCTAVES, 2)).index(1.26)
     assert error[0] < 0.01 < 0.2 < max(error)
-    flat = roughness.third_octave_errors(n, G_y, G_y)
+    flat = roughness._third_octave_errors(n, G_y, G_y)
     assert flat == pytest.approx([1.0] * len(roughness.THIRD_OCTAVES))
 
 
@@ -198,10 +198,10 @@ def test_a_hole_does_not_match_a_bump():
     (hole,), (bump,) = true_obstacles(y, PROFILE_SPACING)
     assert hole.height == -0.06 and bump.height == 0.1
     assert hole.s == pytest.approx(20.4, abs=PROFILE_SPACING)
-    assert obstacle_scores(y, y, PROFILE_SPACING)[:3] == (1.0, 1.0, 1.0)
-    upside_down = obstacle_scores(y, -y, PROFILE_SPACING)
+    assert _obstacle_scores(y, y, PROFILE_SPACING)[:3] == (1.0, 1.0, 1.0)
+    upside_down = _obstacle_scores(y, -y, PROFILE_SPACING)
     assert upside_down.f1 == 0.0 and upside_down.wrong_side == 0
-    deep = obstacle_scores(y, 0.9 * y, PROFILE_SPACING)
+    deep = _obstacle_scores(y, 0.9 * y, PROFILE_SPACING)
     assert deep.height_error == pytest.approx(
         0.008
     ) and deep.height_error_relative == pytest.approx(0.1)
@@ -209,7 +209,7 @@ def test_a_hole_does_not_match_a_bump():
 
 def test_an_uneven_road_has_no_obstacles():
     y = level_road((0, 20.0, 20.8, 0.1)) + case("late")[0][:, : profile_stations(60.0).size] * 4.0
-    assert obstacle_scores(y, y, PROFILE_SPACING) is None
+    assert _obstacle_scores(y, y, PROFILE_SPACING) is None
     assert detect_obstacles(y[0], PROFILE_SPACING, 0.02)
 
 

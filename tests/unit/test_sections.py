@@ -11,7 +11,7 @@ from estimators.map_smoother.estimator import MapSmoother
 from leaderboard.commands.drive_files import DriveOptions
 from leaderboard.commands.report import report
 from leaderboard.drive_report import sections
-from leaderboard.drive_report.sections import KEPT, Section, Sections, join, split
+from leaderboard.drive_report.sections import KEPT, Sections, _DriveSection, join, split
 from road_envs.drives.recording import simulate_record
 from road_envs.records.record import PROFILE_SPACING, DistanceScale, Estimate, profile_stations
 from road_envs.roads import realise_road
@@ -95,7 +95,7 @@ def test_the_road_of_all_sections_is_that_of_the_drive(drive, short):
 def test_parts_go_on_at_the_height_of_those_before():
     s = profile_stations(30.0)
     z = np.array([np.sin(s), np.cos(s)])
-    cut = [Section(0, 0, 0, 0), Section(0, 0, 300, 500), Section(0, 0, 700, 900)]
+    cut = [_DriveSection(0, 0, 0, 0), _DriveSection(0, 0, 300, 500), _DriveSection(0, 0, 700, 900)]
     spans = [(0, 600), (300, 1000), (700, s.size)]
 
     def part(k, note):
