@@ -158,9 +158,9 @@ def draw(rows: list[Row], path: Path) -> None:
         for (above, below), car in zip(axes.T, CARS, strict=True):
             above.set_title(car, fontsize=9)
             above.set_xlabel("frequency [Hz]")
-            responses = roll_responses(car, f, 10.0).items()
-            for (name, gain), colour in zip(responses, colours, strict=False):
-                style = "-" if name in PLANTS else "--"
+            for name, gain in roll_responses(car, f, 10.0).items():
+                style, plant = "-" if name in PLANTS else "--", name.removeprefix("model of ")
+                colour = colours[sorted(PLANTS).index(plant)] if plant in PLANTS else "0.6"
                 above.loglog(f, gain, style, color=colour, label=name, linewidth=1.2)
             for k, plant in enumerate(sorted(PLANTS)):
                 for side, marker in ((False, "x"), (True, "o")):
