@@ -14,9 +14,8 @@ from road_envs.records.record import Record
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 
+# Vehicle of the drives that the shipped weights were trained on
 TRAINING_VEHICLE = "land_rover_defender_110"
-"""Vehicle of the drives that the shipped weights were trained on."""
-
 _TRAINING_INSTRUMENTS = "paper"  # instruments of these drives
 
 FILE_SUFFIXES = (".npz", pretrained_weights.SUFFIX)

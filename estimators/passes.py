@@ -34,9 +34,8 @@ from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 Vehicle = str | Path | VehicleParameters
 
 WANDER_NOTE = "lateral wander between the passes is neglected"
-
+# Largest displacement [m] of an odometer for which passes count as begun at the same place
 _LEVEL_START = 2.0
-"""Largest displacement [m] of an odometer for which passes count as begun at the same place."""
 
 
 @runtime_checkable

@@ -21,8 +21,8 @@ from road_envs.core.atomic_io import atomic_write
 from road_envs.core.reading import parsing, read_npz
 
 FORMAT = "roadrecon estimator 1"
+# Prefix of the weights' names in an `.npz` file; keeps them apart from the header
 _WEIGHT_PREFIX = "weights."
-"""Prefix of the weights' names in an `.npz` file; keeps them apart from the header."""
 
 
 class StorageError(ValueError):

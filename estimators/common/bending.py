@@ -17,8 +17,8 @@ from road_envs.vehicle import body_bending
 from road_envs.vehicle.equations import THETA, Z_B
 from road_envs.vehicle.parameters import BendingMode, VehicleParameters
 
+# Points (x, y) [m] whose accelerations are the body's heave, and heave and pitch
 BODY = {"middle of the body": (0.0, 0.0), "1 m behind it": (-1.0, 0.0)}
-"""Points (x, y) [m] whose accelerations are the body's heave, and heave and pitch."""
 
 
 @dataclass(frozen=True, eq=False)

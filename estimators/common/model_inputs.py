@@ -11,14 +11,10 @@ from road_envs.vehicle.equilibrium import equilibrium
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import settled_strut_state
 
+# Prior standard deviations of the first vehicle state, of a vehicle at rest on a level apron
 REST_STD = np.repeat([1e-4, 1e-3], N_DOF)
-"""Prior standard deviations of the first vehicle state, of a vehicle at rest on a level apron."""
-
-CLOCK_ERROR = 0.01
-"""Part of a sample's interval by which an even clock may be late or early."""
-
-MOVING_STD = np.repeat([3e-2, 3e-1], N_DOF)
-"""The same in the middle of a road."""
+CLOCK_ERROR = 0.01  # part of a sample's interval by which an even clock may be late or early
+MOVING_STD = np.repeat([3e-2, 3e-1], N_DOF)  # the same in the middle of a road
 
 
 @dataclass(frozen=True, eq=False)

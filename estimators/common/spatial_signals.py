@@ -36,41 +36,24 @@ from road_envs.records.record import (
 )
 
 DECIMATION = 6
-SPACING = DECIMATION * PROFILE_SPACING
-"""Distance between stations [m]."""
-
+SPACING = DECIMATION * PROFILE_SPACING  # distance between stations [m]
+# Stations estimated beyond either end of the road, for the filter back to the grid
 EDGE_STATIONS = 4
-"""Stations estimated beyond either end of the road, for the filter back to the grid."""
-
-FILTER_REACH = EDGE_STATIONS * SPACING
-"""Reach of the low-pass [m] to either side."""
-
-N_CUT = 3.0
-"""Cut-off of the low-pass [cycles/m]: 50 dB down from 4.5 on, flat to 0.4 % up to 1.8."""
-
+FILTER_REACH = EDGE_STATIONS * SPACING  # reach of the low-pass [m] to either side
+N_CUT = 3.0  # cut-off of the low-pass [cycles/m]: 50 dB down from 4.5 on, flat to 0.4 % up to 1.8
 LOWPASS = signal.firwin(
     2 * EDGE_STATIONS * DECIMATION + 1, N_CUT, window=("kaiser", 5.0), fs=1.0 / PROFILE_SPACING
 )
 
-F_VELOCITY = 0.3
-"""High-pass of the velocities [Hz]: below, integrated drift is as large as motion."""
-
+F_VELOCITY = 0.3  # high-pass of the velocities [Hz]: below, integrated drift is as large as motion
+# Limits of the frequency bands [Hz] in which the powers of the motions are compared
 BANDS = np.geomspace(5.0, SCORED_F_MAX, 6)
-"""Limits of the frequency bands [Hz] in which the powers of the motions are compared."""
-
+# Energy [m²/s³] that is added to that of every motion in every band: of noise of 0.05 m/s² over
+# 20 s. Ratios are 1 where nothing has been measured.
 NOISE_ENERGY = 0.05
-"""Energy [m²/s³] that is added to that of every motion in every band: of noise of 0.05 m/s² in
-20 s. Ratios are 1 where nothing has been measured.
-"""
-
-N_HIGH_PASS = 0.05
-"""High-pass of the target heights [cycles/m]: accelerations fall with n² v²."""
-
-N_MOTIONS = 3
-"""Front, rear and roll."""
-
-N_RATIOS = 2 * (BANDS.size - 1)
-"""Front over rear, then roll over rear, in each of the bands."""
+N_HIGH_PASS = 0.05  # high-pass of the target heights [cycles/m]: accelerations fall with n² v²
+N_MOTIONS = 3  # front, rear and roll
+N_RATIOS = 2 * (BANDS.size - 1)  # front over rear, then roll over rear, in each of the bands
 
 
 class SpatialSignals(NamedTuple):

@@ -13,15 +13,10 @@ from estimators.common.spatial_signals import (
 from estimators.preprocessing import clean_record
 from road_envs.records.record import Profile, Record
 
-SPEED_RANGE = 1.35, 20.5
-"""Lowest and highest speed [m/s] of the training drives."""
-
+SPEED_RANGE = 1.35, 20.5  # lowest and highest speed [m/s] of the training drives
+# Stations of the FIR window before the estimated one, offline also after it: 12 m
 STATIONS_BEHIND = 80
-"""Stations of the FIR window before the estimated one, offline also after it: 12 m."""
-
-STATION_MARGIN = 256
-"""Stations read beyond either end of the road."""
-
+STATION_MARGIN = 256  # stations read beyond either end of the road
 LONG_WAVE_NOTE = f"waves longer than {1.0 / N_HIGH_PASS:.0f} m are not estimated"
 
 

@@ -20,19 +20,14 @@ from estimators.common.spatial_signals import EDGE_STATIONS, SPACING, SpatialSig
 from estimators.common.training_data import TrainingExample, training_example
 
 FOLDS = 5
+# Candidates, relative to the mean square of the features; infinite: no correction
 RIDGES = np.append(10.0 ** np.arange(-4.0, 2.0), np.inf)
-"""Candidates, relative to the mean square of the features; infinite: no correction."""
-
-SPEED_RATIO = 1.15
-"""Factor of the speed up to which a correction is used."""
-
+SPEED_RATIO = 1.15  # factor of the speed up to which a correction is used
+# Stations to either side in the window of motions: 6 m. A causal window ends with its lag.
 CORRECTION_REACH = 40
-"""Stations to either side in the window of motions: 6 m. A causal window ends with its lag."""
-
+# Largest share of a road's mean square that cross-validation may leave; unrelated profiles leave
+# all of it
 UNEXPLAINED_MAX = 0.97
-"""Largest share of a road's mean square that cross-validation may leave; unrelated profiles leave
-all of it."""
-
 NOTE = "corrected by a calibration drive of this vehicle"
 
 

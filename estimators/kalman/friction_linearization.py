@@ -20,8 +20,8 @@ from road_envs.kernels._numba import kernel
 from road_envs.vehicle.force_curves import gaussian_smoothed, interpolate_tables
 from road_envs.vehicle.suspension import DAMPING_HIGH, V_0, V_STEP
 
+# Standard deviations of a rate [m/s] for which tables are computed in advance
 RATE_STDS = np.array([0.0, 0.01, 0.02, 0.03, 0.05, 0.08, 0.12, 0.2, 0.3])
-"""Standard deviations of a rate [m/s] for which tables are computed in advance."""
 
 
 def smoothed_tables(velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -18,13 +18,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-N_BIAS, N_SUMS = 3, 4
-"""Entries of the biases and of the retired-node sums."""
-
+N_BIAS, N_SUMS = 3, 4  # entries of the biases and of the retired-node sums
+# Entries of `adaptive`: road PSD relative to the prior, the weighted sum and the weight whose
+# ratio it is, the factor on the measurement noise variance, and the mean square of the
+# measurements over that variance
 ROUGHNESS_SCALE, ROUGHNESS_SUM, ROUGHNESS_WEIGHT, NOISE_SCALE, SIGNAL_POWER = range(5)
-"""Entries of `adaptive`: road PSD relative to the prior, the weighted sum and the weight whose
-ratio it is, the factor on the measurement noise variance, and the mean square of the measurements
-over that variance."""
 
 
 class FilterModel(NamedTuple):

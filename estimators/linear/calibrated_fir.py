@@ -74,27 +74,17 @@ from road_envs.records.record import (
 from road_envs.records.roughness import band_pass
 from road_envs.vehicle.parameters import VehicleParameters
 
-WINDOW = 200.0
-"""Length [m] of the road that is estimated at a time, with a road prior of its own."""
-
+WINDOW = 200.0  # length [m] of the road that is estimated at a time, with a road prior of its own
 _NODE_TIME = 0.01  # time [s] between nodes, four in a period of 25 Hz
 _NODE_SPACING = (0.1, 0.25)  # least and greatest spacing [m] of nodes
-
-DRAWS = 40
-"""Samples of the posterior for the standard deviation."""
-
-SMOOTHING = 5.0
-"""Distance [m] over which the power of the samples is averaged."""
-
+DRAWS = 40  # samples of the posterior for the standard deviation
+SMOOTHING = 5.0  # distance [m] over which the power of the samples is averaged
 _VALIDATED = 3  # calibration drives at most on which standard deviations are calibrated
-
+# Probabilities of the intervals that are calibrated, and their Gaussian bounds
 _COVERAGE = ((0.5, 0.6745), (0.9, 1.6449))
-"""Probabilities of the intervals that are calibrated, and their Gaussian bounds."""
-
+# Greatest error on held-out parts of the road, over the road, of responses that are used; 1 is no
+# information
 MAX_HELD_OUT = 0.7
-"""Greatest error on held-out parts of the road, over the road, of responses that are used; 1 is no
-information."""
-
 _FAR_SPEED = 1.3  # factor between the speeds of calibration and drive from which on a note is given
 
 

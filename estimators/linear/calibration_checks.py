@@ -16,24 +16,20 @@ from estimators.linear.impulse_responses import (
 )
 from road_envs.records.record import F_C, Profile
 
+# Shortest distance [m] that is of use, of all drives in one state together: five of the longest
+# waves of the scored band
 _LENGTH_MIN = 25.0
-"""Shortest distance [m] that is of use, of all drives in one state together: five of the longest
-waves of the scored band."""
-
+# Least number of independent frequencies in the road's acceleration, of each wheel path and of
+# their difference. A tenth of what 100 m of an ISO 8608 road have; a sine has one or two.
 _FREQUENCIES_MIN = 30.0
-"""Least number of independent frequencies in the road's acceleration, of each wheel path and of
-their difference. A tenth of what 100 m of an ISO 8608 road have; a sine has one or two."""
-
+# Least share of the sensors' power that must be predicted where the responses were not
+# identified. 100 m of class C or rougher give 0.6 to 0.95, a profile of elsewhere less than 0.1.
 _EXPLAINED_MIN = 0.3
-"""Least share of the sensors' power that must be predicted where the responses were not identified.
-100 m of class C or rougher give 0.6 to 0.95, a profile of elsewhere less than 0.1."""
-
+# Gain of all wheels together on long waves: a vehicle moves as its road does, whatever it is.
+# Drives over 100 m to 1 km give 0.8 to 1.7; accelerations in g divide it by 10.
 _GAIN_RANGE = (0.3, 4.0)
-"""Gain of all wheels together on long waves: a vehicle moves as its road does, whatever it is.
-Drives over 100 m to 1 km give 0.8 to 1.7; accelerations in g divide it by 10."""
-
+# Shifts [m] of the profile that are tried to say what is wrong with it
 SEARCHED = np.arange(-10.0, 10.5, 0.5)
-"""Shifts [m] of the profile that are tried to say what is wrong with it."""
 
 
 def check_drives(drives: Sequence[CalibrationDrive], data: Sequence[RoadDrive]) -> None:

@@ -26,19 +26,14 @@ from estimators.common.blas import single_blas_thread
 from estimators.common.spatial_signals import N_MOTIONS, SPACING, SpatialSignals
 from estimators.common.training_data import SPEED_RANGE
 
+# Speeds [m/s] of the taps; outside, the taps of the first or last knot hold
 KNOTS = np.geomspace(*SPEED_RANGE, 9)
-"""Speeds [m/s] of the taps; outside, the taps of the first or last knot hold."""
-
+# States of front spring, front damper, rear spring and rear damper; the first is bit 3
 _N_STATE_COMBINATIONS = 16
-"""Of front spring, front damper, rear spring, rear damper; the first is bit 3."""
-
 RIDGE = 1e-4
 SMOOTHNESS = 1e-4
 _N_SHORT = 0.15  # spatial frequency [cycles/m] of the high-pass on the errors
-
-LEVEL_MIN = 3e-4
-"""Added to a drive's level [m], so that noise on a smooth road does not dominate."""
-
+LEVEL_MIN = 3e-4  # added to a drive's level [m], so that noise on a smooth road does not dominate
 _MM = 1e-3  # unit of the heights [m]: taps are stored as float16 for heights in mm
 
 

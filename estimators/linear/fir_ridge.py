@@ -90,8 +90,7 @@ from road_envs.vehicle.parameters import VehicleParameters
 _DEFAULT_REACH = 12.0  # default reach [m], approximately that of the shipped bank
 
 FOLDS = 5
-RIDGES = 10.0 ** np.arange(-6, 1)
-"""Candidates, relative to the mean square of the accelerations."""
+RIDGES = 10.0 ** np.arange(-6, 1)  # candidates, relative to the mean square of the accelerations
 
 
 class Taps(NamedTuple):

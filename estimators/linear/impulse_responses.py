@@ -29,29 +29,21 @@ from estimators.common.least_squares import LeastSquaresSums
 from road_envs.kernels.filters import preprocess_accelerations
 from road_envs.records.record import F_C, Profile, Record
 
-RATE = 62.5
-"""Rate [Hz] of signals and taps, 2.5 times the bandwidth F_C."""
-
+RATE = 62.5  # rate [Hz] of signals and taps, 2.5 times the bandwidth F_C
+# Instants per sample at which the road under an axle is read, before its low-pass
 OVERSAMPLING = 8
-"""Instants per sample at which the road under an axle is read, before its low-pass."""
-
+# Frequency [Hz] from which the low-pass of the road's acceleration leaves nothing
 _STOP_FREQUENCY = 36.0
-"""Frequency [Hz] from which the low-pass of the road's acceleration leaves nothing."""
-
+# Duration of the responses [s]: bounce at 1.2 Hz with a damping ratio of 0.25 has then fallen to
+# a tenth
 MEMORY = 1.2
-"""Duration of the responses [s]: bounce at 1.2 Hz with a damping ratio of 0.25 has then fallen to a
-tenth.
-"""
-
 N_TAPS = int(MEMORY * RATE)
 AR_ORDER = 12
 _SEGMENTS = 5  # parts of each drive; every one is predicted from the others
-
+# Frequency [Hz] below which accelerometers measure offset and drift rather than the road
 F_BODY = 0.5
-"""Frequency [Hz] below which accelerometers measure offset and drift rather than the road."""
-
+# First guess of log c, logit lambda, and log of the noise's share in a sensor's power
 START = (np.log(0.01), np.log(13.0), np.log(0.1))
-"""First guess of log c, logit lambda, and log of the noise's share in a sensor's power."""
 
 
 class RoadDrive(NamedTuple):

@@ -57,13 +57,10 @@ from road_envs.vehicle.parameters import VehicleParameters
 
 _PADDING_TIME = 8.0  # zeros [s] appended to a record before it repeats in the DFT circle
 _FADE_RATIO = 1.2  # the response fades to zero from F_C to this multiple of it
-
+# Least singular value of the sensors' lever arms [m]: with less, noise hides the rotations
 MIN_LEVER = 0.1
-"""Least singular value of the sensors' lever arms [m]: with less, noise hides the rotations."""
-
+# Width of the bands in which the spectrum of the inverse is averaged, in octaves
 _OCTAVE_SHARE = 1.0 / 3.0
-"""Width of the bands in which the spectrum of the inverse is averaged, in octaves."""
-
 PATHS = 0.5 * np.array([[1.0, 1.0, 0.0, 0.0], [1.0, -1.0, 0.0, 0.0],
                         [0.0, 0.0, 1.0, 1.0], [0.0, 0.0, 1.0, -1.0]])  # fmt: skip
 """From heights in wheel order to mean and half difference under the front and the rear axle."""

@@ -22,26 +22,18 @@ from estimators.linear.impulse_responses import (
     acceleration_filter,
 )
 
-CHUNK = 64
-"""Samples whose rows are formed at a time."""
-
+CHUNK = 64  # samples whose rows are formed at a time
+# Length [m] over which a random walk is pulled towards level ground: about 1 / (2 pi n), with n
+# 0.01 cycles/m
 _LEVEL_LENGTH = 16.0
-"""Length [m] over which a random walk is pulled towards level ground: about 1 / (2 pi n), with n
-0.01 cycles/m.
-"""
-
+# Length [m] over which the difference of the paths is pulled towards zero: about 1 / (2 pi n),
+# with the n of 0.13 cycles/m at which the coherence of paths 1.5 m apart is one half
 _PATH_LENGTH = 1.2
-"""Length [m] over which the difference of the paths is pulled towards zero: about 1 / (2 pi n),
-with the n of 0.13 cycles/m at which the coherence of paths 1.5 m apart is one half.
-"""
-
+# First guess of the logarithms of the variance of the rise over a metre [m²], and of the factor
+# on the noise
 START = np.array([np.log(1e-5), 0.0])
-"""First guess of the logarithms of the variance of the rise over a metre [m²], and of the factor on
-the noise.
-"""
-
+# Largest change of the logarithm of the ratio of noise to rise in the search for the settings
 SEARCHED = 8.0
-"""Largest change of the logarithm of the ratio of noise to rise in the search for the settings."""
 
 
 class Nodes(NamedTuple):

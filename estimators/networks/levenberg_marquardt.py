@@ -32,17 +32,15 @@ from scipy.linalg.blas import dsyrk
 
 from estimators.common.blas import single_blas_thread
 
-CHUNK = 512
-"""Samples per block of derivatives: 1 MB for the 3-50-2 network, which fits the cache."""
-
+CHUNK = 512  # samples per block of derivatives: 1 MB for the 3-50-2 network, which fits the cache
 _MU_FLOOR = 1e-20  # lower limit of mu, so that a failing step needs few increases to succeed
 _ACTIVE_RANGE = 2.0  # active range of tanh, net inputs of -2 to 2, as MATLAB's tansig('active')
 
 _StopReason = Literal["epochs", "goal", "gradient", "mu", "validation"]
 _STOP_REASONS: tuple[_StopReason, ...] = ("epochs", "goal", "gradient", "mu", "validation")
 CURVES = ("train", "validation", "test", "mu", "gradient")
+# Shapes of the arrays of `LmResult.to_arrays`
 HISTORY_SHAPES: dict[str, tuple[int | None, ...]] = {"curves": (len(CURVES), None), "stop": (2,)}
-"""Shapes of the arrays of `LmResult.to_arrays`."""
 
 
 @dataclass(frozen=True)

@@ -30,8 +30,8 @@ from road_envs.kernels._numba import kernel
 from road_envs.records.record import SENSORS, Estimate, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
+# Fraction of each training drive, at its end, on which both loops are evaluated
 _HELD_OUT_SHARE = 0.15
-"""Fraction of each training drive, at its end, on which both loops are evaluated."""
 
 
 @dataclass(frozen=True, kw_only=True)

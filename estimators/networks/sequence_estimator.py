@@ -86,12 +86,10 @@ from road_envs.records.record import Estimate, Profile, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
 _NETWORK_PREFIX = "network."  # prefix of the names of the network's weights
-
+# Accelerations in the window of a correction are divided by this many levels per s²
 _MOTION_UNIT = 500.0
-"""Accelerations in the window of a correction are divided by this many levels per s²."""
-
+# Relative deviation from the trained wheelbase above which a note is added
 _WHEELBASE_TOLERANCE = 0.02
-"""Relative deviation from the trained wheelbase above which a note is added."""
 
 
 class _FittedSequence(NamedTuple):

@@ -28,23 +28,15 @@ from scipy.special import expit
 from estimators.common.spatial_signals import SPACING
 from road_envs.records.record import scored_band
 
+# Coverage probabilities, and the Gaussian bounds in standard deviations
 _COVERAGE_LEVELS = ((0.5, 0.6745), (0.9, 1.6449))
-"""Coverage probabilities, and the Gaussian bounds in standard deviations."""
-
 N_TERMS = 46
-RIDGE = 0.1
-"""Penalty on w for a unit of each term, in equivalent drives."""
-
+RIDGE = 0.1  # penalty on w for a unit of each term, in equivalent drives
 _N_QUANTILES = 50  # quantiles that represent the errors of a drive
 _RATIO_MIN = 1e-9  # smallest ratio of errors
-
-SMOOTHING = 0.1
-"""Width, in the logarithm, over which the check function is smoothed."""
-
+SMOOTHING = 0.1  # width, in the logarithm, over which the check function is smoothed
 _PAD_LENGTH = 20.0  # length [m] by which a drive is extended before filtering
-
-EDGE_LENGTH = 5.0
-"""Length [m] of each end of a drive that is ignored."""
+EDGE_LENGTH = 5.0  # length [m] of each end of a drive that is ignored
 
 
 def constant_scale(factor: float) -> np.ndarray:

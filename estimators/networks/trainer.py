@@ -24,12 +24,9 @@ _FINAL_RATE_SHARE = 0.02  # final learning rate over the highest
 _N_VALIDATIONS = 20  # number of evaluations of the validation error
 _PATIENCE = 6  # evaluations without improvement after which training stops
 _VALIDATION_INTERVAL = 10  # one drive in so many is used for validation
-
+# Weight of the likelihood in the loss; it affects only the standard deviations
 _LIKELIHOOD_WEIGHT = 0.1
-"""Weight of the likelihood in the loss; it affects only the standard deviations."""
-
-LOG_STD_RANGE = (-6.0, 3.0)
-"""Range of the logarithms of standard deviations, in levels."""
+LOG_STD_RANGE = (-6.0, 3.0)  # range of the logarithms of standard deviations, in levels
 
 
 class TrainingSequence(NamedTuple):

@@ -37,13 +37,10 @@ from road_envs.records.record import Profile, Record
 from road_envs.records.roughness import displacement_psd, octave_levels
 
 N_INPUTS = 1 + N_MOTIONS
-SLOPE_STD = 3.0
-"""Standard deviation of b for standardised inputs and output: a wide prior."""
-
+SLOPE_STD = 3.0  # standard deviation of b for standardised inputs and output: a wide prior
+# Bounds of the hyperparameters theta: logarithms of the process amplitude, of its length scales
+# and of the noise amplitude, for inputs and output of standard deviation 1
 _THETA_BOUNDS = ((-4.0, 1.5), *((-1.5, 4.0),) * N_INPUTS, (-5.0, 0.0))
-"""Bounds of the hyperparameters theta: logarithms of the process amplitude, of its length scales
-and of the noise amplitude, for inputs and output of standard deviation 1.
-"""
 
 
 class RoughnessEstimate(NamedTuple):

@@ -34,9 +34,8 @@ from road_envs.records.roughness import CLASSES
 from road_envs.sensing.instruments import instruments_of
 from road_envs.vehicle.parameters import VehicleParameters
 
+# Standard deviation of the log level due to deviations of the vehicle [assumed]
 _MODEL_ERROR = 0.10
-"""Standard deviation of the log level due to deviations of the vehicle [assumed]."""
-
 _EM_ITERATIONS = 8  # expectation-maximisation iterations of an octave's level
 
 

@@ -44,8 +44,8 @@ from road_envs.sensing.instruments import Instruments, instruments_of
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.side_values import side_values
 
+# Units in which a speed may be given without a word, and their factors to m/s
 _SPEED_UNITS = {"km/h": 1.0 / 3.6, "mph": 0.44704}
-"""Units in which a speed may be given without a word, and their factors to m/s."""
 
 
 @dataclass(frozen=True)

@@ -43,11 +43,10 @@ from road_envs.vehicle.linear_model import (
 )
 from road_envs.vehicle.parameters import VehicleParameters
 
+# Band centres [Hz] of the noise scale, interpolated over log f
 _NOISE_OCTAVES = np.array([0.7, 1.4, 2.8, 5.6, 11.0, 20.0])
-"""Band centres [Hz] of the noise scale, interpolated over log f."""
-
+# Band centres [cycles/m] of the road's shape, interpolated over log n
 _ROAD_OCTAVES = 0.125 * 2.0 ** np.arange(6)
-"""Band centres [cycles/m] of the road's shape, interpolated over log n."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -42,22 +42,20 @@ from road_envs.vehicle.parameters import (
     VehicleParameters,
 )
 
+# Frequencies [Hz] and damping ratios that are tried: from those of bodies on rubber mounts to the
+# first bending of trimmed bodies
 BENDING_F, BENDING_ZETA = np.geomspace(13.0, 40.0, 40), (0.03, 0.06)
-"""Frequencies [Hz] and damping ratios that are tried: from those of bodies on rubber mounts to the
-first bending of trimmed bodies."""
-
+# The same of a frame's twist; a fit to the drive goes on from what is found, within the
+# tolerances _FRAME_TOLERANCES
 FRAME_F, FRAME_ZETA = np.geomspace(6.5, 22.0, 24), (0.05, 0.1)
-"""The same of a frame's twist; a fit to the drive goes on from what is found, within the
-tolerances _FRAME_TOLERANCES."""
-
 _FRAME_TOLERANCES = {
     "variation.frame.f": Tolerance(relative=0.1, source="found in the spectrum of the drive"),
     "variation.frame.zeta": Tolerance(relative=0.4, source="as its frequency"),
 }
 
 
+# Power that a line of a Hann window takes from its neighbours
 _HANN_KERNEL = np.array([1.0, 4.0, 1.0]) / 6.0
-"""Power that a line of a Hann window takes from its neighbours."""
 
 
 def with_bending(record: Record, car: VehicleParameters, instruments: str) -> VehicleParameters:
