@@ -61,18 +61,16 @@ class _SequencePart(NamedTuple):
     start: int
     stop: int
 
-    def crop(self, at: int, size: int, context: Any, flip: bool) -> tuple[np.ndarray, ...]:
+    def crop(self, at: int, size: int, context: Any, flip: bool = False) -> tuple[np.ndarray, ...]:
         """Return inputs, conditions and residual of `size` stations, mirrored if `flip`."""
         x, conditions = self.sequence.inputs.x, self.sequence.inputs.conditions
         read = slice(at, at + context.behind + size + context.ahead)
         x = x[:, read]
         conditions = conditions if conditions.shape[1] == 1 else conditions[:, read]
         residual = self.sequence.residual[:, at : at + size]
-        return (
-            (x * MIRROR_SIGNS, conditions, residual * MIRROR_SIGNS[6:8])
-            if flip
-            else (x, conditions, residual)
-        )
+        if flip:
+            x, residual = x * MIRROR_SIGNS, residual * MIRROR_SIGNS[6:8]
+        return x, conditions, residual
 
 
 def train_network(
@@ -106,7 +104,7 @@ def train_network(
                 # a generator per step: a resumed training draws the same batches
                 rng = np.random.default_rng([seed, step])
                 _train_step(network, optimiser, training, config, size, rng, step)
-    state.restore_best()
+    set_weights(network, state.best)
     return state.best_error
 
 
@@ -114,17 +112,13 @@ def split_validation(
     sequences: Sequence[TrainingSequence],
 ) -> tuple[list[_SequencePart], list[_SequencePart]]:
     """Return the training parts and the validation parts."""
-    training: list[_SequencePart] = []
-    validation: list[_SequencePart] = []
-    for k, sequence in enumerate(sequences):
-        M = sequence.residual.shape[1]
-        if len(sequences) >= _VALIDATION_INTERVAL:
-            is_validation = k % _VALIDATION_INTERVAL == _VALIDATION_INTERVAL - 1
-            (validation if is_validation else training).append(_SequencePart(sequence, 0, M))
-        else:
-            training.append(_SequencePart(sequence, 0, M - M // 5))
-            validation.append(_SequencePart(sequence, M - M // 5, M))
-    return training, validation
+    whole = [_SequencePart(each, 0, each.residual.shape[1]) for each in sequences]
+    if len(whole) >= _VALIDATION_INTERVAL:
+        validation = whole[_VALIDATION_INTERVAL - 1 :: _VALIDATION_INTERVAL]
+        del whole[_VALIDATION_INTERVAL - 1 :: _VALIDATION_INTERVAL]
+        return whole, validation
+    cut = [each._replace(stop=each.stop - each.stop // 5) for each in whole]
+    return cut, [each._replace(start=each.stop - each.stop // 5) for each in whole]
 
 
 def _validation_error(network: Any, parts: Sequence[_SequencePart], size: int) -> float:
@@ -134,14 +128,17 @@ def _validation_error(network: Any, parts: Sequence[_SequencePart], size: int) -
     with torch.no_grad():
         for part in parts:
             starts = range(part.start, part.stop - size + 1, size)
-            crops = [part.crop(at, size, network, False) for at in starts]
-            x, c, residual = (
-                torch.from_numpy(np.stack(group)) for group in zip(*crops, strict=True)
-            )
+            x, c, residual = _to_batch([part.crop(at, size, network) for at in starts])
             squared_error = (network(x, c)[:, :2] - residual).square().mean(dim=(1, 2))
             total += float(squared_error.clamp(max=_LOSS_MAX).sum())
-            count += len(crops)
+            count += len(starts)
     return total / count
+
+
+def _to_batch(crops: Sequence[tuple[np.ndarray, ...]]) -> tuple[Any, ...]:
+    """Return inputs, conditions and residuals of all `crops` as tensors."""
+    torch = require_torch()
+    return tuple(torch.from_numpy(np.stack(group)) for group in zip(*crops, strict=True))
 
 
 class _TrainerState:
@@ -156,10 +153,6 @@ class _TrainerState:
         """Store the weights if their error is the smallest so far."""
         if error < self.best_error:
             self.best, self.best_error, self.best_step = get_weights(self.network), error, step
-
-    def restore_best(self) -> None:
-        """Load the best weights into the network."""
-        set_weights(self.network, self.best)
 
     def to_arrays(self, step: int) -> dict[str, np.ndarray]:
         """Return everything needed to continue at `step`."""
@@ -237,7 +230,7 @@ def _train_step(
         part = training[k]
         at = int(rng.integers(part.start, part.stop - size + 1))
         crops.append(part.crop(at, size, network, bool(rng.integers(2))))
-    x, c, residual = (torch.from_numpy(np.stack(group)) for group in zip(*crops, strict=True))
+    x, c, residual = _to_batch(crops)
     output = network(x, c)
     error, log_std = output[:, :2] - residual, output[:, 2:].clamp(*LOG_STD_RANGE)
     likelihood = 0.5 * error.detach().square() * torch.exp(-2.0 * log_std) + log_std
@@ -253,7 +246,6 @@ def _train_step(
 
 def _learning_rate_factor(step: int, steps: int) -> float:
     """Return the learning rate at a step over the highest."""
-    falling = _FINAL_RATE_SHARE + (1.0 - _FINAL_RATE_SHARE) * 0.5 * (
-        1.0 + np.cos(np.pi * step / steps)
-    )
+    cosine = 0.5 * (1.0 + np.cos(np.pi * step / steps))
+    falling = _FINAL_RATE_SHARE + (1.0 - _FINAL_RATE_SHARE) * cosine
     return float(min(1.0, (step + 1) / _WARM_UP_STEPS) * falling)
