@@ -14,13 +14,7 @@ from scipy.fft import irfft, rfftfreq
 from scipy.linalg import solve_toeplitz, toeplitz
 
 from estimators.common.road_prior import N_MIN, increment_amplitude
-from estimators.kalman.state import (
-    N_BIAS,
-    N_SUMS,
-    ROUGHNESS_SCALE,
-    ROUGHNESS_SUM,
-    ROUGHNESS_WEIGHT,
-)
+from estimators.kalman.state import N_BIAS, N_SUMS, ROUGHNESS_SCALE, ROUGHNESS_SUM, ROUGHNESS_WEIGHT
 from estimators.kalman.tuning import TUNING
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.kernels._numba import kernel

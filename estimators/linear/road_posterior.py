@@ -16,11 +16,7 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.linalg.lapack import dtbtrs
 from scipy.optimize import minimize_scalar
 
-from estimators.linear.impulse_responses import (
-    OVERSAMPLING,
-    Responses,
-    acceleration_filter,
-)
+from estimators.linear.impulse_responses import OVERSAMPLING, Responses, acceleration_filter
 
 CHUNK = 64  # samples whose rows are formed at a time
 # Length [m] over which a random walk is pulled towards level ground: about 1 / (2 pi n), with n

@@ -17,11 +17,7 @@ from estimators.preprocessing import mask_record
 from estimators.wiener.adaptation import adapt_vehicle
 from estimators.wiener.iteration import Iterate, smooth_segment
 from estimators.wiener.segments import Segment, split_segments
-from estimators.wiener.spectral_model import (
-    SensedVehicle,
-    SpectralModel,
-    fit_hyperparameters,
-)
+from estimators.wiener.spectral_model import SensedVehicle, SpectralModel, fit_hyperparameters
 from estimators.wiener.tuning import TUNING
 from road_envs.records.record import (
     F_C,

@@ -20,12 +20,7 @@ from estimators.common.bending import BODY, SensedBending, sensed_bending
 from estimators.common.conjugate_gradients import conjugate_gradients
 from estimators.wiener.segments import Segment
 from estimators.wiener.tuning import TUNING
-from road_envs.analysis.information_bound import (
-    F_C,
-    RoadPrior,
-    equivalent_damping,
-    posterior,
-)
+from road_envs.analysis.information_bound import F_C, RoadPrior, equivalent_damping, posterior
 from road_envs.analysis.statistical_linearization import (
     NonlinearResidual,
     hermitian,
@@ -223,10 +218,7 @@ def active_sensors(segment: Segment) -> np.ndarray:
 
 
 def run_em(
-    model: SpectralModel,
-    lines: np.ndarray,
-    sensors: np.ndarray,
-    share: np.ndarray | None = None,
+    model: SpectralModel, lines: np.ndarray, sensors: np.ndarray, share: np.ndarray | None = None
 ) -> tuple[ShapedRoadPrior, np.ndarray]:
     """Return updated road prior and noise scale (F,), given `lines` (F, S, 1) of the `sensors`.
 

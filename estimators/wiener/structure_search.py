@@ -35,12 +35,7 @@ from road_envs.records.record import Record
 from road_envs.records.roughness import CLASSES
 from road_envs.sensing.instruments import Instruments, SensorLocation, instruments_of
 from road_envs.vehicle.linear_model import force_response, frequency_response, linearise
-from road_envs.vehicle.parameters import (
-    BendingMode,
-    Tolerance,
-    TorsionalFrame,
-    VehicleParameters,
-)
+from road_envs.vehicle.parameters import BendingMode, Tolerance, TorsionalFrame, VehicleParameters
 
 # Frequencies [Hz] and damping ratios that are tried: from those of bodies on rubber mounts to the
 # first bending of trimmed bodies
