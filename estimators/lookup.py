@@ -67,9 +67,7 @@ def _same_place(one: Accelerometer, other: Accelerometer) -> bool:
 
 
 def training_notes(estimator: Estimator, record: Record, car: VehicleParameters) -> tuple[str, ...]:
-    """Return notes if shipped weights were trained on drives of another vehicle, or with
-    accelerometers at other places.
-    """
+    """Return notes if shipped weights are of another vehicle or other places of the sensors."""
     if not isinstance(estimator, Pretrained) or estimator.fitted_state is not None:
         return ()
     weights, notes = f"the shipped weights of {type(estimator).name}", []

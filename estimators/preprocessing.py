@@ -130,9 +130,7 @@ def _is_out_of_range(size: np.ndarray, instruments: Instruments | None) -> np.nd
 
 
 def _is_valid(finite: np.ndarray, out_of_range: np.ndarray) -> np.ndarray:
-    """Return which samples (k, N) the anti-alias filter has not mixed with one that is missing or
-    out of range.
-    """
+    """Return which samples (k, N) are far enough from any that is missing or out of range."""
     spread = np.ones((1, 2 * ANTIALIAS_SPREAD + 1))
     return np.asarray(~binary_dilation(~finite | out_of_range, spread))
 

@@ -32,9 +32,7 @@ class SensedBending:
     shape: np.ndarray
 
     def at_samples(self, acceleration: np.ndarray, step: float) -> np.ndarray:
-        """Return what the sensors read of it (S, N), from accelerations (N, 7) of the coordinates
-        every `step` [s].
-        """
+        """Return its readings (S, N), from coordinates' accelerations (N, 7) every `step` [s]."""
         force = acceleration[:, [Z_B, THETA]] @ self.force
         return self.shape[:, None] * sosfilt(body_bending.section(self.mode, step), force)
 

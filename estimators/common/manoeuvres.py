@@ -62,9 +62,7 @@ def mark_manoeuvres(estimate: Estimate, record: Record, wheelbase: float) -> Est
 
 
 def turns(record: Record) -> np.ndarray:
-    """Return at which samples (N,) the vehicle turned, as far as its sensors tell; False if they
-    tell no roll.
-    """
+    """Return at which samples (N,) the vehicle turned; False if its sensors tell no roll."""
     roll = _roll_acceleration(record)
     turned = np.zeros(record.t.size, dtype=bool)
     if roll is None:

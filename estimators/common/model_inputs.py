@@ -95,9 +95,7 @@ def antialias_delay(instruments: Instruments) -> float:
 
 
 def rest_state(car: VehicleParameters, inputs: ModelInputs) -> np.ndarray:
-    """Return the state (14,) of the vehicle at rest on a level apron before the drive; (16,) with a
-    flexible frame.
-    """
+    """Return the state (14,) or, with a flexible frame, (16,) at rest on a level apron."""
     plant = build_plant(car)
     if car.tyre_static_deflection != "equilibrium":
         return np.zeros(2 * plant.n_dof)  # the paper's start, some millimetres off

@@ -128,9 +128,7 @@ def body_motions(record: Record, causal: bool) -> np.ndarray:
 
 
 def decimate(x: np.ndarray) -> np.ndarray:
-    """Return the rows of `x` (k, (K - 1 + 2 EDGE_STATIONS) DECIMATION + 1), low-passed, at K
-    stations.
-    """
+    """Return K low-passed stations of `x` (k, (K - 1 + 2 EDGE_STATIONS) DECIMATION + 1)."""
     edges = 2 * EDGE_STATIONS
     K = (x.shape[1] - 1) // DECIMATION + 1 - edges
     return signal.upfirdn(LOWPASS, x, 1, DECIMATION, axis=1)[:, edges : edges + K]

@@ -32,9 +32,7 @@ NOTE = "corrected by a calibration drive of this vehicle"
 
 
 class VehicleCorrection(NamedTuple):
-    """`coefficients` (2, p) of the features of m and of q, found in the `state` (4,) and at the
-    mean `speed` [m/s].
-    """
+    """`coefficients` (2, p) for m and q, of a `state` (4,) and about a mean `speed` [m/s]."""
 
     coefficients: np.ndarray
     state: np.ndarray

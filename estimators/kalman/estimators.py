@@ -40,18 +40,12 @@ import numpy as np
 from pydantic import Field
 from scipy.ndimage import minimum_filter1d
 
-from estimators.api import LAG
+from estimators.api import LAG, declared_lag
 from estimators.common.block_means import MIN_NOISE_DENSITY, block_means
 from estimators.common.explained import reduce_unexplained, trusted_share, untrusted_note
 from estimators.common.model_inputs import antialias_delay, build_model_inputs
 from estimators.common.odometer import calibrate_stations
-from estimators.kalman.monitoring import (
-    local_nis,
-    long_waves,
-    obstacle_std,
-    reduce_slope,
-    reduce_uncertain,
-)
+from estimators.kalman import monitoring
 from estimators.kalman.pipeline import (
     FilterRun,
     emitted_share,
@@ -62,7 +56,7 @@ from estimators.kalman.pipeline import (
     setup_run,
 )
 from estimators.kalman.profile_output import ProfileOutput
-from estimators.kalman.state import NOISE_SCALE, ROUGHNESS_SCALE
+from estimators.kalman.state import N_BIAS, NOISE_SCALE, ROUGHNESS_SCALE
 from estimators.kalman.tuning import TUNING
 from estimators.map_smoother.identified_vehicle import CalibratedByIdentification
 from estimators.preprocessing import (
@@ -85,9 +79,6 @@ from road_envs.records.roughness import CLASSES
 from road_envs.sensing.instruments import instruments_of, on_axle
 from road_envs.vehicle.parameters import VehicleParameters
 
-_N_SENSORS = 3  # accelerometers that the state vector has biases for
-
-
 Lag = Annotated[float, Field(ge=0, lt=100), "m", "from the front axle back to the station emitted"]
 _StdFactor = Annotated[Positive, "", "on the in-band standard deviation, fitted to training drives"]
 
@@ -105,18 +96,20 @@ class _KalmanSettings(CalibratedByIdentification):
     w: Annotated[Positive, "", "waviness of the road's prior"] = 2.0
     data_rate: Annotated[Positive, "Hz", "of the block means"] = 1000.0 / 3.0
     step: Annotated[Positive, "s", "longest step of the model"] = 0.001
+    causal: ClassVar[bool]
+
     level_ends: bool = True
     std_factor: _StdFactor = 1.0
 
-    def _estimate(
-        self, record: Record, car: VehicleParameters, lag: float, smooth: bool
-    ) -> Estimate:
+    def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Return both wheel paths. Raises ConfigError, RecordError, ValueError, ArithmeticError."""
+        smooth = not self.causal
+        lag = car.wheelbase if smooth else declared_lag(self)
         instruments = instruments_of(record, self.instruments)
         places = instruments.locations(car)
-        if len(places) != _N_SENSORS or on_axle(places):
+        if len(places) != N_BIAS or on_axle(places):
             raise RecordError(
-                f"the Kalman filters take {_N_SENSORS} accelerometers on the body; the record has "
+                f"the Kalman filters take {N_BIAS} accelerometers on the body; the record has "
                 f"{', '.join(instruments.accelerometers)}: map_smoother and wiener take any"
             )
         record, odometer_note = calibrate_stations(record, causal=not smooth)
@@ -170,9 +163,12 @@ class _KalmanSettings(CalibratedByIdentification):
         z, emitted = output.z.T.copy(), emitted_share(run, output)
         z_std = self.std_factor * _output_std(run, output, record, prior)
         if smooth or lag >= LAG:  # both axles have passed
-            z_std *= np.sqrt(local_nis(run.state.nis, front, s, np.inf if smooth else lag))
-            z = reduce_uncertain(z, z_std, ahead, drifting=smooth)
-            z_std = np.hypot(z_std, obstacle_std(run.state.jumps.square, run.node_stations, s))
+            z_std *= np.sqrt(
+                monitoring.local_nis(run.state.nis, front, s, np.inf if smooth else lag)
+            )
+            z = monitoring.reduce_uncertain(z, z_std, ahead, drifting=smooth)
+            steps = run.state.jumps.square
+            z_std = np.hypot(z_std, monitoring.obstacle_std(steps, run.node_stations, s))
         share = emitted
         if smooth:
             explained = trusted_share(record, valid, car, instruments, z)
@@ -185,9 +181,9 @@ class _KalmanSettings(CalibratedByIdentification):
                 "are reduced there",
             )
         share = np.where(lost_before_restarts(run, output, TUNING.lost_reach), 0.0, share)
-        long = long_waves(z) if smooth else np.zeros_like(z)
+        long = monitoring.long_waves(z) if smooth else np.zeros_like(z)
         reduced, std = reduce_unexplained(z - long, z_std, share)
-        return Estimate(s, reduced + reduce_slope(long, share), std, notes)
+        return Estimate(s, reduced + monitoring.reduce_slope(long, share), std, notes)
 
 
 def _output_std(
@@ -212,10 +208,6 @@ class Kalman(_KalmanSettings):
     lag: Lag = 0.0
     std_factor: _StdFactor = 1.5
 
-    def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
-        """Return both wheel paths. Raises ConfigError, ValueError, ArithmeticError."""
-        return self._estimate(record, car, self.lag, smooth=False)
-
 
 @dataclass(frozen=True, kw_only=True)
 class KalmanLag(Kalman):
@@ -232,7 +224,3 @@ class KalmanRts(_KalmanSettings):
     causal: ClassVar[bool] = False
 
     std_factor: _StdFactor = 0.85
-
-    def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
-        """Return both wheel paths. Raises ConfigError, ValueError, ArithmeticError."""
-        return self._estimate(record, car, car.wheelbase, smooth=True)

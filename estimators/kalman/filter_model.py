@@ -23,9 +23,7 @@ def build_model(
     noise_variance: float,
     node_spacing: float,
 ) -> FilterModel:
-    """Return the constants of a run, from the noise variance [(m/s²)²] of a sample and the distance
-    [m] of the road's nodes.
-    """
+    """Return a run's constants; `noise_variance` [(m/s²)²] of a sample, `node_spacing` [m]."""
     one, locations = build_plant(car), instruments.locations(car)
     line, bending = linearise(one, "ride", locations), sensed_bending(car, locations)
     # a constant force over so short a time as a block moves the vehicle like free masses

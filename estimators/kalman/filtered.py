@@ -80,14 +80,11 @@ class FilterRun:
         return self.origin + TUNING.node_spacing * np.arange(self.state.jumps.square.shape[0])
 
     def known_front(self, sensor_latency: float) -> np.ndarray:
-        """Return the front axle's station (J,) [m] when a block is known, `sensor_latency` [s]
-        after its end.
-        """
+        """Return the front axle's station (J,) [m] `sensor_latency` [s] after each block."""
         h, node = self.model.h, self.inputs.front_node
         t = sensor_latency + h * self.model.steps_per_block * np.arange(1, self.n_blocks + 1)
-        return self.origin + TUNING.node_spacing * np.interp(
-            t, 0.5 * h * np.arange(node.size), node
-        )
+        known = np.interp(t, 0.5 * h * np.arange(node.size), node)
+        return self.origin + TUNING.node_spacing * known
 
 
 @dataclass(eq=False)

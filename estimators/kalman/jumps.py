@@ -47,9 +47,7 @@ def most_likely(score, information, reached, n_nodes):
 
 @kernel(inline=False)
 def step_is_likely(test: StepTest, local: LocalState, i):
-    """Update the scores of a `test` by the `i`-th block of the window of `local`. Return whether a
-    candidate is to be accepted.
-    """
+    """Update the scores by a window's `i`-th block; return if a candidate is to be accepted."""
     block = slice(3 * i, 3 * i + 3)
     response = np.dot(local.U[block], test.direction)
     add_information(test.score, test.information, response, local.innovation[block])

@@ -68,9 +68,8 @@ def linearize_block(
     """
     steps_per_block = model.steps_per_block
     first = j * steps_per_block
-    node = np.empty((steps_per_block, 2, 2), dtype=np.int64)
-    heights, slopes = np.empty((steps_per_block, 2, 2, 4)), np.empty((steps_per_block, 2, 2, 4))
-    weights = _AxleWeights(node, heights, slopes)
+    node, shape = np.empty((steps_per_block, 2, 2), dtype=np.int64), (steps_per_block, 2, 2, 4)
+    weights = _AxleWeights(node, np.empty(shape), np.empty(shape))
     _axle_spline_weights(inputs, model.wheelbase_nodes, first, weights)
     rows = np.empty((steps_per_block, TAPE_ROW_SIZE))
     _simulate_block(model, inputs, local, first, weights, rows, block)
@@ -180,13 +179,7 @@ def _node_derivatives(weights: _AxleWeights, i, direction, road):
 
 @kernel(inline=False)
 def _tangent_columns(
-    model: FilterModel,
-    inputs: FilterInputs,
-    local: LocalState,
-    first,
-    rows,
-    weights: _AxleWeights,
-    block,
+    model: FilterModel, inputs: FilterInputs, local: LocalState, first, rows, weights, block
 ):
     """Write the tangents along the vehicle states and the nodes to `block.factors`."""
     n_dof, n_vehicle, node = model.strut_rows.shape[1], block.end_state.size, weights.node

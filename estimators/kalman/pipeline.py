@@ -59,14 +59,8 @@ def setup_run(
     ds = TUNING.node_spacing
     origin = float(s[0]) - ds * np.ceil(behind / ds)  # a node at the start
     ends = np.array([0.0, record.length]) if level_ends else np.array([-np.inf, np.inf])
-    inputs = FilterInputs(
-        (s - origin) / ds,
-        model_inputs.v / ds,
-        model_inputs.commands,
-        measurements.y,
-        measurements.sample_count,
-        measurements.censored_blocks,
-    )
+    means = measurements.y, measurements.sample_count, measurements.censored_blocks
+    inputs = FilterInputs((s - origin) / ds, model_inputs.v / ds, model_inputs.commands, *means)
     model = build_model(car, instruments, model_inputs, steps_per_block, noise_variance, ds)
     ar_model = fit_ar_model(prior, ds)
     increment_span = round(TUNING.increment_length / ds)
@@ -95,9 +89,9 @@ def setup_run(
     # exactly at rest the friction law has a kink and no tangent
     motion, blocks = rest_state(car, model_inputs) + 1e-7, measurements.y.shape[1]
     entries = [motion.size // 2, road.n_vehicle - motion.size // 2]
+    biases = np.full(N_BIAS, TUNING.bias_std)
     moving, at_rest = (
-        np.append(np.repeat(std[[0, -1]], entries), np.full(N_BIAS, TUNING.bias_std))
-        for std in (MOVING_STD, REST_STD)
+        np.append(np.repeat(std[[0, -1]], entries), biases) for std in (MOVING_STD, REST_STD)
     )
     vehicle = np.pad(motion, (0, road.n_vehicle - motion.size))
     unknown = UnknownState(vehicle, moving, prior_covariance(ar_model, road.n_nodes))

@@ -49,19 +49,11 @@ def decay_per_node(ds: float) -> float:
 
 
 @kernel
-def sinc(x):
-    """Return sin(pi x) / (pi x)."""
-    return 1.0 if abs(x) < 1e-9 else np.sin(np.pi * x) / (np.pi * x)
-
-
-@kernel
 def _windowed_sinc(d, cutoff, half_window):
-    """Return the low-pass at `d` nodes from its centre, of `cutoff` [cycles/node] and
-    `half_window`.
-    """
+    """Return the low-pass `d` nodes from its centre; `cutoff` in cycles/node."""
     if abs(d) >= half_window:
         return 0.0
-    return 2.0 * cutoff * sinc(2.0 * cutoff * d) * np.cos(0.5 * np.pi * d / half_window) ** 2
+    return 2.0 * cutoff * np.sinc(2.0 * cutoff * d) * np.cos(0.5 * np.pi * d / half_window) ** 2
 
 
 @kernel(inline=False)

@@ -130,9 +130,10 @@ class StepTest(NamedTuple):
 class LinearizedBlock(NamedTuple):
     """Linearization of one block: derivatives `factors` (3 + N, L) of the means of the sensors and
     of the vehicle state at the block's end by the local state; both by nonlinear simulation,
-    `predicted` (3,) and `end_state` (N,).
+    `predicted` (3,) and `end_state` (N,); `force_variance` (4,) [N²] of the struts' residuals.
     """
 
     factors: np.ndarray
     predicted: np.ndarray
     end_state: np.ndarray
+    force_variance: np.ndarray

@@ -281,9 +281,7 @@ def _validate(
 def _reconstruct(
     responses: Responses, axles: np.ndarray, record: Record, seed: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return heights and standard deviations (2, M) [m] at the profile stations of a clean record,
-    window by window.
-    """
+    """Return heights and standard deviations (2, M) [m] of a clean record, window by window."""
     stations, rng = profile_stations(record.length), np.random.default_rng(seed)
     v = float(np.median(record.v))
     ds = float(np.clip(_NODE_TIME * v, *_NODE_SPACING))

@@ -152,9 +152,7 @@ def keep_short_waves(x: np.ndarray, causal: bool = False) -> np.ndarray:
 def motion_windows(
     signals: SpatialSignals, behind: int, ahead: int, causal: bool = False
 ) -> np.ndarray:
-    """Return the short waves of front, rear and roll in the windows of the estimated stations,
-    (3, M, behind + 1 + ahead) [m/s²].
-    """
+    """Return short waves (3, M, behind + 1 + ahead) [m/s²] of the motions about each station."""
     motions = keep_short_waves(signals.motions[:N_MOTIONS].astype(float), causal)
     inside = motions[:, signals.margin - behind : signals.margin + signals.size + ahead]
     return np.lib.stride_tricks.sliding_window_view(inside, behind + 1 + ahead, axis=1)

@@ -323,9 +323,7 @@ def normal_equations(at: Evaluation) -> _NormalEquations:
 
 
 def _assemble_JJ(products: np.ndarray, network: TwoLayerNetwork) -> np.ndarray:
-    """Return J'J (P, P) of all outputs from `products` of hidden derivatives and activations, of
-    both the lower triangle.
-    """
+    """Return J'J (P, P) from `products` of derivatives and activations; both lower triangles."""
     W2 = network.output[:, :-1]
     R1, P, width = network.hidden.shape[0], network.hidden.size, network.output.shape[1]
     # hidden against hidden: D'D, each pair of units weighed by its product of output weights, which

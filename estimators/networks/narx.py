@@ -36,9 +36,7 @@ _HELD_OUT_SHARE = 0.15
 
 @dataclass(frozen=True, kw_only=True)
 class Narx(LmEstimator):
-    """The paper's network with `delays` of its heights fed back (NARX). After fitting, `training`
-    holds the history.
-    """
+    """The paper's network with `delays` of its heights fed back; `training` holds the history."""
 
     range_name: ClassVar[str] = "heights"
     n_errors: ClassVar[int] = 2

@@ -286,9 +286,7 @@ class SequenceEstimator(Settings, abc.ABC):
         return copy_with(self, fitted_state=state)
 
     def _loaded(self) -> tuple[_FittedSequence, Any]:
-        """Return the fitted or shipped state, and the torch network with its weights. Raises
-        NotFittedError.
-        """
+        """Return the state, fitted or shipped, and its torch network. Raises NotFittedError."""
         state, network = self._fitted_or_pretrained(), self.network()
         trainer.set_weights(network, state.network)
         return state, network
@@ -302,9 +300,7 @@ class SequenceEstimator(Settings, abc.ABC):
 
 
 def _evaluate(network: Any, inputs: NetworkInputs) -> _Output:
-    """Return the mean of a network's outputs for a drive and for the mirrored drive, mirrored
-    back.
-    """
+    """Return the mean of a network's outputs for a drive and the mirrored one, mirrored back."""
     torch = require_torch()
     with torch.no_grad(), trainer.single_thread():
         both_drives = torch.from_numpy(np.array([inputs.x, inputs.x * MIRROR_SIGNS]))

@@ -83,9 +83,7 @@ def fit_std_scale(ratios: Sequence[np.ndarray], conditions: Sequence[np.ndarray]
 
 
 def calibration_factor(ratios: np.ndarray) -> float:
-    """Return the constant factor on standard deviations that best gives both coverages; `ratios`
-    (any shape) are errors over standard deviations.
-    """
+    """Return the factor for both coverages; `ratios` are errors over standard deviations."""
     return float(np.mean([np.quantile(np.abs(ratios), p) / n_std for p, n_std in _COVERAGE_LEVELS]))
 
 

@@ -113,11 +113,8 @@ def adapt_vehicle(
                 return None
     except ArithmeticError:  # a fitted vehicle is none
         return None
-    return (
-        _AdaptedVehicle(space, instruments, x, covariance, before, after)
-        if after < before
-        else None
-    )
+    found = _AdaptedVehicle(space, instruments, x, covariance, before, after)
+    return found if after < before else None
 
 
 def responses(
@@ -127,9 +124,7 @@ def responses(
     segment: Segment,
     model: SpectralModel,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the response H (F, S, 2) of the vehicle `x` (P,) at the lines of `model`, and its
-    derivatives (P, F, S, 2).
-    """
+    """Return H (F, S, 2) of the vehicle `x` (P,) at a model's lines, and derivatives by x."""
     v, mode, f, n = segment.v, segment.mode, model.f, model.n
     vehicle = SensedVehicle.of(space.from_vector(x), instruments)
     damping = equivalent_damping(vehicle.plant, mode, v, model.prior)
@@ -138,16 +133,10 @@ def responses(
     from_rate = gaussian_damping(vehicle.plant, mode, rate)
     shifted = TUNING.difference * np.eye(space.size)
     others = [SensedVehicle.of(space.from_vector(x + d), instruments) for d in shifted]
-    models = [
-        linearise(
-            one.plant,
-            mode,
-            one.points,
-            damping=damping * gaussian_damping(one.plant, mode, rate) / from_rate,
-            speed=v,
-        )
-        for one in others
-    ]
+    models = []
+    for one in others:
+        own = damping * gaussian_damping(one.plant, mode, rate) / from_rate
+        models.append(linearise(one.plant, mode, one.points, damping=own, speed=v))
     unbent = frequency_response(linear, v, f=f)
     changes = response_changes(linear, models, v, f)
     H = vehicle.response(unbent, f, n)

@@ -19,7 +19,7 @@ scale of the two where that is above 1: a vehicle that is not the one described 
 of every description, and leaves more noise unexplained under each.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -69,31 +69,42 @@ def check_notes(
         return ()
     part = _middle(record)
     described = deviance(part, car, instruments)
-    best, highest = None, 0.0
     others = list(_other_modes(part, car))
     if described[1] > TUNING.doubted_scale:
         others += other_readings(part, speed_known)
-    for other in others:
-        gain = _clear_gain(described, deviance(other.record, car, instruments))
-        if gain > highest:
-            best, highest = other, gain
-    if best is None:
+    pairs = [(part, car), *((other.record, car) for other in others)]
+    best, gain = _best_description(pairs, described, instruments, TUNING.check_gain)
+    if not best:
         return ()
-    calm, other_calm = without_obstacles(part), without_obstacles(best.record)
-    own = deviance(calm, car, instruments)
-    if not _clear_gain(own, deviance(other_calm, car, instruments)):
-        return ()
+    other = others[best - 1]
     return (
-        f"the record fits {best.different} better: {best.remedy} (deviance lower by "
-        f"{highest:.2f} per spectral line)",
+        f"the record fits {other.different} better: {other.remedy} (deviance lower by "
+        f"{gain:.2f} per spectral line)",
     )
 
 
-def _clear_gain(
-    described: tuple[float, float, float],
-    other: tuple[float, float, float],
-    least: float = TUNING.check_gain,
-) -> float:
+_Deviance = tuple[float, float, float]
+
+
+def _best_description(
+    pairs: Sequence[tuple[Record, VehicleParameters]],
+    described: _Deviance,
+    instruments: str,
+    least: float,
+) -> tuple[int, float]:
+    """Return the number of the record and vehicle that fit a drive better than the first of the
+    `pairs`, which is `described`, with obstacles and without, and by how much; 0 if none do.
+    """
+    gains = [_clear_gain(described, deviance(*pair, instruments), least) for pair in pairs[1:]]
+    best = 1 + int(np.argmax(gains)) if any(gains) else 0
+    own, other = (
+        deviance(without_obstacles(record), car, instruments)
+        for record, car in (pairs[0], pairs[best])
+    )
+    return (best, gains[best - 1]) if best and _clear_gain(own, other, least) else (0, 0.0)
+
+
+def _clear_gain(described: _Deviance, other: _Deviance, least: float) -> float:
     """Return by how much the deviance is lower, per line and noise scale, 0 if not clearly."""
     smaller = max(1.0, min(described[1], other[1]))
     gain = (described[0] - other[0]) / (described[2] * smaller)
@@ -112,17 +123,10 @@ def side_notes(record: Record, car: VehicleParameters, instruments: str) -> tupl
     described = deviance(part, car, instruments)
     if described[1] > TUNING.doubted_scale:
         return ()
-    others = dict(_other_side_motions(car))
-    gains = {
-        what: _clear_gain(described, deviance(part, other, instruments), TUNING.side_gain)
-        for what, other in others.items()
-    }
-    best = max(gains, key=gains.__getitem__, default="")
-    if not (best and gains[best]):
-        return ()
-    calm = without_obstacles(part)
-    own, other = (deviance(calm, one, instruments) for one in (car, others[best]))
-    if not _clear_gain(own, other, TUNING.side_gain):
+    others = list(_other_side_motions(car))
+    pairs = [(part, car), *((part, other) for _, other in others)]
+    best, gain = _best_description(pairs, described, instruments, TUNING.side_gain)
+    if not best:
         return ()
     remedy = (
         "the IRI may be up to a fifth too low: give the vehicle's file its `side`"
@@ -130,8 +134,8 @@ def side_notes(record: Record, car: VehicleParameters, instruments: str) -> tupl
         else "the mean of the wheel paths is not affected"
     )
     return (
-        f"the record fits {best} better: left and right are not told apart as well as the "
-        f"intervals say, {remedy} (deviance lower by {gains[best]:.2f} per spectral line)",
+        f"the record fits {others[best - 1][0]} better: left and right are not told apart as well as the "
+        f"intervals say, {remedy} (deviance lower by {gain:.2f} per spectral line)",
     )
 
 
@@ -224,9 +228,7 @@ def other_readings(record: Record, speed_known: bool = False) -> Iterator[Altern
 def deviance(
     record: Record, car: VehicleParameters, instruments: str
 ) -> tuple[float, float, float]:
-    """Return the deviance of a record in one state of the struts, the mean noise scale, and the
-    number of independent spectral lines.
-    """
+    """Return deviance, mean noise scale and number of independent lines of a record."""
     sensors: Instruments = instruments_of(record, instruments)
     (segment,) = split_segments(mask_record(record, sensors), np.inf, 0.0)
     model = fit_hyperparameters(SensedVehicle.of(car, sensors), segment)

@@ -111,9 +111,7 @@ def _coverage(segment: Segment, size: int) -> np.ndarray:
 
 
 def _blend_weights(stations: np.ndarray, core: tuple[float, float], length: float) -> np.ndarray:
-    """Return a segment's weight at each station: 1 in its core, with a linear transition of half
-    the margin to its neighbours.
-    """
+    """Return a segment's weights (M,): 1 in its core, falling linearly over half the margin."""
     transition = 0.5 * TUNING.segment_margin
     up = np.clip((stations - core[0]) / transition + 0.5, 0.0, 1.0) if core[0] > 0.0 else 1.0
     down = np.clip((core[1] - stations) / transition + 0.5, 0.0, 1.0) if core[1] < length else 1.0

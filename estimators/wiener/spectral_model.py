@@ -129,16 +129,14 @@ class SpectralModel:
         if share is not None:
             residual = residual * np.sqrt(np.outer(share, share))
         forces = self.H_force @ residual @ hermitian(self.H_force)
-        return self.noise_scale[:, None, None] * (
-            forces + self.sensor_psd * np.eye(self.H.shape[1]) + self.model_error
-        )
+        noise = forces + self.sensor_psd * np.eye(self.H.shape[1]) + self.model_error
+        return self.noise_scale[:, None, None] * noise
 
 
 def fit_hyperparameters(vehicle: SensedVehicle, segment: Segment) -> SpectralModel:
     """Return the model of a `segment` with fitted road prior and noise scale."""
-    size = next_fast_len(
-        segment.a.shape[1] + round(TUNING.circle_padding / segment.spacing), real=True
-    )
+    padding = round(TUNING.circle_padding / segment.spacing)
+    size = next_fast_len(segment.a.shape[1] + padding, real=True)
     prior = ShapedRoadPrior(track=vehicle.track)
     noise_scale = np.ones(size // 2 + 1)
     for k in range(TUNING.damping_iterations):
@@ -200,10 +198,8 @@ def windowed_spectrum(model: SpectralModel, segment: Segment) -> np.ndarray:
     a = segment.a
     if (span & ~segment.valid[active_sensors(segment)]).any():
         C = signal_psd(model, model.noise_psd()) / (2.0 * segment.spacing)
-        expected_signals = _circulant_product(
-            C, solve_circulant(C, a, segment.valid, model.size), model.size
-        )
-        a = np.where(segment.valid, a, expected_signals)
+        x = solve_circulant(C, a, segment.valid, model.size)
+        a = np.where(segment.valid, a, _circulant_product(C, x, model.size))
     # Hann window: without it the body's resonances leak to frequencies of low power
     window = np.zeros(span.size)
     window[span] = np.sin(np.pi * (np.arange(span.sum()) + 0.5) / max(span.sum(), 1)) ** 2
@@ -226,9 +222,8 @@ def run_em(
     """
     in_band = (model.f > TUNING.f_low) & (model.f < F_C)
     n, y, H = model.n[in_band], lines[in_band][:, sensors], model.H[in_band][:, sensors]
-    base = (model.noise_psd(share) / model.noise_scale[:, None, None])[in_band][:, sensors][
-        :, :, sensors
-    ]
+    base = model.noise_psd(share) / model.noise_scale[:, None, None]
+    base = base[in_band][:, sensors][:, :, sensors]
     band = np.argmin(np.abs(np.log(model.f[in_band, None] / _NOISE_OCTAVES)), axis=1)
     factor = np.interp(np.log(_NOISE_OCTAVES), np.log(model.f), model.noise_scale)
     octave = np.argmin(np.abs(np.log(n[:, None] / _ROAD_OCTAVES)), axis=1)
@@ -236,31 +231,29 @@ def run_em(
     unit = replace(model.prior, G_d0=1.0, shape=ShapedRoadPrior.shape).spectrum(n)
     shape = np.array(model.prior.shape)
     for _ in range(TUNING.em_iterations):
-        road_posterior = posterior(
-            n, H, unit * (level * shape[octave, None, None]), base * factor[band, None, None]
-        )
+        S, R = unit * (level * shape[octave, None, None]), base * factor[band, None, None]
+        road_posterior = posterior(n, H, S, R)
         z = road_posterior.gain @ y
         e = y - H @ z
         road = z @ hermitian(z) + road_posterior.error
         noise = e @ hermitian(e) + H @ road_posterior.error @ hermitian(H)
-        level_per_line = _trace(np.linalg.solve(unit, road)) / 2.0
+        level_per_line = trace(np.linalg.solve(unit, road)) / 2.0
         level = float(np.mean(level_per_line / shape[octave]))
         shape = _shrunk_band_means(level_per_line / level, octave, _ROAD_OCTAVES.size)
         if sensors.size >= 3:
-            scale_per_line = _trace(np.linalg.solve(base, noise)) / sensors.size
+            scale_per_line = trace(np.linalg.solve(base, noise)) / sensors.size
             factor = _shrunk_band_means(scale_per_line, band, _NOISE_OCTAVES.size)
     prior = replace(model.prior, G_d0=level, shape=tuple(shape.tolist()))
     return prior, np.exp(np.interp(np.log(model.f), np.log(_NOISE_OCTAVES), np.log(factor)))
 
 
 def _shrunk_band_means(values: np.ndarray, band: np.ndarray, bands: int) -> np.ndarray:
-    """Return means (bands,) of the lines' values by `band`, shrunk to 1 by PSEUDO_COUNT."""
-    return (np.bincount(band, values, bands) + TUNING.pseudo_count) / (
-        np.bincount(band, minlength=bands) + TUNING.pseudo_count
-    )
+    """Return means (bands,) of the lines' values by `band`, shrunk to 1 by `pseudo_count`."""
+    count = np.bincount(band, minlength=bands) + TUNING.pseudo_count
+    return (np.bincount(band, values, bands) + TUNING.pseudo_count) / count
 
 
-def _trace(matrices: np.ndarray) -> np.ndarray:
+def trace(matrices: np.ndarray) -> np.ndarray:
     """Return the real traces (F,) of matrices (F, k, k)."""
     return np.real(np.einsum("fii->f", matrices))
 

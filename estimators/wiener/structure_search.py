@@ -63,10 +63,8 @@ def with_bending(record: Record, car: VehicleParameters, instruments: str) -> Ve
     if car.variation.bending is not None or not drive.tells(record):
         return car
     length = TUNING.body_over_wheelbase * car.wheelbase
-    modes = [
-        BendingMode(f=float(x), zeta=zeta, length=length)
-        for x, zeta in product(BENDING_F, BENDING_ZETA)
-    ]
+    tried = product(BENDING_F.tolist(), BENDING_ZETA)
+    modes = [BendingMode(f=f, zeta=zeta, length=length) for f, zeta in tried]
     bent = [replace(car, variation=replace(car.variation, bending=mode)) for mode in modes]
     vehicle, locations = SensedVehicle.of(bent[0], drive.sensors), drive.sensors.locations(car)
     bendings = [one for other in bent if (one := sensed_bending(other, locations))]
@@ -154,9 +152,7 @@ class CalmDrive:
 
     @property
     def windows(self) -> float:
-        """Number of independent windows: ones that overlap by half count for about half of one each
-        (Welch 1967).
-        """
+        """Number of independent windows: half of those that overlap by half (Welch 1967)."""
         return 0.5 * (len(self.power) + 1)
 
     @property

@@ -14,8 +14,7 @@ from estimators import create
 from estimators.api import LAG
 from estimators.common.block_means import block_means
 from estimators.common.model_inputs import build_model_inputs
-from estimators.kalman import estimators as kalman_estimators
-from estimators.kalman import pipeline
+from estimators.kalman import monitoring, pipeline
 from estimators.kalman.friction_linearization import RATE_STDS, residual_variance, smoothed_tables
 from estimators.kalman.monitoring import local_nis, recent_nis, reduce_uncertain
 from estimators.kalman.pipeline import (
@@ -320,7 +319,7 @@ def test_nodes_that_have_left_are_smoothed_as_if_all_were_held(monkeypatch):
     monkeypatch.setattr(pipeline, "schedule_windows", hold_all)
     steps = []
     monkeypatch.setattr(
-        "estimators.kalman.estimators.obstacle_std",
+        "estimators.kalman.monitoring.obstacle_std",
         lambda square, *_: steps.append(np.count_nonzero(square)) or 0.0,
     )
     all_held = create("kalman_rts").estimate(record, DEFENDER)
@@ -332,7 +331,7 @@ def test_variances_are_multiplied_by_the_local_nis(monkeypatch):
     case, stds = ("handling", 54.0, 3, 20.0), []
     for factor in (1.0, 4.0):
         monkeypatch.setattr(
-            kalman_estimators, "local_nis", lambda nis, front, s, lag, x=factor: np.full(s.size, x)
+            monitoring, "local_nis", lambda nis, front, s, lag, x=factor: np.full(s.size, x)
         )
         stds.append(create("kalman_lag").estimate(drive(*case)[0], DEFENDER).z_std)
     assert np.median(stds[1] / stds[0]) == pytest.approx(2.0, rel=0.05)
