@@ -31,6 +31,9 @@ SEARCH_LENGTH = 300.0
 MIN_WINDOW_CORRELATION = 0.5  # correlation of a window below which its lag is not used
 
 
+_Slopes = tuple[np.ndarray, np.ndarray]  # stations (K,) [m] and slopes (2, K) of the wheel paths
+
+
 @dataclass(frozen=True, eq=False)
 class StationMap:
     """Piecewise linear map of stations to those of the reference.
@@ -122,18 +125,15 @@ def map_stations(
     return whole, True
 
 
-def _slopes(z: np.ndarray, ds: float, band: Band) -> tuple[np.ndarray, np.ndarray]:
-    """Return stations (K,) [m] and band-passed slopes (2, K) of `z` (2, M) [m]."""
+def _slopes(z: np.ndarray, ds: float, band: Band) -> _Slopes:
+    """Return stations and band-passed slopes of `z` (2, M) [m]."""
     slope = np.gradient(band_pass(z, ds, band), ds, axis=1)
     cut = (z.shape[1] - slope.shape[1]) // 2
     return ds * (cut + np.arange(slope.shape[1])), slope
 
 
 def _search(
-    first: tuple[np.ndarray, np.ndarray],
-    second: tuple[np.ndarray, np.ndarray],
-    searched: float,
-    max_stretch: float,
+    first: _Slopes, second: _Slopes, searched: float, max_stretch: float
 ) -> tuple[float, float, float, float]:
     """Return lag [m], stretch, correlation and overlap [m] of the largest correlation."""
     (s, x), (r, y) = first, second
@@ -162,12 +162,7 @@ def _resample(s: np.ndarray, slope: np.ndarray, scale: float) -> tuple[np.ndarra
     return np.array([np.interp(grid, stations, x) for x in slope]), float(grid[0])
 
 
-def _refine(
-    whole: StationMap,
-    first: tuple[np.ndarray, np.ndarray],
-    second: tuple[np.ndarray, np.ndarray],
-    ds: float,
-) -> StationMap:
+def _refine(whole: StationMap, first: _Slopes, second: _Slopes, ds: float) -> StationMap:
     """Return the map through the lags of windows of `second`, relative to the map `whole`."""
     (s, x), (r, y) = first, second
     mapped = whole.apply(r)

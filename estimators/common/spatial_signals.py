@@ -78,6 +78,11 @@ class SpatialSignals(NamedTuple):
         """Number of estimated stations."""
         return self.v.size - 2 * self.margin
 
+    @property
+    def inside(self) -> slice:
+        """The estimated stations among all."""
+        return slice(self.margin, self.v.size - self.margin)
+
 
 def n_stations(length: float) -> int:
     """Return the number of estimated stations on a road of `length` [m]."""
@@ -122,9 +127,28 @@ def body_motions(record: Record, causal: bool) -> np.ndarray:
     rf, lr, rr = preprocess_accelerations(record.a, record.fs, F_C, causal)
     roll = 0.5 * (lr - rr)
     a = np.array([rf + roll, 0.5 * (lr + rr), roll])
-    sos = signal.butter(2, F_VELOCITY, "high", fs=record.fs, output="sos")
     velocity = np.cumsum(a, axis=1) / record.fs
-    return np.concatenate([a, (signal.sosfilt if causal else _zero_phase)(sos, velocity)])
+    return np.concatenate([a, high_pass(velocity, F_VELOCITY, record.fs, 2000, causal)])
+
+
+def high_pass(
+    x: np.ndarray, corner: float, rate: float, padding: int, causal: bool = False
+) -> np.ndarray:
+    """Return rows (k, N) sampled at a `rate`, high-passed at a `corner` in the same units.
+
+    The filter is a second-order Butterworth, forward only if `causal`; else forward and backward
+    with `padding` samples at most beyond either end.
+    """
+    sos = signal.butter(2, corner, "high", fs=rate, output="sos")
+    if causal:
+        return signal.sosfilt(sos, x)
+    return signal.sosfiltfilt(sos, x, padlen=min(padding, x.shape[-1] - 1))
+
+
+def without_long_waves(z: np.ndarray) -> np.ndarray:
+    """Return heights (2, M) [m] at profile stations without waves longer than 20 m."""
+    wave = int(1.0 / (N_HIGH_PASS * PROFILE_SPACING))
+    return high_pass(z, N_HIGH_PASS, 1.0 / PROFILE_SPACING, wave)
 
 
 def decimate(x: np.ndarray) -> np.ndarray:
@@ -148,19 +172,12 @@ def target_profile(truth: Profile, length: float) -> np.ndarray:
     the road by odd reflection.
     """
     left, right = sample_profile(truth, profile_stations(length))
-    z = np.array([0.5 * (left + right), 0.5 * (left - right)])
-    sos = signal.butter(2, N_HIGH_PASS, "high", fs=1.0 / PROFILE_SPACING, output="sos")
-    size = z.shape[1]
-    padding = min(int(1.0 / (N_HIGH_PASS * PROFILE_SPACING)), size - 1)
-    z = signal.sosfiltfilt(sos, z, axis=1, padlen=padding)
-    ends = (2 * EDGE_STATIONS * DECIMATION, (n_stations(length) - 1) * DECIMATION + 1 - size)
+    z = without_long_waves(np.array([0.5 * (left + right), 0.5 * (left - right)]))
+    after = (n_stations(length) - 1) * DECIMATION + 1 - z.shape[1]
+    ends = (2 * EDGE_STATIONS * DECIMATION, after)
     return decimate(np.pad(z, ((0, 0), ends), mode="reflect", reflect_type="odd"))
 
 
 def wheel_paths(x: np.ndarray) -> np.ndarray:
     """Return left and right (2, M) from mean and half difference (2, M)."""
     return np.array([x[0] + x[1], x[0] - x[1]])
-
-
-def _zero_phase(sos: np.ndarray, x: np.ndarray) -> np.ndarray:
-    return signal.sosfiltfilt(sos, x, padlen=min(x.shape[-1] - 1, 2000))

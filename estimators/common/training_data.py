@@ -34,19 +34,15 @@ def training_example(
     """Return the training example of a drive in single precision. Raises RecordError."""
     record, _ = clean_record(record)
     signals = to_spatial(record, STATION_MARGIN, causal)
-    single = np.float32
-    motions, v, states, spectrum = (
-        x.astype(single) for x in (signals.motions, signals.v, signals.states, signals.spectrum)
-    )
-    signals = SpatialSignals(motions, v, states, STATION_MARGIN, spectrum)
-    return TrainingExample(signals, target_profile(truth, record.length).astype(single), rigid)
+    arrays = {k: x.astype(np.float32) for k, x in signals._asdict().items() if k != "margin"}
+    target = target_profile(truth, record.length).astype(np.float32)
+    return TrainingExample(signals._replace(**arrays), target, rigid)
 
 
 def validity_notes(signals: SpatialSignals) -> list[str]:
     """Return notes on speeds and strut states outside the training data."""
     notes = []
-    inside = slice(signals.margin, signals.margin + signals.size)
-    v, states = signals.v[inside], signals.states[inside]
+    v, states = signals.v[signals.inside], signals.states[signals.inside]
     slowest, fastest = SPEED_RANGE
     if v.min() < slowest or v.max() > fastest:
         notes.append(

@@ -120,5 +120,5 @@ def fit_corrections(
 
 def _condition(signals: SpatialSignals) -> tuple[np.ndarray, float]:
     """Return the prevailing state (4,) and the mean speed [m/s] of a drive."""
-    inside = slice(signals.margin, signals.margin + signals.size)
-    return signals.states[inside].mean(axis=0).round(), float(signals.v[inside].mean())
+    states, v = signals.states[signals.inside], signals.v[signals.inside]
+    return states.mean(axis=0).round(), float(v.mean())

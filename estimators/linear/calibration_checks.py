@@ -47,13 +47,12 @@ def check_drives(drives: Sequence[CalibrationDrive], data: Sequence[RoadDrive]) 
             "longer one"
         )
     parts = [each.u[0][:, here] for each, here in zip(data, used, strict=True) if here.sum() > 1]
-    counts = {
-        "the left wheel path": sum(_independent_frequencies(u[0]) for u in parts),
-        "the right wheel path": sum(_independent_frequencies(u[1]) for u in parts),
-        "the difference of the wheel paths": sum(
-            _independent_frequencies(u[0] - u[1]) for u in parts
-        ),
+    motions = {
+        "the left wheel path": [u[0] for u in parts],
+        "the right wheel path": [u[1] for u in parts],
+        "the difference of the wheel paths": [u[0] - u[1] for u in parts],
     }
+    counts = {name: sum(map(_independent_frequencies, u)) for name, u in motions.items()}
     name = min(counts, key=counts.__getitem__)
     if counts[name] < _FREQUENCIES_MIN:
         raise CalibrationError(
@@ -100,19 +99,14 @@ def _reason(drive: CalibrationDrive, axles: np.ndarray) -> str:
     """Return what would make the profile fit, as the end of a sentence."""
     profile = drive.profile
     assert profile is not None
-    reversed_profile = Profile(profile.s, profile.z[::-1, ::-1])
-    tried = {"the profile is reversed": reversed_profile}
-    tried |= {
-        f"the profile lies {shift:+.1f} m from where the drive says": Profile(
-            profile.s - shift, profile.z
-        )
-        for shift in SEARCHED
-    }
+    tried = {"the profile is reversed": Profile(profile.s, profile.z[::-1, ::-1])}
+    for shift in SEARCHED:
+        name = f"the profile lies {shift:+.1f} m from where the drive says"
+        tried[name] = Profile(profile.s - shift, profile.z)
     best, text = _EXPLAINED_MIN, ": it is of another road or lane, or too smooth"
     for name, other in tried.items():
         data = road_drive(drive.record, other, axles)
-        if (data.segment >= 0).sum() > RATE and (
-            share := float(quick_explained(data).min())
-        ) > best:
-            best, text = share, f": {name}"
+        share = quick_explained(data).min() if (data.segment >= 0).sum() > RATE else 0.0
+        if share > best:
+            best, text = float(share), f": {name}"
     return text

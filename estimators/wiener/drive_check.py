@@ -134,8 +134,8 @@ def side_notes(record: Record, car: VehicleParameters, instruments: str) -> tupl
         else "the mean of the wheel paths is not affected"
     )
     return (
-        f"the record fits {others[best - 1][0]} better: left and right are not told apart as well as the "
-        f"intervals say, {remedy} (deviance lower by {gain:.2f} per spectral line)",
+        f"the record fits {others[best - 1][0]} better: left and right are not told apart as well "
+        f"as the intervals say, {remedy} (deviance lower by {gain:.2f} per spectral line)",
     )
 
 
