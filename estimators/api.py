@@ -216,7 +216,6 @@ def validate_weights(
     weights: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[int | None, ...]]
 ) -> list[np.ndarray]:
     """Return the `weights` as float arrays in the order of `shapes`, where None matches any size.
-
     Raises ValueError if a name is missing or unknown, or if a shape or value is invalid.
     """
     if weights.keys() != shapes.keys():

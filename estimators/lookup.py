@@ -9,7 +9,6 @@ from typing import Any
 from estimators import pretrained_weights, registry, weights_io
 from estimators.api import Estimator, Pretrained, check_class
 from road_envs.core.config import ConfigError, build
-from road_envs.records.accelerometers import Accelerometer
 from road_envs.records.record import Record
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
@@ -62,8 +61,7 @@ def resolve_estimator(reference: str | Path | Estimator, settings: Mapping[str, 
     return reference
 
 
-def _same_place(one: Accelerometer, other: Accelerometer) -> bool:
-    return all(getattr(one, x) == getattr(other, x) for x in ("mounted", "axle", "ahead", "y"))
+_place = attrgetter("mounted", "axle", "ahead", "y")
 
 
 def training_notes(estimator: Estimator, record: Record, car: VehicleParameters) -> tuple[str, ...]:
@@ -78,7 +76,7 @@ def training_notes(estimator: Estimator, record: Record, car: VehicleParameters)
             "no difference to this estimate"
         )
     places, sensors = load_instruments(_TRAINING_INSTRUMENTS).accelerometers, record.sensors or {}
-    moved = [x for x in places if x in sensors and not _same_place(sensors[x], places[x])]
+    moved = [x for x in places if x in sensors and _place(sensors[x]) != _place(places[x])]
     if moved:
         notes.append(
             f"{weights} were trained with {', '.join(moved)} at other places; that they differ "

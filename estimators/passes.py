@@ -146,9 +146,8 @@ def _load_vehicles(vehicles: Vehicle | Sequence[Vehicle], count: int) -> list[Ve
 def align_passes(
     records: Sequence[Record], estimates: Sequence[Estimate], names: Sequence[str]
 ) -> tuple[list[AlignedPass], list[str]]:
-    """Return the passes on the stations of the first, and notes on what was found.
-
-    Raises ConfigError if a pass does not match.
+    """Return the passes on the stations of the first, and notes on what was found. Raises
+    ConfigError if a pass does not match.
     """
     reference, first = records[0], estimates[0]
     aligned = [AlignedPass(names[0], reference, first, identity_map(reference.length))]
@@ -257,10 +256,9 @@ def _on_stations(each: AlignedPass, s: np.ndarray) -> tuple[np.ndarray, np.ndarr
 def _birge_ratio(
     error: np.ndarray, variance: np.ndarray, everywhere: np.ndarray, band: tuple[float, float]
 ) -> float:
-    """Return the square root of chi-squared per degree of freedom, at least 1.
-
-    `error` (P, 2, M) [m] are the deviations of P passes from their mean, with the expected
-    `variance` (P, 2, M) [m²] inside `band`; stations that all passes cover count.
+    """Return the square root of chi-squared per degree of freedom, at least 1. `error` (P, 2, M)
+    [m] are the deviations of P passes from their mean, with the expected `variance` (P, 2, M) [m²]
+    inside `band`; stations that all passes cover count.
     """
     error, variance = error[:, :, everywhere], variance[:, :, everywhere]
     if error.shape[2] * PROFILE_SPACING < MIN_OVERLAP:

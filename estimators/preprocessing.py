@@ -160,9 +160,8 @@ def clean_record(
 
 
 def _select_channels(record: Record, channels: tuple[str, ...]) -> Record:
-    """Return `record` with these channels alone, in this order. Raises RecordError.
-
-    They are on the body; a sensor on an axle is no substitute.
+    """Return `record` with these channels alone, in this order. Raises RecordError. They are on
+    the body; a sensor on an axle is no substitute.
     """
     sensors = record.sensors or {}
     known = [name for name, sensor in sensors.items() if sensor.mounted == "body"]

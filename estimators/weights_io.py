@@ -31,7 +31,6 @@ class StorageError(ValueError):
 
 def save(estimator: Estimator, path: str | Path, metadata: Mapping[str, str] | None = None) -> None:
     """Write an estimator to `path` atomically; `metadata` is stored in a `.safetensors` file only.
-
     Raises StorageError if its class is not registered, NotFittedError if it has no weights.
     """
     path, kind = Path(path), cast(Any, type(estimator))

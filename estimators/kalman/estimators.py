@@ -85,10 +85,8 @@ _StdFactor = Annotated[Positive, "", "on the in-band standard deviation, fitted 
 
 @dataclass(frozen=True, kw_only=True)
 class _KalmanSettings(CalibratedByIdentification):
-    """Settings of all variants, beside the name or path of the `instruments`.
-
-    `level_ends`: the road is level before station 0 and behind its length, where the drive begins
-    at rest.
+    """Settings of all variants, beside the name or path of the `instruments`. `level_ends`: the
+    road is level before station 0 and behind its length, where the drive begins at rest.
     """
 
     noise_density: Annotated[Positive | None, "(m/s²)/sqrt(Hz)", "if not the instruments'"] = None

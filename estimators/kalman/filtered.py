@@ -33,13 +33,11 @@ class UnknownState:
 
 @dataclass(eq=False)
 class FilterState:
-    """Mean `x` (n,); `P` (n, n + m), the covariance and, beside it, the error per unit step of each
-    of m candidates (`jumps.py`); valve states of the struts `strut_state` (4, 3); the parameters
-    `adaptive` (5,); the steps of the road `jumps`; and the blocks before which the filter was begun
-    anew, `restarts`, from the state `unknown`.
-
-    Of each block (J,): normalized innovation squared per measurement `nis`, `noise_scale` and
-    `signal_power` after it.
+    """Mean `x` (n,); `P` (n, n + m), the covariance and, beside it, the error per unit step of
+    each of m candidates (`jumps.py`); valve states of the struts `strut_state` (4, 3); the
+    parameters `adaptive` (5,); the steps of the road `jumps`; and the blocks before which the
+    filter was begun anew, `restarts`, from the state `unknown`. Of each block (J,): normalized
+    innovation squared per measurement `nis`, `noise_scale` and `signal_power` after it.
     """
 
     x: np.ndarray

@@ -88,12 +88,10 @@ class AcceptedStep:
 
 @dataclass(frozen=True, eq=False)
 class RoadJumps:
-    """Candidates and accepted steps; candidate 2 k + side, modulo their number m, is that of node k
-    in the left (0) or right (1) wheel path.
-
-    `score` (m,) [1/m]; `information` (m, m) [1/m²]; `square` (N, 2) [m²]: squares of the accepted
-    steps of each node of the drive; `near` (N,): whether one is near it. In nodes: `length`
-    and `rear_reach`, as in the tuning.
+    """Candidates and accepted steps; candidate 2 k + side, modulo their number m, is that of node
+    k in the left (0) or right (1) wheel path. `score` (m,) [1/m]; `information` (m, m) [1/m²];
+    `square` (N, 2) [m²]: squares of the accepted steps of each node of the drive; `near` (N,):
+    whether one is near it. In nodes: `length` and `rear_reach`, as in the tuning.
     """
 
     score: np.ndarray

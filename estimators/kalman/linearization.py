@@ -30,10 +30,9 @@ from road_envs.vehicle.suspension import VehicleBuffers
 
 
 class _AxleWeights(NamedTuple):
-    """Spline weights of both axles at both half steps of the steps of a block.
-
-    `node` (steps, 2, 2): the first of the four nodes that carry an axle; `height` and `slope` [1/s]
-    (steps, 2, 2, 4): their weights in the height under the axle and in the rate of that height.
+    """Spline weights of both axles at both half steps of the steps of a block. `node` (steps, 2,
+    2): the first of the four nodes that carry an axle; `height` and `slope` [1/s] (steps, 2, 2,
+    4): their weights in the height under the axle and in the rate of that height.
     """
 
     node: np.ndarray
@@ -153,10 +152,9 @@ def bend(model: FilterModel, acceleration, bending):
 @kernel(inline=False)
 def _node_derivatives(weights: _AxleWeights, i, direction, road):
     """Write the derivatives of heights and rates under the wheels at the step `i` by the block's
-    nodes to `road` (G, 16, LANES), in the layout of `rosenbrock.step`.
-
-    A lane of a group is a direction: from `direction` on, behind the vehicle states, mean and half
-    difference of the nodes under the front axle, then under the rear axle.
+    nodes to `road` (G, 16, LANES), in the layout of `rosenbrock.step`. A lane of a group is a
+    direction: from `direction` on, behind the vehicle states, mean and half difference of the
+    nodes under the front axle, then under the rear axle.
     """
     node, height, slope = weights
     road[:] = 0.0

@@ -47,10 +47,8 @@ def setup_run(
     lag: float,
 ) -> FilterRun:
     """Return the run of a record before its first block, for stations that are emitted when the
-    front axle is `lag` [m] past them.
-
-    `noise_variance` [(m/s²)²] of a sample; with `level_ends` the road is level before station 0 and
-    after its end. Raises ValueError if the odometer jumps.
+    front axle is `lag` [m] past them. `noise_variance` [(m/s²)²] of a sample; with `level_ends`
+    the road is level before station 0 and after its end. Raises ValueError if the odometer jumps.
     """
     steps_per_block = measurements.sample_weight.shape[2] * model_inputs.decimation
     s, half_steps = model_inputs.s, 2 * steps_per_block

@@ -59,10 +59,8 @@ def _windowed_sinc(d, cutoff, half_window):
 @kernel(inline=False)
 def output_weights(u, at, decay, cutoff, half_window):
     """Write the weights `u` (2 + L,) of retired-node sums and of L nodes, the oldest first, in the
-    output at the position `at` from the oldest node.
-
-    The road beyond the nodes counts as level with the nearest one. With a `decay` of 0 no long
-    waves are subtracted.
+    output at the position `at` from the oldest node. The road beyond the nodes counts as level
+    with the nearest one. With a `decay` of 0 no long waves are subtracted.
     """
     u[:] = 0.0
     last, sum_low = u.size - 3, 0.0

@@ -120,7 +120,6 @@ def _is_free(road: RoadProcess, newest):
 @kernel(inline=False)
 def _node_law(road: RoadProcess, newest):
     """Return the step x' = F x + e of the state vector by which the next node replaces the oldest.
-
     It changes the `entries` (6,), the retired-node sums and the node's mean and half difference:
     each is the sum of its `sources` (6, order), entries of x, times the `factors` (6, order).
     """

@@ -128,10 +128,8 @@ def fine_stations(record: Record, t: np.ndarray) -> np.ndarray:
 
 
 def road_drive(record: Record, profile: Profile, axles: np.ndarray) -> RoadDrive:
-    """Return a drive over a known `profile`; `axles` (X,) [m] behind the first.
-
-    Used are samples with all axles on the profile. Its heights go on beyond its ends as they are
-    there.
+    """Return a drive over a known `profile`; `axles` (X,) [m] behind the first. Used are samples
+    with all axles on the profile. Its heights go on beyond its ends as they are there.
     """
     t = sample_times(record)
     fine, s = fine_stations(record, t), np.interp(t, record.t, record.s)
@@ -231,7 +229,6 @@ def _kernel_factor(log_scale: float, decay: float) -> np.ndarray:
 
 def _posterior(sums: LeastSquaresSums, j: int, settings: np.ndarray) -> tuple[float, np.ndarray]:
     """Return the negative log marginal likelihood of sensor `j` and its taps' posterior mean (p,).
-
     `settings`: log c, logit lambda, log of the noise variance.
     """
     # taps are F w with white w: M is the Gram matrix of w, F' (X'X) F block by block of inputs

@@ -143,10 +143,9 @@ class InverseQuarterCar(Settings):
 def _accelerations_at_struts(
     a: np.ndarray, locations: Mapping[str, SensorLocation], car: VehicleParameters
 ) -> np.ndarray:
-    """Return accelerations (4, N) of a rigid body above its struts from those (k, N) of the sensors
-    at `locations`; sensors on the axles are not used.
-
-    Raises RecordError if the others do not determine the motion of the body.
+    """Return accelerations (4, N) of a rigid body above its struts from those (k, N) of the
+    sensors at `locations`; sensors on the axles are not used. Raises RecordError if the others do
+    not determine the motion of the body.
     """
     on_body = [i for i, place in enumerate(locations.values()) if place.axle is None]
     sensed = np.array([(1.0, place.x, place.y) for place in locations.values()])[on_body]
@@ -187,10 +186,9 @@ def _fit_corners(
     lines: np.ndarray,
     samples: int,
 ) -> _QuarterCars:
-    """Return the corners with dampers equivalent for the recorded motion.
-
-    `lines` (4, F): Fourier transform of the accelerations above the struts at `f` (F,) [Hz], of
-    which the first `samples` were recorded.
+    """Return the corners with dampers equivalent for the recorded motion. `lines` (4, F): Fourier
+    transform of the accelerations above the struts at `f` (F,) [Hz], of which the first `samples`
+    were recorded.
     """
     rate = np.full(4, _INITIAL_RATE_STD)
     for _ in range(_DAMPING_ITERATIONS):

@@ -94,7 +94,13 @@ def train_network(
     with single_thread():
         for step in range(begin, config.steps + 1):
             if step % every == 0 or step == config.steps:
-                state.update_best(_validation_error(network, validation, size), step)
+                error = _validation_error(network, validation, size)
+                if error < state.best_error:
+                    state.best, state.best_error, state.best_step = (
+                        get_weights(network),
+                        error,
+                        step,
+                    )
                 if checkpoint:
                     checkpoint.save(state.to_arrays(step))
                 progress(f"validation error {state.best_error:.4f}", step / config.steps)
@@ -148,11 +154,6 @@ class _TrainerState:
         self.network, self.optimiser = network, optimiser
         self.best: dict[str, np.ndarray] = {}
         self.best_error, self.best_step = float("inf"), 0
-
-    def update_best(self, error: float, step: int) -> None:
-        """Store the weights if their error is the smallest so far."""
-        if error < self.best_error:
-            self.best, self.best_error, self.best_step = get_weights(self.network), error, step
 
     def to_arrays(self, step: int) -> dict[str, np.ndarray]:
         """Return everything needed to continue at `step`."""

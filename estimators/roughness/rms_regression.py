@@ -169,9 +169,7 @@ def _predict_gp(
     x: np.ndarray, y: np.ndarray, theta: np.ndarray, at: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return mean and standard deviation (M,), noise included, of the outputs at inputs `at` (M,
-    k).
-
-    `y` (N,): the known outputs at `x` (N, k).
+    k). `y` (N,): the known outputs at `x` (N, k).
     """
     noise = np.exp(2.0 * theta[-1])
     K = np.add(*covariance(x, x, theta)) + noise * np.eye(y.size)

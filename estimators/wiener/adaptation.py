@@ -84,11 +84,9 @@ def adapt_vehicle(
     passes: int,
 ) -> _AdaptedVehicle | None:
     """Return the most probable vehicle on a `segment` of a `record`; None if it may well be `car`,
-    or if no other explains more.
-
-    `model` is that of the segment for `car`, `passes` those of the estimate. A vehicle is never
-    adapted if its file gives no tolerances, the record has fewer than `least_channels` channels, or
-    much of it is obstacles, which are no part of a Gaussian process.
+    or if no other explains more. `model` is that of the segment for `car`, `passes` those of the
+    estimate. A vehicle is never adapted if its file gives no tolerances, the record has fewer than
+    `least_channels` channels, or much of it is obstacles, which are no part of a Gaussian process.
     """
     before = after = float(np.mean(model.noise_scale))
     if (

@@ -140,9 +140,8 @@ def side_notes(record: Record, car: VehicleParameters, instruments: str) -> tupl
 
 
 def _other_side_motions(car: VehicleParameters) -> Iterator[tuple[str, VehicleParameters]]:
-    """Yield what holds a vehicle sideways in another way than described, and that vehicle.
-
-    A passive car whose file has no `side` is noted without a trial.
+    """Yield what holds a vehicle sideways in another way than described, and that vehicle. A
+    passive car whose file has no `side` is noted without a trial.
     """
     if car.side is None:
         if not car.is_passive:

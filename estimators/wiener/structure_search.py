@@ -87,7 +87,8 @@ def with_twist(record: Record, car: VehicleParameters, instruments: str) -> Vehi
     are not searched. Raises ConfigError.
     """
     drive = CalmDrive.of(record, car, instruments)
-    if car.variation.frame is not None or not (drive.tells(record) and drive.has_pairs):
+    has_pairs = (drive.weights < 0.0).any()  # of sensors on both sides of the body
+    if car.variation.frame is not None or not (drive.tells(record) and has_pairs):
         return car
     modes = [TorsionalFrame(f=float(x), zeta=y) for x, y in product(FRAME_F, FRAME_ZETA)]
     bodies = [replace(car, variation=replace(car.variation, frame=mode)) for mode in modes]
@@ -96,7 +97,8 @@ def with_twist(record: Record, car: VehicleParameters, instruments: str) -> Vehi
     rows = []
     for w in TUNING.waviness:
         first = drive.on_fitted_level(SensedVehicle.of(car, drive.sensors), w)
-        others = [first.of_other(SensedVehicle.of(body, drive.sensors)) for body in bodies]
+        alike = first.damping, first.prior, drive, first.D  # road and dampers of all bodies
+        others = [Spectra.of(SensedVehicle.of(body, drive.sensors), *alike) for body in bodies]
         rows.append([[one.deviance(x) for x in (first, *others)] for one in (*halves, drive)])
     one, other, whole = np.min(rows, axis=0)
     is_believed = other[0] - other[1 + int(np.argmin(one[1:]))] > TUNING.structure_gain
@@ -155,11 +157,6 @@ class CalmDrive:
         """Number of independent windows: half of those that overlap by half (Welch 1967)."""
         return 0.5 * (len(self.power) + 1)
 
-    @property
-    def has_pairs(self) -> bool:
-        """Whether sensors are on both sides of the body."""
-        return bool((self.weights < 0.0).any())
-
     def tells(self, record: Record) -> bool:
         """Whether struts keep their state and enough windows are calm."""
         return not record.is_switched and self.windows >= TUNING.least_windows
@@ -215,10 +212,6 @@ class Spectra(NamedTuple):
             D = residual_force_psd(linear, law, v, prior.spectrum, f)
         H, H_force = frequency_response(linear, v, f=f), force_response(linear, f)[0]
         return cls(vehicle, drive, damping, prior, H, prior.spectrum(f / v) / v, H_force, D)
-
-    def of_other(self, vehicle: SensedVehicle) -> "Spectra":
-        """Return those of another vehicle on the same road, whose dampers work alike."""
-        return self.of(vehicle, self.damping, self.prior, self.drive, self.D)
 
     def total(self, weights: np.ndarray) -> np.ndarray:
         """Return the density (C, F) [(m/s²)²/Hz] of channels of `weights` (C, S), without noise."""

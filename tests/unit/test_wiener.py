@@ -13,7 +13,7 @@ from vehicle_fixtures import DEFENDER
 from estimators import create
 from estimators.api import check_estimate
 from estimators.preprocessing import mask_record
-from estimators.wiener import iteration, smoother, spectral_model
+from estimators.wiener import iteration, spectral_model
 from estimators.wiener.iteration import gaussian_expectation
 from estimators.wiener.segments import Segment, split_segments
 from estimators.wiener.spectral_model import (
@@ -293,7 +293,7 @@ def test_segments_are_joined_without_steps(monkeypatch):
     assert len(parts) == 1
     parts = list(split_segments(mask_record(record, PAPER), 100.0, 40.0))
     assert [p.core for p in parts] == [(0.0, 105.0), (105.0, 210.0)]
-    monkeypatch.setattr(smoother, "TUNING", replace(TUNING, segment_length=100.0))
+    monkeypatch.setattr("estimators.wiener.wiener.TUNING", replace(TUNING, segment_length=100.0))
     pieces = create("wiener").estimate(record, DEFENDER)
     band = scored_band(15.0)
     gap = band_pass(pieces.z - whole.z, PROFILE_SPACING, band).std()
