@@ -55,10 +55,8 @@ class UnrelatedRoad(Settings):
 
     def weights(self) -> dict[str, np.ndarray]:
         """Return the scalars `G_d0`, `w` and `seed`. Raises NotFittedError."""
-        return {
-            name: np.asarray(x)
-            for name, x in require_fitted(self.fitted_state, self)._asdict().items()
-        }
+        road = require_fitted(self.fitted_state, self)
+        return {name: np.asarray(x) for name, x in road._asdict().items()}
 
     def with_weights(self, weights: Mapping[str, np.ndarray]) -> Self:
         """Return a copy with these weights. Raises ValueError."""

@@ -45,16 +45,8 @@ from estimators.common.block_means import MIN_NOISE_DENSITY, block_means
 from estimators.common.explained import reduce_unexplained, trusted_share, untrusted_note
 from estimators.common.model_inputs import antialias_delay, build_model_inputs
 from estimators.common.odometer import calibrate_stations
-from estimators.kalman import monitoring
-from estimators.kalman.pipeline import (
-    FilterRun,
-    emitted_share,
-    lost_before_restarts,
-    run_filter,
-    run_smoother,
-    setup_output,
-    setup_run,
-)
+from estimators.kalman import monitoring, pipeline
+from estimators.kalman.filtered import FilterRun
 from estimators.kalman.profile_output import ProfileOutput
 from estimators.kalman.state import N_BIAS, NOISE_SCALE, ROUGHNESS_SCALE
 from estimators.kalman.tuning import TUNING
@@ -123,7 +115,7 @@ class _KalmanSettings(CalibratedByIdentification):
         noise = density**2 * 0.5 * record.fs
         prior = RoadPrior(G_d0=self.G_d0, w=self.w, track=2.0 * car.front.y_t)
         ahead = TUNING.power_window if smooth else min(max(lag - LAG, 0.0), TUNING.power_window)
-        run = setup_run(
+        run = pipeline.setup_run(
             record,
             car,
             instruments,
@@ -135,11 +127,8 @@ class _KalmanSettings(CalibratedByIdentification):
             lag=lag - (0.0 if smooth else ahead),
         )
         sensor_latency = (ANTIALIAS_SPREAD + 1) / record.fs + antialias_delay(instruments)
-        output = setup_output(run, record, sensor_latency, detrended=not smooth)
-        if smooth:
-            run_smoother(run, output)
-        else:
-            run_filter(run, output)
+        output = pipeline.setup_output(run, record, sensor_latency, detrended=not smooth)
+        (pipeline.run_smoother if smooth else pipeline.run_filter)(run, output)
         if not np.isfinite(output.z).all():
             raise ArithmeticError(
                 "the filter diverged (heights are not finite): check the vehicle, the commanded "
@@ -158,7 +147,7 @@ class _KalmanSettings(CalibratedByIdentification):
                 "the one described (docs/howto/identify)",
             )
         s, front = profile_stations(record.length), run.known_front(sensor_latency)
-        z, emitted = output.z.T.copy(), emitted_share(run, output)
+        z, emitted = output.z.T.copy(), pipeline.emitted_share(run, output)
         z_std = self.std_factor * _output_std(run, output, record, prior)
         if smooth or lag >= LAG:  # both axles have passed
             z_std *= np.sqrt(
@@ -173,12 +162,13 @@ class _KalmanSettings(CalibratedByIdentification):
             # a filter that is lost later errs before that too, once smoothed
             share = minimum_filter1d(emitted, 2 * round(TUNING.lost_reach / PROFILE_SPACING) + 1)
             share, notes = share * explained, notes + untrusted_note(explained)
-        if (lost := PROFILE_SPACING * float(np.sum(emitted < 0.95))) >= 1.0:
+        if (length := PROFILE_SPACING * float(np.sum(emitted < 0.95))) >= 1.0:
             notes += (
-                f"over {lost:.0f} m the innovations are far beyond their covariance; the heights "
+                f"over {length:.0f} m the innovations are far beyond their covariance; the heights "
                 "are reduced there",
             )
-        share = np.where(lost_before_restarts(run, output, TUNING.lost_reach), 0.0, share)
+        lost = pipeline.lost_before_restarts(run, output, TUNING.lost_reach)
+        share = np.where(lost, 0.0, share)
         long = monitoring.long_waves(z) if smooth else np.zeros_like(z)
         reduced, std = reduce_unexplained(z - long, z_std, share)
         return Estimate(s, reduced + monitoring.reduce_slope(long, share), std, notes)

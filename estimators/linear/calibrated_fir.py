@@ -39,6 +39,7 @@ from estimators.api import (
 )
 from estimators.common.blas import single_blas_thread
 from estimators.common.odometer import calibrate_odometer
+from estimators.linear import road_posterior
 from estimators.linear.calibration_checks import check_drives, check_responses
 from estimators.linear.impulse_responses import (
     AR_ORDER,
@@ -52,14 +53,6 @@ from estimators.linear.impulse_responses import (
     sample_times,
     segment_of,
     sensed,
-)
-from estimators.linear.road_posterior import (
-    START,
-    Nodes,
-    fit_settings,
-    normal_equations,
-    prior_bands,
-    solve,
 )
 from estimators.preprocessing import RecordError, clean_record, sample_profile
 from road_envs.core.config import Settings
@@ -291,19 +284,20 @@ def _reconstruct(
     count = max(1, round(record.length / WINDOW))
     edges = np.linspace(0.0, record.length, count + 1)
     z, power = np.zeros((2, stations.size)), np.zeros((2, stations.size))
-    settings = START
+    settings = road_posterior.START
     for begin, end in pairwise(edges):
         own = np.flatnonzero((s > begin - margin) & (s < end + margin))
         if own.size < 2:
             continue
         part = slice(own[0], own[-1] + 1)
         first = max(begin - margin, float(s[own[0]])) - margin
-        nodes = Nodes(first, ds, int((end + margin - first) / ds) + 1)
+        nodes = road_posterior.Nodes(first, ds, int((end + margin - first) / ds) + 1)
         fine = fine_stations(record, t[part])
         roads = [nodes.accelerations(fine - axle) for axle in axles]
-        data, prior = normal_equations(responses, a[:, part], roads), prior_bands(nodes)
-        settings = fit_settings(data, prior, settings)
-        posterior = solve(data, prior, settings)
+        data = road_posterior.normal_equations(responses, a[:, part], roads)
+        prior = road_posterior.prior_bands(nodes)
+        settings = road_posterior.fit_settings(data, prior, settings)
+        posterior = road_posterior.solve(data, prior, settings)
         here = (stations >= begin) & (stations < end)
         heights = nodes.heights(stations)
         z[:, here] = (heights @ posterior.mean.reshape(-1, 2)).T[:, here]

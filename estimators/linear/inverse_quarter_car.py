@@ -119,9 +119,8 @@ class InverseQuarterCar(Settings):
         f[0] = 0.5 * f[1]  # R has a pole at 0
         a = _accelerations_at_struts(record.a, sensors.locations(car), car)
         lines = rfft(a - a.mean(axis=1, keepdims=True), size)
-        lines *= np.clip(
-            (_FADE_RATIO * F_C - f) / ((_FADE_RATIO - 1.0) * F_C), 0.0, 1.0
-        ) / sensors.response(f)
+        fade = np.clip((_FADE_RATIO * F_C - f) / ((_FADE_RATIO - 1.0) * F_C), 0.0, 1.0)
+        lines *= fade / sensors.response(f)
         mode, samples = dominant_modes(record, np.arange(record.t.size)), record.t.size
         corners = _fit_corners(build_plant(car.rigid), car, mode, f, lines, samples)
         R = corners.inverse(f)
@@ -132,12 +131,9 @@ class InverseQuarterCar(Settings):
         z = irfft(heights, size)[:, :samples]
         lowest, highest = self.f_low / record.v.max(), F_C / record.v.max()
         band = f"waves from {lowest:.2g} to {highest:.2g} cycles/m are estimated"
-        stations = profile_stations(record.length)
-        return Estimate(
-            stations,
-            _merge_axles(record, z, car.wheelbase),
-            notes=(*notes, *[_SWITCHED_NOTE] * record.is_switched, band),
-        )
+        z = _merge_axles(record, z, car.wheelbase)
+        notes = (*notes, *[_SWITCHED_NOTE] * record.is_switched, band)
+        return Estimate(profile_stations(record.length), z, notes=notes)
 
 
 def _accelerations_at_struts(

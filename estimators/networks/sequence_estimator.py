@@ -187,9 +187,8 @@ class SequenceEstimator(Settings, abc.ABC):
         state, network = self._loaded()
         ratios, conditions = [], []
         for drive in drives:
-            inputs = network_inputs(
-                drive.signals, state.bank, state.wheelbase, network, self.causal
-            )
+            given = drive.signals, state.bank, state.wheelbase
+            inputs = network_inputs(*given, network, self.causal)
             output, own = _evaluate(network, inputs), _station_conditions(inputs, network)
             scored = std_calibration.interior(inputs.level.size)
             error, speed = wheel_paths(drive.target - output.estimate), np.median(drive.signals.v)

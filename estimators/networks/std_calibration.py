@@ -63,9 +63,8 @@ def fit_std_scale(ratios: Sequence[np.ndarray], conditions: Sequence[np.ndarray]
     """
     x = np.array([_design_matrix(drive_conditions).mean(axis=1) for drive_conditions in conditions])
     levels = (np.arange(_N_QUANTILES) + 0.5) / _N_QUANTILES
-    log_ratios = np.log(
-        [np.maximum(np.quantile(np.abs(each), levels), _RATIO_MIN) for each in ratios]
-    )
+    quantiles = np.array([np.quantile(np.abs(each), levels) for each in ratios])
+    log_ratios = np.log(np.maximum(quantiles, _RATIO_MIN))
     # (2, drives, quantiles)
     over = np.array([log_ratios - np.log(n_std) for _, n_std in _COVERAGE_LEVELS])
     share = np.array([covered for covered, _ in _COVERAGE_LEVELS])[:, None, None]

@@ -24,6 +24,7 @@ one RMS per sensor does not resolve frequency.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -91,21 +92,14 @@ class RmsRoughness:
     def fit(cls, records: Sequence[Record], truths: Sequence[Profile]) -> Self:
         """Fit to drives over known roads. Raises RecordError."""
         X = np.array([features(record) for record in records])
-        levels = [
-            _roughness_level(truth, float(np.nanmedian(record.v)))
-            for record, truth in zip(records, truths, strict=True)
-        ]
+        pairs = zip(records, truths, strict=True)
+        levels = [_roughness_level(truth, float(np.nanmedian(x.v))) for x, truth in pairs]
         Y = np.log(levels)[:, None]
         scales = _Standardizer.fit(X), _Standardizer.fit(Y)
         x, y = scales[0](X), scales[1](Y)[:, 0]
         start = np.array([-1.0, *np.full(N_INPUTS, 1.0), -1.5])
-        optimum = minimize(
-            lambda theta: _neg_log_marginal_likelihood(x, y, theta),
-            start,
-            jac=True,
-            method="L-BFGS-B",
-            bounds=_THETA_BOUNDS,
-        )
+        loss = partial(_neg_log_marginal_likelihood, x, y)
+        optimum = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=_THETA_BOUNDS)
         return cls(x, y, *scales, optimum.x)
 
     def predict(self, record: Record) -> RoughnessEstimate:
@@ -114,9 +108,8 @@ class RmsRoughness:
         mean, std = _predict_gp(self.x, self.y, self.theta, at)
         log_level = float(self.y_scale.mean[0] + self.y_scale.std[0] * mean[0])
         log_std = float(self.y_scale.std[0] * std[0])
-        return RoughnessEstimate(
-            float(np.exp(log_level)), log_std, class_probabilities(log_level, log_std)
-        )
+        probability = class_probabilities(log_level, log_std)
+        return RoughnessEstimate(float(np.exp(log_level)), log_std, probability)
 
 
 def features(record: Record) -> np.ndarray:
