@@ -178,7 +178,7 @@ def add_node(road: RoadProcess, x, P, newest, scale):
 
 @kernel(inline=False)
 def transpose_nodes(road: RoadProcess, first, last, r):
-    """Replace `r` (n, M) by F' r, F being the steps that replace nodes `first` to `last` - 1."""
+    """Replace `r` (n, M) by F' r, F the steps that replace the nodes `first` to `last` - 1."""
     after = np.empty((6, r.shape[1]))
     for node in range(last - 1, first - 1, -1):
         entries, sources, factors = _node_law(road, node + road.n_nodes - 1)

@@ -145,7 +145,7 @@ def road_drive(record: Record, profile: Profile, axles: np.ndarray) -> RoadDrive
 
 
 def segment_of(s: np.ndarray, profile: Profile, axles: np.ndarray) -> np.ndarray:
-    """Return the segment (N,) at stations `s` of the first axle; -1 if an axle is beyond."""
+    """Return the segment (N,) at stations `s` [m] of the first axle; -1 if an axle is beyond."""
     start, end = profile.s[0] + axles[-1], profile.s[-1]
     part = np.floor(_SEGMENTS * (s - start) / max(end - start, 1e-9)).astype(int)
     return np.where((part >= 0) & (part < _SEGMENTS), part, -1)

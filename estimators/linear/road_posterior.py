@@ -139,7 +139,9 @@ def _columns(roads: Sequence[sparse.csr_array], first: int, last: int) -> tuple[
 
 
 def prior_bands(nodes: Nodes) -> np.ndarray:
-    """Return the lower bands (3, 2 size) of the precision [1/m²] for a rise of 1 m² per metre."""
+    """Return the lower bands (3, 2 size) of the prior's precision [1/m²] for a rise over a metre of
+    variance 1 m².
+    """
     # order of the coefficients: left and right of the first node, then of the next. Squared rises
     # from node to node give 2 on the diagonal (1 at both ends) and -1 at the same side of the next
     # node, two places on; squared differences of the paths couple left to right, one place on

@@ -219,9 +219,7 @@ class Spectra(NamedTuple):
         return road + forces
 
     def of_channels(self, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the densities (C, F) [(m/s²)²/Hz] of channels of `weights` (C, S) by the road and
-        by the forces.
-        """
+        """Return densities (C, F) [(m/s²)²/Hz] of channels by the road and by the forces."""
         f = self.drive.f
         H, H_force = (weights @ self.vehicle.readings(x, f) for x in (self.H, self.H_force))
         parts = H @ self.S @ hermitian(H), H_force @ self.D @ hermitian(H_force)
