@@ -124,7 +124,7 @@ def join_passes(
     estimator: Estimator, aligned: Sequence[AlignedPass], cars: Sequence[VehicleParameters]
 ) -> Estimate:
     """Return one road from aligned passes with the vehicles `cars`, one for each."""
-    found = combine(aligned)
+    found = _combine(aligned)
     names, records = [each.name for each in aligned], [each.record for each in aligned]
     if isinstance(estimator, JointEstimator) and len(aligned) > 1:
         found = estimator.estimate_jointly(records, cars, found, names)
@@ -203,7 +203,7 @@ def _alignment_note(
     return note
 
 
-def combine(passes: Sequence[AlignedPass]) -> Estimate:
+def _combine(passes: Sequence[AlignedPass]) -> Estimate:
     """Return the mean of the single estimates on the stations of the first, one road.
 
     Weights are inverse variances where every estimate has standard deviations, else equal. Means

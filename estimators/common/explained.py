@@ -96,7 +96,7 @@ def _motions(
     `valid` (k, N) samples, and where (N,) the latter are finite.
     """
     inputs = build_model_inputs(record, instruments, car, MAX_SPEED_STEP)
-    predicted = simulate_sensors(inputs, car, instruments, z)[:, : record.t.size]
+    predicted = _simulate_sensors(inputs, car, instruments, z)[:, : record.t.size]
     finite = np.isfinite(predicted).all(axis=0)
     return np.where(valid, record.a, 0.0), np.where(valid & finite, predicted, 0.0), finite
 
@@ -114,7 +114,7 @@ def _by_station(
     return np.asarray(gaussian_filter1d(total, WINDOW / PROFILE_SPACING))
 
 
-def demand_ratio(
+def _demand_ratio(
     z: np.ndarray, record: Record, car: VehicleParameters, instruments: Instruments
 ) -> np.ndarray:
     """Return the accelerations that heights `z` (2, M) [m] demand of `car` over those measured, as
@@ -148,7 +148,7 @@ def mark_impossible(
     """
     if not isinstance(estimator, HasInstruments):
         return estimate
-    ratio = demand_ratio(estimate.z, record, car, instruments_of(record, estimator.instruments))
+    ratio = _demand_ratio(estimate.z, record, car, instruments_of(record, estimator.instruments))
     impossible = ratio >= IMPOSSIBLE_RATIO
     if not impossible.any():
         return estimate
@@ -199,7 +199,7 @@ def reduce_unexplained(
     return z * share, np.hypot(z_std, (1.0 - share) * np.abs(z))
 
 
-def simulate_sensors(
+def _simulate_sensors(
     inputs: ModelInputs, car: VehicleParameters, instruments: Instruments, z: np.ndarray
 ) -> np.ndarray:
     """Return accelerations (k, N) [m/s²] of the sensors on heights `z` (2, M) [m] at the profile

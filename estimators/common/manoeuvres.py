@@ -49,7 +49,7 @@ def mark_manoeuvres(estimate: Estimate, record: Record, wheelbase: float) -> Est
     unsure, notes = np.zeros(estimate.s.size, dtype=bool), list[str]()
     for during, what in (
         (turns(record), "turned"),
-        (speed_changes(record), "braked or accelerated hard, or stood"),
+        (_speed_changes(record), "braked or accelerated hard, or stood"),
     ):
         marked = np.zeros(estimate.s.size, dtype=bool)
         runs, count = label(during)
@@ -79,7 +79,7 @@ def turns(record: Record) -> np.ndarray:
     return (runs > 0) & np.isin(runs, runs[np.abs(slow) > limit])
 
 
-def speed_changes(record: Record) -> np.ndarray:
+def _speed_changes(record: Record) -> np.ndarray:
     """Return at which samples (N,) the vehicle braked or accelerated hard, or stood."""
     known = np.isfinite(record.v)
     if not known.any():

@@ -88,7 +88,7 @@ def _describe(error: float, displacement: np.ndarray) -> str:
     )
 
 
-def calibrate_odometer_online(record: Record) -> tuple[Record, tuple[str, ...]]:
+def _calibrate_odometer_online(record: Record) -> tuple[Record, tuple[str, ...]]:
     """Return `record` with calibrated stations and speed, and a note if they were changed.
 
     Each sample is calibrated by those before it alone. A record is returned itself if it is empty,
@@ -175,4 +175,4 @@ def to_true_distance(record: Record, estimate: Estimate) -> tuple[Record, Estima
 
 def calibrate_stations(record: Record, causal: bool) -> tuple[Record, tuple[str, ...]]:
     """Return `record` with calibrated stations and speed, for a `causal` estimate or another."""
-    return (calibrate_odometer_online if causal else calibrate_odometer)(record)
+    return (_calibrate_odometer_online if causal else calibrate_odometer)(record)

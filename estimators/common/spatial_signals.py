@@ -103,12 +103,12 @@ def to_spatial(record: Record, margin: int, causal: bool = False) -> SpatialSign
     stiff, high = record.spring_stiff, record.damper_high
     axles = (stiff[:, :2], high[:, :2], stiff[:, 2:], high[:, 2:])
     states = record.interpolate(s, np.array([pair.mean(axis=1) for pair in axles]))
-    v, ratios = np.interp(s, record.s, record.v), power_ratios(sensed[:N_MOTIONS], record.fs)
+    v, ratios = np.interp(s, record.s, record.v), _power_ratios(sensed[:N_MOTIONS], record.fs)
     spectrum = record.interpolate(s, ratios) if causal else np.tile(ratios[:, -1:], K)
-    return SpatialSignals(decimate(motions), v, states.T, margin, spectrum)
+    return SpatialSignals(_decimate(motions), v, states.T, margin, spectrum)
 
 
-def power_ratios(a: np.ndarray, fs: float) -> np.ndarray:
+def _power_ratios(a: np.ndarray, fs: float) -> np.ndarray:
     """Return logarithms (N_RATIOS, N) of the ratios of the powers of front and of roll to that of
     rear in each of BANDS, from the first to each sample of the accelerations `a` (3, N) [m/s²].
     """
@@ -149,7 +149,7 @@ def without_long_waves(z: np.ndarray) -> np.ndarray:
     return high_pass(z, N_HIGH_PASS, 1.0 / PROFILE_SPACING, wave)
 
 
-def decimate(x: np.ndarray) -> np.ndarray:
+def _decimate(x: np.ndarray) -> np.ndarray:
     """Return K low-passed stations of `x` (k, (K - 1 + 2 EDGE_STATIONS) DECIMATION + 1)."""
     edges = 2 * EDGE_STATIONS
     K = (x.shape[1] - 1) // DECIMATION + 1 - edges
@@ -173,7 +173,7 @@ def target_profile(truth: Profile, length: float) -> np.ndarray:
     z = without_long_waves(np.array([0.5 * (left + right), 0.5 * (left - right)]))
     after = (n_stations(length) - 1) * DECIMATION + 1 - z.shape[1]
     ends = (2 * EDGE_STATIONS * DECIMATION, after)
-    return decimate(np.pad(z, ((0, 0), ends), mode="reflect", reflect_type="odd"))
+    return _decimate(np.pad(z, ((0, 0), ends), mode="reflect", reflect_type="odd"))
 
 
 def wheel_paths(x: np.ndarray) -> np.ndarray:

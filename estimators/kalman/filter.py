@@ -48,14 +48,14 @@ def filter_blocks(
     for j in range(first, last):
         choose_linearization(model, local, block.force_variance)
         linearize_block(model, inputs, local, j, block)
-        update_block(model, inputs, local, block, j, j - first)
+        _update_block(model, inputs, local, block, j, j - first)
         if step_is_likely(test, local, j - first):
             return j + 1, True
     return last, False
 
 
 @kernel
-def normal_hazard(x):
+def _normal_hazard(x):
     """Return the standard normal density at `x` over the probability of more; E[X | X > x]."""
     if x > 8.0:
         return x + 1.0 / x - 2.0 / x**3
@@ -63,7 +63,7 @@ def normal_hazard(x):
 
 
 @kernel(inline=False)
-def update_block(
+def _update_block(
     model: FilterModel, inputs: FilterInputs, local: LocalState, block: LinearizedBlock, j, i
 ):
     """Update by the measurements of the block `j`, the window's `i`-th, and predict to its end.
@@ -80,7 +80,7 @@ def update_block(
             effect = block.force_variance[w] * model.force_effect[w, r]
             for c in range(3 + n_vehicle):
                 covariance[r, c] += effect * model.force_effect[w, c]
-    T, innovation = whiten(model, inputs, local, block.predicted, covariance, j, i)
+    T, innovation = _whiten(model, inputs, local, block.predicted, covariance, j, i)
     # covariance of the whitened innovations with the local state, and beside it their derivative
     V, gain = np.empty((3, 2 * size)), np.empty((size, 3))
     for k in range(2 * size):
@@ -112,7 +112,7 @@ def update_block(
 
 
 @kernel(inline=False)
-def whiten(
+def _whiten(
     model: FilterModel, inputs: FilterInputs, local: LocalState, predicted, covariance, j, i
 ):
     """Return the matrix T (3, 3) that whitens the measurements and the whitened innovation (3,),
@@ -151,7 +151,7 @@ def whiten(
         innovation[s] *= inverse_std
         if censored[s] != 0.0:
             limit = min(censored[s] * innovation[s], _MAX_LIMIT)
-            hazard = normal_hazard(limit)
+            hazard = _normal_hazard(limit)
             innovation[s] = censored[s] * np.sqrt(hazard / (hazard - limit))
             inverse_std *= np.sqrt(hazard * (hazard - limit))
         for t in range(s + 1):

@@ -37,10 +37,10 @@ def _smoothed_tables(data: bytes, shape: tuple[int, ...]) -> tuple[np.ndarray, n
     tables = [
         gaussian_smoothed(velocity, V_0, V_STEP, s) if s > 0.0 else velocity for s in RATE_STDS
     ]
-    return np.concatenate(tables), np.stack([residual_variance(velocity, s) for s in RATE_STDS])
+    return np.concatenate(tables), np.stack([_residual_variance(velocity, s) for s in RATE_STDS])
 
 
-def residual_variance(velocity: np.ndarray, std: float) -> np.ndarray:
+def _residual_variance(velocity: np.ndarray, std: float) -> np.ndarray:
     """Return the variance (K, cells + 1) [N²] of the force about its best line, over the grid of
     rates, for a rate of standard deviation `std` [m/s].
     """

@@ -57,7 +57,7 @@ def _windowed_sinc(d, cutoff, half_window):
 
 
 @kernel(inline=False)
-def output_weights(u, at, decay, cutoff, half_window):
+def _output_weights(u, at, decay, cutoff, half_window):
     """Write the weights `u` (2 + L,) of retired-node sums and of L nodes, the oldest first, in the
     output at the position `at` from the oldest node. The road beyond the nodes counts as level
     with the nearest one. With a `decay` of 0 no long waves are subtracted.
@@ -98,9 +98,9 @@ def output_weights(u, at, decay, cutoff, half_window):
 
 @kernel(inline=False)
 def fill_weights(at, decay, cutoff, half_window, u):
-    """Write the `output_weights` of M positions `at` (M,) to `u` (M, 2 + L)."""
+    """Write the `_output_weights` of M positions `at` (M,) to `u` (M, 2 + L)."""
     for m in range(at.size):
-        output_weights(u[m], at[m], decay, cutoff[m], half_window)
+        _output_weights(u[m], at[m], decay, cutoff[m], half_window)
 
 
 def lost_noise_scale(signal_power: np.ndarray | float) -> np.ndarray | float:

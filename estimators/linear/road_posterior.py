@@ -76,7 +76,7 @@ class _BandedNormalEquations(NamedTuple):
     n: int
 
 
-class LinearPosterior(NamedTuple):
+class _LinearPosterior(NamedTuple):
     """Posterior `mean` (p,) [m], the banded Cholesky `factor` of its precision, and the logarithm
     of the marginal likelihood up to a constant.
     """
@@ -154,7 +154,9 @@ def prior_bands(nodes: Nodes) -> np.ndarray:
     return bands / nodes.ds
 
 
-def solve(data: _BandedNormalEquations, prior: np.ndarray, settings: np.ndarray) -> LinearPosterior:
+def solve(
+    data: _BandedNormalEquations, prior: np.ndarray, settings: np.ndarray
+) -> _LinearPosterior:
     """Return the posterior; `settings`: logarithms of the variance of the rise over a metre [m²],
     and of the factor on the noise.
     """
@@ -165,7 +167,7 @@ def solve(data: _BandedNormalEquations, prior: np.ndarray, settings: np.ndarray)
     mean = cho_solve_banded((factor, True), weight * data.rhs, check_finite=False)
     misfit = weight * (data.square - data.rhs @ mean)
     log_det = np.log(factor[0]).sum() + 0.5 * factor.shape[1] * settings[0]
-    return LinearPosterior(mean, factor, float(-0.5 * (misfit + data.n * settings[1]) - log_det))
+    return _LinearPosterior(mean, factor, float(-0.5 * (misfit + data.n * settings[1]) - log_det))
 
 
 def fit_settings(

@@ -52,7 +52,7 @@ class TwoLayerNetwork:
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """Return outputs (K, N) for inputs `x` (R, N)."""
-        return self.output @ append_ones(np.tanh(self.hidden.T @ append_ones(x)))
+        return self.output @ _append_ones(np.tanh(self.hidden.T @ _append_ones(x)))
 
     def add_step(self, step: np.ndarray) -> "TwoLayerNetwork":
         """Return the network with a `step` (P,) added to its weights, hidden layer first."""
@@ -231,7 +231,7 @@ def train(
     occupies the other core, and are summed in the same order on every machine.
     """
     options = options or TrainlmOptions()
-    training, validation, test = ((append_ones(x[:, part]), t[:, part]) for part in split)
+    training, validation, test = ((_append_ones(x[:, part]), t[:, part]) for part in split)
     at = evaluate(network, *training)
     best, best_error, best_epoch = network, np.inf, 0
     mu, stop = options.mu, None
@@ -344,6 +344,6 @@ def _chunks(size: int) -> Iterator[slice]:
     return (slice(start, start + CHUNK) for start in range(0, size, CHUNK))
 
 
-def append_ones(x: np.ndarray) -> np.ndarray:
+def _append_ones(x: np.ndarray) -> np.ndarray:
     """Return `x` (R, N) with a row of ones, the input of the biases."""
     return np.vstack([x, np.ones(x.shape[1])])

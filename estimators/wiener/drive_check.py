@@ -49,7 +49,7 @@ _SPEED_UNITS = {"km/h": 1.0 / 3.6, "mph": 0.44704}
 
 
 @dataclass(frozen=True)
-class Alternative:
+class _Alternative:
     """Another reading of a drive: what is `different` about its `record`, and what to do."""
 
     different: str
@@ -71,7 +71,7 @@ def check_notes(
     described = deviance(part, car, instruments)
     others = list(_other_modes(part, car))
     if described[1] > TUNING.doubted_scale:
-        others += other_readings(part, speed_known)
+        others += _other_readings(part, speed_known)
     pairs = [(part, car), *((other.record, car) for other in others)]
     best, gain = _best_description(pairs, described, instruments, TUNING.check_gain)
     if not best:
@@ -98,7 +98,7 @@ def _best_description(
     gains = [_clear_gain(described, deviance(*pair, instruments), least) for pair in pairs[1:]]
     best = 1 + int(np.argmax(gains)) if any(gains) else 0
     own, other = (
-        deviance(without_obstacles(record), car, instruments)
+        deviance(_without_obstacles(record), car, instruments)
         for record, car in (pairs[0], pairs[best])
     )
     return (best, gains[best - 1]) if best and _clear_gain(own, other, least) else (0, 0.0)
@@ -158,7 +158,7 @@ def _other_side_motions(car: VehicleParameters) -> Iterator[tuple[str, VehiclePa
             yield f"roll centres {f:g} times as high", replace(car, side=high)
 
 
-def without_obstacles(record: Record) -> Record:
+def _without_obstacles(record: Record) -> Record:
     """Return a record whose samples about obstacles are lost."""
     near, a = obstacle_samples(record), record.a.copy()
     if near.mean() < TUNING.most_left_out:
@@ -175,7 +175,7 @@ def obstacle_samples(record: Record) -> np.ndarray:
     return np.asarray(maximum_filter1d(far, 2 * round(TUNING.surroundings * record.fs) + 1))
 
 
-def _other_modes(record: Record, car: VehicleParameters) -> Iterator[Alternative]:
+def _other_modes(record: Record, car: VehicleParameters) -> Iterator[_Alternative]:
     """Yield a record in the other modes of its car."""
     described = dominant_modes(record, np.arange(record.t.size), car.modes)
     names = " and ".join(dict.fromkeys(described.values()))
@@ -186,10 +186,10 @@ def _other_modes(record: Record, car: VehicleParameters) -> Iterator[Alternative
                 spring_stiff=np.full_like(record.spring_stiff, stiff),
                 damper_high=np.full_like(record.damper_high, high),
             )
-            yield Alternative(f"the mode {name}", f"{names} is described (--mode)", other)
+            yield _Alternative(f"the mode {name}", f"{names} is described (--mode)", other)
 
 
-def other_readings(record: Record, speed_known: bool = False) -> Iterator[Alternative]:
+def _other_readings(record: Record, speed_known: bool = False) -> Iterator[_Alternative]:
     """Yield a record with other units of its speed, other signs, and exchanged channels."""
     for unit, factor in _SPEED_UNITS.items():
         if not speed_known:
@@ -200,7 +200,7 @@ def other_readings(record: Record, speed_known: bool = False) -> Iterator[Altern
                 length=factor * record.length,
             )
             given = f"{3.6 * np.median(record.v):.0f} km/h"
-            yield Alternative(
+            yield _Alternative(
                 f"a speed of {3.6 * factor * np.median(record.v):.0f} km/h",
                 f"{given} is described; is the speed in {unit} (--units v={unit})?",
                 slower,
@@ -208,7 +208,7 @@ def other_readings(record: Record, speed_known: bool = False) -> Iterator[Altern
     for k, name in enumerate(record.channels):
         sign = np.where(np.arange(len(record.channels)) == k, -1.0, 1.0)
         column = f"a_{name.lower()}"
-        yield Alternative(
+        yield _Alternative(
             f"the opposite sign of {name}",
             f"does its axis point down (--invert {column})?",
             replace(record, a=sign[:, None] * record.a),
@@ -217,7 +217,7 @@ def other_readings(record: Record, speed_known: bool = False) -> Iterator[Altern
     for i, j in pairs if len(record.channels) <= TUNING.max_exchanged else ():
         order = np.arange(len(record.channels))
         order[[i, j]] = j, i
-        yield Alternative(
+        yield _Alternative(
             f"{record.channels[i]} and {record.channels[j]} exchanged",
             "check which column is which (--columns)",
             replace(record, a=record.a[order]),

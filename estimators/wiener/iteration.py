@@ -99,10 +99,10 @@ def _residual_forces(model: SpectralModel, iterate: Iterate) -> tuple[np.ndarray
     use = slow & (model.f < F_C)
     std_w = np.sqrt(np.trapezoid(P[:, use], model.n[use]))
     std_e = np.sqrt(np.trapezoid((P * np.abs(per_rate) ** 2)[:, use], model.n[use]))
-    return gaussian_expectation(model.residual_law, e, w, std_e, std_w)
+    return _gaussian_expectation(model.residual_law, e, w, std_e, std_w)
 
 
-def gaussian_expectation(
+def _gaussian_expectation(
     law: NonlinearResidual, e: np.ndarray, w: np.ndarray, std_e: np.ndarray, std_w: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the expected force (4, N) [N] and its variance (4,) [N²], averaged over N.

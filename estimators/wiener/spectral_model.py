@@ -45,7 +45,7 @@ _ROAD_OCTAVES = 0.125 * 2.0 ** np.arange(6)
 
 
 @dataclass(frozen=True, kw_only=True)
-class ShapedRoadPrior(RoadPrior):
+class _ShapedRoadPrior(RoadPrior):
     """Road prior with a factor `shape` at _ROAD_OCTAVES on its power law."""
 
     shape: tuple[float, ...] = (1.0,) * _ROAD_OCTAVES.size
@@ -119,7 +119,7 @@ class SpectralModel:
     residual_psd: np.ndarray
     sensor_psd: float
     model_error: np.ndarray | float
-    prior: ShapedRoadPrior
+    prior: _ShapedRoadPrior
     S: np.ndarray
     noise_scale: np.ndarray
 
@@ -137,7 +137,7 @@ def fit_hyperparameters(vehicle: SensedVehicle, segment: Segment) -> SpectralMod
     """Return the model of a `segment` with fitted road prior and noise scale."""
     padding = round(TUNING.circle_padding / segment.spacing)
     size = next_fast_len(segment.a.shape[1] + padding, real=True)
-    prior = ShapedRoadPrior(track=vehicle.track)
+    prior = _ShapedRoadPrior(track=vehicle.track)
     noise_scale = np.ones(size // 2 + 1)
     for k in range(TUNING.damping_iterations):
         model = build_model(vehicle, segment, prior, size, noise_scale)
@@ -151,7 +151,7 @@ def fit_hyperparameters(vehicle: SensedVehicle, segment: Segment) -> SpectralMod
 def build_model(
     vehicle: SensedVehicle,
     segment: Segment,
-    prior: ShapedRoadPrior,
+    prior: _ShapedRoadPrior,
     size: int,
     noise_scale: np.ndarray,
 ) -> SpectralModel:
@@ -215,7 +215,7 @@ def active_sensors(segment: Segment) -> np.ndarray:
 
 def run_em(
     model: SpectralModel, lines: np.ndarray, sensors: np.ndarray, share: np.ndarray | None = None
-) -> tuple[ShapedRoadPrior, np.ndarray]:
+) -> tuple[_ShapedRoadPrior, np.ndarray]:
     """Return updated road prior and noise scale (F,), given `lines` (F, S, 1) of the `sensors`.
 
     With fewer than three sensors the noise scale is kept: noise and road are not separable.
@@ -228,7 +228,7 @@ def run_em(
     factor = np.interp(np.log(_NOISE_OCTAVES), np.log(model.f), model.noise_scale)
     octave = np.argmin(np.abs(np.log(n[:, None] / _ROAD_OCTAVES)), axis=1)
     level = model.prior.G_d0
-    unit = replace(model.prior, G_d0=1.0, shape=ShapedRoadPrior.shape).spectrum(n)
+    unit = replace(model.prior, G_d0=1.0, shape=_ShapedRoadPrior.shape).spectrum(n)
     shape = np.array(model.prior.shape)
     for _ in range(TUNING.em_iterations):
         S, R = unit * (level * shape[octave, None, None]), base * factor[band, None, None]
