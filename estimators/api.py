@@ -30,6 +30,16 @@ Records: TypeAlias = Sequence[Record]
 Profiles: TypeAlias = Sequence[Profile]
 
 
+# Arguments of the methods, as which they are called
+_ARGUMENTS: dict[str, list[str]] = {
+    "estimate": ["record", "car"],
+    "fit": ["records", "truths", "car", "seed"],
+    "weights": [],
+    "with_weights": ["weights"],
+    "calibrate": ["drives", "car"],
+}
+
+
 class EstimateError(ValueError):
     """An estimate that violates the interface; the message says how."""
 
@@ -43,7 +53,7 @@ class Estimator(Protocol):
 
     causal: ClassVar[bool]
     """True if the estimate at a station uses only samples up to the moment when the front axle has
-    passed it; with a lag (`HasLag`), when the front axle is that far beyond it.
+    passed it; with a `lag` [m], when the front axle is that far beyond it.
     """
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
@@ -52,24 +62,10 @@ class Estimator(Protocol):
 
 
 @runtime_checkable
-class HasLag(Protocol):
-    """An estimator that declares its `lag` [m] behind the front axle, None if offline."""
-
-    lag: float | None
-
-
-@runtime_checkable
 class HasInstruments(Protocol):
     """An estimator with a model of the vehicle, and of its `instruments` (name or path)."""
 
     instruments: str
-
-
-@runtime_checkable
-class DeclaresSeedUse(Protocol):
-    """An estimator that says by `uses_seed` whether the seed of `fit` makes a difference."""
-
-    uses_seed: bool
 
 
 @runtime_checkable
@@ -183,8 +179,8 @@ class Calibratable(Estimator, Protocol):
 
 
 def declared_lag(estimator: object) -> float:
-    """Return the lag [m] that an estimator declares, 0 if it declares none."""
-    return float(estimator.lag or 0.0) if isinstance(estimator, HasLag) else 0.0
+    """Return the `lag` [m] behind the front axle that an estimator declares, 0 if it has none."""
+    return float(getattr(estimator, "lag", None) or 0.0)
 
 
 def refits_per_case(estimator: object) -> bool:
@@ -193,8 +189,8 @@ def refits_per_case(estimator: object) -> bool:
 
 
 def uses_seed(estimator: object) -> bool:
-    """Return whether the seed of `fit` makes a difference: so unless an estimator denies it."""
-    return not isinstance(estimator, DeclaresSeedUse) or estimator.uses_seed is not False
+    """Return whether the seed of `fit` makes a difference: so unless `uses_seed` denies it."""
+    return getattr(estimator, "uses_seed", True) is not False
 
 
 def copy_with(estimator: T, **fields: Any) -> T:
@@ -220,7 +216,6 @@ def validate_weights(
     weights: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[int | None, ...]]
 ) -> list[np.ndarray]:
     """Return the `weights` as float arrays in the order of `shapes`, where None matches any size.
-
     Raises ValueError if a name is missing or unknown, or if a shape or value is invalid.
     """
     if weights.keys() != shapes.keys():
@@ -248,28 +243,18 @@ def check_class(cls: Any) -> Any:
         raise TypeError(
             f"its lag must be a distance >= 0 in metres behind the front axle, got {lag!r}"
         )
-    arguments_of = {"estimate": 3, "fit": 5, "weights": 1, "with_weights": 2, "calibrate": 3}
-    for method, arguments in arguments_of.items():
-        if (function := getattr(cls, method, None)) is not None:
-            _check_call(function, method, arguments)
+    for method, arguments in _ARGUMENTS.items():
+        if (function := getattr(cls, method, None)) is None:
+            continue
+        try:
+            inspect.signature(function).bind(cls, *arguments)
+        except TypeError:
+            call = f"{method}({', '.join(arguments)})"
+            raise TypeError(f"it cannot be called as {call}") from None
     missing = [name for name in ("weights", "with_weights") if not hasattr(cls, name)]
     if hasattr(cls, "fit") and missing:
         raise TypeError(f"it has fit but no {' and no '.join(missing)}: a trainable needs both")
     return cls
-
-
-def _check_call(function: Callable, name: str, arguments: int) -> None:
-    """Raise TypeError unless a method accepts this number of arguments, `self` included."""
-    try:
-        inspect.signature(function).bind(*range(arguments))
-    except TypeError:
-        signatures = {
-            "estimate": "record, car",
-            "fit": "records, truths, car, seed",
-            "calibrate": "drives, car",
-        }
-        parameters = signatures.get(name, "weights" if arguments > 1 else "")
-        raise TypeError(f"it cannot be called as {name}({parameters})") from None
 
 
 def check_estimate(estimate: object, record: Record) -> None:

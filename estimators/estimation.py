@@ -27,13 +27,11 @@ def estimate(
     **settings: Any,
 ) -> Estimate:
     """Reconstruct both wheel paths from a record, or from those of several passes over one road
-    (`estimators.passes`), each with a `vehicle` of its own or one for all.
-
-    `estimator` is an object, or what `make_estimator` takes with its `settings`; `vehicle` is the
-    described car, by name, YAML file or parameters. The estimate keeps the median speed of the
-    record, which decides the band in which it can be scored. Raises ConfigError, EstimateError,
-    NotFittedError for an estimator that must be trained first, and TypeError for arguments of
-    another kind.
+    (`estimators.passes`), each with a `vehicle` of its own or one for all. `estimator` is an
+    object, or what `make_estimator` takes with its `settings`; `vehicle` is the described car, by
+    name, YAML file or parameters. The estimate keeps the median speed of the record, which decides
+    the band in which it can be scored. Raises ConfigError, EstimateError, NotFittedError for an
+    estimator that must be trained first, and TypeError for arguments of another kind.
     """
     given = [record] if isinstance(record, Record) else record
     if not isinstance(given, Sequence) or not all(isinstance(each, Record) for each in given):

@@ -7,20 +7,15 @@ from scipy.interpolate import CubicSpline
 
 from road_envs.records.record import Record
 
+# Relative deviation of a time step from the median above which the clock is resampled: a sample
+# is then taken at most a tenth of a millimetre off at 36 km/h and 1 kHz
 _CLOCK_JITTER_MAX = 0.01
-"""Relative deviation of a time step from the median above which the clock is resampled: a sample
-is then taken at most a tenth of a millimetre off at 36 km/h and 1 kHz.
-"""
-
+# Median deviations of the time steps by which a step may be longer without a lost sample: four
+# standard deviations
 _GAP_JITTERS = 6.0
-"""Median deviations of the time steps by which a step may be longer without a lost sample: four
-standard deviations.
-"""
-
+# Sample rate [Hz] below which samples of an uneven clock are interpolated by a cubic spline: at
+# 100 Hz a straight line takes a fifth of the power of waves of 25 Hz
 _FS_SPLINE = 400.0
-"""Sample rate [Hz] below which samples of an uneven clock are interpolated by a cubic spline: at
-100 Hz a straight line takes a fifth of the power of waves of 25 Hz.
-"""
 
 
 def is_even_clock(steps: np.ndarray) -> bool:

@@ -9,14 +9,12 @@ from typing import Any
 from estimators import pretrained_weights, registry, weights_io
 from estimators.api import Estimator, Pretrained, check_class
 from road_envs.core.config import ConfigError, build
-from road_envs.records.accelerometers import Accelerometer
 from road_envs.records.record import Record
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 
+# Vehicle of the drives that the shipped weights were trained on
 TRAINING_VEHICLE = "land_rover_defender_110"
-"""Vehicle of the drives that the shipped weights were trained on."""
-
 _TRAINING_INSTRUMENTS = "paper"  # instruments of these drives
 
 FILE_SUFFIXES = (".npz", pretrained_weights.SUFFIX)
@@ -63,14 +61,11 @@ def resolve_estimator(reference: str | Path | Estimator, settings: Mapping[str, 
     return reference
 
 
-def _same_place(one: Accelerometer, other: Accelerometer) -> bool:
-    return all(getattr(one, x) == getattr(other, x) for x in ("mounted", "axle", "ahead", "y"))
+_place = attrgetter("mounted", "axle", "ahead", "y")
 
 
 def training_notes(estimator: Estimator, record: Record, car: VehicleParameters) -> tuple[str, ...]:
-    """Return notes if shipped weights were trained on drives of another vehicle, or with
-    accelerometers at other places.
-    """
+    """Return notes if shipped weights are of another vehicle or other places of the sensors."""
     if not isinstance(estimator, Pretrained) or estimator.fitted_state is not None:
         return ()
     weights, notes = f"the shipped weights of {type(estimator).name}", []
@@ -81,7 +76,7 @@ def training_notes(estimator: Estimator, record: Record, car: VehicleParameters)
             "no difference to this estimate"
         )
     places, sensors = load_instruments(_TRAINING_INSTRUMENTS).accelerometers, record.sensors or {}
-    moved = [x for x in places if x in sensors and not _same_place(sensors[x], places[x])]
+    moved = [x for x in places if x in sensors and _place(sensors[x]) != _place(places[x])]
     if moved:
         notes.append(
             f"{weights} were trained with {', '.join(moved)} at other places; that they differ "

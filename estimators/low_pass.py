@@ -20,20 +20,15 @@ from scipy.signal import welch
 from road_envs.records.record import LowPass, Record
 
 _TAPER = 1.2  # frequency at which the spectrum of filtered accelerations ends, over the bandwidth
-
+# Periods of the cut-off around a gap and at the ends of a record in which what is not measured
+# exceeds the noise: a gap is bridged, and beyond the ends the signals are guessed
 GAP_REACH, END_REACH = 2.0, 5.0
-"""Periods of the cut-off around a gap and at the ends of a record in which what is not measured
-exceeds the noise: a gap is bridged, and beyond the ends the signals are guessed."""
-
+# Ratio of the power densities at both ends of an octave, and share of the noise's
 FALL, SILENCE = 1e-3, 1e-2
-"""Ratio of the power densities at both ends of an octave, and share of the noise's."""
-
+# Range of the corner [Hz] of a filter that is not named; estimators use no more
 MIN_CORNER, MAX_CORNER = 10.0, 100.0
-"""Range of the corner [Hz] of a filter that is not named; estimators use no more."""
-
+# Orders that are tried, and corners over the frequency at which the fall begins
 ORDERS, CORNER_RATIOS = (3, 4, 5, 6, 8, 10), np.geomspace(0.8, 1.4, 60)
-"""Orders that are tried, and corners over the frequency at which the fall begins."""
-
 _WELCH_SECONDS = 0.5  # length [s] of the periodograms: their lines are 2 Hz apart
 
 

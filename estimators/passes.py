@@ -34,9 +34,8 @@ from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 Vehicle = str | Path | VehicleParameters
 
 WANDER_NOTE = "lateral wander between the passes is neglected"
-
+# Largest displacement [m] of an odometer for which passes count as begun at the same place
 _LEVEL_START = 2.0
-"""Largest displacement [m] of an odometer for which passes count as begun at the same place."""
 
 
 @runtime_checkable
@@ -125,7 +124,7 @@ def join_passes(
     estimator: Estimator, aligned: Sequence[AlignedPass], cars: Sequence[VehicleParameters]
 ) -> Estimate:
     """Return one road from aligned passes with the vehicles `cars`, one for each."""
-    found = combine(aligned)
+    found = _combine(aligned)
     names, records = [each.name for each in aligned], [each.record for each in aligned]
     if isinstance(estimator, JointEstimator) and len(aligned) > 1:
         found = estimator.estimate_jointly(records, cars, found, names)
@@ -147,9 +146,8 @@ def _load_vehicles(vehicles: Vehicle | Sequence[Vehicle], count: int) -> list[Ve
 def align_passes(
     records: Sequence[Record], estimates: Sequence[Estimate], names: Sequence[str]
 ) -> tuple[list[AlignedPass], list[str]]:
-    """Return the passes on the stations of the first, and notes on what was found.
-
-    Raises ConfigError if a pass does not match.
+    """Return the passes on the stations of the first, and notes on what was found. Raises
+    ConfigError if a pass does not match.
     """
     reference, first = records[0], estimates[0]
     aligned = [AlignedPass(names[0], reference, first, identity_map(reference.length))]
@@ -205,7 +203,7 @@ def _alignment_note(
     return note
 
 
-def combine(passes: Sequence[AlignedPass]) -> Estimate:
+def _combine(passes: Sequence[AlignedPass]) -> Estimate:
     """Return the mean of the single estimates on the stations of the first, one road.
 
     Weights are inverse variances where every estimate has standard deviations, else equal. Means
@@ -258,10 +256,9 @@ def _on_stations(each: AlignedPass, s: np.ndarray) -> tuple[np.ndarray, np.ndarr
 def _birge_ratio(
     error: np.ndarray, variance: np.ndarray, everywhere: np.ndarray, band: tuple[float, float]
 ) -> float:
-    """Return the square root of chi-squared per degree of freedom, at least 1.
-
-    `error` (P, 2, M) [m] are the deviations of P passes from their mean, with the expected
-    `variance` (P, 2, M) [m²] inside `band`; stations that all passes cover count.
+    """Return the square root of chi-squared per degree of freedom, at least 1. `error` (P, 2, M)
+    [m] are the deviations of P passes from their mean, with the expected `variance` (P, 2, M) [m²]
+    inside `band`; stations that all passes cover count.
     """
     error, variance = error[:, :, everywhere], variance[:, :, everywhere]
     if error.shape[2] * PROFILE_SPACING < MIN_OVERLAP:

@@ -33,43 +33,29 @@ from road_envs.records.record import (
 )
 from road_envs.sensing.instruments import Instruments
 
+# Words of a note that is true of the first section of a drive alone: others begin on a road
 LATE_START = "lie behind the front axle at the start"
-"""Words of a note that is true of the first section of a drive alone: others begin on a road."""
-
+# Lowest sample rate [Hz]: twice the bandwidth, and a fifth for the flank of the low-pass
 FS_MIN = 2.4 * F_C
-"""Lowest sample rate [Hz]: twice the bandwidth, and a fifth for the flank of the low-pass."""
-
-_DURATION_MIN = 1.0
-"""Shortest duration [s]: one period of the body's bounce."""
-
+_DURATION_MIN = 1.0  # shortest duration [s]: one period of the body's bounce
+# Shortest distance travelled [m]: less than two of the shortest scored waves, of 0.56 m
 _TRAVEL_MIN = 1.0
-"""Shortest distance travelled [m]: less than two of the shortest scored waves, of 0.56 m."""
-
+# Mean speed [m/s] below which the vehicle stands, and backward speed that counts as noise
 SPEED_MIN = 0.1
-"""Mean speed [m/s] below which the vehicle stands, and backward speed that counts as noise."""
-
+# Largest decrease of the odometer [m], as of a vehicle that settles at a stop, and largest step
+# from one sample to the next: 60 m/s at the lowest sample rate
 BACKWARD_MAX, JUMP_MAX = 0.1, 1.0
-"""Largest decrease of the odometer [m], as of a vehicle that settles at a stop, and largest step
-from one sample to the next: 60 m/s at the lowest sample rate.
-"""
-
+# Largest fraction of a channel's samples that is interpolated: ten times what loggers are assumed
+# to lose, and few enough for the measured samples to decide the estimate
 _MISSING_SHARE_MAX = 0.2
-"""Largest fraction of a channel's samples that is interpolated: ten times what loggers are assumed
-to lose, and few enough for the measured samples to decide the estimate.
-"""
-
+# Share of the instruments' range from which on a sample is clipped: the sensors' gain errors are
+# below 2 %
 _RANGE_SHARE = 0.98
-"""Share of the instruments' range from which on a sample is clipped: the sensors' gain errors are
-below 2 %.
-"""
-
+# A sensor within this relative distance of its peak for so many consecutive samples is clipped:
+# at 1 kHz no motion above 0.4 Hz has such a flat peak
 CLIPPING_TOLERANCE, CLIPPING_SAMPLES = 1e-5, 5
-"""A sensor within this relative distance of its peak for so many consecutive samples is clipped:
-at 1 kHz no motion above 0.4 Hz has such a flat peak.
-"""
-
+# Samples to either side of an invalid one that the anti-alias filter mixes with it
 ANTIALIAS_SPREAD = 3
-"""Samples to either side of an invalid one that the anti-alias filter mixes with it."""
 
 
 class RecordError(ValueError):
@@ -146,9 +132,7 @@ def _is_out_of_range(size: np.ndarray, instruments: Instruments | None) -> np.nd
 
 
 def _is_valid(finite: np.ndarray, out_of_range: np.ndarray) -> np.ndarray:
-    """Return which samples (k, N) the anti-alias filter has not mixed with one that is missing or
-    out of range.
-    """
+    """Return which samples (k, N) are far enough from any that is missing or out of range."""
     spread = np.ones((1, 2 * ANTIALIAS_SPREAD + 1))
     return np.asarray(~binary_dilation(~finite | out_of_range, spread))
 
@@ -178,9 +162,8 @@ def clean_record(
 
 
 def _select_channels(record: Record, channels: tuple[str, ...]) -> Record:
-    """Return `record` with these channels alone, in this order. Raises RecordError.
-
-    They are on the body; a sensor on an axle is no substitute.
+    """Return `record` with these channels alone, in this order. Raises RecordError. They are on
+    the body; a sensor on an axle is no substitute.
     """
     sensors = record.sensors or {}
     known = [name for name, sensor in sensors.items() if sensor.mounted == "body"]

@@ -21,8 +21,8 @@ from road_envs.core.atomic_io import atomic_write
 from road_envs.core.reading import parsing, read_npz
 
 FORMAT = "roadrecon estimator 1"
+# Prefix of the weights' names in an `.npz` file; keeps them apart from the header
 _WEIGHT_PREFIX = "weights."
-"""Prefix of the weights' names in an `.npz` file; keeps them apart from the header."""
 
 
 class StorageError(ValueError):
@@ -31,7 +31,6 @@ class StorageError(ValueError):
 
 def save(estimator: Estimator, path: str | Path, metadata: Mapping[str, str] | None = None) -> None:
     """Write an estimator to `path` atomically; `metadata` is stored in a `.safetensors` file only.
-
     Raises StorageError if its class is not registered, NotFittedError if it has no weights.
     """
     path, kind = Path(path), cast(Any, type(estimator))

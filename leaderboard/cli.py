@@ -125,10 +125,12 @@ _PARSER_WORDS = (
     (r"Input should be a valid integer.*|.* is not a valid integer.*", "must be a whole number"),
     (r"Input should be a valid number.*|.* is not a valid float.*", "must be a number"),
     (r"Input should be greater than or equal to (\S+)", r"must be at least \1"),
+    (r"\S+ is not in the range x>=(\S+)", r"must be at least \1"),
     (r"Input should be less than or equal to (\S+)", r"must be at most \1"),
+    (r"\S+ is not in the range (\S+)<=x<=(\S+)", r"must be from \1 to \2"),
     (r"Input should be (.*)", r"must be \1"),
 )
-"""What Typer writes of a value, and the words of the other messages of this package."""
+"""What Typer writes of a value, by its version, and the words of the other messages of this package."""
 
 
 def _usage_sentence(error: Any) -> str:

@@ -55,10 +55,8 @@ class UnrelatedRoad(Settings):
 
     def weights(self) -> dict[str, np.ndarray]:
         """Return the scalars `G_d0`, `w` and `seed`. Raises NotFittedError."""
-        return {
-            name: np.asarray(x)
-            for name, x in require_fitted(self.fitted_state, self)._asdict().items()
-        }
+        road = require_fitted(self.fitted_state, self)
+        return {name: np.asarray(x) for name, x in road._asdict().items()}
 
     def with_weights(self, weights: Mapping[str, np.ndarray]) -> Self:
         """Return a copy with these weights. Raises ValueError."""
@@ -68,10 +66,8 @@ class UnrelatedRoad(Settings):
 
 def fit_spectrum(truths: Sequence[Profile]) -> tuple[float, float]:
     """Return G_d(n0) [m³] and waviness of all wheel paths together. Raises ValueError on level
-    roads.
-
-    The waviness is the slope of log G. The level is the mean of G over the line, not of log G,
-    which is low by up to 2.5 dB where a band contains a single spectral line.
+    roads. The waviness is the slope of log G. The level is the mean of G over the line, not of log
+    G, which is low by up to 2.5 dB where a band contains a single spectral line.
     """
     spectra = [smooth_psd(*displacement_psd(truth.z, truth.ds)) for truth in truths]
     n = np.concatenate([n for n, _ in spectra])

@@ -13,40 +13,25 @@ import scipy
 
 from road_envs.records.roughness import Band, band_pass
 
-SEARCHED = 50.0
-"""Largest lag [m] that is searched, to either side."""
-
-MIN_OVERLAP = 20.0
-"""Shortest overlap [m] of two profiles: four of the longest scored waves."""
-
-MIN_CORRELATION = 0.3
-"""Correlation below which two profiles do not match, at any length."""
-
+SEARCHED = 50.0  # largest lag [m] that is searched, to either side
+MIN_OVERLAP = 20.0  # shortest overlap [m] of two profiles: four of the longest scored waves
+MIN_CORRELATION = 0.3  # correlation below which two profiles do not match, at any length
+# Largest correlation of unrelated profiles over thousands of lags, times the square root of their
+# number of independent values
 CHANCE = 5.0
-"""Largest correlation of unrelated profiles over thousands of lags, times the square root of their
-number of independent values.
-"""
-
-MAX_STRETCH = 0.015
-"""Largest relative difference of two odometers."""
-
+MAX_STRETCH = 0.015  # largest relative difference of two odometers
+# Largest distance [m] of equal stations at the ends of the overlap, between two scales
 MISPLACEMENT = 0.1
-"""Largest distance [m] of equal stations at the ends of the overlap, between two scales."""
-
+# Spacing [m] of the profiles in the search, a fifth of the shortest scored wave
 SEARCH_SPACING = 0.1
-"""Spacing [m] of the profiles in the search, a fifth of the shortest scored wave."""
-
-WINDOW = 20.0
-"""Length [m] of the windows in which the lag is refined, one every half window."""
-
-REFINED = 0.4
-"""Largest lag [m] of a window against the one before it, but for the uniform scale."""
-
+WINDOW = 20.0  # length [m] of the windows in which the lag is refined, one every half window
+REFINED = 0.4  # largest lag [m] of a window against the one before it, but for the uniform scale
+# Length [m] from the beginning on which lag and scale are searched; windows follow on
 SEARCH_LENGTH = 300.0
-"""Length [m] from the beginning on which lag and scale are searched; windows follow on."""
+MIN_WINDOW_CORRELATION = 0.5  # correlation of a window below which its lag is not used
 
-MIN_WINDOW_CORRELATION = 0.5
-"""Correlation of a window below which its lag is not used."""
+
+_Slopes = tuple[np.ndarray, np.ndarray]  # stations (K,) [m] and slopes (2, K) of the wheel paths
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,18 +125,15 @@ def map_stations(
     return whole, True
 
 
-def _slopes(z: np.ndarray, ds: float, band: Band) -> tuple[np.ndarray, np.ndarray]:
-    """Return stations (K,) [m] and band-passed slopes (2, K) of `z` (2, M) [m]."""
+def _slopes(z: np.ndarray, ds: float, band: Band) -> _Slopes:
+    """Return stations and band-passed slopes of `z` (2, M) [m]."""
     slope = np.gradient(band_pass(z, ds, band), ds, axis=1)
     cut = (z.shape[1] - slope.shape[1]) // 2
     return ds * (cut + np.arange(slope.shape[1])), slope
 
 
 def _search(
-    first: tuple[np.ndarray, np.ndarray],
-    second: tuple[np.ndarray, np.ndarray],
-    searched: float,
-    max_stretch: float,
+    first: _Slopes, second: _Slopes, searched: float, max_stretch: float
 ) -> tuple[float, float, float, float]:
     """Return lag [m], stretch, correlation and overlap [m] of the largest correlation."""
     (s, x), (r, y) = first, second
@@ -180,12 +162,7 @@ def _resample(s: np.ndarray, slope: np.ndarray, scale: float) -> tuple[np.ndarra
     return np.array([np.interp(grid, stations, x) for x in slope]), float(grid[0])
 
 
-def _refine(
-    whole: StationMap,
-    first: tuple[np.ndarray, np.ndarray],
-    second: tuple[np.ndarray, np.ndarray],
-    ds: float,
-) -> StationMap:
+def _refine(whole: StationMap, first: _Slopes, second: _Slopes, ds: float) -> StationMap:
     """Return the map through the lags of windows of `second`, relative to the map `whole`."""
     (s, x), (r, y) = first, second
     mapped = whole.apply(r)

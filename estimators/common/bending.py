@@ -17,8 +17,8 @@ from road_envs.vehicle import body_bending
 from road_envs.vehicle.equations import THETA, Z_B
 from road_envs.vehicle.parameters import BendingMode, VehicleParameters
 
+# Points (x, y) [m] whose accelerations are the body's heave, and heave and pitch
 BODY = {"middle of the body": (0.0, 0.0), "1 m behind it": (-1.0, 0.0)}
-"""Points (x, y) [m] whose accelerations are the body's heave, and heave and pitch."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,9 +32,7 @@ class SensedBending:
     shape: np.ndarray
 
     def at_samples(self, acceleration: np.ndarray, step: float) -> np.ndarray:
-        """Return what the sensors read of it (S, N), from accelerations (N, 7) of the coordinates
-        every `step` [s].
-        """
+        """Return its readings (S, N), from coordinates' accelerations (N, 7) every `step` [s]."""
         force = acceleration[:, [Z_B, THETA]] @ self.force
         return self.shape[:, None] * sosfilt(body_bending.section(self.mode, step), force)
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+# Noise density [(m/s²)/sqrt(Hz)] below which the integration error of the model dominates
 MIN_NOISE_DENSITY = 1e-3
-"""Noise density [(m/s²)/sqrt(Hz)] below which the integration error of the model dominates."""
 
 
 @dataclass(frozen=True, eq=False)

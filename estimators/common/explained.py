@@ -31,24 +31,15 @@ from road_envs.vehicle.linear_model import linearise
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import settled_strut_state
 
-WINDOW = 5.0
-"""Standard deviation [m] of the window in which accelerations are compared."""
-
-CHUNK_STEPS = 20_000
-"""Steps that are simulated at a time."""
-
+WINDOW = 5.0  # standard deviation [m] of the window in which accelerations are compared
+CHUNK_STEPS = 20_000  # steps that are simulated at a time
+# Explained share of the measured power from which on an estimate is left as it is. Linear
+# smoothers explain more than 0.8 on roads up to class D and on bumps, none where wheels fly.
 TRUSTED_SHARE = 0.7
-"""Explained share of the measured power from which on an estimate is left as it is. Linear
-smoothers explain more than 0.8 on roads up to class D and on bumps, none where wheels fly."""
-
+# Time [s] at the beginning of a record that is not compared: the simulation starts at rest, a
+# record may begin in motion. Two periods of the body's bounce.
 SETTLING_TIME = 2.0
-"""Time [s] at the beginning of a record that is not compared: the simulation starts at rest, a
-record may begin in motion. Two periods of the body's bounce.
-"""
-
-MAX_SPEED_STEP = 0.001
-"""Longest step [s] of the simulation."""
-
+MAX_SPEED_STEP = 0.001  # longest step [s] of the simulation
 IMPOSSIBLE_RATIO = 2.0
 """Accelerations that heights demand over those measured, as RMS, from which on they are impossible.
 
@@ -59,17 +50,15 @@ heights of the washboard have 2.2 or more. Class F from 54 km/h on, over which v
 description tells where they land, has up to 4 times.
 """
 
+# Share of the drive's mean power in all bands, and factor of the power of the sensors' noise,
+# below which measured accelerations count as so large. So they do below the mean power in their own
+# band: of drives cut out of longer ones the true road has 1.7 at most, with a tenth of it 2.5.
 LEAST_OF_ALL, NOISE_MARGIN = 0.003, 9.0
-"""Share of the drive's mean power in all bands, and factor of the power of the sensors' noise,
-below which measured accelerations count as so large. So they do below the mean power in their own
-band: of drives cut out of longer ones the true road has 1.7 at most, with a tenth of it 2.5."""
-
+# Time [s] at the beginning, and largest share of a drive, that makes no heights impossible
 LONGEST_SETTLING, SETTLING_SHARE = 4.0, 0.5
-"""Time [s] at the beginning, and largest share of a drive, that makes no heights impossible."""
-
+# Edges of the bands [Hz] in which accelerations are compared: about the resonances of the body,
+# of the axles, and between them
 IMPOSSIBLE_BANDS = (0.3, 2.0, 8.0, F_C)
-"""Edges of the bands [Hz] in which accelerations are compared: about the resonances of the body,
-of the axles, and between them."""
 
 
 def trusted_share(
@@ -107,7 +96,7 @@ def _motions(
     `valid` (k, N) samples, and where (N,) the latter are finite.
     """
     inputs = build_model_inputs(record, instruments, car, MAX_SPEED_STEP)
-    predicted = simulate_sensors(inputs, car, instruments, z)[:, : record.t.size]
+    predicted = _simulate_sensors(inputs, car, instruments, z)[:, : record.t.size]
     finite = np.isfinite(predicted).all(axis=0)
     return np.where(valid, record.a, 0.0), np.where(valid & finite, predicted, 0.0), finite
 
@@ -125,7 +114,7 @@ def _by_station(
     return np.asarray(gaussian_filter1d(total, WINDOW / PROFILE_SPACING))
 
 
-def demand_ratio(
+def _demand_ratio(
     z: np.ndarray, record: Record, car: VehicleParameters, instruments: Instruments
 ) -> np.ndarray:
     """Return the accelerations that heights `z` (2, M) [m] demand of `car` over those measured, as
@@ -159,7 +148,7 @@ def mark_impossible(
     """
     if not isinstance(estimator, HasInstruments):
         return estimate
-    ratio = demand_ratio(estimate.z, record, car, instruments_of(record, estimator.instruments))
+    ratio = _demand_ratio(estimate.z, record, car, instruments_of(record, estimator.instruments))
     impossible = ratio >= IMPOSSIBLE_RATIO
     if not impossible.any():
         return estimate
@@ -210,7 +199,7 @@ def reduce_unexplained(
     return z * share, np.hypot(z_std, (1.0 - share) * np.abs(z))
 
 
-def simulate_sensors(
+def _simulate_sensors(
     inputs: ModelInputs, car: VehicleParameters, instruments: Instruments, z: np.ndarray
 ) -> np.ndarray:
     """Return accelerations (k, N) [m/s²] of the sensors on heights `z` (2, M) [m] at the profile

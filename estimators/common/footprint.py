@@ -15,9 +15,7 @@ from scipy.optimize import brentq
 
 @dataclass(frozen=True, eq=False)
 class Footprint:
-    """Moving average of spline coefficients (2, K) with symmetric `weights` (2 m + 1,); the road is
-    level beyond its ends.
-    """
+    """Moving average of coefficients (2, K) by symmetric `weights` (2 m + 1,); level ends."""
 
     weights: np.ndarray
 

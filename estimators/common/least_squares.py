@@ -50,9 +50,7 @@ class LeastSquaresSums(NamedTuple):
 def cross_validate(
     folds: Sequence[LeastSquaresSums], ridges: np.ndarray
 ) -> tuple[float, np.ndarray, float]:
-    """Return the one of the `ridges` with the least cross-validation error, coefficients (p, m) on
-    all folds, and that error, the sum of squares.
-    """
+    """Return the best of `ridges`, its coefficients (p, m) on all folds and squared error."""
     total = reduce(LeastSquaresSums.plus, folds)
     errors = np.zeros(ridges.size)
     for fold in folds:

@@ -18,36 +18,26 @@ from estimators.common.explained import mark_unsure
 from road_envs.records.record import PROFILE_SPACING, Estimate, Record
 from road_envs.sensing.instruments import load_instruments
 
-STANDING = 0.5
-"""Speed [m/s] below which the vehicle stands."""
-
+STANDING = 0.5  # speed [m/s] below which the vehicle stands
+# Longitudinal acceleration [m/s²], of either sign, from which on the body pitches markedly
 HARD_CHANGE = 1.5
-"""Longitudinal acceleration [m/s²], of either sign, from which on the body pitches markedly."""
-
+# Standard deviation [s] of the window that smooths the speed before it is differentiated
 SPEED_WINDOW = 0.5
-"""Standard deviation [s] of the window that smooths the speed before it is differentiated."""
-
+# Bands [Hz] of the roll that manoeuvres excite, and of that which roads excite
 ROLL_BAND, ROAD_BAND = (0.2, 0.9), (1.5, 6.0)
-"""Bands [Hz] of the roll that manoeuvres excite, and of that which roads excite."""
-
+# Slow roll acceleration [rad/s²] below which nothing is taken for a turn. The start of a record
+# with biased sensors gives up to 0.2, turns of 0.2 g in ride 0.5 and more.
 LEAST_ROLL = 0.25
-"""Slow roll acceleration [rad/s²] below which nothing is taken for a turn. The start of a record
-with biased sensors gives up to 0.2, turns of 0.2 g in ride 0.5 and more."""
-
+# Slow roll over the RMS of the roll in ROAD_BAND from which on the vehicle turned. Straight drives
+# on classes A to D and Belgian paving reach 1.9, turns of 0.2 g in ride 1.4 (Belgian) to 6.
 ROLL_RATIO = 2.2
-"""Slow roll over the RMS of the roll in ROAD_BAND from which on the vehicle turned. Straight drives
-on classes A to D and Belgian paving reach 1.9, turns of 0.2 g in ride 1.4 (Belgian) to 6."""
-
+# Slow roll at the other end of a turn over that from which on one is found: friction and stiffer
+# springs make the release slower than the build-up
 RELEASE = 0.5
-"""Slow roll at the other end of a turn over that from which on one is found: friction and stiffer
-springs make the release slower than the build-up."""
-
+# Lateral distance [m] of the two sensors, and duration [s] of a record, below which no roll is
+# looked at
 LEAST_DISTANCE, LEAST_DURATION = 0.8, 8.0
-"""Lateral distance [m] of the two sensors, and duration [s] of a record, below which no roll is
-looked at."""
-
-LONGEST_TURN = 10.0
-"""Longest time [s] between the slow rolls of one turn."""
+LONGEST_TURN = 10.0  # longest time [s] between the slow rolls of one turn
 
 
 def mark_manoeuvres(estimate: Estimate, record: Record, wheelbase: float) -> Estimate:
@@ -59,7 +49,7 @@ def mark_manoeuvres(estimate: Estimate, record: Record, wheelbase: float) -> Est
     unsure, notes = np.zeros(estimate.s.size, dtype=bool), list[str]()
     for during, what in (
         (turns(record), "turned"),
-        (speed_changes(record), "braked or accelerated hard, or stood"),
+        (_speed_changes(record), "braked or accelerated hard, or stood"),
     ):
         marked = np.zeros(estimate.s.size, dtype=bool)
         runs, count = label(during)
@@ -72,9 +62,7 @@ def mark_manoeuvres(estimate: Estimate, record: Record, wheelbase: float) -> Est
 
 
 def turns(record: Record) -> np.ndarray:
-    """Return at which samples (N,) the vehicle turned, as far as its sensors tell; False if they
-    tell no roll.
-    """
+    """Return at which samples (N,) the vehicle turned; False if its sensors tell no roll."""
     roll = _roll_acceleration(record)
     turned = np.zeros(record.t.size, dtype=bool)
     if roll is None:
@@ -91,7 +79,7 @@ def turns(record: Record) -> np.ndarray:
     return (runs > 0) & np.isin(runs, runs[np.abs(slow) > limit])
 
 
-def speed_changes(record: Record) -> np.ndarray:
+def _speed_changes(record: Record) -> np.ndarray:
     """Return at which samples (N,) the vehicle braked or accelerated hard, or stood."""
     known = np.isfinite(record.v)
     if not known.any():

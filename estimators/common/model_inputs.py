@@ -11,14 +11,10 @@ from road_envs.vehicle.equilibrium import equilibrium
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import settled_strut_state
 
+# Prior standard deviations of the first vehicle state, of a vehicle at rest on a level apron
 REST_STD = np.repeat([1e-4, 1e-3], N_DOF)
-"""Prior standard deviations of the first vehicle state, of a vehicle at rest on a level apron."""
-
-CLOCK_ERROR = 0.01
-"""Part of a sample's interval by which an even clock may be late or early."""
-
-MOVING_STD = np.repeat([3e-2, 3e-1], N_DOF)
-"""The same in the middle of a road."""
+CLOCK_ERROR = 0.01  # part of a sample's interval by which an even clock may be late or early
+MOVING_STD = np.repeat([3e-2, 3e-1], N_DOF)  # the same in the middle of a road
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,9 +95,7 @@ def antialias_delay(instruments: Instruments) -> float:
 
 
 def rest_state(car: VehicleParameters, inputs: ModelInputs) -> np.ndarray:
-    """Return the state (14,) of the vehicle at rest on a level apron before the drive; (16,) with a
-    flexible frame.
-    """
+    """Return the state (14,) or, with a flexible frame, (16,) at rest on a level apron."""
     plant = build_plant(car)
     if car.tyre_static_deflection != "equilibrium":
         return np.zeros(2 * plant.n_dof)  # the paper's start, some millimetres off

@@ -28,24 +28,15 @@ from scipy.optimize import minimize_scalar
 
 from road_envs.records.record import DistanceScale, Estimate, Record, profile_stations
 
+# Least and greatest L [m] that is looked for; it must be passed within the record
 LENGTHS = (0.5, 100.0)
-"""Least and greatest L [m] that is looked for; it must be passed within the record."""
-
-MAX_SPEED_ERROR = 0.1
-"""Greatest relative error of a speed signal that is believed."""
-
-MIN_DISPLACEMENT = 0.005
-"""Displacement [m] below which nothing is corrected."""
-
+MAX_SPEED_ERROR = 0.1  # greatest relative error of a speed signal that is believed
+MIN_DISPLACEMENT = 0.005  # displacement [m] below which nothing is corrected
+# Least ratio of the displacement to what the fit leaves, root mean square, or to its standard
+# deviation
 CLEARNESS = 10.0
-"""Least ratio of the displacement to what the fit leaves, root mean square, or to its standard
-deviation."""
-
-FIT_SPACING = 0.1
-"""Distance [m] of the points to which the signals are fitted online."""
-
-CORRELATION_LENGTH = 1.0
-"""Length [m] over which the errors of position fixes are correlated."""
+FIT_SPACING = 0.1  # distance [m] of the points to which the signals are fitted online
+CORRELATION_LENGTH = 1.0  # length [m] over which the errors of position fixes are correlated
 
 
 def calibrate_odometer(record: Record) -> tuple[Record, tuple[str, ...]]:
@@ -97,7 +88,7 @@ def _describe(error: float, displacement: np.ndarray) -> str:
     )
 
 
-def calibrate_odometer_online(record: Record) -> tuple[Record, tuple[str, ...]]:
+def _calibrate_odometer_online(record: Record) -> tuple[Record, tuple[str, ...]]:
     """Return `record` with calibrated stations and speed, and a note if they were changed.
 
     Each sample is calibrated by those before it alone. A record is returned itself if it is empty,
@@ -184,4 +175,4 @@ def to_true_distance(record: Record, estimate: Estimate) -> tuple[Record, Estima
 
 def calibrate_stations(record: Record, causal: bool) -> tuple[Record, tuple[str, ...]]:
     """Return `record` with calibrated stations and speed, for a `causal` estimate or another."""
-    return (calibrate_odometer_online if causal else calibrate_odometer)(record)
+    return (_calibrate_odometer_online if causal else calibrate_odometer)(record)

@@ -36,52 +36,33 @@ from road_envs.records.record import (
 )
 
 DECIMATION = 6
-SPACING = DECIMATION * PROFILE_SPACING
-"""Distance between stations [m]."""
-
+SPACING = DECIMATION * PROFILE_SPACING  # distance between stations [m]
+# Stations estimated beyond either end of the road, for the filter back to the grid
 EDGE_STATIONS = 4
-"""Stations estimated beyond either end of the road, for the filter back to the grid."""
-
-FILTER_REACH = EDGE_STATIONS * SPACING
-"""Reach of the low-pass [m] to either side."""
-
-N_CUT = 3.0
-"""Cut-off of the low-pass [cycles/m]: 50 dB down from 4.5 on, flat to 0.4 % up to 1.8."""
-
+FILTER_REACH = EDGE_STATIONS * SPACING  # reach of the low-pass [m] to either side
+N_CUT = 3.0  # cut-off of the low-pass [cycles/m]: 50 dB down from 4.5 on, flat to 0.4 % up to 1.8
 LOWPASS = signal.firwin(
     2 * EDGE_STATIONS * DECIMATION + 1, N_CUT, window=("kaiser", 5.0), fs=1.0 / PROFILE_SPACING
 )
 
-F_VELOCITY = 0.3
-"""High-pass of the velocities [Hz]: below, integrated drift is as large as motion."""
-
+F_VELOCITY = 0.3  # high-pass of the velocities [Hz]: below, integrated drift is as large as motion
+# Limits of the frequency bands [Hz] in which the powers of the motions are compared
 BANDS = np.geomspace(5.0, SCORED_F_MAX, 6)
-"""Limits of the frequency bands [Hz] in which the powers of the motions are compared."""
-
+# Energy [m²/s³] that is added to that of every motion in every band: of noise of 0.05 m/s² over
+# 20 s. Ratios are 1 where nothing has been measured.
 NOISE_ENERGY = 0.05
-"""Energy [m²/s³] that is added to that of every motion in every band: of noise of 0.05 m/s² in
-20 s. Ratios are 1 where nothing has been measured.
-"""
-
-N_HIGH_PASS = 0.05
-"""High-pass of the target heights [cycles/m]: accelerations fall with n² v²."""
-
-N_MOTIONS = 3
-"""Front, rear and roll."""
-
-N_RATIOS = 2 * (BANDS.size - 1)
-"""Front over rear, then roll over rear, in each of the bands."""
+N_HIGH_PASS = 0.05  # high-pass of the target heights [cycles/m]: accelerations fall with n² v²
+N_MOTIONS = 3  # front, rear and roll
+N_RATIOS = 2 * (BANDS.size - 1)  # front over rear, then roll over rear, in each of the bands
 
 
 class SpatialSignals(NamedTuple):
-    """Signals at K even stations, `margin` of them before the first that is estimated and after the
-    last.
-
-    `motions` (6, K): accelerations [m/s²] and velocities [m/s] of front, rear and roll; `v` (K,):
-    speed [m/s]; `states` (K, 4): shares of stiff springs and of high damping in front, then at the
-    rear. All are those of the moment when the front axle passed the station; motions are zero where
-    the record does not reach. `spectrum` (N_RATIOS, K): logarithms of power ratios until that
-    moment, or those of the whole drive throughout.
+    """Signals at K even stations, `margin` of them before the first that is estimated and after
+    the last. `motions` (6, K): accelerations [m/s²] and velocities [m/s] of front, rear and roll;
+    `v` (K,): speed [m/s]; `states` (K, 4): shares of stiff springs and of high damping in front,
+    then at the rear. All are those of the moment when the front axle passed the station; motions
+    are zero where the record does not reach. `spectrum` (N_RATIOS, K): logarithms of power ratios
+    until that moment, or those of the whole drive throughout.
     """
 
     motions: np.ndarray
@@ -94,6 +75,11 @@ class SpatialSignals(NamedTuple):
     def size(self) -> int:
         """Number of estimated stations."""
         return self.v.size - 2 * self.margin
+
+    @property
+    def inside(self) -> slice:
+        """The estimated stations among all."""
+        return slice(self.margin, self.v.size - self.margin)
 
 
 def n_stations(length: float) -> int:
@@ -117,12 +103,12 @@ def to_spatial(record: Record, margin: int, causal: bool = False) -> SpatialSign
     stiff, high = record.spring_stiff, record.damper_high
     axles = (stiff[:, :2], high[:, :2], stiff[:, 2:], high[:, 2:])
     states = record.interpolate(s, np.array([pair.mean(axis=1) for pair in axles]))
-    v, ratios = np.interp(s, record.s, record.v), power_ratios(sensed[:N_MOTIONS], record.fs)
+    v, ratios = np.interp(s, record.s, record.v), _power_ratios(sensed[:N_MOTIONS], record.fs)
     spectrum = record.interpolate(s, ratios) if causal else np.tile(ratios[:, -1:], K)
-    return SpatialSignals(decimate(motions), v, states.T, margin, spectrum)
+    return SpatialSignals(_decimate(motions), v, states.T, margin, spectrum)
 
 
-def power_ratios(a: np.ndarray, fs: float) -> np.ndarray:
+def _power_ratios(a: np.ndarray, fs: float) -> np.ndarray:
     """Return logarithms (N_RATIOS, N) of the ratios of the powers of front and of roll to that of
     rear in each of BANDS, from the first to each sample of the accelerations `a` (3, N) [m/s²].
     """
@@ -139,15 +125,32 @@ def body_motions(record: Record, causal: bool) -> np.ndarray:
     rf, lr, rr = preprocess_accelerations(record.a, record.fs, F_C, causal)
     roll = 0.5 * (lr - rr)
     a = np.array([rf + roll, 0.5 * (lr + rr), roll])
-    sos = signal.butter(2, F_VELOCITY, "high", fs=record.fs, output="sos")
     velocity = np.cumsum(a, axis=1) / record.fs
-    return np.concatenate([a, (signal.sosfilt if causal else _zero_phase)(sos, velocity)])
+    return np.concatenate([a, high_pass(velocity, F_VELOCITY, record.fs, 2000, causal)])
 
 
-def decimate(x: np.ndarray) -> np.ndarray:
-    """Return the rows of `x` (k, (K - 1 + 2 EDGE_STATIONS) DECIMATION + 1), low-passed, at K
-    stations.
+def high_pass(
+    x: np.ndarray, corner: float, rate: float, padding: int, causal: bool = False
+) -> np.ndarray:
+    """Return rows (k, N) sampled at a `rate`, high-passed at a `corner` in the same units.
+
+    The filter is a second-order Butterworth, forward only if `causal`; else forward and backward
+    with `padding` samples at most beyond either end.
     """
+    sos = signal.butter(2, corner, "high", fs=rate, output="sos")
+    if causal:
+        return signal.sosfilt(sos, x)
+    return signal.sosfiltfilt(sos, x, padlen=min(padding, x.shape[-1] - 1))
+
+
+def without_long_waves(z: np.ndarray) -> np.ndarray:
+    """Return heights (2, M) [m] at profile stations without waves longer than 20 m."""
+    wave = int(1.0 / (N_HIGH_PASS * PROFILE_SPACING))
+    return high_pass(z, N_HIGH_PASS, 1.0 / PROFILE_SPACING, wave)
+
+
+def _decimate(x: np.ndarray) -> np.ndarray:
+    """Return K low-passed stations of `x` (k, (K - 1 + 2 EDGE_STATIONS) DECIMATION + 1)."""
     edges = 2 * EDGE_STATIONS
     K = (x.shape[1] - 1) // DECIMATION + 1 - edges
     return signal.upfirdn(LOWPASS, x, 1, DECIMATION, axis=1)[:, edges : edges + K]
@@ -167,19 +170,12 @@ def target_profile(truth: Profile, length: float) -> np.ndarray:
     the road by odd reflection.
     """
     left, right = sample_profile(truth, profile_stations(length))
-    z = np.array([0.5 * (left + right), 0.5 * (left - right)])
-    sos = signal.butter(2, N_HIGH_PASS, "high", fs=1.0 / PROFILE_SPACING, output="sos")
-    size = z.shape[1]
-    padding = min(int(1.0 / (N_HIGH_PASS * PROFILE_SPACING)), size - 1)
-    z = signal.sosfiltfilt(sos, z, axis=1, padlen=padding)
-    ends = (2 * EDGE_STATIONS * DECIMATION, (n_stations(length) - 1) * DECIMATION + 1 - size)
-    return decimate(np.pad(z, ((0, 0), ends), mode="reflect", reflect_type="odd"))
+    z = without_long_waves(np.array([0.5 * (left + right), 0.5 * (left - right)]))
+    after = (n_stations(length) - 1) * DECIMATION + 1 - z.shape[1]
+    ends = (2 * EDGE_STATIONS * DECIMATION, after)
+    return _decimate(np.pad(z, ((0, 0), ends), mode="reflect", reflect_type="odd"))
 
 
 def wheel_paths(x: np.ndarray) -> np.ndarray:
     """Return left and right (2, M) from mean and half difference (2, M)."""
     return np.array([x[0] + x[1], x[0] - x[1]])
-
-
-def _zero_phase(sos: np.ndarray, x: np.ndarray) -> np.ndarray:
-    return signal.sosfiltfilt(sos, x, padlen=min(x.shape[-1] - 1, 2000))

@@ -13,15 +13,10 @@ from estimators.common.spatial_signals import (
 from estimators.preprocessing import clean_record
 from road_envs.records.record import Profile, Record
 
-SPEED_RANGE = 1.35, 20.5
-"""Lowest and highest speed [m/s] of the training drives."""
-
+SPEED_RANGE = 1.35, 20.5  # lowest and highest speed [m/s] of the training drives
+# Stations of the FIR window before the estimated one, offline also after it: 12 m
 STATIONS_BEHIND = 80
-"""Stations of the FIR window before the estimated one, offline also after it: 12 m."""
-
-STATION_MARGIN = 256
-"""Stations read beyond either end of the road."""
-
+STATION_MARGIN = 256  # stations read beyond either end of the road
 LONG_WAVE_NOTE = f"waves longer than {1.0 / N_HIGH_PASS:.0f} m are not estimated"
 
 
@@ -39,19 +34,15 @@ def training_example(
     """Return the training example of a drive in single precision. Raises RecordError."""
     record, _ = clean_record(record)
     signals = to_spatial(record, STATION_MARGIN, causal)
-    single = np.float32
-    motions, v, states, spectrum = (
-        x.astype(single) for x in (signals.motions, signals.v, signals.states, signals.spectrum)
-    )
-    signals = SpatialSignals(motions, v, states, STATION_MARGIN, spectrum)
-    return TrainingExample(signals, target_profile(truth, record.length).astype(single), rigid)
+    arrays = {k: x.astype(np.float32) for k, x in signals._asdict().items() if k != "margin"}
+    target = target_profile(truth, record.length).astype(np.float32)
+    return TrainingExample(signals._replace(**arrays), target, rigid)
 
 
 def validity_notes(signals: SpatialSignals) -> list[str]:
     """Return notes on speeds and strut states outside the training data."""
     notes = []
-    inside = slice(signals.margin, signals.margin + signals.size)
-    v, states = signals.v[inside], signals.states[inside]
+    v, states = signals.v[signals.inside], signals.states[signals.inside]
     slowest, fastest = SPEED_RANGE
     if v.min() < slowest or v.max() > fastest:
         notes.append(

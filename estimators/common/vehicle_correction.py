@@ -20,26 +20,19 @@ from estimators.common.spatial_signals import EDGE_STATIONS, SPACING, SpatialSig
 from estimators.common.training_data import TrainingExample, training_example
 
 FOLDS = 5
+# Candidates, relative to the mean square of the features; infinite: no correction
 RIDGES = np.append(10.0 ** np.arange(-4.0, 2.0), np.inf)
-"""Candidates, relative to the mean square of the features; infinite: no correction."""
-
-SPEED_RATIO = 1.15
-"""Factor of the speed up to which a correction is used."""
-
+SPEED_RATIO = 1.15  # factor of the speed up to which a correction is used
+# Stations to either side in the window of motions: 6 m. A causal window ends with its lag.
 CORRECTION_REACH = 40
-"""Stations to either side in the window of motions: 6 m. A causal window ends with its lag."""
-
+# Largest share of a road's mean square that cross-validation may leave; unrelated profiles leave
+# all of it
 UNEXPLAINED_MAX = 0.97
-"""Largest share of a road's mean square that cross-validation may leave; unrelated profiles leave
-all of it."""
-
 NOTE = "corrected by a calibration drive of this vehicle"
 
 
 class VehicleCorrection(NamedTuple):
-    """`coefficients` (2, p) of the features of m and of q, found in the `state` (4,) and at the
-    mean `speed` [m/s].
-    """
+    """`coefficients` (2, p) for m and q, of a `state` (4,) and about a mean `speed` [m/s]."""
 
     coefficients: np.ndarray
     state: np.ndarray
@@ -127,5 +120,5 @@ def fit_corrections(
 
 def _condition(signals: SpatialSignals) -> tuple[np.ndarray, float]:
     """Return the prevailing state (4,) and the mean speed [m/s] of a drive."""
-    inside = slice(signals.margin, signals.margin + signals.size)
-    return signals.states[inside].mean(axis=0).round(), float(signals.v[inside].mean())
+    states, v = signals.states[signals.inside], signals.v[signals.inside]
+    return states.mean(axis=0).round(), float(v.mean())

@@ -40,29 +40,15 @@ import numpy as np
 from pydantic import Field
 from scipy.ndimage import minimum_filter1d
 
-from estimators.api import LAG
+from estimators.api import LAG, declared_lag
 from estimators.common.block_means import MIN_NOISE_DENSITY, block_means
 from estimators.common.explained import reduce_unexplained, trusted_share, untrusted_note
 from estimators.common.model_inputs import antialias_delay, build_model_inputs
 from estimators.common.odometer import calibrate_stations
-from estimators.kalman.monitoring import (
-    local_nis,
-    long_waves,
-    obstacle_std,
-    reduce_slope,
-    reduce_uncertain,
-)
-from estimators.kalman.pipeline import (
-    FilterRun,
-    emitted_share,
-    lost_before_restarts,
-    run_filter,
-    run_smoother,
-    setup_output,
-    setup_run,
-)
+from estimators.kalman import monitoring, pipeline
+from estimators.kalman.filtered import FilterRun
 from estimators.kalman.profile_output import ProfileOutput
-from estimators.kalman.state import NOISE_SCALE, ROUGHNESS_SCALE
+from estimators.kalman.state import N_BIAS, NOISE_SCALE, ROUGHNESS_SCALE
 from estimators.kalman.tuning import TUNING
 from estimators.map_smoother.identified_vehicle import CalibratedByIdentification
 from estimators.preprocessing import (
@@ -85,19 +71,14 @@ from road_envs.records.roughness import CLASSES
 from road_envs.sensing.instruments import instruments_of, on_axle
 from road_envs.vehicle.parameters import VehicleParameters
 
-_N_SENSORS = 3  # accelerometers that the state vector has biases for
-
-
 Lag = Annotated[float, Field(ge=0, lt=100), "m", "from the front axle back to the station emitted"]
 _StdFactor = Annotated[Positive, "", "on the in-band standard deviation, fitted to training drives"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class _KalmanSettings(CalibratedByIdentification):
-    """Settings of all variants, beside the name or path of the `instruments`.
-
-    `level_ends`: the road is level before station 0 and behind its length, where the drive begins
-    at rest.
+    """Settings of all variants, beside the name or path of the `instruments`. `level_ends`: the
+    road is level before station 0 and behind its length, where the drive begins at rest.
     """
 
     noise_density: Annotated[Positive | None, "(m/s²)/sqrt(Hz)", "if not the instruments'"] = None
@@ -105,18 +86,20 @@ class _KalmanSettings(CalibratedByIdentification):
     w: Annotated[Positive, "", "waviness of the road's prior"] = 2.0
     data_rate: Annotated[Positive, "Hz", "of the block means"] = 1000.0 / 3.0
     step: Annotated[Positive, "s", "longest step of the model"] = 0.001
+    causal: ClassVar[bool]
+
     level_ends: bool = True
     std_factor: _StdFactor = 1.0
 
-    def _estimate(
-        self, record: Record, car: VehicleParameters, lag: float, smooth: bool
-    ) -> Estimate:
+    def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Return both wheel paths. Raises ConfigError, RecordError, ValueError, ArithmeticError."""
+        smooth = not self.causal
+        lag = car.wheelbase if smooth else declared_lag(self)
         instruments = instruments_of(record, self.instruments)
         places = instruments.locations(car)
-        if len(places) != _N_SENSORS or on_axle(places):
+        if len(places) != N_BIAS or on_axle(places):
             raise RecordError(
-                f"the Kalman filters take {_N_SENSORS} accelerometers on the body; the record has "
+                f"the Kalman filters take {N_BIAS} accelerometers on the body; the record has "
                 f"{', '.join(instruments.accelerometers)}: map_smoother and wiener take any"
             )
         record, odometer_note = calibrate_stations(record, causal=not smooth)
@@ -132,7 +115,7 @@ class _KalmanSettings(CalibratedByIdentification):
         noise = density**2 * 0.5 * record.fs
         prior = RoadPrior(G_d0=self.G_d0, w=self.w, track=2.0 * car.front.y_t)
         ahead = TUNING.power_window if smooth else min(max(lag - LAG, 0.0), TUNING.power_window)
-        run = setup_run(
+        run = pipeline.setup_run(
             record,
             car,
             instruments,
@@ -144,11 +127,8 @@ class _KalmanSettings(CalibratedByIdentification):
             lag=lag - (0.0 if smooth else ahead),
         )
         sensor_latency = (ANTIALIAS_SPREAD + 1) / record.fs + antialias_delay(instruments)
-        output = setup_output(run, record, sensor_latency, detrended=not smooth)
-        if smooth:
-            run_smoother(run, output)
-        else:
-            run_filter(run, output)
+        output = pipeline.setup_output(run, record, sensor_latency, detrended=not smooth)
+        (pipeline.run_smoother if smooth else pipeline.run_filter)(run, output)
         if not np.isfinite(output.z).all():
             raise ArithmeticError(
                 "the filter diverged (heights are not finite): check the vehicle, the commanded "
@@ -167,27 +147,31 @@ class _KalmanSettings(CalibratedByIdentification):
                 "the one described (docs/howto/identify)",
             )
         s, front = profile_stations(record.length), run.known_front(sensor_latency)
-        z, emitted = output.z.T.copy(), emitted_share(run, output)
+        z, emitted = output.z.T.copy(), pipeline.emitted_share(run, output)
         z_std = self.std_factor * _output_std(run, output, record, prior)
         if smooth or lag >= LAG:  # both axles have passed
-            z_std *= np.sqrt(local_nis(run.state.nis, front, s, np.inf if smooth else lag))
-            z = reduce_uncertain(z, z_std, ahead, drifting=smooth)
-            z_std = np.hypot(z_std, obstacle_std(run.state.jumps.square, run.node_stations, s))
+            z_std *= np.sqrt(
+                monitoring.local_nis(run.state.nis, front, s, np.inf if smooth else lag)
+            )
+            z = monitoring.reduce_uncertain(z, z_std, ahead, drifting=smooth)
+            steps = run.state.jumps.square
+            z_std = np.hypot(z_std, monitoring.obstacle_std(steps, run.node_stations, s))
         share = emitted
         if smooth:
             explained = trusted_share(record, valid, car, instruments, z)
             # a filter that is lost later errs before that too, once smoothed
             share = minimum_filter1d(emitted, 2 * round(TUNING.lost_reach / PROFILE_SPACING) + 1)
             share, notes = share * explained, notes + untrusted_note(explained)
-        if (lost := PROFILE_SPACING * float(np.sum(emitted < 0.95))) >= 1.0:
+        if (length := PROFILE_SPACING * float(np.sum(emitted < 0.95))) >= 1.0:
             notes += (
-                f"over {lost:.0f} m the innovations are far beyond their covariance; the heights "
+                f"over {length:.0f} m the innovations are far beyond their covariance; the heights "
                 "are reduced there",
             )
-        share = np.where(lost_before_restarts(run, output, TUNING.lost_reach), 0.0, share)
-        long = long_waves(z) if smooth else np.zeros_like(z)
+        lost = pipeline.lost_before_restarts(run, output, TUNING.lost_reach)
+        share = np.where(lost, 0.0, share)
+        long = monitoring.long_waves(z) if smooth else np.zeros_like(z)
         reduced, std = reduce_unexplained(z - long, z_std, share)
-        return Estimate(s, reduced + reduce_slope(long, share), std, notes)
+        return Estimate(s, reduced + monitoring.reduce_slope(long, share), std, notes)
 
 
 def _output_std(
@@ -212,10 +196,6 @@ class Kalman(_KalmanSettings):
     lag: Lag = 0.0
     std_factor: _StdFactor = 1.5
 
-    def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
-        """Return both wheel paths. Raises ConfigError, ValueError, ArithmeticError."""
-        return self._estimate(record, car, self.lag, smooth=False)
-
 
 @dataclass(frozen=True, kw_only=True)
 class KalmanLag(Kalman):
@@ -232,7 +212,3 @@ class KalmanRts(_KalmanSettings):
     causal: ClassVar[bool] = False
 
     std_factor: _StdFactor = 0.85
-
-    def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
-        """Return both wheel paths. Raises ConfigError, ValueError, ArithmeticError."""
-        return self._estimate(record, car, car.wheelbase, smooth=True)

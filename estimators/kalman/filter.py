@@ -43,19 +43,19 @@ def filter_blocks(
     likely. Return the block behind the last one, and whether one is likely.
     """
     size, n_vehicle = local.x.size, model.force_effect.shape[1] - 3
-    block = LinearizedBlock(np.empty((3 + n_vehicle, size)), np.empty(3), np.empty(n_vehicle))
-    force_variance = np.empty(4)
+    factors, end_state = np.empty((3 + n_vehicle, size)), np.empty(n_vehicle)
+    block = LinearizedBlock(factors, np.empty(3), end_state, np.empty(4))
     for j in range(first, last):
-        choose_linearization(model, local, force_variance)
+        choose_linearization(model, local, block.force_variance)
         linearize_block(model, inputs, local, j, block)
-        update_block(model, inputs, local, block, force_variance, j, j - first)
+        _update_block(model, inputs, local, block, j, j - first)
         if step_is_likely(test, local, j - first):
             return j + 1, True
     return last, False
 
 
 @kernel
-def normal_hazard(x):
+def _normal_hazard(x):
     """Return the standard normal density at `x` over the probability of more; E[X | X > x]."""
     if x > 8.0:
         return x + 1.0 / x - 2.0 / x**3
@@ -63,14 +63,8 @@ def normal_hazard(x):
 
 
 @kernel(inline=False)
-def update_block(
-    model: FilterModel,
-    inputs: FilterInputs,
-    local: LocalState,
-    block: LinearizedBlock,
-    force_variance,
-    j,
-    i,
+def _update_block(
+    model: FilterModel, inputs: FilterInputs, local: LocalState, block: LinearizedBlock, j, i
 ):
     """Update by the measurements of the block `j`, the window's `i`-th, and predict to its end.
 
@@ -83,11 +77,10 @@ def update_block(
     covariance = np.dot(np.ascontiguousarray(moved[:, :size]), block.factors.T)
     for w in range(4):
         for r in range(3 + n_vehicle):
-            effect = force_variance[w] * model.force_effect[w, r]
+            effect = block.force_variance[w] * model.force_effect[w, r]
             for c in range(3 + n_vehicle):
                 covariance[r, c] += effect * model.force_effect[w, c]
-    innovation, T = local.innovation[3 * i : 3 * i + 3], np.zeros((3, 3))
-    whiten(model, inputs, local, block, covariance, T, innovation, j, i)
+    T, innovation = _whiten(model, inputs, local, block.predicted, covariance, j, i)
     # covariance of the whitened innovations with the local state, and beside it their derivative
     V, gain = np.empty((3, 2 * size)), np.empty((size, 3))
     for k in range(2 * size):
@@ -119,20 +112,11 @@ def update_block(
 
 
 @kernel(inline=False)
-def whiten(
-    model: FilterModel,
-    inputs: FilterInputs,
-    local: LocalState,
-    block: LinearizedBlock,
-    covariance,
-    T,
-    innovation,
-    j,
-    i,
+def _whiten(
+    model: FilterModel, inputs: FilterInputs, local: LocalState, predicted, covariance, j, i
 ):
-    """Write the matrix `T` (3, 3) that whitens the measurements and the whitened `innovation` (3,),
+    """Return the matrix T (3, 3) that whitens the measurements and the whitened innovation (3,),
     and adapt the noise scale. `covariance` (3, 3) or larger: of the means without their noise.
-    T comes with zeros.
 
     The measurements are processed one after the other. Each is decorrelated from those before it
     and scaled to unit variance: a Cholesky factorization of the innovation covariance, row by row.
@@ -141,6 +125,7 @@ def whiten(
     """
     y, count, censored = inputs.y[:, j], inputs.sample_count[:, j], inputs.censored[:, j]
     noise_scale, n_measured, power, cross = local.adaptive[NOISE_SCALE], 0, 0.0, np.empty(3)
+    T, innovation = np.zeros((3, 3)), local.innovation[3 * i : 3 * i + 3]
     for s in range(3):
         innovation[s] = 0.0
         if count[s] == 0.0:
@@ -150,7 +135,7 @@ def whiten(
         power += y[s] ** 2 / noise_variance
         noise_variance *= noise_scale
         variance = noise_variance + covariance[s, s]
-        innovation[s] = y[s] - block.predicted[s]
+        innovation[s] = y[s] - predicted[s]
         T[s, s] = 1.0
         for r in range(s):
             cross[r] = 0.0
@@ -166,7 +151,7 @@ def whiten(
         innovation[s] *= inverse_std
         if censored[s] != 0.0:
             limit = min(censored[s] * innovation[s], _MAX_LIMIT)
-            hazard = normal_hazard(limit)
+            hazard = _normal_hazard(limit)
             innovation[s] = censored[s] * np.sqrt(hazard / (hazard - limit))
             inverse_std *= np.sqrt(hazard * (hazard - limit))
         for t in range(s + 1):
@@ -175,9 +160,8 @@ def whiten(
     local.nis[i] = nis / max(n_measured, 1)
     if n_measured > 0:
         mean = min(local.nis[i], _MAX_NIS)  # one outlier must not raise the noise much
-        local.adaptive[NOISE_SCALE] = max(
-            1.0, noise_scale * (1.0 + (mean - 1.0) / model.noise_time)
-        )
+        noise_scale *= 1.0 + (mean - 1.0) / model.noise_time
+        local.adaptive[NOISE_SCALE] = max(1.0, noise_scale)
         power -= n_measured * local.adaptive[SIGNAL_POWER]
         local.adaptive[SIGNAL_POWER] += power / (n_measured * model.noise_time)
     local.noise_scale[i] = local.adaptive[NOISE_SCALE]
@@ -186,3 +170,4 @@ def whiten(
         reduction = np.sqrt(_MAX_NIS * n_measured / nis)
         for s in range(3):
             innovation[s] *= reduction
+    return T, innovation

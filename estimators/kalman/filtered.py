@@ -33,13 +33,11 @@ class UnknownState:
 
 @dataclass(eq=False)
 class FilterState:
-    """Mean `x` (n,); `P` (n, n + m), the covariance and, beside it, the error per unit step of each
-    of m candidates (`jumps.py`); valve states of the struts `strut_state` (4, 3); the parameters
-    `adaptive` (5,); the steps of the road `jumps`; and the blocks before which the filter was begun
-    anew, `restarts`, from the state `unknown`.
-
-    Of each block (J,): normalized innovation squared per measurement `nis`, `noise_scale` and
-    `signal_power` after it.
+    """Mean `x` (n,); `P` (n, n + m), the covariance and, beside it, the error per unit step of
+    each of m candidates (`jumps.py`); valve states of the struts `strut_state` (4, 3); the
+    parameters `adaptive` (5,); the steps of the road `jumps`; and the blocks before which the
+    filter was begun anew, `restarts`, from the state `unknown`. Of each block (J,): normalized
+    innovation squared per measurement `nis`, `noise_scale` and `signal_power` after it.
     """
 
     x: np.ndarray
@@ -80,14 +78,11 @@ class FilterRun:
         return self.origin + TUNING.node_spacing * np.arange(self.state.jumps.square.shape[0])
 
     def known_front(self, sensor_latency: float) -> np.ndarray:
-        """Return the front axle's station (J,) [m] when a block is known, `sensor_latency` [s]
-        after its end.
-        """
+        """Return the front axle's station (J,) [m] `sensor_latency` [s] after each block."""
         h, node = self.model.h, self.inputs.front_node
         t = sensor_latency + h * self.model.steps_per_block * np.arange(1, self.n_blocks + 1)
-        return self.origin + TUNING.node_spacing * np.interp(
-            t, 0.5 * h * np.arange(node.size), node
-        )
+        known = np.interp(t, 0.5 * h * np.arange(node.size), node)
+        return self.origin + TUNING.node_spacing * known
 
 
 @dataclass(eq=False)

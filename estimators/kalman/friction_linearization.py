@@ -20,8 +20,8 @@ from road_envs.kernels._numba import kernel
 from road_envs.vehicle.force_curves import gaussian_smoothed, interpolate_tables
 from road_envs.vehicle.suspension import DAMPING_HIGH, V_0, V_STEP
 
+# Standard deviations of a rate [m/s] for which tables are computed in advance
 RATE_STDS = np.array([0.0, 0.01, 0.02, 0.03, 0.05, 0.08, 0.12, 0.2, 0.3])
-"""Standard deviations of a rate [m/s] for which tables are computed in advance."""
 
 
 def smoothed_tables(velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -37,10 +37,10 @@ def _smoothed_tables(data: bytes, shape: tuple[int, ...]) -> tuple[np.ndarray, n
     tables = [
         gaussian_smoothed(velocity, V_0, V_STEP, s) if s > 0.0 else velocity for s in RATE_STDS
     ]
-    return np.concatenate(tables), np.stack([residual_variance(velocity, s) for s in RATE_STDS])
+    return np.concatenate(tables), np.stack([_residual_variance(velocity, s) for s in RATE_STDS])
 
 
-def residual_variance(velocity: np.ndarray, std: float) -> np.ndarray:
+def _residual_variance(velocity: np.ndarray, std: float) -> np.ndarray:
     """Return the variance (K, cells + 1) [N²] of the force about its best line, over the grid of
     rates, for a rate of standard deviation `std` [m/s].
     """

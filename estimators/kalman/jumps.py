@@ -30,7 +30,7 @@ _MIN_INFORMATION = TUNING.min_information
 
 
 @kernel(inline=False)
-def most_likely(score, information, reached, n_nodes):
+def _most_likely(score, information, reached, n_nodes):
     """Return the most likely candidate of the `n_nodes` nodes up to the number `reached`, from
     `score` (m,) and `information` (m, m), and its log likelihood ratio.
     """
@@ -47,20 +47,18 @@ def most_likely(score, information, reached, n_nodes):
 
 @kernel(inline=False)
 def step_is_likely(test: StepTest, local: LocalState, i):
-    """Update the scores of a `test` by the `i`-th block of the window of `local`. Return whether a
-    candidate is to be accepted.
-    """
+    """Update the scores by a window's `i`-th block; return if a candidate is to be accepted."""
     block = slice(3 * i, 3 * i + 3)
     response = np.dot(local.U[block], test.direction)
-    add_information(test.score, test.information, response, local.innovation[block])
+    _add_information(test.score, test.information, response, local.innovation[block])
     if test.near_step[i]:
         return False
-    _, most = most_likely(test.score, test.information, test.reached[i], test.n_nodes)
+    _, most = _most_likely(test.score, test.information, test.reached[i], test.n_nodes)
     return most > _MIN_LOG_RATIO * local.adaptive[NOISE_SCALE]
 
 
 @kernel
-def add_information(score, information, response, innovation):
+def _add_information(score, information, response, innovation):
     """Update `score` (m,) and `information` (m, m) of the candidates by a whitened `innovation`
     (R,), whose mean is `response` (R, m) per unit step.
     """
@@ -90,12 +88,10 @@ class AcceptedStep:
 
 @dataclass(frozen=True, eq=False)
 class RoadJumps:
-    """Candidates and accepted steps; candidate 2 k + side, modulo their number m, is that of node k
-    in the left (0) or right (1) wheel path.
-
-    `score` (m,) [1/m]; `information` (m, m) [1/m²]; `square` (N, 2) [m²]: squares of the accepted
-    steps of each node of the drive; `near` (N,): whether one is near it. In nodes: `length`
-    and `rear_reach`, as in the tuning.
+    """Candidates and accepted steps; candidate 2 k + side, modulo their number m, is that of node
+    k in the left (0) or right (1) wheel path. `score` (m,) [1/m]; `information` (m, m) [1/m²];
+    `square` (N, 2) [m²]: squares of the accepted steps of each node of the drive; `near` (N,):
+    whether one is near it. In nodes: `length` and `rear_reach`, as in the tuning.
     """
 
     score: np.ndarray
@@ -138,7 +134,7 @@ class RoadJumps:
         score, information, accepted = self.score, self.information, list[AcceptedStep]()
         m, prior = score.size, _JUMP_STD**2
         for _ in range(TUNING.max_jumps):
-            best, most = most_likely(score, information, reached, self.length)
+            best, most = _most_likely(score, information, reached, self.length)
             if most <= least:
                 break
             variance = prior / (1.0 + prior * information[best, best])

@@ -31,10 +31,9 @@ from road_envs.vehicle.suspension import VehicleBuffers
 
 
 class _AxleWeights(NamedTuple):
-    """Spline weights of both axles at both half steps of the steps of a block.
-
-    `node` (steps, 2, 2): the first of the four nodes that carry an axle; `height` and `slope` [1/s]
-    (steps, 2, 2, 4): their weights in the height under the axle and in the rate of that height.
+    """Spline weights of both axles at both half steps of the steps of a block. `node` (steps, 2,
+    2): the first of the four nodes that carry an axle; `height` and `slope` [1/s] (steps, 2, 2,
+    4): their weights in the height under the axle and in the rate of that height.
     """
 
     node: np.ndarray
@@ -69,9 +68,8 @@ def linearize_block(
     """
     steps_per_block = model.steps_per_block
     first = j * steps_per_block
-    node = np.empty((steps_per_block, 2, 2), dtype=np.int64)
-    heights, slopes = np.empty((steps_per_block, 2, 2, 4)), np.empty((steps_per_block, 2, 2, 4))
-    weights = _AxleWeights(node, heights, slopes)
+    node, shape = np.empty((steps_per_block, 2, 2), dtype=np.int64), (steps_per_block, 2, 2, 4)
+    weights = _AxleWeights(node, np.empty(shape), np.empty(shape))
     _axle_spline_weights(inputs, model.wheelbase_nodes, first, weights)
     rows = np.empty((steps_per_block, TAPE_ROW_SIZE))
     _simulate_block(model, inputs, local, first, weights, rows, block)
@@ -156,10 +154,9 @@ def bend(model: FilterModel, acceleration, bending):
 @kernel(inline=False)
 def _node_derivatives(weights: _AxleWeights, i, direction, road):
     """Write the derivatives of heights and rates under the wheels at the step `i` by the block's
-    nodes to `road` (G, 16, LANES), in the layout of `rosenbrock.step`.
-
-    A lane of a group is a direction: from `direction` on, behind the vehicle states, mean and half
-    difference of the nodes under the front axle, then under the rear axle.
+    nodes to `road` (G, 16, LANES), in the layout of `rosenbrock.step`. A lane of a group is a
+    direction: from `direction` on, behind the vehicle states, mean and half difference of the
+    nodes under the front axle, then under the rear axle.
     """
     node, height, slope = weights
     road[:] = 0.0
@@ -182,13 +179,7 @@ def _node_derivatives(weights: _AxleWeights, i, direction, road):
 
 @kernel(inline=False)
 def _tangent_columns(
-    model: FilterModel,
-    inputs: FilterInputs,
-    local: LocalState,
-    first,
-    rows,
-    weights: _AxleWeights,
-    block,
+    model: FilterModel, inputs: FilterInputs, local: LocalState, first, rows, weights, block
 ):
     """Write the tangents along the vehicle states and the nodes to `block.factors`."""
     n_dof, n_vehicle, node = model.strut_rows.shape[1], block.end_state.size, weights.node

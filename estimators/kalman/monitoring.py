@@ -23,10 +23,8 @@ def obstacle_std(square: np.ndarray, nodes: np.ndarray, s: np.ndarray) -> np.nda
     height is found by laws that are linear about the road without it.
     """
     total = np.cumsum(np.vstack([np.zeros(2), square]), axis=0)
-    first, last = (
-        np.searchsorted(nodes, s + reach)
-        for reach in (-TUNING.obstacle_reach, TUNING.obstacle_reach)
-    )
+    reach = TUNING.obstacle_reach
+    first, last = (np.searchsorted(nodes, s + side) for side in (-reach, reach))
     return TUNING.obstacle_error * np.sqrt(np.maximum(total[last] - total[first], 0.0)).T
 
 
@@ -42,9 +40,8 @@ def local_nis(nis: np.ndarray, front: np.ndarray, s: np.ndarray, lag: float) -> 
     count = np.bincount(cell, minlength=size)
     mean = np.bincount(cell, nis, size) / np.maximum(count, 1)
     ahead = min(TUNING.nis_ahead, lag - TUNING.nis_cell)
-    low = (
-        (s - TUNING.nis_behind - TUNING.nis_cell * (ahead < 0.0) - origin) / TUNING.nis_cell
-    ).astype(int)
+    behind = TUNING.nis_behind + TUNING.nis_cell * (ahead < 0.0)
+    low = ((s - behind - origin) / TUNING.nis_cell).astype(int)
     high = np.floor((s + ahead - origin) / TUNING.nis_cell).astype(int)
     width = int(np.max(high - low)) + 1
     windows = np.minimum(np.maximum(low, 0)[:, None] + np.arange(width), high[:, None])

@@ -3,12 +3,14 @@
 from dataclasses import replace
 
 import numpy as np
+from scipy.signal import sosfilt
 
+from estimators.common.bending import sensed_bending
 from estimators.common.block_means import BlockMeans
 from estimators.common.model_inputs import MOVING_STD, REST_STD, ModelInputs, rest_state
-from estimators.kalman.filter_model import build_model
 from estimators.kalman.filtered import FilteredWindow, FilterRun, FilterState, UnknownState
 from estimators.kalman.forward import WindowFilter
+from estimators.kalman.friction_linearization import RATE_STDS, smoothed_tables
 from estimators.kalman.jumps import RoadJumps
 from estimators.kalman.monitoring import recent_nis
 from estimators.kalman.profile_output import (
@@ -19,12 +21,15 @@ from estimators.kalman.profile_output import (
 )
 from estimators.kalman.road_process import RoadProcess, fit_ar_model, prior_covariance
 from estimators.kalman.smoother import smooth_backward
-from estimators.kalman.state import N_BIAS, FilterInputs
+from estimators.kalman.state import N_BIAS, FilterInputs, FilterModel
 from estimators.kalman.tuning import TUNING
 from estimators.kalman.windows import round_to_windows, schedule_windows
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.records.record import F_C, Record, profile_stations, scored_band
 from road_envs.sensing.instruments import Instruments
+from road_envs.vehicle import body_bending
+from road_envs.vehicle.equations import THETA, Z_B, build_plant
+from road_envs.vehicle.linear_model import linearise
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import settled_strut_state
 
@@ -42,10 +47,8 @@ def setup_run(
     lag: float,
 ) -> FilterRun:
     """Return the run of a record before its first block, for stations that are emitted when the
-    front axle is `lag` [m] past them.
-
-    `noise_variance` [(m/s²)²] of a sample; with `level_ends` the road is level before station 0 and
-    after its end. Raises ValueError if the odometer jumps.
+    front axle is `lag` [m] past them. `noise_variance` [(m/s²)²] of a sample; with `level_ends`
+    the road is level before station 0 and after its end. Raises ValueError if the odometer jumps.
     """
     steps_per_block = measurements.sample_weight.shape[2] * model_inputs.decimation
     s, half_steps = model_inputs.s, 2 * steps_per_block
@@ -59,15 +62,9 @@ def setup_run(
     ds = TUNING.node_spacing
     origin = float(s[0]) - ds * np.ceil(behind / ds)  # a node at the start
     ends = np.array([0.0, record.length]) if level_ends else np.array([-np.inf, np.inf])
-    inputs = FilterInputs(
-        (s - origin) / ds,
-        model_inputs.v / ds,
-        model_inputs.commands,
-        measurements.y,
-        measurements.sample_count,
-        measurements.censored_blocks,
-    )
-    model = build_model(car, instruments, model_inputs, steps_per_block, noise_variance, ds)
+    means = measurements.y, measurements.sample_count, measurements.censored_blocks
+    inputs = FilterInputs((s - origin) / ds, model_inputs.v / ds, model_inputs.commands, *means)
+    model = _build_model(car, instruments, model_inputs, steps_per_block, noise_variance, ds)
     ar_model = fit_ar_model(prior, ds)
     increment_span = round(TUNING.increment_length / ds)
     windows = schedule_windows(
@@ -95,9 +92,9 @@ def setup_run(
     # exactly at rest the friction law has a kink and no tangent
     motion, blocks = rest_state(car, model_inputs) + 1e-7, measurements.y.shape[1]
     entries = [motion.size // 2, road.n_vehicle - motion.size // 2]
+    biases = np.full(N_BIAS, TUNING.bias_std)
     moving, at_rest = (
-        np.append(np.repeat(std[[0, -1]], entries), np.full(N_BIAS, TUNING.bias_std))
-        for std in (MOVING_STD, REST_STD)
+        np.append(np.repeat(std[[0, -1]], entries), biases) for std in (MOVING_STD, REST_STD)
     )
     vehicle = np.pad(motion, (0, road.n_vehicle - motion.size))
     unknown = UnknownState(vehicle, moving, prior_covariance(ar_model, road.n_nodes))
@@ -116,6 +113,57 @@ def setup_run(
         signal_power=np.zeros(blocks),
     )
     return FilterRun(model, inputs, road, windows, state, origin, lag)
+
+
+def _build_model(
+    car: VehicleParameters,
+    instruments: Instruments,
+    model_inputs: ModelInputs,
+    steps_per_block: int,
+    noise_variance: float,
+    node_spacing: float,
+) -> FilterModel:
+    """Return a run's constants; `noise_variance` [(m/s²)²] of a sample, `node_spacing` [m]."""
+    one, locations = build_plant(car), instruments.locations(car)
+    line, bending = linearise(one, "ride", locations), sensed_bending(car, locations)
+    # a constant force over so short a time as a block moves the vehicle like free masses
+    inverse = line.inverse_inertia
+    accel = (line.strut_rows / line.M).T if inverse is None else inverse @ line.strut_rows.T
+    time = steps_per_block * model_inputs.h
+    force_effect = [line.sensor_rows @ accel, 0.5 * time**2 * accel, time * accel]
+    section = np.zeros((0, 6))
+    if bending is not None:
+        section = body_bending.section(bending.mode, model_inputs.h * model_inputs.decimation)
+        samples = steps_per_block // model_inputs.decimation
+        push = np.repeat((bending.force @ accel[[Z_B, THETA]])[:, None], samples, axis=1)
+        bent, end = sosfilt(section, push, zi=np.zeros((1, 4, 2)))
+        force_effect.append(end[0].T)
+        force_effect[0] = force_effect[0] + np.outer(bending.shape, bent.mean(axis=1))
+    tables, force_variance = smoothed_tables(one.velocity)
+    return FilterModel(
+        constants=one.constants.copy(),
+        velocity=tables,
+        displacement=one.displacement,
+        first_table=one.constants["velocity_table"][0].copy(),
+        rate_stds=RATE_STDS / TUNING.std_inflation,
+        force_variance=force_variance * TUNING.force_correlation_time / time,
+        strut_rows=line.strut_rows,
+        sensor_rows=line.sensor_rows,
+        force_effect=np.concatenate(force_effect).T.copy(),
+        h=model_inputs.h,
+        steps_per_block=steps_per_block,
+        decimation=model_inputs.decimation,
+        valve_lag=car.valve.lag,
+        bending_force=np.zeros(2) if bending is None else bending.force,
+        bending_shape=np.zeros(3) if bending is None else bending.shape,
+        bending_section=section.ravel(),
+        flexible=True if one.flexible else None,
+        side=True if one.sideways else None,
+        node_spacing=float(node_spacing),
+        wheelbase_nodes=car.wheelbase / node_spacing,
+        noise_variance=noise_variance,
+        noise_time=TUNING.noise_time / time,
+    )
 
 
 def setup_output(

@@ -49,28 +49,18 @@ def decay_per_node(ds: float) -> float:
 
 
 @kernel
-def sinc(x):
-    """Return sin(pi x) / (pi x)."""
-    return 1.0 if abs(x) < 1e-9 else np.sin(np.pi * x) / (np.pi * x)
-
-
-@kernel
 def _windowed_sinc(d, cutoff, half_window):
-    """Return the low-pass at `d` nodes from its centre, of `cutoff` [cycles/node] and
-    `half_window`.
-    """
+    """Return the low-pass `d` nodes from its centre; `cutoff` in cycles/node."""
     if abs(d) >= half_window:
         return 0.0
-    return 2.0 * cutoff * sinc(2.0 * cutoff * d) * np.cos(0.5 * np.pi * d / half_window) ** 2
+    return 2.0 * cutoff * np.sinc(2.0 * cutoff * d) * np.cos(0.5 * np.pi * d / half_window) ** 2
 
 
 @kernel(inline=False)
-def output_weights(u, at, decay, cutoff, half_window):
+def _output_weights(u, at, decay, cutoff, half_window):
     """Write the weights `u` (2 + L,) of retired-node sums and of L nodes, the oldest first, in the
-    output at the position `at` from the oldest node.
-
-    The road beyond the nodes counts as level with the nearest one. With a `decay` of 0 no long
-    waves are subtracted.
+    output at the position `at` from the oldest node. The road beyond the nodes counts as level
+    with the nearest one. With a `decay` of 0 no long waves are subtracted.
     """
     u[:] = 0.0
     last, sum_low = u.size - 3, 0.0
@@ -108,9 +98,9 @@ def output_weights(u, at, decay, cutoff, half_window):
 
 @kernel(inline=False)
 def fill_weights(at, decay, cutoff, half_window, u):
-    """Write the `output_weights` of M positions `at` (M,) to `u` (M, 2 + L)."""
+    """Write the `_output_weights` of M positions `at` (M,) to `u` (M, 2 + L)."""
     for m in range(at.size):
-        output_weights(u[m], at[m], decay, cutoff[m], half_window)
+        _output_weights(u[m], at[m], decay, cutoff[m], half_window)
 
 
 def lost_noise_scale(signal_power: np.ndarray | float) -> np.ndarray | float:

@@ -14,13 +14,7 @@ from scipy.fft import irfft, rfftfreq
 from scipy.linalg import solve_toeplitz, toeplitz
 
 from estimators.common.road_prior import N_MIN, increment_amplitude
-from estimators.kalman.state import (
-    N_BIAS,
-    N_SUMS,
-    ROUGHNESS_SCALE,
-    ROUGHNESS_SUM,
-    ROUGHNESS_WEIGHT,
-)
+from estimators.kalman.state import N_BIAS, N_SUMS, ROUGHNESS_SCALE, ROUGHNESS_SUM, ROUGHNESS_WEIGHT
 from estimators.kalman.tuning import TUNING
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.kernels._numba import kernel
@@ -126,7 +120,6 @@ def _is_free(road: RoadProcess, newest):
 @kernel(inline=False)
 def _node_law(road: RoadProcess, newest):
     """Return the step x' = F x + e of the state vector by which the next node replaces the oldest.
-
     It changes the `entries` (6,), the retired-node sums and the node's mean and half difference:
     each is the sum of its `sources` (6, order), entries of x, times the `factors` (6, order).
     """
@@ -185,9 +178,7 @@ def add_node(road: RoadProcess, x, P, newest, scale):
 
 @kernel(inline=False)
 def transpose_nodes(road: RoadProcess, first, last, r):
-    """Replace `r` (n, M) by F' r of the steps in which the nodes from the `first` to the `last`
-    (excluded) are replaced.
-    """
+    """Replace `r` (n, M) by F' r, F the steps that replace the nodes `first` to `last` - 1."""
     after = np.empty((6, r.shape[1]))
     for node in range(last - 1, first - 1, -1):
         entries, sources, factors = _node_law(road, node + road.n_nodes - 1)

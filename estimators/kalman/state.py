@@ -18,13 +18,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-N_BIAS, N_SUMS = 3, 4
-"""Entries of the biases and of the retired-node sums."""
-
+N_BIAS, N_SUMS = 3, 4  # entries of the biases and of the retired-node sums
+# Entries of `adaptive`: road PSD relative to the prior, the weighted sum and the weight whose
+# ratio it is, the factor on the measurement noise variance, and the mean square of the
+# measurements over that variance
 ROUGHNESS_SCALE, ROUGHNESS_SUM, ROUGHNESS_WEIGHT, NOISE_SCALE, SIGNAL_POWER = range(5)
-"""Entries of `adaptive`: road PSD relative to the prior, the weighted sum and the weight whose
-ratio it is, the factor on the measurement noise variance, and the mean square of the measurements
-over that variance."""
 
 
 class FilterModel(NamedTuple):
@@ -132,9 +130,10 @@ class StepTest(NamedTuple):
 class LinearizedBlock(NamedTuple):
     """Linearization of one block: derivatives `factors` (3 + N, L) of the means of the sensors and
     of the vehicle state at the block's end by the local state; both by nonlinear simulation,
-    `predicted` (3,) and `end_state` (N,).
+    `predicted` (3,) and `end_state` (N,); `force_variance` (4,) [N²] of the struts' residuals.
     """
 
     factors: np.ndarray
     predicted: np.ndarray
     end_state: np.ndarray
+    force_variance: np.ndarray

@@ -39,6 +39,7 @@ from estimators.api import (
 )
 from estimators.common.blas import single_blas_thread
 from estimators.common.odometer import calibrate_odometer
+from estimators.linear import road_posterior
 from estimators.linear.calibration_checks import check_drives, check_responses
 from estimators.linear.impulse_responses import (
     AR_ORDER,
@@ -53,14 +54,6 @@ from estimators.linear.impulse_responses import (
     segment_of,
     sensed,
 )
-from estimators.linear.road_posterior import (
-    START,
-    Nodes,
-    fit_settings,
-    normal_equations,
-    prior_bands,
-    solve,
-)
 from estimators.preprocessing import RecordError, clean_record, sample_profile
 from road_envs.core.config import Settings
 from road_envs.records.record import (
@@ -74,27 +67,17 @@ from road_envs.records.record import (
 from road_envs.records.roughness import band_pass
 from road_envs.vehicle.parameters import VehicleParameters
 
-WINDOW = 200.0
-"""Length [m] of the road that is estimated at a time, with a road prior of its own."""
-
+WINDOW = 200.0  # length [m] of the road that is estimated at a time, with a road prior of its own
 _NODE_TIME = 0.01  # time [s] between nodes, four in a period of 25 Hz
 _NODE_SPACING = (0.1, 0.25)  # least and greatest spacing [m] of nodes
-
-DRAWS = 40
-"""Samples of the posterior for the standard deviation."""
-
-SMOOTHING = 5.0
-"""Distance [m] over which the power of the samples is averaged."""
-
+DRAWS = 40  # samples of the posterior for the standard deviation
+SMOOTHING = 5.0  # distance [m] over which the power of the samples is averaged
 _VALIDATED = 3  # calibration drives at most on which standard deviations are calibrated
-
+# Probabilities of the intervals that are calibrated, and their Gaussian bounds
 _COVERAGE = ((0.5, 0.6745), (0.9, 1.6449))
-"""Probabilities of the intervals that are calibrated, and their Gaussian bounds."""
-
+# Greatest error on held-out parts of the road, over the road, of responses that are used; 1 is no
+# information
 MAX_HELD_OUT = 0.7
-"""Greatest error on held-out parts of the road, over the road, of responses that are used; 1 is no
-information."""
-
 _FAR_SPEED = 1.3  # factor between the speeds of calibration and drive from which on a note is given
 
 
@@ -291,9 +274,7 @@ def _validate(
 def _reconstruct(
     responses: Responses, axles: np.ndarray, record: Record, seed: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return heights and standard deviations (2, M) [m] at the profile stations of a clean record,
-    window by window.
-    """
+    """Return heights and standard deviations (2, M) [m] of a clean record, window by window."""
     stations, rng = profile_stations(record.length), np.random.default_rng(seed)
     v = float(np.median(record.v))
     ds = float(np.clip(_NODE_TIME * v, *_NODE_SPACING))
@@ -303,19 +284,20 @@ def _reconstruct(
     count = max(1, round(record.length / WINDOW))
     edges = np.linspace(0.0, record.length, count + 1)
     z, power = np.zeros((2, stations.size)), np.zeros((2, stations.size))
-    settings = START
+    settings = road_posterior.START
     for begin, end in pairwise(edges):
         own = np.flatnonzero((s > begin - margin) & (s < end + margin))
         if own.size < 2:
             continue
         part = slice(own[0], own[-1] + 1)
         first = max(begin - margin, float(s[own[0]])) - margin
-        nodes = Nodes(first, ds, int((end + margin - first) / ds) + 1)
+        nodes = road_posterior.Nodes(first, ds, int((end + margin - first) / ds) + 1)
         fine = fine_stations(record, t[part])
         roads = [nodes.accelerations(fine - axle) for axle in axles]
-        data, prior = normal_equations(responses, a[:, part], roads), prior_bands(nodes)
-        settings = fit_settings(data, prior, settings)
-        posterior = solve(data, prior, settings)
+        data = road_posterior.normal_equations(responses, a[:, part], roads)
+        prior = road_posterior.prior_bands(nodes)
+        settings = road_posterior.fit_settings(data, prior, settings)
+        posterior = road_posterior.solve(data, prior, settings)
         here = (stations >= begin) & (stations < end)
         heights = nodes.heights(stations)
         z[:, here] = (heights @ posterior.mean.reshape(-1, 2)).T[:, here]

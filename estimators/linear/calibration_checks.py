@@ -16,24 +16,20 @@ from estimators.linear.impulse_responses import (
 )
 from road_envs.records.record import F_C, Profile
 
+# Shortest distance [m] that is of use, of all drives in one state together: five of the longest
+# waves of the scored band
 _LENGTH_MIN = 25.0
-"""Shortest distance [m] that is of use, of all drives in one state together: five of the longest
-waves of the scored band."""
-
+# Least number of independent frequencies in the road's acceleration, of each wheel path and of
+# their difference. A tenth of what 100 m of an ISO 8608 road have; a sine has one or two.
 _FREQUENCIES_MIN = 30.0
-"""Least number of independent frequencies in the road's acceleration, of each wheel path and of
-their difference. A tenth of what 100 m of an ISO 8608 road have; a sine has one or two."""
-
+# Least share of the sensors' power that must be predicted where the responses were not
+# identified. 100 m of class C or rougher give 0.6 to 0.95, a profile of elsewhere less than 0.1.
 _EXPLAINED_MIN = 0.3
-"""Least share of the sensors' power that must be predicted where the responses were not identified.
-100 m of class C or rougher give 0.6 to 0.95, a profile of elsewhere less than 0.1."""
-
+# Gain of all wheels together on long waves: a vehicle moves as its road does, whatever it is.
+# Drives over 100 m to 1 km give 0.8 to 1.7; accelerations in g divide it by 10.
 _GAIN_RANGE = (0.3, 4.0)
-"""Gain of all wheels together on long waves: a vehicle moves as its road does, whatever it is.
-Drives over 100 m to 1 km give 0.8 to 1.7; accelerations in g divide it by 10."""
-
+# Shifts [m] of the profile that are tried to say what is wrong with it
 SEARCHED = np.arange(-10.0, 10.5, 0.5)
-"""Shifts [m] of the profile that are tried to say what is wrong with it."""
 
 
 def check_drives(drives: Sequence[CalibrationDrive], data: Sequence[RoadDrive]) -> None:
@@ -51,13 +47,12 @@ def check_drives(drives: Sequence[CalibrationDrive], data: Sequence[RoadDrive]) 
             "longer one"
         )
     parts = [each.u[0][:, here] for each, here in zip(data, used, strict=True) if here.sum() > 1]
-    counts = {
-        "the left wheel path": sum(_independent_frequencies(u[0]) for u in parts),
-        "the right wheel path": sum(_independent_frequencies(u[1]) for u in parts),
-        "the difference of the wheel paths": sum(
-            _independent_frequencies(u[0] - u[1]) for u in parts
-        ),
+    motions = {
+        "the left wheel path": [u[0] for u in parts],
+        "the right wheel path": [u[1] for u in parts],
+        "the difference of the wheel paths": [u[0] - u[1] for u in parts],
     }
+    counts = {name: sum(map(_independent_frequencies, u)) for name, u in motions.items()}
     name = min(counts, key=counts.__getitem__)
     if counts[name] < _FREQUENCIES_MIN:
         raise CalibrationError(
@@ -104,19 +99,14 @@ def _reason(drive: CalibrationDrive, axles: np.ndarray) -> str:
     """Return what would make the profile fit, as the end of a sentence."""
     profile = drive.profile
     assert profile is not None
-    reversed_profile = Profile(profile.s, profile.z[::-1, ::-1])
-    tried = {"the profile is reversed": reversed_profile}
-    tried |= {
-        f"the profile lies {shift:+.1f} m from where the drive says": Profile(
-            profile.s - shift, profile.z
-        )
-        for shift in SEARCHED
-    }
+    tried = {"the profile is reversed": Profile(profile.s, profile.z[::-1, ::-1])}
+    for shift in SEARCHED:
+        name = f"the profile lies {shift:+.1f} m from where the drive says"
+        tried[name] = Profile(profile.s - shift, profile.z)
     best, text = _EXPLAINED_MIN, ": it is of another road or lane, or too smooth"
     for name, other in tried.items():
         data = road_drive(drive.record, other, axles)
-        if (data.segment >= 0).sum() > RATE and (
-            share := float(quick_explained(data).min())
-        ) > best:
-            best, text = share, f": {name}"
+        share = quick_explained(data).min() if (data.segment >= 0).sum() > RATE else 0.0
+        if share > best:
+            best, text = float(share), f": {name}"
     return text

@@ -19,26 +19,20 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy import signal
 from scipy.linalg import solveh_banded
 
 from estimators.common.blas import single_blas_thread
-from estimators.common.spatial_signals import N_MOTIONS, SPACING, SpatialSignals
+from estimators.common.spatial_signals import N_MOTIONS, SPACING, SpatialSignals, high_pass
 from estimators.common.training_data import SPEED_RANGE
 
+# Speeds [m/s] of the taps; outside, the taps of the first or last knot hold
 KNOTS = np.geomspace(*SPEED_RANGE, 9)
-"""Speeds [m/s] of the taps; outside, the taps of the first or last knot hold."""
-
+# States of front spring, front damper, rear spring and rear damper; the first is bit 3
 _N_STATE_COMBINATIONS = 16
-"""Of front spring, front damper, rear spring, rear damper; the first is bit 3."""
-
 RIDGE = 1e-4
 SMOOTHNESS = 1e-4
 _N_SHORT = 0.15  # spatial frequency [cycles/m] of the high-pass on the errors
-
-LEVEL_MIN = 3e-4
-"""Added to a drive's level [m], so that noise on a smooth road does not dominate."""
-
+LEVEL_MIN = 3e-4  # added to a drive's level [m], so that noise on a smooth road does not dominate
 _MM = 1e-3  # unit of the heights [m]: taps are stored as float16 for heights in mm
 
 
@@ -64,9 +58,8 @@ class FirBank(NamedTuple):
         z = np.zeros((2, size))
         for combination, knot, share in _knot_shares(signals.v[inside], signals.states[inside]):
             taps = self.taps[combination, knot].astype(float)
-            front, rear, roll = (
-                np.correlate(x, h, "valid") for x, h in zip(motions, taps, strict=True)
-            )
+            pairs = zip(motions, taps, strict=True)
+            front, rear, roll = (np.correlate(x, h, "valid") for x, h in pairs)
             z += share * np.array([front + rear, roll])
         return _MM * z
 
@@ -87,10 +80,7 @@ def fit_bank(
         drives.setdefault(_state_combination(signals), []).append(i)
     taps = np.zeros(taps_shape(behind, ahead), dtype=np.float16)
     for combination, indices in drives.items():
-        sums = [
-            _KnotNormalEquations.zeros(2 * taps.shape[-1]),
-            _KnotNormalEquations.zeros(taps.shape[-1]),
-        ]
+        sums = [_KnotNormalEquations.zeros(k * taps.shape[-1]) for k in (2, 1)]
         for i in indices:
             _add_drive(sums, all_signals[i], targets[i], behind, ahead)
         solution = np.concatenate([part.solve() for part in sums], axis=1)
@@ -148,18 +138,13 @@ class _KnotNormalEquations(NamedTuple):
 
 def keep_short_waves(x: np.ndarray, causal: bool = False) -> np.ndarray:
     """Return rows at the stations, high-passed at _N_SHORT; without phase unless `causal`."""
-    sos = signal.butter(2, _N_SHORT, "high", fs=1.0 / SPACING, output="sos")
-    if causal:
-        return signal.sosfilt(sos, x)
-    return signal.sosfiltfilt(sos, x, padlen=min(x.shape[-1] - 1, 100))
+    return high_pass(x, _N_SHORT, 1.0 / SPACING, 100, causal)
 
 
 def motion_windows(
     signals: SpatialSignals, behind: int, ahead: int, causal: bool = False
 ) -> np.ndarray:
-    """Return the short waves of front, rear and roll in the windows of the estimated stations,
-    (3, M, behind + 1 + ahead) [m/s²].
-    """
+    """Return short waves (3, M, behind + 1 + ahead) [m/s²] of the motions about each station."""
     motions = keep_short_waves(signals.motions[:N_MOTIONS].astype(float), causal)
     inside = motions[:, signals.margin - behind : signals.margin + signals.size + ahead]
     return np.lib.stride_tricks.sliding_window_view(inside, behind + 1 + ahead, axis=1)
@@ -176,14 +161,14 @@ def _add_drive(
     windows = motion_windows(signals, behind, ahead)
     z = keep_short_waves(target)
     scale = 1.0 / (LEVEL_MIN + np.sqrt(np.mean(z**2)))
-    v = float(signals.v[signals.margin : signals.margin + signals.size].mean())
+    v = float(signals.v[signals.inside].mean())
     sums[0].add(scale * np.concatenate([windows[0], windows[1]], axis=1), scale * z[0], v)
     sums[1].add(scale * windows[2], scale * z[1], v)
 
 
 def _state_combination(signals: SpatialSignals) -> int:
     """Return the index of the state combination that prevails in a drive."""
-    share = signals.states[signals.margin : signals.margin + signals.size].mean(axis=0)
+    share = signals.states[signals.inside].mean(axis=0)
     return int(sum(8 >> i for i in range(4) if share[i] > 0.5))
 
 

@@ -27,11 +27,11 @@ contains too little of the body's motion and of the rear axle's passage.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Annotated, ClassVar, NamedTuple, Self
 
 import numpy as np
 from pydantic import Field
-from scipy import signal
 
 from estimators.api import (
     CalibrationDrive,
@@ -45,11 +45,11 @@ from estimators.common.blas import single_blas_thread
 from estimators.common.least_squares import LeastSquaresSums, cross_validate
 from estimators.common.odometer import calibrate_odometer
 from estimators.common.spatial_signals import (
-    N_HIGH_PASS,
     SpatialSignals,
     to_spatial,
     upsample,
     wheel_paths,
+    without_long_waves,
 )
 from estimators.common.training_data import (
     LONG_WAVE_NOTE,
@@ -90,8 +90,7 @@ from road_envs.vehicle.parameters import VehicleParameters
 _DEFAULT_REACH = 12.0  # default reach [m], approximately that of the shipped bank
 
 FOLDS = 5
-RIDGES = 10.0 ** np.arange(-6, 1)
-"""Candidates, relative to the mean square of the accelerations."""
+RIDGES = 10.0 ** np.arange(-6, 1)  # candidates, relative to the mean square of the accelerations
 
 
 class Taps(NamedTuple):
@@ -134,11 +133,8 @@ class FirRidge(Settings):
         for record, truth in zip(records, truths, strict=True):
             X = _sliding_windows(record, stride, half)
             Z = _highpass_profile(truth, profile_stations(record.length))[:, ::stride].T
-            parts = zip(np.array_split(X, FOLDS), np.array_split(Z, FOLDS), strict=True)
-            folds = [
-                sums.plus(LeastSquaresSums.from_samples(*part))
-                for sums, part in zip(folds, parts, strict=True)
-            ]
+            parts = zip(folds, np.array_split(X, FOLDS), np.array_split(Z, FOLDS), strict=True)
+            folds = [sums.plus(LeastSquaresSums.from_samples(x, z)) for sums, x, z in parts]
         ridge, coefficients, _ = cross_validate(folds, RIDGES)
         taps = coefficients.T.reshape(2, len(SENSORS), 2 * half + 1)
         return copy_with(self, fitted_state=Taps(taps, stride, speed, ridge))
@@ -160,9 +156,8 @@ class FirRidge(Settings):
         """Fit a bank for all speeds and modes; deterministic, takes less than a minute."""
         progress("fitting the FIR bank", 0.0)
         all_signals, targets, _ = zip(*drives, strict=True)
-        return copy_with(
-            self, fitted_state=fit_bank(all_signals, targets, STATIONS_BEHIND, STATIONS_BEHIND)
-        )
+        bank = fit_bank(all_signals, targets, STATIONS_BEHIND, STATIONS_BEHIND)
+        return copy_with(self, fitted_state=bank)
 
     def calibrate(self, drives: Sequence[CalibrationDrive], car: VehicleParameters) -> Self:
         """Return a copy whose bank is corrected for the vehicle of the drives over measured roads
@@ -171,9 +166,8 @@ class FirRidge(Settings):
         model = self._fitted_or_pretrained()
         if not isinstance(model, FirBank):
             return self
-        corrections = fit_corrections(
-            drives, self.causal, lambda signals: _prediction(model, signals), keep_short_waves
-        )
+        predict = partial(_prediction, model)
+        corrections = fit_corrections(drives, self.causal, predict, keep_short_waves)
         return copy_with(self, corrections=corrections)
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
@@ -211,9 +205,8 @@ class FirRidge(Settings):
     def with_weights(self, weights: Mapping[str, np.ndarray]) -> Self:
         """Return a copy with these weights. Raises ValueError."""
         if "bank" in weights:
-            (taps,) = validate_weights(
-                weights, {"bank": taps_shape(STATIONS_BEHIND, STATIONS_BEHIND)}
-            )
+            shape = taps_shape(STATIONS_BEHIND, STATIONS_BEHIND)
+            (taps,) = validate_weights(weights, {"bank": shape})
             return copy_with(self, fitted_state=FirBank(taps.astype(np.float16), STATIONS_BEHIND))
         shapes = {"taps": (2, len(SENSORS), None), "stride": (), "speed": (), "ridge": ()}
         taps, stride, speed, ridge = validate_weights(weights, shapes)
@@ -225,9 +218,8 @@ class FirRidge(Settings):
         """Return the fitted taps, or the shipped bank. Raises NotFittedError."""
         if self.fitted_state is not None:
             return self.fitted_state
-        weights = (
-            load_pretrained(self.name) if self.shipped and self.reach == _DEFAULT_REACH else None
-        )
+        is_shipped = self.shipped and self.reach == _DEFAULT_REACH
+        weights = load_pretrained(self.name) if is_shipped else None
         return self.with_weights(require_fitted(weights, self))._fitted_or_pretrained()
 
     def _half_taps(self, stride: int) -> int:
@@ -251,9 +243,7 @@ def _sliding_windows(record: Record, stride: int, half: int) -> np.ndarray:
 
 def _highpass_profile(truth: Profile, stations: np.ndarray) -> np.ndarray:
     """Return heights (2, M) [m] at `stations`, without waves longer than 20 m."""
-    sos = signal.butter(2, N_HIGH_PASS, "high", fs=1.0 / PROFILE_SPACING, output="sos")
-    padding = min(int(1.0 / (N_HIGH_PASS * PROFILE_SPACING)), stations.size - 1)
-    return signal.sosfiltfilt(sos, sample_profile(truth, stations), axis=1, padlen=padding)
+    return without_long_waves(sample_profile(truth, stations))
 
 
 def _speed_note(speed: float, record: Record) -> tuple[str, ...]:

@@ -29,29 +29,21 @@ from estimators.common.least_squares import LeastSquaresSums
 from road_envs.kernels.filters import preprocess_accelerations
 from road_envs.records.record import F_C, Profile, Record
 
-RATE = 62.5
-"""Rate [Hz] of signals and taps, 2.5 times the bandwidth F_C."""
-
+RATE = 62.5  # rate [Hz] of signals and taps, 2.5 times the bandwidth F_C
+# Instants per sample at which the road under an axle is read, before its low-pass
 OVERSAMPLING = 8
-"""Instants per sample at which the road under an axle is read, before its low-pass."""
-
+# Frequency [Hz] from which the low-pass of the road's acceleration leaves nothing
 _STOP_FREQUENCY = 36.0
-"""Frequency [Hz] from which the low-pass of the road's acceleration leaves nothing."""
-
+# Duration of the responses [s]: bounce at 1.2 Hz with a damping ratio of 0.25 has then fallen to
+# a tenth
 MEMORY = 1.2
-"""Duration of the responses [s]: bounce at 1.2 Hz with a damping ratio of 0.25 has then fallen to a
-tenth.
-"""
-
 N_TAPS = int(MEMORY * RATE)
 AR_ORDER = 12
 _SEGMENTS = 5  # parts of each drive; every one is predicted from the others
-
+# Frequency [Hz] below which accelerometers measure offset and drift rather than the road
 F_BODY = 0.5
-"""Frequency [Hz] below which accelerometers measure offset and drift rather than the road."""
-
+# First guess of log c, logit lambda, and log of the noise's share in a sensor's power
 START = (np.log(0.01), np.log(13.0), np.log(0.1))
-"""First guess of log c, logit lambda, and log of the noise's share in a sensor's power."""
 
 
 class RoadDrive(NamedTuple):
@@ -136,10 +128,8 @@ def fine_stations(record: Record, t: np.ndarray) -> np.ndarray:
 
 
 def road_drive(record: Record, profile: Profile, axles: np.ndarray) -> RoadDrive:
-    """Return a drive over a known `profile`; `axles` (X,) [m] behind the first.
-
-    Used are samples with all axles on the profile. Its heights go on beyond its ends as they are
-    there.
+    """Return a drive over a known `profile`; `axles` (X,) [m] behind the first. Used are samples
+    with all axles on the profile. Its heights go on beyond its ends as they are there.
     """
     t = sample_times(record)
     fine, s = fine_stations(record, t), np.interp(t, record.t, record.s)
@@ -155,9 +145,7 @@ def road_drive(record: Record, profile: Profile, axles: np.ndarray) -> RoadDrive
 
 
 def segment_of(s: np.ndarray, profile: Profile, axles: np.ndarray) -> np.ndarray:
-    """Return the segment (N,) of each station `s` [m] of the first axle, -1 where not all axles are
-    on the profile.
-    """
+    """Return the segment (N,) at stations `s` [m] of the first axle; -1 if an axle is beyond."""
     start, end = profile.s[0] + axles[-1], profile.s[-1]
     part = np.floor(_SEGMENTS * (s - start) / max(end - start, 1e-9)).astype(int)
     return np.where((part >= 0) & (part < _SEGMENTS), part, -1)
@@ -241,7 +229,6 @@ def _kernel_factor(log_scale: float, decay: float) -> np.ndarray:
 
 def _posterior(sums: LeastSquaresSums, j: int, settings: np.ndarray) -> tuple[float, np.ndarray]:
     """Return the negative log marginal likelihood of sensor `j` and its taps' posterior mean (p,).
-
     `settings`: log c, logit lambda, log of the noise variance.
     """
     # taps are F w with white w: M is the Gram matrix of w, F' (X'X) F block by block of inputs

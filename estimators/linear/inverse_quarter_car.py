@@ -57,13 +57,10 @@ from road_envs.vehicle.parameters import VehicleParameters
 
 _PADDING_TIME = 8.0  # zeros [s] appended to a record before it repeats in the DFT circle
 _FADE_RATIO = 1.2  # the response fades to zero from F_C to this multiple of it
-
+# Least singular value of the sensors' lever arms [m]: with less, noise hides the rotations
 MIN_LEVER = 0.1
-"""Least singular value of the sensors' lever arms [m]: with less, noise hides the rotations."""
-
+# Width of the bands in which the spectrum of the inverse is averaged, in octaves
 _OCTAVE_SHARE = 1.0 / 3.0
-"""Width of the bands in which the spectrum of the inverse is averaged, in octaves."""
-
 PATHS = 0.5 * np.array([[1.0, 1.0, 0.0, 0.0], [1.0, -1.0, 0.0, 0.0],
                         [0.0, 0.0, 1.0, 1.0], [0.0, 0.0, 1.0, -1.0]])  # fmt: skip
 """From heights in wheel order to mean and half difference under the front and the rear axle."""
@@ -122,9 +119,8 @@ class InverseQuarterCar(Settings):
         f[0] = 0.5 * f[1]  # R has a pole at 0
         a = _accelerations_at_struts(record.a, sensors.locations(car), car)
         lines = rfft(a - a.mean(axis=1, keepdims=True), size)
-        lines *= np.clip(
-            (_FADE_RATIO * F_C - f) / ((_FADE_RATIO - 1.0) * F_C), 0.0, 1.0
-        ) / sensors.response(f)
+        fade = np.clip((_FADE_RATIO * F_C - f) / ((_FADE_RATIO - 1.0) * F_C), 0.0, 1.0)
+        lines *= fade / sensors.response(f)
         mode, samples = dominant_modes(record, np.arange(record.t.size)), record.t.size
         corners = _fit_corners(build_plant(car.rigid), car, mode, f, lines, samples)
         R = corners.inverse(f)
@@ -135,21 +131,17 @@ class InverseQuarterCar(Settings):
         z = irfft(heights, size)[:, :samples]
         lowest, highest = self.f_low / record.v.max(), F_C / record.v.max()
         band = f"waves from {lowest:.2g} to {highest:.2g} cycles/m are estimated"
-        stations = profile_stations(record.length)
-        return Estimate(
-            stations,
-            _merge_axles(record, z, car.wheelbase),
-            notes=(*notes, *[_SWITCHED_NOTE] * record.is_switched, band),
-        )
+        z = _merge_axles(record, z, car.wheelbase)
+        notes = (*notes, *[_SWITCHED_NOTE] * record.is_switched, band)
+        return Estimate(profile_stations(record.length), z, notes=notes)
 
 
 def _accelerations_at_struts(
     a: np.ndarray, locations: Mapping[str, SensorLocation], car: VehicleParameters
 ) -> np.ndarray:
-    """Return accelerations (4, N) of a rigid body above its struts from those (k, N) of the sensors
-    at `locations`; sensors on the axles are not used.
-
-    Raises RecordError if the others do not determine the motion of the body.
+    """Return accelerations (4, N) of a rigid body above its struts from those (k, N) of the
+    sensors at `locations`; sensors on the axles are not used. Raises RecordError if the others do
+    not determine the motion of the body.
     """
     on_body = [i for i, place in enumerate(locations.values()) if place.axle is None]
     sensed = np.array([(1.0, place.x, place.y) for place in locations.values()])[on_body]
@@ -190,10 +182,9 @@ def _fit_corners(
     lines: np.ndarray,
     samples: int,
 ) -> _QuarterCars:
-    """Return the corners with dampers equivalent for the recorded motion.
-
-    `lines` (4, F): Fourier transform of the accelerations above the struts at `f` (F,) [Hz], of
-    which the first `samples` were recorded.
+    """Return the corners with dampers equivalent for the recorded motion. `lines` (4, F): Fourier
+    transform of the accelerations above the struts at `f` (F,) [Hz], of which the first `samples`
+    were recorded.
     """
     rate = np.full(4, _INITIAL_RATE_STD)
     for _ in range(_DAMPING_ITERATIONS):

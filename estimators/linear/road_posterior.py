@@ -16,32 +16,20 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.linalg.lapack import dtbtrs
 from scipy.optimize import minimize_scalar
 
-from estimators.linear.impulse_responses import (
-    OVERSAMPLING,
-    Responses,
-    acceleration_filter,
-)
+from estimators.linear.impulse_responses import OVERSAMPLING, Responses, acceleration_filter
 
-CHUNK = 64
-"""Samples whose rows are formed at a time."""
-
+CHUNK = 64  # samples whose rows are formed at a time
+# Length [m] over which a random walk is pulled towards level ground: about 1 / (2 pi n), with n
+# 0.01 cycles/m
 _LEVEL_LENGTH = 16.0
-"""Length [m] over which a random walk is pulled towards level ground: about 1 / (2 pi n), with n
-0.01 cycles/m.
-"""
-
+# Length [m] over which the difference of the paths is pulled towards zero: about 1 / (2 pi n),
+# with the n of 0.13 cycles/m at which the coherence of paths 1.5 m apart is one half
 _PATH_LENGTH = 1.2
-"""Length [m] over which the difference of the paths is pulled towards zero: about 1 / (2 pi n),
-with the n of 0.13 cycles/m at which the coherence of paths 1.5 m apart is one half.
-"""
-
+# First guess of the logarithms of the variance of the rise over a metre [m²], and of the factor
+# on the noise
 START = np.array([np.log(1e-5), 0.0])
-"""First guess of the logarithms of the variance of the rise over a metre [m²], and of the factor on
-the noise.
-"""
-
+# Largest change of the logarithm of the ratio of noise to rise in the search for the settings
 SEARCHED = 8.0
-"""Largest change of the logarithm of the ratio of noise to rise in the search for the settings."""
 
 
 class Nodes(NamedTuple):
@@ -80,9 +68,7 @@ class Nodes(NamedTuple):
 
 
 class _BandedNormalEquations(NamedTuple):
-    """Lower bands (width, p) of H' R^-1 H, the vector H' R^-1 a (p,), a' R^-1 a, and the number of
-    data.
-    """
+    """Lower `bands` (width, p) of H' R^-1 H, H' R^-1 a (p,), a' R^-1 a, and the readings `n`."""
 
     bands: np.ndarray
     rhs: np.ndarray
@@ -90,7 +76,7 @@ class _BandedNormalEquations(NamedTuple):
     n: int
 
 
-class LinearPosterior(NamedTuple):
+class _LinearPosterior(NamedTuple):
     """Posterior `mean` (p,) [m], the banded Cholesky `factor` of its precision, and the logarithm
     of the marginal likelihood up to a constant.
     """
@@ -168,7 +154,9 @@ def prior_bands(nodes: Nodes) -> np.ndarray:
     return bands / nodes.ds
 
 
-def solve(data: _BandedNormalEquations, prior: np.ndarray, settings: np.ndarray) -> LinearPosterior:
+def solve(
+    data: _BandedNormalEquations, prior: np.ndarray, settings: np.ndarray
+) -> _LinearPosterior:
     """Return the posterior; `settings`: logarithms of the variance of the rise over a metre [m²],
     and of the factor on the noise.
     """
@@ -179,7 +167,7 @@ def solve(data: _BandedNormalEquations, prior: np.ndarray, settings: np.ndarray)
     mean = cho_solve_banded((factor, True), weight * data.rhs, check_finite=False)
     misfit = weight * (data.square - data.rhs @ mean)
     log_det = np.log(factor[0]).sum() + 0.5 * factor.shape[1] * settings[0]
-    return LinearPosterior(mean, factor, float(-0.5 * (misfit + data.n * settings[1]) - log_det))
+    return _LinearPosterior(mean, factor, float(-0.5 * (misfit + data.n * settings[1]) - log_det))
 
 
 def fit_settings(

@@ -33,14 +33,10 @@ from estimators.common.spatial_signals import (
 from estimators.common.training_data import STATIONS_BEHIND
 from estimators.linear.fir_bank import FirBank, keep_short_waves
 
+# Stations ahead of the estimated one in a causal window; the filters use the rest of LAG
 STATIONS_AHEAD = int((LAG - 2.0 * FILTER_REACH) / SPACING)
-"""Stations ahead of the estimated one in a causal window; the filters use the rest of LAG."""
-
 _LEVEL_DECAY_LENGTH = 30.0  # decay length [m] of the causal level
-
-LEVEL_MIN = 3e-4
-"""Added to the level [m], so that noise on a level road is not amplified."""
-
+LEVEL_MIN = 3e-4  # added to the level [m], so that noise on a level road is not amplified
 N_INPUTS, N_CONDITIONS = 10, 8 + N_RATIOS
 
 
@@ -63,8 +59,8 @@ class _ReceptiveField(Protocol):
     ahead: int
 
 
+# Signs of the inputs of the mirrored drive
 MIRROR_SIGNS = np.array([1, 1, -1, 1, 1, -1, 1, -1, 1, -1], dtype=np.float32)[:, None]
-"""Signs of the inputs of the mirrored drive."""
 
 
 def window_span(causal: bool) -> tuple[int, int]:

@@ -32,17 +32,15 @@ from scipy.linalg.blas import dsyrk
 
 from estimators.common.blas import single_blas_thread
 
-CHUNK = 512
-"""Samples per block of derivatives: 1 MB for the 3-50-2 network, which fits the cache."""
-
+CHUNK = 512  # samples per block of derivatives: 1 MB for the 3-50-2 network, which fits the cache
 _MU_FLOOR = 1e-20  # lower limit of mu, so that a failing step needs few increases to succeed
 _ACTIVE_RANGE = 2.0  # active range of tanh, net inputs of -2 to 2, as MATLAB's tansig('active')
 
 _StopReason = Literal["epochs", "goal", "gradient", "mu", "validation"]
 _STOP_REASONS: tuple[_StopReason, ...] = ("epochs", "goal", "gradient", "mu", "validation")
 CURVES = ("train", "validation", "test", "mu", "gradient")
+# Shapes of the arrays of `LmResult.to_arrays`
 HISTORY_SHAPES: dict[str, tuple[int | None, ...]] = {"curves": (len(CURVES), None), "stop": (2,)}
-"""Shapes of the arrays of `LmResult.to_arrays`."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +52,7 @@ class TwoLayerNetwork:
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """Return outputs (K, N) for inputs `x` (R, N)."""
-        return self.output @ append_ones(np.tanh(self.hidden.T @ append_ones(x)))
+        return self.output @ _append_ones(np.tanh(self.hidden.T @ _append_ones(x)))
 
     def add_step(self, step: np.ndarray) -> "TwoLayerNetwork":
         """Return the network with a `step` (P,) added to its weights, hidden layer first."""
@@ -233,7 +231,7 @@ def train(
     occupies the other core, and are summed in the same order on every machine.
     """
     options = options or TrainlmOptions()
-    training, validation, test = ((append_ones(x[:, part]), t[:, part]) for part in split)
+    training, validation, test = ((_append_ones(x[:, part]), t[:, part]) for part in split)
     at = evaluate(network, *training)
     best, best_error, best_epoch = network, np.inf, 0
     mu, stop = options.mu, None
@@ -325,9 +323,7 @@ def normal_equations(at: Evaluation) -> _NormalEquations:
 
 
 def _assemble_JJ(products: np.ndarray, network: TwoLayerNetwork) -> np.ndarray:
-    """Return J'J (P, P) of all outputs from `products` of hidden derivatives and activations, of
-    both the lower triangle.
-    """
+    """Return J'J (P, P) from `products` of derivatives and activations; both lower triangles."""
     W2 = network.output[:, :-1]
     R1, P, width = network.hidden.shape[0], network.hidden.size, network.output.shape[1]
     # hidden against hidden: D'D, each pair of units weighed by its product of output weights, which
@@ -348,6 +344,6 @@ def _chunks(size: int) -> Iterator[slice]:
     return (slice(start, start + CHUNK) for start in range(0, size, CHUNK))
 
 
-def append_ones(x: np.ndarray) -> np.ndarray:
+def _append_ones(x: np.ndarray) -> np.ndarray:
     """Return `x` (R, N) with a row of ones, the input of the biases."""
     return np.vstack([x, np.ones(x.shape[1])])

@@ -16,9 +16,7 @@ PATHS = 2
 
 
 class FittedNetwork(NamedTuple):
-    """Training result, the mapped ranges of accelerations [m/s²] and heights [m], and the `errors`
-    of a NARX network in open and closed loop.
-    """
+    """Training result, scalings of inputs and outputs, and a NARX network's loop `errors`."""
 
     training: lm.LmResult
     inputs: lm.Scaling

@@ -30,15 +30,13 @@ from road_envs.kernels._numba import kernel
 from road_envs.records.record import SENSORS, Estimate, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
+# Fraction of each training drive, at its end, on which both loops are evaluated
 _HELD_OUT_SHARE = 0.15
-"""Fraction of each training drive, at its end, on which both loops are evaluated."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Narx(LmEstimator):
-    """The paper's network with `delays` of its heights fed back (NARX). After fitting, `training`
-    holds the history.
-    """
+    """The paper's network with `delays` of its heights fed back; `training` holds the history."""
 
     range_name: ClassVar[str] = "heights"
     n_errors: ClassVar[int] = 2
@@ -71,19 +69,13 @@ class Narx(LmEstimator):
         record, notes = clean_record(record)
         x = inputs.apply(spatial_accelerations(record))
         before = np.repeat(outputs.apply(np.zeros((PATHS, 1))), self.delays, axis=1)
-        z = outputs.reverse(self._run_closed_loop(training.network, x, before))
+        hidden, output = training.network.hidden, training.network.output
+        z = outputs.reverse(_run_parallel(hidden, output, x, before))
         loop_note = (
             f"relative error on held-out training roads {errors[1]:.2f} in closed loop, as here; "
             f"{errors[0]:.2f} with the true heights fed back, which is not attainable in use"
         )
         return Estimate(profile_stations(record.length), z, notes=(*notes, loop_note))
-
-    def _run_closed_loop(
-        self, network: lm.TwoLayerNetwork, x: np.ndarray, before: np.ndarray
-    ) -> np.ndarray:
-        z = np.empty((PATHS, x.shape[1]))
-        _run_parallel(network.hidden, network.output, x, before, z)
-        return z
 
     def _loop_errors(
         self, network: lm.TwoLayerNetwork, outputs: lm.Scaling, drives: Sequence
@@ -94,10 +86,11 @@ class Narx(LmEstimator):
             first = _n_training(y)
             begin = first - self.delays
             regressors, t = _series_parallel(x[:, begin:], y[:, begin:], self.delays)
-            closed = self._run_closed_loop(network, x[:, first:], y[:, begin:first])
+            hidden, output = network.hidden, network.output
+            closed = _run_parallel(hidden, output, x[:, first:], y[:, begin:first])
             truth = outputs.reverse(t)
-            for k, output in enumerate((network(regressors), closed)):
-                wrong[k] += np.sum((outputs.reverse(output) - truth) ** 2)
+            for k, z in enumerate((network(regressors), closed)):
+                wrong[k] += np.sum((outputs.reverse(z) - truth) ** 2)
             level += np.sum((truth - truth.mean(axis=1, keepdims=True)) ** 2)
         open_loop, closed_loop = np.sqrt(wrong / level) if level > 0.0 else (0.0, 0.0)
         return float(open_loop), float(closed_loop)
@@ -114,13 +107,13 @@ def _series_parallel(x: np.ndarray, z: np.ndarray, delays: int) -> tuple[np.ndar
 
 
 @kernel
-def _run_parallel(hidden, output, x, before, z):
-    """Write the outputs for mapped accelerations `x` (3, M) to `z` (2, M), feeding back outputs.
+def _run_parallel(hidden, output, x, before):
+    """Return the outputs (2, M) for mapped accelerations `x` (3, M), feeding back outputs.
 
     `before` (2, delays): the initial heights; accelerations before the first equal the first.
     """
-    delays, sensors, paths = before.shape[1], x.shape[0], z.shape[0]
-    units = hidden.shape[1]
+    (paths, delays), sensors, units = before.shape, x.shape[0], hidden.shape[1]
+    z = np.empty((paths, x.shape[1]))
     for k in range(x.shape[1]):
         for i in range(paths):
             z[i, k] = output[i, units]
@@ -139,6 +132,7 @@ def _run_parallel(hidden, output, x, before, z):
             unit = np.tanh(net)
             for i in range(paths):
                 z[i, k] += output[i, j] * unit
+    return z
 
 
 def _n_training(z: np.ndarray) -> int:

@@ -51,34 +51,9 @@ from estimators.linear.fir_bank import (
     motion_windows,
     taps_shape,
 )
-from estimators.networks.inputs import (
-    MIRROR_SIGNS,
-    STATIONS_AHEAD,
-    NetworkInputs,
-    network_inputs,
-    window_span,
-)
-from estimators.networks.std_calibration import (
-    N_TERMS,
-    calibration_factor,
-    constant_scale,
-    fit_std_scale,
-    in_scored_band,
-    interior,
-    std_scale,
-)
-from estimators.networks.trainer import (
-    LOG_STD_RANGE,
-    Checkpoint,
-    TrainerConfig,
-    TrainingSequence,
-    get_weights,
-    require_torch,
-    set_weights,
-    single_thread,
-    split_validation,
-    train_network,
-)
+from estimators.networks import std_calibration, trainer
+from estimators.networks.inputs import MIRROR_SIGNS, NetworkInputs, network_inputs, window_span
+from estimators.networks.trainer import require_torch
 from estimators.preprocessing import clean_record
 from estimators.pretrained_weights import load_pretrained
 from road_envs.core.config import Count, Settings
@@ -86,12 +61,10 @@ from road_envs.records.record import Estimate, Profile, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
 _NETWORK_PREFIX = "network."  # prefix of the names of the network's weights
-
+# Accelerations in the window of a correction are divided by this many levels per s²
 _MOTION_UNIT = 500.0
-"""Accelerations in the window of a correction are divided by this many levels per s²."""
-
+# Relative deviation from the trained wheelbase above which a note is added
 _WHEELBASE_TOLERANCE = 0.02
-"""Relative deviation from the trained wheelbase above which a note is added."""
 
 
 class _FittedSequence(NamedTuple):
@@ -103,6 +76,23 @@ class _FittedSequence(NamedTuple):
     network: dict[str, np.ndarray]
     std_coefficients: np.ndarray
     wheelbase: float
+
+
+class _Output(NamedTuple):
+    """Output of a network for its `inputs`: the `residual` of m and q and the standard deviation
+    `std` of it, both (2, M) in levels, and what the weights of the last layer multiply, `hidden`
+    (2, channels, M).
+    """
+
+    inputs: NetworkInputs
+    residual: np.ndarray
+    std: np.ndarray
+    hidden: np.ndarray
+
+    @property
+    def estimate(self) -> np.ndarray:
+        """The estimate (2, M) [m] of m and q."""
+        return self.inputs.first + self.inputs.level * self.residual
 
 
 def _check_odd(size: int) -> int:
@@ -157,7 +147,7 @@ class SequenceEstimator(Settings, abc.ABC):
         car: VehicleParameters,
         seed: int,
         progress: Callable[[str, float], None] = lambda text, share: None,
-        checkpoint: Checkpoint | None = None,
+        checkpoint: trainer.Checkpoint | None = None,
     ) -> Self:
         """Return a copy trained on these drives; `seed` draws initial weights and batches.
 
@@ -172,60 +162,51 @@ class SequenceEstimator(Settings, abc.ABC):
         with torch.random.fork_rng():
             torch.manual_seed(seed)
             network = self.network()
-        sequences = [
-            self._training_sequence(drive, bank, car.wheelbase, network) for drive in drives
-        ]
-        train_network(network, sequences, TrainerConfig(self.steps), seed, progress, checkpoint)
+        sequences = []
+        for drive in drives:
+            inputs = network_inputs(drive.signals, bank, car.wheelbase, network, self.causal)
+            residual = keep_short_waves(drive.target.astype(float) - inputs.first) / inputs.level
+            sequences.append(trainer.TrainingSequence(inputs, residual.astype(np.float32)))
+        config = trainer.TrainerConfig(self.steps)
+        trainer.train_network(network, sequences, config, seed, progress, checkpoint)
         # calibrated as stored, in half precision
-        rounded = {name: x.astype(np.float16) for name, x in get_weights(network).items()}
-        set_weights(network, rounded)
-        _, validation = split_validation(sequences)
-        ratios = [
-            self._normalised_errors(part.sequence, network, part.start, part.stop)
-            for part in validation
-        ]
-        coefficients = constant_scale(calibration_factor(np.concatenate(ratios)))
-        return copy_with(
-            self, fitted_state=_FittedSequence(bank, rounded, coefficients, car.wheelbase)
-        )
+        rounded = {name: x.astype(np.float16) for name, x in trainer.get_weights(network).items()}
+        trainer.set_weights(network, rounded)
+        ratios = []
+        for (inputs, target), start, stop in trainer.split_validation(sequences)[1]:
+            output = _evaluate(network, inputs)
+            error = wheel_paths(target - output.residual) / np.hypot(*output.std)
+            ratios.append(error[:, start:stop].ravel())
+        factor = std_calibration.calibration_factor(np.concatenate(ratios))
+        coefficients = std_calibration.constant_scale(factor)
+        state = _FittedSequence(bank, rounded, coefficients, car.wheelbase)
+        return copy_with(self, fitted_state=state)
 
     def calibrate_deviations(self, drives: Sequence[TrainingExample]) -> Self:
         """Return a copy with standard deviations calibrated on these drives, unseen in training."""
-        fitted_state = self._fitted_or_pretrained()
-        network = self.network()
-        set_weights(network, fitted_state.network)
+        state, network = self._loaded()
         ratios, conditions = [], []
         for drive in drives:
-            inputs = network_inputs(
-                drive.signals, fitted_state.bank, fitted_state.wheelbase, network, self.causal
-            )
-            drive_conditions = _station_conditions(inputs, network)
-            scored = interior(inputs.level.size)
-            residual, std, _ = _predict_residual(network, inputs.x, inputs.conditions)
-            error = wheel_paths(drive.target - inputs.first - inputs.level * residual)
-            speed = float(np.median(drive.signals.v))
-            ratios.append(
-                (in_scored_band(error, speed) / (inputs.level * np.hypot(*std)))[:, scored]
-            )
-            varies = drive_conditions.shape[1] > 1
-            conditions.append(drive_conditions[:, scored] if varies else drive_conditions)
-        return copy_with(
-            self,
-            fitted_state=fitted_state._replace(std_coefficients=fit_std_scale(ratios, conditions)),
-        )
+            given = drive.signals, state.bank, state.wheelbase
+            inputs = network_inputs(*given, network, self.causal)
+            output, own = _evaluate(network, inputs), _station_conditions(inputs, network)
+            scored = std_calibration.interior(inputs.level.size)
+            error, speed = wheel_paths(drive.target - output.estimate), np.median(drive.signals.v)
+            error = std_calibration.in_scored_band(error, float(speed))
+            ratios.append((error / (inputs.level * np.hypot(*output.std)))[:, scored])
+            conditions.append(own[:, scored] if own.shape[1] > 1 else own)
+        coefficients = std_calibration.fit_std_scale(ratios, conditions)
+        return copy_with(self, fitted_state=state._replace(std_coefficients=coefficients))
 
     def calibrate(self, drives: Sequence[CalibrationDrive], car: VehicleParameters) -> Self:
         """Return a copy with a correction for the vehicle of the drives over measured roads
         (`vehicle_correction.py`); others are not used. Raises RecordError.
         """
-        bank, weights, _, _ = self._fitted_or_pretrained()
-        network = self.network()
-        set_weights(network, weights)
+        state, network = self._loaded()
 
         def predict(signals: SpatialSignals) -> Prediction:
-            inputs = network_inputs(signals, bank, car.wheelbase, network, self.causal)
-            residual, _, hidden = _predict_residual(network, inputs.x, inputs.conditions)
-            return self._prediction(signals, inputs, residual, hidden)
+            inputs = network_inputs(signals, state.bank, car.wheelbase, network, self.causal)
+            return self._prediction(signals, _evaluate(network, inputs))
 
         corrections = fit_corrections(drives, self.causal, predict, self._short_waves)
         return copy_with(self, corrections=corrections)
@@ -233,22 +214,16 @@ class SequenceEstimator(Settings, abc.ABC):
     def _short_waves(self, z: np.ndarray) -> np.ndarray:
         return keep_short_waves(np.asarray(z, dtype=float), self.causal)
 
-    def _prediction(
-        self,
-        signals: SpatialSignals,
-        inputs: NetworkInputs,
-        residual: np.ndarray,
-        hidden: np.ndarray,
-    ) -> Prediction:
+    def _prediction(self, signals: SpatialSignals, output: _Output) -> Prediction:
         """Return the estimate, with what feeds the last layer and the motions in a window, which
         may be asymmetric as the vehicle's body is.
         """
-        z = inputs.first + inputs.level * residual
-        ahead = STATIONS_AHEAD if self.causal else CORRECTION_REACH
+        z, level = output.estimate, output.inputs.level
+        ahead = window_span(True)[1] if self.causal else CORRECTION_REACH
         windows = motion_windows(signals, CORRECTION_REACH, ahead, self.causal)
-        x = np.concatenate(list(windows), axis=1).T / (_MOTION_UNIT * inputs.level)
-        features = np.concatenate([hidden, np.array([x, x])], axis=1)
-        return Prediction(z, self._short_waves(z), features, inputs.level)
+        x = np.concatenate(list(windows), axis=1).T / (_MOTION_UNIT * level)
+        features = np.concatenate([output.hidden, np.array([x, x])], axis=1)
+        return Prediction(z, self._short_waves(z), features, level)
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Estimate both wheel paths, with standard deviations above 0.15 cycles/m. Raises
@@ -256,21 +231,20 @@ class SequenceEstimator(Settings, abc.ABC):
         """
         record, notes = clean_record(record)
         record, odometer = calibrate_stations(record, self.causal)
-        bank, weights, coefficients, wheelbase = self._fitted_or_pretrained()
-        network = self.network()
-        set_weights(network, weights)
+        (bank, _, coefficients, wheelbase), network = self._loaded()
         signals = to_spatial(record, STATION_MARGIN, self.causal)
         inputs = network_inputs(signals, bank, car.wheelbase, network, self.causal)
-        residual, std, hidden = _predict_residual(network, inputs.x, inputs.conditions)
-        z = inputs.first + inputs.level * residual
+        output = _evaluate(network, inputs)
+        z = output.estimate
         for correction in self.corrections:
             if correction.serves(signals):
-                z = correction.correct(self._prediction(signals, inputs, residual, hidden))
+                z = correction.correct(self._prediction(signals, output))
                 notes = (*notes, NOTE)
         stations = profile_stations(record.length)
         z = wheel_paths(upsample(z, stations.size))
-        factors = std_scale(coefficients, _station_conditions(inputs, network))
-        std_m = factors * inputs.level * np.hypot(*std)
+        conditions = _station_conditions(inputs, network)
+        factors = std_calibration.std_scale(coefficients, conditions)
+        std_m = factors * inputs.level * np.hypot(*output.std)
         z_std = np.interp(stations, SPACING * (np.arange(std_m.size) - EDGE_STATIONS), std_m)
         notes = (*notes, *odometer, LONG_WAVE_NOTE, *validity_notes(signals))
         if abs(car.wheelbase - wheelbase) > _WHEELBASE_TOLERANCE * wheelbase:
@@ -294,7 +268,7 @@ class SequenceEstimator(Settings, abc.ABC):
         behind, ahead = window_span(self.causal)
         shapes: dict[str, tuple[int | None, ...]] = {
             "taps": taps_shape(behind, ahead),
-            "widths": (N_TERMS,),
+            "widths": (std_calibration.N_TERMS,),
             "wheelbase": (),
         }
         torch = require_torch()
@@ -307,9 +281,14 @@ class SequenceEstimator(Settings, abc.ABC):
         names = (name.removeprefix(_NETWORK_PREFIX) for name in own)
         network = {name: x.astype(np.float16) for name, x in zip(names, rest, strict=True)}
         bank = FirBank(taps.astype(np.float16), ahead)
-        return copy_with(
-            self, fitted_state=_FittedSequence(bank, network, coefficients, float(wheelbase))
-        )
+        state = _FittedSequence(bank, network, coefficients, float(wheelbase))
+        return copy_with(self, fitted_state=state)
+
+    def _loaded(self) -> tuple[_FittedSequence, Any]:
+        """Return the state, fitted or shipped, and its torch network. Raises NotFittedError."""
+        state, network = self._fitted_or_pretrained(), self.network()
+        trainer.set_weights(network, state.network)
+        return state, network
 
     def _fitted_or_pretrained(self) -> _FittedSequence:
         """Return the fitted state, or the one shipped with the package. Raises NotFittedError."""
@@ -318,34 +297,13 @@ class SequenceEstimator(Settings, abc.ABC):
         weights = load_pretrained(self.name) if self == type(self)() else None
         return self.with_weights(require_fitted(weights, self))._fitted_or_pretrained()
 
-    def _training_sequence(
-        self, drive: TrainingExample, bank: FirBank, wheelbase: float, network: Any
-    ) -> TrainingSequence:
-        inputs = network_inputs(drive.signals, bank, wheelbase, network, self.causal)
-        residual = keep_short_waves(drive.target.astype(float) - inputs.first) / inputs.level
-        return TrainingSequence(inputs, residual.astype(np.float32))
 
-    def _normalised_errors(
-        self, sequence: TrainingSequence, network: Any, start: int, stop: int
-    ) -> np.ndarray:
-        """Return errors of both wheel paths over their standard deviations."""
-        residual, std, _ = _predict_residual(network, sequence.inputs.x, sequence.inputs.conditions)
-        error = wheel_paths(sequence.residual - residual) / np.hypot(*std)
-        return error[:, start:stop].ravel()
-
-
-def _predict_residual(
-    network: Any, x: np.ndarray, conditions: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the residual of m and q and its standard deviation, both (2, M) in levels, and what
-    the weights of the last layer multiply, (2, channels, M).
-
-    Mean of the network's outputs for the drive and for the mirrored drive, mirrored back.
-    """
+def _evaluate(network: Any, inputs: NetworkInputs) -> _Output:
+    """Return the mean of a network's outputs for a drive and the mirrored one, mirrored back."""
     torch = require_torch()
-    with torch.no_grad(), single_thread():
-        both_drives = torch.from_numpy(np.array([x, x * MIRROR_SIGNS]))
-        both_conditions = torch.from_numpy(np.array([conditions, conditions]))
+    with torch.no_grad(), trainer.single_thread():
+        both_drives = torch.from_numpy(np.array([inputs.x, inputs.x * MIRROR_SIGNS]))
+        both_conditions = torch.from_numpy(np.array([inputs.conditions] * 2))
         kept: list[Any] = []
         hook = network.head.register_forward_pre_hook(lambda _, given: kept.append(given[0]))
         output = network(both_drives, both_conditions).numpy().astype(float)
@@ -353,8 +311,8 @@ def _predict_residual(
     mirror = np.array([[1.0], [-1.0]])
     residual = 0.5 * (output[0, :2] + mirror * output[1, :2])
     one, other = kept[0].numpy().astype(float)
-    std = np.exp(np.clip(output[:, 2:], *LOG_STD_RANGE).mean(axis=0))
-    return residual, std, 0.5 * np.array([one + other, one - other])
+    std = np.exp(np.clip(output[:, 2:], *trainer.LOG_STD_RANGE).mean(axis=0))
+    return _Output(inputs, residual, std, 0.5 * np.array([one + other, one - other]))
 
 
 def _station_conditions(inputs: NetworkInputs, network: Any) -> np.ndarray:

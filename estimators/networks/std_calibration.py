@@ -28,23 +28,15 @@ from scipy.special import expit
 from estimators.common.spatial_signals import SPACING
 from road_envs.records.record import scored_band
 
+# Coverage probabilities, and the Gaussian bounds in standard deviations
 _COVERAGE_LEVELS = ((0.5, 0.6745), (0.9, 1.6449))
-"""Coverage probabilities, and the Gaussian bounds in standard deviations."""
-
 N_TERMS = 46
-RIDGE = 0.1
-"""Penalty on w for a unit of each term, in equivalent drives."""
-
+RIDGE = 0.1  # penalty on w for a unit of each term, in equivalent drives
 _N_QUANTILES = 50  # quantiles that represent the errors of a drive
 _RATIO_MIN = 1e-9  # smallest ratio of errors
-
-SMOOTHING = 0.1
-"""Width, in the logarithm, over which the check function is smoothed."""
-
+SMOOTHING = 0.1  # width, in the logarithm, over which the check function is smoothed
 _PAD_LENGTH = 20.0  # length [m] by which a drive is extended before filtering
-
-EDGE_LENGTH = 5.0
-"""Length [m] of each end of a drive that is ignored."""
+EDGE_LENGTH = 5.0  # length [m] of each end of a drive that is ignored
 
 
 def constant_scale(factor: float) -> np.ndarray:
@@ -71,9 +63,8 @@ def fit_std_scale(ratios: Sequence[np.ndarray], conditions: Sequence[np.ndarray]
     """
     x = np.array([_design_matrix(drive_conditions).mean(axis=1) for drive_conditions in conditions])
     levels = (np.arange(_N_QUANTILES) + 0.5) / _N_QUANTILES
-    log_ratios = np.log(
-        [np.maximum(np.quantile(np.abs(each), levels), _RATIO_MIN) for each in ratios]
-    )
+    quantiles = np.array([np.quantile(np.abs(each), levels) for each in ratios])
+    log_ratios = np.log(np.maximum(quantiles, _RATIO_MIN))
     # (2, drives, quantiles)
     over = np.array([log_ratios - np.log(n_std) for _, n_std in _COVERAGE_LEVELS])
     share = np.array([covered for covered, _ in _COVERAGE_LEVELS])[:, None, None]
@@ -91,9 +82,7 @@ def fit_std_scale(ratios: Sequence[np.ndarray], conditions: Sequence[np.ndarray]
 
 
 def calibration_factor(ratios: np.ndarray) -> float:
-    """Return the constant factor on standard deviations that best gives both coverages; `ratios`
-    (any shape) are errors over standard deviations.
-    """
+    """Return the factor for both coverages; `ratios` are errors over standard deviations."""
     return float(np.mean([np.quantile(np.abs(ratios), p) / n_std for p, n_std in _COVERAGE_LEVELS]))
 
 

@@ -7,7 +7,6 @@ Limitations: vehicles far from those of the training corpus; below 0.15 cycles/m
 nothing to the FIR bank.
 """
 
-import abc
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
@@ -18,16 +17,17 @@ from estimators.networks.inputs import N_CONDITIONS, N_INPUTS
 from estimators.networks.sequence_estimator import SequenceEstimator
 from road_envs.core.config import Count
 
+_Dilations = Annotated[tuple[Count, ...], Field(min_length=1), "stations", "of the layers"]
+
 
 @dataclass(frozen=True, kw_only=True)
-class _Convolutional(SequenceEstimator, abc.ABC):
-    dilations: Annotated[tuple[Count, ...], Field(min_length=1), "stations", "of the layers"] = (
-        1,
-        2,
-        4,
-        8,
-        16,
-    )
+class Tcn(SequenceEstimator):
+    """Convolutional network over stations; offline: uses the whole drive."""
+
+    name: ClassVar[str] = "tcn"
+    causal: ClassVar[bool] = False
+
+    dilations: _Dilations = (1, 2, 4, 8, 16)
 
     def network(self) -> Any:
         """Return the torch network with its initial weights."""
@@ -38,15 +38,7 @@ class _Convolutional(SequenceEstimator, abc.ABC):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tcn(_Convolutional):
-    """Convolutional network over stations; offline: uses the whole drive."""
-
-    name: ClassVar[str] = "tcn"
-    causal: ClassVar[bool] = False
-
-
-@dataclass(frozen=True, kw_only=True)
-class TcnCausal(_Convolutional):
+class TcnCausal(Tcn):
     """Convolutional network over stations; causal: uses the drive until LAG beyond the station."""
 
     name: ClassVar[str] = "tcn_causal"

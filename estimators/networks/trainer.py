@@ -24,12 +24,9 @@ _FINAL_RATE_SHARE = 0.02  # final learning rate over the highest
 _N_VALIDATIONS = 20  # number of evaluations of the validation error
 _PATIENCE = 6  # evaluations without improvement after which training stops
 _VALIDATION_INTERVAL = 10  # one drive in so many is used for validation
-
+# Weight of the likelihood in the loss; it affects only the standard deviations
 _LIKELIHOOD_WEIGHT = 0.1
-"""Weight of the likelihood in the loss; it affects only the standard deviations."""
-
-LOG_STD_RANGE = (-6.0, 3.0)
-"""Range of the logarithms of standard deviations, in levels."""
+LOG_STD_RANGE = (-6.0, 3.0)  # range of the logarithms of standard deviations, in levels
 
 
 class TrainingSequence(NamedTuple):
@@ -64,18 +61,16 @@ class _SequencePart(NamedTuple):
     start: int
     stop: int
 
-    def crop(self, at: int, size: int, context: Any, flip: bool) -> tuple[np.ndarray, ...]:
+    def crop(self, at: int, size: int, context: Any, flip: bool = False) -> tuple[np.ndarray, ...]:
         """Return inputs, conditions and residual of `size` stations, mirrored if `flip`."""
         x, conditions = self.sequence.inputs.x, self.sequence.inputs.conditions
         read = slice(at, at + context.behind + size + context.ahead)
         x = x[:, read]
         conditions = conditions if conditions.shape[1] == 1 else conditions[:, read]
         residual = self.sequence.residual[:, at : at + size]
-        return (
-            (x * MIRROR_SIGNS, conditions, residual * MIRROR_SIGNS[6:8])
-            if flip
-            else (x, conditions, residual)
-        )
+        if flip:
+            x, residual = x * MIRROR_SIGNS, residual * MIRROR_SIGNS[6:8]
+        return x, conditions, residual
 
 
 def train_network(
@@ -99,7 +94,13 @@ def train_network(
     with single_thread():
         for step in range(begin, config.steps + 1):
             if step % every == 0 or step == config.steps:
-                state.update_best(_validation_error(network, validation, size), step)
+                error = _validation_error(network, validation, size)
+                if error < state.best_error:
+                    state.best, state.best_error, state.best_step = (
+                        get_weights(network),
+                        error,
+                        step,
+                    )
                 if checkpoint:
                     checkpoint.save(state.to_arrays(step))
                 progress(f"validation error {state.best_error:.4f}", step / config.steps)
@@ -109,7 +110,7 @@ def train_network(
                 # a generator per step: a resumed training draws the same batches
                 rng = np.random.default_rng([seed, step])
                 _train_step(network, optimiser, training, config, size, rng, step)
-    state.restore_best()
+    set_weights(network, state.best)
     return state.best_error
 
 
@@ -117,17 +118,13 @@ def split_validation(
     sequences: Sequence[TrainingSequence],
 ) -> tuple[list[_SequencePart], list[_SequencePart]]:
     """Return the training parts and the validation parts."""
-    training: list[_SequencePart] = []
-    validation: list[_SequencePart] = []
-    for k, sequence in enumerate(sequences):
-        M = sequence.residual.shape[1]
-        if len(sequences) >= _VALIDATION_INTERVAL:
-            is_validation = k % _VALIDATION_INTERVAL == _VALIDATION_INTERVAL - 1
-            (validation if is_validation else training).append(_SequencePart(sequence, 0, M))
-        else:
-            training.append(_SequencePart(sequence, 0, M - M // 5))
-            validation.append(_SequencePart(sequence, M - M // 5, M))
-    return training, validation
+    whole = [_SequencePart(each, 0, each.residual.shape[1]) for each in sequences]
+    if len(whole) >= _VALIDATION_INTERVAL:
+        validation = whole[_VALIDATION_INTERVAL - 1 :: _VALIDATION_INTERVAL]
+        del whole[_VALIDATION_INTERVAL - 1 :: _VALIDATION_INTERVAL]
+        return whole, validation
+    cut = [each._replace(stop=each.stop - each.stop // 5) for each in whole]
+    return cut, [each._replace(start=each.stop - each.stop // 5) for each in whole]
 
 
 def _validation_error(network: Any, parts: Sequence[_SequencePart], size: int) -> float:
@@ -137,14 +134,17 @@ def _validation_error(network: Any, parts: Sequence[_SequencePart], size: int) -
     with torch.no_grad():
         for part in parts:
             starts = range(part.start, part.stop - size + 1, size)
-            crops = [part.crop(at, size, network, False) for at in starts]
-            x, c, residual = (
-                torch.from_numpy(np.stack(group)) for group in zip(*crops, strict=True)
-            )
+            x, c, residual = _to_batch([part.crop(at, size, network) for at in starts])
             squared_error = (network(x, c)[:, :2] - residual).square().mean(dim=(1, 2))
             total += float(squared_error.clamp(max=_LOSS_MAX).sum())
-            count += len(crops)
+            count += len(starts)
     return total / count
+
+
+def _to_batch(crops: Sequence[tuple[np.ndarray, ...]]) -> tuple[Any, ...]:
+    """Return inputs, conditions and residuals of all `crops` as tensors."""
+    torch = require_torch()
+    return tuple(torch.from_numpy(np.stack(group)) for group in zip(*crops, strict=True))
 
 
 class _TrainerState:
@@ -154,15 +154,6 @@ class _TrainerState:
         self.network, self.optimiser = network, optimiser
         self.best: dict[str, np.ndarray] = {}
         self.best_error, self.best_step = float("inf"), 0
-
-    def update_best(self, error: float, step: int) -> None:
-        """Store the weights if their error is the smallest so far."""
-        if error < self.best_error:
-            self.best, self.best_error, self.best_step = get_weights(self.network), error, step
-
-    def restore_best(self) -> None:
-        """Load the best weights into the network."""
-        set_weights(self.network, self.best)
 
     def to_arrays(self, step: int) -> dict[str, np.ndarray]:
         """Return everything needed to continue at `step`."""
@@ -240,7 +231,7 @@ def _train_step(
         part = training[k]
         at = int(rng.integers(part.start, part.stop - size + 1))
         crops.append(part.crop(at, size, network, bool(rng.integers(2))))
-    x, c, residual = (torch.from_numpy(np.stack(group)) for group in zip(*crops, strict=True))
+    x, c, residual = _to_batch(crops)
     output = network(x, c)
     error, log_std = output[:, :2] - residual, output[:, 2:].clamp(*LOG_STD_RANGE)
     likelihood = 0.5 * error.detach().square() * torch.exp(-2.0 * log_std) + log_std
@@ -256,7 +247,6 @@ def _train_step(
 
 def _learning_rate_factor(step: int, steps: int) -> float:
     """Return the learning rate at a step over the highest."""
-    falling = _FINAL_RATE_SHARE + (1.0 - _FINAL_RATE_SHARE) * 0.5 * (
-        1.0 + np.cos(np.pi * step / steps)
-    )
+    cosine = 0.5 * (1.0 + np.cos(np.pi * step / steps))
+    falling = _FINAL_RATE_SHARE + (1.0 - _FINAL_RATE_SHARE) * cosine
     return float(min(1.0, (step + 1) / _WARM_UP_STEPS) * falling)

@@ -24,6 +24,7 @@ one RMS per sensor does not resolve frequency.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -37,13 +38,10 @@ from road_envs.records.record import Profile, Record
 from road_envs.records.roughness import displacement_psd, octave_levels
 
 N_INPUTS = 1 + N_MOTIONS
-SLOPE_STD = 3.0
-"""Standard deviation of b for standardised inputs and output: a wide prior."""
-
+SLOPE_STD = 3.0  # standard deviation of b for standardised inputs and output: a wide prior
+# Bounds of the hyperparameters theta: logarithms of the process amplitude, of its length scales
+# and of the noise amplitude, for inputs and output of standard deviation 1
 _THETA_BOUNDS = ((-4.0, 1.5), *((-1.5, 4.0),) * N_INPUTS, (-5.0, 0.0))
-"""Bounds of the hyperparameters theta: logarithms of the process amplitude, of its length scales
-and of the noise amplitude, for inputs and output of standard deviation 1.
-"""
 
 
 class RoughnessEstimate(NamedTuple):
@@ -94,21 +92,14 @@ class RmsRoughness:
     def fit(cls, records: Sequence[Record], truths: Sequence[Profile]) -> Self:
         """Fit to drives over known roads. Raises RecordError."""
         X = np.array([features(record) for record in records])
-        levels = [
-            _roughness_level(truth, float(np.nanmedian(record.v)))
-            for record, truth in zip(records, truths, strict=True)
-        ]
+        pairs = zip(records, truths, strict=True)
+        levels = [_roughness_level(truth, float(np.nanmedian(x.v))) for x, truth in pairs]
         Y = np.log(levels)[:, None]
         scales = _Standardizer.fit(X), _Standardizer.fit(Y)
         x, y = scales[0](X), scales[1](Y)[:, 0]
         start = np.array([-1.0, *np.full(N_INPUTS, 1.0), -1.5])
-        optimum = minimize(
-            lambda theta: _neg_log_marginal_likelihood(x, y, theta),
-            start,
-            jac=True,
-            method="L-BFGS-B",
-            bounds=_THETA_BOUNDS,
-        )
+        loss = partial(_neg_log_marginal_likelihood, x, y)
+        optimum = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=_THETA_BOUNDS)
         return cls(x, y, *scales, optimum.x)
 
     def predict(self, record: Record) -> RoughnessEstimate:
@@ -117,9 +108,8 @@ class RmsRoughness:
         mean, std = _predict_gp(self.x, self.y, self.theta, at)
         log_level = float(self.y_scale.mean[0] + self.y_scale.std[0] * mean[0])
         log_std = float(self.y_scale.std[0] * std[0])
-        return RoughnessEstimate(
-            float(np.exp(log_level)), log_std, class_probabilities(log_level, log_std)
-        )
+        probability = class_probabilities(log_level, log_std)
+        return RoughnessEstimate(float(np.exp(log_level)), log_std, probability)
 
 
 def features(record: Record) -> np.ndarray:
@@ -172,9 +162,7 @@ def _predict_gp(
     x: np.ndarray, y: np.ndarray, theta: np.ndarray, at: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return mean and standard deviation (M,), noise included, of the outputs at inputs `at` (M,
-    k).
-
-    `y` (N,): the known outputs at `x` (N, k).
+    k). `y` (N,): the known outputs at `x` (N, k).
     """
     noise = np.exp(2.0 * theta[-1])
     K = np.add(*covariance(x, x, theta)) + noise * np.eye(y.size)

@@ -24,6 +24,7 @@ from estimators.wiener.spectral_model import (
     SpectralModel,
     active_sensors,
     fit_hyperparameters,
+    trace,
     windowed_spectrum,
 )
 from estimators.wiener.tuning import TUNING
@@ -34,9 +35,8 @@ from road_envs.records.roughness import CLASSES
 from road_envs.sensing.instruments import instruments_of
 from road_envs.vehicle.parameters import VehicleParameters
 
+# Standard deviation of the log level due to deviations of the vehicle [assumed]
 _MODEL_ERROR = 0.10
-"""Standard deviation of the log level due to deviations of the vehicle [assumed]."""
-
 _EM_ITERATIONS = 8  # expectation-maximisation iterations of an octave's level
 
 
@@ -62,13 +62,6 @@ class ClassPosterior(NamedTuple):
         return most_probable(self.probability)
 
 
-class _OctaveLevels(NamedTuple):
-    """Results of a segment: `levels` (K,) [m³] of the octaves, and the number of `lines` (K,)."""
-
-    levels: np.ndarray
-    lines: np.ndarray
-
-
 def classify_record(
     record: Record, car: VehicleParameters, instruments: str = "paper"
 ) -> ClassPosterior:
@@ -77,30 +70,20 @@ def classify_record(
     vehicle = SensedVehicle.of(car, sensors)
     masked = mask_record(record, sensors)
     octaves = scored_octaves(float(np.median(masked.record.v)))
-    parts = []
-    for segment in split_segments(masked, TUNING.segment_length, TUNING.segment_margin):
-        model = fit_hyperparameters(vehicle, segment)
-        parts.append(_levels(model, segment, octaves))
-    weights = np.array([part.lines for part in parts])
+    segments = split_segments(masked, TUNING.segment_length, TUNING.segment_margin)
+    parts = [_levels(fit_hyperparameters(vehicle, each), each, octaves) for each in segments]
+    own, weights = np.swapaxes(parts, 0, 1)
     total = np.maximum(weights.sum(axis=0), 1e-9)
-    levels = (weights * [part.levels for part in parts]).sum(axis=0) / total
+    levels = (weights * own).sum(axis=0) / total
     stds = np.sqrt(1.0 / np.maximum(total, 1.0) + _MODEL_ERROR**2)
     use = total > 1.0
     share = np.where(use, 1.0 / stds**2, 0.0)
     log_level = float(share @ np.log(levels) / share.sum())
     log_std = float(np.sqrt(1.0 / total[use].sum() + _MODEL_ERROR**2))
-    return ClassPosterior(
-        float(np.exp(log_level)),
-        log_std,
-        octaves,
-        levels,
-        stds,
-        class_probabilities(log_level, log_std),
-        tuple(
-            most_probable(class_probabilities(float(np.log(x)), float(s)))
-            for x, s in zip(levels, stds, strict=True)
-        ),
-    )
+    pairs = zip(np.log(levels).tolist(), stds.tolist(), strict=True)
+    classes = tuple(most_probable(class_probabilities(*pair)) for pair in pairs)
+    probability, G_d0 = class_probabilities(log_level, log_std), float(np.exp(log_level))
+    return ClassPosterior(G_d0, log_std, octaves, levels, stds, probability, classes)
 
 
 def class_probabilities(log_level: float, log_std: float) -> dict[str, float]:
@@ -129,8 +112,10 @@ def scored_octaves(v: float) -> np.ndarray:
     return 2.0 ** np.arange(np.ceil(np.log2(low)), np.floor(np.log2(high)) + 1.0)
 
 
-def _levels(model: SpectralModel, segment: Segment, octaves: np.ndarray) -> _OctaveLevels:
-    """Return the level and the number of independent lines of each octave of a segment."""
+def _levels(
+    model: SpectralModel, segment: Segment, octaves: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the levels (K,) [m³] of a segment's octaves and their independent lines (K,)."""
     lines, sensors = windowed_spectrum(model, segment), active_sensors(segment)
     noise = model.noise_psd()
     levels = np.full(octaves.size, model.prior.G_d0)
@@ -148,11 +133,9 @@ def _levels(model: SpectralModel, segment: Segment, octaves: np.ndarray) -> _Oct
             road_posterior = posterior(n, H, unit * levels[k], R)
             z = road_posterior.gain @ y
             second = z @ hermitian(z) + road_posterior.error
-            levels[k] = float(np.mean(np.real(np.einsum("fii->f", np.linalg.solve(unit, second)))))
-            levels[k] /= 2.0
-            unresolved = np.linalg.solve(unit, road_posterior.error)
-            unresolved = np.real(np.einsum("fii->f", unresolved)) / levels[k]
+            levels[k] = float(np.mean(trace(np.linalg.solve(unit, second)))) / 2.0
+            unresolved = trace(np.linalg.solve(unit, road_posterior.error)) / levels[k]
             known = float(np.mean(1.0 - 0.5 * unresolved))
         # two wheel paths; a Hann window leaves two thirds of the independent lines
         counts[k] = 2.0 * span * (n[-1] - n[0]) * max(known, 0.01) * 2.0 / 3.0
-    return _OctaveLevels(levels, counts)
+    return levels, counts

@@ -10,7 +10,7 @@ with kappa the independent share of the lines. Fisher scoring finds its maximum:
 derivatives D_p = L^-1 (dC / dx_p) L^-*, C = L L*, the information is kappa sum tr(D_p D_q) + I
 (Whittle 1953, Ark. Mat. 2, 423-434; Kay 1993, "Fundamentals of Statistical Signal Processing:
 Estimation Theory", section 3.9). Its inverse is the covariance of what remains unknown of
-the vehicle, which adds to the noise (`model_error_psd`).
+the vehicle, which adds to the noise (`_model_error_psd`).
 """
 
 from dataclasses import dataclass, replace
@@ -72,7 +72,7 @@ class _AdaptedVehicle:
         """Return the model of a segment with the noise of an uncertain vehicle."""
         model = fit_hyperparameters(SensedVehicle.of(self.car, self.instruments), segment)
         _, dH = responses(self.space, self.x, self.instruments, segment, model)
-        return replace(model, model_error=model_error_psd(dH, self.covariance, model.S))
+        return replace(model, model_error=_model_error_psd(dH, self.covariance, model.S))
 
 
 def adapt_vehicle(
@@ -84,11 +84,9 @@ def adapt_vehicle(
     passes: int,
 ) -> _AdaptedVehicle | None:
     """Return the most probable vehicle on a `segment` of a `record`; None if it may well be `car`,
-    or if no other explains more.
-
-    `model` is that of the segment for `car`, `passes` those of the estimate. A vehicle is never
-    adapted if its file gives no tolerances, the record has fewer than `least_channels` channels, or
-    much of it is obstacles, which are no part of a Gaussian process.
+    or if no other explains more. `model` is that of the segment for `car`, `passes` those of the
+    estimate. A vehicle is never adapted if its file gives no tolerances, the record has fewer than
+    `least_channels` channels, or much of it is obstacles, which are no part of a Gaussian process.
     """
     before = after = float(np.mean(model.noise_scale))
     if (
@@ -108,16 +106,13 @@ def adapt_vehicle(
                 model = fit_hyperparameters(vehicle, segment)
                 after = float(np.mean(model.noise_scale))
             last = list(smooth_segment(model, segment, min(most, passes)))[-1]
-            x, covariance, gain = fisher_scoring(space, x, instruments, segment, last, steps)
+            x, covariance, gain = _fisher_scoring(space, x, instruments, segment, last, steps)
             if k == 0 and not flexible and gain < TUNING.adaptation_gain:
                 return None
     except ArithmeticError:  # a fitted vehicle is none
         return None
-    return (
-        _AdaptedVehicle(space, instruments, x, covariance, before, after)
-        if after < before
-        else None
-    )
+    found = _AdaptedVehicle(space, instruments, x, covariance, before, after)
+    return found if after < before else None
 
 
 def responses(
@@ -127,9 +122,7 @@ def responses(
     segment: Segment,
     model: SpectralModel,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the response H (F, S, 2) of the vehicle `x` (P,) at the lines of `model`, and its
-    derivatives (P, F, S, 2).
-    """
+    """Return H (F, S, 2) of the vehicle `x` (P,) at a model's lines, and derivatives by x."""
     v, mode, f, n = segment.v, segment.mode, model.f, model.n
     vehicle = SensedVehicle.of(space.from_vector(x), instruments)
     damping = equivalent_damping(vehicle.plant, mode, v, model.prior)
@@ -138,16 +131,10 @@ def responses(
     from_rate = gaussian_damping(vehicle.plant, mode, rate)
     shifted = TUNING.difference * np.eye(space.size)
     others = [SensedVehicle.of(space.from_vector(x + d), instruments) for d in shifted]
-    models = [
-        linearise(
-            one.plant,
-            mode,
-            one.points,
-            damping=damping * gaussian_damping(one.plant, mode, rate) / from_rate,
-            speed=v,
-        )
-        for one in others
-    ]
+    models = []
+    for one in others:
+        own = damping * gaussian_damping(one.plant, mode, rate) / from_rate
+        models.append(linearise(one.plant, mode, one.points, damping=own, speed=v))
     unbent = frequency_response(linear, v, f=f)
     changes = response_changes(linear, models, v, f)
     H = vehicle.response(unbent, f, n)
@@ -155,7 +142,7 @@ def responses(
     return H, np.array(dH) / TUNING.difference
 
 
-def model_error_psd(dH: np.ndarray, covariance: np.ndarray, S: np.ndarray) -> np.ndarray:
+def _model_error_psd(dH: np.ndarray, covariance: np.ndarray, S: np.ndarray) -> np.ndarray:
     """Return the spectrum (F, S, S) that uncertain parameters add to S signals, to first order:
     sum over p, q of P_pq dH_p S dH_q*. It neglects that they depart equally at all frequencies.
 
@@ -167,7 +154,7 @@ def model_error_psd(dH: np.ndarray, covariance: np.ndarray, S: np.ndarray) -> np
     return np.sum(parts @ S @ hermitian(parts), axis=0)
 
 
-def fisher_scoring(
+def _fisher_scoring(
     space: ParameterSpace,
     x: np.ndarray,
     instruments: Instruments,

@@ -19,7 +19,7 @@ scale of the two where that is above 1: a vehicle that is not the one described 
 of every description, and leaves more noise unexplained under each.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -44,12 +44,12 @@ from road_envs.sensing.instruments import Instruments, instruments_of
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.side_values import side_values
 
+# Units in which a speed may be given without a word, and their factors to m/s
 _SPEED_UNITS = {"km/h": 1.0 / 3.6, "mph": 0.44704}
-"""Units in which a speed may be given without a word, and their factors to m/s."""
 
 
 @dataclass(frozen=True)
-class Alternative:
+class _Alternative:
     """Another reading of a drive: what is `different` about its `record`, and what to do."""
 
     different: str
@@ -69,31 +69,42 @@ def check_notes(
         return ()
     part = _middle(record)
     described = deviance(part, car, instruments)
-    best, highest = None, 0.0
     others = list(_other_modes(part, car))
     if described[1] > TUNING.doubted_scale:
-        others += other_readings(part, speed_known)
-    for other in others:
-        gain = _clear_gain(described, deviance(other.record, car, instruments))
-        if gain > highest:
-            best, highest = other, gain
-    if best is None:
+        others += _other_readings(part, speed_known)
+    pairs = [(part, car), *((other.record, car) for other in others)]
+    best, gain = _best_description(pairs, described, instruments, TUNING.check_gain)
+    if not best:
         return ()
-    calm, other_calm = without_obstacles(part), without_obstacles(best.record)
-    own = deviance(calm, car, instruments)
-    if not _clear_gain(own, deviance(other_calm, car, instruments)):
-        return ()
+    other = others[best - 1]
     return (
-        f"the record fits {best.different} better: {best.remedy} (deviance lower by "
-        f"{highest:.2f} per spectral line)",
+        f"the record fits {other.different} better: {other.remedy} (deviance lower by "
+        f"{gain:.2f} per spectral line)",
     )
 
 
-def _clear_gain(
-    described: tuple[float, float, float],
-    other: tuple[float, float, float],
-    least: float = TUNING.check_gain,
-) -> float:
+_Deviance = tuple[float, float, float]
+
+
+def _best_description(
+    pairs: Sequence[tuple[Record, VehicleParameters]],
+    described: _Deviance,
+    instruments: str,
+    least: float,
+) -> tuple[int, float]:
+    """Return the number of the record and vehicle that fit a drive better than the first of the
+    `pairs`, which is `described`, with obstacles and without, and by how much; 0 if none do.
+    """
+    gains = [_clear_gain(described, deviance(*pair, instruments), least) for pair in pairs[1:]]
+    best = 1 + int(np.argmax(gains)) if any(gains) else 0
+    own, other = (
+        deviance(_without_obstacles(record), car, instruments)
+        for record, car in (pairs[0], pairs[best])
+    )
+    return (best, gains[best - 1]) if best and _clear_gain(own, other, least) else (0, 0.0)
+
+
+def _clear_gain(described: _Deviance, other: _Deviance, least: float) -> float:
     """Return by how much the deviance is lower, per line and noise scale, 0 if not clearly."""
     smaller = max(1.0, min(described[1], other[1]))
     gain = (described[0] - other[0]) / (described[2] * smaller)
@@ -112,17 +123,10 @@ def side_notes(record: Record, car: VehicleParameters, instruments: str) -> tupl
     described = deviance(part, car, instruments)
     if described[1] > TUNING.doubted_scale:
         return ()
-    others = dict(_other_side_motions(car))
-    gains = {
-        what: _clear_gain(described, deviance(part, other, instruments), TUNING.side_gain)
-        for what, other in others.items()
-    }
-    best = max(gains, key=gains.__getitem__, default="")
-    if not (best and gains[best]):
-        return ()
-    calm = without_obstacles(part)
-    own, other = (deviance(calm, one, instruments) for one in (car, others[best]))
-    if not _clear_gain(own, other, TUNING.side_gain):
+    others = list(_other_side_motions(car))
+    pairs = [(part, car), *((part, other) for _, other in others)]
+    best, gain = _best_description(pairs, described, instruments, TUNING.side_gain)
+    if not best:
         return ()
     remedy = (
         "the IRI may be up to a fifth too low: give the vehicle's file its `side`"
@@ -130,15 +134,14 @@ def side_notes(record: Record, car: VehicleParameters, instruments: str) -> tupl
         else "the mean of the wheel paths is not affected"
     )
     return (
-        f"the record fits {best} better: left and right are not told apart as well as the "
-        f"intervals say, {remedy} (deviance lower by {gains[best]:.2f} per spectral line)",
+        f"the record fits {others[best - 1][0]} better: left and right are not told apart as well "
+        f"as the intervals say, {remedy} (deviance lower by {gain:.2f} per spectral line)",
     )
 
 
 def _other_side_motions(car: VehicleParameters) -> Iterator[tuple[str, VehicleParameters]]:
-    """Yield what holds a vehicle sideways in another way than described, and that vehicle.
-
-    A passive car whose file has no `side` is noted without a trial.
+    """Yield what holds a vehicle sideways in another way than described, and that vehicle. A
+    passive car whose file has no `side` is noted without a trial.
     """
     if car.side is None:
         if not car.is_passive:
@@ -155,7 +158,7 @@ def _other_side_motions(car: VehicleParameters) -> Iterator[tuple[str, VehiclePa
             yield f"roll centres {f:g} times as high", replace(car, side=high)
 
 
-def without_obstacles(record: Record) -> Record:
+def _without_obstacles(record: Record) -> Record:
     """Return a record whose samples about obstacles are lost."""
     near, a = obstacle_samples(record), record.a.copy()
     if near.mean() < TUNING.most_left_out:
@@ -172,7 +175,7 @@ def obstacle_samples(record: Record) -> np.ndarray:
     return np.asarray(maximum_filter1d(far, 2 * round(TUNING.surroundings * record.fs) + 1))
 
 
-def _other_modes(record: Record, car: VehicleParameters) -> Iterator[Alternative]:
+def _other_modes(record: Record, car: VehicleParameters) -> Iterator[_Alternative]:
     """Yield a record in the other modes of its car."""
     described = dominant_modes(record, np.arange(record.t.size), car.modes)
     names = " and ".join(dict.fromkeys(described.values()))
@@ -183,10 +186,10 @@ def _other_modes(record: Record, car: VehicleParameters) -> Iterator[Alternative
                 spring_stiff=np.full_like(record.spring_stiff, stiff),
                 damper_high=np.full_like(record.damper_high, high),
             )
-            yield Alternative(f"the mode {name}", f"{names} is described (--mode)", other)
+            yield _Alternative(f"the mode {name}", f"{names} is described (--mode)", other)
 
 
-def other_readings(record: Record, speed_known: bool = False) -> Iterator[Alternative]:
+def _other_readings(record: Record, speed_known: bool = False) -> Iterator[_Alternative]:
     """Yield a record with other units of its speed, other signs, and exchanged channels."""
     for unit, factor in _SPEED_UNITS.items():
         if not speed_known:
@@ -197,7 +200,7 @@ def other_readings(record: Record, speed_known: bool = False) -> Iterator[Altern
                 length=factor * record.length,
             )
             given = f"{3.6 * np.median(record.v):.0f} km/h"
-            yield Alternative(
+            yield _Alternative(
                 f"a speed of {3.6 * factor * np.median(record.v):.0f} km/h",
                 f"{given} is described; is the speed in {unit} (--units v={unit})?",
                 slower,
@@ -205,7 +208,7 @@ def other_readings(record: Record, speed_known: bool = False) -> Iterator[Altern
     for k, name in enumerate(record.channels):
         sign = np.where(np.arange(len(record.channels)) == k, -1.0, 1.0)
         column = f"a_{name.lower()}"
-        yield Alternative(
+        yield _Alternative(
             f"the opposite sign of {name}",
             f"does its axis point down (--invert {column})?",
             replace(record, a=sign[:, None] * record.a),
@@ -214,7 +217,7 @@ def other_readings(record: Record, speed_known: bool = False) -> Iterator[Altern
     for i, j in pairs if len(record.channels) <= TUNING.max_exchanged else ():
         order = np.arange(len(record.channels))
         order[[i, j]] = j, i
-        yield Alternative(
+        yield _Alternative(
             f"{record.channels[i]} and {record.channels[j]} exchanged",
             "check which column is which (--columns)",
             replace(record, a=record.a[order]),
@@ -224,9 +227,7 @@ def other_readings(record: Record, speed_known: bool = False) -> Iterator[Altern
 def deviance(
     record: Record, car: VehicleParameters, instruments: str
 ) -> tuple[float, float, float]:
-    """Return the deviance of a record in one state of the struts, the mean noise scale, and the
-    number of independent spectral lines.
-    """
+    """Return deviance, mean noise scale and number of independent lines of a record."""
     sensors: Instruments = instruments_of(record, instruments)
     (segment,) = split_segments(mask_record(record, sensors), np.inf, 0.0)
     model = fit_hyperparameters(SensedVehicle.of(car, sensors), segment)

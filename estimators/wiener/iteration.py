@@ -67,19 +67,14 @@ def smooth_segment(model: SpectralModel, segment: Segment, passes: int) -> Itera
         noise = model.noise_psd(share)
         spectrum = signal_psd(model, noise)
         start = solve_circulant(spectrum / (2.0 * segment.spacing), y, segment.valid, size, start)
-        neg_log_likelihood = float(np.vdot(y, start)) / measured + np.mean(
-            np.linalg.slogdet(spectrum)[1]
-        ) / len(y)
+        log_det = np.mean(np.linalg.slogdet(spectrum)[1]) / len(y)
+        neg_log_likelihood = float(np.vdot(y, start)) / measured + log_det
         first = neg_log_likelihood if first is None else first
         # less likely than the first pass while q still changes much: keep the previous pass
         if change > TUNING.divergence_threshold and not neg_log_likelihood <= first:
             return
-        SH = model.S @ hermitian(model.H)
-        z = (
-            apply_response(SH, rfft(start, size))
-            / (2.0 * segment.spacing)
-            * (model.f > TUNING.f_datum)
-        )
+        z = apply_response(model.S @ hermitian(model.H), rfft(start, size))
+        z = z / (2.0 * segment.spacing) * (model.f > TUNING.f_datum)
         w = apply_response(model.X, z) + apply_response(model.X_force, rfft(q))
         error = posterior(model.n, model.H, model.S, noise).error
         iterate = Iterate(z, w, error, model, y, noise)
@@ -91,11 +86,8 @@ def smooth_segment(model: SpectralModel, segment: Segment, passes: int) -> Itera
         if change < TUNING.converged:
             return
         q += TUNING.relaxation * (expected - q)
-        share = np.clip(
-            TUNING.residual_noise_share * unknown / np.maximum(model.residual_power, 1e-9),
-            0.01,
-            1.0,
-        )
+        unresolved = unknown / np.maximum(model.residual_power, 1e-9)
+        share = np.clip(TUNING.residual_noise_share * unresolved, 0.01, 1.0)
 
 
 def _residual_forces(model: SpectralModel, iterate: Iterate) -> tuple[np.ndarray, np.ndarray]:
@@ -107,10 +99,10 @@ def _residual_forces(model: SpectralModel, iterate: Iterate) -> tuple[np.ndarray
     use = slow & (model.f < F_C)
     std_w = np.sqrt(np.trapezoid(P[:, use], model.n[use]))
     std_e = np.sqrt(np.trapezoid((P * np.abs(per_rate) ** 2)[:, use], model.n[use]))
-    return gaussian_expectation(model.residual_law, e, w, std_e, std_w)
+    return _gaussian_expectation(model.residual_law, e, w, std_e, std_w)
 
 
-def gaussian_expectation(
+def _gaussian_expectation(
     law: NonlinearResidual, e: np.ndarray, w: np.ndarray, std_e: np.ndarray, std_w: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the expected force (4, N) [N] and its variance (4,) [N²], averaged over N.

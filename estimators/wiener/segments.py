@@ -42,9 +42,7 @@ class Segment:
 
 
 def split_segments(masked: MaskedRecord, length: float, margin: float) -> Iterator[Segment]:
-    """Yield segments of about `length` [m] of road with up to `margin` [m] of record on either
-    side.
-    """
+    """Yield segments of about `length` [m], with up to `margin` [m] of record on either side."""
     record, good, _ = masked
     fs = record.fs
     a = _bridge_and_lowpass(record.a, good, fs)

@@ -20,12 +20,7 @@ from estimators.common.bending import BODY, SensedBending, sensed_bending
 from estimators.common.conjugate_gradients import conjugate_gradients
 from estimators.wiener.segments import Segment
 from estimators.wiener.tuning import TUNING
-from road_envs.analysis.information_bound import (
-    F_C,
-    RoadPrior,
-    equivalent_damping,
-    posterior,
-)
+from road_envs.analysis.information_bound import F_C, RoadPrior, equivalent_damping, posterior
 from road_envs.analysis.statistical_linearization import (
     NonlinearResidual,
     hermitian,
@@ -43,15 +38,14 @@ from road_envs.vehicle.linear_model import (
 )
 from road_envs.vehicle.parameters import VehicleParameters
 
+# Band centres [Hz] of the noise scale, interpolated over log f
 _NOISE_OCTAVES = np.array([0.7, 1.4, 2.8, 5.6, 11.0, 20.0])
-"""Band centres [Hz] of the noise scale, interpolated over log f."""
-
+# Band centres [cycles/m] of the road's shape, interpolated over log n
 _ROAD_OCTAVES = 0.125 * 2.0 ** np.arange(6)
-"""Band centres [cycles/m] of the road's shape, interpolated over log n."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class ShapedRoadPrior(RoadPrior):
+class _ShapedRoadPrior(RoadPrior):
     """Road prior with a factor `shape` at _ROAD_OCTAVES on its power law."""
 
     shape: tuple[float, ...] = (1.0,) * _ROAD_OCTAVES.size
@@ -125,7 +119,7 @@ class SpectralModel:
     residual_psd: np.ndarray
     sensor_psd: float
     model_error: np.ndarray | float
-    prior: ShapedRoadPrior
+    prior: _ShapedRoadPrior
     S: np.ndarray
     noise_scale: np.ndarray
 
@@ -135,17 +129,15 @@ class SpectralModel:
         if share is not None:
             residual = residual * np.sqrt(np.outer(share, share))
         forces = self.H_force @ residual @ hermitian(self.H_force)
-        return self.noise_scale[:, None, None] * (
-            forces + self.sensor_psd * np.eye(self.H.shape[1]) + self.model_error
-        )
+        noise = forces + self.sensor_psd * np.eye(self.H.shape[1]) + self.model_error
+        return self.noise_scale[:, None, None] * noise
 
 
 def fit_hyperparameters(vehicle: SensedVehicle, segment: Segment) -> SpectralModel:
     """Return the model of a `segment` with fitted road prior and noise scale."""
-    size = next_fast_len(
-        segment.a.shape[1] + round(TUNING.circle_padding / segment.spacing), real=True
-    )
-    prior = ShapedRoadPrior(track=vehicle.track)
+    padding = round(TUNING.circle_padding / segment.spacing)
+    size = next_fast_len(segment.a.shape[1] + padding, real=True)
+    prior = _ShapedRoadPrior(track=vehicle.track)
     noise_scale = np.ones(size // 2 + 1)
     for k in range(TUNING.damping_iterations):
         model = build_model(vehicle, segment, prior, size, noise_scale)
@@ -159,7 +151,7 @@ def fit_hyperparameters(vehicle: SensedVehicle, segment: Segment) -> SpectralMod
 def build_model(
     vehicle: SensedVehicle,
     segment: Segment,
-    prior: ShapedRoadPrior,
+    prior: _ShapedRoadPrior,
     size: int,
     noise_scale: np.ndarray,
 ) -> SpectralModel:
@@ -206,10 +198,8 @@ def windowed_spectrum(model: SpectralModel, segment: Segment) -> np.ndarray:
     a = segment.a
     if (span & ~segment.valid[active_sensors(segment)]).any():
         C = signal_psd(model, model.noise_psd()) / (2.0 * segment.spacing)
-        expected_signals = _circulant_product(
-            C, solve_circulant(C, a, segment.valid, model.size), model.size
-        )
-        a = np.where(segment.valid, a, expected_signals)
+        x = solve_circulant(C, a, segment.valid, model.size)
+        a = np.where(segment.valid, a, _circulant_product(C, x, model.size))
     # Hann window: without it the body's resonances leak to frequencies of low power
     window = np.zeros(span.size)
     window[span] = np.sin(np.pi * (np.arange(span.sum()) + 0.5) / max(span.sum(), 1)) ** 2
@@ -224,52 +214,46 @@ def active_sensors(segment: Segment) -> np.ndarray:
 
 
 def run_em(
-    model: SpectralModel,
-    lines: np.ndarray,
-    sensors: np.ndarray,
-    share: np.ndarray | None = None,
-) -> tuple[ShapedRoadPrior, np.ndarray]:
+    model: SpectralModel, lines: np.ndarray, sensors: np.ndarray, share: np.ndarray | None = None
+) -> tuple[_ShapedRoadPrior, np.ndarray]:
     """Return updated road prior and noise scale (F,), given `lines` (F, S, 1) of the `sensors`.
 
     With fewer than three sensors the noise scale is kept: noise and road are not separable.
     """
     in_band = (model.f > TUNING.f_low) & (model.f < F_C)
     n, y, H = model.n[in_band], lines[in_band][:, sensors], model.H[in_band][:, sensors]
-    base = (model.noise_psd(share) / model.noise_scale[:, None, None])[in_band][:, sensors][
-        :, :, sensors
-    ]
+    base = model.noise_psd(share) / model.noise_scale[:, None, None]
+    base = base[in_band][:, sensors][:, :, sensors]
     band = np.argmin(np.abs(np.log(model.f[in_band, None] / _NOISE_OCTAVES)), axis=1)
     factor = np.interp(np.log(_NOISE_OCTAVES), np.log(model.f), model.noise_scale)
     octave = np.argmin(np.abs(np.log(n[:, None] / _ROAD_OCTAVES)), axis=1)
     level = model.prior.G_d0
-    unit = replace(model.prior, G_d0=1.0, shape=ShapedRoadPrior.shape).spectrum(n)
+    unit = replace(model.prior, G_d0=1.0, shape=_ShapedRoadPrior.shape).spectrum(n)
     shape = np.array(model.prior.shape)
     for _ in range(TUNING.em_iterations):
-        road_posterior = posterior(
-            n, H, unit * (level * shape[octave, None, None]), base * factor[band, None, None]
-        )
+        S, R = unit * (level * shape[octave, None, None]), base * factor[band, None, None]
+        road_posterior = posterior(n, H, S, R)
         z = road_posterior.gain @ y
         e = y - H @ z
         road = z @ hermitian(z) + road_posterior.error
         noise = e @ hermitian(e) + H @ road_posterior.error @ hermitian(H)
-        level_per_line = _trace(np.linalg.solve(unit, road)) / 2.0
+        level_per_line = trace(np.linalg.solve(unit, road)) / 2.0
         level = float(np.mean(level_per_line / shape[octave]))
         shape = _shrunk_band_means(level_per_line / level, octave, _ROAD_OCTAVES.size)
         if sensors.size >= 3:
-            scale_per_line = _trace(np.linalg.solve(base, noise)) / sensors.size
+            scale_per_line = trace(np.linalg.solve(base, noise)) / sensors.size
             factor = _shrunk_band_means(scale_per_line, band, _NOISE_OCTAVES.size)
     prior = replace(model.prior, G_d0=level, shape=tuple(shape.tolist()))
     return prior, np.exp(np.interp(np.log(model.f), np.log(_NOISE_OCTAVES), np.log(factor)))
 
 
 def _shrunk_band_means(values: np.ndarray, band: np.ndarray, bands: int) -> np.ndarray:
-    """Return means (bands,) of the lines' values by `band`, shrunk to 1 by PSEUDO_COUNT."""
-    return (np.bincount(band, values, bands) + TUNING.pseudo_count) / (
-        np.bincount(band, minlength=bands) + TUNING.pseudo_count
-    )
+    """Return means (bands,) of the lines' values by `band`, shrunk to 1 by `pseudo_count`."""
+    count = np.bincount(band, minlength=bands) + TUNING.pseudo_count
+    return (np.bincount(band, values, bands) + TUNING.pseudo_count) / count
 
 
-def _trace(matrices: np.ndarray) -> np.ndarray:
+def trace(matrices: np.ndarray) -> np.ndarray:
     """Return the real traces (F,) of matrices (F, k, k)."""
     return np.real(np.einsum("fii->f", matrices))
 

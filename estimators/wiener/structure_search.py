@@ -35,29 +35,22 @@ from road_envs.records.record import Record
 from road_envs.records.roughness import CLASSES
 from road_envs.sensing.instruments import Instruments, SensorLocation, instruments_of
 from road_envs.vehicle.linear_model import force_response, frequency_response, linearise
-from road_envs.vehicle.parameters import (
-    BendingMode,
-    Tolerance,
-    TorsionalFrame,
-    VehicleParameters,
-)
+from road_envs.vehicle.parameters import BendingMode, Tolerance, TorsionalFrame, VehicleParameters
 
+# Frequencies [Hz] and damping ratios that are tried: from those of bodies on rubber mounts to the
+# first bending of trimmed bodies
 BENDING_F, BENDING_ZETA = np.geomspace(13.0, 40.0, 40), (0.03, 0.06)
-"""Frequencies [Hz] and damping ratios that are tried: from those of bodies on rubber mounts to the
-first bending of trimmed bodies."""
-
+# The same of a frame's twist; a fit to the drive goes on from what is found, within the
+# tolerances _FRAME_TOLERANCES
 FRAME_F, FRAME_ZETA = np.geomspace(6.5, 22.0, 24), (0.05, 0.1)
-"""The same of a frame's twist; a fit to the drive goes on from what is found, within the
-tolerances _FRAME_TOLERANCES."""
-
 _FRAME_TOLERANCES = {
     "variation.frame.f": Tolerance(relative=0.1, source="found in the spectrum of the drive"),
     "variation.frame.zeta": Tolerance(relative=0.4, source="as its frequency"),
 }
 
 
+# Power that a line of a Hann window takes from its neighbours
 _HANN_KERNEL = np.array([1.0, 4.0, 1.0]) / 6.0
-"""Power that a line of a Hann window takes from its neighbours."""
 
 
 def with_bending(record: Record, car: VehicleParameters, instruments: str) -> VehicleParameters:
@@ -70,10 +63,8 @@ def with_bending(record: Record, car: VehicleParameters, instruments: str) -> Ve
     if car.variation.bending is not None or not drive.tells(record):
         return car
     length = TUNING.body_over_wheelbase * car.wheelbase
-    modes = [
-        BendingMode(f=float(x), zeta=zeta, length=length)
-        for x, zeta in product(BENDING_F, BENDING_ZETA)
-    ]
+    tried = product(BENDING_F.tolist(), BENDING_ZETA)
+    modes = [BendingMode(f=f, zeta=zeta, length=length) for f, zeta in tried]
     bent = [replace(car, variation=replace(car.variation, bending=mode)) for mode in modes]
     vehicle, locations = SensedVehicle.of(bent[0], drive.sensors), drive.sensors.locations(car)
     bendings = [one for other in bent if (one := sensed_bending(other, locations))]
@@ -96,7 +87,8 @@ def with_twist(record: Record, car: VehicleParameters, instruments: str) -> Vehi
     are not searched. Raises ConfigError.
     """
     drive = CalmDrive.of(record, car, instruments)
-    if car.variation.frame is not None or not (drive.tells(record) and drive.has_pairs):
+    has_pairs = (drive.weights < 0.0).any()  # of sensors on both sides of the body
+    if car.variation.frame is not None or not (drive.tells(record) and has_pairs):
         return car
     modes = [TorsionalFrame(f=float(x), zeta=y) for x, y in product(FRAME_F, FRAME_ZETA)]
     bodies = [replace(car, variation=replace(car.variation, frame=mode)) for mode in modes]
@@ -105,7 +97,8 @@ def with_twist(record: Record, car: VehicleParameters, instruments: str) -> Vehi
     rows = []
     for w in TUNING.waviness:
         first = drive.on_fitted_level(SensedVehicle.of(car, drive.sensors), w)
-        others = [first.of_other(SensedVehicle.of(body, drive.sensors)) for body in bodies]
+        alike = first.damping, first.prior, drive, first.D  # road and dampers of all bodies
+        others = [Spectra.of(SensedVehicle.of(body, drive.sensors), *alike) for body in bodies]
         rows.append([[one.deviance(x) for x in (first, *others)] for one in (*halves, drive)])
     one, other, whole = np.min(rows, axis=0)
     is_believed = other[0] - other[1 + int(np.argmin(one[1:]))] > TUNING.structure_gain
@@ -161,15 +154,8 @@ class CalmDrive:
 
     @property
     def windows(self) -> float:
-        """Number of independent windows: ones that overlap by half count for about half of one each
-        (Welch 1967).
-        """
+        """Number of independent windows: half of those that overlap by half (Welch 1967)."""
         return 0.5 * (len(self.power) + 1)
-
-    @property
-    def has_pairs(self) -> bool:
-        """Whether sensors are on both sides of the body."""
-        return bool((self.weights < 0.0).any())
 
     def tells(self, record: Record) -> bool:
         """Whether struts keep their state and enough windows are calm."""
@@ -227,19 +213,13 @@ class Spectra(NamedTuple):
         H, H_force = frequency_response(linear, v, f=f), force_response(linear, f)[0]
         return cls(vehicle, drive, damping, prior, H, prior.spectrum(f / v) / v, H_force, D)
 
-    def of_other(self, vehicle: SensedVehicle) -> "Spectra":
-        """Return those of another vehicle on the same road, whose dampers work alike."""
-        return self.of(vehicle, self.damping, self.prior, self.drive, self.D)
-
     def total(self, weights: np.ndarray) -> np.ndarray:
         """Return the density (C, F) [(m/s²)²/Hz] of channels of `weights` (C, S), without noise."""
         road, forces = self.of_channels(weights)
         return road + forces
 
     def of_channels(self, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the densities (C, F) [(m/s²)²/Hz] of channels of `weights` (C, S) by the road and
-        by the forces.
-        """
+        """Return densities (C, F) [(m/s²)²/Hz] of channels by the road and by the forces."""
         f = self.drive.f
         H, H_force = (weights @ self.vehicle.readings(x, f) for x in (self.H, self.H_force))
         parts = H @ self.S @ hermitian(H), H_force @ self.D @ hermitian(H_force)

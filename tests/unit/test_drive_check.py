@@ -7,7 +7,7 @@ import pytest
 from vehicle_fixtures import DEFENDER
 
 from estimators.wiener import drive_check
-from estimators.wiener.drive_check import check_notes, side_notes, without_obstacles
+from estimators.wiener.drive_check import _without_obstacles, check_notes, side_notes
 from estimators.wiener.tuning import TUNING
 from leaderboard.drive_report.drive_estimates import with_doubts
 from road_envs.core import config
@@ -67,11 +67,11 @@ def test_samples_about_obstacles_are_left_out_unless_most_are():
     a = np.random.default_rng(1).standard_normal((3, t.size)) / 3.0
     a[1, [600, 1400]] = 9.0
     record = Record(t, a, np.full(t.size, 10.0), 10.0 * t, off, off, 100.0)
-    lost = np.isnan(without_obstacles(record).a)
+    lost = np.isnan(_without_obstacles(record).a)
     assert (lost == lost[0]).all()
     assert list(np.flatnonzero(np.diff(lost[0].astype(int)))) == [519, 680, 1319, 1480]
     a[1, ::150] = 9.0
-    np.testing.assert_array_equal(without_obstacles(record).a, a)
+    np.testing.assert_array_equal(_without_obstacles(record).a, a)
 
 
 @pytest.mark.slow
@@ -102,7 +102,7 @@ def test_one_of_the_other_readings_is_the_right_one():
         replace(right, a=right.a[[0, 2, 1]]),
     ]
     for record in wrong:
-        found = [other.record for other in drive_check.other_readings(record)]
+        found = [other.record for other in drive_check._other_readings(record)]
         assert any(
             np.array_equal(one.a, right.a)
             and np.allclose(one.v, right.v)

@@ -14,9 +14,8 @@ from estimators import create
 from estimators.api import LAG
 from estimators.common.block_means import block_means
 from estimators.common.model_inputs import build_model_inputs
-from estimators.kalman import estimators as kalman_estimators
-from estimators.kalman import pipeline
-from estimators.kalman.friction_linearization import RATE_STDS, residual_variance, smoothed_tables
+from estimators.kalman import monitoring, pipeline
+from estimators.kalman.friction_linearization import RATE_STDS, _residual_variance, smoothed_tables
 from estimators.kalman.monitoring import local_nis, recent_nis, reduce_uncertain
 from estimators.kalman.pipeline import (
     run_filter,
@@ -24,7 +23,7 @@ from estimators.kalman.pipeline import (
     setup_output,
     setup_run,
 )
-from estimators.kalman.profile_output import decay_per_node, output_weights
+from estimators.kalman.profile_output import _output_weights, decay_per_node
 from estimators.kalman.road_process import fit_ar_model
 from estimators.kalman.state import ROUGHNESS_SCALE
 from estimators.kalman.tuning import TUNING
@@ -76,7 +75,7 @@ def test_the_output_kernel_passes_its_band_and_no_long_waves():
     for n, cutoff, gain in (
         (0.02, 0.25, 0.0016), (0.1, 0.25, 0.5), (1.0, 0.25, 1.0), (4.0, 0.1, 0.0),
     ):  # fmt: skip
-        output_weights(u, at, decay_per_node(TUNING.node_spacing), cutoff, half)
+        _output_weights(u, at, decay_per_node(TUNING.node_spacing), cutoff, half)
         height = u[2:] @ np.cos(2.0 * np.pi * n * TUNING.node_spacing * (number - at))
         # the curve is lower than its coefficients
         attenuation = (2.0 + np.cos(2.0 * np.pi * n * TUNING.node_spacing)) / 3.0
@@ -100,7 +99,7 @@ def test_the_statistical_linearization_is_the_best_line_through_sampled_forces()
             residual = np.var(F - line(w - rate))
             at = round((rate - V_0) / V_STEP)
             assert variance[which, k, at] == pytest.approx(residual, rel=0.1)
-    assert residual_variance(one.velocity, 0.0).max() < 1e-6
+    assert _residual_variance(one.velocity, 0.0).max() < 1e-6
 
 
 # --- simulated drives -----------------------------------------------------------------------------
@@ -320,7 +319,7 @@ def test_nodes_that_have_left_are_smoothed_as_if_all_were_held(monkeypatch):
     monkeypatch.setattr(pipeline, "schedule_windows", hold_all)
     steps = []
     monkeypatch.setattr(
-        "estimators.kalman.estimators.obstacle_std",
+        "estimators.kalman.monitoring.obstacle_std",
         lambda square, *_: steps.append(np.count_nonzero(square)) or 0.0,
     )
     all_held = create("kalman_rts").estimate(record, DEFENDER)
@@ -332,7 +331,7 @@ def test_variances_are_multiplied_by_the_local_nis(monkeypatch):
     case, stds = ("handling", 54.0, 3, 20.0), []
     for factor in (1.0, 4.0):
         monkeypatch.setattr(
-            kalman_estimators, "local_nis", lambda nis, front, s, lag, x=factor: np.full(s.size, x)
+            monitoring, "local_nis", lambda nis, front, s, lag, x=factor: np.full(s.size, x)
         )
         stds.append(create("kalman_lag").estimate(drive(*case)[0], DEFENDER).z_std)
     assert np.median(stds[1] / stds[0]) == pytest.approx(2.0, rel=0.05)

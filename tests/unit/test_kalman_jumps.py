@@ -41,7 +41,7 @@ def filtered(steps: dict[int, float], seed: int):
         response[j] = white @ direction
         direction -= V.T @ response[j]
         x, P = x + V.T @ innovation[j], P - V.T @ V
-        jumps.add_information.py_func(one.score, one.information, response[j], innovation[j])
+        jumps._add_information.py_func(one.score, one.information, response[j], innovation[j])
     return one, (x, P, direction), (innovation, response), (P0, H.reshape(-1, N_STATES), y, unit)
 
 
@@ -79,10 +79,10 @@ def test_a_window_ends_at_the_block_after_which_a_step_is_likely():
     one = jumps.RoadJumps.none(0.0, N_NODES, TUNING.jump_length / N_NODES)
     expected = 0
     for expected in range(BLOCKS):
-        jumps.add_information.py_func(
+        jumps._add_information.py_func(
             one.score, one.information, response[expected], innovation[expected]
         )
-        if jumps.most_likely(one.score, one.information, N_NODES - 1, N_NODES)[1] > LEAST:
+        if jumps._most_likely(one.score, one.information, N_NODES - 1, N_NODES)[1] > LEAST:
             break
     assert 0 < expected < BLOCKS - 1
     # any derivative by the state of which the directions have these responses

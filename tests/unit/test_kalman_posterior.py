@@ -16,7 +16,7 @@ from vehicle_fixtures import DEFENDER
 
 from estimators.common.block_means import block_means
 from estimators.common.model_inputs import REST_STD, build_model_inputs
-from estimators.kalman.filter import normal_hazard, update_block
+from estimators.kalman.filter import _normal_hazard, _update_block
 from estimators.kalman.forward import WindowFilter
 from estimators.kalman.pipeline import (
     run_filter,
@@ -308,10 +308,10 @@ def test_a_censored_measurement_gives_the_moments_of_a_truncated_normal(limit, s
     std = np.sqrt(h @ gain[columns] + run.model.noise_variance / count)
     truncated = truncnorm(limit, np.inf)
     far = 9.0 * abs(limit)
-    assert normal_hazard(far) == pytest.approx(truncnorm(far, np.inf).mean(), rel=1e-3)
+    assert _normal_hazard(far) == pytest.approx(truncnorm(far, np.inf).mean(), rel=1e-3)
     factors = np.zeros((3 + n_vehicle, n))
     factors[1, columns], factors[3:, :n_vehicle] = h, np.eye(n_vehicle)  # it does not move
-    block = LinearizedBlock(factors, np.array([0.0, 0.7, 0.0]), x[:n_vehicle].copy())
+    block = LinearizedBlock(factors, np.array([0.0, 0.7, 0.0]), x[:n_vehicle].copy(), np.zeros(4))
     column = np.array([0.0, 1.0, 0.0])[:, None]
     inputs = run.inputs._replace(
         y=(0.7 + sign * limit * std) * column, sample_count=count * column, censored=sign * column
@@ -322,7 +322,7 @@ def test_a_censored_measurement_gives_the_moments_of_a_truncated_normal(limit, s
         np.zeros(1), np.zeros(1), np.zeros(1),
     )  # fmt: skip
     # interpreted: as a kernel of its own it would be compiled for this test alone
-    update_block.py_func(run.model, inputs, local, block, np.zeros(4), 0, 0)
+    _update_block.py_func(run.model, inputs, local, block, 0, 0)
     np.testing.assert_allclose(local.x - x, sign * gain / std * truncated.mean(), rtol=2e-3)
     shrinkage = (1.0 - truncated.var()) / std**2
     expected = shrinkage * np.outer(gain, gain)

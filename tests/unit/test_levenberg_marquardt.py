@@ -45,7 +45,7 @@ def parameters(network: lm.TwoLayerNetwork) -> np.ndarray:
 
 def evaluate(network: lm.TwoLayerNetwork, x: np.ndarray, t: np.ndarray) -> lm.Evaluation:
     """The network at samples without ones."""
-    return lm.evaluate(network, lm.append_ones(x), t)
+    return lm.evaluate(network, lm._append_ones(x), t)
 
 
 def test_the_normal_equations_agree_with_automatic_differentiation():

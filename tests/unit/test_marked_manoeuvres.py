@@ -7,7 +7,7 @@ import pytest
 from speeds import stop_and_go
 
 from estimators import estimate
-from estimators.common.manoeuvres import mark_manoeuvres, speed_changes, turns
+from estimators.common.manoeuvres import _speed_changes, mark_manoeuvres, turns
 from road_envs.drives.recording import simulate_record, true_profile
 from road_envs.records.record import Estimate, Record, profile_stations
 from road_envs.roads import realise_road
@@ -62,7 +62,7 @@ def test_a_stop_is_marked_and_said_first_and_the_interval_is_wider():
 @pytest.mark.parametrize("speed_kmh", [14.5, 36.0, 100.0])
 def test_straight_drives_are_not_marked(road, speed_kmh):
     record, _ = simulate_record(road, speed_kmh=speed_kmh, seed=8991, grade="S1", length=300.0)
-    assert not turns(record).any() and not speed_changes(record).any()
+    assert not turns(record).any() and not _speed_changes(record).any()
 
 
 def test_sensors_that_tell_no_roll_see_no_turn():

@@ -9,8 +9,8 @@ from scipy.integrate import solve_ivp
 from estimators import create
 from estimators.api import check_estimate
 from estimators.common.odometer import (
+    _calibrate_odometer_online,
     calibrate_odometer,
-    calibrate_odometer_online,
     to_true_distance,
 )
 from road_envs.drives.recording import simulate_record
@@ -75,13 +75,13 @@ def test_a_record_with_lost_speeds_is_left_alone():
 @pytest.mark.parametrize("error, length", [(0.02, 10.0), (-0.015, 10.0), (0.05, 4.0), (0.01, 30.0)])
 def test_online_the_displacement_is_found_from_the_samples_before_alone(error, length):
     record, s = drive(error, length)
-    calibrated, notes = calibrate_odometer_online(record)
+    calibrated, notes = _calibrate_odometer_online(record)
     assert (np.abs(calibrated.s - s) <= np.abs(record.s - s) + 2e-3).all()
     np.testing.assert_allclose(calibrated.s[400:], s[400:], atol=3e-3)
     assert notes[0].startswith(f"the speed signal reads {100.0 * error:+.1f} % beside")
     half = slice(0, record.t.size // 2)
     first = replace(record, **{name: getattr(record, name)[half] for name in ("t", "v", "s")})
-    before, _ = calibrate_odometer_online(first)
+    before, _ = _calibrate_odometer_online(first)
     np.testing.assert_array_equal(before.s, calibrated.s[half])
     np.testing.assert_array_equal(before.v, calibrated.v[half])
 
@@ -89,7 +89,7 @@ def test_online_the_displacement_is_found_from_the_samples_before_alone(error, l
 @pytest.mark.parametrize("length, noise", [(1e9, 0.0), (1e-3, 0.0), (10.0, 0.3)])
 def test_online_an_unclear_displacement_is_left_alone(length, noise):
     record, _ = drive(0.02, length, noise)
-    assert calibrate_odometer_online(record)[0] is record
+    assert _calibrate_odometer_online(record)[0] is record
 
 
 def test_stations_speed_and_heights_follow_the_distance_scale_that_was_found():

@@ -7,7 +7,7 @@ import pytest
 
 import estimators
 from estimators.common.alignment import identity_map
-from estimators.passes import AlignedPass, align_passes, combine, estimate_passes
+from estimators.passes import AlignedPass, _combine, align_passes, estimate_passes
 from leaderboard.metrics.heights import nrmse
 from road_envs.core.config import ConfigError
 from road_envs.drives.recording import simulate_record
@@ -42,7 +42,7 @@ def test_the_mean_is_weighted_by_inverse_variance_and_its_error_is_that_of_the_w
         AlignedPass("a", drive()[0], single(s, x, k, slope=0.01 * k), whole)
         for k, x in enumerate(std)
     ]
-    found = combine(passes)
+    found = _combine(passes)
     expected = np.average([p.estimate.z for p in passes], axis=0, weights=std**-2)
     difference = found.z - expected
     assert np.ptp(difference, axis=1).max() < 1e-12  # but for the datum
@@ -61,7 +61,7 @@ def test_passes_that_disagree_widen_the_standard_deviation():
     # the standard deviation is that inside the band, a fifth of the power of white errors
     told = [replace(x, z_std=np.full_like(x.z, 0.0001)) for x in honest]
     ratio = [
-        combine([AlignedPass("a", record, x, whole) for x in each]).z_std.mean()
+        _combine([AlignedPass("a", record, x, whole) for x in each]).z_std.mean()
         / each[0].z_std.mean()
         for each in (honest, told)
     ]
@@ -77,9 +77,9 @@ def test_a_pass_that_ends_early_leaves_no_step():
         AlignedPass("a", drive()[0], single(s, 0.0002, 0), identity_map(LENGTH)),
         AlignedPass("b", drive(length=LENGTH / 2)[0], half, identity_map(LENGTH / 2)),
     ]
-    error = combine(passes).z - ROAD.height(s)
+    error = _combine(passes).z - ROAD.height(s)
     assert np.abs(np.diff(error, axis=1)).max() < 0.002
-    after = combine(passes).z_std[:, -10:]
+    after = _combine(passes).z_std[:, -10:]
     np.testing.assert_allclose(after, 0.0002, rtol=1e-6)
 
 
@@ -89,7 +89,7 @@ def test_records_get_the_stations_of_the_first_and_the_note_has_the_shift():
     aligned, notes = align_passes(
         [first, second], [single(at, 0.0005, 1), told], ["a.csv", "b.csv"]
     )
-    assert combine(aligned).notes == ("b.csv: samples clipped",)
+    assert _combine(aligned).notes == ("b.csv: samples clipped",)
     true = 2.5 + 1.008 * second.s
     inner = (second.s > 8.0) & (second.s < 50.0)
     assert np.abs(aligned[1].record.s - true)[inner].max() < 0.02

@@ -80,7 +80,7 @@ def test_power_ratios_compare_motions_band_by_band():
     t = np.arange(int(20.0 * fs)) / fs
     a = 5.0 * np.outer([3.0, 1.0, 0.5], np.sin(16.0 * np.pi * t))
     a += 5.0 * np.outer([1.0, 2.0, 1.0], np.sin(32.0 * np.pi * t))
-    ratios = spatial_signals.power_ratios(a, fs)[:, -1].reshape(2, -1)
+    ratios = spatial_signals._power_ratios(a, fs)[:, -1].reshape(2, -1)
     limits = spatial_signals.BANDS
     low, high = (np.searchsorted(limits, f) - 1 for f in (8.0, 16.0))
     np.testing.assert_allclose(np.exp(ratios[:, low]), [9.0, 0.25], rtol=0.05)
@@ -90,7 +90,7 @@ def test_power_ratios_compare_motions_band_by_band():
 def test_power_ratios_of_noise_alone_are_near_one():
     """What the sensors' noise says of the vehicle is nothing."""
     a = 0.01 * np.random.default_rng(0).standard_normal((3, 2000)) * [[1.0], [1.0], [3.0]]
-    assert np.abs(spatial_signals.power_ratios(a, 400.0)).max() < 0.1
+    assert np.abs(spatial_signals._power_ratios(a, 400.0)).max() < 0.1
 
 
 def white_signals(

@@ -13,13 +13,13 @@ from vehicle_fixtures import DEFENDER
 from estimators import create
 from estimators.api import check_estimate
 from estimators.preprocessing import mask_record
-from estimators.wiener import iteration, smoother, spectral_model
-from estimators.wiener.iteration import gaussian_expectation
+from estimators.wiener import iteration, spectral_model
+from estimators.wiener.iteration import _gaussian_expectation
 from estimators.wiener.segments import Segment, split_segments
 from estimators.wiener.spectral_model import (
     SensedVehicle,
-    ShapedRoadPrior,
     SpectralModel,
+    _ShapedRoadPrior,
     build_model,
     fit_hyperparameters,
     run_em,
@@ -179,7 +179,7 @@ def synthetic_segment(
         mode,
         (0.0, M * stride * PROFILE_SPACING),
     )
-    prior = ShapedRoadPrior(G_d0=level, w=w)
+    prior = _ShapedRoadPrior(G_d0=level, w=w)
     model = build_model(
         SensedVehicle.of(car, PAPER), segment, prior, size, np.full(size // 2 + 1, noise)
     )
@@ -235,7 +235,7 @@ def test_the_expected_force_residual_equals_a_monte_carlo_mean():
     rest = NonlinearResidual(x, bend, x, law)
     e, w = np.full((4, 2), [-0.1, 0.2]), np.full((4, 2), [0.05, -0.3])
     std_e, std_w = np.full(4, 0.05), np.full(4, 0.2)
-    mean, variance = gaussian_expectation(rest, e, w, std_e, std_w)
+    mean, variance = _gaussian_expectation(rest, e, w, std_e, std_w)
     rng = np.random.default_rng(0)
     near_e = e[..., None] + 0.05 * rng.standard_normal((4, 2, 100_000))
     near_w = w[..., None] + 0.2 * rng.standard_normal((4, 2, 100_000))
@@ -293,7 +293,7 @@ def test_segments_are_joined_without_steps(monkeypatch):
     assert len(parts) == 1
     parts = list(split_segments(mask_record(record, PAPER), 100.0, 40.0))
     assert [p.core for p in parts] == [(0.0, 105.0), (105.0, 210.0)]
-    monkeypatch.setattr(smoother, "TUNING", replace(TUNING, segment_length=100.0))
+    monkeypatch.setattr("estimators.wiener.wiener.TUNING", replace(TUNING, segment_length=100.0))
     pieces = create("wiener").estimate(record, DEFENDER)
     band = scored_band(15.0)
     gap = band_pass(pieces.z - whole.z, PROFILE_SPACING, band).std()

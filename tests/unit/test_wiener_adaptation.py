@@ -8,7 +8,7 @@ from test_wiener import DEFENDER, PAPER, SPLIT, drive, in_band, synthetic_segmen
 
 from estimators.registry import create
 from estimators.wiener import adaptation
-from estimators.wiener.adaptation import fisher_scoring, model_error_psd, responses
+from estimators.wiener.adaptation import _fisher_scoring, _model_error_psd, responses
 from estimators.wiener.iteration import Iterate
 from estimators.wiener.spectral_model import SensedVehicle, build_model
 from estimators.wiener.tuning import TUNING
@@ -28,7 +28,7 @@ def test_parameters_are_found_within_their_covariance():
     model = build_model(described, *given)
     nothing = np.zeros((2, true.n.size))
     iterate = Iterate(nothing, nothing, model.S, model, segment.a, model.noise_psd())
-    found, covariance, gain = fisher_scoring(
+    found, covariance, gain = _fisher_scoring(
         SPACE, np.zeros(SPACE.size), PAPER, segment, iterate, 3
     )
     std = np.sqrt(np.diag(covariance))
@@ -67,7 +67,7 @@ def test_the_error_of_a_model_is_that_of_random_models():
     S = np.array([[[2.0, 0.5], [0.5, 1.0]]] * 2)
     errors = np.tensordot((rng.standard_normal((20_000, 3)) @ root.T), dH, axes=1)
     expected = np.mean(errors @ S @ np.conj(np.swapaxes(errors, -1, -2)), axis=0)
-    found = model_error_psd(dH, root @ root.T, S)
+    found = _model_error_psd(dH, root @ root.T, S)
     np.testing.assert_allclose(found, expected, atol=0.05 * np.abs(expected).max())
 
 
