@@ -265,6 +265,11 @@ CALLS = {  # by number on x86_64, with arguments that would succeed
     "clone_pidfd": (56, 0x1000 | signal.SIGCHLD, 0, "buffer", 0, 0),
     "shared_memory": (9, 0, 4096, 3, 0x21, -1, 0),
     "segment": (29, 0, 4096, 0o1600),
+    "socket out of the machine": (41, 40, 1, 0),
+    "socket of the network": (41, 2, 1, 0),
+    "who has locked": (72, 0, 5, "buffer"),
+    "who has locked a handle": (72, 0, 36, "buffer"),
+    "notify of each use": (300, 0x200, 0),
 }
 
 
@@ -302,6 +307,12 @@ def does_call(where, record):
     with contextlib.suppress(OSError):
         ends[0].setsockopt(socket.SOL_SOCKET, 76, 1)  # SO_PASSPIDFD
         done.append("option 76")
+    with contextlib.suppress(OSError):
+        system_call(254, system_call(294, 0), b"/usr/lib", 1)
+        done.append("notify of use")
+    with open(__file__, "rb") as file, open(__file__, "rb") as other:
+        for handle in (file, other):  # two that both succeed have no effect
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     with contextlib.suppress(OSError), open(__file__, "rb") as file:
         os.preadv(file.fileno(), [bytearray(8)], 0, os.RWF_NOWAIT)
         done.append("preadv2")
