@@ -113,7 +113,8 @@ def main() -> None:
         elif "--debug" in sys.argv or not _is_input_error(error):
             raise
         else:
-            sys.stderr.write(f"error: {_sentence(error)}\n")
+            said = "".join(c if c.isprintable() else " " for c in _sentence(error))
+            sys.stderr.write(f"error: {said}\n")  # names in files may hold commands of a terminal
         raise SystemExit(2) from None
     raise SystemExit(status or 0)
 

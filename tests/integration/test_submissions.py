@@ -112,6 +112,10 @@ def test_a_submission_without_its_card_is_refused(submission):
         (CARD.replace("data: none", "data: ''"), "data is not filled in"),
         (CARD.replace("licence: MIT", ""), "licence: missing"),
         (CARD + "more: 1", "more: unknown key"),
+        (
+            CARD.replace("licence: MIT", 'licence: "\\e]0;MIT"'),
+            "licence has characters that cannot",
+        ),
     ],
 )
 def test_a_card_that_is_not_filled_in_is_refused(text, sentence, tmp_path):
