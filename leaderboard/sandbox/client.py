@@ -163,16 +163,18 @@ class SandboxClient:
 
         seed, causal = secret.choice(seeds), bool(entry.causal)
         questions = draw_questions(records, order, causal, secret) if retest and not ours else []
-        steps: list[Callable[[], Any]] = [lambda: run(records, seeds, order, calibrations)]
-        if questions:
-            steps.insert(secret.random() >= 0.5, run_again)
-        answers = {}
-        for k, step in enumerate(steps):
-            if questions and (k == 1) == causal:  # other conditions have the same roads
+        again, again_first = [], bool(questions) and secret.random() < 0.5
+        if questions and not causal:  # other conditions have the same roads
+            self._forget_guests()
+        if again_first:
+            again = run_again()
+            if causal:
                 self._forget_guests()
-            answers[step] = step()
-        again = answers.pop(run_again, None)
-        ((runs, trains, peak_memory),) = answers.values()
+        runs, trains, peak_memory = run(records, seeds, order, calibrations)
+        if questions and not again_first:
+            if causal:
+                self._forget_guests()
+            again = run_again()
         notes = [ONE_TRAINING] if not ours and trains and len(runs) < len(seeds) else []
         tested: list[str] = []
         if questions:
