@@ -111,6 +111,7 @@ def make_submission(
 
 def load_submission(folder: Path) -> Submission:
     """Read the record of a submission whose files are those of the record. Raises ConfigError."""
+    found = _digests(folder)  # before any file is read: one could be a link to an endless device
     data, _ = SUBMISSION.read(folder / RECORD)
     data.pop("identity")
     record = build(Submission, data, str(folder / RECORD))
@@ -119,7 +120,6 @@ def load_submission(folder: Path) -> Submission:
             f"{folder}: the folder must have the name of its entry, {record.name!r}, which has up "
             "to 40 letters, digits, _ and -"
         )
-    found = _digests(folder)
     for name in sorted(found.keys() ^ record.files.keys()):
         raise ConfigError(
             f"{folder / name}: {'not ' if name in found else 'missing, '}of the record"

@@ -342,6 +342,13 @@ def test_a_link_to_a_folder_is_refused(submission):
         load_submission(submission)
 
 
+def test_a_record_that_is_a_link_is_not_read(submission):
+    (submission / "submission.json").unlink()
+    (submission / "submission.json").symlink_to("/dev/null")  # or /dev/zero, which has no end
+    with pytest.raises(ConfigError, match=r"submission\.json: a submission has no links"):
+        load_submission(submission)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_single_forged_drive_is_found_in_every_attempt(verified, seed):
     def improve_one(folder):
