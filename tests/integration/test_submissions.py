@@ -290,7 +290,7 @@ def test_a_folder_of_another_name_is_refused(submission):
 
 def test_names_that_differ_in_case_only_are_refused(verified, tmp_path):
     (tmp_path / "READER").mkdir()
-    with pytest.raises(ConfigError, match="READER differs in case only"):
+    with pytest.raises(ConfigError, match="READER looks the same"):
         verified(lambda folder: None)
 
 
@@ -476,6 +476,22 @@ def test_no_attribute_hides_the_signature_of_what_is_replaced(verifies, tmp_path
     (repo / "submissions" / "rival" / "signature.json").unlink()
     (tmp_path / "road-recon").write_text('#!/bin/sh\n[ $1 = results-site ] || ls "$8"\n')
     assert said().split() == ["signature.json", "submission.json"]
+
+
+def test_what_its_owner_has_replaced_or_withdrawn_does_not_come_back(verifies):
+    """Whoever has an old submission with its signature could lower a rival's rank by it."""
+    repo, said = verifies
+    record = repo / "submissions" / "rival" / "submission.json"
+    old = record.read_text()
+    for change in (partial(record.write_text, "{}"), record.unlink):
+        change()
+        call("git", "add", ".", cwd=repo)
+        call("git", "commit", "-m", "by the owner", cwd=repo)
+        call("git", "branch", "-f", "main", cwd=repo)
+        record.write_text(old)
+        assert said(status=1) == "submissions/rival stood here before: submit it again\n"
+        record.write_text("{ }")
+        assert "verify-submission submissions/rival" in said()
 
 
 def test_a_link_in_place_of_all_submissions_is_refused(verifies):
