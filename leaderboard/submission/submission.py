@@ -19,7 +19,7 @@ from leaderboard.conformance.method_card import load_method_card
 from leaderboard.conformance.probes import PROBES
 from leaderboard.conformance.results import find_card, probe_entries
 from leaderboard.entries import entry_files
-from leaderboard.entries.entries import NAME, resolve_entries
+from leaderboard.entries.entries import NAME, fold, resolve_entries
 from leaderboard.entries.entry import Entry
 from leaderboard.evaluation import store
 from leaderboard.evaluation.provenance import describe_environment, package_version
@@ -150,8 +150,8 @@ def verify_submission(
     record = load_submission(folder)
     signature.check_owner(folder, replaces)
     for path in folder.resolve().parent.iterdir():
-        if path.name != record.name and path.name.lower() == record.name.lower():
-            raise ConfigError(f"{folder}: {path.name} differs in case only; rename the entry")
+        if path.name != record.name and fold(path.name) == fold(record.name):
+            raise ConfigError(f"{folder}: {path.name} looks the same; rename the entry")
     with SandboxClient(limits) as sandbox:
         entry = _submitted_entry(folder, sandbox)
         if (entry.name, entry.code) != (record.name, record.code):
