@@ -1,7 +1,7 @@
 """A board with dozens of hostile entries: each gets its row, and an honest row does not change.
 
 Most come as wheels, as submissions do; what attacks only while it runs is a class of
-`tests/support/hostile.py`. The test roads have the seeds of a season.
+`tests/support/hostile`. The test roads have the seeds of a season.
 """
 
 import secrets

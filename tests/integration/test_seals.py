@@ -1,6 +1,6 @@
 """What a guest must not do: leave data to the next one, use what no limit counts, lie about time.
 
-Each attack has changed a board before; see `tests/support/hostile.py` for what they do.
+Each attack has changed a board before; see `tests/support/hostile` for what they do.
 """
 
 import hashlib
