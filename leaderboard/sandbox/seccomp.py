@@ -26,12 +26,6 @@ SHARED_ANONYMOUS = 0x21
 MADV_COLD = 20
 """Advice of `madvise` to evict pages, as MADV_PAGEOUT (21)."""
 
-GETLK, OFD_GETLK, SETLEASE, NOTIFY = 5, 36, 1024, 1026
-"""Commands of `fcntl` that tell who else has a file open, locked or read."""
-
-AF_UNIX = 1
-"""The one family of sockets: others have counts of the machine, AF_VSOCK leads out of it."""
-
 
 class _When(NamedTuple):
     """A call is refused if `argument & mask == value`, or if it differs where not `equal`."""
@@ -74,12 +68,13 @@ RULES = (
     Rule("getsockopt", (55, 209), errno.ENOPROTOOPT, _When(2, 0xFFFFFFFF, PEERPIDFD, equal=True)),
     Rule("setsockopt", (54, 208), errno.ENOPROTOOPT, _When(2, 0xFFFFFFFF, PASSPIDFD, equal=True)),
     Rule("pidfd_open", (434, 434), errno.ENOSYS),
-    Rule("socket", (41, 198), errno.EAFNOSUPPORT, _When(0, 0xFFFFFFFF, AF_UNIX, equal=False)),
+    # all but AF_UNIX: others have memory that is counted in one number, AF_VSOCK leads out
+    Rule("socket", (41, 198), errno.EAFNOSUPPORT, _When(0, 0xFFFFFFFF, 1, equal=False)),
     # what another guest does with a file that both see: locks, leases and watches
     Rule("flock", (73, 32), 0),
     *(
         Rule("fcntl", (72, 25), errno.EINVAL, _When(1, 0xFFFFFFFF, command, equal=True))
-        for command in (GETLK, OFD_GETLK, SETLEASE, NOTIFY)
+        for command in (5, 36, 1024, 1026)  # GETLK, OFD_GETLK, SETLEASE, NOTIFY
     ),
     Rule("inotify_add_watch", (254, 27)),
     Rule("fanotify_init", (300, 262), errno.ENOSYS),
@@ -87,6 +82,8 @@ RULES = (
     Rule("memfd_create", (319, 279), errno.ENOSYS),
     Rule("memfd_secret", (447, 447), errno.ENOSYS),
     Rule("shmget", (29, 194), errno.ENOSYS),
+    Rule("semget", (64, 190), errno.ENOSYS),
+    Rule("msgget", (68, 186), errno.ENOSYS),
     Rule("mmap", (9, 222), when=_When(3, SHARED_ANONYMOUS, SHARED_ANONYMOUS, equal=True)),
     # namespaces, without which nothing can be mounted; clone3 hides its flags in memory, and
     # libraries fall back to clone
