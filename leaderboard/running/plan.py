@@ -62,9 +62,7 @@ def check_owners(rows: Sequence[PlannedRow], out: Path, replace: Collection[str]
         name = row.entry.name
         path = store.row_path(out, row.task.name, name)
         others = path.parent.glob("*.json") if job_files.is_from_outside(row.entry) else ()
-        for other in others:
-            if fold(other.stem) != fold(name):
-                continue
+        for other in (x for x in others if fold(x.stem) == fold(name)):
             if other.stem != name:
                 raise ConfigError(f"{other}: {name} looks the same; rename the entry")
             with suppress(ConfigError):  # a damaged row

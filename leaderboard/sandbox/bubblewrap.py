@@ -26,6 +26,7 @@ from types import MappingProxyType
 from leaderboard.sandbox import seccomp
 from leaderboard.sandbox.limits import GIB, Limits
 from road_envs.core.code_digest import PACKAGES, ROOT
+from road_envs.core.config import ConfigError
 
 HOME = Path("/tmp/guest")
 """Working folder of a guest."""
@@ -140,6 +141,13 @@ def obstacle() -> str | None:
         return f"bubblewrap cannot be started: {error}"
     reason = " ".join(ended.stderr.split())[-200:]
     return None if ended.returncode == 0 else f"bubblewrap is refused here: {reason}"
+
+
+def is_used(isolation: str) -> bool:
+    """Return whether guests run in bubblewrap. Raises ConfigError if they have to and cannot."""
+    if isolation == "bubblewrap" and (reason := obstacle()) is not None:
+        raise ConfigError(f"{reason}; install it, or choose the isolation process")
+    return isolation != "process" and obstacle() is None
 
 
 def forget_reads(more: Iterable[Path] = ()) -> None:

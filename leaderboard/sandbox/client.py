@@ -37,7 +37,6 @@ from leaderboard.sandbox.limits import Limits
 from leaderboard.sandbox.retest import LOOKS_AHEAD, NOT_RETESTED, compare_answers, draw_questions
 from road_envs.core.atomic_io import TempFolder
 from road_envs.core.code_digest import cache_home
-from road_envs.core.config import ConfigError
 from road_envs.records.record import Estimate, Profile, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
@@ -72,6 +71,7 @@ class SandboxClient:
     ):
         """Raises ConfigError if bubblewrap is requested and cannot be used."""
         self.limits = limits or Limits()
+        self._bubblewrap = bubblewrap.is_used(self.limits.isolation)
         self.guest: Guest | None = None  # of the last run
         self._owns_all_children, self._code = owns_all_children, code
         self._temp = TempFolder()
@@ -79,11 +79,6 @@ class SandboxClient:
         self._snapshots: dict[str, tuple[str, Path]] = {}
         self._ours: dict[tuple[str, ...], Guest] = {}  # by the libraries that they have loaded
         self._count = 0
-        obstacle = bubblewrap.obstacle()
-        if self.limits.isolation == "bubblewrap" and obstacle is not None:
-            self._temp.close()
-            raise ConfigError(f"{obstacle}; install it, or choose the isolation process")
-        self._bubblewrap = obstacle is None and self.limits.isolation != "process"
         self._pipes = bubblewrap.count_pipes() if self._bubblewrap else 0
         self.isolation = "bubblewrap" if self._bubblewrap else "process"
         if owns_all_children:
@@ -93,7 +88,8 @@ class SandboxClient:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._close_guests()
+        while self._ours:
+            self._ours.popitem()[1].close()
         if self._owns_all_children:
             processes.kill_descendants()
         self._temp.close()
@@ -176,10 +172,8 @@ class SandboxClient:
                 self._forget_guests()
             again = run_again()
         notes = [ONE_TRAINING] if not ours and trains and len(runs) < len(seeds) else []
-        tested: list[str] = []
-        if questions:
-            first = next((one for one in runs if one.seed == seed), runs[0])
-            tested = compare_answers(questions, first, again, entry.lag)
+        first = next((one for one in runs if one.seed == seed), runs[0])
+        tested = compare_answers(questions, first, again, entry.lag) if questions else []
         looks_ahead, notes = not {LOOKS_AHEAD, NOT_RETESTED}.isdisjoint(tested), notes + tested
         found = {"peak_memory": peak_memory, "isolation": self.isolation, "notes": tuple(notes)}
         return [dataclasses.replace(one, **found, looks_ahead=looks_ahead) for one in runs]
@@ -256,10 +250,6 @@ class SandboxClient:
         shutil.rmtree(self._temp.path / f"{self._count}.code", ignore_errors=True)
         for libraries in ours:
             del self._ours[libraries]
-
-    def _close_guests(self) -> None:
-        while self._ours:
-            self._ours.popitem()[1].close()
 
 
 @dataclasses.dataclass
