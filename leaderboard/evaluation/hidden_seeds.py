@@ -103,7 +103,8 @@ def _hidden_task(salt: str, hidden: HiddenSeeds, name: str) -> dict[str, Any]:
     if task.digest != hidden.tasks[name]:
         raise ConfigError(f"{name}: the public task has changed since the commitment was made")
     data: dict[str, Any] = read_yaml(find("tasks", name))
-    test = {**data["test"], "seeds": seeds(salt, task, hidden.roads.get(name, 0))}
+    count = min(hidden.roads.get(name, 0), len(task.test.seeds))  # a published file may say any
+    test = {**data["test"], "seeds": seeds(salt, task, count)}
     test.pop("number", None)
     if task.test.design:
         block = len(task.test.roads_and_seeds)
@@ -114,7 +115,7 @@ def _hidden_task(salt: str, hidden: HiddenSeeds, name: str) -> dict[str, Any]:
             for indices in task.test.design
         ]
     season = hidden.commitment[:8]
-    names = {"name": f"{name}_{season}", "title": f"{task.title}; season {season}"}
+    names = {"name": f"{task.name}_{season}", "title": f"{task.title}; season {season}"}
     return {**data, **names, "test": test}
 
 

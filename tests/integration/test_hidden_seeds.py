@@ -4,6 +4,7 @@ import dataclasses
 import hashlib
 import html
 import json
+import shutil
 
 import pytest
 from board_runs import Counting, make_request
@@ -153,6 +154,21 @@ def test_a_task_changed_after_the_commitment_is_refused(published, monkeypatch):
     monkeypatch.setattr(hidden_seeds, "load_task", lambda name: older)
     with pytest.raises(ConfigError, match="class: the public task has changed"):
         hidden_seeds.reveal(SALT, published)
+
+
+def test_what_somebody_publishes_writes_no_other_folder_and_has_an_end(tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    name = str(shutil.copy(config.find("tasks", "class"), tmp_path / "elsewhere"))
+    hidden = hidden_seeds.commit(SALT, [load_task("class")])
+    hidden = dataclasses.replace(
+        hidden, tasks={name: load_task(name).digest}, roads={name: 10**30}, commitment=""
+    )
+    hidden = dataclasses.replace(hidden, commitment=hidden_seeds._commitment(SALT, hidden))
+    hidden_seeds.save(hidden, tmp_path / "season")
+    (path,) = hidden_seeds.reveal(SALT, tmp_path / "season")
+    assert path.parent == tmp_path / "season"
+    assert [x.name for x in (tmp_path / "elsewhere").iterdir()] == ["class.yaml"]
+    assert len(load_task(path).test.seeds) == len(load_task("class").test.seeds)
 
 
 LONG = "one of two salts, of which the owner shows the one with the better roads"
