@@ -88,8 +88,7 @@ class SandboxClient:
         return self
 
     def __exit__(self, *_: object) -> None:
-        while self._ours:
-            self._ours.popitem()[1].close()
+        self._close_guests()
         if self._owns_all_children:
             processes.kill_descendants()
         self._temp.close()
@@ -250,6 +249,10 @@ class SandboxClient:
         shutil.rmtree(self._temp.path / f"{self._count}.code", ignore_errors=True)
         for libraries in ours:
             del self._ours[libraries]
+
+    def _close_guests(self) -> None:
+        while self._ours:
+            self._ours.popitem()[1].close()
 
 
 @dataclasses.dataclass

@@ -23,9 +23,6 @@ COOKIE, PASSPIDFD, PEERPIDFD = 57, 76, 77
 SHARED_ANONYMOUS = 0x21
 """Flags of `mmap`, MAP_SHARED | MAP_ANONYMOUS: its pages stay when no process has them mapped."""
 
-MADV_COLD = 20
-"""Advice of `madvise` to evict pages, as MADV_PAGEOUT (21)."""
-
 
 class _When(NamedTuple):
     """A call is refused if `argument & mask == value`, or if it differs where not `equal`."""
@@ -62,7 +59,7 @@ RULES = (
     Rule("cachestat", (451, 451), errno.ENOSYS),
     Rule("fadvise64", (221, 223), 0),
     Rule("readahead", (187, 213), 0),
-    Rule("madvise", (28, 233), 0, _When(2, 0xFFFFFFFE, MADV_COLD, equal=True)),
+    Rule("madvise", (28, 233), 0, _When(2, 0xFFFFFFFE, 20, equal=True)),  # COLD, PAGEOUT
     # numbers of the whole machine, of sockets that were asked for it and of processes
     Rule("getsockopt", (55, 209), errno.ENOPROTOOPT, _When(2, 0xFFFFFFFF, COOKIE, equal=True)),
     Rule("getsockopt", (55, 209), errno.ENOPROTOOPT, _When(2, 0xFFFFFFFF, PEERPIDFD, equal=True)),
