@@ -77,7 +77,7 @@ bench: $(READY)
 mutants: $(READY)
 	$(VENV)/bin/python tests/mutants.py
 
-# ten minutes for each reader; SECONDS=20 for less
+# ten minutes of the processor for each reader; SECONDS=20 for less, JOBS=16 on as many cores
 fuzz: SECONDS := 600
 fuzz: JOBS := 1
 fuzz: $(READY)

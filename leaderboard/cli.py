@@ -113,7 +113,8 @@ def main() -> None:
         elif "--debug" in sys.argv or not _is_input_error(error):
             raise
         else:
-            sys.stderr.write(f"error: {_sentence(error)}\n")
+            said = "".join(c if c.isprintable() else " " for c in _sentence(error))
+            sys.stderr.write(f"error: {said}\n")  # names in files may hold commands of a terminal
         raise SystemExit(2) from None
     raise SystemExit(status or 0)
 
@@ -130,7 +131,7 @@ _PARSER_WORDS = (
     (r"\S+ is not in the range (\S+)<=x<=(\S+)", r"must be from \1 to \2"),
     (r"Input should be (.*)", r"must be \1"),
 )
-"""What Typer writes of a value, by its version, and the words of the other messages of this package."""
+"""What Typer writes of a value, by its version, and the words of this package's messages."""
 
 
 def _usage_sentence(error: Any) -> str:

@@ -89,12 +89,9 @@ def chosen_isolation(isolation: str) -> Any:
 
     Raises ConfigError.
     """
-    if isolation == "process":
-        return isolation
-    obstacle = bubblewrap.obstacle()
-    if obstacle is not None and isolation == "bubblewrap":
-        raise ConfigError(f"{obstacle}; install it, or choose the isolation process")
-    return "bubblewrap" if obstacle is None else None
+    if bubblewrap.is_used(isolation):
+        return "bubblewrap"
+    return isolation if isolation == "process" else None
 
 
 def policy_reference(reference: str, isolation: str) -> str:

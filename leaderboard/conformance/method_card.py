@@ -34,6 +34,8 @@ class MethodCard(Settings):
         for name, text in texts.items():
             if not text.strip() or UNWRITTEN in text.split():
                 raise ValueError(f"{name} is not filled in")
+            if not "".join(text.split()).isprintable():  # a terminal or a page would obey it
+                raise ValueError(f"{name} has characters that cannot be printed")
 
 
 def load_method_card(path: Path) -> MethodCard:

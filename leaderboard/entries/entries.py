@@ -26,8 +26,16 @@ NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,39}")
 
 _MADE_FROM_TRUTH = ("truth_plus_noise", "memory")
 _OTHER_NAMES = (*_MADE_FROM_TRUTH, BUILTIN, "bound", "attainable", "truth", "index")
-RESERVED = frozenset(estimators.REGISTRY).union(_OTHER_NAMES)
-"""Names of rows and pages that an entry from outside cannot have, in lower case."""
+_ALIKE = str.maketrans("-i10", "_llo")
+
+
+def fold(name: str) -> str:
+    """Return a name without what readers overlook: its case, - for _, I or 1 for l, 0 for O."""
+    return name.lower().translate(_ALIKE)
+
+
+RESERVED = frozenset(map(fold, (*estimators.REGISTRY, *_OTHER_NAMES)))
+"""Folded names of rows and pages, which an entry from outside cannot have."""
 
 Describe = Callable[[str], dict[str, Any]]
 """Description of an estimator that this process does not load: `SandboxClient.describe`."""
@@ -64,7 +72,7 @@ def resolve_entries(names: Sequence[str], describer: Describe | None) -> list[En
         if name in estimators.REGISTRY or describer is None:
             entries.append(make_entry(name, estimators.create(name)))
         else:
-            taken = {entry.name.lower() for entry in entries}
+            taken = {fold(entry.name) for entry in entries}
             entries.append(_outside_entry(name, reference, taken, describer))
     return entries
 
@@ -103,10 +111,10 @@ def _outside_entry(given: str, reference: str, taken: set[str], describer: Descr
     name = known.pop("name", None) or _name_of(given)
     if not NAME.fullmatch(name):
         reason = "a name has up to 40 letters, digits, _ and -, and begins with a letter"
-    elif name.lower() in RESERVED:
-        reason = f"the name {name} is reserved"
-    elif name.lower() in taken:
-        reason = f"another entry has the name {name}"
+    elif fold(name) in RESERVED:
+        reason = f"the name {name} is reserved, or looks like one that is"
+    elif fold(name) in taken:
+        reason = f"another entry has the name {name}, or one that looks like it"
     else:
         return Entry(name=name, reference=reference, **known)
     return Entry(
@@ -130,7 +138,7 @@ def _free_name(name: str, taken: set[str]) -> str:
     name = re.sub(r"[^A-Za-z0-9_-]", "_", name)[:30]
     name = name if NAME.fullmatch(name) else f"entry_{name}"
     choices = itertools.chain([name], (f"{name}_{k}" for k in itertools.count(2)))
-    return next(x for x in choices if x.lower() not in taken | RESERVED)
+    return next(x for x in choices if fold(x) not in taken | RESERVED)
 
 
 def _included_weights(estimator: Any) -> Mapping[str, np.ndarray] | None:

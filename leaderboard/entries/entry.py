@@ -130,7 +130,8 @@ class LocalSession:
             self._trained = self._estimator.fit(records, truths, self._car, seed)  # type: ignore[attr-defined]
         self._calibrated = self._trained
         seconds = time.perf_counter() - start
-        return sum(np.size(array) for array in _weights(self._trained)), seconds
+        weights = self._trained.weights() if isinstance(self._trained, Trainable) else {}
+        return sum(map(np.size, weights.values())), seconds
 
     def calibrate(self, drives: Sequence[CalibrationDrive]) -> float:
         """Calibrate what was trained. Raises what the estimator raises."""
@@ -213,10 +214,6 @@ def describe_estimator(estimator: Estimator) -> dict[str, Any]:
 def describe_error(error: BaseException) -> str:
     """Return class and message of an error in one line."""
     return f"{type(error).__name__}: {' '.join(str(error).split()) or 'no message'}"
-
-
-def _weights(estimator: Estimator) -> list[np.ndarray]:
-    return list(estimator.weights().values()) if isinstance(estimator, Trainable) else []
 
 
 def _equal_estimates(first: Sequence[Estimate], second: Sequence[Estimate]) -> bool:

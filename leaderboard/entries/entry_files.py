@@ -40,7 +40,7 @@ def find_reference(name: str) -> str:
     """
     path = Path(name)
     if path.suffix in (*WEIGHTS_SUFFIXES, ".whl") or os.sep in name:
-        if not path.exists():
+        if not (path.is_file() or path.is_dir()):  # pipes and devices have no end
             choices = "a wheel, a folder of an installed package, or a file from `train`"
             raise ConfigError(f"{name}: no such file; give {choices}")
         return str(path.resolve())

@@ -25,8 +25,10 @@ from road_envs.core.reading import parsing
 
 COMMITMENT = "commitment.json"
 AS_GIVEN = ("utf-8", "surrogateescape")  # a salt may be any bytes
-MIN_SALT_LENGTH = 12
-"""Least number of characters of a salt; a shorter one could be found by brute force."""
+SALT_LENGTHS = range(12, 65)
+"""Numbers of characters and bytes of a salt: a shorter one could be found by brute force, and
+scrypt takes a longer one for its digest, which would be a second salt with other seeds.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,10 +48,6 @@ def commit(salt: str, tasks: Sequence[Task]) -> HiddenSeeds:
 
     Raises ConfigError for a short salt and for a task that could not be revealed.
     """
-    if len(salt) < MIN_SALT_LENGTH:
-        raise ConfigError(
-            f"the salt must have at least {MIN_SALT_LENGTH} characters, got {len(salt)}"
-        )
     hidden = HiddenSeeds(
         package_version=package_version(),
         tasks={task.name: task.digest for task in tasks},
@@ -105,7 +103,8 @@ def _hidden_task(salt: str, hidden: HiddenSeeds, name: str) -> dict[str, Any]:
     if task.digest != hidden.tasks[name]:
         raise ConfigError(f"{name}: the public task has changed since the commitment was made")
     data: dict[str, Any] = read_yaml(find("tasks", name))
-    test = {**data["test"], "seeds": seeds(salt, task, hidden.roads.get(name, 0))}
+    count = min(hidden.roads.get(name, 0), len(task.test.seeds))  # a published file may say any
+    test = {**data["test"], "seeds": seeds(salt, task, count)}
     test.pop("number", None)
     if task.test.design:
         block = len(task.test.roads_and_seeds)
@@ -116,7 +115,7 @@ def _hidden_task(salt: str, hidden: HiddenSeeds, name: str) -> dict[str, Any]:
             for indices in task.test.design
         ]
     season = hidden.commitment[:8]
-    names = {"name": f"{name}_{season}", "title": f"{task.title}; season {season}"}
+    names = {"name": f"{task.name}_{season}", "title": f"{task.title}; season {season}"}
     return {**data, **names, "test": test}
 
 
@@ -137,6 +136,12 @@ def seeds(salt: str, task: Task, count: int) -> list[int]:
 
 def _commitment(salt: str, hidden: HiddenSeeds) -> str:
     """Return the commitment to a salt, by a slow hash so that guessing the salt is expensive."""
+    word = salt.encode(*AS_GIVEN)
+    if not {len(salt), len(word)} <= {*SALT_LENGTHS} or 0 in word:  # it ignores zeros at the end
+        raise ConfigError(
+            f"the salt must have at least {SALT_LENGTHS[0]} characters and at most "
+            f"{SALT_LENGTHS[-1]} bytes, none of them 0; got {len(salt)} characters"
+        )
     fields = {**dataclasses.asdict(hidden), "commitment": ""}
     text = json.dumps(fields, sort_keys=True).encode()
-    return hashlib.scrypt(salt.encode(*AS_GIVEN), salt=text, n=2**14, r=8, p=1, dklen=32).hex()
+    return hashlib.scrypt(word, salt=text, n=2**14, r=8, p=1, dklen=32).hex()

@@ -11,6 +11,7 @@ import dataclasses
 import hashlib
 import json
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -191,7 +192,7 @@ class Task(Settings):
 
     def __post_init__(self):
         super().__post_init__()
-        if not re.fullmatch(r"[A-Za-z0-9_.-]+", self.name):
+        if not re.fullmatch(r"[A-Za-z0-9_-][A-Za-z0-9_.-]*", self.name):
             raise ValueError(f"name {self.name!r} may have letters, digits, '_', '-' and '.' only")
         if isinstance(self.board, str):
             config.validate_choice("board", self.board, shipped_boards())
@@ -202,8 +203,10 @@ class Task(Settings):
             )
         if shared := sorted(self.training.all_seeds & self.test.all_seeds):
             raise ValueError(f"training and test share the seeds {shared}")
-        self._check_calibration()
-        if not self.trains_on_test_road and self._shared_surfaces():
+        fixed = [_base_road(road) for road in self.test.roads if not _is_random(road)]
+        self._check_calibration(fixed)
+        shared_roads = [road for road in self.training.roads if _base_road(road) in fixed]
+        if shared_roads and not self.trains_on_test_road:
             raise ValueError(
                 "training and test share a surface; choose other roads, or set "
                 "trains_on_test_road: true"
@@ -300,10 +303,9 @@ class Task(Settings):
         test = dataclasses.replace(self.test, length=length)
         return dataclasses.replace(self, test=test, note=note)
 
-    def _check_calibration(self) -> None:
-        """Raise ValueError if a calibration drive shares a seed or the surface of a test drive."""
+    def _check_calibration(self, fixed: Sequence[Road]) -> None:
+        """Raise ValueError if a calibration drive shares a seed or a `fixed` road of the test."""
         used = self.training.all_seeds | self.test.all_seeds
-        fixed = [_base_road(road) for road in self.test.roads if not _is_random(road)]
         for run in self.calibration:
             seeds = {seed + run.seed_offset for seed in self.test.all_seeds}
             if shared := sorted(seeds & used):
@@ -314,10 +316,6 @@ class Task(Settings):
                     "the calibration"
                 )
             used |= seeds
-
-    def _shared_surfaces(self) -> bool:
-        fixed = [road for road in self.test.roads if not _is_random(road)]
-        return any(_base_road(road) in map(_base_road, fixed) for road in self.training.roads)
 
 
 def load_task(name: str | Path) -> Task:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+from leaderboard.entries.entries import fold
 from leaderboard.entries.entry import Entry
 from leaderboard.evaluation import store
 from leaderboard.evaluation.results import content_digest, merge_parts
@@ -54,18 +55,16 @@ class PlannedRow:
 def check_owners(rows: Sequence[PlannedRow], out: Path, replace: Collection[str] = ()) -> None:
     """Raise ConfigError if a row of an entry from outside would replace that of other code.
 
-    ReplacedRowError unless its name is in `replace`; names may not differ in case only.
+    ReplacedRowError unless its name is in `replace`; no two names may look the same.
     """
     asked: dict[str, None] = {}
     for row in rows:
         name = row.entry.name
         path = store.row_path(out, row.task.name, name)
         others = path.parent.glob("*.json") if job_files.is_from_outside(row.entry) else ()
-        for other in others:
-            if other.stem.lower() != name.lower():
-                continue
+        for other in (x for x in others if fold(x.stem) == fold(name)):
             if other.stem != name:
-                raise ConfigError(f"{other}: {name} differs from it in case only; rename the entry")
+                raise ConfigError(f"{other}: {name} looks the same; rename the entry")
             with suppress(ConfigError):  # a damaged row
                 stored = store.load(path)
                 if stored.failure is None and stored.code != row.entry.code and name not in replace:

@@ -26,6 +26,7 @@ from types import MappingProxyType
 from leaderboard.sandbox import seccomp
 from leaderboard.sandbox.limits import GIB, Limits
 from road_envs.core.code_digest import PACKAGES, ROOT
+from road_envs.core.config import ConfigError
 
 HOME = Path("/tmp/guest")
 """Working folder of a guest."""
@@ -57,7 +58,7 @@ COUNTERS = tuple(Path("/proc", name) for name in (
     "stat", "vmstat", "diskstats", "loadavg", "interrupts", "softirqs", "schedstat", "zoneinfo",
     "buddyinfo", "slabinfo", "pagetypeinfo", "timer_list", "locks", "vmallocinfo", "uptime",
     "sys/fs/dentry-state", "sys/fs/inode-nr", "sys/fs/inode-state", "sys/fs/file-nr",
-    "sys/fs/aio-nr", "sys/kernel/pty/nr",
+    "sys/fs/aio-nr", "sys/kernel/pty/nr", "crypto", "kallsyms", "modules",
     "acpi", "bus", "driver", "fs", "irq", "pressure", "scsi", "tty",
 ))  # fmt: skip
 """Files and folders with counts of the machine, such as the look-ups of a file system, by which one
@@ -140,6 +141,13 @@ def obstacle() -> str | None:
         return f"bubblewrap cannot be started: {error}"
     reason = " ".join(ended.stderr.split())[-200:]
     return None if ended.returncode == 0 else f"bubblewrap is refused here: {reason}"
+
+
+def is_used(isolation: str) -> bool:
+    """Return whether guests run in bubblewrap. Raises ConfigError if they have to and cannot."""
+    if isolation == "bubblewrap" and (reason := obstacle()) is not None:
+        raise ConfigError(f"{reason}; install it, or choose the isolation process")
+    return isolation != "process" and obstacle() is None
 
 
 def forget_reads(more: Iterable[Path] = ()) -> None:

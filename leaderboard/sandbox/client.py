@@ -37,7 +37,6 @@ from leaderboard.sandbox.limits import Limits
 from leaderboard.sandbox.retest import LOOKS_AHEAD, NOT_RETESTED, compare_answers, draw_questions
 from road_envs.core.atomic_io import TempFolder
 from road_envs.core.code_digest import cache_home
-from road_envs.core.config import ConfigError
 from road_envs.records.record import Estimate, Profile, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
@@ -72,6 +71,7 @@ class SandboxClient:
     ):
         """Raises ConfigError if bubblewrap is requested and cannot be used."""
         self.limits = limits or Limits()
+        self._bubblewrap = bubblewrap.is_used(self.limits.isolation)
         self.guest: Guest | None = None  # of the last run
         self._owns_all_children, self._code = owns_all_children, code
         self._temp = TempFolder()
@@ -79,11 +79,6 @@ class SandboxClient:
         self._snapshots: dict[str, tuple[str, Path]] = {}
         self._ours: dict[tuple[str, ...], Guest] = {}  # by the libraries that they have loaded
         self._count = 0
-        obstacle = bubblewrap.obstacle()
-        if self.limits.isolation == "bubblewrap" and obstacle is not None:
-            self._temp.close()
-            raise ConfigError(f"{obstacle}; install it, or choose the isolation process")
-        self._bubblewrap = obstacle is None and self.limits.isolation != "process"
         self._pipes = bubblewrap.count_pipes() if self._bubblewrap else 0
         self.isolation = "bubblewrap" if self._bubblewrap else "process"
         if owns_all_children:
@@ -163,21 +158,21 @@ class SandboxClient:
 
         seed, causal = secret.choice(seeds), bool(entry.causal)
         questions = draw_questions(records, order, causal, secret) if retest and not ours else []
-        steps: list[Callable[[], Any]] = [lambda: run(records, seeds, order, calibrations)]
-        if questions:
-            steps.insert(secret.random() >= 0.5, run_again)
-        answers = {}
-        for k, step in enumerate(steps):
-            if questions and (k == 1) == causal:  # other conditions have the same roads
+        again, again_first = [], bool(questions) and secret.random() < 0.5
+        if questions and not causal:  # other conditions have the same roads
+            self._forget_guests()
+        if again_first:
+            again = run_again()
+            if causal:
                 self._forget_guests()
-            answers[step] = step()
-        again = answers.pop(run_again, None)
-        ((runs, trains, peak_memory),) = answers.values()
+        runs, trains, peak_memory = run(records, seeds, order, calibrations)
+        if questions and not again_first:
+            if causal:
+                self._forget_guests()
+            again = run_again()
         notes = [ONE_TRAINING] if not ours and trains and len(runs) < len(seeds) else []
-        tested: list[str] = []
-        if questions:
-            first = next((one for one in runs if one.seed == seed), runs[0])
-            tested = compare_answers(questions, first, again, entry.lag)
+        first = next((one for one in runs if one.seed == seed), runs[0])
+        tested = compare_answers(questions, first, again, entry.lag) if questions else []
         looks_ahead, notes = not {LOOKS_AHEAD, NOT_RETESTED}.isdisjoint(tested), notes + tested
         found = {"peak_memory": peak_memory, "isolation": self.isolation, "notes": tuple(notes)}
         return [dataclasses.replace(one, **found, looks_ahead=looks_ahead) for one in runs]

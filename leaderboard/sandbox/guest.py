@@ -153,13 +153,14 @@ class Guest:
         """Record the memory in use. Raises EntryError above a limit."""
         self._next_check = time.monotonic() + POLL_INTERVAL
         running = processes.tree(self.pid)
-        tables = processes.page_tables(running)
+        tables = sum(processes.size_of(x.pid, "status", "VmPTE") for x in running)
         tables += sum(processes.memory_of_files(x.pid, self.counted) for x in running[1:2])
         used = tables + sum(process.resident for process in running)
         limit = self.limits.memory
         if used > limit * GIB and len(running) > 1:
             # the sum counts shared pages several times; the exact value is slow to read
-            used = tables + processes.proportional_memory(running)
+            exact = (processes.size_of(x.pid, "smaps_rollup", "Pss") or x.resident for x in running)
+            used = tables + sum(exact)
         self.peak_memory = max(self.peak_memory, used / GIB)
         if used > limit * GIB:
             raise EntryError(f"stopped for using more than {limit:g} GiB, the memory limit")

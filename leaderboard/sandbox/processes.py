@@ -67,16 +67,6 @@ def tree(root: int) -> list[Process]:
     return result
 
 
-def proportional_memory(processes: list[Process]) -> int:
-    """Return the memory [bytes] of some processes, counting shared pages once."""
-    return sum(_size(x.pid, "smaps_rollup", "Pss") or x.resident for x in processes)
-
-
-def page_tables(processes: list[Process]) -> int:
-    """Return the memory [bytes] of the page tables of some processes, which is not resident."""
-    return sum(_size(process.pid, "status", "VmPTE") for process in processes)
-
-
 def memory_of_files(pid: int, folders: Iterable[Path]) -> int:
     """Return the memory [bytes] of the inodes of file systems in memory, mounted for a process."""
     with suppress(OSError):
@@ -90,7 +80,7 @@ def set_limits(pid: int, values: Mapping[str, int]) -> None:
 
     That of its writable memory is beyond what it has mapped. Nothing is set if it has ended.
     """
-    mapped = _size(pid, "status", "VmData") or 2**30
+    mapped = size_of(pid, "status", "VmData") or 2**30
     for name, value in values.items():
         kind = getattr(resource, name)
         with suppress(ProcessLookupError):
@@ -100,7 +90,7 @@ def set_limits(pid: int, values: Mapping[str, int]) -> None:
             resource.prlimit(pid, kind, (value, value))
 
 
-def _size(pid: int, file: str, name: str) -> int:
+def size_of(pid: int, file: str, name: str) -> int:
     """Return a size [bytes] from a file of /proc; 0 if the process no longer exists."""
     try:
         lines = (PROC / str(pid) / file).read_bytes().splitlines()

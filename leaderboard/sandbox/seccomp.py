@@ -23,9 +23,6 @@ COOKIE, PASSPIDFD, PEERPIDFD = 57, 76, 77
 SHARED_ANONYMOUS = 0x21
 """Flags of `mmap`, MAP_SHARED | MAP_ANONYMOUS: its pages stay when no process has them mapped."""
 
-MADV_COLD = 20
-"""Advice of `madvise` to evict pages, as MADV_PAGEOUT (21)."""
-
 
 class _When(NamedTuple):
     """A call is refused if `argument & mask == value`, or if it differs where not `equal`."""
@@ -62,16 +59,28 @@ RULES = (
     Rule("cachestat", (451, 451), errno.ENOSYS),
     Rule("fadvise64", (221, 223), 0),
     Rule("readahead", (187, 213), 0),
-    Rule("madvise", (28, 233), 0, _When(2, 0xFFFFFFFE, MADV_COLD, equal=True)),
+    Rule("madvise", (28, 233), 0, _When(2, 0xFFFFFFFE, 20, equal=True)),  # COLD, PAGEOUT
     # numbers of the whole machine, of sockets that were asked for it and of processes
     Rule("getsockopt", (55, 209), errno.ENOPROTOOPT, _When(2, 0xFFFFFFFF, COOKIE, equal=True)),
     Rule("getsockopt", (55, 209), errno.ENOPROTOOPT, _When(2, 0xFFFFFFFF, PEERPIDFD, equal=True)),
     Rule("setsockopt", (54, 208), errno.ENOPROTOOPT, _When(2, 0xFFFFFFFF, PASSPIDFD, equal=True)),
     Rule("pidfd_open", (434, 434), errno.ENOSYS),
+    # all but AF_UNIX: others have memory that is counted in one number, AF_VSOCK leads out
+    Rule("socket", (41, 198), errno.EAFNOSUPPORT, _When(0, 0xFFFFFFFF, 1, equal=False)),
+    # what another guest does with a file that both see: locks, leases and watches
+    Rule("flock", (73, 32), 0),
+    *(
+        Rule("fcntl", (72, 25), errno.EINVAL, _When(1, 0xFFFFFFFF, command, equal=True))
+        for command in (5, 36, 1024, 1026)  # GETLK, OFD_GETLK, SETLEASE, NOTIFY
+    ),
+    Rule("inotify_add_watch", (254, 27)),
+    Rule("fanotify_init", (300, 262), errno.ENOSYS),
     # memory that is part of no process
     Rule("memfd_create", (319, 279), errno.ENOSYS),
     Rule("memfd_secret", (447, 447), errno.ENOSYS),
     Rule("shmget", (29, 194), errno.ENOSYS),
+    Rule("semget", (64, 190), errno.ENOSYS),
+    Rule("msgget", (68, 186), errno.ENOSYS),
     Rule("mmap", (9, 222), when=_When(3, SHARED_ANONYMOUS, SHARED_ANONYMOUS, equal=True)),
     # namespaces, without which nothing can be mounted; clone3 hides its flags in memory, and
     # libraries fall back to clone

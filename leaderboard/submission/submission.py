@@ -19,7 +19,7 @@ from leaderboard.conformance.method_card import load_method_card
 from leaderboard.conformance.probes import PROBES
 from leaderboard.conformance.results import find_card, probe_entries
 from leaderboard.entries import entry_files
-from leaderboard.entries.entries import NAME, resolve_entries
+from leaderboard.entries.entries import NAME, fold, resolve_entries
 from leaderboard.entries.entry import Entry
 from leaderboard.evaluation import store
 from leaderboard.evaluation.provenance import describe_environment, package_version
@@ -106,6 +106,7 @@ def make_submission(
 
 def load_submission(folder: Path) -> _Submission:
     """Read the record of a submission whose files are those of the record. Raises ConfigError."""
+    found = _digests(folder)  # before any file is read: one could be a link to an endless device
     data, _ = SUBMISSION.read(folder / RECORD)
     data.pop("identity")
     record = build(_Submission, data, str(folder / RECORD))
@@ -114,7 +115,6 @@ def load_submission(folder: Path) -> _Submission:
             f"{folder}: the folder must have the name of its entry, {record.name!r}, which has up "
             "to 40 letters, digits, _ and -"
         )
-    found = _digests(folder)
     for name in sorted(found.keys() ^ record.files.keys()):
         raise ConfigError(
             f"{folder / name}: {'not ' if name in found else 'missing, '}of the record"
@@ -145,8 +145,8 @@ def verify_submission(
     record = load_submission(folder)
     signature.check_owner(folder, replaces)
     for path in folder.resolve().parent.iterdir():
-        if path.name != record.name and path.name.lower() == record.name.lower():
-            raise ConfigError(f"{folder}: {path.name} differs in case only; rename the entry")
+        if path.name != record.name and fold(path.name) == fold(record.name):
+            raise ConfigError(f"{folder}: {path.name} looks the same; rename the entry")
     with SandboxClient(limits) as sandbox:
         entry = _submitted_entry(folder, sandbox)
         if (entry.name, entry.code) != (record.name, record.code):

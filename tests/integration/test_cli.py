@@ -255,6 +255,11 @@ def test_invalid_input_gives_one_sentence_and_writes_no_file(road_recon, tmp_pat
     assert out == "" and list(tmp_path.iterdir()) == []
 
 
+def test_no_sentence_holds_commands_of_a_terminal(road_recon):
+    code, _, err = road_recon("season", "--out", "\x1b]0;x", "--reveal", "--salt", "a")
+    assert code == 2 and "]0;x" in err and "\x1b" not in err
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

@@ -1,8 +1,10 @@
 """Hidden test sets: the commitment fixes them, and the salt reveals and verifies them."""
 
 import dataclasses
+import hashlib
 import html
 import json
+import shutil
 
 import pytest
 from board_runs import Counting, make_request
@@ -141,7 +143,7 @@ def test_an_edited_commitment_file_is_refused(published, change, message):
 def test_a_wrong_salt_a_short_salt_and_a_missing_file_are_refused(published, tmp_path):
     with pytest.raises(ConfigError, match="the salt does not match the commitment"):
         hidden_seeds.reveal(SALT + "?", published)
-    with pytest.raises(ConfigError, match="at least 12 characters, got 6"):
+    with pytest.raises(ConfigError, match=r"at least 12 characters .* got 6"):
         hidden_seeds.commit("winter", [load_task("class")])
     with pytest.raises(ConfigError, match="No such file"):
         hidden_seeds.reveal(SALT, tmp_path / "nothing")
@@ -152,6 +154,38 @@ def test_a_task_changed_after_the_commitment_is_refused(published, monkeypatch):
     monkeypatch.setattr(hidden_seeds, "load_task", lambda name: older)
     with pytest.raises(ConfigError, match="class: the public task has changed"):
         hidden_seeds.reveal(SALT, published)
+
+
+def test_what_somebody_publishes_writes_no_other_folder_and_has_an_end(tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    name = str(shutil.copy(config.find("tasks", "class"), tmp_path / "elsewhere"))
+    hidden = hidden_seeds.commit(SALT, [load_task("class")])
+    hidden = dataclasses.replace(
+        hidden, tasks={name: load_task(name).digest}, roads={name: 10**30}, commitment=""
+    )
+    hidden = dataclasses.replace(hidden, commitment=hidden_seeds._commitment(SALT, hidden))
+    hidden_seeds.save(hidden, tmp_path / "season")
+    (path,) = hidden_seeds.reveal(SALT, tmp_path / "season")
+    assert path.parent == tmp_path / "season"
+    assert [x.name for x in (tmp_path / "elsewhere").iterdir()] == ["class.yaml"]
+    assert len(load_task(path).test.seeds) == len(load_task("class").test.seeds)
+
+
+LONG = "one of two salts, of which the owner shows the one with the better roads"
+
+
+@pytest.mark.parametrize(
+    ("committed", "shown"),
+    [
+        ("autumn in the hills", "autumn in the hills\0"),
+        (LONG, hashlib.sha256(LONG.encode()).digest().decode("utf-8", "surrogateescape")),
+    ],
+)
+def test_an_owner_cannot_choose_between_two_salts_of_one_commitment(committed, shown, tmp_path):
+    """scrypt ignores zeros at the end, and takes a long salt for its digest."""
+    with pytest.raises(ConfigError, match=r"at most 64 bytes, none of them 0"):
+        hidden_seeds.save(hidden_seeds.commit(committed, [load_task("class")]), tmp_path)
+        hidden_seeds.reveal(shown, tmp_path)
 
 
 def test_a_salt_of_any_bytes_and_a_commitment_without_roads_end_in_no_traceback(tmp_path):

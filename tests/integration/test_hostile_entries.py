@@ -1,7 +1,7 @@
 """A board with dozens of hostile entries: each gets its row, and an honest row does not change.
 
 Most come as wheels, as submissions do; what attacks only while it runs is a class of
-`tests/support/hostile.py`. The test roads have the seeds of a season.
+`tests/support/hostile`. The test roads have the seeds of a season.
 """
 
 import secrets
@@ -18,7 +18,7 @@ from in_process import InProcessExecutor
 from wheels import encrypt, module, write_wheel
 
 from estimators import create
-from leaderboard.entries.entries import NAME, RESERVED, make_entry, resolve_entries
+from leaderboard.entries.entries import NAME, RESERVED, fold, make_entry, resolve_entries
 from leaderboard.evaluation import hidden_seeds
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.metrics.baselines import BASELINES
@@ -85,6 +85,7 @@ time.sleep(1000)
 DESCRIBED = {  # what fails before it is run: code of the module, entry points, sentence
     "builtin": (module(), None, "the name builtin is reserved"),
     "wiener": (module(), None, "the name wiener is reserved"),
+    "alike": (module(), "W1ener = alike:Entry", "the name W1ener is reserved, or looks like one"),
     "bound": (module(), None, "the name bound is reserved"),
     "escape": (module(), "../../escape = escape:Entry", "a name has up to 40 letters"),
     "endless": (module(), f"{'n' * 300} = endless:Entry", "a name has up to 40 letters"),
@@ -289,7 +290,7 @@ def test_every_entry_has_its_row_and_every_failure_its_sentence(boards, names):
         assert (failure is None) == (sentence is None), (name, failure)
         assert failure is None or (sentence in failure and failure.isprintable()), (name, failure)
         assert failure is None or len(failure) < 500
-        assert NAME.fullmatch(name) and name.lower() not in RESERVED
+        assert NAME.fullmatch(name) and fold(name) not in RESERVED
 
 
 def test_no_entry_has_solved_the_road(boards):
@@ -311,4 +312,4 @@ def test_what_an_entry_claims_falsely_is_shown(boards):
 
 
 def test_reserved_names_include_those_of_all_baselines():
-    assert RESERVED.issuperset(BASELINES)
+    assert RESERVED.issuperset(map(fold, BASELINES))

@@ -1,6 +1,6 @@
 """What a guest must not do: leave data to the next one, use what no limit counts, lie about time.
 
-Each attack has changed a board before; see `tests/support/hostile.py` for what they do.
+Each attack has changed a board before; see `tests/support/hostile` for what they do.
 """
 
 import hashlib
@@ -20,6 +20,7 @@ from leaderboard.sandbox import bubblewrap, client, guest, processes, seccomp
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
 from leaderboard.sandbox.retest import LOOKS_AHEAD, REMEMBERS
+from road_envs.core.config import ConfigError
 
 pytestmark = [
     pytest.mark.skipif(bubblewrap.obstacle() is not None, reason=str(bubblewrap.obstacle())),
@@ -272,3 +273,11 @@ def test_a_line_break_in_the_name_of_a_file_cannot_imitate_a_second_file(tmp_pat
     assert entry_files.snapshot(str(tmp_path / "two"), None)
     with pytest.raises(EntryError, match="the name of a file must be printable"):
         entry_files.snapshot(str(tmp_path / "one"), None)
+
+
+def test_what_has_no_end_is_no_entry(tmp_path):
+    os.mkfifo(tmp_path / "pipe.whl")
+    (tmp_path / "device.npz").symlink_to("/dev/zero")
+    for path in tmp_path.iterdir():
+        with pytest.raises(ConfigError, match="no such file"):
+            entry_files.find_reference(str(path))

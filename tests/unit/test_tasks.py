@@ -264,6 +264,7 @@ def test_training_on_the_test_road_must_be_declared(training):
         ({"conditions": [{"mode": "sport", "speed_kmh": 9.0}]}, "mode"),
         ({"conditions": []}, "conditions: must have at least 1 element"),
         ({"name": "../up"}, "letters, digits"),
+        ({"name": ".."}, "letters, digits"),
     ],
 )
 def test_invalid_task_settings_give_one_sentence_that_names_them(change, message):
