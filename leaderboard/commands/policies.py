@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from leaderboard import commands
 from leaderboard.commands.options import Json, LimitOptions, option
-from leaderboard.policies import best_found, comparison, learning
+from leaderboard.policies import best_found, comparison
 from leaderboard.policies import page as policy_page
 from leaderboard.policies.policy_process import POLICY_LIMITS, PolicyProcess
 from leaderboard.report.rendering import POLICY_PAGE, write_pending
@@ -16,13 +16,23 @@ from leaderboard.sandbox import bubblewrap
 from leaderboard.sandbox.limits import Limits
 from road_envs.core.atomic_io import atomic_write, write_text
 from road_envs.core.config import ConfigError, validate_choice
-from road_envs.policies import FILE_SUFFIXES, REGISTRY, make_policy, names, runs_foreign_code
+from road_envs.policies import (
+    FILE_SUFFIXES,
+    REGISTRY,
+    create,
+    make_policy,
+    names,
+    runs_foreign_code,
+)
 from road_envs.policies.fixed import FixedPair
+from road_envs.policies.network_policy import NetworkPolicy
 from road_envs.policies.policy_iteration import IterationConfig, iterate
 from road_envs.vehicle.suspension import MODES
 
 POLICY_OPTIONS = LimitOptions(time_limit=POLICY_LIMITS.seconds, memory_limit=POLICY_LIMITS.memory)
 _QUICK_DRIVES = 2  # public drives of `--quick`, each to both sides
+RIVALS = ("rrms", "rrms_lateral", "lateral", "mpc")
+"""Laws beside which a newly trained policy is shown."""
 
 
 def policies(
@@ -138,10 +148,13 @@ def train_policy(
     commands.check_output_path(out, ".npz")
     with commands.on_interrupt(""), commands.progress_bar() as progress:
         network, curve = iterate(IterationConfig(steps=steps), seed, progress)
-        evaluation = learning.evaluate(network, curve)
+        name, laws = f"seed {seed}", {law: create(law) for law in RIVALS}
+        entries: dict[str, Any] = {name: NetworkPolicy.from_network(network)} | laws
+        found = comparison.compare(entries, comparison.public_drives(), sweeps=0).data
     out.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(out) as partial:
         partial.write_bytes(network.to_bytes())
-    write_text(out.with_suffix(".json"), commands.to_json(evaluation))
-    for line in learning.lines(evaluation):
+    write_text(out.with_suffix(".json"), commands.to_json(found | {"curve": curve}))
+    scores = " ".join(f"{score:.3f}" for _, score in curve)
+    for line in [f"{name}, score by round: {scores}", "", *comparison.table_lines(found)]:
         commands.console.print(line, soft_wrap=True, highlight=False)

@@ -12,10 +12,13 @@ Most of a drive's price, and nearly all of what two searches differ by, is in it
 So every sweep of a whole drive is followed by some of its dearest window, which are annealed: the
 costs of the trials are raised by random shares, at first of HEAT, which fall to none. The best plan
 of a whole drive is kept, so the result is at least as good as every policy that it starts from. It
-knows the road ahead and is no attainable policy; a longer search may find more.
+knows the road ahead and is no attainable policy; a longer search may find more, and how much two
+searches differ by tells how much that may be.
 """
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from threading import Event
 
 import numpy as np
 
@@ -51,29 +54,47 @@ Progress = Callable[[str, float], None]
 def search(
     drives: Drives,
     rows: Sequence[np.ndarray],
-    seed: int,
+    seeds: Sequence[int],
     *,
     sweeps: int = SWEEPS,
     progress: Progress = lambda text, share: None,
-) -> Rollout:
-    """Return the best drives found; `rows` are actions (T, N) of policies on these drives.
+) -> tuple[Rollout, np.ndarray]:
+    """Return the best drives found from any of S `seeds`, and the scores (S, N) from each.
 
-    The score is that of `Rollout`: violations have their price.
+    `rows` are actions (T, N) of policies on these drives. The score is that of `Rollout`:
+    violations have their price. Seeds are searched in `drives.threads` at once.
     """
-    n, T, rng = len(drives), max(len(row) for row in rows), np.random.default_rng(seed)
+    n, T = len(drives), max(len(row) for row in rows)
     candidates = [np.concatenate([row, np.repeat(row[-1:], T - len(row), axis=0)]) for row in rows]
     beams = np.zeros((T, n), dtype=np.int64)
     for i in range(n):
         progress("beam", 0.1 * i / n)
         own = beam(drives, i)[0]
         beams[: len(own), i] = own[:T]
-    candidates.append(beams)
-    scores = np.array([replay(drives, actions).score for actions in candidates])
-    best = np.stack([candidates[scores[:, i].argmax()][:, i] for i in range(n)], axis=1)
-    for i in range(n):
-        progress("sweeps", 0.1 + 0.9 * i / n)
-        climb(drives, i, best[:, i], sweeps, rng)
-    return replay(drives, best)
+    plans = _best([*candidates, beams], drives)[None].repeat(len(seeds), axis=0)
+    stop = Event()
+
+    def climbs(plan: np.ndarray, seed: int) -> None:
+        alone, rng = drives.alone(), np.random.default_rng(seed)
+        for i in range(n):
+            if stop.is_set():
+                return
+            progress("sweeps", 0.1 + 0.9 * i / n)
+            climb(alone, i, plan[:, i], sweeps, rng)
+
+    with ThreadPoolExecutor(drives.threads) as pool:
+        try:
+            list(pool.map(climbs, plans, seeds))
+        finally:
+            stop.set()
+    scores = np.array([replay(drives, plan).score for plan in plans])
+    return replay(drives, _best(list(plans), drives)), scores
+
+
+def _best(plans: Sequence[np.ndarray], drives: Drives) -> np.ndarray:
+    """Return the actions (T, N) of the best of some plans (T, N) on each drive."""
+    scores = np.array([replay(drives, plan).score for plan in plans])
+    return np.stack([plans[k][:, i] for i, k in enumerate(scores.argmax(axis=0))], axis=1)
 
 
 def climb(drives: Drives, i: int, best: np.ndarray, sweeps: int, rng: np.random.Generator) -> None:

@@ -1,5 +1,6 @@
 """Rollouts of a policy: one vehicle for each drive, all at once, without access to the truth."""
 
+import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -113,6 +114,12 @@ class Drives:
 
     def __len__(self) -> int:
         return len(self.starts)
+
+    def alone(self) -> "Drives":
+        """Return the same drives with fleets of their own, of one thread: for one of several."""
+        other = copy.copy(self)
+        other.threads, other._fleets = 1, {}
+        return other
 
     def start(self, copies: int = 1, chosen: Sequence[int] | None = None) -> InstrumentedFleet:
         """Return a fleet at the start of the drives, each in `copies` vehicles in a row.

@@ -4,17 +4,18 @@ import json
 import re
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from leaderboard.commands.policies import policies
-from leaderboard.policies import comparison, learning
+from leaderboard.commands import policies as policies_command
+from leaderboard.policies import comparison
 from road_envs.core.config import ConfigError
 from road_envs.envs.safe4s4 import Safe4S4Setup, Safe4S4VectorEnv
 from road_envs.envs.sb3 import RoadReconVecEnv
 from road_envs.envs.vector import RoadReconVectorEnv
-from road_envs.policies import PolicyContext, create, make_policy
+from road_envs.policies import PolicyContext, create, make_policy, policy_iteration
 from road_envs.policies.feature_env import FeatureVecEnv
 from road_envs.policies.features import N_FEATURES, NAMES, FeatureExtractor
 from road_envs.policies.network_policy import NetworkPolicy
@@ -130,7 +131,7 @@ def test_an_episode_that_ends_during_a_repeat_is_reported_as_ended():
         assert info["TimeLimit.truncated"] and info["terminal_observation"].shape == (N_FEATURES,)
 
 
-TINY = IterationConfig(steps=3, drives=1, every=40, width=8)
+TINY = IterationConfig(steps=3, drives=1, compared=1, every=40, width=8)
 
 
 @pytest.fixture(scope="module")
@@ -138,7 +139,7 @@ def trained():
     return iterate(TINY, 3, lambda text, share: None)
 
 
-def test_policy_iteration_is_reproducible_and_keeps_its_best_round(trained):
+def test_policy_iteration_is_reproducible_and_returns_a_round_of_its_curve(trained):
     network, curve = iterate(TINY, 3, lambda text, share: None)
     for (W, b), (W_2, b_2) in zip(network.layers, trained[0].layers, strict=True):
         np.testing.assert_array_equal(W, W_2)
@@ -147,8 +148,21 @@ def test_policy_iteration_is_reproducible_and_keeps_its_best_round(trained):
     compared = range(DEVELOPMENT_SEED, DEVELOPMENT_SEED + 1)
     drives = Drives.mirrored(Safe4S4Setup({"split": "train"}), compared)
     own = drive_all(NetworkPolicy.from_network(network), drives).score.mean()
-    assert own == pytest.approx(max(score for _, score in curve), rel=1e-12)
-    assert network.metadata["steps"] == 1 + np.argmax([score for _, score in curve])
+    assert own == pytest.approx(trained[1][network.metadata["steps"] - 1][1], rel=1e-12)
+
+
+@pytest.mark.parametrize(("allowed", "chosen"), [(4, 1), (2, 2), (1, 3), (0, 3)])
+def test_the_best_round_is_one_that_violates_no_more_than_allowed(allowed, chosen, monkeypatch):
+    """Three rounds that violate in ever fewer drives, with ever lower scores."""
+    driven = iter(
+        SimpleNamespace(score=np.full(4, score), violated=np.arange(4) < violated)
+        for score, violated in [(-9.0, allowed), (-1.0, 3), (-2.0, 2), (-3.0, 1)]
+    )
+    seen = np.zeros((600, N_FEATURES), dtype=np.float32), np.eye(600, 16)
+    monkeypatch.setattr(policy_iteration, "drive_all", lambda *arguments: next(driven))
+    monkeypatch.setattr(policy_iteration, "examples", lambda *arguments: seen)
+    network, curve = iterate(TINY, 1, lambda text, share: None)
+    assert network.metadata["steps"] == chosen and curve == ((1, -1.0), (2, -2.0), (3, -3.0))
 
 
 def test_the_cost_of_a_pair_is_that_of_the_drive_in_which_it_is_held():
@@ -185,16 +199,20 @@ def test_the_network_learns_better_choices_than_any_constant_pair():
     assert worse[np.arange(len(worse)), chosen].mean() < 0.8 * worse.mean(axis=0).min()
 
 
-def test_a_learned_policy_stands_beside_the_laws_on_public_drives(trained, monkeypatch):
+def test_a_trained_policy_stands_beside_the_laws_on_public_drives(
+    trained, monkeypatch, tmp_path, capsys
+):
     drives = comparison.public_drives(2)
     monkeypatch.setattr(comparison, "public_drives", lambda: drives)
-    found = learning.evaluate(*trained)
-    score = drive_all(NetworkPolicy.from_network(trained[0]), drives).score.mean()
+    monkeypatch.setattr(policies_command, "iterate", lambda *arguments: trained)
+    policies_command.train_policy(out=tmp_path / "mine.npz", seed=3)
+    found = json.loads((tmp_path / "mine.json").read_text())
+    score = drive_all(make_policy(str(tmp_path / "mine.npz")), drives).score.mean()
     means = {row["policy"]: row["score"]["mean"] for row in found["rows"]}
-    assert set(means) == {"seed 3", *learning.RIVALS}
+    assert set(means) == {"seed 3", *policies_command.RIVALS}
     assert means["seed 3"] == pytest.approx(score, rel=1e-4)
-    curve = " ".join(f"{value:.3f}" for _, value in trained[1])
-    assert learning.lines(found)[0] == f"seed 3, score by round: {curve}"
+    printed, curve = capsys.readouterr().out, " ".join(f"{value:.3f}" for _, value in trained[1])
+    assert printed.startswith(f"seed 3, score by round: {curve}\n") and "\nrrms " in printed
 
 
 @pytest.mark.parametrize(
@@ -263,7 +281,7 @@ def test_a_saved_model_gets_its_row_and_its_place_on_the_page(tmp_path):
     envs = RoadReconVecEnv(1, vector_class=Safe4S4VectorEnv)
     library.PPO("MlpPolicy", envs, n_steps=8, batch_size=8, seed=1).save(tmp_path / "model")
     out = tmp_path / "out"
-    policies(policy=[str(tmp_path / "model.zip")], drives=2, sweeps=0, out=out)
+    policies_command.policies(policy=[str(tmp_path / "model.zip")], drives=2, sweeps=0, out=out)
     rows = [row["policy"] for row in json.loads((out / "benchmark.json").read_text())["rows"]]
     assert sorted(rows) == ["model", "rrms"]
     assert 'id="policy-model"' in (out / "policies.html").read_text()

@@ -62,6 +62,18 @@ def test_no_row_is_above_the_best_found_on_any_drive(searched):
     assert rows[BEST_FOUND].mean() > 0.85 * laws, "no headroom above the laws"
 
 
+def test_the_best_found_is_the_better_of_two_searches_on_each_drive(searched):
+    scores = np.array(searched.data["searches"])
+    assert scores.shape == (2, 2) and (scores[0] != scores[1]).any()
+    assert searched.data["rows"][0]["scores"] == scores.max(axis=0).tolist()
+    first, second = scores.mean(axis=1)
+    differ = abs(first - second) / -max(first, second)
+    assert (
+        f"2 searches on the known road, not attainable; their scores differ by {differ:.1%}"
+        in (table_lines(searched.data)[-1])
+    )
+
+
 def test_a_sweep_improves_a_plan_on_its_drive():
     few = public_drives(2)
     plan = np.zeros((600, len(few)), dtype=np.int64)
