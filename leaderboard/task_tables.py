@@ -90,11 +90,7 @@ def score_file(task: TaskArrays, path: Path) -> ScoreTable:
 
     with parsing(path, ConfigError, "damaged, or not a table of numbers"):
         is_parquet = path.suffix == ".parquet"
-        table = (
-            read_parquet(path).to_pandas()
-            if is_parquet
-            else pandas.read_csv(path, float_precision="round_trip")
-        )
+        table = read_parquet(path).to_pandas() if is_parquet else pandas.read_csv(path)
         columns = ["drive", "station", *_SIDES]
         if missing := [name for name in columns if name not in table]:
             raise ConfigError(f"no column {missing[0]!r}; needed are {', '.join(columns)}")

@@ -51,7 +51,7 @@ def test_a_link_to_a_segment_opens_its_heights_below_its_row(browser, reported):
         across = np.interp(x, [46, 892], [row["begin_m"], row["end_m"]])
         true = np.interp(across, s, heights)
         line = np.polynomial.Polynomial.fit(true, y, 1)
-        assert line(true) == pytest.approx(y, abs=0.5)
+        assert line(true) == pytest.approx(y, abs=0.6)
         assert len(points) > 100 and across[-1] - across[0] > 0.98 * SEGMENT
         assert line.deriv()(0.0) < 0.0  # heights go up
         limit = max(limit, np.abs(y - 81).max())

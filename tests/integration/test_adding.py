@@ -127,7 +127,7 @@ ADDITIONS = {
     ),
     "metric": (
         "leaderboard/metrics/added.py", METRIC, "leaderboard/metrics/registry.py",
-        "from leaderboard.metrics import ", "    level,\n",
+        "from leaderboard.metrics import ", "level, roughness, agreement, obstacles)",
         "from road_envs.records.record import Estimate, Profile\nimport numpy as np\n"
         "from leaderboard.metrics.registry import SCORES, compute_scores\n"
         "from leaderboard.evaluation.boards import shipped_boards\n"

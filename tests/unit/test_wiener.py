@@ -239,9 +239,11 @@ def test_the_expected_force_residual_equals_a_monte_carlo_mean():
     rng = np.random.default_rng(0)
     near_e = e[..., None] + 0.05 * rng.standard_normal((4, 2, 100_000))
     near_w = w[..., None] + 0.2 * rng.standard_normal((4, 2, 100_000))
-    drawn_force = np.array([rest.force(near_e[:, k], near_w[:, k]) for k in range(2)])
-    np.testing.assert_allclose(mean, drawn_force.mean(axis=2).T, atol=0.5)
-    np.testing.assert_allclose(variance, drawn_force.var(axis=2).mean(axis=0), rtol=0.05)
+    of_rate, of_extension = np.array([[50.0, 80.0, 10.0, 20.0], [30.0, 20.0, 10.0, 5.0]])
+    drawn_force = of_rate[:, None, None] * np.tanh(8.0 * near_w)
+    drawn_force += of_extension[:, None, None] * near_e**2
+    np.testing.assert_allclose(mean, drawn_force.mean(axis=2), atol=0.5)
+    np.testing.assert_allclose(variance, drawn_force.var(axis=2).mean(axis=1), rtol=0.05)
 
 
 # --- properties of the estimate -------------------------------------------------------------------
