@@ -42,12 +42,7 @@ from road_envs.vehicle.equations import (
 from road_envs.vehicle.equilibrium import equilibrium
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.side_motion import inverse_inertia, side_jacobian
-from road_envs.vehicle.suspension import (
-    WHEELS,
-    encode_command,
-    settled_strut_state,
-    strut_force,
-)
+from road_envs.vehicle.suspension import WHEELS, encode_command, settled_strut_state, strut_force
 from road_envs.vehicle.tyres import tyre_force
 
 
