@@ -41,6 +41,7 @@ from pydantic import Field
 from scipy.ndimage import minimum_filter1d
 
 from estimators.api import LAG, declared_lag
+from estimators.common.blas import single_blas_thread
 from estimators.common.block_means import MIN_NOISE_DENSITY, block_means
 from estimators.common.explained import reduce_unexplained, trusted_share, untrusted_note
 from estimators.common.model_inputs import antialias_delay, build_model_inputs
@@ -91,6 +92,7 @@ class _KalmanSettings(CalibratedByIdentification):
     level_ends: bool = True
     std_factor: _StdFactor = 1.0
 
+    @single_blas_thread()  # its products are small: threads that wait for each other cost ten times
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Return both wheel paths. Raises ConfigError, RecordError, ValueError, ArithmeticError."""
         smooth = not self.causal

@@ -49,6 +49,7 @@ from road_envs.vehicle.side_motion import (
     advance_side,
     contact_speeds,
     load_shares,
+    put_side,
     rolls,
     side_increments,
     side_middle,
@@ -227,10 +228,7 @@ def step(vehicle, motion, inputs, work, out, twist=None, side=None):
         add_rolls(f, rates)
         slopes = side_increments(p, rates, inputs.v, hd)
         middle = side_middle(state, slopes, h)
-        for j in range(8):
-            put(out, SIDE + j, state[j])
-        for j in range(4):
-            put(out, SIDE_ACCELERATION + j, rates[7 + j])
+        put_side(out[SIDE:N_SIDE_SIGNALS], state, rates)
     for j in range(N_DOF):
         put(g, j, get(f, j))
         put(out, STATE + j, get(q, j))

@@ -201,8 +201,12 @@ def tangent_step(p, row, motion, inputs, work, a, flexible=None, side=None):
         add_rolls(g, rates)
         slopes = side_increments(p, rates, inputs.v, hd)
         middle = side_middle(state, slopes, h)
-        for j in range(side_size(q)):
-            put(a, q.shape[0] - side_size(q) + j, rates[7 + j])
+        n = q.shape[0] - side_size(q)
+        put(a, n, rates[7])
+        put(a, n + 1, rates[8])
+        if side_size(q) > 2:
+            put(a, n + 2, rates[9])
+            put(a, n + 3, rates[10])
     solve_factored(p, blocks, body, g)
     for j in range(N_DOF):
         rate, k_v = get(v, j), get(g, j)

@@ -59,7 +59,7 @@ matrix in place of the Jacobian.
 import numpy as np
 
 from road_envs.kernels._numba import kernel
-from road_envs.kernels.simd_arrays import add, get
+from road_envs.kernels.simd_arrays import add, get, put
 from road_envs.vehicle.axles import IndependentWheels
 from road_envs.vehicle.parameters import VehicleParameters
 
@@ -222,6 +222,24 @@ def _accelerated(p, row, forces):
 
 
 @kernel
+def put_side(out, state, rates):
+    """Write the state (8) and the accelerations (4) of `side_rates` to `out` (12,)."""
+    # not in a loop: an index that is not constant puts the numbers into memory
+    put(out, 0, state[0])
+    put(out, 1, state[1])
+    put(out, 2, state[2])
+    put(out, 3, state[3])
+    put(out, 4, state[4])
+    put(out, 5, state[5])
+    put(out, 6, state[6])
+    put(out, 7, state[7])
+    put(out, 8, rates[7])
+    put(out, 9, rates[8])
+    put(out, 10, rates[9])
+    put(out, 11, rates[10])
+
+
+@kernel
 def side_increments(p, rates, v, hd):
     """Return the slopes of the state (8) of the first stage of a step; `hd` [s] is h d."""
     f, r = 1.0 + hd * v / get(p.relaxation, 0), 1.0 + hd * v / get(p.relaxation, 1)
@@ -246,10 +264,13 @@ def advance_side(p, motion, k, rates, v, h, hd):
     f, r = 1.0 + hd * v / get(p.relaxation, 0), 1.0 + hd * v / get(p.relaxation, 1)
     add(q, n, h * (k[0] + (rates[3] - k[0]) / f))
     add(q, n + 1, h * (k[1] + (rates[4] - k[1]) / r))
-    for j in range(side_size(q)):
-        add(rate, n + j, h * rates[7 + j])
-    for j in range(2, side_size(q)):
-        add(q, n + j, h * rates[3 + j])
+    add(rate, n, h * rates[7])
+    add(rate, n + 1, h * rates[8])
+    if side_size(q) > 2:
+        add(q, n + 2, h * rates[5])
+        add(q, n + 3, h * rates[6])
+        add(rate, n + 2, h * rates[9])
+        add(rate, n + 3, h * rates[10])
 
 
 def n_side(p) -> int:
