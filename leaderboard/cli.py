@@ -123,7 +123,7 @@ _USAGE_ERROR: Any = typer.BadParameter.__mro__[1]
 """Class of errors in the words of a command line, which Typer does not export."""
 
 _PARSER_WORDS = (
-    (r"Input should be a valid integer.*|.* is not a valid integer.*", "must be a whole number"),
+    (r"Input should be a valid integer.*|.* is not a valid int.*", "must be a whole number"),
     (r"Input should be a valid number.*|.* is not a valid float.*", "must be a number"),
     (r"Input should be greater than or equal to (\S+)", r"must be at least \1"),
     (r"\S+ is not in the range x>=(\S+)", r"must be at least \1"),

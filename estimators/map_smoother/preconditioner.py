@@ -101,7 +101,7 @@ class StationaryHessian:
         return StationaryHessian((self.passes[k]._replace(covered=1.0),))
 
     def excess(self, road: RoadTransform, noise_variance: np.ndarray) -> np.ndarray:
-        """What P(n) has over that of the prior, 1, (F, 2, 2) under the noise variances (P,)."""
+        """P(n) (F, 2, 2) under the noise variances (P,), less that of the prior, which is 1."""
         T = road.transfer_function().T
         pairs = zip(self.passes, noise_variance, strict=True)
         information = np.sum([one.on_road / variance for one, variance in pairs], axis=0)

@@ -42,9 +42,8 @@ rate in M. The joints' force on it is -K_a y_a - c_a w_a (`joint_stiffness`, `jo
 the weight then stands beside the axle is neglected.
 
 Links keep the wheels below the body, so that they go fore and aft as it pitches (`fore_and_aft`).
-Their masses add
-m_a (h_cg - R)² each to its pitch inertia, and its weight, which they stand under no longer, the
-moment m_b g (h_cg - R) theta.
+Their masses add m_a (h_cg - R)² each to its pitch inertia, and its weight, which they stand under
+no longer, the moment m_b g (h_cg - R) theta.
 
 In a manoeuvre the vehicle's axes accelerate sideways by a_y, and the moments about the roll axis of
 `equations` are left out: the tyres' forces make them. Yaw of a car that is steered is not modelled.

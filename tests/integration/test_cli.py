@@ -261,6 +261,23 @@ def test_no_sentence_holds_commands_of_a_terminal(road_recon):
 
 
 @pytest.mark.parametrize(
+    ("written", "words"),
+    [
+        ("'x' is not a valid integer.", "must be a whole number"),
+        ("'x' is not a valid int range.", "must be a whole number"),
+        ("'x' is not a valid float.", "must be a number"),
+        ("-1 is not in the range x>=0.", "must be at least 0"),
+        ("7 is not in the range 0<=x<=1.", "must be from 0 to 1"),
+        ("Input should be a valid integer, unable to parse", "must be a whole number"),
+        ("Input should be greater than or equal to 0", "must be at least 0"),
+    ],
+)  # fmt: skip
+def test_what_versions_of_typer_write_of_a_value_has_the_same_words(written, words):
+    sentence = cli._usage_sentence(typer.BadParameter(written, param_hint="'--seed'"))
+    assert sentence == f"--seed {words}; try 'road-recon --help'"
+
+
+@pytest.mark.parametrize(
     ("words", "message"),
     [
         (("simulate", "--seed", "x"), "--seed must be a whole number, got 'x'; try 'road-recon "),

@@ -102,6 +102,14 @@ def test_struts_and_tyres_of_mujoco_carry_the_weight():
     np.testing.assert_allclose(one.data.xfrc_applied[:, 2].sum(), 1093.28 * 9.81, rtol=1e-4)
 
 
+def test_the_vehicle_that_commonroad_has_is_told_the_tyres_and_joints_of_its_package():
+    car = load_vehicle("bmw_320i")
+    p, side = CommonRoadCar(car, POINTS).p, as_driven(car).side
+    assert side.joint_stiffness == pytest.approx((p.K_ras, p.K_ras), rel=1e-8)
+    assert side.joint_damping == pytest.approx((p.K_rad, p.K_rad), rel=1e-7)
+    np.testing.assert_allclose(side.C_alpha, -p.tire.p_ky1 * np.array(car.tyre_loads))
+
+
 def test_a_tyre_of_mujoco_never_pulls_and_slips_within_the_friction():
     one = MujocoCar(CARS["bmw_320i"], POINTS)
     one.step(np.array([0.0, 0.0, -0.2, -0.2]), np.zeros(4), 10.0)

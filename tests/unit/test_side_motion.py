@@ -247,8 +247,10 @@ def states(drive, n=2):
     return np.column_stack([drive.state[:, :7], tail, drive.state[:, 7:], rates])
 
 
-@pytest.mark.parametrize("car", [LINEAR, SOFT], ids=["rigid", "joints"])
-def test_the_step_is_of_order_two(car):
+@pytest.mark.parametrize(
+    ("car", "most", "ratio"), [(LINEAR, 2e-3, 3.5), (SOFT, 3e-3, 3.4)], ids=["rigid", "joints"]
+)
+def test_the_step_is_of_order_two(car, most, ratio):
     errors = []
     for h in (1e-3, 5e-4):
         drive = simulate(car, CLASS_C, V, step=h)
@@ -257,9 +259,9 @@ def test_the_step_is_of_order_two(car):
         expected = linear_reference(car, CLASS_C, V, 1e-3 * np.arange(2000))
         error = found - found[0] - expected
         errors.append(error.std(axis=0) / np.maximum(expected.std(axis=0), 1e-9))
-    assert errors[0].max() < 3e-3
+    assert errors[0].max() < most
     unlike = [1, 4, 7, 9, -2, -1]
-    assert (errors[0][unlike] / errors[1][unlike] > 3.4).all()
+    assert (errors[0][unlike] / errors[1][unlike] > ratio).all()
 
 
 def test_a_symmetric_road_leaves_all_roll_and_side_states_exactly_zero():

@@ -145,11 +145,6 @@ def does_kill_parent(where, record):
     time.sleep(1000.0)
 
 
-def does_kill_grandparent(where, record):
-    os.kill(_ancestor(2), signal.SIGKILL)
-    time.sleep(1000.0)
-
-
 def does_kill_evaluation(where, record):
     """Kill the second ancestor: after the guest's first process, the evaluation process."""
     os.kill(_ancestor(2), signal.SIGKILL)
