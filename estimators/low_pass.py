@@ -5,9 +5,9 @@ and white noise as they were sampled; above, nothing is known. An estimator that
 there for a measurement would look for a vehicle that explains it.
 
 A filter that the record does not name is noticed where the accelerations end: within an octave
-below MAX_CORNER they fall by FALL or more, which neither vehicle nor road do, to less than SILENCE
-of the noise of the instruments. It is taken for the Butterworth filter without phase behind which
-the spectrum follows a power law best.
+below _MAX_CORNER they fall by _FALL or more, which neither vehicle nor road do, to less than
+_SILENCE of the noise of the instruments. It is taken for the Butterworth filter without phase
+behind which the spectrum follows a power law best.
 """
 
 from dataclasses import replace
@@ -22,13 +22,13 @@ from road_envs.records.record import LowPass, Record
 _TAPER = 1.2  # frequency at which the spectrum of filtered accelerations ends, over the bandwidth
 # Periods of the cut-off around a gap and at the ends of a record in which what is not measured
 # exceeds the noise: a gap is bridged, and beyond the ends the signals are guessed
-GAP_REACH, END_REACH = 2.0, 5.0
+_GAP_REACH, _END_REACH = 2.0, 5.0
 # Ratio of the power densities at both ends of an octave, and share of the noise's
-FALL, SILENCE = 1e-3, 1e-2
+_FALL, _SILENCE = 1e-3, 1e-2
 # Range of the corner [Hz] of a filter that is not named; estimators use no more
-MIN_CORNER, MAX_CORNER = 10.0, 100.0
+_MIN_CORNER, _MAX_CORNER = 10.0, 100.0
 # Orders that are tried, and corners over the frequency at which the fall begins
-ORDERS, CORNER_RATIOS = (3, 4, 5, 6, 8, 10), np.geomspace(0.8, 1.4, 60)
+_ORDERS, _CORNER_RATIOS = (3, 4, 5, 6, 8, 10), np.geomspace(0.8, 1.4, 60)
 _WELCH_SECONDS = 0.5  # length [s] of the periodograms: their lines are 2 Hz apart
 
 
@@ -47,7 +47,7 @@ def undo_low_pass(
         low_pass = _find_low_pass(a, fs, noise_density)
     if low_pass is None or low_pass.order is None or low_pass.bandwidth >= 0.5 * fs:
         return record, valid, ()
-    gap, reach = (int(np.ceil(x * fs / low_pass.f_c)) for x in (GAP_REACH, END_REACH))
+    gap, reach = (int(np.ceil(x * fs / low_pass.f_c)) for x in (_GAP_REACH, _END_REACH))
     reach = min(reach, a.shape[1] // 4)
     end = low_pass.bandwidth
     padded = np.pad(a, ((0, 0), (reach, reach)), mode="reflect", reflect_type="odd")
@@ -79,12 +79,12 @@ def _find_low_pass(a: np.ndarray, fs: float, noise_density: float) -> LowPass | 
     """Return the low-pass that accelerations (k, N) seem to have passed, None if they have not."""
     size = min(round(_WELCH_SECONDS * fs), a.shape[1])
     f, S = welch(a, fs, window="blackmanharris", nperseg=size, axis=1)
-    used = (f >= MIN_CORNER) & (f <= 0.4 * fs)
+    used = (f >= _MIN_CORNER) & (f <= 0.4 * fs)
     f, S = f[used], S[:, used].max(axis=0)
     above = np.maximum.accumulate(S[::-1])[::-1]  # greatest density from each frequency on
-    low = f <= min(MAX_CORNER, 0.5 * f[-1])
+    low = f <= min(_MAX_CORNER, 0.5 * f[-1])
     silent = np.interp(2.0 * f[low], f, above)
-    found = np.flatnonzero((silent < FALL * S[low]) & (silent < SILENCE * noise_density**2))
+    found = np.flatnonzero((silent < _FALL * S[low]) & (silent < _SILENCE * noise_density**2))
     if not found.size:
         return None
     begin = f[found[0]]
@@ -96,4 +96,4 @@ def _find_low_pass(a: np.ndarray, fs: float, noise_density: float) -> LowPass | 
         line = np.linalg.lstsq(power_law, log, rcond=None)[0]
         return float(np.sum((log - power_law @ line) ** 2))
 
-    return min((LowPass(float(r * begin), m) for m in ORDERS for r in CORNER_RATIOS), key=misfit)
+    return min((LowPass(float(r * begin), m) for m in _ORDERS for r in _CORNER_RATIOS), key=misfit)

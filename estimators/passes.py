@@ -31,7 +31,7 @@ from road_envs.records.record import PROFILE_SPACING, Estimate, Record, scored_b
 from road_envs.records.roughness import band_pass
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 
-Vehicle = str | Path | VehicleParameters
+_Vehicle = str | Path | VehicleParameters
 
 WANDER_NOTE = "lateral wander between the passes is neglected"
 # Largest displacement [m] of an odometer for which passes count as begun at the same place
@@ -75,7 +75,7 @@ class AlignedPass(NamedTuple):
 def estimate_passes(
     estimator: str | Path | Estimator,
     records: Sequence[Record],
-    vehicles: Vehicle | Sequence[Vehicle] = "land_rover_defender_110",
+    vehicles: _Vehicle | Sequence[_Vehicle] = "land_rover_defender_110",
     *,
     names: Sequence[str] | None = None,
     **settings: object,
@@ -132,7 +132,7 @@ def join_passes(
     return mark_impossible(found, records[0], cars[0], estimator)
 
 
-def _load_vehicles(vehicles: Vehicle | Sequence[Vehicle], count: int) -> list[VehicleParameters]:
+def _load_vehicles(vehicles: _Vehicle | Sequence[_Vehicle], count: int) -> list[VehicleParameters]:
     """Return `count` vehicles, from one for all or one for each. Raises ConfigError."""
     if count < 1:
         raise ConfigError("an estimate needs at least one record")

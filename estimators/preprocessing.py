@@ -36,7 +36,7 @@ from road_envs.sensing.instruments import Instruments
 # Words of a note that is true of the first section of a drive alone: others begin on a road
 LATE_START = "lie behind the front axle at the start"
 # Lowest sample rate [Hz]: twice the bandwidth, and a fifth for the flank of the low-pass
-FS_MIN = 2.4 * F_C
+_FS_MIN = 2.4 * F_C
 _DURATION_MIN = 1.0  # shortest duration [s]: one period of the body's bounce
 # Shortest distance travelled [m]: less than two of the shortest scored waves, of 0.56 m
 _TRAVEL_MIN = 1.0
@@ -44,7 +44,7 @@ _TRAVEL_MIN = 1.0
 SPEED_MIN = 0.1
 # Largest decrease of the odometer [m], as of a vehicle that settles at a stop, and largest step
 # from one sample to the next: 60 m/s at the lowest sample rate
-BACKWARD_MAX, JUMP_MAX = 0.1, 1.0
+_BACKWARD_MAX, _JUMP_MAX = 0.1, 1.0
 # Largest fraction of a channel's samples that is interpolated: ten times what loggers are assumed
 # to lose, and few enough for the measured samples to decide the estimate
 _MISSING_SHARE_MAX = 0.2
@@ -53,7 +53,7 @@ _MISSING_SHARE_MAX = 0.2
 _RANGE_SHARE = 0.98
 # A sensor within this relative distance of its peak for so many consecutive samples is clipped:
 # at 1 kHz no motion above 0.4 Hz has such a flat peak
-CLIPPING_TOLERANCE, CLIPPING_SAMPLES = 1e-5, 5
+_CLIPPING_TOLERANCE, _CLIPPING_SAMPLES = 1e-5, 5
 # Samples to either side of an invalid one that the anti-alias filter mixes with it
 ANTIALIAS_SPREAD = 3
 
@@ -218,10 +218,10 @@ def _check_shapes(record: Record, names: tuple[str, ...]) -> None:
         raise RecordError(
             f"the record lasts {duration:.2f} s; at least {_DURATION_MIN:g} s are needed"
         )
-    if (fs := 1.0 / float(np.median(steps))) < FS_MIN:
+    if (fs := 1.0 / float(np.median(steps))) < _FS_MIN:
         raise RecordError(
             f"the record is sampled at {fs:.4g} Hz; "
-            f"at least {FS_MIN:g} Hz are needed for a bandwidth of {F_C:g} Hz"
+            f"at least {_FS_MIN:g} Hz are needed for a bandwidth of {F_C:g} Hz"
         )
     for name in ("spring_stiff", "damper_high"):
         states = np.asarray(getattr(record, name))
@@ -256,7 +256,7 @@ def _check_drive(record: Record) -> tuple[Record, list[str]]:
     notes = []
     forward = np.maximum.accumulate(record.s)
     back, slowest = float((forward - record.s).max()), float(record.v.min())
-    if back > BACKWARD_MAX:
+    if back > _BACKWARD_MAX:
         raise RecordError(f"the odometer decreases by {back:.2f} m; a drive must go forward")
     if slowest < -SPEED_MIN:
         raise RecordError(f"the speed falls to {slowest:.2g} m/s; a drive must go forward")
@@ -270,10 +270,10 @@ def _check_drive(record: Record) -> tuple[Record, list[str]]:
             f"at least {SPEED_MIN:g} m/s are needed"
         )
     steps = np.diff(forward)
-    if (jump := float(steps.max())) > JUMP_MAX:
+    if (jump := float(steps.max())) > _JUMP_MAX:
         raise RecordError(
             f"the odometer jumps by {jump:.2f} m from one sample to the next; at most "
-            f"{JUMP_MAX:g} m are allowed: cut the record at the jump or correct s"
+            f"{_JUMP_MAX:g} m are allowed: cut the record at the jump or correct s"
         )
     if back > 0.0 or slowest < 0.0:
         record = dataclasses.replace(record, s=forward, v=np.maximum(record.v, 0.0))
@@ -303,8 +303,8 @@ def _clipping_notes(
     """
     notes = []
     for name, x, clipped in zip(names, size, out_of_range, strict=True):
-        at_peak = x >= (1.0 - CLIPPING_TOLERANCE) * x.max()
-        in_a_row = np.lib.stride_tricks.sliding_window_view(at_peak, CLIPPING_SAMPLES).all(axis=1)
+        at_peak = x >= (1.0 - _CLIPPING_TOLERANCE) * x.max()
+        in_a_row = np.lib.stride_tricks.sliding_window_view(at_peak, _CLIPPING_SAMPLES).all(axis=1)
         if x.any() and (clipped.any() or in_a_row.any()):
             notes.append(
                 f"{name} is clipped at {x.max():.1f} m/s² in {(clipped | at_peak).mean():.1%} "

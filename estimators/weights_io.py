@@ -20,7 +20,7 @@ from road_envs._version import __version__
 from road_envs.core.atomic_io import atomic_write
 from road_envs.core.reading import parsing, read_npz
 
-FORMAT = "roadrecon estimator 1"
+_FORMAT = "roadrecon estimator 1"
 # Prefix of the weights' names in an `.npz` file; keeps them apart from the header
 _WEIGHT_PREFIX = "weights."
 
@@ -41,7 +41,7 @@ def save(estimator: Estimator, path: str | Path, metadata: Mapping[str, str] | N
             "estimators/registry.py, or by an entry point of its package"
         )
     header = {
-        "format": FORMAT,
+        "format": _FORMAT,
         "version": __version__,
         "name": name,
         "settings": {f.name: getattr(estimator, f.name) for f in fields(kind) if f.init},
@@ -62,9 +62,9 @@ def load(path: str | Path) -> Estimator:
     weights, metadata = _read(Path(path))
     with parsing(path, StorageError, "not a usable RoadRecon estimator"):
         header = json.loads(metadata["header"])
-        if header["format"] != FORMAT:
+        if header["format"] != _FORMAT:
             raise StorageError(
-                f"format {header['format']!r} is not supported, expected {FORMAT!r}: train the "
+                f"format {header['format']!r} is not supported, expected {_FORMAT!r}: train the "
                 "estimator again, or read it with the version that has written it"
             )
         estimator = create(header["name"], **header["settings"])

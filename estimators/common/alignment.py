@@ -3,7 +3,7 @@
 The slopes of roads are nearly white, so that unrelated ones seldom have a large correlation and the
 lag of equal ones is sharp. The correlation coefficient of the band-passed slopes, of both wheel
 paths together, is searched over lags, and over scales of the odometer; then a piecewise linear map
-of the stations follows the lag of each WINDOW along the road.
+of the stations follows the lag of each _WINDOW along the road.
 """
 
 from dataclasses import dataclass
@@ -15,20 +15,20 @@ from road_envs.records.roughness import Band, band_pass
 
 SEARCHED = 50.0  # largest lag [m] that is searched, to either side
 MIN_OVERLAP = 20.0  # shortest overlap [m] of two profiles: four of the longest scored waves
-MIN_CORRELATION = 0.3  # correlation below which two profiles do not match, at any length
+_MIN_CORRELATION = 0.3  # correlation below which two profiles do not match, at any length
 # Largest correlation of unrelated profiles over thousands of lags, times the square root of their
 # number of independent values
-CHANCE = 5.0
-MAX_STRETCH = 0.015  # largest relative difference of two odometers
+_CHANCE = 5.0
+_MAX_STRETCH = 0.015  # largest relative difference of two odometers
 # Largest distance [m] of equal stations at the ends of the overlap, between two scales
-MISPLACEMENT = 0.1
+_MISPLACEMENT = 0.1
 # Spacing [m] of the profiles in the search, a fifth of the shortest scored wave
-SEARCH_SPACING = 0.1
-WINDOW = 20.0  # length [m] of the windows in which the lag is refined, one every half window
-REFINED = 0.4  # largest lag [m] of a window against the one before it, but for the uniform scale
+_SEARCH_SPACING = 0.1
+_WINDOW = 20.0  # length [m] of the windows in which the lag is refined, one every half window
+_REFINED = 0.4  # largest lag [m] of a window against the one before it, but for the uniform scale
 # Length [m] from the beginning on which lag and scale are searched; windows follow on
-SEARCH_LENGTH = 300.0
-MIN_WINDOW_CORRELATION = 0.5  # correlation of a window below which its lag is not used
+_SEARCH_LENGTH = 300.0
+_MIN_WINDOW_CORRELATION = 0.5  # correlation of a window below which its lag is not used
 
 
 _Slopes = tuple[np.ndarray, np.ndarray]  # stations (K,) [m] and slopes (2, K) of the wheel paths
@@ -87,7 +87,7 @@ def identity_map(length: float) -> StationMap:
 def is_match(correlation: float, overlap: float, band: Band) -> bool:
     """Return whether a correlation over an `overlap` [m] is larger than by chance."""
     independent = 4.0 * (band[1] - band[0]) * overlap
-    return correlation >= max(MIN_CORRELATION, CHANCE / np.sqrt(independent))
+    return correlation >= max(_MIN_CORRELATION, _CHANCE / np.sqrt(independent))
 
 
 def map_stations(
@@ -96,7 +96,7 @@ def map_stations(
     ds: float,
     band: Band,
     searched: float = SEARCHED,
-    max_stretch: float = MAX_STRETCH,
+    max_stretch: float = _MAX_STRETCH,
 ) -> tuple[StationMap, bool]:
     """Map stations of the profile `other` (2, M) [m] to those of `reference` (2, N) [m].
 
@@ -113,7 +113,7 @@ def map_stations(
             f"{shortest + trimmed:.1f} m are too short to be aligned: at least "
             f"{MIN_OVERLAP + 2.0 / band[0]:.0f} m are needed"
         )
-    head = second[0] <= second[0][0] + SEARCH_LENGTH
+    head = second[0] <= second[0][0] + _SEARCH_LENGTH
     begin = second[0][head], second[1][:, head]
     lag, stretch, correlation, overlap = _search(first, begin, searched, max_stretch)
     ends = second[0][[0, -1]]
@@ -138,27 +138,27 @@ def _search(
     """Return lag [m], stretch, correlation and overlap [m] of the largest correlation."""
     (s, x), (r, y) = first, second
     x, begin = _resample(s, x, 1.0)
-    step = 2.0 * MISPLACEMENT / max(min(np.ptp(s), np.ptp(r)), 1.0)
+    step = 2.0 * _MISPLACEMENT / max(min(np.ptp(s), np.ptp(r)), 1.0)
     count = int(np.ceil(max_stretch / step))
     best = (0.0, 0.0, -2.0, 0.0)
     for stretch in np.linspace(-max_stretch, max_stretch, 2 * count + 1) if count else [0.0]:
         scaled, start = _resample(r, y, 1.0 + stretch)
-        needed = int(np.floor(min(MIN_OVERLAP / SEARCH_SPACING, x.shape[1], scaled.shape[1])))
+        needed = int(np.floor(min(MIN_OVERLAP / _SEARCH_SPACING, x.shape[1], scaled.shape[1])))
         k, correlation = lag_correlations(x, scaled, needed, 0)
-        lags = SEARCH_SPACING * k + begin - start
+        lags = _SEARCH_SPACING * k + begin - start
         near = np.abs(lags) <= searched
         if near.any() and (top := float(correlation[near].max())) > best[2]:
             i = int(np.flatnonzero(near)[np.argmax(correlation[near])])
             overlap = min(k[i] + scaled.shape[1], x.shape[1]) - max(k[i], 0)
-            best = (_peak(lags, correlation, i), float(stretch), top, SEARCH_SPACING * overlap)
+            best = (_peak(lags, correlation, i), float(stretch), top, _SEARCH_SPACING * overlap)
     return best
 
 
 def _resample(s: np.ndarray, slope: np.ndarray, scale: float) -> tuple[np.ndarray, float]:
-    """Return slopes (2, N) at multiples of SEARCH_SPACING of `scale` x `s`, and the first."""
+    """Return slopes (2, N) at multiples of _SEARCH_SPACING of `scale` x `s`, and the first."""
     stations = scale * s
-    begin, end = np.ceil(stations[0] / SEARCH_SPACING), np.floor(stations[-1] / SEARCH_SPACING)
-    grid = SEARCH_SPACING * np.arange(begin, end + 1.0)
+    begin, end = np.ceil(stations[0] / _SEARCH_SPACING), np.floor(stations[-1] / _SEARCH_SPACING)
+    grid = _SEARCH_SPACING * np.arange(begin, end + 1.0)
     return np.array([np.interp(grid, stations, x) for x in slope]), float(grid[0])
 
 
@@ -167,18 +167,18 @@ def _refine(whole: StationMap, first: _Slopes, second: _Slopes, ds: float) -> St
     (s, x), (r, y) = first, second
     mapped = whole.apply(r)
     begin, end = max(s[0], mapped[0]), min(s[-1], mapped[-1])
-    count = max(1, round((end - begin) / (0.5 * WINDOW)) - 1)
-    length = min(WINDOW, end - begin)
-    reach, size = round(REFINED / ds), int(length / ds) - 2 * round(REFINED / ds)
+    count = max(1, round((end - begin) / (0.5 * _WINDOW)) - 1)
+    length = min(_WINDOW, end - begin)
+    reach, size = round(_REFINED / ds), int(length / ds) - 2 * round(_REFINED / ds)
     knots, shifts, last = [], [], 0.0
     for left in np.linspace(begin, end - length, count):
-        inner = left + REFINED + ds * np.arange(size)
-        outer = left + last + REFINED + ds * (np.arange(size + 2 * reach) - reach)
+        inner = left + _REFINED + ds * np.arange(size)
+        outer = left + last + _REFINED + ds * (np.arange(size + 2 * reach) - reach)
         window = np.array([np.interp(inner, mapped, path) for path in y])
         road = np.array([np.interp(outer, s, path) for path in x])
         k, correlation = lag_correlations(road, window, size, -reach)
         i = int(np.argmax(correlation))
-        if correlation[i] > MIN_WINDOW_CORRELATION and 0 < i < k.size - 1:
+        if correlation[i] > _MIN_WINDOW_CORRELATION and 0 < i < k.size - 1:
             last += _peak(ds * k, correlation, i)
             knots.append(float(left + 0.5 * length))
             shifts.append(last)

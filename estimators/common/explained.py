@@ -4,7 +4,7 @@ A linear smoother or a filter that has lost the vehicle gives heights that the n
 contradicts: wheels that were in the air press, accelerations are many times those measured. The
 vehicle is simulated over the estimate and the accelerations of the sensors are compared below F_C.
 
-Heights are impossible whatever the estimator if they demand IMPOSSIBLE_RATIO times the measured
+Heights are impossible whatever the estimator if they demand _IMPOSSIBLE_RATIO times the measured
 accelerations or more. The wheel loads alone move the vehicle (Newton's second law), so the
 accelerations would have been measured, had the wheels carried the loads that the heights demand.
 """
@@ -31,16 +31,16 @@ from road_envs.vehicle.linear_model import linearise
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import settled_strut_state
 
-WINDOW = 5.0  # standard deviation [m] of the window in which accelerations are compared
-CHUNK_STEPS = 20_000  # steps that are simulated at a time
+_WINDOW = 5.0  # standard deviation [m] of the window in which accelerations are compared
+_CHUNK_STEPS = 20_000  # steps that are simulated at a time
 # Explained share of the measured power from which on an estimate is left as it is. Linear
 # smoothers explain more than 0.8 on roads up to class D and on bumps, none where wheels fly.
-TRUSTED_SHARE = 0.7
+_TRUSTED_SHARE = 0.7
 # Time [s] at the beginning of a record that is not compared: the simulation starts at rest, a
 # record may begin in motion. Two periods of the body's bounce.
-SETTLING_TIME = 2.0
-MAX_SPEED_STEP = 0.001  # longest step [s] of the simulation
-IMPOSSIBLE_RATIO = 2.0
+_SETTLING_TIME = 2.0
+_MAX_SPEED_STEP = 0.001  # longest step [s] of the simulation
+_IMPOSSIBLE_RATIO = 2.0
 """Accelerations that heights demand over those measured, as RMS, from which on they are impossible.
 
 The true road under the described vehicle has 1.2 at most where a vehicle of grade S0 to S3 drove
@@ -53,12 +53,12 @@ description tells where they land, has up to 4 times.
 # Share of the drive's mean power in all bands, and factor of the power of the sensors' noise,
 # below which measured accelerations count as so large. So they do below the mean power in their own
 # band: of drives cut out of longer ones the true road has 1.7 at most, with a tenth of it 2.5.
-LEAST_OF_ALL, NOISE_MARGIN = 0.003, 9.0
+_LEAST_OF_ALL, _NOISE_MARGIN = 0.003, 9.0
 # Time [s] at the beginning, and largest share of a drive, that makes no heights impossible
-LONGEST_SETTLING, SETTLING_SHARE = 4.0, 0.5
+_LONGEST_SETTLING, _SETTLING_SHARE = 4.0, 0.5
 # Edges of the bands [Hz] in which accelerations are compared: about the resonances of the body,
 # of the axles, and between them
-IMPOSSIBLE_BANDS = (0.3, 2.0, 8.0, F_C)
+_IMPOSSIBLE_BANDS = (0.3, 2.0, 8.0, F_C)
 
 
 def trusted_share(
@@ -70,9 +70,9 @@ def trusted_share(
 ) -> np.ndarray:
     """Return by how much (M,), 0 to 1, heights `z` (2, M) [m] of the `record` are to be trusted.
 
-    It is 1 where the accelerations of `car` on them explain TRUSTED_SHARE or more of the measured
+    It is 1 where the accelerations of `car` on them explain _TRUSTED_SHARE or more of the measured
     power, 0 where they explain nothing. `valid` (k, N): samples that are compared, after the first
-    SETTLING_TIME.
+    _SETTLING_TIME.
     """
     measured, predicted, finite = _motions(record, valid, car, instruments, z)
     a, e = (
@@ -80,9 +80,9 @@ def trusted_share(
         for x in (measured, measured - predicted)
     )
     e[~finite] = np.inf
-    power, error = (_by_station(x, record, car, SETTLING_TIME) for x in (a, e))
+    power, error = (_by_station(x, record, car, _SETTLING_TIME) for x in (a, e))
     explained = 1.0 - error / np.maximum(power, 1e-12 * max(power.max(), 1e-300))
-    return np.clip(explained / TRUSTED_SHARE, 0.0, 1.0)
+    return np.clip(explained / _TRUSTED_SHARE, 0.0, 1.0)
 
 
 def _motions(
@@ -95,7 +95,7 @@ def _motions(
     """Return the accelerations (k, N) measured and those of `car` on heights `z` (2, M) [m], in
     `valid` (k, N) samples, and where (N,) the latter are finite.
     """
-    inputs = build_model_inputs(record, instruments, car, MAX_SPEED_STEP)
+    inputs = build_model_inputs(record, instruments, car, _MAX_SPEED_STEP)
     predicted = _simulate_sensors(inputs, car, instruments, z)[:, : record.t.size]
     finite = np.isfinite(predicted).all(axis=0)
     return np.where(valid, record.a, 0.0), np.where(valid & finite, predicted, 0.0), finite
@@ -111,21 +111,21 @@ def _by_station(
     cell = ((record.s - 0.5 * car.wheelbase) / PROFILE_SPACING).round().astype(int)
     inside = (cell >= 0) & (cell < stations.size)
     total = np.bincount(cell[inside], power[inside], stations.size)
-    return np.asarray(gaussian_filter1d(total, WINDOW / PROFILE_SPACING))
+    return np.asarray(gaussian_filter1d(total, _WINDOW / PROFILE_SPACING))
 
 
 def _demand_ratio(
     z: np.ndarray, record: Record, car: VehicleParameters, instruments: Instruments
 ) -> np.ndarray:
     """Return the accelerations that heights `z` (2, M) [m] demand of `car` over those measured, as
-    RMS about each station (M,) in that of IMPOSSIBLE_BANDS in which it is the greatest.
+    RMS about each station (M,) in that of _IMPOSSIBLE_BANDS in which it is the greatest.
     """
     record, valid, _ = mask_record(record, instruments)
     measured, predicted, finite = _motions(record, valid, car, instruments, z)
-    settling = min(LONGEST_SETTLING, SETTLING_SHARE * float(record.t[-1] - record.t[0]))
+    settling = min(_LONGEST_SETTLING, _SETTLING_SHARE * float(record.t[-1] - record.t[0]))
     density = float(np.sum(instruments.noise_densities**2)) * record.t.size / z.shape[1]
     powers = []
-    for band in pairwise(IMPOSSIBLE_BANDS):
+    for band in pairwise(_IMPOSSIBLE_BANDS):
         sos = butter(2, band, "bandpass", fs=record.fs, output="sos")
         a, e = (
             (sosfiltfilt(sos, x - x.mean(axis=1, keepdims=True)) ** 2).sum(axis=0)
@@ -135,8 +135,8 @@ def _demand_ratio(
         powers.append([_by_station(x, record, car, settling) for x in (a, e)])
     power, demanded = np.swapaxes(powers, 0, 1)
     mean = power.mean(axis=1)
-    noise = NOISE_MARGIN * density * np.diff(IMPOSSIBLE_BANDS)
-    least = np.maximum(np.maximum(mean, LEAST_OF_ALL * mean.sum()), noise)
+    noise = _NOISE_MARGIN * density * np.diff(_IMPOSSIBLE_BANDS)
+    least = np.maximum(np.maximum(mean, _LEAST_OF_ALL * mean.sum()), noise)
     return np.asarray(np.sqrt(demanded / np.maximum(power, least[:, None])).max(axis=0))
 
 
@@ -149,7 +149,7 @@ def mark_impossible(
     if not isinstance(estimator, HasInstruments):
         return estimate
     ratio = _demand_ratio(estimate.z, record, car, instruments_of(record, estimator.instruments))
-    impossible = ratio >= IMPOSSIBLE_RATIO
+    impossible = ratio >= _IMPOSSIBLE_RATIO
     if not impossible.any():
         return estimate
     first, last = PROFILE_SPACING * np.flatnonzero(impossible)[[0, -1]]
@@ -217,8 +217,8 @@ def _simulate_sensors(
     state = rest_state(car, inputs) + 1e-7  # exactly at rest the friction law has no tangent
     strut_state = settled_strut_state(int(inputs.commands[0]))
     a = np.full((rows.shape[0], inputs.n_steps), np.nan)
-    for first in range(0, inputs.n_steps, CHUNK_STEPS):
-        last = min(first + CHUNK_STEPS, inputs.n_steps)
+    for first in range(0, inputs.n_steps, _CHUNK_STEPS):
+        last = min(first + _CHUNK_STEPS, inputs.n_steps)
         half = slice(2 * first, 2 * last)
         road = np.empty((2 * (last - first), 2, 4))
         wheelbase = car.wheelbase / PROFILE_SPACING

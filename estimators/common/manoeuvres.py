@@ -18,26 +18,26 @@ from estimators.common.explained import mark_unsure
 from road_envs.records.record import PROFILE_SPACING, Estimate, Record
 from road_envs.sensing.instruments import load_instruments
 
-STANDING = 0.5  # speed [m/s] below which the vehicle stands
+_STANDING = 0.5  # speed [m/s] below which the vehicle stands
 # Longitudinal acceleration [m/s²], of either sign, from which on the body pitches markedly
-HARD_CHANGE = 1.5
+_HARD_CHANGE = 1.5
 # Standard deviation [s] of the window that smooths the speed before it is differentiated
-SPEED_WINDOW = 0.5
+_SPEED_WINDOW = 0.5
 # Bands [Hz] of the roll that manoeuvres excite, and of that which roads excite
-ROLL_BAND, ROAD_BAND = (0.2, 0.9), (1.5, 6.0)
+_ROLL_BAND, _ROAD_BAND = (0.2, 0.9), (1.5, 6.0)
 # Slow roll acceleration [rad/s²] below which nothing is taken for a turn. The start of a record
 # with biased sensors gives up to 0.2, turns of 0.2 g in ride 0.5 and more.
-LEAST_ROLL = 0.25
-# Slow roll over the RMS of the roll in ROAD_BAND from which on the vehicle turned. Straight drives
+_LEAST_ROLL = 0.25
+# Slow roll over the RMS of the roll in _ROAD_BAND from which on the vehicle turned. Straight drives
 # on classes A to D and Belgian paving reach 1.9, turns of 0.2 g in ride 1.4 (Belgian) to 6.
-ROLL_RATIO = 2.2
+_ROLL_RATIO = 2.2
 # Slow roll at the other end of a turn over that from which on one is found: friction and stiffer
 # springs make the release slower than the build-up
-RELEASE = 0.5
+_RELEASE = 0.5
 # Lateral distance [m] of the two sensors, and duration [s] of a record, below which no roll is
 # looked at
-LEAST_DISTANCE, LEAST_DURATION = 0.8, 8.0
-LONGEST_TURN = 10.0  # longest time [s] between the slow rolls of one turn
+_LEAST_DISTANCE, _LEAST_DURATION = 0.8, 8.0
+_LONGEST_TURN = 10.0  # longest time [s] between the slow rolls of one turn
 
 
 def mark_manoeuvres(estimate: Estimate, record: Record, wheelbase: float) -> Estimate:
@@ -69,12 +69,12 @@ def turns(record: Record) -> np.ndarray:
         return turned
     slow, road = (
         sosfiltfilt(butter(2, band, "bandpass", fs=record.fs, output="sos"), roll)
-        for band in (ROLL_BAND, ROAD_BAND)
+        for band in (_ROLL_BAND, _ROAD_BAND)
     )
     local = np.sqrt(gaussian_filter1d(road**2, record.fs))
-    limit = np.maximum(LEAST_ROLL, ROLL_RATIO * np.maximum(local, road.std()))
-    weak = binary_dilation(np.abs(slow) > RELEASE * limit, iterations=int(record.fs))
-    gap = int(0.5 * LONGEST_TURN * record.fs)
+    limit = np.maximum(_LEAST_ROLL, _ROLL_RATIO * np.maximum(local, road.std()))
+    weak = binary_dilation(np.abs(slow) > _RELEASE * limit, iterations=int(record.fs))
+    gap = int(0.5 * _LONGEST_TURN * record.fs)
     runs, _ = label(binary_closing(np.pad(weak, gap), iterations=gap)[gap:-gap])
     return (runs > 0) & np.isin(runs, runs[np.abs(slow) > limit])
 
@@ -85,14 +85,14 @@ def _speed_changes(record: Record) -> np.ndarray:
     if not known.any():
         return known
     v = np.interp(record.t, record.t[known], record.v[known])
-    smooth = gaussian_filter1d(v, SPEED_WINDOW * record.fs, mode="nearest")
-    return (v < STANDING) | (np.abs(np.gradient(smooth, record.t)) > HARD_CHANGE)
+    smooth = gaussian_filter1d(v, _SPEED_WINDOW * record.fs, mode="nearest")
+    return (v < _STANDING) | (np.abs(np.gradient(smooth, record.t)) > _HARD_CHANGE)
 
 
 def _roll_acceleration(record: Record) -> np.ndarray | None:
     """Return the roll acceleration (N,) [rad/s²] of the body; None if no two sensors tell it."""
     layout = load_instruments("paper").layout if record.sensors is None else record.sensors
-    if len(layout) != len(record.a) or record.t[-1] - record.t[0] < LEAST_DURATION:
+    if len(layout) != len(record.a) or record.t[-1] - record.t[0] < _LEAST_DURATION:
         return None
     pairs = [
         (abs(a.y - b.y), i, j)
@@ -100,7 +100,7 @@ def _roll_acceleration(record: Record) -> np.ndarray | None:
         if a.mounted == b.mounted == "body" and (a.axle, a.ahead) == (b.axle, b.ahead)
     ]
     distance, left, right = max(pairs, default=(0.0, 0, 0))
-    if distance < LEAST_DISTANCE or record.fs < 4.0 * ROAD_BAND[1]:
+    if distance < _LEAST_DISTANCE or record.fs < 4.0 * _ROAD_BAND[1]:
         return None
     roll = (record.a[left] - record.a[right]) / distance
     return np.nan_to_num(roll - np.nanmedian(roll)) if np.isfinite(roll).any() else None

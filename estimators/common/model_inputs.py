@@ -13,7 +13,7 @@ from road_envs.vehicle.suspension import settled_strut_state
 
 # Prior standard deviations of the first vehicle state, of a vehicle at rest on a level apron
 REST_STD = np.repeat([1e-4, 1e-3], N_DOF)
-CLOCK_ERROR = 0.01  # part of a sample's interval by which an even clock may be late or early
+_CLOCK_ERROR = 0.01  # part of a sample's interval by which an even clock may be late or early
 MOVING_STD = np.repeat([3e-2, 3e-1], N_DOF)  # the same in the middle of a road
 
 
@@ -80,7 +80,7 @@ def build_model_inputs(
 
 def is_even(record: Record) -> bool:
     """Return whether the samples of a record are at even times."""
-    return bool(np.ptp(_lateness(record)) <= CLOCK_ERROR / record.fs)
+    return bool(np.ptp(_lateness(record)) <= _CLOCK_ERROR / record.fs)
 
 
 def _lateness(record: Record) -> np.ndarray:

@@ -27,14 +27,14 @@ from road_envs.sensing.instruments import ANTIALIAS_ORDER, Instruments
 
 # Frequency [Hz] above which roads hardly excite the body, and share of the power that the filter
 # may take there for a delay to stand for it: a filter of 333 Hz takes 7e-5
-F_EXCITED, DELAY_LOSS = 100.0, 1e-3
+_F_EXCITED, _DELAY_LOSS = 100.0, 1e-3
 # Rate of the groups of steps, over the highest frequency that samples or block means contain: the
 # tangent of a phone then errs by 1 %, with a ratio of 4 by 3 %
-GROUP_RATE_RATIO = 6.0
+_GROUP_RATE_RATIO = 6.0
 # Periods of the corner after which the filter has forgotten its input: to 1e-6
-MEMORY_PERIODS = 8.0
+_MEMORY_PERIODS = 8.0
 # Points of the Lagrange interpolation among means of groups, or among steps of the model
-POINTS = 8
+_POINTS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +51,8 @@ class SensorFilter:
     @classmethod
     def of(cls, instruments: Instruments, step: float, block_rate: float) -> "SensorFilter":
         """Return the filter for a model of a `step` [s] and for `block_rate` [Hz] block means."""
-        highest = min(instruments.f_alias, 0.5 * block_rate, F_EXCITED)
-        group = max(1, int(1.0 / (step * GROUP_RATE_RATIO * highest)))
+        highest = min(instruments.f_alias, 0.5 * block_rate, _F_EXCITED)
+        group = max(1, int(1.0 / (step * _GROUP_RATE_RATIO * highest)))
         corner = min(instruments.f_alias, 0.45 / step)
         sos = butterworth_sos(ANTIALIAS_ORDER, corner, 1.0 / step)
         return cls(sos, step, corner, group)
@@ -60,7 +60,7 @@ class SensorFilter:
     @property
     def memory(self) -> float:
         """Time [s] after which the filter has forgotten its input."""
-        return MEMORY_PERIODS / self.f_alias
+        return _MEMORY_PERIODS / self.f_alias
 
     def at_rest(self, n_sensors: int) -> np.ndarray:
         """Return the state (n, S, 2) of the filter after zeros."""
@@ -122,11 +122,11 @@ class SampledFilter:
 
     @cached_property
     def _among_steps(self) -> csr_array:
-        return lagrange_weights(self.at, self.n_steps, POINTS)
+        return lagrange_weights(self.at, self.n_steps, _POINTS)
 
     @cached_property
     def _among_means(self) -> csr_array:
-        return lagrange_weights(self.at / self.filter.group, self.n_groups, POINTS)
+        return lagrange_weights(self.at / self.filter.group, self.n_groups, _POINTS)
 
 
 def lagrange_weights(at: np.ndarray, size: int, points: int) -> csr_array:
@@ -148,4 +148,4 @@ def lagrange_weights(at: np.ndarray, size: int, points: int) -> csr_array:
 
 def is_only_a_delay(instruments: Instruments) -> bool:
     """Return whether the filter does no more than delay what a road excites in the body."""
-    return bool(abs(instruments.response(np.array(F_EXCITED))) ** 2 > 1.0 - DELAY_LOSS)
+    return bool(abs(instruments.response(np.array(_F_EXCITED))) ** 2 > 1.0 - _DELAY_LOSS)

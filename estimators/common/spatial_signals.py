@@ -40,17 +40,17 @@ SPACING = DECIMATION * PROFILE_SPACING  # distance between stations [m]
 # Stations estimated beyond either end of the road, for the filter back to the grid
 EDGE_STATIONS = 4
 FILTER_REACH = EDGE_STATIONS * SPACING  # reach of the low-pass [m] to either side
-N_CUT = 3.0  # cut-off of the low-pass [cycles/m]: 50 dB down from 4.5 on, flat to 0.4 % up to 1.8
-LOWPASS = signal.firwin(
-    2 * EDGE_STATIONS * DECIMATION + 1, N_CUT, window=("kaiser", 5.0), fs=1.0 / PROFILE_SPACING
+_N_CUT = 3.0  # cut-off of the low-pass [cycles/m]: 50 dB down from 4.5 on, flat to 0.4 % up to 1.8
+_LOWPASS = signal.firwin(
+    2 * EDGE_STATIONS * DECIMATION + 1, _N_CUT, window=("kaiser", 5.0), fs=1.0 / PROFILE_SPACING
 )
 
-F_VELOCITY = 0.3  # high-pass of the velocities [Hz]: below, integrated drift is as large as motion
+_F_VELOCITY = 0.3  # high-pass of the velocities [Hz]: below, integrated drift is as large as motion
 # Limits of the frequency bands [Hz] in which the powers of the motions are compared
 BANDS = np.geomspace(5.0, SCORED_F_MAX, 6)
 # Energy [m²/s³] that is added to that of every motion in every band: of noise of 0.05 m/s² over
 # 20 s. Ratios are 1 where nothing has been measured.
-NOISE_ENERGY = 0.05
+_NOISE_ENERGY = 0.05
 N_HIGH_PASS = 0.05  # high-pass of the target heights [cycles/m]: accelerations fall with n² v²
 N_MOTIONS = 3  # front, rear and roll
 N_RATIOS = 2 * (BANDS.size - 1)  # front over rear, then roll over rear, in each of the bands
@@ -116,7 +116,7 @@ def _power_ratios(a: np.ndarray, fs: float) -> np.ndarray:
     for band, limits in zip(energy, pairwise(BANDS), strict=True):
         sos = signal.butter(2, limits, "bandpass", fs=fs, output="sos")
         band[:] = np.cumsum(signal.sosfilt(sos, a) ** 2, axis=1) / fs
-    front, rear, roll = np.log(energy + NOISE_ENERGY).transpose(1, 0, 2)
+    front, rear, roll = np.log(energy + _NOISE_ENERGY).transpose(1, 0, 2)
     return np.concatenate([front - rear, roll - rear])
 
 
@@ -126,7 +126,7 @@ def body_motions(record: Record, causal: bool) -> np.ndarray:
     roll = 0.5 * (lr - rr)
     a = np.array([rf + roll, 0.5 * (lr + rr), roll])
     velocity = np.cumsum(a, axis=1) / record.fs
-    return np.concatenate([a, high_pass(velocity, F_VELOCITY, record.fs, 2000, causal)])
+    return np.concatenate([a, high_pass(velocity, _F_VELOCITY, record.fs, 2000, causal)])
 
 
 def high_pass(
@@ -153,12 +153,12 @@ def _decimate(x: np.ndarray) -> np.ndarray:
     """Return K low-passed stations of `x` (k, (K - 1 + 2 EDGE_STATIONS) DECIMATION + 1)."""
     edges = 2 * EDGE_STATIONS
     K = (x.shape[1] - 1) // DECIMATION + 1 - edges
-    return signal.upfirdn(LOWPASS, x, 1, DECIMATION, axis=1)[:, edges : edges + K]
+    return signal.upfirdn(_LOWPASS, x, 1, DECIMATION, axis=1)[:, edges : edges + K]
 
 
 def upsample(x: np.ndarray, size: int) -> np.ndarray:
     """Return heights (k, size) on the grid from those at the stations (k, M)."""
-    fine = signal.upfirdn(DECIMATION * LOWPASS, x, DECIMATION, 1, axis=1)
+    fine = signal.upfirdn(DECIMATION * _LOWPASS, x, DECIMATION, 1, axis=1)
     edges = 2 * EDGE_STATIONS * DECIMATION
     return fine[:, edges : edges + size]
 

@@ -19,15 +19,15 @@ from estimators.common.odometer import calibrate_stations
 from estimators.common.spatial_signals import EDGE_STATIONS, SPACING, SpatialSignals
 from estimators.common.training_data import TrainingExample, training_example
 
-FOLDS = 5
+_FOLDS = 5
 # Candidates, relative to the mean square of the features; infinite: no correction
-RIDGES = np.append(10.0 ** np.arange(-4.0, 2.0), np.inf)
-SPEED_RATIO = 1.15  # factor of the speed up to which a correction is used
+_RIDGES = np.append(10.0 ** np.arange(-4.0, 2.0), np.inf)
+_SPEED_RATIO = 1.15  # factor of the speed up to which a correction is used
 # Stations to either side in the window of motions: 6 m. A causal window ends with its lag.
 CORRECTION_REACH = 40
 # Largest share of a road's mean square that cross-validation may leave; unrelated profiles leave
 # all of it
-UNEXPLAINED_MAX = 0.97
+_UNEXPLAINED_MAX = 0.97
 NOTE = "corrected by a calibration drive of this vehicle"
 
 
@@ -41,7 +41,7 @@ class VehicleCorrection(NamedTuple):
     def serves(self, signals: SpatialSignals) -> bool:
         """Return whether a drive is in the state and near the speed of the correction."""
         state, speed = _condition(signals)
-        near = self.speed / SPEED_RATIO < speed < self.speed * SPEED_RATIO
+        near = self.speed / _SPEED_RATIO < speed < self.speed * _SPEED_RATIO
         return bool((state == self.state).all() and near)
 
     def correct(self, prediction: "Prediction") -> np.ndarray:
@@ -86,7 +86,7 @@ def fit_corrections(
             record, _ = calibrate_stations(drive.record, causal)
             example = training_example(record, drive.profile, causal)
             state, speed = _condition(example.signals)
-            key = np.append(state, np.round(np.log(speed) / np.log(SPEED_RATIO))).tobytes()
+            key = np.append(state, np.round(np.log(speed) / np.log(_SPEED_RATIO))).tobytes()
             groups.setdefault(key, []).append((example, drive))
     for group in groups.values():
         sums, power = list[list[LeastSquaresSums]](), 0.0
@@ -98,16 +98,16 @@ def fit_corrections(
             s = SPACING * (np.arange(unit.size) - EDGE_STATIONS)
             inside = np.flatnonzero((s > drive.profile.s[0]) & (s < drive.profile.s[-1]))
             power += float(np.sum((high_pass(example.target) / unit)[:, inside] ** 2))
-            sums = sums or [[LeastSquaresSums.zeros(x.shape[1], 1)] * FOLDS for _ in x]
+            sums = sums or [[LeastSquaresSums.zeros(x.shape[1], 1)] * _FOLDS for _ in x]
             for row, folds in enumerate(sums):
-                for k, part in enumerate(np.array_split(inside, FOLDS)):
+                for k, part in enumerate(np.array_split(inside, _FOLDS)):
                     new = LeastSquaresSums.from_samples(x[row][:, part].T, error[row][part, None])
                     folds[k] = folds[k].plus(new)
         state, _ = _condition(group[0][0].signals)
         speed = float(np.mean([_condition(example.signals)[1] for example, _ in group]))
-        chosen = [cross_validate(folds, RIDGES) for folds in sums]
+        chosen = [cross_validate(folds, _RIDGES) for folds in sums]
         coefficients = np.array([each[:, 0] for _, each, _ in chosen])
-        if sum(left for _, _, left in chosen) > UNEXPLAINED_MAX * power:
+        if sum(left for _, _, left in chosen) > _UNEXPLAINED_MAX * power:
             raise CalibrationError(
                 f"{group[0][1].name}: a correction finds nothing of the profile in the drive; it "
                 "is of another road or lane, reversed, displaced or in other units, or the "

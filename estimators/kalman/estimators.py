@@ -72,7 +72,7 @@ from road_envs.records.roughness import CLASSES
 from road_envs.sensing.instruments import instruments_of, on_axle
 from road_envs.vehicle.parameters import VehicleParameters
 
-Lag = Annotated[float, Field(ge=0, lt=100), "m", "from the front axle back to the station emitted"]
+_Lag = Annotated[float, Field(ge=0, lt=100), "m", "from the front axle back to the station emitted"]
 _StdFactor = Annotated[Positive, "", "on the in-band standard deviation, fitted to training drives"]
 
 
@@ -195,7 +195,7 @@ class Kalman(_KalmanSettings):
 
     causal: ClassVar[bool] = True
 
-    lag: Lag = 0.0
+    lag: _Lag = 0.0
     std_factor: _StdFactor = 1.5
 
 
@@ -203,7 +203,7 @@ class Kalman(_KalmanSettings):
 class KalmanLag(Kalman):
     """Extended Kalman filter, as a smoother of the last 10 m: usable while driving."""
 
-    lag: Lag = 10.0
+    lag: _Lag = 10.0
     std_factor: _StdFactor = 0.87
 
 

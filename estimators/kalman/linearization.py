@@ -126,7 +126,7 @@ def _simulate_block(
                     acceleration[n_dof - side_size(motion.q) + j] = out[SIDE_ACCELERATION + j]
             bent = 0.0
             if bending.size > 0:
-                bent = bend(model, acceleration, bending)
+                bent = _bend(model, acceleration, bending)
             for s in range(3):
                 predicted[s] += model.bending_shape[s] * bent
                 for i in range(n_dof):
@@ -136,7 +136,7 @@ def _simulate_block(
 
 
 @kernel
-def bend(model: FilterModel, acceleration, bending):
+def _bend(model: FilterModel, acceleration, bending):
     """Return the acceleration of the body's bending, and advance its filter by one sample.
 
     `acceleration` (D,) of the coordinates; `bending` (2,): state of the filter. Both may have the
@@ -204,7 +204,7 @@ def _tangent_columns(
             if sampled:
                 bent = broadcast(0.0)
                 if n_vehicle > 2 * n_dof:
-                    bent = bend(model, a, y[group, 2 * n_dof :])
+                    bent = _bend(model, a, y[group, 2 * n_dof :])
                 for s in range(3):
                     sensed = model.bending_shape[s] * bent
                     for j in range(n_dof):

@@ -67,17 +67,17 @@ from road_envs.records.record import (
 from road_envs.records.roughness import band_pass
 from road_envs.vehicle.parameters import VehicleParameters
 
-WINDOW = 200.0  # length [m] of the road that is estimated at a time, with a road prior of its own
+_WINDOW = 200.0  # length [m] of the road that is estimated at a time, with a road prior of its own
 _NODE_TIME = 0.01  # time [s] between nodes, four in a period of 25 Hz
 _NODE_SPACING = (0.1, 0.25)  # least and greatest spacing [m] of nodes
-DRAWS = 40  # samples of the posterior for the standard deviation
-SMOOTHING = 5.0  # distance [m] over which the power of the samples is averaged
+_DRAWS = 40  # samples of the posterior for the standard deviation
+_SMOOTHING = 5.0  # distance [m] over which the power of the samples is averaged
 _VALIDATED = 3  # calibration drives at most on which standard deviations are calibrated
 # Probabilities of the intervals that are calibrated, and their Gaussian bounds
 _COVERAGE = ((0.5, 0.6745), (0.9, 1.6449))
 # Greatest error on held-out parts of the road, over the road, of responses that are used; 1 is no
 # information
-MAX_HELD_OUT = 0.7
+_MAX_HELD_OUT = 0.7
 _FAR_SPEED = 1.3  # factor between the speeds of calibration and drive from which on a note is given
 
 
@@ -234,11 +234,11 @@ def _identify_state(
     found = identify_responses(data, prior)
     check_responses(found, drives, axles)
     factor, error = _validate(found, drives, axles)
-    if not error <= MAX_HELD_OUT:
+    if not error <= _MAX_HELD_OUT:
         names = ", ".join(drive.name for drive in drives)
         raise CalibrationError(
             f"{names}: on parts of the road that were held out the error is {error:.2f} of the "
-            f"road, and at most {MAX_HELD_OUT} is allowed (1 is no information): give drives over "
+            f"road, and at most {_MAX_HELD_OUT} is allowed (1 is no information): give drives over "
             "a rougher or longer profile, and check that distances and profile belong together"
         )
     speed = float(np.mean([drive.record.v.mean() for drive in drives]))
@@ -281,7 +281,7 @@ def _reconstruct(
     margin = axles[-1] + MEMORY * v
     t = sample_times(record)
     a, s = sensed(record, t), np.interp(t, record.t, record.s)
-    count = max(1, round(record.length / WINDOW))
+    count = max(1, round(record.length / _WINDOW))
     edges = np.linspace(0.0, record.length, count + 1)
     z, power = np.zeros((2, stations.size)), np.zeros((2, stations.size))
     settings = road_posterior.START
@@ -301,10 +301,10 @@ def _reconstruct(
         here = (stations >= begin) & (stations < end)
         heights = nodes.heights(stations)
         z[:, here] = (heights @ posterior.mean.reshape(-1, 2)).T[:, here]
-        drawn = posterior.draw(DRAWS, rng).reshape(nodes.size, 2, DRAWS)
+        drawn = posterior.draw(_DRAWS, rng).reshape(nodes.size, 2, _DRAWS)
         for path in range(2):
             power[path, here] = _in_band_power(heights @ drawn[:, path], v)[here]
-    width = SMOOTHING / PROFILE_SPACING
+    width = _SMOOTHING / PROFILE_SPACING
     return z, np.sqrt(gaussian_filter1d(power, width, axis=1, mode="nearest"))
 
 

@@ -29,7 +29,7 @@ _EXPLAINED_MIN = 0.3
 # Drives over 100 m to 1 km give 0.8 to 1.7; accelerations in g divide it by 10.
 _GAIN_RANGE = (0.3, 4.0)
 # Shifts [m] of the profile that are tried to say what is wrong with it
-SEARCHED = np.arange(-10.0, 10.5, 0.5)
+_SEARCHED = np.arange(-10.0, 10.5, 0.5)
 
 
 def check_drives(drives: Sequence[CalibrationDrive], data: Sequence[RoadDrive]) -> None:
@@ -100,7 +100,7 @@ def _reason(drive: CalibrationDrive, axles: np.ndarray) -> str:
     profile = drive.profile
     assert profile is not None
     tried = {"the profile is reversed": Profile(profile.s, profile.z[::-1, ::-1])}
-    for shift in SEARCHED:
+    for shift in _SEARCHED:
         name = f"the profile lies {shift:+.1f} m from where the drive says"
         tried[name] = Profile(profile.s - shift, profile.z)
     best, text = _EXPLAINED_MIN, ": it is of another road or lane, or too smooth"

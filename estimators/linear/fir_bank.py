@@ -32,7 +32,7 @@ _N_STATE_COMBINATIONS = 16
 RIDGE = 1e-4
 SMOOTHNESS = 1e-4
 _N_SHORT = 0.15  # spatial frequency [cycles/m] of the high-pass on the errors
-LEVEL_MIN = 3e-4  # added to a drive's level [m], so that noise on a smooth road does not dominate
+_LEVEL_MIN = 3e-4  # added to a drive's level [m], so that noise on a smooth road does not dominate
 _MM = 1e-3  # unit of the heights [m]: taps are stored as float16 for heights in mm
 
 
@@ -160,7 +160,7 @@ def _add_drive(
     """Add a drive to the `sums` of (front, rear) and of roll."""
     windows = motion_windows(signals, behind, ahead)
     z = keep_short_waves(target)
-    scale = 1.0 / (LEVEL_MIN + np.sqrt(np.mean(z**2)))
+    scale = 1.0 / (_LEVEL_MIN + np.sqrt(np.mean(z**2)))
     v = float(signals.v[signals.inside].mean())
     sums[0].add(scale * np.concatenate([windows[0], windows[1]], axis=1), scale * z[0], v)
     sums[1].add(scale * windows[2], scale * z[1], v)

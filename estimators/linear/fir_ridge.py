@@ -89,11 +89,11 @@ from road_envs.vehicle.parameters import VehicleParameters
 
 _DEFAULT_REACH = 12.0  # default reach [m], approximately that of the shipped bank
 
-FOLDS = 5
+_FOLDS = 5
 RIDGES = 10.0 ** np.arange(-6, 1)  # candidates, relative to the mean square of the accelerations
 
 
-class Taps(NamedTuple):
+class _Taps(NamedTuple):
     """`taps` (2, 3, T) [s²] by wheel path, sensor and offset, `stride` profile stations apart; mean
     `speed` [m/s] of the training drives and the selected `ridge`.
     """
@@ -117,7 +117,9 @@ class FirRidge(Settings):
 
     reach: Annotated[float, Field(gt=0, le=100), "m", "of the window"] = _DEFAULT_REACH
     shipped: bool = True
-    fitted_state: Taps | FirBank | None = field(default=None, init=False, repr=False, compare=False)
+    fitted_state: _Taps | FirBank | None = field(
+        default=None, init=False, repr=False, compare=False
+    )
     corrections: tuple[VehicleCorrection, ...] = field(
         default=(), init=False, repr=False, compare=False
     )
@@ -129,15 +131,15 @@ class FirRidge(Settings):
         speed = float(np.mean([record.v.mean() for record in records]))
         stride = max(1, int(speed / (2.0 * F_C) / PROFILE_SPACING))
         half = self._half_taps(stride)
-        folds = [LeastSquaresSums.zeros(len(SENSORS) * (2 * half + 1))] * FOLDS
+        folds = [LeastSquaresSums.zeros(len(SENSORS) * (2 * half + 1))] * _FOLDS
         for record, truth in zip(records, truths, strict=True):
             X = _sliding_windows(record, stride, half)
             Z = _highpass_profile(truth, profile_stations(record.length))[:, ::stride].T
-            parts = zip(folds, np.array_split(X, FOLDS), np.array_split(Z, FOLDS), strict=True)
+            parts = zip(folds, np.array_split(X, _FOLDS), np.array_split(Z, _FOLDS), strict=True)
             folds = [sums.plus(LeastSquaresSums.from_samples(x, z)) for sums, x, z in parts]
         ridge, coefficients, _ = cross_validate(folds, RIDGES)
         taps = coefficients.T.reshape(2, len(SENSORS), 2 * half + 1)
-        return copy_with(self, fitted_state=Taps(taps, stride, speed, ridge))
+        return copy_with(self, fitted_state=_Taps(taps, stride, speed, ridge))
 
     def training_example(
         self, record: Record, truth: Profile, rigid: bool = True
@@ -212,9 +214,9 @@ class FirRidge(Settings):
         taps, stride, speed, ridge = validate_weights(weights, shapes)
         if stride < 1 or taps.shape[2] != 2 * self._half_taps(int(stride)) + 1:
             raise ValueError(f"{taps.shape[2]} taps do not fit a window of {self.reach} m")
-        return copy_with(self, fitted_state=Taps(taps, int(stride), float(speed), float(ridge)))
+        return copy_with(self, fitted_state=_Taps(taps, int(stride), float(speed), float(ridge)))
 
-    def _fitted_or_pretrained(self) -> Taps | FirBank:
+    def _fitted_or_pretrained(self) -> _Taps | FirBank:
         """Return the fitted taps, or the shipped bank. Raises NotFittedError."""
         if self.fitted_state is not None:
             return self.fitted_state

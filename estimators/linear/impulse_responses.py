@@ -43,7 +43,7 @@ _SEGMENTS = 5  # parts of each drive; every one is predicted from the others
 # Frequency [Hz] below which accelerometers measure offset and drift rather than the road
 F_BODY = 0.5
 # First guess of log c, logit lambda, and log of the noise's share in a sensor's power
-START = (np.log(0.01), np.log(13.0), np.log(0.1))
+_START = (np.log(0.01), np.log(13.0), np.log(0.1))
 
 
 class RoadDrive(NamedTuple):
@@ -245,9 +245,9 @@ def _posterior(sums: LeastSquaresSums, j: int, settings: np.ndarray) -> tuple[fl
 
 
 def _first_guess(sums: LeastSquaresSums, j: int) -> np.ndarray:
-    """Return the settings START, the noise as a share of the power of sensor `j`."""
+    """Return the settings _START, the noise as a share of the power of sensor `j`."""
     power = float(sums.ZZ[j]) / max(sums.n, 1) + 1e-12
-    return np.array(START) + np.array([0.0, 0.0, np.log(power)])
+    return np.array(_START) + np.array([0.0, 0.0, np.log(power)])
 
 
 def _fit_settings(sums: LeastSquaresSums, j: int) -> np.ndarray:

@@ -58,7 +58,7 @@ from road_envs.vehicle.parameters import VehicleParameters
 _PADDING_TIME = 8.0  # zeros [s] appended to a record before it repeats in the DFT circle
 _FADE_RATIO = 1.2  # the response fades to zero from F_C to this multiple of it
 # Least singular value of the sensors' lever arms [m]: with less, noise hides the rotations
-MIN_LEVER = 0.1
+_MIN_LEVER = 0.1
 # Width of the bands in which the spectrum of the inverse is averaged, in octaves
 _OCTAVE_SHARE = 1.0 / 3.0
 PATHS = 0.5 * np.array([[1.0, 1.0, 0.0, 0.0], [1.0, -1.0, 0.0, 0.0],
@@ -145,7 +145,7 @@ def _accelerations_at_struts(
     """
     on_body = [i for i, place in enumerate(locations.values()) if place.axle is None]
     sensed = np.array([(1.0, place.x, place.y) for place in locations.values()])[on_body]
-    if np.linalg.matrix_rank(sensed, tol=MIN_LEVER) < 3:
+    if np.linalg.matrix_rank(sensed, tol=_MIN_LEVER) < 3:
         raise RecordError(
             "inverse_quarter_car needs three accelerometers on the body that are not in one line, "
             f"to resolve heave, roll and pitch; the record has {', '.join(locations)}"

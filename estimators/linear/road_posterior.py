@@ -18,7 +18,7 @@ from scipy.optimize import minimize_scalar
 
 from estimators.linear.impulse_responses import OVERSAMPLING, Responses, acceleration_filter
 
-CHUNK = 64  # samples whose rows are formed at a time
+_CHUNK = 64  # samples whose rows are formed at a time
 # Length [m] over which a random walk is pulled towards level ground: about 1 / (2 pi n), with n
 # 0.01 cycles/m
 _LEVEL_LENGTH = 16.0
@@ -29,7 +29,7 @@ _PATH_LENGTH = 1.2
 # on the noise
 START = np.array([np.log(1e-5), 0.0])
 # Largest change of the logarithm of the ratio of noise to rise in the search for the settings
-SEARCHED = 8.0
+_SEARCHED = 8.0
 
 
 class Nodes(NamedTuple):
@@ -108,12 +108,14 @@ def normal_equations(
     N = a.shape[1]
     # a chunk of samples involves the nodes low to high alone: its H'H fills the bands of these
     # nodes, and a full H is never needed. Left and right coefficient of a node stand side by side
-    firsts = range(0, N, CHUNK)
-    spans = [_columns(roads, max(first - n_taps + 1, 0), min(first + CHUNK, N)) for first in firsts]
+    firsts = range(0, N, _CHUNK)
+    spans = [
+        _columns(roads, max(first - n_taps + 1, 0), min(first + _CHUNK, N)) for first in firsts
+    ]
     bands = np.zeros((2 * max(high - low for low, high in spans), 2 * size))
     rhs = np.zeros(2 * size)
     for first, (low, high) in zip(firsts, spans, strict=True):
-        last = min(first + CHUNK, N)
+        last = min(first + _CHUNK, N)
         H = np.zeros((last - first, high - low, 2, k))
         for road, axle_taps in zip(roads, taps, strict=True):
             # the accelerations of the road at the n_taps samples up to each one, the newest first,
@@ -189,7 +191,7 @@ def fit_settings(
     first = start[1] - start[0]
     found = minimize_scalar(
         lambda x: settings_of(x)[0],
-        bounds=(first - SEARCHED, first + SEARCHED),
+        bounds=(first - _SEARCHED, first + _SEARCHED),
         options={"xatol": 0.1},
     )
     return settings_of(found.x)[1]

@@ -65,9 +65,9 @@ class _ResidualBlock(nn.Module):
         self.early = self.span if causal else self.span // 2
 
     def forward(self, h: Tensor, c: Tensor) -> tuple[Tensor, Tensor]:
-        c = trim(c, self.early, self.span - self.early)
+        c = _trim(c, self.early, self.span - self.early)
         y = self.narrow(nn.functional.gelu(self.film(self.wide(h), c), approximate="tanh"))
-        return trim(h, self.early, self.span - self.early) + y, c
+        return _trim(h, self.early, self.span - self.early) + y, c
 
 
 class TemporalConvNet(nn.Module):
@@ -94,7 +94,7 @@ class TemporalConvNet(nn.Module):
 
     def forward(self, x: Tensor, conditions: Tensor) -> Tensor:
         h, c = self.enter(x), self.embed(conditions)
-        c = trim(c, self.early, x.shape[2] - h.shape[2] - self.early)
+        c = _trim(c, self.early, x.shape[2] - h.shape[2] - self.early)
         for block in self.blocks:
             h, c = block(h, c)
         return self.head(h)
@@ -120,12 +120,12 @@ class GatedRecurrentNet(nn.Module):
         self.span = kernel - 1
 
     def forward(self, x: Tensor, conditions: Tensor) -> Tensor:
-        c = trim(self.embed(conditions), self.early, self.span - self.early)
+        c = _trim(self.embed(conditions), self.early, self.span - self.early)
         h = nn.functional.gelu(self.film(self.enter(x), c), approximate="tanh")
         r, _ = self.gru(h.transpose(1, 2))
         early, late = self.behind - self.early, self.ahead - (self.span - self.early)
-        h = trim(torch.cat([h, r.transpose(1, 2)], dim=1), early, late)
-        y = nn.functional.gelu(self.late(self.mix(h), trim(c, early, late)), approximate="tanh")
+        h = _trim(torch.cat([h, r.transpose(1, 2)], dim=1), early, late)
+        y = nn.functional.gelu(self.late(self.mix(h), _trim(c, early, late)), approximate="tanh")
         return self.head(y)
 
 
@@ -138,6 +138,6 @@ def _embed_conditions(conditions: int) -> nn.Sequential:
     return nn.Sequential(layers[0], nn.GELU(), layers[1], nn.GELU())
 
 
-def trim(x: Tensor, early: int, late: int) -> Tensor:
+def _trim(x: Tensor, early: int, late: int) -> Tensor:
     """Return `x` (B, C, T) without its ends; constant conditions (T = 1) have none."""
     return x if x.shape[2] == 1 else x[:, :, early : x.shape[2] - late]

@@ -31,12 +31,12 @@ from road_envs.records.record import scored_band
 # Coverage probabilities, and the Gaussian bounds in standard deviations
 _COVERAGE_LEVELS = ((0.5, 0.6745), (0.9, 1.6449))
 N_TERMS = 46
-RIDGE = 0.1  # penalty on w for a unit of each term, in equivalent drives
+_RIDGE = 0.1  # penalty on w for a unit of each term, in equivalent drives
 _N_QUANTILES = 50  # quantiles that represent the errors of a drive
 _RATIO_MIN = 1e-9  # smallest ratio of errors
-SMOOTHING = 0.1  # width, in the logarithm, over which the check function is smoothed
+_SMOOTHING = 0.1  # width, in the logarithm, over which the check function is smoothed
 _PAD_LENGTH = 20.0  # length [m] by which a drive is extended before filtering
-EDGE_LENGTH = 5.0  # length [m] of each end of a drive that is ignored
+_EDGE_LENGTH = 5.0  # length [m] of each end of a drive that is ignored
 
 
 def constant_scale(factor: float) -> np.ndarray:
@@ -68,13 +68,13 @@ def fit_std_scale(ratios: Sequence[np.ndarray], conditions: Sequence[np.ndarray]
     # (2, drives, quantiles)
     over = np.array([log_ratios - np.log(n_std) for _, n_std in _COVERAGE_LEVELS])
     share = np.array([covered for covered, _ in _COVERAGE_LEVELS])[:, None, None]
-    ridge = RIDGE * np.append(0.0, np.ones(N_TERMS - 1)) / len(x)
+    ridge = _RIDGE * np.append(0.0, np.ones(N_TERMS - 1)) / len(x)
 
     def loss(w: np.ndarray) -> tuple[float, np.ndarray]:
-        """Return the mean of both check functions, smoothed over SMOOTHING, and its gradient."""
+        """Return the mean of both check functions, smoothed over _SMOOTHING, and its gradient."""
         excess = over - (x @ w)[:, None]
-        value = share * excess + SMOOTHING * np.logaddexp(0.0, -excess / SMOOTHING)
-        slope = expit(-excess / SMOOTHING) - share
+        value = share * excess + _SMOOTHING * np.logaddexp(0.0, -excess / _SMOOTHING)
+        slope = expit(-excess / _SMOOTHING) - share
         total = value.mean() + 0.5 * ridge @ w**2
         return float(total), x.T @ slope.mean(axis=(0, 2)) / len(x) + ridge * w
 
@@ -99,5 +99,5 @@ def in_scored_band(x: np.ndarray, v: float) -> np.ndarray:
 
 def interior(size: int) -> slice:
     """Return the range of a drive's stations without its ends."""
-    cut = min(round(EDGE_LENGTH / SPACING), size // 10)
+    cut = min(round(_EDGE_LENGTH / SPACING), size // 10)
     return slice(cut, size - cut)

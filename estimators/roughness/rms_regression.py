@@ -129,7 +129,7 @@ def _roughness_level(truth: Profile, v: float) -> float:
     return float(np.exp(np.mean(np.log(np.maximum(levels.mean(axis=0), 1e-12)))))
 
 
-def covariance(
+def _covariance(
     x: np.ndarray, other: np.ndarray, theta: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the covariances (N, M) of linear part and process for inputs (N, k), (M, k)."""
@@ -142,7 +142,7 @@ def _neg_log_marginal_likelihood(
     x: np.ndarray, y: np.ndarray, theta: np.ndarray
 ) -> tuple[float, np.ndarray]:
     """Return the negative log marginal likelihood of `y` (N,) at `x` (N, k), and its gradient."""
-    line, process = covariance(x, x, theta)
+    line, process = _covariance(x, x, theta)
     noise = np.exp(2.0 * theta[-1]) * np.eye(y.size)
     factor = cho_factor(line + process + noise, lower=True)
     inverse = cho_solve(factor, np.eye(y.size))
@@ -165,8 +165,8 @@ def _predict_gp(
     k). `y` (N,): the known outputs at `x` (N, k).
     """
     noise = np.exp(2.0 * theta[-1])
-    K = np.add(*covariance(x, x, theta)) + noise * np.eye(y.size)
-    across, own = np.add(*covariance(at, x, theta)), np.add(*covariance(at, at, theta))
+    K = np.add(*_covariance(x, x, theta)) + noise * np.eye(y.size)
+    across, own = np.add(*_covariance(at, x, theta)), np.add(*_covariance(at, at, theta))
     solved = cho_solve(cho_factor(K, lower=True), np.column_stack([y, across.T]))
     variance = np.diag(own) + noise - np.einsum("mn,nm->m", across, solved[:, 1:])
     return across @ solved[:, 0], np.sqrt(variance)

@@ -309,7 +309,7 @@ def test_a_long_road_is_estimated_in_windows_that_agree(monkeypatch):
     profile = road(2, 130.0)
     record = drive(profile, 10.0)
     whole = calibrated().estimate(record, CAR).z
-    monkeypatch.setattr("estimators.linear.calibrated_fir.WINDOW", 65.0)
+    monkeypatch.setattr("estimators.linear.calibrated_fir._WINDOW", 65.0)
     parts = calibrated().estimate(record, CAR).z
     band = scored_band(10.0)
     difference = band_pass(whole - parts, profile.ds, band)
@@ -339,6 +339,6 @@ def test_the_posterior_module_solves_for_the_most_probable_settings():
 
 def test_responses_that_tell_nothing_of_a_held_out_road_are_refused(monkeypatch):
     profile = road(1, 55.0)
-    monkeypatch.setattr(calibrated_fir, "MAX_HELD_OUT", 0.01)
+    monkeypatch.setattr(calibrated_fir, "_MAX_HELD_OUT", 0.01)
     with pytest.raises(CalibrationError, match=r"held out the error is 0\.\d+ of the road"):
         CalibratedFir(wheelbase=WHEELBASE).fit([drive(profile, 10.0)], [profile], CAR, 0)
