@@ -38,6 +38,7 @@ from estimators.api import (
     validate_weights,
 )
 from estimators.common.blas import single_blas_thread
+from estimators.common.coverage import coverage_factors
 from estimators.common.odometer import calibrate_odometer
 from estimators.linear import road_posterior
 from estimators.linear.calibration_checks import check_drives, check_responses
@@ -73,8 +74,6 @@ _NODE_SPACING = (0.1, 0.25)  # least and greatest spacing [m] of nodes
 _DRAWS = 40  # samples of the posterior for the standard deviation
 _SMOOTHING = 5.0  # distance [m] over which the power of the samples is averaged
 _VALIDATED = 3  # calibration drives at most on which standard deviations are calibrated
-# Probabilities of the intervals that are calibrated, and their Gaussian bounds
-_COVERAGE = ((0.5, 0.6745), (0.9, 1.6449))
 # Greatest error on held-out parts of the road, over the road, of responses that are used; 1 is no
 # information
 _MAX_HELD_OUT = 0.7
@@ -248,7 +247,7 @@ def _identify_state(
 def _validate(
     found: IdentifiedResponses, drives: Sequence[CalibrationDrive], axles: np.ndarray
 ) -> tuple[float, float]:
-    """Return the factor on standard deviations that gives _COVERAGE on segments that responses were
+    """Return the factor on standard deviations that gives COVERAGE on segments that responses were
     identified without, and the in-band RMS error over the RMS of the road there.
     """
     ratios, square, power = [], 0.0, 0.0
@@ -266,8 +265,7 @@ def _validate(
             ratios.append((np.abs(error) / z_std[:, cut][:, here]).ravel())
             square += float(np.sum(error**2))
             power += float(np.sum(inside[:, here] ** 2))
-    all_ratios = np.concatenate(ratios)
-    factors = [np.quantile(all_ratios, share) / bound for share, bound in _COVERAGE]
+    factors = coverage_factors(np.concatenate(ratios))
     return float(np.exp(np.mean(np.log(factors)))), float(np.sqrt(square / power))
 
 
@@ -294,10 +292,10 @@ def _reconstruct(
         nodes = road_posterior.Nodes(first, ds, int((end + margin - first) / ds) + 1)
         fine = fine_stations(record, t[part])
         roads = [nodes.accelerations(fine - axle) for axle in axles]
-        data = road_posterior.normal_equations(responses, a[:, part], roads)
-        prior = road_posterior.prior_bands(nodes)
-        settings = road_posterior.fit_settings(data, prior, settings)
-        posterior = road_posterior.solve(data, prior, settings)
+        data = road_posterior.NormalEquations.of(responses, a[:, part], roads)
+        prior = nodes.prior_bands()
+        settings = data.fit_settings(prior, settings)
+        posterior = data.solve(prior, settings)
         here = (stations >= begin) & (stations < end)
         heights = nodes.heights(stations)
         z[:, here] = (heights @ posterior.mean.reshape(-1, 2)).T[:, here]

@@ -44,6 +44,37 @@ class FirBank(NamedTuple):
     taps: np.ndarray
     ahead: int
 
+    @staticmethod
+    def shape(behind: int, ahead: int) -> tuple[int, ...]:
+        """Return the shape of the taps."""
+        return _N_STATE_COMBINATIONS, KNOTS.size, N_MOTIONS, behind + 1 + ahead
+
+    @classmethod
+    def fit(
+        cls,
+        all_signals: Sequence[SpatialSignals],
+        targets: Sequence[np.ndarray],
+        behind: int,
+        ahead: int,
+    ) -> "FirBank":
+        """Fit the taps to drives with targets m and q (2, M) [m]. A drive counts for its mean speed
+        and for the state combination that prevails in it.
+        """
+        drives: dict[int, list[int]] = {}
+        for i, signals in enumerate(all_signals):
+            drives.setdefault(_state_combination(signals), []).append(i)
+        taps = np.zeros(cls.shape(behind, ahead), dtype=np.float16)
+        for combination, indices in drives.items():
+            sums = [_KnotNormalEquations.zeros(k * taps.shape[-1]) for k in (2, 1)]
+            for i in indices:
+                _add_drive(sums, all_signals[i], targets[i], behind, ahead)
+            solution = np.concatenate([part.solve() for part in sums], axis=1)
+            taps[combination] = (solution / _MM).reshape(taps.shape[1:])
+        for combination in set(range(_N_STATE_COMBINATIONS)) - drives.keys():
+            nearest = min(drives, key=lambda other: ((combination ^ other).bit_count(), other))
+            taps[combination] = taps[nearest]
+        return cls(taps, ahead)
+
     @property
     def behind(self) -> int:
         """Stations used before the estimated one."""
@@ -62,33 +93,6 @@ class FirBank(NamedTuple):
             front, rear, roll = (np.correlate(x, h, "valid") for x, h in pairs)
             z += share * np.array([front + rear, roll])
         return _MM * z
-
-
-def taps_shape(behind: int, ahead: int) -> tuple[int, ...]:
-    """Return the shape of a bank's taps."""
-    return _N_STATE_COMBINATIONS, KNOTS.size, N_MOTIONS, behind + 1 + ahead
-
-
-def fit_bank(
-    all_signals: Sequence[SpatialSignals], targets: Sequence[np.ndarray], behind: int, ahead: int
-) -> FirBank:
-    """Fit the taps to drives with targets m and q (2, M) [m]. A drive counts for its mean speed and
-    for the state combination that prevails in it.
-    """
-    drives: dict[int, list[int]] = {}
-    for i, signals in enumerate(all_signals):
-        drives.setdefault(_state_combination(signals), []).append(i)
-    taps = np.zeros(taps_shape(behind, ahead), dtype=np.float16)
-    for combination, indices in drives.items():
-        sums = [_KnotNormalEquations.zeros(k * taps.shape[-1]) for k in (2, 1)]
-        for i in indices:
-            _add_drive(sums, all_signals[i], targets[i], behind, ahead)
-        solution = np.concatenate([part.solve() for part in sums], axis=1)
-        taps[combination] = (solution / _MM).reshape(taps.shape[1:])
-    for combination in set(range(_N_STATE_COMBINATIONS)) - drives.keys():
-        nearest = min(drives, key=lambda other: ((combination ^ other).bit_count(), other))
-        taps[combination] = taps[nearest]
-    return FirBank(taps, ahead)
 
 
 class _KnotNormalEquations(NamedTuple):

@@ -26,7 +26,7 @@ contains too little of the body's motion and of the rear axle's passage.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, ClassVar, NamedTuple, Self
 
@@ -38,12 +38,12 @@ from estimators.api import (
     Profiles,
     Records,
     copy_with,
-    require_fitted,
     validate_weights,
 )
 from estimators.common.blas import single_blas_thread
 from estimators.common.least_squares import LeastSquaresSums, cross_validate
 from estimators.common.odometer import calibrate_odometer
+from estimators.common.pretrained import SpatialEstimator
 from estimators.common.spatial_signals import (
     SpatialSignals,
     to_spatial,
@@ -56,26 +56,11 @@ from estimators.common.training_data import (
     STATION_MARGIN,
     STATIONS_BEHIND,
     TrainingExample,
-    training_example,
     validity_notes,
 )
-from estimators.common.vehicle_correction import (
-    CORRECTION_REACH,
-    NOTE,
-    Prediction,
-    VehicleCorrection,
-    fit_corrections,
-)
-from estimators.linear.fir_bank import (
-    FirBank,
-    fit_bank,
-    keep_short_waves,
-    motion_windows,
-    taps_shape,
-)
+from estimators.common.vehicle_correction import CORRECTION_REACH, Prediction, fit_corrections
+from estimators.linear.fir_bank import FirBank, keep_short_waves, motion_windows
 from estimators.preprocessing import clean_record, sample_profile, spatial_accelerations
-from estimators.pretrained_weights import load_pretrained
-from road_envs.core.config import Settings
 from road_envs.records.record import (
     F_C,
     PROFILE_SPACING,
@@ -86,8 +71,6 @@ from road_envs.records.record import (
     profile_stations,
 )
 from road_envs.vehicle.parameters import VehicleParameters
-
-_DEFAULT_REACH = 12.0  # default reach [m], approximately that of the shipped bank
 
 _FOLDS = 5
 RIDGES = 10.0 ** np.arange(-6, 1)  # candidates, relative to the mean square of the accelerations
@@ -105,7 +88,7 @@ class _Taps(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FirRidge(Settings):
+class FirRidge(SpatialEstimator):
     """Linear window over distance: the shipped bank; or, once fitted, one window of `reach` [m]
     to either side of the station. With `shipped=False` it must be fitted.
     """
@@ -115,14 +98,8 @@ class FirRidge(Settings):
     refit_per_case: ClassVar[bool] = True
     uses_seed: ClassVar[bool] = False
 
-    reach: Annotated[float, Field(gt=0, le=100), "m", "of the window"] = _DEFAULT_REACH
+    reach: Annotated[float, Field(gt=0, le=100), "m", "of the window"] = 12.0
     shipped: bool = True
-    fitted_state: _Taps | FirBank | None = field(
-        default=None, init=False, repr=False, compare=False
-    )
-    corrections: tuple[VehicleCorrection, ...] = field(
-        default=(), init=False, repr=False, compare=False
-    )
 
     @single_blas_thread()  # small products: as in the LM training
     def fit(self, records: Records, truths: Profiles, car: VehicleParameters, seed: int) -> Self:
@@ -141,12 +118,6 @@ class FirRidge(Settings):
         taps = coefficients.T.reshape(2, len(SENSORS), 2 * half + 1)
         return copy_with(self, fitted_state=_Taps(taps, stride, speed, ridge))
 
-    def training_example(
-        self, record: Record, truth: Profile, rigid: bool = True
-    ) -> TrainingExample:
-        """Return what is kept of a drive for training. Raises RecordError."""
-        return training_example(record, truth, self.causal, rigid)
-
     def pretrain(
         self,
         drives: Sequence[TrainingExample],
@@ -158,7 +129,7 @@ class FirRidge(Settings):
         """Fit a bank for all speeds and modes; deterministic, takes less than a minute."""
         progress("fitting the FIR bank", 0.0)
         all_signals, targets, _ = zip(*drives, strict=True)
-        bank = fit_bank(all_signals, targets, STATIONS_BEHIND, STATIONS_BEHIND)
+        bank = FirBank.fit(all_signals, targets, STATIONS_BEHIND, STATIONS_BEHIND)
         return copy_with(self, fitted_state=bank)
 
     def calibrate(self, drives: Sequence[CalibrationDrive], car: VehicleParameters) -> Self:
@@ -180,13 +151,10 @@ class FirRidge(Settings):
         model, stations = self._fitted_or_pretrained(), profile_stations(record.length)
         if isinstance(model, FirBank):
             signals = to_spatial(record, STATION_MARGIN)
-            z = model(signals)
-            for correction in self.corrections:
-                if correction.serves(signals):
-                    z = correction.correct(_prediction(model, signals))
-                    notes = (*notes, NOTE)
-            z = wheel_paths(upsample(z, stations.size))
-            return Estimate(stations, z, notes=(*notes, LONG_WAVE_NOTE, *validity_notes(signals)))
+            predict = partial(_prediction, model, signals)
+            z, corrected = self._corrected(model(signals), signals, predict)
+            notes = (*notes, *corrected, LONG_WAVE_NOTE, *validity_notes(signals))
+            return Estimate(stations, wheel_paths(upsample(z, stations.size)), notes=notes)
         taps, stride, speed, _ = model
         half = taps.shape[2] // 2
         a = spatial_accelerations(record, half * stride)
@@ -207,7 +175,7 @@ class FirRidge(Settings):
     def with_weights(self, weights: Mapping[str, np.ndarray]) -> Self:
         """Return a copy with these weights. Raises ValueError."""
         if "bank" in weights:
-            shape = taps_shape(STATIONS_BEHIND, STATIONS_BEHIND)
+            shape = FirBank.shape(STATIONS_BEHIND, STATIONS_BEHIND)
             (taps,) = validate_weights(weights, {"bank": shape})
             return copy_with(self, fitted_state=FirBank(taps.astype(np.float16), STATIONS_BEHIND))
         shapes = {"taps": (2, len(SENSORS), None), "stride": (), "speed": (), "ridge": ()}
@@ -215,14 +183,6 @@ class FirRidge(Settings):
         if stride < 1 or taps.shape[2] != 2 * self._half_taps(int(stride)) + 1:
             raise ValueError(f"{taps.shape[2]} taps do not fit a window of {self.reach} m")
         return copy_with(self, fitted_state=_Taps(taps, int(stride), float(speed), float(ridge)))
-
-    def _fitted_or_pretrained(self) -> _Taps | FirBank:
-        """Return the fitted taps, or the shipped bank. Raises NotFittedError."""
-        if self.fitted_state is not None:
-            return self.fitted_state
-        is_shipped = self.shipped and self.reach == _DEFAULT_REACH
-        weights = load_pretrained(self.name) if is_shipped else None
-        return self.with_weights(require_fitted(weights, self))._fitted_or_pretrained()
 
     def _half_taps(self, stride: int) -> int:
         """Return the number of taps on one side of the station."""

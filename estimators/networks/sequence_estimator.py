@@ -7,7 +7,8 @@ weights, or with `shipped=False`, must be fitted before use.
 
 import abc
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import partial
 from typing import Annotated, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -18,10 +19,11 @@ from estimators.api import (
     Profiles,
     Records,
     copy_with,
-    require_fitted,
     validate_weights,
 )
+from estimators.common.coverage import coverage_factors
 from estimators.common.odometer import calibrate_stations
+from estimators.common.pretrained import SpatialEstimator
 from estimators.common.spatial_signals import (
     EDGE_STATIONS,
     SPACING,
@@ -34,30 +36,17 @@ from estimators.common.training_data import (
     LONG_WAVE_NOTE,
     STATION_MARGIN,
     TrainingExample,
-    training_example,
     validity_notes,
 )
-from estimators.common.vehicle_correction import (
-    CORRECTION_REACH,
-    NOTE,
-    Prediction,
-    VehicleCorrection,
-    fit_corrections,
-)
-from estimators.linear.fir_bank import (
-    FirBank,
-    fit_bank,
-    keep_short_waves,
-    motion_windows,
-    taps_shape,
-)
-from estimators.networks import std_calibration, trainer
+from estimators.common.vehicle_correction import CORRECTION_REACH, Prediction, fit_corrections
+from estimators.linear.fir_bank import FirBank, keep_short_waves, motion_windows
+from estimators.networks import trainer
 from estimators.networks.inputs import MIRROR_SIGNS, NetworkInputs, network_inputs, window_span
+from estimators.networks.std_calibration import N_TERMS, StdScale, in_scored_band
 from estimators.networks.trainer import require_torch
 from estimators.preprocessing import clean_record
-from estimators.pretrained_weights import load_pretrained
-from road_envs.core.config import Count, Settings
-from road_envs.records.record import Estimate, Profile, Record, profile_stations
+from road_envs.core.config import Count
+from road_envs.records.record import Estimate, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
 _NETWORK_PREFIX = "network."  # prefix of the names of the network's weights
@@ -65,16 +54,17 @@ _NETWORK_PREFIX = "network."  # prefix of the names of the network's weights
 _MOTION_UNIT = 500.0
 # Relative deviation from the trained wheelbase above which a note is added
 _WHEELBASE_TOLERANCE = 0.02
+_EDGE_LENGTH = 5.0  # length [m] of each end of a drive on which deviations are not calibrated
 
 
 class _FittedSequence(NamedTuple):
-    """FIR bank, network weights (float16), coefficients `std_coefficients` (N_TERMS,) of the factor
-    on the network's standard deviations, and the vehicle's `wheelbase` [m].
+    """FIR bank, network weights (float16), the factor `std_scale` on the network's standard
+    deviations, and the vehicle's `wheelbase` [m].
     """
 
     bank: FirBank
     network: dict[str, np.ndarray]
-    std_coefficients: np.ndarray
+    std_scale: StdScale
     wheelbase: float
 
 
@@ -105,12 +95,10 @@ KernelSize = Annotated[int, Field(ge=3), AfterValidator(_check_odd), "stations",
 
 
 @dataclass(frozen=True, kw_only=True)
-class SequenceEstimator(Settings, abc.ABC):
+class SequenceEstimator(SpatialEstimator):
     """A sequence network behind an FIR bank."""
 
-    name: ClassVar[str]
     refit_per_case: ClassVar[bool] = False
-    causal: ClassVar[bool]
     lag: ClassVar[float | None] = None
     """Distance [m] from a station to the front axle when its height is known; None if offline."""
     libraries: ClassVar[tuple[str, ...]] = ("torch",)
@@ -119,22 +107,10 @@ class SequenceEstimator(Settings, abc.ABC):
     steps: Annotated[Count, "", "training steps"] = 2500
     channels: Annotated[Count, "", "channels of each layer"] = 48
     kernel: KernelSize = 5
-    fitted_state: _FittedSequence | None = field(
-        default=None, init=False, repr=False, compare=False
-    )
-    corrections: tuple[VehicleCorrection, ...] = field(
-        default=(), init=False, repr=False, compare=False
-    )
 
     @abc.abstractmethod
     def network(self) -> Any:
         """Return the torch network with its initial weights."""
-
-    def training_example(
-        self, record: Record, truth: Profile, rigid: bool = True
-    ) -> TrainingExample:
-        """Return what is kept of a drive for training. Raises RecordError."""
-        return training_example(record, truth, self.causal, rigid)
 
     def fit(self, records: Records, truths: Profiles, car: VehicleParameters, seed: int) -> Self:
         """Return a copy trained from scratch on these drives. Raises RecordError."""
@@ -158,7 +134,7 @@ class SequenceEstimator(Settings, abc.ABC):
         progress("fitting the FIR bank", 0.0)
         rigid = [(drive.signals, drive.target) for drive in drives if drive.rigid]
         all_signals, targets = zip(*rigid, strict=True)
-        bank = fit_bank(all_signals, targets, *window_span(self.causal))
+        bank = FirBank.fit(all_signals, targets, *window_span(self.causal))
         with torch.random.fork_rng():
             torch.manual_seed(seed)
             network = self.network()
@@ -177,9 +153,8 @@ class SequenceEstimator(Settings, abc.ABC):
             output = _evaluate(network, inputs)
             error = wheel_paths(target - output.residual) / np.hypot(*output.std)
             ratios.append(error[:, start:stop].ravel())
-        factor = std_calibration.calibration_factor(np.concatenate(ratios))
-        coefficients = std_calibration.constant_scale(factor)
-        state = _FittedSequence(bank, rounded, coefficients, car.wheelbase)
+        scale = StdScale.constant(float(np.mean(coverage_factors(np.concatenate(ratios)))))
+        state = _FittedSequence(bank, rounded, scale, car.wheelbase)
         return copy_with(self, fitted_state=state)
 
     def calibrate_deviations(self, drives: Sequence[TrainingExample]) -> Self:
@@ -190,13 +165,15 @@ class SequenceEstimator(Settings, abc.ABC):
             given = drive.signals, state.bank, state.wheelbase
             inputs = network_inputs(*given, network, self.causal)
             output, own = _evaluate(network, inputs), _station_conditions(inputs, network)
-            scored = std_calibration.interior(inputs.level.size)
+            size = inputs.level.size
+            cut = min(round(_EDGE_LENGTH / SPACING), size // 10)
+            scored = slice(cut, size - cut)
             error, speed = wheel_paths(drive.target - output.estimate), np.median(drive.signals.v)
-            error = std_calibration.in_scored_band(error, float(speed))
+            error = in_scored_band(error, float(speed))
             ratios.append((error / (inputs.level * np.hypot(*output.std)))[:, scored])
             conditions.append(own[:, scored] if own.shape[1] > 1 else own)
-        coefficients = std_calibration.fit_std_scale(ratios, conditions)
-        return copy_with(self, fitted_state=state._replace(std_coefficients=coefficients))
+        scale = StdScale.fit(ratios, conditions)
+        return copy_with(self, fitted_state=state._replace(std_scale=scale))
 
     def calibrate(self, drives: Sequence[CalibrationDrive], car: VehicleParameters) -> Self:
         """Return a copy with a correction for the vehicle of the drives over measured roads
@@ -231,22 +208,18 @@ class SequenceEstimator(Settings, abc.ABC):
         """
         record, notes = clean_record(record)
         record, odometer = calibrate_stations(record, self.causal)
-        (bank, _, coefficients, wheelbase), network = self._loaded()
+        (bank, _, scale, wheelbase), network = self._loaded()
         signals = to_spatial(record, STATION_MARGIN, self.causal)
         inputs = network_inputs(signals, bank, car.wheelbase, network, self.causal)
         output = _evaluate(network, inputs)
-        z = output.estimate
-        for correction in self.corrections:
-            if correction.serves(signals):
-                z = correction.correct(self._prediction(signals, output))
-                notes = (*notes, NOTE)
+        predict = partial(self._prediction, signals, output)
+        z, corrected = self._corrected(output.estimate, signals, predict)
         stations = profile_stations(record.length)
         z = wheel_paths(upsample(z, stations.size))
-        conditions = _station_conditions(inputs, network)
-        factors = std_calibration.std_scale(coefficients, conditions)
+        factors = scale(_station_conditions(inputs, network))
         std_m = factors * inputs.level * np.hypot(*output.std)
         z_std = np.interp(stations, SPACING * (np.arange(std_m.size) - EDGE_STATIONS), std_m)
-        notes = (*notes, *odometer, LONG_WAVE_NOTE, *validity_notes(signals))
+        notes = (*notes, *corrected, *odometer, LONG_WAVE_NOTE, *validity_notes(signals))
         if abs(car.wheelbase - wheelbase) > _WHEELBASE_TOLERANCE * wheelbase:
             notes += (f"trained with a wheelbase of {wheelbase:.2f} m, not {car.wheelbase:.2f} m",)
         return Estimate(stations, z, np.array([z_std, z_std]), notes)
@@ -255,10 +228,10 @@ class SequenceEstimator(Settings, abc.ABC):
         """Return `taps`, `widths` (the coefficients of the standard deviations), `wheelbase` and
         the network's weights. Raises NotFittedError.
         """
-        bank, network, coefficients, wheelbase = self._fitted_or_pretrained()
+        bank, network, scale, wheelbase = self._fitted_or_pretrained()
         return {
             "taps": bank.taps,
-            "widths": coefficients,
+            "widths": scale.coefficients,
             "wheelbase": np.array(wheelbase),
             **{_NETWORK_PREFIX + name: x for name, x in network.items()},
         }
@@ -267,8 +240,8 @@ class SequenceEstimator(Settings, abc.ABC):
         """Return a copy with these weights. Raises ValueError."""
         behind, ahead = window_span(self.causal)
         shapes: dict[str, tuple[int | None, ...]] = {
-            "taps": taps_shape(behind, ahead),
-            "widths": (std_calibration.N_TERMS,),
+            "taps": FirBank.shape(behind, ahead),
+            "widths": (N_TERMS,),
             "wheelbase": (),
         }
         torch = require_torch()
@@ -281,21 +254,15 @@ class SequenceEstimator(Settings, abc.ABC):
         names = (name.removeprefix(_NETWORK_PREFIX) for name in own)
         network = {name: x.astype(np.float16) for name, x in zip(names, rest, strict=True)}
         bank = FirBank(taps.astype(np.float16), ahead)
-        state = _FittedSequence(bank, network, coefficients, float(wheelbase))
+        state = _FittedSequence(bank, network, StdScale(coefficients), float(wheelbase))
         return copy_with(self, fitted_state=state)
 
     def _loaded(self) -> tuple[_FittedSequence, Any]:
         """Return the state, fitted or shipped, and its torch network. Raises NotFittedError."""
-        state, network = self._fitted_or_pretrained(), self.network()
+        state: _FittedSequence = self._fitted_or_pretrained()
+        network = self.network()
         trainer.set_weights(network, state.network)
         return state, network
-
-    def _fitted_or_pretrained(self) -> _FittedSequence:
-        """Return the fitted state, or the one shipped with the package. Raises NotFittedError."""
-        if self.fitted_state is not None:
-            return self.fitted_state
-        weights = load_pretrained(self.name) if self == type(self)() else None
-        return self.with_weights(require_fitted(weights, self))._fitted_or_pretrained()
 
 
 def _evaluate(network: Any, inputs: NetworkInputs) -> _Output:

@@ -18,6 +18,7 @@ drives, and on average over boards with many obstacles at speed, the coverage is
 
 from collections.abc import Sequence
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from scipy import signal
@@ -25,28 +26,55 @@ from scipy.fft import irfft, rfft, rfftfreq
 from scipy.optimize import minimize
 from scipy.special import expit
 
+from estimators.common.coverage import COVERAGE
 from estimators.common.spatial_signals import SPACING
 from road_envs.records.record import scored_band
 
-# Coverage probabilities, and the Gaussian bounds in standard deviations
-_COVERAGE_LEVELS = ((0.5, 0.6745), (0.9, 1.6449))
 N_TERMS = 46
 _RIDGE = 0.1  # penalty on w for a unit of each term, in equivalent drives
 _N_QUANTILES = 50  # quantiles that represent the errors of a drive
 _RATIO_MIN = 1e-9  # smallest ratio of errors
 _SMOOTHING = 0.1  # width, in the logarithm, over which the check function is smoothed
 _PAD_LENGTH = 20.0  # length [m] by which a drive is extended before filtering
-_EDGE_LENGTH = 5.0  # length [m] of each end of a drive that is ignored
 
 
-def constant_scale(factor: float) -> np.ndarray:
-    """Return the coefficients (N_TERMS,) of a constant factor."""
-    return np.log(factor) * np.eye(N_TERMS)[0]
+class StdScale(NamedTuple):
+    """Factor on the standard deviations, of `coefficients` w (N_TERMS,)."""
 
+    coefficients: np.ndarray
 
-def std_scale(coefficients: np.ndarray, conditions: np.ndarray) -> np.ndarray:
-    """Return factors (M,) on the standard deviations under `conditions` (8, M) of a network."""
-    return np.exp(coefficients @ _design_matrix(conditions))
+    @classmethod
+    def constant(cls, factor: float) -> "StdScale":
+        """Return the same `factor` under all conditions."""
+        return cls(np.log(factor) * np.eye(N_TERMS)[0])
+
+    @classmethod
+    def fit(cls, ratios: Sequence[np.ndarray], conditions: Sequence[np.ndarray]) -> "StdScale":
+        """Fit to `ratios`, errors over standard deviations (2, M) of each drive, and its
+        `conditions` (8, M or 1).
+        """
+        x = np.array([_design_matrix(each).mean(axis=1) for each in conditions])
+        levels = (np.arange(_N_QUANTILES) + 0.5) / _N_QUANTILES
+        quantiles = np.array([np.quantile(np.abs(each), levels) for each in ratios])
+        log_ratios = np.log(np.maximum(quantiles, _RATIO_MIN))
+        # (2, drives, quantiles)
+        over = np.array([log_ratios - np.log(n_std) for _, n_std in COVERAGE])
+        share = np.array([covered for covered, _ in COVERAGE])[:, None, None]
+        ridge = _RIDGE * np.append(0.0, np.ones(N_TERMS - 1)) / len(x)
+
+        def loss(w: np.ndarray) -> tuple[float, np.ndarray]:
+            """Return the mean of both check functions, smoothed, and its gradient."""
+            excess = over - (x @ w)[:, None]
+            value = share * excess + _SMOOTHING * np.logaddexp(0.0, -excess / _SMOOTHING)
+            slope = expit(-excess / _SMOOTHING) - share
+            total = value.mean() + 0.5 * ridge @ w**2
+            return float(total), x.T @ slope.mean(axis=(0, 2)) / len(x) + ridge * w
+
+        return cls(minimize(loss, np.zeros(N_TERMS), jac=True, method="BFGS").x)
+
+    def __call__(self, conditions: np.ndarray) -> np.ndarray:
+        """Return the factors (M,) under the `conditions` (8, M) of a network."""
+        return np.exp(self.coefficients @ _design_matrix(conditions))
 
 
 def _design_matrix(conditions: np.ndarray) -> np.ndarray:
@@ -55,35 +83,6 @@ def _design_matrix(conditions: np.ndarray) -> np.ndarray:
     pairs = [states[i] * states[j] for i, j in combinations(range(4), 2)]
     each = np.array([np.ones_like(u), *states, *pairs])
     return np.concatenate([each, u * each, level * each, u * level * each, [u**2, level**2]])
-
-
-def fit_std_scale(ratios: Sequence[np.ndarray], conditions: Sequence[np.ndarray]) -> np.ndarray:
-    """Fit the coefficients (N_TERMS,) to `ratios`, errors over standard deviations (2, M) of each
-    drive, and its `conditions` (8, M or 1).
-    """
-    x = np.array([_design_matrix(drive_conditions).mean(axis=1) for drive_conditions in conditions])
-    levels = (np.arange(_N_QUANTILES) + 0.5) / _N_QUANTILES
-    quantiles = np.array([np.quantile(np.abs(each), levels) for each in ratios])
-    log_ratios = np.log(np.maximum(quantiles, _RATIO_MIN))
-    # (2, drives, quantiles)
-    over = np.array([log_ratios - np.log(n_std) for _, n_std in _COVERAGE_LEVELS])
-    share = np.array([covered for covered, _ in _COVERAGE_LEVELS])[:, None, None]
-    ridge = _RIDGE * np.append(0.0, np.ones(N_TERMS - 1)) / len(x)
-
-    def loss(w: np.ndarray) -> tuple[float, np.ndarray]:
-        """Return the mean of both check functions, smoothed over _SMOOTHING, and its gradient."""
-        excess = over - (x @ w)[:, None]
-        value = share * excess + _SMOOTHING * np.logaddexp(0.0, -excess / _SMOOTHING)
-        slope = expit(-excess / _SMOOTHING) - share
-        total = value.mean() + 0.5 * ridge @ w**2
-        return float(total), x.T @ slope.mean(axis=(0, 2)) / len(x) + ridge * w
-
-    return minimize(loss, constant_scale(1.0), jac=True, method="BFGS").x
-
-
-def calibration_factor(ratios: np.ndarray) -> float:
-    """Return the factor for both coverages; `ratios` are errors over standard deviations."""
-    return float(np.mean([np.quantile(np.abs(ratios), p) / n_std for p, n_std in _COVERAGE_LEVELS]))
 
 
 def in_scored_band(x: np.ndarray, v: float) -> np.ndarray:
@@ -95,9 +94,3 @@ def in_scored_band(x: np.ndarray, v: float) -> np.ndarray:
     n = rfftfreq(size, SPACING)
     lines = rfft(padded * signal.windows.tukey(size, 2.0 * pad / size), axis=1)
     return irfft(lines * ((n >= low) & (n <= high)), size, axis=1)[:, pad : pad + x.shape[1]]
-
-
-def interior(size: int) -> slice:
-    """Return the range of a drive's stations without its ends."""
-    cut = min(round(_EDGE_LENGTH / SPACING), size // 10)
-    return slice(cut, size - cut)

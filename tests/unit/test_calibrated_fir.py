@@ -12,7 +12,7 @@ import pytest
 from scipy import signal, sparse
 
 from estimators.api import CalibrationDrive, CalibrationError, NotFittedError, check_estimate
-from estimators.linear import calibrated_fir, impulse_responses, road_posterior
+from estimators.linear import calibrated_fir, impulse_responses
 from estimators.linear.calibrated_fir import CalibratedFir
 from estimators.linear.impulse_responses import (
     N_TAPS,
@@ -21,7 +21,7 @@ from estimators.linear.impulse_responses import (
     _kernel_factor,
     road_drive,
 )
-from estimators.linear.road_posterior import Nodes, normal_equations, prior_bands, solve
+from estimators.linear.road_posterior import Nodes, NormalEquations
 from estimators.preprocessing import RecordError
 from road_envs.records.accelerometers import Accelerometer
 from road_envs.records.record import PROFILE_SPACING, Profile, Record, profile_stations, scored_band
@@ -179,7 +179,7 @@ def test_the_banded_posterior_is_the_dense_one():
     fine = impulse_responses.fine_stations(record, t)
     roads = [nodes.accelerations(fine - axle) for axle in (0.0, WHEELBASE)]
     settings = np.array([-9.0, 0.4])
-    found = solve(normal_equations(responses, a, roads), prior_bands(nodes), settings)
+    found = NormalEquations.of(responses, a, roads).solve(nodes.prior_bands(), settings)
 
     G = np.zeros((len(a), t.size, nodes.size, 2))
     for sensor, by_axle in enumerate(responses.taps):
@@ -327,11 +327,11 @@ def test_the_posterior_module_solves_for_the_most_probable_settings():
         fine = impulse_responses.fine_stations(record, t)
         nodes = Nodes(-8.0, 0.2, 380)
         roads = [nodes.accelerations(fine - axle) for axle in (0.0, WHEELBASE)]
-        data = normal_equations(responses, impulse_responses.sensed(record, t), roads)
-        found.append(road_posterior.fit_settings(data, prior_bands(nodes)))
-        best = road_posterior.solve(data, prior_bands(nodes), found[-1]).log_likelihood
+        data = NormalEquations.of(responses, impulse_responses.sensed(record, t), roads)
+        found.append(data.fit_settings(nodes.prior_bands()))
+        best = data.solve(nodes.prior_bands(), found[-1]).log_likelihood
         for change in ([0.3, 0.0], [-0.3, 0.0], [0.0, 0.1], [0.0, -0.1], [0.3, 0.3], [-0.3, -0.3]):
-            other = road_posterior.solve(data, prior_bands(nodes), found[-1] + change)
+            other = data.solve(nodes.prior_bands(), found[-1] + change)
             assert other.log_likelihood < best
     assert found[1][1] > found[0][1] + 1.0
     assert abs(found[1][0] - found[0][0]) < 0.7

@@ -7,7 +7,7 @@ import pytest
 
 from estimators import create, pretrained_weights
 from estimators.common.training_data import training_example
-from estimators.linear.fir_bank import fit_bank
+from estimators.linear.fir_bank import FirBank
 from estimators.networks.inputs import window_span
 from road_envs.drives.training_corpus import Corpus
 
@@ -58,7 +58,7 @@ def rare_taps(causal: bool, flexible: bool) -> np.ndarray:
     ]
     assert all((drive.signals.states == [1.0, 0.0, 0.0, 0.0]).all() for drive in drives)
     all_signals, targets, _ = zip(*drives, strict=True)
-    return fit_bank(all_signals, targets, *window_span(causal)).taps[STIFF_LOW_AND_RIDE]
+    return FirBank.fit(all_signals, targets, *window_span(causal)).taps[STIFF_LOW_AND_RIDE]
 
 
 @pytest.mark.parametrize(("name", "array"), WINDOWS.items())

@@ -18,7 +18,7 @@ from estimators.common.spatial_signals import (
     wheel_paths,
 )
 from estimators.linear import fir_bank
-from estimators.linear.fir_bank import KNOTS, FirBank, fit_bank
+from estimators.linear.fir_bank import KNOTS, FirBank
 from road_envs.records.record import PROFILE_SPACING, Profile, profile_stations
 
 
@@ -122,7 +122,7 @@ def test_the_fir_bank_recovers_taps_that_vary_with_speed_and_strut_states():
         m, q = windows[:2].transpose(1, 0, 2).reshape(300, 10) @ taps[:2].ravel(), windows[2]
         drives.append(signals)
         targets.append(np.array([m, q @ taps[2]]))
-    bank = fit_bank(drives, targets, 2, 2)
+    bank = FirBank.fit(drives, targets, 2, 2)
     for combination, sign in ((0, 1.0), (15, -1.0)):
         for knot in range(1, KNOTS.size - 1):
             expected = sign * taps_of_speed(KNOTS[knot])
@@ -134,7 +134,7 @@ def test_the_fir_bank_recovers_taps_that_vary_with_speed_and_strut_states():
 def test_a_state_combination_without_a_drive_gets_the_nearest_ones_taps():
     rng = np.random.default_rng(2)
     signals = [white_signals(rng, 5.0, c) for c in (0, 15)]
-    bank = fit_bank(signals, [c.motions[:2, 20:-20] for c in signals], 2, 2)
+    bank = FirBank.fit(signals, [c.motions[:2, 20:-20] for c in signals], 2, 2)
     np.testing.assert_array_equal(bank.taps[1], bank.taps[0])
     np.testing.assert_array_equal(bank.taps[14], bank.taps[15])
     assert np.any(bank.taps[0] != bank.taps[15])

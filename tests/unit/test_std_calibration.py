@@ -8,16 +8,14 @@ from scipy import signal
 from test_pretraining import errors_and_coverage
 
 from estimators import create
+from estimators.common.coverage import coverage_factors
 from estimators.common.spatial_signals import SPACING
-from estimators.linear.fir_bank import FirBank, taps_shape
+from estimators.linear.fir_bank import FirBank
 from estimators.networks.std_calibration import (
     N_TERMS,
+    StdScale,
     _design_matrix,
-    calibration_factor,
-    constant_scale,
-    fit_std_scale,
     in_scored_band,
-    std_scale,
 )
 from leaderboard import pretraining
 from leaderboard.metrics.heights import band_pass, scored_band
@@ -33,13 +31,11 @@ def conditions(rng: np.random.Generator, size: int = 1) -> np.ndarray:
     return np.concatenate([rest[0] * np.ones(size), states, rest[1] * np.ones(size)])
 
 
-def drives(true: np.ndarray, draw, number: int = 400):
+def drives(true: StdScale, draw, number: int = 400):
     """Error ratios drawn by `draw` at unit scale, times the factor of `true`, with conditions."""
     rng = np.random.default_rng(1)
     drive_conditions = [conditions(rng) for _ in range(number)]
-    return [
-        draw(rng, (2, 500)) * std_scale(true, each) for each in drive_conditions
-    ], drive_conditions
+    return [draw(rng, (2, 500)) * true(each) for each in drive_conditions], drive_conditions
 
 
 def normal(rng, shape):
@@ -47,23 +43,23 @@ def normal(rng, shape):
 
 
 def test_factors_depending_on_speed_states_and_level_are_recovered():
-    true = 0.15 * np.random.default_rng(0).standard_normal(N_TERMS)
+    true = StdScale(0.15 * np.random.default_rng(0).standard_normal(N_TERMS))
     ratios, drive_conditions = drives(true, normal)
-    found = fit_std_scale(ratios, drive_conditions)
+    found = StdScale.fit(ratios, drive_conditions)
     new = [conditions(np.random.default_rng(k)) for k in range(1000, 1200)]
-    off = [std_scale(found, each)[0] / std_scale(true, each)[0] for each in new]
+    off = [found(each)[0] / true(each)[0] for each in new]
     np.testing.assert_allclose(off, 1.0, atol=0.06)
 
 
 def test_heavy_tailed_errors_get_a_compromise_between_both_coverages():
     """Student's t with three degrees of freedom: 50 % and 90 % need 1.13 and 1.43."""
     ratios, drive_conditions = drives(
-        constant_scale(2.0), lambda rng, shape: rng.standard_t(3, shape)
+        StdScale.constant(2.0), lambda rng, shape: rng.standard_t(3, shape)
     )
-    found = fit_std_scale(ratios, drive_conditions)
+    found = StdScale.fit(ratios, drive_conditions)
     inside = np.mean(
         [
-            [np.mean(np.abs(r) < far * std_scale(found, c)) for far in (0.6745, 1.6449)]
+            [np.mean(np.abs(r) < far * found(c)) for far in (0.6745, 1.6449)]
             for r, c in zip(ratios, drive_conditions, strict=True)
         ],
         axis=0,
@@ -74,13 +70,13 @@ def test_heavy_tailed_errors_get_a_compromise_between_both_coverages():
 
 def test_a_constant_factor_is_the_same_under_all_conditions():
     drive_conditions = conditions(np.random.default_rng(3), 5)
-    np.testing.assert_allclose(std_scale(constant_scale(0.7), drive_conditions), 0.7)
+    np.testing.assert_allclose(StdScale.constant(0.7)(drive_conditions), 0.7)
     assert _design_matrix(drive_conditions).shape == (N_TERMS, 5)
 
 
-def test_the_calibration_factor_of_gaussian_errors_is_their_scale():
+def test_the_coverage_factors_of_gaussian_errors_are_their_scale():
     errors = np.random.default_rng(0).standard_normal(200_000)
-    assert calibration_factor(3.0 * errors) == pytest.approx(3.0, rel=0.01)
+    assert coverage_factors(3.0 * errors) == pytest.approx(3.0, rel=0.01)
 
 
 @pytest.mark.parametrize("v", [4.0, 15.0])
@@ -98,11 +94,11 @@ def test_the_command_trains_and_then_calibrates_on_the_nominal_vehicle(tmp_path,
     """By the command, and again step by step; the bank is fitted to the rigid bodies."""
     numbers_of_drives = []
 
-    def fake_bank(all_signals, targets, behind, ahead):
+    def fake_bank(_, all_signals, targets, behind, ahead):
         numbers_of_drives.append(len(all_signals))
-        return FirBank(np.full(taps_shape(behind, ahead), 1e-3, np.float16), ahead)
+        return FirBank(np.full(FirBank.shape(behind, ahead), 1e-3, np.float16), ahead)
 
-    monkeypatch.setattr("estimators.networks.sequence_estimator.fit_bank", fake_bank)
+    monkeypatch.setattr(FirBank, "fit", classmethod(fake_bank))
     corpus = Corpus(number=4, shortest=20, longest=30)
     estimator, path = create("tcn", channels=4, steps=4), tmp_path / "t.safetensors"
     written = pretraining.train(estimator, "tcn", corpus, 1, path, "road-recon train tcn")
