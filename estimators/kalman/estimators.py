@@ -149,7 +149,7 @@ class _KalmanSettings(CalibratedByIdentification):
                 "the one described (docs/howto/identify)",
             )
         s, front = profile_stations(record.length), run.known_front(sensor_latency)
-        z, emitted = output.z.T.copy(), pipeline.emitted_share(run, output)
+        z, emitted = output.z.T.copy(), run.emitted_share(output)
         z_std = self.std_factor * _output_std(run, output, record, prior)
         if smooth or lag >= LAG:  # both axles have passed
             z_std *= np.sqrt(
@@ -169,7 +169,7 @@ class _KalmanSettings(CalibratedByIdentification):
                 f"over {length:.0f} m the innovations are far beyond their covariance; the heights "
                 "are reduced there",
             )
-        lost = pipeline.lost_before_restarts(run, output, TUNING.lost_reach)
+        lost = run.lost_before_restarts(output)
         share = np.where(lost, 0.0, share)
         long = monitoring.long_waves(z) if smooth else np.zeros_like(z)
         reduced, std = reduce_unexplained(z - long, z_std, share)

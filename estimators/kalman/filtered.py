@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from estimators.kalman.jumps import AcceptedStep, RoadJumps
+from estimators.kalman.monitoring import recent_nis
+from estimators.kalman.profile_output import ProfileOutput, lost_noise_scale
 from estimators.kalman.road_process import RoadProcess
 from estimators.kalman.state import FilterInputs, FilterModel
 from estimators.kalman.tuning import TUNING
@@ -83,6 +85,28 @@ class FilterRun:
         t = sensor_latency + h * self.model.steps_per_block * np.arange(1, self.n_blocks + 1)
         known = np.interp(t, 0.5 * h * np.arange(node.size), node)
         return self.origin + TUNING.node_spacing * known
+
+    def emitted_share(self, output: ProfileOutput) -> np.ndarray:
+        """Return the share (M,), 0 to 1, by which each height is to be trusted when emitted."""
+        state, last = self.state, np.clip(output.emit_block - 1, 0, None)
+        if output.both_axles:
+            ratio = lost_noise_scale(state.signal_power) / state.noise_scale
+        else:
+            nis = recent_nis(state.nis, self.known_front(0.0), TUNING.early_length)
+            ratio = np.minimum(1.0, TUNING.early_noise_scale / state.noise_scale)
+            ratio *= np.minimum(1.0, TUNING.early_nis / np.maximum(nis, 1e-300))
+        return np.minimum(1.0, ratio[last]) ** 2
+
+    def lost_before_restarts(self, output: ProfileOutput) -> np.ndarray:
+        """Return the stations (M,) that the front axle passed within `lost_reach` before a restart
+        and that were emitted after it.
+        """
+        lost, front = np.zeros(output.node.size, dtype=bool), self.known_front(0.0)
+        s = self.origin + TUNING.node_spacing * output.node
+        for block in self.state.restarts:
+            passed = (s > front[block] - TUNING.lost_reach) & (s <= front[block])
+            lost |= passed & (output.emit_block >= block)
+        return lost
 
 
 @dataclass(eq=False)

@@ -22,7 +22,7 @@ from scipy.linalg.blas import dgemm
 from estimators.kalman.filter import filter_blocks
 from estimators.kalman.filtered import FilteredWindow, FilterRun
 from estimators.kalman.profile_output import ProfileOutput, fill_weights, lost_noise_scale
-from estimators.kalman.road_process import add_node, update_roughness
+from estimators.kalman.road_process import add_node
 from estimators.kalman.state import (
     N_SUMS,
     NOISE_SCALE,
@@ -61,7 +61,7 @@ class WindowFilter:
         adaptive, n, x, P = state.adaptive, road.n_states, state.x, state.P
         if adaptive[NOISE_SCALE] <= lost_noise_scale(adaptive[SIGNAL_POWER]):
             passed = range(self._passed[0][i], self._passed[1][i])
-            update_roughness(road, x, P, adaptive, state.jumps.square, passed)
+            road.update_roughness(x, P, adaptive, state.jumps.square, passed)
         oldest, end = schedule.oldest[i], schedule.oldest[i + 1]
         adaptive[NOISE_SCALE] = max(adaptive[NOISE_SCALE], self._least_noise)
         restarted = bool(end > oldest) and self._is_lost(i)
@@ -212,13 +212,13 @@ class WindowFilter:
         entries = np.append(sums, road.node_entries(held)).reshape(-1, 2)
         at = np.clip(output.node[first:last] - oldest, 0.0, held.size - 1.0)
         weights = np.empty((last - first, len(entries)))
-        decay = road.decay if output.detrended else 0.0
-        fill_weights(at, decay, output.cutoff[0, first:last], output.half_window, weights)
+        decay = TUNING.decay if output.detrended else 0.0
+        fill_weights(at, decay, output.cutoff[0, first:last], weights)
         mean, difference = (weights @ state.x[entries]).T
         output.z[first:last] = np.stack([mean + difference, mean - difference], axis=1)
         chosen = np.arange(-first % TUNING.variance_stride, last - first, TUNING.variance_stride)
         cutoff = output.cutoff[1, first + chosen]
-        fill_weights(at[chosen], road.decay, cutoff, output.half_window, weights)
+        fill_weights(at[chosen], TUNING.decay, cutoff, weights)
         emitted = []
         for k, u in zip(first + chosen, weights, strict=False):
             of_height = np.zeros((2, n))

@@ -16,12 +16,14 @@ from functools import lru_cache
 import numpy as np
 
 from estimators.kalman.state import FilterModel, LocalState
+from estimators.kalman.tuning import TUNING
 from road_envs.kernels._numba import kernel
 from road_envs.vehicle.force_curves import gaussian_smoothed, interpolate_tables
 from road_envs.vehicle.suspension import DAMPING_HIGH, V_0, V_STEP
 
 # Standard deviations of a rate [m/s] for which tables are computed in advance
 RATE_STDS = np.array([0.0, 0.01, 0.02, 0.03, 0.05, 0.08, 0.12, 0.2, 0.3])
+_CHOSEN_STDS = RATE_STDS / TUNING.std_inflation
 
 
 def smoothed_tables(velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -69,8 +71,8 @@ def choose_linearization(model: FilterModel, local: LocalState, force_variance):
                 cross = strut_rows[w, i] * strut_rows[w, k]
                 variance += cross * local.rows[n_dof + i, n_dof + k]
         std, index = np.sqrt(max(variance, 0.0)), 0
-        while index < model.rate_stds.size - 1 and (
-            std > 0.5 * (model.rate_stds[index] + model.rate_stds[index + 1])
+        while index < _CHOSEN_STDS.size - 1 and (
+            std > 0.5 * (_CHOSEN_STDS[index] + _CHOSEN_STDS[index + 1])
         ):
             index += 1
         p.velocity_table[w] = model.first_table[w] + n_tables * index

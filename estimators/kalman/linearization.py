@@ -11,6 +11,7 @@ import numpy as np
 
 from estimators.common.spline import height_weights, slope_weights
 from estimators.kalman.state import FilterInputs, FilterModel, LinearizedBlock, LocalState
+from estimators.kalman.tuning import TUNING
 from road_envs.kernels._numba import kernel
 from road_envs.kernels.simd import LANES, broadcast
 from road_envs.kernels.simd_arrays import add, get, put, stack_array, stack_rows
@@ -28,6 +29,8 @@ from road_envs.simulation.sensitivity import TAPE_ROW_SIZE, step_with_derivative
 from road_envs.vehicle.equations import N_DOF, THETA, Z_B, Motion
 from road_envs.vehicle.side_motion import side_size
 from road_envs.vehicle.suspension import VehicleBuffers
+
+_NODE_SPACING = TUNING.node_spacing
 
 
 class _AxleWeights(NamedTuple):
@@ -111,7 +114,7 @@ def _simulate_block(
                     road[8 * half + 2 * axle + side] = z
                     road[8 * half + 4 + 2 * axle + side] = rate
         update_valves(p, local.strut_state, motion.q, inputs.commands[first + k], alpha, model.h)
-        v = inputs.node_rate[2 * (first + k) + 1] * model.node_spacing
+        v = inputs.node_rate[2 * (first + k) + 1] * _NODE_SPACING
         step_inputs = StepInputs(road, no_manoeuvre, model.h, v)
         flags = model.flexible, model.side
         step_with_derivative(vehicle, motion, step_inputs, work, out, rows[k], *flags)
@@ -198,7 +201,7 @@ def _tangent_columns(
         samples += sampled
         for group in range(groups):
             motion = Motion(y[group, :n_dof], y[group, n_dof : 2 * n_dof])
-            v = inputs.node_rate[2 * (first + i) + 1] * model.node_spacing
+            v = inputs.node_rate[2 * (first + i) + 1] * _NODE_SPACING
             changes = StepInputs(road[group], None, h, v)
             tangent_step(p, rows[i], motion, changes, work, a, model.flexible, model.side)
             if sampled:

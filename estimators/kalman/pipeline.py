@@ -10,20 +10,14 @@ from estimators.common.block_means import BlockMeans
 from estimators.common.model_inputs import MOVING_STD, REST_STD, ModelInputs, rest_state
 from estimators.kalman.filtered import FilteredWindow, FilterRun, FilterState, UnknownState
 from estimators.kalman.forward import WindowFilter
-from estimators.kalman.friction_linearization import RATE_STDS, smoothed_tables
+from estimators.kalman.friction_linearization import smoothed_tables
 from estimators.kalman.jumps import RoadJumps
-from estimators.kalman.monitoring import recent_nis
-from estimators.kalman.profile_output import (
-    ProfileOutput,
-    decay_per_node,
-    fill_weights,
-    lost_noise_scale,
-)
-from estimators.kalman.road_process import RoadProcess, fit_ar_model, prior_covariance
+from estimators.kalman.profile_output import ProfileOutput, fill_weights
+from estimators.kalman.road_process import ARModel, RoadProcess
 from estimators.kalman.smoother import smooth_backward
 from estimators.kalman.state import N_BIAS, FilterInputs, FilterModel
 from estimators.kalman.tuning import TUNING
-from estimators.kalman.windows import round_to_windows, schedule_windows
+from estimators.kalman.windows import WindowSchedule
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.records.record import F_C, Record, profile_stations, scored_band
 from road_envs.sensing.instruments import Instruments
@@ -64,10 +58,10 @@ def setup_run(
     ends = np.array([0.0, record.length]) if level_ends else np.array([-np.inf, np.inf])
     means = measurements.y, measurements.sample_count, measurements.censored_blocks
     inputs = FilterInputs((s - origin) / ds, model_inputs.v / ds, model_inputs.commands, *means)
-    model = _build_model(car, instruments, model_inputs, steps_per_block, noise_variance, ds)
-    ar_model = fit_ar_model(prior, ds)
+    model = _build_model(car, instruments, model_inputs, steps_per_block, noise_variance)
+    ar_model = ARModel.fit(prior)
     increment_span = round(TUNING.increment_length / ds)
-    windows = schedule_windows(
+    windows = WindowSchedule.divide(
         inputs.front_node,
         steps_per_block,
         model.wheelbase_nodes,
@@ -81,7 +75,6 @@ def setup_run(
         weights=ar_model.weights,
         prediction_variance=ar_model.prediction_variance,
         free_range=(ends - origin) / ds,
-        decay=decay_per_node(ds),
         increment_span=increment_span,
         increment_variance=ar_model.increment_variance(increment_span),
         roughness_memory=TUNING.roughness_length / ds,
@@ -97,7 +90,7 @@ def setup_run(
         np.append(np.repeat(std[[0, -1]], entries), biases) for std in (MOVING_STD, REST_STD)
     )
     vehicle = np.pad(motion, (0, road.n_vehicle - motion.size))
-    unknown = UnknownState(vehicle, moving, prior_covariance(ar_model, road.n_nodes))
+    unknown = UnknownState(vehicle, moving, ar_model.node_covariance(road.n_nodes))
     level_start = replace(unknown, std=at_rest, nodes=np.zeros_like(unknown.nodes))
     weight = TUNING.roughness_length / ds  # that of a stationary average
     P = (level_start if level else unknown).covariance(road, windows.initial, 1.0)
@@ -121,9 +114,8 @@ def _build_model(
     model_inputs: ModelInputs,
     steps_per_block: int,
     noise_variance: float,
-    node_spacing: float,
 ) -> FilterModel:
-    """Return a run's constants; `noise_variance` [(m/s²)²] of a sample, `node_spacing` [m]."""
+    """Return a run's constants; `noise_variance` [(m/s²)²] of a sample."""
     one, locations = build_plant(car), instruments.locations(car)
     line, bending = linearise(one, "ride", locations), sensed_bending(car, locations)
     # a constant force over so short a time as a block moves the vehicle like free masses
@@ -145,7 +137,6 @@ def _build_model(
         velocity=tables,
         displacement=one.displacement,
         first_table=one.constants["velocity_table"][0].copy(),
-        rate_stds=RATE_STDS / TUNING.std_inflation,
         force_variance=force_variance * TUNING.force_correlation_time / time,
         strut_rows=line.strut_rows,
         sensor_rows=line.sensor_rows,
@@ -159,8 +150,7 @@ def _build_model(
         bending_section=section.ravel(),
         flexible=True if one.flexible else None,
         side=True if one.sideways else None,
-        node_spacing=float(node_spacing),
-        wheelbase_nodes=car.wheelbase / node_spacing,
+        wheelbase_nodes=car.wheelbase / TUNING.node_spacing,
         noise_variance=noise_variance,
         noise_time=TUNING.noise_time / time,
     )
@@ -186,9 +176,8 @@ def setup_output(
     block = np.searchsorted(run.known_front(sensor_latency), s + lag)
     return ProfileOutput(
         node=node,
-        emit_block=round_to_windows(run.windows, block) if both_axles else block,
+        emit_block=run.windows.last_edge(block) if both_axles else block,
         cutoff=cutoff,
-        half_window=TUNING.half_window / TUNING.node_spacing,
         detrended=detrended,
         both_axles=both_axles,
         z=np.zeros((s.size, 2)),
@@ -219,36 +208,12 @@ def run_smoother(run: FilterRun, output: ProfileOutput, chunk: int = TUNING.chun
     held = np.arange(oldest[-1], newest + 1)
     c[held - oldest[0]] = run.state.x[run.road.node_entries(held)].reshape(-1, 2)
     # of a station, the nodes in the low-pass
-    reach = int(output.half_window) + 3
+    reach = int(TUNING.half_window / TUNING.node_spacing) + 3
     size = min(2 * reach, len(c))
     base = np.clip(output.node.astype(int) - oldest[0] - reach, 0, len(c) - size)
     at = np.clip(output.node - oldest[0] - base, 0.0, size - 1.0)
     weights = np.empty((at.size, 2 + size))
-    fill_weights(at, 0.0, output.cutoff[0], output.half_window, weights)
+    fill_weights(at, 0.0, output.cutoff[0], weights)
     near = c[base[:, None] + np.arange(size)]
     mean, difference = np.einsum("mk,mkc->cm", weights[:, 2:], near)
     output.z[:] = np.stack([mean + difference, mean - difference], axis=1)
-
-
-def emitted_share(run: FilterRun, output: ProfileOutput) -> np.ndarray:
-    """Return the share (M,), 0 to 1, by which each height is to be trusted when it is emitted."""
-    state, last = run.state, np.clip(output.emit_block - 1, 0, None)
-    if output.both_axles:
-        ratio = lost_noise_scale(state.signal_power) / state.noise_scale
-    else:
-        nis = recent_nis(state.nis, run.known_front(0.0), TUNING.early_length)
-        ratio = np.minimum(1.0, TUNING.early_noise_scale / state.noise_scale)
-        ratio *= np.minimum(1.0, TUNING.early_nis / np.maximum(nis, 1e-300))
-    return np.minimum(1.0, ratio[last]) ** 2
-
-
-def lost_before_restarts(run: FilterRun, output: ProfileOutput, reach: float) -> np.ndarray:
-    """Return the stations (M,) that the front axle passed in the `reach` [m] before a restart and
-    that were emitted after it.
-    """
-    lost, front = np.zeros(output.node.size, dtype=bool), run.known_front(0.0)
-    s = run.origin + TUNING.node_spacing * output.node
-    for block in run.state.restarts:
-        passed = (s > front[block] - reach) & (s <= front[block])
-        lost |= passed & (output.emit_block >= block)
-    return lost

@@ -21,14 +21,16 @@ import numpy as np
 from estimators.kalman.tuning import TUNING
 from road_envs.kernels._numba import kernel
 
+_HALF_WINDOW = TUNING.half_window / TUNING.node_spacing  # [nodes]
+
 
 @dataclass(frozen=True, eq=False)
 class ProfileOutput:
     """Emission schedule and emitted heights of M stations, in order.
 
     Schedule: node numbers `node` (M,); the number of blocks `emit_block` (M,) after which each is
-    emitted; `cutoff` (2, M) [cycles/node] of the kernel `low`, for height and for variance; its
-    half length `half_window` [nodes]; `detrended`: whether long waves are subtracted from the
+    emitted; `cutoff` (2, M) [cycles/node] of the kernel `low`, for height and for variance;
+    `detrended`: whether long waves are subtracted from the
     height (from the variance they always are); `both_axles`: whether the rear axle has passed a
     station then. Results: heights `z` [m] and their in-band `variance` [m²] (M, 2), left and right.
     """
@@ -36,40 +38,34 @@ class ProfileOutput:
     node: np.ndarray
     emit_block: np.ndarray
     cutoff: np.ndarray
-    half_window: float
     detrended: bool
     both_axles: bool
     z: np.ndarray
     variance: np.ndarray
 
 
-def decay_per_node(ds: float) -> float:
-    """Return the decay of the retired-node sums per node, for nodes `ds` [m] apart."""
-    return float(np.sqrt(2.0) * np.pi * TUNING.n_detrend * ds)
-
-
 @kernel
-def _windowed_sinc(d, cutoff, half_window):
+def _windowed_sinc(d, cutoff):
     """Return the low-pass `d` nodes from its centre; `cutoff` in cycles/node."""
-    if abs(d) >= half_window:
+    if abs(d) >= _HALF_WINDOW:
         return 0.0
-    return 2.0 * cutoff * np.sinc(2.0 * cutoff * d) * np.cos(0.5 * np.pi * d / half_window) ** 2
+    return 2.0 * cutoff * np.sinc(2.0 * cutoff * d) * np.cos(0.5 * np.pi * d / _HALF_WINDOW) ** 2
 
 
 @kernel(inline=False)
-def _output_weights(u, at, decay, cutoff, half_window):
+def _output_weights(u, at, decay, cutoff):
     """Write the weights `u` (2 + L,) of retired-node sums and of L nodes, the oldest first, in the
     output at the position `at` from the oldest node. The road beyond the nodes counts as level
     with the nearest one. With a `decay` of 0 no long waves are subtracted.
     """
     u[:] = 0.0
     last, sum_low = u.size - 3, 0.0
-    low, high = int(np.floor(at - half_window)) - 1, int(np.ceil(at + half_window)) + 1
+    low, high = int(np.floor(at - _HALF_WINDOW)) - 1, int(np.ceil(at + _HALF_WINDOW)) + 1
     # the curve at a node is (1, 4, 1) / 6 of the coefficients
-    left = _windowed_sinc(low - 1.0 - at, cutoff, half_window)
-    middle = _windowed_sinc(low - at, cutoff, half_window)
+    left = _windowed_sinc(low - 1.0 - at, cutoff)
+    middle = _windowed_sinc(low - at, cutoff)
     for k in range(low, high + 1):
-        right = _windowed_sinc(k + 1.0 - at, cutoff, half_window)
+        right = _windowed_sinc(k + 1.0 - at, cutoff)
         weight = (4.0 * middle + (left + right)) / 6.0
         u[2 + min(max(k, 0), last)] += weight
         sum_low += weight
@@ -97,10 +93,10 @@ def _output_weights(u, at, decay, cutoff, half_window):
 
 
 @kernel(inline=False)
-def fill_weights(at, decay, cutoff, half_window, u):
+def fill_weights(at, decay, cutoff, u):
     """Write the `_output_weights` of M positions `at` (M,) to `u` (M, 2 + L)."""
     for m in range(at.size):
-        _output_weights(u[m], at[m], decay, cutoff[m], half_window)
+        _output_weights(u[m], at[m], decay, cutoff[m])
 
 
 def lost_noise_scale(signal_power: np.ndarray | float) -> np.ndarray | float:

@@ -19,8 +19,10 @@ from estimators.kalman.tuning import TUNING
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.kernels._numba import kernel
 
+_DECAY = TUNING.decay
 
-class _ARModel(NamedTuple):
+
+class ARModel(NamedTuple):
     """Autoregressive models of mean and half difference: `weights` (2, order) of the last nodes,
     newest first; `prediction_variance` (2,) [m²]; `covariance` (2, M) [m²] at lags of 0 to M - 1
     nodes.
@@ -30,25 +32,33 @@ class _ARModel(NamedTuple):
     prediction_variance: np.ndarray
     covariance: np.ndarray
 
+    @classmethod
+    def fit(cls, prior: RoadPrior) -> "ARModel":
+        """Fit autoregressive models to `prior`."""
+        ds = TUNING.node_spacing
+        size = 2 ** int(np.ceil(np.log2(TUNING.circulant_length / ds)))
+        increment_psd = increment_amplitude(prior, size, ds) ** 2
+        n = np.maximum(rfftfreq(size, ds), N_MIN)
+        covariance = irfft(increment_psd / (2.0 * np.sin(np.pi * n * ds)) ** 2, size, axis=1)
+        order = round(TUNING.ar_length / ds)
+        phi, mean_variance = _yule_walker(irfft(increment_psd[0], size), order - 1)
+        half, half_variance = _yule_walker(covariance[1], order)
+        # the last increments, times phi, and the last value give the next value of the mean
+        mean = np.append(phi, 0.0) - np.append(0.0, phi)
+        mean[0] += 1.0
+        variance = np.array([mean_variance, half_variance])
+        return cls(np.array([mean, half]), variance, covariance[:, : size // 2])
+
     def increment_variance(self, span: int) -> np.ndarray:
         """Return the variances (2,) [m²] of the increment over `span` nodes."""
         return 2.0 * (self.covariance[:, 0] - self.covariance[:, span])
 
-
-def fit_ar_model(prior: RoadPrior, ds: float) -> _ARModel:
-    """Fit autoregressive models to `prior`, for nodes `ds` [m] apart."""
-    size = 2 ** int(np.ceil(np.log2(TUNING.circulant_length / ds)))
-    increment_psd = increment_amplitude(prior, size, ds) ** 2
-    n = np.maximum(rfftfreq(size, ds), N_MIN)
-    covariance = irfft(increment_psd / (2.0 * np.sin(np.pi * n * ds)) ** 2, size, axis=1)
-    order = round(TUNING.ar_length / ds)
-    phi, mean_variance = _yule_walker(irfft(increment_psd[0], size), order - 1)
-    half, half_variance = _yule_walker(covariance[1], order)
-    # the last increments, times phi, and the last value give the next value of the mean
-    mean = np.append(phi, 0.0) - np.append(0.0, phi)
-    mean[0] += 1.0
-    variance = np.array([mean_variance, half_variance])
-    return _ARModel(np.array([mean, half]), variance, covariance[:, : size // 2])
+    def node_covariance(self, size: int) -> np.ndarray:
+        """Return the prior covariance (2 `size`, 2 `size`) [m²] of so many nodes."""
+        P = np.zeros((2 * size, 2 * size))
+        for component in range(2):
+            P[component::2, component::2] = toeplitz(self.covariance[component, :size])
+        return P
 
 
 def _yule_walker(covariance: np.ndarray, order: int) -> tuple[np.ndarray, float]:
@@ -57,22 +67,14 @@ def _yule_walker(covariance: np.ndarray, order: int) -> tuple[np.ndarray, float]
     return weights, float(covariance[0] - weights @ covariance[1 : order + 1])
 
 
-def prior_covariance(ar_model: _ARModel, size: int) -> np.ndarray:
-    """Return the prior covariance (2 `size`, 2 `size`) [m²] of so many nodes."""
-    P = np.zeros((2 * size, 2 * size))
-    for component in range(2):
-        P[component::2, component::2] = toeplitz(ar_model.covariance[component, :size])
-    return P
-
-
 class RoadProcess(NamedTuple):
     """The road's model in a state vector of `n_vehicle` states and `n_nodes` nodes.
 
     Weights (2, order) of the last nodes in the next one, mean and half difference, and its
     `prediction_variance` (2,) [m²] for a roughness scale of 1; outside the node numbers
-    `free_range` (2,) the road goes on level. `decay` per node of the retired-node sums. The span
-    [nodes] of the increments from which roughness is estimated, their variance (2,) [m²], and the
-    number of nodes over which it is averaged, `roughness_memory`.
+    `free_range` (2,) the road goes on level. The span [nodes] of the increments from which
+    roughness is estimated, their variance (2,) [m²], and the number of nodes over which it is
+    averaged, `roughness_memory`.
     """
 
     n_vehicle: int
@@ -80,7 +82,6 @@ class RoadProcess(NamedTuple):
     weights: np.ndarray
     prediction_variance: np.ndarray
     free_range: np.ndarray
-    decay: float
     increment_span: int
     increment_variance: np.ndarray
     roughness_memory: float
@@ -104,6 +105,34 @@ class RoadProcess(NamedTuple):
         """Return the entries (2 M,) of mean and half difference of the `nodes` (M,)."""
         return ((self.first_node + 2 * (nodes % self.n_nodes))[:, None] + np.arange(2)).ravel()
 
+    def update_roughness(
+        self,
+        x: np.ndarray,
+        P: np.ndarray,
+        adaptive: np.ndarray,
+        square: np.ndarray,
+        passed: range,
+    ) -> None:
+        """Update the roughness scale by the increments up to each node of `passed`; one with an
+        accepted step in `square` (N, 2) is none of the prior.
+
+        One step of expectation maximization: the expected square is the squared mean plus the
+        variance.
+        """
+        span = self.increment_span
+        kept = 1.0 - 0.5 / self.roughness_memory  # half a node: there are two components
+        for node in passed:
+            if square[node - span - 1 : node + 2].any():
+                continue
+            for a, b in self.node_entries(np.array([node, node - span])).reshape(2, 2).T:
+                increment = (x[a] - x[b]) ** 2 + P[a, a] + P[b, b] - 2.0 * P[a, b]
+                ratio = 0.5 * increment / self.increment_variance[(a - self.first_node) % 2]
+                adaptive[ROUGHNESS_SUM] = kept * adaptive[ROUGHNESS_SUM] + ratio
+                adaptive[ROUGHNESS_WEIGHT] = kept * adaptive[ROUGHNESS_WEIGHT] + 0.5
+        scale = adaptive[ROUGHNESS_SUM] / adaptive[ROUGHNESS_WEIGHT]
+        scale = max(scale, TUNING.min_roughness_scale)
+        adaptive[ROUGHNESS_SCALE] = min(scale, TUNING.max_roughness_scale)
+
 
 @kernel
 def _node_entry(road: RoadProcess, k):
@@ -126,7 +155,7 @@ def _node_law(road: RoadProcess, newest):
     order, first = road.weights.shape[1], road.n_vehicle + N_BIAS
     entries, sources = np.empty(6, dtype=np.int64), np.zeros((6, order), dtype=np.int64)
     factors, at = np.zeros((6, order)), _node_entry(road, newest + 1)
-    a, b = np.exp(-road.decay) * np.cos(road.decay), np.exp(-road.decay) * np.sin(road.decay)
+    a, b = np.exp(-_DECAY) * np.cos(_DECAY), np.exp(-_DECAY) * np.sin(_DECAY)
     free = _is_free(road, newest)
     for c in range(2):
         real, imaginary = first + c, first + 2 + c
@@ -189,31 +218,3 @@ def transpose_nodes(road: RoadProcess, first, last, r):
             for k in range(factors.shape[1]):
                 if factors[e, k] != 0.0:
                     r[sources[e, k]] += factors[e, k] * after[e]
-
-
-def update_roughness(
-    road: RoadProcess,
-    x: np.ndarray,
-    P: np.ndarray,
-    adaptive: np.ndarray,
-    square: np.ndarray,
-    passed: range,
-) -> None:
-    """Update the roughness scale by the increments up to each node of `passed`; one with an
-    accepted step in `square` (N, 2) is none of the prior.
-
-    One step of expectation maximization: the expected square is the squared mean plus the variance.
-    """
-    span = road.increment_span
-    kept = 1.0 - 0.5 / road.roughness_memory  # half a node: there are two components
-    for node in passed:
-        if square[node - span - 1 : node + 2].any():
-            continue
-        for a, b in road.node_entries(np.array([node, node - span])).reshape(2, 2).T:
-            increment = (x[a] - x[b]) ** 2 + P[a, a] + P[b, b] - 2.0 * P[a, b]
-            ratio = 0.5 * increment / road.increment_variance[(a - road.first_node) % 2]
-            adaptive[ROUGHNESS_SUM] = kept * adaptive[ROUGHNESS_SUM] + ratio
-            adaptive[ROUGHNESS_WEIGHT] = kept * adaptive[ROUGHNESS_WEIGHT] + 0.5
-    scale = adaptive[ROUGHNESS_SUM] / adaptive[ROUGHNESS_WEIGHT]
-    scale = max(scale, TUNING.min_roughness_scale)
-    adaptive[ROUGHNESS_SCALE] = min(scale, TUNING.max_roughness_scale)

@@ -29,7 +29,7 @@ class FilterModel(NamedTuple):
     """Constants of a run.
 
     Vehicle, of D coordinates and N states: `constants`, `velocity` and `displacement` of the plant;
-    `velocity` holds the tables once for each rate standard deviation in `rate_stds` (W,) [m/s], and
+    `velocity` holds the tables once for each of W standard deviations of a strut's rate, and
     `first_table` (4,) is each strut's number among the tables of one. `force_variance` (W, K, V)
     [N²]: variance of the strut force about its linearization. `strut_rows` (4, D), `sensor_rows`
     (3, D): strut extension and sensor acceleration per unit of each coordinate. `force_effect`
@@ -39,7 +39,7 @@ class FilterModel(NamedTuple):
     (3,), and the coefficients `bending_section` (6,) of its filter, (0,) if the body is stiff.
     `flexible`: True of a frame that twists, else None; `side` of side motion.
 
-    Road: `wheelbase_nodes`, the wheelbase in nodes; `node_spacing` [m].
+    Road: `wheelbase_nodes`, the wheelbase in nodes.
 
     Measurements: step `h` [s], `steps_per_block`, one sample in `decimation` steps,
     `noise_variance` [(m/s²)²] of a sample, whose factor adapts over `noise_time` blocks.
@@ -49,7 +49,6 @@ class FilterModel(NamedTuple):
     velocity: np.ndarray
     displacement: np.ndarray
     first_table: np.ndarray
-    rate_stds: np.ndarray
     force_variance: np.ndarray
     strut_rows: np.ndarray
     sensor_rows: np.ndarray
@@ -64,7 +63,6 @@ class FilterModel(NamedTuple):
     flexible: bool | None
     side: bool | None
     wheelbase_nodes: float
-    node_spacing: float
     noise_variance: float
     noise_time: float
 

@@ -7,9 +7,11 @@ of classes A to E, Belgian paving, bumps and potholes at 14.5 to 110 km/h.
 from dataclasses import dataclass
 from typing import Annotated
 
+import numpy as np
+
 
 @dataclass(frozen=True, kw_only=True)
-class Tuning:
+class _Tuning:
     """Constants of `kalman`, `kalman_lag` and `kalman_rts`."""
 
     # road, windows and output
@@ -77,5 +79,10 @@ class Tuning:
     power_window: Annotated[float, "m", "to either side, of the mean square of heights"] = 1.0
     detrend_length: Annotated[float, "m", "of the Gaussian taken off; half at 0.12/m"] = 1.6
 
+    @property
+    def decay(self) -> float:
+        """Decay per node of the retired-node sums (`state.py`)."""
+        return float(np.sqrt(2.0) * np.pi * self.n_detrend * self.node_spacing)
 
-TUNING = Tuning()
+
+TUNING = _Tuning()

@@ -28,6 +28,53 @@ class WindowSchedule:
     rear: np.ndarray
     reached: np.ndarray
 
+    @classmethod
+    def divide(
+        cls,
+        front_node: np.ndarray,
+        steps_per_block: int,
+        wheelbase_nodes: float,
+        max_advance: float,
+        increment_span: int,
+        held_nodes: int,
+    ) -> "WindowSchedule":
+        """Divide a drive into windows in which the vehicle moves `max_advance` nodes at most, or
+        one block. `front_node` (2 steps,): node number of the front axle at each half step. At
+        least `held_nodes` nodes are held behind it, and `increment_span` behind the rear axle.
+        """
+        blocks = front_node.size // (2 * steps_per_block)
+        node = front_node[: 2 * steps_per_block * blocks].reshape(blocks, -1)
+        start, end = node[:, 0], node[:, -1]
+        edges = [0]
+        while (now := edges[-1]) < blocks:
+            far = end[now : now + TUNING.max_blocks] > start[now] + max_advance
+            edges.append(now + max(int(np.argmax(np.append(far, True))), 1))
+        first = np.array(edges[:-1])
+        low = np.floor(np.minimum.reduceat(node.min(axis=1), first)).astype(int)
+        high = np.maximum.reduceat(node.max(axis=1), first)
+        newest = np.maximum.accumulate(np.floor(high).astype(int) + 2)
+        rear_low = np.floor(np.minimum.reduceat(node.min(axis=1), first) - wheelbase_nodes).astype(
+            int
+        )
+        rear_newest = np.floor(high - wheelbase_nodes).astype(int) + 2
+        rear = np.floor(start[first] - wheelbase_nodes).astype(int) - 1
+        initial = int(front_node[0]) + 2
+        before = np.append(rear[0], rear[:-1]) - increment_span
+        held = np.append(initial, newest[:-1])  # while roughness is updated
+        behind = np.minimum(rear_low - 1, low - held_nodes)
+        n_nodes = 1 + max(np.max(held - before), np.max(newest - behind))
+        return cls(
+            edges=np.append(first, blocks),
+            newest=newest,
+            initial=initial,
+            n_nodes=int(n_nodes),
+            n_front=newest - low + 2,
+            n_rear=rear_newest - rear_low + 2,
+            rear_newest=rear_newest,
+            rear=rear,
+            reached=np.maximum.accumulate(np.append(initial, np.floor(end).astype(int) + 2)),
+        )
+
     @cached_property
     def oldest(self) -> np.ndarray:
         """Oldest node held in each window, and before the first one (W + 1,): `oldest[i]` before
@@ -35,53 +82,7 @@ class WindowSchedule:
         """
         return np.append(self.initial, self.newest) - self.n_nodes + 1
 
-
-def schedule_windows(
-    front_node: np.ndarray,
-    steps_per_block: int,
-    wheelbase_nodes: float,
-    max_advance: float,
-    increment_span: int,
-    held_nodes: int,
-) -> WindowSchedule:
-    """Divide a drive into windows in which the vehicle moves `max_advance` nodes at most, or one
-    block. `front_node` (2 steps,): node number of the front axle at each half step. At least
-    `held_nodes` nodes are held behind it, and `increment_span` behind the rear axle.
-    """
-    blocks = front_node.size // (2 * steps_per_block)
-    node = front_node[: 2 * steps_per_block * blocks].reshape(blocks, -1)
-    start, end = node[:, 0], node[:, -1]
-    edges = [0]
-    while (now := edges[-1]) < blocks:
-        far = end[now : now + TUNING.max_blocks] > start[now] + max_advance
-        edges.append(now + max(int(np.argmax(np.append(far, True))), 1))
-    first = np.array(edges[:-1])
-    low = np.floor(np.minimum.reduceat(node.min(axis=1), first)).astype(int)
-    high = np.maximum.reduceat(node.max(axis=1), first)
-    newest = np.maximum.accumulate(np.floor(high).astype(int) + 2)
-    rear_low = np.floor(np.minimum.reduceat(node.min(axis=1), first) - wheelbase_nodes).astype(int)
-    rear_newest = np.floor(high - wheelbase_nodes).astype(int) + 2
-    rear = np.floor(start[first] - wheelbase_nodes).astype(int) - 1
-    initial = int(front_node[0]) + 2
-    before = np.append(rear[0], rear[:-1]) - increment_span
-    held = np.append(initial, newest[:-1])  # while roughness is updated
-    behind = np.minimum(rear_low - 1, low - held_nodes)
-    n_nodes = 1 + max(np.max(held - before), np.max(newest - behind))
-    return WindowSchedule(
-        edges=np.append(first, blocks),
-        newest=newest,
-        initial=initial,
-        n_nodes=int(n_nodes),
-        n_front=newest - low + 2,
-        n_rear=rear_newest - rear_low + 2,
-        rear_newest=rear_newest,
-        rear=rear,
-        reached=np.maximum.accumulate(np.append(initial, np.floor(end).astype(int) + 2)),
-    )
-
-
-def round_to_windows(schedule: WindowSchedule, block: np.ndarray) -> np.ndarray:
-    """Return the last edge of a window before each `block` (M,); the end of the drive is kept."""
-    edges = schedule.edges
-    rounded = edges[np.searchsorted(edges, block, side="right") - 1]
-    return np.where(block >= edges[-1], edges[-1], rounded)
+    def last_edge(self, block: np.ndarray) -> np.ndarray:
+        """Return the last edge of a window before each `block` (M,); the drive's end is kept."""
+        rounded = self.edges[np.searchsorted(self.edges, block, side="right") - 1]
+        return np.where(block >= self.edges[-1], self.edges[-1], rounded)

@@ -7,7 +7,7 @@ _Rounds = tuple[tuple[int, int], ...]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tuning:
+class _Tuning:
     """Constants of `wiener` and `iterated_wiener`."""
 
     # segments
@@ -79,4 +79,4 @@ class Tuning:
     level_steps: Annotated[int, "", "for each"] = 8
 
 
-TUNING = Tuning()
+TUNING = _Tuning()

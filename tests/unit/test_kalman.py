@@ -14,7 +14,7 @@ from estimators import create
 from estimators.api import LAG
 from estimators.common.block_means import block_means
 from estimators.common.model_inputs import build_model_inputs
-from estimators.kalman import monitoring, pipeline
+from estimators.kalman import monitoring
 from estimators.kalman.friction_linearization import RATE_STDS, _residual_variance, smoothed_tables
 from estimators.kalman.monitoring import local_nis, recent_nis, reduce_uncertain
 from estimators.kalman.pipeline import (
@@ -23,11 +23,11 @@ from estimators.kalman.pipeline import (
     setup_output,
     setup_run,
 )
-from estimators.kalman.profile_output import _output_weights, decay_per_node
-from estimators.kalman.road_process import fit_ar_model
+from estimators.kalman.profile_output import _output_weights
+from estimators.kalman.road_process import ARModel
 from estimators.kalman.state import ROUGHNESS_SCALE
 from estimators.kalman.tuning import TUNING
-from estimators.kalman.windows import schedule_windows
+from estimators.kalman.windows import WindowSchedule
 from estimators.preprocessing import RecordError
 from leaderboard.conformance.probes import probe_estimator
 from leaderboard.metrics.heights import band_pass, nrmse, uncertainty
@@ -49,7 +49,7 @@ PRIOR = RoadPrior()
 
 
 def test_simulated_ar_roads_have_the_density_and_coherence_of_the_prior():
-    road, rng, size = fit_ar_model(PRIOR, TUNING.node_spacing), np.random.default_rng(1), 12000
+    road, rng, size = ARModel.fit(PRIOR), np.random.default_rng(1), 12000
     order = road.weights.shape[1]
     z = np.zeros((2, 2, size))
     noise = np.sqrt(road.prediction_variance)[:, None] * rng.standard_normal((2, 2, size))
@@ -71,11 +71,11 @@ def test_simulated_ar_roads_have_the_density_and_coherence_of_the_prior():
 
 def test_the_output_kernel_passes_its_band_and_no_long_waves():
     number, u = np.arange(4000), np.empty(2 + 4000)
-    at, half = 1998.3, TUNING.half_window / TUNING.node_spacing
+    at = 1998.3
     for n, cutoff, gain in (
         (0.02, 0.25, 0.0016), (0.1, 0.25, 0.5), (1.0, 0.25, 1.0), (4.0, 0.1, 0.0),
     ):  # fmt: skip
-        _output_weights(u, at, decay_per_node(TUNING.node_spacing), cutoff, half)
+        _output_weights(u, at, TUNING.decay, cutoff)
         height = u[2:] @ np.cos(2.0 * np.pi * n * TUNING.node_spacing * (number - at))
         # the curve is lower than its coefficients
         attenuation = (2.0 + np.cos(2.0 * np.pi * n * TUNING.node_spacing)) / 3.0
@@ -312,11 +312,13 @@ def test_nodes_that_have_left_are_smoothed_as_if_all_were_held(monkeypatch):
     case = "ride", 30.0, 72, 60.0, "random_bumps"
     (record, _), few = drive(*case), estimate_of("kalman_rts", *case)
 
-    def hold_all(*arguments):
-        windows = schedule_windows(*arguments)
+    divide = WindowSchedule.divide
+
+    def hold_all(_, *arguments):
+        windows = divide(*arguments)
         return replace(windows, n_nodes=windows.n_nodes + round(LAG / TUNING.node_spacing))
 
-    monkeypatch.setattr(pipeline, "schedule_windows", hold_all)
+    monkeypatch.setattr(WindowSchedule, "divide", classmethod(hold_all))
     steps = []
     monkeypatch.setattr(
         "estimators.kalman.monitoring.obstacle_std",

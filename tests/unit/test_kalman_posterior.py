@@ -24,8 +24,7 @@ from estimators.kalman.pipeline import (
     setup_output,
     setup_run,
 )
-from estimators.kalman.profile_output import decay_per_node
-from estimators.kalman.road_process import fit_ar_model
+from estimators.kalman.road_process import ARModel
 from estimators.kalman.state import ROUGHNESS_SUM, ROUGHNESS_WEIGHT, LinearizedBlock, LocalState
 from estimators.kalman.tuning import TUNING
 from road_envs.analysis.information_bound import RoadPrior
@@ -95,7 +94,7 @@ def dense(flexible: bool = False):
     of each (3, J, unknowns), the first node number of the front axle, and the number of nodes.
     """
     run, _, inputs = run_of(np.zeros((3, round(1000 * TIME))), flexible)
-    road, newest_node = fit_ar_model(SMOOTH, TUNING.node_spacing), run.windows.initial
+    road, newest_node = ARModel.fit(SMOOTH), run.windows.initial
     last = int(run.inputs.front_node[-1]) + 3
     number = np.arange(last + 1)
     free = (
@@ -198,8 +197,8 @@ def dense_weights(at: float, detrended: bool) -> np.ndarray:
     np.add.at(weights, np.clip(far, 0, half - 1), kernel)
     weights /= weights.sum()
     if detrended:
-        u = decay_per_node(TUNING.node_spacing) * np.abs(number - at)
-        weights -= 0.5 * decay_per_node(TUNING.node_spacing) * np.exp(-u) * (np.cos(u) + np.sin(u))
+        u = TUNING.decay * np.abs(number - at)
+        weights -= 0.5 * TUNING.decay * np.exp(-u) * (np.cos(u) + np.sin(u))
     return weights
 
 
@@ -227,7 +226,7 @@ def detrended_weights(run, output, m) -> np.ndarray:
     front = int(np.floor(run.inputs.front_node[2 * blocks * run.model.steps_per_block - 1])) + 2
     weights = dense_weights(output.node[m], True)
     low = dense_weights(output.node[m], False)[front + 1 :].sum()
-    u = decay_per_node(TUNING.node_spacing) * (front + 0.5 - output.node[m])
+    u = TUNING.decay * (front + 0.5 - output.node[m])
     weights[front + 1 :] = 0.0
     weights[front] += low - 0.5 * np.exp(-u) * np.cos(u)
     return weights
