@@ -11,15 +11,8 @@ if TYPE_CHECKING:
     from estimators.estimation import estimate
     from estimators.lookup import make_estimator
     from estimators.passes import estimate_passes
-    from estimators.registry import (
-        REGISTRY,
-        PluginWarning,
-        available,
-        create,
-        find,
-        names,
-        without_weights,
-    )
+    from estimators.registry import REGISTRY, available, create, find, names, without_weights
+    from road_envs.core.registry import PluginWarning
 
 _MODULES = {
     "ENTRY_POINT_GROUP": "api",

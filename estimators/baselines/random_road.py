@@ -45,13 +45,13 @@ class UnrelatedRoad(Settings):
     def fit(self, records: Records, truths: Profiles, car: VehicleParameters, seed: int) -> Self:
         """Fit level and waviness of the truths; `seed` draws the phases. Raises ValueError."""
         phases = int(np.random.default_rng(seed).integers(2**31))  # exact as a float
-        return copy_with(self, fitted_state=_FittedRoad(*fit_spectrum(truths), phases))
+        return copy_with(self, fitted_state=_FittedRoad(*_fit_spectrum(truths), phases))
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Return the random road. Raises RecordError, NotFittedError."""
         road, notes = require_fitted(self.fitted_state, self), mask_record(record).notes
         stations = profile_stations(record.length)
-        return Estimate(stations, draw_road(road, stations.size), notes=notes)
+        return Estimate(stations, _draw_road(road, stations.size), notes=notes)
 
     def weights(self) -> dict[str, np.ndarray]:
         """Return the scalars `G_d0`, `w` and `seed`. Raises NotFittedError."""
@@ -64,7 +64,7 @@ class UnrelatedRoad(Settings):
         return copy_with(self, fitted_state=_FittedRoad(float(G_d0), float(w), int(seed)))
 
 
-def fit_spectrum(truths: Sequence[Profile]) -> tuple[float, float]:
+def _fit_spectrum(truths: Sequence[Profile]) -> tuple[float, float]:
     """Return G_d(n0) [m³] and waviness of all wheel paths together. Raises ValueError on level
     roads. The waviness is the slope of log G. The level is the mean of G over the line, not of log
     G, which is low by up to 2.5 dB where a band contains a single spectral line.
@@ -77,7 +77,7 @@ def fit_spectrum(truths: Sequence[Profile]) -> tuple[float, float]:
     return float(np.mean(G[inside] * (n[inside] / N_0) ** w)), w
 
 
-def draw_road(road: _FittedRoad, size: int) -> np.ndarray:
+def _draw_road(road: _FittedRoad, size: int) -> np.ndarray:
     """Return heights (2, size) [m] at the profile stations, from 0; the period is 2 `size`."""
     n = rfftfreq(2 * size, PROFILE_SPACING)
     inside = n >= FIT_BAND[0]

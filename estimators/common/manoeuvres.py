@@ -48,7 +48,7 @@ def mark_manoeuvres(estimate: Estimate, record: Record, wheelbase: float) -> Est
     """
     unsure, notes = np.zeros(estimate.s.size, dtype=bool), list[str]()
     for during, what in (
-        (turns(record), "turned"),
+        (_turns(record), "turned"),
         (_speed_changes(record), "braked or accelerated hard, or stood"),
     ):
         marked = np.zeros(estimate.s.size, dtype=bool)
@@ -61,7 +61,7 @@ def mark_manoeuvres(estimate: Estimate, record: Record, wheelbase: float) -> Est
     return mark_unsure(estimate, unsure, *notes) if unsure.any() else estimate
 
 
-def turns(record: Record) -> np.ndarray:
+def _turns(record: Record) -> np.ndarray:
     """Return at which samples (N,) the vehicle turned; False if its sensors tell no roll."""
     roll = _roll_acceleration(record)
     turned = np.zeros(record.t.size, dtype=bool)

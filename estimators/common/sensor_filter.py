@@ -122,14 +122,14 @@ class SampledFilter:
 
     @cached_property
     def _among_steps(self) -> csr_array:
-        return lagrange_weights(self.at, self.n_steps, _POINTS)
+        return _lagrange_weights(self.at, self.n_steps, _POINTS)
 
     @cached_property
     def _among_means(self) -> csr_array:
-        return lagrange_weights(self.at / self.filter.group, self.n_groups, _POINTS)
+        return _lagrange_weights(self.at / self.filter.group, self.n_groups, _POINTS)
 
 
-def lagrange_weights(at: np.ndarray, size: int, points: int) -> csr_array:
+def _lagrange_weights(at: np.ndarray, size: int, points: int) -> csr_array:
     """Return the weights (T, `size`) of even samples in the value at `at` (T,), in units of their
     spacing, of the polynomial through the nearest `points`.
     """

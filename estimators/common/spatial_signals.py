@@ -82,7 +82,7 @@ class SpatialSignals(NamedTuple):
         return slice(self.margin, self.v.size - self.margin)
 
 
-def n_stations(length: float) -> int:
+def _n_stations(length: float) -> int:
     """Return the number of estimated stations on a road of `length` [m]."""
     return -(-profile_stations(length).size // DECIMATION) + 2 * EDGE_STATIONS
 
@@ -92,7 +92,7 @@ def to_spatial(record: Record, margin: int, causal: bool = False) -> SpatialSign
 
     With `causal` no station uses a sample from more than FILTER_REACH after it.
     """
-    K = n_stations(record.length) + 2 * margin
+    K = _n_stations(record.length) + 2 * margin
     first = -(EDGE_STATIONS + margin) * DECIMATION
     edge = EDGE_STATIONS * DECIMATION
     fine = PROFILE_SPACING * np.arange(first - edge, first + (K - 1) * DECIMATION + edge + 1)
@@ -171,7 +171,7 @@ def target_profile(truth: Profile, length: float) -> np.ndarray:
     """
     left, right = sample_profile(truth, profile_stations(length))
     z = without_long_waves(np.array([0.5 * (left + right), 0.5 * (left - right)]))
-    after = (n_stations(length) - 1) * DECIMATION + 1 - z.shape[1]
+    after = (_n_stations(length) - 1) * DECIMATION + 1 - z.shape[1]
     ends = (2 * EDGE_STATIONS * DECIMATION, after)
     return _decimate(np.pad(z, ((0, 0), ends), mode="reflect", reflect_type="odd"))
 

@@ -40,21 +40,9 @@ from estimators.api import (
 from estimators.common.blas import single_blas_thread
 from estimators.common.coverage import coverage_factors
 from estimators.common.odometer import calibrate_odometer
-from estimators.linear import road_posterior
+from estimators.linear import impulse_responses, road_posterior
 from estimators.linear.calibration_checks import check_drives, check_responses
-from estimators.linear.impulse_responses import (
-    AR_ORDER,
-    MEMORY,
-    N_TAPS,
-    IdentifiedResponses,
-    Responses,
-    fine_stations,
-    identify_responses,
-    road_drive,
-    sample_times,
-    segment_of,
-    sensed,
-)
+from estimators.linear.impulse_responses import IdentifiedResponses, Responses, RoadDrive
 from estimators.preprocessing import RecordError, clean_record, sample_profile
 from road_envs.core.config import Settings
 from road_envs.records.record import (
@@ -186,8 +174,8 @@ class CalibratedFir(Settings):
     def with_weights(self, weights: Mapping[str, np.ndarray]) -> Self:
         """Return a copy with these weights. Raises ValueError."""
         shapes = {
-            "taps": (None, None, None, 2, N_TAPS),
-            "ar": (None, AR_ORDER),
+            "taps": (None, None, None, 2, impulse_responses.N_TAPS),
+            "ar": (None, impulse_responses.AR_ORDER),
             "innovation": (None, None, None),
             "axles": (None,),
             "about": (None, 7),
@@ -228,9 +216,9 @@ def _identify_state(
     drives: Sequence[CalibrationDrive], axles: np.ndarray, prior: np.ndarray | None
 ) -> _VehicleResponse:
     """Identify the responses from drives in one strut state. Raises CalibrationError."""
-    data = [road_drive(drive.record, cast(Profile, drive.profile), axles) for drive in drives]
+    data = [RoadDrive.of(drive.record, cast(Profile, drive.profile), axles) for drive in drives]
     check_drives(drives, data)
-    found = identify_responses(data, prior)
+    found = impulse_responses.identify_responses(data, prior)
     check_responses(found, drives, axles)
     factor, error = _validate(found, drives, axles)
     if not error <= _MAX_HELD_OUT:
@@ -257,7 +245,7 @@ def _validate(
         truth = sample_profile(profile, s)
         inside = band_pass(truth, PROFILE_SPACING, band)
         cut = slice((s.size - inside.shape[1]) // 2, (s.size + inside.shape[1]) // 2)
-        part = segment_of(s[cut], profile, axles)
+        part = impulse_responses.segment_of(s[cut], profile, axles)
         for segment, responses in enumerate(found.held_out):
             here = part == segment
             z, z_std = _reconstruct(responses, axles, record, 0)
@@ -276,9 +264,9 @@ def _reconstruct(
     stations, rng = profile_stations(record.length), np.random.default_rng(seed)
     v = float(np.median(record.v))
     ds = float(np.clip(_NODE_TIME * v, *_NODE_SPACING))
-    margin = axles[-1] + MEMORY * v
-    t = sample_times(record)
-    a, s = sensed(record, t), np.interp(t, record.t, record.s)
+    margin = axles[-1] + impulse_responses.MEMORY * v
+    t = impulse_responses.sample_times(record)
+    a, s = impulse_responses.sensed(record, t), np.interp(t, record.t, record.s)
     count = max(1, round(record.length / _WINDOW))
     edges = np.linspace(0.0, record.length, count + 1)
     z, power = np.zeros((2, stations.size)), np.zeros((2, stations.size))
@@ -290,7 +278,7 @@ def _reconstruct(
         part = slice(own[0], own[-1] + 1)
         first = max(begin - margin, float(s[own[0]])) - margin
         nodes = road_posterior.Nodes(first, ds, int((end + margin - first) / ds) + 1)
-        fine = fine_stations(record, t[part])
+        fine = impulse_responses.fine_stations(record, t[part])
         roads = [nodes.accelerations(fine - axle) for axle in axles]
         data = road_posterior.NormalEquations.of(responses, a[:, part], roads)
         prior = nodes.prior_bands()

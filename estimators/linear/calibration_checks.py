@@ -10,8 +10,6 @@ from estimators.linear.impulse_responses import (
     RATE,
     IdentifiedResponses,
     RoadDrive,
-    quick_explained,
-    road_drive,
     sample_times,
 )
 from road_envs.records.record import F_C, Profile
@@ -105,8 +103,8 @@ def _reason(drive: CalibrationDrive, axles: np.ndarray) -> str:
         tried[name] = Profile(profile.s - shift, profile.z)
     best, text = _EXPLAINED_MIN, ": it is of another road or lane, or too smooth"
     for name, other in tried.items():
-        data = road_drive(drive.record, other, axles)
-        share = quick_explained(data).min() if (data.segment >= 0).sum() > RATE else 0.0
+        data = RoadDrive.of(drive.record, other, axles)
+        share = data.quick_explained().min() if (data.segment >= 0).sum() > RATE else 0.0
         if share > best:
             best, text = float(share), f": {name}"
     return text

@@ -66,7 +66,6 @@ from road_envs.records.record import (
     PROFILE_SPACING,
     SENSORS,
     Estimate,
-    Profile,
     Record,
     profile_stations,
 )
@@ -111,7 +110,8 @@ class FirRidge(SpatialEstimator):
         folds = [LeastSquaresSums.zeros(len(SENSORS) * (2 * half + 1))] * _FOLDS
         for record, truth in zip(records, truths, strict=True):
             X = _sliding_windows(record, stride, half)
-            Z = _highpass_profile(truth, profile_stations(record.length))[:, ::stride].T
+            z = sample_profile(truth, profile_stations(record.length))
+            Z = without_long_waves(z)[:, ::stride].T
             parts = zip(folds, np.array_split(X, _FOLDS), np.array_split(Z, _FOLDS), strict=True)
             folds = [sums.plus(LeastSquaresSums.from_samples(x, z)) for sums, x, z in parts]
         ridge, coefficients, _ = cross_validate(folds, RIDGES)
@@ -201,11 +201,6 @@ def _sliding_windows(record: Record, stride: int, half: int) -> np.ndarray:
     a = spatial_accelerations(record, half * stride)
     windows = np.lib.stride_tricks.sliding_window_view(a, 2 * half * stride + 1, axis=1)
     return np.concatenate(list(windows[:, ::stride, ::stride]), axis=1)
-
-
-def _highpass_profile(truth: Profile, stations: np.ndarray) -> np.ndarray:
-    """Return heights (2, M) [m] at `stations`, without waves longer than 20 m."""
-    return without_long_waves(sample_profile(truth, stations))
 
 
 def _speed_note(speed: float, record: Record) -> tuple[str, ...]:

@@ -55,6 +55,33 @@ class RoadDrive(NamedTuple):
     u: np.ndarray
     segment: np.ndarray
 
+    @classmethod
+    def of(cls, record: Record, profile: Profile, axles: np.ndarray) -> "RoadDrive":
+        """Return a drive over a known `profile`; `axles` (X,) [m] behind the first. Used are
+        samples with all axles on the profile. Its heights go on beyond its ends as they are there.
+        """
+        t = sample_times(record)
+        fine, s = fine_stations(record, t), np.interp(t, record.t, record.s)
+        weights = acceleration_filter()
+        u = [
+            [
+                np.convolve(np.interp(fine - axle, profile.s, z), weights, "valid")[::OVERSAMPLING]
+                for z in profile.z
+            ]
+            for axle in axles
+        ]
+        return cls(sensed(record, t), np.array(u), segment_of(s, profile, axles))
+
+    @single_blas_thread()
+    def quick_explained(self) -> np.ndarray:
+        """Return the shares (k,) of the sensors' power that responses of the usual size and decay
+        predict in segments that they were not identified in.
+        """
+        parts = _segment_sums([self], [_stack_delays(self.u, N_TAPS)], [self.a], np.ones(1))
+        total = reduce(LeastSquaresSums.plus, parts)
+        settings = [_first_guess(total, j) for j in range(len(self.a))]
+        return _explained(parts, settings, total.ZZ)
+
 
 class Responses(NamedTuple):
     """Responses and noise of the sensors of one vehicle in one state of its struts.
@@ -127,23 +154,6 @@ def fine_stations(record: Record, t: np.ndarray) -> np.ndarray:
     return s + np.maximum(fine - record.t[-1], 0.0) * record.v[-1]
 
 
-def road_drive(record: Record, profile: Profile, axles: np.ndarray) -> RoadDrive:
-    """Return a drive over a known `profile`; `axles` (X,) [m] behind the first. Used are samples
-    with all axles on the profile. Its heights go on beyond its ends as they are there.
-    """
-    t = sample_times(record)
-    fine, s = fine_stations(record, t), np.interp(t, record.t, record.s)
-    weights = acceleration_filter()
-    u = [
-        [
-            np.convolve(np.interp(fine - axle, profile.s, z), weights, "valid")[::OVERSAMPLING]
-            for z in profile.z
-        ]
-        for axle in axles
-    ]
-    return RoadDrive(sensed(record, t), np.array(u), segment_of(s, profile, axles))
-
-
 def segment_of(s: np.ndarray, profile: Profile, axles: np.ndarray) -> np.ndarray:
     """Return the segment (N,) at stations `s` [m] of the first axle; -1 if an axle is beyond."""
     start, end = profile.s[0] + axles[-1], profile.s[-1]
@@ -190,17 +200,6 @@ def identify_responses(
         Responses((mean + x).reshape(k, *shape), ar, innovation) for x in (theta, *held_out)
     ]
     return IdentifiedResponses(first, others, explained)
-
-
-@single_blas_thread()
-def quick_explained(drive: RoadDrive) -> np.ndarray:
-    """Return the shares (k,) of the sensors' power that responses of the usual size and decay
-    predict in segments that they were not identified in.
-    """
-    parts = _segment_sums([drive], [_stack_delays(drive.u, N_TAPS)], [drive.a], np.ones(1))
-    total = reduce(LeastSquaresSums.plus, parts)
-    settings = [_first_guess(total, j) for j in range(len(drive.a))]
-    return _explained(parts, settings, total.ZZ)
 
 
 def _explained(

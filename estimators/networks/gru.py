@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
 from estimators.api import LAG
-from estimators.networks.inputs import N_CONDITIONS, N_INPUTS
 from estimators.networks.sequence_estimator import KernelSize, SequenceEstimator
 from road_envs.core.config import Count
 
@@ -33,8 +32,7 @@ class Gru(SequenceEstimator):
         """Return the torch network with its initial weights."""
         from estimators.networks.modules import GatedRecurrentNet
 
-        size = self.channels, self.kernel, _WARM_UP_STATIONS
-        return GatedRecurrentNet(N_INPUTS, N_CONDITIONS, *size, self.causal)
+        return GatedRecurrentNet(self.channels, self.kernel, _WARM_UP_STATIONS, self.causal)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -99,6 +99,19 @@ class Split(NamedTuple):
     validation: np.ndarray
     test: np.ndarray
 
+    @classmethod
+    def divide(
+        cls, size: int, method: Literal["random", "block"], rng: np.random.Generator
+    ) -> "Split":
+        """Split `size` samples into 70, 15 and 15 %, at random (`dividerand`) or in consecutive
+        blocks (`divideblock`). On a time series a random division leaks, since neighbours are
+        alike.
+        """
+        held_out = round(0.15 * size)
+        train = size - 2 * held_out
+        order = rng.permutation(size) if method == "random" else np.arange(size)
+        return cls(*(np.sort(part) for part in np.split(order, [train, train + held_out])))
+
 
 @dataclass(frozen=True, kw_only=True)
 class TrainlmOptions:
@@ -161,7 +174,7 @@ class LmResult:
         )
 
 
-class Evaluation(NamedTuple):
+class _Evaluation(NamedTuple):
     """A network at N samples: its `inputs` (R + 1, N) and hidden `units` (S + 1, N), each with ones
     behind, and its errors `e` (K, N).
     """
@@ -207,16 +220,6 @@ def nguyen_widrow(
     return TwoLayerNetwork(np.vstack([W1, b1]), rng.uniform(-1.0, 1.0, (outputs, hidden + 1)))
 
 
-def divide(size: int, method: Literal["random", "block"], rng: np.random.Generator) -> Split:
-    """Split `size` samples into 70, 15 and 15 %, at random (`dividerand`) or in consecutive blocks
-    (`divideblock`). On a time series a random division leaks, since neighbours are alike.
-    """
-    held_out = round(0.15 * size)
-    train = size - 2 * held_out
-    order = rng.permutation(size) if method == "random" else np.arange(size)
-    return Split(*(np.sort(part) for part in np.split(order, [train, train + held_out])))
-
-
 @single_blas_thread()
 def train(
     network: TwoLayerNetwork,
@@ -232,13 +235,13 @@ def train(
     """
     options = options or TrainlmOptions()
     training, validation, test = ((_append_ones(x[:, part]), t[:, part]) for part in split)
-    at = evaluate(network, *training)
+    at = _evaluate(network, *training)
     best, best_error, best_epoch = network, np.inf, 0
     mu, stop = options.mu, None
     history: list[tuple[float, ...]] = []
     while stop is None:
-        epoch, normal = len(history), normal_equations(at)
-        errors = [evaluate(at.network, *part).mse for part in (validation, test)]
+        epoch, normal = len(history), _normal_equations(at)
+        errors = [_evaluate(at.network, *part).mse for part in (validation, test)]
         history.append((normal.mse, *errors, mu, normal.gradient))
         if errors[0] < best_error or not split.validation.size:
             best, best_error, best_epoch = at.network, errors[0], epoch
@@ -263,15 +266,15 @@ def _stop_reason(
 
 
 def _take_step(
-    at: Evaluation, normal: _NormalEquations, t: np.ndarray, mu: float, options: TrainlmOptions
-) -> tuple[Evaluation, float]:
+    at: _Evaluation, normal: _NormalEquations, t: np.ndarray, mu: float, options: TrainlmOptions
+) -> tuple[_Evaluation, float]:
     """Return the network after the first step that lowers the error, and the next mu; the same
     network if mu exceeds its limit first.
     """
     while mu <= options.mu_max:
         step = _damped_step(normal, mu)
         if step is not None:
-            trial = evaluate(at.network.add_step(step), at.inputs, t)
+            trial = _evaluate(at.network.add_step(step), at.inputs, t)
             if trial.mse < normal.mse:
                 return trial, max(mu * options.mu_decrease, _MU_FLOOR)
         mu *= options.mu_increase
@@ -289,7 +292,7 @@ def _damped_step(normal: _NormalEquations, mu: float) -> np.ndarray | None:
     return cho_solve(factor, normal.Je, check_finite=False)
 
 
-def evaluate(network: TwoLayerNetwork, inputs: np.ndarray, t: np.ndarray) -> Evaluation:
+def _evaluate(network: TwoLayerNetwork, inputs: np.ndarray, t: np.ndarray) -> _Evaluation:
     """Return a network at samples with `inputs` (R + 1, N), ones last, and targets `t` (K, N)."""
     hidden, output = network.hidden, network.output
     units, e = np.empty((output.shape[1], t.shape[1])), np.empty_like(t)
@@ -297,10 +300,10 @@ def evaluate(network: TwoLayerNetwork, inputs: np.ndarray, t: np.ndarray) -> Eva
     for part in _chunks(t.shape[1]):
         np.tanh(hidden.T @ inputs[:, part], out=units[:-1, part])
         np.subtract(t[:, part], output @ units[:, part], out=e[:, part])
-    return Evaluation(network, inputs, units, e)
+    return _Evaluation(network, inputs, units, e)
 
 
-def normal_equations(at: Evaluation) -> _NormalEquations:
+def _normal_equations(at: _Evaluation) -> _NormalEquations:
     """Return J'J, J'e and the mean squared error of a network at its samples."""
     (hidden, output), (K, N) = (at.network.hidden, at.network.output), at.e.shape
     P, width = hidden.size, output.shape[1]

@@ -88,7 +88,7 @@ class LmEstimator(Settings):
             spread = np.linspace(0, t.shape[1] - 1, self.max_samples).astype(int)
             x, t = x[:, spread], t[:, spread]
         rng = np.random.default_rng(seed)
-        split = lm.divide(t.shape[1], division, rng)
+        split = lm.Split.divide(t.shape[1], division, rng)
         start = lm.nguyen_widrow(len(x), self.hidden, len(t), rng)
         options = lm.TrainlmOptions(max_epochs=self.max_epochs, max_fail=self.max_fail)
         return lm.train(start, x, t, split, options)

@@ -14,6 +14,7 @@ Attribute names are keys of the shipped weight files.
 
 from collections.abc import Sequence
 
+from estimators.networks.inputs import N_CONDITIONS, N_INPUTS
 from road_envs.core.extras import optional_import
 
 with optional_import("a neural network"):
@@ -75,16 +76,14 @@ class TemporalConvNet(nn.Module):
 
     def __init__(
         self,
-        inputs: int,
-        conditions: int,
         channels: int,
         kernel: int,
         dilations: Sequence[int],
         causal: bool,
     ):
         super().__init__()
-        self.embed = _embed_conditions(conditions)
-        self.enter = nn.Conv1d(inputs, channels, kernel)
+        self.embed = _embed_conditions()
+        self.enter = nn.Conv1d(N_INPUTS, channels, kernel)
         self.blocks = nn.ModuleList(_ResidualBlock(channels, kernel, d, causal) for d in dilations)
         self.head = _Head(channels)
         span = kernel - 1 + sum(block.span for block in self.blocks)  # type: ignore[misc]
@@ -103,12 +102,10 @@ class TemporalConvNet(nn.Module):
 class GatedRecurrentNet(nn.Module):
     """A gated recurrent network over distance; its context is a warm-up."""
 
-    def __init__(
-        self, inputs: int, conditions: int, channels: int, kernel: int, context: int, causal: bool
-    ):
+    def __init__(self, channels: int, kernel: int, context: int, causal: bool):
         super().__init__()
-        self.embed = _embed_conditions(conditions)
-        self.enter = nn.Conv1d(inputs, channels, kernel)
+        self.embed = _embed_conditions()
+        self.enter = nn.Conv1d(N_INPUTS, channels, kernel)
         self.film = _Film(channels)
         self.gru = nn.GRU(channels, channels, batch_first=True, bidirectional=not causal)
         width = channels if causal else 2 * channels
@@ -129,13 +126,11 @@ class GatedRecurrentNet(nn.Module):
         return self.head(y)
 
 
-def _embed_conditions(conditions: int) -> nn.Sequential:
-    """Return the layers from conditions (B, n, T) to their embedding (B, _EMBEDDING_SIZE, T)."""
-    layers = (
-        nn.Conv1d(conditions, _EMBEDDING_SIZE, 1),
-        nn.Conv1d(_EMBEDDING_SIZE, _EMBEDDING_SIZE, 1),
-    )
-    return nn.Sequential(layers[0], nn.GELU(), layers[1], nn.GELU())
+def _embed_conditions() -> nn.Sequential:
+    """Return the layers from conditions (B, N_CONDITIONS, T) to (B, _EMBEDDING_SIZE, T)."""
+    first = nn.Conv1d(N_CONDITIONS, _EMBEDDING_SIZE, 1)
+    second = nn.Conv1d(_EMBEDDING_SIZE, _EMBEDDING_SIZE, 1)
+    return nn.Sequential(first, nn.GELU(), second, nn.GELU())
 
 
 def _trim(x: Tensor, early: int, late: int) -> Tensor:

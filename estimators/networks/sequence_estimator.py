@@ -144,12 +144,12 @@ class SequenceEstimator(SpatialEstimator):
             residual = keep_short_waves(drive.target.astype(float) - inputs.first) / inputs.level
             sequences.append(trainer.TrainingSequence(inputs, residual.astype(np.float32)))
         config = trainer.TrainerConfig(self.steps)
-        trainer.train_network(network, sequences, config, seed, progress, checkpoint)
+        _, parts = trainer.train_network(network, sequences, config, seed, progress, checkpoint)
         # calibrated as stored, in half precision
         rounded = {name: x.astype(np.float16) for name, x in trainer.get_weights(network).items()}
         trainer.set_weights(network, rounded)
         ratios = []
-        for (inputs, target), start, stop in trainer.split_validation(sequences)[1]:
+        for (inputs, target), start, stop in parts:
             output = _evaluate(network, inputs)
             error = wheel_paths(target - output.residual) / np.hypot(*output.std)
             ratios.append(error[:, start:stop].ravel())

@@ -13,7 +13,6 @@ from typing import Annotated, Any, ClassVar
 from pydantic import Field
 
 from estimators.api import LAG
-from estimators.networks.inputs import N_CONDITIONS, N_INPUTS
 from estimators.networks.sequence_estimator import SequenceEstimator
 from road_envs.core.config import Count
 
@@ -33,8 +32,7 @@ class Tcn(SequenceEstimator):
         """Return the torch network with its initial weights."""
         from estimators.networks.modules import TemporalConvNet
 
-        size = self.channels, self.kernel, self.dilations
-        return TemporalConvNet(N_INPUTS, N_CONDITIONS, *size, self.causal)
+        return TemporalConvNet(self.channels, self.kernel, self.dilations, self.causal)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -80,10 +80,10 @@ def train_network(
     seed: int,
     progress: Callable[[str, float], None] = lambda text, share: None,
     checkpoint: Checkpoint | None = None,
-) -> float:
-    """Train a torch `network` in place and return its validation error."""
+) -> tuple[float, list[_SequencePart]]:
+    """Train a torch `network` in place; return its validation error and the validation parts."""
     torch = require_torch()
-    training, validation = split_validation(sequences)
+    training, validation = _split_validation(sequences)
     size = min(config.crop_length, *(part.stop - part.start for part in [*training, *validation]))
     optimiser = torch.optim.AdamW(
         network.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
@@ -96,11 +96,8 @@ def train_network(
             if step % every == 0 or step == config.steps:
                 error = _validation_error(network, validation, size)
                 if error < state.best_error:
-                    state.best, state.best_error, state.best_step = (
-                        get_weights(network),
-                        error,
-                        step,
-                    )
+                    state.best = get_weights(network)
+                    state.best_error, state.best_step = error, step
                 if checkpoint:
                     checkpoint.save(state.to_arrays(step))
                 progress(f"validation error {state.best_error:.4f}", step / config.steps)
@@ -111,10 +108,10 @@ def train_network(
                 rng = np.random.default_rng([seed, step])
                 _train_step(network, optimiser, training, config, size, rng, step)
     set_weights(network, state.best)
-    return state.best_error
+    return state.best_error, validation
 
 
-def split_validation(
+def _split_validation(
     sequences: Sequence[TrainingSequence],
 ) -> tuple[list[_SequencePart], list[_SequencePart]]:
     """Return the training parts and the validation parts."""

@@ -91,7 +91,7 @@ class RmsRoughness:
     @classmethod
     def fit(cls, records: Sequence[Record], truths: Sequence[Profile]) -> Self:
         """Fit to drives over known roads. Raises RecordError."""
-        X = np.array([features(record) for record in records])
+        X = np.array([_features(record) for record in records])
         pairs = zip(records, truths, strict=True)
         levels = [_roughness_level(truth, float(np.nanmedian(x.v))) for x, truth in pairs]
         Y = np.log(levels)[:, None]
@@ -104,7 +104,7 @@ class RmsRoughness:
 
     def predict(self, record: Record) -> RoughnessEstimate:
         """Return the roughness of the road of a `record`. Raises RecordError."""
-        at = self.x_scale(features(record)[None])
+        at = self.x_scale(_features(record)[None])
         mean, std = _predict_gp(self.x, self.y, self.theta, at)
         log_level = float(self.y_scale.mean[0] + self.y_scale.std[0] * mean[0])
         log_std = float(self.y_scale.std[0] * std[0])
@@ -112,7 +112,7 @@ class RmsRoughness:
         return RoughnessEstimate(float(np.exp(log_level)), log_std, probability)
 
 
-def features(record: Record) -> np.ndarray:
+def _features(record: Record) -> np.ndarray:
     """Return log speed and log RMS of front, rear and roll (N_INPUTS,). Raises RecordError."""
     record, _ = clean_record(record)
     on_road = (record.s >= 0.0) & (record.s <= record.length)

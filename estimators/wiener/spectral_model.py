@@ -140,7 +140,7 @@ def fit_hyperparameters(vehicle: SensedVehicle, segment: Segment) -> SpectralMod
     prior = _ShapedRoadPrior(track=vehicle.track)
     noise_scale = np.ones(size // 2 + 1)
     for k in range(TUNING.damping_iterations):
-        model = build_model(vehicle, segment, prior, size, noise_scale)
+        model = _build_model(vehicle, segment, prior, size, noise_scale)
         lines = windowed_spectrum(model, segment)
         prior, noise_scale = run_em(model, lines, active_sensors(segment))
         if k > 0 and abs(prior.G_d0 / model.prior.G_d0 - 1.0) < TUNING.level_tolerance:
@@ -148,7 +148,7 @@ def fit_hyperparameters(vehicle: SensedVehicle, segment: Segment) -> SpectralMod
     return replace(model, noise_scale=noise_scale, prior=prior, S=prior.spectrum(model.n))
 
 
-def build_model(
+def _build_model(
     vehicle: SensedVehicle,
     segment: Segment,
     prior: _ShapedRoadPrior,

@@ -18,8 +18,8 @@ from estimators.linear.impulse_responses import (
     N_TAPS,
     RATE,
     Responses,
+    RoadDrive,
     _kernel_factor,
-    road_drive,
 )
 from estimators.linear.road_posterior import Nodes, NormalEquations
 from estimators.preprocessing import RecordError
@@ -221,7 +221,7 @@ def test_spline_nodes_give_the_acceleration_of_a_smooth_road():
     np.testing.assert_allclose(found[inner], true[inner], atol=0.02 * np.abs(true).max())
     s = PROFILE_SPACING * np.arange(-200, 1000)
     profile = Profile(s, np.array([np.sin(k * s), 0.0 * s]))
-    ((u,),) = road_drive(record, profile, np.zeros(1)).u[None, :, :1]
+    ((u,),) = RoadDrive.of(record, profile, np.zeros(1)).u[None, :, :1]
     np.testing.assert_allclose(u[0][inner], true[inner], atol=0.02 * np.abs(true).max())
 
 

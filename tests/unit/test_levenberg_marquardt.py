@@ -43,9 +43,9 @@ def parameters(network: lm.TwoLayerNetwork) -> np.ndarray:
     return np.concatenate([network.hidden.ravel(), network.output.ravel()])
 
 
-def evaluate(network: lm.TwoLayerNetwork, x: np.ndarray, t: np.ndarray) -> lm.Evaluation:
+def evaluate(network: lm.TwoLayerNetwork, x: np.ndarray, t: np.ndarray) -> lm._Evaluation:
     """The network at samples without ones."""
-    return lm.evaluate(network, lm._append_ones(x), t)
+    return lm._evaluate(network, lm._append_ones(x), t)
 
 
 def test_the_normal_equations_agree_with_automatic_differentiation():
@@ -62,7 +62,7 @@ def test_the_normal_equations_agree_with_automatic_differentiation():
 
     J = torch.func.jacrev(forward)(torch.from_numpy(parameters(network))).numpy()
     e = (t - network(x)).ravel()
-    JJ, Je, mse = lm.normal_equations(evaluate(network, x, t))
+    JJ, Je, mse = lm._normal_equations(evaluate(network, x, t))
     np.testing.assert_allclose(JJ, np.tril(J.T @ J) / e.size, rtol=0, atol=1e-12)
     np.testing.assert_allclose(Je, J.T @ e / e.size, rtol=0, atol=1e-12)
     assert mse == pytest.approx(np.mean(e**2), rel=1e-12)
@@ -78,14 +78,14 @@ def test_the_normal_equations_agree_with_complex_steps():
         ]
     ).T
     e = (t - network(x)).ravel()
-    JJ, Je, _ = lm.normal_equations(evaluate(network, x, t))
+    JJ, Je, _ = lm._normal_equations(evaluate(network, x, t))
     np.testing.assert_allclose(JJ, np.tril(J.T @ J) / e.size, rtol=0, atol=1e-13)
     np.testing.assert_allclose(Je, J.T @ e / e.size, rtol=0, atol=1e-13)
 
 
 def test_the_gradient_is_that_of_the_mean_squared_error():
     network, x, t = problem(14)
-    normal = lm.normal_equations(evaluate(network, x, t))
+    normal = lm._normal_equations(evaluate(network, x, t))
     downhill = normal.Je / np.linalg.norm(normal.Je)
     ahead, behind = (evaluate(network.add_step(h * downhill), x, t).mse for h in (1e-5, -1e-5))
     assert normal.gradient == pytest.approx((behind - ahead) / 2e-5, rel=1e-6)
@@ -106,9 +106,9 @@ def test_the_defaults_are_those_of_trainlm():
 
 def test_the_chunk_size_does_not_change_the_sums(monkeypatch):
     network, x, t = problem(2)
-    whole = lm.normal_equations(evaluate(network, x, t)), evaluate(network, x, t).mse
+    whole = lm._normal_equations(evaluate(network, x, t)), evaluate(network, x, t).mse
     monkeypatch.setattr(lm, "CHUNK", 37)
-    parts = lm.normal_equations(evaluate(network, x, t)), evaluate(network, x, t).mse
+    parts = lm._normal_equations(evaluate(network, x, t)), evaluate(network, x, t).mse
     for a, b in zip(whole[0], parts[0], strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-15)
     assert whole[1] == pytest.approx(parts[1], rel=1e-12)
@@ -182,7 +182,7 @@ def test_six_validation_failures_stop_training_at_the_best_weights():
 
 def test_a_smaller_validation_error_resets_the_failure_count():
     network, x, t = problem(9, size=600, hidden=12)
-    split = lm.divide(600, "random", np.random.default_rng(0))
+    split = lm.Split.divide(600, "random", np.random.default_rng(0))
     training = lm.train(network, x, t, split)
     assert training.stop == "validation"
     assert training.epochs == training.best_epoch + 6
@@ -225,7 +225,7 @@ def test_mu_rises_tenfold_with_every_step_that_fails():
 def assert_first_successful_mu(network, x, t, training, epoch):
     """Assert that mu after `epoch` is that of the first step that lowers the error."""
     at = lm.train(network, x, t, all_training(300), replace(DEFAULTS, max_epochs=epoch, mu=1e-9))
-    JJ, Je, mse = lm.normal_equations(evaluate(at.network, x, t))
+    JJ, Je, mse = lm._normal_equations(evaluate(at.network, x, t))
     mu = training.mu[epoch]
     while True:
         step = solve(JJ + mu * np.eye(len(JJ)), Je, lower=True, assume_a="pos")
@@ -241,7 +241,7 @@ def test_singular_normal_equations_count_as_a_failed_step():
     network = lm.TwoLayerNetwork(np.full((2, 5), 0.3), np.full((1, 6), 0.7))
     x = rng.uniform(-1.0, 1.0, (1, 30))
     with pytest.raises(np.linalg.LinAlgError):
-        np.linalg.cholesky(lm.normal_equations(evaluate(network, x, x)).JJ)
+        np.linalg.cholesky(lm._normal_equations(evaluate(network, x, x)).JJ)
     options = replace(DEFAULTS, mu=1e-30, max_epochs=1)
     training = lm.train(network, x, x, all_training(30), options)
     assert training.mu[1] > 1e-20
@@ -252,7 +252,7 @@ def test_equal_seeds_give_equal_trainings_and_others_differ():
     def run(seed):
         _, x, t = problem(13)
         rng = np.random.default_rng(seed)
-        split = lm.divide(300, "random", rng)
+        split = lm.Split.divide(300, "random", rng)
         return lm.train(lm.nguyen_widrow(3, 5, 2, rng), x, t, split)
 
     one, same, other = run(1), run(1), run(2)
@@ -296,17 +296,17 @@ def test_scaling_fills_the_range_and_leaves_a_constant_row():
 
 @pytest.mark.parametrize("how", ["random", "block"])
 def test_a_division_uses_every_sample_once(how):
-    split = lm.divide(3964, how, np.random.default_rng(0))
+    split = lm.Split.divide(3964, how, np.random.default_rng(0))
     assert [part.size for part in split] == [2774, 595, 595]
     np.testing.assert_array_equal(np.sort(np.concatenate(split)), np.arange(3964))
 
 
 def test_blocks_are_contiguous_and_random_divisions_are_not():
-    blocks = lm.divide(100, "block", np.random.default_rng(0))
+    blocks = lm.Split.divide(100, "block", np.random.default_rng(0))
     assert [(part[0], part[-1]) for part in blocks] == [(0, 69), (70, 84), (85, 99)]
-    drawn = lm.divide(100, "random", np.random.default_rng(0))
+    drawn = lm.Split.divide(100, "random", np.random.default_rng(0))
     assert (np.diff(drawn.validation) > 1).any()
-    other = lm.divide(100, "random", np.random.default_rng(1))
+    other = lm.Split.divide(100, "random", np.random.default_rng(1))
     assert not np.array_equal(drawn.validation, other.validation)
 
 

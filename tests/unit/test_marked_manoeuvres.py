@@ -7,7 +7,7 @@ import pytest
 from speeds import stop_and_go
 
 from estimators import estimate
-from estimators.common.manoeuvres import _speed_changes, mark_manoeuvres, turns
+from estimators.common.manoeuvres import _speed_changes, _turns, mark_manoeuvres
 from road_envs.drives.recording import simulate_record, true_profile
 from road_envs.records.record import Estimate, Record, profile_stations
 from road_envs.roads import realise_road
@@ -35,14 +35,14 @@ def drive(road="iso_b", speed=10.0, manoeuvre=None):
 @pytest.mark.parametrize("a_y", [1.96, -1.96])
 def test_a_curve_of_a_fifth_of_g_is_marked_where_it_was_driven(a_y):
     record, _ = drive(manoeuvre=SteadyTurn(a_y=a_y, begin=4.0, hold=3.0))
-    turned = turns(record)
+    turned = _turns(record)
     during = (record.t > 4.2) & (record.t < 8.8)
     assert turned[during].all()
     assert not turned[(record.t < 1.5) | (record.t > 11.7)].any()
 
 
 def test_a_lane_change_is_marked():
-    assert turns(drive(speed=15.0, manoeuvre=LaneChange(v=15.0, begin=3.0, offset=1.0))[0]).any()
+    assert _turns(drive(speed=15.0, manoeuvre=LaneChange(v=15.0, begin=3.0, offset=1.0))[0]).any()
 
 
 def test_a_stop_is_marked_and_said_first_and_the_interval_is_wider():
@@ -62,7 +62,7 @@ def test_a_stop_is_marked_and_said_first_and_the_interval_is_wider():
 @pytest.mark.parametrize("speed_kmh", [14.5, 36.0, 100.0])
 def test_straight_drives_are_not_marked(road, speed_kmh):
     record, _ = simulate_record(road, speed_kmh=speed_kmh, seed=8991, grade="S1", length=300.0)
-    assert not turns(record).any() and not _speed_changes(record).any()
+    assert not _turns(record).any() and not _speed_changes(record).any()
 
 
 def test_sensors_that_tell_no_roll_see_no_turn():
@@ -70,7 +70,7 @@ def test_sensors_that_tell_no_roll_see_no_turn():
     layout = load_instruments("paper").layout
     name = next(iter(layout))
     one = dataclasses.replace(record, a=record.a[:1], sensors={name: layout[name]})
-    assert not turns(one).any()
+    assert not _turns(one).any()
 
 
 def test_estimate_marks_a_turn_for_an_estimator_that_knows_none():

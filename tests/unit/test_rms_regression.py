@@ -13,10 +13,10 @@ from estimators.roughness.rms_regression import (
     N_INPUTS,
     SLOPE_STD,
     RmsRoughness,
+    _features,
     _neg_log_marginal_likelihood,
     _predict_gp,
     _roughness_level,
-    features,
 )
 from road_envs.drives.training_corpus import Corpus, drives_in_mode
 from road_envs.records.record import Profile, profile_stations
@@ -95,7 +95,7 @@ def test_roads_are_classified_correctly(road):
 def test_the_estimate_does_not_depend_on_the_speed():
     """The same road driven faster shakes the vehicle more; the estimates agree."""
     slow, fast = (drive("defender", "iso_c", "handling", v, length=150.0) for v in (33.0, 60.0))
-    difference = features(fast[0])[1:] - features(slow[0])[1:]
+    difference = _features(fast[0])[1:] - _features(slow[0])[1:]
     assert difference.mean() > 0.3  # as if its density were almost twice as high
     for record, truth in (slow, fast):
         true = _roughness_level(truth, float(np.median(record.v)))

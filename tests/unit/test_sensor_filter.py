@@ -10,7 +10,7 @@ from scipy.signal import butter, freqz, lfilter
 from test_map_smoother import residual_at
 from vehicle_fixtures import DEFENDER
 
-from estimators.common.sensor_filter import SampledFilter, SensorFilter, lagrange_weights
+from estimators.common.sensor_filter import SampledFilter, SensorFilter, _lagrange_weights
 from estimators.map_smoother import preparation
 from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.objective import Objective
@@ -116,7 +116,7 @@ def test_the_transpose_of_the_sampled_filter_is_its_transpose():
 def test_interpolation_reproduces_a_cubic_also_just_beyond_the_ends():
     cubic = np.polynomial.Polynomial([1.0, -0.4, 0.2, 0.03])
     at = np.array([-0.6, 0.0, 3.3, 8.999, 9.4])
-    found = lagrange_weights(at, 10, 4) @ cubic(np.arange(10.0))
+    found = _lagrange_weights(at, 10, 4) @ cubic(np.arange(10.0))
     np.testing.assert_allclose(found, cubic(at), atol=1e-9)
 
 

@@ -202,7 +202,7 @@ def test_stations_are_every_sixth_point_of_the_profile_grid():
     assert SPACING == DECIMATION * PROFILE_SPACING
     record, _ = drive(404)
     signals = spatial_signals.to_spatial(record, 3)
-    assert signals.size == spatial_signals.n_stations(record.length)
+    assert signals.size == spatial_signals._n_stations(record.length)
     assert signals.motions.shape == (6, signals.v.size) and signals.states.shape == (
         signals.v.size,
         4,

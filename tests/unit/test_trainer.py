@@ -15,9 +15,9 @@ from estimators.networks.trainer import (
     TrainingSequence,
     _learning_rate_factor,
     _SequencePart,
+    _split_validation,
     get_weights,
     set_weights,
-    split_validation,
     train_network,
 )
 
@@ -53,7 +53,7 @@ CONFIG = TrainerConfig(steps=300, batch=8, crop_length=40, learning_rate=3e-2, w
 
 def test_a_linear_relation_is_learned_and_its_noise_is_the_standard_deviation():
     network = Shallow()
-    error = train_network(network, [sequence(k, noise=0.2) for k in range(20)], CONFIG, 0)
+    error, _ = train_network(network, [sequence(k, noise=0.2) for k in range(20)], CONFIG, 0)
     assert error == pytest.approx(0.04, rel=0.1)
     bias = network.window.bias.detach().numpy()
     np.testing.assert_allclose(np.exp(bias[2:]), 0.2, rtol=0.2)
@@ -111,10 +111,10 @@ def test_the_weights_of_the_smallest_validation_error_are_kept():
 
 def test_validation_takes_whole_drives_of_many_and_ends_of_few():
     many, few = ([sequence(k, 0.0, 100) for k in range(n)] for n in (25, 3))
-    training, validation = split_validation(many)
+    training, validation = _split_validation(many)
     assert [part.sequence for part in validation] == [many[9], many[19]]
     assert len(training) == 23
-    training, validation = split_validation(few)
+    training, validation = _split_validation(few)
     assert [(p.start, p.stop) for p in training] == 3 * [(0, 80)]
     assert [(p.start, p.stop) for p in validation] == 3 * [(80, 100)]
 

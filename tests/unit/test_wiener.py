@@ -19,8 +19,8 @@ from estimators.wiener.segments import Segment, split_segments
 from estimators.wiener.spectral_model import (
     SensedVehicle,
     SpectralModel,
+    _build_model,
     _ShapedRoadPrior,
-    build_model,
     fit_hyperparameters,
     run_em,
     windowed_spectrum,
@@ -180,7 +180,7 @@ def synthetic_segment(
         (0.0, M * stride * PROFILE_SPACING),
     )
     prior = _ShapedRoadPrior(G_d0=level, w=w)
-    model = build_model(
+    model = _build_model(
         SensedVehicle.of(car, PAPER), segment, prior, size, np.full(size // 2 + 1, noise)
     )
     rng = np.random.default_rng(seed)

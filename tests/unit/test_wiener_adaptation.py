@@ -10,7 +10,7 @@ from estimators.registry import create
 from estimators.wiener import adaptation
 from estimators.wiener.adaptation import _fisher_scoring, _model_error_psd, responses
 from estimators.wiener.iteration import Iterate
-from estimators.wiener.spectral_model import SensedVehicle, build_model
+from estimators.wiener.spectral_model import SensedVehicle, _build_model
 from estimators.wiener.tuning import TUNING
 from road_envs.analysis.information_bound import equivalent_damping
 from road_envs.drives.recording import simulate_record
@@ -25,7 +25,7 @@ def test_parameters_are_found_within_their_covariance():
     segment, true = synthetic_segment(1024e-6, 0.1, 5, v=15.0, car=SPACE.from_vector(x))
     described = SensedVehicle.of(DEFENDER, PAPER)
     given = segment, true.prior, true.size, true.noise_scale
-    model = build_model(described, *given)
+    model = _build_model(described, *given)
     nothing = np.zeros((2, true.n.size))
     iterate = Iterate(nothing, nothing, model.S, model, segment.a, model.noise_psd())
     found, covariance, gain = _fisher_scoring(
