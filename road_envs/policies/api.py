@@ -41,9 +41,7 @@ class PolicyContext:
     @classmethod
     def from_setup(cls, setup: EnvSetup, n_vehicles: int, seed: int) -> "PolicyContext":
         """Return the context of `n_vehicles` environments with this `setup`."""
-        actions = tuple(
-            (a, a) if isinstance(a, str) else (a["front"], a["rear"]) for a in setup.actions
-        )
+        actions = tuple((a["front"], a["rear"]) for a in setup.actions)
         slices, car, instruments = setup.observation_slices, setup.car, setup.instruments
         return cls(n_vehicles, actions, slices, setup.interval, car, instruments, seed)
 

@@ -105,7 +105,7 @@ class Plant:
     @property
     def sideways(self) -> bool:
         """True if the vehicle has side motion, which adds two deflections and two rates."""
-        return bool(self.constants["relaxation"][0, 0] > 0.0)
+        return n_side(self.constants[0]) > 0
 
     @property
     def n_dof(self) -> int:
