@@ -52,14 +52,14 @@ class GreedyInformation(Settings):
         table = BoundTable.tabulate(car, context.instruments, prior, [v], modes)
         return np.array(
             [
-                expected_comfort(car, front, rear, v, prior)
+                _expected_comfort(car, front, rear, v, prior)
                 + self.weight * table.interpolate(front, rear, v) ** 2
                 for front, rear in context.actions
             ]
         )
 
 
-def expected_comfort(
+def _expected_comfort(
     car: VehicleParameters, front: str, rear: str, v: float, prior: RoadPrior
 ) -> float:
     """Return the W_k-weighted RMS heave acceleration [m/s²] of the linear vehicle at `v` [m/s]."""

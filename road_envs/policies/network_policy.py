@@ -107,7 +107,7 @@ def _read_sb3(path: Path) -> PolicyNetwork:
         return PolicyNetwork(layers, {"activation": known[0], "control": control, "held": 1})
 
 
-def read_policy_network(path: Path) -> PolicyNetwork:
+def _read_network(path: Path) -> PolicyNetwork:
     """Read a network from its file. Raises ConfigError if the file is damaged or foreign."""
     if path.suffix == SB3_SUFFIX:
         return _read_sb3(path)
@@ -153,7 +153,7 @@ class NetworkPolicy(Settings):
     def __post_init__(self):
         super().__post_init__()
         path, shipped = Path(self.file), folder() / "policies" / self.file
-        self.network = read_policy_network(path if path.exists() else shipped)
+        self.network = _read_network(path if path.exists() else shipped)
 
     @classmethod
     def from_network(cls, network: PolicyNetwork) -> "NetworkPolicy":

@@ -18,7 +18,7 @@ from road_envs.policies.fixed import Mode
 
 
 @dataclass(kw_only=True)
-class FirmInTurns(Settings, abc.ABC):
+class _FirmInTurns(Settings, abc.ABC):
     """Policy with the state `firm` on both axles in a turn, else ride.
 
     Needs the observation group "planar".
@@ -42,7 +42,7 @@ class FirmInTurns(Settings, abc.ABC):
 
 
 @dataclass(kw_only=True)
-class RunningRmsPolicy(FirmInTurns):
+class RunningRmsPolicy(_FirmInTurns):
     """Policy that is firm while the lateral RMS exceeds `ratio` times the RMS of heave.
 
     Both are RMS accelerations over `window`.
@@ -66,7 +66,7 @@ class RunningRmsPolicy(FirmInTurns):
 
 
 @dataclass(kw_only=True)
-class LateralThreshold(FirmInTurns):
+class LateralThreshold(_FirmInTurns):
     """Policy that is firm while the low-passed lateral force is large, or was `hold` ago."""
 
     threshold: Annotated[Positive, "m/s²", "of the lateral specific force"] = 0.5

@@ -16,7 +16,7 @@ SMOOTHING = 3
 
 
 @functools.cache
-def font(size: int, bold: bool) -> ImageFont.FreeTypeFont:
+def _font(size: int, bold: bool) -> ImageFont.FreeTypeFont:
     """Return DejaVu Sans as shipped with matplotlib; its digits have equal widths."""
     import matplotlib
 
@@ -62,7 +62,7 @@ class Canvas:
         bold: bool = False,
     ) -> None:
         """Write `words` on top of all shapes; `anchor` as in Pillow (ls: left end of baseline)."""
-        style = {"fill": fill, "font": font(size, bold), "anchor": anchor}
+        style = {"fill": fill, "font": _font(size, bold), "anchor": anchor}
         self._words.append(((x, y), words, style))
 
     def pixels(self) -> np.ndarray:

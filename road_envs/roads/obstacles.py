@@ -199,7 +199,7 @@ class Defects(Settings):
         s, z = _flat_road_grid(self.length)
         for defect in self.defects:
             for middle, height in zip(defect.middles, defect.heights, strict=True):
-                near = footprint(s, middle, defect.length)
+                near = _footprint(s, middle, defect.length)
                 z[SIDES[defect.side], near] += height * defect.unit_height(s[near] - middle)
         return Surface(z, SAMPLE_SPACING, name=self.name)
 
@@ -229,7 +229,7 @@ class Potholes(Settings):
         s, z = _flat_road_grid(self.length)
         for path in z:
             for middle, size, depth in self._holes(rng):
-                near = footprint(s, middle, size)
+                near = _footprint(s, middle, size)
                 hole = Trapezoid(height=depth, ramp=self.edge, top=size - 2.0 * self.edge)
                 path[near] = np.minimum(path[near], -hole.height_at(s[near] - middle))
         return Surface(z, SAMPLE_SPACING, name="potholes")
@@ -248,6 +248,6 @@ def _flat_road_grid(length: float) -> tuple[np.ndarray, np.ndarray]:
     return s, np.zeros((2, s.size))
 
 
-def footprint(s: np.ndarray, middle: float, length: float) -> slice:
+def _footprint(s: np.ndarray, middle: float, length: float) -> slice:
     """Return the slice of the stations `s` (N,) [m] that a defect covers."""
     return slice(*np.searchsorted(s, [middle - 0.5 * length, middle + 0.5 * length]))
