@@ -62,10 +62,7 @@ def cache_home() -> Path:
 
 
 def code_digest(text: bytes) -> str:
-    """Digest of Python source without docstrings, comments and layout.
-
-    Raises SyntaxError if the text is no Python.
-    """
+    """Digest of Python source without docstrings, comments and layout. Raises SyntaxError."""
     return _parse(text).digest
 
 

@@ -210,7 +210,6 @@ def _hump(rng: np.random.Generator, length: float) -> Defect:
 
 
 def _draw_modes(rng: np.random.Generator) -> tuple[str, str]:
-    """Draw the states of the struts in front and at the rear."""
     kind = rng.uniform()
     if kind < 0.5:
         same = "ride" if kind < 0.25 else "handling"

@@ -109,7 +109,7 @@ class Safe4S4Setup(EnvSetup):
         drive.limit_duration(description.duration)
         logger = DataLogger(self.instruments, car, step, np.random.default_rng(sensor_seed), faults)
         byte = encode_command(None, car)
-        return EpisodeStart(description.speed_kmh, byte, surface, drive, logger, description)
+        return EpisodeStart(description.speed_kmh, byte, drive, logger, description)
 
 
 class Safe4S4Env(RoadReconEnv):

@@ -127,17 +127,14 @@ def _negate(context, builder, signature, values):
 
 
 def maximum(a, b):
-    """Return the greater of `a` and `b`."""
     return a if a > b else b
 
 
 def minimum(a, b):
-    """Return the lesser of `a` and `b`."""
     return b if a > b else a
 
 
 def if_positive(c, a, b):
-    """Return `a` where `c` > 0, else `b`."""
     return a if c > 0.0 else b
 
 
@@ -272,7 +269,6 @@ def _any_positive(context, builder, signature, values):
 
 
 def power(x, n):
-    """Return `x` to the power `n`."""
     return x**n
 
 

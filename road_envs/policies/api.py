@@ -65,10 +65,7 @@ class PolicyContext:
         return table[firm[:, 0].astype(int), firm[:, 1].astype(int)]
 
     def signal(self, name: str, observations: np.ndarray) -> np.ndarray:
-        """Return a named part (N, ...) of `observations` (N, d).
-
-        Raises ConfigError if it is not observed.
-        """
+        """Return a named part (N, ...) of `observations` (N, d). Raises ConfigError without it."""
         if name not in self.observation_slices:
             raise ConfigError(
                 f"{name!r} is not observed; the environment's option observe adds 'planar' and "

@@ -37,7 +37,6 @@ class GreedyInformation(Settings):
         self.actions = np.zeros(0, dtype=int)
 
     def act(self, observations: np.ndarray) -> np.ndarray:
-        """Return the actions chosen at the first observation."""
         if self.actions.size == 0:
             measured = self.context.signal("speed", observations)[:, 0]
             speeds, which = np.unique(np.round(measured), return_inverse=True)

@@ -214,7 +214,7 @@ def drive_all(
         chosen = validate_actions(policy.act(output.observation), context)
         output = fleet.advance(setup.command_bytes[chosen])
         for i in np.flatnonzero(totals.add(output)):
-            road = drives.starts[i].surface.name
+            road = drives.starts[i].drive.surface.name
             reasons[i] = setup.failure_text(output, int(i), road)
         actions.append(chosen.copy())
         rewards.append(setup.rewards(output.values))

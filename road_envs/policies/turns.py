@@ -28,11 +28,9 @@ class _FirmInTurns(Settings, abc.ABC):
     context: PolicyContext = field(init=False, repr=False, compare=False)
 
     def reset(self, context: PolicyContext) -> None:
-        """Start an episode outside a turn."""
         self.context = context
 
     def act(self, observations: np.ndarray) -> np.ndarray:
-        """Return actions (N,) of ride or the firm state."""
         firm = np.repeat(self.turning(observations)[:, None], 2, axis=1)
         return self.context.switch_axles(firm, "ride", self.firm)
 
@@ -52,13 +50,11 @@ class RunningRmsPolicy(_FirmInTurns):
     ratio: Annotated[Positive, "", "lateral RMS over the RMS of heave"] = 1.0
 
     def reset(self, context: PolicyContext) -> None:
-        """Reset the running RMS."""
         super().reset(context)
         self.body = BodyMotionEstimator(context, leak=1.0)
         self.lateral, self.vertical = (RunningRms(context, self.window) for _ in range(2))
 
     def turning(self, observations: np.ndarray) -> np.ndarray:
-        """Return which vehicles (N,) are in a turn by their running RMS."""
         samples = self.context.accelerations(observations).transpose(0, 2, 1)
         vertical = self.vertical.add(samples @ self.body.sensors_to_motion[0])
         lateral = self.lateral.add(self.context.signal("planar", observations)[:, 1])
@@ -74,13 +70,11 @@ class LateralThreshold(_FirmInTurns):
     hold: Annotated[NonNegative, "s", "how long the firm state stays after the turn"] = 0.0
 
     def reset(self, context: PolicyContext) -> None:
-        """Reset the low-pass."""
         super().reset(context)
         self.a_y = np.zeros(context.n_vehicles)
         self.remaining = np.zeros(context.n_vehicles, dtype=int)
 
     def turning(self, observations: np.ndarray) -> np.ndarray:
-        """Return which vehicles (N,) are in a turn by the threshold."""
         decay = np.exp(-self.context.interval / self.lag)
         measured = self.context.signal("planar", observations)[:, 1]
         self.a_y = decay * self.a_y + (1.0 - decay) * measured
@@ -95,5 +89,4 @@ class RrmsLateral(RunningRmsPolicy, LateralThreshold):
     """Policy that is firm by the RRMS rule or by the lateral threshold."""
 
     def turning(self, observations: np.ndarray) -> np.ndarray:
-        """Return which vehicles (N,) are in a turn by either."""
         return LateralThreshold.turning(self, observations) | super().turning(observations)

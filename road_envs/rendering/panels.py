@@ -24,7 +24,6 @@ MARGIN = 62  # width of the labels left of a curve [pixels]
 
 
 def heading(canvas: Canvas, scene: Scene) -> None:
-    """Draw road, speed, command, station and time."""
     y = 0.5 * canvas.height
     name = scene.surface.name
     shown = name if len(name) <= MAX_NAME_LENGTH else name[: MAX_NAME_LENGTH - 1] + "…"
@@ -59,7 +58,6 @@ class _AxisScale:
     end: float
 
     def __call__(self, value):
-        """Return the pixel of a value, or of each value of an array."""
         return self.start + (self.end - self.start) * (value - self.low) / (self.high - self.low)
 
     def ticks(self, step: float) -> np.ndarray:
@@ -138,7 +136,6 @@ def _envelope(a: np.ndarray, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 
 def corners(canvas: Canvas, scene: Scene) -> None:
-    """Draw the state, extension and stops of each strut, and the load of each tyre."""
     width, height = 0.5 * canvas.width, 0.5 * canvas.height
     for wheel in range(4):
         _corner(canvas, scene, wheel, (wheel % 2) * width + 10, (wheel // 2) * height, width - 20)

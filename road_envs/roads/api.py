@@ -71,7 +71,7 @@ def realise_road(
     seed: int | np.random.SeedSequence,
     length: float | None = None,
 ) -> Surface:
-    """Return the surface drawn from `seed`, with another `length` [m] if given.
+    """Return the surface drawn from `seed`, of another `length` [m] if given.
 
     Raises ConfigError.
     """

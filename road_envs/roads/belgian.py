@@ -54,7 +54,6 @@ class Belgian(Settings):
         return np.sqrt(self.coherence) / (1.0 - 1.0 / self.peak)
 
     def realise(self, rng: np.random.Generator) -> Surface:
-        """Draw one paving."""
         edges = cell_edges(self)
         n = 0.5 * (edges[1:] + edges[:-1])
         base, cobbles = self._base(edges), self._cobbles(edges)

@@ -95,7 +95,6 @@ class Iso8608(Settings):
         return CLASSES[self.road_class] if self.road_class else float(self.G_d0 or 0.0)
 
     def realise(self, rng: np.random.Generator) -> Surface:
-        """Draw one road."""
         edges, power, g = _cell_spectra(self)
         name = f"iso8608 {self.road_class or f'G_d0={self.G_d0:g}'}"
         return synthesise(rng, self, edges, power, g, name, self.variation)

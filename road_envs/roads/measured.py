@@ -59,7 +59,6 @@ class Measured(Settings):
         check_size(self.length, self._tile.ds)
 
     def realise(self, rng: np.random.Generator) -> Surface:
-        """Return the surface; nothing is drawn."""
         tile = self._tile
         size = round(self.length / tile.ds) + 1
         z, notes = tile.z[:, :size], tile.notes

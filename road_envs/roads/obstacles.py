@@ -105,7 +105,6 @@ class Bumps(Settings):
         return float(self.middles[-1] + 0.5 * last.top + last.ramp + self.run_out)
 
     def realise(self, rng: np.random.Generator) -> Surface:
-        """Return the bumps; nothing is drawn."""
         s = self.ds * np.arange(int(np.ceil(self.length / self.ds)) + 1)
         z = np.zeros((2, s.size))
         for block, middle, (_, side) in zip(
@@ -195,7 +194,6 @@ class Defects(Settings):
                 )
 
     def realise(self, rng: np.random.Generator) -> Surface:
-        """Return the defects; nothing is drawn."""
         s, z = _flat_road_grid(self.length)
         for defect in self.defects:
             for middle, height in zip(defect.middles, defect.heights, strict=True):

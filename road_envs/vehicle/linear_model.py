@@ -354,9 +354,9 @@ def response_changes(
     With x = (s - A)^-1 B u the change of the accelerations of the coordinates by dA and dB is that
     by additional accelerations dA x + dB u. `v` [m/s], `f` (F,) [Hz] as in `frequency_response`.
     """
-    n, (s, q) = len(model.A) // 2, _road_response(model, f)
     if model.speed is not None:
         return _side_response_changes(model, others, v, f)
+    n, (s, q) = len(model.A) // 2, _road_response(model, f)
     u = np.broadcast_to(np.eye(4), (s.size, 4, 4))
     # states, heights and their rates
     paths = combine_wheel_paths(model, v, f, np.concatenate([q, s * q, u, s * u], axis=1))

@@ -80,7 +80,6 @@ class Channels:
         return self.headers[quantity] is not None
 
     def list_columns(self) -> str:
-        """Return the headers of the table in words."""
         return f"the table has {', '.join(self.table)}"
 
     def unit(self, quantity: str) -> str | None:

@@ -100,10 +100,7 @@ DECODERS = {IMU: _imu, FIX: _fix, TWIST: _twist}
 
 
 def _to_recording(name: str, messages: Iterable[_RosMessage]) -> Recording:
-    """Return the recording in messages; of several inertial units that with most of them.
-
-    Raises ConfigError.
-    """
+    """Return the recording in messages; of several inertial units that with most of them."""
     rows: dict[tuple[str, str], list[tuple[float, ...]]] = defaultdict(list)
     for k, message in enumerate(messages):
         if k >= MOST_MESSAGES:
@@ -226,7 +223,6 @@ def _unpacked(chunk: Any) -> bytes:
 
 
 def is_bag(folder: Path) -> bool:
-    """Whether a folder is a bag of ROS 2."""
     return (folder / "metadata.yaml").is_file() and bool(_files(folder) or _packed(folder))
 
 

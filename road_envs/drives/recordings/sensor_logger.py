@@ -21,13 +21,11 @@ LOCATION = ("Location.csv", "LocationGps.csv")
 
 
 def is_sensor_logger(members: Mapping[str, bytes]) -> bool:
-    """Whether an archive is an export of Sensor Logger."""
     name = find_member(members, TOTAL, LINEAR)
     return name is not None and b"seconds_elapsed" in members[name][:200]
 
 
 def read_sensor_logger(name: str, members: Mapping[str, bytes]) -> Recording:
-    """Return the recording in the tables of an export. Raises ConfigError."""
     lacks = False
     if file := find_member(members, TOTAL):
         a, epoch = _axes(file, members)

@@ -20,15 +20,11 @@ DAY = 86400.0
 
 
 def is_vbo(data: bytes) -> bool:
-    """Whether a text has the sections of a VBOX file."""
     return b"[column names]" in data[:20_000].lower() and b"[header]" in data[:20_000].lower()
 
 
 def parse_vbo(data: bytes) -> Mapping[str, Any]:
-    """Return the columns of a VBOX file by header, with units and signs of this package.
-
-    Raises ConfigError.
-    """
+    """Return the columns of a VBOX file by header, in our units. Raises ConfigError."""
     import pyarrow as pa
 
     text = decode(data)

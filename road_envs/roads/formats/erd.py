@@ -54,10 +54,7 @@ class _Header:
 
 
 def read(path: str | Path) -> WheelPaths:
-    """Read both wheel paths from `path` and, for binary numbers, from the ".bin" file next to it.
-
-    Raises SurfaceFileError.
-    """
+    """Read both wheel paths from a file, or from the ".bin" beside it. Raises SurfaceFileError."""
     header, body = _parse_header(read_bytes(path))
     if header.number_type == FLOAT:
         binary = Path(path).with_suffix(".bin")
