@@ -244,16 +244,12 @@ class InstrumentedFleet:
         run_in_threads(run, list(zip(jobs, self._workspaces, strict=True)))
         if mask is not None and saved is not None:
             self._restore_unmasked(moving, mask, saved)
-        if self.settings.unresolved_variance is not None:
-            self._subtract_information_cost(commands, output.values)
+        if self.settings.unresolved_variance is not None:  # the fourth cost
+            values, weight = output.values, self.settings.unresolved_variance_weight
+            values[:, fa.OUT_UNRESOLVED] = self.unresolved[np.arange(self.n_vehicles), commands]
+            interval = self.steps * self.step
+            values[:, fa.OUT_REWARD] -= interval * weight * values[:, fa.OUT_UNRESOLVED]
         return output
-
-    def _subtract_information_cost(self, commands: np.ndarray | int, values: np.ndarray) -> None:
-        """Subtract the cost of the road variance that the commanded states leave unresolved."""
-        interval = self.steps * self.step
-        unresolved = self.unresolved[np.arange(self.n_vehicles), commands]
-        values[:, fa.OUT_UNRESOLVED] = unresolved
-        values[:, fa.OUT_REWARD] -= interval * self.settings.unresolved_variance_weight * unresolved
 
     @property
     def steps_left(self) -> np.ndarray:

@@ -37,7 +37,7 @@ from road_envs.simulation.manoeuvres import (
     SteadyTurn,
     Successive,
 )
-from road_envs.simulation.speed import SpeedProfile, constant_speed
+from road_envs.simulation.speed import SpeedProfile
 from road_envs.vehicle.parameters import VehicleParameters
 
 Side = Literal["left", "right"]
@@ -92,7 +92,7 @@ class SafeDrive(Settings):
     def speed_profile(self) -> SpeedProfile:
         """Speed over time; it falls where the gentle manoeuvre is braking."""
         if self.gentle != "braking":
-            return constant_speed(self.v)
+            return SpeedProfile(t=(0.0,), v=(self.v,))
         stop, a = self._gentle_begin, BRAKING.a_x * self.gentle_severity
         # constant deceleration over the time that a trapezoid of the same impulse takes
         duration = BRAKING.hold + BRAKING.build_up
