@@ -36,7 +36,6 @@ from road_envs.analysis.statistical_linearization import (
     hermitian,
     nonlinear_residual,
     residual_force_psd,
-    sensor_psd,
 )
 from road_envs.core.config import Positive, Settings
 from road_envs.records.record import F_C, scored_band
@@ -46,6 +45,7 @@ from road_envs.vehicle.equations import Plant, build_plant
 from road_envs.vehicle.linear_model import (
     LinearModel,
     combine_wheel_paths,
+    force_response,
     frequency_response,
     gaussian_damping,
     linearise,
@@ -204,7 +204,8 @@ def measurement(
     if residual_as_noise:
         residual = nonlinear_residual(car, mode, damping)
         forces = residual_force_psd(model, residual, v, prior.spectrum, n * v)
-        R = R + v * sensor_psd(model, n * v, forces)
+        by_force, _ = force_response(model, n * v)
+        R = R + v * (by_force @ forces @ hermitian(by_force))
     return H, R
 
 

@@ -27,7 +27,6 @@ from road_envs.vehicle.equilibrium import equilibrium
 from road_envs.vehicle.linear_model import (
     LinearModel,
     combine_wheel_paths,
-    force_response,
     linearise,
     strut_forces,
     strut_rate_response,
@@ -135,15 +134,6 @@ def _coefficients(
         he.append((u * he[-1] - np.sqrt(k - 1.0) * he[-2]) / np.sqrt(k))
     a = (np.array(he) * weight) @ F.T
     return a, F**2 @ weight - a[0] ** 2 - a[1] ** 2
-
-
-def sensor_psd(model: LinearModel, f: np.ndarray, forces: np.ndarray) -> np.ndarray:
-    """Return the spectrum (F, S, S) [(m/s²)²/Hz] at the sensors of forces parallel to the struts.
-
-    `forces` (F, 4, 4) [N²/Hz] is the spectrum of the forces at `f` (F,) [Hz].
-    """
-    H, _ = force_response(model, f)
-    return H @ forces @ hermitian(H)
 
 
 def hermitian(matrices: np.ndarray) -> np.ndarray:

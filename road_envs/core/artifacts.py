@@ -169,7 +169,7 @@ def nan_to_none(value: Any) -> Any:
     return value
 
 
-def is_artifact(path: Path) -> bool:
+def _is_artifact(path: Path) -> bool:
     """Tell whether a file is an undamaged artifact of any kind and format."""
     try:
         text = path.read_text(encoding="utf-8")
@@ -185,7 +185,7 @@ def clean(folder: Path, delete: bool = True) -> list[Path]:
     Files that are no artifacts, or say nothing of their code, stay. With `delete` False all stay.
     """
     found = []
-    for path in filter(is_artifact, sorted(folder.rglob("*.json"))):
+    for path in filter(_is_artifact, sorted(folder.rglob("*.json"))):
         digest_then, *modules = json.loads(path.read_text(encoding="utf-8")).get("made_by") or [""]
         if modules and digest_then != code_version(*modules):
             found.append(path)

@@ -106,7 +106,6 @@ class TempFolder:
         self.close()
 
     def close(self) -> None:
-        """Remove the folder and its content."""
         shutil.rmtree(self.path, ignore_errors=True)
         if self._lock_handle is not None:
             os.close(self._lock_handle)

@@ -31,7 +31,7 @@ DIGITS = 16  # hex digits of a digest
 LARGEST_MEMORY = 1000  # most files that are remembered from one process to the next
 
 
-class Source(NamedTuple):
+class _Source(NamedTuple):
     """One Python file: digest of its code, and what it imports of this project.
 
     `imports` holds "a" for `import a` and "a:b" for `from a import b`.
@@ -62,10 +62,7 @@ def cache_home() -> Path:
 
 
 def code_digest(text: bytes) -> str:
-    """Digest of Python source without docstrings, comments and layout.
-
-    Raises SyntaxError if the text is no Python.
-    """
+    """Digest of Python source without docstrings, comments and layout. Raises SyntaxError."""
     return _parse(text).digest
 
 
@@ -130,7 +127,7 @@ def _is_text(statement: ast.AST) -> bool:
     )
 
 
-def _source(path: Path) -> Source:
+def _source(path: Path) -> _Source:
     """Digest and imports of a file, parsed only if its content was never met before."""
     text = path.read_bytes()
     key = hashlib.sha256(text).hexdigest()
@@ -139,12 +136,12 @@ def _source(path: Path) -> Source:
         try:
             known[key] = _parse(text)
         except SyntaxError:  # in somebody else's package; it counts by every byte
-            known[key] = Source(key[:DIGITS], ())
+            known[key] = _Source(key[:DIGITS], ())
         _parsed.append(key)
     return known[key]
 
 
-def _parse(text: bytes) -> Source:
+def _parse(text: bytes) -> _Source:
     """Return digest and imports of this project's packages, wherever the statements stand."""
     tree, names = ast.parse(text), dict[str, None]()
     for node in ast.walk(tree):
@@ -156,7 +153,7 @@ def _parse(text: bytes) -> Source:
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
             names.update(dict.fromkeys(f"{node.module}:{alias.name}" for alias in node.names))
     own = (name for name in names if name.partition(":")[0].partition(".")[0] in DIGESTED)
-    return Source(hashlib.sha256(ast.dump(tree).encode()).hexdigest()[:DIGITS], tuple(own))
+    return _Source(hashlib.sha256(ast.dump(tree).encode()).hexdigest()[:DIGITS], tuple(own))
 
 
 _parsed: list[str] = []
@@ -168,10 +165,10 @@ def _memory_file() -> Path:
 
 
 @cache
-def _memory() -> dict[str, Source]:
+def _memory() -> dict[str, _Source]:
     try:
         stored = json.loads(_memory_file().read_text(encoding="utf-8"))
-        return {key: Source(value[0], tuple(value[1])) for key, value in stored.items()}
+        return {key: _Source(value[0], tuple(value[1])) for key, value in stored.items()}
     except (OSError, ValueError, TypeError, AttributeError, IndexError, KeyError):
         return {}  # none there, or a damaged one: it is made again
 

@@ -4,8 +4,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-DISTRIBUTION = "road-envs"
-
 EXTRAS = {
     "learn": ("torch", "stable_baselines3", "safetensors"),
     "board": ("typer", "rich", "jinja2", "matplotlib", "pyarrow", "pandas"),
@@ -53,5 +51,5 @@ def missing_extra(error: ModuleNotFoundError, purpose: str) -> str:
         return f"{purpose} needs the package {module!r}, which is not installed"
     return (
         f"{purpose} needs the extra {extra!r} (no module named {module!r}): "
-        f"pip install '{DISTRIBUTION}[{extra}]'"
+        f"pip install 'road-envs[{extra}]'"
     )

@@ -20,8 +20,6 @@ FORMAT = "roadrecon dataset 1"
 CYCLE = ("train",) * 8 + ("validation", "test")
 """Split of the drives k = 0, 1, ..., repeated: every prefix of a data set has 80, 10 and 10 %."""
 
-LICENCE = "CC-BY-4.0"
-
 CARD = """---
 license: cc-by-4.0
 pretty_name: RoadRecon drives
@@ -94,7 +92,7 @@ def write_dataset(
         "corpus": corpus.digest,
         "drives": corpus.number,
         "metres": float(sum(row["length_m"] for row in rows)),
-        "licence": LICENCE,
+        "licence": "CC-BY-4.0",
     }
     size = "n<1K" if corpus.number < 1000 else "1K<n<10K"
     card = CARD.format(**facts, size=size, command=command)

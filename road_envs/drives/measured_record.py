@@ -29,7 +29,7 @@ from road_envs.drives.logger_tables.clock import MAX_LOST_SHARE, check_rate, rea
 from road_envs.drives.logger_tables.description import DEVICE, SEAT_NOTE, DriveDescription
 from road_envs.drives.logger_tables.motion import read_motion
 from road_envs.drives.logger_tables.table import Table
-from road_envs.drives.mount import Levelled, level
+from road_envs.drives.mount import level
 from road_envs.drives.recordings.recording import Recording, Series
 from road_envs.records.accelerometers import column
 from road_envs.records.record import LowPass, Record
@@ -71,23 +71,24 @@ def recording_to_record(
     """Return the record of a device with three axes, turned upright. Raises ConfigError."""
     upright = level(recording)
     seat = (SEAT_NOTE,) if description.at == "seat" else ()
-    drive = to_measured_record(_joined_table(upright, recording.track), wheelbase, description, car)
+    table = _joined_table(upright.t, upright.vertical, recording.track)
+    drive = to_measured_record(table, wheelbase, description, car)
     notes = (*upright.notes, *recording.notes, *seat, *drive.notes)
     return drive._replace(notes=notes, place=description.at or "")
 
 
-def _joined_table(upright: Levelled, track: Series | None) -> Table:
-    """Return the vertical acceleration and the track as one table, empty where either has no row.
+def _joined_table(t: np.ndarray, vertical: np.ndarray, track: Series | None) -> Table:
+    """Return an acceleration (N,) and the track as one table, empty where either has no row.
 
     Times are rounded to a microsecond, so that equal ones are one row.
     """
     import pyarrow as pa
 
-    fast = np.round(upright.t, 6)
+    fast = np.round(t, 6)
     slow = np.zeros(0) if track is None else np.round(track.t, 6)
     t = np.union1d(fast, slow)
     columns = {"t [s]": t, f"{column(DEVICE)} [m/s2]": np.full(t.size, np.nan)}
-    columns[f"{column(DEVICE)} [m/s2]"][np.searchsorted(t, fast)] = upright.vertical
+    columns[f"{column(DEVICE)} [m/s2]"][np.searchsorted(t, fast)] = vertical
     if track is not None:
         for name, x in zip(("lat", "lon", "v [m/s]", "s [m]"), track.x.T, strict=True):
             if np.isfinite(x).any():

@@ -63,7 +63,7 @@ class _Mount(NamedTuple):
     tilt_std: float
 
 
-class Levelled(NamedTuple):
+class _Levelled(NamedTuple):
     """Vertical accelerations (N,) [m/s²] of the vehicle at times `t` [s], mounts and notes.
 
     They are NaN where the device moved in its mount.
@@ -75,7 +75,7 @@ class Levelled(NamedTuple):
     notes: tuple[str, ...]
 
 
-def level(recording: Recording) -> Levelled:
+def level(recording: Recording) -> _Levelled:
     """Return the vertical accelerations of the vehicle in a recording.
 
     Raises ConfigError if gravity is missing, has no plausible magnitude, or moves all the time.
@@ -106,7 +106,7 @@ def level(recording: Recording) -> Levelled:
         mounts.append(mount)
         vertical[part] = a.x[part] @ mount.up - mount.gravity
     notes += _mount_notes(mounts, moves)
-    return Levelled(a.t, vertical, tuple(mounts), tuple(notes))
+    return _Levelled(a.t, vertical, tuple(mounts), tuple(notes))
 
 
 def _in_si(recording: Recording) -> tuple[Series, list[str]]:

@@ -55,7 +55,6 @@ class DriveFile(NamedTuple):
         return self.measured.has_distance or self.description.speed_kmh is not None
 
     def with_notes(self, *notes: str) -> "DriveFile":
-        """The drive with further notes."""
         noted = self.measured._replace(notes=(*self.measured.notes, *notes))
         return self._replace(measured=noted)
 

@@ -20,7 +20,7 @@ import dataclasses
 import hashlib
 import itertools
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Any, Literal, NamedTuple
@@ -39,8 +39,9 @@ from road_envs.sensing.perturbed_vehicle import load_plant_mismatch
 from road_envs.simulation.drive import SimulationError
 from road_envs.vehicle.axles import Axle
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
-from road_envs.vehicle.struts import CoilSpring, PassiveStrut, Strut
+from road_envs.vehicle.struts import CoilSpring, Strut
 from road_envs.vehicle.suspension import MODES
+from road_envs.vehicle.tolerances import scale_parameters
 
 SEED_STREAM = 0x7EAC4
 """First entry of the seed of every drive; no task uses it."""
@@ -53,7 +54,7 @@ ATTEMPTS = 10
 """Number of drives that are tried if the simulation fails."""
 
 
-class CorpusDrive(NamedTuple):
+class _CorpusDrive(NamedTuple):
     """A record, its true profile, and whether the vehicle's body neither twists nor bends."""
 
     record: Record
@@ -95,11 +96,11 @@ class Corpus(Settings):
         """The nominal instruments."""
         return load_instruments(self.instruments)
 
-    def simulate_drive(self, k: int, nominal: bool = False) -> CorpusDrive:
-        """Simulate drive `k`; every call gives the same.
+    def simulate_drive(self, k: int, nominal: bool = False) -> _CorpusDrive:
+        """Simulate drive `k`: record, true profile, and whether the body is rigid.
 
-        With `nominal` the nominal vehicle and instruments drive over the same road in the same
-        mode. Raises SimulationError if all attempts fail.
+        Every call gives the same. With `nominal` the nominal vehicle and instruments drive over the
+        same road in the same mode. Raises SimulationError if all attempts fail.
         """
         for attempt in range(ATTEMPTS):
             rng = np.random.default_rng([SEED_STREAM, self.seed, k, attempt])
@@ -109,9 +110,9 @@ class Corpus(Settings):
                 last_error = error
         raise last_error
 
-    def _simulate(self, rng: np.random.Generator, nominal: bool) -> CorpusDrive:
+    def _simulate(self, rng: np.random.Generator, nominal: bool) -> _CorpusDrive:
         length = 10.0 * rng.integers(self.shortest // 10, self.longest // 10 + 1)
-        surface = draw_road(rng, length).realise(rng)
+        surface = _draw_road(rng, length).realise(rng)
         front, rear = _draw_modes(rng)  # drawn for every car, so that seeds keep their roads
         mode = None if self.vehicle.is_passive else {"front": front, "rear": rear}
         grade = str(rng.choice(list(GRADE_SHARES), p=list(GRADE_SHARES.values())))
@@ -132,7 +133,7 @@ class Corpus(Settings):
         )
         gains = 1.0 + 0.01 * deviation_scale * rng.standard_normal((3, 1))
         record = dataclasses.replace(record, a=gains * record.a)
-        return CorpusDrive(record, truth, rigid=grade in ("S0", "S1"))
+        return _CorpusDrive(record, truth, rigid=grade in ("S0", "S1"))
 
 
 def drives_in_mode(
@@ -149,7 +150,7 @@ def drives_in_mode(
         # the attempt number ATTEMPTS keeps this stream apart from that of `simulate_drive`
         rng = np.random.default_rng([SEED_STREAM, corpus.seed, k, ATTEMPTS])
         speed = float(np.exp(rng.uniform(*np.log(speeds_kmh))))
-        road = draw_road(rng, 100.0).realise(rng)
+        road = _draw_road(rng, 100.0).realise(rng)
         try:
             drives.append(simulate_record(road, speed_kmh=speed, seed=k, **shared))
         except SimulationError:
@@ -160,7 +161,7 @@ def drives_in_mode(
     return drives
 
 
-def draw_road(rng: np.random.Generator, length: float) -> Road:
+def _draw_road(rng: np.random.Generator, length: float) -> Road:
     """Draw one of the roads of the module docstring, of about that length [m]."""
     kind = rng.uniform()
     low, high = np.log([0.7 * CLASSES["A"], 2.0 * CLASSES["E"]])
@@ -209,7 +210,6 @@ def _hump(rng: np.random.Generator, length: float) -> Defect:
 
 
 def _draw_modes(rng: np.random.Generator) -> tuple[str, str]:
-    """Draw the states of the struts in front and at the rear."""
     kind = rng.uniform()
     if kind < 0.5:
         same = "ride" if kind < 0.25 else "handling"
@@ -232,48 +232,23 @@ def perturb_parameters(
         return float(np.clip(1.0 + deviation_scale * std * rng.standard_normal(), 0.6, 1.4))
 
     load, damping, friction = factor(0.06), factor(0.10), factor(0.15)
+    losses, factors = {"damper": damping, "friction": friction}, {"m_b": load}
     if isinstance(car.strut, Strut):
-        strut: Any = dataclasses.replace(
-            car.strut,
-            p_stat=car.strut.p_stat * load,  # the gas pressure keeps the height of a heavier body
-            x_1=car.strut.x_1 * factor(0.07),
-            x_2=car.strut.x_2 * factor(0.07),
-            damper=_scale_curves(car.strut.damper, lambda: damping * factor(0.05)),
-            friction=_scale_curves(car.strut.friction, lambda: friction * factor(0.05)),
-        )
+        # the gas pressure keeps the height of a heavier body
+        factors |= {"strut.p_stat": load, "strut.x_1": factor(0.07), "strut.x_2": factor(0.07)}
+        for name, common in losses.items():
+            factors |= {f"strut.{name}.{m}": common * factor(0.05) for m in ("ride", "handling")}
     else:
-        strut = dataclasses.replace(
-            car.strut,
-            front=_perturb_passive(car.strut.front, damping, friction, factor),
-            rear=_perturb_passive(car.strut.rear, damping, friction, factor),
-        )
+        for end, strut in (("front", car.strut.front), ("rear", car.strut.rear)):
+            rate = "k" if isinstance(strut.spring, CoilSpring) else "x"
+            factors[f"strut.{end}.spring.{rate}"] = factor(0.07)
+            for name, common in losses.items():
+                factors[f"strut.{end}.{name}"] = common * factor(0.05)
     tyre = factor(0.08)
-    axles: dict[str, Any] = {}
-    for name, axle in zip(("front", "rear"), car.axles, strict=True):
-        changes: dict[str, Any] = {"m": axle.m * factor(0.07)}
+    for end, axle in zip(("front", "rear"), car.axles, strict=True):
+        factors[f"{end}.m"] = factor(0.07)
         if isinstance(axle, Axle):
-            changes["I_xx"] = axle.I_xx * factor(0.08)
-        changes |= {"k_t": axle.k_t * tyre * factor(0.03), "c_t": axle.c_t * factor(0.15)}
-        axles[name] = dataclasses.replace(axle, **changes)
-    inertia = {name: getattr(car, name) * factor(0.08) for name in ("I_xx", "I_yy")}
-    return dataclasses.replace(car, m_b=car.m_b * load, strut=strut, **inertia, **axles)
-
-
-def _perturb_passive(
-    strut: PassiveStrut, damping: float, friction: float, factor: Callable[[float], float]
-) -> PassiveStrut:
-    """Return a passive strut whose spring, damper and friction deviate at random."""
-    spring: Any = strut.spring
-    rate = "k" if isinstance(spring, CoilSpring) else "x"
-    return dataclasses.replace(
-        strut,
-        spring=dataclasses.replace(spring, **{rate: getattr(spring, rate) * factor(0.07)}),
-        damper=strut.damper.scaled(damping * factor(0.05)),
-        friction=strut.friction.scaled(friction * factor(0.05)),
-    )
-
-
-def _scale_curves(curves: Any, draw_factor: Callable[[], float]) -> Any:
-    """Return the curves of both modes with their forces multiplied by random factors."""
-    ride, handling = curves.ride.scaled(draw_factor()), curves.handling.scaled(draw_factor())
-    return dataclasses.replace(curves, ride=ride, handling=handling)
+            factors[f"{end}.I_xx"] = factor(0.08)
+        factors |= {f"{end}.k_t": factor(0.03), f"{end}.c_t": factor(0.15)}
+    factors |= {name: factor(0.08) for name in ("I_xx", "I_yy")}
+    return scale_parameters(scale_parameters(car, {"front.k_t": tyre, "rear.k_t": tyre}), factors)

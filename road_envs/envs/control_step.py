@@ -158,8 +158,8 @@ def advance_blocks(
     """Advance the `blocks` (indices) by one control interval under IntervalInputs.
 
     The rows of `output` are the vehicles; the last block may have lanes without one. `safety`, if
-    given: the SafetyParameters of a fleet whose costs are those of `safety_step`; `side`, if given:
-    the vehicles have side motion.
+    given: the constants of a fleet whose costs are those of `safety_step`; `side`, if given: the
+    vehicles have side motion.
     """
     delayed = workspace.delayed
     n, h = delayed.shape[0], parameters.h

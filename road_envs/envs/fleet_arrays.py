@@ -10,7 +10,6 @@ import numpy as np
 from road_envs.envs.failures import END_OF_ROAD, NONFINITE_STEP, ROLLOVER
 from road_envs.kernels.simd import LANES
 from road_envs.simulation.lanes import aligned_zeros, transpose_constants
-from road_envs.simulation.rosenbrock import N_SIGNALS
 from road_envs.vehicle.equations import Plant
 from road_envs.vehicle.parameters import VehicleParameters
 
@@ -96,7 +95,7 @@ class FleetParameters(NamedTuple):
     struts: int
 
 
-class CarBuffers(NamedTuple):
+class _CarBuffers(NamedTuple):
     """Vehicles of B blocks, or of one block whose vehicles all blocks have.
 
     Fields as of `lanes.LaneBuffers`: `lane_constants` (B,), `constants` (B, LANES), `alpha`
@@ -138,7 +137,7 @@ class LaneCars:
             table = getattr(plant, name)
             tables.append(np.concatenate([table, np.zeros((most * lanes, *table.shape[1:]))]))
         constants = np.repeat(common[None], size, axis=0)
-        self.buffers = CarBuffers(lane_constants, constants, alpha, *tables)
+        self.buffers = _CarBuffers(lane_constants, constants, alpha, *tables)
 
     def put(self, i: int, plant: Plant, car: VehicleParameters) -> None:
         """Give lane `i` (over all blocks) another plant."""
@@ -225,18 +224,3 @@ class StepOutput(NamedTuple):
     def loads(self) -> np.ndarray:
         """Tyre loads at the samples [N] (N, 4, k)."""
         return self.truth[:, TRUE_LOADS:]
-
-
-def allocate_workspace(
-    steps: int, samples: int, sensors: int, keep_signals: bool
-) -> ControlStepWorkspace:
-    """Allocate the scratch of a thread for intervals of n = `steps`."""
-    return ControlStepWorkspace(
-        delayed=np.zeros((steps, LANES), dtype=np.uint8),
-        s=aligned_zeros(2 * steps + 1),
-        v=aligned_zeros(2 * steps + 1),
-        a_xy=aligned_zeros(4 * steps + 2),
-        noise=aligned_zeros(sensors, steps),
-        samples=np.zeros((sensors, samples, LANES), dtype=np.float32),
-        signals=aligned_zeros(keep_signals * steps, N_SIGNALS),
-    )

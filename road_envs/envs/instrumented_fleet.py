@@ -23,6 +23,7 @@ from road_envs.simulation.drive import DriveSimulator, Trajectory
 from road_envs.simulation.fleet import NO_MANOEUVRE, run_in_threads
 from road_envs.simulation.lanes import aligned_zeros
 from road_envs.simulation.manoeuvres import Manoeuvre
+from road_envs.simulation.rosenbrock import N_SIGNALS
 from road_envs.vehicle.equations import AXLE, PHI, THETA, Z_B, Plant, sensor_row
 from road_envs.vehicle.parameters import VehicleParameters
 
@@ -129,7 +130,15 @@ class InstrumentedFleet:
         self._moving = np.arange(blocks)
         self._commands = np.zeros(blocks * LANES, dtype=np.uint8)
         self._workspaces = [
-            fa.allocate_workspace(steps, self.samples, k, keep_signals)
+            fa.ControlStepWorkspace(
+                delayed=np.zeros((steps, LANES), dtype=np.uint8),
+                s=aligned_zeros(2 * steps + 1),
+                v=aligned_zeros(2 * steps + 1),
+                a_xy=aligned_zeros(4 * steps + 2),
+                noise=aligned_zeros(k, steps),
+                samples=np.zeros((k, self.samples, LANES), dtype=np.float32),
+                signals=aligned_zeros(keep_signals * steps, N_SIGNALS),
+            )
             for _ in range(min(threads, blocks))
         ]
         self._idle = [True]  # emptied by the thread that advances: taking from a list is atomic
@@ -235,16 +244,12 @@ class InstrumentedFleet:
         run_in_threads(run, list(zip(jobs, self._workspaces, strict=True)))
         if mask is not None and saved is not None:
             self._restore_unmasked(moving, mask, saved)
-        if self.settings.unresolved_variance is not None:
-            self._subtract_information_cost(commands, output.values)
+        if self.settings.unresolved_variance is not None:  # the fourth cost
+            values, weight = output.values, self.settings.unresolved_variance_weight
+            values[:, fa.OUT_UNRESOLVED] = self.unresolved[np.arange(self.n_vehicles), commands]
+            interval = self.steps * self.step
+            values[:, fa.OUT_REWARD] -= interval * weight * values[:, fa.OUT_UNRESOLVED]
         return output
-
-    def _subtract_information_cost(self, commands: np.ndarray | int, values: np.ndarray) -> None:
-        """Subtract the cost of the road variance that the commanded states leave unresolved."""
-        interval = self.steps * self.step
-        unresolved = self.unresolved[np.arange(self.n_vehicles), commands]
-        values[:, fa.OUT_UNRESOLVED] = unresolved
-        values[:, fa.OUT_REWARD] -= interval * self.settings.unresolved_variance_weight * unresolved
 
     @property
     def steps_left(self) -> np.ndarray:

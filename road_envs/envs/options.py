@@ -122,14 +122,13 @@ class EnvOptions(Settings):
 
 
 class EpisodeStart(NamedTuple):
-    """Start of one episode: speed [km/h], command byte, surface, drive over it, and instruments.
+    """Start of one episode: speed [km/h], command byte, drive, and instruments.
 
     `description` is the `SafeDrive` of an episode of the benchmark.
     """
 
     speed_kmh: float
     command_byte: int
-    surface: Surface
     drive: DriveSimulator
     logger: DataLogger
     description: Any = None
@@ -314,7 +313,7 @@ class EnvSetup:
         step = self.options.step
         drive = DriveSimulator(self.plant, self.car, surface, speed_kmh / 3.6, o.mode, step)
         logger = DataLogger(self.instruments, self.car, step, sensor_rng)
-        return EpisodeStart(speed_kmh, encode_command(o.mode, self.car), surface, drive, logger)
+        return EpisodeStart(speed_kmh, encode_command(o.mode, self.car), drive, logger)
 
     def _draw_climbable(self, random: np.random.Generator) -> Surface:
         """Return the first of MAX_DRAWS roads that every wheel climbs. Raises ConfigError."""

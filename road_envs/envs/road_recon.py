@@ -226,12 +226,11 @@ class RoadReconEnv(gymnasium.Env):
         return output
 
     def _info(self, output: StepOutput, start: EpisodeStart) -> tuple[float, dict[str, Any]]:
-        """Return the reward and `info`."""
         row = output.values[0].tolist()
         info: dict[str, Any] = {name: row[j] for name, j in self.setup.info_columns.items()}
         reward = row[self._reward_column]
         info["reason"] = self.setup.failure_code(output, 0)
-        self._failed = (output, start.surface.name) if info["reason"] else None
+        self._failed = (output, start.drive.surface.name) if info["reason"] else None
         if self.setup.options.truth:
             info["s"], info["profile"] = output.s[0], output.profile[0]
             info["loads"] = output.loads[0]

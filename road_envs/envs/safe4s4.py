@@ -1,23 +1,17 @@
 """Gymnasium environment `RoadRecon/Safe4S4-v1`: comfort, never on two wheels."""
 
 from dataclasses import dataclass
+from hashlib import sha256
 from typing import Annotated, Any, Literal
 
 import gymnasium
 import numpy as np
 
-from road_envs.core.config import Positive, Settings
+from road_envs.core.config import ConfigError, Positive, Settings
 from road_envs.envs.instrumented_fleet import FleetSettings
 from road_envs.envs.options import EnvSetup, EpisodeStart, build_options
 from road_envs.envs.road_recon import RoadReconEnv
-from road_envs.envs.safe_drives import (
-    SafeDrive,
-    draw_drive,
-    individual_car,
-    load_benchmark,
-    realise_surface,
-    split_key,
-)
+from road_envs.envs.safe_drives import SafeDrive, draw_drive, load_benchmark
 from road_envs.envs.safety_step import SAFETY_COLUMNS
 from road_envs.envs.vector import RoadReconVectorEnv
 from road_envs.sensing.data_logger import DataLogger
@@ -40,7 +34,21 @@ class SafeOptions(Settings):
 
     def __post_init__(self):
         super().__post_init__()
-        split_key(self.split, self.seal)
+        _split_key(self.split, self.seal)
+
+
+def _split_key(split: str, seal: str | None) -> int:
+    """Return the part of the random entropy that keeps the splits apart.
+
+    That of the sealed test follows from a secret text. Raises ConfigError without one, and on one
+    for another split.
+    """
+    if (split == "sealed") != (seal is not None):
+        raise ConfigError(
+            f"the split 'sealed', and no other, needs a seal: its secret text; got split = "
+            f"{split!r}, seal = {'a text' if seal else seal!r}"
+        )
+    return int.from_bytes(sha256(f"{split}:{seal}".encode()).digest()[:8], "big")
 
 
 class Safe4S4Setup(EnvSetup):
@@ -81,7 +89,7 @@ class Safe4S4Setup(EnvSetup):
     ) -> tuple[SafeDrive, list[np.random.SeedSequence]]:
         """Draw a description, and the seeds of the road, the car and the sensors."""
         # one stream per cause, of entropy that differs between the splits
-        key = split_key(self.safe.split, self.safe.seal)
+        key = _split_key(self.safe.split, self.safe.seal)
         root = np.random.SeedSequence([key, *random.integers(2**32, size=4).tolist()])
         drive_seed, *others = root.spawn(4)
         rng = np.random.default_rng(drive_seed)
@@ -91,9 +99,9 @@ class Safe4S4Setup(EnvSetup):
         """Draw the start of a drive from `random`; the fields `o` of `SafeDrive` are fixed."""
         fixed = o if isinstance(o, dict) else {}  # after an episode a vector environment has none
         description, (road_seed, car_seed, sensor_seed) = self.draw(random, fixed)
-        surface = realise_surface(description, np.random.default_rng(road_seed), self.car)
+        surface = description.realise_surface(np.random.default_rng(road_seed), self.car)
         k, step = len(self.instruments.accelerometers), self.options.step
-        car, faults = individual_car(description, self.car, car_seed, k)
+        car, faults = description.individual_car(self.car, car_seed, k)
         drive = DriveSimulator(
             build_plant(car, manoeuvres=True), car, surface, description.speed_profile, None, step,
             description.manoeuvre,
@@ -101,7 +109,7 @@ class Safe4S4Setup(EnvSetup):
         drive.limit_duration(description.duration)
         logger = DataLogger(self.instruments, car, step, np.random.default_rng(sensor_seed), faults)
         byte = encode_command(None, car)
-        return EpisodeStart(description.speed_kmh, byte, surface, drive, logger, description)
+        return EpisodeStart(description.speed_kmh, byte, drive, logger, description)
 
 
 class Safe4S4Env(RoadReconEnv):

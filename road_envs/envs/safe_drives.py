@@ -8,7 +8,6 @@ training draws "known" only.
 """
 
 from dataclasses import dataclass, field, fields, replace
-from hashlib import sha256
 from typing import Annotated, Any, Literal, cast
 
 import numpy as np
@@ -16,7 +15,6 @@ from pydantic import Field
 
 from road_envs.core import config
 from road_envs.core.config import (
-    ConfigError,
     NonNegative,
     Positive,
     Settings,
@@ -24,8 +22,9 @@ from road_envs.core.config import (
     UnknownKeyError,
     build,
 )
-from road_envs.roads import load_road
+from road_envs.roads import Concatenated, Defects, Iso8608, Road, Superposed
 from road_envs.roads.iso8608 import RoadClass
+from road_envs.roads.obstacles import Defect
 from road_envs.roads.surface import Surface
 from road_envs.sensing.perturbed_vehicle import load_plant_mismatch, perturb_vehicle
 from road_envs.sensing.sensor_faults import NO_FAULTS, SensorFaults
@@ -38,7 +37,7 @@ from road_envs.simulation.manoeuvres import (
     SteadyTurn,
     Successive,
 )
-from road_envs.simulation.speed import SpeedProfile, constant_speed
+from road_envs.simulation.speed import SpeedProfile
 from road_envs.vehicle.parameters import VehicleParameters
 
 Side = Literal["left", "right"]
@@ -93,7 +92,7 @@ class SafeDrive(Settings):
     def speed_profile(self) -> SpeedProfile:
         """Speed over time; it falls where the gentle manoeuvre is braking."""
         if self.gentle != "braking":
-            return constant_speed(self.v)
+            return SpeedProfile(t=(0.0,), v=(self.v,))
         stop, a = self._gentle_begin, BRAKING.a_x * self.gentle_severity
         # constant deceleration over the time that a trapezoid of the same impulse takes
         duration = BRAKING.hold + BRAKING.build_up
@@ -109,6 +108,39 @@ class SafeDrive(Settings):
             shape = GENTLE[self.gentle]
             parts.append(replace(shape, a_y=sign * shape.a_y, begin=self._gentle_begin))
         return Successive(tuple(parts))
+
+    def realise_surface(self, rng: np.random.Generator, car: VehicleParameters) -> Surface:
+        """Return the road: two ISO classes one after the other, and bumps on them."""
+        distance, _, _ = self.speed_profile.at(np.array([self.duration]))
+        # the drive starts 5 m before the road and must not leave it: a margin of a wheelbase
+        length = float(np.ceil(distance[0] + car.wheelbase))
+        first = round(self.change * length, 2)
+        places = np.sort(rng.uniform(0.15, 0.95, self.bumps)) * length
+        classes = (self.road, first), (self.road_after, length - first)
+        rough = (Iso8608(road_class=road_class, length=part) for road_class, part in classes)
+        roads: list[Road] = [Concatenated(roads=tuple(rough))]
+        if self.bumps:
+            shape: Any = {"shape": "half_sine", "length": BUMP_LENGTH, "height": self.bump_height}
+            bumps = tuple(Defect(at=float(at), **shape) for at in places)
+            roads.append(Defects(length=length, defects=bumps))
+        surface = Superposed(roads=tuple(roads)).realise(rng)
+        surface.check_climbable()
+        return surface
+
+    def individual_car(
+        self, car: VehicleParameters, seed: Any, k: int
+    ) -> tuple[VehicleParameters, SensorFaults]:
+        """Return the manufactured car with its load, and faults of `k` accelerometers.
+
+        Its frame is rigid, and its instruments have neither jitter nor lost samples: an interval of
+        the environment holds whole samples.
+        """
+        mismatch = load_plant_mismatch()
+        rigid = replace(mismatch, structure=replace(mismatch.structure, frame=None, bending=None))
+        individual = perturb_vehicle(car, self.grade, seed, rigid, k)
+        faults = individual.faults if self.faults else NO_FAULTS
+        faults = replace(faults, jitter=0.0, dropout_rate=0.0)
+        return _loaded(individual.car, self.payload), faults
 
     @property
     def _severe(self) -> Any:
@@ -146,7 +178,7 @@ REST = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class DriveRanges(Settings):
+class _DriveRanges(Settings):
     """Ranges from which the drives of a group are drawn."""
 
     road: tuple[RoadClass, ...]
@@ -159,38 +191,24 @@ class DriveRanges(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SafeBenchmark(Settings):
+class _SafeBenchmark(Settings):
     """Ranges of the drives; `groups` are the shares of the groups in each split."""
 
     name: str
     duration: Range
-    known: DriveRanges
-    unseen: DriveRanges
+    known: _DriveRanges
+    unseen: _DriveRanges
     groups: dict[str, dict[str, float]]
     sources: dict[str, str] = field(default_factory=dict)
 
 
-def load_benchmark(name: str = "safe4s4_v1") -> SafeBenchmark:
-    """Load the ranges of a benchmark. Raises ConfigError."""
-    return config.load(SafeBenchmark, "benchmarks", name)
-
-
-def split_key(split: str, seal: str | None) -> int:
-    """Return the part of the random entropy that keeps the splits apart.
-
-    That of the sealed test follows from a secret text. Raises ConfigError without one, and on one
-    for another split.
-    """
-    if (split == "sealed") != (seal is not None):
-        raise ConfigError(
-            f"the split 'sealed', and no other, needs a seal: its secret text; got split = "
-            f"{split!r}, seal = {'a text' if seal else seal!r}"
-        )
-    return int.from_bytes(sha256(f"{split}:{seal}".encode()).digest()[:8], "big")
+def load_benchmark() -> _SafeBenchmark:
+    """Load the ranges of the benchmark."""
+    return config.load(_SafeBenchmark, "benchmarks", "safe4s4_v1")
 
 
 def draw_drive(
-    benchmark: SafeBenchmark, split: str, rng: np.random.Generator, fixed: dict[str, Any]
+    benchmark: _SafeBenchmark, split: str, rng: np.random.Generator, fixed: dict[str, Any]
 ) -> SafeDrive:
     """Draw a drive of a split; `fixed` fields replace what is drawn. Raises ConfigError."""
     known = [f.name for f in fields(SafeDrive)]
@@ -199,7 +217,7 @@ def draw_drive(
     shares = benchmark.groups["test" if split == "sealed" else split]
     group = fixed.get("group", str(rng.choice(list(shares), p=list(shares.values()))))
     config.validate_choice("group", group, ["known", "unseen"])
-    ranges: DriveRanges = getattr(benchmark, group)
+    ranges: _DriveRanges = getattr(benchmark, group)
     sides = ("left", "right")
     # all draws are made, whatever is fixed: fixing one field leaves the others as they are
     drawn = {
@@ -227,47 +245,6 @@ def draw_drive(
 
 def _choice(rng: np.random.Generator, choices: tuple[str, ...]) -> str:
     return choices[int(rng.integers(len(choices)))]
-
-
-def realise_surface(drive: SafeDrive, rng: np.random.Generator, car: VehicleParameters) -> Surface:
-    """Return the road of a drive: two ISO classes one after the other, and bumps on them."""
-    distance, _, _ = drive.speed_profile.at(np.array([drive.duration]))
-    # the drive starts 5 m before the road and must not leave it: a margin of a wheelbase
-    length = float(np.ceil(distance[0] + car.wheelbase))
-    first = round(drive.change * length, 2)
-    places = np.sort(rng.uniform(0.15, 0.95, drive.bumps)) * length
-    parts: list[dict[str, Any]] = [
-        {
-            "kind": "concatenated",
-            "roads": [
-                {"kind": "iso8608", "road_class": drive.road, "length": first},
-                {"kind": "iso8608", "road_class": drive.road_after, "length": length - first},
-            ],
-        }
-    ]
-    if drive.bumps:
-        shape = {"shape": "half_sine", "length": BUMP_LENGTH, "height": drive.bump_height}
-        defects = [shape | {"at": float(at)} for at in places]
-        parts.append({"kind": "defects", "length": length, "defects": defects})
-    surface = load_road({"kind": "superposed", "roads": parts}).realise(rng)
-    surface.check_climbable()
-    return surface
-
-
-def individual_car(
-    drive: SafeDrive, car: VehicleParameters, seed: Any, k: int
-) -> tuple[VehicleParameters, SensorFaults]:
-    """Return the manufactured car of a drive with its load, and faults of `k` accelerometers.
-
-    Its frame is rigid, and its instruments have neither jitter nor lost samples: an interval of
-    the environment holds whole samples.
-    """
-    mismatch = load_plant_mismatch()
-    rigid = replace(mismatch, structure=replace(mismatch.structure, frame=None, bending=None))
-    individual = perturb_vehicle(car, drive.grade, seed, rigid, k)
-    faults = individual.faults if drive.faults else NO_FAULTS
-    faults = replace(faults, jitter=0.0, dropout_rate=0.0)
-    return _loaded(individual.car, drive.payload), faults
 
 
 def _loaded(car: VehicleParameters, payload: float) -> VehicleParameters:

@@ -41,7 +41,7 @@ GRACE = 0.02
 """Time [s] for which both wheels of a side may be off the ground before it counts."""
 
 
-class SafetyParameters(NamedTuple):
+class _SafetyParameters(NamedTuple):
     """Constants of all vehicles: filter of the tyre loads, `seat` (2,): x and |y| [m], and `stops`
     (4, 2) [m]: extensions at which the bump stops begin.
     """
@@ -51,11 +51,11 @@ class SafetyParameters(NamedTuple):
     stops: np.ndarray
 
 
-def safety_parameters(car: VehicleParameters, step: float) -> SafetyParameters:
+def safety_parameters(car: VehicleParameters, step: float) -> _SafetyParameters:
     """Return the constants of the described `car` for steps of `step` [s]."""
     stops = [zero_force_range(curve) for curve in car.bump_stops for _ in range(2)]
     high_pass = scipy.signal.butter(2, HIGH_PASS_CORNER, "highpass", fs=1.0 / step, output="sos")
-    return SafetyParameters(high_pass, np.array(SEAT), np.array(stops))
+    return _SafetyParameters(high_pass, np.array(SEAT), np.array(stops))
 
 
 @kernel

@@ -59,7 +59,6 @@ class RoadReconVecEnv(VecEnv):
         return observations
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Store the actions (num_envs,) for `step_wait`."""
         self._actions = np.asarray(actions)
 
     def step_wait(self):
@@ -82,7 +81,6 @@ class RoadReconVecEnv(VecEnv):
         return observations, rewards.astype(np.float32), dones, rows
 
     def close(self) -> None:
-        """Close the vector environment."""
         self.env.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:

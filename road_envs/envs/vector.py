@@ -100,12 +100,10 @@ class RoadReconVectorEnv(VectorEnv):
 
     @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
-        """Random generator of each environment."""
         return tuple(self._generators)
 
     @property
     def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
-        """Seed of each environment."""
         return tuple(self._seeds)
 
     def reset(
@@ -168,10 +166,7 @@ class RoadReconVectorEnv(VectorEnv):
         return copy.deepcopy({name: getattr(self, name) for name in KEPT})
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Go on from a `state` of an environment with the same options, to the bit.
-
-        Raises ConfigError on anything else.
-        """
+        """Go on from a `state` of an environment with the same options. Raises ConfigError."""
         if not (isinstance(state, dict) and set(state) == set(KEPT)):
             raise ConfigError(f"the state must be one that state() returned, got {shown(state)}")
         if (n := state["fleet"].n_vehicles) != self.num_envs:
@@ -216,7 +211,7 @@ class RoadReconVectorEnv(VectorEnv):
             start = self.setup.start_episode(
                 self.fleet, int(i), self._generators[i], episode_options
             )
-            commands[i], self._roads[i] = start.command_byte, start.surface.name
+            commands[i], self._roads[i] = start.command_byte, start.drive.surface.name
         self._elapsed[mask] = 0
         return commands
 

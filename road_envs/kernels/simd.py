@@ -28,29 +28,29 @@ LLVM_VECTOR = ir.VectorType(ir.DoubleType(), LANES)
 INT32 = ir.IntType(32)
 
 
-class Vector(types.Type):
+class _Vector(types.Type):
     """Numba type of LANES doubles."""
 
     def __init__(self):
         super().__init__(name=f"vector of {LANES} doubles")
 
 
-vector = Vector()
+vector = _Vector()
 
 
-@register_model(Vector)
+@register_model(_Vector)
 class _Model(models.PrimitiveModel):
     def __init__(self, manager, kind):
         super().__init__(manager, kind, LLVM_VECTOR)
 
 
 def any_vector(*kinds) -> bool:
-    return any(isinstance(kind, Vector) for kind in kinds)
+    return any(isinstance(kind, _Vector) for kind in kinds)
 
 
 def as_vector(context, builder, value, kind):
     """Return `value` as a vector; a number is broadcast to all lanes."""
-    if isinstance(kind, Vector):
+    if isinstance(kind, _Vector):
         return value
     number = context.cast(builder, value, kind, types.float64)
     nothing = ir.Constant(LLVM_VECTOR, ir.Undefined)
@@ -87,7 +87,7 @@ def typed(function: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
 
 def elementwise(*kinds):
     """Return the signature of a function of numbers or vectors: a vector if any of them is."""
-    arguments = [k if isinstance(k, Vector) else types.float64 for k in kinds]
+    arguments = [k if isinstance(k, _Vector) else types.float64 for k in kinds]
     return signature(vector if any_vector(*kinds) else types.float64, *arguments)
 
 
@@ -127,17 +127,14 @@ def _negate(context, builder, signature, values):
 
 
 def maximum(a, b):
-    """Return the greater of `a` and `b`."""
     return a if a > b else b
 
 
 def minimum(a, b):
-    """Return the lesser of `a` and `b`."""
     return b if a > b else a
 
 
 def if_positive(c, a, b):
-    """Return `a` where `c` > 0, else `b`."""
     return a if c > 0.0 else b
 
 
@@ -272,7 +269,6 @@ def _any_positive(context, builder, signature, values):
 
 
 def power(x, n):
-    """Return `x` to the power `n`."""
     return x**n
 
 

@@ -27,6 +27,7 @@ import numpy as np
 
 from road_envs.core.config import ConfigError
 from road_envs.core.extras import optional_import
+from road_envs.plants import check_on_body
 from road_envs.roads.surface import Surface
 from road_envs.sensing.instruments import SensorLocation
 from road_envs.vehicle.force_curves import Curve
@@ -118,9 +119,13 @@ def _patched() -> Callable[..., list[float]]:
 
 
 class CommonRoadCar:
-    """One multi-body car; `locations` are those of its accelerometers."""
+    """One multi-body car; `locations` are those of its accelerometers, on the body.
+
+    Raises ConfigError if one is on an axle, or if the car's struts are switched.
+    """
 
     def __init__(self, car: VehicleParameters, locations: Sequence[SensorLocation]):
+        check_on_body("commonroad", locations)
         with optional_import("the plant commonroad"):
             from vehiclemodels.init_mb import init_mb
             from vehiclemodels.vehicle_parameters import setup_vehicle_parameters

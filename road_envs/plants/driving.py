@@ -14,7 +14,7 @@ from road_envs.records.record import Profile, Record, profile_stations
 from road_envs.roads import Road, realise_road
 from road_envs.roads.surface import Surface, enveloped
 from road_envs.sensing.data_logger import DataLogger
-from road_envs.sensing.instruments import Instruments, load_instruments, on_axle
+from road_envs.sensing.instruments import Instruments, load_instruments
 from road_envs.vehicle.parameters import NOMINAL, VehicleParameters, load_vehicle
 
 PLANTS: dict[str, Callable[..., Any]] = {"mujoco": MujocoCar, "commonroad": CommonRoadCar}
@@ -48,7 +48,7 @@ def simulate_on_plant(
     car = vehicle if isinstance(vehicle, VehicleParameters) else load_vehicle(vehicle)
     if not isinstance(instruments, Instruments):
         instruments = load_instruments(instruments)
-    _check(plant, car, instruments)
+    _check(plant, car)
     step, v = 1.0 / instruments.fs, speed_kmh / 3.6
     logger = DataLogger(instruments, car, step, np.random.default_rng(seed))
     driven = surface
@@ -66,14 +66,12 @@ def simulate_on_plant(
     return record, Profile(stations, surface.height(stations))
 
 
-def _check(plant: str, car: VehicleParameters, instruments: Instruments) -> None:
+def _check(plant: str, car: VehicleParameters) -> None:
     """Raise ConfigError on what foreign plants do not have."""
     if not car.is_passive:
         raise ConfigError(
             f"{car.name} has struts that are switched; the plant {plant} needs passive struts"
         )
-    if on_axle(instruments.locations(car)):
-        raise ConfigError(f"{instruments.name}: the plant {plant} has no sensors on its axles")
     own = {name: value for name, value in vars(car.variation).items() if name != "contact_length"}
     if changed := [name for name, value in own.items() if value != getattr(NOMINAL, name)]:
         raise ConfigError(f"{car.name}: the plant {plant} knows no variation.{changed[0]}")

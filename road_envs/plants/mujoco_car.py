@@ -22,6 +22,7 @@ from scipy.interpolate import PchipInterpolator
 
 from road_envs.core.config import ConfigError
 from road_envs.core.extras import optional_import
+from road_envs.plants import check_on_body
 from road_envs.roads.surface import Surface
 from road_envs.sensing.instruments import SensorLocation
 from road_envs.vehicle.axles import IndependentWheels, SideMotion
@@ -41,10 +42,11 @@ that push the body up."""
 
 
 class MujocoCar:
-    """One car in MuJoCo; `locations` are those of its accelerometers.
+    """One car in MuJoCo; `locations` are those of its accelerometers, on the body.
 
     Its struts follow `law`, by default the curves of the vehicle file. Raises ConfigError if it has
-    none, as a car whose struts are switched, or if the joints of its axles give way.
+    none, as a car whose struts are switched, if the joints of its axles give way, or if an
+    accelerometer is on an axle.
     """
 
     def __init__(
@@ -53,6 +55,7 @@ class MujocoCar:
         locations: Sequence[SensorLocation],
         law: StrutLaw | None = None,
     ):
+        check_on_body("mujoco", locations)
         with optional_import("the plant mujoco"):
             import mujoco
 

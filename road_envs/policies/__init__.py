@@ -96,14 +96,6 @@ def make_policy(reference: str | Path, **settings: Any) -> Policy:
         raise ConfigError(f"the policy {name} cannot be used: {error}") from error
 
 
-def entry_point(name: str) -> str:
-    """Return "module:Class" of a policy that another package has installed, without loading it.
-
-    Raises ConfigError if there is none.
-    """
-    return _POLICIES.entry_point(name)
-
-
 def runs_foreign_code(reference: str) -> bool:
     """Return whether `make_policy` would run code that is not part of this package.
 
@@ -131,4 +123,5 @@ def _validate_policy_class(cls: Any) -> Any:
 
 _POLICIES = Registry("policy", ENTRY_POINT_GROUP, REGISTRY, _validate_policy_class)
 available, names = _POLICIES.available, _POLICIES.names
+entry_point = _POLICIES.entry_point
 """Look-up of all policies, as documented in `Registry`."""

@@ -41,9 +41,7 @@ class PolicyContext:
     @classmethod
     def from_setup(cls, setup: EnvSetup, n_vehicles: int, seed: int) -> "PolicyContext":
         """Return the context of `n_vehicles` environments with this `setup`."""
-        actions = tuple(
-            (a, a) if isinstance(a, str) else (a["front"], a["rear"]) for a in setup.actions
-        )
+        actions = tuple((a["front"], a["rear"]) for a in setup.actions)
         slices, car, instruments = setup.observation_slices, setup.car, setup.instruments
         return cls(n_vehicles, actions, slices, setup.interval, car, instruments, seed)
 
@@ -67,10 +65,7 @@ class PolicyContext:
         return table[firm[:, 0].astype(int), firm[:, 1].astype(int)]
 
     def signal(self, name: str, observations: np.ndarray) -> np.ndarray:
-        """Return a named part (N, ...) of `observations` (N, d).
-
-        Raises ConfigError if it is not observed.
-        """
+        """Return a named part (N, ...) of `observations` (N, d). Raises ConfigError without it."""
         if name not in self.observation_slices:
             raise ConfigError(
                 f"{name!r} is not observed; the environment's option observe adds 'planar' and "

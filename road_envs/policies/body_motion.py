@@ -72,5 +72,4 @@ class RunningRms:
         return np.sqrt(self.squares.mean(axis=0))
 
     def reset(self, mask: np.ndarray) -> None:
-        """Reset the vehicles in `mask` (N,)."""
         self.squares[:, mask] = 0.0

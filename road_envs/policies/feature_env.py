@@ -60,7 +60,6 @@ class FeatureVecEnv(VecEnvWrapper):
         return self.features.update(observations[:: self.rows])
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Store the actions (N,) for `step_wait`."""
         self._actions = np.asarray(actions)
 
     def step_wait(self):

@@ -71,7 +71,6 @@ class FeatureExtractor:
         self.stops = np.array([zero_force_range(curve) for curve in curves])  # (4, 2)
 
     def reset(self, mask: np.ndarray) -> None:
-        """Reset the vehicles in `mask` (N,)."""
         for part in (self.body, self.vertical, self.lateral):
             part.reset(mask)
         self.low_passed[:, mask] = 0.0

@@ -20,11 +20,9 @@ class FixedPair(Settings):
     actions: np.ndarray = field(init=False, repr=False, compare=False)
 
     def reset(self, context: PolicyContext) -> None:
-        """Look up the action of the constant states."""
         self.actions = np.full(context.n_vehicles, context.action_index(self.front, self.rear))
 
     def act(self, observations: np.ndarray) -> np.ndarray:
-        """Return the same actions at every call."""
         return self.actions
 
 
@@ -36,12 +34,10 @@ class RandomSwitching(Settings):
     context: PolicyContext = field(init=False, repr=False, compare=False)
 
     def reset(self, context: PolicyContext) -> None:
-        """Seed the random generator."""
         self.context, self.rng = context, np.random.default_rng(context.seed)
         self.n_intervals = 0
 
     def act(self, observations: np.ndarray) -> np.ndarray:
-        """Return actions (N,), new ones after every `hold` seconds."""
         context = self.context
         if self.n_intervals % max(1, round(self.hold / context.interval)) == 0:
             self.actions = self.rng.integers(len(context.actions), size=context.n_vehicles)

@@ -37,7 +37,6 @@ class GreedyInformation(Settings):
         self.actions = np.zeros(0, dtype=int)
 
     def act(self, observations: np.ndarray) -> np.ndarray:
-        """Return the actions chosen at the first observation."""
         if self.actions.size == 0:
             measured = self.context.signal("speed", observations)[:, 0]
             speeds, which = np.unique(np.round(measured), return_inverse=True)
@@ -52,14 +51,14 @@ class GreedyInformation(Settings):
         table = BoundTable.tabulate(car, context.instruments, prior, [v], modes)
         return np.array(
             [
-                expected_comfort(car, front, rear, v, prior)
+                _expected_comfort(car, front, rear, v, prior)
                 + self.weight * table.interpolate(front, rear, v) ** 2
                 for front, rear in context.actions
             ]
         )
 
 
-def expected_comfort(
+def _expected_comfort(
     car: VehicleParameters, front: str, rear: str, v: float, prior: RoadPrior
 ) -> float:
     """Return the W_k-weighted RMS heave acceleration [m/s²] of the linear vehicle at `v` [m/s]."""

@@ -86,7 +86,6 @@ class ModelPredictive(Settings):
         self.planar, self.weighted = np.zeros((size, 2)), np.zeros((size, 2, len(self.filter[0])))
 
     def act(self, observations: np.ndarray) -> np.ndarray:
-        """Return actions (N,) for the next control interval, from observations (N, d)."""
         signal, road, n = self.context.signal, self.road, self.context.n_vehicles
         road.update(observations)
         self._update_weighting(observations)

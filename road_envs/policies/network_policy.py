@@ -57,7 +57,6 @@ class PolicyNetwork:
         return h
 
     def to_bytes(self) -> bytes:
-        """Return the content of the file."""
         arrays = {f"W_{i}": W for i, (W, _) in enumerate(self.layers)}
         arrays |= {f"b_{i}": b for i, (_, b) in enumerate(self.layers)}
         text = json.dumps({"format": FORMAT, **self.metadata}, sort_keys=True)
@@ -107,7 +106,7 @@ def _read_sb3(path: Path) -> PolicyNetwork:
         return PolicyNetwork(layers, {"activation": known[0], "control": control, "held": 1})
 
 
-def read_policy_network(path: Path) -> PolicyNetwork:
+def _read_network(path: Path) -> PolicyNetwork:
     """Read a network from its file. Raises ConfigError if the file is damaged or foreign."""
     if path.suffix == SB3_SUFFIX:
         return _read_sb3(path)
@@ -153,11 +152,10 @@ class NetworkPolicy(Settings):
     def __post_init__(self):
         super().__post_init__()
         path, shipped = Path(self.file), folder() / "policies" / self.file
-        self.network = read_policy_network(path if path.exists() else shipped)
+        self.network = _read_network(path if path.exists() else shipped)
 
     @classmethod
     def from_network(cls, network: PolicyNetwork) -> "NetworkPolicy":
-        """Return a policy of a network in memory."""
         policy = cls.__new__(cls)
         policy.file, policy.network = "a network in memory", network
         return policy
@@ -178,7 +176,6 @@ class NetworkPolicy(Settings):
         self.n_intervals = 0
 
     def act(self, observations: np.ndarray) -> np.ndarray:
-        """Return actions (N,), new ones after every `held` intervals."""
         features = self.features.update(observations) if self.features else observations
         if self.n_intervals % self.network.metadata["held"] == 0:
             self.actions = np.argmax(self.network.forward(features), axis=1)

@@ -183,40 +183,38 @@ def roll_out(
     seeds: Sequence[int],
     *,
     store_observations: bool = True,
-    progress: Callable[[float], None] = lambda share: None,
 ) -> Rollout:
     """Run a policy on the roads of `seeds`, in `RoadRecon-v0` with `options`, to their ends.
 
     Arguments and errors as of `drive_all`; raises ConfigError.
     """
     drives = Drives(EnvSetup({**options, "truth": False}), seeds)
-    return drive_all(policy, drives, store_observations=store_observations, progress=progress)
+    return drive_all(policy, drives, store_observations=store_observations)
 
 
 def drive_all(
     policy: Policy,
     drives: Drives,
     *,
-    copies: int = 1,
     store_observations: bool = False,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Rollout:
-    """Run a policy on all drives, each in `copies` vehicles in a row, to their ends.
+    """Run a policy on all drives to their ends.
 
     Without `store_observations` only the first observations are stored. `progress` is called with
     the share done. Raises PolicyError for invalid actions, and what the policy raises.
     """
-    setup, fleet = drives.setup, drives.start(copies)
+    setup, fleet = drives.setup, drives.start()
     context = PolicyContext.from_setup(setup, fleet.n_vehicles, POLICY_SEED)
     policy.reset(context)
-    output, totals = fleet.advance(drives.first_bytes(copies)), _Totals(fleet)
+    output, totals = fleet.advance(drives.first_bytes()), _Totals(fleet)
     reasons, actions, rewards = [""] * fleet.n_vehicles, [], []
     observations, total = [output.observation], fleet.steps_left.max() / fleet.steps
     while totals.running.any():
         chosen = validate_actions(policy.act(output.observation), context)
         output = fleet.advance(setup.command_bytes[chosen])
         for i in np.flatnonzero(totals.add(output)):
-            road = drives.starts[i // copies].surface.name
+            road = drives.starts[i].drive.surface.name
             reasons[i] = setup.failure_text(output, int(i), road)
         actions.append(chosen.copy())
         rewards.append(setup.rewards(output.values))
@@ -242,6 +240,6 @@ class _Recorded:
         return self.actions[self.at]
 
 
-def replay(drives: Drives, actions: np.ndarray, copies: int = 1) -> Rollout:
-    """Drive all drives, each in `copies` vehicles in a row, under `actions` (T, copies N)."""
-    return drive_all(_Recorded(actions), drives, copies=copies)
+def replay(drives: Drives, actions: np.ndarray) -> Rollout:
+    """Drive all N drives under `actions` (T, N)."""
+    return drive_all(_Recorded(actions), drives)

@@ -18,7 +18,7 @@ from road_envs.policies.fixed import Mode
 
 
 @dataclass(kw_only=True)
-class FirmInTurns(Settings, abc.ABC):
+class _FirmInTurns(Settings, abc.ABC):
     """Policy with the state `firm` on both axles in a turn, else ride.
 
     Needs the observation group "planar".
@@ -28,11 +28,9 @@ class FirmInTurns(Settings, abc.ABC):
     context: PolicyContext = field(init=False, repr=False, compare=False)
 
     def reset(self, context: PolicyContext) -> None:
-        """Start an episode outside a turn."""
         self.context = context
 
     def act(self, observations: np.ndarray) -> np.ndarray:
-        """Return actions (N,) of ride or the firm state."""
         firm = np.repeat(self.turning(observations)[:, None], 2, axis=1)
         return self.context.switch_axles(firm, "ride", self.firm)
 
@@ -42,7 +40,7 @@ class FirmInTurns(Settings, abc.ABC):
 
 
 @dataclass(kw_only=True)
-class RunningRmsPolicy(FirmInTurns):
+class RunningRmsPolicy(_FirmInTurns):
     """Policy that is firm while the lateral RMS exceeds `ratio` times the RMS of heave.
 
     Both are RMS accelerations over `window`.
@@ -52,13 +50,11 @@ class RunningRmsPolicy(FirmInTurns):
     ratio: Annotated[Positive, "", "lateral RMS over the RMS of heave"] = 1.0
 
     def reset(self, context: PolicyContext) -> None:
-        """Reset the running RMS."""
         super().reset(context)
         self.body = BodyMotionEstimator(context, leak=1.0)
         self.lateral, self.vertical = (RunningRms(context, self.window) for _ in range(2))
 
     def turning(self, observations: np.ndarray) -> np.ndarray:
-        """Return which vehicles (N,) are in a turn by their running RMS."""
         samples = self.context.accelerations(observations).transpose(0, 2, 1)
         vertical = self.vertical.add(samples @ self.body.sensors_to_motion[0])
         lateral = self.lateral.add(self.context.signal("planar", observations)[:, 1])
@@ -66,7 +62,7 @@ class RunningRmsPolicy(FirmInTurns):
 
 
 @dataclass(kw_only=True)
-class LateralThreshold(FirmInTurns):
+class LateralThreshold(_FirmInTurns):
     """Policy that is firm while the low-passed lateral force is large, or was `hold` ago."""
 
     threshold: Annotated[Positive, "m/s²", "of the lateral specific force"] = 0.5
@@ -74,13 +70,11 @@ class LateralThreshold(FirmInTurns):
     hold: Annotated[NonNegative, "s", "how long the firm state stays after the turn"] = 0.0
 
     def reset(self, context: PolicyContext) -> None:
-        """Reset the low-pass."""
         super().reset(context)
         self.a_y = np.zeros(context.n_vehicles)
         self.remaining = np.zeros(context.n_vehicles, dtype=int)
 
     def turning(self, observations: np.ndarray) -> np.ndarray:
-        """Return which vehicles (N,) are in a turn by the threshold."""
         decay = np.exp(-self.context.interval / self.lag)
         measured = self.context.signal("planar", observations)[:, 1]
         self.a_y = decay * self.a_y + (1.0 - decay) * measured
@@ -95,5 +89,4 @@ class RrmsLateral(RunningRmsPolicy, LateralThreshold):
     """Policy that is firm by the RRMS rule or by the lateral threshold."""
 
     def turning(self, observations: np.ndarray) -> np.ndarray:
-        """Return which vehicles (N,) are in a turn by either."""
         return LateralThreshold.turning(self, observations) | super().turning(observations)

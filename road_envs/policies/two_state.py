@@ -31,13 +31,11 @@ class TwoStateDamper(Settings, abc.ABC):
     context: PolicyContext = field(init=False, repr=False, compare=False)
 
     def reset(self, context: PolicyContext) -> None:
-        """Set the body motion and the mean magnitude to zero."""
         self.context, self.body = context, BodyMotionEstimator(context, self.leak)
         self.mean_magnitude = np.zeros((context.n_vehicles, 2))
         self.decay = np.exp(-context.interval)  # time constant of 1 s
 
     def act(self, observations: np.ndarray) -> np.ndarray:
-        """Return actions (N,) for the next control interval, from observations (N, d)."""
         self.body.update(observations)
         v, a = self.body.at_strut_mounts(self.body.v), self.body.at_strut_mounts(self.body.a)
         work = self.law(v, a, self.context.signal("extension_rate", observations).astype(float))
@@ -59,7 +57,6 @@ class Skyhook(TwoStateDamper):
     """
 
     def law(self, v: np.ndarray, a: np.ndarray, e_dot: np.ndarray) -> np.ndarray:
-        """Return the product v e'."""
         return v * e_dot
 
 
@@ -83,7 +80,6 @@ class AccelerationDriven(TwoStateDamper):
     """
 
     def law(self, v: np.ndarray, a: np.ndarray, e_dot: np.ndarray) -> np.ndarray:
-        """Return the product a e'."""
         return a * e_dot
 
 
@@ -98,6 +94,5 @@ class SkyhookAdd(TwoStateDamper):
     crossover: float = 1.9
 
     def law(self, v: np.ndarray, a: np.ndarray, e_dot: np.ndarray) -> np.ndarray:
-        """Return v e' where a² <= alpha² v², else a e' / alpha, both in (m/s)²."""
         alpha = 2.0 * np.pi * self.crossover
         return np.where(np.abs(a) <= alpha * np.abs(v), v, a / alpha) * e_dot

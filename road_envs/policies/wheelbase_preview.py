@@ -58,7 +58,6 @@ class WheelbasePreview:
         self.history, self.newest = np.zeros((steps, size, 2)), 0
 
     def update(self, observations: np.ndarray) -> None:
-        """Advance by one interval, from observations (N, d)."""
         context, dt, before = self.context, self.context.interval, self.body.v
         self.body.update(observations)
         mean_rate = 0.5 * (before + self.body.v)

@@ -16,7 +16,7 @@ SMOOTHING = 3
 
 
 @functools.cache
-def font(size: int, bold: bool) -> ImageFont.FreeTypeFont:
+def _font(size: int, bold: bool) -> ImageFont.FreeTypeFont:
     """Return DejaVu Sans as shipped with matplotlib; its digits have equal widths."""
     import matplotlib
 
@@ -35,19 +35,15 @@ class Canvas:
         self._words: list[tuple[tuple[float, float], str, dict]] = []
 
     def polygon(self, points: np.ndarray, fill: str, outline: str | None = None) -> None:
-        """Fill the polygon through `points` (N, 2)."""
         self._draw.polygon(_large(points), fill=fill, outline=outline, width=SMOOTHING)
 
     def line(self, points: np.ndarray, fill: str, width: float = 1.0) -> None:
-        """Draw a line through `points` (N, 2)."""
         self._draw.line(_large(points), fill=fill, width=round(SMOOTHING * width))
 
     def box(self, x_0: float, y_0: float, x_1: float, y_1: float, fill: str) -> None:
-        """Fill an axis-aligned rectangle."""
         self.polygon(np.array([[x_0, y_0], [x_1, y_0], [x_1, y_1], [x_0, y_1]]), fill)
 
     def disc(self, x: float, y: float, radius: float, fill: str) -> None:
-        """Fill a circle."""
         centre, r = SMOOTHING * np.array([x, y]), SMOOTHING * radius
         self._draw.ellipse([*(centre - r), *(centre + r)], fill=fill)
 
@@ -62,7 +58,7 @@ class Canvas:
         bold: bool = False,
     ) -> None:
         """Write `words` on top of all shapes; `anchor` as in Pillow (ls: left end of baseline)."""
-        style = {"fill": fill, "font": font(size, bold), "anchor": anchor}
+        style = {"fill": fill, "font": _font(size, bold), "anchor": anchor}
         self._words.append(((x, y), words, style))
 
     def pixels(self) -> np.ndarray:

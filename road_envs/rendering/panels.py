@@ -6,8 +6,9 @@ import numpy as np
 
 from road_envs.rendering import style
 from road_envs.rendering.canvas import Canvas
-from road_envs.rendering.scene import Scene, free_travel
-from road_envs.vehicle.struts import MODES, Modes
+from road_envs.rendering.scene import Scene
+from road_envs.vehicle.force_curves import zero_force_range
+from road_envs.vehicle.struts import Modes
 from road_envs.vehicle.suspension import WHEELS, decode_commands
 
 ROAD_BEHIND = 10.0  # length of road [m] shown behind the front axle
@@ -23,7 +24,6 @@ MARGIN = 62  # width of the labels left of a curve [pixels]
 
 
 def heading(canvas: Canvas, scene: Scene) -> None:
-    """Draw road, speed, command, station and time."""
     y = 0.5 * canvas.height
     name = scene.surface.name
     shown = name if len(name) <= MAX_NAME_LENGTH else name[: MAX_NAME_LENGTH - 1] + "…"
@@ -36,7 +36,7 @@ def heading(canvas: Canvas, scene: Scene) -> None:
     canvas.text(948, y, f"{scene.t:.2f} s", style.INK, 13, "rm")
 
 
-def _describe_command(byte: int, modes: Modes = MODES) -> str:
+def _describe_command(byte: int, modes: Modes) -> str:
     """Return a command byte in words, by the `modes` of the car."""
     stiff, high = (flags[0] for flags in decode_commands(np.array([byte])))
     flags = zip(stiff, high, strict=True)
@@ -58,7 +58,6 @@ class _AxisScale:
     end: float
 
     def __call__(self, value):
-        """Return the pixel of a value, or of each value of an array."""
         return self.start + (self.end - self.start) * (value - self.low) / (self.high - self.low)
 
     def ticks(self, step: float) -> np.ndarray:
@@ -118,14 +117,14 @@ def accelerations(canvas: Canvas, scene: Scene) -> None:
         middle = top + (i + 0.5) * height
         canvas.line(np.array([[left, middle], [right, middle]]), style.GRID)
         canvas.text(left - 6, middle, name, style.INK, 12, "rm", bold=True)
-        age, a = envelope(recent[i], scene)
+        age, a = _envelope(recent[i], scene)
         points = [right - (right - left) * age / scene.window, middle - 0.47 * height * a / limit]
         if age.size > 1:
             canvas.line(np.column_stack(points), style.INK)
             canvas.text(canvas.width - 10, middle, f"{recent[i, -1]:+.1f}", style.INK, 12, "rm")
 
 
-def envelope(a: np.ndarray, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+def _envelope(a: np.ndarray, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Return ages [s] and values of the minimum and the maximum of each group of samples.
 
     `a` (N,) are the samples; the groups have the width of about one pixel.
@@ -137,7 +136,6 @@ def envelope(a: np.ndarray, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 
 def corners(canvas: Canvas, scene: Scene) -> None:
-    """Draw the state, extension and stops of each strut, and the load of each tyre."""
     width, height = 0.5 * canvas.width, 0.5 * canvas.height
     for wheel in range(4):
         _corner(canvas, scene, wheel, (wheel % 2) * width + 10, (wheel // 2) * height, width - 20)
@@ -155,7 +153,7 @@ def _corner(canvas: Canvas, scene: Scene, wheel: int, x: float, y: float, width:
 
 def _extension(canvas, scene, wheel, x, y, width) -> None:
     e, stop = scene.extension[wheel], scene.stop_state(wheel)
-    low, high = free_travel(scene.car, wheel)
+    low, high = zero_force_range(scene.car.bump_stops[wheel // 2])
 
     def column(extension):
         return x + width * (0.5 + 0.5 * np.clip(extension / GAUGE_TRAVEL, -1.0, 1.0))

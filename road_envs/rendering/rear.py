@@ -38,7 +38,6 @@ class RearView:
         self.axle = scene.car.rear
 
     def draw(self) -> None:
-        """Draw everything, from the back to the front."""
         self._draw_body()
         self._draw_axle()
         for wheel in (REAR_LEFT, REAR_RIGHT):

@@ -14,6 +14,7 @@ from road_envs.records.record import SENSORS
 from road_envs.roads.surface import Surface
 from road_envs.simulation.drive import DriveSimulator, Trajectory
 from road_envs.vehicle.equations import AXLE, PHI, THETA, Z_B
+from road_envs.vehicle.force_curves import zero_force_range
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import DAMPING_HIGH, VALVE_OPEN
 
@@ -132,13 +133,6 @@ class Scene:
 
     def stop_state(self, wheel: int) -> int:
         """Return -1 if the strut is on its bump stop, 1 on its rebound stop, 0 between."""
-        low, high = free_travel(self.car, wheel)
+        low, high = zero_force_range(self.car.bump_stops[wheel // 2])
         e = self.extension[wheel]
         return int(e >= high) - int(e <= low)
-
-
-def free_travel(car: VehicleParameters, wheel: int) -> tuple[float, float]:
-    """Return the limits [m] of the strut extension at which neither stop gives a force."""
-    curve = car.bump_stops[wheel // 2]
-    free = [x for x, F in zip(curve.x, curve.F, strict=True) if F == 0.0]
-    return (min(free), max(free)) if free else (0.0, 0.0)

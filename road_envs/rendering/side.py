@@ -97,7 +97,6 @@ class SideView:
         self.road_colour = style.ROAD if self.paved else style.ASPHALT
 
     def draw(self) -> None:
-        """Draw everything, from the back to the front."""
         self._draw_hills()
         self._draw_far_side()
         self._draw_road()

@@ -5,7 +5,7 @@ Colours with a meaning are of Okabe & Ito's palette, which is safe for colour-bl
 
 import numpy as np
 
-from road_envs.vehicle.struts import MODES, Modes
+from road_envs.vehicle.struts import Modes
 
 PAPER = "#ffffff"
 RULE = "#c9d1d8"
@@ -73,7 +73,7 @@ def describe_tilt(angle: float, positive: str, negative: str) -> str:
     return size if size == "0.00°" else f"{size} {positive if angle > 0 else negative}"
 
 
-def describe_state(stiff: bool, high: bool, modes: Modes = MODES) -> str:
+def describe_state(stiff: bool, high: bool, modes: Modes) -> str:
     """Return the name of the state of a strut, by the `modes` of the car."""
     mode = next(mode for mode, state in modes.items() if state == (stiff, high))
     return STATE_NAMES.get(mode, mode)

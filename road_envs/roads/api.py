@@ -9,7 +9,8 @@ import numpy as np
 from pydantic import PlainValidator
 
 from road_envs.core.config import ConfigError, build, find, read_yaml, validate_choice
-from road_envs.roads.measured import SURFACE_SUFFIXES, Measured, check_slopes
+from road_envs.roads.formats.opencrg import SurfaceFileError
+from road_envs.roads.measured import SURFACE_SUFFIXES, Measured
 from road_envs.roads.surface import Surface
 
 KINDS: dict[str, type] = {}
@@ -17,6 +18,9 @@ KINDS: dict[str, type] = {}
 
 It is empty here because composite roads load other roads: their module imports this one.
 """
+
+MAX_SLOPE = 1.0
+"""Largest RMS slope [m/m] of a road; that of Belgian paving is 0.1."""
 
 
 @runtime_checkable
@@ -67,7 +71,7 @@ def realise_road(
     seed: int | np.random.SeedSequence,
     length: float | None = None,
 ) -> Surface:
-    """Return the surface drawn from `seed`, with another `length` [m] if given.
+    """Return the surface drawn from `seed`, of another `length` [m] if given.
 
     Raises ConfigError.
     """
@@ -76,8 +80,21 @@ def realise_road(
         described = with_length(described, length)
     surface = described.realise(np.random.default_rng(seed))
     if isinstance(described, Measured):
-        check_slopes(surface)
+        _check_slopes(surface)
     return surface
+
+
+def _check_slopes(surface: Surface) -> None:
+    """Raise SurfaceFileError if the slopes of a surface are those of no road."""
+    z, ds = surface.z, surface.ds
+    stride = max(1, round(0.1 / ds))
+    slope = float(np.sqrt(np.mean((np.diff(z[:, ::stride], axis=1) / (stride * ds)) ** 2)))
+    if slope > MAX_SLOPE:
+        raise SurfaceFileError(
+            f"{surface.name}: its slopes have an RMS of {slope:.3g} m/m, as of heights in "
+            "millimetres that are read as metres: give metres, or name the unit in the header of "
+            "a text file: left [mm]"
+        )
 
 
 def with_length(road: Road, length: float) -> Road:

@@ -19,7 +19,7 @@ from pydantic import Field
 
 from road_envs.core.config import Finite, NonNegative, Positive, Settings
 from road_envs.records.roughness import N_0, TRACK, TrackWidth, root_coherence
-from road_envs.roads.iso8608 import cell_centres, cell_edges, check_band, power_law, synthesise
+from road_envs.roads.iso8608 import cell_edges, check_band, power_law, synthesise
 from road_envs.roads.surface import DEFAULT_LENGTH, RoadLength, SampleSpacing, Surface
 
 
@@ -54,9 +54,9 @@ class Belgian(Settings):
         return np.sqrt(self.coherence) / (1.0 - 1.0 / self.peak)
 
     def realise(self, rng: np.random.Generator) -> Surface:
-        """Draw one paving."""
         edges = cell_edges(self)
-        n, base, cobbles = cell_centres(edges), self._base(edges), self._cobbles(edges)
+        n = 0.5 * (edges[1:] + edges[:-1])
+        base, cobbles = self._base(edges), self._cobbles(edges)
         power = base + cobbles
         shared = root_coherence(n, self.w, self.track) * base + self._cobble_coherence * cobbles
         g = shared / np.where(power > 0.0, power, 1.0)  # the last cell can have no width

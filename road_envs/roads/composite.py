@@ -37,7 +37,6 @@ class Flat(Settings):
         check_size(self.length, PROFILE_SPACING)
 
     def realise(self, rng: np.random.Generator) -> Surface:
-        """Return the flat surface; nothing is drawn."""
         steps = max(3, round(self.length / PROFILE_SPACING))
         return Surface(np.zeros((2, steps + 1)), self.length / steps, name="flat")
 
@@ -50,11 +49,9 @@ class _Modified(Settings):
 
     @property
     def length(self) -> float:
-        """Length [m] of the road."""
         return self.road.length
 
     def with_length(self, length: float) -> Self:
-        """Return the road with another length [m]."""
         added = self.length - self.road.length
         return replace(self, road=with_length(self.road, length - added))
 
@@ -66,7 +63,6 @@ class FixedSeed(_Modified):
     seed: Annotated[int, Field(ge=0), "", "of the random generator"]
 
     def realise(self, rng: np.random.Generator) -> Surface:
-        """Return the surface of `seed`; `rng` is not used."""
         return self.road.realise(np.random.default_rng(self.seed))
 
 
@@ -106,11 +102,9 @@ class WithAprons(_Modified):
 
     @property
     def length(self) -> float:
-        """Length [m] of the road including both level sections."""
         return self.before + self.road.length + self.after
 
     def realise(self, rng: np.random.Generator) -> Surface:
-        """Draw the inner road."""
         return _superpose([self.road.realise(rng)], [(self.before, self.before)], self.length)
 
 
@@ -123,11 +117,9 @@ class Offset(_Modified):
 
     @property
     def length(self) -> float:
-        """Length [m] to the end of the later wheel path."""
         return self.road.length + max(self.left, self.right)
 
     def realise(self, rng: np.random.Generator) -> Surface:
-        """Draw the inner road."""
         return _superpose([self.road.realise(rng)], [(self.left, self.right)], self.length)
 
 
@@ -145,15 +137,12 @@ class Scaled(_Modified):
 
     @property
     def length(self) -> float:
-        """Length [m] of the scaled road."""
         return self.length_factor * self.road.length
 
     def with_length(self, length: float) -> Self:
-        """Return the road with another length [m]."""
         return replace(self, road=with_length(self.road, length / self.length_factor))
 
     def realise(self, rng: np.random.Generator) -> Surface:
-        """Draw the inner road."""
         surface = self.road.realise(rng)
         note = f"heights x {self.height_factor:g}, lengths x {self.length_factor:g}"
         return Surface(
@@ -182,7 +171,6 @@ class RandomLevel(_Modified):
             raise ValueError(f"level must be within {MAX_LEVEL:g} dB, got {list(self.level)}")
 
     def realise(self, rng: np.random.Generator) -> Surface:
-        """Draw the inner road, then its level."""
         surface = self.road.realise(rng)
         decibels = rng.uniform(*self.level)
         z = 10.0 ** (decibels / 20.0) * surface.z
@@ -199,7 +187,6 @@ class Tiled(Settings):
     repeat: Annotated[Literal["repeat", "mirror"], "", "how the tile is continued"] = "repeat"
 
     def realise(self, rng: np.random.Generator) -> Surface:
-        """Draw the tile and repeat it."""
         tile = self.road.realise(rng)
         check_size(self.length, tile.ds)
         z, note = tile_heights(tile.z, tile.ds, round(self.length / tile.ds) + 1, self.repeat)
@@ -214,7 +201,6 @@ class Concatenated(Settings):
 
     @property
     def length(self) -> float:
-        """Length [m] of all roads together."""
         return sum(road.length for road in self.roads)
 
     def realise(self, rng: np.random.Generator) -> Surface:
@@ -231,7 +217,6 @@ class Superposed(Settings):
 
     @property
     def length(self) -> float:
-        """Length [m] of the longest road."""
         return max(road.length for road in self.roads)
 
     def realise(self, rng: np.random.Generator) -> Surface:

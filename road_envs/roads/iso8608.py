@@ -95,7 +95,6 @@ class Iso8608(Settings):
         return CLASSES[self.road_class] if self.road_class else float(self.G_d0 or 0.0)
 
     def realise(self, rng: np.random.Generator) -> Surface:
-        """Draw one road."""
         edges, power, g = _cell_spectra(self)
         name = f"iso8608 {self.road_class or f'G_d0={self.G_d0:g}'}"
         return synthesise(rng, self, edges, power, g, name, self.variation)
@@ -108,7 +107,7 @@ def _cell_spectra(road: Iso8608) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     power = power_law(edges, road.density, road.w)
     g = np.full(power.size, 1.0 if road.coherence == "full" else 0.0)
     if road.coherence == "isotropic":
-        g = root_coherence(cell_centres(edges), road.w, road.track)
+        g = root_coherence(0.5 * (edges[1:] + edges[:-1]), road.w, road.track)
     for array in (edges, power, g):
         array.flags.writeable = False
     return edges, power, g
@@ -119,11 +118,6 @@ def power_law(edges: np.ndarray, G_d0: float, w: float) -> np.ndarray:
     if w == 1.0:
         return G_d0 * N_0 * np.diff(np.log(edges))
     return G_d0 * N_0 * np.diff((edges / N_0) ** (1.0 - w)) / (1.0 - w)
-
-
-def cell_centres(edges: np.ndarray) -> np.ndarray:
-    """Return the centres (K,) of the cells between `edges` (K + 1,)."""
-    return 0.5 * (edges[1:] + edges[:-1])
 
 
 def cell_edges(road) -> np.ndarray:

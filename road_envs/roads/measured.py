@@ -26,8 +26,6 @@ from road_envs.roads.surface import Surface, check_size
 DEFAULT_MIN_LENGTH = 2.794
 """Default of `Measured.min_length` [m]: the wheelbase of a Defender 110."""
 SURFACE_SUFFIXES = (".crg", ".erd", ".parquet", ".csv", ".txt", ".dat")
-MAX_SLOPE = 1.0
-"""Largest RMS slope [m/m] of a road; that of Belgian paving is 0.1."""
 SIDE_NAMES = ("left", "right")
 
 
@@ -61,7 +59,6 @@ class Measured(Settings):
         check_size(self.length, self._tile.ds)
 
     def realise(self, rng: np.random.Generator) -> Surface:
-        """Return the surface; nothing is drawn."""
         tile = self._tile
         size = round(self.length / tile.ds) + 1
         z, notes = tile.z[:, :size], tile.notes
@@ -91,7 +88,7 @@ class Measured(Settings):
         match Path(self.path).suffix.lower():
             case ".crg":
                 grid = opencrg.parse(read_bytes(self.path))
-                return wheel_paths(grid, self.centre, self.track)
+                return _wheel_paths(grid, self.centre, self.track)
             case ".erd":
                 return erd.read(self.path)
             case ".parquet":
@@ -103,7 +100,7 @@ class Measured(Settings):
         )
 
 
-def wheel_paths(grid: CurvedGrid, centre: float | None, track: float) -> WheelPaths:
+def _wheel_paths(grid: CurvedGrid, centre: float | None, track: float) -> WheelPaths:
     """Return both wheel paths of a grid, half a `track` [m] to either side of v = `centre` [m].
 
     Raises SurfaceFileError if a path is off the grid.
@@ -124,19 +121,6 @@ def wheel_paths(grid: CurvedGrid, centre: float | None, track: float) -> WheelPa
         z[side] = sum(parts)
     start = (f"station 0 is u = {grid.u_start:g} m",) if grid.u_start else ()
     return WheelPaths(z, grid.du, (*start, *grid.notes), grid.u_start)
-
-
-def check_slopes(surface: Surface) -> None:
-    """Raise SurfaceFileError if the slopes of a surface are those of no road."""
-    z, ds = surface.z, surface.ds
-    stride = max(1, round(0.1 / ds))
-    slope = float(np.sqrt(np.mean((np.diff(z[:, ::stride], axis=1) / (stride * ds)) ** 2)))
-    if slope > MAX_SLOPE:
-        raise SurfaceFileError(
-            f"{surface.name}: its slopes have an RMS of {slope:.3g} m/m, as of heights in "
-            "millimetres that are read as metres: give metres, or name the unit in the header of "
-            "a text file: left [mm]"
-        )
 
 
 def _fill_gaps(z: np.ndarray, ds: float, allowed: bool) -> tuple[np.ndarray, list[str]]:

@@ -105,7 +105,6 @@ class Bumps(Settings):
         return float(self.middles[-1] + 0.5 * last.top + last.ramp + self.run_out)
 
     def realise(self, rng: np.random.Generator) -> Surface:
-        """Return the bumps; nothing is drawn."""
         s = self.ds * np.arange(int(np.ceil(self.length / self.ds)) + 1)
         z = np.zeros((2, s.size))
         for block, middle, (_, side) in zip(
@@ -195,11 +194,10 @@ class Defects(Settings):
                 )
 
     def realise(self, rng: np.random.Generator) -> Surface:
-        """Return the defects; nothing is drawn."""
         s, z = _flat_road_grid(self.length)
         for defect in self.defects:
             for middle, height in zip(defect.middles, defect.heights, strict=True):
-                near = footprint(s, middle, defect.length)
+                near = _footprint(s, middle, defect.length)
                 z[SIDES[defect.side], near] += height * defect.unit_height(s[near] - middle)
         return Surface(z, SAMPLE_SPACING, name=self.name)
 
@@ -229,7 +227,7 @@ class Potholes(Settings):
         s, z = _flat_road_grid(self.length)
         for path in z:
             for middle, size, depth in self._holes(rng):
-                near = footprint(s, middle, size)
+                near = _footprint(s, middle, size)
                 hole = Trapezoid(height=depth, ramp=self.edge, top=size - 2.0 * self.edge)
                 path[near] = np.minimum(path[near], -hole.height_at(s[near] - middle))
         return Surface(z, SAMPLE_SPACING, name="potholes")
@@ -248,6 +246,6 @@ def _flat_road_grid(length: float) -> tuple[np.ndarray, np.ndarray]:
     return s, np.zeros((2, s.size))
 
 
-def footprint(s: np.ndarray, middle: float, length: float) -> slice:
+def _footprint(s: np.ndarray, middle: float, length: float) -> slice:
     """Return the slice of the stations `s` (N,) [m] that a defect covers."""
     return slice(*np.searchsorted(s, [middle - 0.5 * length, middle + 0.5 * length]))

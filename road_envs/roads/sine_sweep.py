@@ -64,7 +64,6 @@ class SineSweep(Settings):
             )
 
     def realise(self, rng: np.random.Generator) -> Surface:
-        """Return the sweep; nothing is drawn."""
         s = self.ds * np.arange(round(self.length / self.ds) + 1)
         z = self.height(s)
         return Surface(np.outer(SIGNS[self.paths], z), self.ds, name="sine sweep")

@@ -15,7 +15,7 @@ from road_envs.core.config import ConfigError
 from road_envs.roads.surface import Surface, enveloped
 from road_envs.simulation import rosenbrock
 from road_envs.simulation.manoeuvres import Manoeuvre
-from road_envs.simulation.speed import SpeedProfile, constant_speed
+from road_envs.simulation.speed import SpeedProfile
 from road_envs.vehicle.equations import AXLE, N_DOF, PHI, THETA, Z_B, Plant, build_plant
 from road_envs.vehicle.equilibrium import equilibrium
 from road_envs.vehicle.parameters import DEFAULT_STEP, STEP_LIMIT, VehicleParameters
@@ -126,7 +126,7 @@ class DriveSimulator:
         if not isinstance(speed, SpeedProfile):
             if not (np.isfinite(speed) and speed > 0):
                 raise ConfigError(f"speed must be positive and finite, got {speed} m/s")
-            speed = constant_speed(speed)
+            speed = SpeedProfile(t=(0.0,), v=(float(speed),))
         if not 0 < step <= STEP_LIMIT:
             raise ConfigError(
                 f"the integrator step must be within (0, {STEP_LIMIT:g}] s, got {step} s"

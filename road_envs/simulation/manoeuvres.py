@@ -48,7 +48,6 @@ class SteadyTurn(Settings):
     hold: Annotated[float, Field(ge=0), "s", "duration of the constant phase"] = np.inf
 
     def at(self, t: np.ndarray) -> np.ndarray:
-        """Return a_x and a_y (N, 2) [m/s²] at the times `t` (N,) [s]."""
         rise = _smooth_step((t - self.begin) / self.build_up)
         fall = _smooth_step((t - self.begin - self.build_up - self.hold) / self.build_up)
         return _lateral(self.a_y * (rise - fall))
@@ -73,7 +72,6 @@ class LaneChange(Settings):
     ] = (30.0, 25.0, 25.0)
 
     def at(self, t: np.ndarray) -> np.ndarray:
-        """Return a_x and a_y (N, 2) [m/s²] at the times `t` (N,) [s]."""
         out, straight, back = (length / self.v for length in self.sections)
         a_y = self._sine(t - self.begin, out) - self._sine(t - self.begin - out - straight, back)
         return _lateral(a_y)
@@ -101,7 +99,6 @@ class Fishhook(Settings):
     hold: Annotated[NonNegative, "s", "duration of the second turn"] = 3.0
 
     def at(self, t: np.ndarray) -> np.ndarray:
-        """Return a_x and a_y (N, 2) [m/s²] at the times `t` (N,) [s]."""
         reversal = self.begin + self.build_up + self.dwell
         rise = _smooth_step((t - self.begin) / self.build_up)
         fall = _smooth_step((t - reversal) / (2.0 * self.build_up))
@@ -119,7 +116,6 @@ class Slalom(Settings):
     periods: Annotated[float, Field(gt=0), "", "number of periods"] = np.inf
 
     def at(self, t: np.ndarray) -> np.ndarray:
-        """Return a_x and a_y (N, 2) [m/s²] at the times `t` (N,) [s]."""
         x = (t - self.begin) / self.period
         envelope = _smooth_step(x) - _smooth_step(x - self.periods)
         return _lateral(self.a_y * envelope * np.sin(2.0 * np.pi * x))
@@ -135,7 +131,6 @@ class Braking(Settings):
     hold: Annotated[float, Field(ge=0), "s", "duration of the constant phase"] = 2.0
 
     def at(self, t: np.ndarray) -> np.ndarray:
-        """Return a_x and a_y (N, 2) [m/s²] at the times `t` (N,) [s]."""
         turn = SteadyTurn(a_y=self.a_x, begin=self.begin, build_up=self.build_up, hold=self.hold)
         return np.stack([-turn.at(t)[..., 1], np.zeros_like(t)], axis=-1)
 
@@ -147,7 +142,6 @@ class Successive:
     parts: tuple[Manoeuvre, ...]
 
     def at(self, t: np.ndarray) -> np.ndarray:
-        """Return a_x and a_y (N, 2) [m/s²] at the times `t` (N,) [s]."""
         return np.sum([part.at(t) for part in self.parts], axis=0)
 
 

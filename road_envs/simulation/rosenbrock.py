@@ -37,7 +37,6 @@ from road_envs.vehicle.equations import (
     add_tyres,
     add_weight,
     extension,
-    has_twist,
     relative_roll,
     roll_moments,
     twist_extension,
@@ -342,6 +341,14 @@ def sample_road(p, surface, s, v, road):
 
 
 @kernel
+def _has_twist(q):
+    """Return whether coordinates `q` have the twist of a flexible frame, behind the seven others:
+    side motion has two more.
+    """
+    return (q.shape[0] - N_DOF) % 2 == 1
+
+
+@kernel
 def update_valves(p, strut_state, q, command, alpha, h):
     """Advance the `strut_state` (4, 3) of all struts by one step `h` [s] under a `command` byte.
 
@@ -353,7 +360,7 @@ def update_valves(p, strut_state, q, command, alpha, h):
         setting = (command >> w) & 1, (command >> (4 + w)) & 1
         if not valves_settled(strut_state, w, setting):
             e = extension(p, q, w)
-            if has_twist(q):
+            if _has_twist(q):
                 e += twist_extension(p, q[N_DOF], w)
             advance_valve(p, strut_state, w, e, setting, alpha, h)
             settled = False

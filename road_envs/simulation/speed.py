@@ -61,8 +61,3 @@ class SpeedProfile(Settings):
         return float(
             knots[i] + 2.0 * remaining / (v + np.sqrt(max(v * v + 2.0 * a * remaining, 0.0)))
         )
-
-
-def constant_speed(v: float) -> SpeedProfile:
-    """Return the profile of a constant speed `v` [m/s]."""
-    return SpeedProfile(t=(0.0,), v=(float(v),))

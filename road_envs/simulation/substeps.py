@@ -29,10 +29,7 @@ def is_steep(road):
 
 @kernel
 def mark_steep(road, steep):
-    """Write to `steep` (1, LANES) which lanes of `road` (16, LANES) must be divided, 1 or 0.
-
-    Return whether any must.
-    """
+    """Write to `steep` (1, LANES) which lanes of `road` must be divided, 1 or 0; return if any."""
     put(steep, 0, 0.0)
     for w in range(4):
         change = get(road, 12 + w) - get(road, 4 + w)

@@ -29,7 +29,7 @@ from road_envs.vehicle.equations import N_DOF, Motion, Plant
 from road_envs.vehicle.side_motion import n_side
 
 
-class TapeInputs(NamedTuple):
+class _TapeInputs(NamedTuple):
     """Inputs of N steps of `h` [s]: `road` (N, 16), `a_xy` (N, 4) and the speed `v` (N,) as in
     `rosenbrock.StepInputs`.
 
@@ -46,7 +46,7 @@ class TapeInputs(NamedTuple):
 
 @kernel
 def _integrate_with_derivative(vehicle, y, inputs, out, rows, flexible=None, side=None):
-    """Take the steps of TapeInputs; the state `y` (14,) and the strut state change in place.
+    """Take the steps of _TapeInputs; the state `y` (14,) and the strut state change in place.
 
     Signals go to `out` (N, 29), the derivative to `rows` (N, TAPE_ROW_SIZE).
     """
@@ -159,7 +159,7 @@ def linearize_drive(
     signals, rows = np.empty((steps, n_signals(plant))), np.empty((steps, TAPE_ROW_SIZE))
     bytes_ = np.zeros(0) if commands is None else _checked_copy("commands", commands, (steps,))
     per_step = z.reshape(steps, 16), a_xy_steps.reshape(steps, 4)
-    inputs = TapeInputs(*per_step, bytes_.astype(np.uint8), float(lag), float(h), speed)
+    inputs = _TapeInputs(*per_step, bytes_.astype(np.uint8), float(lag), float(h), speed)
     buffers = plant.buffers(strut_state_end)
     _integrate_with_derivative(buffers, y, inputs, signals, rows, *plant.kernel_flags)
     if not np.isfinite(y).all():

@@ -12,7 +12,7 @@ from road_envs.core.config import Finite, NonNegative, Positive, Settings, by_ki
 
 
 @dataclass(frozen=True, kw_only=True)
-class UnsprungPair(Settings):
+class _UnsprungPair(Settings):
     """Fields of both kinds of axle: two wheels with their tyres, at one distance from the body."""
 
     x: Annotated[Finite, "m", "ahead of the body's centre of mass; negative at the rear"]
@@ -26,7 +26,7 @@ class UnsprungPair(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Axle(UnsprungPair):
+class Axle(_UnsprungPair):
     """A solid axle with its two struts and two tyres."""
 
     I_xx: Annotated[Positive, "kg m²", "roll inertia"]
@@ -35,7 +35,7 @@ class Axle(UnsprungPair):
 
 
 @dataclass(frozen=True, kw_only=True)
-class IndependentWheels(UnsprungPair):
+class IndependentWheels(_UnsprungPair):
     """Two independently suspended wheels with their struts and tyres.
 
     Two masses m / 2 at y = ±y_t have the motion of an axle of mass m and roll inertia m y_t² whose
@@ -63,7 +63,12 @@ AnyAxle = Annotated[
     by_kind("solid"),
 ]
 
-PerAxle = tuple[Positive, Positive]
+_RollCentre = Annotated[float, Field(ge=-0.3, le=1.5)]
+_Cornering = Annotated[float, Field(ge=5e3, le=5e5)]
+_Relaxation = Annotated[float, Field(ge=0.01, le=2.0)]
+_SwingArm = Annotated[float, Field(ge=0.4, le=50.0)]
+_Stiffness = Annotated[float, Field(ge=0, le=1e7)]
+_Damping = Annotated[float, Field(ge=0, le=1e6)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,48 +82,24 @@ class SideMotion(Settings):
     I_zz: Annotated[float, Field(ge=100, le=1e6), "kg m²", "yaw inertia of the body"]
     wheel_radius: Annotated[float, Field(ge=0.15, le=0.8), "m", "height of the wheels' centres"]
     roll_centre: Annotated[
-        tuple[
-            Annotated[float, Field(ge=-0.3, le=1.5)],
-            Annotated[float, Field(ge=-0.3, le=1.5)],
-        ],
+        tuple[_RollCentre, _RollCentre],
         "m",
         "height of each axle's roll centre, where it holds the body sideways",
     ]
-    C_alpha: Annotated[
-        tuple[
-            Annotated[float, Field(ge=5e3, le=5e5)],
-            Annotated[float, Field(ge=5e3, le=5e5)],
-        ],
-        "N/rad",
-        "cornering stiffness of one tyre",
-    ]
-    relaxation: Annotated[
-        tuple[
-            Annotated[float, Field(ge=0.01, le=2.0)],
-            Annotated[float, Field(ge=0.01, le=2.0)],
-        ],
-        "m",
-        "relaxation length of the tyres",
-    ]
+    C_alpha: Annotated[tuple[_Cornering, _Cornering], "N/rad", "cornering stiffness of one tyre"]
+    relaxation: Annotated[tuple[_Relaxation, _Relaxation], "m", "relaxation length of the tyres"]
     swing_arm: Annotated[
-        tuple[
-            Annotated[float, Field(ge=0.4, le=50.0)],
-            Annotated[float, Field(ge=0.4, le=50.0)],
-        ],
+        tuple[_SwingArm, _SwingArm],
         "m",
         "of independent wheels: swing arm seen from the front, wheel to instantaneous centre",
     ] = (1.5, 1.5)
     fore_and_aft: Annotated[bool, "", "if the wheels go fore and aft as the body pitches"] = True
     joint_stiffness: Annotated[
-        tuple[Annotated[float, Field(ge=0, le=1e7)], Annotated[float, Field(ge=0, le=1e7)]],
+        tuple[_Stiffness, _Stiffness],
         "N/m",
         "of the joints that hold each axle sideways; 0 at both: rigid",
     ] = (0.0, 0.0)
-    joint_damping: Annotated[
-        tuple[Annotated[float, Field(ge=0, le=1e6)], Annotated[float, Field(ge=0, le=1e6)]],
-        "N s/m",
-        "of these joints",
-    ] = (0.0, 0.0)
+    joint_damping: Annotated[tuple[_Damping, _Damping], "N s/m", "of these joints"] = (0.0, 0.0)
 
     def __post_init__(self):
         super().__post_init__()

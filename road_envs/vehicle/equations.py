@@ -46,7 +46,7 @@ import numpy as np
 
 from road_envs.kernels._numba import kernel
 from road_envs.kernels.simd_arrays import add, get, stack_array, stack_rows
-from road_envs.vehicle.parameters import GRAVITY, VehicleParameters, VehicleVariation
+from road_envs.vehicle.parameters import GRAVITY, VehicleParameters
 from road_envs.vehicle.side_motion import SIDE_FIELDS, n_side, side_constants
 from road_envs.vehicle.suspension import (
     VehicleBuffers,
@@ -105,7 +105,7 @@ class Plant:
     @property
     def sideways(self) -> bool:
         """True if the vehicle has side motion, which adds two deflections and two rates."""
-        return bool(self.constants["relaxation"][0, 0] > 0.0)
+        return n_side(self.constants[0]) > 0
 
     @property
     def n_dof(self) -> int:
@@ -140,20 +140,16 @@ class Motion(NamedTuple):
     v: np.ndarray
 
 
-def build_plant(
-    car: VehicleParameters, manoeuvres: bool = False, variation: VehicleVariation | None = None
-) -> Plant:
-    """Build the plant of a vehicle, varied by `variation` or by its own.
+def build_plant(car: VehicleParameters, manoeuvres: bool = False) -> Plant:
+    """Build the plant of a vehicle, with its variation.
 
     With `manoeuvres` the body rolls in turns and pitches when braking. Raises ValueError if the
     progression of the tyres would make their stiffness negative at first contact.
     """
-    axles = car.axles
-    variation = car.variation if variation is None else variation
-    sides = (1.0, -1.0)
+    axles, sides = car.axles, (1.0, -1.0)
     quasi_static = manoeuvres and car.side is None  # else the side forces make the moment
-    velocity, velocity_indices = velocity_tables(car, variation)
-    displacement, displacement_indices = displacement_tables(car, variation)
+    velocity, velocity_indices = velocity_tables(car)
+    displacement, displacement_indices = displacement_tables(car)
     values = {
         "M": [car.m_b, car.I_xx, car.pitch_inertia, *(v for a in axles for v in (a.m, a.I_xx))],
         "roll_moment": car.m_b * (car.h_cg - car.roll_centre) * quasi_static,
@@ -161,16 +157,16 @@ def build_plant(
         "equalisation": car.valve.equalisation,
         "x": [a.x for a in axles],
         "delta": car.tyre_deflections,
-        "k_roll": [a.k_roll + k for a, k in zip(axles, variation.roll_stiffness, strict=True)],
+        "k_roll": [a.k_roll + k for a, k in zip(axles, car.variation.roll_stiffness, strict=True)],
         "y_s": [side * a.y_s for a in axles for side in sides],
         "y_t": [side * a.y_t for a in axles for side in sides],
         "c_t": [a.c_t for a in axles for _ in sides],
         "velocity_table": velocity_indices,
         "displacement_table": displacement_indices,
-        **gas_constants(car, variation),
-        **tyre_constants(car, variation),
-        **_frame_constants(car, variation),
-        **side_constants(car, GRAVITY),
+        **gas_constants(car),
+        **tyre_constants(car),
+        **_frame_constants(car),
+        **side_constants(car),
     }
     constants = np.zeros(1, dtype=PLANT_DTYPE)
     for name in PLANT_DTYPE.names or ():
@@ -178,15 +174,15 @@ def build_plant(
     return Plant(constants, velocity, displacement)
 
 
-def _frame_constants(car: VehicleParameters, variation: VehicleVariation) -> dict[str, object]:
-    if variation.frame is None:
+def _frame_constants(car: VehicleParameters) -> dict[str, object]:
+    if (frame := car.variation.frame) is None:
         none = dict.fromkeys(("frame_inertia", "frame_rate", "frame_damping"), 0.0)
         return {**none, "twist_share": (0.0, 0.0)}
-    inertia, omega = 0.25 * car.I_xx, 2.0 * np.pi * variation.frame.f
+    inertia, omega = 0.25 * car.I_xx, 2.0 * np.pi * frame.f
     return {
         "frame_inertia": inertia,
         "frame_rate": inertia * omega**2,
-        "frame_damping": 2.0 * variation.frame.zeta * inertia * omega,
+        "frame_damping": 2.0 * frame.zeta * inertia * omega,
         "twist_share": (0.5, -0.5),
     }
 
@@ -210,14 +206,6 @@ def wheel_height(p, q, w):
 def relative_roll(q, i):
     """Return body roll minus roll of axle `i` [rad] for coordinates `q`, or its rate for rates."""
     return get(q, PHI) - get(q, AXLE + 2 * i + 1)
-
-
-@kernel
-def has_twist(q):
-    """Return whether coordinates `q` have the twist of a flexible frame, behind the seven others:
-    side motion has two more.
-    """
-    return (q.shape[0] - N_DOF) % 2 == 1
 
 
 @kernel

@@ -52,9 +52,9 @@ class Curve(Settings):
 
 
 def zero_force_range(curve: Curve) -> tuple[float, float]:
-    """Return the extensions [m] between which a bump stop exerts no force."""
+    """Return the extensions [m] between which a bump stop exerts no force; 0 if it always does."""
     free = [x for x, F in zip(curve.x, curve.F, strict=True) if F == 0.0]
-    return min(free), max(free)
+    return min(free, default=0.0), max(free, default=0.0)
 
 
 def _pchip_coefficients(x: Sequence[float], y: Sequence[float]) -> np.ndarray:
@@ -130,7 +130,7 @@ def gaussian_smoothed(tables: np.ndarray, x_0: float, dx: float, width: float) -
 
 
 @kernel
-def locate(tables, k, x_0, dx, x):
+def _locate(tables, k, x_0, dx, x):
     """Return the cubic's coefficients (4 numbers) of table `k` in the cell of `x`, and where in it.
 
     The fraction of the cell is below 0 or above 1 beyond the ends, where the cubic is a line.
@@ -147,7 +147,7 @@ def interpolate_table(tables, k, x_0, dx, x):
 
     Extrapolates linearly beyond the ends of the grid.
     """
-    (a, b, c, d), t = locate(tables, k, x_0, dx, x)
+    (a, b, c, d), t = _locate(tables, k, x_0, dx, x)
     slope = b + t * (2.0 * c + t * 3.0 * d)
     return a + t * (b + t * (c + t * d)), slope / dx
 
@@ -166,5 +166,5 @@ def interpolate_tables(tables, x_0, dx, x, out):
 @kernel
 def second_derivative(tables, k, x_0, dx, x):
     """Return the second derivative of table `k` at `x`: right-sided, and 0 beyond the ends."""
-    (_, _, c, d), t = locate(tables, k, x_0, dx, x)
+    (_, _, c, d), t = _locate(tables, k, x_0, dx, x)
     return (2.0 * c + 6.0 * d * t) / (dx * dx)

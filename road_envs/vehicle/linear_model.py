@@ -116,17 +116,14 @@ def linearise(
     axles = plant.constants[0]["x"]
     C, D = heights @ A[n:], heights @ B[n:]
     struts, wheelbase = _as_matrix(extension, plant), float(axles[0] - axles[1])
-    names = (*DOF, "psi")[:own]
-    rates = tuple(f"{name}_dot" for name in names)
-    more: dict[str, Any] = {"states": (*names, *rates)}
-    if plant.sideways:
-        more["inverse_inertia"] = inverse_inertia(plant.constants[0], plant.inertias)
-        more["speed"] = float(speed)
-        size = plant.n_dof - own
-        coordinates, speeds = ("d_f", "d_r", "y_f", "y_r"), ("V", "r", "w_f", "w_r")
-        more["states"] = (*names, *coordinates[:size], *rates, *speeds[:size])
+    names, side = (*DOF, "psi")[:own], plant.n_dof - own
+    coordinates = (*names, *("d_f", "d_r", "y_f", "y_r")[:side])
+    rates = (*(f"{name}_dot" for name in names), *("V", "r", "w_f", "w_r")[:side])
     return LinearModel(
-        *(A, B, C, D, plant.inertias.copy(), struts, heights, wheelbase, tuple(sensors)), **more
+        *(A, B, C, D, plant.inertias.copy(), struts, heights, wheelbase, tuple(sensors)),
+        inverse_inertia=inverse_inertia(plant.constants[0], plant.inertias) if side else None,
+        speed=float(speed) if side else None,
+        states=(*coordinates, *rates),
     )
 
 
@@ -357,9 +354,9 @@ def response_changes(
     With x = (s - A)^-1 B u the change of the accelerations of the coordinates by dA and dB is that
     by additional accelerations dA x + dB u. `v` [m/s], `f` (F,) [Hz] as in `frequency_response`.
     """
-    n, (s, q) = len(model.A) // 2, _road_response(model, f)
     if model.speed is not None:
         return _side_response_changes(model, others, v, f)
+    n, (s, q) = len(model.A) // 2, _road_response(model, f)
     u = np.broadcast_to(np.eye(4), (s.size, 4, 4))
     # states, heights and their rates
     paths = combine_wheel_paths(model, v, f, np.concatenate([q, s * q, u, s * u], axis=1))

@@ -185,7 +185,6 @@ class VehicleParameters(Settings):
 
     @property
     def axles(self) -> tuple[Axle | IndependentWheels, Axle | IndependentWheels]:
-        """The axles (front, rear)."""
         return self.front, self.rear
 
     @property

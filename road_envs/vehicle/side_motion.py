@@ -60,7 +60,7 @@ import numpy as np
 from road_envs.kernels._numba import kernel
 from road_envs.kernels.simd_arrays import add, get, put
 from road_envs.vehicle.axles import IndependentWheels
-from road_envs.vehicle.parameters import VehicleParameters
+from road_envs.vehicle.parameters import GRAVITY, VehicleParameters
 
 ROLLS = (1, 4, 6)
 """Coordinates of the roll of the body, of the front and of the rear axle."""
@@ -80,14 +80,16 @@ RIGID_COORDINATES = 7
 """Coordinates of `equations`, without the twist of a frame."""
 
 
-def side_constants(car: VehicleParameters, gravity: float) -> dict[str, object]:
+def side_constants(car: VehicleParameters) -> dict[str, object]:
     """Return the constants of a vehicle's side motion, all 0 if it has none."""
     if car.side is None:
         return {name: np.zeros(shape) for name, _, shape in SIDE_FIELDS}
     # wheels' centres move sideways with phi, phi_a, V and r, and add their mass to all four
     side, height = car.side, np.array(car.side.roll_centre)
     lever, x = car.h_cg - height, np.array([axle.x for axle in car.axles])
-    m, k = np.array([axle.m for axle in car.axles]), _camber_of_travel(car)
+    m, arms = np.array([axle.m for axle in car.axles]), zip(car.axles, side.swing_arm, strict=True)
+    # camber of the wheels per roll of the axle; the rest, 1 - k, is that per roll of the body
+    k = np.array([a.y_t / arm if isinstance(a, IndependentWheels) else 1.0 for a, arm in arms])
     M = np.diag([car.I_xx, car.front.I_xx, car.rear.I_xx, car.m_b, side.I_zz, 0.0, 0.0])
     for a in range(2):
         centre = np.zeros(7)
@@ -99,7 +101,7 @@ def side_constants(car: VehicleParameters, gravity: float) -> dict[str, object]:
     inverse = np.zeros((7, 7))
     inverse[:moving, :moving] = np.linalg.inv(M[:moving, :moving])
     load = 2.0 * np.array(car.strut_loads)
-    leaning = load * height + m * gravity * side.wheel_radius * k**2
+    leaning = load * height + m * GRAVITY * side.wheel_radius * k**2
     sigma = np.array(side.relaxation)
     return {
         "side_lever": lever,
@@ -112,19 +114,6 @@ def side_constants(car: VehicleParameters, gravity: float) -> dict[str, object]:
         "joint_stiffness": side.joint_stiffness,
         "joint_damping": side.joint_damping,
     }
-
-
-def _camber_of_travel(car: VehicleParameters) -> np.ndarray:
-    """Return the camber k (2,) of the wheels of each axle per roll of the axle, 1 of a solid one.
-
-    Independent wheels lean by the rest, 1 - k, per roll of the body.
-    """
-    if car.side is None:
-        raise ValueError(f"{car.name} has no side motion")
-    arms = zip(car.axles, car.side.swing_arm, strict=True)
-    return np.array(
-        [axle.y_t / arm if isinstance(axle, IndependentWheels) else 1.0 for axle, arm in arms]
-    )
 
 
 @kernel

@@ -44,7 +44,7 @@ from road_envs.vehicle.force_curves import (
     second_derivative,
     tabulate,
 )
-from road_envs.vehicle.parameters import NOMINAL, UNIT_FACTORS, VehicleParameters, VehicleVariation
+from road_envs.vehicle.parameters import UNIT_FACTORS, VehicleParameters
 from road_envs.vehicle.struts import MODES, PASSIVE_MODES, PassiveStrut, Strut
 
 WHEELS = ("FL", "FR", "RL", "RR")
@@ -135,29 +135,27 @@ def settled_strut_state(byte: int) -> np.ndarray:
     return strut_state
 
 
-def gas_constants(car: VehicleParameters, variation: VehicleVariation) -> dict[str, object]:
+def gas_constants(car: VehicleParameters) -> dict[str, object]:
     """Return the constants of the gas springs, by the names that `_gas_spring` reads."""
     strut = car.strut
     if isinstance(strut, Strut):
         return {
-            "p_A": [factor * strut.p_stat * strut.A for factor in variation.gas],
+            "p_A": [factor * strut.p_stat * strut.A for factor in car.variation.gas],
             "n_p": strut.n_p,
             "x_1": strut.x_1,
             "r_2": strut.x_2 / (strut.x_1 + strut.x_2),
             "column_min": strut.column_min,
         }
-    loads = [factor * car.strut_loads[w // 2] for w, factor in enumerate(variation.gas)]
+    loads = [factor * car.strut_loads[w // 2] for w, factor in enumerate(car.variation.gas)]
     return {"p_A": loads, "n_p": 1.0, "x_1": ENDLESS, "r_2": 0.0, "column_min": 0.5 * ENDLESS}
 
 
-def velocity_tables(
-    car: VehicleParameters, variation: VehicleVariation = NOMINAL
-) -> tuple[np.ndarray, list[int]]:
+def velocity_tables(car: VehicleParameters) -> tuple[np.ndarray, list[int]]:
     """Tabulate damper plus friction: tables (K, V_CELLS, 4), index of each strut's ride table.
 
     The handling table follows the ride table. Equal struts share their tables.
     """
-    factors = zip(variation.damper, variation.friction, strict=True)
+    factors = zip(car.variation.damper, car.variation.friction, strict=True)
     keys = [(w // 2 if car.is_passive else 0, *pair) for w, pair in enumerate(factors)]
     distinct = list(dict.fromkeys(keys))
     tables = [
@@ -183,9 +181,7 @@ def _velocity_curves(car: VehicleParameters, axle: int) -> list[tuple[Curve, Cur
     return 2 * [(strut.at_wheel(strut.damper), strut.at_wheel(strut.friction))]
 
 
-def displacement_tables(
-    car: VehicleParameters, variation: VehicleVariation = NOMINAL
-) -> tuple[np.ndarray, list[int]]:
+def displacement_tables(car: VehicleParameters) -> tuple[np.ndarray, list[int]]:
     """Tabulate bushing plus bump stop: tables (K, E_CELLS, 4), index of each strut's table.
 
     In the table of a passive strut is also the force that its spring lacks to its static load.
@@ -202,7 +198,8 @@ def displacement_tables(
             laws.append(strut.at_wheel(strut.bushing).scaled(factor))
         return tabulate(laws, E_0, E_STEP, E_CELLS)
 
-    factors = zip(variation.gas if car.is_passive else UNIT_FACTORS, variation.bushing, strict=True)
+    gas = car.variation.gas if car.is_passive else UNIT_FACTORS
+    factors = zip(gas, car.variation.bushing, strict=True)
     keys = [(w // 2, *pair) for w, pair in enumerate(factors)]
     distinct = list(dict.fromkeys(keys))
     return np.stack([tabulated(key) for key in distinct]), [distinct.index(key) for key in keys]

@@ -121,7 +121,7 @@ def varied_car(car: VehicleParameters, factors: Mapping[str, float]) -> VehicleP
     """Return `scale_parameters` of a fit. Raises ArithmeticError if no vehicle has such values."""
     try:
         varied = scale_parameters(car, factors)
-        tyre_constants(varied, varied.variation)
+        tyre_constants(varied)
     except ValueError as error:
         raise ArithmeticError(f"a fitted vehicle is none: {error}") from None
     return varied

@@ -3,12 +3,13 @@
 from road_envs.kernels._numba import kernel
 from road_envs.kernels.simd import if_positive
 from road_envs.kernels.simd_arrays import get
-from road_envs.vehicle.parameters import VehicleParameters, VehicleVariation
+from road_envs.vehicle.parameters import VehicleParameters
 
 
-def tyre_constants(car: VehicleParameters, variation: VehicleVariation) -> dict[str, list[float]]:
+def tyre_constants(car: VehicleParameters) -> dict[str, list[float]]:
     """Return k_t and k_t2 of each tyre; at the origin its secant stiffness is the nominal one."""
-    rise, deltas = variation.tyre_progression, car.tyre_deflections
+    variation, deltas = car.variation, car.tyre_deflections
+    rise = variation.tyre_progression
     k = [factor * car.axles[w // 2].k_t for w, factor in enumerate(variation.tyre)]
     if not rise * max(deltas) < 1.0:
         raise ValueError(

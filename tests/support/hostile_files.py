@@ -27,7 +27,7 @@ from road_envs.drives.logger_tables.description import (
 from road_envs.drives.measured_record import MeasuredRecord
 from road_envs.drives.recording import read_record, simulate_record, write_record
 from road_envs.policies import PolicySettings
-from road_envs.policies.network_policy import read_policy_network
+from road_envs.policies.network_policy import NetworkPolicy
 from road_envs.roads import load_road
 from road_envs.sensing.instruments import load_instruments
 from road_envs.sensing.perturbed_vehicle import load_plant_mismatch
@@ -125,7 +125,7 @@ def readers(folder: Path) -> dict[str, Reader]:
         "drive description": (read_description, folder / "drive.yaml", ConfigError),
         "weights": (weights_io.load, folder / "weights.npz", weights_io.StorageError),
         "safetensors": (weights_io.load, folder / "weights.safetensors", weights_io.StorageError),
-        "policy": (read_policy_network, config.folder() / "policies/learned.npz", ConfigError),
+        "policy": (load_network, config.folder() / "policies/learned.npz", ConfigError),
         "hidden seeds": (
             lambda path: hidden_seeds.load(path.parent),
             folder / hidden_seeds.COMMITMENT,
@@ -163,6 +163,10 @@ def write_drive(path: Path, columns: Mapping[str, Any]) -> None:
         return
     rows = (",".join(map(str, row)) for row in zip(*columns.values(), strict=True))
     path.write_text("\n".join([",".join(columns), *rows]), encoding="utf-8")
+
+
+def load_network(path: Path) -> NetworkPolicy:
+    return NetworkPolicy(file=str(path))
 
 
 def load_policy_settings(path: Path) -> PolicySettings:

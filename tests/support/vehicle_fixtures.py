@@ -57,6 +57,12 @@ def lossless(car: VehicleParameters) -> VehicleParameters:
     )
 
 
+def varied_plant(car: VehicleParameters, variation: VehicleVariation, manoeuvres: bool = False):
+    """Return the plant of a car with a variation in place of its own, which None leaves."""
+    one = car if variation is None else replace(car, variation=variation)
+    return build_plant(one, manoeuvres)
+
+
 CARS = {"defender": DEFENDER, "unequal_axles": unequal_axles_car()}
 PLANTS = {name: build_plant(car) for name, car in CARS.items()}
 MANOEUVRE_PLANTS = {name: build_plant(car, manoeuvres=True) for name, car in CARS.items()}
@@ -82,11 +88,9 @@ WITHOUT_STOPS = replace(
     ),
 )
 """The car with unequal axles without bushings and bump stops."""
-VARIED_PLANTS = {
-    name: build_plant(CARS["unequal_axles"], variation=one) for name, one in VARIATIONS.items()
-}
+VARIED_PLANTS = {name: varied_plant(CARS["unequal_axles"], one) for name, one in VARIATIONS.items()}
 VARIED_MANOEUVRE_PLANTS = {
-    name: build_plant(CARS["unequal_axles"], True, one) for name, one in VARIATIONS.items()
+    name: varied_plant(CARS["unequal_axles"], one, True) for name, one in VARIATIONS.items()
 }
 FLAT_SURFACE = Surface(np.zeros((2, 8)), 1.0, name="level")
 ZEROS = np.zeros(4)

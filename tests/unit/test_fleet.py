@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from speeds import speed_ramp
+from vehicle_fixtures import varied_plant
 
 from road_envs.core.config import ConfigError
 from road_envs.kernels.simd import LANES
@@ -12,7 +13,6 @@ from road_envs.roads import load_road
 from road_envs.simulation.drive import DriveSimulator
 from road_envs.simulation.lanes import aligned_zeros
 from road_envs.simulation.manoeuvres import Slalom
-from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.parameters import NOMINAL, TorsionalFrame, VehicleVariation, load_vehicle
 from studies.bench.fleet import Fleet, select_vehicle
 
@@ -56,7 +56,7 @@ def make_simulators(size, frame=None):
         manoeuvre = Slalom(begin=0.1, period=0.5) if k % 4 == 3 else None
         mode = ("ride", "handling", {"front": "ride", "rear": "handling"})[k % 3]
         variation = dataclasses.replace(VARIED if k % 4 == 1 else NOMINAL, frame=frame)
-        plant = build_plant(car, manoeuvre is not None, variation)
+        plant = varied_plant(car, variation, manoeuvre is not None)
         simulators.append(DriveSimulator(plant, car, surface, speed, mode, manoeuvre=manoeuvre))
     return simulators
 
@@ -158,7 +158,7 @@ def test_an_empty_or_mixed_fleet_is_rejected():
     with pytest.raises(ConfigError, match="one integrator step"):
         Fleet([slow, fast])
     flexible = DriveSimulator(
-        build_plant(CAR, False, VehicleVariation(frame=TorsionalFrame(f=9.0, zeta=0.1))),
+        varied_plant(CAR, VehicleVariation(frame=TorsionalFrame(f=9.0, zeta=0.1))),
         CAR,
         slow.surface,
         5.0,

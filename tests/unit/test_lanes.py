@@ -3,7 +3,14 @@
 import numba
 import numpy as np
 import pytest
-from vehicle_fixtures import DEFENDER, VARIED, VARIED_FLEXIBLE, VARIED_PLANTS, smooth_road
+from vehicle_fixtures import (
+    DEFENDER,
+    VARIED,
+    VARIED_FLEXIBLE,
+    VARIED_PLANTS,
+    smooth_road,
+    varied_plant,
+)
 
 from road_envs.kernels.simd import LANES
 from road_envs.kernels.simd_arrays import stack_array, stack_rows
@@ -16,7 +23,7 @@ from road_envs.vehicle.equilibrium import equilibrium
 from road_envs.vehicle.suspension import encode_command, settled_strut_state
 
 STRUT_STATE, STEPS, H = settled_strut_state(encode_command("ride")), 300, 1e-3
-PLANTS = [build_plant(DEFENDER), build_plant(DEFENDER, variation=VARIED), VARIED_PLANTS["varied"]]
+PLANTS = [build_plant(DEFENDER), varied_plant(DEFENDER, VARIED), VARIED_PLANTS["varied"]]
 
 
 @numba.njit
@@ -62,7 +69,7 @@ def test_variants_drive_as_each_of_them_alone():
 
 def test_flexible_variants_drive_as_the_simulator_does():
     surface, speed = smooth_road(height=0.02), 12.0
-    plant = build_plant(DEFENDER, variation=VARIED_FLEXIBLE)
+    plant = varied_plant(DEFENDER, VARIED_FLEXIBLE)
     drive = DriveSimulator(plant, DEFENDER, surface, speed, "ride", H)
     start = drive.state.copy()
     s, v, _ = drive.half_step_inputs(2000)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from oracles_wheels import FourWheels, four_wheel_frequencies, quarter_car_frequencies
-from vehicle_fixtures import DEFENDER, compute_accelerations
+from vehicle_fixtures import DEFENDER, compute_accelerations, varied_plant
 
 from road_envs.core import config
 from road_envs.core.config import ConfigError
@@ -169,7 +169,7 @@ def test_a_variation_scales_spring_damper_and_friction_of_each_wheel():
         friction=(1.0, 1.0, 1.5, 1.0),
     )  # fmt: skip
     e, still, moving = np.full((4, 1), 0.02), np.zeros((4, 1)), np.full((4, 1), 1.0)
-    nominal, one = build_plant(BMW), build_plant(BMW, variation=variation)
+    nominal, one = build_plant(BMW), varied_plant(BMW, variation)
     plants = nominal, one
     spring = [strut_forces(p, "passive", e, still)[:, 0] for p in plants]
     np.testing.assert_allclose(spring[1] / spring[0], [1.1, 1.0, 1.0, 0.9], rtol=1e-9)

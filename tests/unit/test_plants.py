@@ -195,6 +195,14 @@ def test_what_a_plant_does_not_have_is_refused(plant, settings, message):
         simulate_on_plant(plant, LEVEL, **{"speed_kmh": 36.0, "vehicle": "bmw_320i", **settings})
 
 
+@pytest.mark.parametrize(("axle", "name"), [(0, "front"), (1, "rear")])
+@pytest.mark.parametrize("plant", PLANTS)
+def test_an_accelerometer_on_an_axle_is_refused_by_the_car_itself(plant, axle, name):
+    places = [*POINTS, SensorLocation(1.3, 0.7, axle)]
+    with pytest.raises(ConfigError, match=f"the plant {plant} .* y = 0.7 m is on the {name} axle"):
+        PLANTS[plant](CARS["bmw_320i"], places)
+
+
 def test_tyres_of_another_program_are_noticed_behind_peaks_of_paving_too():
     """The paving makes the Defender seem to twist and bend; its file has rigid joints."""
     name = "defender_110_coils"

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from scipy.signal import butter, sosfiltfilt
 
 import road_envs.policies as policies
-from road_envs.analysis.information_bound import RoadPrior
 from road_envs.core.config import ConfigError
 from road_envs.envs.options import EnvSetup
 from road_envs.envs.vector import RoadReconVectorEnv
@@ -20,8 +19,8 @@ from road_envs.policies import REGISTRY, available, create
 from road_envs.policies.api import PolicyContext, PolicyError, validate_actions
 from road_envs.policies.body_motion import BodyMotionEstimator, RunningRms
 from road_envs.policies.features import N_FEATURES
-from road_envs.policies.greedy_information import expected_comfort
-from road_envs.policies.network_policy import NetworkPolicy, PolicyNetwork, read_policy_network
+from road_envs.policies.greedy_information import GreedyInformation
+from road_envs.policies.network_policy import NetworkPolicy, PolicyNetwork
 from road_envs.policies.rollout import roll_out
 from road_envs.policies.wheelbase_preview import WheelbasePreview
 
@@ -188,7 +187,9 @@ def test_expected_comfort_agrees_with_simulated_drives():
             step = envs.step(policy.act(np.zeros((4, 1))))
             squares.append(step[4]["comfort"] ** 2)
         measured = np.sqrt(np.mean(squares[50:]))
-        expected = expected_comfort(SETUP.car, *pair, 15.0, RoadPrior())
+        costs = GreedyInformation(weight=0.0)
+        costs.reset(PolicyContext.from_setup(envs.setup, 4, 0))
+        expected = costs.action_costs(15.0)[costs.context.action_index(*pair)]
         assert expected == pytest.approx(measured, rel=0.15)
 
 
@@ -310,7 +311,7 @@ def network(rng=None) -> PolicyNetwork:
 def test_a_stored_network_round_trips_and_computes_the_formula(tmp_path):
     path = tmp_path / "n.npz"
     path.write_bytes(network().to_bytes())
-    again = read_policy_network(path)
+    again = NetworkPolicy(file=str(path)).network
     x = np.random.default_rng(1).standard_normal((5, N_FEATURES))
     (W_0, b_0), (W_1, b_1) = network().layers
     expected = [W_1 @ np.tanh(W_0 @ row + b_0) + b_1 for row in x]
@@ -329,10 +330,10 @@ def test_an_untrusted_file_is_never_unpickled(tmp_path):
     path = tmp_path / "trap.npz"
     np.savez(path, about=np.array(Trap(), dtype=object))
     with pytest.raises(ConfigError, match="not a stored policy"):
-        read_policy_network(path)
+        NetworkPolicy(file=str(path))
     path.write_bytes(pickle.dumps(Trap()))
     with pytest.raises(ConfigError, match="not a stored policy"):
-        read_policy_network(path)
+        NetworkPolicy(file=str(path))
     assert not ran.exists()
 
 
@@ -353,4 +354,4 @@ def test_a_damaged_network_is_rejected(tmp_path, fault):
     path.write_bytes(data)
     reason = "unknown activation 'sine'" if fault == "format" else "not a stored policy"
     with pytest.raises(ConfigError, match=rf"n\.npz: {reason}"):
-        read_policy_network(path)
+        NetworkPolicy(file=str(path))

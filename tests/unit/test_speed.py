@@ -11,7 +11,7 @@ from speeds import speed_ramp, stop_and_go
 from road_envs.core.config import ConfigError
 from road_envs.roads import load_road
 from road_envs.simulation.drive import APRON_LENGTH, DriveSimulator, simulate
-from road_envs.simulation.speed import SpeedProfile, constant_speed
+from road_envs.simulation.speed import SpeedProfile
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.parameters import load_vehicle
 from road_envs.vehicle.suspension import encode_command
@@ -59,7 +59,7 @@ def test_a_stop_and_go_profile_is_at_zero_speed_during_its_halts():
 
 def test_a_constant_profile_equals_a_speed_given_as_a_number():
     by_number = simulate(CAR, BELGIAN, 15.0)
-    by_profile = simulate(CAR, BELGIAN, constant_speed(15.0))
+    by_profile = simulate(CAR, BELGIAN, SpeedProfile(t=(0.0,), v=(15.0,)))
     np.testing.assert_array_equal(by_number.signals, by_profile.signals)
 
 

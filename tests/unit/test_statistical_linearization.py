@@ -5,7 +5,7 @@ import oracles
 import pytest
 from scipy import signal
 from test_linear_model import energy_matrices
-from vehicle_fixtures import CARS, DEFENDER, PLANTS
+from vehicle_fixtures import CARS, DEFENDER, PLANTS, varied_plant
 
 from road_envs.analysis.information_bound import (
     RoadPrior,
@@ -20,7 +20,7 @@ from road_envs.analysis.statistical_linearization import (
     residual_force_psd,
 )
 from road_envs.sensing.instruments import load_instruments
-from road_envs.vehicle.equations import N_DOF, build_plant
+from road_envs.vehicle.equations import N_DOF
 from road_envs.vehicle.equilibrium import equilibrium
 from road_envs.vehicle.linear_model import (
     force_response,
@@ -202,7 +202,7 @@ def test_the_force_response_agrees_with_the_energy_matrices(name):
 
 @pytest.mark.parametrize("frame", [None, TorsionalFrame(f=12.0, zeta=0.08)])
 def test_more_damping_acts_as_a_strut_force_against_the_rate_of_extension(frame):
-    plant = build_plant(DEFENDER, variation=VehicleVariation(frame=frame))
+    plant = varied_plant(DEFENDER, VehicleVariation(frame=frame))
     c, more, f = np.full(4, 1200.0), np.array([0.0, 0.0, 700.0, 0.0]), np.array([1.5, 9.0, 13.0])
     before, after = (linearise(plant, "ride", PLACES, damping=x) for x in (c, c + more))
     sensed, rates = force_response(before, f)

@@ -24,13 +24,13 @@ from vehicle_fixtures import (
     run_integrator,
     smooth_road,
     strut_states,
+    varied_plant,
     vectors,
     with_twist,
 )
 
 from road_envs.simulation.drive import DriveSimulator, Trajectory
 from road_envs.simulation.rosenbrock import ACCELERATION, LOAD, TWIST
-from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.equilibrium import equilibrium
 from road_envs.vehicle.linear_model import frequency_response, linearise
 from road_envs.vehicle.natural_modes import natural_modes
@@ -129,7 +129,7 @@ def test_without_losses_the_energy_error_has_the_integrators_order(name):
     variation = replace(
         VARIATIONS[name], frame=TorsionalFrame(f=11.0, zeta=0.0) if name == "flexible" else None
     )
-    free = build_plant(lossless(CAR), False, variation)
+    free = varied_plant(lossless(CAR), variation)
     oracle = oracles.NonlinearCar(lossless(CAR), variation)
     start, n = equilibrium(free, RIDE, ZEROS), SIZES[name]
     rest = oracle.energy(RIDE, start[:n], start[n:], ZEROS)
@@ -163,8 +163,8 @@ def test_the_free_frame_decays_with_its_frequency_and_damping_ratio():
     """On soft springs the body is nearly free: a decaying sine of f sqrt(1 - zeta²)."""
     frame = TorsionalFrame(f=13.0, zeta=0.04)
     strut = replace(lossless(WITHOUT_STOPS).strut, x_2=40.0)
-    plant = build_plant(
-        replace(lossless(WITHOUT_STOPS), strut=strut), False, VehicleVariation(frame=frame)
+    plant = varied_plant(
+        replace(lossless(WITHOUT_STOPS), strut=strut), VehicleVariation(frame=frame)
     )
     y, h = equilibrium(plant, RIDE, ZEROS), 0.0002
     y[7] += 0.001
@@ -183,7 +183,7 @@ def test_the_free_frame_decays_with_its_frequency_and_damping_ratio():
 
 def test_a_stiff_frame_behaves_like_a_rigid_one():
     """A frame of 200 Hz gives the drive of the same car without a flexible frame."""
-    stiff = build_plant(CAR, False, replace(VARIED, frame=TorsionalFrame(f=200.0, zeta=0.05)))
+    stiff = varied_plant(CAR, replace(VARIED, frame=TorsionalFrame(f=200.0, zeta=0.05)))
     ends = []
     for plant in (stiff, VARIED_PLANTS["varied"]):
         y = equilibrium(plant, RIDE, ZEROS)

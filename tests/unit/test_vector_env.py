@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 from vector_checker import VectorCheckError, check_vector_env
+from vehicle_fixtures import varied_plant
 
 import road_envs
 from road_envs.core.config import ConfigError
@@ -16,7 +17,6 @@ from road_envs.envs.road_recon import RoadReconEnv
 from road_envs.envs.safe4s4 import Safe4S4VectorEnv
 from road_envs.envs.vector import RoadReconVectorEnv
 from road_envs.kernels.simd import LANES
-from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.parameters import TorsionalFrame, VehicleVariation
 
 SHORT = {"road": "iso_d", "length": 6.0, "speed_kmh": [40.0, 70.0], "control": "axle"}
@@ -274,7 +274,7 @@ def test_a_fleet_of_several_blocks_has_no_last_interval_and_a_flexible_frame_is_
     with pytest.raises(ValueError, match=f"at most {LANES} vehicles, got {LANES + 1}"):
         setup.make_fleet(LANES + 1).last_interval(LANES, 0)
     frame = VehicleVariation(frame=TorsionalFrame(f=11.0, zeta=0.05))
-    plant = build_plant(setup.car, variation=frame)
+    plant = varied_plant(setup.car, frame)
     with pytest.raises(ConfigError, match="does not support a flexible frame"):
         InstrumentedFleet(plant, setup.car, setup.fleet_settings())
 

@@ -25,6 +25,7 @@ from vehicle_fixtures import (
     lossless,
     rates,
     strut_states,
+    varied_plant,
     vectors,
     with_twist,
 )
@@ -45,7 +46,7 @@ from road_envs.vehicle.suspension import (
 from studies.bench.fleet import Fleet, select_vehicle
 
 CAR = CARS["unequal_axles"]
-LOSSLESS = {name: build_plant(lossless(CAR), variation=v) for name, v in VARIATIONS.items()}
+LOSSLESS = {name: varied_plant(lossless(CAR), v) for name, v in VARIATIONS.items()}
 MODES = ("ride", "handling")
 RIDE = settled_strut_state(encode_command("ride"))
 every_variation = pytest.mark.parametrize("name", VARIATIONS)
@@ -119,10 +120,8 @@ def test_the_jacobian_matches_central_differences(name, q, v, psi, psi_dot, stru
 
 
 def test_the_default_variation_leaves_the_plant_unchanged():
-    nominal, varied = build_plant(DEFENDER), build_plant(DEFENDER, False, VehicleVariation())
-    for name, array in vars(nominal).items():
-        np.testing.assert_array_equal(getattr(varied, name), array)
-    assert NOMINAL == VehicleVariation() and not build_plant(DEFENDER).flexible
+    assert DEFENDER.variation == NOMINAL == VehicleVariation()
+    assert not build_plant(DEFENDER).flexible
 
 
 # --- statics --------------------------------------------------------------------------------------
@@ -132,7 +131,7 @@ def test_the_default_variation_leaves_the_plant_unchanged():
 def test_strut_components_are_scaled_by_their_factors(w):
     """Gas at rest; damper, friction and bushing separately against the oracle's curves."""
     oracle, strut = oracles.NonlinearCar(DEFENDER), DEFENDER.strut
-    plant = build_plant(DEFENDER, False, VARIED)
+    plant = varied_plant(DEFENDER, VARIED)
 
     def difference(e, e_dot, mode):
         """Return the force difference [N] between the varied and the nominal strut."""
@@ -169,7 +168,7 @@ def test_in_equilibrium_tyre_loads_balance_the_weight(
         frame=TorsionalFrame(f=8.0, zeta=0.1) if frame else None,
     )  # fmt: skip
     plant, strut_state = (
-        build_plant(CAR, False, variation),
+        varied_plant(CAR, variation),
         settled_strut_state(encode_command(mode)),
     )
     state = equilibrium(plant, strut_state, z_r)
@@ -192,7 +191,7 @@ def test_in_equilibrium_tyre_loads_balance_the_weight(
 @every_mode
 @pytest.mark.parametrize("factor", [0.9, 1.05])
 def test_a_common_change_of_gas_pressure_changes_the_ride_height(mode, factor):
-    plant = build_plant(WITHOUT_STOPS, False, VehicleVariation(gas=(factor,) * 4))
+    plant = varied_plant(WITHOUT_STOPS, VehicleVariation(gas=(factor,) * 4))
     state, strut = equilibrium(plant, settled_strut_state(encode_command(mode)), ZEROS), CAR.strut
     loads = oracles.static_loads(CAR)[0]
     column = strut.x_1 + strut.x_2 * (mode == "ride")
@@ -205,9 +204,7 @@ def test_a_common_change_of_gas_pressure_changes_the_ride_height(mode, factor):
 @pytest.mark.parametrize("progression", [0.0, 3.0, 9.0])
 @pytest.mark.parametrize("factor", [0.8, 1.0, 1.15])
 def test_deflection_of_a_progressive_tyre_solves_its_equation(progression, factor):
-    plant = build_plant(
-        CAR, False, VehicleVariation(tyre=(factor,) * 4, tyre_progression=progression)
-    )
+    plant = varied_plant(CAR, VehicleVariation(tyre=(factor,) * 4, tyre_progression=progression))
     state = equilibrium(plant, RIDE, ZEROS)
     for i, axle in enumerate((CAR.front, CAR.rear)):
         load = oracles.static_loads(CAR)[1][i]
@@ -225,7 +222,7 @@ def test_deflection_of_a_progressive_tyre_solves_its_equation(progression, facto
 def test_roll_stiffness_is_struts_and_bushings_in_series_with_tyres(mode):
     """Springs in series at each axle, axles in parallel: 1 / (1 / (2 k y_s² + k_r) + ...)."""
     stiffness = (6000.0, 2500.0)
-    plant = build_plant(WITHOUT_STOPS, False, VehicleVariation(roll_stiffness=stiffness))
+    plant = varied_plant(WITHOUT_STOPS, VehicleVariation(roll_stiffness=stiffness))
     model = linearise(plant, mode, {})
     K = -model.M[:, None] * model.A[7:, :7]
     rolled = np.linalg.solve(K, np.eye(7)[1])[1]
@@ -303,4 +300,4 @@ def test_invalid_frames_and_progressions_raise_value_error():
     with pytest.raises(ValueError, match="zeta: must not be negative"):
         TorsionalFrame(f=10.0, zeta=-0.1)
     with pytest.raises(ValueError, match=r"tyre_progression must be below 46\.. 1/m, got 50"):
-        build_plant(DEFENDER, False, VehicleVariation(tyre_progression=50.0))
+        varied_plant(DEFENDER, VehicleVariation(tyre_progression=50.0))

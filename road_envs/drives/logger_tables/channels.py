@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from road_envs.core.config import ConfigError
-from road_envs.drives.logger_tables.description import DriveDescription, quantities
+from road_envs.drives.logger_tables.description import DriveDescription
 from road_envs.drives.logger_tables.table import Table, numeric_values, to_si
 from road_envs.records import units
 from road_envs.records.record import SENSORS
@@ -72,16 +72,14 @@ class Channels:
     def __init__(
         self, table: Table, description: DriveDescription, accelerometers: Iterable[str] = SENSORS
     ):
-        description.check_names(accelerometers)
         self.table, self.description, self.findings = table, description, TableFindings()
-        self.quantities = quantities(accelerometers)
+        self.quantities = description.quantities(accelerometers)
         self.headers = {name: self._find(name) for name in self.quantities}
 
     def __contains__(self, quantity: str) -> bool:
         return self.headers[quantity] is not None
 
     def list_columns(self) -> str:
-        """Return the headers of the table in words."""
         return f"the table has {', '.join(self.table)}"
 
     def unit(self, quantity: str) -> str | None:

@@ -50,14 +50,14 @@ Y2001 = 1e9
 """Seconds from 1970 to September 2001: greater times are those of a calendar."""
 
 
-class Clock(NamedTuple):
+class _Clock(NamedTuple):
     """Time `t` (N,) [s] from the first sample; `epoch` [s] since 1970 of that, None if unknown."""
 
     t: np.ndarray
     epoch: float | None
 
 
-def read_clock(channels: Channels) -> Clock | None:
+def read_clock(channels: Channels) -> _Clock | None:
     """Return the clock of a table; None if there is none, which is added to the problems."""
     header, findings = channels.headers["t"], channels.findings
     if header is None:
@@ -87,7 +87,7 @@ def read_clock(channels: Channels) -> Clock | None:
             f"{header} must increase; it does not after row {backwards[0] + 1}: {why}"
         )
         return None
-    return Clock(t - t[0], float(t[0]) if t.size and t[0] > Y2001 else None)
+    return _Clock(t - t[0], float(t[0]) if t.size and t[0] > Y2001 else None)
 
 
 def _seconds(column: Any, unit: str | None, findings: TableFindings) -> np.ndarray:

@@ -16,7 +16,7 @@ from road_envs.records.accelerometers import Accelerometer, Layout, column
 from road_envs.records.record import SENSORS
 
 
-class Quantity(NamedTuple):
+class _Quantity(NamedTuple):
     """A quantity of a drive: its kind of unit (None: text) and other names of its column."""
 
     kind: str | None
@@ -24,14 +24,14 @@ class Quantity(NamedTuple):
 
 
 QUANTITIES = {
-    "t": Quantity("time", ("time", "timestamp", "datetime", "date_time", "timestamps")),
-    "v": Quantity("speed", ("speed", "velocity", "vehicle_speed", "gps_speed")),
-    "s": Quantity("distance", ("distance", "odometer", "chainage", "station")),
-    "lat": Quantity("angle", ("latitude", "gps_lat", "gps_latitude")),
-    "lon": Quantity("angle", ("lng", "long", "longitude", "gps_lon", "gps_longitude")),
-    "mode": Quantity(None),
-    "mode_front": Quantity(None),
-    "mode_rear": Quantity(None),
+    "t": _Quantity("time", ("time", "timestamp", "datetime", "date_time", "timestamps")),
+    "v": _Quantity("speed", ("speed", "velocity", "vehicle_speed", "gps_speed")),
+    "s": _Quantity("distance", ("distance", "odometer", "chainage", "station")),
+    "lat": _Quantity("angle", ("latitude", "gps_lat", "gps_latitude")),
+    "lon": _Quantity("angle", ("lng", "long", "longitude", "gps_lon", "gps_longitude")),
+    "mode": _Quantity(None),
+    "mode_front": _Quantity(None),
+    "mode_rear": _Quantity(None),
 }
 """Signals that a table can hold beside its accelerations: time, speed, odometer, position (WGS 84),
 and state of the struts.
@@ -63,7 +63,7 @@ DEFAULT_PLACE = "dashboard"
 SEAT_NOTE = "a seat swings by itself at 3 to 5 Hz, which no model here has: put it on the floor"
 
 
-def parse_place(at: str) -> Accelerometer:
+def _parse_place(at: str) -> Accelerometer:
     """Return the place of a word of PLACES, or of "AHEAD" or "AHEAD,LEFT" in metres.
 
     AHEAD counts from the front axle and is negative behind it, LEFT from the centre line. Raises
@@ -80,11 +80,6 @@ def parse_place(at: str) -> Accelerometer:
             f"the place {at[:40]!r} is none of {', '.join(PLACES)}, nor metres ahead of the front "
             "axle and to the left, as in -0.5,0.2 (half a metre behind it)"
         ) from None
-
-
-def quantities(accelerometers: Iterable[str]) -> dict[str, Quantity]:
-    """Return the signals of a table with the accelerations of these accelerometers."""
-    return {column(name): Quantity("acceleration") for name in accelerometers} | QUANTITIES
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,7 +118,7 @@ class DriveDescription(Settings):
         if self.at is not None and self.accelerometers is not None:
             raise ConfigError("give the place of one device (at) or accelerometers, not both")
         if self.layout is not None or self.sensors is None:
-            self.check_names(self.layout or SENSORS)
+            self.quantities(self.layout or SENSORS)
         for quantity, unit in self.units.items():
             if not quantity.startswith(PREFIX):
                 validate("quantity in units", quantity, list(QUANTITIES))
@@ -137,7 +132,7 @@ class DriveDescription(Settings):
         """The accelerometers that are described: several, or the one device at a place."""
         if self.at is None and column(DEVICE) not in self.columns:
             return self.accelerometers
-        return self.accelerometers or {DEVICE: parse_place(self.at or DEFAULT_PLACE)}
+        return self.accelerometers or {DEVICE: _parse_place(self.at or DEFAULT_PLACE)}
 
     @property
     def instruments(self) -> str:
@@ -145,15 +140,19 @@ class DriveDescription(Settings):
         one_device = self.layout is not None and self.accelerometers is None
         return self.sensors or (DEVICE_SENSORS if one_device else DEFAULT_SENSORS)
 
-    def check_names(self, accelerometers: Iterable[str]) -> None:
-        """Raise ConfigError if a quantity is none of a table with these `accelerometers`."""
-        known = quantities(accelerometers)
+    def quantities(self, accelerometers: Iterable[str]) -> dict[str, _Quantity]:
+        """Return the signals of a table with the accelerations of these `accelerometers`.
+
+        Raises ConfigError if the description names another one.
+        """
+        accelerations = {column(name): _Quantity("acceleration") for name in accelerometers}
+        known = accelerations | QUANTITIES
         for name, given in (("columns", self.columns), ("units", self.units)):
             for quantity in given:
                 validate(f"quantity in {name}", quantity, list(known))
         for name in self.invert:
-            accelerations = [x for x in known if x.startswith(PREFIX)]
             validate("acceleration in invert", name, accelerations)
+        return known
 
     def updated(self, **changes: Any) -> "DriveDescription":
         """Return the description with `changes`; None changes nothing, mappings are merged."""

@@ -86,7 +86,7 @@ def read_motion(channels: Channels, t_rows: np.ndarray, t: np.ndarray) -> _Drive
         track = _track_length(np.array([_smoothed(x, t, 2.0) for x in position]))
     if s is None and v is not None and position is not None:
         v = _calibrated(t, v, position, findings)
-    distance = s if s is not None else integrate(t, v) if v is not None else track
+    distance = s if s is not None else _integrate(t, v) if v is not None else track
     assert distance is not None
     if v is None:
         v = np.maximum(np.gradient(_smoothed(distance, t, 1.0), t), 0.0)
@@ -94,7 +94,7 @@ def read_motion(channels: Channels, t_rows: np.ndarray, t: np.ndarray) -> _Drive
     return _DrivenMotion(v, distance, position) if len(findings.problems) == before else None
 
 
-def integrate(t: np.ndarray, v: np.ndarray) -> np.ndarray:
+def _integrate(t: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Return the distance [m] of the speeds `v` (N,) [m/s] by the trapezoidal rule."""
     return np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t))])
 
@@ -115,7 +115,7 @@ def _calibrated(
     if middle.sum() < 2:
         return v
     track = _track_length(smooth[:, middle])[-1]
-    error = track / max(integrate(t[middle], v[middle])[-1], 1e-9) - 1.0
+    error = track / max(_integrate(t[middle], v[middle])[-1], 1e-9) - 1.0
     weight = 1.0 / (1.0 + (POSITION_ERROR / (SPEED_ERROR * max(track, 1e-9))) ** 2)
     scale = 1.0 + weight * error
     if not abs(error) < MAX_SPEED_ERROR or not abs(scale - 1.0) > 1e-4:
@@ -216,7 +216,7 @@ def _check(
         )
     elif top > SPEED_QUESTIONED:
         findings.notes.append(f"the speed reaches {3.6 * top:.0f} km/h: check its unit")
-    travelled = {"speed": integrate(t, v)[-1]}
+    travelled = {"speed": _integrate(t, v)[-1]}
     if has_odometer:
         travelled["odometer"] = s[-1] - s[0]
     if track is not None:

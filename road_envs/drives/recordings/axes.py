@@ -22,14 +22,14 @@ LINEAR = ("linear", "user", "without gravity", "no gravity", "nograv")
 """
 
 
-class Axes(NamedTuple):
+class _Axes(NamedTuple):
     """Headers of the three axes, in their order x, y, z, and whether the name says `linear`."""
 
     headers: tuple[str, str, str]
     linear: bool
 
 
-def find_axes(table: Table, description: DriveDescription) -> Axes | None:
+def find_axes(table: Table, description: DriveDescription) -> _Axes | None:
     """Return the columns of the three axes of one accelerometer; None if there are none.
 
     A table with a column of an acceleration of this package, or that is described, has none.
@@ -51,14 +51,14 @@ def find_axes(table: Table, description: DriveDescription) -> Axes | None:
     # gravity tells the mount: axes that include it come first, then those that are named
     best = min(complete, key=lambda key: (_is_linear(key), "acc" not in key))
     x, y, z = (complete[best][axis] for axis in "xyz")
-    return Axes((x, y, z), _is_linear(best))
+    return _Axes((x, y, z), _is_linear(best))
 
 
 def _is_linear(key: str) -> bool:
     return any(word in key for word in LINEAR) and key != "linear acceleration"
 
 
-def to_recording(name: str, table: Table, axes: Axes, description: DriveDescription) -> Recording:
+def to_recording(name: str, table: Table, axes: _Axes, description: DriveDescription) -> Recording:
     """Return the recording in a table with three axes. Raises ConfigError."""
     channels = Channels(table, description)
     findings, clock = channels.findings, read_clock(channels)

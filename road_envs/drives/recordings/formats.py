@@ -49,10 +49,7 @@ HEAD = 20_000
 
 
 def read_source(path: Path, description: DriveDescription) -> Recording | Table:
-    """Return the recording in a file or folder, or the table if it has no three axes.
-
-    Raises ConfigError.
-    """
+    """Return the recording in a file or folder, or a table without axes. Raises ConfigError."""
     with parsing(path, ConfigError, "no readable recording"):
         if path.is_dir() and ros.is_bag(path):
             return ros.read_ros(path)
@@ -150,10 +147,7 @@ def _table(path: Path, head: bytes) -> Table:
 
 
 def read_track(path: Path) -> tuple[Series, float | None]:
-    """Return the track (N, 4) of a GPX file or a table, and the epoch of its zero, if known.
-
-    Raises ConfigError.
-    """
+    """Return the track (N, 4) of a GPX file or a table, and its epoch. Raises ConfigError."""
     with parsing(path, ConfigError, "no readable track"):
         if path.is_dir():
             raise ConfigError("a track is a GPX file or a table, not a folder")
@@ -170,10 +164,7 @@ def read_track(path: Path) -> tuple[Series, float | None]:
 
 
 def _track_of(table: Table) -> tuple[Series, float | None] | None:
-    """Return the track (N, 4) in a table, and the epoch of its zero; None if there is none.
-
-    Raises ConfigError.
-    """
+    """Return the track (N, 4) in a table, and the epoch of its zero; None if there is none."""
     channels = Channels(table, DriveDescription())
     names = [key for key in ("lat", "lon", "v", "s") if key in channels]
     if "t" not in channels or not names:

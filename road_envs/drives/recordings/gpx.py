@@ -17,15 +17,11 @@ MAX_POINTS = 1_000_000
 
 
 def is_gpx(data: bytes) -> bool:
-    """Whether a file begins as a GPX file does."""
     return re.search(rb"<(\w+:)?gpx[\s>]", data[:2000]) is not None
 
 
 def parse_gpx(data: bytes) -> tuple[Series, float]:
-    """Return the track (N, 4) of all points in the order of their times, and its epoch [s].
-
-    Raises ConfigError.
-    """
+    """Return the track (N, 4) of the points by time, and its epoch [s]. Raises ConfigError."""
     if re.search(rb"<!(DOCTYPE|ENTITY)", data):
         raise ConfigError("a GPX file with a document type or entities is not read")
     try:

@@ -25,13 +25,11 @@ LINEAR = ("Linear Accelerometer.csv", "Linear Acceleration.csv")
 
 
 def is_phyphox(members: Mapping[str, bytes]) -> bool:
-    """Whether an archive is an export of phyphox."""
     name = find_member(members, *WITH_GRAVITY, *LINEAR)
     return name is not None and b"Time (s)" in members[name][:200]
 
 
 def read_phyphox(name: str, members: Mapping[str, bytes]) -> Recording:
-    """Return the recording in the tables of an export. Raises ConfigError."""
     file = find_member(members, *WITH_GRAVITY) or find_member(members, *LINEAR)
     assert file is not None
     table = parse_member(file, members[file])

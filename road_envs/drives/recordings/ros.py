@@ -38,7 +38,7 @@ MAX_CHUNK = 2**28  # most bytes of a chunk when unpacked; writers make chunks of
 MAX_MESSAGE = 2**16  # most bytes of a message that is read; one of an inertial unit has some 350
 
 
-class RosMessage(NamedTuple):
+class _RosMessage(NamedTuple):
     """One serialised message of a type `kind` of KINDS, on a `topic`."""
 
     topic: str
@@ -99,11 +99,8 @@ def _twist(data: bytes) -> tuple[float, ...]:
 DECODERS = {IMU: _imu, FIX: _fix, TWIST: _twist}
 
 
-def _to_recording(name: str, messages: Iterable[RosMessage]) -> Recording:
-    """Return the recording in messages; of several inertial units that with most of them.
-
-    Raises ConfigError.
-    """
+def _to_recording(name: str, messages: Iterable[_RosMessage]) -> Recording:
+    """Return the recording in messages; of several inertial units that with most of them."""
     rows: dict[tuple[str, str], list[tuple[float, ...]]] = defaultdict(list)
     for k, message in enumerate(messages):
         if k >= MOST_MESSAGES:
@@ -155,7 +152,7 @@ def _track(rows: list[tuple[float, ...]], kind: str, zero: float) -> np.ndarray:
     return found
 
 
-def _mcap_messages(path: Path) -> Iterator[RosMessage]:
+def _mcap_messages(path: Path) -> Iterator[_RosMessage]:
     """Yield the messages of KINDS in an MCAP file. Raises ConfigError.
 
     A chunk states its size when unpacked; no more than that, and no more than MAX_CHUNK, is
@@ -192,7 +189,7 @@ def _mcap_messages(path: Path) -> Iterator[RosMessage]:
                         other.add(f"{kind or 'no type'} ({record.message_encoding})")
                 elif isinstance(record, Message) and record.channel_id in channels:
                     found = True
-                    yield RosMessage(*channels[record.channel_id], record.data)
+                    yield _RosMessage(*channels[record.channel_id], record.data)
         except McapError as error:
             raise ConfigError(f"a damaged MCAP file: {error or type(error).__name__}") from None
     if not found:
@@ -226,7 +223,6 @@ def _unpacked(chunk: Any) -> bytes:
 
 
 def is_bag(folder: Path) -> bool:
-    """Whether a folder is a bag of ROS 2."""
     return (folder / "metadata.yaml").is_file() and bool(_files(folder) or _packed(folder))
 
 
@@ -250,13 +246,13 @@ def _packed(folder: Path) -> list[Path]:
     return sorted(folder.glob("*.db3.zstd")) + sorted(folder.glob("*.mcap.zstd"))
 
 
-def _messages(path: Path) -> Iterator[RosMessage]:
+def _messages(path: Path) -> Iterator[_RosMessage]:
     with path.open("rb") as file:
         is_mcap = path.suffix == ".mcap" or file.read(8) == MCAP_MAGIC
     return _mcap_messages(path) if is_mcap else _sqlite_messages(path)
 
 
-def _sqlite_messages(path: Path) -> Iterator[RosMessage]:
+def _sqlite_messages(path: Path) -> Iterator[_RosMessage]:
     kinds = ", ".join(f"'{kind}'" for kind in KINDS)
     query = (
         "SELECT topics.name, topics.type, messages.data FROM messages JOIN topics "
@@ -274,6 +270,6 @@ def _sqlite_messages(path: Path) -> Iterator[RosMessage]:
                     "tables, not topics and messages"
                 )
             for topic, kind, data in base.execute(query):
-                yield RosMessage(str(topic), str(kind), bytes(data))
+                yield _RosMessage(str(topic), str(kind), bytes(data))
     except sqlite3.Error as error:
         raise ConfigError(f"no readable bag of ROS 2: {error}") from None

@@ -17,17 +17,14 @@ from road_envs.drives.recordings.archive import find_member, number_column, pars
 from road_envs.drives.recordings.recording import Recording, Series, make_track
 
 TOTAL, LINEAR, GRAVITY = "TotalAcceleration.csv", "Accelerometer.csv", "Gravity.csv"
-LOCATION = ("Location.csv", "LocationGps.csv")
 
 
 def is_sensor_logger(members: Mapping[str, bytes]) -> bool:
-    """Whether an archive is an export of Sensor Logger."""
     name = find_member(members, TOTAL, LINEAR)
     return name is not None and b"seconds_elapsed" in members[name][:200]
 
 
 def read_sensor_logger(name: str, members: Mapping[str, bytes]) -> Recording:
-    """Return the recording in the tables of an export. Raises ConfigError."""
     lacks = False
     if file := find_member(members, TOTAL):
         a, epoch = _axes(file, members)
@@ -36,7 +33,8 @@ def read_sensor_logger(name: str, members: Mapping[str, bytes]) -> Recording:
         lacks = (file := find_member(members, GRAVITY)) is None
         if file is not None:
             gravity, _ = _axes(file, members)
-            a = Series(a.t, a.x + _at(gravity, a.t))
+            at = [np.interp(a.t, gravity.t, x) for x in gravity.x.T]
+            a = Series(a.t, a.x + np.column_stack(at))
     track = _track(members, epoch)
     return Recording(
         name=name, acceleration=a, track=track, lacks_gravity=lacks,
@@ -65,12 +63,8 @@ def _axes(file: str, members: Mapping[str, bytes]) -> tuple[Series, float | None
     return Series(t, np.column_stack(found)), None if np.isnan(epoch) else epoch
 
 
-def _at(series: Series, t: np.ndarray) -> np.ndarray:
-    return np.column_stack([np.interp(t, series.t, x) for x in series.x.T])
-
-
 def _track(members: Mapping[str, bytes], zero: float | None) -> Series | None:
-    if (file := find_member(members, *LOCATION)) is None:
+    if (file := find_member(members, "Location.csv", "LocationGps.csv")) is None:
         return None
     table = parse_member(file, members[file])
     t, epoch = _times(table, file)

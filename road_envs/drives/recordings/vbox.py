@@ -16,19 +16,13 @@ import numpy as np
 from road_envs.core.config import ConfigError
 from road_envs.drives.logger_tables.table import decode
 
-DAY = 86400.0
-
 
 def is_vbo(data: bytes) -> bool:
-    """Whether a text has the sections of a VBOX file."""
     return b"[column names]" in data[:20_000].lower() and b"[header]" in data[:20_000].lower()
 
 
 def parse_vbo(data: bytes) -> Mapping[str, Any]:
-    """Return the columns of a VBOX file by header, with units and signs of this package.
-
-    Raises ConfigError.
-    """
+    """Return the columns of a VBOX file by header, in our units. Raises ConfigError."""
     import pyarrow as pa
 
     text = decode(data)
@@ -66,7 +60,7 @@ def _column(name: str, x: np.ndarray, knots: bool) -> tuple[str, np.ndarray]:
     """Return header and values of a column as this package reads them."""
     if name == "time":
         hours, minutes, seconds = x // 1e4, x // 100.0 % 100.0, x % 100.0
-        return "t [s]", np.unwrap(3600.0 * hours + 60.0 * minutes + seconds, period=DAY)
+        return "t [s]", np.unwrap(3600.0 * hours + 60.0 * minutes + seconds, period=86400.0)
     if name in ("lat", "latitude"):
         return "lat", x / 60.0
     if name in ("long", "longitude"):

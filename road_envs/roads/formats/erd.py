@@ -43,7 +43,7 @@ MAX_CHANNELS = 1000
 
 
 @dataclass(frozen=True)
-class Header:
+class _Header:
     """Contents of a header; `samples` is 0 if it does not state their number. `step` [m]."""
 
     channels: int
@@ -54,10 +54,7 @@ class Header:
 
 
 def read(path: str | Path) -> WheelPaths:
-    """Read both wheel paths from `path` and, for binary numbers, from the ".bin" file next to it.
-
-    Raises SurfaceFileError.
-    """
+    """Read both wheel paths from a file, or from the ".bin" beside it. Raises SurfaceFileError."""
     header, body = _parse_header(read_bytes(path))
     if header.number_type == FLOAT:
         binary = Path(path).with_suffix(".bin")
@@ -67,7 +64,7 @@ def read(path: str | Path) -> WheelPaths:
     return _parse_numbers(header, body)
 
 
-def _parse_header(data: bytes) -> tuple[Header, bytes]:
+def _parse_header(data: bytes) -> tuple[_Header, bytes]:
     """Return the header in the bytes of a file, and the bytes after it. Raises SurfaceFileError."""
     if data[:9].upper() != b"ERDFILEV2":
         raise SurfaceFileError("not an ERD file: it does not begin with ERDFILEV2")
@@ -95,10 +92,10 @@ def _parse_header(data: bytes) -> tuple[Header, bytes]:
         raise SurfaceFileError(
             f"the step must be positive and below {MAX_LENGTH:g} m, got {step:g} m"
         )
-    return Header(channels, max(0, samples), number_type, step, keywords), data[end.end() :]
+    return _Header(channels, max(0, samples), number_type, step, keywords), data[end.end() :]
 
 
-def _parse_numbers(header: Header, body: bytes) -> WheelPaths:
+def _parse_numbers(header: _Header, body: bytes) -> WheelPaths:
     """Return both wheel paths from the bytes with the numbers. Raises SurfaceFileError."""
     values = _text(body) if header.number_type == TEXT else _floats(body)
     samples, rest = divmod(values.size, header.channels)
@@ -136,7 +133,7 @@ def _plausible_share(values: np.ndarray) -> float:
     return 1.0 - implausible.sum() / max(1, values.size)
 
 
-def _left_and_right(header: Header) -> list[tuple[int, float]]:
+def _left_and_right(header: _Header) -> list[tuple[int, float]]:
     """Return the channel index and its unit in metres, for the left and right wheel path."""
     short, long, unit = (
         _fields(header, key, width)
@@ -160,7 +157,7 @@ def _left_and_right(header: Header) -> list[tuple[int, float]]:
     return [(k, metres(unit[k], f"channel {k + 1}")) for k in pair]
 
 
-def _fields(header: Header, keyword: str, width: int) -> list[str]:
+def _fields(header: _Header, keyword: str, width: int) -> list[str]:
     """Return the text of each channel under a keyword, `width` characters per channel."""
     text = header.keywords.get(keyword, "")
     return [text[k * width : (k + 1) * width].strip() for k in range(header.channels)]

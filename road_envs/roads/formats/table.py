@@ -101,10 +101,7 @@ def parse_parquet(data: bytes) -> WheelPaths:
 
 
 def parse_number_rows(lines: list[str], comments: str | None = "#") -> np.ndarray:
-    """Return the numbers (M, K) of `lines` with K numbers each; `comments` starts a comment.
-
-    Raises SurfaceFileError.
-    """
+    """Return the numbers (M, K) of `lines` with K numbers each. Raises SurfaceFileError."""
     try:
         return np.loadtxt(lines, ndmin=2, comments=comments)
     except ValueError as error:

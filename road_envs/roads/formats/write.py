@@ -49,10 +49,7 @@ def _write_parquet(surface: Surface, path: str | Path) -> None:
 
 
 def write_crg(surface: Surface, path: str | Path, data_format: str = "KDBI") -> None:
-    """Write an OpenCRG file in one of its four data formats: KDBI is exact, KRBI has 7 digits.
-
-    Raises ConfigError.
-    """
+    """Write an OpenCRG file; KDBI is exact, KRBI has 7 digits. Raises ConfigError."""
     if data_format not in WIDTHS:
         raise ConfigError(f"unknown data format {data_format!r}; known: {', '.join(WIDTHS)}")
     left, right = surface.z
