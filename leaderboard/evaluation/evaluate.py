@@ -47,7 +47,7 @@ from road_envs.vehicle.parameters import VehicleParameters
 SEEDS = (1, 2, 3)
 """Default training seeds of a trainable estimator."""
 
-TRACE_LENGTH = 100.0
+_TRACE_LENGTH = 100.0
 """Length [m] of the part of the first test road that is stored for plots."""
 
 
@@ -230,10 +230,10 @@ def _score_drive(data: ConditionData, drive: int, estimate: Estimate) -> dict[st
 
 
 def _trace(data: ConditionData, estimate: Estimate, scores: dict[str, float], seed: int) -> Trace:
-    """Return the first TRACE_LENGTH metres of the first test drive."""
+    """Return the first _TRACE_LENGTH metres of the first test drive."""
     test = data.tests[0]
     truth = test.truth
-    kept = truth.s < TRACE_LENGTH
+    kept = truth.s < _TRACE_LENGTH
     return Trace(
         condition=data.condition.label,
         speed_kmh=data.condition.speed_kmh,

@@ -24,8 +24,8 @@ from road_envs.core.config import ConfigError, Settings, build, find, read_yaml
 from road_envs.core.reading import parsing
 
 COMMITMENT = "commitment.json"
-AS_GIVEN = ("utf-8", "surrogateescape")  # a salt may be any bytes
-SALT_LENGTHS = range(12, 65)
+_AS_GIVEN = ("utf-8", "surrogateescape")  # a salt may be any bytes
+_SALT_LENGTHS = range(12, 65)
 """Numbers of characters and bytes of a salt: a shorter one could be found by brute force, and
 scrypt takes a longer one for its digest, which would be a second salt with other seeds.
 """
@@ -126,7 +126,7 @@ def seeds(salt: str, task: Task, count: int) -> list[int]:
     k = 0
     while len(drawn) < count:
         text = "\0".join([salt, task.name, task.digest, str(k)])
-        seed = int.from_bytes(hashlib.sha256(text.encode(*AS_GIVEN)).digest()[:6], "big")
+        seed = int.from_bytes(hashlib.sha256(text.encode(*_AS_GIVEN)).digest()[:6], "big")
         roads = {seed + i * SEED_STRIDE for i in range(len(task.test.roads))}
         if not roads & public:
             drawn.append(seed)
@@ -136,11 +136,11 @@ def seeds(salt: str, task: Task, count: int) -> list[int]:
 
 def _commitment(salt: str, hidden: HiddenSeeds) -> str:
     """Return the commitment to a salt, by a slow hash so that guessing the salt is expensive."""
-    word = salt.encode(*AS_GIVEN)
-    if not {len(salt), len(word)} <= {*SALT_LENGTHS} or 0 in word:  # it ignores zeros at the end
+    word = salt.encode(*_AS_GIVEN)
+    if not {len(salt), len(word)} <= {*_SALT_LENGTHS} or 0 in word:  # it ignores zeros at the end
         raise ConfigError(
-            f"the salt must have at least {SALT_LENGTHS[0]} characters and at most "
-            f"{SALT_LENGTHS[-1]} bytes, none of them 0; got {len(salt)} characters"
+            f"the salt must have at least {_SALT_LENGTHS[0]} characters and at most "
+            f"{_SALT_LENGTHS[-1]} bytes, none of them 0; got {len(salt)} characters"
         )
     fields = {**dataclasses.asdict(hidden), "commitment": ""}
     text = json.dumps(fields, sort_keys=True).encode()

@@ -23,7 +23,7 @@ BEST_FOUND = "best found"  # name of the row of `best_found.search`
 REFERENCE = "rrms"  # policy that differences refer to by default
 PUBLIC_DRIVES = 8  # number of public drives; each is driven to both sides
 
-SEARCH_SEEDS, BOOTSTRAPS = (1, 2), 2000
+_SEARCH_SEEDS, _BOOTSTRAPS = (1, 2), 2000
 
 TIE = 0.01  # difference of scores [m²/s⁴] within which two policies are even on a drive
 
@@ -87,7 +87,7 @@ def compare(
     if sweeps and rollouts:
         rows = [rollout.actions for rollout in rollouts.values()]
         rollouts[BEST_FOUND], searched = best_found.search(
-            drives, rows, SEARCH_SEEDS, sweeps=sweeps,
+            drives, rows, _SEARCH_SEEDS, sweeps=sweeps,
             progress=lambda text, share: progress(f"best found: {text}", 0.3 + 0.7 * share),
         )  # fmt: skip
         searches = [[_round(x) for x in scores] for scores in searched]
@@ -158,8 +158,8 @@ def interval(x: np.ndarray, mirrored: bool = True) -> dict[str, float]:
     pairs = np.atleast_2d(x)
     pairs = pairs.reshape(len(pairs), -1, 1 + mirrored).mean(axis=2)
     rng, (seeds, drives) = np.random.default_rng(0), pairs.shape
-    drawn = rng.integers(0, drives, (BOOTSTRAPS, 1, drives))
-    means = pairs[rng.integers(0, seeds, (BOOTSTRAPS, seeds, 1)), drawn].mean(axis=(1, 2))
+    drawn = rng.integers(0, drives, (_BOOTSTRAPS, 1, drives))
+    means = pairs[rng.integers(0, seeds, (_BOOTSTRAPS, seeds, 1)), drawn].mean(axis=(1, 2))
     low, high = np.quantile(means, [0.025, 0.975])
     return {"mean": _round(pairs.mean()), "low": _round(low), "high": _round(high)}
 

@@ -67,7 +67,7 @@ class RunRequest:
         ]
 
 
-JobProgress = Callable[[int, int, str], None]
+_JobProgress = Callable[[int, int, str], None]
 """Callback after each stored result: number of results, total number, description of the last."""
 
 ATTEMPTS = 3
@@ -145,7 +145,7 @@ def run_board(
     request: RunRequest,
     out: Path,
     executor: Executor,
-    progress: JobProgress = lambda done, total, text: None,
+    progress: _JobProgress = lambda done, total, text: None,
 ) -> Board:
     """Run the missing results of a request, store them under `out` and return the whole board.
 

@@ -24,14 +24,14 @@ from leaderboard.submission.submission import CARD, load_submission
 from road_envs.core.atomic_io import write_text
 from road_envs.core.config import ConfigError
 
-SUBMISSIONS = "submissions"
+_SUBMISSIONS = "submissions"
 TEMPLATE = {
     "README.md": "readme.txt",
     RULES: "rules.txt",
     "ci/verify.sh": "verify.txt",
     ".github/workflows/verify.yml": "workflow.txt",
     ".github/ISSUE_TEMPLATE/submission.yml": "issue_form.txt",
-    f"{SUBMISSIONS}/README.md": "submissions.txt",
+    f"{_SUBMISSIONS}/README.md": "submissions.txt",
     "seasons/README.md": "seasons.txt",
     ".gitignore": "gitignore.txt",
 }
@@ -59,9 +59,9 @@ def build_site(repository: Path, out: Path) -> Path:
     damaged submission, if there is none, and for a row in `out` that is of none.
     """
     rules, tasks = load_rules(repository / RULES)
-    folders = sorted(path.parent for path in (repository / SUBMISSIONS).glob("*/submission.json"))
+    folders = sorted(path.parent for path in (repository / _SUBMISSIONS).glob("*/submission.json"))
     if not folders:
-        raise ConfigError(f"{repository / SUBMISSIONS} has no submission")
+        raise ConfigError(f"{repository / _SUBMISSIONS} has no submission")
     written: set[Path] = set()
     for folder in folders:
         record = load_submission(folder)

@@ -39,14 +39,14 @@ from road_envs.core.config import ConfigError, Settings, build
 
 SUBMISSION = Kind("submission", 1)
 RECORD, CARD = signature.RECORD, "card.yaml"
-UNSEALED = (RECORD, signature.FILE)  # files whose digests the record does not hold
+_UNSEALED = (RECORD, signature.FILE)  # files whose digests the record does not hold
 
 SUBMISSION_SHARE = 1.0
 """Share of the drives of a submission that are run again: a verification of some could be repeated
 until it misses the drives that were forged.
 """
 
-Progress = Callable[[str, float], None]
+_Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +69,7 @@ def make_submission(
     folder: Path,
     limits: Limits,
     workers: int = 1,
-    progress: Progress = lambda text, share: None,
+    progress: _Progress = lambda text, share: None,
 ) -> _Submission:
     """Check an entry, run it by the `rules` and write the folder of its submission.
 
@@ -134,7 +134,7 @@ def verify_submission(
     share: float = SUBMISSION_SHARE,
     seed: int | None = None,
     replaces: Path | None = None,
-    progress: Progress = lambda text, share: None,
+    progress: _Progress = lambda text, share: None,
 ) -> list[Verified]:
     """Verify a submission: files, card, signature, code, rows, and a `share` of its drives again.
 
@@ -215,7 +215,7 @@ def _files(folder: Path) -> Iterator[Path]:
             if path.is_symlink():
                 raise ConfigError(f"{path}: a submission has no links")
         for path in (Path(top, name) for name in names):
-            if path.relative_to(folder).as_posix() not in UNSEALED:
+            if path.relative_to(folder).as_posix() not in _UNSEALED:
                 yield path
 
 
