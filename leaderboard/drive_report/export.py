@@ -10,7 +10,7 @@ from leaderboard.drive_report.analysis import DriveResult
 from road_envs.core.artifacts import nan_to_none
 from road_envs.core.atomic_io import atomic_write, write_text
 from road_envs.core.config import ConfigError
-from road_envs.core.extras import optional_import
+from road_envs.core.extras import import_pandas
 from road_envs.core.reading import parsing, read_parquet
 from road_envs.roads import Surface
 
@@ -27,9 +27,7 @@ _MILE = 1609.344  # metres in a mile
 
 def write_tables(result: DriveResult, folder: Path, stem: str) -> list[Path]:
     """Write segments, obstacles and heights; return the files."""
-    with optional_import("a table as CSV or Parquet"):
-        import pandas as pd
-
+    pd = import_pandas()
     estimate = result.estimate
     std = np.full_like(estimate.z, np.nan) if estimate.z_std is None else estimate.z_std
     paths = ("mean",) if result.is_mean_path else ("left", "right")

@@ -6,7 +6,7 @@ import numpy as np
 
 from leaderboard.drive_report.analysis import DriveResult, KnownFactor
 from road_envs.core.config import ConfigError
-from road_envs.core.extras import optional_import
+from road_envs.core.extras import import_pandas
 from road_envs.core.reading import parsing
 
 _LASTING_STD, _STRETCH_STD, _STRETCH = 0.04, 0.06, 100.0
@@ -32,9 +32,7 @@ def read_known_iri(text: str) -> list[tuple[float, float, float]]:
 
 
 def _read_table(path: Path) -> list[tuple[float, float, float]]:
-    with optional_import("a table as CSV or Parquet"):
-        import pandas as pd
-
+    pd = import_pandas()
     with parsing(path, ConfigError, "neither an IRI nor a table of segments (begin_m, end_m, iri)"):
         table = pd.read_csv(path)
         rows = zip(table["begin_m"], table["end_m"], table["iri"], strict=True)

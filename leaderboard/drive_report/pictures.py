@@ -30,9 +30,9 @@ _POINTS = 1500  # largest number of points of a line
 _LONGEST_WAVE = 20.0  # longest wave [m] of the profile strip
 
 
-def colour(conditions: Conditions, iri: float) -> str:
-    """Return the colour of the category of an IRI [mm/m]."""
-    return CONDITION_COLOURS[min(conditions.level(iri), len(CONDITION_COLOURS) - 1)]
+def _colour(level: int) -> str:
+    """Return the colour of the category of this index; the worst ones share the last."""
+    return CONDITION_COLOURS[min(level, len(CONDITION_COLOURS) - 1)]
 
 
 def _drawn_paths(result: DriveResult) -> dict[str, str]:
@@ -129,8 +129,7 @@ def iri_chart(result: DriveResult, conditions: Conditions) -> str:
         top = 1.15 * np.nanmax([[row[key] for key in keys] for row in segments])
         limits = (0.0, *conditions.limits, max(top, 1.2 * conditions.limits[-1]))
         for k, (low, high) in enumerate(pairwise(limits)):
-            shade = CONDITION_COLOURS[min(k, len(CONDITION_COLOURS) - 1)]
-            axes.axhspan(low, high, color=shade, alpha=0.10, lw=0)
+            axes.axhspan(low, high, color=_colour(k), alpha=0.10, lw=0)
             if min(high, top) - low > 0.07 * top:  # there is room for its name
                 axes.annotate(
                     conditions.categories[k], (edges[-1], low), (-3, 2), ha="right", va="bottom",
@@ -192,7 +191,7 @@ def track_map(result: DriveResult, conditions: Conditions, anchor: str) -> str:
         for k, row in enumerate(result.segments):
             part = np.flatnonzero((station >= row["begin_m"]) & (station <= row["end_m"]))
             part = part[:: max(1, part.size // 200)]
-            shade = colour(conditions, row["iri_mean"])
+            shade = _colour(conditions.level(row["iri_mean"]))
             axes.plot(east[part], north[part], color=shade, lw=4.5, zorder=2, url=f"#{anchor}-{k}")
         for obstacle in result.obstacles:
             x, y = (np.interp(obstacle["station_m"], station, q) for q in (east, north))

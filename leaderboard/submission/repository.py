@@ -6,7 +6,6 @@ seasons/              hidden test sets: published hashes, later the tasks
 ci/verify.sh          verifies the submissions that a branch changes and builds the site
 """
 
-import shutil
 from importlib import resources
 from pathlib import Path
 
@@ -21,7 +20,7 @@ from leaderboard.running.verification import save_definition
 from leaderboard.sandbox.limits import Limits
 from leaderboard.submission.rules import RULES, load_rules, make_run_request
 from leaderboard.submission.submission import CARD, load_submission
-from road_envs.core.atomic_io import write_text
+from road_envs.core.atomic_io import copy_file, write_text
 from road_envs.core.config import ConfigError
 
 _SUBMISSIONS = "submissions"
@@ -71,10 +70,10 @@ def build_site(repository: Path, out: Path) -> Path:
                 written.add(target)
                 row = store.load(path)
                 card = card_path(out, card_identity(row.estimator, row.settings, row.code))
-                _copy(path, target)
+                copy_file(path, target)
                 if (probed := folder / card.relative_to(out)).exists():
-                    _copy(probed, card)
-        _copy(folder / CARD, method_card_path(out, record.name))
+                    copy_file(probed, card)
+        copy_file(folder / CARD, method_card_path(out, record.name))
     for path in {*(out / "results").rglob("*.json"), *out.glob("verified.json")} - written:
         raise ConfigError(f"{path}: of no submission; remove {out}")
     sized = make_run_request(rules, tasks, (), limits=Limits()).sized_tasks()
@@ -82,8 +81,3 @@ def build_site(repository: Path, out: Path) -> Path:
         save_definition(task, out)
     board = load_board(sized, out)
     return write_site(board, build_report(board), out)
-
-
-def _copy(source: Path, target: Path) -> None:
-    target.parent.mkdir(parents=True, exist_ok=True)
-    shutil.copyfile(source, target)

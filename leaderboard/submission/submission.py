@@ -24,7 +24,6 @@ from leaderboard.entries.entry import Entry
 from leaderboard.evaluation import store
 from leaderboard.evaluation.provenance import describe_environment, package_version
 from leaderboard.evaluation.tasks import Task
-from leaderboard.new_folder import new_folder
 from leaderboard.running.board import baseline_names, run_board
 from leaderboard.running.executors import ProcessExecutor
 from leaderboard.running.jobs import in_sandbox
@@ -34,7 +33,7 @@ from leaderboard.sandbox.limits import Limits
 from leaderboard.submission import signature
 from leaderboard.submission.rules import Rules, make_run_request
 from road_envs.core.artifacts import Kind
-from road_envs.core.atomic_io import TempFolder
+from road_envs.core.atomic_io import TempFolder, new_folder
 from road_envs.core.config import ConfigError, Settings, build
 
 SUBMISSION = Kind("submission", 1)
@@ -87,11 +86,7 @@ def make_submission(
             progress(f"checking {entry.name}", 0.0)
             _refuse_failed_checks(entry, sandbox, limits)
         request = make_run_request(*rules, [entry], limits)
-
-        def shown(done: float, total: float, text: str) -> None:
-            progress(text, done / max(total, 1))
-
-        board = run_board(request, partial, ProcessExecutor(workers), shown)
+        board = run_board(request, partial, ProcessExecutor(workers), progress)
         for failed in (row for task in board.tasks for row in board.failed(task)):
             raise ConfigError(f"{failed.estimator} failed on {failed.task}: {failed.failure}")
         shutil.rmtree(partial / "jobs", ignore_errors=True)
