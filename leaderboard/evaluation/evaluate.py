@@ -21,14 +21,14 @@ from leaderboard.entries.entry import (
     reconstruct_all,
 )
 from leaderboard.evaluation.bound import nrmse_bound
-from leaderboard.evaluation.provenance import describe_environment, package_version
+from leaderboard.evaluation.provenance import describe_environment
 from leaderboard.evaluation.results import (
     Result,
     Trace,
-    evaluation_version,
     make_table,
     merge_parts,
     quantize_heights,
+    unscored_result,
 )
 from leaderboard.evaluation.tasks import Condition, Task, training_delays
 from leaderboard.evaluation.test_data import (
@@ -38,7 +38,7 @@ from leaderboard.evaluation.test_data import (
     simulate_drives,
 )
 from leaderboard.metrics import heights
-from leaderboard.metrics.baselines import ALL_BASELINES, MEMORY, memory, truth_plus_noise
+from leaderboard.metrics.baselines import MEMORY, memory, truth_plus_noise
 from leaderboard.metrics.registry import compute_scores
 from road_envs.records.record import Estimate, Record
 from road_envs.simulation.drive import SimulationError
@@ -144,17 +144,12 @@ def evaluate_entry(
     run: EntryRunner,
 ) -> Result:
     """Run an entry under a condition with every training seed and score its estimates."""
-    empty = Result(
-        task=task.name,
-        task_digest=task.digest,
-        estimator=entry.name,
-        role="baseline" if entry.name in ALL_BASELINES else "entry",
+    empty = unscored_result(
+        task,
+        entry.name,
         settings=entry.settings,
-        package_version=package_version(),
-        metric_version=heights.VERSION,
         seeds=tuple(seeds),
         code=entry.code,
-        evaluation_code=evaluation_version(),
         conditions=(condition.label,),
         causal=entry.causal,
         lag=entry.lag,

@@ -23,6 +23,7 @@ from leaderboard.entries.entry import Entry
 from leaderboard.evaluation.provenance import package_version
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics import heights
+from leaderboard.metrics.baselines import ALL_BASELINES
 from leaderboard.metrics.registry import SCORES
 from road_envs.core.artifacts import Kind, code_version
 from road_envs.core.config import Settings
@@ -167,6 +168,23 @@ class Result(Settings):
         if self.code != entry.code:
             return "its code or its weights have changed"
         return None if self.settings == entry.settings else "made with other settings"
+
+
+def unscored_result(task: Task, estimator: str, **fields: Any) -> Result:
+    """Return a result of an estimator on a task, by the code of this package, without scores.
+
+    `fields` are its other ones: at least `settings` and `seeds`.
+    """
+    return Result(
+        task=task.name,
+        task_digest=task.digest,
+        estimator=estimator,
+        role="baseline" if estimator in ALL_BASELINES else "entry",
+        package_version=package_version(),
+        metric_version=heights.VERSION,
+        evaluation_code=evaluation_version(),
+        **fields,
+    )
 
 
 RUN_DEPENDENT = frozenset(

@@ -7,12 +7,15 @@ bootstraps over the drives, a drive and its mirror image together.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from leaderboard.entries.entry import describe_error
 from leaderboard.policies import best_found
 from leaderboard.policies.best_found import Progress
+from leaderboard.report.figures import rounded
 from road_envs.core.config import validate_choice
 from road_envs.envs.safe4s4 import Safe4S4Setup
 from road_envs.envs.safe_drives import SafeDrive
@@ -42,6 +45,9 @@ def members(drives: Drives, group: str) -> np.ndarray:
     """Return which drives (N,) belong to one of GROUPS."""
     field, value = GROUPS[group]
     return np.array([getattr(start.description, field) == value for start in drives.starts])
+
+
+_round = partial(rounded, digits=5)  # more is noise, and people read the file
 
 
 @dataclass(frozen=True)
@@ -82,8 +88,7 @@ def compare(
         try:
             rollouts[name] = drive_all(policy, drives)
         except Exception as error:  # a failing policy must not stop the comparison
-            message = " ".join(str(error).split()) or "no message"
-            failures[name] = f"{type(error).__name__}: {message}"
+            failures[name] = describe_error(error)
     if sweeps and rollouts:
         rows = [rollout.actions for rollout in rollouts.values()]
         rollouts[BEST_FOUND], searched = best_found.search(
@@ -162,11 +167,6 @@ def interval(x: np.ndarray, mirrored: bool = True) -> dict[str, float]:
     means = pairs[rng.integers(0, seeds, (_BOOTSTRAPS, seeds, 1)), drawn].mean(axis=(1, 2))
     low, high = np.quantile(means, [0.025, 0.975])
     return {"mean": _round(pairs.mean()), "low": _round(low), "high": _round(high)}
-
-
-def _round(x: float) -> float:
-    """Return `x` with five digits: more is noise, and people read the file."""
-    return float(f"{x:.5g}")
 
 
 def table_lines(data: Mapping[str, Any]) -> list[str]:
