@@ -108,7 +108,6 @@ def score_file(task: TaskArrays, path: Path) -> ScoreTable:
 
 
 def _record_columns(drive: dict[str, Any]) -> dict[str, np.ndarray]:
-    """Return the columns of the records of a drive by name."""
     sensors = dict(zip(drive["channels"], drive["a"], strict=True))
     states = {
         f"{name}_{wheel}": drive[name][:, k].astype(int)

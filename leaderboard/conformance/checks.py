@@ -38,8 +38,7 @@ _CAR, _INSTRUMENTS = "land_rover_defender_110", "paper"
 _ROAD = {"kind": "iso8608", "road_class": "D", "length": 60.0, "coherence": "none"}
 _SPEED_KMH, _MODE = 30.0, "handling"
 _TRAINING_SEEDS, _TEST_SEED = (101, 102), 1
-_SEED = 1
-"""Training seed."""
+_SEED = 1  # training seed
 
 SHORT_LENGTH = 5.0
 """Length [m] of a road that an estimator may refuse."""
@@ -75,8 +74,7 @@ UNINTENDED_ERRORS = (
 )  # fmt: skip
 """Errors that are bugs of an estimator, not deliberate refusals of a record."""
 
-_COST_TASK = "new_road"
-"""Task for which the run time is predicted."""
+_COST_TASK = "new_road"  # task for which the run time is predicted
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,7 @@ from pathlib import Path
 
 from road_envs.core.config import ConfigError, Settings, build, read_yaml
 
-_UNWRITTEN = "..."
-"""Text of the template where the authors have to write."""
+_UNWRITTEN = "..."  # text of the template where the authors have to write
 
 TEMPLATE = f"""\
 # Every text must be replaced; authors is a list of names.

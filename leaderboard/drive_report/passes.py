@@ -107,7 +107,10 @@ def join(
 
 def compare(results: Sequence[DriveResult]) -> dict[str, Any] | None:
     """Return the agreement of aligned passes by their common segments; None if there are none."""
-    rows = [{_key(row): row for row in result.segments} for result in results]
+    rows = [
+        {(round(row["begin_m"], 2), round(row["end_m"], 2)): row for row in result.segments}
+        for result in results
+    ]
     common = [key for key in rows[0] if all(key in each for each in rows)]
     if len(results) < 2 or not common:
         return None
@@ -145,7 +148,3 @@ def _profile_correlation(first: DriveResult, other: DriveResult) -> float:
     ]
     pairs = zip(*paths, strict=True)
     return float(np.mean([agreement.iri_filtered_correlation(y, a, ds) for y, a in pairs]))
-
-
-def _key(row: dict[str, Any]) -> tuple[float, float]:
-    return round(row["begin_m"], 2), round(row["end_m"], 2)

@@ -214,7 +214,6 @@ def track_map(result: DriveResult, conditions: Conditions, anchor: str) -> str:
 
 
 def _in_words(row: dict[str, Any]) -> str:
-    """Return a segment in a few words."""
     interval = ""
     if np.isfinite(row["iri_mean_high"]):
         interval = f" ({row['iri_mean_low']:.2f} to {row['iri_mean_high']:.2f})"

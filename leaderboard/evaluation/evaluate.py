@@ -47,8 +47,7 @@ from road_envs.vehicle.parameters import VehicleParameters
 SEEDS = (1, 2, 3)
 """Default training seeds of a trainable estimator."""
 
-_TRACE_LENGTH = 100.0
-"""Length [m] of the part of the first test road that is stored for plots."""
+_TRACE_LENGTH = 100.0  # length [m] of the part of the first test road that is stored for plots
 
 
 class ConditionData(NamedTuple):

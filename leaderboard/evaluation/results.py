@@ -40,8 +40,7 @@ _Role = Literal["entry", "baseline"]
 ISOLATED = ("bubblewrap",)
 """Values of `Result.isolation` of entries without access to files, network and other processes."""
 
-_Z_UNIT = 1e-5
-"""Unit [m] of the heights of a trace, which are stored as integers."""
+_Z_UNIT = 1e-5  # unit [m] of the heights of a trace, which are stored as integers
 
 RUN = ("condition", "drive", "road", "road_seed", "seed")
 """Columns that tell a run among those of its entry: the road is that of `road_seed`, the training

@@ -20,14 +20,11 @@ from road_envs.roads import Surface, load_road, realise_road
 from road_envs.simulation.drive import SimulationError, simulate
 from road_envs.vehicle.parameters import load_vehicle
 
-_MIN_LENGTH = 100.0
-"""A shorter surface is repeated, mirrored, up to this length [m]."""
+_MIN_LENGTH = 100.0  # a shorter surface is repeated, mirrored, up to this length [m]
 
-_LEVEL_RANGE = 1e-6
-"""Range [m] of heights about their line below which a surface is level."""
+_LEVEL_RANGE = 1e-6  # range [m] of heights about their line below which a surface is level
 
-_MAX_LENGTH = 300.0
-"""Only this length [m] from the start of a longer surface is driven."""
+_MAX_LENGTH = 300.0  # only this length [m] from the start of a longer surface is driven
 
 _CAR = "land_rover_defender_110"
 _MODES = ("ride", "handling", {"front": "ride", "rear": "handling"})

@@ -123,7 +123,6 @@ def label(drive: SafeDrive) -> str:
 
 
 def _row(name: str, rollout: Rollout, base: Rollout | None, drives: Drives) -> dict[str, Any]:
-    """Return the row of a policy as plain data."""
     groups = {group: members(drives, group) for group in GROUPS}
     score, violated, totals = rollout.score, rollout.violated, rollout.totals
     row: dict[str, Any] = {
