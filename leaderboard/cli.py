@@ -76,8 +76,8 @@ class RoadRecon(LazyGroup):
     }
 
 
-HELP = "Road profile reconstruction from vehicle responses: simulate, train, estimate, evaluate."
-app = new_app(cls=RoadRecon, help=HELP, no_args_is_help=True)
+_HELP = "Road profile reconstruction from vehicle responses: simulate, train, estimate, evaluate."
+app = new_app(cls=RoadRecon, help=_HELP, no_args_is_help=True)
 
 
 def _print_version(wanted: bool) -> None:

@@ -20,7 +20,7 @@ from leaderboard.arrays import TaskArrays, score_arrays
 from road_envs._version import __version__
 from road_envs.core.atomic_io import write_text
 from road_envs.core.config import ConfigError
-from road_envs.core.extras import optional_import
+from road_envs.core.extras import import_pandas
 from road_envs.core.reading import parsing, read_parquet
 from road_envs.vehicle.suspension import WHEELS
 
@@ -45,29 +45,27 @@ To be scored, fill in `left` and `right` of test_profiles, in its order:
 def write_task(task: TaskArrays, folder: Path, form: str, roads: int | None = None) -> list[Path]:
     """Write the drives of a task into `folder` as tables of the `form` csv or parquet.
 
-    `roads` is that of `load_task`, for the card. Raises MissingExtraError without pandas.
+    `roads` is that of `load_task`, for the card. Raises MissingExtraError without pd.
     """
-    with optional_import("a table as CSV or Parquet"):
-        import pandas
-
+    pd = import_pandas()
     tables: dict[str, list[Any]] = {"drives": []}
     for split, drives in (("training", task.training), ("test", task.test)):
         for k, drive in enumerate(drives, start=1):
             tables["drives"].append(
-                pandas.DataFrame([{"drive": k, "split": split, "condition": drive["condition"]}])
+                pd.DataFrame([{"drive": k, "split": split, "condition": drive["condition"]}])
             )
             tables.setdefault(f"{split}_records", []).append(
-                pandas.DataFrame({"drive": k, **_record_columns(drive)})
+                pd.DataFrame({"drive": k, **_record_columns(drive)})
             )
             z = drive.get("z", np.full((2, drive["stations"].size), np.nan))
             heights = dict(zip(_SIDES, z, strict=True))
             tables.setdefault(f"{split}_profiles", []).append(
-                pandas.DataFrame({"drive": k, "station": drive["stations"], **heights})
+                pd.DataFrame({"drive": k, "station": drive["stations"], **heights})
             )
     written = []
     for name, parts in tables.items():
         path = folder / f"{name}.{form}"
-        table = pandas.concat(parts, ignore_index=True)
+        table = pd.concat(parts, ignore_index=True)
         table.to_parquet(path) if form == "parquet" else table.to_csv(path, index=False)
         written.append(path)
     card = _CARD.format(
@@ -85,12 +83,10 @@ def score_file(task: TaskArrays, path: Path) -> ScoreTable:
 
     Raises ConfigError for a missing column, and for drives or stations that are not the task's.
     """
-    with optional_import("a table as CSV or Parquet"):
-        import pandas
-
+    pd = import_pandas()
     with parsing(path, ConfigError, "damaged, or not a table of numbers"):
         is_parquet = path.suffix == ".parquet"
-        table = read_parquet(path).to_pandas() if is_parquet else pandas.read_csv(path)
+        table = read_parquet(path).to_pandas() if is_parquet else pd.read_csv(path)
         columns = ["drive", "station", *_SIDES]
         if missing := [name for name in columns if name not in table]:
             raise ConfigError(f"no column {missing[0]!r}; needed are {', '.join(columns)}")
@@ -112,7 +108,6 @@ def score_file(task: TaskArrays, path: Path) -> ScoreTable:
 
 
 def _record_columns(drive: dict[str, Any]) -> dict[str, np.ndarray]:
-    """Return the columns of the records of a drive by name."""
     sensors = dict(zip(drive["channels"], drive["a"], strict=True))
     states = {
         f"{name}_{wheel}": drive[name][:, k].astype(int)

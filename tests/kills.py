@@ -78,8 +78,8 @@ def kill_others(
             killed.append(True)
             hurt(rng.choice(pids))
 
-    def progress(done: int, total: int, text: str) -> None:
-        if done:
+    def progress(text: str, share: float) -> None:
+        if share:
             timers.append(threading.Timer(rng.uniform(0.0, LONGEST_DELAY), kill_one))
             timers[-1].start()
 

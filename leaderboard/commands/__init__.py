@@ -23,6 +23,8 @@ from road_envs.core.config import ConfigError
 console = Console(markup=False, emoji=False)
 notices = Console(stderr=True, markup=False, emoji=False)
 
+PICTURES, YAML = (".png", ".svg", ".pdf"), (".yaml", ".yml")  # suffixes of output paths
+
 
 def parse_mode(text: str) -> str | dict[str, str]:
     """Parse a mode of the struts, "ride" or "front=ride,rear=handling". Raises ConfigError."""

@@ -6,12 +6,13 @@ from typing import Annotated
 from leaderboard.commands import check_output_path, console, progress_bar
 from leaderboard.commands.options import Length, Road, Speed, Vehicle, option
 from leaderboard.report import animation
+from road_envs.drives.reading import DEFAULT_VEHICLE
 
 
 def animate(
     out: Annotated[Path, option("Picture to write (.gif or .webp).")],
     road: Road = "belgian",
-    vehicle: Vehicle = "land_rover_defender_110",
+    vehicle: Vehicle = DEFAULT_VEHICLE,
     speed_kmh: Speed = 54.0,
     length: Length = None,
     seconds: Annotated[float, option("Duration in seconds.", min=0.1)] = 6.5,

@@ -129,11 +129,7 @@ def leaderboard(
     write_pending(out / BOARD_PAGE, "Estimators", f"leaderboard --out {out}")
     kept = f"results of finished jobs are kept in {out}; the same command continues"
     with made as executor, commands.on_interrupt(kept), commands.progress_bar() as progress:
-
-        def shown(done: float, total: float, text: str) -> None:
-            progress(text, done / max(total, 1))
-
-        evaluated = run_board(request, out, executor, progress=shown)
+        evaluated = run_board(request, out, executor, progress)
         if attainable:
             evaluated = with_attainable(evaluated, lambda text: progress(text, 1.0))
         progress("writing the site", 1.0)

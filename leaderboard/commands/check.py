@@ -77,7 +77,6 @@ def _checks_output(kind: str, name: str, results: Sequence[CheckResult], summary
 
 
 def _summarize(results: Sequence[CheckResult]) -> str:
-    """Return one sentence on all check results."""
     failed = [result.name for result in results if result.passed is False]
     if not failed:
         return "ready for a board"

@@ -8,8 +8,8 @@ from leaderboard.commands import command_line, progress_bar
 from leaderboard.commands.options import Sensors, option
 from leaderboard.commands.output import Output, facts_table
 from leaderboard.episode_tables import DATASETS_PATH, write_episodes
-from leaderboard.new_folder import new_folder
 from leaderboard.task_tables import write_task
+from road_envs.core.atomic_io import new_folder
 from road_envs.core.config import ConfigError
 from road_envs.drives.dataset import write_dataset
 from road_envs.drives.training_corpus import Corpus

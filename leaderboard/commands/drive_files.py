@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from leaderboard.commands import check_output_path, parse_mode, parse_pairs
+from leaderboard.commands import YAML, check_output_path, parse_mode, parse_pairs
 from leaderboard.commands.options import argument, option
 from leaderboard.drive_report.drive_estimates import with_doubts
 from road_envs.core.config import ConfigError
@@ -66,14 +66,14 @@ class DriveOptions:
 
 def read_drive(path: Path, options: DriveOptions) -> DriveFile:
     """Read the one drive in a file, with doubts of its description. Raises ConfigError."""
-    check_output_path(options.save_description, ".yaml", ".yml")
+    check_output_path(options.save_description, *YAML)
     drive = reading.read_drive(path, options.description, track=options.track, **options.given())
     return _checked([drive], options)[0]
 
 
 def read_passes(paths: Sequence[Path], options: DriveOptions) -> list[DriveFile]:
     """Read the drives in several files, with doubts of their descriptions. Raises ConfigError."""
-    check_output_path(options.save_description, ".yaml", ".yml")
+    check_output_path(options.save_description, *YAML)
     drives = reading.read_passes(paths, options.description, track=options.track, **options.given())
     return _checked(drives, options)
 

@@ -50,7 +50,7 @@ def estimate(
     v [m/s] or v_kmh, and mode; speed and mode can be given as options instead.
     """
     commands.check_output_path(out, ".csv")
-    commands.check_output_path(plot, ".png", ".svg", ".pdf")
+    commands.check_output_path(plot, *commands.PICTURES)
     given = commands.parse_settings(settings)
     commands.import_from_here([estimator])
     estimators.make_estimator(estimator, **given)  # a wrong name ends it before a file is read

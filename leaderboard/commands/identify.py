@@ -9,7 +9,7 @@ from estimators.api import CalibrationDrive
 from estimators.map_smoother.identification import identify as identify_vehicle
 from estimators.map_smoother.identification_result import UNDETERMINED, IdentificationResult
 from estimators.map_smoother.preparation import SolverSettings
-from leaderboard.commands import check_output_path
+from leaderboard.commands import PICTURES, YAML, check_output_path
 from leaderboard.commands.drive_files import DriveOptions, read_passes
 from leaderboard.commands.options import KnownRoads, argument, option
 from leaderboard.commands.output import Output
@@ -38,7 +38,7 @@ def identify(
     With --profile the road is known; without, it is estimated at the same time. Parameters are
     those with tolerances in the vehicle's file. The last third of each drive is held out.
     """
-    check_output_path(out, ".yaml", ".yml"), check_output_path(plot, ".png", ".svg", ".pdf")
+    check_output_path(out, *YAML), check_output_path(plot, *PICTURES)
     files = read_passes(records, options)
     profiles = read_profiles(profile or [], [file.measured for file in files])
     drives = [

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated
 
-from leaderboard.commands import check_output_path
+from leaderboard.commands import YAML, check_output_path
 from leaderboard.commands.options import argument, option
 from leaderboard.commands.output import Output
 from leaderboard.scaffold import Example, write_package
@@ -53,7 +53,7 @@ def new_vehicle(
     What is not given is asked for. The registration papers have mass and wheelbase; the track is
     in any data sheet.
     """
-    check_output_path(out, ".yaml", ".yml")
+    check_output_path(out, *YAML)
     if out.exists():
         raise ConfigError(f"{out} exists: choose another file, or remove it")
     car = fitted_vehicle(out.stem, car_class, mass, wheelbase, track)

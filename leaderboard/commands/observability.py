@@ -12,6 +12,7 @@ from leaderboard.observability import BANDWIDTHS, bounds_by_state, instruments_w
 from leaderboard.report import plots
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.core.config import ConfigError, validate_choice
+from road_envs.drives.reading import DEFAULT_VEHICLE
 from road_envs.records.roughness import CLASSES
 from road_envs.vehicle.parameters import load_vehicle
 
@@ -35,7 +36,7 @@ def observability(
     damping: Annotated[
         str | None, option("Dampers in N s/m by mode, such as ride=2000,handling=5000.")
     ] = None,
-    vehicle: Vehicle = "land_rover_defender_110",
+    vehicle: Vehicle = DEFAULT_VEHICLE,
     sensors: Sensors = "paper",
     attainable: Annotated[
         bool,
@@ -53,7 +54,7 @@ def observability(
     The first table is the bound of the linear vehicle without friction: it shows where roll does
     not separate the wheel paths.
     """
-    commands.check_output_path(out, ".png", ".svg", ".pdf")
+    commands.check_output_path(out, *commands.PICTURES)
     car = load_vehicle(vehicle)
     validate_choice("road class", road_class, CLASSES)
     prior = RoadPrior(G_d0=CLASSES[road_class], track=2.0 * car.front.y_t)

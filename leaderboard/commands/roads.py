@@ -5,7 +5,7 @@ from typing import Annotated
 
 import numpy as np
 
-from leaderboard.commands import check_output_path, make_table
+from leaderboard.commands import PICTURES, check_output_path, make_table
 from leaderboard.commands.options import Length, Seed, argument, option
 from leaderboard.commands.output import Output
 from leaderboard.drive_report.export import read_heights
@@ -39,7 +39,7 @@ def plot_road(
     seed: Seed = 1,
 ) -> Output:
     """Plot both wheel paths of a road, and their PSD over the ISO 8608 classes."""
-    check_output_path(out, ".png", ".svg", ".pdf")
+    check_output_path(out, *PICTURES)
     plots.draw_road(realise_road(road, seed, length), out)
     return Output(facts={"written": str(out)})
 

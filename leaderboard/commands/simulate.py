@@ -5,11 +5,12 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from leaderboard.commands import check_output_path, parse_mode
+from leaderboard.commands import PICTURES, check_output_path, parse_mode
 from leaderboard.commands.options import Length, Mode, Road, Seed, Sensors, Speed, Vehicle, option
 from leaderboard.commands.output import Output
 from leaderboard.report import plots
 from road_envs.core.config import ConfigError
+from road_envs.drives.reading import DEFAULT_VEHICLE
 from road_envs.drives.recording import simulate_record, write_record
 from road_envs.plants.driving import simulate_on_plant
 from road_envs.records.roughness import iri
@@ -38,7 +39,7 @@ def simulate(
     mode: Mode = None,
     length: Length = None,
     seed: Seed = 1,
-    vehicle: Vehicle = "land_rover_defender_110",
+    vehicle: Vehicle = DEFAULT_VEHICLE,
     sensors: Sensors = "paper",
     grade: _Grade = "S0",
     plant: _Plant = "own",
@@ -48,7 +49,7 @@ def simulate(
 ) -> Output:
     """Simulate a drive over a road and record the signals of the instruments."""
     check_output_path(out, ".parquet", ".csv"), check_output_path(truth, ".csv")
-    check_output_path(plot, ".png", ".svg", ".pdf")
+    check_output_path(plot, *PICTURES)
     surface, car = realise_road(road, seed, length), load_vehicle(vehicle)
     struts = parse_mode(mode) if mode else next(iter(car.modes))
     encode_command(struts, car)  # refuses a mode that the vehicle does not have

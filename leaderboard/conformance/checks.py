@@ -34,24 +34,23 @@ from road_envs.roads import load_road
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 
-CAR, INSTRUMENTS = "land_rover_defender_110", "paper"
-ROAD = {"kind": "iso8608", "road_class": "D", "length": 60.0, "coherence": "none"}
-SPEED_KMH, MODE = 30.0, "handling"
-TRAINING_SEEDS, TEST_SEED = (101, 102), 1
-SEED = 1
-"""Training seed."""
+_CAR, _INSTRUMENTS = "land_rover_defender_110", "paper"
+_ROAD = {"kind": "iso8608", "road_class": "D", "length": 60.0, "coherence": "none"}
+_SPEED_KMH, _MODE = 30.0, "handling"
+_TRAINING_SEEDS, _TEST_SEED = (101, 102), 1
+_SEED = 1  # training seed
 
 SHORT_LENGTH = 5.0
 """Length [m] of a road that an estimator may refuse."""
 
-UNTRAINED_MODES = {"front": "soft_high", "rear": "stiff_low"}
+_UNTRAINED_MODES = {"front": "soft_high", "rear": "stiff_low"}
 """Strut modes that do not occur in the training drives."""
 
-DROPOUT_RATE, DROPOUT_LENGTH = 0.02, 20
+_DROPOUT_RATE, _DROPOUT_LENGTH = 0.02, 20
 """Share of lost samples, and number of consecutive lost samples."""
 
-DAMAGES = {
-    "gaps": f"{DROPOUT_RATE:.0%} of the samples lost, in bursts",
+_DAMAGES = {
+    "gaps": f"{_DROPOUT_RATE:.0%} of the samples lost, in bursts",
     "clipped": "accelerations clipped at half of their peak",
     "field": "car S3 with faulty instruments",
     "short": f"{SHORT_LENGTH:g} m of road",
@@ -64,10 +63,10 @@ RUN_TIME_LIMIT = 300.0
 and less of its test drives, so a slower estimator would exceed the limit of a board.
 """
 
-MAX_ERROR = 10.0
+_MAX_ERROR = 10.0
 """In-band error above which heights are not in metres: a flat road has 1, a wrong sign 2."""
 
-REFUSAL_ALLOWED = ("short", "mode")
+_REFUSAL_ALLOWED = ("short", "mode")
 UNINTENDED_ERRORS = (
     "ArithmeticError", "AssertionError", "AttributeError", "EstimateError", "FloatingPointError",
     "IndexError", "KeyError", "LinAlgError", "MemoryError", "NameError", "OverflowError",
@@ -75,12 +74,11 @@ UNINTENDED_ERRORS = (
 )  # fmt: skip
 """Errors that are bugs of an estimator, not deliberate refusals of a record."""
 
-COST_TASK = "new_road"
-"""Task for which the run time is predicted."""
+_COST_TASK = "new_road"  # task for which the run time is predicted
 
 
 @dataclass(frozen=True)
-class CheckDrives:
+class _CheckDrives:
     """Drives of the checks: training drives, one test drive with its truth, and records of it that
     are damaged and perturbed (`probes`).
     """
@@ -95,21 +93,23 @@ class CheckDrives:
 
 
 @cache
-def check_drives() -> CheckDrives:
+def check_drives() -> _CheckDrives:
     """Simulate the drives of the checks, always the same."""
-    training = tuple(_drive(seed) for seed in TRAINING_SEEDS)
-    record, truth = _drive(TEST_SEED)
+    training = tuple(_drive(seed) for seed in _TRAINING_SEEDS)
+    record, truth = _drive(_TEST_SEED)
     half = 0.5 * np.abs(record.a).max()
     damaged = {
         "gaps": dataclasses.replace(record, a=_with_dropouts(record.a)),
         "clipped": dataclasses.replace(record, a=np.clip(record.a, -half, half)),
-        "field": _drive(TEST_SEED, grade="S3")[0],
-        "short": _drive(TEST_SEED, length=SHORT_LENGTH)[0],
-        "mode": _drive(TEST_SEED, mode=UNTRAINED_MODES)[0],
+        "field": _drive(_TEST_SEED, grade="S3")[0],
+        "short": _drive(_TEST_SEED, length=SHORT_LENGTH)[0],
+        "mode": _drive(_TEST_SEED, mode=_UNTRAINED_MODES)[0],
     }
-    description = f"{record.length:g} m of class {ROAD['road_class']}, {MODE}, {SPEED_KMH:g} km/h"
-    perturbed, car = perturbed_records(record, load_instruments(INSTRUMENTS)), load_vehicle(CAR)
-    return CheckDrives(car, training, record, truth, damaged, perturbed, description)
+    description = (
+        f"{record.length:g} m of class {_ROAD['road_class']}, {_MODE}, {_SPEED_KMH:g} km/h"
+    )
+    perturbed, car = perturbed_records(record, load_instruments(_INSTRUMENTS)), load_vehicle(_CAR)
+    return _CheckDrives(car, training, record, truth, damaged, perturbed, description)
 
 
 def check_entry(entry: Entry, sandbox: SandboxClient, limits: Limits) -> list[CheckResult]:
@@ -148,23 +148,25 @@ def probe_entry(entry: Entry, sandbox: SandboxClient) -> list[CheckResult]:
 
 def _run(sandbox: SandboxClient, entry: Entry, records: Sequence[Record]) -> TrainingRun:
     drives = check_drives()
-    (training_run,) = sandbox.reconstruct(entry, drives.training, records, drives.car, [SEED])
+    (training_run,) = sandbox.reconstruct(entry, drives.training, records, drives.car, [_SEED])
     return training_run
 
 
-def _check_run(drives: CheckDrives, training_run: TrainingRun) -> CheckResult:
-    error = compute_scores(drives.truth, training_run.estimates[0], SPEED_KMH / 3.6, False)["nrmse"]
+def _check_run(drives: _CheckDrives, training_run: TrainingRun) -> CheckResult:
+    error = compute_scores(drives.truth, training_run.estimates[0], _SPEED_KMH / 3.6, False)[
+        "nrmse"
+    ]
     message = (
         f"{drives.description}, in a separate process (isolation: {training_run.isolation}): "
         f"in-band error {error:.2f}, a flat estimate has 1"
     )
-    if error > MAX_ERROR:
+    if error > _MAX_ERROR:
         message += "; heights must be in metres, upwards: are these in millimetres?"
-    return CheckResult("runs", not error > MAX_ERROR, message)
+    return CheckResult("runs", not error > _MAX_ERROR, message)
 
 
 def _check_damaged_records(
-    sandbox: SandboxClient, entry: Entry, drives: CheckDrives
+    sandbox: SandboxClient, entry: Entry, drives: _CheckDrives
 ) -> list[CheckResult]:
     """Run all damaged records at once, and one by one only if that fails."""
     failures: dict[str, str] = {}
@@ -181,17 +183,17 @@ def _check_damaged_records(
 
 def _check_damaged_record(name: str, failure: str | None) -> CheckResult:
     if failure is None:
-        return CheckResult(name, True, f"{DAMAGES[name]}: estimated")
+        return CheckResult(name, True, f"{_DAMAGES[name]}: estimated")
     found = re.match(r"estimating test drive [^:]*: (\w+): (.+)", failure)
     meant = found and found[1] not in UNINTENDED_ERRORS and found[2] != "no message"
-    refused = meant and name in REFUSAL_ALLOWED
+    refused = meant and name in _REFUSAL_ALLOWED
     reason = re.sub(r"^estimating test drive [^:]*: ", "", failure)
-    message = f"{DAMAGES[name]}: {'refused' if refused else 'failed'}: {reason}"
+    message = f"{_DAMAGES[name]}: {'refused' if refused else 'failed'}: {reason}"
     return CheckResult(name, None if refused else False, message)
 
 
 def _evaluate_probes(
-    entry: Entry, drives: CheckDrives, single: TrainingRun, probed: TrainingRun
+    entry: Entry, drives: _CheckDrives, single: TrainingRun, probed: TrainingRun
 ) -> list[CheckResult]:
     """Evaluate the probes; `single` is a run on the test record alone, with its own training."""
     estimates = dict(zip(drives.perturbed, probed.estimates, strict=True))
@@ -200,14 +202,14 @@ def _evaluate_probes(
 
 
 def _check_costs(
-    limits: Limits, drives: CheckDrives, training_run: TrainingRun
+    limits: Limits, drives: _CheckDrives, training_run: TrainingRun
 ) -> list[CheckResult]:
     """Check time and memory against the limits.
 
-    The time is extrapolated to one training and all test drives of a condition of COST_TASK; it
+    The time is extrapolated to one training and all test drives of a condition of _COST_TASK; it
     is an upper bound, since the first estimate may include compilation.
     """
-    task = load_task(COST_TASK).with_test_drives(None)
+    task = load_task(_COST_TASK).with_test_drives(None)
     measured_training = sum(record.length for record, _ in drives.training)
     training_length, test_length = (
         sum(road.length for road, _ in part.roads_and_seeds) for part in (task.training, task.test)
@@ -222,7 +224,7 @@ def _check_costs(
     memory = training_run.peak_memory or 0.0
     message = (
         f"{train_seconds:.2f} s to train, {_format_number(per_100m)} ms per 100 m: about "
-        f"{_format_number(predicted)} s for a condition of {COST_TASK}, the limit is "
+        f"{_format_number(predicted)} s for a condition of {_COST_TASK}, the limit is "
         f"{limits.seconds:g} s"
     )
     peak = f"peak {memory:.2f} GiB, the limit is {limits.memory:g} GiB"
@@ -236,15 +238,15 @@ def _format_number(x: float) -> str:
 
 
 def _drive(
-    seed: int, mode: object = MODE, grade: str = "S0", length: float = 60.0
+    seed: int, mode: object = _MODE, grade: str = "S0", length: float = 60.0
 ) -> tuple[Record, Profile]:
-    road = load_road({**ROAD, "length": length})
+    road = load_road({**_ROAD, "length": length})
     return simulate_record(
         road.realise(np.random.default_rng(seed)),
-        vehicle=load_vehicle(CAR),
-        speed_kmh=SPEED_KMH,
+        vehicle=load_vehicle(_CAR),
+        speed_kmh=_SPEED_KMH,
         mode=mode,  # type: ignore[arg-type]
-        instruments=load_instruments(INSTRUMENTS),
+        instruments=load_instruments(_INSTRUMENTS),
         seed=seed,
         grade=grade,
     )
@@ -254,8 +256,8 @@ def _with_dropouts(a: np.ndarray) -> np.ndarray:
     rng, damaged = np.random.default_rng(0), a.copy()
     for channel in damaged:
         for first in rng.integers(
-            channel.size - DROPOUT_LENGTH,
-            size=int(DROPOUT_RATE * channel.size / DROPOUT_LENGTH) + 1,
+            channel.size - _DROPOUT_LENGTH,
+            size=int(_DROPOUT_RATE * channel.size / _DROPOUT_LENGTH) + 1,
         ):
-            channel[first : first + DROPOUT_LENGTH] = np.nan
+            channel[first : first + _DROPOUT_LENGTH] = np.nan
     return damaged

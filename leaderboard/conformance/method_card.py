@@ -5,16 +5,15 @@ from pathlib import Path
 
 from road_envs.core.config import ConfigError, Settings, build, read_yaml
 
-UNWRITTEN = "..."
-"""Text of the template where the authors have to write."""
+_UNWRITTEN = "..."  # text of the template where the authors have to write
 
 TEMPLATE = f"""\
 # Every text must be replaced; authors is a list of names.
-method: {UNWRITTEN}      # what the estimator does, in a sentence or more
-data: {UNWRITTEN}        # what it was trained and tuned on; none, if on nothing
-licence: {UNWRITTEN}     # of code and weights, such as MIT
-authors: [{UNWRITTEN}]
-citation: {UNWRITTEN}    # how to cite it: a reference, or BibTeX; none, if there is nothing yet
+method: {_UNWRITTEN}      # what the estimator does, in a sentence or more
+data: {_UNWRITTEN}        # what it was trained and tuned on; none, if on nothing
+licence: {_UNWRITTEN}     # of code and weights, such as MIT
+authors: [{_UNWRITTEN}]
+citation: {_UNWRITTEN}    # how to cite it: a reference, or BibTeX; none, if there is nothing yet
 """
 
 
@@ -32,7 +31,7 @@ class MethodCard(Settings):
         super().__post_init__()
         texts = {**vars(self), "authors": " ".join(self.authors)}
         for name, text in texts.items():
-            if not text.strip() or UNWRITTEN in text.split():
+            if not text.strip() or _UNWRITTEN in text.split():
                 raise ValueError(f"{name} is not filled in")
             if not "".join(text.split()).isprintable():  # a terminal or a page would obey it
                 raise ValueError(f"{name} has characters that cannot be printed")

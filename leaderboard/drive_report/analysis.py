@@ -19,20 +19,20 @@ from road_envs.vehicle.struts import MODES, Modes
 
 SEGMENT_LENGTHS = (10.0, 20.0, 100.0)  # lengths [m] of segments
 
-PLACE_STD = 0.15
+_PLACE_STD = 0.15
 """Standard deviation [m] of an obstacle's place in a drive whose distance is right; by
 `tests/long/report_trial.py` with seeds 201 to 203.
 """
 
-RUN_IN = 11.0  # length [m] of the golden car's run-in (Sayers 1995)
+_RUN_IN = 11.0  # length [m] of the golden car's run-in (Sayers 1995)
 
-SLOW = 20.0 / 3.6
+_SLOW = 20.0 / 3.6
 """Speed [m/s] below which long waves are flagged: at 0.5 Hz they are shorter than 11 m."""
 
-OCTAVES = (0.125, 0.25, 0.5, 1.0)  # centres [cycles/m] of the octaves of a class
-WAVES_PER_SEGMENT = 2.0  # least number of waves of an octave in a segment
+_OCTAVES = (0.125, 0.25, 0.5, 1.0)  # centres [cycles/m] of the octaves of a class
+_WAVES_PER_SEGMENT = 2.0  # least number of waves of an octave in a segment
 
-HUGE_RESIDUAL_NOTE = (
+_HUGE_RESIDUAL_NOTE = (
     "the IRI has no interval where the model leaves so much unexplained: on trial it was then a "
     "third to more than twice the true one"
 )
@@ -115,7 +115,7 @@ def analyse(
         half, iri = None, posterior_iri(estimate, edges, factor=factor, relative_std=std)
     missing = (NO_INTERVAL_NOTE,) if np.isnan(iri.high).any() else ()
     if not is_mean_path and is_far_off(estimate, record, noise):
-        iri, missing = iri.without_interval(), (HUGE_RESIDUAL_NOTE,)
+        iri, missing = iri.without_interval(), (_HUGE_RESIDUAL_NOTE,)
     notes = in_order_of_weight((*estimate.notes, *measured.notes, *missing))
     place = measured.chainage
     result = DriveResult(name, measured, estimate, v, place, [], [], notes, {}, is_mean_path)
@@ -180,7 +180,7 @@ def _segment(
         row[f"iri_{path}_high"] = float(iri.high[j, k])
     whole = np.exp(np.mean(np.log(list(levels.values())))) if levels else np.nan
     row["class"] = roughness.roughness_class(float(whole)) if levels else ""
-    for n in OCTAVES:
+    for n in _OCTAVES:
         row[f"class_{n:g}"] = roughness.roughness_class(levels[n]) if n in levels else ""
     row["speed_kmh"] = 3.6 * speed
     by_wheel = dominant_modes(record, inside, modes)
@@ -196,8 +196,8 @@ def _levels(estimate: Estimate, begin: float, end: float, v: float) -> dict[floa
     roads = estimate.z[None] if estimate.draws is None else estimate.draws
     parts = [roughness.displacement_psd(z[:, i:j], estimate.ds) for z in roads]
     n, G = parts[0][0], np.mean([G for _, G in parts], axis=0)
-    low = max(WAVES_PER_SEGMENT * np.sqrt(2.0) / (end - begin), OCTAVES[0])
-    high = min(scored_band(v)[1] / np.sqrt(2.0), OCTAVES[-1])
+    low = max(_WAVES_PER_SEGMENT * np.sqrt(2.0) / (end - begin), _OCTAVES[0])
+    high = min(scored_band(v)[1] / np.sqrt(2.0), _OCTAVES[-1])
     if not high >= low:
         return {}
     centres, levels = roughness.octave_levels(n, G.mean(axis=0), (low, high))
@@ -213,7 +213,7 @@ def _flags(
 ) -> list[str]:
     """Return what limits the results of a segment, in words."""
     record, flags = result.measured.record, []
-    if speed < SLOW:
+    if speed < _SLOW:
         flags.append(f"slow: waves longer than {speed / 0.5:.0f} m are uncertain")
     shortest = max(speed / (0.4 * min(result.measured.fs, 1e9)), 1.0 / scored_band(speed)[1])
     if shortest > 1.0:
@@ -223,7 +223,7 @@ def _flags(
         flags.append(f"{lost:.0%} of the samples lost")
     if (np.abs(np.nan_to_num(record.a[:, inside])) >= 0.98 * clipping).any():
         flags.append("clipped")
-    if begin < record.s[0] + RUN_IN:
+    if begin < record.s[0] + _RUN_IN:
         flags.append("start of the drive")
     return flags
 
@@ -237,7 +237,7 @@ def _obstacle(result: DriveResult, found: DetectedObstacle, distance_std: float)
     return {
         "kind": ("" if is_certain else "possible ") + ("bump" if found.height > 0.0 else "hole"),
         "station_m": result.chainage + found.station,
-        "station_std_m": float(np.hypot(PLACE_STD, distance)),
+        "station_std_m": float(np.hypot(_PLACE_STD, distance)),
         "height_mm": 1e3 * found.height,
         "height_low_mm": 1e3 * low,
         "height_high_mm": 1e3 * high,

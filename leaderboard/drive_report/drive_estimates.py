@@ -25,28 +25,28 @@ from road_envs.sensing.instruments import instruments_of
 from road_envs.vehicle.parameters import load_vehicle
 from road_envs.vehicle.side_values import side_values
 
-FRAME = "variation.frame.f"  # tolerance of a description that says of a frame that twists
+_FRAME = "variation.frame.f"  # tolerance of a description that says of a frame that twists
 
-UNEXPLAINED = 1.02
+_UNEXPLAINED = 1.02
 """Residual in times of the sensors' noise above which side motion is tried that a file leaves out.
 Individuals of grade S4 of the paper's vehicle, whose file has none, have 1.04 to 2.4 without it and
 1.0 to 1.2 with it, and an NRMSE of 0.39 to 0.50 and 0.07 to 0.15; individuals of S1 and S2, which
 have none, 1.0 to 1.25 without and 1.2 to 2.9 with it (seeds 8300 to 8314).
 """
 
-SIDE_CLASS = "suv"
+_SIDE_CLASS = "suv"
 """Generic car whose tolerances of side motion are those of a vehicle whose file has none."""
 
-SIDE_NOTE = (
+_SIDE_NOTE = (
     "tyres that hold the vehicle sideways, of which its file says nothing, explain the record "
     "better (residual {:.2f} instead of {:.2f} times the sensors' noise), and the vehicle was "
     "adapted: give its file a `side`"
 )
 
-SIDE_DOUBT = "are not told apart as well"
+_SIDE_DOUBT = "are not told apart as well"
 """Words of the note of `side_notes`, which a vehicle with side motion answers."""
 
-PAIRS_NOTE = (
+_PAIRS_NOTE = (
     "The model with sensors on both sides does not reproduce the accelerations (residual {:.1f} "
     "times the sensors' noise): only the means of sensors on the left and the right were used"
 )
@@ -106,7 +106,7 @@ def estimate_drive(
         note = f"the frame twists at {mode.f:.0f} Hz, by a peak in the record, and was adapted"
         twisted = _with_bending(drive._replace(car=car).with_notes(note))
         # a description that says of a frame leaves it to an estimator that fits the vehicle
-        is_fitted = FRAME in drive.car.tolerances and tells_vehicle(record.sensors)
+        is_fitted = _FRAME in drive.car.tolerances and tells_vehicle(record.sensors)
         ways = [drive, twisted] if is_fitted else [twisted, drive]
     found = []
     for way in ways:
@@ -124,7 +124,7 @@ def estimate_drive(
     centred = means_of_pairs(record, instruments.accelerometers)
     if centred is None:
         return best
-    note = PAIRS_NOTE.format(residual_of(best[1]))
+    note = _PAIRS_NOTE.format(residual_of(best[1]))
     means = drive._replace(measured=drive.measured._replace(record=centred)).with_notes(note)
     alone = copy_with(estimator, adapt=False) if hasattr(estimator, "adapt") else estimator
     return _estimated(alone, _with_bending(means), sections)
@@ -139,16 +139,16 @@ def _held_sideways(
     """Return what is `found` of a drive if its vehicle is held sideways, if that explains more."""
     car, before = drive.car, residual_of(found[1])
     is_fitted = getattr(estimator, "adapt", False) and tells_vehicle(drive.measured.record.sensors)
-    if not (is_fitted and car.tolerances) or car.side is not None or before <= UNEXPLAINED:
+    if not (is_fitted and car.tolerances) or car.side is not None or before <= _UNEXPLAINED:
         return found
-    spread = load_vehicle(SIDE_CLASS).tolerances.items()
+    spread = load_vehicle(_SIDE_CLASS).tolerances.items()
     known = car.tolerances | {key: x for key, x in spread if key.startswith("side.")}
     held = drive._replace(car=replace(car, side=side_values(car), tolerances=known))
     held, estimate = _estimated(estimator, held, sections)
     if residual_of(estimate) >= before:
         return found
-    notes = [note for note in held.measured.notes if SIDE_DOUBT not in note]
-    notes.append(SIDE_NOTE.format(residual_of(estimate), before))
+    notes = [note for note in held.measured.notes if _SIDE_DOUBT not in note]
+    notes.append(_SIDE_NOTE.format(residual_of(estimate), before))
     return held._replace(measured=held.measured._replace(notes=tuple(notes))), estimate
 
 

@@ -10,11 +10,11 @@ from leaderboard.drive_report.analysis import DriveResult
 from road_envs.core.artifacts import nan_to_none
 from road_envs.core.atomic_io import atomic_write, write_text
 from road_envs.core.config import ConfigError
-from road_envs.core.extras import optional_import
+from road_envs.core.extras import import_pandas
 from road_envs.core.reading import parsing, read_parquet
 from road_envs.roads import Surface
 
-VERTEX_SPACING = 2.0  # distance [m] of the vertices of a segment's line
+_VERTEX_SPACING = 2.0  # distance [m] of the vertices of a segment's line
 
 OBSTACLE_COLUMNS = (
     "kind", "station_m", "station_std_m", "height_mm", "height_low_mm", "height_high_mm",
@@ -22,14 +22,12 @@ OBSTACLE_COLUMNS = (
 )  # fmt: skip
 """Columns of the table of obstacles."""
 
-MILE = 1609.344  # metres in a mile
+_MILE = 1609.344  # metres in a mile
 
 
 def write_tables(result: DriveResult, folder: Path, stem: str) -> list[Path]:
     """Write segments, obstacles and heights; return the files."""
-    with optional_import("a table as CSV or Parquet"):
-        import pandas as pd
-
+    pd = import_pandas()
     estimate = result.estimate
     std = np.full_like(estimate.z, np.nan) if estimate.z_std is None else estimate.z_std
     paths = ("mean",) if result.is_mean_path else ("left", "right")
@@ -80,7 +78,7 @@ def write_hpms(result: DriveResult, folder: Path, stem: str, route: str) -> list
     name, mile = parse_route(route)
     lines = ["Route_ID,Begin_Point,End_Point,Section_Length,Data_Item,Value_Numeric,Value_Text"]
     for row in result.segments:
-        begin, end = (mile + row[key] / MILE for key in ("begin_m", "end_m"))
+        begin, end = (mile + row[key] / _MILE for key in ("begin_m", "end_m"))
         place, flags = f"{begin:.4f},{end:.4f},{end - begin:.4f}", row["flags"].replace('"', "'")
         lines.append(f'{name},{place},IRI,{row["iri_in_per_mi"]:.0f},"{flags}"')
     path = folder / f"{stem}_hpms.csv"
@@ -127,9 +125,9 @@ def read_heights(path: Path) -> Surface:
 
 
 def segment_line(result: DriveResult, row: dict[str, Any]) -> list[list[float]]:
-    """Return the points (longitude, latitude) of a segment, every VERTEX_SPACING."""
+    """Return the points (longitude, latitude) of a segment, every _VERTEX_SPACING."""
     begin, end = row["begin_m"] - result.chainage, row["end_m"] - result.chainage
-    stations = np.linspace(begin, end, max(2, round((end - begin) / VERTEX_SPACING) + 1))
+    stations = np.linspace(begin, end, max(2, round((end - begin) / _VERTEX_SPACING) + 1))
     points = [result.position(float(x)) for x in stations]
     return [[round(float(lon or 0.0), 7), round(float(lat or 0.0), 7)] for lat, lon in points]
 

@@ -18,16 +18,16 @@ from leaderboard.drive_report.analysis import DriveResult
 from leaderboard.drive_report.export import OBSTACLE_COLUMNS, segment_line
 from road_envs.core.atomic_io import atomic_write
 
-APPLICATION, VERSION, WGS_84 = 0x47504B47, 10300, 4326
+_APPLICATION, _VERSION, _WGS_84 = 0x47504B47, 10300, 4326
 
-SYSTEMS = (
+_SYSTEMS = (
     ("Undefined cartesian", -1, "NONE", -1, "undefined"),
     ("Undefined geographic", 0, "NONE", 0, "undefined"),
-    ("WGS 84", WGS_84, "EPSG", WGS_84, 'GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,'
-     '298.257223563]],PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]]'),
+    ("WGS 84", _WGS_84, "EPSG", _WGS_84, 'GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",'
+     '6378137,298.257223563]],PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]]'),
 )  # fmt: skip
 
-TABLES = """
+_TABLES = """
 CREATE TABLE gpkg_spatial_ref_sys (srs_name TEXT NOT NULL, srs_id INTEGER PRIMARY KEY,
   organization TEXT NOT NULL, organization_coordsys_id INTEGER NOT NULL, definition TEXT NOT NULL,
   description TEXT);
@@ -57,10 +57,10 @@ def write_geopackage(results: Iterable[DriveResult], path: Path) -> list[Path]:
     if not layers:
         return []
     with atomic_write(path) as partial, closing(sqlite3.connect(partial)) as base:
-        base.execute(f"PRAGMA application_id = {APPLICATION}")
-        base.execute(f"PRAGMA user_version = {VERSION}")
-        base.executescript(TABLES)
-        base.executemany("INSERT INTO gpkg_spatial_ref_sys VALUES (?, ?, ?, ?, ?, '')", SYSTEMS)
+        base.execute(f"PRAGMA application_id = {_APPLICATION}")
+        base.execute(f"PRAGMA user_version = {_VERSION}")
+        base.executescript(_TABLES)
+        base.executemany("INSERT INTO gpkg_spatial_ref_sys VALUES (?, ?, ?, ?, ?, '')", _SYSTEMS)
         for layer in layers:
             _write_layer(base, layer)
         base.commit()
@@ -106,17 +106,17 @@ def _write_layer(base: sqlite3.Connection, layer: _Layer) -> None:
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.000Z")
     base.execute(
         "INSERT INTO gpkg_contents VALUES (?, 'features', ?, '', ?, ?, ?, ?, ?, ?)",
-        (layer.name, layer.name, now, *box, WGS_84),
+        (layer.name, layer.name, now, *box, _WGS_84),
     )
     base.execute(
         "INSERT INTO gpkg_geometry_columns VALUES (?, 'geom', ?, ?, 0, 0)",
-        (layer.name, layer.kind, WGS_84),
+        (layer.name, layer.kind, _WGS_84),
     )
 
 
 def _geometry(points: list[list[float]], kind: str) -> bytes:
     """Return a point or a line of `points` (longitude, latitude) as the blob of a GeoPackage."""
-    header = b"GP" + struct.pack("<BBi", 0, 1, WGS_84)  # version 1, little-endian, no envelope
+    header = b"GP" + struct.pack("<BBi", 0, 1, _WGS_84)  # version 1, little-endian, no envelope
     flat = [x for point in points for x in point]
     coordinates = struct.pack(f"<{len(flat)}d", *flat)
     if kind == "POINT":

@@ -6,17 +6,17 @@ import numpy as np
 
 from leaderboard.drive_report.analysis import DriveResult, KnownFactor
 from road_envs.core.config import ConfigError
-from road_envs.core.extras import optional_import
+from road_envs.core.extras import import_pandas
 from road_envs.core.reading import parsing
 
-LASTING_STD, STRETCH_STD, STRETCH = 0.04, 0.06, 100.0
+_LASTING_STD, _STRETCH_STD, _STRETCH = 0.04, 0.06, 100.0
 """Relative standard deviation of a factor: the part that stays on other roads, and that of a
-stretch of STRETCH [m], which falls with the root of its length. Assumed; after 100 m of known IRI
+stretch of _STRETCH [m], which falls with the root of its length. Assumed; after 100 m of known IRI
 reports of a passenger car from three sensors had an RMS error of 5.7 %.
 """
 
-LEAST_LENGTH = 50.0  # least length [m] of a stretch of known IRI
-LARGEST = 2.0  # largest factor, and the inverse of the smallest, that a car and a mount explain
+_LEAST_LENGTH = 50.0  # least length [m] of a stretch of known IRI
+_LARGEST = 2.0  # largest factor, and the inverse of the smallest, that a car and a mount explain
 
 
 def read_known_iri(text: str) -> list[tuple[float, float, float]]:
@@ -32,9 +32,7 @@ def read_known_iri(text: str) -> list[tuple[float, float, float]]:
 
 
 def _read_table(path: Path) -> list[tuple[float, float, float]]:
-    with optional_import("a table as CSV or Parquet"):
-        import pandas as pd
-
+    pd = import_pandas()
     with parsing(path, ConfigError, "neither an IRI nor a table of segments (begin_m, end_m, iri)"):
         table = pd.read_csv(path)
         rows = zip(table["begin_m"], table["end_m"], table["iri"], strict=True)
@@ -55,7 +53,7 @@ def known_factor(
 ) -> tuple[KnownFactor, str]:
     """Return the factor that gives the known IRI over the segments inside `stretches`, and a note.
 
-    Raises ConfigError if less than LEAST_LENGTH is covered, or if the factor is implausible.
+    Raises ConfigError if less than _LEAST_LENGTH is covered, or if the factor is implausible.
     """
     known, found, length = 0.0, 0.0, 0.0
     for row in result.segments:
@@ -66,18 +64,18 @@ def known_factor(
             length += part
             known += part * values[0]
             found += part * row["iri_mean"]
-    if length < LEAST_LENGTH:
+    if length < _LEAST_LENGTH:
         raise ConfigError(
-            f"{length:.0f} m of {result.name} have a known IRI; at least {LEAST_LENGTH:g} m are "
+            f"{length:.0f} m of {result.name} have a known IRI; at least {_LEAST_LENGTH:g} m are "
             "needed"
         )
     factor = known / found
-    if not 1.0 / LARGEST < factor < LARGEST:
+    if not 1.0 / _LARGEST < factor < _LARGEST:
         raise ConfigError(
             f"the known IRI is {factor:.2f} times that of the report, more than a car and a mount "
             "explain: check the stretch, the unit (mm/m), and the vehicle"
         )
-    std = float(np.hypot(LASTING_STD, STRETCH_STD * np.sqrt(STRETCH / length)))
+    std = float(np.hypot(_LASTING_STD, _STRETCH_STD * np.sqrt(_STRETCH / length)))
     note = (
         f"IRI is multiplied by {factor:.3f} ± {1.96 * std:.0%}, the factor of this car and mount "
         f"by {length:.0f} m of known IRI"

@@ -36,7 +36,7 @@ from road_envs.records.accelerometers import Accelerometer
 from road_envs.records.record import Estimate, Record
 from road_envs.records.roughness import TRACK, golden_car, root_coherence
 
-MEASURED_RATIO = 1.0 / 0.8  # middle of the published ratios: HRI 20 % below IRI
+_MEASURED_RATIO = 1.0 / 0.8  # middle of the published ratios: HRI 20 % below IRI
 
 HRI_STD = 0.065
 """Relative standard deviation of the HRI of a drive by a vehicle whose structure is not the one
@@ -49,18 +49,18 @@ MISFIT_STD = 0.12
 HRI of such drives of the development seeds errs by 0.09, and 0.06 of the others.
 """
 
-LEVEL_STD = 0.15  # standard deviation of the logarithm of D's level among roads: 0.06 of the ratio
-LEVEL_WINDOW = 60.0  # window [m] of the median of |M|, by which the level of D follows the road
-NORMAL_MEDIAN = 0.6745  # median magnitude of a standard normal number
-QUANTILES = (0.025, 0.5, 0.975)  # the interval of 95 % and the median
-SAMPLES = 64  # samples of D
+_LEVEL_STD = 0.15  # standard deviation of the logarithm of D's level among roads: 0.06 of the ratio
+_LEVEL_WINDOW = 60.0  # window [m] of the median of |M|, by which the level of D follows the road
+_NORMAL_MEDIAN = 0.6745  # median magnitude of a standard normal number
+_QUANTILES = (0.025, 0.5, 0.975)  # the interval of 95 % and the median
+_SAMPLES = 64  # samples of D
 
-LEAST_APART = 0.4
+_LEAST_APART = 0.4
 """Least distance [m] to the left of one another at which sensors of the body tell its roll."""
 
-SAME_PLACE = 0.5  # most distance [m] along the body of two sensors that are a pair
+_SAME_PLACE = 0.5  # most distance [m] along the body of two sensors that are a pair
 
-MEAN_PATH_NOTE = (
+_MEAN_PATH_NOTE = (
     "One sensor, or sensors on one line, do not tell left from right: heights are those of the "
     "mean of both wheel paths, HRI is its index (Sayers 1989), and the IRI has the expected "
     "difference of the paths added, whose uncertainty its interval includes. A bump under "
@@ -77,7 +77,7 @@ def tells_paths_apart(layout: Mapping[str, Accelerometer] | None) -> bool:
         for place in ("body", "front axle", "rear axle")
         if (ys := [sensor.y for sensor in layout.values() if sensor.mounted == place])
     ]
-    return max(apart) >= LEAST_APART
+    return max(apart) >= _LEAST_APART
 
 
 def tells_vehicle(layout: Mapping[str, Accelerometer] | None) -> bool:
@@ -93,7 +93,7 @@ def means_of_pairs(record: Record, layout: Mapping[str, Accelerometer]) -> Recor
     for i, j in combinations(range(len(places)), 2):
         (name, one), (_, other) = places[i], places[j]
         is_pair = one.mounted == other.mounted == "body" and one.axle == other.axle
-        if is_pair and abs(one.ahead - other.ahead) <= SAME_PLACE and one.y * other.y < 0.0:
+        if is_pair and abs(one.ahead - other.ahead) <= _SAME_PLACE and one.y * other.y < 0.0:
             share = other.y / (other.y - one.y)
             ahead = share * one.ahead + (1.0 - share) * other.ahead
             centred = replace(one, ahead=ahead, y=0.0)
@@ -139,7 +139,7 @@ def with_mean_path(estimate: Estimate) -> Estimate:
         std = np.tile(std.min(axis=0), (2, 1))
     if draws is not None:
         draws = np.broadcast_to(draws.mean(axis=1, keepdims=True), draws.shape)
-    mean, notes = np.tile(estimate.z.mean(axis=0), (2, 1)), (MEAN_PATH_NOTE, *estimate.notes)
+    mean, notes = np.tile(estimate.z.mean(axis=0), (2, 1)), (_MEAN_PATH_NOTE, *estimate.notes)
     return replace(estimate, z=mean, z_std=std, draws=draws, notes=notes)
 
 
@@ -155,9 +155,9 @@ def mean_path_indices(
     motion = 1e3 * np.abs(golden_car(z, ds))
     level, units = _difference_level(motion, ds), _unit_differences(motion.shape[1], ds, rng)
     half, iri = [], []
-    for k in range(SAMPLES):
+    for k in range(_SAMPLES):
         one, scale = motion[k % len(z)], float(np.exp(std * rng.standard_normal()))
-        spread = level[k % len(z)] * np.exp(LEVEL_STD * rng.standard_normal())
+        spread = level[k % len(z)] * np.exp(_LEVEL_STD * rng.standard_normal())
         unseen = np.abs(spread * next(units))
         half.append(scale * segment_means(one, index))
         iri.append(scale * segment_means(np.maximum(one, unseen), index))
@@ -167,9 +167,9 @@ def mean_path_indices(
 def _difference_level(motion: np.ndarray, ds: float) -> np.ndarray:
     """Return the standard deviation of D (L, N) along the road from |M| (L, N)."""
     # IRI² / HRI² = 1 + (D / M)² of the standard deviations on a road without obstacles
-    ratio = np.sqrt(_path_ratio() * MEASURED_RATIO)
+    ratio = np.sqrt(_path_ratio() * _MEASURED_RATIO)
     share = float(np.sqrt(ratio**2 - 1.0))
-    return share / NORMAL_MEDIAN * running_median(motion, ds, LEVEL_WINDOW, 0.5)
+    return share / _NORMAL_MEDIAN * running_median(motion, ds, _LEVEL_WINDOW, 0.5)
 
 
 def _unit_differences(size: int, ds: float, rng: np.random.Generator) -> Iterator[np.ndarray]:
@@ -187,4 +187,4 @@ def _unit_differences(size: int, ds: float, rng: np.random.Generator) -> Iterato
 
 def _quantiles(samples: np.ndarray) -> IriPosterior:
     """Return the posterior of samples (D, K), of one path."""
-    return IriPosterior(*np.quantile(samples, QUANTILES, axis=0)[:, None])
+    return IriPosterior(*np.quantile(samples, _QUANTILES, axis=0)[:, None])

@@ -11,25 +11,25 @@ from leaderboard.drive_report.mean_path import tells_vehicle
 from leaderboard.drive_report.posterior_iri import posterior_iri
 from road_envs.records.record import Estimate, Record
 
-MISFIT = r"does not reproduce|times the expected one|heights are reduced"
+_MISFIT = r"does not reproduce|times the expected one|heights are reduced"
 """Notes of an estimator whose model does not give the measured motion."""
 
 ONE_ROAD = "one road from"  # words of the note of the road of all passes, which is no doubt
 
-FITTED = r"was adapted|adapted to the drive"
+_FITTED = r"was adapted|adapted to the drive"
 """Notes of a vehicle whose parameters or elements were found from the drive itself."""
 
-SLOW = ": values every"  # words after the name of a column that has fewer samples
+_SLOW = ": values every"  # words after the name of a column that has fewer samples
 
-WEIGHTS = (
+_WEIGHTS = (
     r"heights there are not known",
-    MISFIT,
+    _MISFIT,
     r"IRI has no interval where",
     r"no side motion",
     r"fits .* better|moved in its mount|the speed and the wheelbase|without tolerances",
     r"swings by itself|wheels were in the air|the unit|is in g|check ",
     r"do not tell left from right",
-    rf"known IRI|{FITTED}|{ONE_ROAD}|not compared",
+    rf"known IRI|{_FITTED}|{ONE_ROAD}|not compared",
     r"is taken to lie|are read as|is taken as|split at its pauses|left out",
     r"mounted with|follows the front axle|axle to axle|do not reach|does not reach|lie behind",
     r"",
@@ -42,7 +42,7 @@ the empty one is that of all others.
 LARGE_RESIDUAL = 3.0
 """Residual in times of the sensors' noise from which on obstacles are only possible ones."""
 
-HUGE_RESIDUAL, HUGE_SHARE = 8.0, 0.2
+_HUGE_RESIDUAL, _HUGE_SHARE = 8.0, 0.2
 """The same from which on the IRI has no interval, if it is also this share of the accelerations. A
 saloon whose frame twists has 40 to 120, a share of 0.5 to 0.75, with three or four phones, and an
 IRI of 0.4 to 0.7 times the true one; with the frame that was found 3.6 to 18.5, a share of 0.04 to
@@ -53,7 +53,7 @@ anything: LARGE_RESIDUAL is their limit. Without the frame they have 5 to 32, an
 """
 
 
-LEAST_SURE, SURE_LENGTH = 0.9, 100.0
+_LEAST_SURE, _SURE_LENGTH = 0.9, 100.0
 """Logarithm of the upper over the lower limit of an IRI over this length [m] above which sensors on
 both sides tell less than one sensor, which has 0.5 to 0.6. With three phones in a saloon of grade
 S2 over class B with bumps the last 50 m had an IRI of 9 to 97 mm/m where 4.2 is true; the other
@@ -77,8 +77,8 @@ def is_far_off(estimate: Estimate, record: Record, noise: float) -> bool:
     residual = residual_of(estimate)
     if not tells_vehicle(record.sensors):
         return residual >= LARGE_RESIDUAL
-    is_small = residual * noise < HUGE_SHARE * float(np.nanstd(record.a))
-    return residual >= HUGE_RESIDUAL and not is_small
+    is_small = residual * noise < _HUGE_SHARE * float(np.nanstd(record.a))
+    return residual >= _HUGE_RESIDUAL and not is_small
 
 
 def is_unsure(estimate: Estimate) -> bool:
@@ -87,10 +87,10 @@ def is_unsure(estimate: Estimate) -> bool:
     """
     if residual_of(estimate) < LARGE_RESIDUAL or estimate.draws is None:
         return False
-    count = max(1, round((estimate.s[-1] - estimate.s[0]) / SURE_LENGTH))
+    count = max(1, round((estimate.s[-1] - estimate.s[0]) / _SURE_LENGTH))
     edges = np.linspace(estimate.s[0], estimate.s[-1], count + 1)
     iri = posterior_iri(estimate, edges)
-    return bool((np.log(iri.high[-1] / iri.low[-1]) > LEAST_SURE).any())
+    return bool((np.log(iri.high[-1] / iri.low[-1]) > _LEAST_SURE).any())
 
 
 def residual_of(estimate: Estimate) -> float:
@@ -99,23 +99,23 @@ def residual_of(estimate: Estimate) -> float:
 
 
 def in_order_of_weight(notes: Iterable[str]) -> tuple[str, ...]:
-    """Return the notes without repetitions, by WEIGHTS; equal ones stay in their order.
+    """Return the notes without repetitions, by _WEIGHTS; equal ones stay in their order.
 
     Columns of which one thing is said are in one note.
     """
     alike: dict[str, list[str]] = {}
     for note in dict.fromkeys(notes):
-        name, slow, rest = note.partition(SLOW)
+        name, slow, rest = note.partition(_SLOW)
         alike.setdefault(slow + rest if slow else note, []).append(name)
     joined = [
-        ", ".join(names) + what if what.startswith(SLOW) else what for what, names in alike.items()
+        ", ".join(names) + what if what.startswith(_SLOW) else what for what, names in alike.items()
     ]
     return tuple(sorted(joined, key=_weight))
 
 
 def vehicle_in_words(notes: Iterable[str]) -> str:
     """Return how much of its vehicle an estimate found in the drive, as its `notes` say."""
-    found = [note for note in notes if re.search(FITTED, note)]
+    found = [note for note in notes if re.search(_FITTED, note)]
     if not found:
         return "as described"
     is_bent = all("body bends" in note for note in found)
@@ -123,6 +123,6 @@ def vehicle_in_words(notes: Iterable[str]) -> str:
 
 
 def _weight(note: str) -> int:
-    others = WEIGHTS.index("")
-    matches = [k for k, text in enumerate(WEIGHTS) if text and re.search(text, note)]
+    others = _WEIGHTS.index("")
+    matches = [k for k, text in enumerate(_WEIGHTS) if text and re.search(text, note)]
     return min(matches, default=others)

@@ -5,7 +5,7 @@ A profile is compared with straight lines between its own points, as with a stra
     d(s) = z(s) - [z(s - L/2) + z(s + L/2)] / 2
 
 The slopes of a random road are nearly white, so d grows with the square root of the span only, and
-an obstacle is where |d| exceeds MIN_HEIGHT and the scatter of the surrounding road at some span.
+an obstacle is where |d| exceeds _MIN_HEIGHT and the scatter of the surrounding road at some span.
 The line under it is that between its feet on either side; its height is that of its top over the
 line, its length the distance over which it exceeds half of that. It is replaced by its line before
 the next one is looked for, so that it leaves no side lobes.
@@ -15,7 +15,7 @@ surrounding profile and the error of the estimate, nowhere departs by as much. T
 over 100 m and all spans has a Gumbel distribution, whose constants are the same for roads of any
 level:
 
-    exp(-exp(-(x - GUMBEL_LOCATION) / GUMBEL_SCALE)),     x = |d| / sqrt(road² + error²)
+    exp(-exp(-(x - _GUMBEL_LOCATION) / _GUMBEL_SCALE)),     x = |d| / sqrt(road² + error²)
 """
 
 from collections.abc import Iterator
@@ -27,13 +27,13 @@ from scipy.ndimage import median_filter
 from leaderboard.metrics.obstacles import MERGE_GAP
 from road_envs.records.record import Estimate
 
-SPANS = (0.6, 1.0, 1.6, 2.5, 4.0, 6.3)
+_SPANS = (0.6, 1.0, 1.6, 2.5, 4.0, 6.3)
 """Spans [m] of the straightedge: from a pothole that swallows a tyre to a speed hump."""
 
-SCATTER_LENGTH = 60.0  # window [m] of the scatter of the random road around an obstacle
-MIN_HEIGHT = 0.015  # least height [m] of an obstacle
+_SCATTER_LENGTH = 60.0  # window [m] of the scatter of the random road around an obstacle
+_MIN_HEIGHT = 0.015  # least height [m] of an obstacle
 
-MIN_CONFIDENCE, CERTAIN = 0.95, 0.99
+_MIN_CONFIDENCE, CERTAIN = 0.95, 0.99
 """Obstacles of a lower confidence than the first are left out, than the second called possible."""
 
 FALSE_ALARMS = {"C": (0.37, 0.03), "D": (1.5, 0.15)}
@@ -41,27 +41,27 @@ FALSE_ALARMS = {"C": (0.37, 0.03), "D": (1.5, 0.15)}
 not called possible; a slow test of `tests/unit/test_drive_report.py` counts them on 60 km.
 """
 
-FOOT, FOOT_WIDTH, MIN_FOOT_WIDTH = 0.25, 0.15, 0.2
+_FOOT, _FOOT_WIDTH, _MIN_FOOT_WIDTH = 0.25, 0.15, 0.2
 """The foot of an obstacle is this share of its length beyond half its height, where a half sine
 ends; its height is the median over this share of the length, and at least this length [m].
 """
 
-TOP = 0.2
+_TOP = 0.2
 """The height is the mean of this share of the obstacle that is highest: not the waves upon it."""
 
-READINGS = 3  # iterations that find feet and line, each by the line before
+_READINGS = 3  # iterations that find feet and line, each by the line before
 
 HEIGHT_STD = 0.07
 """Relative standard deviation of a height by tyres that envelop an obstacle and a vehicle that is
 not quite the one described, from the simulated drives of `tests/long/report_trial.py`.
 """
 
-GUMBEL_LOCATION, GUMBEL_SCALE = 3.72, 0.30
+_GUMBEL_LOCATION, _GUMBEL_SCALE = 3.72, 0.30
 """Constants of the largest departure over 100 m in standard deviations, by moments from 160 times
 100 m of ISO 8608 roads (w = 2); a test counts the obstacles of random roads.
 """
 
-MAD_TO_STD = 1.4826
+_MAD_TO_STD = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 
 
@@ -107,8 +107,8 @@ def _departures(z: np.ndarray, std: np.ndarray, ds: float) -> tuple[np.ndarray, 
     """Return d (L, M) [m] of a wheel path `z` (M,) by span, and its scatter (L, M) [m]: that of the
     road and the error `std` (M,) [m] of the estimate.
     """
-    d = np.array([_departure(z, round(0.5 * span / ds)) for span in SPANS])
-    road = MAD_TO_STD * running_median(np.abs(d), ds, SCATTER_LENGTH, 0.2)
+    d = np.array([_departure(z, round(0.5 * span / ds)) for span in _SPANS])
+    road = _MAD_TO_STD * running_median(np.abs(d), ds, _SCATTER_LENGTH, 0.2)
     # the scatter of an estimate has its share of the error; no more than as much is added
     return d, np.maximum(np.hypot(road, np.minimum(std, road)), 1e-9)
 
@@ -131,16 +131,16 @@ def _departure(z: np.ndarray, half: int) -> np.ndarray:
 def _detect_path(z: np.ndarray, std: np.ndarray, ds: float) -> Iterator[DetectedObstacle]:
     z = z.copy()
     d, scatter = _departures(z, std, ds)
-    least = GUMBEL_LOCATION - GUMBEL_SCALE * np.log(-np.log(MIN_CONFIDENCE))
-    limit = np.maximum(MIN_HEIGHT, least * scatter)
-    halves = [round(0.5 * span / ds) for span in SPANS]
+    least = _GUMBEL_LOCATION - _GUMBEL_SCALE * np.log(-np.log(_MIN_CONFIDENCE))
+    limit = np.maximum(_MIN_HEIGHT, least * scatter)
+    halves = [round(0.5 * span / ds) for span in _SPANS]
     beyond, done = np.where(np.abs(d) > limit, np.abs(d), 0.0), np.zeros(z.size, dtype=bool)
     while beyond.any():  # the highest first: its rims depart by up to half as much
         j, peak = (int(k) for k in np.unravel_index(beyond.argmax(), beyond.shape))
         begin, end, found = _read(z, peak, halves[j], float(np.sign(d[j, peak])), ds)
         if found is not None:
             middle, height, length = found
-            span = int(np.argmin(np.abs(np.array(SPANS) - length)))
+            span = int(np.argmin(np.abs(np.array(_SPANS) - length)))
             spread = float(scatter[span, peak])
             confidence = _confidence(float(np.abs(d[j, peak]) / scatter[j, peak]))
             yield DetectedObstacle(middle, height, spread, length, "", confidence)
@@ -163,7 +163,7 @@ def _read(
     None if it is too low.
     """
     first, last = max(0, peak - half), min(z.size - 1, peak + half)
-    for _ in range(READINGS):
+    for _ in range(_READINGS):
         levels = [_level(z, k, way, ds, last - first) for k, way in ((first, -1), (last, 1))]
         line = np.interp(np.arange(z.size), [first, last], levels)
         above = sign * (z - line)
@@ -173,24 +173,24 @@ def _read(
         over = above > 0.5 * above[top]
         begin = top - int(np.argmin(over[top::-1])) + 1 if not over[: top + 1].all() else 0
         end = top + int(np.argmin(over[top:])) - 1 if not over[top:].all() else z.size - 1
-        reach = max(1, round(FOOT * (end - begin + 1)))
+        reach = max(1, round(_FOOT * (end - begin + 1)))
         first, last = max(0, begin - reach), min(z.size - 1, end + reach)
-    highest = np.sort(above[begin : end + 1])[-max(1, round(TOP * (end - begin + 1))) :]
+    highest = np.sort(above[begin : end + 1])[-max(1, round(_TOP * (end - begin + 1))) :]
     height = float(highest.mean())
-    if height < MIN_HEIGHT:
+    if height < _MIN_HEIGHT:
         return first, last, None
     return first, last, (0.5 * ds * (begin + end), sign * height, ds * (end - begin + 1))
 
 
 def _level(z: np.ndarray, foot: int, direction: int, ds: float, length: int) -> float:
     """Return the median height beyond a foot."""
-    size = max(round(FOOT_WIDTH * length), round(MIN_FOOT_WIDTH / ds), 1)
+    size = max(round(_FOOT_WIDTH * length), round(_MIN_FOOT_WIDTH / ds), 1)
     part = z[foot : foot + size] if direction > 0 else z[max(0, foot - size + 1) : foot + 1]
     return float(np.median(part))
 
 
 def _confidence(x: float) -> float:
-    return float(np.exp(-np.exp(-(x - GUMBEL_LOCATION) / GUMBEL_SCALE)))
+    return float(np.exp(-np.exp(-(x - _GUMBEL_LOCATION) / _GUMBEL_SCALE)))
 
 
 def _is_same(a: DetectedObstacle, b: DetectedObstacle) -> bool:

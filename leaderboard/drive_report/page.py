@@ -17,7 +17,7 @@ from road_envs import __version__
 from road_envs.core.atomic_io import write_text
 from road_envs.records.record import scored_band
 
-TABLE_ROWS = 200  # largest number of segments that the page lists; the files have all
+_TABLE_ROWS = 200  # largest number of segments that the page lists; the files have all
 
 
 def write_page(
@@ -58,8 +58,8 @@ def _drive(result: DriveResult, conditions: Conditions, anchor: str) -> dict[str
         "facts": result.facts,
         "notes": result.notes,
         "doubts": [note for note in result.notes if not note.startswith(ONE_ROAD)],
-        "segments": result.segments[:TABLE_ROWS],
-        "hidden": max(0, len(result.segments) - TABLE_ROWS),
+        "segments": result.segments[:_TABLE_ROWS],
+        "hidden": max(0, len(result.segments) - _TABLE_ROWS),
         "obstacles": result.obstacles,
         "possible": sum(row["kind"].startswith("possible") for row in result.obstacles),
         "shares": {name: length / total for name, length in lengths.items()},

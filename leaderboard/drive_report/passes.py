@@ -18,10 +18,10 @@ from road_envs.drives.measured_record import MeasuredRecord
 from road_envs.records.record import Estimate
 from road_envs.vehicle.parameters import VehicleParameters
 
-MIN_SEGMENTS = 3  # least number of common segments for limits of agreement and for an ICC
+_MIN_SEGMENTS = 3  # least number of common segments for limits of agreement and for an ICC
 
 
-JOINED = "all_passes"  # name of the road of all passes, in the page and in its files
+_JOINED = "all_passes"  # name of the road of all passes, in the page and in its files
 
 
 class ReportedPass(NamedTuple):
@@ -89,8 +89,7 @@ def _cut(one: ReportedPass, first: Estimate) -> ReportedPass:
 def join(
     estimator: Estimator, passes: Sequence[ReportedPass], cars: Sequence[VehicleParameters]
 ) -> ReportedPass | None:
-    """Return the road of all passes that are aligned, as a pass named JOINED over the first's road;
-    None if there is only one.
+    """Return the road of all aligned passes, as a pass over the first's road; None if there is one.
 
     `cars` are the vehicles of all passes. Speed and states are those of the first.
     """
@@ -103,12 +102,15 @@ def join(
     note = f"{ONE_ROAD} {names}; speed and states are those of {passes[0].name}"
     notes = (note, estimators.passes.WANDER_NOTE)
     road = replace(road, notes=(), distance=passes[0].estimate.distance)
-    return ReportedPass(JOINED, first._replace(notes=notes), road, None)
+    return ReportedPass(_JOINED, first._replace(notes=notes), road, None)
 
 
 def compare(results: Sequence[DriveResult]) -> dict[str, Any] | None:
     """Return the agreement of aligned passes by their common segments; None if there are none."""
-    rows = [{_key(row): row for row in result.segments} for result in results]
+    rows = [
+        {(round(row["begin_m"], 2), round(row["end_m"], 2)): row for row in result.segments}
+        for result in results
+    ]
     common = [key for key in rows[0] if all(key in each for each in rows)]
     if len(results) < 2 or not common:
         return None
@@ -128,7 +130,7 @@ def compare(results: Sequence[DriveResult]) -> dict[str, Any] | None:
         "segments": segments,
         "repeatability": agreement.repeatability(x),
         "relative": agreement.repeatability(x) / float(x.mean()),
-        "icc": agreement.intraclass_correlation(x) if len(common) >= MIN_SEGMENTS else np.nan,
+        "icc": agreement.intraclass_correlation(x) if len(common) >= _MIN_SEGMENTS else np.nan,
         "passes": others,
     }
 
@@ -146,7 +148,3 @@ def _profile_correlation(first: DriveResult, other: DriveResult) -> float:
     ]
     pairs = zip(*paths, strict=True)
     return float(np.mean([agreement.iri_filtered_correlation(y, a, ds) for y, a in pairs]))
-
-
-def _key(row: dict[str, Any]) -> tuple[float, float]:
-    return round(row["begin_m"], 2), round(row["end_m"], 2)

@@ -16,23 +16,23 @@ from road_envs.records.roughness import displacement_psd, smooth_psd
 CONDITION_COLOURS = ("#009E73", "#F0C000", "#D55E00", "#7B2D26", "#3D1410")
 """Colours of the categories, from the best: distinct by lightness, too."""
 
-ROWS, ROW_LENGTH, OVERLAP = 6, 50.0, 3.0
+_ROWS, _ROW_LENGTH, _OVERLAP = 6, 50.0, 3.0
 """Largest number of rows of the strip, the least length [m] of one, and by how much [m] it begins
 before the end of the last one and ends behind the begin of the next, so that no obstacle is cut.
 """
 
-STRIP_STEP, STRIP_UNIT = 0.15, 0.1
+_STRIP_STEP, _STRIP_UNIT = 0.15, 0.1
 """Step [m] and unit [mm] of the heights that the page holds for its segments: 20 km of two paths
 have 0.7 MB.
 """
 
-POINTS = 1500  # largest number of points of a line
-LONGEST_WAVE = 20.0  # longest wave [m] of the profile strip
+_POINTS = 1500  # largest number of points of a line
+_LONGEST_WAVE = 20.0  # longest wave [m] of the profile strip
 
 
-def colour(conditions: Conditions, iri: float) -> str:
-    """Return the colour of the category of an IRI [mm/m]."""
-    return CONDITION_COLOURS[min(conditions.level(iri), len(CONDITION_COLOURS) - 1)]
+def _colour(level: int) -> str:
+    """Return the colour of the category of this index; the worst ones share the last."""
+    return CONDITION_COLOURS[min(level, len(CONDITION_COLOURS) - 1)]
 
 
 def _drawn_paths(result: DriveResult) -> dict[str, str]:
@@ -55,7 +55,7 @@ class ShownProfile(NamedTuple):
     def of(cls, result: DriveResult) -> "ShownProfile":
         """Return those of a drive."""
         estimate, ds = result.estimate, result.estimate.ds
-        band = (1.0 / LONGEST_WAVE, scored_band(result.v)[1])
+        band = (1.0 / _LONGEST_WAVE, scored_band(result.v)[1])
         z = 1e3 * band_pass(estimate.z, ds, band)
         trim = (estimate.s.size - z.shape[1]) // 2
         s = result.chainage + estimate.s[trim : trim + z.shape[1]]
@@ -69,34 +69,34 @@ class ShownProfile(NamedTuple):
 
 
 def strip_data(result: DriveResult, shown: ShownProfile) -> dict[str, Any]:
-    """Return what the page's script draws below the row of a segment: heights in STRIP_UNIT as
+    """Return what the page's script draws below the row of a segment: heights in _STRIP_UNIT as
     base64 of 16-bit integers every `step` [m] from `begin` [m], by path with its colour.
     """
-    stride = max(1, round(STRIP_STEP / result.estimate.ds))
+    stride = max(1, round(_STRIP_STEP / result.estimate.ds))
     paths = [
         {
             "name": name,
             "colour": shade,
             "heights": base64.b64encode(
-                np.clip(np.round(z[::stride] / STRIP_UNIT), -32768, 32767).astype("<i2").tobytes()
+                np.clip(np.round(z[::stride] / _STRIP_UNIT), -32768, 32767).astype("<i2").tobytes()
             ).decode(),
         }
         for (name, shade), z in zip(_drawn_paths(result).items(), shown.z, strict=False)
     ]
     step = stride * result.estimate.ds
-    return {"begin": float(shown.s[0]), "step": step, "unit": STRIP_UNIT, "paths": paths}
+    return {"begin": float(shown.s[0]), "step": step, "unit": _STRIP_UNIT, "paths": paths}
 
 
 def profile_strip(result: DriveResult, shown: ShownProfile) -> str:
     """Return the heights of both wheel paths over the chainage, with their 95 % interval."""
     (s, z, std), ds = shown, result.estimate.ds
-    rows = int(np.clip(np.ceil((s[-1] - s[0]) / ROW_LENGTH), 1, ROWS))
+    rows = int(np.clip(np.ceil((s[-1] - s[0]) / _ROW_LENGTH), 1, _ROWS))
     limit = 1.1 * float(np.abs(z).max()) + 1.0
 
     def paint(figure: Any) -> None:
         panels = np.atleast_1d(figure.subplots(rows, 1, sharey=True))
         for axes, core in zip(panels, np.array_split(np.arange(s.size), rows), strict=True):
-            step, more = max(1, core.size // POINTS), round(OVERLAP / ds)
+            step, more = max(1, core.size // _POINTS), round(_OVERLAP / ds)
             part = np.arange(max(0, core[0] - more), min(s.size, core[-1] + 1 + more), step)
             for k, (name, shade) in enumerate(_drawn_paths(result).items()):
                 axes.plot(s[part], z[k, part], color=shade, lw=0.9, label=name)
@@ -129,8 +129,7 @@ def iri_chart(result: DriveResult, conditions: Conditions) -> str:
         top = 1.15 * np.nanmax([[row[key] for key in keys] for row in segments])
         limits = (0.0, *conditions.limits, max(top, 1.2 * conditions.limits[-1]))
         for k, (low, high) in enumerate(pairwise(limits)):
-            shade = CONDITION_COLOURS[min(k, len(CONDITION_COLOURS) - 1)]
-            axes.axhspan(low, high, color=shade, alpha=0.10, lw=0)
+            axes.axhspan(low, high, color=_colour(k), alpha=0.10, lw=0)
             if min(high, top) - low > 0.07 * top:  # there is room for its name
                 axes.annotate(
                     conditions.categories[k], (edges[-1], low), (-3, 2), ha="right", va="bottom",
@@ -192,7 +191,7 @@ def track_map(result: DriveResult, conditions: Conditions, anchor: str) -> str:
         for k, row in enumerate(result.segments):
             part = np.flatnonzero((station >= row["begin_m"]) & (station <= row["end_m"]))
             part = part[:: max(1, part.size // 200)]
-            shade = colour(conditions, row["iri_mean"])
+            shade = _colour(conditions.level(row["iri_mean"]))
             axes.plot(east[part], north[part], color=shade, lw=4.5, zorder=2, url=f"#{anchor}-{k}")
         for obstacle in result.obstacles:
             x, y = (np.interp(obstacle["station_m"], station, q) for q in (east, north))
@@ -215,7 +214,6 @@ def track_map(result: DriveResult, conditions: Conditions, anchor: str) -> str:
 
 
 def _in_words(row: dict[str, Any]) -> str:
-    """Return a segment in a few words."""
     interval = ""
     if np.isfinite(row["iri_mean_high"]):
         interval = f" ({row['iri_mean_low']:.2f} to {row['iri_mean_high']:.2f})"

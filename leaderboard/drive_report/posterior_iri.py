@@ -14,15 +14,15 @@ import numpy as np
 from road_envs.records.record import Estimate
 from road_envs.records.roughness import golden_car
 
-NORMAL_QUANTILE = 1.96  # half the width of an interval of 95 %, in standard deviations
+_NORMAL_QUANTILE = 1.96  # half the width of an interval of 95 %, in standard deviations
 
-MODEL_STD = 0.01
+_MODEL_STD = 0.01
 """Relative standard deviation of what the samples do not contain: the model of a known vehicle is
 not the vehicle. On 16 drives of classes A to D at 54 km/h whose vehicle was known, the IRI had an
 RMS error of 0.2 to 2.2 %, the samples a deviation of 0.25 to 1 % (seeds 9700 to 9703).
 """
 
-SMOOTH_STD = 0.05
+_SMOOTH_STD = 0.05
 """Standard deviation [mm/m] of the IRI by what hides smooth roads. Where dry friction holds the
 struts, the most probable road is flatter than the roads that are: on class A all its waves are 5 %
 low with the noise of the paper's sensors, 0.22 m/s², and 1 % with that of phones, 0.018 m/s²; the
@@ -59,17 +59,17 @@ def posterior_iri(
     """IRI of the segments between stations `edges` (K + 1,) [m].
 
     All values are multiplied by `factor`; `relative_std`, one or by segment (K,), is a relative
-    standard deviation that adds to that of the samples, to `MODEL_STD` and to `SMOOTH_STD`.
+    standard deviation that adds to that of the samples, to `_MODEL_STD` and to `_SMOOTH_STD`.
     """
     index = np.searchsorted(estimate.s, edges)
     roads = estimate.z[None] if estimate.draws is None else estimate.draws
     log = np.log(factor * np.array([_path_indices(z, estimate.ds, index) for z in roads]))
     middle, std = log.mean(axis=0), np.hypot(log.std(axis=0), relative_std)
     if estimate.draws is not None:
-        std = np.sqrt(std**2 + MODEL_STD**2 + (SMOOTH_STD / np.exp(middle)) ** 2)
+        std = np.sqrt(std**2 + _MODEL_STD**2 + (_SMOOTH_STD / np.exp(middle)) ** 2)
     if estimate.draws is None and not np.any(relative_std):
         std = np.full_like(std, np.nan)
-    spread = NORMAL_QUANTILE * std
+    spread = _NORMAL_QUANTILE * std
     return IriPosterior(*(np.exp(middle + part) for part in (-spread, 0.0, spread)))
 
 

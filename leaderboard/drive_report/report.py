@@ -23,12 +23,12 @@ from road_envs.drives.logger_tables.description import DriveDescription
 from road_envs.drives.reading import DriveFile, same_instruments
 from road_envs.sensing.instruments import instruments_of, load_instruments
 
-DEFAULT_FACTOR_STD = 0.06
+_DEFAULT_FACTOR_STD = 0.06
 """Relative standard deviation of a factor whose own is not given: after calibration over 100 m of
 known IRI, reports of a passenger car from three sensors had an RMS error of 5.7 %.
 """
 
-Progress = Callable[[str, float], None]  # takes what is being done and the share done, 0 to 1
+_Progress = Callable[[str, float], None]  # takes what is being done and the share done, 0 to 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +74,7 @@ class _RoadReport:
 def make_report(
     drives: Sequence[DriveFile],
     chosen: ReportSettings,
-    progress: Progress,
+    progress: _Progress,
     sections: Sections | None = None,
 ) -> _RoadReport:
     """Return the report of drives; several are passes over one road where they match.
@@ -116,7 +116,7 @@ def make_report(
     )
 
 
-def _within(progress: Progress, what: str, begin: float, share: float) -> Progress:
+def _within(progress: _Progress, what: str, begin: float, share: float) -> _Progress:
     """Return the progress of a part that begins at `begin` and has this `share` of the whole."""
     return lambda text, done: progress(what + text, begin + share * done)
 
@@ -137,7 +137,7 @@ def _analysed(each: ReportedPass, drive: DriveFile, chosen: ReportSettings) -> D
     if not tells_vehicle(each.measured.record.sensors):
         tolerance_std = roughness_std(each.measured.record, drive.car, drive.sensors)
     if told.iri_factor is not None:
-        known = KnownFactor(told.iri_factor, told.iri_factor_std or DEFAULT_FACTOR_STD)
+        known = KnownFactor(told.iri_factor, told.iri_factor_std or _DEFAULT_FACTOR_STD)
     return analyse(
         each.name,
         each.measured,

@@ -38,7 +38,7 @@ from road_envs.records.record import (
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import VehicleParameters
 
-SECTION, FITTED_SECTION = 2000.0, 10_000.0
+SECTION, _FITTED_SECTION = 2000.0, 10_000.0
 """Length [m] of a section, about, and of one to which the vehicle is fitted."""
 
 RUN_IN, RUN_OUT = 150.0, 50.0
@@ -46,9 +46,9 @@ RUN_IN, RUN_OUT = 150.0, 50.0
 
 KEPT = "unfinished"  # folder of kept sections in that of a report
 
-KIND = Kind("drive section", 1, ("leaderboard.drive_report.sections", "estimators.registry"))
+_KIND = Kind("drive section", 1, ("leaderboard.drive_report.sections", "estimators.registry"))
 
-ARRAYS = ("z", "z_std", "unsure", "draws")
+_ARRAYS = ("z", "z_std", "unsure", "draws")
 """Fields of an estimate that are kept as arrays, by station in their last axis."""
 
 
@@ -192,7 +192,7 @@ class Sections:
     def _estimate(self, one: Estimator, record: Record, car: VehicleParameters) -> Estimate:
         length = np.inf  # the others need a small part of its time, and tell stations in notes
         if isinstance(one, MapSmoother):
-            length = FITTED_SECTION if one.adapt else SECTION
+            length = _FITTED_SECTION if one.adapt else SECTION
         sections, notes = split(record, car.wheelbase, length), tuple[str, ...]()
         if len(sections) > 1:  # a section does not tell where its odometer was right
             record, notes = calibrate_odometer(record)
@@ -212,7 +212,7 @@ class Sections:
             parts[k] = one.estimate(records[k], car)
             check_estimate(parts[k], records[k])
             if path := paths[k]:
-                KIND.write(path, _plain(parts[k]), path.stem)
+                _KIND.write(path, _plain(parts[k]), path.stem)
         joined = join([parts[k] for k in range(len(sections))], sections, record.length)
         return replace(joined, notes=(*joined.notes, *notes)) if notes else joined
 
@@ -229,7 +229,7 @@ class Sections:
         own = load_instruments(one.instruments) if isinstance(one, HasInstruments) else None
         described = [record.length, record.sensors, record.low_pass, own, car]
         inputs = [total.hexdigest(), entry.reference, entry.settings, entry.code]
-        return self.folder / f"{KIND.identity(*inputs, *map(repr, described))}.json"
+        return self.folder / f"{_KIND.identity(*inputs, *map(repr, described))}.json"
 
     def _read(self, path: Path, record: Record) -> Estimate | None:
         """Return the estimate that is kept in a file; None if it is damaged or another's."""
@@ -239,12 +239,12 @@ class Sections:
             check_estimate(estimate, record)
             return estimate
 
-        return KIND.find(path, path.stem, make)
+        return _KIND.find(path, path.stem, make)
 
 
 def _plain(estimate: Estimate) -> dict[str, Any]:
     """Return what is kept of an estimate, as JSON types; arrays are their bytes in base 64."""
-    arrays = {name: getattr(estimate, name) for name in ARRAYS}
+    arrays = {name: getattr(estimate, name) for name in _ARRAYS}
     return {
         "residual": estimate.residual,
         "distance": estimate.distance,
@@ -259,7 +259,7 @@ def _plain(estimate: Estimate) -> dict[str, Any]:
 
 def _from_plain(content: Mapping[str, Any], record: Record) -> Estimate:
     arrays: dict[str, Any] = {}
-    for name in content.keys() & set(ARRAYS):
+    for name in content.keys() & set(_ARRAYS):
         kind, shape, text = content[name]
         arrays[name] = np.frombuffer(base64.b64decode(text), kind).reshape(shape)
     distance, notes = content["distance"], tuple(content["notes"])

@@ -20,25 +20,28 @@ from road_envs.records.record import Record
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.tolerances import parameter_space
 
-DRAWS = 24  # vehicles that are drawn
-GOLDEN_STEP, GOLDEN_SIZE = 0.05, 6000  # step [m] and number of samples of the golden car's response
-SIDE = "side."  # beginning of the names of parameters that play no part on a straight road
+_DRAWS = 24  # vehicles that are drawn
+_GOLDEN_STEP, _GOLDEN_SIZE = (
+    0.05,
+    6000,
+)  # step [m] and number of samples of the golden car's response
+_SIDE = "side."  # beginning of the names of parameters that play no part on a straight road
 
 
 def roughness_std(record: Record, car: VehicleParameters, instruments: str) -> float:
     """Return the relative standard deviation of the roughness of a drive by the tolerances of
     `car`; 0 where it has none, and of drives that are too short or never calm. Raises ConfigError.
     """
-    used = {key: x for key, x in car.tolerances.items() if not key.startswith(SIDE)}
+    used = {key: x for key, x in car.tolerances.items() if not key.startswith(_SIDE)}
     drive = CalmDrive.of(record, car, instruments)
     if not used or not drive.tells(record):
         return 0.0
     described = drive.on_fitted_level(SensedVehicle.of(car, drive.sensors), 2.0)
-    n, power = golden_power(GOLDEN_STEP, GOLDEN_SIZE)
+    n, power = golden_power(_GOLDEN_STEP, _GOLDEN_SIZE)
     weight = np.interp(drive.f / drive.v, n, power)
     space, rng = parameter_space(replace(car, tolerances=used)), np.random.default_rng(0)
     factors = []
-    for _ in range(DRAWS):
+    for _ in range(_DRAWS):
         vehicle = SensedVehicle.of(space.draw(rng), drive.sensors)
         damping = equivalent_damping(vehicle.plant, drive.mode, drive.v, described.prior)
         other = Spectra.of(vehicle, damping, described.prior, drive, described.D)

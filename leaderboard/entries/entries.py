@@ -37,7 +37,7 @@ def fold(name: str) -> str:
 RESERVED = frozenset(map(fold, (*estimators.REGISTRY, *_OTHER_NAMES)))
 """Folded names of rows and pages, which an entry from outside cannot have."""
 
-Describe = Callable[[str], dict[str, Any]]
+_Describe = Callable[[str], dict[str, Any]]
 """Description of an estimator that this process does not load: `SandboxClient.describe`."""
 
 
@@ -59,7 +59,7 @@ def make_entry(name: str, estimator: Estimator | None) -> Entry:
     return Entry(name=name, reference=reference, **known)
 
 
-def resolve_entries(names: Sequence[str], describer: Describe | None) -> list[Entry]:
+def resolve_entries(names: Sequence[str], describer: _Describe | None) -> list[Entry]:
     """Return entries by registered name, "module:Class", or path of a wheel, folder or .npz.
 
     Entries from outside this package need a `describer`. One that cannot be constructed, or whose
@@ -102,7 +102,7 @@ def entry_refit_per_case(entry: Entry) -> Entry:
     return make_entry(entry.name, estimators.create(entry.reference, **settings))
 
 
-def _outside_entry(given: str, reference: str, taken: set[str], describer: Describe) -> Entry:
+def _outside_entry(given: str, reference: str, taken: set[str], describer: _Describe) -> Entry:
     try:
         known = describer(reference)
     except EntryError as error:

@@ -1,6 +1,6 @@
 """Entries and how they are run: training records and truths and test records in, estimates out.
 
-All code of an entry runs in a `Session`, which never receives the truth of a test drive.
+All code of an entry runs in a `_Session`, which never receives the truth of a test drive.
 """
 
 import dataclasses
@@ -92,7 +92,7 @@ def needs_training(estimator: Estimator) -> bool:
     return False
 
 
-class Session(Protocol):
+class _Session(Protocol):
     """An estimator that is trained and asked for estimates, in this process or in another."""
 
     needs_training: bool
@@ -148,7 +148,7 @@ class LocalSession:
 
 
 def reconstruct_all(
-    session: Session,
+    session: _Session,
     training: Sequence[tuple[Record, Profile]],
     records: Sequence[Record],
     seeds: Sequence[int],
@@ -170,7 +170,7 @@ def reconstruct_all(
 
 
 def _run(
-    session: Session,
+    session: _Session,
     training: Sequence[tuple[Record, Profile]],
     records: Sequence[Record],
     seed: int,

@@ -18,7 +18,7 @@ from road_envs.core.code_digest import DIGITS, PACKAGES
 from road_envs.core.config import ConfigError, validate_choice
 
 WEIGHTS_SUFFIXES = (".npz", ".safetensors")
-MAX_FILES, MAX_SIZE, MAX_DEPTH = 20_000, 2**31, 32
+_MAX_FILES, _MAX_SIZE, _MAX_DEPTH = 20_000, 2**31, 32
 """Limits of a snapshot: number of files, their size [bytes] together, depth of folders."""
 
 CLASS_REFERENCE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
@@ -65,9 +65,9 @@ def snapshot(reference: str, folder: Path | None) -> str:
             if not name.isprintable():  # a line break would give two snapshots one digest
                 raise EntryError(f"the name of a file must be printable, got {name!r}"[:300])
             count, size = count + 1, size + source.stat().st_size
-            if count > MAX_FILES or size > MAX_SIZE:
+            if count > _MAX_FILES or size > _MAX_SIZE:
                 raise EntryError(
-                    f"its code has more than {MAX_FILES} files or {MAX_SIZE >> 30} GiB"
+                    f"its code has more than {_MAX_FILES} files or {_MAX_SIZE >> 30} GiB"
                 )
             content = source.read_bytes()
             if folder is not None:
@@ -105,8 +105,8 @@ def _walk(root: Path, prefix: str) -> Iterator[tuple[Path, str]]:
     left = [(root, prefix, 0)]
     while left:
         folder, prefix, depth = left.pop()
-        if depth > MAX_DEPTH:
-            raise EntryError(f"its folders are nested more than {MAX_DEPTH} deep")
+        if depth > _MAX_DEPTH:
+            raise EntryError(f"its folders are nested more than {_MAX_DEPTH} deep")
         for entry in sorted(os.scandir(folder), key=lambda entry: entry.name):
             if entry.is_dir(follow_symlinks=False) and entry.name != "__pycache__":
                 left.append((Path(entry.path), f"{prefix}{entry.name}/", depth + 1))

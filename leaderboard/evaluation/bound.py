@@ -19,11 +19,9 @@ from road_envs.records.roughness import CLASSES, displacement_psd, fit_line, smo
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import load_vehicle
 
-N_FREQUENCIES = 1001
-"""Frequencies over the scored band: enough for three digits of the bound."""
+_N_FREQUENCIES = 1001  # frequencies over the scored band: enough for three digits of the bound
 
-WAVINESS_LIMITS = (1.0, 4.0)
-"""Limits of the waviness fitted to a density."""
+_WAVINESS_LIMITS = (1.0, 4.0)  # limits of the waviness fitted to a density
 
 
 def nrmse_bound(task: Task, condition: Condition, truth: Profile) -> float:
@@ -63,7 +61,7 @@ def fit_spectrum(truth: Profile, band: tuple[float, float]) -> tuple[float, floa
     if inside.sum() < 2:
         return None
     _, w = fit_line(n, G, band=band)
-    w = round(float(np.clip(w, *WAVINESS_LIMITS)), 1)
+    w = round(float(np.clip(w, *_WAVINESS_LIMITS)), 1)
     level, _ = fit_line(n, G, w=w, band=band)  # refit the level to the rounded waviness
     return round(10.0 * np.log10(level)), w
 
@@ -76,5 +74,5 @@ def pooled_bound(car: str, instruments: str, mode: str, v: float, level: float, 
     can be cached.
     """
     vehicle, prior = load_vehicle(car), RoadPrior(G_d0=10.0 ** (level / 10.0), w=w)
-    n = np.linspace(*scored_band(v), N_FREQUENCIES)
+    n = np.linspace(*scored_band(v), _N_FREQUENCIES)
     return bound(vehicle, json.loads(mode), v, load_instruments(instruments), prior, n=n).pooled

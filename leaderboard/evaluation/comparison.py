@@ -33,14 +33,14 @@ TYPICAL = 5e-3
 was measured. So a row cannot be moved as a whole within `OTHER_KERNELS`.
 """
 
-PRINTED_STEPS = 100
+_PRINTED_STEPS = 100
 """Steps of the last printed digit that a smaller score is taken relative to."""
 
-LARGEST_DISTANCE = 2.0
-"""Distance of a value from its negative; no two values are farther apart."""
+_LARGEST_DISTANCE = 2.0
+"""_Distance of a value from its negative; no two values are farther apart."""
 
 
-class Distance(NamedTuple):
+class _Distance(NamedTuple):
     """The score of two results of a drive whose values are the farthest apart, and how far."""
 
     score: str
@@ -48,19 +48,19 @@ class Distance(NamedTuple):
 
 
 def distance(score: str, a: float | None, b: float | None) -> float:
-    """Distance [-] of two values of a score, from 0 to 2; 2 if only one of them is defined."""
+    """_Distance [-] of two values of a score, from 0 to 2; 2 if only one of them is defined."""
     if a is None or b is None:
-        return 0.0 if a is b else LARGEST_DISTANCE
+        return 0.0 if a is b else _LARGEST_DISTANCE
     form = SCORES[score]
-    floor = PRINTED_STEPS * 10.0**-form.digits / form.factor
+    floor = _PRINTED_STEPS * 10.0**-form.digits / form.factor
     return abs(a - b) / max(abs(a), abs(b), floor)
 
 
 def largest_distance(
     a: Mapping[str, float], b: Mapping[str, float], names: Iterable[str] = SCORES
-) -> Distance:
+) -> _Distance:
     """Largest distance of the scores `names` of two runs of a drive."""
-    found = [Distance(name, distance(name, a.get(name), b.get(name))) for name in names]
+    found = [_Distance(name, distance(name, a.get(name), b.get(name))) for name in names]
     return max(found, key=lambda x: x.value)
 
 

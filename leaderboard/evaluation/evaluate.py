@@ -21,14 +21,14 @@ from leaderboard.entries.entry import (
     reconstruct_all,
 )
 from leaderboard.evaluation.bound import nrmse_bound
-from leaderboard.evaluation.provenance import describe_environment, package_version
+from leaderboard.evaluation.provenance import describe_environment
 from leaderboard.evaluation.results import (
     Result,
     Trace,
-    evaluation_version,
     make_table,
     merge_parts,
     quantize_heights,
+    unscored_result,
 )
 from leaderboard.evaluation.tasks import Condition, Task, training_delays
 from leaderboard.evaluation.test_data import (
@@ -38,7 +38,7 @@ from leaderboard.evaluation.test_data import (
     simulate_drives,
 )
 from leaderboard.metrics import heights
-from leaderboard.metrics.baselines import ALL_BASELINES, MEMORY, memory, truth_plus_noise
+from leaderboard.metrics.baselines import MEMORY, memory, truth_plus_noise
 from leaderboard.metrics.registry import compute_scores
 from road_envs.records.record import Estimate, Record
 from road_envs.simulation.drive import SimulationError
@@ -47,8 +47,7 @@ from road_envs.vehicle.parameters import VehicleParameters
 SEEDS = (1, 2, 3)
 """Default training seeds of a trainable estimator."""
 
-TRACE_LENGTH = 100.0
-"""Length [m] of the part of the first test road that is stored for plots."""
+_TRACE_LENGTH = 100.0  # length [m] of the part of the first test road that is stored for plots
 
 
 class ConditionData(NamedTuple):
@@ -144,17 +143,12 @@ def evaluate_entry(
     run: EntryRunner,
 ) -> Result:
     """Run an entry under a condition with every training seed and score its estimates."""
-    empty = Result(
-        task=task.name,
-        task_digest=task.digest,
-        estimator=entry.name,
-        role="baseline" if entry.name in ALL_BASELINES else "entry",
+    empty = unscored_result(
+        task,
+        entry.name,
         settings=entry.settings,
-        package_version=package_version(),
-        metric_version=heights.VERSION,
         seeds=tuple(seeds),
         code=entry.code,
-        evaluation_code=evaluation_version(),
         conditions=(condition.label,),
         causal=entry.causal,
         lag=entry.lag,
@@ -230,10 +224,10 @@ def _score_drive(data: ConditionData, drive: int, estimate: Estimate) -> dict[st
 
 
 def _trace(data: ConditionData, estimate: Estimate, scores: dict[str, float], seed: int) -> Trace:
-    """Return the first TRACE_LENGTH metres of the first test drive."""
+    """Return the first _TRACE_LENGTH metres of the first test drive."""
     test = data.tests[0]
     truth = test.truth
-    kept = truth.s < TRACE_LENGTH
+    kept = truth.s < _TRACE_LENGTH
     return Trace(
         condition=data.condition.label,
         speed_kmh=data.condition.speed_kmh,

@@ -24,15 +24,15 @@ from road_envs.core.config import ConfigError, Settings, build, find, read_yaml
 from road_envs.core.reading import parsing
 
 COMMITMENT = "commitment.json"
-AS_GIVEN = ("utf-8", "surrogateescape")  # a salt may be any bytes
-SALT_LENGTHS = range(12, 65)
+_AS_GIVEN = ("utf-8", "surrogateescape")  # a salt may be any bytes
+_SALT_LENGTHS = range(12, 65)
 """Numbers of characters and bytes of a salt: a shorter one could be found by brute force, and
 scrypt takes a longer one for its digest, which would be a second salt with other seeds.
 """
 
 
 @dataclass(frozen=True, kw_only=True)
-class HiddenSeeds(Settings):
+class _HiddenSeeds(Settings):
     """The published part of a hidden test set: digests of the public tasks, and the commitment."""
 
     format: int = 1
@@ -43,12 +43,12 @@ class HiddenSeeds(Settings):
     commitment: str = ""
 
 
-def commit(salt: str, tasks: Sequence[Task]) -> HiddenSeeds:
+def commit(salt: str, tasks: Sequence[Task]) -> _HiddenSeeds:
     """Return the hidden test set of a secret `salt`, after a trial of revealing it.
 
     Raises ConfigError for a short salt and for a task that could not be revealed.
     """
-    hidden = HiddenSeeds(
+    hidden = _HiddenSeeds(
         package_version=package_version(),
         tasks={task.name: task.digest for task in tasks},
         roads={task.name: len(task.test.seeds) for task in tasks},
@@ -59,7 +59,7 @@ def commit(salt: str, tasks: Sequence[Task]) -> HiddenSeeds:
     return hidden
 
 
-def save(hidden: HiddenSeeds, folder: Path) -> Path:
+def save(hidden: _HiddenSeeds, folder: Path) -> Path:
     """Write the file to publish. Raises ConfigError if the folder holds another hidden test set."""
     path = folder / COMMITMENT
     if path.exists() and load(folder) != hidden:
@@ -68,12 +68,12 @@ def save(hidden: HiddenSeeds, folder: Path) -> Path:
     return path
 
 
-def load(folder: Path) -> HiddenSeeds:
+def load(folder: Path) -> _HiddenSeeds:
     """Return the published hidden test set of a folder. Raises ConfigError."""
     path = folder / COMMITMENT
     with parsing(path, ConfigError, "damaged, not valid JSON"):
         data = json.loads(path.read_text(encoding="utf-8"))
-    return build(HiddenSeeds, data, str(path))
+    return build(_HiddenSeeds, data, str(path))
 
 
 def reveal(salt: str, folder: Path) -> list[Path]:
@@ -93,7 +93,7 @@ def reveal(salt: str, folder: Path) -> list[Path]:
     return written
 
 
-def _hidden_task(salt: str, hidden: HiddenSeeds, name: str) -> dict[str, Any]:
+def _hidden_task(salt: str, hidden: _HiddenSeeds, name: str) -> dict[str, Any]:
     """Return the YAML object of a task with its hidden seeds, on all of whose roads it is driven.
 
     A design, which assigns the public drives to conditions, is repeated over the hidden ones.
@@ -126,7 +126,7 @@ def seeds(salt: str, task: Task, count: int) -> list[int]:
     k = 0
     while len(drawn) < count:
         text = "\0".join([salt, task.name, task.digest, str(k)])
-        seed = int.from_bytes(hashlib.sha256(text.encode(*AS_GIVEN)).digest()[:6], "big")
+        seed = int.from_bytes(hashlib.sha256(text.encode(*_AS_GIVEN)).digest()[:6], "big")
         roads = {seed + i * SEED_STRIDE for i in range(len(task.test.roads))}
         if not roads & public:
             drawn.append(seed)
@@ -134,13 +134,13 @@ def seeds(salt: str, task: Task, count: int) -> list[int]:
     return drawn
 
 
-def _commitment(salt: str, hidden: HiddenSeeds) -> str:
+def _commitment(salt: str, hidden: _HiddenSeeds) -> str:
     """Return the commitment to a salt, by a slow hash so that guessing the salt is expensive."""
-    word = salt.encode(*AS_GIVEN)
-    if not {len(salt), len(word)} <= {*SALT_LENGTHS} or 0 in word:  # it ignores zeros at the end
+    word = salt.encode(*_AS_GIVEN)
+    if not {len(salt), len(word)} <= {*_SALT_LENGTHS} or 0 in word:  # it ignores zeros at the end
         raise ConfigError(
-            f"the salt must have at least {SALT_LENGTHS[0]} characters and at most "
-            f"{SALT_LENGTHS[-1]} bytes, none of them 0; got {len(salt)} characters"
+            f"the salt must have at least {_SALT_LENGTHS[0]} characters and at most "
+            f"{_SALT_LENGTHS[-1]} bytes, none of them 0; got {len(salt)} characters"
         )
     fields = {**dataclasses.asdict(hidden), "commitment": ""}
     text = json.dumps(fields, sort_keys=True).encode()

@@ -10,7 +10,7 @@ from pathlib import Path
 import road_envs
 from road_envs.core.code_digest import PACKAGES, ROOT, digest
 
-LIBRARIES = ("numpy", "scipy", "numba", "torch")
+_LIBRARIES = ("numpy", "scipy", "numba", "torch")
 
 
 def package_version() -> str:
@@ -24,7 +24,7 @@ def describe_environment() -> dict[str, str]:
 
     `blas` is the kernel that BLAS has chosen for the processor, `threads` how many share a product.
     """
-    libraries = {name: release for name in LIBRARIES if (release := _library(name))}
+    libraries = {name: release for name in _LIBRARIES if (release := _library(name))}
     commit = _commit(ROOT)
     return {
         "python": platform.python_version(),

@@ -23,6 +23,7 @@ from leaderboard.entries.entry import Entry
 from leaderboard.evaluation.provenance import package_version
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics import heights
+from leaderboard.metrics.baselines import ALL_BASELINES
 from leaderboard.metrics.registry import SCORES
 from road_envs.core.artifacts import Kind, code_version
 from road_envs.core.config import Settings
@@ -31,16 +32,15 @@ from road_envs.core.extras import optional_import
 if TYPE_CHECKING:
     import pandas as pd
 
-EVALUATION_MODULE = "leaderboard.evaluation.evaluate"
+_EVALUATION_MODULE = "leaderboard.evaluation.evaluate"
 """Module that imports, directly or not, all code that determines drives and scores."""
 
-RESULT = Kind("result", 6, (EVALUATION_MODULE,))
-Role = Literal["entry", "baseline"]
+RESULT = Kind("result", 6, (_EVALUATION_MODULE,))
+_Role = Literal["entry", "baseline"]
 ISOLATED = ("bubblewrap",)
 """Values of `Result.isolation` of entries without access to files, network and other processes."""
 
-Z_UNIT = 1e-5
-"""Unit [m] of the heights of a trace, which are stored as integers."""
+_Z_UNIT = 1e-5  # unit [m] of the heights of a trace, which are stored as integers
 
 RUN = ("condition", "drive", "road", "road_seed", "seed")
 """Columns that tell a run among those of its entry: the road is that of `road_seed`, the training
@@ -72,7 +72,7 @@ _Heights = Annotated[np.ndarray, PlainValidator(_as_heights)]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trace(Settings):
-    """True and estimated heights (2, M) of the start of a drive, in units of Z_UNIT, for plots.
+    """True and estimated heights (2, M) of the start of a drive, in units of _Z_UNIT, for plots.
 
     `scores` are those of the whole drive.
     """
@@ -97,7 +97,7 @@ class Trace(Settings):
     @property
     def z_std(self) -> np.ndarray | None:
         """Standard deviation (2, M) [m] of the estimate; None if it has none."""
-        return None if self.deviation is None else Z_UNIT * self.deviation
+        return None if self.deviation is None else _Z_UNIT * self.deviation
 
     @property
     def s(self) -> np.ndarray:
@@ -107,12 +107,12 @@ class Trace(Settings):
     @property
     def z_true(self) -> np.ndarray:
         """True heights (2, M) [m]."""
-        return Z_UNIT * self.truth
+        return _Z_UNIT * self.truth
 
     @property
     def z_estimated(self) -> np.ndarray:
         """Estimated heights (2, M) [m]."""
-        return Z_UNIT * self.estimate
+        return _Z_UNIT * self.estimate
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -125,7 +125,7 @@ class Result(Settings):
     task: str
     task_digest: str
     estimator: str
-    role: Role
+    role: _Role
     settings: dict[str, Any]
     package_version: str
     metric_version: int
@@ -169,6 +169,23 @@ class Result(Settings):
         return None if self.settings == entry.settings else "made with other settings"
 
 
+def unscored_result(task: Task, estimator: str, **fields: Any) -> Result:
+    """Return a result of an estimator on a task, by the code of this package, without scores.
+
+    `fields` are its other ones: at least `settings` and `seeds`.
+    """
+    return Result(
+        task=task.name,
+        task_digest=task.digest,
+        estimator=estimator,
+        role="baseline" if estimator in ALL_BASELINES else "entry",
+        package_version=package_version(),
+        metric_version=heights.VERSION,
+        evaluation_code=evaluation_version(),
+        **fields,
+    )
+
+
 RUN_DEPENDENT = frozenset(
     {
         "train_seconds",
@@ -184,7 +201,7 @@ RUN_DEPENDENT = frozenset(
 
 def evaluation_version() -> str:
     """Version of the code that determines drives and scores."""
-    return code_version(EVALUATION_MODULE)
+    return code_version(_EVALUATION_MODULE)
 
 
 def content_digest(result: Result) -> str:
@@ -279,8 +296,8 @@ def merge_parts(parts: Sequence[Result], identity: str) -> Result:
 
 
 def quantize_heights(z: np.ndarray) -> np.ndarray:
-    """Return heights (2, M) [m] as integers of Z_UNIT, clipped to 1 km."""
-    return np.rint(np.clip(z, -1e3, 1e3) / Z_UNIT).astype(np.int32)
+    """Return heights (2, M) [m] as integers of _Z_UNIT, clipped to 1 km."""
+    return np.rint(np.clip(z, -1e3, 1e3) / _Z_UNIT).astype(np.int32)
 
 
 def _join_distinct(texts: Iterable[str]) -> str:

@@ -14,11 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from leaderboard.evaluation.provenance import package_version
-from leaderboard.evaluation.results import RESULT, Result, evaluation_version, make_table, to_plain
+from leaderboard.evaluation.results import RESULT, Result, make_table, to_plain, unscored_result
 from leaderboard.evaluation.tasks import Task
-from leaderboard.metrics import heights
-from leaderboard.metrics.baselines import ALL_BASELINES
 from road_envs.core.artifacts import HEADER
 from road_envs.core.atomic_io import write_text
 from road_envs.core.config import ConfigError, Settings, build
@@ -95,18 +92,8 @@ def _row_or_failure(path: Path, task: Task) -> Result:
     try:
         return load(path)
     except ConfigError as error:
-        return Result(
-            task=task.name,
-            task_digest=task.digest,
-            estimator=path.stem,
-            role="baseline" if path.stem in ALL_BASELINES else "entry",
-            settings={},
-            package_version=package_version(),
-            metric_version=heights.VERSION,
-            seeds=(),
-            evaluation_code=evaluation_version(),
-            failure=f"its result cannot be read: {error}",
-        )
+        failure = f"its result cannot be read: {error}"
+        return unscored_result(task, path.stem, settings={}, seeds=(), failure=failure)
 
 
 def read(path: Path) -> Result:

@@ -20,22 +20,19 @@ from road_envs.roads import Surface, load_road, realise_road
 from road_envs.simulation.drive import SimulationError, simulate
 from road_envs.vehicle.parameters import load_vehicle
 
-MIN_LENGTH = 100.0
-"""A shorter surface is repeated, mirrored, up to this length [m]."""
+_MIN_LENGTH = 100.0  # a shorter surface is repeated, mirrored, up to this length [m]
 
-LEVEL_RANGE = 1e-6
-"""Range [m] of heights about their line below which a surface is level."""
+_LEVEL_RANGE = 1e-6  # range [m] of heights about their line below which a surface is level
 
-MAX_LENGTH = 300.0
-"""Only this length [m] from the start of a longer surface is driven."""
+_MAX_LENGTH = 300.0  # only this length [m] from the start of a longer surface is driven
 
-CAR = "land_rover_defender_110"
-MODES = ("ride", "handling", {"front": "ride", "rear": "handling"})
-SPEEDS_KMH = (14.5, 10.0, 7.0, 5.0)
+_CAR = "land_rover_defender_110"
+_MODES = ("ride", "handling", {"front": "ride", "rear": "handling"})
+_SPEEDS_KMH = (14.5, 10.0, 7.0, 5.0)
 """Speeds [km/h] of which the highest is driven at which all wheels stay on the ground."""
-MAX_LIFTED_TIME = 0.001
+_MAX_LIFTED_TIME = 0.001
 """Share of the time for which a wheel may be off the ground where wheels count as staying down."""
-SEEDS = (1, 2, 3, 4, 5)
+_SEEDS = (1, 2, 3, 4, 5)
 
 
 def surface_tasks(path: Path) -> list[Task]:
@@ -43,33 +40,33 @@ def surface_tasks(path: Path) -> list[Task]:
 
     The class is computed from the file, which is information that no estimator would have on the
     road; title and note of the task say so. The note says how much of the file is driven, and at
-    what speed: the highest of SPEEDS_KMH at which the wheels stay on the ground. Where they do not
+    what speed: the highest of _SPEEDS_KMH at which the wheels stay on the ground. Where they do not
     at any, the tasks have no bound, since there is nothing to be learnt of a road below wheels in
     the air. Raises ConfigError, which names the file, if it cannot be used.
     """
     native = load_road(path).length
-    length = min(max(native, MIN_LENGTH), MAX_LENGTH)
+    length = min(max(native, _MIN_LENGTH), _MAX_LENGTH)
     road = {"kind": "measured", "path": str(path), "length": length}
     if native < length:
         road["repeat"] = "mirror"
     surface = realise_road(road, 0)
-    if np.ptp(detrend_linear(surface.z)) < LEVEL_RANGE:
+    if np.ptp(detrend_linear(surface.z)) < _LEVEL_RANGE:
         raise ConfigError(f"{path}: a level surface, on which no estimate can be scored")
     letter = _surface_class(surface)
     try:
         speed, lifted = _choose_speed(surface)
     except SimulationError as error:
         raise ConfigError(
-            f"{path}: the vehicle cannot drive over it at {SPEEDS_KMH[-1]:g} km/h: {error}"
+            f"{path}: the vehicle cannot drive over it at {_SPEEDS_KMH[-1]:g} km/h: {error}"
         ) from None
     note = _describe_drive(native, length, speed, lifted)
     common = {
         "board": "measured",
         "version": 2,
-        "car": CAR,
+        "car": _CAR,
         "instruments": "paper",
-        "conditions": [{"mode": mode, "speed_kmh": speed} for mode in MODES],
-        "bound": lifted <= MAX_LIFTED_TIME,
+        "conditions": [{"mode": mode, "speed_kmh": speed} for mode in _MODES],
+        "bound": lifted <= _MAX_LIFTED_TIME,
         "test": {"roads": [road], "seeds": [1001], "step": 0.0005},
         "bumps": True,
         "source": path.name,
@@ -85,7 +82,7 @@ def surface_tasks(path: Path) -> list[Task]:
     others = {
         "name": f"{stem}_new_road",
         "title": f"{path.stem}: trained on random roads of class {letter}, the class of this file",
-        "training": {"roads": [f"iso_{letter.lower()}"], "seeds": list(SEEDS), "length": 100.0},
+        "training": {"roads": [f"iso_{letter.lower()}"], "seeds": list(_SEEDS), "length": 100.0},
         "note": f"{note} The class of the training roads was computed from the file; on a drive it "
         "would have to be estimated.",
     }
@@ -95,18 +92,18 @@ def surface_tasks(path: Path) -> list[Task]:
 def _choose_speed(surface: Surface) -> tuple[float, float]:
     """Return the speed [km/h] of the drives, and the share of time with a wheel in the air.
 
-    The share is the largest over MODES. Raises SimulationError if no speed can be driven.
+    The share is the largest over _MODES. Raises SimulationError if no speed can be driven.
     """
-    car = load_vehicle(CAR)
-    for speed in SPEEDS_KMH:
+    car = load_vehicle(_CAR)
+    for speed in _SPEEDS_KMH:
         try:
-            motions = [simulate(car, surface, speed / 3.6, mode) for mode in MODES]
+            motions = [simulate(car, surface, speed / 3.6, mode) for mode in _MODES]
         except SimulationError:
-            if speed == SPEEDS_KMH[-1]:
+            if speed == _SPEEDS_KMH[-1]:
                 raise
             continue
         lifted = max(float(np.mean((m.tyre_load <= 0.0).any(axis=1))) for m in motions)
-        if lifted <= MAX_LIFTED_TIME:
+        if lifted <= _MAX_LIFTED_TIME:
             break
     return speed, lifted
 
@@ -118,8 +115,8 @@ def _describe_drive(native: float, length: float, speed: float, lifted: float) -
         part = f"The first {length:.0f} m of {native:.0f} m are driven"
     elif round(native) < round(length):
         part = f"The surface of {native:.0f} m is driven, mirrored up to {length:.0f} m,"
-    end = "." if speed == SPEEDS_KMH[0] else ": at higher speeds wheels leave the ground."
-    if lifted > MAX_LIFTED_TIME:
+    end = "." if speed == _SPEEDS_KMH[0] else ": at higher speeds wheels leave the ground."
+    if lifted > _MAX_LIFTED_TIME:
         end = (
             f", where a wheel is still in the air for {lifted:.1%} of the time: the road below it "
             "cannot be known, and no bound is given."

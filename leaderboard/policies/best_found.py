@@ -10,8 +10,8 @@ what it pays later.
 
 Most of a drive's price, and nearly all of what two searches differ by, is in its severe manoeuvre.
 So every sweep of a whole drive is followed by some of its dearest window, which are annealed: the
-costs of the trials are raised by random shares, at first of HEAT, which fall to none. The best plan
-of a whole drive is kept, so the result is at least as good as every policy that it starts from. It
+costs of the trials are raised by random shares, which fall from _HEAT to none. The best plan of a
+whole drive is kept, so the result is at least as good as every policy that it starts from. It
 knows the road ahead and is no attainable policy; a longer search may find more, and how much two
 searches differ by tells how much that may be.
 """
@@ -27,23 +27,23 @@ from road_envs.envs.instrumented_fleet import InstrumentedFleet
 from road_envs.kernels.simd import LANES
 from road_envs.policies.rollout import VIOLATION_PRICE, Drives, Rollout, replay
 
-HOLD_TIME = 0.2  # time [s] between choices of the beam
+_HOLD_TIME = 0.2  # time [s] between choices of the beam
 
-SWEEP_TIME, HORIZON = 0.1, 2.4
+_SWEEP_TIME, _HORIZON = 0.1, 2.4
 """Time [s] between choices of a sweep, and over which they are compared."""
 
-LONGEST_SECTION = 1.2
+_LONGEST_SECTION = 1.2
 """Longest time [s] for which a choice of a sweep is held; times are uniform in their logarithm."""
 
-SECTIONS = 3  # times for which each pair is tried at each choice
+_SECTIONS = 3  # times for which each pair is tried at each choice
 
-TRIAL_TIME, FINALISTS = 0.4, LANES
+_TRIAL_TIME, _FINALISTS = 0.4, LANES
 """Time [s] after which only the best trials of a choice go on, and their number."""
 
-WINDOW, WINDOW_SWEEPS = 5.5, 5
+_WINDOW, _WINDOW_SWEEPS = 5.5, 5
 """Length [s] of the dearest window, and its sweeps after each one of the whole drive."""
 
-HEAT, COOLING = 0.02, 0.7
+_HEAT, _COOLING = 0.02, 0.7
 """Mean share by which the costs of trials are raised at first; share of the sweeps until none."""
 
 SWEEPS = 6  # sweeps of the whole drive by default
@@ -100,10 +100,10 @@ def _best(plans: Sequence[np.ndarray], drives: Drives) -> np.ndarray:
 def climb(drives: Drives, i: int, best: np.ndarray, sweeps: int, rng: np.random.Generator) -> None:
     """Replace the plan `best` (T,) of drive number `i` by better ones, in `sweeps` of the drive."""
     prices, plan = _prices(drives, i, best), best.copy()
-    least, length = prices.sum(), round(WINDOW / drives.setup.interval)
+    least, length = prices.sum(), round(_WINDOW / drives.setup.interval)
     for k in range(sweeps):
-        heat = HEAT * max(1.0 - k / (COOLING * sweeps), 0.0)
-        for part in range(1 + WINDOW_SWEEPS):
+        heat = _HEAT * max(1.0 - k / (_COOLING * sweeps), 0.0)
+        for part in range(1 + _WINDOW_SWEEPS):
             if not heat:
                 plan = best.copy()
             if part == 0:
@@ -123,7 +123,7 @@ def beam(drives: Drives, i: int) -> tuple[np.ndarray, float]:
     fleet = _started(drives, i, pairs * pairs)
     # vehicle k drives child k % pairs of parent k // pairs: each parent tries every pair
     child = np.arange(fleet.n_vehicles) % pairs
-    hold, score = max(1, round(HOLD_TIME / setup.interval)), np.zeros(fleet.n_vehicles)
+    hold, score = max(1, round(_HOLD_TIME / setup.interval)), np.zeros(fleet.n_vehicles)
     history = np.zeros((0, fleet.n_vehicles), dtype=np.int64)
     running = bool((fleet.steps_left > 0).all())
     while running:
@@ -150,16 +150,16 @@ def sweep(
 ) -> None:  # fmt: skip
     """Improve the `plan` (T,) of actions of drive number `i` in place, from `first` to `stop`."""
     setup, pairs = drives.setup, len(drives.setup.command_bytes)
-    fleet, few = (_started(drives, i, size) for size in (pairs * SECTIONS, FINALISTS))
+    fleet, few = (_started(drives, i, size) for size in (pairs * _SECTIONS, _FINALISTS))
     pair = np.arange(fleet.n_vehicles) % pairs
-    times = SWEEP_TIME, TRIAL_TIME, HORIZON
+    times = _SWEEP_TIME, _TRIAL_TIME, _HORIZON
     hold, trial, horizon = (max(1, round(time / setup.interval)) for time in times)
     end = int(fleet.steps_left[0]) // fleet.steps
     for action in plan[:first]:
         fleet.advance(int(setup.command_bytes[action]))
     for k in range(first, min(stop or end, end), hold):
         kept = plan[k : min(k + horizon, end)]
-        seconds = np.exp(rng.uniform(np.log(SWEEP_TIME), np.log(LONGEST_SECTION), SECTIONS))
+        seconds = np.exp(rng.uniform(np.log(_SWEEP_TIME), np.log(_LONGEST_SECTION), _SECTIONS))
         lengths = np.repeat(np.maximum(1, np.rint(seconds / setup.interval)), pairs)
         lengths[0] = 0.0  # the plan as it is
         # vehicle v commands its pair for the length of its section, and then the plan
@@ -171,7 +171,7 @@ def sweep(
                 state = fleet.copy_state()
         # the plan as it is goes on in any case
         order = np.where(np.arange(cost.size) > 0, cost, -np.inf)
-        alive = np.argsort(order, kind="stable")[:FINALISTS]
+        alive = np.argsort(order, kind="stable")[:_FINALISTS]
         fleet.copy_vehicles(alive)
         few.restore_state([field[:1] for field in fleet.state])  # the first block of lanes
         for row in trials[trial:, alive]:
@@ -185,7 +185,7 @@ def sweep(
 
 def _prices(drives: Drives, i: int, plan: np.ndarray) -> np.ndarray:
     """Return the price [m²/s³] of every interval of drive number `i` under a plan (T,)."""
-    fleet = _started(drives, i, FINALISTS)
+    fleet = _started(drives, i, _FINALISTS)
     commands = drives.setup.command_bytes[plan[: int(fleet.steps_left[0]) // fleet.steps]]
     return np.array([_price(fleet.advance(int(byte)), fleet)[0] for byte in commands])
 

@@ -7,12 +7,15 @@ bootstraps over the drives, a drive and its mirror image together.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from leaderboard.entries.entry import describe_error
 from leaderboard.policies import best_found
 from leaderboard.policies.best_found import Progress
+from leaderboard.report.figures import rounded
 from road_envs.core.config import validate_choice
 from road_envs.envs.safe4s4 import Safe4S4Setup
 from road_envs.envs.safe_drives import SafeDrive
@@ -23,7 +26,7 @@ BEST_FOUND = "best found"  # name of the row of `best_found.search`
 REFERENCE = "rrms"  # policy that differences refer to by default
 PUBLIC_DRIVES = 8  # number of public drives; each is driven to both sides
 
-SEARCH_SEEDS, BOOTSTRAPS = (1, 2), 2000
+_SEARCH_SEEDS, _BOOTSTRAPS = (1, 2), 2000
 
 TIE = 0.01  # difference of scores [m²/s⁴] within which two policies are even on a drive
 
@@ -42,6 +45,9 @@ def members(drives: Drives, group: str) -> np.ndarray:
     """Return which drives (N,) belong to one of GROUPS."""
     field, value = GROUPS[group]
     return np.array([getattr(start.description, field) == value for start in drives.starts])
+
+
+_round = partial(rounded, digits=5)  # more is noise, and people read the file
 
 
 @dataclass(frozen=True)
@@ -82,12 +88,11 @@ def compare(
         try:
             rollouts[name] = drive_all(policy, drives)
         except Exception as error:  # a failing policy must not stop the comparison
-            message = " ".join(str(error).split()) or "no message"
-            failures[name] = f"{type(error).__name__}: {message}"
+            failures[name] = describe_error(error)
     if sweeps and rollouts:
         rows = [rollout.actions for rollout in rollouts.values()]
         rollouts[BEST_FOUND], searched = best_found.search(
-            drives, rows, SEARCH_SEEDS, sweeps=sweeps,
+            drives, rows, _SEARCH_SEEDS, sweeps=sweeps,
             progress=lambda text, share: progress(f"best found: {text}", 0.3 + 0.7 * share),
         )  # fmt: skip
         searches = [[_round(x) for x in scores] for scores in searched]
@@ -118,7 +123,6 @@ def label(drive: SafeDrive) -> str:
 
 
 def _row(name: str, rollout: Rollout, base: Rollout | None, drives: Drives) -> dict[str, Any]:
-    """Return the row of a policy as plain data."""
     groups = {group: members(drives, group) for group in GROUPS}
     score, violated, totals = rollout.score, rollout.violated, rollout.totals
     row: dict[str, Any] = {
@@ -158,15 +162,10 @@ def interval(x: np.ndarray, mirrored: bool = True) -> dict[str, float]:
     pairs = np.atleast_2d(x)
     pairs = pairs.reshape(len(pairs), -1, 1 + mirrored).mean(axis=2)
     rng, (seeds, drives) = np.random.default_rng(0), pairs.shape
-    drawn = rng.integers(0, drives, (BOOTSTRAPS, 1, drives))
-    means = pairs[rng.integers(0, seeds, (BOOTSTRAPS, seeds, 1)), drawn].mean(axis=(1, 2))
+    drawn = rng.integers(0, drives, (_BOOTSTRAPS, 1, drives))
+    means = pairs[rng.integers(0, seeds, (_BOOTSTRAPS, seeds, 1)), drawn].mean(axis=(1, 2))
     low, high = np.quantile(means, [0.025, 0.975])
     return {"mean": _round(pairs.mean()), "low": _round(low), "high": _round(high)}
-
-
-def _round(x: float) -> float:
-    """Return `x` with five digits: more is noise, and people read the file."""
-    return float(f"{x:.5g}")
 
 
 def table_lines(data: Mapping[str, Any]) -> list[str]:

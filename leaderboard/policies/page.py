@@ -11,16 +11,18 @@ from leaderboard.report.figures import QUIET, Chart, axis, chart
 from leaderboard.report.rendering import BOARD_PAGE, POLICY_PAGE, render, write_static
 from road_envs.core.atomic_io import write_text
 
-SHOWN_DRIVE = 0  # number of the drive that is shown over time
+_SHOWN_DRIVE = 0  # number of the drive that is shown over time
 
-SHOWN_POLICIES = 8
+_SHOWN_POLICIES = 8
 """Policies of the chart and of the drive over time: the best of the table, and the reference."""
 
 
 def timelines(comparison: Comparison) -> dict[str, Timeline]:
     """Return the shown drive under each of the shown policies."""
     return {
-        name: Timeline.from_drive(comparison.drives, SHOWN_DRIVE, comparison.rollouts[name].actions)
+        name: Timeline.from_drive(
+            comparison.drives, _SHOWN_DRIVE, comparison.rollouts[name].actions
+        )
         for name in _shown_policies(comparison.data)
     }
 
@@ -50,7 +52,7 @@ def _render_page(
         best_found=BEST_FOUND,
         groups=present,
         scores=_score_chart(data) if _shown_policies(data) else None,
-        shown=data["drives"][SHOWN_DRIVE],
+        shown=data["drives"][_SHOWN_DRIVE],
         drives=drive_chart(lines) if lines else None,
         board=board,
         policies=True,
@@ -60,7 +62,7 @@ def _render_page(
 def _shown_policies(data: Mapping[str, Any]) -> list[str]:
     """Return the policies that charts show: the best rows, and the reference."""
     names = [row["policy"] for row in data["rows"] if not row["failure"]]
-    return [n for k, n in enumerate(names) if k < SHOWN_POLICIES or n == data["reference"]]
+    return [n for k, n in enumerate(names) if k < _SHOWN_POLICIES or n == data["reference"]]
 
 
 def _score_chart(data: Mapping[str, Any]) -> Chart:

@@ -41,10 +41,10 @@ OPTIONS: Mapping[str, Any] = {
 }
 SEEDS = range(4)  # seeds of the roads, one for each vehicle
 
-REFUSALS = ("ConfigError", "ValueError", "NotImplementedError")
+_REFUSALS = ("ConfigError", "ValueError", "NotImplementedError")
 """Errors by which a policy may refuse an action space or an observation on purpose."""
 
-LONGEST_DRIVE = 30.0
+_LONGEST_DRIVE = 30.0
 """Duration [s] of the longest drive of a comparison, for which the run time is predicted."""
 
 
@@ -83,10 +83,10 @@ def check_policy(
         return [*results, *_costs(limits, seconds, policy.peak_memory)]
 
 
-Verdict = tuple[bool | None, str]
+_Verdict = tuple[bool | None, str]
 
 
-def _attempt(name: str, check: Callable[[], Verdict], policy: PolicyProcess) -> CheckResult:
+def _attempt(name: str, check: Callable[[], _Verdict], policy: PolicyProcess) -> CheckResult:
     try:
         passed, message = check()
     except (PolicyError, ConfigError) as error:
@@ -95,14 +95,14 @@ def _attempt(name: str, check: Callable[[], Verdict], policy: PolicyProcess) -> 
     return CheckResult(name, passed, message)
 
 
-def _with_refusals(attempts: Mapping[str, Callable[[], object]]) -> Verdict:
-    """Run attempts by description; a refusal by an error of REFUSALS is noted, not failed."""
+def _with_refusals(attempts: Mapping[str, Callable[[], object]]) -> _Verdict:
+    """Run attempts by description; a refusal by an error of _REFUSALS is noted, not failed."""
     refused = []
     for what, attempt in attempts.items():
         try:
             attempt()
         except PolicyError as error:
-            if not str(error).startswith(REFUSALS):
+            if not str(error).startswith(_REFUSALS):
                 return False, f"{what}: {error}"
             refused.append(f"{what} refused: {str(error).partition(': ')[2]}")
     return (None, "; ".join(refused)) if refused else (True, f"{', '.join(attempts)}: valid")
@@ -113,17 +113,17 @@ def _short(policy: PolicyProcess, **changed: Any) -> Callable[[], object]:
     return lambda: roll_out(policy, options, SEEDS[:2], store_observations=False)
 
 
-def _repeat(reference, settings, limits, actions: np.ndarray) -> Verdict:
+def _repeat(reference, settings, limits, actions: np.ndarray) -> _Verdict:
     with PolicyProcess(reference, settings, limits) as fresh:
         return _compare(roll_out(fresh, dict(OPTIONS), SEEDS).actions, actions, "driven twice")
 
 
-def _reset(policy: PolicyProcess, actions: np.ndarray) -> Verdict:
+def _reset(policy: PolicyProcess, actions: np.ndarray) -> _Verdict:
     again = roll_out(policy, dict(OPTIONS), SEEDS).actions
     return _compare(again, actions, "after other drives")
 
 
-def _alone(policy: PolicyProcess, actions: np.ndarray) -> Verdict:
+def _alone(policy: PolicyProcess, actions: np.ndarray) -> _Verdict:
     alone = roll_out(policy, dict(OPTIONS), SEEDS[:1]).actions
     passed, message = _compare(alone[:, 0], actions[: len(alone), 0], "driven alone")
     if passed:
@@ -131,14 +131,14 @@ def _alone(policy: PolicyProcess, actions: np.ndarray) -> Verdict:
     return None, f"{message}: a comparison depends on which roads are driven together"
 
 
-def _compare(found: np.ndarray, expected: np.ndarray, when: str) -> Verdict:
+def _compare(found: np.ndarray, expected: np.ndarray, when: str) -> _Verdict:
     if found.shape != expected.shape:
         return False, f"{when}: another number of intervals"
     different = int(np.count_nonzero(found != expected))
     return different == 0, f"{when}: {different} of {expected.size} actions differ"
 
 
-def _damaged_sensors(policy: PolicyProcess, observations: np.ndarray) -> Verdict:
+def _damaged_sensors(policy: PolicyProcess, observations: np.ndarray) -> _Verdict:
     setup = EnvSetup({**OPTIONS, "truth": False})
     context = PolicyContext.from_setup(setup, len(SEEDS), POLICY_SEED)
     slices = setup.observation_slices
@@ -157,7 +157,7 @@ def _costs(limits: Limits, seconds: Sequence[float], memory: float) -> list[Chec
     `seconds` are those of each call with the vehicles of SEEDS; the longest call, which may prepare
     tables, counts once.
     """
-    calls = SafeOptions().control_rate * LONGEST_DRIVE
+    calls = SafeOptions().control_rate * _LONGEST_DRIVE
     once = max(seconds)
     per_call = (sum(seconds) - once) / max(len(seconds) - 1, 1)
     predicted = once + per_call * calls * 2 * PUBLIC_DRIVES / len(SEEDS)

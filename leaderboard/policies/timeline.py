@@ -11,22 +11,22 @@ from road_envs.simulation.drive import Trajectory
 from road_envs.vehicle.equations import PHI, Z_B
 from road_envs.vehicle.suspension import MODES, WHEELS, decode_commands
 
-POINTS_PER_SECOND = 50.0  # sample rate [Hz] of the drawn curves
+_POINTS_PER_SECOND = 50.0  # sample rate [Hz] of the drawn curves
 
 MODE_NAMES = tuple(MODES)
-MODE_COLOURS = {
+_MODE_COLOURS = {
     "handling": "var(--line-0)",
     "soft_high": "var(--line-1)",
     "stiff_low": "var(--line-3)",
 }
 """Colours of the states; ride mode is drawn as a gap."""
 
-LOAD_COLOURS = (INK, "var(--line-1)", "var(--line-2)", "var(--line-3)")
+_LOAD_COLOURS = (INK, "var(--line-1)", "var(--line-2)", "var(--line-3)")
 """Colours of the loads of WHEELS."""
 
-AXLES = ("rear", "front")  # axles in the order of their strips, from below
+_AXLES = ("rear", "front")  # axles in the order of their strips, from below
 
-DOMAINS = ((0.80, 1.0), (0.58, 0.72), (0.27, 0.50), (0.0, 0.19))
+_DOMAINS = ((0.80, 1.0), (0.58, 0.72), (0.27, 0.50), (0.0, 0.19))
 """Share of the height of each panel."""
 
 
@@ -45,7 +45,7 @@ class Timeline(NamedTuple):
 
     @classmethod
     def from_drive(cls, drives: Drives, i: int, actions: np.ndarray) -> "Timeline":
-        """Return drive number `i` under `actions` (T, N), sampled at POINTS_PER_SECOND."""
+        """Return drive number `i` under `actions` (T, N), sampled at _POINTS_PER_SECOND."""
         setup, start = drives.setup, drives.starts[i]
         fleet = setup.make_fleet(keep_signals=True)
         fleet.start(0, start.drive, start.logger, start.speed_kmh)
@@ -55,7 +55,7 @@ class Timeline(NamedTuple):
             parts.append(fleet.last_interval(0, int(byte)))
             if ended:
                 break
-        sampled = slice(None, None, max(1, round(1.0 / (POINTS_PER_SECOND * fleet.step))))
+        sampled = slice(None, None, max(1, round(1.0 / (_POINTS_PER_SECOND * fleet.step))))
         names = ("t", "s", "v", "commands", "signals")
         motion = Trajectory(
             *(np.concatenate([getattr(part, name) for part in parts])[sampled] for name in names)
@@ -87,11 +87,11 @@ def drive_chart(timelines: Mapping[str, Timeline]) -> Chart:
     names = ("yaxis", "yaxis2", "yaxis3", "yaxis4")
     axes = (
         axis("tyre load [kN]", 0.0, load),
-        axis("", type="category", categoryorder="array", categoryarray=AXLES, range=[-0.5, 1.5]),
+        axis("", type="category", categoryorder="array", categoryarray=_AXLES, range=[-0.5, 1.5]),
         axis("heave [m/s²]", -heave, heave),
         axis("roll [deg]", -roll, roll),
     )
-    for name, one, domain in zip(names, axes, DOMAINS, strict=True):
+    for name, one, domain in zip(names, axes, _DOMAINS, strict=True):
         layout[name] = {**one, "domain": domain, "nticks": 4}
     figures = {name: {"data": _drive_data(line)} for name, line in timelines.items()}
     return chart("One drive over time", figures, layout, by=("policy",))
@@ -102,7 +102,7 @@ def _drive_data(line: Timeline) -> list[dict[str, Any]]:
     curves = (
         *(
             (f"load {wheel}", load, "y", colour, f"{wheel} %{{y:.1f}} kN")
-            for wheel, load, colour in zip(WHEELS, loads, LOAD_COLOURS, strict=True)
+            for wheel, load, colour in zip(WHEELS, loads, _LOAD_COLOURS, strict=True)
         ),
         ("heave acceleration", heave[0], "y3", INK, "%{y:.2f} m/s²"),
         ("roll", roll[0], "y4", INK, "%{y:.2f}°"),
@@ -128,7 +128,7 @@ def _drive_data(line: Timeline) -> list[dict[str, Any]]:
 def _state_bars(line: Timeline) -> list[dict[str, Any]]:
     """Return a bar for each time in which an axle is commanded to another state than ride."""
     bars: dict[str, dict[str, list[Any]]] = {
-        mode: {"y": [], "base": [], "x": []} for mode in MODE_COLOURS
+        mode: {"y": [], "base": [], "x": []} for mode in _MODE_COLOURS
     }
     t = line.t - line.t[0]
     for axle, states in zip(("front", "rear"), line.states, strict=True):
@@ -151,5 +151,5 @@ def _state_bars(line: Timeline) -> list[dict[str, Any]]:
             "showlegend": True,
             "hovertemplate": "%{y}: from %{base:.2f} s for %{x:.2f} s",
         }
-        for mode, colour in MODE_COLOURS.items()
+        for mode, colour in _MODE_COLOURS.items()
     ]

@@ -2,12 +2,11 @@
 
 import json
 import re
-import shutil
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from road_envs.core.atomic_io import atomic_write, write_text
+from road_envs.core.atomic_io import copy_file, write_text
 from road_envs.core.extras import optional_import
 
 STATIC = Path(__file__).parent / "static"
@@ -70,9 +69,6 @@ def write_static(out: Path) -> list[str]:
     """Copy the shared files of a site into `out`; return their names."""
     names = []
     for source in sorted(STATIC.iterdir()):
-        name = f"{STATIC.name}/{source.name}"
-        (out / STATIC.name).mkdir(parents=True, exist_ok=True)
-        with atomic_write(out / name) as partial:
-            shutil.copyfile(source, partial)
-        names.append(name)
+        names.append(f"{STATIC.name}/{source.name}")
+        copy_file(source, out / names[-1])
     return names

@@ -228,7 +228,6 @@ def _board_provenance(board: Board) -> list[tuple[str, str]]:
 
 
 def _result_provenance(board: Board, task: Task, result: Result) -> list[tuple[str, str]]:
-    """Return the provenance of one result, by label."""
     facts = {
         "file": f"results/{result.task}/{result.estimator}.json",
         "task": f"version {task.version}, digest {result.task_digest}",

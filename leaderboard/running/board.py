@@ -22,7 +22,7 @@ from leaderboard.running.plan import Plan, PlannedRow, check_owners, make_jobs
 from leaderboard.running.verification import Verified, load_verified, save_definition
 from leaderboard.sandbox.limits import Limits
 from road_envs.core.atomic_io import (
-    atomic_write,
+    copy_file,
     remove_stale_partials,
     remove_stale_temp,
     write_text,
@@ -66,9 +66,6 @@ class RunRequest:
             for x in [*self.entries, *(baselines[name] for name in baseline_names(task))]
         ]
 
-
-JobProgress = Callable[[int, int, str], None]
-"""Callback after each stored result: number of results, total number, description of the last."""
 
 ATTEMPTS = 3
 """Number of attempts to make results while another process changes them."""
@@ -145,10 +142,11 @@ def run_board(
     request: RunRequest,
     out: Path,
     executor: Executor,
-    progress: JobProgress = lambda done, total, text: None,
+    progress: Callable[[str, float], None] = lambda text, share: None,
 ) -> Board:
     """Run the missing results of a request, store them under `out` and return the whole board.
 
+    `progress` takes a description of the last stored result and the share of them that are done.
     Failed results are run again. Raises ConfigError if a file of a newer version or the row of
     another entry would have to be replaced, before anything is run, and the exceptions of the
     executor.
@@ -163,15 +161,15 @@ def run_board(
     for _ in range(ATTEMPTS):
         jobs = make_jobs(plan.missing(), executor.workers, request.limits)
         total = sum(len(job.entries) for job in jobs)
-        progress(0, total, "starting")
+        progress("starting", 0.0)
         for k, done in enumerate(executor.run(jobs, out), start=1):
             plan.record_part(done)
-            progress(k, total, f"{done.task}: {done.entry}, {done.condition}")
+            progress(f"{done.task}: {done.entry}, {done.condition}", k / total)
         if plan.assemble_rows():
             if request.probes:
                 entries = [row.entry for row in rows]
                 conformance_results.probe_entries(
-                    entries, out, request.limits, lambda text: progress(1, 1, text)
+                    entries, out, request.limits, lambda text: progress(text, 1.0)
                 )
             return load_board(request.sized_tasks(), out, rows)
     raise ConfigError(
@@ -193,9 +191,7 @@ def write_jobs(request: RunRequest, out: Path, folder: Path) -> int:
         text, sources = to_packed_text(job)
         for name, source in sources.items():
             if not (folder / name).exists():
-                (folder / name).parent.mkdir(parents=True, exist_ok=True)
-                with atomic_write(folder / name) as partial:
-                    partial.write_bytes(source.read_bytes())
+                copy_file(source, folder / name)
         write_text(folder / f"{k}.json", text)
     return len(missing)
 

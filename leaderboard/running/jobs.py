@@ -170,11 +170,11 @@ def run_job_file(spec: Path, out: Path) -> Iterator[JobDone]:
     """
     remove_stale_temp()
     job = from_text(spec.read_text(encoding="utf-8"), str(spec), spec.parent)
-    with JobRunner(out) as runner:
+    with _JobRunner(out) as runner:
         yield from runner.run(job)
 
 
-class JobRunner(contextlib.ExitStack):
+class _JobRunner(contextlib.ExitStack):
     """Runs jobs one after the other and stores their results in `out`; a context manager.
 
     Their limits are those of the first. Jobs of one condition that follow each other share drives.
@@ -207,7 +207,7 @@ def make_handler(folder: str | None) -> messages.Handler:
     """
     remove_stale_temp()
     assert folder is not None
-    runner = JobRunner(Path(folder))
+    runner = _JobRunner(Path(folder))
 
     def handle(request: dict[str, Any], arrays: list[Any]) -> messages.Reply:
         if request["do"] == "close":

@@ -36,16 +36,16 @@ from leaderboard.sandbox.retest import LOOKS_AHEAD, NOT_RETESTED, REMEMBERS
 from road_envs.core.artifacts import Kind
 from road_envs.core.config import ConfigError, Settings, build
 
-DEFINITION = Kind("task", 1)
-VERIFICATION = Kind("verification", 1)
+_DEFINITION = Kind("task", 1)
+_VERIFICATION = Kind("verification", 1)
 
 SHARE = 0.1
 """Share of the drives of a task that are run again."""
 
-NOTES = (LOOKS_AHEAD, REMEMBERS, NOT_RETESTED, ONE_TRAINING)
+_NOTES = (LOOKS_AHEAD, REMEMBERS, NOT_RETESTED, ONE_TRAINING)
 """What a judge may find out about an entry by chance, and not again."""
 
-DECIDE_DIGITS = ("numpy", "scipy", "numba", "torch", "processor", "blas")
+_DECIDE_DIGITS = ("numpy", "scipy", "numba", "torch", "processor", "blas")
 """Parts of the environment of a result that decide its last digits."""
 
 
@@ -95,14 +95,14 @@ def save_definition(task: Task, out: Path) -> None:
     path = out / "definitions" / f"{task.digest}.json"
     if not path.exists():
         plain = with_paths(to_json_types(task), os.path.abspath)
-        DEFINITION.write(path, {"task": plain}, task.digest)
+        _DEFINITION.write(path, {"task": plain}, task.digest)
 
 
 def _load_definitions(out: Path) -> list[Task]:
     """Tasks of a folder of results, by name. Raises ConfigError for a damaged or foreign file."""
     tasks = []
     for path in (out / "definitions").glob("*.json"):
-        data, _ = DEFINITION.read(path)
+        data, _ = _DEFINITION.read(path)
         task = build(Task, data["task"], str(path))
         if task.digest != path.stem:
             raise ConfigError(
@@ -120,7 +120,7 @@ def load_verified(out: Path) -> dict[str, list[Verified]]:
         return [build(Verified, row, "verified.json") for row in data["rows"]]
 
     by_row: dict[str, list[Verified]] = {}
-    for row in VERIFICATION.find(out / "verified.json", "", parse) or []:
+    for row in _VERIFICATION.find(out / "verified.json", "", parse) or []:
         by_row.setdefault(row.identity, []).append(row)
     return by_row
 
@@ -130,7 +130,7 @@ def save_verified(found: Iterable[Verified], out: Path) -> None:
     earlier = [row for rows in load_verified(out).values() for row in rows]
     rows = {(row.identity, row.kernels): row for row in [*earlier, *found] if not row.reason}
     content = {"rows": [dataclasses.asdict(row) for row in rows.values()]}
-    VERIFICATION.write(out / "verified.json", content)
+    _VERIFICATION.write(out / "verified.json", content)
 
 
 def verify_folder(
@@ -201,7 +201,7 @@ def _verify_row(
     ranks_by = task.board_definition.ranks_by
     compared = SCORES if same else [ranks_by]
     pairs: list[tuple[dict[str, float], dict[str, float]]] = []
-    notes = {f"{row.estimator}: {note}" for note in NOTES}
+    notes = {f"{row.estimator}: {note}" for note in _NOTES}
     for condition, drives in data.items():
         made = evaluate.evaluate_entry(task, condition, drives, entry, row.seeds, run)
         if made.failure is not None:
@@ -258,5 +258,5 @@ def _other_claim(row: Result, made: Result) -> str | None:
 def _tolerance(row: Result) -> float:
     """Return the tolerance for what was made with the kernels of `row` and is made again here."""
     here = describe_environment()
-    same = all(row.environment.get(name) == here.get(name) for name in DECIDE_DIGITS)
+    same = all(row.environment.get(name) == here.get(name) for name in _DECIDE_DIGITS)
     return comparison.SAME_KERNELS if same else comparison.OTHER_KERNELS

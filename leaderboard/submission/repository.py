@@ -6,7 +6,6 @@ seasons/              hidden test sets: published hashes, later the tasks
 ci/verify.sh          verifies the submissions that a branch changes and builds the site
 """
 
-import shutil
 from importlib import resources
 from pathlib import Path
 
@@ -21,17 +20,17 @@ from leaderboard.running.verification import save_definition
 from leaderboard.sandbox.limits import Limits
 from leaderboard.submission.rules import RULES, load_rules, make_run_request
 from leaderboard.submission.submission import CARD, load_submission
-from road_envs.core.atomic_io import write_text
+from road_envs.core.atomic_io import copy_file, write_text
 from road_envs.core.config import ConfigError
 
-SUBMISSIONS = "submissions"
+_SUBMISSIONS = "submissions"
 TEMPLATE = {
     "README.md": "readme.txt",
     RULES: "rules.txt",
     "ci/verify.sh": "verify.txt",
     ".github/workflows/verify.yml": "workflow.txt",
     ".github/ISSUE_TEMPLATE/submission.yml": "issue_form.txt",
-    f"{SUBMISSIONS}/README.md": "submissions.txt",
+    f"{_SUBMISSIONS}/README.md": "submissions.txt",
     "seasons/README.md": "seasons.txt",
     ".gitignore": "gitignore.txt",
 }
@@ -59,9 +58,9 @@ def build_site(repository: Path, out: Path) -> Path:
     damaged submission, if there is none, and for a row in `out` that is of none.
     """
     rules, tasks = load_rules(repository / RULES)
-    folders = sorted(path.parent for path in (repository / SUBMISSIONS).glob("*/submission.json"))
+    folders = sorted(path.parent for path in (repository / _SUBMISSIONS).glob("*/submission.json"))
     if not folders:
-        raise ConfigError(f"{repository / SUBMISSIONS} has no submission")
+        raise ConfigError(f"{repository / _SUBMISSIONS} has no submission")
     written: set[Path] = set()
     for folder in folders:
         record = load_submission(folder)
@@ -71,10 +70,10 @@ def build_site(repository: Path, out: Path) -> Path:
                 written.add(target)
                 row = store.load(path)
                 card = card_path(out, card_identity(row.estimator, row.settings, row.code))
-                _copy(path, target)
+                copy_file(path, target)
                 if (probed := folder / card.relative_to(out)).exists():
-                    _copy(probed, card)
-        _copy(folder / CARD, method_card_path(out, record.name))
+                    copy_file(probed, card)
+        copy_file(folder / CARD, method_card_path(out, record.name))
     for path in {*(out / "results").rglob("*.json"), *out.glob("verified.json")} - written:
         raise ConfigError(f"{path}: of no submission; remove {out}")
     sized = make_run_request(rules, tasks, (), limits=Limits()).sized_tasks()
@@ -82,8 +81,3 @@ def build_site(repository: Path, out: Path) -> Path:
         save_definition(task, out)
     board = load_board(sized, out)
     return write_site(board, build_report(board), out)
-
-
-def _copy(source: Path, target: Path) -> None:
-    target.parent.mkdir(parents=True, exist_ok=True)
-    shutil.copyfile(source, target)

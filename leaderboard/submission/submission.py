@@ -24,7 +24,6 @@ from leaderboard.entries.entry import Entry
 from leaderboard.evaluation import store
 from leaderboard.evaluation.provenance import describe_environment, package_version
 from leaderboard.evaluation.tasks import Task
-from leaderboard.new_folder import new_folder
 from leaderboard.running.board import baseline_names, run_board
 from leaderboard.running.executors import ProcessExecutor
 from leaderboard.running.jobs import in_sandbox
@@ -34,19 +33,19 @@ from leaderboard.sandbox.limits import Limits
 from leaderboard.submission import signature
 from leaderboard.submission.rules import Rules, make_run_request
 from road_envs.core.artifacts import Kind
-from road_envs.core.atomic_io import TempFolder
+from road_envs.core.atomic_io import TempFolder, new_folder
 from road_envs.core.config import ConfigError, Settings, build
 
 SUBMISSION = Kind("submission", 1)
 RECORD, CARD = signature.RECORD, "card.yaml"
-UNSEALED = (RECORD, signature.FILE)  # files whose digests the record does not hold
+_UNSEALED = (RECORD, signature.FILE)  # files whose digests the record does not hold
 
 SUBMISSION_SHARE = 1.0
 """Share of the drives of a submission that are run again: a verification of some could be repeated
 until it misses the drives that were forged.
 """
 
-Progress = Callable[[str, float], None]
+_Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +68,7 @@ def make_submission(
     folder: Path,
     limits: Limits,
     workers: int = 1,
-    progress: Progress = lambda text, share: None,
+    progress: _Progress = lambda text, share: None,
 ) -> _Submission:
     """Check an entry, run it by the `rules` and write the folder of its submission.
 
@@ -87,11 +86,7 @@ def make_submission(
             progress(f"checking {entry.name}", 0.0)
             _refuse_failed_checks(entry, sandbox, limits)
         request = make_run_request(*rules, [entry], limits)
-
-        def shown(done: float, total: float, text: str) -> None:
-            progress(text, done / max(total, 1))
-
-        board = run_board(request, partial, ProcessExecutor(workers), shown)
+        board = run_board(request, partial, ProcessExecutor(workers), progress)
         for failed in (row for task in board.tasks for row in board.failed(task)):
             raise ConfigError(f"{failed.estimator} failed on {failed.task}: {failed.failure}")
         shutil.rmtree(partial / "jobs", ignore_errors=True)
@@ -134,7 +129,7 @@ def verify_submission(
     share: float = SUBMISSION_SHARE,
     seed: int | None = None,
     replaces: Path | None = None,
-    progress: Progress = lambda text, share: None,
+    progress: _Progress = lambda text, share: None,
 ) -> list[Verified]:
     """Verify a submission: files, card, signature, code, rows, and a `share` of its drives again.
 
@@ -215,7 +210,7 @@ def _files(folder: Path) -> Iterator[Path]:
             if path.is_symlink():
                 raise ConfigError(f"{path}: a submission has no links")
         for path in (Path(top, name) for name in names):
-            if path.relative_to(folder).as_posix() not in UNSEALED:
+            if path.relative_to(folder).as_posix() not in _UNSEALED:
                 yield path
 
 

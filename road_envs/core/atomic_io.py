@@ -12,6 +12,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from road_envs.core.config import ConfigError
+
 PARTIAL_SUFFIX = ".partial"  # suffix of a file that is still being written
 TEMP_PREFIX = "roadrecon-scratch-"  # prefix of the name of a temporary folder
 LOCK_INTERVAL = 0.02  # time [s] between two attempts to take a lock
@@ -45,6 +47,31 @@ def write_text(path: str | Path, text: str, *, durable: bool = False) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path, durable=durable) as partial:
         partial.write_text(text, encoding="utf-8")
+
+
+def copy_file(source: Path, target: Path) -> None:
+    """Copy the content of a file atomically, and create missing folders."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_write(target) as partial:
+        shutil.copyfile(source, partial)
+
+
+@contextmanager
+def new_folder(path: Path) -> Iterator[Path]:
+    """Yield an empty folder beside `path`, which gets that name when the block ends.
+
+    If the block raises, the folder is removed. Raises ConfigError if `path` exists.
+    """
+    if path.exists():
+        raise ConfigError(f"{path} exists; give a folder that does not")
+    partial = path.with_name(f".{path.name}{PARTIAL_SUFFIX}")
+    shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir(parents=True)
+    try:
+        yield partial
+        partial.rename(path)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
 
 
 def remove_stale_partials(folder: Path) -> None:

@@ -34,6 +34,14 @@ def optional_import(purpose: str) -> Iterator[None]:
         raise MissingExtraError(missing_extra(error, purpose)) from error
 
 
+def import_pandas() -> Any:
+    """Return `pandas`, for a table in a file. Raises MissingExtraError."""
+    with optional_import("a table as CSV or Parquet"):
+        import pandas as pd
+
+    return pd
+
+
 def import_pyarrow() -> tuple[Any, Any]:
     """Return `pyarrow` and `pyarrow.parquet`. Raises MissingExtraError."""
     with optional_import("a table as CSV or Parquet"):

@@ -217,8 +217,8 @@ def test_every_board_has_the_baselines(tmp_path):
 def test_progress_of_a_board_counts_up_to_its_end(tmp_path):
     steps_seen = []
     board(tmp_path, {"reader": Reader()}, seeds=(1,), progress=lambda *a: steps_seen.append(a))
-    assert [step[:2] for step in steps_seen] == [(k, 10) for k in range(11)]
-    assert steps_seen[1][2].startswith("small: ") and steps_seen[1][2].endswith("km/h")
+    assert [share for _, share in steps_seen] == [k / 10 for k in range(11)]
+    assert steps_seen[1][0].startswith("small: ") and steps_seen[1][0].endswith("km/h")
 
 
 def test_the_number_of_test_roads_can_be_reduced(tmp_path):

@@ -287,15 +287,15 @@ def test_a_cluster_without_shared_files_that_loses_a_worker_gives_the_same_board
     executor.workers = 3  # so that each worker has a job to lose
     done = []
 
-    def lose_a_worker(k, total, text):
-        done.append(k)
+    def lose_a_worker(text, share):
+        done.append(share)
         if len(done) == 2:
             workers[0].kill()
 
     board = run_board(request, tmp_path / "cluster", executor, lose_a_worker)
     assert rows(board) == expected and not board.failed(request.tasks[0])
     assert workers[0].wait() == -signal.SIGKILL
-    assert done[-1] == len(expected)
+    assert done[-1] == 1.0
     executor._client.close()
 
 
