@@ -15,8 +15,9 @@ import numpy as np
 from leaderboard.entries.entry import describe_error
 from leaderboard.policies import best_found
 from leaderboard.policies.best_found import Progress
+from leaderboard.policies.policy_process import PolicyProcess
 from leaderboard.report.figures import rounded
-from road_envs.core.config import validate_choice
+from road_envs.core.config import ConfigError, validate_choice
 from road_envs.envs.safe4s4 import Safe4S4Setup
 from road_envs.envs.safe_drives import SafeDrive
 from road_envs.policies.api import Policy
@@ -25,6 +26,9 @@ from road_envs.policies.rollout import Drives, Rollout, drive_all
 BEST_FOUND = "best found"  # name of the row of `best_found.search`
 REFERENCE = "rrms"  # policy that differences refer to by default
 PUBLIC_DRIVES = 8  # number of public drives; each is driven to both sides
+
+SHORTEST_SEAL = 16
+"""Number of characters of a seal: a policy can draw the drives of a thousand texts in a second."""
 
 _SEARCH_SEEDS, _BOOTSTRAPS = (1, 2), 2000
 
@@ -60,7 +64,15 @@ class Comparison:
 
 
 def public_drives(number: int = PUBLIC_DRIVES, seal: str | None = None) -> Drives:
-    """Return the public drives, or the sealed ones: both groups in turn, each to both sides."""
+    """Return the public drives, or the sealed ones: both groups in turn, each to both sides.
+
+    Raises ConfigError for a short `seal`.
+    """
+    if seal is not None and len(seal) < SHORTEST_SEAL:
+        raise ConfigError(
+            f"the seal must have at least {SHORTEST_SEAL} characters, got {len(seal)}: a policy "
+            "could guess it and draw the drives"
+        )
     setup = Safe4S4Setup({"split": "test" if seal is None else "sealed", "seal": seal})
     groups = [{"group": ("known", "unseen")[k % 2]} for k in range(number)]
     return Drives.mirrored(setup, range(number), groups)
@@ -89,6 +101,9 @@ def compare(
             rollouts[name] = drive_all(policy, drives)
         except Exception as error:  # a failing policy must not stop the comparison
             failures[name] = describe_error(error)
+        finally:
+            if isinstance(policy, PolicyProcess):
+                policy.close()  # nothing of it may run beside the next one
     if sweeps and rollouts:
         rows = [rollout.actions for rollout in rollouts.values()]
         rollouts[BEST_FOUND], searched = best_found.search(

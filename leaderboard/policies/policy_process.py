@@ -10,18 +10,20 @@ import time
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from leaderboard.entries import entry_files
+from leaderboard.entries.entries import NAME
 from leaderboard.entries.entry import EntryError
 from leaderboard.policies import policy_handler
-from leaderboard.sandbox import messages
+from leaderboard.sandbox import bubblewrap, messages
 from leaderboard.sandbox.guest import Guest
 from leaderboard.sandbox.launch import start_guest
 from leaderboard.sandbox.limits import Limits
 from road_envs.core.atomic_io import TempFolder
+from road_envs.core.config import ConfigError
 from road_envs.policies import FILE_SUFFIXES, entry_point, runs_foreign_code
 from road_envs.policies.api import PolicyContext, PolicyError
 
@@ -40,8 +42,12 @@ class PolicyProcess:
     """The policy `reference`, as `make_policy` takes it; a context manager, used like any policy.
 
     A process that has ended or exceeded a limit is replaced by a new one at the next `reset`; a
-    policy that has raised an error is made anew in its process. Raises PolicyError.
+    policy that has raised an error is made anew in its process. Raises PolicyError, and ConfigError
+    for an installed name that is none of a row.
     """
+
+    last_guest: ClassVar[tuple[str, int] | None] = None
+    """Reference of the last policy from outside, and the number of pipes before its guest."""
 
     def __init__(
         self,
@@ -49,8 +55,13 @@ class PolicyProcess:
         settings: Mapping[str, Any] | None = None,
         limits: Limits = POLICY_LIMITS,
     ):
-        # its process has another working folder
         is_file = reference.endswith(FILE_SUFFIXES)
+        if not (is_file or ":" in reference or NAME.fullmatch(reference)):
+            raise ConfigError(
+                "the name of a policy must be a letter and at most 39 letters, digits, - or _; "
+                f"its package calls it {reference!a}"
+            )
+        # its process has another working folder
         self.reference = str(Path(reference).absolute()) if is_file else reference
         self.settings = dict(settings or {})
         self.limits = limits
@@ -90,6 +101,8 @@ class PolicyProcess:
         self._temp = self._temp or TempFolder()
         self._temp.path.chmod(0o755)  # the process has another user
         code = self._code(self._temp.path / "code")
+        if code is not None:
+            self._forget_others()
         self._count += 1
         home, module = self._temp.path / str(self._count), policy_handler.__name__
         limits = replace(self.limits, seconds=LONGEST_COMPARISON)
@@ -109,6 +122,13 @@ class PolicyProcess:
             folder.mkdir()
             entry_files.snapshot(self.reference, folder)
         return folder
+
+    def _forget_others(self) -> None:
+        """Let the policy before, if it is another one, tell this one nothing of the drives."""
+        reference, pipes = PolicyProcess.last_guest or (self.reference, bubblewrap.count_pipes())
+        if reference != self.reference:
+            pipes = bubblewrap.forget_guests(pipes)
+        PolicyProcess.last_guest = self.reference, pipes
 
     def _call(self, task: str, data: np.ndarray) -> tuple[dict[str, Any], bytes]:
         """Send a request and return the reply. Raises PolicyError."""

@@ -25,7 +25,7 @@ from types import MappingProxyType
 
 from leaderboard.sandbox import seccomp
 from leaderboard.sandbox.limits import GIB, Limits
-from road_envs.core.code_digest import PACKAGES, ROOT
+from road_envs.core.code_digest import PACKAGES, ROOT, cache_home
 from road_envs.core.config import ConfigError
 
 HOME = Path("/tmp/guest")
@@ -148,6 +148,13 @@ def is_used(isolation: str) -> bool:
     if isolation == "bubblewrap" and (reason := obstacle()) is not None:
         raise ConfigError(f"{reason}; install it, or choose the isolation process")
     return isolation != "process" and obstacle() is None
+
+
+def forget_guests(before: int) -> int:
+    """Drop what guests have left since the count of pipes was `before`; return the count."""
+    forget_pipes(before)
+    forget_reads([cache_home()])
+    return count_pipes()
 
 
 def forget_reads(more: Iterable[Path] = ()) -> None:

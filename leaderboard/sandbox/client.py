@@ -36,7 +36,6 @@ from leaderboard.sandbox.launch import START_ATTEMPTS, start_guest
 from leaderboard.sandbox.limits import Limits
 from leaderboard.sandbox.retest import LOOKS_AHEAD, NOT_RETESTED, compare_answers, draw_questions
 from road_envs.core.atomic_io import TempFolder
-from road_envs.core.code_digest import cache_home
 from road_envs.records.record import Estimate, Profile, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
@@ -178,11 +177,8 @@ class SandboxClient:
         return [dataclasses.replace(one, **found, looks_ahead=looks_ahead) for one in runs]
 
     def _forget_guests(self) -> None:
-        """Let guests tell the next one nothing by their files and their pipes."""
         if self._bubblewrap:
-            bubblewrap.forget_pipes(self._pipes)
-            bubblewrap.forget_reads([cache_home()])
-            self._pipes = bubblewrap.count_pipes()
+            self._pipes = bubblewrap.forget_guests(self._pipes)
 
     def _snapshot(self, reference: str) -> tuple[str, Path]:
         """Return the digest of an outside entry's code and the folder with a copy of it."""

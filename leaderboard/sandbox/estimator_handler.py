@@ -74,9 +74,7 @@ def _preload_scipy() -> None:
 
     SciPy would load them at their first use; modules that import them by name have done so.
     """
-    modules = [
-        module for name, module in list(sys.modules.items()) if not name.startswith("scipy.")
-    ]
+    modules = [x for name, x in list(sys.modules.items()) if not name.startswith("scipy.")]
     if any("scipy" in getattr(module, "__dict__", {}) for module in modules):
         for library in ("scipy.interpolate", "scipy.signal"):
             importlib.import_module(library)

@@ -101,8 +101,7 @@ def start_host_process(handler: str, home: Path, folder: Path) -> Guest:
     home.mkdir()
     known = guest_environment(home, whole_path=True)
     environment = known | os.environ | {name: known[name] for name in SET_FOR_ALL}
-    at = str(folder.absolute())
-    setup = worker.Setup(handler=handler, folder=at, serves_many=True)
+    setup = worker.Setup(handler=handler, folder=str(folder.absolute()), serves_many=True)
     guest = _with_retry(lambda: Guest(_words(setup), environment, home))
     guest.start_run(UNLIMITED)
     return guest

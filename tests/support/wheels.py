@@ -61,3 +61,12 @@ def encrypt(path):
             data[at + offset] |= 1
             at = data.find(signature, at + 4)
     path.write_bytes(data)
+
+
+def write_policies(folder, **references):
+    """Write the metadata of an installed package whose entry points are policies, by name."""
+    about = Path(folder) / "others-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: others\nVersion: 1.0\n")
+    lines = "\n".join(f"{name} = {reference}" for name, reference in references.items())
+    (about / "entry_points.txt").write_text(f"[road_envs.policies]\n{lines}\n", encoding="utf-8")
