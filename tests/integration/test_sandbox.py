@@ -8,8 +8,6 @@ import signal
 import socket
 import sys
 import threading
-import time
-import uuid
 from functools import partial
 from pathlib import Path
 
@@ -17,6 +15,7 @@ import numpy as np
 import pytest
 from fake_estimators import CalibratedReader, Learner, Reader
 from fakes import fake_drives, task
+from guests import LIMITS, MARK, drives, marked_processes, nothing_left, run
 from hostile import poisoned_kernels
 
 from estimators.api import CalibrationDrive
@@ -25,21 +24,17 @@ from leaderboard.entries.entry import Entry, EntryError, LocalSession, reconstru
 from leaderboard.sandbox import bubblewrap, limits
 from leaderboard.sandbox import client as client_module
 from leaderboard.sandbox.client import SandboxClient
-from leaderboard.sandbox.limits import Limits
 from leaderboard.sandbox.retest import NOT_RETESTED
 from road_envs.core.code_digest import ROOT
 from road_envs.core.config import ConfigError
 
 pytestmark = pytest.mark.usefixtures("kept_caches")
-forget_reads = bubblewrap.forget_reads
 
 MODES = ["process"] if bubblewrap.obstacle() else ["bubblewrap", "process"]
 """Each guest takes a second: the second mode is slow, and `test_executors.py` has attacks in it."""
 
-LIMITS = Limits(seconds=60.0, memory=0.5, processes=40, file=0.05)
 REFUSED_PLACE = "Read-only file system|Permission denied|No such file or directory"
 CALIBRATED = "fake_estimators:CalibratedReader"
-MARK = f"ROADRECON_TEST_{uuid.uuid4().hex}"
 
 
 @pytest.fixture(
@@ -72,38 +67,6 @@ def limit(sandbox, **limits):
 def only_once(sandbox):
     if sandbox.isolation != MODES[0]:
         pytest.skip("the same in every mode")
-
-
-def drives(number=1):
-    t = task(test={"roads": ["iso_d"], "seeds": [11, 12], "length": 40.0, "number": number})
-    training = [(d.record, d.truth) for d in fake_drives(t, t.training, t.conditions[0])]
-    return training, [d.record for d in fake_drives(t, t.test, t.conditions[0])], t.vehicle
-
-
-def run(sandbox, reference="hostile:Hostile", seeds=(1,), number=1, **settings):
-    training, records, car = drives(number)
-    training = [] if "how" in settings else training
-    entry = Entry(name="x", reference=reference, settings=settings)
-    return sandbox.reconstruct(entry, training, records, car, seeds)
-
-
-def nothing_left(patience=5.0):
-    """Return whether no process of a guest is left, after waiting for the kernel."""
-    end = time.monotonic() + patience
-    while (found := marked_processes()) and time.monotonic() < end:
-        time.sleep(0.02)
-    return not found
-
-
-def marked_processes():
-    found = []
-    for pid in filter(str.isdigit, os.listdir("/proc")):
-        try:
-            if int(pid) != os.getpid() and MARK in Path(f"/proc/{pid}/environ").read_text():
-                found.append(int(pid))
-        except (OSError, UnicodeDecodeError):
-            continue
-    return found
 
 
 @pytest.mark.parametrize(
@@ -167,54 +130,6 @@ def test_each_estimate_follows_the_calibration_to_its_own_vehicle(sandbox, known
         np.testing.assert_array_equal(there.estimates[k].z, expected)
     assert here.calibrate_seconds >= 0.0 and there.calibrate_seconds >= 0.0
     assert there.notes == () and nothing_left()
-
-
-def in_page_cache(path):
-    """Return whether the first page of a file is in memory; if not, the question reads it."""
-    with path.open("rb") as file:
-        try:
-            return os.preadv(file.fileno(), [bytearray(8)], 0, os.RWF_NOWAIT) > 0
-        except BlockingIOError:
-            return False
-
-
-def test_what_guests_have_read_is_dropped_from_memory(monkeypatch):
-    folder = ROOT / "docs" / "images"  # on a disk: what lies in memory cannot be dropped
-    other, *paths = [path for path in folder.iterdir() if path.is_file()]
-    for path in (other, *paths):
-        path.read_bytes()
-    os.sync()
-    with other.open("rb") as file:
-        os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
-    if in_page_cache(other):
-        pytest.skip("the file system of the checkout keeps its files in memory")
-    assert all(map(in_page_cache, paths))
-    monkeypatch.setattr(bubblewrap, "_system_mounts", dict)
-    forget_reads([folder.parent])
-    assert [path.name for path in paths if in_page_cache(path)] == []
-
-
-def time_of_look_ups(names):
-    """Time [ns] that the quicker quarter of look-ups of names does not exceed."""
-    times = []
-    for name in names:
-        begin = time.perf_counter_ns()
-        os.access(name, os.F_OK)
-        times.append(time.perf_counter_ns() - begin)
-    return sorted(times)[len(times) // 4]
-
-
-def test_names_that_guests_have_looked_up_in_vain_are_dropped_from_memory(monkeypatch):
-    if not bubblewrap.is_root():
-        pytest.skip("only root can drop names")
-    monkeypatch.setattr(bubblewrap, "_system_mounts", dict)
-    told, untold = ([f"/usr/bin/{bit}_{k}_{os.getpid()}" for k in range(500)] for bit in "01")
-    for _ in range(2):
-        again = time_of_look_ups(told)
-    if time_of_look_ups(untold) < 1.5 * again:
-        pytest.skip("the file system does not remember names that do not exist")
-    forget_reads()
-    assert time_of_look_ups(told) > 1.5 * again
 
 
 @pytest.mark.parametrize("second_first", [True, False])

@@ -4,7 +4,8 @@ import sys
 from dataclasses import replace
 
 import pytest
-from test_sandbox import LIMITS, MODES, drives
+from guests import LIMITS, drives
+from test_sandbox import MODES
 
 from leaderboard.entries import entries
 from leaderboard.entries.entry import EntryError

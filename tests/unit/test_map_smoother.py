@@ -12,14 +12,11 @@ from scipy.linalg import expm
 from vehicle_fixtures import DEFENDER
 
 from estimators.common.block_means import block_means
-from estimators.common.conjugate_gradients import conjugate_gradients
 from estimators.map_smoother import gauss_newton, wheel_liftoff
 from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.gauss_newton import (
     GaussNewton,
-    huber_weights,
     minimize,
-    smooth_friction,
     update_prior,
 )
 from estimators.map_smoother.objective import Objective
@@ -33,11 +30,9 @@ from road_envs.records.record import Record, scored_band
 from road_envs.roads.iso8608 import Iso8608
 from road_envs.roads.obstacles import Bumps, Trapezoid
 from road_envs.sensing.instruments import load_instruments
-from road_envs.vehicle.equations import build_plant
-from road_envs.vehicle.force_curves import Curve, interpolate_table
+from road_envs.vehicle.force_curves import Curve
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.struts import ModeCurves
-from road_envs.vehicle.suspension import V_0, V_STEP
 
 PAPER = load_instruments("paper")
 MIXED = {"front": "ride", "rear": "handling"}
@@ -239,34 +234,6 @@ def test_the_block_tangent_equals_the_tangent_of_the_steps(kmh):
     assert one.inputs.decimation == 2 and expected.shape[1] % 6 != 0
     single = 1e-6 * np.abs(expected).max()  # the matrices are kept in single precision
     np.testing.assert_allclose(lin.tangent(dx)[0], expected, rtol=0.0, atol=single)
-
-
-def test_conjugate_gradients_agree_with_a_dense_solver():
-    rng = np.random.default_rng(5)
-    A = rng.standard_normal((30, 30))
-    A, b = A @ A.T + np.eye(30), rng.standard_normal(30)
-    M = np.diag(1.0 / np.diag(A))
-    x, k = conjugate_gradients(lambda v: A @ v, b, lambda v: M @ v, 200, 1e-12)
-    np.testing.assert_allclose(x, np.linalg.solve(A, b), rtol=1e-8)
-    assert 10 < k < 100
-    assert conjugate_gradients(lambda v: A @ v, b, lambda v: v, 4, 0.0)[1] == 4
-
-
-def test_smoothed_friction_is_the_mean_over_a_gaussian_rate():
-    plant = build_plant(DEFENDER)
-    smooth = smooth_friction(plant, 0.05)
-    rates = np.random.default_rng(6).normal(0.0, 0.05, 200_000)[::20]
-    for k, v in ((0.0, 0.03), (1.0, -0.2)):
-        forces = [interpolate_table(plant.velocity, k, V_0, V_STEP, v + e)[0] for e in rates]
-        force, slope = interpolate_table(smooth.velocity, k, V_0, V_STEP, v)
-        assert force == pytest.approx(np.mean(forces), abs=6.0)
-        ahead = interpolate_table(smooth.velocity, k, V_0, V_STEP, v + 1e-5)[0]
-        assert (ahead - force) / 1e-5 == pytest.approx(slope, rel=1e-2)
-
-
-def test_huber_weights_fall_in_proportion_to_the_residual():
-    residual, inverse_variance = np.array([0.5, -4.0, 10.0]), np.array([1.0, 1.0, 4.0])
-    np.testing.assert_allclose(huber_weights(residual, inverse_variance, 2.0), [1.0, 0.5, 0.4])
 
 
 def test_under_a_lifted_wheel_the_road_is_not_raised():
