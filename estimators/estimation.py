@@ -11,6 +11,7 @@ from estimators.api import Estimator, check_estimate
 from estimators.common.blas import single_blas_thread
 from estimators.common.explained import mark_impossible
 from estimators.common.manoeuvres import mark_manoeuvres
+from estimators.common.odometer import WANDER_NOTE, station_std
 from estimators.lookup import resolve_estimator, training_notes
 from estimators.passes import estimate_passes
 from road_envs.core.config import ConfigError
@@ -30,7 +31,8 @@ def estimate(
     (`estimators.passes`), each with a `vehicle` of its own or one for all. `estimator` is an
     object, or what `make_estimator` takes with its `settings`; `vehicle` is the described car, by
     name, YAML file or parameters. The estimate keeps the median speed of the record, which decides
-    the band in which it can be scored. Raises ConfigError, EstimateError, NotFittedError for an
+    the band in which it can be scored, and the standard deviation of its stations where the
+    positions wander. Raises ConfigError, EstimateError, NotFittedError for an
     estimator that must be trained first, and TypeError for arguments of another kind.
     """
     given = [record] if isinstance(record, Record) else record
@@ -49,8 +51,12 @@ def estimate(
     found = estimator.estimate(record, car)
     check_estimate(found, record)
     notes = (*found.notes, *training_notes(estimator, record, car))
+    std = station_std(record, estimator.causal)
+    if std is not None and (note := WANDER_NOTE.format(std)) not in notes:
+        notes = (note, *notes)
     notes = (*notes, *_notes_on_description(car))
-    found = dataclasses.replace(found, notes=notes, speed=float(np.nanmedian(record.v)))
+    speed = float(np.nanmedian(record.v))
+    found = dataclasses.replace(found, notes=notes, speed=speed, s_std=std)
     found = mark_manoeuvres(found, record, car.wheelbase)
     return mark_impossible(found, record, car, estimator)
 

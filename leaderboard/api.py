@@ -63,10 +63,12 @@ def score(estimate: Estimate, truth: Profile, *, speed_kmh: float | None = None)
     """Score an estimate of both wheel paths against the true ones.
 
     The scored band depends on the speed of the drive, which an estimate of
-    `estimators.estimate` carries; give `speed_kmh` for any other. Raises ConfigError, TypeError.
+    `estimators.estimate` carries; give `speed_kmh` for any other. An estimate whose stations are
+    uncertain (`s_std`) is also scored after local alignment. Raises ConfigError, TypeError.
     """
     _check_stations(estimate, truth)
-    return ScoreTable(compute_scores(truth, estimate, _speed(estimate, speed_kmh), bumps=True))
+    speed, wandering = _speed(estimate, speed_kmh), estimate.s_std is not None
+    return ScoreTable(compute_scores(truth, estimate, speed, bumps=True, wandering=wandering))
 
 
 def plot(

@@ -14,9 +14,11 @@ is known so far: with x = (1 + e) d the integral of v, and w the difference of t
 
     w = e' / L' x² / 2 - 1 / L' (integral of w dx)      e' = e / (1 + e),  L' = (1 + e) L
 
-is linear in e' / L' and 1 / L', whose least squares follow from running sums. (The scale factor of
-an odometer is a state of every navigation filter: Groves, "Principles of GNSS, Inertial, and
-Multisensor Integrated Navigation Systems", 2013, section 16.3.)
+is linear in e' / L' and 1 / L', whose least squares follow from running sums. Where the fixes
+wander by themselves, as those of a receiver do, the stations are those of the speed, shifted and
+scaled to the fixes (`position_noise.py`), or, while a drive is recorded, shifted alone. (The scale
+factor of an odometer is a state of every navigation filter: Groves, "Principles of GNSS, Inertial,
+and Multisensor Integrated Navigation Systems", 2013, section 16.3.)
 """
 
 from dataclasses import replace
@@ -26,6 +28,7 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 
+from estimators.common.position_noise import SPEED_STD, WANDER, fit_wander, wanders
 from road_envs.records.record import DistanceScale, Estimate, Record, profile_stations
 
 # Least and greatest L [m] that is looked for; it must be passed within the record
@@ -35,6 +38,11 @@ MIN_DISPLACEMENT = 0.005  # displacement [m] below which nothing is corrected
 # Least ratio of the displacement to what the fit leaves, root mean square, or to its standard
 # deviation
 CLEARNESS = 10.0
+MIN_WANDER_LENGTH = 20.0  # distance [m] before which fixes are not said to wander, online
+WANDER_NOTE = (
+    "stations are uncertain by ±{:.1f} m: the positions of the receiver wander against the speed "
+    "signal, which the stations follow; heights can be compared after alignment"
+)
 FIT_SPACING = 0.1  # distance [m] of the points to which the signals are fitted online
 CORRELATION_LENGTH = 1.0  # length [m] over which the errors of position fixes are correlated
 
@@ -45,15 +53,32 @@ def calibrate_odometer(record: Record) -> tuple[Record, tuple[str, ...]]:
     The whole record is used, so this is not for causal estimates. A record is returned itself if
     it is empty, its signals are not finite or their difference shows no clear displacement.
     """
+    return _calibrate(record)[:2]
+
+
+def station_std(record: Record, causal: bool) -> float | None:
+    """Return the standard deviation [m] of the stations of an estimate from a `record`, of a
+    `causal` one or another; None unless position fixes wander.
+    """
+    std = _calibrate(record)[2]
+    if std is None or not causal:
+        return std
+    # the constant error of the speed signal is not removed
+    return float(np.hypot(std, SPEED_STD * np.ptp(record.s) / np.sqrt(3.0)))
+
+
+def _calibrate(record: Record) -> tuple[Record, tuple[str, ...], float | None]:
+    """Return what `calibrate_odometer` does, and the standard deviation [m] of the stations."""
+    unchanged = record, (), None
     if record.t.size == 0:
-        return record, ()
+        return unchanged
     travelled = cumulative_trapezoid(record.v, record.t, initial=0.0)
     slip = travelled - (record.s - record.s[0])
     if not (np.isfinite(slip).all() and np.ptp(slip) > MIN_DISPLACEMENT):
-        return record, ()
+        return unchanged
     most = min(LENGTHS[1], 0.5 * float(travelled[-1]))
     if not most > LENGTHS[0]:
-        return record, ()
+        return unchanged
 
     def fit(log_length: float) -> tuple[float, np.ndarray, np.ndarray]:
         """Return the speed error for a length L, the displacement (N,) and what is left (N,)."""
@@ -72,12 +97,19 @@ def calibrate_odometer(record: Record) -> tuple[Record, tuple[str, ...]]:
     )
     error, displacement, left = fit(found.x)
     greatest = float(np.abs(displacement).max())
+    if wanders(record.t, left):
+        shift, excess, std = fit_wander(record.t, travelled, record.s - record.s[0])
+        if abs(excess) > MAX_SPEED_ERROR:
+            return unchanged
+        s = record.s[0] + shift + (1.0 + excess) * travelled
+        followed = replace(record, s=s, v=(1.0 + excess) * record.v)
+        return followed, (WANDER_NOTE.format(std),), std
     if abs(error) > MAX_SPEED_ERROR or greatest < MIN_DISPLACEMENT:
-        return record, ()
+        return unchanged
     if greatest < CLEARNESS * float(np.sqrt(np.mean(left**2))):
-        return record, ()
+        return unchanged
     corrected = replace(record, s=record.s - displacement, v=record.v / (1.0 + error))
-    return corrected, (_describe(error, displacement),)
+    return corrected, (_describe(error, displacement),), None
 
 
 def _describe(error: float, displacement: np.ndarray) -> str:
@@ -119,13 +151,24 @@ def _calibrate_odometer_online(record: Record) -> tuple[Record, tuple[str, ...]]
         believed &= length < LENGTHS[1]
         doubt = np.maximum(MIN_DISPLACEMENT, CLEARNESS * np.maximum(rms, std))
         clearness = np.abs(displacement) / doubt
+        # errors that change from point to point are no wander
+        steps = np.cumsum(np.diff(w, prepend=w[0]) ** 2) / freedom
+        wandering = (distance > MIN_WANDER_LENGTH) & (rms**2 > WANDER**2 + steps)
+        wandering &= np.abs(w) < MAX_SPEED_ERROR * distance
     share = np.where(believed & (clearness > 1.0), np.minimum(clearness - 1.0, 1.0), 0.0)
-    if not share.any():
+    first = int(np.argmax(wandering)) if wandering.any() else distance.size
+    share[first:] = 0.0
+    if not share.any() and first == distance.size:
         return record, ()
     known = np.minimum(x // FIT_SPACING, distance.size - 1).astype(int)  # the last that is complete
     share, error, length = (np.where(share > 0.0, y, 0.0)[known] for y in (share, error, length))
     displacement = -error * length * np.expm1(-x / np.maximum(length, LENGTHS[0]))
     corrected = replace(record, s=record.s - share * displacement, v=record.v * (1 - share * error))
+    if first < distance.size:
+        at = max(int(np.searchsorted(known, first)), 1)  # from there on the speed alone counts
+        corrected.s[at:] = corrected.s[at - 1] + x[at:] - x[at - 1]
+        std = station_std(record, causal=True)
+        return corrected, () if std is None else (WANDER_NOTE.format(std),)
     return corrected, (_describe(float(error[-1] / (1.0 - error[-1])), displacement),)
 
 

@@ -42,6 +42,9 @@ def simulate(
     vehicle: Vehicle = DEFAULT_VEHICLE,
     sensors: Sensors = "paper",
     grade: _Grade = "S0",
+    position_noise: Annotated[
+        bool, option("Position fixes that wander by metres (grades S3, S4).", "--position-noise")
+    ] = False,
     plant: _Plant = "own",
     out: Annotated[Path | None, option("Write the record (.parquet, .csv).")] = None,
     truth: Annotated[Path | None, option("Write the true profile (.csv).")] = None,
@@ -56,15 +59,20 @@ def simulate(
     common: dict[str, Any] = {"vehicle": car, "speed_kmh": speed_kmh, "seed": seed}
     common["instruments"] = load_instruments(sensors)
     if plant == "own":
-        record, profile = simulate_record(surface, mode=struts, grade=grade, **common)
-    elif grade != "S0":
-        raise ConfigError(f"the plant {plant} has no grades: leave out --grade {grade}")
+        common |= {"grade": grade, "position_noise": position_noise}
+        record, profile = simulate_record(surface, mode=struts, **common)
+    elif grade != "S0" or position_noise:
+        raise ConfigError(
+            f"the plant {plant} has no grades: leave out --grade and --position-noise"
+        )
     else:
         record, profile = simulate_on_plant(plant, surface, **common)
     settings: dict[str, Any] = {
         "road": road, "speed_kmh": speed_kmh, "mode": struts, "vehicle": vehicle,
         "sensors": sensors, "grade": grade, "plant": plant, "seed": seed,
     }  # fmt: skip
+    if position_noise:
+        settings["position_noise"] = True
     if out:
         write_record(out, record, settings, car.modes)
     if truth:

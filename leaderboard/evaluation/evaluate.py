@@ -219,7 +219,8 @@ def _score_drive(data: ConditionData, drive: int, estimate: Estimate) -> dict[st
     """Return the defined scores of an estimate of a test drive."""
     truth = data.tests[drive].truth
     bound = nrmse_bound(data.task, data.condition, truth) if data.task.bound else math.nan
-    values = compute_scores(truth, estimate, data.v, data.task.bumps, bound)
+    wandering = data.task.position_noise
+    values = compute_scores(truth, estimate, data.v, data.task.bumps, bound, wandering)
     return {name: value for name, value in values.items() if math.isfinite(value)}
 
 

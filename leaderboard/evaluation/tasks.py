@@ -184,6 +184,7 @@ class Task(Settings):
     calibration: tuple[_CalibrationRun, ...] = ()  # drives of each test vehicle, given before
     low_pass: Annotated[Positive | None, "Hz", "of all accelerations, as in the paper"] = None
     trains_on_test_road: bool = False
+    position_noise: bool = False  # of the fixes of the test drives, as of a receiver
     bumps: bool = False  # also score obstacles
     bound: bool = True  # also compute the information bound of every drive
     claimed_level_error: float | None = None  # [-] eq. 12, value printed in the paper
@@ -201,6 +202,8 @@ class Task(Settings):
                 "a design lists the test drives of every condition: "
                 f"{len(self.conditions)} lists, none for training"
             )
+        if self.position_noise and any(c.grade not in ("S3", "S4") for c in self.conditions):
+            raise ValueError("position_noise needs the position fixes of S3 or S4 everywhere")
         if shared := sorted(self.training.all_seeds & self.test.all_seeds):
             raise ValueError(f"training and test share the seeds {shared}")
         fixed = [_base_road(road) for road in self.test.roads if not _is_random(road)]

@@ -104,6 +104,7 @@ def _driven(
         individual=np.random.SeedSequence(of_vehicle),
         step=drives.step,
         grade=condition.grade if drives is task.test else "S0",  # training is never perturbed
+        position_noise=task.position_noise and drives is task.test,
     )
     return _low_passed(record, task.low_pass), truth
 

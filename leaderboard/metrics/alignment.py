@@ -2,19 +2,30 @@
 
 The stations of a measured drive are those of its odometer or of a speed that was integrated, so
 they differ from those of a levelled or profiled road by an unknown distance: that of the largest
-correlation of their slopes in the scored band (`estimators.common.alignment`).
+correlation of their slopes in the scored band (`estimators.common.alignment`). Where positions
+wander, the lag of each window of 20 m is followed along the road (`align_locally`).
 """
 
 import dataclasses
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
-from estimators.common.alignment import MIN_OVERLAP, SEARCHED, is_match, lag_correlations
+from estimators.common.alignment import (
+    MIN_OVERLAP,
+    SEARCHED,
+    is_match,
+    lag_correlations,
+    map_stations,
+)
 from road_envs.core.config import ConfigError
 from road_envs.records.record import Estimate, Profile, scored_band
 from road_envs.records.roughness import band_pass
 from road_envs.roads import Surface
+
+LOCAL_SEARCH, LOCAL_STRETCH = 12.0, 0.03
+"""Largest lag [m] of an estimate from positions that wander, and largest error of its distances."""
 
 
 class _Alignment(NamedTuple):
@@ -91,3 +102,26 @@ def align(road: Surface, estimate: Estimate, v: float, chainage: float = 0.0) ->
     part = dataclasses.replace(estimate, s=s, draws=None, **kept)
     heights = road.height(chainage + ds * (begin + lag + np.arange(end - begin)))
     return _Alignment(Profile(s, heights), part, ds * lag, correlation, before)
+
+
+def align_locally(
+    y: np.ndarray, a: np.ndarray, std: np.ndarray, ds: float, v: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return heights `y` of the truth, `a` of an estimate and their deviation `std` where the slopes
+    of the estimate, window by window, match those of the truth; as they are if they do not.
+
+    All are (2, M) [m], `ds` [m] apart, of a drive at `v` [m/s]; what is returned (2, K) is at the
+    stations of the truth that the estimate covers.
+    """
+    s = ds * np.arange(y.shape[1])
+    try:
+        found, matches = map_stations(y, a, ds, scored_band(v), LOCAL_SEARCH, LOCAL_STRETCH)
+    except ValueError:  # too short
+        return y, a, std
+    mapped = found.apply(s)
+    if not matches or not (np.diff(mapped) > 0.0).all():
+        return y, a, std
+    inside = (s >= mapped[0]) & (s <= mapped[-1])
+    moved = CubicSpline(mapped, a, axis=1)(s[inside])
+    spread = np.array([np.interp(s[inside], mapped, path) for path in std])
+    return y[:, inside], moved, spread

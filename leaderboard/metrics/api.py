@@ -20,6 +20,7 @@ from typing import Any, Literal
 import numpy as np
 
 from leaderboard.metrics import heights
+from leaderboard.metrics.alignment import align_locally
 from road_envs.records.record import Estimate, Profile
 from road_envs.records.roughness import displacement_psd
 
@@ -38,15 +39,24 @@ class ScoredEstimate:
 
     `y` and `a` (2, M) [m] are the true and the estimated heights, `ds` [m] apart, `v` [m/s] is the
     speed, `std` (2, M) [m] the standard deviation of the estimate, if it has one. `bumps`:
-    obstacles are scored, `bound` is the bound on the NRMSE of this drive or NaN.
+    obstacles are scored, `bound` is the bound on the NRMSE of this drive or NaN, `wandering`: the
+    positions wander, so that heights are also scored after local alignment.
     """
 
     def __init__(
-        self, truth: Profile, estimate: Estimate, v: float, *, bumps: bool, bound: float = np.nan
+        self,
+        truth: Profile,
+        estimate: Estimate,
+        v: float,
+        *,
+        bumps: bool,
+        bound: float = np.nan,
+        wandering: bool = False,
     ) -> None:
         self.y, self.a = truth.z, np.clip(estimate.z, -_HEIGHT_LIMIT, _HEIGHT_LIMIT)
         self.std = None if estimate.z_std is None else np.minimum(estimate.z_std, _HEIGHT_LIMIT)
         self.ds, self.v, self.bumps, self.bound = truth.ds, v, bumps, bound
+        self.wandering = wandering
         self._shared: dict[Callable[..., Any], Any] = {}
 
     @property
@@ -59,6 +69,16 @@ class ScoredEstimate:
         """Truth and estimate, each (2, K) [m], inside the scored band."""
         y, a = heights.band_pass(np.stack([self.y, self.a]), self.ds, self.band)
         return y, a
+
+    @cached_property
+    def aligned(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Truth, estimate (2, K) [m] inside the scored band after local alignment, and the standard
+        deviation (2, L) [m] about them, 0 if the estimate has none.
+        """
+        std = np.zeros_like(self.a) if self.std is None else self.std
+        y, a, std = align_locally(self.y, self.a, std, self.ds, self.v)
+        y, a = heights.band_pass(np.stack([y, a]), self.ds, self.band)
+        return y, a, std
 
     @cached_property
     def densities(self) -> tuple[np.ndarray, np.ndarray]:

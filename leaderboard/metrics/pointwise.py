@@ -35,6 +35,23 @@ def _errors(scored: ScoredEstimate) -> tuple[float, ...]:
     return both, left, right, at_lag, scored.bound, efficiency
 
 
+@metrics(
+    Metric("nrmse_aligned", "in-band NRMSE after local alignment", digits=3, head="aligned",
+           help="In-band NRMSE of the estimate whose stations follow the truth, by the lag of "
+           "largest correlation in windows of 20 m, over the stations that it then covers. Only on "
+           "tasks whose positions wander; an estimate that matches nowhere is scored as it is."),
+    Metric("coverage_90_aligned", "errors in the 90 % interval after local alignment", **PERCENT,
+           better="", head="aligned in 90 %",
+           help="Share of errors inside the 90 % interval after local alignment."),
+)  # fmt: skip
+def _aligned_errors(scored: ScoredEstimate) -> tuple[float, ...]:
+    if not scored.wandering:
+        return (np.nan,) * 2
+    y, a, std = scored.aligned
+    coverage = np.nan if scored.std is None else heights.uncertainty(y, a, std).coverage_90
+    return heights.error_over_truth(y, a).pooled, coverage
+
+
 _ATTAINABLE = (  # of boards alone: `report.attainable`
     Metric("attainable_nrmse", "attainable in-band NRMSE", digits=3, head="attainable",
            help="Error of an estimator that knows vehicle, noise and the spectrum of the road, "

@@ -18,22 +18,27 @@ def _declared(module: object) -> list[Metric]:
 SCORES = {metric.key: metric for module in MODULES for metric in _declared(module)}
 
 PRINTED_SCORES = (
-    "nrmse", "nrmse_left", "nrmse_right", "nrmse_at_lag", "lag", "r", "coherence", "level_error",
-    "level_error_raw", "G_d0_bias_db", "class_exact", "fitted_class", "dsd_distance_db",
+    "nrmse", "nrmse_left", "nrmse_right", "nrmse_at_lag", "nrmse_aligned", "lag", "r", "coherence",
+    "level_error", "level_error_raw", "G_d0_bias_db", "class_exact", "fitted_class", "dsd_distance_db",
     "iri_error", "iri_bias", "iri_cross_correlation", "bump_recall", "bump_precision",
-    "coverage_50", "coverage_90",
+    "coverage_50", "coverage_90", "coverage_90_aligned",
 )  # fmt: skip
 """Scores that are printed of one estimate; there are three times as many."""
 
 
 def compute_scores(
-    truth: Profile, estimate: Estimate, v: float, bumps: bool, bound: float = np.nan
+    truth: Profile,
+    estimate: Estimate,
+    v: float,
+    bumps: bool,
+    bound: float = np.nan,
+    wandering: bool = False,
 ) -> dict[str, float]:
     """Return all SCORES of an `estimate` of a drive at `v` [m/s]; NaN where one is not defined.
 
     Obstacle scores are defined if `bumps` is set and the truth has obstacles, uncertainty scores if
-    the estimate has a standard deviation, errors relative to the truth unless it is flat. `bound`
-    is the least NRMSE of the drive.
+    the estimate has a standard deviation, errors relative to the truth unless it is flat, errors
+    after local alignment if the positions are `wandering`. `bound` is the least NRMSE of the drive.
     """
-    scored = ScoredEstimate(truth, estimate, v, bumps=bumps, bound=bound)
+    scored = ScoredEstimate(truth, estimate, v, bumps=bumps, bound=bound, wandering=wandering)
     return {key: float(x.compute(scored)) for key, x in SCORES.items() if x.compute is not None}

@@ -7,8 +7,10 @@ from estimators.lookup import TRAINING_VEHICLE
 from leaderboard.evaluation.results import ISOLATED, Result
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics.baselines import NOISE_LEVEL, TRUTH_PLUS_NOISE
+from leaderboard.metrics.registry import SCORES
 from leaderboard.report.board_definitions import BELOW_BOUND, BOUND_NAME, BOUND_ROW
 from leaderboard.running.verification import Verified, kernels_of
+from road_envs.sensing.perturbed_vehicle import load_plant_mismatch
 from road_envs.vehicle.parameters import load_vehicle
 
 if TYPE_CHECKING:
@@ -56,7 +58,21 @@ def protocol_notes(task: Task, results: Sequence[Result]) -> list[str]:
             f"{', '.join(pretrained)}: trained on drives of {TRAINING_VEHICLE}, not of "
             f"{task.vehicle.name}."
         )
-    return [text for text in (trained, elsewhere, task.note) if text]
+    return [text for text in (trained, elsewhere, _position_note(task), task.note) if text]
+
+
+def _position_note(task: Task) -> str:
+    """Return what positions the test drives have, and which score ranks, if that matters."""
+    if not task.position_noise:
+        return ""
+    receiver = load_plant_mismatch().instruments
+    low, high = receiver.position_noise
+    return (
+        f"Positions: fixes of a receiver that wander by {low:g} to {high:g} m, correlated over "
+        f"{receiver.position_correlation_time:g} s. Ranked by the "
+        f"{SCORES[task.board_definition.ranks_by].label}; the NRMSE beside it is that at fixed "
+        "stations."
+    )
 
 
 def surface_notes(task: Task, results: list[Result]) -> list[str]:

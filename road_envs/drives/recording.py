@@ -49,6 +49,7 @@ def simulate_record(
     step: float = DEFAULT_STEP,
     plant_mismatch: PlantMismatch | None = None,
     individual: int | np.random.SeedSequence | None = None,
+    position_noise: bool = False,
 ) -> tuple[Record, Profile]:
     """Drive a vehicle over a road; return what its instruments record, and the true profile.
 
@@ -58,7 +59,8 @@ def simulate_record(
     "S4" drives a vehicle that departs from its description (`road_envs.sensing.perturbed_vehicle`),
     by the shipped `plant_mismatch` unless another is given. `seed` draws the road, the sensor noise
     and the individual vehicle, unless `individual` is the seed of that, for several drives of one.
-    `step` [s] is the integrator's. Raises ConfigError, SimulationError.
+    `step` [s] is the integrator's. `position_noise`: the position fixes of "S3" and "S4" wander as
+    those of a receiver. Raises ConfigError, SimulationError.
     """
     if not 0.0 < speed_kmh <= MAX_SPEED_KMH:
         raise ConfigError(
@@ -72,7 +74,7 @@ def simulate_record(
         instruments = load_instruments(instruments)
     k = len(instruments.accelerometers)
     drawn_by = seed if individual is None else individual
-    one = perturb_vehicle(car, grade, drawn_by, plant_mismatch, k)
+    one = perturb_vehicle(car, grade, drawn_by, plant_mismatch, k, position_noise)
     step = min(step, one.step)
     drive = DriveSimulator(one.plant, one.car, surface, speed_kmh / 3.6, mode, step)
     logger = DataLogger(instruments, one.car, step, np.random.default_rng(seed), one.faults)

@@ -103,7 +103,10 @@ class Estimate(Profile):
     `z_std` (2, M) [m], where a method provides it, is the standard deviation of the error in the
     scored band; datum and drift are excluded. `draws` (D, 2, M) [m], where a method provides them,
     are roads drawn from its posterior, in all waves, with the errors of the vehicle. `distance` is
-    the scale of the record's odometer, on which the stations are, where a method finds it. `unsure`
+    the scale of the record's odometer, on which the stations are, where a method finds it. `s_std`
+    [m] is the standard deviation of the stations, by about which all are shifted together, where
+    the position fixes of the record wander; heights are then those of a road that begins elsewhere
+    by that, and `z_std` is that of heights compared after alignment. `unsure`
     (M,) bool marks stations at which the vehicle turned, changed its speed hard or stood, or whose
     heights no wheel load supports; None if there are none. `residual` is the RMS of what the
     method's model leaves of the accelerations, over that of the sensors' noise; None of methods
@@ -117,6 +120,7 @@ class Estimate(Profile):
     unsure: np.ndarray | None = None
     draws: np.ndarray | None = None
     residual: float | None = None
+    s_std: float | None = None  # [m]
 
 
 @dataclass(frozen=True)

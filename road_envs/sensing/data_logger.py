@@ -10,7 +10,12 @@ from road_envs.core import config
 from road_envs.kernels.filters import butterworth_sos, sosfilt_kernel
 from road_envs.sensing.instruments import ANTIALIAS_ORDER, Instruments
 from road_envs.sensing.instruments import load_instruments as load_instruments
-from road_envs.sensing.sensor_faults import NO_FAULTS, JitteredSampler, SensorFaults
+from road_envs.sensing.sensor_faults import (
+    NO_FAULTS,
+    JitteredSampler,
+    SensorFaults,
+    gauss_markov,
+)
 from road_envs.simulation.drive import Trajectory
 from road_envs.vehicle.body_bending import BendingMotion, shape
 from road_envs.vehicle.equations import THETA, Z_B
@@ -38,7 +43,7 @@ class DataLogger:
                 f"sampling at {instruments.fs} Hz needs a whole number of integrator steps between "
                 f"samples; a step of {step} s gives {decimation:.3f}"
             )
-        self.decimation = round(decimation)
+        self.decimation, self.fs = round(decimation), instruments.fs
         self.range = instruments.ranges
         self.noise_std = instruments.noise_densities * np.sqrt(0.5 / step)
         k = self.range.size
@@ -54,6 +59,7 @@ class DataLogger:
         self.filter_state = np.zeros((self.sos.shape[0], k, 2))
         self.n_steps = 0
         self.rng = rng
+        self.position_rng = rng.spawn(1)[0] if faults.position_noise > 0.0 else None
         self.speed_gain = 1.0 + instruments.speed_error * rng.standard_normal()
         self.speed_gain *= 1.0 + faults.speed
 
@@ -87,11 +93,26 @@ class DataLogger:
         return samples
 
     def odometer(self, distance: np.ndarray) -> np.ndarray:
-        """Return the odometer reading after a true `distance` (N,) [m], which grows from 0."""
+        """Return the odometer reading after a true `distance` (N,) [m] at each sample, which grows
+        from 0.
+        """
         length = self.faults.position_fix_length
         if np.isinf(length):
             return self.speed_gain * distance
-        return distance - (self.speed_gain - 1.0) * length * np.expm1(-distance / length)
+        s = distance - (self.speed_gain - 1.0) * length * np.expm1(-distance / length)
+        return s if self.position_rng is None else s + self._followed_fixes(distance)
+
+    def _followed_fixes(self, distance: np.ndarray) -> np.ndarray:
+        """Return the error (N,) [m] of an odometer without a speed error that follows the fixes."""
+        faults, rng = self.faults, self.position_rng
+        assert rng is not None
+        wander = (faults.position_noise, faults.position_correlation_time)
+        g = gauss_markov(*wander, 1.0 / self.fs, distance.size, rng)
+        shares = -np.expm1(-np.diff(distance) / faults.position_fix_length)
+        error, last = g.copy(), float(g[0])
+        for k, (share, mean) in enumerate(zip(shares, 0.5 * (g[1:] + g[:-1]), strict=True), 1):
+            error[k] = last = last + share * (mean - last)
+        return error
 
     def flush(self) -> np.ndarray:
         """Return the samples (k, n) [m/s²] that are still buffered at the end of the drive."""

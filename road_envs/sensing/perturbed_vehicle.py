@@ -11,7 +11,8 @@ grades are cumulative for the same seed:
 | S2 | structure: tyres that envelop the road, are progressive and differ in pressure; roll |
 |    | stiffness of the bushings; a body that twists (`parameters.TorsionalFrame`) and bends |
 |    | (`body_bending`), each at its own frequency |
-| S3 | instruments: position, tilt, gain, offset, speed error, clock jitter, lost samples |
+| S3 | instruments: position, tilt, gain, offset, speed error, clock jitter, lost samples; |
+|    | position fixes that wander as a receiver's where that is asked for (`position_noise`) |
 | S4 | side motion: tyres that hold the body sideways, of which a vehicle's file may know nothing; |
 |    | where the file has `side`, each of its numbers is another |
 
@@ -27,9 +28,17 @@ from typing import Annotated, Any
 import numpy as np
 
 from road_envs.core import config
-from road_envs.core.config import Fraction, NonNegative, Positive, Settings, SmallestFirst
+from road_envs.core.config import (
+    ConfigError,
+    Fraction,
+    NonNegative,
+    Positive,
+    Settings,
+    SmallestFirst,
+)
 from road_envs.sensing.sensor_faults import (
     NO_FAULTS,
+    CorrelationTime,
     DropoutLength,
     DropoutRate,
     Jitter,
@@ -55,6 +64,9 @@ Range = Annotated[tuple[Fraction, Fraction], SmallestFirst]
 PositiveRange = Annotated[tuple[Positive, Positive], SmallestFirst]
 MANUFACTURE_LEVEL, STRUCTURE_LEVEL, INSTRUMENT_LEVEL, SIDE_LEVEL = 1, 2, 3, 4
 """Index of the grade that adds each group of deviations, and second key of its random stream."""
+
+POSITION_NOISE_KEY = 5
+"""Second key of the random stream of the position noise, which no grade adds by itself."""
 
 PERTURBATION_STREAM = 9
 """First key of the random streams of a perturbed vehicle. Sensor noise is drawn from the seed
@@ -119,7 +131,10 @@ class _UnmodelledStructure(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class SensorFaultLimits(Settings):
-    """Largest magnitudes of the sensor faults; the last four are the values themselves."""
+    """Largest magnitudes of the sensor faults; from `position_fix_length` on the values themselves.
+
+    `position_noise` is the range of one receiver's, of drives that ask for it.
+    """
 
     place: Annotated[NonNegative, "m", "position of each accelerometer, in x and in y"]
     tilt: Annotated[NonNegative, "rad", "of its axis from the vertical"]
@@ -130,6 +145,8 @@ class SensorFaultLimits(Settings):
     jitter: Jitter
     dropout_rate: DropoutRate
     dropout_length: DropoutLength
+    position_correlation_time: CorrelationTime = 30.0
+    position_noise: Annotated[PositiveRange, "m", "standard deviation of the fixes"] = (1.0, 3.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,13 +205,17 @@ def perturb_vehicle(
     seed: int | np.random.SeedSequence,
     plant_mismatch: PlantMismatch | None = None,
     accelerometers: int = 3,
+    position_noise: bool = False,
 ) -> PerturbedVehicle:
     """Draw the perturbed vehicle of a `seed`, with the deviations up to `grade`.
 
     All grades of one seed share their random draws. `plant_mismatch`: magnitudes, by default the
-    shipped "assumed" ones. `accelerometers`: their number. Raises ConfigError.
+    shipped "assumed" ones. `accelerometers`: their number. `position_noise`: the position fixes,
+    which grades have from S3 on, wander. Raises ConfigError.
     """
     level = GRADES.index(config.validate_choice("grade", grade, list(GRADES)))
+    if position_noise and level < INSTRUMENT_LEVEL:
+        raise ConfigError(f"position noise needs the position fixes of grade S3 or S4, got {grade}")
     if level == 0:
         return PerturbedVehicle(grade, car)
     mismatch = load_plant_mismatch() if plant_mismatch is None else plant_mismatch
@@ -203,6 +224,11 @@ def perturb_vehicle(
         car = _with_structure(car, mismatch.structure, seed)
     if level >= INSTRUMENT_LEVEL:
         faults = _draw_sensor_faults(mismatch.instruments, seed, accelerometers)
+    if position_noise:
+        rng = np.random.default_rng(_seed_sequence(seed, POSITION_NOISE_KEY))
+        std = float(rng.uniform(*mismatch.instruments.position_noise))
+        time = mismatch.instruments.position_correlation_time
+        faults = replace(faults, position_noise=std, position_correlation_time=time)
     if level >= SIDE_LEVEL and mismatch.side is not None:
         car = _with_side_motion(car, mismatch.side, seed)
     return PerturbedVehicle(grade, car, faults, mismatch.step)

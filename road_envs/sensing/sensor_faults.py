@@ -8,7 +8,11 @@ of the vertical acceleration a at its true location. Samples are taken slightly 
 their nominal time, which the record states. Dropouts affect all sensors at once, in bursts; lost
 samples are NaN in the record. The odometer integrates the speed signal with its error. Position
 fixes pull the odometer back, so that its error e changes with the distance d as
-de/dd = speed - e / position_fix_length.
+
+    de/dd = speed - (e - g) / position_fix_length
+
+g is the error of the fixes along the road. It wanders as a first-order Gauss-Markov process of the
+standard deviation `position_noise`; e begins at g, as of a receiver that has run before.
 """
 
 from dataclasses import dataclass
@@ -16,8 +20,9 @@ from typing import Annotated
 
 import numpy as np
 from pydantic import Field
+from scipy.signal import lfilter
 
-from road_envs.core.config import ConfigError, Count, Finite, NonNegative, Settings
+from road_envs.core.config import ConfigError, Count, Finite, NonNegative, Positive, Settings
 from road_envs.vehicle.parameters import GRAVITY
 
 PerSensor = tuple[Finite, ...]
@@ -28,6 +33,9 @@ MAX_JITTER_STDS = 3.0
 
 PositionFixLength = Annotated[
     float, Field(gt=0), "m", "distance over which position fixes remove 63 % of an odometer error"
+]
+CorrelationTime = Annotated[
+    Positive, "s", "time over which the error of the position fixes is correlated to 1 / e"
 ]
 Jitter = Annotated[NonNegative, "s", "standard deviation of the sampling instants"]
 DropoutRate = Annotated[float, Field(ge=0, lt=0.5), "", "share of the samples that are lost"]
@@ -45,6 +53,8 @@ class SensorFaults(Settings):
     offset: Annotated[PerSensor, "m/s²", "added to every reading"] = ()
     speed: Annotated[Finite, "", "relative error of the speed signal"] = 0.0
     position_fix_length: PositionFixLength = np.inf
+    position_noise: Annotated[NonNegative, "m", "standard deviation of g; needs fixes"] = 0.0
+    position_correlation_time: CorrelationTime = 30.0
     jitter: Jitter = 0.0
     dropout_rate: DropoutRate = 0.0
     dropout_length: DropoutLength = 1
@@ -66,6 +76,19 @@ class SensorFaults(Settings):
 
 NO_FAULTS = SensorFaults()
 """Instruments without faults."""
+
+
+def gauss_markov(
+    std: float, correlation_time: float, step: float, n: int, rng: np.random.Generator
+) -> np.ndarray:
+    """Return n samples (n,) every `step` [s] of a stationary first-order Gauss-Markov process.
+
+    Its covariance after a time t is std² exp(-t / correlation_time), exactly, at any step.
+    """
+    kept = np.exp(-step / correlation_time)
+    white = std * rng.standard_normal(n)
+    white[1:] *= np.sqrt(1.0 - kept**2)
+    return np.asarray(lfilter([1.0], [1.0, -kept], white))
 
 
 class JitteredSampler:
