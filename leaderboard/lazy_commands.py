@@ -71,10 +71,6 @@ class LazyGroup(TyperGroup):
         """Import and build a command; None if there is none of this name."""
         return _build(name, self.commands[name]) if name in self.commands else None
 
-    def list_commands(self, ctx: Any) -> list[str]:
-        """Return the names of the commands in the order of the help."""
-        return list(self.commands)
-
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the commands by section."""
         for title, entries in self.sections.items():

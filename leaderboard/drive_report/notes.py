@@ -23,6 +23,7 @@ _SLOW = ": values every"  # words after the name of a column that has fewer samp
 
 _WEIGHTS = (
     r"heights there are not known",
+    r"^the record .* is assumed",
     _MISFIT,
     r"IRI has no interval where",
     r"no side motion",

@@ -1,7 +1,7 @@
 """Long drives section by section, and estimates of sections that are kept until a report is done.
 
-A drive is cut at equal distances into sections of about SECTION, each of which is estimated as a
-drive of its own from RUN_IN before it to RUN_OUT behind it. Their stations are those of the whole
+A drive is cut at equal distances into sections of about _SECTION, each of which is estimated as a
+drive of its own from _RUN_IN before it to _RUN_OUT behind it. Their stations are those of the whole
 drive, and each road goes on at the height at which the one before it ends. So memory is that of one
 section, and a report that is interrupted has lost no more than the section at which it was.
 
@@ -38,10 +38,10 @@ from road_envs.records.record import (
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import VehicleParameters
 
-SECTION, _FITTED_SECTION = 2000.0, 10_000.0
+_SECTION, _FITTED_SECTION = 2000.0, 10_000.0
 """Length [m] of a section, about, and of one to which the vehicle is fitted."""
 
-RUN_IN, RUN_OUT = 150.0, 50.0
+_RUN_IN, _RUN_OUT = 150.0, 50.0
 """Distances [m] before and behind a section that are estimated with it."""
 
 KEPT = "unfinished"  # folder of kept sections in that of a report
@@ -69,7 +69,7 @@ class _DriveSection(NamedTuple):
         return replace(part, t=part.t - part.t[0], s=part.s - shift, length=end - shift)
 
 
-def split(record: Record, wheelbase: float, length: float = SECTION) -> list[_DriveSection]:
+def split(record: Record, wheelbase: float, length: float = _SECTION) -> list[_DriveSection]:
     """Return the sections of a record, one if it is short or its odometer is not finite."""
     whole = [_DriveSection(0, record.t.size, 0, 0)]
     if not np.isfinite(record.s).all():
@@ -79,7 +79,7 @@ def split(record: Record, wheelbase: float, length: float = SECTION) -> list[_Dr
     if (count := round((end - begin) / length)) < 2:
         return whole
     edges = np.linspace(begin, end, count + 1)[1:-1]
-    begins, ends = np.searchsorted(s, edges - RUN_IN), np.searchsorted(s, edges + RUN_OUT)
+    begins, ends = np.searchsorted(s, edges - _RUN_IN), np.searchsorted(s, edges + _RUN_OUT)
     firsts = ((s[begins] - wheelbase) / PROFILE_SPACING).astype(int)
     starts = np.round(edges / PROFILE_SPACING).astype(int)
     columns = [begins, [*ends[1:], record.t.size], firsts, starts]
@@ -192,7 +192,7 @@ class Sections:
     def _estimate(self, one: Estimator, record: Record, car: VehicleParameters) -> Estimate:
         length = np.inf  # the others need a small part of its time, and tell stations in notes
         if isinstance(one, MapSmoother):
-            length = _FITTED_SECTION if one.adapt else SECTION
+            length = _FITTED_SECTION if one.adapt else _SECTION
         sections, notes = split(record, car.wheelbase, length), tuple[str, ...]()
         if len(sections) > 1:  # a section does not tell where its odometer was right
             record, notes = calibrate_odometer(record)

@@ -22,7 +22,7 @@ from leaderboard.sandbox.launch import start_host_process
 from road_envs.core.atomic_io import TempFolder
 from road_envs.core.config import ConfigError, build
 
-ATTEMPTS = 2
+_ATTEMPTS = 2
 """Number of times that an entry is run whose evaluation process ends meanwhile."""
 
 
@@ -156,7 +156,7 @@ class _Lane(Thread):
 
     def _run_entry(self, job: Job) -> JobDone:
         """Run a job of one entry. Raises what `JobProcess.run` raises, but EntryError."""
-        for _ in range(ATTEMPTS):
+        for _ in range(_ATTEMPTS):
             if self._process is None and not self._stopped:
                 self._process = JobProcess(self._out)
             if self._process is None or self._stopped:

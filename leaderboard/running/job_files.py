@@ -14,7 +14,7 @@ from leaderboard.entries.entry import BUILTIN, Entry, EntryError
 from leaderboard.evaluation.task_files import with_paths
 from road_envs.core.config import ConfigError
 
-FOLDER = "files"
+_FOLDER = "files"
 """Folder of the copies, beside the file of the job."""
 
 
@@ -26,7 +26,7 @@ def pack(spec: dict[str, Any], entries: Iterable[Entry]) -> tuple[dict[str, Any]
     sources: dict[str, Path] = {}
 
     def copy(path: str) -> str:
-        name = f"{FOLDER}/{hashlib.sha256(Path(path).read_bytes()).hexdigest()}/{Path(path).name}"
+        name = f"{_FOLDER}/{hashlib.sha256(Path(path).read_bytes()).hexdigest()}/{Path(path).name}"
         sources[name] = Path(path)
         return name
 
@@ -35,10 +35,10 @@ def pack(spec: dict[str, Any], entries: Iterable[Entry]) -> tuple[dict[str, Any]
         for entry in entries:
             if is_from_outside(entry):
                 for source, name in entry_files.list_files(entry.reference):
-                    sources[f"{FOLDER}/{entry.code}/{name}"] = source
+                    sources[f"{_FOLDER}/{entry.code}/{name}"] = source
     except (OSError, EntryError) as error:
         raise ConfigError(f"a file of the job cannot be read: {error}") from None
-    return {**spec, "task": task, "files": FOLDER}, sources
+    return {**spec, "task": task, "files": _FOLDER}, sources
 
 
 def locate(spec: dict[str, Any], folder: Path) -> dict[str, Any]:

@@ -24,7 +24,7 @@ from road_envs.core.atomic_io import copy_file, write_text
 from road_envs.core.config import ConfigError
 
 _SUBMISSIONS = "submissions"
-TEMPLATE = {
+_TEMPLATE = {
     "README.md": "readme.txt",
     RULES: "rules.txt",
     "ci/verify.sh": "verify.txt",
@@ -45,10 +45,10 @@ def write_repository(folder: Path) -> list[Path]:
     if folder.exists() and (not folder.is_dir() or any(x.name != ".git" for x in folder.iterdir())):
         raise ConfigError(f"{folder} is not empty; choose a new or empty folder")
     templates = resources.files("leaderboard.submission") / "templates"
-    for path, name in TEMPLATE.items():
+    for path, name in _TEMPLATE.items():
         write_text(folder / path, (templates / name).read_text(encoding="utf-8"))
     (folder / "ci/verify.sh").chmod(0o755)
-    return [folder / path for path in TEMPLATE]
+    return [folder / path for path in _TEMPLATE]
 
 
 def build_site(repository: Path, out: Path) -> Path:

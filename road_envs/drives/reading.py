@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from road_envs.core import config
 from road_envs.core.config import ConfigError
 from road_envs.drives.logger_tables.description import (
     DEFAULT_PLACE,
@@ -145,15 +146,25 @@ def _read_table(path: Path, table: Any, chosen: DriveDescription) -> DriveFile:
 def _read_record(
     path: Path, chosen: DriveDescription, given: list[str], is_described: bool, track: Path | None
 ) -> DriveFile:
-    """Read a record of this package, which takes a vehicle and instruments only."""
+    """Read a record of this package, which takes a vehicle and instruments only.
+
+    Without either, the vehicle is the one that the record says was simulated, if that is a shipped
+    one: a record may come from anybody, so no file is opened that it names.
+    """
     needless = [key for key in given if key not in ("vehicle", "sensors")]
     if needless or is_described or track:
         options = [*needless, *(["track"] if track else [])]
         left = ", ".join(f"--{x.replace('_', '-')}" for x in options) or "the description"
         raise ConfigError(f"{path} contains all that belongs to the drive: leave out {left}")
-    name = chosen.vehicle or DEFAULT_VEHICLE
+    record, provenance = read_record(path)
+    simulated, notes = provenance.get("vehicle"), tuple[str, ...]()
+    if chosen.vehicle is not None:
+        name = chosen.vehicle
+    elif simulated in config.names("vehicles"):
+        name = str(simulated)
+    else:
+        name, notes = DEFAULT_VEHICLE, (_assumed_vehicle(simulated),)
     car = load_vehicle(name)
-    record, _ = read_record(path)
     if chosen.sensors is not None:
         layout = load_instruments(chosen.sensors).layout
         if tuple(layout) != record.channels:
@@ -165,7 +176,16 @@ def _read_record(
         record = replace(record, sensors=layout)
     check_modes(record, car)
     measured, sensors = MeasuredRecord(record), chosen.sensors or DEFAULT_SENSORS
-    return DriveFile(path.stem, path.name, measured, name, car, sensors, False, chosen)
+    drive = DriveFile(path.stem, path.name, measured, name, car, sensors, False, chosen)
+    return drive.with_notes(*notes)
+
+
+def _assumed_vehicle(simulated: object) -> str:
+    """Return the note of a record whose vehicle is unknown, or a file named `simulated`."""
+    said = "does not say which vehicle was simulated"
+    if isinstance(simulated, str):
+        said = f"is of the vehicle {Path(simulated).name!r}, which is no shipped one"
+    return f"the record {said}: {DEFAULT_VEHICLE} is assumed (--vehicle says which)"
 
 
 def read_passes(

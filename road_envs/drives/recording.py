@@ -165,4 +165,5 @@ def read_record(path: Path) -> tuple[Record, dict[str, object]]:
     stiff, high = decode_commands(commands)
     low_pass = LowPass(*about["low_pass"]) if "low_pass" in about else None
     record = Record(t, np.stack(a), v, s, stiff, high, about["length"], sensors, low_pass)
-    return record, about.get("provenance", {})
+    provenance = about.get("provenance")
+    return record, provenance if isinstance(provenance, dict) else {}

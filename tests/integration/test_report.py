@@ -6,6 +6,10 @@ import re
 import pandas as pd
 import pytest
 
+from road_envs import load_vehicle
+from road_envs.drives.recording import read_record, write_record
+from road_envs.vehicle.parameters import write_vehicle
+
 pytestmark = pytest.mark.usefixtures("unchecked")
 DRIVE = ("--road", "iso_b", "--length", "120", "--speed-kmh", "50", "--sensors", "phone")
 
@@ -51,6 +55,30 @@ def test_without_positions_there_is_no_map(road_recon, tmp_path):
     assert code == 0 and "written: r/index.html and 5 files beside it" in out, err
     page = (tmp_path / "r/index.html").read_text(encoding="utf-8")
     assert page.count("><svg") == 3 and "on the track" not in page
+
+
+def test_a_record_says_which_vehicle_was_simulated_and_else_a_note_which_is_assumed(
+    road_recon, tmp_path
+):
+    """A file of a vehicle that a record names is not opened: records may come from anybody."""
+    words = ("report", "--out", "r", "--estimator", "wiener", "--json")
+    road_recon("simulate", *DRIVE, "--vehicle", "suv", "--out", "suv.parquet")
+    code, told, err = road_recon(*words, "suv.parquet")
+    assert code == 0, err
+    assert told == road_recon(*words, "suv.parquet", "--vehicle", "suv")[1]
+    assert "is assumed" not in told
+    write_vehicle(tmp_path / "mine.yaml", load_vehicle("land_rover_defender_110"))
+    road_recon("simulate", *DRIVE, "--vehicle", "mine.yaml", "--out", "mine.parquet")
+    _, out, _ = road_recon(*words, "mine.parquet")
+    assert json.loads(out)["drives"][0]["notes"][0] == (
+        "the record is of the vehicle 'mine.yaml', which is no shipped one: "
+        "land_rover_defender_110 is assumed (--vehicle says which)"
+    )
+    _, out, _ = road_recon(*words, "mine.parquet", "--vehicle", "mine.yaml")
+    assert "is assumed" not in out
+    write_record(tmp_path / "bare.parquet", read_record(tmp_path / "mine.parquet")[0], {})
+    _, out, _ = road_recon(*words, "bare.parquet")
+    assert "does not say which vehicle was simulated" in json.loads(out)["drives"][0]["notes"][0]
 
 
 def test_passes_are_moved_onto_the_first_and_compared(road_recon, tmp_path):

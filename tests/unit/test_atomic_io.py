@@ -12,10 +12,13 @@ from road_envs.core import atomic_io
 from road_envs.core.atomic_io import (
     TempFolder,
     atomic_write,
+    copy_file,
+    new_folder,
     remove_stale_partials,
     remove_stale_temp,
     write_text,
 )
+from road_envs.core.config import ConfigError
 
 
 def test_a_file_is_replaced_only_when_it_is_complete(tmp_path):
@@ -133,3 +136,18 @@ def test_temporary_folders_of_dead_owners_are_removed(tmp_path, monkeypatch):
         living.kill()
         living.wait()
     assert remove_stale_temp() == [his] and sorted(tmp_path.iterdir()) == others
+
+
+def test_a_new_folder_appears_whole_or_not_at_all(tmp_path):
+    path = tmp_path / "found"
+    with pytest.raises(RuntimeError), new_folder(path) as folder:
+        copy_file(Path(__file__), folder / "deep" / "copy.py")
+        assert (folder / "deep" / "copy.py").read_bytes() == Path(__file__).read_bytes()
+        assert not path.exists()
+        raise RuntimeError
+    assert list(tmp_path.iterdir()) == []
+    with new_folder(path) as folder:
+        (folder / "a").touch()
+    assert [x.name for x in path.iterdir()] == ["a"] and list(tmp_path.iterdir()) == [path]
+    with pytest.raises(ConfigError, match="exists; give a folder that does not"), new_folder(path):
+        pass

@@ -36,9 +36,9 @@ def drive():
 @pytest.fixture
 def short(monkeypatch):
     """Sections of 20 m."""
-    monkeypatch.setattr(sections, "SECTION", 20.0)
-    monkeypatch.setattr(sections, "RUN_IN", 10.0)
-    monkeypatch.setattr(sections, "RUN_OUT", 5.0)
+    monkeypatch.setattr(sections, "_SECTION", 20.0)
+    monkeypatch.setattr(sections, "_RUN_IN", 10.0)
+    monkeypatch.setattr(sections, "_RUN_OUT", 5.0)
 
 
 def estimate(drive, folder=None, one=ONE, said=None):
