@@ -4,10 +4,11 @@
 
 The vehicle part holds the coordinates of the 7-DOF model and their rates, N = 14. A frame that
 twists and side motion (`road_envs.vehicle.side_motion`) add coordinates and their rates; a body
-that bends adds the two states of its filter (`estimators.common.bending`). The biases [m/s²] are the offsets of the sensors. The road is
-K nodes of a cubic B-spline, fixed in space, each as mean and half difference of the wheel paths:
-node k is the pair of the number k modulo K, so a new node takes the entries of the oldest one.
-Retired nodes remain in decaying sums, the real parts of both, then the imaginary ones,
+that bends adds the two states of its filter (`estimators.common.bending`). The biases [m/s²] are
+the offsets of the sensors. The road is K nodes of a cubic B-spline, fixed in space, each as mean
+and half difference of the wheel paths: node k is the pair of the number k modulo K, so a new node
+takes the entries of the oldest one. Retired nodes remain in decaying sums, the real parts of both,
+then the imaginary ones,
 
     sum over k < oldest of c_k exp((i - 1) decay (oldest - k))
 
