@@ -18,7 +18,7 @@ import numpy as np
 from road_envs.records.record import Estimate, Profile, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
-T = TypeVar("T")
+_T = TypeVar("_T")
 
 ENTRY_POINT_GROUP = "road_envs.estimators"
 """Entry-point group in which other packages declare estimators."""
@@ -193,7 +193,7 @@ def uses_seed(estimator: object) -> bool:
     return getattr(estimator, "uses_seed", True) is not False
 
 
-def copy_with(estimator: T, **fields: Any) -> T:
+def copy_with(estimator: _T, **fields: Any) -> _T:
     """Return a copy of a frozen estimator with these learned `fields` set."""
     twin = copy.copy(estimator)
     for name, value in fields.items():
@@ -201,7 +201,7 @@ def copy_with(estimator: T, **fields: Any) -> T:
     return twin
 
 
-def require_fitted(value: T | None, estimator: object) -> T:
+def require_fitted(value: _T | None, estimator: object) -> _T:
     """Return `value`, a learned field of `estimator`. Raises NotFittedError if it is None."""
     if value is None:
         name = type(estimator).__name__

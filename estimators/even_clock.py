@@ -18,7 +18,7 @@ _GAP_JITTERS = 6.0
 _FS_SPLINE = 400.0
 
 
-def is_even_clock(steps: np.ndarray) -> bool:
+def _is_even_clock(steps: np.ndarray) -> bool:
     """Return whether the time steps (N - 1,) are those of an even clock."""
     dt = float(np.median(steps))
     return bool(np.abs(steps - dt).max() <= _CLOCK_JITTER_MAX * dt)
@@ -39,12 +39,14 @@ def _on_clock(record: Record, t: np.ndarray, a: np.ndarray) -> Record:
     )
 
 
-def with_lost_samples(record: Record) -> Record:
-    """Return the record of an uneven clock with lost samples as NaN.
+def with_lost_samples(record: Record) -> Record | None:
+    """Return the record of an uneven clock with lost samples as NaN; None if its clock is even.
 
     A step counts as one interval unless it is longer than the jitter of the others makes likely.
     """
     steps = np.diff(record.t)
+    if _is_even_clock(steps):
+        return None
     dt = float(np.median(steps))
     jitter = float(np.median(np.abs(steps - dt))) / dt
     intervals = np.maximum(np.round(steps / dt), 1.0).astype(int)
@@ -62,7 +64,7 @@ def resample_evenly(record: Record) -> tuple[Record, list[str]]:
     Accelerations are NaN where samples were lost or dropped.
     """
     steps = np.diff(record.t)
-    if is_even_clock(steps):
+    if _is_even_clock(steps):
         return record, []
     dt = float(np.median(steps))
     t = record.t[0] + dt * np.arange(int((record.t[-1] - record.t[0]) / dt + 1e-6) + 1)

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import binary_dilation
 
-from estimators.even_clock import is_even_clock, resample_evenly, with_lost_samples
+from estimators.even_clock import resample_evenly, with_lost_samples
 from estimators.low_pass import undo_low_pass
 from road_envs.kernels.filters import preprocess_accelerations
 from road_envs.records.record import (
@@ -116,9 +116,10 @@ def restore_times(masked: MaskedRecord, record: Record, instruments: Instruments
 
     A record whose samples a low-pass has mixed stays resampled.
     """
-    if masked.record.low_pass is not None or is_even_clock(np.diff(record.t)):
+    uneven = with_lost_samples(_fill_odometer(record)[0])
+    if masked.record.low_pass is not None or uneven is None:
         return masked
-    found, _ = _check_drive(with_lost_samples(_fill_odometer(record)[0]))
+    found, _ = _check_drive(uneven)
     finite = np.isfinite(found.a)
     found = dataclasses.replace(found, a=np.where(finite, found.a, np.nan))
     out_of_range = _is_out_of_range(np.nan_to_num(np.abs(found.a)), instruments)

@@ -25,6 +25,7 @@ from estimators.networks.static_lm import StaticLm
 from estimators.networks.tcn import Tcn, TcnCausal
 from estimators.pretrained_weights import load_pretrained
 from estimators.wiener.wiener import IteratedWiener, Wiener
+from road_envs.core.registry import PluginWarning as PluginWarning  # part of `estimators`
 from road_envs.core.registry import Registry
 
 REGISTRY: dict[str, type[Estimator]] = {

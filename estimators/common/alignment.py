@@ -3,7 +3,7 @@
 The slopes of roads are nearly white, so that unrelated ones seldom have a large correlation and the
 lag of equal ones is sharp. The correlation coefficient of the band-passed slopes, of both wheel
 paths together, is searched over lags, and over scales of the odometer; then a piecewise linear map
-of the stations follows the lag of each _WINDOW along the road.
+of the stations follows the lag of each window along the road.
 """
 
 from dataclasses import dataclass

@@ -9,7 +9,7 @@ import numpy as np
 
 from estimators.api import require_fitted
 from estimators.common.spatial_signals import SpatialSignals
-from estimators.common.training_data import TrainingExample, training_example
+from estimators.common.training_data import TrainingExample
 from estimators.common.vehicle_correction import NOTE, Prediction, VehicleCorrection
 from estimators.pretrained_weights import load_pretrained
 from road_envs.core.config import Settings
@@ -36,7 +36,7 @@ class SpatialEstimator(Settings, abc.ABC):
         self, record: Record, truth: Profile, rigid: bool = True
     ) -> TrainingExample:
         """Return what is kept of a drive for training. Raises RecordError."""
-        return training_example(record, truth, self.causal, rigid)
+        return TrainingExample.of(record, truth, self.causal, rigid)
 
     def _fitted_or_pretrained(self) -> Any:
         """Return the fitted state, or the one shipped for the default settings. Raises

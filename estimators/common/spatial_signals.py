@@ -71,6 +71,27 @@ class SpatialSignals(NamedTuple):
     margin: int
     spectrum: np.ndarray
 
+    @classmethod
+    def of(cls, record: Record, margin: int, causal: bool = False) -> "SpatialSignals":
+        """Return the signals of a record at its stations and at `margin` more at either end.
+
+        With `causal` no station uses a sample from more than FILTER_REACH after it.
+        """
+        K = _n_stations(record.length) + 2 * margin
+        first = -(EDGE_STATIONS + margin) * DECIMATION
+        edge = EDGE_STATIONS * DECIMATION
+        fine = PROFILE_SPACING * np.arange(first - edge, first + (K - 1) * DECIMATION + edge + 1)
+        sensed = body_motions(record, causal)
+        motions = record.interpolate(fine, sensed)
+        motions[:, (fine < record.s[0]) | (fine > record.s[-1])] = 0.0
+        s = fine[edge:-edge:DECIMATION]
+        stiff, high = record.spring_stiff, record.damper_high
+        axles = (stiff[:, :2], high[:, :2], stiff[:, 2:], high[:, 2:])
+        states = record.interpolate(s, np.array([pair.mean(axis=1) for pair in axles]))
+        v, ratios = np.interp(s, record.s, record.v), _power_ratios(sensed[:N_MOTIONS], record.fs)
+        spectrum = record.interpolate(s, ratios) if causal else np.tile(ratios[:, -1:], K)
+        return cls(_decimate(motions), v, states.T, margin, spectrum)
+
     @property
     def size(self) -> int:
         """Number of estimated stations."""
@@ -81,31 +102,20 @@ class SpatialSignals(NamedTuple):
         """The estimated stations among all."""
         return slice(self.margin, self.v.size - self.margin)
 
+    @property
+    def state(self) -> np.ndarray:
+        """State (4,) that prevails at the estimated stations, 0 or 1, in the order of `states`."""
+        return self.states[self.inside].mean(axis=0).round()
+
+    @property
+    def speed(self) -> float:
+        """Mean speed [m/s] at the estimated stations."""
+        return float(self.v[self.inside].mean())
+
 
 def _n_stations(length: float) -> int:
     """Return the number of estimated stations on a road of `length` [m]."""
     return -(-profile_stations(length).size // DECIMATION) + 2 * EDGE_STATIONS
-
-
-def to_spatial(record: Record, margin: int, causal: bool = False) -> SpatialSignals:
-    """Return the signals of a record at its stations and at `margin` more at either end.
-
-    With `causal` no station uses a sample from more than FILTER_REACH after it.
-    """
-    K = _n_stations(record.length) + 2 * margin
-    first = -(EDGE_STATIONS + margin) * DECIMATION
-    edge = EDGE_STATIONS * DECIMATION
-    fine = PROFILE_SPACING * np.arange(first - edge, first + (K - 1) * DECIMATION + edge + 1)
-    sensed = body_motions(record, causal)
-    motions = record.interpolate(fine, sensed)
-    motions[:, (fine < record.s[0]) | (fine > record.s[-1])] = 0.0
-    s = fine[edge:-edge:DECIMATION]
-    stiff, high = record.spring_stiff, record.damper_high
-    axles = (stiff[:, :2], high[:, :2], stiff[:, 2:], high[:, 2:])
-    states = record.interpolate(s, np.array([pair.mean(axis=1) for pair in axles]))
-    v, ratios = np.interp(s, record.s, record.v), _power_ratios(sensed[:N_MOTIONS], record.fs)
-    spectrum = record.interpolate(s, ratios) if causal else np.tile(ratios[:, -1:], K)
-    return SpatialSignals(_decimate(motions), v, states.T, margin, spectrum)
 
 
 def _power_ratios(a: np.ndarray, fs: float) -> np.ndarray:

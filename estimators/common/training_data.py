@@ -8,7 +8,6 @@ from estimators.common.spatial_signals import (
     N_HIGH_PASS,
     SpatialSignals,
     target_profile,
-    to_spatial,
 )
 from estimators.preprocessing import clean_record
 from road_envs.records.record import Profile, Record
@@ -27,16 +26,16 @@ class TrainingExample(NamedTuple):
     target: np.ndarray
     rigid: bool = True
 
-
-def training_example(
-    record: Record, truth: Profile, causal: bool, rigid: bool = True
-) -> TrainingExample:
-    """Return the training example of a drive in single precision. Raises RecordError."""
-    record, _ = clean_record(record)
-    signals = to_spatial(record, STATION_MARGIN, causal)
-    arrays = {k: x.astype(np.float32) for k, x in signals._asdict().items() if k != "margin"}
-    target = target_profile(truth, record.length).astype(np.float32)
-    return TrainingExample(signals._replace(**arrays), target, rigid)
+    @classmethod
+    def of(
+        cls, record: Record, truth: Profile, causal: bool, rigid: bool = True
+    ) -> "TrainingExample":
+        """Return the training example of a drive in single precision. Raises RecordError."""
+        record, _ = clean_record(record)
+        signals = SpatialSignals.of(record, STATION_MARGIN, causal)
+        arrays = {k: x.astype(np.float32) for k, x in signals._asdict().items() if k != "margin"}
+        target = target_profile(truth, record.length).astype(np.float32)
+        return cls(signals._replace(**arrays), target, rigid)
 
 
 def validity_notes(signals: SpatialSignals) -> list[str]:

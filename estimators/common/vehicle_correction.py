@@ -17,7 +17,7 @@ from estimators.common.blas import single_blas_thread
 from estimators.common.least_squares import LeastSquaresSums, cross_validate
 from estimators.common.odometer import calibrate_stations
 from estimators.common.spatial_signals import EDGE_STATIONS, SPACING, SpatialSignals
-from estimators.common.training_data import TrainingExample, training_example
+from estimators.common.training_data import TrainingExample
 
 _FOLDS = 5
 # Candidates, relative to the mean square of the features; infinite: no correction
@@ -40,9 +40,8 @@ class VehicleCorrection(NamedTuple):
 
     def serves(self, signals: SpatialSignals) -> bool:
         """Return whether a drive is in the state and near the speed of the correction."""
-        state, speed = _condition(signals)
-        near = self.speed / _SPEED_RATIO < speed < self.speed * _SPEED_RATIO
-        return bool((state == self.state).all() and near)
+        near = self.speed / _SPEED_RATIO < signals.speed < self.speed * _SPEED_RATIO
+        return bool((signals.state == self.state).all() and near)
 
     def correct(self, prediction: "Prediction") -> np.ndarray:
         """Return the corrected m and q (2, M) [m]."""
@@ -84,9 +83,9 @@ def fit_corrections(
     for drive in drives:
         if drive.profile is not None:
             record, _ = calibrate_stations(drive.record, causal)
-            example = training_example(record, drive.profile, causal)
-            state, speed = _condition(example.signals)
-            key = np.append(state, np.round(np.log(speed) / np.log(_SPEED_RATIO))).tobytes()
+            example = TrainingExample.of(record, drive.profile, causal)
+            step = np.round(np.log(example.signals.speed) / np.log(_SPEED_RATIO))
+            key = np.append(example.signals.state, step).tobytes()
             groups.setdefault(key, []).append((example, drive))
     for group in groups.values():
         sums, power = list[list[LeastSquaresSums]](), 0.0
@@ -103,8 +102,7 @@ def fit_corrections(
                 for k, part in enumerate(np.array_split(inside, _FOLDS)):
                     new = LeastSquaresSums.from_samples(x[row][:, part].T, error[row][part, None])
                     folds[k] = folds[k].plus(new)
-        state, _ = _condition(group[0][0].signals)
-        speed = float(np.mean([_condition(example.signals)[1] for example, _ in group]))
+        speed = float(np.mean([example.signals.speed for example, _ in group]))
         chosen = [cross_validate(folds, _RIDGES) for folds in sums]
         coefficients = np.array([each[:, 0] for _, each, _ in chosen])
         if sum(left for _, _, left in chosen) > _UNEXPLAINED_MAX * power:
@@ -114,11 +112,5 @@ def fit_corrections(
                 "vehicle is too unlike that of the training (calibrated_fir knows none)"
             )
         if coefficients.any():
-            found.append(VehicleCorrection(coefficients, state, speed))
+            found.append(VehicleCorrection(coefficients, group[0][0].signals.state, speed))
     return tuple(found)
-
-
-def _condition(signals: SpatialSignals) -> tuple[np.ndarray, float]:
-    """Return the prevailing state (4,) and the mean speed [m/s] of a drive."""
-    states, v = signals.states[signals.inside], signals.v[signals.inside]
-    return states.mean(axis=0).round(), float(v.mean())

@@ -1,4 +1,4 @@
-"""A drive prepared for the filter, its state, and the windows that it has filtered."""
+"""Run of the filter over a drive: constants, inputs, current state, and what the smoother needs."""
 
 from dataclasses import dataclass, field
 

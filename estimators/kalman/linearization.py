@@ -1,7 +1,8 @@
 """Prediction of one block of measurements by the nonlinear vehicle, and its exact derivative.
 
 The vehicle is simulated through the block by the simulator's own step over the mean of the road
-nodes. Every column of the factors is the exact tangent of these steps
+nodes. `LinearizedBlock.factors` holds the two Jacobians of an extended Kalman filter, that of the
+measurement above that of the transition: every column is the exact tangent of these steps
 (`road_envs.simulation.sensitivity`).
 """
 

@@ -1,4 +1,6 @@
-"""Setup of a filter run from a record, filtering, and smoothing in chunks of bounded memory."""
+"""Course of an estimate: setup of the run from a record, then the filter (`forward.py`) over all
+windows or, in chunks of bounded memory, filter and smoother (`smoother.py`).
+"""
 
 from dataclasses import replace
 

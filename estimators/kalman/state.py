@@ -2,12 +2,13 @@
 
     x = [vehicle (N), biases (3), retired-node sums (4), nodes (2 K)]
 
-The vehicle part holds the coordinates of the 7-DOF model and their rates, N = 14; with a frame that
-twists, its twist as the eighth, and with a body that bends, the two states of its filter
-(`estimators.common.bending`), N = 18. The biases [m/s²] are the offsets of the sensors. The road is
-K nodes of a cubic B-spline, fixed in space, each as mean and half difference of the wheel paths:
-node k is the pair of the number k modulo K, so a new node takes the entries of the oldest one.
-Retired nodes remain in decaying sums, the real parts of both, then the imaginary ones,
+The vehicle part holds the coordinates of the 7-DOF model and their rates, N = 14. A frame that
+twists and side motion (`road_envs.vehicle.side_motion`) add coordinates and their rates; a body
+that bends adds the two states of its filter (`estimators.common.bending`). The biases [m/s²] are
+the offsets of the sensors. The road is K nodes of a cubic B-spline, fixed in space, each as mean
+and half difference of the wheel paths: node k is the pair of the number k modulo K, so a new node
+takes the entries of the oldest one. Retired nodes remain in decaying sums, the real parts of both,
+then the imaginary ones,
 
     sum over k < oldest of c_k exp((i - 1) decay (oldest - k))
 
@@ -34,10 +35,10 @@ class FilterModel(NamedTuple):
     [N²]: variance of the strut force about its linearization. `strut_rows` (4, D), `sensor_rows`
     (3, D): strut extension and sensor acceleration per unit of each coordinate. `force_effect`
     (4, 3 + N): means of the sensors and states at the end of a block per unit strut force, which is
-    constant over a block. `valve_lag` [s]. Bending of the body: modal force
-    per heave and pitch acceleration `bending_force` (2,), shape at the sensors `bending_shape`
-    (3,), and the coefficients `bending_section` (6,) of its filter, (0,) if the body is stiff.
-    `flexible`: True of a frame that twists, else None; `side` of side motion.
+    constant over a block. `valve_lag` [s]: time constant of the valves. Bending of the body: modal
+    force per heave and pitch acceleration `bending_force` (2,), shape at the sensors
+    `bending_shape` (3,), and the coefficients `bending_section` (6,) of its filter, (0,) if the
+    body is stiff. `flexible`: True if the frame twists, else None; `side`: the same of side motion.
 
     Road: `wheelbase_nodes`, the wheelbase in nodes.
 

@@ -1,4 +1,8 @@
-"""Windows of blocks in which the filter works, and at which of them a height is emitted."""
+"""Division of a drive into windows of blocks.
+
+In a window the filter works on the local state alone: the vehicle and the nodes that either axle
+passes. Nodes enter and leave the state between windows, and most heights are emitted there.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property

@@ -218,7 +218,7 @@ def _identify_state(
     """Identify the responses from drives in one strut state. Raises CalibrationError."""
     data = [RoadDrive.of(drive.record, cast(Profile, drive.profile), axles) for drive in drives]
     check_drives(drives, data)
-    found = impulse_responses.identify_responses(data, prior)
+    found = IdentifiedResponses.identify(data, prior)
     check_responses(found, drives, axles)
     factor, error = _validate(found, drives, axles)
     if not error <= _MAX_HELD_OUT:
@@ -245,7 +245,7 @@ def _validate(
         truth = sample_profile(profile, s)
         inside = band_pass(truth, PROFILE_SPACING, band)
         cut = slice((s.size - inside.shape[1]) // 2, (s.size + inside.shape[1]) // 2)
-        part = impulse_responses.segment_of(s[cut], profile, axles)
+        part = RoadDrive.segment_of(s[cut], profile, axles)
         for segment, responses in enumerate(found.held_out):
             here = part == segment
             z, z_std = _reconstruct(responses, axles, record, 0)

@@ -62,7 +62,7 @@ class FirBank(NamedTuple):
         """
         drives: dict[int, list[int]] = {}
         for i, signals in enumerate(all_signals):
-            drives.setdefault(_state_combination(signals), []).append(i)
+            drives.setdefault(int(signals.state @ [8, 4, 2, 1]), []).append(i)
         taps = np.zeros(cls.shape(behind, ahead), dtype=np.float16)
         for combination, indices in drives.items():
             sums = [_KnotNormalEquations.zeros(k * taps.shape[-1]) for k in (2, 1)]
@@ -165,15 +165,10 @@ def _add_drive(
     windows = motion_windows(signals, behind, ahead)
     z = keep_short_waves(target)
     scale = 1.0 / (_LEVEL_MIN + np.sqrt(np.mean(z**2)))
-    v = float(signals.v[signals.inside].mean())
-    sums[0].add(scale * np.concatenate([windows[0], windows[1]], axis=1), scale * z[0], v)
-    sums[1].add(scale * windows[2], scale * z[1], v)
-
-
-def _state_combination(signals: SpatialSignals) -> int:
-    """Return the index of the state combination that prevails in a drive."""
-    share = signals.states[signals.inside].mean(axis=0)
-    return int(sum(8 >> i for i in range(4) if share[i] > 0.5))
+    sums[0].add(
+        scale * np.concatenate([windows[0], windows[1]], axis=1), scale * z[0], signals.speed
+    )
+    sums[1].add(scale * windows[2], scale * z[1], signals.speed)
 
 
 def _locate_knots(v: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:

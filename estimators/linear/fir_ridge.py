@@ -46,7 +46,6 @@ from estimators.common.odometer import calibrate_odometer
 from estimators.common.pretrained import SpatialEstimator
 from estimators.common.spatial_signals import (
     SpatialSignals,
-    to_spatial,
     upsample,
     wheel_paths,
     without_long_waves,
@@ -150,7 +149,7 @@ class FirRidge(SpatialEstimator):
         notes = (*notes, *odometer)
         model, stations = self._fitted_or_pretrained(), profile_stations(record.length)
         if isinstance(model, FirBank):
-            signals = to_spatial(record, STATION_MARGIN)
+            signals = SpatialSignals.of(record, STATION_MARGIN)
             predict = partial(_prediction, model, signals)
             z, corrected = self._corrected(model(signals), signals, predict)
             notes = (*notes, *corrected, LONG_WAVE_NOTE, *validity_notes(signals))

@@ -70,7 +70,14 @@ class RoadDrive(NamedTuple):
             ]
             for axle in axles
         ]
-        return cls(sensed(record, t), np.array(u), segment_of(s, profile, axles))
+        return cls(sensed(record, t), np.array(u), cls.segment_of(s, profile, axles))
+
+    @staticmethod
+    def segment_of(s: np.ndarray, profile: Profile, axles: np.ndarray) -> np.ndarray:
+        """Return the segment (N,) at first-axle stations `s` [m]; -1 if an axle is beyond."""
+        start, end = profile.s[0] + axles[-1], profile.s[-1]
+        part = np.floor(_SEGMENTS * (s - start) / max(end - start, 1e-9)).astype(int)
+        return np.where((part >= 0) & (part < _SEGMENTS), part, -1)
 
     @single_blas_thread()
     def quick_explained(self) -> np.ndarray:
@@ -121,6 +128,38 @@ class IdentifiedResponses(NamedTuple):
     held_out: list[Responses]
     explained: np.ndarray
 
+    @classmethod
+    @single_blas_thread()
+    def identify(
+        cls, drives: Sequence[RoadDrive], prior: np.ndarray | None = None
+    ) -> "IdentifiedResponses":
+        """Identify the responses from drives of one vehicle in one state.
+
+        `prior` (k, axles, 2, N_TAPS): mean of the taps before these drives, by default 0.
+        """
+        k, shape = len(drives[0].a), (*drives[0].u.shape[:2], N_TAPS)
+        mean = np.zeros((k, int(np.prod(shape)))) if prior is None else prior.reshape(k, -1)
+        X = [_stack_delays(drive.u, N_TAPS) for drive in drives]
+        a = [drive.a - mean @ x.T for drive, x in zip(drives, X, strict=True)]
+        parts = _segment_sums(drives, X, a, np.ones(1))
+        total = reduce(LeastSquaresSums.plus, parts)
+        settings = [_fit_settings(total, j) for j in range(k)]
+        powers = [np.sum(drive.a[:, drive.segment >= 0] ** 2, axis=1) for drive in drives]
+        explained = _explained(parts, settings, np.sum(powers, axis=0))
+        ar = _fit_autoregression(_residuals(drives, X, a, _solve_taps(total, settings)))
+        white = np.append(1.0, -ar)
+        parts = _segment_sums(drives, X, a, white)
+        total = reduce(LeastSquaresSums.plus, parts)
+        settings = [_fit_settings(total, j) for j in range(k)]
+        theta = _solve_taps(total, settings)
+        e = [signal.lfilter(white, 1.0, x) for x in _residuals(drives, X, a, theta)]
+        innovation = np.cov(np.concatenate(e, axis=1), bias=True).reshape(k, k)
+        held_out = [_solve_taps(total.plus(part, -1), settings) for part in parts]
+        first, *others = [
+            Responses((mean + x).reshape(k, *shape), ar, innovation) for x in (theta, *held_out)
+        ]
+        return cls(first, others, explained)
+
 
 def sample_times(record: Record) -> np.ndarray:
     """Return the instants (N,) [s] at RATE within a record."""
@@ -154,13 +193,6 @@ def fine_stations(record: Record, t: np.ndarray) -> np.ndarray:
     return s + np.maximum(fine - record.t[-1], 0.0) * record.v[-1]
 
 
-def segment_of(s: np.ndarray, profile: Profile, axles: np.ndarray) -> np.ndarray:
-    """Return the segment (N,) at stations `s` [m] of the first axle; -1 if an axle is beyond."""
-    start, end = profile.s[0] + axles[-1], profile.s[-1]
-    part = np.floor(_SEGMENTS * (s - start) / max(end - start, 1e-9)).astype(int)
-    return np.where((part >= 0) & (part < _SEGMENTS), part, -1)
-
-
 def _stack_delays(u: np.ndarray, n_taps: int) -> np.ndarray:
     """Return the regressors (N, inputs n_taps) of inputs `u` (..., N), zero before them."""
     # a window ends at each sample; reversed, its first value is the newest, as taps count back
@@ -168,38 +200,6 @@ def _stack_delays(u: np.ndarray, n_taps: int) -> np.ndarray:
     padded = np.pad(u, ((0, 0), (n_taps - 1, 0)))
     windows = np.lib.stride_tricks.sliding_window_view(padded, n_taps, axis=1)[:, :, ::-1]
     return np.concatenate(list(windows), axis=1)
-
-
-@single_blas_thread()
-def identify_responses(
-    drives: Sequence[RoadDrive], prior: np.ndarray | None = None
-) -> IdentifiedResponses:
-    """Identify the responses from drives of one vehicle in one state.
-
-    `prior` (k, axles, 2, N_TAPS): mean of the taps before these drives, by default 0.
-    """
-    k, shape = len(drives[0].a), (*drives[0].u.shape[:2], N_TAPS)
-    mean = np.zeros((k, int(np.prod(shape)))) if prior is None else prior.reshape(k, -1)
-    X = [_stack_delays(drive.u, N_TAPS) for drive in drives]
-    a = [drive.a - mean @ x.T for drive, x in zip(drives, X, strict=True)]
-    parts = _segment_sums(drives, X, a, np.ones(1))
-    total = reduce(LeastSquaresSums.plus, parts)
-    settings = [_fit_settings(total, j) for j in range(k)]
-    powers = [np.sum(drive.a[:, drive.segment >= 0] ** 2, axis=1) for drive in drives]
-    explained = _explained(parts, settings, np.sum(powers, axis=0))
-    ar = _fit_autoregression(_residuals(drives, X, a, _solve_taps(total, settings)))
-    white = np.append(1.0, -ar)
-    parts = _segment_sums(drives, X, a, white)
-    total = reduce(LeastSquaresSums.plus, parts)
-    settings = [_fit_settings(total, j) for j in range(k)]
-    theta = _solve_taps(total, settings)
-    e = [signal.lfilter(white, 1.0, x) for x in _residuals(drives, X, a, theta)]
-    innovation = np.cov(np.concatenate(e, axis=1), bias=True).reshape(k, k)
-    held_out = [_solve_taps(total.plus(part, -1), settings) for part in parts]
-    first, *others = [
-        Responses((mean + x).reshape(k, *shape), ar, innovation) for x in (theta, *held_out)
-    ]
-    return IdentifiedResponses(first, others, explained)
 
 
 def _explained(

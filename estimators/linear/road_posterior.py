@@ -45,7 +45,7 @@ class Nodes(NamedTuple):
         # node i below each station; weights of nodes beyond the ends are taken by the last node
         x = np.clip((s - self.start) / self.ds, 0.0, self.size - 1.0)
         i = np.minimum(x.astype(int), self.size - 2)
-        weights = np.array(height_weights.py_func(x - i))
+        weights = np.array(height_weights.py_func(x - i))  # type: ignore[attr-defined]
         columns = np.clip(i + np.arange(-1, 3)[:, None], 0, self.size - 1)
         rows = np.tile(np.arange(s.size), (4, 1))
         indices = (rows.ravel(), columns.ravel())

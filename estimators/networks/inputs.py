@@ -30,7 +30,6 @@ from estimators.common.spatial_signals import (
     SPACING,
     SpatialSignals,
 )
-from estimators.common.training_data import STATIONS_BEHIND
 from estimators.linear.fir_bank import FirBank, keep_short_waves
 
 # Stations ahead of the estimated one in a causal window; the filters use the rest of LAG
@@ -61,11 +60,6 @@ class _ReceptiveField(Protocol):
 
 # Signs of the inputs of the mirrored drive
 MIRROR_SIGNS = np.array([1, 1, -1, 1, 1, -1, 1, -1, 1, -1], dtype=np.float32)[:, None]
-
-
-def window_span(causal: bool) -> tuple[int, int]:
-    """Return the number of stations in the FIR window before and after the estimated one."""
-    return STATIONS_BEHIND, STATIONS_AHEAD if causal else STATIONS_BEHIND
 
 
 def network_inputs(

@@ -93,14 +93,14 @@ class LmEstimator(Settings):
         options = lm.TrainlmOptions(max_epochs=self.max_epochs, max_fail=self.max_fail)
         return lm.train(start, x, t, split, options)
 
-
-def training_data(
-    records: Sequence[Record], truths: Sequence[Profile]
-) -> tuple[list[np.ndarray], list[np.ndarray], lm.Scaling, lm.Scaling]:
-    """Return accelerations (3, M) and true heights (2, M) of each drive at the profile stations,
-    and the scalings of both. Raises RecordError.
-    """
-    a = [spatial_accelerations(clean_record(record)[0]) for record in records]
-    pairs = zip(records, truths, strict=True)
-    z = [sample_profile(truth, profile_stations(record.length)) for record, truth in pairs]
-    return a, z, lm.Scaling.fit(np.hstack(a)), lm.Scaling.fit(np.hstack(z))
+    @staticmethod
+    def _training_data(
+        records: Sequence[Record], truths: Sequence[Profile]
+    ) -> tuple[list[np.ndarray], list[np.ndarray], lm.Scaling, lm.Scaling]:
+        """Return accelerations (3, M) and true heights (2, M) of each drive at the profile
+        stations, and the scalings of both. Raises RecordError.
+        """
+        a = [spatial_accelerations(clean_record(record)[0]) for record in records]
+        pairs = zip(records, truths, strict=True)
+        z = [sample_profile(truth, profile_stations(record.length)) for record, truth in pairs]
+        return a, z, lm.Scaling.fit(np.hstack(a)), lm.Scaling.fit(np.hstack(z))

@@ -23,7 +23,7 @@ import numpy as np
 
 from estimators.api import Profiles, Records, copy_with, require_fitted
 from estimators.networks import levenberg_marquardt as lm
-from estimators.networks.lm_estimator import PATHS, FittedNetwork, LmEstimator, training_data
+from estimators.networks.lm_estimator import PATHS, FittedNetwork, LmEstimator
 from estimators.preprocessing import clean_record, spatial_accelerations
 from road_envs.core.config import Count
 from road_envs.kernels._numba import kernel
@@ -52,7 +52,7 @@ class Narx(LmEstimator):
 
     def fit(self, records: Records, truths: Profiles, car: VehicleParameters, seed: int) -> Self:
         """Train series-parallel; `seed` draws division and initial weights. Raises RecordError."""
-        a, z, inputs, outputs = training_data(records, truths)
+        a, z, inputs, outputs = self._training_data(records, truths)
         drives = [(inputs.apply(x), outputs.apply(y)) for x, y in zip(a, z, strict=True)]
         samples = [
             _series_parallel(x[:, : _n_training(y)], y[:, : _n_training(y)], self.delays)

@@ -28,20 +28,20 @@ from estimators.common.spatial_signals import (
     EDGE_STATIONS,
     SPACING,
     SpatialSignals,
-    to_spatial,
     upsample,
     wheel_paths,
 )
 from estimators.common.training_data import (
     LONG_WAVE_NOTE,
     STATION_MARGIN,
+    STATIONS_BEHIND,
     TrainingExample,
     validity_notes,
 )
 from estimators.common.vehicle_correction import CORRECTION_REACH, Prediction, fit_corrections
 from estimators.linear.fir_bank import FirBank, keep_short_waves, motion_windows
 from estimators.networks import trainer
-from estimators.networks.inputs import MIRROR_SIGNS, NetworkInputs, network_inputs, window_span
+from estimators.networks.inputs import MIRROR_SIGNS, STATIONS_AHEAD, NetworkInputs, network_inputs
 from estimators.networks.std_calibration import N_TERMS, StdScale, in_scored_band
 from estimators.networks.trainer import require_torch
 from estimators.preprocessing import clean_record
@@ -108,6 +108,11 @@ class SequenceEstimator(SpatialEstimator):
     channels: Annotated[Count, "", "channels of each layer"] = 48
     kernel: KernelSize = 5
 
+    @property
+    def _stations_ahead(self) -> int:
+        """Stations in the FIR window after the estimated one."""
+        return STATIONS_AHEAD if self.causal else STATIONS_BEHIND
+
     @abc.abstractmethod
     def network(self) -> Any:
         """Return the torch network with its initial weights."""
@@ -134,7 +139,7 @@ class SequenceEstimator(SpatialEstimator):
         progress("fitting the FIR bank", 0.0)
         rigid = [(drive.signals, drive.target) for drive in drives if drive.rigid]
         all_signals, targets = zip(*rigid, strict=True)
-        bank = FirBank.fit(all_signals, targets, *window_span(self.causal))
+        bank = FirBank.fit(all_signals, targets, STATIONS_BEHIND, self._stations_ahead)
         with torch.random.fork_rng():
             torch.manual_seed(seed)
             network = self.network()
@@ -196,7 +201,7 @@ class SequenceEstimator(SpatialEstimator):
         may be asymmetric as the vehicle's body is.
         """
         z, level = output.estimate, output.inputs.level
-        ahead = window_span(True)[1] if self.causal else CORRECTION_REACH
+        ahead = STATIONS_AHEAD if self.causal else CORRECTION_REACH
         windows = motion_windows(signals, CORRECTION_REACH, ahead, self.causal)
         x = np.concatenate(list(windows), axis=1).T / (_MOTION_UNIT * level)
         features = np.concatenate([output.hidden, np.array([x, x])], axis=1)
@@ -209,7 +214,7 @@ class SequenceEstimator(SpatialEstimator):
         record, notes = clean_record(record)
         record, odometer = calibrate_stations(record, self.causal)
         (bank, _, scale, wheelbase), network = self._loaded()
-        signals = to_spatial(record, STATION_MARGIN, self.causal)
+        signals = SpatialSignals.of(record, STATION_MARGIN, self.causal)
         inputs = network_inputs(signals, bank, car.wheelbase, network, self.causal)
         output = _evaluate(network, inputs)
         predict = partial(self._prediction, signals, output)
@@ -238,9 +243,9 @@ class SequenceEstimator(SpatialEstimator):
 
     def with_weights(self, weights: Mapping[str, np.ndarray]) -> Self:
         """Return a copy with these weights. Raises ValueError."""
-        behind, ahead = window_span(self.causal)
+        ahead = self._stations_ahead
         shapes: dict[str, tuple[int | None, ...]] = {
-            "taps": FirBank.shape(behind, ahead),
+            "taps": FirBank.shape(STATIONS_BEHIND, ahead),
             "widths": (N_TERMS,),
             "wheelbase": (),
         }

@@ -18,7 +18,7 @@ from typing import Annotated, ClassVar, Literal, Self
 import numpy as np
 
 from estimators.api import Profiles, Records, copy_with, require_fitted
-from estimators.networks.lm_estimator import FittedNetwork, LmEstimator, training_data
+from estimators.networks.lm_estimator import FittedNetwork, LmEstimator
 from estimators.preprocessing import clean_record, spatial_accelerations
 from road_envs.core.config import Count
 from road_envs.records.record import Estimate, Record, profile_stations
@@ -37,7 +37,7 @@ class StaticLm(LmEstimator):
 
     def fit(self, records: Records, truths: Profiles, car: VehicleParameters, seed: int) -> Self:
         """Train on all drives; `seed` draws division and initial weights. Raises RecordError."""
-        a, z, inputs, outputs = training_data(records, truths)
+        a, z, inputs, outputs = self._training_data(records, truths)
         samples = inputs.apply(np.hstack(a)), outputs.apply(np.hstack(z))
         training = self._train(*samples, self.division, seed)
         return copy_with(self, fitted_state=FittedNetwork(training, inputs, outputs))

@@ -33,7 +33,7 @@ from scipy.optimize import minimize
 
 from estimators.common.spatial_signals import N_MOTIONS, body_motions
 from estimators.preprocessing import clean_record
-from estimators.roughness.spectral import class_probabilities, most_probable, scored_octaves
+from estimators.roughness.spectral import class_probabilities, scored_octaves
 from road_envs.records.record import Profile, Record
 from road_envs.records.roughness import displacement_psd, octave_levels
 
@@ -56,7 +56,7 @@ class RoughnessEstimate(NamedTuple):
     @property
     def letter(self) -> str:
         """The most probable class."""
-        return most_probable(self.probability)
+        return max(self.probability, key=self.probability.__getitem__)
 
 
 class _Standardizer(NamedTuple):

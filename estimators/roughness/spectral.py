@@ -11,7 +11,6 @@ class limits at twice the geometric means (ISO 8608, table C.1).
 Limitations: wheels leaving the ground; roads too short to have a level.
 """
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -59,7 +58,7 @@ class ClassPosterior(NamedTuple):
     @property
     def letter(self) -> str:
         """The most probable class."""
-        return most_probable(self.probability)
+        return max(self.probability, key=self.probability.__getitem__)
 
 
 def classify_record(
@@ -81,7 +80,8 @@ def classify_record(
     log_level = float(share @ np.log(levels) / share.sum())
     log_std = float(np.sqrt(1.0 / total[use].sum() + _MODEL_ERROR**2))
     pairs = zip(np.log(levels).tolist(), stds.tolist(), strict=True)
-    classes = tuple(most_probable(class_probabilities(*pair)) for pair in pairs)
+    by_octave = [class_probabilities(*pair) for pair in pairs]
+    classes = tuple(max(each, key=each.__getitem__) for each in by_octave)
     probability, G_d0 = class_probabilities(log_level, log_std), float(np.exp(log_level))
     return ClassPosterior(G_d0, log_std, octaves, levels, stds, probability, classes)
 
@@ -91,11 +91,6 @@ def class_probabilities(log_level: float, log_std: float) -> dict[str, float]:
     limits = np.log([2.0 * mean for mean in CLASSES.values()][:-1])
     below = np.concatenate([[0.0], ndtr((limits - log_level) / log_std), [1.0]])
     return dict(zip(CLASSES, (float(p) for p in np.diff(below)), strict=True))
-
-
-def most_probable(probability: Mapping[str, float]) -> str:
-    """Return the letter of the most probable class."""
-    return max(probability, key=probability.__getitem__)
 
 
 def scored_octaves(v: float) -> np.ndarray:

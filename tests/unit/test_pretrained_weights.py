@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from estimators import create, pretrained_weights
-from estimators.common.training_data import training_example
+from estimators.common.training_data import STATIONS_BEHIND, TrainingExample
 from estimators.linear.fir_bank import FirBank
-from estimators.networks.inputs import window_span
+from estimators.networks.inputs import STATIONS_AHEAD
 from road_envs.drives.training_corpus import Corpus
 
 RARE = (
@@ -52,13 +52,14 @@ def rare_taps(causal: bool, flexible: bool) -> np.ndarray:
     depend on its own drives only.
     """
     drives = [
-        training_example(record, truth, causal)
+        TrainingExample.of(record, truth, causal)
         for record, truth, rigid in rare_drives()
         if rigid or flexible
     ]
     assert all((drive.signals.states == [1.0, 0.0, 0.0, 0.0]).all() for drive in drives)
     all_signals, targets, _ = zip(*drives, strict=True)
-    return FirBank.fit(all_signals, targets, *window_span(causal)).taps[STIFF_LOW_AND_RIDE]
+    ahead = STATIONS_AHEAD if causal else STATIONS_BEHIND
+    return FirBank.fit(all_signals, targets, STATIONS_BEHIND, ahead).taps[STIFF_LOW_AND_RIDE]
 
 
 @pytest.mark.parametrize(("name", "array"), WINDOWS.items())

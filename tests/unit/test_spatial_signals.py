@@ -65,7 +65,7 @@ def test_velocities_are_the_integrals_of_the_accelerations():
 def test_causal_signals_are_independent_of_samples_beyond_the_filter_reach():
     record, _ = drive(402)
     changed = replace(record, a=np.where(record.s > 10.0, 5.0, record.a))
-    before, after = (spatial_signals.to_spatial(r, 20, causal=True) for r in (record, changed))
+    before, after = (SpatialSignals.of(r, 20, causal=True) for r in (record, changed))
     s = SPACING * (np.arange(before.v.size) - 20 - EDGE_STATIONS)
     past = s < 10.0 - spatial_signals.FILTER_REACH - 1e-9
     np.testing.assert_array_equal(before.motions[:, past], after.motions[:, past])
@@ -201,7 +201,7 @@ def test_a_mirrored_drive_gives_the_mirrored_road(causal):
 def test_stations_are_every_sixth_point_of_the_profile_grid():
     assert SPACING == DECIMATION * PROFILE_SPACING
     record, _ = drive(404)
-    signals = spatial_signals.to_spatial(record, 3)
+    signals = SpatialSignals.of(record, 3)
     assert signals.size == spatial_signals._n_stations(record.length)
     assert signals.motions.shape == (6, signals.v.size) and signals.states.shape == (
         signals.v.size,

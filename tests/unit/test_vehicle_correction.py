@@ -8,7 +8,7 @@ import pytest
 from estimators import create
 from estimators.api import Calibratable, CalibrationDrive, CalibrationError, check_estimate
 from estimators.common.spatial_signals import SpatialSignals
-from estimators.common.training_data import training_example
+from estimators.common.training_data import TrainingExample
 from estimators.common.vehicle_correction import NOTE, Prediction, fit_corrections
 from leaderboard.metrics.heights import nrmse
 from road_envs.drives.recording import simulate_record
@@ -66,7 +66,7 @@ def test_unmeasured_roads_correct_nothing_and_wrong_profiles_are_refused():
 def test_known_coefficients_are_found():
     """Of three features, from an error that is their weighted sum, in the unit of each station."""
     record, truth = drive(41)
-    example = training_example(record, truth, False)
+    example = TrainingExample.of(record, truth, False)
     rng = np.random.default_rng(0)
     m, q = np.array([0.5, -1.0, 2.0]), np.array([0.0, 0.3, 0.1])
     x = rng.standard_normal((2, 3, example.signals.size))
