@@ -122,6 +122,5 @@ def _validate_policy_class(cls: Any) -> Any:
 
 
 _POLICIES = Registry("policy", ENTRY_POINT_GROUP, REGISTRY, _validate_policy_class)
-available, names = _POLICIES.available, _POLICIES.names
-entry_point = _POLICIES.entry_point
+available, names, entry_point = _POLICIES.available, _POLICIES.names, _POLICIES.entry_point
 """Look-up of all policies, as documented in `Registry`."""

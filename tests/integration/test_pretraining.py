@@ -85,7 +85,7 @@ def test_a_third_of_the_corpus_are_individuals_and_calibration_drives_are_nomina
 
     monkeypatch.setattr(training_corpus, "simulate_record", remember)
     monkeypatch.setattr(
-        training_corpus, "draw_road", lambda rng, length: Iso8608(road_class="A", length=5.0)
+        training_corpus, "_draw_road", lambda rng, length: Iso8608(road_class="A", length=5.0)
     )
     for k in range(12):
         with pytest.raises(SimulationError):

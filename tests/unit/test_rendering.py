@@ -24,7 +24,7 @@ from road_envs.simulation.drive import DriveSimulator
 from road_envs.vehicle.equations import AXLE, PHI, THETA, Z_B, build_plant
 from road_envs.vehicle.force_curves import zero_force_range
 from road_envs.vehicle.parameters import load_vehicle
-from road_envs.vehicle.suspension import encode_command
+from road_envs.vehicle.suspension import MODES, encode_command
 
 CAR = load_vehicle("land_rover_defender_110")
 SIDE = (slice(40, 344), slice(0, 639))
@@ -232,11 +232,11 @@ def test_the_picture_of_the_pages_is_the_side_view_of_a_frame():
 
 
 def test_a_command_is_described_in_words():
-    assert panels._describe_command(encode_command("handling")) == "handling"
+    assert panels._describe_command(encode_command("handling"), MODES) == "handling"
     front_rear = encode_command({"front": "ride", "rear": "stiff_low"})
-    assert panels._describe_command(front_rear) == "front ride, rear stiff/low"
+    assert panels._describe_command(front_rear, MODES) == "front ride, rear stiff/low"
     each = encode_command({"FL": "ride", "FR": "handling", "RL": "ride", "RR": "ride"})
-    assert panels._describe_command(each) == "individual wheels"
+    assert panels._describe_command(each, MODES) == "individual wheels"
 
 
 @pytest.mark.parametrize(
