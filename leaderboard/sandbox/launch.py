@@ -54,7 +54,7 @@ def start_guest(
         writable[cache] = bubblewrap.HOME / cache.name
     setup = worker.Setup(
         handler=handler,
-        threads=4 * limits.processes + 64,
+        threads=4 * limits.processes + 64 if isolated and code is not None else 0,
         folder=None if seen is None else str(seen),
         user=bubblewrap.guest_user() if isolated and code is not None else None,
         serves_many=code is None,

@@ -38,7 +38,7 @@ class Setup(Settings):
 
     `handler` is the module whose `make_handler(folder)` makes the `messages.Handler`; `folder` has
     the code from outside, or the results of jobs; `user` is the user and group to become, None to
-    stay, and `threads` the largest number of its processes and threads; `serves_many` allows
+    stay, and `threads` the largest number of processes and threads, 0 for any; `serves_many` allows
     further children after the first, for which `libraries` are imported once; `cache` (folder of
     all files, name of that of today's kernels) is copied by links.
     """
@@ -142,9 +142,9 @@ def _run_child(setup: Setup, replies: int, request: dict[str, Any]) -> NoReturn:
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, signal.SIG_DFL)
         processes.die_with_parent()
-        if setup.user is not None:  # give up this one and its groups
-            # not before: of this one it would count all processes
+        if setup.threads:  # not before: outside, those of all processes of the user would count
             processes.set_limits(os.getpid(), {"RLIMIT_NPROC": setup.threads})
+        if setup.user is not None:  # give up this one and its groups
             os.setgroups([])
             os.setgid(setup.user)
             os.setuid(setup.user)

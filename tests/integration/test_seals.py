@@ -139,6 +139,13 @@ def test_the_threads_of_one_guest_leave_room_for_those_of_another():
     assert failures == []
 
 
+def test_no_guest_has_more_threads_than_its_processes_may_have(sandbox):
+    """Threads that are left to nobody else keep another guest, or the judge, from starting."""
+    most = 4 * LIMITS.processes + 64
+    with pytest.raises(EntryError, match="RuntimeError: can't start new thread"):
+        run(sandbox, "start_threads", where=str(most + 10))
+
+
 def test_page_tables_count_as_memory(sandbox):
     with pytest.raises(EntryError, match=r"more than 0\.5 GiB, the memory limit"):
         run(sandbox, "map_sparsely")

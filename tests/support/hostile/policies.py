@@ -97,7 +97,7 @@ class Stops(Ride):
 
 
 class SignalsAbove(Ride):
-    """Raise an error with the processes that it could signal: none is its own parent."""
+    """Stop the processes above it, of its own guest, if it may: in a user namespace both."""
 
     def act(self, observations):
         found = []

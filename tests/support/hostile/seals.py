@@ -286,7 +286,8 @@ def does_rename(where, record):
 
 
 def does_start_threads(where, record):
-    """Hold the number `where` of threads for a while."""
+    """Hold the number `where` of threads with little memory for a while."""
+    threading.stack_size(2**16)
     held = [threading.Thread(target=time.sleep, args=(1.5,)) for _ in range(int(where))]
     for thread in held:
         thread.start()
