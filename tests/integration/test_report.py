@@ -6,7 +6,6 @@ import re
 import pandas as pd
 import pytest
 
-pytestmark = pytest.mark.usefixtures("unchecked")
 DRIVE = ("--road", "iso_b", "--length", "120", "--speed-kmh", "50", "--sensors", "phone")
 
 
