@@ -36,10 +36,11 @@ settings.load_profile("steady")
 
 
 LONG = """
-    cars own_policies sandbox examples site_in_browser wiener kalman estimator_contract
-    hostile_entries wrong_inputs calibrated_fir record_contract conformance_checks kalman_posterior
-    rosenbrock conformance_results car_fit vector_env work_precision paper board map_smoother
-    accelerometer_layouts_estimated policies adaptive_drive evaluate report varied_drives adding
+    cars own_policies examples kalman estimator_contract hostile_entries board hidden_seeds
+    calibrated_fir record_contract car_fit site_in_browser wiener conformance_checks
+    accelerometer_layouts_estimated vector_env kalman_posterior rosenbrock executors wrong_inputs
+    sandbox evaluate seals work_precision conformance_results adaptive_drive policies map_smoother
+    paper varied_drives report cli adding
 """.split()
 """Files of the most processor time, the longest first, so that the workers end together."""
 
