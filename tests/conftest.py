@@ -36,10 +36,11 @@ settings.load_profile("steady")
 
 
 LONG = """
-    cars own_policies sandbox examples site_in_browser wiener kalman estimator_contract
-    hostile_entries wrong_inputs calibrated_fir record_contract conformance_checks kalman_posterior
-    rosenbrock conformance_results car_fit vector_env work_precision paper board map_smoother
-    accelerometer_layouts_estimated policies adaptive_drive evaluate report varied_drives adding
+    cars own_policies examples kalman estimator_contract hostile_entries board hidden_seeds
+    calibrated_fir record_contract car_fit site_in_browser wiener conformance_checks
+    accelerometer_layouts_estimated vector_env kalman_posterior rosenbrock executors wrong_inputs
+    sandbox evaluate seals work_precision conformance_results adaptive_drive policies map_smoother
+    paper varied_drives report cli adding
 """.split()
 """Files of the most processor time, the longest first, so that the workers end together."""
 
@@ -54,12 +55,17 @@ def pytest_collection_finish():
     gc.enable()
 
 
-@pytest.fixture
-def kept_caches(monkeypatch):
-    """What guests read stays in the memory of the machine, which other tests share."""
+@pytest.fixture(scope="session", autouse=True)
+def _kept_caches():
+    """Between guests, files stay in the memory of the machine, which other tests share, and no
+    pipes are opened, which takes seconds. Tests of these functions import them before this.
+    """
     from leaderboard.sandbox import bubblewrap
 
-    monkeypatch.setattr(bubblewrap, "forget_reads", lambda more=(): None)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bubblewrap, "forget_reads", lambda more=(): None)
+        patch.setattr(bubblewrap, "forget_pipes", lambda before: None)
+        yield
 
 
 LEARNS = importlib.util.find_spec("torch") is not None
@@ -93,15 +99,15 @@ def pytest_xdist_make_scheduler(config, log):
 
 @pytest.fixture
 def unchecked(monkeypatch):
-    """Let commands read tables without trying other descriptions, which takes a second each."""
-    from leaderboard.drive_report import drive_estimates
-
-    monkeypatch.setattr(drive_estimates, "check_notes", lambda *_, **__: ())
+    """Let commands read drives without trying other descriptions, which takes seconds each."""
+    monkeypatch.setattr("leaderboard.commands.drive_files.with_doubts", lambda drive: drive)
 
 
 @pytest.fixture
-def road_recon(monkeypatch, capsys, tmp_path):
-    """Run the command in an empty folder; returns exit code, standard output and error."""
+def road_recon(unchecked, monkeypatch, capsys, tmp_path):
+    """Run the command in an empty folder, without doubts of descriptions; returns exit code,
+    standard output and error.
+    """
     monkeypatch.chdir(tmp_path)
 
     def run(*words):

@@ -3,6 +3,7 @@
 A road, a task or a board is one YAML file. Each is added to a copy of the tree and used there.
 """
 
+import json
 import os
 import shutil
 import subprocess
@@ -145,28 +146,45 @@ it and what that prints.
 """
 
 
-@pytest.fixture(scope="module")
-def tree(tmp_path_factory):
-    """A copy of the packages and configurations."""
-    folder = tmp_path_factory.mktemp("tree")
-    for name in ("road_envs", "estimators", "leaderboard", "configs"):
-        shutil.copytree(ROOT / name, folder / name)
-    return folder
+YAML_USES = {
+    "road and task": (
+        "from road_envs import load_road\nfrom leaderboard.evaluation.tasks import shipped_tasks\n"
+        "print(load_road('mine').length, 'mine' in [t.name for t in shipped_tasks()])",
+        "30.0 True",
+    ),
+    "board": (
+        "from leaderboard.evaluation.tasks import load_task\n"
+        "from leaderboard.report.board_definitions import board_columns\n"
+        "from leaderboard.report.tables import board_views\n"
+        "from leaderboard.running.board import Board\n"
+        "tasks = [load_task(name) for name in ('my_board', 'new_road')]\n"
+        "views = board_views(Board(tuple(tasks), {t.name: () for t in tasks}))\n"
+        "view = views[-1]\n"
+        "keys = [c.key for c in board_columns(view.board, view.definition) if not c.wide]\n"
+        "print(len(views), view.board, view.definition.title, *keys, view.sections[0].task)",
+        "2 my_board Mine rank crps worst r my_board",
+    ),
+}
+"""A use of what one YAML file adds, and what that prints."""
+
+PROGRAM = """
+import contextlib, io, json, sys, traceback
+printed = {}
+for name, code in json.load(sys.stdin).items():
+    with contextlib.redirect_stdout(io.StringIO()) as out:
+        try:
+            exec(code, {})
+        except Exception:
+            traceback.print_exc(file=out)
+    printed[name] = out.getvalue().strip()
+print(json.dumps(printed))
+"""
+"""Runs the uses one after the other: to import the packages takes longer than all of them."""
 
 
-def output(tree: Path, code: str) -> str:
-    """Return what Python prints of `code`, with the packages of `tree`."""
-    environment = {**os.environ, "PYTHONPATH": str(tree)}
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=tree, env=environment, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout.strip()
-
-
-@pytest.mark.parametrize("kind", ADDITIONS)
-def test_one_file_and_one_line_with_its_import_add_it(tree, kind):
-    file, text, registry, import_before, entry_before, code, expected = ADDITIONS[kind]
+def add_to_registry(tree: Path, kind: str) -> None:
+    """Write the file of an addition, and its two lines into the registry."""
+    file, text, registry, import_before, entry_before, *_ = ADDITIONS[kind]
     (tree / file).write_text(text)
     path = tree / registry
     content = path.read_text()
@@ -180,36 +198,44 @@ def test_one_file_and_one_line_with_its_import_add_it(tree, kind):
         assert content.count(before) == 1
         content = content.replace(before, line + before)
     path.write_text(content)
-    assert output(tree, code) == expected
 
 
-def test_one_yaml_adds_a_road_and_a_task(tree):
+@pytest.fixture(scope="module")
+def printed(tmp_path_factory):
+    """What each use prints in a copy of the packages and configurations with all additions."""
+    tree = tmp_path_factory.mktemp("tree")
+    for name in ("road_envs", "estimators", "leaderboard", "configs"):
+        shutil.copytree(ROOT / name, tree / name)
+    for kind in ADDITIONS:
+        add_to_registry(tree, kind)
     (tree / "configs/roads/mine.yaml").write_text("kind: iso8608\nroad_class: B\nlength: 30.0\n")
-    task = (tree / "configs/tasks/new_road.yaml").read_text().replace("new_road\n", "mine\n", 1)
-    (tree / "configs/tasks/mine.yaml").write_text(task)
-    code = (
-        "from road_envs import load_road\nfrom leaderboard.evaluation.tasks import shipped_tasks\n"
-        "print(load_road('mine').length, 'mine' in [t.name for t in shipped_tasks()])"
-    )
-    assert output(tree, code) == "30.0 True"
-
-
-def test_one_yaml_adds_a_board(tree):
-    lines = (ROOT / "configs/tasks/new_road.yaml").read_text().splitlines(keepends=True)
+    task = (tree / "configs/tasks/new_road.yaml").read_text()
+    (tree / "configs/tasks/mine.yaml").write_text(task.replace("new_road\n", "mine\n", 1))
+    lines = task.splitlines(keepends=True)
     kept = "".join(line for line in lines if not line.startswith(("board:", "name:")))
     (tree / "configs/tasks/my_board.yaml").write_text(f"name: my_board\n{kept}{BOARD}")
-    code = (
-        "from leaderboard.evaluation.tasks import load_task\n"
-        "from leaderboard.report.board_definitions import board_columns\n"
-        "from leaderboard.report.tables import board_views\n"
-        "from leaderboard.running.board import Board\n"
-        "tasks = [load_task(name) for name in ('my_board', 'new_road')]\n"
-        "views = board_views(Board(tuple(tasks), {t.name: () for t in tasks}))\n"
-        "view = views[-1]\n"
-        "keys = [c.key for c in board_columns(view.board, view.definition) if not c.wide]\n"
-        "print(len(views), view.board, view.definition.title, *keys, view.sections[0].task)"
+    uses = {name: code for name, (code, _) in YAML_USES.items()}
+    uses |= {kind: code for kind, (*_, code, _) in ADDITIONS.items()}
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM],
+        cwd=tree,
+        env={**os.environ, "PYTHONPATH": str(tree)},
+        input=json.dumps(uses),
+        capture_output=True,
+        text=True,
     )
-    assert output(tree, code) == "2 my_board Mine rank crps worst r my_board"
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+@pytest.mark.parametrize("kind", ADDITIONS)
+def test_one_file_and_one_line_with_its_import_add_it(printed, kind):
+    assert printed[kind] == ADDITIONS[kind][-1]
+
+
+@pytest.mark.parametrize("name", YAML_USES)
+def test_one_yaml_adds_it(printed, name):
+    assert printed[name] == YAML_USES[name][1]
 
 
 def test_a_board_with_an_unknown_column_is_refused():

@@ -102,8 +102,13 @@ def test_a_manufactured_vehicle_drives_and_its_file_reads_back(name, tmp_path):
     assert load_vehicle(tmp_path / "copy.yaml") == car
 
 
-@pytest.mark.usefixtures("unchecked")
-@other_vehicles
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] * (name not in ("bmw_320i", "van")))
+        for name in VEHICLES
+    ],
+)
 def test_the_commands_take_the_vehicle(road_recon, name):
     words = ("--vehicle", name, "--speed-kmh", "36")
     code, _, err = road_recon(

@@ -129,7 +129,6 @@ def test_a_drive_is_recorded_reconstructed_and_scored(road_recon, tmp_path):
     }  # fmt: skip
 
 
-@pytest.mark.usefixtures("unchecked")
 def test_a_measured_drive_is_accepted_in_place_of_a_record(road_recon, tmp_path):
     road_recon("simulate", *DRIVE, "--out", "d.parquet")
     record, _ = read_record(tmp_path / "d.parquet")
@@ -145,7 +144,6 @@ def test_a_measured_drive_is_accepted_in_place_of_a_record(road_recon, tmp_path)
     assert code == 2 and "leave out --mode" in err
 
 
-@pytest.mark.usefixtures("unchecked")
 def test_choices_for_a_table_are_saved_and_read(road_recon, tmp_path):
     road_recon("simulate", *DRIVE, "--out", "d.csv")
     table = pd.read_csv(tmp_path / "d.csv", comment="#")

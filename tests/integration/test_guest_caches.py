@@ -6,6 +6,7 @@ import time
 import pytest
 
 from leaderboard.sandbox import bubblewrap
+from leaderboard.sandbox.bubblewrap import forget_reads
 from road_envs.core.code_digest import ROOT
 
 
@@ -30,7 +31,7 @@ def test_what_guests_have_read_is_dropped_from_memory(monkeypatch):
         pytest.skip("the file system of the checkout keeps its files in memory")
     assert all(map(in_page_cache, paths))
     monkeypatch.setattr(bubblewrap, "_system_mounts", dict)
-    bubblewrap.forget_reads([folder.parent])
+    forget_reads([folder.parent])
     assert [path.name for path in paths if in_page_cache(path)] == []
 
 
@@ -53,5 +54,5 @@ def test_names_that_guests_have_looked_up_in_vain_are_dropped_from_memory(monkey
         again = time_of_look_ups(told)
     if time_of_look_ups(untold) < 1.5 * again:
         pytest.skip("the file system does not remember names that do not exist")
-    bubblewrap.forget_reads()
+    forget_reads()
     assert time_of_look_ups(told) > 1.5 * again

@@ -51,13 +51,18 @@ def test_revealed_tasks_differ_from_the_public_ones_only_in_their_seeds(publishe
     assert not hidden.test.all_seeds & used and len(hidden.test.all_seeds) == 50
 
 
-@pytest.mark.parametrize("name", config.names("tasks"))
-def test_every_shipped_task_goes_from_commitment_to_the_page(name, tmp_path):
-    """Committed, revealed, verified by anyone with the salt, run, and shown on its page."""
+def revealed(name, folder):
+    """Return a shipped task and the one that is committed and revealed for it in a folder."""
     public = load_task(name)
-    hidden_seeds.save(hidden_seeds.commit(SALT, [public]), tmp_path)
-    (path,) = hidden_seeds.reveal(SALT, tmp_path)
-    hidden = load_task(path)
+    hidden_seeds.save(hidden_seeds.commit(SALT, [public]), folder)
+    (path,) = hidden_seeds.reveal(SALT, folder)
+    return public, load_task(path)
+
+
+@pytest.mark.parametrize("name", config.names("tasks"))
+def test_every_shipped_task_is_committed_and_revealed(name, tmp_path):
+    """And verified by anyone with the salt."""
+    public, hidden = revealed(name, tmp_path)
     assert hidden.conditions == public.conditions and hidden.board_name == public.board_name
     assert not hidden.test.all_seeds & (public.training.all_seeds | public.test.all_seeds)
     drawn = hidden_seeds.seeds(SALT, public, len(public.test.seeds))
@@ -67,6 +72,28 @@ def test_every_shipped_task_goes_from_commitment_to_the_page(name, tmp_path):
     ]
     half = len(driven) // 2
     assert driven[half:] >= driven[:half] and min(driven) > 0
+
+
+UNLIKE = (
+    "class", "field", "field_known", "field_bumps", "new_road", "paper_1", "paper_5", "plants_told",
+)  # fmt: skip
+"""Tasks of every board, with and without calibration, obstacles and a road for training."""
+
+
+def test_these_tasks_are_of_every_board():
+    boards = [{load_task(name).board_name for name in x} for x in (UNLIKE, config.names("tasks"))]
+    assert boards[0] == boards[1]
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] * (name not in UNLIKE))
+        for name in config.names("tasks")
+    ],
+)
+def test_a_revealed_task_is_run_and_shown_on_its_page(name, tmp_path):
+    _, hidden = revealed(name, tmp_path)
     length = None if hidden.bumps else 32.0  # an obstacle stands where it stands
     drives = [dataclasses.replace(x, length=length) for x in (hidden.test, hidden.training)]
     short = dataclasses.replace(hidden, test=drives[0], training=drives[1], bound=False)
@@ -87,11 +114,13 @@ def test_a_season_of_the_plants_is_driven_by_them(tmp_path):
         pytest.importorskip(extra, reason="the extra `plants` is not installed")
     hidden_seeds.save(hidden_seeds.commit(SALT, [load_task("plants_blind")]), tmp_path)
     hidden = load_task(hidden_seeds.reveal(SALT, tmp_path)[0])
+    short = [dataclasses.replace(x, length=20.0) for x in (hidden.test, *hidden.calibration)]
+    hidden = dataclasses.replace(hidden, test=short[0], calibration=tuple(short[1:]))
     of_plant = {condition.plant: condition for condition in hidden.conditions}
     assert "mujoco" in of_plant
     for condition in of_plant.values():
         (drive,) = simulate_drives(hidden, hidden.test, condition)
-        assert drive.seed in hidden.test.seeds and drive.record.length == 100.0
+        assert drive.seed in hidden.test.seeds and drive.record.length == 20.0
         assert len(drive.calibration) == len(hidden.calibration) > 0
 
 

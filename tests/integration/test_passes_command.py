@@ -61,7 +61,6 @@ def test_a_drive_given_twice_is_refused(road_recon, passes, words):
     assert not (passes / "twice.csv").exists()
 
 
-@pytest.mark.usefixtures("unchecked")
 def test_each_table_is_read_by_the_description_beside_it(road_recon, passes):
     """b.csv has columns of other names, which its own description tells."""
     for name in ("a", "b"):

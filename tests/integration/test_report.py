@@ -10,7 +10,6 @@ from road_envs import load_vehicle
 from road_envs.drives.recording import read_record, write_record
 from road_envs.vehicle.parameters import write_vehicle
 
-pytestmark = pytest.mark.usefixtures("unchecked")
 DRIVE = ("--road", "iso_b", "--length", "120", "--speed-kmh", "50", "--sensors", "phone")
 
 

@@ -28,8 +28,6 @@ from leaderboard.sandbox.retest import NOT_RETESTED
 from road_envs.core.code_digest import ROOT
 from road_envs.core.config import ConfigError
 
-pytestmark = pytest.mark.usefixtures("kept_caches")
-
 MODES = ["process"] if bubblewrap.obstacle() else ["bubblewrap", "process"]
 """Each guest takes a second: the second mode is slow, and `test_executors.py` has attacks in it."""
 

@@ -17,6 +17,7 @@ from wheels import module, write_wheel
 from leaderboard.entries import entries, entry_files
 from leaderboard.entries.entry import Entry, EntryError, reconstruct_all
 from leaderboard.sandbox import bubblewrap, client, guest, processes, seccomp
+from leaderboard.sandbox.bubblewrap import count_pipes, forget_pipes
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
 from leaderboard.sandbox.retest import LOOKS_AHEAD, REMEMBERS
@@ -24,7 +25,6 @@ from road_envs.core.config import ConfigError
 
 pytestmark = [
     pytest.mark.skipif(bubblewrap.obstacle() is not None, reason=str(bubblewrap.obstacle())),
-    pytest.mark.usefixtures("kept_caches"),
     pytest.mark.skipif(platform.machine() != "x86_64", reason="numbers of x86_64"),
 ]
 
@@ -99,8 +99,9 @@ def test_a_drive_is_asked_with_another_future_before_it_is_asked_as_it_is(sandbo
 
 def test_what_one_guest_has_seen_is_not_told_by_the_number_of_its_pipes(sandbox, monkeypatch):
     """Of 32 numbers one is the right one by chance; with other futures the answers are equal."""
+    monkeypatch.setattr(bubblewrap, "forget_pipes", forget_pipes)
     for _ in range(3):
-        bubblewrap.forget_pipes(bubblewrap.count_pipes())  # those of the guests before
+        forget_pipes(count_pipes())  # those of the guests before
         secret = random.Random(2)
         monkeypatch.setattr(client.random, "SystemRandom", lambda secret=secret: secret)
         found = run(sandbox, "count_the_future", causal=True, retest=True, number=1)

@@ -106,7 +106,7 @@ def test_the_state_in_which_a_part_of_a_drive_begins_is_found_over_a_known_road(
 
 
 def test_the_smoother_adapts_to_another_vehicle_and_not_to_its_own():
-    drive, truth = calibration_drive("S1", 1, 150.0)
+    drive, truth = calibration_drive("S1", 1, 90.0)
     told, adapted = (
         MapSmoother(adapt=adapt, draws=0).estimate(drive.record, DEFENDER)
         for adapt in (False, True)
@@ -114,7 +114,7 @@ def test_the_smoother_adapts_to_another_vehicle_and_not_to_its_own():
     scores = [nrmse(truth.z, one.z, truth.ds, scored_band(15.0)).pooled for one in (told, adapted)]
     assert scores[1] < 0.7 * scores[0]
     assert any("the vehicle was adapted to the drive: " in note for note in adapted.notes)
-    own = MapSmoother(draws=0).estimate(calibration_drive("S0", 1, 60.0)[0].record, DEFENDER)
+    own = MapSmoother(draws=0).estimate(calibration_drive("S0", 1, 40.0)[0].record, DEFENDER)
     assert not any("adapted" in note for note in own.notes)
 
 
@@ -218,7 +218,7 @@ def test_drives_of_two_vehicles_contradict_each_other_about_one():
 
 
 def test_a_fit_that_was_not_believed_is_not_made_again_for_the_same_drive(monkeypatch):
-    drive, _ = calibration_drive("S1", 1, 60.0)
+    drive, _ = calibration_drive("S1", 1, 40.0)
     made = []
 
     def counted(*args, **settings):
