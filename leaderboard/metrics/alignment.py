@@ -107,8 +107,8 @@ def align(road: Surface, estimate: Estimate, v: float, chainage: float = 0.0) ->
 def align_locally(
     y: np.ndarray, a: np.ndarray, std: np.ndarray, ds: float, v: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return heights `y` of the truth, `a` of an estimate and their deviation `std` where the slopes
-    of the estimate, window by window, match those of the truth; as they are if they do not.
+    """Return heights `y` of the truth, and `a` of an estimate with their deviation `std`, moved to
+    where their slopes match those of the truth, window by window; as they are if none do.
 
     All are (2, M) [m], `ds` [m] apart, of a drive at `v` [m/s]; what is returned (2, K) is at the
     stations of the truth that the estimate covers.
