@@ -31,7 +31,9 @@ whose lags are free too, is 0.2.
 """
 
 BEYOND = 0.6
-"""Correlation that leads the search through windows beyond the ends of the truth; 0 counts there."""
+"""Correlation that leads the search through windows beyond the ends of the truth; they are left
+out then.
+"""
 
 
 class _Alignment(NamedTuple):
@@ -168,10 +170,11 @@ def _local_lags(
     curvature = np.minimum(before - 2.0 * at + after, -1e-12)
     vertex = np.clip(0.5 * (before - after) / curvature, -0.5, 0.5)
     centres, lags = ds * (trim + begins + 0.5 * (size - 1)), ds * (inner - reach + vertex)
-    seen = np.where(at == BEYOND, 0.0, at)
-    if begins.size > 2:  # beyond the middles of the outer windows the lag goes on as before
+    seen = ~(np.stack([before, at, after]) == BEYOND).any(axis=0)
+    correlation, centres, lags = float(np.mean(seen * at)), centres[seen], lags[seen]
+    if centres.size > 2:  # beyond the middles of the outer windows the lag goes on as before
         ends = np.array([0.0, ds * y.shape[1]])
-        slopes = (lags[[2, -1]] - lags[[0, -3]]) / (centres[2] - centres[0])
+        slopes = (lags[[2, -1]] - lags[[0, -3]]) / (centres[[2, -1]] - centres[[0, -3]])
         outer = lags[[0, -1]] + slopes * (ends - centres[[0, -1]])
         centres, lags = np.insert(ends, 1, centres), np.insert(outer, 1, lags)
-    return centres, lags, float(seen.mean())
+    return centres, lags, correlation
