@@ -136,7 +136,6 @@ def test_online_stations_follow_the_speed_once_fixes_wander():
     assert "stations are uncertain by ±" in notes[0]
     late = s > 40.0
     np.testing.assert_allclose(np.diff(found.s[late]), record.v[late][1:] / 1000.0, rtol=1e-6)
-    np.testing.assert_array_equal(found.s[s < -5.0], record.s[s < -5.0])
     half = slice(0, record.t.size // 2)
     first = replace(record, **{name: getattr(record, name)[half] for name in ("t", "v", "s")})
     np.testing.assert_array_equal(_calibrate_odometer_online(first)[0].s, found.s[half])
