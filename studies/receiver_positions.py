@@ -2,10 +2,10 @@
 
     python -m studies.receiver_positions [--estimator NAME ...]
 
-Each drive is one of the described vehicle over 300 m, whose speed signal errs by up to 2 % and whose
-fixes pull the odometer back within 10 m; only the noise of the fixes differs. Columns: in-band NRMSE
-at fixed stations and after local alignment, share of errors inside the 90 % interval after it, error
-of the IRI [mm/m], and the deviation of the stations that the estimate states [m].
+Each drive is one of the described vehicle over 300 m, whose speed signal errs by up to 2 % and
+whose fixes pull the odometer back within 10 m; only the noise of the fixes differs. Columns:
+in-band NRMSE at fixed stations and after local alignment, share of errors inside the 90 % interval
+after it, error of the IRI [mm/m], and the deviation of the stations that the estimate states [m].
 """
 
 import argparse
