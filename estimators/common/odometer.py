@@ -28,7 +28,7 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 
-from estimators.common.position_noise import SPEED_STD, WANDER, fit_wander, wanders
+from estimators.common.position_noise import SPEED_STD, fit_wander, wanders
 from road_envs.records.record import DistanceScale, Estimate, Record, profile_stations
 
 # Least and greatest L [m] that is looked for; it must be passed within the record
@@ -38,7 +38,8 @@ MIN_DISPLACEMENT = 0.005  # displacement [m] below which nothing is corrected
 # Least ratio of the displacement to what the fit leaves, root mean square, or to its standard
 # deviation
 CLEARNESS = 10.0
-MIN_WANDER_LENGTH = 20.0  # distance [m] before which fixes are not said to wander, online
+# Distance [m] before which fixes are not said to wander, online, and least rms [m] from there on
+MIN_WANDER_LENGTH, ONLINE_WANDER = 10.0, 0.02
 WANDER_NOTE = (
     "stations are uncertain by ±{:.1f} m: the positions of the receiver wander against the speed "
     "signal, which the stations follow; heights can be compared after alignment"
@@ -151,9 +152,12 @@ def _calibrate_odometer_online(record: Record) -> tuple[Record, tuple[str, ...]]
         believed &= length < LENGTHS[1]
         doubt = np.maximum(MIN_DISPLACEMENT, CLEARNESS * np.maximum(rms, std))
         clearness = np.abs(displacement) / doubt
-        # errors that change from point to point are no wander
+        # an offset is no wander, and errors that change from point to point are none
+        sums = np.cumsum([w, *regressors], axis=1)
+        mean = (sums[0] - a * sums[1] - b * sums[2]) / (freedom + 1)
         steps = np.cumsum(np.diff(w, prepend=w[0]) ** 2) / freedom
-        wandering = (distance > MIN_WANDER_LENGTH) & (rms**2 > WANDER**2 + steps)
+        wandering = rms**2 - mean**2 > ONLINE_WANDER**2 + steps
+        wandering &= distance > MIN_WANDER_LENGTH
         wandering &= np.abs(w) < MAX_SPEED_ERROR * distance
     share = np.where(believed & (clearness > 1.0), np.minimum(clearness - 1.0, 1.0), 0.0)
     first = int(np.argmax(wandering)) if wandering.any() else distance.size

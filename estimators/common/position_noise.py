@@ -22,7 +22,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 CORRELATION_TIME = 30.0  # [s] of a receiver's error
-WANDER = 0.1  # least root mean square [m] of what wanders between speed and fixes
+WANDER = 0.1  # least standard deviation [m] of what wanders between speed and fixes
 MAX_WANDER = 10.0  # greatest one [m] that a receiver explains
 SPEED_STD = 0.02  # standard deviation of the relative error of a speed signal, beforehand
 _OFFSET_STD = 100.0  # [m] of the offset, beforehand: it is not known
@@ -57,10 +57,9 @@ def block_means(t: np.ndarray, *signals: np.ndarray) -> np.ndarray:
 def wanders(t: np.ndarray, left: np.ndarray) -> bool:
     """Return whether the differences `left` (N,) [m] of speed and fixes are errors of a receiver.
 
-    They are too small or too large, or change from sample to sample, where they are not.
+    They are too small or too large, constant, or change from sample to sample, where they are not.
     """
-    rms = float(np.sqrt(np.mean(block_means(t, left)[1] ** 2)))
-    return WANDER < rms < MAX_WANDER
+    return WANDER < float(block_means(t, left)[1].std()) < MAX_WANDER
 
 
 def fit_wander(t: np.ndarray, travelled: np.ndarray, s: np.ndarray) -> WanderFit:

@@ -45,7 +45,7 @@ from estimators.common.blas import single_blas_thread
 from estimators.common.block_means import MIN_NOISE_DENSITY, block_means
 from estimators.common.explained import reduce_unexplained, trusted_share, untrusted_note
 from estimators.common.model_inputs import antialias_delay, build_model_inputs
-from estimators.common.odometer import calibrate_stations
+from estimators.common.odometer import calibrate_stations, station_std
 from estimators.kalman import monitoring, pipeline
 from estimators.kalman.filtered import FilterRun
 from estimators.kalman.profile_output import ProfileOutput
@@ -104,6 +104,9 @@ class _KalmanSettings(CalibratedByIdentification):
                 f"the Kalman filters take {N_BIAS} accelerometers on the body; the record has "
                 f"{', '.join(instruments.accelerometers)}: map_smoother and wiener take any"
             )
+        level_ends = self.level_ends
+        if smooth and station_std(record, causal=False) is not None:
+            level_ends = False  # the road is level somewhere else
         record, odometer_note = calibrate_stations(record, causal=not smooth)
         record, car = self.as_identified(record, car)
         record, valid, notes = mask_record(record, instruments)
@@ -125,7 +128,7 @@ class _KalmanSettings(CalibratedByIdentification):
             measurements,
             noise_variance=noise,
             prior=prior,
-            level_ends=self.level_ends,
+            level_ends=level_ends,
             lag=lag - (0.0 if smooth else ahead),
         )
         sensor_latency = (ANTIALIAS_SPREAD + 1) / record.fs + antialias_delay(instruments)

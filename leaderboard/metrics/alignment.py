@@ -11,21 +11,29 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import maximum_filter1d
 
-from estimators.common.alignment import (
-    MIN_OVERLAP,
-    SEARCHED,
-    is_match,
-    lag_correlations,
-    map_stations,
-)
+from estimators.common.alignment import MIN_OVERLAP, SEARCHED, is_match, lag_correlations
 from road_envs.core.config import ConfigError
 from road_envs.records.record import Estimate, Profile, scored_band
 from road_envs.records.roughness import band_pass
 from road_envs.roads import Surface
 
-LOCAL_SEARCH, LOCAL_STRETCH = 12.0, 0.03
-"""Largest lag [m] of an estimate from positions that wander, and largest error of its distances."""
+LOCAL_WINDOW, LOCAL_STEP = 20.0, 5.0
+"""Length [m] of the windows of a local alignment, and distance [m] from one to the next."""
+
+LOCAL_SEARCH, LOCAL_STRETCH = 12.0, 0.06
+"""Largest lag [m] of an estimate whose positions wander, and its change over the distance."""
+
+MIN_LOCAL_CORRELATION = 0.5
+"""Mean correlation of the windows below which an estimate does not match; that of unrelated roads,
+whose lags are free too, is 0.2.
+"""
+
+BEYOND = 0.6
+"""Correlation that leads the search through windows beyond the ends of the truth; they are left
+out then.
+"""
 
 
 class _Alignment(NamedTuple):
@@ -107,21 +115,66 @@ def align(road: Surface, estimate: Estimate, v: float, chainage: float = 0.0) ->
 def align_locally(
     y: np.ndarray, a: np.ndarray, std: np.ndarray, ds: float, v: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return heights `y` of the truth, `a` of an estimate and their deviation `std` where the slopes
-    of the estimate, window by window, match those of the truth; as they are if they do not.
+    """Return heights `y` of the truth, and `a` of an estimate with their deviation `std`, moved to
+    where their slopes match those of the truth, window by window; as they are if none do.
 
     All are (2, M) [m], `ds` [m] apart, of a drive at `v` [m/s]; what is returned (2, K) is at the
     stations of the truth that the estimate covers.
     """
     s = ds * np.arange(y.shape[1])
-    try:
-        found, matches = map_stations(y, a, ds, scored_band(v), LOCAL_SEARCH, LOCAL_STRETCH)
-    except ValueError:  # too short
-        return y, a, std
-    mapped = found.apply(s)
-    if not matches or not (np.diff(mapped) > 0.0).all():
-        return y, a, std
+    mapped, moved = s, a
+    for _ in range(3):  # from the second time on with windows that are hardly stretched
+        centres, lags, correlation = _local_lags(y, moved, ds, v)
+        if not correlation >= MIN_LOCAL_CORRELATION:
+            return y, a, std
+        mapped = mapped + np.interp(mapped, centres, lags)
+        moved = CubicSpline(mapped, a, axis=1)(np.clip(s, mapped[0], mapped[-1]))
     inside = (s >= mapped[0]) & (s <= mapped[-1])
-    moved = CubicSpline(mapped, a, axis=1)(s[inside])
     spread = np.array([np.interp(s[inside], mapped, path) for path in std])
-    return y[:, inside], moved, spread
+    return y[:, inside], moved[:, inside], spread
+
+
+def _local_lags(
+    y: np.ndarray, a: np.ndarray, ds: float, v: float
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return the middles (W,) [m] of windows of an estimate `a` (2, M) [m], their lags (W,) [m]
+    towards larger stations against `y` (2, M), and the mean correlation of slopes there.
+
+    The lags are those of the largest sum of correlations among all that change by LOCAL_STRETCH of
+    the distance at most, by dynamic programming (Sakoe & Chiba, IEEE Trans. ASSP 26, 1978, 43-49).
+    """
+    truth, found = np.gradient(band_pass(np.stack([y, a]), ds, scored_band(v)), axis=2)
+    trim, size = (y.shape[1] - truth.shape[1]) // 2, round(LOCAL_WINDOW / ds)
+    step, reach = round(LOCAL_STEP / ds), round(LOCAL_SEARCH / ds)
+    begins = np.arange(0, found.shape[1] - size + 1, step)
+    if not begins.size:
+        return np.zeros(0), np.zeros(0), 0.0
+    scores = np.full((begins.size, 2 * reach + 1), BEYOND)
+    for row, begin in zip(scores, begins.tolist(), strict=True):
+        low, high = max(begin - reach, 0), min(begin + size + reach, truth.shape[1])
+        k, r = lag_correlations(
+            truth[:, low:high], found[:, begin : begin + size], size, low - begin
+        )
+        row[k + reach] = r
+    most = round(LOCAL_STRETCH * LOCAL_STEP / ds)
+    total = scores.copy()
+    for w in range(1, begins.size):
+        total[w] += maximum_filter1d(total[w - 1], 2 * most + 1, mode="nearest")
+    path = np.zeros(begins.size, dtype=int)
+    path[-1] = total[-1].argmax()
+    for w in range(begins.size - 2, -1, -1):
+        low = max(path[w + 1] - most, 0)
+        path[w] = low + total[w, low : path[w + 1] + most + 1].argmax()
+    inner = np.clip(path, 1, 2 * reach - 1)
+    before, at, after = (scores[np.arange(begins.size), inner + j] for j in (-1, 0, 1))
+    curvature = np.minimum(before - 2.0 * at + after, -1e-12)
+    vertex = np.clip(0.5 * (before - after) / curvature, -0.5, 0.5)
+    centres, lags = ds * (trim + begins + 0.5 * (size - 1)), ds * (inner - reach + vertex)
+    seen = ~(np.stack([before, at, after]) == BEYOND).any(axis=0)
+    correlation, centres, lags = float(np.mean(seen * at)), centres[seen], lags[seen]
+    if centres.size > 2:  # beyond the middles of the outer windows the lag goes on as before
+        ends = np.array([0.0, ds * y.shape[1]])
+        slopes = (lags[[2, -1]] - lags[[0, -3]]) / (centres[[2, -1]] - centres[[0, -3]])
+        outer = lags[[0, -1]] + slopes * (ends - centres[[0, -1]])
+        centres, lags = np.insert(ends, 1, centres), np.insert(outer, 1, lags)
+    return centres, lags, correlation

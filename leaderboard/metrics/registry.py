@@ -19,9 +19,9 @@ SCORES = {metric.key: metric for module in MODULES for metric in _declared(modul
 
 PRINTED_SCORES = (
     "nrmse", "nrmse_left", "nrmse_right", "nrmse_at_lag", "nrmse_aligned", "lag", "r", "coherence",
-    "level_error", "level_error_raw", "G_d0_bias_db", "class_exact", "fitted_class", "dsd_distance_db",
-    "iri_error", "iri_bias", "iri_cross_correlation", "bump_recall", "bump_precision",
-    "coverage_50", "coverage_90", "coverage_90_aligned",
+    "level_error", "level_error_raw", "G_d0_bias_db", "class_exact", "fitted_class",
+    "dsd_distance_db", "iri_error", "iri_bias", "iri_cross_correlation", "bump_recall",
+    "bump_precision", "coverage_50", "coverage_90", "coverage_90_aligned",
 )  # fmt: skip
 """Scores that are printed of one estimate; there are three times as many."""
 

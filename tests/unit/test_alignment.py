@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from leaderboard.metrics.alignment import align
+from leaderboard.metrics.registry import compute_scores
 from road_envs.core.config import ConfigError
-from road_envs.records.record import PROFILE_SPACING, Estimate, profile_stations
+from road_envs.records.record import PROFILE_SPACING, Estimate, Profile, profile_stations
 from road_envs.roads import Surface, realise_road
 
 ROAD = realise_road("iso_c", 4, 200.0)
@@ -59,3 +60,29 @@ def test_too_short_and_far_away_drives_are_refused():
         align(ROAD, estimate(0.0, 90.0), 10.0, 5000.0)
     with pytest.raises(ConfigError, match="too short"):
         align(Surface(ROAD.z[:, :100], ROAD.ds), estimate(0.0, 90.0), 10.0)
+
+
+def local_scores(shift, wandering=True):
+    """Return the scores of the road read at stations that are wrong by `shift` (M,) [m]."""
+    s = profile_stations(180.0)
+    truth = Profile(s, ROAD.height(s + 10.0))
+    found = Estimate(s, ROAD.height(s + 10.0 + shift(s)), 0.0003 * np.ones((2, s.size)))
+    return compute_scores(truth, found, 10.0, bumps=False, wandering=wandering)
+
+
+def test_an_estimate_whose_stations_wander_by_a_metre_is_right_after_local_alignment():
+    def wander(s):
+        return 1.0 + np.interp(s, [0.0, 50.0, 110.0, 180.0], [0.0, 0.7, -0.5, 0.4])
+
+    found = local_scores(wander)
+    assert found["nrmse"] > 1.0 and found["coverage_90"] < 0.3
+    assert found["nrmse_aligned"] < 0.1 and found["coverage_90_aligned"] > 0.85
+    assert np.isnan(local_scores(wander, wandering=False)["nrmse_aligned"])
+
+
+def test_an_estimate_that_matches_nowhere_is_scored_as_it_is():
+    s = profile_stations(180.0)
+    truth, other = ROAD.height(s), realise_road("iso_c", 9, 200.0).height(s)
+    for z in (other, 0.0 * s * np.ones((2, 1))):
+        found = compute_scores(Profile(s, truth), Estimate(s, z), 10.0, False, wandering=True)
+        assert found["nrmse_aligned"] == found["nrmse"]

@@ -9,16 +9,23 @@ from scipy.integrate import solve_ivp
 from estimators import create
 from estimators.api import check_estimate
 from estimators.common.odometer import (
+    WANDER_NOTE,
     _calibrate_odometer_online,
     calibrate_odometer,
+    station_std,
     to_true_distance,
 )
+from estimators.estimation import estimate
+from leaderboard.metrics.registry import compute_scores
 from road_envs.drives.recording import simulate_record
 from road_envs.records.record import DistanceScale, Estimate, Record, profile_stations
 from road_envs.roads import realise_road
+from road_envs.sensing.data_logger import DataLogger, load_instruments
+from road_envs.sensing.sensor_faults import SensorFaults
 from road_envs.vehicle.parameters import load_vehicle
 
 FS, DURATION = 200.0, 8.0
+CAR = load_vehicle("land_rover_defender_110")
 
 
 def true_speed(t):
@@ -90,6 +97,70 @@ def test_online_the_displacement_is_found_from_the_samples_before_alone(error, l
 def test_online_an_unclear_displacement_is_left_alone(length, noise):
     record, _ = drive(0.02, length, noise)
     assert _calibrate_odometer_online(record)[0] is record
+
+
+def wandering(seed, noise=None, speed_kmh=54.0):
+    """Return the record of a drive whose fixes wander by 1 to 3 m, without accelerations, and the
+    true stations.
+    """
+    rng = np.random.default_rng((seed, 1))
+    std, error = (rng.uniform(1.0, 3.0) if noise is None else noise), rng.uniform(-0.02, 0.02)
+    faults = SensorFaults(speed=error, position_fix_length=10.0, position_noise=std)
+    logger = DataLogger(load_instruments("paper"), CAR, 0.001, np.random.default_rng(seed), faults)
+    t, v = np.arange(0.0, 310.0 / (speed_kmh / 3.6), 1.0 / logger.fs), speed_kmh / 3.6
+    s, states = -10.0 + v * t, np.zeros((t.size, 4), dtype=bool)
+    speed = np.full(t.size, logger.speed_gain * v)
+    read = -10.0 + logger.odometer(v * t)
+    return Record(t, np.zeros((3, t.size)), speed, read, states, states, 300.0), s
+
+
+def test_stations_beside_fixes_that_wander_are_within_their_deviation():
+    inside, errors = [], []
+    for seed in range(40):
+        record, s = wandering(seed)
+        found, notes = calibrate_odometer(record)
+        std = station_std(record, causal=False)
+        assert std is not None and notes == (WANDER_NOTE.format(std),)
+        error = found.s - s
+        inside.append(np.mean(np.abs(error) < 1.645 * std))
+        errors.append([np.abs(np.diff(x)).mean() for x in (error, record.s - s)])
+        assert calibrate_odometer(found) == (found, ())  # the stations follow the speed
+    assert 0.8 < np.mean(inside) < 0.97
+    smooth, raw = np.mean(errors, axis=0)
+    assert smooth < 0.4 * raw
+
+
+def test_online_stations_follow_the_speed_once_fixes_wander():
+    record, s = wandering(3, 2.0)
+    found, notes = _calibrate_odometer_online(record)
+    assert "stations are uncertain by ±" in notes[0]
+    late = s > 40.0
+    np.testing.assert_allclose(np.diff(found.s[late]), record.v[late][1:] / 1000.0, rtol=1e-6)
+    half = slice(0, record.t.size // 2)
+    first = replace(record, **{name: getattr(record, name)[half] for name in ("t", "v", "s")})
+    np.testing.assert_array_equal(_calibrate_odometer_online(first)[0].s, found.s[half])
+
+
+def test_fixes_that_do_not_wander_leave_no_deviation():
+    for record in (wandering(1, 0.0)[0], *(drive(0.02, *x)[0] for x in ((10.0, 0.3), (1e9, 0.0)))):
+        for causal in (True, False):
+            assert station_std(record, causal) is None
+
+
+@pytest.mark.parametrize("name", ["wiener", "kalman_rts"])
+def test_heights_beside_fixes_that_wander_are_right_after_alignment(name):
+    record, truth = simulate_record("iso_d", speed_kmh=54.0, mode="handling", seed=7, length=150.0)
+    errors = []
+    for noise in (0.0, 2.0):
+        faults = SensorFaults(speed=0.004, position_fix_length=10.0, position_noise=noise)
+        rng = np.random.default_rng(2)
+        logger = DataLogger(load_instruments("paper"), CAR, 0.001, rng, faults)
+        read = record.s[0] + logger.odometer(record.s - record.s[0])
+        found = estimate(name, replace(record, s=read, v=logger.speed_gain * record.v), CAR)
+        assert (found.s_std is not None) == (noise > 0.0)
+        assert any("stations are uncertain" in note for note in found.notes) == (noise > 0.0)
+        errors.append(compute_scores(truth, found, 15.0, False, wandering=True)["nrmse_aligned"])
+    assert errors[1] < 1.3 * errors[0]
 
 
 def test_stations_speed_and_heights_follow_the_distance_scale_that_was_found():

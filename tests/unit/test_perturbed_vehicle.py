@@ -126,6 +126,17 @@ def test_every_grade_keeps_the_deviations_of_the_previous_grade(seed):
 
 
 @given(seeds)
+def test_position_noise_is_added_on_request_alone_and_changes_nothing_else(seed):
+    plain, noisy = (perturb_vehicle(DEFENDER, "S3", seed, position_noise=x) for x in (False, True))
+    low, high = ASSUMED.instruments.position_noise
+    assert plain.faults.position_noise == 0.0 and low <= noisy.faults.position_noise <= high
+    assert noisy.faults.position_correlation_time == ASSUMED.instruments.position_correlation_time
+    assert replace(noisy.faults, position_noise=0.0) == plain.faults and noisy.car == plain.car
+    with pytest.raises(ConfigError, match="position noise needs the position fixes of grade S3"):
+        perturb_vehicle(DEFENDER, "S2", seed, position_noise=True)
+
+
+@given(seeds)
 def test_the_tyres_of_grade_s4_hold_the_body_sideways_within_published_ranges(seed):
     car, limits = perturb_vehicle(DEFENDER, "S4", seed).car, ASSUMED.side
     side = car.side

@@ -14,7 +14,7 @@ from vehicle_fixtures import DEFENDER
 from estimators.preprocessing import clean_record, spatial_accelerations
 from road_envs.records.record import Record
 from road_envs.sensing.data_logger import DataLogger, load_instruments
-from road_envs.sensing.sensor_faults import NO_FAULTS, JitteredSampler, SensorFaults
+from road_envs.sensing.sensor_faults import NO_FAULTS, JitteredSampler, SensorFaults, gauss_markov
 from road_envs.simulation.drive import Trajectory
 from road_envs.simulation.rosenbrock import ACCELERATION, N_SIGNALS
 
@@ -90,6 +90,48 @@ def test_position_fixes_bound_the_odometer_error(fix, speed):
     np.testing.assert_array_equal(
         logger(SensorFaults(speed=speed)).odometer(distance), (1.0 + speed) * distance
     )
+
+
+def test_receiver_errors_have_the_stated_deviation_and_correlation_time():
+    """Tolerances are four standard errors: 2000 independent processes."""
+    runs = np.array(
+        [gauss_markov(2.0, 30.0, 0.5, 121, np.random.default_rng(k)) for k in range(2000)]
+    )
+    error = 4.0 / np.sqrt(len(runs))
+    for k in (0, 60, 120):  # at once stationary
+        assert runs[:, k].std() == pytest.approx(2.0, rel=error)
+        assert abs(runs[:, k].mean()) < 2.0 * error
+    for lag in (10, 60):  # 5 s, 30 s
+        found = np.mean(runs[:, 60 - lag] * runs[:, 60]) / 4.0
+        assert found == pytest.approx(np.exp(-lag * 0.5 / 30.0), abs=1.5 * error)
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.015])
+def test_the_odometer_follows_fixes_that_wander(speed):
+    faults = SensorFaults(speed=speed, position_fix_length=10.0, position_noise=2.0)
+    t = np.arange(10_000) / PAPER.fs
+    distance = 12.0 * t + 3.0 * np.sin(t)
+    actual = logger(faults, seed=5).odometer(distance) - distance
+    g = gauss_markov(2.0, 30.0, 1.0 / PAPER.fs, t.size, np.random.default_rng(5).spawn(1)[0])
+
+    def rate(d, e):
+        return speed - (e - np.interp(d, distance, g)) / 10.0
+
+    span = (0.0, float(distance[-1]))
+    expected = solve_ivp(rate, span, [g[0]], t_eval=distance, max_step=0.02).y[0]
+    np.testing.assert_allclose(actual, expected, atol=2e-3)
+    assert np.ptp(actual) > 0.5
+
+
+def test_fixes_that_wander_change_no_other_draw():
+    still = motion(np.zeros((2000, 3)))
+    plain = SensorFaults(jitter=1e-4, dropout_rate=0.05, position_fix_length=10.0)
+    one, other = (
+        logger(faults, replace(PAPER, speed_error=0.01), seed=3)
+        for faults in (plain, replace(plain, position_noise=2.0))
+    )
+    assert one.speed_gain == other.speed_gain
+    np.testing.assert_array_equal(one.sample(still), other.sample(still))
 
 
 # --- clock jitter ---------------------------------------------------------------------------------

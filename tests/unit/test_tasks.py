@@ -365,3 +365,16 @@ def test_noise_is_simulated_only_if_the_task_has_it():
     assert np.abs(quiet.a).max() < 1e-6
     noisy = dataclasses.replace(t.test, noise=True)
     assert next(simulate_drives(t, noisy, t.conditions[0])).record.a.std() > 0.05
+
+
+def test_the_receiver_task_drives_the_field_cars_with_positions_that_wander():
+    short, field = (load_task(name).with_test_length(12.0) for name in ("field_receiver", "field"))
+    of_field = next(c for c in field.conditions if c.label == short.conditions[0].label)
+    assert short.digest != dataclasses.replace(short, position_noise=False).digest
+    (one,) = simulate_drives(short, short.test, short.conditions[0], chosen=[0])
+    (other,) = simulate_drives(field, field.test, of_field, chosen=[0])
+    np.testing.assert_array_equal(one.record.a, other.record.a)
+    np.testing.assert_array_equal(one.record.v, other.record.v)
+    assert np.abs(one.record.s - other.record.s).max() > 0.2
+    with pytest.raises(ValueError, match="position_noise needs the position fixes of S3 or S4"):
+        dataclasses.replace(field, position_noise=True)
