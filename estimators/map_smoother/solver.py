@@ -14,8 +14,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from estimators.map_smoother.car_fit import (
-    adapt_car,
     CarFit,
+    adapt_car,
     can_show_vehicle,
     fit_if_due,
     is_believed,
