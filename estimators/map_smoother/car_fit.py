@@ -214,7 +214,7 @@ def fit_if_due(
     """Return the fit of `car` to drives, None where the vehicle is not what stays unexplained in
     any of them, has no tolerances, or leaves the range in which its motion is finite.
     """
-    if not (car.tolerances and any(is_vehicle_unexplained(one) for one in solutions)):
+    if not (car.tolerances and any(_is_vehicle_unexplained(one) for one in solutions)):
         return None
     try:
         return adapt_car(solutions, car, solver)
@@ -222,7 +222,7 @@ def fit_if_due(
         return None
 
 
-def is_vehicle_unexplained(solution: MapSolution) -> bool:
+def _is_vehicle_unexplained(solution: MapSolution) -> bool:
     """Return whether what a solution leaves unexplained may be the vehicle: a fit is due."""
     return bool(np.max(solution.noise_scale) >= ADAPT_NOISE_SCALE and can_show_vehicle(solution))
 
