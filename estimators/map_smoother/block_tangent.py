@@ -34,7 +34,7 @@ N_ROWS = 4 * LANES
 """Rows of P at most: vehicle state and block means. Four registers hold them."""
 
 
-class NodeTrack(NamedTuple):
+class _NodeTrack(NamedTuple):
     """Nodes under the axles in N steps and M chunks.
 
     At each half step (2 N,): node number `front_node` of the front axle and `node_rate` [nodes/s].
@@ -54,7 +54,7 @@ class NodeTrack(NamedTuple):
 
 
 @kernel
-def road_derivatives(track: NodeTrack, n, m, road):
+def _road_derivatives(track: _NodeTrack, n, m, road):
     """Write the derivative of heights and rates under the wheels to `road` (G, 16, LANES).
 
     For the step `n` of the chunk `m`. Rows 0 to 7 are heights and rates at the first half step,
@@ -79,7 +79,7 @@ def road_derivatives(track: NodeTrack, n, m, road):
     return begun
 
 
-class Sampling(NamedTuple):
+class _Sampling(NamedTuple):
     """`sample_weight` (S, J, b) of the samples, one in `decimation` steps, in their block means;
     `sensor_rows` (S, 7).
     """
@@ -90,8 +90,8 @@ class Sampling(NamedTuple):
 
 
 @kernel
-def fill_chunk_matrices(
-    constants, rows, h, track: NodeTrack, sampling: Sampling, P, flexible=None, side=None
+def _fill_chunk_matrices(
+    constants, rows, h, track: _NodeTrack, sampling: _Sampling, P, flexible=None, side=None
 ):
     """Write the matrices of all chunks to `P` (M, C, N_ROWS), transposed: a column in each row,
     those of the nodes before those of the states.
@@ -114,7 +114,7 @@ def fill_chunk_matrices(
             y[j // LANES, j, j % LANES] = 1.0
         last = min((m + 1) * blocks_per_chunk, blocks)
         for n in range(m * blocks_per_chunk * block * decimation, last * block * decimation):
-            begun = road_derivatives(track, n, m, road)
+            begun = _road_derivatives(track, n, m, road)
             sample = n // decimation
             at = sample // block
             for group in range((begun + LANES - 1) // LANES):
@@ -141,7 +141,7 @@ def fill_chunk_matrices(
 
 
 @kernel
-def apply_chunks(P, first, width, c, y, means):
+def _apply_chunks(P, first, width, c, y, means):
     """Propagate a change `y` (14,) of the first state and `c` (2, K) of the road to `means` (S, J).
 
     `P` (M, C, N_ROWS // LANES, LANES); `y` ends as the change of the last state.
@@ -173,8 +173,8 @@ def apply_chunks(P, first, width, c, y, means):
 
 
 @kernel
-def apply_chunks_transpose(P, first, width, means, y, c):
-    """Apply the transpose of `apply_chunks`: from `means` (S, J) and the adjoint `y` (14,) of the
+def _apply_chunks_transpose(P, first, width, means, y, c):
+    """Apply the transpose of `_apply_chunks`: from `means` (S, J) and the adjoint `y` (14,) of the
     last state to that of the first and to coefficients `c` (2, K).
     """
     n_states = y.size
@@ -219,13 +219,13 @@ class BlockTangent:
         (2, K).
         """
         means, y = np.empty(self.shape), start.copy()
-        apply_chunks(self.P, self.first, self.width, c, y, means)
+        _apply_chunks(self.P, self.first, self.width, c, y, means)
         return means
 
     def apply_transpose(self, means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Apply the transpose: from block means (S, J) to the first state (14,) and `c` (2, K)."""
         y, c = np.zeros(self.n_states), np.empty((2, self.n_nodes))
-        apply_chunks_transpose(self.P, self.first, self.width, means, y, c)
+        _apply_chunks_transpose(self.P, self.first, self.width, means, y, c)
         return y, c
 
 
@@ -253,11 +253,11 @@ def build_block_tangent(
     width = int((high - low).max()) + 4
     first = np.minimum(low - 1, nodes.size - width)
     P = np.empty((begin.size, 4 * width + n_states, N_ROWS), dtype=np.float32)
-    track = NodeTrack(
+    track = _NodeTrack(
         x, inputs.v / nodes.ds, wheelbase_nodes, first, width, nodes.size, n_states, nodes.ds
     )
-    sampling = Sampling(inputs.decimation, sample_weight, sensor_rows)
+    sampling = _Sampling(inputs.decimation, sample_weight, sensor_rows)
     flags = tape.plant.kernel_flags
-    fill_chunk_matrices(tape.plant.constants, tape.rows, tape.h, track, sampling, P, *flags)
+    _fill_chunk_matrices(tape.plant.constants, tape.rows, tape.h, track, sampling, P, *flags)
     P = P.reshape(*P.shape[:2], N_ROWS // LANES, LANES)
     return BlockTangent(P, first, width, nodes.size, (sensors, blocks), n_states)

@@ -131,16 +131,16 @@ def minimize(
             updates = prior_updates if std == 0.0 and adapt_prior else 0
             if 0 < n <= updates:
                 if n in LOWERING_STEPS and lin.objective.road.is_level_between_obstacles:
-                    lin = lower_under_lifted_wheels(lin)
+                    lin = _lower_under_lifted_wheels(lin)
                 lin = update_prior(lin, stationary, noise_scale)
             lin, change = solver.step(lin, noise_scale, plants)
             before = np.max(noise_scale)
             noise_scale = update_noise_scale(lin, stationary, noise_scale)
             if std == 0.0 and objective.is_underdetermined:
-                power = misfit_power(lin)
+                power = _misfit_power(lin)
                 least = np.maximum(1.0, LEAST_NOISE * power)
                 noise_scale = np.maximum(least, np.minimum(noise_scale, NOISE_FALL * before))
-                if best is None or power.max() < misfit_power(best).max():
+                if best is None or power.max() < _misfit_power(best).max():
                     best = lin
             to_come = lin.objective.road.is_level_between_obstacles and n < min(
                 LOWERING_STEPS[-1], updates
@@ -150,19 +150,19 @@ def minimize(
                 break
     assert lin is not None
     if best is not None:
-        lin, noise_scale = best, np.maximum(1.0, misfit_power(best))
+        lin, noise_scale = best, np.maximum(1.0, _misfit_power(best))
     if adapt_car is not None:
         found = adapt_car(MapSolution(lin, stationary, noise_scale), solver)
         lin, stationary, noise_scale = found.linearization, found.stationary, found.noise_scale
         solver = replace(solver, stationary=stationary)
     if np.max(noise_scale) > NOISE_SCALE_WARNING and not objective.is_underdetermined:
         for _ in range(REWEIGHTING_STEPS):
-            weights = estimate_frequency_weights(lin, stationary, noise_scale)
+            weights = _estimate_frequency_weights(lin, stationary, noise_scale)
             lin = lin.with_frequency_weights(weights)
             solver = replace(solver, stationary=stationary.reweighted(lin.objective, weights))
             lin, _ = solver.step(lin, noise_scale)
     for _ in range(MAX_LIFTOFF_RETRIES):
-        better = retry_after_liftoff(lin, solver, noise_scale)
+        better = _retry_after_liftoff(lin, solver, noise_scale)
         if better is lin:
             break
         lin = better
@@ -203,7 +203,7 @@ class GaussNewton:
         road, others = lin.objective.road, lin.objective.size - 2 * lin.objective.road.size
         dof = np.sum(self.stationary.effective_dof(road, noise_variance)) + others
         # conjugate gradients leave dx' H dx = -slope
-        return line_search(lin, dx, slope, plants), float(np.sqrt(-slope / dof))
+        return _line_search(lin, dx, slope, plants), float(np.sqrt(-slope / dof))
 
 
 def preconditioner(
@@ -215,13 +215,13 @@ def preconditioner(
     return stationary.preconditioner(lin.objective.road, noise_variance, offset_scale)
 
 
-def lower_under_lifted_wheels(lin: Linearization) -> Linearization:
+def _lower_under_lifted_wheels(lin: Linearization) -> Linearization:
     """Return the linearization on the road lowered where no wheel pressed on it."""
     x = relax_unloaded(lin)
     return lin if x is None else lin.relinearize(x)
 
 
-def retry_after_liftoff(
+def _retry_after_liftoff(
     lin: Linearization, solver: GaussNewton, noise_scale: np.ndarray
 ) -> Linearization:
     """Return the optimum from the road lowered where no wheel pressed on it, if it costs less.
@@ -263,7 +263,7 @@ def update_prior(
     return new if float(new.x @ new.x) < most else lin
 
 
-def line_search(
+def _line_search(
     lin: Linearization, dx: Vector, slope: float, plants: Sequence[Plant] | None
 ) -> Linearization:
     """Return a point along `dx` by backtracking: the step is halved until the cost has fallen.
@@ -296,7 +296,7 @@ def update_noise_scale(
     return np.maximum(1.0, np.minimum(noise_scale, scales))
 
 
-def misfit_power(lin: Linearization) -> np.ndarray:
+def _misfit_power(lin: Linearization) -> np.ndarray:
     """Power (P,) of the residual over the instruments' noise."""
     return np.array([_noise_scale(one, 0.0) for one in lin.passes])
 
@@ -307,7 +307,7 @@ def _noise_scale(one: LinearizedPass, dof: float) -> float:
     return float(squares[used].mean() / (share * max(1.0 - dof / (share * used.sum()), 0.1)))
 
 
-def estimate_frequency_weights(
+def _estimate_frequency_weights(
     lin: Linearization, stationary: StationaryHessian, noise_scale: np.ndarray
 ) -> list[np.ndarray]:
     """Weight (J // 2 + 1,) of each frequency in each pass: noise as large as the residual is there,

@@ -95,7 +95,7 @@ class IdentificationResult:
         open_ = [names[i] for i in np.flatnonzero(std > UNDETERMINED)]
         far = [names[i] for i in np.flatnonzero(np.abs(x) > FAR)]
         notes = []
-        if is_another_kind(self.fit):
+        if _is_another_kind(self.fit):
             notes.append(
                 "the drives contradict each other about the vehicle, and it is far from its "
                 "description: it is of another kind, as with a solid axle for independent wheels; "
@@ -116,14 +116,14 @@ class IdentificationResult:
         return notes
 
 
-def is_another_kind(fit: CarFit) -> bool:
+def _is_another_kind(fit: CarFit) -> bool:
     """Return whether the drives are those of a vehicle of another kind than the described one."""
     return bool(fit.contradiction > CONTRADICTION and (np.abs(fit.x) > FAR).any())
 
 
 def uncertainty_of(fit: CarFit) -> VehicleUncertainty:
     """Return that of the vehicle of `with_posterior`."""
-    if is_another_kind(fit):
+    if _is_another_kind(fit):
         fit = replace(fit, covariance=np.eye(fit.x.size))
     return VehicleUncertainty.of_fit(fit)
 
@@ -133,7 +133,7 @@ def with_posterior(fit: CarFit, car: VehicleParameters) -> VehicleParameters:
     of another kind those of the description.
     """
     space: ParameterSpace = fit.space
-    if is_another_kind(fit):
+    if _is_another_kind(fit):
         std, source = np.ones(space.size), AS_DESCRIBED
     else:
         std, source = np.minimum(fit.std[: space.size], 1.0), IDENTIFIED

@@ -231,7 +231,7 @@ class Pass:
         if self.band_share == 1.0:
             return means
         f = rfftfreq(means.shape[1], self.block_duration)
-        return apply_frequency_weights(f <= self.model.bandwidth, means)
+        return _apply_frequency_weights(f <= self.model.bandwidth, means)
 
     def sense(self, acceleration: np.ndarray, follows: bool = True) -> np.ndarray:
         """Return the samples (S, T) [m/s²] of sensors without bias from the accelerations (N, 7) of
@@ -290,7 +290,7 @@ class LinearizedPass:
         if self.frequency_weights is None:
             return self.inverse_variance * means
         root = np.sqrt(self.inverse_variance)
-        return root * apply_frequency_weights(self.frequency_weights, root * means)
+        return root * _apply_frequency_weights(self.frequency_weights, root * means)
 
     @property
     def misfit(self) -> float:
@@ -367,10 +367,10 @@ class LinearizedPass:
     def shape_noise(self, white: np.ndarray) -> np.ndarray:
         """R^-1/2 times white noise (S, J)."""
         if self.frequency_weights is not None:
-            white = apply_frequency_weights(np.sqrt(self.frequency_weights), white)
+            white = _apply_frequency_weights(np.sqrt(self.frequency_weights), white)
         return np.sqrt(self.inverse_variance) * white
 
 
-def apply_frequency_weights(frequency_weights: np.ndarray, means: np.ndarray) -> np.ndarray:
+def _apply_frequency_weights(frequency_weights: np.ndarray, means: np.ndarray) -> np.ndarray:
     """Multiply each frequency of block means (S, J) by its weight (J // 2 + 1,)."""
     return irfft(frequency_weights * rfft(means, axis=1), means.shape[1], axis=1)

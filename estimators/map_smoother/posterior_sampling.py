@@ -28,6 +28,9 @@ from estimators.map_smoother.wheel_liftoff import (
 CG_ITERATIONS, CG_TOLERANCE = 40, 1e-2
 """Iterations of conjugate gradients for one sample, at most, and where they end."""
 
+VEHICLE_CG = 40, 0.02
+"""The same of a sample of the vehicle's errors; 20, 0.05 take 2 points off the coverage of 90 %."""
+
 VEHICLE_DRAWS = 8
 """Samples of an uncertain vehicle: about six of its errors are independent in the road, and their
 mean square over the drive is then within a quarter."""
@@ -69,7 +72,7 @@ From training drives over potholes and bumps."""
 class RoadPosterior(NamedTuple):
     """The `solution` at the mean of the road below light wheels, the standard deviation `std`
     (2, K) [m] of the error in the band at each node, the `vehicle_share` of its variance, the
-    `evidence` of `VehicleErrors`, and samples `deviations` (D, 2, K) [m] of the road's deviation
+    `evidence` of `_VehicleErrors`, and samples `deviations` (D, 2, K) [m] of the road's deviation
     from the mean in all waves.
     """
 
@@ -116,13 +119,14 @@ def posterior_mean_and_std(
 
     drawn = draw_deviations(lin, solve, rng, draws)
     square = mean_square(roads_of(drawn))
-    errors_of_vehicle = VehicleErrors([], 0.0, 0.0)
+    errors_of_vehicle = _VehicleErrors([], 0.0, 0.0)
     if draws and uncertainty:
         if uncertainty.is_prior:
             quick = solution.inverse_hessian(*QUICK_CG)
-            errors_of_vehicle = draw_vehicle_errors(solution, quick, rng, uncertainty, QUICK_DRAWS)
+            errors_of_vehicle = _draw_vehicle_errors(solution, quick, rng, uncertainty, QUICK_DRAWS)
         if not uncertainty.is_prior or errors_of_vehicle.evidence > QUICK_EVIDENCE:
-            errors_of_vehicle = draw_vehicle_errors(solution, solve, rng, uncertainty)
+            fine = solution.inverse_hessian(*VEHICLE_CG)
+            errors_of_vehicle = _draw_vehicle_errors(solution, fine, rng, uncertainty)
     deviations = np.zeros((0, 2, road.size))
     if draws:
         deviations = _draw_roads(solution, drawn, errors_of_vehicle)
@@ -158,7 +162,7 @@ def posterior_mean_and_std(
 
 
 def _draw_roads(
-    solution: MapSolution, exact: Sequence[np.ndarray], vehicle: "VehicleErrors"
+    solution: MapSolution, exact: Sequence[np.ndarray], vehicle: "_VehicleErrors"
 ) -> np.ndarray:
     """Samples (D, 2, K) [m] of the road's deviation from the posterior mean.
 
@@ -222,7 +226,7 @@ def draw_deviations(
     return [solve(b) for b in noise]
 
 
-class VehicleErrors(NamedTuple):
+class _VehicleErrors(NamedTuple):
     """Samples `moved` of the deviation of `x` by errors of the vehicle, the `weight` of their
     squares, and the power `evidence` that such errors explain of the residual, in units of the
     noise: about one for each sample if the vehicle has none.
@@ -233,13 +237,13 @@ class VehicleErrors(NamedTuple):
     evidence: float
 
 
-def draw_vehicle_errors(
+def _draw_vehicle_errors(
     solution: MapSolution,
     solve: Operator,
     rng: np.random.Generator,
     uncertainty: VehicleUncertainty,
     draws: int = VEHICLE_DRAWS,
-) -> VehicleErrors:
+) -> _VehicleErrors:
     """Return samples of the road's error by that of the vehicle.
 
     A road cannot follow all that an error of the vehicle changes, and what is left shows in the
@@ -251,10 +255,10 @@ def draw_vehicle_errors(
         (one,) = lin.passes
         changes = uncertainty.draw_changes(one, rng.standard_normal(white))
     except ArithmeticError:  # on this road some vehicle within the tolerances does not stay finite
-        return VehicleErrors([], 0.0, 0.0)
+        return _VehicleErrors([], 0.0, 0.0)
     moved = [solve(lin.adjoint(lin.apply_inverse_covariance([change]))) for change in changes]
     if not uncertainty.is_prior:
-        return VehicleErrors(moved, uncertainty.inflation**2, 0.0)
+        return _VehicleErrors(moved, uncertainty.inflation**2, 0.0)
     root = np.sqrt(one.source.information)
     left = [
         (root * (change - lin.tangent(dx)[0])).ravel()
@@ -264,7 +268,7 @@ def draw_vehicle_errors(
     evidence = float(along @ np.linalg.lstsq(gram, along)[0])
     typical = SHOWN_SHARE * float(np.trace(gram)) / draws
     shown = max(evidence - draws, 0.0) / max(typical, 1e-12)
-    return VehicleErrors(moved, TOLERANCE_INFLATION**2 * min(1.0, shown), evidence)
+    return _VehicleErrors(moved, TOLERANCE_INFLATION**2 * min(1.0, shown), evidence)
 
 
 def band_pass(c: np.ndarray, lines: np.ndarray) -> np.ndarray:

@@ -67,7 +67,7 @@ MAX_LEVEL_STEP = 1.5
 """Greatest distance of the levels of local roughness in the preconditioner, as a logarithm."""
 
 
-class PassInformation(NamedTuple):
+class _PassInformation(NamedTuple):
     """Information of the measurements of one pass, if of unit variance: `on_road` (F, 2, 2) on the
     heights of mean and half difference at each spatial frequency of the road, `on_start` (14,) on
     each coordinate of the initial vehicle state. The pass has `covered` this share of the nodes
@@ -85,7 +85,7 @@ class StationaryHessian:
     those of a sample of each.
     """
 
-    passes: tuple[PassInformation, ...]
+    passes: tuple[_PassInformation, ...]
 
     def reweighted(self, objective: Objective, weights: Means) -> "StationaryHessian":
         """The Hessian for measurements with weights (J // 2 + 1,) on their frequencies."""
@@ -226,7 +226,7 @@ def stationary_hessian(objective: Objective) -> StationaryHessian:
     count = max(np.any(passed, axis=0).sum(), 1)
     return StationaryHessian(
         tuple(
-            PassInformation(_road_information(one, road), _start_information(one), covered)
+            _PassInformation(_road_information(one, road), _start_information(one), covered)
             for one, covered in zip(objective.passes, np.sum(passed, axis=1) / count, strict=True)
         )
     )

@@ -15,8 +15,8 @@ import numpy as np
 
 from estimators.map_smoother.car_fit import (
     CarFit,
+    adapt_car,
     can_show_vehicle,
-    fit_car,
     fit_if_due,
     is_believed,
 )
@@ -41,7 +41,6 @@ from estimators.map_smoother.windows import (
     reconstruct,
 )
 from road_envs.records.record import Profile, scored_band
-from road_envs.vehicle.tolerances import parameter_space
 
 JOINT_STAGES = ((0.0, 8),)
 """Smoothing of friction [m/s], and the most Gauss-Newton steps with it, from the mean of single
@@ -173,7 +172,7 @@ class RoadSolver:
         is_seen = posterior.evidence > EVIDENCE_DUE and can_show_vehicle(solution)
         if is_seen and posterior.vehicle_share > VEHICLE_SHARE_DUE:
             with suppress(ArithmeticError):  # a varied vehicle's motion was not finite
-                fit = findings.doubted or fit_car([solution], parameter_space(drive.car), solver)
+                fit = findings.doubted or adapt_car([solution], drive.car, solver)
                 findings.fits = [(fit, [0])]
                 uncertain = VehicleUncertainty.of_tolerances(fit.car, sensors)
                 uncertain = replace(uncertain, is_prior=False, inflation=FIT_INFLATION)

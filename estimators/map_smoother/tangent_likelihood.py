@@ -50,21 +50,28 @@ DRAWS = 5
 turned phases then cancel (`posterior_noise`)."""
 
 CG_ITERATIONS, CG_TOLERANCE = 150, 0.01
-"""Conjugate gradients of each system."""
+"""Conjugate gradients of the system for the road."""
 
 QUICK_CG = 30, 0.05
 """The same of the systems for F, at whose solution the information is least."""
 
+TRACE_CG = 40, 0.05
+"""The same of the samples of the trace: with a tolerance of 0.01, which takes twice as long, a step
+of the parameters changes by 0.03 to 0.04 of their posterior standard deviations, and by 0.07 to
+0.08 with other samples (bench drive of 100 m, individual 1501)."""
+
 
 class TangentTerms(NamedTuple):
     """Terms of one drive's marginal likelihood: `gradient` (P,), `information` (P, P) and the
-    covariance `score_covariance` (P, P) of the gradient, with that by sampling; and the change of
-    the solution's unknowns `to_optimum` (n,), and `by_parameter` (P, n).
+    covariance `score_covariance` (P, P) of the gradient, with that by sampling; the derivatives
+    `log_det_gradient` (P,) of 1/2 log det A; and the change of the solution's unknowns `to_optimum`
+    (n,), and `by_parameter` (P, n).
     """
 
     gradient: np.ndarray
     information: np.ndarray
     score_covariance: np.ndarray
+    log_det_gradient: np.ndarray
     to_optimum: np.ndarray
     by_parameter: np.ndarray
 
@@ -74,6 +81,7 @@ class TangentTerms(NamedTuple):
             gradient=weight * self.gradient,
             information=weight * self.information,
             score_covariance=weight * self.score_covariance,
+            log_det_gradient=weight * self.log_det_gradient,
         )
 
     def change(self, step: np.ndarray) -> np.ndarray:
@@ -81,31 +89,49 @@ class TangentTerms(NamedTuple):
         return self.to_optimum + step @ self.by_parameter
 
 
-def tangent_terms(solution: MapSolution, cars: Sequence[VehicleParameters]) -> TangentTerms:
+def tangent_terms(
+    solution: MapSolution,
+    cars: Sequence[VehicleParameters],
+    known: TangentTerms | None = None,
+) -> TangentTerms:
     """Return the terms of a drive over an unmeasured road; `cars` as of `perturbed_cars`.
 
+    With those of a vehicle nearby that are `known`, only gradient and optimum are computed.
     Raises ArithmeticError if a motion is not finite.
     """
     lin, solve = solution.linearization, solution.inverse_hessian(CG_ITERATIONS, CG_TOLERANCE)
-    (one,), quick = lin.passes, solution.inverse_hessian(*QUICK_CG)
+    (one,) = lin.passes
     varied = perturbed_passes(one.source, cars)
     G = sensitivities(one, varied)
+    known = known or _second_order_terms(solution, varied, G)
+    to_optimum = solve(-lin.gradient())
+    left = one.apply_inverse_covariance(one.residual - lin.tangent(to_optimum)[0])
+    fit = np.einsum("psj,sj->p", G, left)
+    return known._replace(gradient=fit - known.log_det_gradient, to_optimum=to_optimum)
+
+
+def _second_order_terms(
+    solution: MapSolution, varied: Sequence[Pass], G: np.ndarray
+) -> TangentTerms:
+    """Return the terms without gradient and optimum, of the derivatives `G` (P, S, J)."""
+    lin, solve = solution.linearization, solution.inverse_hessian(*TRACE_CG)
+    (one,), quick = lin.passes, solution.inverse_hessian(*QUICK_CG)
     weighted = np.array([one.apply_inverse_covariance(g) for g in G])
     F = np.array([quick(lin.adjoint([g])) for g in weighted])
     left = G - np.array([lin.tangent(f)[0] for f in F])
-    to_optimum = solve(-lin.gradient())
     samples = [trace_sample(lin, varied, solve(b)) for b in posterior_noise(lin)]
     at_road, along = (np.array(part) for part in zip(*samples, strict=True))
     # A is symmetric: one system for the derivative along the road, not one for each parameter
     moved = lin.tangent(solve(along.mean(axis=0)))[0]
-    fit = np.einsum("psj,sj->p", weighted, one.residual - lin.tangent(to_optimum)[0] + moved)
+    log_det_gradient = at_road.mean(axis=0) - np.einsum("psj,sj->p", weighted, moved)
     weighted = np.array([one.apply_inverse_covariance(g) for g in left])
     information = np.einsum("psj,qsj->pq", left, weighted) + F @ F.T
     return TangentTerms(
-        gradient=fit - at_road.mean(axis=0),
+        gradient=-log_det_gradient,
         information=information,
         score_covariance=information + np.cov(at_road.T - F @ along.T) / len(samples),
-        to_optimum=to_optimum,
+        log_det_gradient=log_det_gradient,
+        to_optimum=np.zeros_like(lin.x),
         by_parameter=-F,
     )
 

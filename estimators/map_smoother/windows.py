@@ -98,7 +98,7 @@ class PreparedDrive:
     def split(self, window: float, overlap: float) -> list[Window]:
         """Split the drive into windows of `window` and `overlap` [s]."""
         rate = 1.0 / (self.steps_per_block * self.inputs.h)
-        return split_windows(self.blocks, round(window * rate), round(overlap * rate))
+        return _split_windows(self.blocks, round(window * rate), round(overlap * rate))
 
     def node_at(self, s: float) -> int:
         """Return the node at the station `s` [m] or just before it."""
@@ -146,7 +146,7 @@ class RoadSoFar:
         return evaluate_spline(self.c, x), std, draws
 
 
-class PassState(NamedTuple):
+class _PassState(NamedTuple):
     """State of a pass where its next window begins: `vehicle_state` (14,) with the standard
     deviation `initial_std` (14,), `strut_state` (4, 3) and `filter_state` of the anti-alias filter,
     None at rest or if it only delays.
@@ -158,7 +158,7 @@ class PassState(NamedTuple):
     filter_state: np.ndarray | None = None
 
     @classmethod
-    def first(cls, drive: PreparedDrive) -> "PassState":
+    def first(cls, drive: PreparedDrive) -> "_PassState":
         """Return that before the first window."""
         strut_state = settled_strut_state(int(drive.inputs.commands[0]))
         # exactly at rest the friction law has a kink and no tangent
@@ -181,7 +181,7 @@ def on_common_nodes(drives: Sequence[PreparedDrive]) -> list[PreparedDrive]:
     return [replace(drive, nodes=nodes, free_span=span) for drive in drives]
 
 
-def split_windows(blocks: int, window: int, overlap: int) -> list[Window]:
+def _split_windows(blocks: int, window: int, overlap: int) -> list[Window]:
     """Split `blocks` into windows."""
     windows, begin = [], 0
     while blocks - begin > window + overlap:
@@ -224,13 +224,13 @@ def reconstruct(
 
     `solve` gets the objective of a window and the numbers of its passes.
     """
-    drives, states = list(drives), [PassState.first(drive) for drive in drives]
+    drives, states = list(drives), [_PassState.first(drive) for drive in drives]
     road = RoadSoFar.level(drives[0].nodes.size)
     for spans in windows:
         members = [k for k, (begin, _, end) in enumerate(spans) if end - begin >= MIN_BLOCKS]
         members = members or list(range(len(drives)))
         parts = [(drives[k], states[k], spans[k][0], spans[k][2]) for k in members]
-        objective = window_objective(parts, prior, road)
+        objective = _window_objective(parts, prior, road)
         posterior = solve(objective, members)
         lin = posterior.solution.linearization
         u, own, shifts = lin.objective.split(lin.x)
@@ -242,7 +242,7 @@ def reconstruct(
             if after < end:
                 steps = (after - begin) * drive.steps_per_block
                 state, strut_state, filter_state = one.source.state_after(c, values, steps)
-                states[k] = PassState(state, np.zeros_like(state), strut_state, filter_state)
+                states[k] = _PassState(state, np.zeros_like(state), strut_state, filter_state)
                 # up to the nodes that carry the front axle now
                 ends.append(drive.node_at(one.source.inputs.s[2 * steps]) + 3)
         last = max(ends, default=drives[0].nodes.size)
@@ -282,8 +282,8 @@ def _extended(
     return RoadSoFar(joined(so_far.c, c), so_far_std, deviations, last, road.n, density)
 
 
-def window_objective(
-    parts: Sequence[tuple[PreparedDrive, PassState, int, int]], prior: RoadPrior, so_far: RoadSoFar
+def _window_objective(
+    parts: Sequence[tuple[PreparedDrive, _PassState, int, int]], prior: RoadPrior, so_far: RoadSoFar
 ) -> Objective:
     """Return the objective of drives on common nodes, each from its state on, with its blocks
     `begin` to `end` (excluded).
@@ -308,7 +308,7 @@ def window_objective(
 
 
 def _window_pass(
-    drive: PreparedDrive, state: PassState, begin: int, end: int, nodes: RoadNodes
+    drive: PreparedDrive, state: _PassState, begin: int, end: int, nodes: RoadNodes
 ) -> Pass:
     """Return the pass of blocks `begin` to `end` (excluded) on the nodes of the window."""
     inputs = drive.inputs.slice_steps(begin * drive.steps_per_block, end * drive.steps_per_block)
@@ -327,5 +327,5 @@ def _window_pass(
 
 def whole_objective(drive: PreparedDrive, prior: RoadPrior, blocks: int | None = None) -> Objective:
     """Return the objective of a drive, or of its first `blocks`, as one window."""
-    part = drive, PassState.first(drive), 0, blocks or drive.blocks
-    return window_objective([part], prior, RoadSoFar.level(drive.nodes.size))
+    part = drive, _PassState.first(drive), 0, blocks or drive.blocks
+    return _window_objective([part], prior, RoadSoFar.level(drive.nodes.size))

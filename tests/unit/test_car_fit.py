@@ -206,7 +206,8 @@ def test_drives_of_two_vehicles_contradict_each_other_about_one():
     def wish(change):
         information = 1e4 * np.eye(2)
         gradient = information @ np.array([change, 0.0])
-        return TangentTerms(gradient, information, information, np.zeros(0), np.zeros((2, 0)))
+        nothing = np.zeros(2), np.zeros(0), np.zeros((2, 0))
+        return TangentTerms(gradient, information, information, *nothing)
 
     def contradiction(*changes):
         terms = [wish(change).weighted(car_fit.UNMEASURED_WEIGHT) for change in changes]
@@ -222,11 +223,11 @@ def test_a_fit_that_was_not_believed_is_not_made_again_for_the_same_drive(monkey
     made = []
 
     def counted(*args, **settings):
-        made.append(car_fit.fit_car(*args, **settings))
+        made.append(car_fit.adapt_car(*args, **settings))
         return made[-1]
 
     monkeypatch.setattr(solver, "fit_if_due", lambda own, car, s: counted(own, SPACE, s))
-    monkeypatch.setattr(solver, "fit_car", counted)
+    monkeypatch.setattr(solver, "adapt_car", counted)
     monkeypatch.setattr(solver, "is_believed", lambda fit, own: False)
     found = MapSmoother().estimate(drive.record, DEFENDER)
     assert any("the vehicle was adapted" in note for note in found.notes)

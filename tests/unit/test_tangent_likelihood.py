@@ -56,6 +56,7 @@ def terms():
         patch.setattr(tangent_likelihood, "CG_ITERATIONS", 1000)
         patch.setattr(tangent_likelihood, "CG_TOLERANCE", 1e-4)
         patch.setattr(tangent_likelihood, "QUICK_CG", (1000, 1e-4))
+        patch.setattr(tangent_likelihood, "TRACE_CG", (1000, 1e-4))
         return tangent_terms(solution(), perturbed_cars(SPACE, np.zeros(SPACE.size)))
 
 
@@ -96,6 +97,22 @@ def test_the_gradient_is_that_at_the_optimum_less_that_of_the_log_determinant(te
     np.testing.assert_allclose(terms.gradient / scale, expected / scale, atol=0.02)
     for part in (at_road, road.T @ along):
         assert (np.abs(part) > 0.1 * scale).any()
+
+
+def test_with_known_terms_gradient_and_optimum_are_those_of_the_other_vehicle(terms):
+    lin, cars = solution().linearization, perturbed_cars(SPACE, np.full(SPACE.size, 0.2))
+    objective = lin.objective.with_passes(lambda one: one.with_car(cars[0]))
+    moved = replace(solution(), linearization=objective.linearize(lin.x))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tangent_likelihood, "QUICK_CG", (3, 0.5))
+        patch.setattr(tangent_likelihood, "TRACE_CG", (3, 0.5))
+        fresh, quick = tangent_terms(moved, cars), tangent_terms(moved, cars, terms)
+    scale = np.sqrt(np.diag(terms.information))
+    fit, expected = (one.gradient + one.log_det_gradient for one in (quick, fresh))
+    np.testing.assert_allclose(fit / scale, expected / scale, atol=1e-9)
+    np.testing.assert_array_equal(quick.to_optimum, fresh.to_optimum)
+    assert (np.abs(fit - terms.gradient - terms.log_det_gradient) > 0.1 * scale).any()
+    assert quick.information is terms.information
 
 
 def test_a_sample_of_the_trace_is_the_change_of_the_tangent_by_a_parameter():
