@@ -34,14 +34,20 @@ def policy(name):
     ("name", "sentence"),
     [
         ("LooksForTheDrive", r"RuntimeError: found \[\]$"),
-        ("RepliesNested", "its reply is invalid: not JSON"),
-        ("RepliesHuge", "its reply is invalid: not JSON"),
+        pytest.param(
+            "RepliesNested", "its reply is invalid: not JSON", marks=pytest.mark.processes
+        ),
+        pytest.param("RepliesHuge", "its reply is invalid: not JSON", marks=pytest.mark.processes),
         ("RepliesTwice", "^no message$"),
-        ("Unsigned", "actions must be 0 to 15, got -1"),
-        ("Interrupts", "ended without a response, by exit status 1"),
-        ("Stops", "stopped after 3 s, the time limit"),
-        ("SignalsAbove", r"RuntimeError: stopped \[(1, 2)?\]$"),
-        ("Floods", "stopped after 3 s, the time limit"),
+        pytest.param("Unsigned", "actions must be 0 to 15, got -1", marks=pytest.mark.processes),
+        pytest.param(
+            "Interrupts", "ended without a response, by exit status 1", marks=pytest.mark.processes
+        ),
+        pytest.param("Stops", "stopped after 3 s, the time limit", marks=pytest.mark.processes),
+        pytest.param(
+            "SignalsAbove", r"RuntimeError: stopped \[(1, 2)?\]$", marks=pytest.mark.processes
+        ),
+        pytest.param("Floods", "stopped after 3 s, the time limit", marks=pytest.mark.processes),
         ("PaintsItsError", r"^RuntimeError: \[/red\] \[2J<script>alert\(1\)</script> rrms 1\.0$"),
     ],
 )
