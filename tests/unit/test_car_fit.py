@@ -226,7 +226,7 @@ def test_a_fit_that_was_not_believed_is_not_made_again_for_the_same_drive(monkey
         made.append(car_fit.adapt_car(*args, **settings))
         return made[-1]
 
-    monkeypatch.setattr(solver, "fit_if_due", lambda own, car, s: counted(own, SPACE, s))
+    monkeypatch.setattr(solver, "fit_if_due", counted)
     monkeypatch.setattr(solver, "adapt_car", counted)
     monkeypatch.setattr(solver, "is_believed", lambda fit, own: False)
     found = MapSmoother().estimate(drive.record, DEFENDER)
