@@ -52,7 +52,8 @@ def policies(
         int, option("Sweeps of the search for the best switching; 0: none.", min=0)
     ] = best_found.SWEEPS,
     seal: Annotated[
-        str | None, option("Secret text of the sealed drives, instead of public ones.")
+        str | None,
+        option("Secret text, of 16 characters or more, of sealed drives, instead of public ones."),
     ] = None,
     reference: Annotated[str, option("Policy that differences refer to.")] = comparison.REFERENCE,
     quick: Annotated[bool, option("Two drives, without the search: seconds.", "--quick")] = False,
