@@ -6,9 +6,11 @@ Each drive is one of the described vehicle over 300 m, whose speed signal errs b
 whose fixes pull the odometer back within 10 m; only the noise of the fixes differs. Columns:
 in-band NRMSE at fixed stations and after local alignment, share of errors inside the 90 % interval
 after it, error of the IRI [mm/m], and the deviation of the stations that the estimate states [m].
+The last rows are the medians of all drives, and the worst ones.
 """
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +25,7 @@ from road_envs.vehicle.parameters import DEFAULT_STEP, load_vehicle
 
 CAR, FIRST_SEED, LENGTH = load_vehicle("land_rover_defender_110"), 9600, 300.0
 DRIVES = [(r, v, n) for r in ("iso_c", "iso_d") for v in (36.0, 54.0) for n in (1.0, 2.0, 3.0)]
+ESTIMATORS = ["map_smoother", "kalman_rts", "kalman_lag", "wiener"]
 SHOWN = ("nrmse", "nrmse_aligned", "coverage_90_aligned", "iri_error")
 
 
@@ -39,11 +42,12 @@ def with_fixes(record: Record, noise: float, seed: int) -> Record:
 def main() -> None:
     """Print a row for each drive and estimator, without noise and with it."""
     parser = argparse.ArgumentParser(description="Errors beside fixes that wander.")
-    parser.add_argument("--estimator", nargs="+", default=["kalman_lag", "kalman_rts", "wiener"])
+    parser.add_argument("--estimator", nargs="+", default=ESTIMATORS)
     chosen = parser.parse_args()
     print(("{:<13}{:<7}" + "{:>8}" * 7).format(
         "estimator", "road", "km/h", "noise", "fixed", "aligned", "in 90 %", "IRI", "± m"
     ))  # fmt: skip
+    rows: dict[tuple[str, bool], list[list[float]]] = {}
     for k, (road, kmh, noise) in enumerate(DRIVES):
         seed = FIRST_SEED + k
         record, truth = simulate_record(
@@ -53,9 +57,20 @@ def main() -> None:
             for std in (0.0, noise):
                 found = estimate(name, with_fixes(record, std, seed), CAR)
                 scores = compute_scores(truth, found, kmh / 3.6, False, wandering=True)
-                cells = [f"{scores[key]:>8.3f}" for key in SHOWN]
+                row = [scores[key] for key in SHOWN]
+                rows.setdefault((name, std > 0.0), []).append(row)
                 stated = f"{found.s_std:>8.1f}" if found.s_std else f"{'–':>8}"
-                print(f"{name:<13}{road:<7}{kmh:>8g}{std:>8g}{''.join(cells)}{stated}", flush=True)
+                print(f"{name:<13}{road:<7}{kmh:>8g}{std:>8g}{cells(row)}{stated}", flush=True)
+    for (name, wandering), found_rows in rows.items():
+        table, fixes = np.array(found_rows), "receiver" if wandering else "exact"
+        worst = [*table.max(axis=0)[:2], table[:, 2].min(), table[:, 3].max()]
+        for word, row in (("median", np.median(table, axis=0)), ("worst", worst)):
+            print(f"{name:<13}{word:<7}{fixes:>16}{cells(row)}")
+
+
+def cells(row: Sequence[float] | np.ndarray) -> str:
+    """Return the scores of a row in columns."""
+    return "".join(f"{score:>8.3f}" for score in row)
 
 
 if __name__ == "__main__":
