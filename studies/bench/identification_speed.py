@@ -66,7 +66,7 @@ def identification_speed() -> list[dict[str, Any]]:
         benchmark_row(
             "map_smoother adapting to the drive, against the plain one",
             f"{ratio:.1f} x, {with_fit:.1f} CPU-s", "<= 3 x", ratio,
-            "most of it are systems of equations as long as the road, for each of 28 parameters and "
+            "most of it: systems of equations as long as the road, for each of 28 parameters and "
             "each sample that traces need, in the first two of six steps of the parameters; after "
             "each of them the road follows by one or two of its own",
             ratio=ratio, seconds=with_fit,
