@@ -44,7 +44,7 @@ _TRAVEL_MIN = 1.0
 SPEED_MIN = 0.1
 # Largest decrease of the odometer [m], as of a vehicle that settles at a stop, and largest step
 # from one sample to the next: 60 m/s at the lowest sample rate
-_BACKWARD_MAX, _JUMP_MAX = 0.1, 1.0
+BACKWARD_MAX, JUMP_MAX = 0.1, 1.0
 # Largest fraction of a channel's samples that is interpolated: ten times what loggers are assumed
 # to lose, and few enough for the measured samples to decide the estimate
 _MISSING_SHARE_MAX = 0.2
@@ -257,7 +257,7 @@ def _check_drive(record: Record) -> tuple[Record, list[str]]:
     notes = []
     forward = np.maximum.accumulate(record.s)
     back, slowest = float((forward - record.s).max()), float(record.v.min())
-    if back > _BACKWARD_MAX:
+    if back > BACKWARD_MAX:
         raise RecordError(f"the odometer decreases by {back:.2f} m; a drive must go forward")
     if slowest < -SPEED_MIN:
         raise RecordError(f"the speed falls to {slowest:.2g} m/s; a drive must go forward")
@@ -271,10 +271,10 @@ def _check_drive(record: Record) -> tuple[Record, list[str]]:
             f"at least {SPEED_MIN:g} m/s are needed"
         )
     steps = np.diff(forward)
-    if (jump := float(steps.max())) > _JUMP_MAX:
+    if (jump := float(steps.max())) > JUMP_MAX:
         raise RecordError(
             f"the odometer jumps by {jump:.2f} m from one sample to the next; at most "
-            f"{_JUMP_MAX:g} m are allowed: cut the record at the jump or correct s"
+            f"{JUMP_MAX:g} m are allowed: cut the record at the jump or correct s"
         )
     if back > 0.0 or slowest < 0.0:
         record = dataclasses.replace(record, s=forward, v=np.maximum(record.v, 0.0))

@@ -29,6 +29,7 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 
 from estimators.common.position_noise import SPEED_STD, fit_wander, wanders
+from estimators.preprocessing import BACKWARD_MAX, JUMP_MAX
 from road_envs.records.record import DistanceScale, Estimate, Record, profile_stations
 
 # Least and greatest L [m] that is looked for; it must be passed within the record
@@ -98,7 +99,7 @@ def _calibrate(record: Record) -> tuple[Record, tuple[str, ...], float | None]:
     )
     error, displacement, left = fit(found.x)
     greatest = float(np.abs(displacement).max())
-    if wanders(record.t, left):
+    if _goes_on(record.s) and wanders(record.t, left):
         shift, excess, std = fit_wander(record.t, travelled, record.s - record.s[0])
         if abs(excess) > MAX_SPEED_ERROR:
             return unchanged
@@ -111,6 +112,12 @@ def _calibrate(record: Record) -> tuple[Record, tuple[str, ...], float | None]:
         return unchanged
     corrected = replace(record, s=record.s - displacement, v=record.v / (1.0 + error))
     return corrected, (_describe(error, displacement),), None
+
+
+def _goes_on(s: np.ndarray) -> bool:
+    """Return whether stations (N,) [m] neither go back nor jump, for which records are refused."""
+    forward = np.maximum.accumulate(s)
+    return bool((forward - s).max() <= BACKWARD_MAX and np.diff(forward).max() <= JUMP_MAX)
 
 
 def _describe(error: float, displacement: np.ndarray) -> str:

@@ -75,7 +75,8 @@ def test_every_shipped_task_is_committed_and_revealed(name, tmp_path):
 
 
 UNLIKE = (
-    "class", "field", "field_known", "field_bumps", "new_road", "paper_1", "paper_5", "plants_told",
+    "class", "field", "field_known", "field_bumps", "field_receiver", "new_road", "paper_1",
+    "paper_5", "plants_told",
 )  # fmt: skip
 """Tasks of every board, with and without calibration, obstacles and a road for training."""
 

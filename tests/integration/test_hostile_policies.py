@@ -17,7 +17,6 @@ from road_envs.policies import create
 from road_envs.policies.api import PolicyError
 from road_envs.policies.rollout import roll_out
 
-pytestmark = pytest.mark.usefixtures("kept_caches")
 isolated = pytest.mark.skipif(
     bubblewrap.obstacle() is not None, reason="bubblewrap cannot be used here"
 )

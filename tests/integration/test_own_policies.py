@@ -164,7 +164,6 @@ def test_policies_compares_a_class_and_a_file_beside_shipped_ones(
     assert all(name in page for name in rows)
 
 
-@pytest.mark.usefixtures("kept_caches")
 @pytest.mark.skipif(bubblewrap.obstacle() is not None, reason="bubblewrap cannot be used here")
 def test_a_policy_inside_bubblewrap_sees_its_code_and_nothing_else(tmp_path, monkeypatch):
     (tmp_path / "secret.txt").write_text("seeds")

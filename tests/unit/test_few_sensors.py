@@ -49,6 +49,7 @@ class Claiming:
 
     residual: Callable
     adapt: bool
+    causal = False
 
     def estimate(self, record, car):
         s = profile_stations(record.length)
