@@ -19,8 +19,8 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
+import scipy
 from pydantic import Field
-from scipy.signal import lfilter
 
 from road_envs.core.config import ConfigError, Count, Finite, NonNegative, Positive, Settings
 from road_envs.vehicle.parameters import GRAVITY
@@ -88,7 +88,7 @@ def gauss_markov(
     kept = np.exp(-step / correlation_time)
     white = std * rng.standard_normal(n)
     white[1:] *= np.sqrt(1.0 - kept**2)
-    return np.asarray(lfilter([1.0], [1.0, -kept], white))
+    return np.asarray(scipy.signal.lfilter([1.0], [1.0, -kept], white))
 
 
 class JitteredSampler:
