@@ -10,12 +10,7 @@ from road_envs.core import config
 from road_envs.kernels.filters import butterworth_sos, sosfilt_kernel
 from road_envs.sensing.instruments import ANTIALIAS_ORDER, Instruments
 from road_envs.sensing.instruments import load_instruments as load_instruments
-from road_envs.sensing.sensor_faults import (
-    NO_FAULTS,
-    JitteredSampler,
-    SensorFaults,
-    gauss_markov,
-)
+from road_envs.sensing.sensor_faults import NO_FAULTS, JitteredSampler, SensorFaults, gauss_markov
 from road_envs.simulation.drive import Trajectory
 from road_envs.vehicle.body_bending import BendingMotion, shape
 from road_envs.vehicle.equations import THETA, Z_B
