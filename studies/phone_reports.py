@@ -193,7 +193,8 @@ def summary(results: list[dict[str, Any]]) -> str:
         for x in ([x[1:] for x in told], [x[1:] / x[0] for x in told])
     )
     lines.append(
-        f"RMSE of all but the first segments {before:.1%}, with the IRI of the first known {after:.1%}"
+        f"RMSE of all but the first segments {before:.1%}, "
+        f"with the IRI of the first known {after:.1%}"
     )
     seconds, km = sum(r["seconds"] for r in results), sum(r["length"] for r in results) / 1000.0
     return "\n".join([*lines, f"processor time {seconds / km:.0f} s per km"])
