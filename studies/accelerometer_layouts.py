@@ -20,7 +20,7 @@ from road_envs.drives.recording import simulate_record
 from road_envs.records.accelerometers import Accelerometer
 from road_envs.sensing.instruments import Instruments, load_instruments
 from road_envs.vehicle.parameters import load_vehicle
-from studies.study import in_band_errors
+from studies.in_band_errors import in_band_errors
 
 PAPER, HUBS = load_instruments("paper"), load_instruments("axle_ends")
 FRONT_LEFT = Accelerometer(axle="front", ahead=-0.12, y=0.55)

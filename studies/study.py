@@ -1,4 +1,4 @@
-"""Shared parts of the studies: errors of estimators, and results that are not computed again."""
+"""Results of a study that are not computed again: a row of a file for each case."""
 
 import argparse
 import json
@@ -6,24 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from estimators.estimation import estimate
-from leaderboard.api import score
-from road_envs.records.record import Profile, Record
-from road_envs.vehicle.parameters import VehicleParameters
-
 Row = dict[str, Any]
-
-
-def in_band_errors(
-    names: Sequence[str],
-    drive: tuple[Record, Profile],
-    car: VehicleParameters,
-    speed_kmh: float | None = None,
-) -> list[float]:
-    """Return the NRMSE [-] of estimators on a drive, in the band of `speed_kmh` if given."""
-    record, truth = drive
-    estimates = (estimate(name, record, car) for name in names)
-    return [score(each, truth, speed_kmh=speed_kmh)["nrmse"] for each in estimates]
 
 
 def study_parser(description: str) -> argparse.ArgumentParser:

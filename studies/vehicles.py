@@ -15,7 +15,7 @@ from road_envs.analysis.information_bound import RoadPrior, bound, equivalent_da
 from road_envs.drives.recording import simulate_record
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
-from studies.study import in_band_errors
+from studies.in_band_errors import in_band_errors
 
 CARS = ("bmw_320i", "jeep_cherokee", "land_rover_defender_110", "volkswagen_vanagon")
 ESTIMATORS = ("map_smoother", "kalman_rts", "iterated_wiener", "wiener")

@@ -18,11 +18,16 @@ import estimators
 from estimators import pretrained_weights
 from estimators.api import Estimator, Pretrained, Trainable, refits_per_case
 from leaderboard.entries import entry_files
-from leaderboard.entries.entry import BUILTIN, Entry, EntryError, describe_estimator, needs_training
+from leaderboard.entries.entry import (
+    BUILTIN,
+    NAME,
+    Entry,
+    EntryError,
+    describe_estimator,
+    needs_training,
+)
+from leaderboard.entries.references import find_reference, is_ours
 from road_envs.core.artifacts import code_version
-
-NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,39}")
-"""Pattern of the name of a row. It is part of the names of files and of addresses of pages."""
 
 _MADE_FROM_TRUTH = ("truth_plus_noise", "memory")
 _OTHER_NAMES = (*_MADE_FROM_TRUTH, BUILTIN, "bound", "attainable", "truth", "index")
@@ -42,7 +47,7 @@ _Describe = Callable[[str], dict[str, Any]]
 
 
 def _code_of(reference: str, estimator: Estimator) -> str:
-    if not entry_files.is_ours(reference):
+    if not is_ours(reference):
         return entry_files.snapshot(reference, None)
     code, weights = code_version(type(estimator).__module__), _included_weights(estimator)
     return code if weights is None else f"{code}+{_arrays_digest(weights)}"
@@ -66,7 +71,7 @@ def resolve_entries(names: Sequence[str], describer: _Describe | None) -> list[E
     name is not allowed or taken, gives an entry with a failure, so that every entry has its row.
     Raises ConfigError for an unknown name.
     """
-    references = [entry_files.find_reference(name) for name in names]
+    references = [find_reference(name) for name in names]
     entries: list[Entry] = []
     for name, reference in zip(names, references, strict=True):
         if name in estimators.REGISTRY or describer is None:

@@ -5,6 +5,7 @@ All code of an entry runs in a `_Session`, which never receives the truth of a t
 
 import dataclasses
 import json
+import re
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -28,6 +29,9 @@ from road_envs.vehicle.parameters import VehicleParameters
 
 BUILTIN = "builtin"
 """Reference of an entry whose estimates the evaluation computes itself, from the truth."""
+
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,39}")
+"""Pattern of the name of a row. It is part of the names of files and of addresses of pages."""
 
 MAX_LAG = 10.0
 """Largest lag [m] of an estimator that counts as causal."""

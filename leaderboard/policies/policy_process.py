@@ -15,8 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from leaderboard.entries import entry_files
-from leaderboard.entries.entries import NAME
-from leaderboard.entries.entry import EntryError
+from leaderboard.entries.entry import NAME, EntryError
 from leaderboard.policies import policy_handler
 from leaderboard.sandbox import bubblewrap, messages
 from leaderboard.sandbox.guest import Guest

@@ -11,6 +11,7 @@ from typing import Any
 
 from leaderboard.entries import entry_files
 from leaderboard.entries.entry import BUILTIN, Entry, EntryError
+from leaderboard.entries.references import is_ours
 from leaderboard.evaluation.task_files import with_paths
 from road_envs.core.config import ConfigError
 
@@ -56,8 +57,4 @@ def code_folders(files: str, entries: Iterable[Entry]) -> dict[str, Path]:
 
 def is_from_outside(entry: Entry) -> bool:
     """Return whether code of an entry is run that is none of this package."""
-    return (
-        entry.failure is None
-        and entry.reference != BUILTIN
-        and not entry_files.is_ours(entry.reference)
-    )
+    return entry.failure is None and entry.reference != BUILTIN and not is_ours(entry.reference)

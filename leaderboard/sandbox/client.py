@@ -30,6 +30,7 @@ from leaderboard.entries.entry import (
     TrainingRun,
     reconstruct_all,
 )
+from leaderboard.entries.references import is_ours
 from leaderboard.sandbox import bubblewrap, estimator_handler, messages, processes
 from leaderboard.sandbox.guest import Guest
 from leaderboard.sandbox.launch import START_ATTEMPTS, start_guest
@@ -131,7 +132,7 @@ class SandboxClient:
         With `retest`, an entry from outside is asked again in a second guest, which runs first in
         half of the cases: does it look ahead or remember?
         """
-        ours = entry_files.is_ours(entry.reference)
+        ours = is_ours(entry.reference)
         if not ours and self._snapshot(entry.reference)[0] != entry.code and entry.code:
             raise EntryError("its files have changed since the run was planned")
         order, secret = list(range(len(records))), random.SystemRandom()
@@ -182,7 +183,7 @@ class SandboxClient:
 
     def _snapshot(self, reference: str) -> tuple[str, Path]:
         """Return the digest of an outside entry's code and the folder with a copy of it."""
-        if entry_files.is_ours(reference):
+        if is_ours(reference):
             return "", Path()
         if reference not in self._snapshots:
             if not self._bubblewrap and self.limits.isolation != "process":
@@ -196,7 +197,7 @@ class SandboxClient:
         return self._snapshots[reference]
 
     def _start(self, reference: str) -> Guest:
-        if entry_files.is_ours(reference):
+        if is_ours(reference):
             kind = estimators.REGISTRY.get(reference)
             libraries = kind.libraries if isinstance(kind, DeclaresLibraries) else ()
             loaded = ("estimators.registry", *libraries)
@@ -232,7 +233,7 @@ class SandboxClient:
         head = self._begin(guest, entry.reference, entry.settings, dataclasses.asdict(car))
         trains, calibrates = (head.get(name) is True for name in ("needs_training", "calibrates"))
         # of others the host finds out whether the seed makes a difference
-        uses_seed = head.get("uses_seed") is True or not entry_files.is_ours(entry.reference)
+        uses_seed = head.get("uses_seed") is True or not is_ours(entry.reference)
         return _RemoteSession(guest, trains, calibrates, uses_seed)
 
     def _end(self, guest: Guest) -> None:

@@ -19,8 +19,9 @@ from leaderboard.conformance.method_card import load_method_card
 from leaderboard.conformance.probes import PROBES
 from leaderboard.conformance.results import find_card, probe_entries
 from leaderboard.entries import entry_files
-from leaderboard.entries.entries import NAME, fold, resolve_entries
-from leaderboard.entries.entry import Entry
+from leaderboard.entries.entries import fold, resolve_entries
+from leaderboard.entries.entry import NAME, Entry
+from leaderboard.entries.references import find_reference
 from leaderboard.evaluation import store
 from leaderboard.evaluation.provenance import describe_environment, package_version
 from leaderboard.evaluation.tasks import Task
@@ -79,7 +80,7 @@ def make_submission(
     began = _cpu_seconds()
     with new_folder(folder) as partial:
         (partial / "code").mkdir()
-        entry_files.snapshot(entry_files.find_reference(str(wheel)), partial / "code")
+        entry_files.snapshot(find_reference(str(wheel)), partial / "code")
         shutil.copyfile(card, partial / CARD)
         with SandboxClient(limits) as sandbox:
             entry = _submitted_entry(partial, sandbox)

@@ -18,7 +18,8 @@ from in_process import InProcessExecutor
 from wheels import encrypt, module, write_wheel
 
 from estimators import create
-from leaderboard.entries.entries import NAME, RESERVED, fold, make_entry, resolve_entries
+from leaderboard.entries.entries import RESERVED, fold, make_entry, resolve_entries
+from leaderboard.entries.entry import NAME
 from leaderboard.evaluation import hidden_seeds
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.metrics.baselines import BASELINES

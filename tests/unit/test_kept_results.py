@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from road_envs.core.code_digest import find_source
+from road_envs.core.code_digest import closure, find_source
 from road_envs.core.config import ConfigError
 from studies import results
 from studies.results import KEPT, KeptResult
@@ -119,6 +119,13 @@ def test_the_list_is_valid_and_its_modules_exist():
             assert find_source(module), module
     outputs = [path for result in known.values() for path in result.outputs.values()]
     assert len(outputs) == len(set(outputs))
+
+
+@pytest.mark.parametrize("name", ["agents", "benchmark_of_switching", "policies_on_other_cars"])
+def test_an_hour_of_switching_is_not_stale_with_an_estimator(name):
+    files = closure(*results.known_results()[name].modules)
+    reached = [f.relative_to(ROOT).as_posix() for f in files if f.is_relative_to(ROOT)]
+    assert [f for f in reached if f.startswith("estimators/")] == ["estimators/api.py"]
 
 
 def test_every_output_that_a_page_quotes_or_shows_is_of_a_kept_result():
