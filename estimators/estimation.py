@@ -11,7 +11,7 @@ from estimators.api import Estimator, check_estimate
 from estimators.common.blas import single_blas_thread
 from estimators.common.explained import mark_impossible
 from estimators.common.manoeuvres import mark_manoeuvres
-from estimators.common.odometer import WANDER_NOTE, station_std
+from estimators.common.odometer import calibrate_odometer
 from estimators.lookup import resolve_estimator, training_notes
 from estimators.passes import estimate_passes
 from road_envs.core.config import ConfigError
@@ -51,12 +51,12 @@ def estimate(
     found = estimator.estimate(record, car)
     check_estimate(found, record)
     notes = (*found.notes, *training_notes(estimator, record, car))
-    std = station_std(record, estimator.causal)
-    if std is not None and (note := WANDER_NOTE.format(std)) not in notes:
-        notes = (note, *notes)
     notes = (*notes, *_notes_on_description(car))
     speed = float(np.nanmedian(record.v))
-    found = dataclasses.replace(found, notes=notes, speed=speed, s_std=std)
+    found = dataclasses.replace(found, notes=notes, speed=speed)
+    if found.s_std is None:  # of an estimator that takes the stations as they are
+        odometer = calibrate_odometer(record, estimator.causal)
+        found = odometer.describe(found) if odometer.s_std is not None else found
     found = mark_manoeuvres(found, record, car.wheelbase)
     return mark_impossible(found, record, car, estimator)
 

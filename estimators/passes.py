@@ -94,7 +94,7 @@ def estimate_passes(
         raise ConfigError(f"{len(records)} records need as many names, got {len(names)}")
     refuse_repetitions(records, names)
     calibrated = [calibrate_odometer(record) for record in records]
-    records, odometer = [r for r, _ in calibrated], [n for _, n in calibrated]
+    records = [odometer.record for odometer in calibrated]
     joint = isinstance(estimator, JointEstimator) and len(records) > 1
     one = estimator.for_one_of_many() if joint else estimator  # type: ignore[attr-defined]
     singles = [one.estimate(record, car) for record, car in zip(records, cars, strict=True)]
@@ -103,13 +103,16 @@ def estimate_passes(
     speeds = [float(np.nanmedian(record.v)) for record in records]
     aligned, notes = align_passes(records, singles, names)
     found = join_passes(estimator, aligned, cars)
-    notes += [f"{name}: {note}" for name, own in zip(names, odometer, strict=True) for note in own]
+    notes += [f"{n}: {note}" for n, x in zip(names, calibrated, strict=True) for note in x.notes]
     if len(records) > 1:
         notes += [WANDER_NOTE]
     pairs = zip(records, cars, strict=True)
     trained = dict.fromkeys(x for pair in pairs for x in training_notes(estimator, *pair))
     return dataclasses.replace(
-        found, notes=(*found.notes, *notes, *trained), speed=float(np.min(speeds))
+        found,
+        notes=(*found.notes, *notes, *trained),
+        speed=float(np.min(speeds)),
+        s_std=calibrated[0].s_std,  # all passes are moved to the stations of the first
     )
 
 

@@ -22,6 +22,7 @@ and Multisensor Integrated Navigation Systems", 2013, section 16.3.)
 """
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
@@ -43,35 +44,50 @@ CLEARNESS = 10.0
 MIN_WANDER_LENGTH, ONLINE_WANDER = 10.0, 0.02
 WANDER_NOTE = (
     "stations are uncertain by ±{:.1f} m: the positions of the receiver wander against the speed "
-    "signal, which the stations follow; heights can be compared after alignment"
+    "signal; heights can be compared after alignment"
 )
 FIT_SPACING = 0.1  # distance [m] of the points to which the signals are fitted online
 CORRELATION_LENGTH = 1.0  # length [m] over which the errors of position fixes are correlated
 
 
-def calibrate_odometer(record: Record) -> tuple[Record, tuple[str, ...]]:
-    """Return `record` with calibrated stations and speed, and a note if they were changed.
-
-    The whole record is used, so this is not for causal estimates. A record is returned itself if
-    it is empty, its signals are not finite or their difference shows no clear displacement.
+class Odometer(NamedTuple):
+    """A `record` with calibrated stations and speed, and a note if they were changed; where fixes
+    wander, standard deviations of the stations [m] and of the relative error of the speed.
     """
-    return _calibrate(record)[:2]
+
+    record: Record
+    notes: tuple[str, ...] = ()
+    s_std: float | None = None
+    speed_std: float = 0.0
+
+    def describe(self, estimate: Estimate) -> Estimate:
+        """Return an estimate from the record with what the calibration says of its stations."""
+        if self.s_std is None:
+            return replace(estimate, notes=(*estimate.notes, *self.notes))
+        return replace(estimate, notes=(*self.notes, *estimate.notes), s_std=self.s_std)
 
 
-def station_std(record: Record, causal: bool) -> float | None:
-    """Return the standard deviation [m] of the stations of an estimate from a `record`, of a
-    `causal` one or another; None unless position fixes wander.
+def calibrate_odometer(record: Record, causal: bool = False) -> Odometer:
+    """Calibrate stations and speed by the whole record, of a `causal` estimate each sample by those
+    before it alone.
+
+    A record is returned itself if it is empty, its signals are not finite, their difference shows
+    no clear displacement, or, if causal, it goes backwards.
     """
-    std = _calibrate(record)[2]
-    if std is None or not causal:
-        return std
+    whole = _calibrate(record)
+    if not causal:
+        return whole
+    found = _calibrate_online(record)
+    if whole.s_std is None:
+        return found
     # the constant error of the speed signal is not removed
-    return float(np.hypot(std, SPEED_STD * np.ptp(record.s) / np.sqrt(3.0)))
+    std = float(np.hypot(whole.s_std, SPEED_STD * np.ptp(record.s) / np.sqrt(3.0)))
+    return Odometer(found.record, (WANDER_NOTE.format(std),), std, SPEED_STD)
 
 
-def _calibrate(record: Record) -> tuple[Record, tuple[str, ...], float | None]:
-    """Return what `calibrate_odometer` does, and the standard deviation [m] of the stations."""
-    unchanged = record, (), None
+def _calibrate(record: Record) -> Odometer:
+    """Calibrate by the whole record."""
+    unchanged = Odometer(record)
     if record.t.size == 0:
         return unchanged
     travelled = cumulative_trapezoid(record.v, record.t, initial=0.0)
@@ -100,18 +116,19 @@ def _calibrate(record: Record) -> tuple[Record, tuple[str, ...], float | None]:
     error, displacement, left = fit(found.x)
     greatest = float(np.abs(displacement).max())
     if _goes_on(record.s) and wanders(record.t, left):
-        shift, excess, std = fit_wander(record.t, travelled, record.s - record.s[0])
-        if abs(excess) > MAX_SPEED_ERROR:
+        wander = fit_wander(record.t, travelled, record.s - record.s[0])
+        if abs(wander.excess) > MAX_SPEED_ERROR:
             return unchanged
-        s = record.s[0] + shift + (1.0 + excess) * travelled
-        followed = replace(record, s=s, v=(1.0 + excess) * record.v)
-        return followed, (WANDER_NOTE.format(std),), std
+        s = record.s[0] + wander.offset + (1.0 + wander.excess) * travelled
+        followed = replace(record, s=s, v=(1.0 + wander.excess) * record.v)
+        std = wander.station_std
+        return Odometer(followed, (WANDER_NOTE.format(std),), std, wander.excess_std)
     if abs(error) > MAX_SPEED_ERROR or greatest < MIN_DISPLACEMENT:
         return unchanged
     if greatest < CLEARNESS * float(np.sqrt(np.mean(left**2))):
         return unchanged
     corrected = replace(record, s=record.s - displacement, v=record.v / (1.0 + error))
-    return corrected, (_describe(error, displacement),), None
+    return Odometer(corrected, (_describe(error, displacement),))
 
 
 def _goes_on(s: np.ndarray) -> bool:
@@ -128,18 +145,15 @@ def _describe(error: float, displacement: np.ndarray) -> str:
     )
 
 
-def _calibrate_odometer_online(record: Record) -> tuple[Record, tuple[str, ...]]:
-    """Return `record` with calibrated stations and speed, and a note if they were changed.
-
-    Each sample is calibrated by those before it alone. A record is returned itself if it is empty,
-    its signals are not finite, it goes backwards or its signals show no clear displacement.
-    """
+def _calibrate_online(record: Record) -> Odometer:
+    """Calibrate each sample by those before it alone, without a word on fixes that wander."""
+    unchanged = Odometer(record)
     if record.t.size == 0:
-        return record, ()
+        return unchanged
     x = cumulative_trapezoid(record.v, record.t, initial=0.0)
     slip = x - (record.s - record.s[0])
     if not (np.isfinite(slip).all() and (np.diff(x) >= 0.0).all() and x[-1] > 2.0 * FIT_SPACING):
-        return record, ()
+        return unchanged
     distance = np.arange(0.0, x[-1], FIT_SPACING)
     w = np.interp(distance, x, slip)
     regressors = np.stack([0.5 * distance**2, -cumulative_trapezoid(w, distance, initial=0.0)])
@@ -170,7 +184,7 @@ def _calibrate_odometer_online(record: Record) -> tuple[Record, tuple[str, ...]]
     first = int(np.argmax(wandering)) if wandering.any() else distance.size
     share[first:] = 0.0
     if not share.any() and first == distance.size:
-        return record, ()
+        return unchanged
     known = np.minimum(x // FIT_SPACING, distance.size - 1).astype(int)  # the last that is complete
     share, error, length = (np.where(share > 0.0, y, 0.0)[known] for y in (share, error, length))
     displacement = -error * length * np.expm1(-x / np.maximum(length, LENGTHS[0]))
@@ -178,9 +192,9 @@ def _calibrate_odometer_online(record: Record) -> tuple[Record, tuple[str, ...]]
     if first < distance.size:
         at = max(int(np.searchsorted(known, first)), 1)  # from there on the speed alone counts
         corrected.s[at:] = corrected.s[at - 1] + x[at:] - x[at - 1]
-        std = station_std(record, causal=True)
-        return corrected, () if std is None else (WANDER_NOTE.format(std),)
-    return corrected, (_describe(float(error[-1] / (1.0 - error[-1])), displacement),)
+        return Odometer(corrected)
+    notes = (_describe(float(error[-1] / (1.0 - error[-1])), displacement),)
+    return Odometer(corrected, notes)
 
 
 def to_true_distance(record: Record, estimate: Estimate) -> tuple[Record, Estimate]:
@@ -225,8 +239,3 @@ def to_true_distance(record: Record, estimate: Estimate) -> tuple[Record, Estima
     )
     moved = first + factor * (record.s - first)
     return replace(record, s=moved, v=factor * record.v, length=length), corrected
-
-
-def calibrate_stations(record: Record, causal: bool) -> tuple[Record, tuple[str, ...]]:
-    """Return `record` with calibrated stations and speed, for a `causal` estimate or another."""
-    return (_calibrate_odometer_online if causal else calibrate_odometer)(record)

@@ -34,13 +34,14 @@ _BLOCK, _MAX_BLOCKS = 0.25, 150  # time [s] over which positions are averaged; m
 
 
 class WanderFit(NamedTuple):
-    """Offset [m] and relative excess of the true distance over that of the speed signal, and the
-    standard deviation [m] of the stations, root mean square along the drive.
+    """Offset [m] and relative excess of the true distance over that of the speed signal, with its
+    standard deviation, and that of the stations [m], root mean square along the drive.
     """
 
     offset: float
     excess: float
-    std: float
+    excess_std: float
+    station_std: float
 
 
 def block_means(t: np.ndarray, *signals: np.ndarray) -> np.ndarray:
@@ -85,7 +86,8 @@ def fit_wander(t: np.ndarray, travelled: np.ndarray, s: np.ndarray) -> WanderFit
     found = weights @ np.array(means)
     covariance = np.tensordot(weights, np.array(covariances), 1) - np.outer(found, found)
     variance = np.einsum("ni,ij,nj->n", basis, covariance, basis)
-    return WanderFit(float(found[0]), float(found[1]), float(np.sqrt(variance.mean())))
+    stds = np.sqrt([covariance[1, 1], variance.mean()])
+    return WanderFit(*map(float, (*found, *stds)))
 
 
 def receiver_correlation(lags: np.ndarray, correlation_time: float, latency: float) -> np.ndarray:

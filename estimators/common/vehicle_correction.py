@@ -15,7 +15,7 @@ import numpy as np
 from estimators.api import CalibrationDrive, CalibrationError
 from estimators.common.blas import single_blas_thread
 from estimators.common.least_squares import LeastSquaresSums, cross_validate
-from estimators.common.odometer import calibrate_stations
+from estimators.common.odometer import calibrate_odometer
 from estimators.common.spatial_signals import EDGE_STATIONS, SPACING, SpatialSignals
 from estimators.common.training_data import TrainingExample
 
@@ -82,7 +82,7 @@ def fit_corrections(
     groups: dict[bytes, list[tuple[TrainingExample, CalibrationDrive]]] = {}
     for drive in drives:
         if drive.profile is not None:
-            record, _ = calibrate_stations(drive.record, causal)
+            record = calibrate_odometer(drive.record, causal).record
             example = TrainingExample.of(record, drive.profile, causal)
             step = np.round(np.log(example.signals.speed) / np.log(_SPEED_RATIO))
             key = np.append(example.signals.state, step).tobytes()

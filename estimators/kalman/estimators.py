@@ -45,7 +45,7 @@ from estimators.common.blas import single_blas_thread
 from estimators.common.block_means import MIN_NOISE_DENSITY, block_means
 from estimators.common.explained import reduce_unexplained, trusted_share, untrusted_note
 from estimators.common.model_inputs import antialias_delay, build_model_inputs
-from estimators.common.odometer import calibrate_stations, station_std
+from estimators.common.odometer import calibrate_odometer
 from estimators.kalman import monitoring, pipeline
 from estimators.kalman.filtered import FilterRun
 from estimators.kalman.profile_output import ProfileOutput
@@ -104,13 +104,11 @@ class _KalmanSettings(CalibratedByIdentification):
                 f"the Kalman filters take {N_BIAS} accelerometers on the body; the record has "
                 f"{', '.join(instruments.accelerometers)}: map_smoother and wiener take any"
             )
-        level_ends = self.level_ends
-        if smooth and station_std(record, causal=False) is not None:
-            level_ends = False  # the road is level somewhere else
-        record, odometer_note = calibrate_stations(record, causal=not smooth)
-        record, car = self.as_identified(record, car)
+        odometer = calibrate_odometer(record, causal=not smooth)
+        # where positions wander the road is level somewhere else
+        level_ends = self.level_ends and not (smooth and odometer.s_std is not None)
+        record, car = self.as_identified(odometer.record, car)
         record, valid, notes = mask_record(record, instruments)
-        notes += odometer_note
         model_inputs = build_model_inputs(record, instruments, car, self.step)
         censored = clipped_signs(record, instruments)
         a = np.where(valid | (censored != 0), record.a, 0.0)
@@ -176,7 +174,8 @@ class _KalmanSettings(CalibratedByIdentification):
         share = np.where(lost, 0.0, share)
         long = monitoring.long_waves(z) if smooth else np.zeros_like(z)
         reduced, std = reduce_unexplained(z - long, z_std, share)
-        return Estimate(s, reduced + monitoring.reduce_slope(long, share), std, notes)
+        heights = reduced + monitoring.reduce_slope(long, share)
+        return odometer.describe(Estimate(s, heights, std, notes))
 
 
 def _output_std(

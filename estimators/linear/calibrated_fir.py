@@ -134,7 +134,8 @@ class CalibratedFir(Settings):
         """
         model = require_fitted(self.fitted_state, self)
         record, notes = clean_record(record, None)
-        record, odometer = calibrate_odometer(record)
+        odometer = calibrate_odometer(record)
+        record = odometer.record
         state = _state(record)
         chosen = min(model.by_state, key=lambda x: float(np.abs(x.state - state).sum()))
         n_sensors = len(chosen.responses.taps)
@@ -144,8 +145,8 @@ class CalibratedFir(Settings):
                 "calibrate with the accelerometers of the record"
             )
         z, z_std = _reconstruct(chosen.responses, model.axles, record, self.seed)
-        notes = (*notes, *odometer, *_notes(chosen, state, record))
-        return Estimate(profile_stations(record.length), z, chosen.std_factor * z_std, notes)
+        notes, stations = (*notes, *_notes(chosen, state, record)), profile_stations(record.length)
+        return odometer.describe(Estimate(stations, z, chosen.std_factor * z_std, notes))
 
     def summary(self) -> dict[str, Any]:
         """Return what the calibration gave: in each strut state the in-band error of segments that
@@ -201,7 +202,7 @@ class CalibratedFir(Settings):
         kept = {x.state.tobytes(): x for x in before.by_state} if before else {}
         groups: dict[bytes, list[CalibrationDrive]] = {}
         for drive in drives:
-            record, _ = calibrate_odometer(clean_record(drive.record, None)[0])
+            record = calibrate_odometer(clean_record(drive.record, None)[0]).record
             cleaned = replace(drive, record=record)
             groups.setdefault(_state(cleaned.record).tobytes(), []).append(cleaned)
         for key, group in groups.items():

@@ -145,22 +145,24 @@ class FirRidge(SpatialEstimator):
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Return the weighted sums. Raises RecordError, NotFittedError."""
         record, notes = clean_record(record)
-        record, odometer = calibrate_odometer(record)
-        notes = (*notes, *odometer)
+        odometer = calibrate_odometer(record)
+        record = odometer.record
         model, stations = self._fitted_or_pretrained(), profile_stations(record.length)
         if isinstance(model, FirBank):
             signals = SpatialSignals.of(record, STATION_MARGIN)
             predict = partial(_prediction, model, signals)
             z, corrected = self._corrected(model(signals), signals, predict)
             notes = (*notes, *corrected, LONG_WAVE_NOTE, *validity_notes(signals))
-            return Estimate(stations, wheel_paths(upsample(z, stations.size)), notes=notes)
+            z = wheel_paths(upsample(z, stations.size))
+            return odometer.describe(Estimate(stations, z, notes=notes))
         taps, stride, speed, _ = model
         half = taps.shape[2] // 2
         a = spatial_accelerations(record, half * stride)
         z = np.zeros((2, stations.size))
         for i in range(taps.shape[2]):
             z += taps[:, :, i] @ a[:, i * stride : i * stride + stations.size]
-        return Estimate(stations, z, notes=(*notes, LONG_WAVE_NOTE, *_speed_note(speed, record)))
+        notes = (*notes, LONG_WAVE_NOTE, *_speed_note(speed, record))
+        return odometer.describe(Estimate(stations, z, notes=notes))
 
     def weights(self) -> dict[str, np.ndarray]:
         """Return `bank` (16, knots, 3, T); or, if fitted to one speed, `taps` (2, 3, T) and the

@@ -91,10 +91,11 @@ class MapSmoother(CalibratedByIdentification, SolverSettings):
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Estimate both wheel paths. Raises ConfigError, RecordError, ArithmeticError."""
-        record, odometer = calibrate_odometer(record)
-        record, car = self.as_identified(record, car)
-        found = self._estimate_adapting(record, car)
-        return replace(found, notes=(*found.notes, *odometer))
+        odometer = calibrate_odometer(record)
+        # where positions wander the road is level somewhere else
+        settled = self if odometer.s_std is None else replace(self, level_ends=False)
+        record, car = self.as_identified(odometer.record, car)
+        return odometer.describe(settled._estimate_adapting(record, car, odometer.speed_std))
 
     def for_one_of_many(self) -> "MapSmoother":
         """The estimator of a single pass of several: fast, for alignment and as a start."""
@@ -118,10 +119,12 @@ class MapSmoother(CalibratedByIdentification, SolverSettings):
         found, _ = self._solve(solver, records[0].length, names)
         return replace(found, notes=(*notes, *found.notes))
 
-    def _estimate_adapting(self, record: Record, car: VehicleParameters) -> Estimate:
+    def _estimate_adapting(
+        self, record: Record, car: VehicleParameters, speed_std: float
+    ) -> Estimate:
         """Estimate both wheel paths, also with elements that the description leaves out."""
         known = None if self.identified is None else self.identified.uncertainty
-        first, findings = self._estimate(record, car, known)
+        first, findings = self._estimate(record, car, known, speed_std)
         left = findings.left_by_fit
         if findings.fits or findings.speed_errors:  # places need the vehicle, flights or not
             left = max(left, float(findings.noise_scale[0]))
@@ -131,7 +134,7 @@ class MapSmoother(CalibratedByIdentification, SolverSettings):
         try:  # the vehicle may have elements that its description leaves out
             found, uncertainty = identify_structure(record, car, described)
             uncertain = replace(uncertainty, inflation=STRUCTURE_INFLATION)
-            second, flexible = described._estimate(record, found, uncertain)
+            second, flexible = described._estimate(record, found, uncertain, speed_std)
         except (CalibrationError, ArithmeticError):
             return first
         if flexible.noise_scale[0] > STRUCTURE_GAIN * left:
@@ -140,10 +143,14 @@ class MapSmoother(CalibratedByIdentification, SolverSettings):
         return replace(second, notes=(*second.notes, note))
 
     def _estimate(
-        self, record: Record, car: VehicleParameters, uncertainty: VehicleUncertainty | None
+        self,
+        record: Record,
+        car: VehicleParameters,
+        uncertainty: VehicleUncertainty | None,
+        speed_std: float,
     ) -> tuple[Estimate, Findings]:
         """Estimate a single drive; `uncertainty` is that of a vehicle that was identified."""
-        drive, notes = self.prepare(record, car, speed_unknown=True)
+        drive, notes = self.prepare(record, car, speed_std=speed_std)
         solver = RoadSolver(self, [drive], self.adapt, self.draws, uncertainty)
         found, findings = self._solve(solver, record.length, [""])
         return replace(found, notes=(*notes, *found.notes)), findings

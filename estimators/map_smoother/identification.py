@@ -101,7 +101,7 @@ def identify(
             "with one layout"
         )
     chosen = settings or SolverSettings()
-    drives = [replace(drive, record=calibrate_odometer(drive.record)[0]) for drive in drives]
+    drives = [replace(drive, record=calibrate_odometer(drive.record).record) for drive in drives]
     parts = [_parts(drive, chosen) for drive in drives]
     for first, _ in parts:
         if first.profile is not None:
@@ -245,7 +245,8 @@ def _objective(
     if is_measured:  # slow readings tell of waves that a survey measures well
         settings, readings = replace(settings, level_ends=False, data_rate=KNOWN_DATA_RATE), 0.0
     # on a profile the speed is one of the instruments' errors
-    prepared, _ = settings.prepare(drive.record, car, readings, not is_measured)
+    speed_std = None if is_measured else 0.0
+    prepared, _ = settings.prepare(drive.record, car, readings, speed_std)
     return on_profile(whole_objective(prepared, settings.road_prior), drive)
 
 

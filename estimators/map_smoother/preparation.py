@@ -103,14 +103,17 @@ class SolverSettings(Settings):
         record: Record,
         car: VehicleParameters,
         readings_per_unknown: float = READINGS_PER_UNKNOWN,
-        speed_unknown: bool = False,
+        speed_std: float | None = None,
     ) -> tuple[PreparedDrive, tuple[str, ...]]:
-        """Prepare a drive of `car`; with notes on the record. Raises ConfigError, RecordError."""
+        """Prepare a drive of `car`; with notes on the record. The relative error of the speed has
+        the prior standard deviation `speed_std`, or that of the instruments, whichever is greater;
+        of None it has no error. Raises ConfigError, RecordError.
+        """
         instruments = instruments_of(record, self.instruments)
         masked = restore_times(mask_record(record, instruments), record, instruments)
         model = self._measurement_model(masked.record, car, instruments)
-        if speed_unknown:
-            model = replace(model, speed_std=instruments.speed_error)
+        if speed_std is not None:
+            model = replace(model, speed_std=max(speed_std, instruments.speed_error))
         drive = self._prepare_drive(masked, car, instruments, model, readings_per_unknown)
         return drive, masked.notes
 

@@ -22,7 +22,7 @@ from estimators.api import (
     validate_weights,
 )
 from estimators.common.coverage import coverage_factors
-from estimators.common.odometer import calibrate_stations
+from estimators.common.odometer import calibrate_odometer
 from estimators.common.pretrained import SpatialEstimator
 from estimators.common.spatial_signals import (
     EDGE_STATIONS,
@@ -212,7 +212,8 @@ class SequenceEstimator(SpatialEstimator):
         RecordError, NotFittedError.
         """
         record, notes = clean_record(record)
-        record, odometer = calibrate_stations(record, self.causal)
+        odometer = calibrate_odometer(record, self.causal)
+        record = odometer.record
         (bank, _, scale, wheelbase), network = self._loaded()
         signals = SpatialSignals.of(record, STATION_MARGIN, self.causal)
         inputs = network_inputs(signals, bank, car.wheelbase, network, self.causal)
@@ -224,10 +225,10 @@ class SequenceEstimator(SpatialEstimator):
         factors = scale(_station_conditions(inputs, network))
         std_m = factors * inputs.level * np.hypot(*output.std)
         z_std = np.interp(stations, SPACING * (np.arange(std_m.size) - EDGE_STATIONS), std_m)
-        notes = (*notes, *corrected, *odometer, LONG_WAVE_NOTE, *validity_notes(signals))
+        notes = (*notes, *corrected, LONG_WAVE_NOTE, *validity_notes(signals))
         if abs(car.wheelbase - wheelbase) > _WHEELBASE_TOLERANCE * wheelbase:
             notes += (f"trained with a wheelbase of {wheelbase:.2f} m, not {car.wheelbase:.2f} m",)
-        return Estimate(stations, z, np.array([z_std, z_std]), notes)
+        return odometer.describe(Estimate(stations, z, np.array([z_std, z_std]), notes))
 
     def weights(self) -> dict[str, np.ndarray]:
         """Return `taps`, `widths` (the coefficients of the standard deviations), `wheelbase` and

@@ -68,12 +68,13 @@ class Wiener(CalibratedByIdentification):
         description; `std_factor` scales the standard deviations in the scored band.
         """
         record, car = self.as_identified(record, car)
-        record, odometer = calibrate_odometer(record)
+        odometer = calibrate_odometer(record)
+        record = odometer.record
         sensors = instruments_of(record, self.instruments)
         stations = profile_stations(record.length)
         total, total_std, weights = (np.zeros((2, stations.size)) for _ in range(3))
         masked = mask_record(record, sensors)
-        notes = [*masked.notes, *odometer]
+        notes = [*masked.notes]
         segments = list(split_segments(masked, TUNING.segment_length, TUNING.segment_margin))
         vehicle = SensedVehicle.of(car, sensors)
         k = len(segments) // 2
@@ -106,7 +107,8 @@ class Wiener(CalibratedByIdentification):
         share = trusted_share(masked.record, masked.valid, car, sensors, z)
         z, z_std = reduce_unexplained(z, std, share)
         residual = float(np.sqrt(unexplained))
-        return Estimate(stations, z, z_std, (*notes, *untrusted_note(share)), residual=residual)
+        notes += untrusted_note(share)
+        return odometer.describe(Estimate(stations, z, z_std, tuple(notes), residual=residual))
 
 
 @dataclass(frozen=True, kw_only=True)

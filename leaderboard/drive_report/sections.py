@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from estimators.api import Estimator, HasInstruments, check_estimate, copy_with
-from estimators.common.odometer import calibrate_odometer
+from estimators.common.odometer import Odometer, calibrate_odometer
 from estimators.map_smoother.estimator import MapSmoother
 from estimators.preprocessing import LATE_START
 from leaderboard.entries.entries import make_entry
@@ -46,7 +46,7 @@ _RUN_IN, _RUN_OUT = 150.0, 50.0
 
 KEPT = "unfinished"  # folder of kept sections in that of a report
 
-_KIND = Kind("drive section", 1, ("leaderboard.drive_report.sections", "estimators.registry"))
+_KIND = Kind("drive section", 2, ("leaderboard.drive_report.sections", "estimators.registry"))
 
 _ARRAYS = ("z", "z_std", "unsure", "draws")
 """Fields of an estimate that are kept as arrays, by station in their last axis."""
@@ -193,9 +193,10 @@ class Sections:
         length = np.inf  # the others need a small part of its time, and tell stations in notes
         if isinstance(one, MapSmoother):
             length = _FITTED_SECTION if one.adapt else _SECTION
-        sections, notes = split(record, car.wheelbase, length), tuple[str, ...]()
+        sections, odometer = split(record, car.wheelbase, length), Odometer(record)
         if len(sections) > 1:  # a section does not tell where its odometer was right
-            record, notes = calibrate_odometer(record)
+            odometer = calibrate_odometer(record)
+            record = odometer.record
         records = [section.of(record) if len(sections) > 1 else record for section in sections]
         paths = [self._path(one, part, car) for part in records]
         parts = {}
@@ -214,7 +215,7 @@ class Sections:
             if path := paths[k]:
                 _KIND.write(path, _plain(parts[k]), path.stem)
         joined = join([parts[k] for k in range(len(sections))], sections, record.length)
-        return replace(joined, notes=(*joined.notes, *notes)) if notes else joined
+        return odometer.describe(joined)
 
     def _path(self, one: Estimator, record: Record, car: VehicleParameters) -> Path | None:
         """Return the file of the estimate of a record, named by the digest of all that it is of."""
@@ -247,6 +248,7 @@ def _plain(estimate: Estimate) -> dict[str, Any]:
     arrays = {name: getattr(estimate, name) for name in _ARRAYS}
     return {
         "residual": estimate.residual,
+        "s_std": estimate.s_std,
         "distance": estimate.distance,
         "notes": estimate.notes,
         **{
@@ -263,5 +265,6 @@ def _from_plain(content: Mapping[str, Any], record: Record) -> Estimate:
         kind, shape, text = content[name]
         arrays[name] = np.frombuffer(base64.b64decode(text), kind).reshape(shape)
     distance, notes = content["distance"], tuple(content["notes"])
-    own = {"distance": distance and DistanceScale(*distance), "residual": content["residual"]}
+    own = {name: content[name] for name in ("residual", "s_std")}
+    own["distance"] = distance and DistanceScale(*distance)
     return Estimate(profile_stations(record.length), notes=notes, **own, **arrays)

@@ -10,9 +10,8 @@ from estimators import create
 from estimators.api import check_estimate
 from estimators.common.odometer import (
     WANDER_NOTE,
-    _calibrate_odometer_online,
+    Odometer,
     calibrate_odometer,
-    station_std,
     to_true_distance,
 )
 from estimators.estimation import estimate
@@ -53,12 +52,12 @@ def drive(error, length, noise=0.0):
 @pytest.mark.parametrize("error, length", [(0.02, 10.0), (-0.015, 10.0), (0.05, 4.0), (0.01, 30.0)])
 def test_the_displacement_of_an_odometer_with_position_fixes_is_found(error, length):
     record, s = drive(error, length)
-    calibrated, notes = calibrate_odometer(record)
+    calibrated, notes, *_ = calibrate_odometer(record)
     assert np.abs(record.s - s).max() > 0.1
     np.testing.assert_allclose(calibrated.s, s, atol=2e-3)
     np.testing.assert_allclose(calibrated.v, true_speed(record.t), rtol=1e-4)
     assert notes[0].startswith(f"the speed signal reads {100.0 * error:+.1f} % beside")
-    assert calibrate_odometer(calibrated) == (calibrated, ())
+    assert calibrate_odometer(calibrated) == Odometer(calibrated)
 
 
 @pytest.mark.parametrize("length, noise", [(1e9, 0.0), (1e-3, 0.0), (10.0, 0.3)])
@@ -69,26 +68,26 @@ def test_an_odometer_without_fixes_with_immediate_or_with_noisy_ones_is_left_alo
 
 def test_fixes_with_some_noise_leave_centimetres():
     record, s = drive(0.02, 10.0, 0.01)
-    calibrated, _ = calibrate_odometer(record)
+    calibrated = calibrate_odometer(record).record
     assert np.abs(calibrated.s - s).max() < 0.2 * np.abs(record.s - s).max() + 4.0 * 0.01
 
 
 def test_a_record_with_lost_speeds_is_left_alone():
     record, _ = drive(0.02, 10.0)
     lost = replace(record, v=np.where(record.t > 7.0, np.nan, record.v))
-    assert calibrate_odometer(lost) == (lost, ())
+    assert calibrate_odometer(lost) == Odometer(lost)
 
 
 @pytest.mark.parametrize("error, length", [(0.02, 10.0), (-0.015, 10.0), (0.05, 4.0), (0.01, 30.0)])
 def test_online_the_displacement_is_found_from_the_samples_before_alone(error, length):
     record, s = drive(error, length)
-    calibrated, notes = _calibrate_odometer_online(record)
+    calibrated, notes, *_ = calibrate_odometer(record, causal=True)
     assert (np.abs(calibrated.s - s) <= np.abs(record.s - s) + 2e-3).all()
     np.testing.assert_allclose(calibrated.s[400:], s[400:], atol=3e-3)
     assert notes[0].startswith(f"the speed signal reads {100.0 * error:+.1f} % beside")
     half = slice(0, record.t.size // 2)
     first = replace(record, **{name: getattr(record, name)[half] for name in ("t", "v", "s")})
-    before, _ = _calibrate_odometer_online(first)
+    before = calibrate_odometer(first, causal=True).record
     np.testing.assert_array_equal(before.s, calibrated.s[half])
     np.testing.assert_array_equal(before.v, calibrated.v[half])
 
@@ -96,7 +95,7 @@ def test_online_the_displacement_is_found_from_the_samples_before_alone(error, l
 @pytest.mark.parametrize("length, noise", [(1e9, 0.0), (1e-3, 0.0), (10.0, 0.3)])
 def test_online_an_unclear_displacement_is_left_alone(length, noise):
     record, _ = drive(0.02, length, noise)
-    assert _calibrate_odometer_online(record)[0] is record
+    assert calibrate_odometer(record, causal=True)[0] is record
 
 
 def wandering(seed, noise=None, speed_kmh=54.0):
@@ -118,13 +117,12 @@ def test_stations_beside_fixes_that_wander_are_within_their_deviation():
     inside, errors = [], []
     for seed in range(40):
         record, s = wandering(seed)
-        found, notes = calibrate_odometer(record)
-        std = station_std(record, causal=False)
+        found, notes, std, _ = calibrate_odometer(record)
         assert std is not None and notes == (WANDER_NOTE.format(std),)
         error = found.s - s
         inside.append(np.mean(np.abs(error) < 1.645 * std))
         errors.append([np.abs(np.diff(x)).mean() for x in (error, record.s - s)])
-        assert calibrate_odometer(found) == (found, ())  # the stations follow the speed
+        assert calibrate_odometer(found) == Odometer(found)  # the stations follow the speed
     assert 0.8 < np.mean(inside) < 0.97
     smooth, raw = np.mean(errors, axis=0)
     assert smooth < 0.4 * raw
@@ -132,19 +130,19 @@ def test_stations_beside_fixes_that_wander_are_within_their_deviation():
 
 def test_online_stations_follow_the_speed_once_fixes_wander():
     record, s = wandering(3, 2.0)
-    found, notes = _calibrate_odometer_online(record)
+    found, notes, *_ = calibrate_odometer(record, causal=True)
     assert "stations are uncertain by ±" in notes[0]
     late = s > 40.0
     np.testing.assert_allclose(np.diff(found.s[late]), record.v[late][1:] / 1000.0, rtol=1e-6)
     half = slice(0, record.t.size // 2)
     first = replace(record, **{name: getattr(record, name)[half] for name in ("t", "v", "s")})
-    np.testing.assert_array_equal(_calibrate_odometer_online(first)[0].s, found.s[half])
+    np.testing.assert_array_equal(calibrate_odometer(first, causal=True)[0].s, found.s[half])
 
 
 def test_fixes_that_do_not_wander_leave_no_deviation():
     for record in (wandering(1, 0.0)[0], *(drive(0.02, *x)[0] for x in ((10.0, 0.3), (1e9, 0.0)))):
         for causal in (True, False):
-            assert station_std(record, causal) is None
+            assert calibrate_odometer(record, causal).s_std is None
 
 
 @pytest.mark.parametrize("name", ["wiener", "kalman_rts"])
