@@ -19,6 +19,7 @@ import estimators
 from estimators.api import Estimator
 from leaderboard.evaluation import evaluate
 from leaderboard.evaluation.tasks import Task, load_task
+from leaderboard.metrics.api import ScoredEstimate
 from leaderboard.metrics.registry import PRINTED_SCORES, SCORES, compute_scores
 from road_envs.core.config import ConfigError
 from road_envs.core.extras import optional_import
@@ -68,7 +69,8 @@ def score(estimate: Estimate, truth: Profile, *, speed_kmh: float | None = None)
     """
     _check_stations(estimate, truth)
     speed, wandering = _speed(estimate, speed_kmh), estimate.s_std is not None
-    return ScoreTable(compute_scores(truth, estimate, speed, bumps=True, wandering=wandering))
+    scored = ScoredEstimate(truth, estimate, speed, bumps=True, wandering=wandering)
+    return ScoreTable(compute_scores(scored))
 
 
 def plot(

@@ -16,6 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from estimators.estimation import estimate
+from leaderboard.metrics.api import ScoredEstimate
 from leaderboard.metrics.registry import compute_scores
 from road_envs.drives.recording import simulate_record
 from road_envs.records.record import Record
@@ -56,7 +57,8 @@ def main() -> None:
         for name in chosen.estimator:
             for std in (0.0, noise):
                 found = estimate(name, with_fixes(record, std, seed), CAR)
-                scores = compute_scores(truth, found, kmh / 3.6, False, wandering=True)
+                scored = ScoredEstimate(truth, found, kmh / 3.6, bumps=False, wandering=True)
+                scores = compute_scores(scored)
                 row = [scores[key] for key in SHOWN]
                 rows.setdefault((name, std > 0.0), []).append(row)
                 stated = f"{found.s_std:>8.1f}" if found.s_std else f"{'–':>8}"

@@ -16,6 +16,7 @@ from leaderboard.commands.options import Settings, argument, option
 from leaderboard.commands.output import Output, facts_table
 from leaderboard.drive_report.drive_estimates import estimate_drive, make_drive_estimator
 from leaderboard.metrics.alignment import align
+from leaderboard.metrics.api import ScoredEstimate
 from leaderboard.metrics.registry import compute_scores
 from leaderboard.pretraining import rms_roughness
 from leaderboard.report import plots
@@ -82,7 +83,7 @@ def estimate(
             aligned = align(surface, result, v, drive.measured.chainage - start)
             profile, scored = aligned.truth, aligned.estimate
             facts["notes"].append(aligned.note)
-        scores = ScoreTable(compute_scores(profile, scored, v, bumps=True))
+        scores = ScoreTable(compute_scores(ScoredEstimate(profile, scored, v, bumps=True)))
     shows = [*facts_table(facts)]
     if scores is not None:
         facts["scores"] = scores.values

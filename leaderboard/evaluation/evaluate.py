@@ -38,6 +38,7 @@ from leaderboard.evaluation.test_data import (
     simulate_drives,
 )
 from leaderboard.metrics import heights
+from leaderboard.metrics.api import ScoredEstimate
 from leaderboard.metrics.baselines import MEMORY, memory, truth_plus_noise
 from leaderboard.metrics.registry import compute_scores
 from road_envs.records.record import Estimate, Record
@@ -219,8 +220,15 @@ def _score_drive(data: ConditionData, drive: int, estimate: Estimate) -> dict[st
     """Return the defined scores of an estimate of a test drive."""
     truth = data.tests[drive].truth
     bound = nrmse_bound(data.task, data.condition, truth) if data.task.bound else math.nan
-    wandering = data.task.position_noise
-    values = compute_scores(truth, estimate, data.v, data.task.bumps, bound, wandering)
+    scored = ScoredEstimate(
+        truth,
+        estimate,
+        data.v,
+        bumps=data.task.bumps,
+        bound=bound,
+        wandering=data.task.position_noise,
+    )
+    values = compute_scores(scored)
     return {name: value for name, value in values.items() if math.isfinite(value)}
 
 

@@ -113,10 +113,10 @@ def align(road: Surface, estimate: Estimate, v: float, chainage: float = 0.0) ->
 
 
 def align_locally(
-    y: np.ndarray, a: np.ndarray, std: np.ndarray, ds: float, v: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return heights `y` of the truth, and `a` of an estimate with their deviation `std`, moved to
-    where their slopes match those of the truth, window by window; as they are if none do.
+    y: np.ndarray, a: np.ndarray, std: np.ndarray | None, ds: float, v: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Return heights `y` of the truth, and `a` of an estimate with their deviation `std`, if any,
+    moved to where their slopes match those of the truth, window by window; as they are if none do.
 
     All are (2, M) [m], `ds` [m] apart, of a drive at `v` [m/s]; what is returned (2, K) is at the
     stations of the truth that the estimate covers.
@@ -130,8 +130,9 @@ def align_locally(
         mapped = mapped + np.interp(mapped, centres, lags)
         moved = CubicSpline(mapped, a, axis=1)(np.clip(s, mapped[0], mapped[-1]))
     inside = (s >= mapped[0]) & (s <= mapped[-1])
-    spread = np.array([np.interp(s[inside], mapped, path) for path in std])
-    return y[:, inside], moved[:, inside], spread
+    if std is not None:
+        std = np.array([np.interp(s[inside], mapped, path) for path in std])
+    return y[:, inside], moved[:, inside], std
 
 
 def _local_lags(
@@ -139,37 +140,21 @@ def _local_lags(
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Return the middles (W,) [m] of windows of an estimate `a` (2, M) [m], their lags (W,) [m]
     towards larger stations against `y` (2, M), and the mean correlation of slopes there.
-
-    The lags are those of the largest sum of correlations among all that change by LOCAL_STRETCH of
-    the distance at most, by dynamic programming (Sakoe & Chiba, IEEE Trans. ASSP 26, 1978, 43-49).
     """
     truth, found = np.gradient(band_pass(np.stack([y, a]), ds, scored_band(v)), axis=2)
     trim, size = (y.shape[1] - truth.shape[1]) // 2, round(LOCAL_WINDOW / ds)
-    step, reach = round(LOCAL_STEP / ds), round(LOCAL_SEARCH / ds)
-    begins = np.arange(0, found.shape[1] - size + 1, step)
+    begins = np.arange(0, found.shape[1] - size + 1, round(LOCAL_STEP / ds))
     if not begins.size:
         return np.zeros(0), np.zeros(0), 0.0
-    scores = np.full((begins.size, 2 * reach + 1), BEYOND)
-    for row, begin in zip(scores, begins.tolist(), strict=True):
-        low, high = max(begin - reach, 0), min(begin + size + reach, truth.shape[1])
-        k, r = lag_correlations(
-            truth[:, low:high], found[:, begin : begin + size], size, low - begin
-        )
-        row[k + reach] = r
-    most = round(LOCAL_STRETCH * LOCAL_STEP / ds)
-    total = scores.copy()
-    for w in range(1, begins.size):
-        total[w] += maximum_filter1d(total[w - 1], 2 * most + 1, mode="nearest")
-    path = np.zeros(begins.size, dtype=int)
-    path[-1] = total[-1].argmax()
-    for w in range(begins.size - 2, -1, -1):
-        low = max(path[w + 1] - most, 0)
-        path[w] = low + total[w, low : path[w + 1] + most + 1].argmax()
-    inner = np.clip(path, 1, 2 * reach - 1)
+    scores = _window_correlations(truth, found, begins, size, round(LOCAL_SEARCH / ds))
+    path = _likeliest_path(scores, round(LOCAL_STRETCH * LOCAL_STEP / ds))
+    # the vertex of a parabola through three lags
+    inner = np.clip(path, 1, scores.shape[1] - 2)
     before, at, after = (scores[np.arange(begins.size), inner + j] for j in (-1, 0, 1))
     curvature = np.minimum(before - 2.0 * at + after, -1e-12)
     vertex = np.clip(0.5 * (before - after) / curvature, -0.5, 0.5)
-    centres, lags = ds * (trim + begins + 0.5 * (size - 1)), ds * (inner - reach + vertex)
+    centres = ds * (trim + begins + 0.5 * (size - 1))
+    lags = ds * (inner - scores.shape[1] // 2 + vertex)
     seen = ~(np.stack([before, at, after]) == BEYOND).any(axis=0)
     correlation, centres, lags = float(np.mean(seen * at)), centres[seen], lags[seen]
     if centres.size > 2:  # beyond the middles of the outer windows the lag goes on as before
@@ -178,3 +163,35 @@ def _local_lags(
         outer = lags[[0, -1]] + slopes * (ends - centres[[0, -1]])
         centres, lags = np.insert(ends, 1, centres), np.insert(outer, 1, lags)
     return centres, lags, correlation
+
+
+def _window_correlations(
+    truth: np.ndarray, found: np.ndarray, begins: np.ndarray, size: int, reach: int
+) -> np.ndarray:
+    """Return the correlations (W, 2 `reach` + 1) of slopes (2, K) in windows of `size` stations
+    from `begins` (W,) on, at lags of -`reach` to `reach`; BEYOND where the truth ends.
+    """
+    scores = np.full((begins.size, 2 * reach + 1), BEYOND)
+    for row, begin in zip(scores, begins.tolist(), strict=True):
+        low, high = max(begin - reach, 0), min(begin + size + reach, truth.shape[1])
+        k, r = lag_correlations(
+            truth[:, low:high], found[:, begin : begin + size], size, low - begin
+        )
+        row[k + reach] = r
+    return scores
+
+
+def _likeliest_path(scores: np.ndarray, most: int) -> np.ndarray:
+    """Return the columns (W,) of `scores` (W, L) with the largest sum among all that change by
+    `most` at most from row to row, by dynamic programming (Sakoe & Chiba, IEEE Trans. ASSP 26,
+    1978, 43-49).
+    """
+    total = scores.copy()
+    for w in range(1, len(scores)):
+        total[w] += maximum_filter1d(total[w - 1], 2 * most + 1, mode="nearest")
+    path = np.zeros(len(scores), dtype=int)
+    path[-1] = total[-1].argmax()
+    for w in range(len(scores) - 2, -1, -1):
+        low = max(path[w + 1] - most, 0)
+        path[w] = low + total[w, low : path[w + 1] + most + 1].argmax()
+    return path

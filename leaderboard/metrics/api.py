@@ -71,12 +71,11 @@ class ScoredEstimate:
         return y, a
 
     @cached_property
-    def aligned(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def aligned(self) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         """Truth, estimate (2, K) [m] inside the scored band after local alignment, and the standard
-        deviation (2, L) [m] about them, 0 if the estimate has none.
+        deviation (2, L) [m] about them, if the estimate has one.
         """
-        std = np.zeros_like(self.a) if self.std is None else self.std
-        y, a, std = align_locally(self.y, self.a, std, self.ds, self.v)
+        y, a, std = align_locally(self.y, self.a, self.std, self.ds, self.v)
         y, a = heights.band_pass(np.stack([y, a]), self.ds, self.band)
         return y, a, std
 

@@ -48,7 +48,7 @@ def _aligned_errors(scored: ScoredEstimate) -> tuple[float, ...]:
     if not scored.wandering:
         return (np.nan,) * 2
     y, a, std = scored.aligned
-    coverage = np.nan if scored.std is None else heights.uncertainty(y, a, std).coverage_90
+    coverage = np.nan if std is None else heights.uncertainty(y, a, std).coverage_90
     return heights.error_over_truth(y, a).pooled, coverage
 
 

@@ -1,10 +1,7 @@
 """All metrics by key, collected from the modules that declare them."""
 
-import numpy as np
-
 from leaderboard.metrics import agreement, level, obstacles, pointwise, roughness
 from leaderboard.metrics.api import Metric, ScoredEstimate
-from road_envs.records.record import Estimate, Profile
 
 MODULES = (pointwise, level, roughness, agreement, obstacles)
 """Modules of metrics, in the order of the table of scores."""
@@ -26,19 +23,11 @@ PRINTED_SCORES = (
 """Scores that are printed of one estimate; there are three times as many."""
 
 
-def compute_scores(
-    truth: Profile,
-    estimate: Estimate,
-    v: float,
-    bumps: bool,
-    bound: float = np.nan,
-    wandering: bool = False,
-) -> dict[str, float]:
-    """Return all SCORES of an `estimate` of a drive at `v` [m/s]; NaN where one is not defined.
+def compute_scores(scored: ScoredEstimate) -> dict[str, float]:
+    """Return all SCORES of an estimate; NaN where one is not defined.
 
-    Obstacle scores are defined if `bumps` is set and the truth has obstacles, uncertainty scores if
-    the estimate has a standard deviation, errors relative to the truth unless it is flat, errors
-    after local alignment if the positions are `wandering`. `bound` is the least NRMSE of the drive.
+    Obstacle scores are defined if obstacles are scored and the truth has some, uncertainty scores
+    if the estimate has a standard deviation, errors relative to the truth unless it is flat, errors
+    after local alignment if the positions wander.
     """
-    scored = ScoredEstimate(truth, estimate, v, bumps=bumps, bound=bound, wandering=wandering)
     return {key: float(x.compute(scored)) for key, x in SCORES.items() if x.compute is not None}

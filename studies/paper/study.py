@@ -21,6 +21,7 @@ from estimators.api import Estimator
 from leaderboard.entries.entry import LocalSession, reconstruct_all
 from leaderboard.evaluation.tasks import Condition, Task, load_task, shipped_tasks, training_delays
 from leaderboard.evaluation.test_data import DriveSimulation, RecordedDrive, simulate_drives
+from leaderboard.metrics.api import ScoredEstimate
 from leaderboard.metrics.baselines import memory
 from leaderboard.metrics.bootstrap import interquartile_mean
 from leaderboard.metrics.level import EQ_12_RAW, STATE_LIMITS
@@ -250,7 +251,8 @@ def _train_and_score(
 
 
 def _scores(task: Task, test: RecordedDrive, estimate: Estimate) -> dict[str, float]:
-    return compute_scores(test.truth, estimate, task.conditions[0].speed_kmh / 3.6, task.bumps)
+    speed = task.conditions[0].speed_kmh / 3.6
+    return compute_scores(ScoredEstimate(test.truth, estimate, speed, bumps=task.bumps))
 
 
 def _score_new_roads(
@@ -290,9 +292,8 @@ def _new_road_scores(
         session = LocalSession(network, task.vehicle)
         (outcome,) = reconstruct_all(session, training, records, [seed])
         for test, estimate in zip(tests, outcome.estimates, strict=True):
-            run_scores.append(
-                compute_scores(test.truth, estimate, condition.speed_kmh / 3.6, False)
-            )
+            scored = ScoredEstimate(test.truth, estimate, condition.speed_kmh / 3.6, bumps=False)
+            run_scores.append(compute_scores(scored))
     return {
         name: float(interquartile_mean(np.array([scores[name] for scores in run_scores])))
         for name in ("nrmse", "r", "level_error", EQ_12_RAW)

@@ -134,7 +134,8 @@ ADDITIONS = {
         "from leaderboard.evaluation.boards import shipped_boards\n"
         "from leaderboard.report.board_definitions import board_columns\n"
         "s, z = np.arange(4000) * 0.025, np.random.default_rng(0).normal(size=(2, 4000))\n"
-        "x = compute_scores(Profile(s, z), Estimate(s, z + 0.02), 4.0, False)['added']\n"
+        "scored = ScoredEstimate(Profile(s, z), Estimate(s, z + 0.02), 4.0, bumps=False)\n"
+        "x = compute_scores(scored)['added']\n"
         "(column,) = [c for c in board_columns('new_road', shipped_boards()['new_road'])\n"
         "             if c.key == 'added']\n"
         "print(SCORES['added'].format_value(x), column.unit, column.wide, column.help)",

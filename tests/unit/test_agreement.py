@@ -9,6 +9,7 @@ from leaderboard.metrics.agreement import (
     iri_filtered_correlation,
     repeatability,
 )
+from leaderboard.metrics.api import ScoredEstimate
 from leaderboard.metrics.registry import compute_scores
 from road_envs.records.record import PROFILE_SPACING, Estimate, Profile, profile_stations
 from road_envs.records.roughness import iri
@@ -68,7 +69,7 @@ def test_the_correlation_finds_small_shifts_and_sees_noise_and_other_roads():
 def test_the_metrics_of_an_estimate_that_is_ten_percent_too_high():
     z = road("iso_d", length=300.0)
     s = profile_stations(300.0)
-    scores = compute_scores(Profile(s, z), Estimate(s, 1.1 * z), 15.0, bumps=False)
+    scores = compute_scores(ScoredEstimate(Profile(s, z), Estimate(s, 1.1 * z), 15.0, bumps=False))
     assert scores["iri_cross_correlation"] == pytest.approx(1.0 / 1.1)
     assert scores["iri_bias"] == pytest.approx(scores["iri_rmse"], rel=0.01)
     assert scores["iri_error"] == pytest.approx(scores["iri_bias"], rel=0.05)

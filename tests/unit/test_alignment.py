@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from leaderboard.metrics.alignment import align
+from leaderboard.metrics.api import ScoredEstimate
 from leaderboard.metrics.registry import compute_scores
 from road_envs.core.config import ConfigError
 from road_envs.records.record import PROFILE_SPACING, Estimate, Profile, profile_stations
@@ -67,7 +68,7 @@ def local_scores(shift, wandering=True):
     s = profile_stations(180.0)
     truth = Profile(s, ROAD.height(s + 10.0))
     found = Estimate(s, ROAD.height(s + 10.0 + shift(s)), 0.0003 * np.ones((2, s.size)))
-    return compute_scores(truth, found, 10.0, bumps=False, wandering=wandering)
+    return compute_scores(ScoredEstimate(truth, found, 10.0, bumps=False, wandering=wandering))
 
 
 def test_an_estimate_whose_stations_wander_by_a_metre_is_right_after_local_alignment():
@@ -84,5 +85,7 @@ def test_an_estimate_that_matches_nowhere_is_scored_as_it_is():
     s = profile_stations(180.0)
     truth, other = ROAD.height(s), realise_road("iso_c", 9, 200.0).height(s)
     for z in (other, 0.0 * s * np.ones((2, 1))):
-        found = compute_scores(Profile(s, truth), Estimate(s, z), 10.0, False, wandering=True)
+        found = compute_scores(
+            ScoredEstimate(Profile(s, truth), Estimate(s, z), 10.0, bumps=False, wandering=True)
+        )
         assert found["nrmse_aligned"] == found["nrmse"]

@@ -10,6 +10,7 @@ from scipy import signal
 from scipy.fft import next_fast_len
 
 from leaderboard.metrics import heights, roughness
+from leaderboard.metrics.api import ScoredEstimate
 from leaderboard.metrics.obstacles import _obstacle_scores, detect_obstacles
 from leaderboard.metrics.registry import SCORES, compute_scores
 from road_envs.records.record import PROFILE_SPACING, Estimate, Profile, profile_stations
@@ -45,7 +46,7 @@ def correlation(y, a):
 def scores(y, a):
     """Return all scores of heights at 4 m/s."""
     s = DS * np.arange(y.shape[1])
-    return compute_scores(Profile(s, y), Estimate(s, a), 4.0, bumps=False)
+    return compute_scores(ScoredEstimate(Profile(s, y), Estimate(s, a), 4.0, bumps=False))
 
 
 def rms(z):
@@ -287,7 +288,9 @@ def test_a_flat_estimate_has_no_detections_and_a_flat_truth_no_obstacle_scores()
 def test_every_score_of_the_truth_is_perfect_and_in_the_table_of_scores():
     y = np.stack([plate((20.0, 20.8, 0.15)), plate((30.4, 31.2, 0.10))]) + 0.1 * road(12)
     y[:, 1000:2000] = 0.0  # level enough for obstacles
-    found = compute_scores(Profile(S, y), Estimate(S, y, np.zeros_like(y)), 4.0, bumps=True)
+    found = compute_scores(
+        ScoredEstimate(Profile(S, y), Estimate(S, y, np.zeros_like(y)), 4.0, bumps=True)
+    )
     assert found.keys() == SCORES.keys() - {"attainable_nrmse", "attainable_efficiency"}
     undefined = ("bound_nrmse", "bound_efficiency", "nrmse_aligned", "coverage_90_aligned")
     assert np.isnan([found.pop(name) for name in undefined]).all()
@@ -298,6 +301,6 @@ def test_every_score_of_the_truth_is_perfect_and_in_the_table_of_scores():
 
 def test_the_level_error_of_the_board_ignores_the_datum():
     y = road(13)
-    found = compute_scores(Profile(S, y + 5.0), Estimate(S, y), 4.0, bumps=False)
+    found = compute_scores(ScoredEstimate(Profile(S, y + 5.0), Estimate(S, y), 4.0, bumps=False))
     assert found["level_error"] == pytest.approx(0.0, abs=1e-9)
     assert found["level_error_raw"] > 0.9

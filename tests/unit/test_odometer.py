@@ -15,6 +15,7 @@ from estimators.common.odometer import (
     to_true_distance,
 )
 from estimators.estimation import estimate
+from leaderboard.metrics.api import ScoredEstimate
 from leaderboard.metrics.registry import compute_scores
 from road_envs.drives.recording import simulate_record
 from road_envs.records.record import DistanceScale, Estimate, Record, profile_stations
@@ -157,7 +158,8 @@ def test_heights_beside_fixes_that_wander_are_right_after_alignment(name):
         found = estimate(name, replace(record, s=read, v=logger.speed_gain * record.v), CAR)
         assert (found.s_std is not None) == (noise > 0.0)
         assert any("stations are uncertain" in note for note in found.notes) == (noise > 0.0)
-        errors.append(compute_scores(truth, found, 15.0, False, wandering=True)["nrmse_aligned"])
+        scored = ScoredEstimate(truth, found, 15.0, bumps=False, wandering=True)
+        errors.append(compute_scores(scored)["nrmse_aligned"])
     assert errors[1] < 1.3 * errors[0]
 
 

@@ -12,6 +12,7 @@ from fakes import fake_drives, task
 from estimators import create, estimate, make_estimator
 from leaderboard import load_task, plot, run_task, score, score_arrays
 from leaderboard.evaluation import evaluate
+from leaderboard.metrics.api import ScoredEstimate
 from leaderboard.metrics.bootstrap import interquartile_mean
 from leaderboard.metrics.registry import PRINTED_SCORES, SCORES, compute_scores
 from road_envs import simulate_record
@@ -28,7 +29,7 @@ def test_a_drive_is_simulated_and_scored_in_three_lines(drive):
     record, truth = drive
     result = estimate("fir_ridge", record)
     table = score(result, truth)
-    expected = compute_scores(truth, result, float(np.median(record.v)), bumps=True)
+    expected = compute_scores(ScoredEstimate(truth, result, float(np.median(record.v)), bumps=True))
     np.testing.assert_equal(table.values, expected)
     assert table["nrmse"] < 0.6 and result.speed == pytest.approx(10.0, rel=0.01)
     lines = str(table).splitlines()

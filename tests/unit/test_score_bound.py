@@ -8,6 +8,7 @@ from fakes import task
 
 from leaderboard.evaluation.bound import fit_spectrum, nrmse_bound, third_octave_bound
 from leaderboard.evaluation.tasks import load_task
+from leaderboard.metrics.api import ScoredEstimate
 from leaderboard.metrics.registry import compute_scores
 from leaderboard.metrics.roughness import THIRD_OCTAVES
 from road_envs.analysis.information_bound import RoadPrior, bound
@@ -69,10 +70,14 @@ def test_the_third_octave_bounds_add_up_to_the_bound_of_the_band():
 
 def test_efficiency_is_the_ratio_of_mean_square_errors_of_bound_and_estimate():
     truth = realised(100.0, road_class="D")
-    half = compute_scores(truth, Estimate(truth.s, 0.8 * truth.z), 4.0, False, bound=0.1)
+    half = compute_scores(
+        ScoredEstimate(truth, Estimate(truth.s, 0.8 * truth.z), 4.0, bumps=False, bound=0.1)
+    )
     assert half["bound_nrmse"] == 0.1
     assert half["bound_efficiency"] == pytest.approx((0.1 / 0.2) ** 2)
-    perfect = compute_scores(truth, Estimate(truth.s, truth.z), 4.0, False, bound=0.1)
+    perfect = compute_scores(
+        ScoredEstimate(truth, Estimate(truth.s, truth.z), 4.0, bumps=False, bound=0.1)
+    )
     assert np.isnan(perfect["bound_efficiency"])
-    unbounded = compute_scores(truth, Estimate(truth.s, truth.z), 4.0, False)
+    unbounded = compute_scores(ScoredEstimate(truth, Estimate(truth.s, truth.z), 4.0, bumps=False))
     assert np.isnan(unbounded["bound_nrmse"])

@@ -13,6 +13,7 @@ from scipy import stats
 
 from leaderboard.metrics import bootstrap as statistics
 from leaderboard.metrics import heights, roughness
+from leaderboard.metrics.api import ScoredEstimate
 from leaderboard.metrics.bootstrap import (
     bootstrap,
     count_roads,
@@ -42,7 +43,9 @@ def case(name):
 def found(name):
     y, a, sigma, ds = case(name)
     s = ds * np.arange(y.shape[1])
-    return compute_scores(Profile(s, y), Estimate(s, a, sigma), SPEEDS[name], bumps=True)
+    return compute_scores(
+        ScoredEstimate(Profile(s, y), Estimate(s, a, sigma), SPEEDS[name], bumps=True)
+    )
 
 
 def expected(name):
@@ -166,7 +169,7 @@ def test_the_crps_of_a_zero_deviation_is_the_mean_absolute_error():
 def test_an_estimate_without_a_deviation_has_no_uncertainty_scores():
     y, a, _, ds = case("late")
     s = ds * np.arange(y.shape[1])
-    scores = compute_scores(Profile(s, y), Estimate(s, a), 4.0, False)
+    scores = compute_scores(ScoredEstimate(Profile(s, y), Estimate(s, a), 4.0, bumps=False))
     assert np.isnan([scores[name] for name in ("crps", "coverage_50", "coverage_90")]).all()
 
 
