@@ -28,16 +28,11 @@ from estimators.map_smoother.objective import Linearization, Means, Objective
 from estimators.map_smoother.posterior_sampling import band_pass, draw_deviations, interior
 from estimators.map_smoother.preconditioner import StationaryHessian, stationary_hessian
 from estimators.map_smoother.preparation import SolverSettings
+from estimators.map_smoother.tuning import TUNING
 from estimators.map_smoother.windows import whole_objective
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.records.record import Profile, Record, scored_band
 from road_envs.vehicle.parameters import VehicleParameters
-
-CG_ITERATIONS, CG_TOLERANCE = 400, 1e-3
-"""Of one sample; the error in the band has converged within a per cent."""
-
-DRAWS = 2
-"""Samples of each posterior."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,8 +131,8 @@ def _relative_error(lin: Any, stationary: StationaryHessian, points: Sequence[np
         return float(np.var(c, axis=1).mean())
 
     solution = MapSolution(lin, stationary, noise_scale=np.ones(1))
-    solve = solution.inverse_hessian(CG_ITERATIONS, CG_TOLERANCE)
-    error = np.mean([power(dx) for dx in draw_deviations(lin, solve, rng, DRAWS)])
+    solve = solution.inverse_hessian(*TUNING.attainable_cg)
+    error = np.mean([power(dx) for dx in draw_deviations(lin, solve, rng, TUNING.attainable_draws)])
     return float(np.sqrt(error / np.mean([power(x) for x in points])))
 
 

@@ -26,47 +26,11 @@ from estimators.map_smoother.objective import Objective
 from estimators.map_smoother.one_pass import Pass
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.tangent_likelihood import TangentTerms, tangent_terms
+from estimators.map_smoother.tuning import TUNING
 from estimators.map_smoother.wheel_liftoff import unloaded_nodes
 from road_envs.sensing.instruments import on_axle
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.tolerances import ParameterSpace, parameter_space
-
-MAX_STEPS = 6
-"""Steps of the parameters at most."""
-
-ROAD_STEPS = 2
-"""Gauss-Newton steps of the road after each."""
-
-RENEWED_STEPS = 2
-"""Steps of an adaptation in which the terms of second order are computed anew. With 2 of 3 steps
-errors change by less than 1 %, with 1 by up to 8 % (grade S1, class C and D at 36 km/h)."""
-
-MAX_CHANGE = 3.0
-"""Largest change of a parameter in one step, in units of its tolerance."""
-
-SMALL_CHANGE, SMALL_ON_UNMEASURED = 0.2, 0.7
-"""Change of all parameters below which the steps end, in units of the posterior standard deviation:
-where all roads are known, and otherwise, where a step takes seconds."""
-
-UNMEASURED_WEIGHT = 1.0 / 16.0
-"""Weight of the likelihood of drives over unmeasured roads beside the prior of the tolerances: for
-what Laplace's approximation where friction hides a road and differences between the wheels leave
-out, its standard deviations are 2 to 4 times too small
-(`studies/identified_parameters.py`)."""
-
-TOLD_SHARE = 1e-3
-"""Share of the greatest information in any direction from which on a drive tells a direction."""
-
-MAX_UNLOADED_SHARE = 0.02
-"""Share of the road that no wheel pressed on, above which the vehicle is not adapted."""
-
-ADAPT_NOISE_SCALE = 1.15
-"""Unexplained noise from which on the vehicle is adapted to the drive."""
-
-BELIEVED_GAIN, STRUCTURE_POWER = 0.85, 10.0
-"""Share of the unexplained noise that a fit leaves at most to be believed (a vehicle as described
-0.95, of grade S1 0.33 to 0.72); and the power, over that of the instruments' noise, from which on
-the vehicle has elements that its description leaves out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +77,7 @@ def fit_car(
     *,
     instruments: bool = False,
     start: np.ndarray | None = None,
-    max_steps: int = MAX_STEPS,
+    max_steps: int = TUNING.fit_steps,
     renewed_steps: int | None = None,
 ) -> CarFit:
     """Fit the parameters of `space` to drives, from the solutions with `space.car` on.
@@ -128,7 +92,7 @@ def fit_car(
     size = space.size + instruments * len(errors.names)
     x = np.zeros(size) if start is None else start
     original, now = [s.linearization.objective for s in solutions], tuple(solutions)
-    small = SMALL_CHANGE if instruments else SMALL_ON_UNMEASURED
+    small = TUNING.small_change if instruments else TUNING.small_on_unmeasured
     terms: list[LikelihoodTerms | TangentTerms] = []
     for n in range(max_steps):
         cars = perturbed_cars(space, x[: space.size])
@@ -141,7 +105,7 @@ def fit_car(
         gradient = np.sum([term.gradient for term in terms], axis=0) - x
         covariance = np.linalg.inv(np.sum([t.information for t in terms], axis=0) + np.eye(size))
         step = covariance @ gradient
-        step *= min(1.0, MAX_CHANGE / np.abs(step).max())
+        step *= min(1.0, TUNING.max_change / np.abs(step).max())
         x = x + step
         apply = partial(
             _with_parameters, space.from_vector(x[: space.size]), errors, x[space.size :]
@@ -170,9 +134,10 @@ def _contradiction(terms: Sequence[LikelihoodTerms | TangentTerms], step: np.nda
     for one in terms:
         if isinstance(one, TangentTerms):
             variance, directions = np.linalg.eigh(one.score_covariance)
-            told = variance > TOLD_SHARE * variance[-1]
+            told = variance > TUNING.told_share * variance[-1]
             left = directions.T @ (one.gradient - one.information @ step)
-            powers.append(float(np.mean(left[told] ** 2 / variance[told])) / UNMEASURED_WEIGHT)
+            power = float(np.mean(left[told] ** 2 / variance[told]))
+            powers.append(power / TUNING.unmeasured_weight)
     return max(powers) if len(powers) > 1 else 0.0
 
 
@@ -189,9 +154,9 @@ def _terms(
     if not solution.linearization.objective.road.free.any():
         return known_road_terms(solution, original, cars, errors)
     if isinstance(known, TangentTerms):
-        known = known.weighted(1.0 / UNMEASURED_WEIGHT)
-        return tangent_terms(solution, cars, known).weighted(UNMEASURED_WEIGHT)
-    return tangent_terms(solution, cars).weighted(UNMEASURED_WEIGHT)
+        known = known.weighted(1.0 / TUNING.unmeasured_weight)
+        return tangent_terms(solution, cars, known).weighted(TUNING.unmeasured_weight)
+    return tangent_terms(solution, cars).weighted(TUNING.unmeasured_weight)
 
 
 def _with_parameters(
@@ -205,7 +170,7 @@ def adapt_car(
     solutions: Sequence[MapSolution], car: VehicleParameters, solver: GaussNewton
 ) -> CarFit:
     """Return the fit of a described `car` to its own drives. Raises ArithmeticError."""
-    return fit_car(solutions, parameter_space(car), solver, renewed_steps=RENEWED_STEPS)
+    return fit_car(solutions, parameter_space(car), solver, renewed_steps=TUNING.renewed_steps)
 
 
 def fit_if_due(
@@ -224,7 +189,9 @@ def fit_if_due(
 
 def _is_vehicle_unexplained(solution: MapSolution) -> bool:
     """Return whether what a solution leaves unexplained may be the vehicle: a fit is due."""
-    return bool(np.max(solution.noise_scale) >= ADAPT_NOISE_SCALE and can_show_vehicle(solution))
+    return bool(
+        np.max(solution.noise_scale) >= TUNING.adapt_noise_scale and can_show_vehicle(solution)
+    )
 
 
 def can_show_vehicle(solution: MapSolution) -> bool:
@@ -236,7 +203,7 @@ def can_show_vehicle(solution: MapSolution) -> bool:
     lin = solution.linearization
     if any(on_axle(one.source.model.locations) for one in lin.passes):
         return False
-    flown = unloaded_nodes(lin).mean() > MAX_UNLOADED_SHARE
+    flown = unloaded_nodes(lin).mean() > TUNING.max_unloaded_share
     return bool(not flown and not lin.objective.road.is_uneven)
 
 
@@ -249,7 +216,7 @@ def is_believed(fit: CarFit, solutions: Sequence[MapSolution]) -> bool:
     before, after = (
         max(float(np.max(s.noise_scale)) for s in part) for part in (solutions, fit.solutions)
     )
-    return after < min(BELIEVED_GAIN * before, STRUCTURE_POWER)
+    return after < min(TUNING.believed_gain * before, TUNING.structure_power)
 
 
 def _resolve(
@@ -266,7 +233,7 @@ def _resolve(
     solver = replace(solver, stationary=stationary)
     x = solution.linearization.x + (0.0 if change is None else change)
     lin, noise_scale = objective.linearize(x), solution.noise_scale
-    for _ in range(ROAD_STEPS):
+    for _ in range(TUNING.road_steps):
         noise_scale = update_noise_scale(lin, stationary, noise_scale)
         lin, _ = solver.step(lin, noise_scale)
         if change is not None:

@@ -36,38 +36,17 @@ from estimators.api import CalibrationError, copy_with
 from estimators.common.explained import reduce_unexplained
 from estimators.common.misfit import NOISE_SCALE_WARNING, misfit_note
 from estimators.common.odometer import calibrate_odometer
-from estimators.map_smoother.identification import STRUCTURE_GAIN, identify_structure
+from estimators.map_smoother.identification import identify_structure
 from estimators.map_smoother.identified_vehicle import CalibratedByIdentification
 from estimators.map_smoother.preparation import SolverSettings
 from estimators.map_smoother.solver import Findings, RoadSolver
 from estimators.map_smoother.speed_error import distance_scale
+from estimators.map_smoother.tuning import TUNING
 from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
 from estimators.map_smoother.windows import PreparedDrive, on_common_nodes
 from road_envs.records.record import Estimate, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.tolerances import has_absent_elements
-
-VEHICLE_SHARE_NOTED = 0.75
-"""Share of the variance of the heights from which on a note says that the vehicle is the reason:
-their standard deviation is then twice that of a known vehicle."""
-
-LOST_NOISE_SCALE, LOST_POWER_SHARE = 300.0, 0.3
-"""Noise scale above which the minimization has lost the vehicle, as on obstacles that throw it off
-the ground again and again, if it also exceeds this share of the signals' power: the noise of good
-instruments is small beside what a vehicle that is not the one described leaves unexplained.
-"""
-
-LOST_AIR_SHARE = 0.25
-"""Distance that wheels spend in the air, over the road's length, from which on no share of the
-power is allowed: no wheel supports such heights (bumps of 0.15 m at 54 km/h: 0.5 to 0.7)."""
-
-SEARCHED_POWER = 2.5
-"""Power over that of the instruments' noise from which on elements are searched that the vehicle's
-description leaves out: a little more than what is noted.
-"""
-
-STRUCTURE_INFLATION = 2.0
-"""Factor of the errors that a vehicle with elements found on the same drive makes of the road."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,16 +107,16 @@ class MapSmoother(CalibratedByIdentification, SolverSettings):
         left = findings.left_by_fit
         if findings.fits or findings.speed_errors:  # places need the vehicle, flights or not
             left = max(left, float(findings.noise_scale[0]))
-        if not (self.adapt and left >= SEARCHED_POWER and has_absent_elements(car)):
+        if not (self.adapt and left >= TUNING.searched_power and has_absent_elements(car)):
             return first
         described = replace(self, adapt=False)
         try:  # the vehicle may have elements that its description leaves out
             found, uncertainty = identify_structure(record, car, described)
-            uncertain = replace(uncertainty, inflation=STRUCTURE_INFLATION)
+            uncertain = replace(uncertainty, inflation=TUNING.structure_inflation)
             second, flexible = described._estimate(record, found, uncertain, speed_std)
         except (CalibrationError, ArithmeticError):
             return first
-        if flexible.noise_scale[0] > STRUCTURE_GAIN * left:
+        if flexible.noise_scale[0] > TUNING.structure_gain * left:
             return first
         note = f"a frame that can {_describe_modes(found)} was found, and adapted to the drive"
         return replace(second, notes=(*second.notes, note))
@@ -206,7 +185,7 @@ def _findings_notes(findings: Findings, names: Sequence[str]) -> list[str]:
         for label, scale in zip(labels, findings.noise_scale.tolist(), strict=True)
         if scale > NOISE_SCALE_WARNING
     ]
-    if findings.vehicle_share > VEHICLE_SHARE_NOTED:
+    if findings.vehicle_share > TUNING.vehicle_share_noted:
         ratio = np.sqrt(1.0 / (1.0 - findings.vehicle_share))
         notes.append(
             f"the errors are {ratio:.1f} times those of a vehicle that is known: calibrate it, or "
@@ -219,10 +198,11 @@ def _lost_noise_scale(drive: PreparedDrive, in_air: float, length: float) -> flo
     """Noise scale above which the minimization has lost the vehicle of a drive, whose wheels spent
     the distance `in_air` [m] off a road of this `length` [m].
     """
-    if in_air >= LOST_AIR_SHARE * length:
-        return LOST_NOISE_SCALE
+    if in_air >= TUNING.lost_air_share * length:
+        return TUNING.lost_noise_scale
     return max(
-        LOST_NOISE_SCALE, LOST_POWER_SHARE * float(drive.a.var()) / drive.model.noise_variance
+        TUNING.lost_noise_scale,
+        TUNING.lost_power_share * float(drive.a.var()) / drive.model.noise_variance,
     )
 
 

@@ -19,56 +19,13 @@ from estimators.common.misfit import NOISE_SCALE_WARNING
 from estimators.map_smoother.objective import Linearization, Objective
 from estimators.map_smoother.one_pass import LinearizedPass
 from estimators.map_smoother.preconditioner import StationaryHessian
+from estimators.map_smoother.tuning import TUNING
 from estimators.map_smoother.wheel_liftoff import passed_nodes, relax_unloaded
 from road_envs.vehicle.equations import Plant
 from road_envs.vehicle.force_curves import gaussian_smoothed
 from road_envs.vehicle.suspension import V_0, V_STEP
 
 Vector = np.ndarray
-
-FRICTION_STAGES = ((0.3, 2), (0.1, 2), (0.03, 2), (0.0, 12))
-"""Standard deviation [m/s] of the smoothing, and the most Gauss-Newton steps with it."""
-
-CHANGE_TOLERANCE = 0.4
-"""Root mean square change of the unknowns by a step, in units of their posterior standard
-deviations, below which the minimization ends. Smaller ones hardly lower the error any more: it is
-that of the posterior itself. On roads with obstacles the steps remain larger for longer."""
-
-UNEVEN_ITERATIONS = 3
-"""Factor on the most conjugate gradient iterations of a step where the road is rough in places: the
-preconditioner knows it less well there, and over 150 m of potholes a third of this leaves the road
-far from its optimum."""
-
-SETTLED = 0.95
-"""Share of the noise scale before a step from which on it counts as settled. A noise scale above
-NOISE_SCALE_WARNING that still falls is that of an unfinished road, not of another vehicle: of
-measurements with a narrow band the road takes most, and what it has not taken yet weighs more."""
-
-MAX_HALVINGS = 6
-"""Halvings of a step in the line search, at most."""
-
-REWEIGHTING_STEPS, WELCH_SEGMENT = 3, 128
-"""Steps under frequency-dependent noise, and blocks in a segment of the residual's periodogram."""
-
-PRIOR_UPDATES = 6
-"""Updates of the prior between the steps with the true friction, at most."""
-
-NOISE_FALL, LEAST_NOISE = 0.35, 0.03
-"""Share that the noise scale keeps at most from one step to the next where a road can explain all
-readings, as a high noise and a road without short waves would confirm each other; and its least
-share of the residual's power, as a road that was lowered under a wheel would not be left again."""
-
-MAX_NOISE_POWER = 50.0
-"""Greatest mean square of the road's noise u under a prior that was updated, over that before or
-over 1, its expectation: up to 50, once 90, on potholes and growing defects, where a limit of 10
-doubles the error; 60 to 400 on the sine sweep, 1e5 on the corrugation (seeds 71 and 72)."""
-
-LOWERING_STEPS = (2, 5)
-"""Steps with the true friction before which the road under lifted wheels is lowered if it has
-obstacles: their edges are then found by the steps that follow."""
-
-MAX_LIFTOFF_RETRIES, LIFTOFF_STEPS = 2, 5
-"""Largest number of times that another road under lifted wheels is tried, and steps after each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,11 +60,11 @@ def minimize(
     objective: Objective,
     solver: "GaussNewton",
     *,
-    change_tolerance: float = CHANGE_TOLERANCE,
+    change_tolerance: float = TUNING.change_tolerance,
     adapt_prior: bool = True,
     start: Vector | None = None,
-    stages: Sequence[tuple[float, int]] = FRICTION_STAGES,
-    prior_updates: int = PRIOR_UPDATES,
+    stages: Sequence[tuple[float, int]] = TUNING.friction_stages,
+    prior_updates: int = TUNING.prior_updates,
     adapt_car: "Callable[[MapSolution, GaussNewton], MapSolution] | None" = None,
 ) -> MapSolution:
     """Minimize the objective from a level road or `start` on.
@@ -130,7 +87,7 @@ def minimize(
         for n in range(max_steps):
             updates = prior_updates if std == 0.0 and adapt_prior else 0
             if 0 < n <= updates:
-                if n in LOWERING_STEPS and lin.objective.road.is_level_between_obstacles:
+                if n in TUNING.lowering_steps and lin.objective.road.is_level_between_obstacles:
                     lin = _lower_under_lifted_wheels(lin)
                 lin = update_prior(lin, stationary, noise_scale)
             lin, change = solver.step(lin, noise_scale, plants)
@@ -138,14 +95,16 @@ def minimize(
             noise_scale = update_noise_scale(lin, stationary, noise_scale)
             if std == 0.0 and objective.is_underdetermined:
                 power = _misfit_power(lin)
-                least = np.maximum(1.0, LEAST_NOISE * power)
-                noise_scale = np.maximum(least, np.minimum(noise_scale, NOISE_FALL * before))
+                least = np.maximum(1.0, TUNING.least_noise * power)
+                noise_scale = np.maximum(least, np.minimum(noise_scale, TUNING.noise_fall * before))
                 if best is None or power.max() < _misfit_power(best).max():
                     best = lin
             to_come = lin.objective.road.is_level_between_obstacles and n < min(
-                LOWERING_STEPS[-1], updates
+                TUNING.lowering_steps[-1], updates
             )
-            is_falling = NOISE_SCALE_WARNING < before and np.max(noise_scale) < SETTLED * before
+            is_falling = (
+                NOISE_SCALE_WARNING < before and np.max(noise_scale) < TUNING.settled * before
+            )
             if change < change_tolerance and not (to_come or is_falling):
                 break
     assert lin is not None
@@ -156,12 +115,12 @@ def minimize(
         lin, stationary, noise_scale = found.linearization, found.stationary, found.noise_scale
         solver = replace(solver, stationary=stationary)
     if np.max(noise_scale) > NOISE_SCALE_WARNING and not objective.is_underdetermined:
-        for _ in range(REWEIGHTING_STEPS):
+        for _ in range(TUNING.reweighting_steps):
             weights = _estimate_frequency_weights(lin, stationary, noise_scale)
             lin = lin.with_frequency_weights(weights)
             solver = replace(solver, stationary=stationary.reweighted(lin.objective, weights))
             lin, _ = solver.step(lin, noise_scale)
-    for _ in range(MAX_LIFTOFF_RETRIES):
+    for _ in range(TUNING.max_liftoff_retries):
         better = _retry_after_liftoff(lin, solver, noise_scale)
         if better is lin:
             break
@@ -196,7 +155,8 @@ class GaussNewton:
         noise_variance = lin.objective.noise_variance * noise_scale
         M = preconditioner(lin, self.stationary, noise_variance)
         is_uneven = lin.objective.road.is_uneven
-        limits = self.cg_iterations * (UNEVEN_ITERATIONS if is_uneven else 1), self.cg_tolerance
+        more = TUNING.uneven_iterations if is_uneven else 1
+        limits = more * self.cg_iterations, self.cg_tolerance
         gradient = lin.gradient()
         dx, _ = conjugate_gradients(lin.hessian_product, -gradient, M, *limits)
         slope = float(gradient @ dx)
@@ -237,7 +197,7 @@ def _retry_after_liftoff(
         new = lin.relinearize(x)
     except ArithmeticError:
         return lin
-    for _ in range(LIFTOFF_STEPS):
+    for _ in range(TUNING.liftoff_steps):
         new, _ = solver.step(new, noise_scale)
     return new if new.with_inverse_variance(lin.inverse_variance).cost < lin.cost else lin
 
@@ -259,7 +219,7 @@ def update_prior(
     local = stationary.local_roughness(road, noise_variance, u, passed_nodes(lin))
     rough = replace(road, local=local)
     new = lin.with_road(rough, rough.convert_noise(u, road))
-    most = MAX_NOISE_POWER * max(float(x @ x), objective.size)
+    most = TUNING.max_noise_power * max(float(x @ x), objective.size)
     return new if float(new.x @ new.x) < most else lin
 
 
@@ -271,7 +231,7 @@ def _line_search(
     `slope` of the cost along `dx`.
     """
     length = 1.0
-    for _ in range(MAX_HALVINGS):
+    for _ in range(TUNING.max_halvings):
         try:
             new = lin.relinearize(lin.x + length * dx, plants)
         except ArithmeticError:
@@ -322,7 +282,7 @@ def _estimate_frequency_weights(
 def _frequency_weights(one: LinearizedPass, dof: float, noise_scale: float) -> np.ndarray:
     r = np.sqrt(one.source.information) * one.residual
     left = 1.0 - dof / (one.source.band_share * one.source.is_used.sum())
-    size = min(WELCH_SEGMENT, r.shape[1])
+    size = min(TUNING.welch_segment, r.shape[1])
     f, S = welch(r, fs=1.0, nperseg=size)
     level = np.maximum(0.5 * S.mean(axis=0) / max(left, 0.1), 1.0)
     return noise_scale / np.interp(rfftfreq(r.shape[1]), f, level)

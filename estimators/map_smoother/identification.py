@@ -16,7 +16,7 @@ from scipy.signal import welch
 from estimators.api import CalibrationDrive, CalibrationError
 from estimators.common.blas import single_blas_thread
 from estimators.common.odometer import calibrate_odometer
-from estimators.map_smoother.car_fit import STRUCTURE_POWER, CarFit, fit_car
+from estimators.map_smoother.car_fit import CarFit, fit_car
 from estimators.map_smoother.gauss_newton import (
     GaussNewton,
     MapSolution,
@@ -34,47 +34,14 @@ from estimators.map_smoother.known_road import check_profile, on_profile
 from estimators.map_smoother.marginal_likelihood import NO_ERRORS
 from estimators.map_smoother.objective import Objective
 from estimators.map_smoother.preconditioner import stationary_hessian
-from estimators.map_smoother.preparation import READINGS_PER_UNKNOWN, SolverSettings
+from estimators.map_smoother.preparation import SolverSettings
+from estimators.map_smoother.tuning import TUNING
 from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
 from estimators.map_smoother.windows import whole_objective
 from road_envs.records.record import Record
 from road_envs.sensing.instruments import instruments_of
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.tolerances import ParameterSpace, has_absent_elements, parameter_space
-
-FIT_SHARE = 2.0 / 3.0
-"""Share of each drive that is fitted; the rest is held out."""
-
-MIN_DURATION, MIN_SPEED, MIN_SIGNAL = 4.0, 1.0, 3.0
-"""Least duration [s] and mean speed [m/s] of the fitted part of a drive, and least standard
-deviation of its accelerations in units of that of the instruments' noise."""
-
-KNOWN_DATA_RATE = 100.0
-"""Block means per second [Hz] of a drive over a known road."""
-
-SETTLING_STEPS, SETTLED = 12, 0.97
-"""Steps to the first state of a drive over a known road, at most, and the ratio of successive
-noise scales above which they end."""
-
-MAX_STEPS = 14
-"""Steps of the parameters at most."""
-
-MODE_STARTS = {
-    "frame": (7.0, 8.5, 10.5, 13.0, 16.0, 20.0),
-    "bending": (15.0, 18.0, 22.0, 27.0, 33.0, 40.0),
-}
-"""Frequencies [Hz] of the body's modes at which searches begin: one reaches about a tenth."""
-
-STRUCTURE_GAIN = 0.5
-"""Share of the unexplained power of held-out readings that elements which the description leaves
-out may leave at most, to be believed."""
-
-REFUSED_SHARE = 0.5
-"""Share of the power that the described vehicle leaves in the held-out parts from which on an
-identified one is refused, unless it leaves less than STRUCTURE_POWER."""
-
-WHEELBASE_MARGIN = 4.0
-"""Distance [m] after the beginning of a profile at which all wheels are on it."""
 
 
 @single_blas_thread()
@@ -108,9 +75,9 @@ def identify(
             check_profile(_objective(first, car, chosen), first)
     try:
         result = _identify(parts, car, chosen, bool(structure))
-        if structure is None and result.left >= STRUCTURE_POWER and has_absent_elements(car):
+        if structure is None and result.left >= TUNING.structure_power and has_absent_elements(car):
             flexible = _identify(parts, car, chosen, True)
-            result = flexible if flexible.left < STRUCTURE_GAIN * result.left else result
+            result = flexible if flexible.left < TUNING.structure_gain * result.left else result
     except ArithmeticError as error:
         names = ", ".join(drive.name for drive in drives)
         raise CalibrationError(f"{names}: no vehicle explains the drives: {error}") from None
@@ -121,7 +88,7 @@ def identify(
 def _refuse_unexplained(result: IdentificationResult, drives: Sequence[CalibrationDrive]) -> None:
     """Raise CalibrationError if the held-out parts are explained neither well nor much better."""
     described = float(np.mean([before.power for before, _ in result.unexplained]))
-    if result.left < max(STRUCTURE_POWER, REFUSED_SHARE * described):
+    if result.left < max(TUNING.structure_power, TUNING.refused_share * described):
         return
     raise CalibrationError(
         f"{', '.join(drive.name for drive in drives)}: the identified vehicle leaves "
@@ -154,8 +121,8 @@ def identify_structure(
     what stays unknown of it; without validation. Raises CalibrationError on a drive that is too
     short, too slow or too smooth.
     """
-    is_short = FIT_SHARE * record.t.size < MIN_DURATION * record.fs
-    first, _ = _parts(CalibrationDrive(record), settings, 1.0 if is_short else FIT_SHARE)
+    is_short = TUNING.fit_share * record.t.size < TUNING.min_duration * record.fs
+    first, _ = _parts(CalibrationDrive(record), settings, 1.0 if is_short else TUNING.fit_share)
     fit = _fit([first], car, settings, structure=True)
     return with_posterior(fit, car), uncertainty_of(fit)
 
@@ -177,7 +144,8 @@ def _fit(
     errors = len(InstrumentErrors(drives[0].record.channels).names) if known else 0
     x, solutions = _nearest_start(space, space.size + errors, solve)
     solver = GaussNewton(solutions[0].stationary, settings.huber)
-    return fit_car(solutions, space, solver, instruments=known, start=x, max_steps=MAX_STEPS)
+    steps = TUNING.identification_steps
+    return fit_car(solutions, space, solver, instruments=known, start=x, max_steps=steps)
 
 
 def _nearest_start(
@@ -189,7 +157,8 @@ def _nearest_start(
     unexplained.
     """
     x = np.zeros(size)
-    for mode, frequencies in MODE_STARTS.items():
+    starts = {"frame": TUNING.frame_starts, "bending": TUNING.bending_starts}
+    for mode, frequencies in starts.items():
         if (name := f"variation.{mode}.f") in space.names:
             i = space.names.index(name)
             about = getattr(space.car.variation, mode).f
@@ -201,35 +170,35 @@ def _nearest_start(
 
 
 def _parts(
-    drive: CalibrationDrive, settings: SolverSettings, share: float = FIT_SHARE
+    drive: CalibrationDrive, settings: SolverSettings, share: float = TUNING.fit_share
 ) -> tuple[CalibrationDrive, CalibrationDrive]:
     """Return the `share` of a drive that is fitted, and the rest. Raises CalibrationError."""
     record, profile = drive.record, drive.profile
     first, last = 0, record.t.size
     if profile is not None:  # both axles on the profile
-        first = int(np.searchsorted(record.s, profile.s[0] + WHEELBASE_MARGIN))
+        first = int(np.searchsorted(record.s, profile.s[0] + TUNING.wheelbase_margin))
         last = int(np.searchsorted(record.s, profile.s[-1]))
     elif record.t.size > settings.window * record.fs:
         last = int(settings.window * record.fs)
     middle = first + int(share * (last - first))
     duration = (middle - first) / record.fs
-    if duration < MIN_DURATION:
+    if duration < TUNING.min_duration:
         where = "on its profile " if profile is not None else ""
         raise CalibrationError(
             f"{drive.name}: {duration:.1f} s {where}are too short to identify a vehicle; give "
-            f"{MIN_DURATION / FIT_SHARE:.0f} s or more"
+            f"{TUNING.min_duration / TUNING.fit_share:.0f} s or more"
         )
     parts = slice(first, middle), slice(middle, last)
     fitted, rest = (replace(drive, record=record.select(part)) for part in parts)
     speed = float(fitted.record.v.mean())
-    if speed < MIN_SPEED:
+    if speed < TUNING.min_speed:
         raise CalibrationError(
             f"{drive.name}: a mean speed of {3.6 * speed:.1f} km/h is too slow to identify a "
-            f"vehicle; drive {3.6 * MIN_SPEED:.1f} km/h or faster"
+            f"vehicle; drive {3.6 * TUNING.min_speed:.1f} km/h or faster"
         )
     noise = instruments_of(record, settings.instruments).noise_density * np.sqrt(0.5 * record.fs)
     signal = float(np.nanstd(fitted.record.a))
-    if signal < MIN_SIGNAL * noise:
+    if signal < TUNING.min_signal * noise:
         raise CalibrationError(
             f"{drive.name}: the accelerations of {signal:.2f} m/s² RMS hardly exceed the "
             f"instruments' noise of {noise:.2f} m/s²; drive a rougher road or faster"
@@ -241,9 +210,10 @@ def _objective(
     drive: CalibrationDrive, car: VehicleParameters, settings: SolverSettings
 ) -> Objective:
     """Return the objective of a drive as one window."""
-    readings, is_measured = READINGS_PER_UNKNOWN, drive.profile is not None
+    readings, is_measured = TUNING.readings_per_unknown, drive.profile is not None
     if is_measured:  # slow readings tell of waves that a survey measures well
-        settings, readings = replace(settings, level_ends=False, data_rate=KNOWN_DATA_RATE), 0.0
+        rate, readings = TUNING.known_data_rate, 0.0
+        settings = replace(settings, level_ends=False, data_rate=rate)
     # on a profile the speed is one of the instruments' errors
     speed_std = None if is_measured else 0.0
     prepared, _ = settings.prepare(drive.record, car, readings, speed_std)
@@ -264,7 +234,7 @@ def _solve(
     objective = objective.with_passes(lambda one: InstrumentErrors.of(one).apply(one, errors))
     solver = GaussNewton(stationary_hessian(objective), settings.huber)
     if drive.profile is not None:
-        return _settle(objective, solver, 2 if quick else SETTLING_STEPS)
+        return _settle(objective, solver, 2 if quick else TUNING.settling_steps)
     options: Any = {"change_tolerance": 1.0, "adapt_prior": False} if quick else {}
     return minimize(objective, solver, **options)
 
@@ -277,7 +247,7 @@ def _settle(objective: Objective, solver: GaussNewton, max_steps: int) -> MapSol
     lin, noise_scale = objective.linearize(np.zeros(objective.size)), np.array([np.inf])
     for _ in range(max_steps):
         before, noise_scale = noise_scale, update_noise_scale(lin, solver.stationary, noise_scale)
-        if noise_scale[0] > SETTLED * before[0]:
+        if noise_scale[0] > TUNING.settled_on_known * before[0]:
             break
         lin, _ = solver.step(lin, noise_scale)
     return MapSolution(lin, solver.stationary, noise_scale)

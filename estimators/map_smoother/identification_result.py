@@ -5,21 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimators.map_smoother.car_fit import CarFit
+from estimators.map_smoother.tuning import TUNING
 from estimators.map_smoother.vehicle_uncertainty import IDENTIFIED, VehicleUncertainty
 from road_envs.vehicle.parameters import Tolerance, VehicleParameters
 from road_envs.vehicle.tolerances import ParameterSpace
-
-UNDETERMINED = 0.9
-"""Posterior standard deviation, in tolerances, above which a parameter is not determined."""
-
-FAR = 3.0
-"""Fitted deviation, in units of the tolerance, that is flagged."""
-
-CONTRADICTION = 2.0
-"""`CarFit.contradiction` above which a vehicle with parameters that are FAR is of another kind. It
-is 0.6 to 1.5 where the class is right, 2.8 to 4.3 of a car with solid axles described by one with
-independent wheels (seeds 7700 and 7750), and up to 10 of the Land Rover in ride, whose friction
-hides the road, but nothing of it is FAR."""
 
 AS_DESCRIBED = "as described, since the drives are those of another kind of vehicle"
 """Source of the tolerances of a vehicle of another kind."""
@@ -92,8 +81,8 @@ class IdentificationResult:
         """Sentences on parameters that the drives do not determine, and on doubtful results."""
         size = self.fit.space.size
         x, std, names = self.fit.x[:size], self.std[:size], self.names
-        open_ = [names[i] for i in np.flatnonzero(std > UNDETERMINED)]
-        far = [names[i] for i in np.flatnonzero(np.abs(x) > FAR)]
+        open_ = [names[i] for i in np.flatnonzero(std > TUNING.undetermined)]
+        far = [names[i] for i in np.flatnonzero(np.abs(x) > TUNING.far)]
         notes = []
         if _is_another_kind(self.fit):
             notes.append(
@@ -104,7 +93,9 @@ class IdentificationResult:
         if open_:
             notes.append(f"not determined by the drives, kept as described: {', '.join(open_)}")
         if far:
-            notes.append(f"more than {FAR:g} tolerances from the description: {', '.join(far)}")
+            notes.append(
+                f"more than {TUNING.far:g} tolerances from the description: {', '.join(far)}"
+            )
         if self.fit.x.size > size:
             notes.append(
                 "errors of the instruments are not in the vehicle's file; calibrate of an "
@@ -118,7 +109,7 @@ class IdentificationResult:
 
 def _is_another_kind(fit: CarFit) -> bool:
     """Return whether the drives are those of a vehicle of another kind than the described one."""
-    return bool(fit.contradiction > CONTRADICTION and (np.abs(fit.x) > FAR).any())
+    return bool(fit.contradiction > TUNING.contradiction and (np.abs(fit.x) > TUNING.far).any())
 
 
 def uncertainty_of(fit: CarFit) -> VehicleUncertainty:

@@ -9,21 +9,10 @@ from scipy.ndimage import spline_filter1d
 
 from estimators.api import CalibrationDrive, CalibrationError
 from estimators.map_smoother.objective import Objective
+from estimators.map_smoother.tuning import TUNING
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.records.record import Profile
 from road_envs.records.roughness import N_0, displacement_psd
-
-MIN_CORRELATION = 0.5
-"""Least correlation of the readings with those expected on the known road."""
-
-CLEARLY_BETTER = 0.03
-"""Excess of the correlation with another profile from which on that one is believed."""
-
-LEVEL_BAND = (0.2, 1.0)
-"""Band [cycles/m] in which the level of a profile is taken."""
-
-UNIT_RATIO = 4.0
-"""Ratio of measured to expected acceleration from which on units are suspected."""
 
 
 def on_profile(objective: Objective, drive: CalibrationDrive) -> Objective:
@@ -60,7 +49,7 @@ def on_profile(objective: Objective, drive: CalibrationDrive) -> Objective:
 def _road_prior(profile: Profile) -> RoadPrior:
     """Return a prior of the profile's own level, from waves that are long against its error."""
     n, G = displacement_psd(profile.z, profile.ds)
-    inside = (n > LEVEL_BAND[0]) & (n < LEVEL_BAND[1])
+    inside = (n > TUNING.level_band[0]) & (n < TUNING.level_band[1])
     return RoadPrior(G_d0=float(np.mean(G[:, inside] * (n[inside] / N_0) ** 2)))
 
 
@@ -92,11 +81,11 @@ def check_profile(objective: Objective, drive: CalibrationDrive) -> None:
         for what, z in others.items()
     }
     best = max(tried, key=lambda what: tried[what])
-    if tried[best] > max(MIN_CORRELATION, fit + CLEARLY_BETTER):
+    if tried[best] > max(TUNING.min_correlation, fit + TUNING.clearly_better):
         hint = f"the profile {best} fits ({tried[best]:.2f})"
-    elif fit < MIN_CORRELATION:
+    elif fit < TUNING.min_correlation:
         hint = "it may be another part of the road, or the odometer may be displaced"
-    elif not 1.0 / UNIT_RATIO < ratio < UNIT_RATIO:
+    elif not 1.0 / TUNING.unit_ratio < ratio < TUNING.unit_ratio:
         raise CalibrationError(
             f"{drive.name}: the accelerations are {ratio:.2g} times those expected on its profile; "
             "check the units of both (m/s² and m)"

@@ -27,19 +27,11 @@ from estimators.map_smoother.preconditioner import (
     prior_spectrum,
 )
 from estimators.map_smoother.road_prior import RoadTransform
+from estimators.map_smoother.tuning import TUNING
 from road_envs.analysis.statistical_linearization import hermitian
 from road_envs.simulation.lanes import SharedInputs, drive_variants
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.tolerances import ParameterSpace, varied_car
-
-DIFFERENCE = 0.003
-"""Difference of a parameter for its derivative, in units of its tolerance. Readings do not tell the
-scale common to masses and forces, but with a difference of 0.1 the curvature of the single motions
-tells it to a tenth of what the tolerances allow."""
-
-ERROR_BANDWIDTH = 2.0
-"""Bandwidth [Hz] in which the error of the model is one: as wide as the resonances of a vehicle. A
-longer drive has more lines in it, but does not tell of another error."""
 
 NO_ERRORS = np.zeros(0)
 
@@ -56,9 +48,9 @@ class LikelihoodTerms(NamedTuple):
 
 
 def perturbed_cars(space: ParameterSpace, x: np.ndarray) -> list[VehicleParameters]:
-    """Return the vehicle at `x` (P,), and for each parameter that with it changed by DIFFERENCE."""
+    """Return the vehicle at `x` (P,), and for each parameter that with it changed by a little."""
     car = space.from_vector(x)
-    factors = zip(space.names, np.exp(DIFFERENCE * space.std).tolist(), strict=True)
+    factors = zip(space.names, np.exp(TUNING.difference * space.std).tolist(), strict=True)
     return [car, *(varied_car(car, {name: factor}) for name, factor in factors)]
 
 
@@ -78,7 +70,7 @@ def sensitivities(lin: LinearizedPass, varied: Sequence[Pass]) -> np.ndarray:
     `varied` as of `perturbed_passes`. Raises ArithmeticError if a motion is not finite.
     """
     left = varied_residuals(lin, varied)
-    return (left[0] - left[1:]) / DIFFERENCE
+    return (left[0] - left[1:]) / TUNING.difference
 
 
 def varied_residuals(lin: LinearizedPass, varied: Sequence[Pass]) -> np.ndarray:
@@ -113,12 +105,12 @@ def reading_sensitivities(lin: LinearizedPass, base: Pass, errors: np.ndarray) -
     _, bias = base.split(lin.own)
     found = []
     for k, unit in enumerate(np.eye(errors.size)):
-        varied = instruments.apply(base, errors + DIFFERENCE * unit)
+        varied = instruments.apply(base, errors + TUNING.difference * unit)
         if k < instruments.n_fixed:  # the vehicle moves as before
             found.append(varied.residual(lin.tape.acceleration, bias))
         else:
             found.append(varied.residual_at(lin.c, lin.own))
-    return (lin.residual - np.array(found)) / DIFFERENCE
+    return (lin.residual - np.array(found)) / TUNING.difference
 
 
 def known_road_terms(
@@ -142,7 +134,7 @@ def known_road_terms(
     # the error of the profile is noise; what the model cannot explain adds to it, band by band
     root = np.linalg.cholesky(covariance)
     A, r = np.linalg.solve(root, A), np.linalg.solve(root, r)
-    band = (f / ERROR_BANDWIDTH).astype(int)
+    band = (f / TUNING.error_bandwidth).astype(int)
     count = np.maximum(np.bincount(band), 1)
     power = np.zeros((count.size, *root.shape[1:]), dtype=complex)
     np.add.at(power, band, r @ hermitian(r))

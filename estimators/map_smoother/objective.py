@@ -20,10 +20,8 @@ from scipy.ndimage import spline_filter1d
 from estimators.common.model_inputs import ModelInputs
 from estimators.map_smoother.one_pass import LinearizedPass, Pass
 from estimators.map_smoother.road_prior import RoadTransform
+from estimators.map_smoother.tuning import TUNING
 from road_envs.vehicle.equations import Plant
-
-SHIFT_STD = 0.05
-"""Prior standard deviation [m] of a shift, after the alignment of the single estimates."""
 
 WHEEL_PATHS = 2
 """Wheel paths of a road."""
@@ -90,7 +88,7 @@ class Objective:
         sizes = [2 * self.road.size, *(one.size for one in self.passes)]
         u, *own, free = np.split(x, np.cumsum(sizes))
         shifts = np.zeros((len(self.passes), self.knots.size))
-        shifts[1:] = SHIFT_STD * free.reshape(shifts[1:].shape)
+        shifts[1:] = TUNING.shift_std * free.reshape(shifts[1:].shape)
         return u.reshape(2, -1), own, shifts
 
     def coefficients(self, x: np.ndarray) -> np.ndarray:
@@ -174,7 +172,8 @@ class Linearization:
         shifts = []
         if self.objective.n_shifts:
             shifts = [
-                SHIFT_STD * self._hats @ np.sum(self._slope * c, axis=0) for c, _ in pairs[1:]
+                TUNING.shift_std * self._hats @ np.sum(self._slope * c, axis=0)
+                for c, _ in pairs[1:]
             ]
         return np.concatenate([u.ravel(), *(own for _, own in pairs), *shifts])
 
@@ -204,7 +203,7 @@ class Linearization:
             power = np.sum(one.source.measurements.sample_count * uniform**2, axis=0)
             s = one.source.inputs.s[:: one.source.inputs.s.size // power.size][: power.size]
             hats = [np.interp(s, knots, unit) for unit in np.eye(knots.size)]
-            information[k] = SHIFT_STD**2 * np.square(hats) @ power
+            information[k] = TUNING.shift_std**2 * np.square(hats) @ power
         return information
 
     def offset_scale(self, noise_variance: np.ndarray, start_information: Means) -> np.ndarray:

@@ -22,15 +22,13 @@ from estimators.common.sensor_filter import SampledFilter, SensorFilter
 from estimators.common.spline import sample_under_wheels
 from estimators.map_smoother.block_tangent import BlockTangent, build_block_tangent
 from estimators.map_smoother.road_prior import RoadNodes
+from estimators.map_smoother.tuning import TUNING
 from road_envs.sensing.instruments import SensorLocation
 from road_envs.simulation.tape import Tape, linearize_drive
 from road_envs.vehicle.equations import Plant, build_plant
 from road_envs.vehicle.equilibrium import equilibrium
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import settled_strut_state
-
-SPEED_DIFFERENCE = 0.1
-"""Difference of the speed's error for its derivative, in units of its standard deviation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,11 +311,12 @@ class LinearizedPass:
     @cached_property
     def speed_sensitivity(self) -> np.ndarray:
         """Derivative (S, J) of the block means by the last unknown, the error of the speed."""
-        o, unit = self.source, SPEED_DIFFERENCE * (np.arange(self.own.size) == self.own.size - 1)
+        o, last = self.source, np.arange(self.own.size) == self.own.size - 1
+        unit = TUNING.speed_difference * last
         one, other = (o.road_under_wheels(self.c, o.wheelbase(self.own + d)) for d in (unit, -unit))
         motion, _ = self.tape.tangent(np.zeros(self.tape.end.size), one - other)
         change = o.measurements.average(o.sense(motion, follows=False))
-        return change / (2.0 * SPEED_DIFFERENCE)
+        return change / (2.0 * TUNING.speed_difference)
 
     def tangent(self, dc: np.ndarray, own: np.ndarray) -> np.ndarray:
         """Change (S, J) of the predicted block means by small changes `dc` (2, K) of the road's

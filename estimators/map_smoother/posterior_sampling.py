@@ -18,55 +18,13 @@ from estimators.common.conjugate_gradients import Operator
 from estimators.common.model_inputs import ModelInputs
 from estimators.map_smoother.gauss_newton import MapSolution, preconditioner
 from estimators.map_smoother.road_prior import RoadTransform
+from estimators.map_smoother.tuning import TUNING
 from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
 from estimators.map_smoother.wheel_liftoff import (
     LiftoffError,
     lower_road,
     road_below_light_wheels,
 )
-
-CG_ITERATIONS, CG_TOLERANCE = 40, 1e-2
-"""Iterations of conjugate gradients for one sample, at most, and where they end."""
-
-VEHICLE_CG = 40, 0.02
-"""The same of a sample of the vehicle's errors; 20, 0.05 take 2 points off the coverage of 90 %."""
-
-VEHICLE_DRAWS = 8
-"""Samples of an uncertain vehicle: about six of its errors are independent in the road, and their
-mean square over the drive is then within a quarter."""
-
-QUICK_DRAWS, QUICK_CG, QUICK_EVIDENCE = 4, (9, 0.1), 45.0
-"""Samples of a vehicle as described, with the limits of their conjugate gradients, that are enough
-where they explain less of the residual than this: 7 to 33 of a vehicle as described, 68 to 650 of
-one of grade S1 (seed 211)."""
-
-TOLERANCE_INFLATION = 1.6
-"""Factor on the errors by the tolerances of a vehicle, whose motion is not linear in them: drives
-of grade S1 on classes B to D err by 1.1 to 2.1 times the linear prediction (seed 501)."""
-
-SHOWN_SHARE = 0.04
-"""Share of the power that samples of the vehicle leave in the readings which its error leaves, at
-most, in a drive of grade S1: 0.03 to 0.16, of a vehicle as described 0 to 0.03 (seed 211)."""
-
-MIN_STATE_LENGTH = 10.0
-"""Least length [m] of road in one strut state that has a standard deviation of its own."""
-
-STD_INFLATION = 1.1
-"""Factor for the curvature and for the unfinished minimization, from training drives."""
-
-ROAD_DRAWS = 32
-"""Samples of the road that an estimate carries: a standard deviation by them is within 13 %."""
-
-PRIOR_LINES = 8.0
-"""Spectral lines that the stationary approximation counts for in an octave beside those of the
-exact samples."""
-
-MOST_TWICE = 0.5
-"""Greatest share of the power of the heights that may be their vehicle's errors."""
-
-OBSTACLE_SHARE = 0.02
-"""On roads that are rough in places: share of the mean variance that is added between these places.
-From training drives over potholes and bumps."""
 
 
 class RoadPosterior(NamedTuple):
@@ -100,7 +58,7 @@ def posterior_mean_and_std(
     """
     lin, rng = solution.linearization, np.random.default_rng(0)
     objective, road = lin.objective, lin.objective.road
-    solve = solution.inverse_hessian(CG_ITERATIONS, CG_TOLERANCE)
+    solve = solution.inverse_hessian(*TUNING.draw_cg)
     inside = (road.n >= band[0]) & (road.n <= band[1])
     # at the ends of the road the band-pass leaks
     middle = interior(road.free, round(1.0 / (band[0] * road.ds)))
@@ -122,10 +80,12 @@ def posterior_mean_and_std(
     errors_of_vehicle = _VehicleErrors([], 0.0, 0.0)
     if draws and uncertainty:
         if uncertainty.is_prior:
-            quick = solution.inverse_hessian(*QUICK_CG)
-            errors_of_vehicle = _draw_vehicle_errors(solution, quick, rng, uncertainty, QUICK_DRAWS)
-        if not uncertainty.is_prior or errors_of_vehicle.evidence > QUICK_EVIDENCE:
-            fine = solution.inverse_hessian(*VEHICLE_CG)
+            quick = solution.inverse_hessian(*TUNING.quick_draw_cg)
+            errors_of_vehicle = _draw_vehicle_errors(
+                solution, quick, rng, uncertainty, TUNING.quick_draws
+            )
+        if not uncertainty.is_prior or errors_of_vehicle.evidence > TUNING.quick_evidence:
+            fine = solution.inverse_hessian(*TUNING.vehicle_cg)
             errors_of_vehicle = _draw_vehicle_errors(solution, fine, rng, uncertainty)
     deviations = np.zeros((0, 2, road.size))
     if draws:
@@ -139,7 +99,7 @@ def posterior_mean_and_std(
     shape = irfft(rfft(shape, axis=1) * rfft(spread), road.size, axis=1) / spread.sum()
     states = _strut_states(road, [one.source.inputs for one in lin.passes])
     level = _average_by_strut_state(square, shape, middle, states, road.ds)
-    variance = STD_INFLATION**2 * level * shape
+    variance = TUNING.std_inflation**2 * level * shape
     if draws:  # they have the level of the exact samples in each strut state, too
         ratio = _average_by_strut_state(
             variance, mean_square(list(deviations)), middle, states, road.ds
@@ -149,10 +109,10 @@ def posterior_mean_and_std(
         # heights that are wrong by their vehicle have the power of these errors once already
         heights = road.apply(objective.split(lin.x)[0])
         power = [mean_square(roads).mean() for roads in ([heights], list(deviations))]
-        twice = min(vehicle_share * float(power[1] / power[0]), MOST_TWICE)
+        twice = min(vehicle_share * float(power[1] / power[0]), TUNING.most_twice)
         deviations -= (1.0 - np.sqrt(1.0 - twice)) * heights
     if road.is_uneven:
-        variance = variance + OBSTACLE_SHARE * variance[:, middle].mean()
+        variance = variance + TUNING.obstacle_share * variance[:, middle].mean()
     lower, errors = road_below_light_wheels(lin)
     std = np.sqrt(add_liftoff_errors(variance, errors, inside))
     for path, height in errors:
@@ -175,7 +135,7 @@ def _draw_roads(
     # another noise in each window of a drive
     rng = np.random.default_rng([1, round(max(road.origin, 0.0) / road.ds)])
     shape = preconditioner(lin, solution.stationary, solution.noise_variance)
-    noise = rng.standard_normal((ROAD_DRAWS, lin.objective.size))
+    noise = rng.standard_normal((TUNING.road_draws, lin.objective.size))
     u = np.array([shape(row)[: 2 * road.size].reshape(2, -1) for row in noise])
     told = np.array([lin.objective.split(dx)[0] for dx in exact])
     octave = np.round(np.log2(np.maximum(road.n, road.n[1])))
@@ -185,11 +145,11 @@ def _draw_roads(
         for x in (u, told)
     )
     lines = 2.0 * len(exact) * np.bincount(group)
-    ratio = (lines * theirs / ours + PRIOR_LINES) / (lines + PRIOR_LINES)
+    ratio = (lines * theirs / ours + TUNING.prior_lines) / (lines + TUNING.prior_lines)
     u = irfft(np.sqrt(ratio)[group] * rfft(u, axis=2), road.size, axis=2)
     if vehicle.moved:
         moved = np.array([lin.objective.split(dx)[0] for dx in vehicle.moved])
-        weights = rng.standard_normal((ROAD_DRAWS, len(moved)))
+        weights = rng.standard_normal((TUNING.road_draws, len(moved)))
         scale = np.sqrt(vehicle.weight / len(moved))
         u += scale * np.tensordot(weights, moved, axes=1)
     return np.array([road.apply(row) for row in u])
@@ -242,7 +202,7 @@ def _draw_vehicle_errors(
     solve: Operator,
     rng: np.random.Generator,
     uncertainty: VehicleUncertainty,
-    draws: int = VEHICLE_DRAWS,
+    draws: int = TUNING.vehicle_draws,
 ) -> _VehicleErrors:
     """Return samples of the road's error by that of the vehicle.
 
@@ -266,9 +226,9 @@ def _draw_vehicle_errors(
     ]
     gram, along = np.inner(left, left), np.inner(left, (root * one.residual).ravel())
     evidence = float(along @ np.linalg.lstsq(gram, along)[0])
-    typical = SHOWN_SHARE * float(np.trace(gram)) / draws
+    typical = TUNING.shown_share * float(np.trace(gram)) / draws
     shown = max(evidence - draws, 0.0) / max(typical, 1e-12)
-    return _VehicleErrors(moved, TOLERANCE_INFLATION**2 * min(1.0, shown), evidence)
+    return _VehicleErrors(moved, TUNING.tolerance_inflation**2 * min(1.0, shown), evidence)
 
 
 def band_pass(c: np.ndarray, lines: np.ndarray) -> np.ndarray:
@@ -307,6 +267,6 @@ def _average_by_strut_state(
     ratio = np.full(free.size, square[:, nodes].mean() / shape[:, nodes].mean())
     for number in np.unique(state):
         here = (state == number) & free
-        if here.sum() * ds >= MIN_STATE_LENGTH:
+        if here.sum() * ds >= TUNING.min_state_length:
             ratio[state == number] = square[:, here].mean() / shape[:, here].mean()
     return ratio

@@ -27,6 +27,7 @@ from estimators.common.bending import BODY
 from estimators.map_smoother.objective import Means, Objective
 from estimators.map_smoother.one_pass import Pass
 from estimators.map_smoother.road_prior import TO_WHEEL_PATHS, RoadTransform
+from estimators.map_smoother.tuning import TUNING
 from road_envs.vehicle.linear_model import (
     LinearModel,
     frequency_response,
@@ -35,36 +36,8 @@ from road_envs.vehicle.linear_model import (
 )
 from road_envs.vehicle.suspension import MODES, WHEELS, decode_commands
 
-DAMPING_RATE = 0.3
-"""Typical strut rate [m/s] at which the dampers are linearized."""
-
-LEAST_TOLD, LEAST_COUNT = 0.5, 16.0
-"""Share of the unknowns of an octave, and number of them, that the measurements determine at least
-where its density is estimated."""
-
-MIN_DENSITY_RATIO = 1e-4
-"""Least density, relative to the prior's, that one update takes: a road may be level."""
-
-LOCAL_LENGTH, EDGE_LENGTH = 0.3, 0.05
-"""Standard deviations [m] of the windows in which the local roughness is estimated: that in which
-obstacles are found, and that of their edges, between which they may be level."""
-
-LEVEL_SHARE = 0.1
-"""Least share of the variance in the wide window that the increments in the narrow one have."""
-
-PRIOR_COUNT, PRIOR_ROUGHNESS = 0.5, 0.05
-"""Increments, and their roughness, that are added to those in the window."""
-
-MIN_CONTRAST = 0.5
-"""Least logarithm of the ratio of arithmetic and geometric mean of the local power at which a road
-counts as uneven in places. It is below 0.2 on stationary roads, and 0.65 to 0.8 on potholes at
-54 km/h in ride, where it is least."""
-
-ROUGHNESS_STEPS = np.geomspace(0.005, 50.0, 20)
+ROUGHNESS_STEPS = np.geomspace(*TUNING.roughness_range, TUNING.roughness_steps)
 """Local roughness, from its least to its greatest value, at which tables are computed."""
-
-MAX_LEVEL_STEP = 1.5
-"""Greatest distance of the levels of local roughness in the preconditioner, as a logarithm."""
 
 
 class _PassInformation(NamedTuple):
@@ -164,10 +137,10 @@ class StationaryHessian:
         centre, group = np.unique(octave, return_inverse=True)
         lines = np.bincount(group)
         power, told, before = (np.bincount(group, x) for x in (power, told, np.log(road.density)))
-        enough = (told >= 2.0 * LEAST_TOLD * lines) & (told >= LEAST_COUNT)
+        enough = (told >= 2.0 * TUNING.least_told * lines) & (told >= TUNING.least_count)
         if not enough.any():
             return road.density
-        ratio = np.maximum(power / np.maximum(told, 1e-9), MIN_DENSITY_RATIO)
+        ratio = np.maximum(power / np.maximum(told, 1e-9), TUNING.min_density_ratio)
         log = before / lines + np.log(ratio)
         return np.exp(np.interp(np.log2(np.maximum(road.n, 1e-9)), centre[enough], log[enough]))
 
@@ -177,11 +150,11 @@ class StationaryHessian:
         """Return the local roughness (2, K) that `u` (2, K) suggests, relative to the spectrum, by
         what is known of the nodes that wheels have `passed` (K,).
 
-        The power of the increments within some EDGE_LENGTH over the share of it that the
-        measurements resolve (MacKay 1992, doi:10.1162/neco.1992.4.3.415), but no less than
-        LEVEL_SHARE of that within some LOCAL_LENGTH. PRIOR_COUNT increments of PRIOR_ROUGHNESS are
-        added, so the distribution of the increments is Student's: a few large ones, the edges of an
-        obstacle, are more probable than many small ones.
+        The power of the increments in a narrow window over the share of it that the measurements
+        resolve (MacKay 1992, doi:10.1162/neco.1992.4.3.415), but no less than a share of that in a
+        wide one. Some increments of a prior roughness are added, so the distribution of the
+        increments is Student's: a few large ones, the edges of an obstacle, are more probable than
+        many small ones.
         """
         w = road.local * (TO_WHEEL_PATHS @ u) * np.sqrt(0.5) * road.free
         excess = self.excess(road, noise_variance)
@@ -192,12 +165,14 @@ class StationaryHessian:
             width = length / road.ds
             count = np.sqrt(2.0 * np.pi) * width  # of nodes in the window
             power, dof = (count * gaussian_filter1d(x, width, axis=1) for x in (w**2, resolved))
-            return np.asarray((power + PRIOR_COUNT * PRIOR_ROUGHNESS**2) / (dof + PRIOR_COUNT))
+            prior = TUNING.prior_count * TUNING.prior_roughness**2
+            return np.asarray((power + prior) / (dof + TUNING.prior_count))
 
-        wide = variance_within(LOCAL_LENGTH)
-        if not np.log(wide[:, passed].mean()) - np.log(wide[:, passed]).mean() > MIN_CONTRAST:
+        wide = variance_within(TUNING.local_length)
+        contrast = np.log(wide[:, passed].mean()) - np.log(wide[:, passed]).mean()
+        if not contrast > TUNING.min_contrast:
             return np.ones_like(wide)
-        variance = np.maximum(variance_within(EDGE_LENGTH), LEVEL_SHARE * wide)
+        variance = np.maximum(variance_within(TUNING.edge_length), TUNING.level_share * wide)
         local = np.sqrt(variance / variance[:, passed].mean())  # the mean power is the spectrum's
         return np.clip(local, ROUGHNESS_STEPS[0], ROUGHNESS_STEPS[-1])
 
@@ -255,7 +230,9 @@ def _posteriors(excess: np.ndarray, local: np.ndarray) -> np.ndarray:
 def _split_levels(local: np.ndarray) -> list[tuple[float, np.ndarray]]:
     """Return levels of local roughness (2, K), and the shares (K,) in them, which add to 1."""
     log = 0.5 * np.log(np.mean(local**2, axis=0))
-    levels = np.linspace(log.min(), log.max(), 1 + int(np.ceil(np.ptp(log) / MAX_LEVEL_STEP)))
+    levels = np.linspace(
+        log.min(), log.max(), 1 + int(np.ceil(np.ptp(log) / TUNING.max_level_step))
+    )
     shares = np.array([np.interp(log, levels, row) for row in np.eye(levels.size)])
     return list(zip(np.exp(levels), shares, strict=True))
 
@@ -291,7 +268,7 @@ def _modes(one: Pass) -> Iterator[tuple[float, dict[str, str]]]:
 def _linear_model(one: Pass, mode: dict[str, str]) -> LinearModel:
     """Return the linear vehicle with the points whose accelerations the sensors need."""
     model = one.model
-    damping = gaussian_damping(model.plant, mode, DAMPING_RATE)
+    damping = gaussian_damping(model.plant, mode, TUNING.damping_rate)
     locations = {**model.locations, **({} if model.bending is None else BODY)}
     v = float(one.inputs.v.mean())
     return linearise(model.plant, mode, locations, damping=damping, speed=v)

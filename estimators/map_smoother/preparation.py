@@ -20,10 +20,10 @@ from estimators.common.model_inputs import (
 )
 from estimators.common.sensor_filter import SensorFilter, is_only_a_delay
 from estimators.low_pass import bridge
-from estimators.map_smoother.gauss_newton import PRIOR_UPDATES
 from estimators.map_smoother.one_pass import MeasurementModel
 from estimators.map_smoother.road_prior import RoadNodes
-from estimators.map_smoother.windows import MARGIN, PreparedDrive
+from estimators.map_smoother.tuning import TUNING
+from estimators.map_smoother.windows import PreparedDrive
 from estimators.preprocessing import MaskedRecord, clipped_signs, mask_record, restore_times
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.core.config import Settings
@@ -33,24 +33,6 @@ from road_envs.sensing.instruments import Instruments, instruments_of, on_axle
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.linear_model import linearise
 from road_envs.vehicle.parameters import VehicleParameters
-
-NODE_SPACING_RANGE = (0.025, 0.05)
-"""Least and greatest distance of the road's nodes [m]."""
-
-READINGS_PER_UNKNOWN = 2.0
-"""Block means per unknown of the road, at least: with as many unknowns as readings the unexplained
-noise is overestimated, and a fitted vehicle is biased."""
-
-AXLE_READINGS_PER_UNKNOWN = 1.0
-"""The same where a sensor is on an axle: the tyre passes on waves that the nodes cannot hold, and
-longer means keep them out."""
-
-DELAY_NOISE_DENSITY = 5e-3
-"""Noise density [(m/s²)/sqrt(Hz)] below which sensors on the body show that an anti-alias filter is
-more than a delay."""
-
-F_RESOLVED = 70.0
-"""Frequency [Hz] that the nodes resolve at any speed, within NODE_SPACING_RANGE."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +54,7 @@ class SolverSettings(Settings):
     G_d0: float = CLASSES["D"]
     w: float = 2.0
     adapt_prior: bool = True
-    prior_updates: int = PRIOR_UPDATES
+    prior_updates: int = TUNING.prior_updates
     data_rate: float = 200.0
     step: float = 0.001
     level_ends: bool = True
@@ -102,7 +84,7 @@ class SolverSettings(Settings):
         self,
         record: Record,
         car: VehicleParameters,
-        readings_per_unknown: float = READINGS_PER_UNKNOWN,
+        readings_per_unknown: float = TUNING.readings_per_unknown,
         speed_std: float | None = None,
     ) -> tuple[PreparedDrive, tuple[str, ...]]:
         """Prepare a drive of `car`; with notes on the record. The relative error of the speed has
@@ -143,14 +125,14 @@ class SolverSettings(Settings):
         more than delay the samples.
         """
         record, valid, v = masked.record, masked.valid, float(masked.record.v.mean())
-        ds = float(np.clip(0.5 * v / F_RESOLVED, *NODE_SPACING_RANGE))
+        ds = float(np.clip(0.5 * v / TUNING.f_resolved, *TUNING.node_spacings))
         unknowns = 2.0 * v / ds  # per second
         rate = max(self.data_rate, readings_per_unknown * unknowns / len(record.a))
         is_on_axle = on_axle(model.locations)
         if is_on_axle and readings_per_unknown > 0.0:
-            rate = AXLE_READINGS_PER_UNKNOWN * unknowns / len(record.a)
+            rate = TUNING.axle_readings_per_unknown * unknowns / len(record.a)
         block = max(1, round(record.fs / rate))
-        precise = is_on_axle or instruments.noise_densities.min() < DELAY_NOISE_DENSITY
+        precise = is_on_axle or instruments.noise_densities.min() < TUNING.delay_noise_density
         filtered = precise or not (is_even(record) and is_only_a_delay(instruments))
         inputs = build_model_inputs(record, instruments, car, self.step, filtered)
         if filtered:
@@ -164,8 +146,8 @@ class SolverSettings(Settings):
         # the mean over the drive is mostly sensor bias
         mean = np.sum(a, axis=1, where=valid) / np.maximum(valid.sum(axis=1), 1)
         a -= mean[:, None]
-        origin = inputs.s[0] - car.wheelbase - (MARGIN + 1) * ds
-        nodes = RoadNodes(origin, ds, int((inputs.s[-1] - origin) / ds) + 2 * MARGIN)
+        origin = inputs.s[0] - car.wheelbase - (TUNING.node_margin + 1) * ds
+        nodes = RoadNodes(origin, ds, int((inputs.s[-1] - origin) / ds) + 2 * TUNING.node_margin)
         level = self.level_ends and record.s[0] <= 0.0
         span = 0.0 if level else -np.inf, record.length if self.level_ends else np.inf
         rest = rest_state(car, inputs)

@@ -19,18 +19,9 @@ from scipy.ndimage import spline_filter1d
 
 from estimators.common.road_prior import increment_amplitude
 from estimators.common.spline import evaluate_spline
+from estimators.map_smoother.tuning import TUNING
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.records.record import Profile
-
-N_FLAT = 0.02
-"""Spatial frequency [cycles/m] below which the prior is no higher than there. Longer waves are
-hardly observable at a walking pace, and the paper's paving has few of them, so they should stay
-small."""
-
-LEVEL_CONTRAST = 4.0
-"""Least logarithm of the ratio of arithmetic and geometric mean of the squared local roughness at
-which a road counts as level between obstacles: it is 5 to 6 on potholes and bumps after the first
-steps, 1 to 3 on off-road courses."""
 
 TO_WHEEL_PATHS = np.array([[1.0, 1.0], [1.0, -1.0]])
 """From mean and half difference to left and right."""
@@ -94,7 +85,7 @@ class RoadTransform:
     def is_level_between_obstacles(self) -> bool:
         """True if nearly all of the roughness is in a small part of the road."""
         square = self.local[:, self.free > 0] ** 2
-        return bool(np.log(square.mean()) - np.log(square).mean() > LEVEL_CONTRAST)
+        return bool(np.log(square.mean()) - np.log(square).mean() > TUNING.level_contrast)
 
     def apply(self, u: np.ndarray) -> np.ndarray:
         """Return the change (2, K) [m] of the coefficients by `u` (2, K)."""
@@ -146,4 +137,4 @@ def padded_size(least: int) -> int:
 
 def prior_amplitude(prior: RoadPrior, size: int, ds: float) -> np.ndarray:
     """Return A(n) (2, size // 2 + 1) [m] of `size` nodes `ds` [m] apart."""
-    return increment_amplitude(prior, size, ds, flat_below=N_FLAT)
+    return increment_amplitude(prior, size, ds, flat_below=TUNING.n_flat)

@@ -21,7 +21,6 @@ from estimators.map_smoother.car_fit import (
     is_believed,
 )
 from estimators.map_smoother.gauss_newton import (
-    FRICTION_STAGES,
     GaussNewton,
     MapSolution,
     minimize,
@@ -32,6 +31,7 @@ from estimators.map_smoother.posterior_sampling import RoadPosterior, posterior_
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.preparation import SolverSettings
 from estimators.map_smoother.speed_error import estimate_speed_error
+from estimators.map_smoother.tuning import TUNING
 from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
 from estimators.map_smoother.wheel_liftoff import distance_in_air
 from estimators.map_smoother.windows import (
@@ -41,27 +41,6 @@ from estimators.map_smoother.windows import (
     reconstruct,
 )
 from road_envs.records.record import Profile, scored_band
-
-JOINT_STAGES = ((0.0, 8),)
-"""Smoothing of friction [m/s], and the most Gauss-Newton steps with it, from the mean of single
-estimates on, which is so near that it needs none."""
-
-JOINT_PRIOR_UPDATES = 2
-"""Updates of the prior between these steps, at most."""
-
-ADAPTED_STEPS = 4
-"""Gauss-Newton steps of the road of several passes after their vehicles were adapted."""
-
-FIT_INFLATION = 1.4
-"""Factor on the errors of a vehicle that was fitted to this drive alone. With it 93 to 100 % of the
-errors of heights are in their intervals of 90 %, and each IRI in its interval of 95 %, on classes B
-to D and Belgian paving at 14.5 to 54 km/h (grade S1, seeds 5221 to 5224)."""
-
-EVIDENCE_DUE, VEHICLE_SHARE_DUE = 100.0, 0.5
-"""Power of the residual that errors of the vehicle explain, in units of the noise, and share of the
-variance of the heights that the tolerances make, from which on the vehicle is fitted, also where
-nothing else is unexplained: on smooth roads the road takes most of what a wrong vehicle leaves. The
-power is 4 to 88 for vehicles as described and 52 to 1600 for those of grade S1 (seed 211)."""
 
 
 @dataclass(eq=False)
@@ -141,8 +120,8 @@ class RoadSolver:
             solver,
             adapt_prior=settings.adapt_prior,
             start=None if start is None else objective.from_noise(objective.road.noise_of(start)),
-            stages=FRICTION_STAGES if start is None else JOINT_STAGES,
-            prior_updates=settings.prior_updates if start is None else JOINT_PRIOR_UPDATES,
+            stages=TUNING.friction_stages if start is None else TUNING.joint_stages,
+            prior_updates=settings.prior_updates if start is None else TUNING.joint_prior_updates,
             adapt_car=adapt if self.adapt and not findings.fits else None,
         )
         findings.in_air[members] += [distance_in_air(one) for one in solution.linearization.passes]
@@ -165,17 +144,17 @@ class RoadSolver:
         if drive.model.speed_std > 0.0:
             findings.speed_errors.append(estimate_speed_error(solution))
         if fit:
-            uncertain = replace(VehicleUncertainty.of_fit(fit), inflation=FIT_INFLATION)
+            uncertain = replace(VehicleUncertainty.of_fit(fit), inflation=TUNING.fit_inflation)
         elif self.adapt and uncertain is None and drive.car.tolerances:
             uncertain = VehicleUncertainty.of_tolerances(drive.car, sensors)
         posterior = posterior_mean_and_std(solution, self.band, self.draws, uncertain)
-        is_seen = posterior.evidence > EVIDENCE_DUE and can_show_vehicle(solution)
-        if is_seen and posterior.vehicle_share > VEHICLE_SHARE_DUE:
+        is_seen = posterior.evidence > TUNING.evidence_due and can_show_vehicle(solution)
+        if is_seen and posterior.vehicle_share > TUNING.vehicle_share_due:
             with suppress(ArithmeticError):  # a varied vehicle's motion was not finite
                 fit = findings.doubted or adapt_car([solution], drive.car, solver)
                 findings.fits = [(fit, [0])]
                 uncertain = VehicleUncertainty.of_tolerances(fit.car, sensors)
-                uncertain = replace(uncertain, is_prior=False, inflation=FIT_INFLATION)
+                uncertain = replace(uncertain, is_prior=False, inflation=TUNING.fit_inflation)
                 posterior = posterior_mean_and_std(
                     fit.solutions[0], self.band, self.draws, uncertain
                 )
@@ -212,7 +191,7 @@ class RoadSolver:
         objective = replace(lin.objective, passes=passes)
         solver = replace(solver, stationary=stationary_hessian(objective))
         lin = objective.linearize(lin.x)
-        for _ in range(ADAPTED_STEPS):
+        for _ in range(TUNING.adapted_steps):
             noise_scale = update_noise_scale(lin, solver.stationary, noise_scale)
             lin, _ = solver.step(lin, noise_scale)
         return MapSolution(lin, solver.stationary, noise_scale)

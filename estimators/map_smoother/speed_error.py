@@ -12,21 +12,8 @@ import numpy as np
 
 from estimators.map_smoother.gauss_newton import MapSolution
 from estimators.map_smoother.one_pass import MeasurementModel
+from estimators.map_smoother.tuning import TUNING
 from road_envs.records.record import DistanceScale
-
-CG_ITERATIONS, CG_TOLERANCE = 100, 0.05
-"""Iterations of conjugate gradients for the variance, at most, and where they end."""
-
-STD_INFLATION, LEAST_STD = 3.0, 0.001
-"""Factor on the posterior standard deviation, and what is added to it: a vehicle that is not quite
-the one described moves the phase between its axles, and a wheelbase is known to some millimetres.
-By drives of grade S2 (`tests/long/report_trial.py` with seeds 1 to 6).
-"""
-
-MAX_STD, MAX_ERROR = 0.5, 4.0
-"""Largest standard deviation, and largest error, in units of the prior standard deviation, with
-which distances are corrected.
-"""
 
 
 def estimate_speed_error(solution: MapSolution) -> tuple[float, float]:
@@ -34,7 +21,7 @@ def estimate_speed_error(solution: MapSolution) -> tuple[float, float]:
     (one,) = solution.linearization.passes
     size = solution.linearization.x.size
     unit = (np.arange(size) == size - 1).astype(float)
-    column = solution.inverse_hessian(CG_ITERATIONS, CG_TOLERANCE)(unit)
+    column = solution.inverse_hessian(*TUNING.speed_cg)(unit)
     variance = one.source.model.speed_std**2 * float(column[-1])
     return one.source.speed_error(one.own), variance
 
@@ -51,10 +38,10 @@ def distance_scale(
     values, variances = np.array(errors).T
     information = np.sum(1.0 / variances)
     error = float(np.sum(values / variances) / information)
-    std = float(np.hypot(STD_INFLATION / np.sqrt(information), LEAST_STD))
-    if not std < MAX_STD * model.speed_std:
+    std = float(np.hypot(TUNING.speed_std_inflation / np.sqrt(information), TUNING.least_speed_std))
+    if not std < TUNING.max_speed_std * model.speed_std:
         return None, ()
-    if abs(error) > MAX_ERROR * model.speed_std:
+    if abs(error) > TUNING.max_speed_error * model.speed_std:
         note = (
             f"the time from axle to axle fits a speed that differs by {100.0 * error:+.1f} %, or a "
             f"wheelbase of {model.wheelbase / (1.0 + error):.2f} m instead of "

@@ -43,22 +43,8 @@ from estimators.map_smoother.gauss_newton import MapSolution
 from estimators.map_smoother.marginal_likelihood import perturbed_passes, sensitivities
 from estimators.map_smoother.objective import Linearization
 from estimators.map_smoother.one_pass import Pass
+from estimators.map_smoother.tuning import TUNING
 from road_envs.vehicle.parameters import VehicleParameters
-
-DRAWS = 5
-"""Samples of the road's posterior for the trace: one for each sensor of three and wheel path, whose
-turned phases then cancel (`posterior_noise`)."""
-
-CG_ITERATIONS, CG_TOLERANCE = 150, 0.01
-"""Conjugate gradients of the system for the road."""
-
-QUICK_CG = 30, 0.05
-"""The same of the systems for F, at whose solution the information is least."""
-
-TRACE_CG = 40, 0.05
-"""The same of the samples of the trace: with a tolerance of 0.01, which takes twice as long, a step
-of the parameters changes by 0.03 to 0.04 of their posterior standard deviations, and by 0.07 to
-0.08 with other samples (bench drive of 100 m, individual 1501)."""
 
 
 class TangentTerms(NamedTuple):
@@ -99,7 +85,7 @@ def tangent_terms(
     With those of a vehicle nearby that are `known`, only gradient and optimum are computed.
     Raises ArithmeticError if a motion is not finite.
     """
-    lin, solve = solution.linearization, solution.inverse_hessian(CG_ITERATIONS, CG_TOLERANCE)
+    lin, solve = solution.linearization, solution.inverse_hessian(*TUNING.tangent_cg)
     (one,) = lin.passes
     varied = perturbed_passes(one.source, cars)
     G = sensitivities(one, varied)
@@ -114,8 +100,8 @@ def _second_order_terms(
     solution: MapSolution, varied: Sequence[Pass], G: np.ndarray
 ) -> TangentTerms:
     """Return the terms without gradient and optimum, of the derivatives `G` (P, S, J)."""
-    lin, solve = solution.linearization, solution.inverse_hessian(*TRACE_CG)
-    (one,), quick = lin.passes, solution.inverse_hessian(*QUICK_CG)
+    lin, solve = solution.linearization, solution.inverse_hessian(*TUNING.trace_cg)
+    (one,), quick = lin.passes, solution.inverse_hessian(*TUNING.quick_cg)
     weighted = np.array([one.apply_inverse_covariance(g) for g in G])
     F = np.array([quick(lin.adjoint([g])) for g in weighted])
     left = G - np.array([lin.tangent(f)[0] for f in F])
@@ -151,7 +137,7 @@ def trace_sample(
 
 
 def posterior_noise(lin: Linearization) -> Iterator[np.ndarray]:
-    """Yield DRAWS samples J' R^-1/2 e_1 + e_2 (n,), of covariance A; A^-1 times one is a sample w.
+    """Yield samples J' R^-1/2 e_1 + e_2 (n,), of covariance A; A^-1 times one is a sample w.
 
     The rows of e_1 (S, J) and e_2 (2, K) are white, with flat spectra of random phases that are
     turned against each other from sample to sample. Of a stationary vehicle, few samples would then
@@ -162,9 +148,10 @@ def posterior_noise(lin: Linearization) -> Iterator[np.ndarray]:
     shapes = one.residual.shape, u.shape
     phases = [rng.uniform(0.0, 2.0 * np.pi, (rows, size // 2 + 1)) for rows, size in shapes]
     turns = np.split(
-        2.0 * np.pi / DRAWS * np.arange(sum(rows for rows, _ in shapes)), [len(one.residual)]
+        2.0 * np.pi / TUNING.trace_draws * np.arange(sum(rows for rows, _ in shapes)),
+        [len(one.residual)],
     )
-    for k in range(DRAWS):
+    for k in range(TUNING.trace_draws):
         e_1, e_2 = (
             _flat_noise(phase + k * turn[:, None], size)
             for (_, size), phase, turn in zip(shapes, phases, turns, strict=True)

@@ -19,17 +19,13 @@ import numpy as np
 from estimators.map_smoother.car_fit import CarFit
 from estimators.map_smoother.instrument_errors import InstrumentErrors
 from estimators.map_smoother.marginal_likelihood import (
-    DIFFERENCE,
     reading_sensitivities,
     varied_residuals,
 )
 from estimators.map_smoother.one_pass import LinearizedPass
+from estimators.map_smoother.tuning import TUNING
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.tolerances import parameter_space, varied_car
-
-GAIN_STD = 0.012
-"""Standard deviation of the gain of an accelerometer that was not identified: within 2 % of 1 by
-its data sheet, anywhere alike."""
 
 IDENTIFIED = "identified"
 """Source of the tolerances of a vehicle that was identified: its posterior standard deviations."""
@@ -93,11 +89,13 @@ class VehicleUncertainty:
         `white` (N, P + R) is standard normal. Raises ArithmeticError.
         """
         of_car, of_instruments = np.split(white @ self._root.T, [len(self.names)], axis=1)
-        factors = np.exp(DIFFERENCE * of_car).tolist()
+        factors = np.exp(TUNING.difference * of_car).tolist()
         cars = [varied_car(self.car, dict(zip(self.names, x, strict=True))) for x in factors]
         left = varied_residuals(lin, [lin.source.with_car(car) for car in cars])
         read = reading_sensitivities(lin, lin.source, np.zeros(of_instruments.shape[1]))
-        return (lin.residual - left) / DIFFERENCE + np.tensordot(of_instruments, read, axes=1)
+        return (lin.residual - left) / TUNING.difference + np.tensordot(
+            of_instruments, read, axes=1
+        )
 
 
 def _unfitted_variance(errors: InstrumentErrors) -> np.ndarray:
@@ -106,5 +104,5 @@ def _unfitted_variance(errors: InstrumentErrors) -> np.ndarray:
     """
     variance = (np.arange(len(errors.names)) < errors.n_fixed).astype(float)
     gains = slice(len(errors.sensors))
-    variance[gains] = (GAIN_STD / errors.std[gains]) ** 2
+    variance[gains] = (TUNING.gain_std / errors.std[gains]) ** 2
     return variance

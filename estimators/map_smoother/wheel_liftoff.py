@@ -15,7 +15,7 @@ At the end the posterior there is one-sided: the road is no higher than estimate
 would have pressed on it, and anywhere between there and the lowest that it can be
 (`road_below_light_wheels`). Among obstacles its distribution over this range R is taken as uniform:
 below a lifted wheel it is R / 2 lower in the mean, with a standard deviation of R / sqrt(12) where
-a floor is not seen, and of EDGE_STD R where an edge is not. The lowest is
+a floor is not seen, and of `edge_std` R where an edge is not. The lowest is
 
 - the height of landing, if the road goes on from there: the wheel has landed on the floor;
 - the floor of the deepest hole that a road of so many holes may have, if the road rises at once:
@@ -36,29 +36,11 @@ from scipy.ndimage import find_objects, label
 
 from estimators.map_smoother.objective import Linearization
 from estimators.map_smoother.one_pass import LinearizedPass
+from estimators.map_smoother.tuning import TUNING
 from road_envs.simulation.rosenbrock import LOAD
 
-LIFTOFF_LOAD_SHARE = 0.1
-"""Share of the mean wheel load below which a wheel counts as lifted off."""
 
-MIN_DROP = 0.01
-"""Least lowering of the road [m] for another minimization, and least depth of a hole."""
-
-LIGHT_LOAD_SHARES = {True: 0.5, False: 0.3}
-"""Share of the mean wheel load below which the road below a wheel is hardly known, on roads that
-are level between obstacles and on others. Over a short hole the wheel has lifted off, while on a
-shallow dip instead, which explains the measurements as well, it is light. From training drives."""
-
-EDGE_REACH, EDGE_SHARE = 0.15, 0.25
-"""Distance [m] behind a light wheel within which the road rises by at least this share of its fall
-before if the wheel has hit the far edge of a hole."""
-
-EDGE_STD = 0.2
-"""Standard deviation of the road where an edge is not seen, relative to the range in which it may
-lie: 1 / sqrt(12) if all of it were equally probable. From training drives."""
-
-
-def unloaded_nodes(lin: Linearization, share: float = LIFTOFF_LOAD_SHARE) -> np.ndarray:
+def unloaded_nodes(lin: Linearization, share: float = TUNING.liftoff_load_share) -> np.ndarray:
     """Return which free nodes (2, K) were passed but never pressed on by this `share` of the mean
     wheel load, in any of the passes.
     """
@@ -113,7 +95,7 @@ def relax_unloaded(lin: Linearization) -> np.ndarray | None:
     c = np.array(
         [np.where(mask, np.minimum(path, lower(path, mask)), path) for path, mask in pairs]
     )
-    if not (before - c).max() > MIN_DROP:
+    if not (before - c).max() > TUNING.min_drop:
         return None
     u = road.whiten(np.diff(c - road.background, axis=1, prepend=0.0))
     return np.concatenate([u.ravel(), lin.x[u.size :]])
@@ -146,7 +128,7 @@ class LiftoffError(NamedTuple):
 
 class _Gap(NamedTuple):
     """Nodes `run` of a wheel `path` on which the wheel was light, the `level` [m] of landing, and
-    by how much the road falls to it before them, and rises from it behind them, within EDGE_REACH.
+    by how much the road falls to it before them, and rises from it within some way behind them.
     """
 
     path: int
@@ -162,9 +144,10 @@ def road_below_light_wheels(lin: Linearization) -> tuple[np.ndarray, list[Liftof
     """
     road = lin.objective.road
     c = road.coefficients(lin.objective.split(lin.x)[0])
-    light = unloaded_nodes(lin, LIGHT_LOAD_SHARES[road.is_level_between_obstacles])
+    is_level = road.is_level_between_obstacles
+    light = unloaded_nodes(lin, TUNING.light_on_level if is_level else TUNING.light_elsewhere)
     gaps = [
-        _gap(c, path, run, round(EDGE_REACH / road.ds))
+        _gap(c, path, run, round(TUNING.edge_reach / road.ds))
         for path, mask in enumerate(light)
         for (run,) in find_objects(label(mask)[0])
     ]
@@ -173,15 +156,15 @@ def road_below_light_wheels(lin: Linearization) -> tuple[np.ndarray, list[Liftof
         step_variance = road.local**2 * irfft(road.amplitude**2, road.size, axis=1)[:, 0].sum()
         return lower, [_bridge(step_variance, gap) for gap in gaps]
     unloaded = unloaded_nodes(lin)
-    falls = [gap.fall for gap in gaps if gap.fall > MIN_DROP]
+    falls = [gap.fall for gap in gaps if gap.fall > TUNING.min_drop]
     for path, run, level, fall, rise in gaps:
         height, unseen = np.zeros((2, road.size))
         before = max(run.start - 1, 0)
         height[before : run.stop] = np.maximum(c[path, before : run.stop] - level, 0.0)
-        if fall > MIN_DROP and rise > EDGE_SHARE * fall:
+        if fall > TUNING.min_drop and rise > TUNING.edge_share * fall:
             unseen[before : run.stop + 1] = max(falls) * (1.0 + 1.0 / len(falls)) - fall
         lower[path, run] += (unloaded[path] * height + unseen)[run] / 2.0
-        errors.append(LiftoffError(path, EDGE_STD * height))
+        errors.append(LiftoffError(path, TUNING.edge_std * height))
         errors.append(LiftoffError(path, unseen / np.sqrt(12.0)))
     return lower, errors
 

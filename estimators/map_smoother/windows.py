@@ -25,21 +25,10 @@ from estimators.map_smoother.road_prior import (
     padded_size,
     prior_amplitude,
 )
+from estimators.map_smoother.tuning import TUNING
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import settled_strut_state
-
-MARGIN = 4
-"""Nodes before the first and behind the last that carries a wheel."""
-
-MIN_BLOCKS = 32
-"""Block means of a pass in a window below which it is left out there, if others are not."""
-
-KNOT_SPACING = 10.0
-"""Distance [m] of the knots of the shifts, about."""
-
-MAX_LATE_START = 2.0
-"""Largest distance [m] of the stations where passes begin, if they begin on one level apron."""
 
 Window = tuple[int, int, int]
 """Begin, begin of the next one, and end of a window, in blocks."""
@@ -175,7 +164,7 @@ def on_common_nodes(drives: Sequence[PreparedDrive]) -> list[PreparedDrive]:
     ds, origin = min(grid.ds for grid in grids), min(grid.origin for grid in grids)
     last = max(grid.origin + grid.ds * grid.size for grid in grids)
     nodes = RoadNodes(origin, ds, int((last - origin) / ds) + 1)
-    together = np.ptp([drive.inputs.s[0] for drive in drives]) <= MAX_LATE_START
+    together = np.ptp([drive.inputs.s[0] for drive in drives]) <= TUNING.max_late_start
     begins, ends = zip(*(drive.free_span for drive in drives), strict=True)
     span = (min(begins) if together else -np.inf), max(ends)
     return [replace(drive, nodes=nodes, free_span=span) for drive in drives]
@@ -227,7 +216,7 @@ def reconstruct(
     drives, states = list(drives), [_PassState.first(drive) for drive in drives]
     road = RoadSoFar.level(drives[0].nodes.size)
     for spans in windows:
-        members = [k for k, (begin, _, end) in enumerate(spans) if end - begin >= MIN_BLOCKS]
+        members = [k for k, (begin, _, end) in enumerate(spans) if end - begin >= TUNING.min_blocks]
         members = members or list(range(len(drives)))
         parts = [(drives[k], states[k], spans[k][0], spans[k][2]) for k in members]
         objective = _window_objective(parts, prior, road)
@@ -289,8 +278,8 @@ def _window_objective(
     `begin` to `end` (excluded).
     """
     reach = [drive.nodes_under(begin, end) for drive, _, begin, end in parts]
-    low = min(first for first, _ in reach) - MARGIN
-    size = padded_size(max(last for _, last in reach) + MARGIN + 1 - low)
+    low = min(first for first, _ in reach) - TUNING.node_margin
+    size = padded_size(max(last for _, last in reach) + TUNING.node_margin + 1 - low)
     drive = parts[0][0]
     c, free = so_far.c[:, low : low + size], drive.free[low : low + size].copy()
     free[: max(so_far.first_free_node - low, 0)] = 0.0
@@ -303,7 +292,7 @@ def _window_objective(
     passes = tuple(_window_pass(*part, road.nodes) for part in parts)
     if len(parts) == 1:
         return Objective(road, passes)
-    count = 1 + max(1, round(ds * size / KNOT_SPACING))
+    count = 1 + max(1, round(ds * size / TUNING.knot_spacing))
     return Objective(road, passes, origin + np.linspace(0.0, ds * size, count))
 
 

@@ -7,8 +7,9 @@ from rich.table import Table
 
 from estimators.api import CalibrationDrive
 from estimators.map_smoother.identification import identify as identify_vehicle
-from estimators.map_smoother.identification_result import UNDETERMINED, IdentificationResult
+from estimators.map_smoother.identification_result import IdentificationResult
 from estimators.map_smoother.preparation import SolverSettings
+from estimators.map_smoother.tuning import TUNING
 from leaderboard.commands import PICTURES, YAML, check_output_path
 from leaderboard.commands.drive_files import DriveOptions, read_passes
 from leaderboard.commands.options import KnownRoads, argument, option
@@ -77,7 +78,7 @@ def _tables(result: IdentificationResult, drives: list[str]) -> list[Any]:
     space = result.fit.space
     table = Table("parameter", "change [%]", "± [%]", "of tolerance [%]", box=None)
     for i, name in enumerate(space.names):
-        if result.std[i] <= UNDETERMINED:
+        if result.std[i] <= TUNING.undetermined:
             change, std = 100.0 * (result.factors[i] - 1.0), 100.0 * result.std[i] * space.std[i]
             table.add_row(name, f"{change:+.1f}", f"{std:.1f}", f"{100.0 * result.std[i]:.0f}")
     readings, n = result.fit.instrument_errors, space.size

@@ -130,6 +130,7 @@ ADDITIONS = {
         "leaderboard/metrics/added.py", METRIC, "leaderboard/metrics/registry.py",
         "from leaderboard.metrics import ", "level, roughness, agreement, obstacles)",
         "from road_envs.records.record import Estimate, Profile\nimport numpy as np\n"
+        "from leaderboard.metrics.api import ScoredEstimate\n"
         "from leaderboard.metrics.registry import SCORES, compute_scores\n"
         "from leaderboard.evaluation.boards import shipped_boards\n"
         "from leaderboard.report.board_definitions import board_columns\n"

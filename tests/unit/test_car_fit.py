@@ -12,7 +12,7 @@ from test_map_smoother import residual_at
 from vehicle_fixtures import DEFENDER
 
 from estimators.api import CalibrationDrive, CalibrationError
-from estimators.map_smoother import car_fit, identification, marginal_likelihood, solver
+from estimators.map_smoother import car_fit, identification, solver
 from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.gauss_newton import GaussNewton, minimize
 from estimators.map_smoother.identification import identify
@@ -25,6 +25,7 @@ from estimators.map_smoother.marginal_likelihood import (
 from estimators.map_smoother.objective import Objective
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.tangent_likelihood import TangentTerms
+from estimators.map_smoother.tuning import TUNING
 from estimators.map_smoother.windows import whole_objective
 from leaderboard.metrics.heights import nrmse
 from road_envs.analysis.information_bound import RoadPrior
@@ -66,7 +67,7 @@ def test_sensitivities_are_differences_of_single_drives():
     for car, found in zip(cars[1:], derivatives, strict=True):
         (one,) = objective.passes
         residual = residual_at(replace(objective, passes=(one.with_car(car),)), x)
-        expected = (lin.residual[0] - residual) / marginal_likelihood.DIFFERENCE
+        expected = (lin.residual[0] - residual) / TUNING.difference
         np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
 
 
@@ -210,7 +211,7 @@ def test_drives_of_two_vehicles_contradict_each_other_about_one():
         return TangentTerms(gradient, information, information, *nothing)
 
     def contradiction(*changes):
-        terms = [wish(change).weighted(car_fit.UNMEASURED_WEIGHT) for change in changes]
+        terms = [wish(change).weighted(TUNING.unmeasured_weight) for change in changes]
         return car_fit._contradiction(terms, np.zeros(2))
 
     assert contradiction(0.1, -0.1) == pytest.approx(0.5 * 10.0**2)

@@ -11,6 +11,7 @@ from estimators import create
 from estimators.map_smoother import wheel_liftoff
 from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.posterior_sampling import add_liftoff_errors, band_pass
+from estimators.map_smoother.tuning import TUNING
 from estimators.map_smoother.wheel_liftoff import LiftoffError, road_below_light_wheels
 from leaderboard.metrics.heights import band_pass as in_band
 from leaderboard.metrics.heights import error_over_truth, uncertainty
@@ -48,7 +49,7 @@ def test_a_wheel_that_has_landed_on_the_floor_knows_its_depth_and_not_its_edge(b
     assert error.path == 1 and not floor.height.any()
     expected = [0.0, 0.05, 0.03, 0.01, 0.0, 0.0]
     np.testing.assert_allclose(
-        error.height[39:45], wheel_liftoff.EDGE_STD * np.array(expected), atol=1e-12
+        error.height[39:45], TUNING.edge_std * np.array(expected), atol=1e-12
     )
     np.testing.assert_allclose(lower[1, 39:45], [0.0, 0.0, 0.015, 0.005, 0.0, 0.0], atol=1e-12)
     assert not lower[0].any()

@@ -22,6 +22,7 @@ from estimators.map_smoother.gauss_newton import (
 from estimators.map_smoother.objective import Objective
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.road_prior import RoadTransform
+from estimators.map_smoother.tuning import TUNING
 from estimators.map_smoother.windows import whole_objective
 from leaderboard.metrics.heights import band_pass, nrmse
 from road_envs.analysis.information_bound import RoadPrior
@@ -265,7 +266,7 @@ def test_a_tone_outside_the_model_is_down_weighted_at_its_frequency(monkeypatch)
     reweighted = estimator.estimate(wrong, DEFENDER)
     assert "does not reproduce the accelerations" in reweighted.notes[-1]
     assert f"residual {reweighted.residual:.1f} times" in reweighted.notes[-1]
-    monkeypatch.setattr(gauss_newton, "REWEIGHTING_STEPS", 0)
+    monkeypatch.setattr(gauss_newton, "TUNING", replace(TUNING, reweighting_steps=0))
     white = estimator.estimate(wrong, DEFENDER)
     assert error(reweighted, truth, record) < 0.8 * error(white, truth, record)
 

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimators.map_smoother.road_prior import N_FLAT, RoadTransform, padded_size, prior_amplitude
+from estimators.map_smoother.road_prior import RoadTransform, padded_size, prior_amplitude
+from estimators.map_smoother.tuning import TUNING
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.records.roughness import displacement_psd
 
@@ -49,7 +50,7 @@ def test_the_prior_density_is_flat_below_its_lowest_frequency():
     G = 2.0 * road.ds * np.sum(np.abs(road.transfer_function()) ** 2, axis=0)
     low = (road.n > 0.0) & (road.n < 1.0)
     np.testing.assert_allclose(
-        G[low], PRIOR.density(np.maximum(road.n, N_FLAT))[low], rtol=1e-12, atol=0.0
+        G[low], PRIOR.density(np.maximum(road.n, TUNING.n_flat))[low], rtol=1e-12, atol=0.0
     )
 
 

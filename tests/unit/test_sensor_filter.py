@@ -14,6 +14,7 @@ from estimators.common.sensor_filter import SampledFilter, SensorFilter, _lagran
 from estimators.map_smoother import preparation
 from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.objective import Objective
+from estimators.map_smoother.tuning import TUNING
 from estimators.map_smoother.windows import whole_objective
 from estimators.preprocessing import mask_record, restore_times
 from road_envs.core import config
@@ -71,8 +72,9 @@ def residual_at_truth(objective: Objective, surface: Surface) -> float:
 @pytest.mark.parametrize("jitter", [0.0, 0.3], ids=["exact clock", "jittering clock"])
 @pytest.mark.parametrize("name", config.names("sensors"))
 def test_at_the_true_road_the_residual_is_the_noise(name, jitter, monkeypatch):
-    monkeypatch.setattr(preparation, "NODE_SPACING_RANGE", (0.0125, 0.0125))
-    monkeypatch.setattr(preparation, "AXLE_READINGS_PER_UNKNOWN", 0.25)  # means as of wider nodes
+    # narrow nodes, and means as of wider ones
+    fine = replace(TUNING, node_spacings=(0.0125, 0.0125), axle_readings_per_unknown=0.25)
+    monkeypatch.setattr(preparation, "TUNING", fine)
     surface = realise_road("iso_c", 11, 60.0)
     for kmh in (14.5, 54.0):
         record = record_of(name, surface, kmh, jitter)

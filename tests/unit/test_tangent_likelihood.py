@@ -14,7 +14,6 @@ from estimators.map_smoother import tangent_likelihood
 from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.gauss_newton import GaussNewton, MapSolution, minimize
 from estimators.map_smoother.marginal_likelihood import (
-    DIFFERENCE,
     perturbed_cars,
     perturbed_passes,
     sensitivities,
@@ -22,11 +21,11 @@ from estimators.map_smoother.marginal_likelihood import (
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.preparation import SolverSettings
 from estimators.map_smoother.tangent_likelihood import (
-    DRAWS,
     posterior_noise,
     tangent_terms,
     trace_sample,
 )
+from estimators.map_smoother.tuning import TUNING
 from estimators.map_smoother.windows import whole_objective
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.drives.recording import simulate_record
@@ -125,7 +124,7 @@ def test_a_sample_of_the_trace_is_the_change_of_the_tangent_by_a_parameter():
     there = (one.linearize(lin.x, inverse_variance=[weight]) for one in objectives)
     first, *rest = [np.vdot(one.tangent(small)[0], weight * means) for one in there]
     found, _ = trace_sample(lin, varied, small)
-    np.testing.assert_allclose(found, (np.array(rest) - first) / DIFFERENCE, rtol=0.02)
+    np.testing.assert_allclose(found, (np.array(rest) - first) / TUNING.difference, rtol=0.02)
 
 
 def test_a_sample_of_the_trace_is_the_change_of_the_tangent_along_the_road():
@@ -168,5 +167,5 @@ def test_a_few_samples_average_a_quadratic_form_of_a_stationary_vehicle_exactly(
     a, b, c, d = (circulant(row) for row in irfft(waves))
     B = np.block([[a, b], [c, d]])
     samples = [sample[: 2 * K] for sample in posterior_noise(lin)]
-    assert len(samples) == DRAWS
+    assert len(samples) == TUNING.trace_draws
     assert np.mean([e @ B @ e for e in samples]) == pytest.approx(np.trace(B), abs=1e-9)
