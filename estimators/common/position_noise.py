@@ -33,7 +33,7 @@ _SIGMA, _LATENCY, _LOG_STD = 2.0, 0.7, 0.7
 _BLOCK, _MAX_BLOCKS = 0.25, 150  # time [s] over which positions are averaged; most of them
 
 
-class WanderFit(NamedTuple):
+class _WanderFit(NamedTuple):
     """Offset [m] and relative excess of the true distance over that of the speed signal, with its
     standard deviation, and that of the stations [m], root mean square along the drive.
     """
@@ -60,7 +60,7 @@ def wanders(t: np.ndarray, left: np.ndarray) -> bool:
     return WANDER < float(block_means(t, left)[1].std()) < MAX_WANDER
 
 
-def fit_wander(t: np.ndarray, travelled: np.ndarray, s: np.ndarray) -> WanderFit:
+def fit_wander(t: np.ndarray, travelled: np.ndarray, s: np.ndarray) -> _WanderFit:
     """Fit stations `s` (N,) [m], less the first, to the integral of the speed `travelled` (N,)."""
     times, x, y = block_means(t, travelled, s - travelled)
     basis = np.stack([np.ones_like(x), x], axis=1)
@@ -68,7 +68,7 @@ def fit_wander(t: np.ndarray, travelled: np.ndarray, s: np.ndarray) -> WanderFit
     lags = np.abs(times[:, None] - times)
     logs, means, covariances = list[float](), list[np.ndarray](), list[np.ndarray]()
     for latency in _LATENCIES:
-        correlation = receiver_correlation(lags, CORRELATION_TIME, latency)
+        correlation = _receiver_correlation(lags, CORRELATION_TIME, latency)
         for sigma in _SIGMAS:
             factor = cho_factor(sigma**2 * correlation + _WHITE_STD**2 * np.eye(x.size))
             weighted = cho_solve(factor, np.column_stack([basis, y]))
@@ -87,10 +87,10 @@ def fit_wander(t: np.ndarray, travelled: np.ndarray, s: np.ndarray) -> WanderFit
     covariance = np.tensordot(weights, np.array(covariances), 1) - np.outer(found, found)
     variance = np.einsum("ni,ij,nj->n", basis, covariance, basis)
     stds = np.sqrt([covariance[1, 1], variance.mean()])
-    return WanderFit(*map(float, (*found, *stds)))
+    return _WanderFit(*map(float, (*found, *stds)))
 
 
-def receiver_correlation(lags: np.ndarray, correlation_time: float, latency: float) -> np.ndarray:
+def _receiver_correlation(lags: np.ndarray, correlation_time: float, latency: float) -> np.ndarray:
     """Return K over sigma² at the times `lags` [s], of any shape; `latency` is l [s]."""
     T, late = correlation_time, latency
     decays = T * np.exp(-lags / T) - late * np.exp(-lags / late)

@@ -29,7 +29,7 @@ REMEMBERS = "its estimate of a test drive depends on the drives that it has seen
 NOT_RETESTED = "could not be run again to test its causality and its memory"
 
 
-class Question(NamedTuple):
+class _Question(NamedTuple):
     """A test drive for a second guest: its index, and where [m] its samples were replaced."""
 
     drive: int
@@ -39,7 +39,7 @@ class Question(NamedTuple):
 
 def draw_questions(
     records: Sequence[Record], order: Sequence[int], causal: bool, secret: random.Random
-) -> list[Question]:
+) -> list[_Question]:
     """Return drives to be estimated again, each after fewer drives than in `order`.
 
     Of a causal entry, also drives with other samples from a secret station on, which the second
@@ -47,7 +47,7 @@ def draw_questions(
     """
     places = range(min(1, len(order) - 1), len(order))  # the first drive has none before it
     chosen = secret.sample(places, min(REPEATED_DRIVES, len(places)))
-    repeated = [Question(order[k], records[order[k]]) for k in sorted(chosen)]
+    repeated = [_Question(order[k], records[order[k]]) for k in sorted(chosen)]
     unseen = [k for k in range(len(records)) if k not in {order[place] for place in chosen}]
     replaced = []
     for low, high in REPLACED_FROM if causal else ():
@@ -55,12 +55,12 @@ def draw_questions(
         record = records[drive]
         start = record.length * secret.uniform(low, high)
         rng = np.random.default_rng(secret.getrandbits(128))
-        replaced.append(Question(drive, with_other_future(record, start, rng), start))
+        replaced.append(_Question(drive, with_other_future(record, start, rng), start))
     return [*repeated, *replaced] if unseen else [*replaced, *repeated]
 
 
 def compare_answers(
-    questions: Sequence[Question], run: TrainingRun, again: Sequence[Estimate], lag: float
+    questions: Sequence[_Question], run: TrainingRun, again: Sequence[Estimate], lag: float
 ) -> list[str]:
     """Return notes on estimates of a second guest, `again`, that differ from those of `run`."""
     if not again:
