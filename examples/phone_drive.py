@@ -88,6 +88,7 @@ table.to_csv(options.out / "phone_drive.csv", index=False)
 write_description(
     options.out / "phone_drive.yaml",
     DriveDescription(
+        vehicle="land_rover_defender_110",
         columns={"a_rf": "front_right_z", "a_lr": "rear_left_z", "a_rr": "rear_right_z"},
         mode="handling",
         sensors="phone",

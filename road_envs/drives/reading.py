@@ -140,7 +140,9 @@ def _read_table(path: Path, table: Any, chosen: DriveDescription) -> DriveFile:
         measured = to_measured_record(table, car.wheelbase, chosen, car)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
-    return DriveFile(path.stem, path.name, measured, name, car, chosen.instruments, True, chosen)
+    sensors, said = chosen.instruments, "does not say which vehicle was driven"
+    drive = DriveFile(path.stem, path.name, measured, name, car, sensors, True, chosen)
+    return drive if chosen.vehicle else drive.with_notes(_assumed_vehicle(said))
 
 
 def _read_record(
@@ -163,7 +165,10 @@ def _read_record(
     elif simulated in config.names("vehicles"):
         name = str(simulated)
     else:
-        name, notes = DEFAULT_VEHICLE, (_assumed_vehicle(simulated),)
+        said = "does not say which vehicle was simulated"
+        if isinstance(simulated, str):
+            said = f"is of the vehicle {Path(simulated).name!r}, which is no shipped one"
+        name, notes = DEFAULT_VEHICLE, (_assumed_vehicle(said),)
     car = load_vehicle(name)
     if chosen.sensors is not None:
         layout = load_instruments(chosen.sensors).layout
@@ -180,11 +185,8 @@ def _read_record(
     return drive.with_notes(*notes)
 
 
-def _assumed_vehicle(simulated: object) -> str:
-    """Return the note of a record whose vehicle is unknown, or a file named `simulated`."""
-    said = "does not say which vehicle was simulated"
-    if isinstance(simulated, str):
-        said = f"is of the vehicle {Path(simulated).name!r}, which is no shipped one"
+def _assumed_vehicle(said: str) -> str:
+    """Return the note of a record whose vehicle is unknown, with what the record has `said`."""
     return f"the record {said}: {DEFAULT_VEHICLE} is assumed (--vehicle says which)"
 
 
