@@ -7,8 +7,10 @@ settings, causality and lag are used.
 
 import hashlib
 import itertools
+import os
 import re
 from collections.abc import Callable, Mapping, Sequence
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +28,9 @@ from leaderboard.entries.entry import (
     describe_estimator,
     needs_training,
 )
-from leaderboard.entries.references import find_reference, is_ours
 from road_envs.core.artifacts import code_version
+from road_envs.core.code_digest import PACKAGES
+from road_envs.core.config import ConfigError, validate_choice
 
 _MADE_FROM_TRUTH = ("truth_plus_noise", "memory")
 _OTHER_NAMES = (*_MADE_FROM_TRUTH, BUILTIN, "bound", "attainable", "truth", "index")
@@ -51,6 +54,34 @@ def _code_of(reference: str, estimator: Estimator) -> str:
         return entry_files.snapshot(reference, None)
     code, weights = code_version(type(estimator).__module__), _included_weights(estimator)
     return code if weights is None else f"{code}+{_arrays_digest(weights)}"
+
+
+def is_ours(reference: str) -> bool:
+    """Return whether a reference names an estimator of this package."""
+    return reference in estimators.REGISTRY or (
+        entry_files.CLASS_REFERENCE.fullmatch(reference) is not None
+        and reference.partition(":")[0].partition(".")[0] in PACKAGES
+    )
+
+
+def find_reference(name: str) -> str:
+    """Return the reference of what a user has named: a path, "module:Class" or an installed name.
+
+    Raises ConfigError for a file that does not exist and for an unknown name.
+    """
+    path = Path(name)
+    if path.suffix in (*entry_files.WEIGHTS_SUFFIXES, ".whl") or os.sep in name:
+        if not (path.is_file() or path.is_dir()):  # pipes and devices have no end
+            choices = "a wheel, a folder of an installed package, or a file from `train`"
+            raise ConfigError(f"{name}: no such file; give {choices}")
+        return str(path.resolve())
+    if entry_files.CLASS_REFERENCE.fullmatch(name):
+        return name
+    validate_choice("estimator", name, estimators.names())
+    if name in estimators.REGISTRY:
+        return name
+    plugins = metadata.entry_points(group=estimators.ENTRY_POINT_GROUP)
+    return next(entry.value for entry in plugins if entry.name == name)
 
 
 def make_entry(name: str, estimator: Estimator | None) -> Entry:
@@ -131,9 +162,8 @@ def _outside_entry(given: str, reference: str, taken: set[str], describer: _Desc
 
 def _name_of(given: str) -> str:
     """Return the name of an entry that has been given as a path, "module:Class" or name."""
-    is_class = entry_files.CLASS_REFERENCE.fullmatch(given)
     path = Path(given)
-    if is_class:
+    if entry_files.CLASS_REFERENCE.fullmatch(given):
         return given.rpartition(":")[2].rpartition(".")[2]
     return path.name.partition("-")[0] if path.suffix == ".whl" else path.stem
 

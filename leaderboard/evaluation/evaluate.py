@@ -220,15 +220,8 @@ def _score_drive(data: ConditionData, drive: int, estimate: Estimate) -> dict[st
     """Return the defined scores of an estimate of a test drive."""
     truth = data.tests[drive].truth
     bound = nrmse_bound(data.task, data.condition, truth) if data.task.bound else math.nan
-    scored = ScoredEstimate(
-        truth,
-        estimate,
-        data.v,
-        bumps=data.task.bumps,
-        bound=bound,
-        wandering=data.task.position_noise,
-    )
-    values = compute_scores(scored)
+    kinds = {"bumps": data.task.bumps, "wandering": data.task.position_noise}
+    values = compute_scores(ScoredEstimate(truth, estimate, data.v, bound=bound, **kinds))
     return {name: value for name, value in values.items() if math.isfinite(value)}
 
 

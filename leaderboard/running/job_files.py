@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from leaderboard.entries import entry_files
+from leaderboard.entries.entries import is_ours
 from leaderboard.entries.entry import BUILTIN, Entry, EntryError
-from leaderboard.entries.references import is_ours
 from leaderboard.evaluation.task_files import with_paths
 from road_envs.core.config import ConfigError
 

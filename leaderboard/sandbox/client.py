@@ -22,6 +22,7 @@ import numpy as np
 import estimators
 from estimators.api import CalibrationDrive, DeclaresLibraries, check_estimate
 from leaderboard.entries import entry_files
+from leaderboard.entries.entries import is_ours
 from leaderboard.entries.entry import (
     MAX_LAG,
     Calibrations,
@@ -30,7 +31,6 @@ from leaderboard.entries.entry import (
     TrainingRun,
     reconstruct_all,
 )
-from leaderboard.entries.references import is_ours
 from leaderboard.sandbox import bubblewrap, estimator_handler, messages, processes
 from leaderboard.sandbox.guest import Guest
 from leaderboard.sandbox.launch import START_ATTEMPTS, start_guest

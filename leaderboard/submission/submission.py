@@ -19,9 +19,8 @@ from leaderboard.conformance.method_card import load_method_card
 from leaderboard.conformance.probes import PROBES
 from leaderboard.conformance.results import find_card, probe_entries
 from leaderboard.entries import entry_files
-from leaderboard.entries.entries import fold, resolve_entries
+from leaderboard.entries.entries import find_reference, fold, resolve_entries
 from leaderboard.entries.entry import NAME, Entry
-from leaderboard.entries.references import find_reference
 from leaderboard.evaluation import store
 from leaderboard.evaluation.provenance import describe_environment, package_version
 from leaderboard.evaluation.tasks import Task

@@ -14,7 +14,7 @@ import pytest
 from fakes import fake_drives, task
 from wheels import module, write_wheel
 
-from leaderboard.entries import entries, entry_files, references
+from leaderboard.entries import entries, entry_files
 from leaderboard.entries.entry import Entry, EntryError, reconstruct_all
 from leaderboard.sandbox import bubblewrap, client, guest, processes, seccomp
 from leaderboard.sandbox.bubblewrap import count_pipes, forget_pipes
@@ -288,4 +288,4 @@ def test_what_has_no_end_is_no_entry(tmp_path):
     (tmp_path / "device.npz").symlink_to("/dev/zero")
     for path in tmp_path.iterdir():
         with pytest.raises(ConfigError, match="no such file"):
-            references.find_reference(str(path))
+            entries.find_reference(str(path))
