@@ -64,6 +64,6 @@ def rows(board):
     }
 
 
-def quick_scores(truth, estimate, v, *rest):
-    error = estimate.z - truth.z
-    return {"nrmse": float(error.std() / truth.z.std()), "r": float(v), "lag": float("nan")}
+def quick_scores(scored):
+    error = (scored.a - scored.y).std()
+    return {"nrmse": float(error / scored.y.std()), "r": scored.v, "lag": float("nan")}

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from natural_modes import natural_modes
 
 from estimators import estimate
 from road_envs import simulate_record
 from road_envs.core.config import ConfigError
 from road_envs.vehicle.generic_cars import CLASSES, fitted_vehicle, with_class_tolerances
 from road_envs.vehicle.linear_model import linearise
+from road_envs.vehicle.natural_modes import natural_modes
 from road_envs.vehicle.parameters import load_vehicle, write_vehicle
 from road_envs.vehicle.tolerances import parameter_space
 

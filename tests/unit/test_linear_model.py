@@ -7,7 +7,6 @@ import numpy as np
 import oracles
 import pytest
 from hypothesis import given
-from natural_modes import NATURAL_MODE_NAMES, natural_modes
 from scipy import integrate, signal, stats
 from scipy.optimize import brentq
 from vehicle_fixtures import (
@@ -31,6 +30,7 @@ from road_envs.vehicle.linear_model import (
     linearise,
     wheel_response,
 )
+from road_envs.vehicle.natural_modes import NATURAL_MODE_NAMES, natural_modes
 from road_envs.vehicle.struts import ModeCurves
 from road_envs.vehicle.suspension import encode_command, settled_strut_state
 

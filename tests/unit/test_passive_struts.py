@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from natural_modes import natural_modes
 from oracles_wheels import FourWheels, four_wheel_frequencies, quarter_car_frequencies
 from vehicle_fixtures import DEFENDER, compute_accelerations, varied_plant
 
@@ -18,6 +17,7 @@ from road_envs.vehicle.axles import IndependentWheels
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.force_curves import Curve
 from road_envs.vehicle.linear_model import linearise, strut_forces
+from road_envs.vehicle.natural_modes import natural_modes
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 from road_envs.vehicle.struts import AirSpring, CoilSpring
 from road_envs.vehicle.suspension import encode_command, settled_strut_state

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from natural_modes import natural_modes
 from oracles_side_motion import camber, independent_roll, lagrangian_matrices
 from scipy.integrate import solve_ivp
 from vehicle_fixtures import DEFENDER
@@ -26,6 +25,7 @@ from road_envs.vehicle.linear_model import (
     point_rows,
     response_changes,
 )
+from road_envs.vehicle.natural_modes import natural_modes
 from road_envs.vehicle.parameters import TorsionalFrame, check_plausible, load_vehicle
 from road_envs.vehicle.side_values import side_values
 from road_envs.vehicle.suspension import settled_strut_state

@@ -52,10 +52,8 @@ def solution() -> MapSolution:
 def terms():
     """Terms whose systems are solved well."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tangent_likelihood, "CG_ITERATIONS", 1000)
-        patch.setattr(tangent_likelihood, "CG_TOLERANCE", 1e-4)
-        patch.setattr(tangent_likelihood, "QUICK_CG", (1000, 1e-4))
-        patch.setattr(tangent_likelihood, "TRACE_CG", (1000, 1e-4))
+        well = dict.fromkeys(("tangent_cg", "quick_cg", "trace_cg"), (1000, 1e-4))
+        patch.setattr(tangent_likelihood, "TUNING", replace(TUNING, **well))
         return tangent_terms(solution(), perturbed_cars(SPACE, np.zeros(SPACE.size)))
 
 
@@ -103,8 +101,8 @@ def test_with_known_terms_gradient_and_optimum_are_those_of_the_other_vehicle(te
     objective = lin.objective.with_passes(lambda one: one.with_car(cars[0]))
     moved = replace(solution(), linearization=objective.linearize(lin.x))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tangent_likelihood, "QUICK_CG", (3, 0.5))
-        patch.setattr(tangent_likelihood, "TRACE_CG", (3, 0.5))
+        poorly = replace(TUNING, quick_cg=(3, 0.5), trace_cg=(3, 0.5))
+        patch.setattr(tangent_likelihood, "TUNING", poorly)
         fresh, quick = tangent_terms(moved, cars), tangent_terms(moved, cars, terms)
     scale = np.sqrt(np.diag(terms.information))
     fit, expected = (one.gradient + one.log_det_gradient for one in (quick, fresh))

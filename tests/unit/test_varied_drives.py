@@ -8,7 +8,6 @@ import oracles
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from natural_modes import natural_modes
 from scipy.integrate import solve_ivp
 from scipy.linalg import eigh
 from vehicle_fixtures import (
@@ -34,6 +33,7 @@ from road_envs.simulation.drive import DriveSimulator, Trajectory
 from road_envs.simulation.rosenbrock import ACCELERATION, LOAD, TWIST
 from road_envs.vehicle.equilibrium import equilibrium
 from road_envs.vehicle.linear_model import frequency_response, linearise
+from road_envs.vehicle.natural_modes import natural_modes
 from road_envs.vehicle.parameters import TorsionalFrame, VehicleVariation
 from road_envs.vehicle.suspension import (
     encode_command,
