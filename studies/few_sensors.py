@@ -4,13 +4,16 @@ Individuals of grade S2 of a saloon, off the description that the report has, dr
 class A to C at 50 to 100 km/h. The IRI of each segment should lie in its 95 % interval in 85 to
 99 % of them, whatever the sensors, and more of them should not be worse than one.
 
-    python -m studies.few_sensors
+    python -m studies.few_sensors rows.jsonl [--fast]
+
+A row of the file is a drive, so that a trial that was stopped goes on where it ended.
 """
 
 import argparse
-import itertools
+import json
 import tempfile
 import time
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -72,12 +75,26 @@ def run_case(case: tuple[str, int, bool]) -> dict[str, Any]:
     (result,) = make_report([drive], chosen, lambda *_: None).drives
     seconds = time.process_time() - began
     rough = any("treat IRI and heights as rough" in note for note in result.notes)
-    return {"seconds": seconds, "rough": rough, **compare(result, surface, seed)}
+    found = {name: np.asarray(x).tolist() for name, x in compare(result, surface, seed).items()}
+    return {"case": case, "seconds": seconds, "rough": rough, **found}
+
+
+def run_cases(cases: Sequence[tuple[str, int, bool]], path: Path) -> list[dict[str, Any]]:
+    """Return the rows of `cases`; those that the file at `path` lacks are computed and appended."""
+    kept = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    rows = {tuple(row["case"]): row for row in map(json.loads, kept)}
+    missing = [case for case in cases if case not in rows]
+    with path.open("a", encoding="utf-8") as file, ProcessPoolExecutor() as pool:
+        for row in pool.map(run_case, missing):
+            print(json.dumps(row), file=file, flush=True)
+            rows[row["case"]] = row
+    return [rows[case] for case in cases]
 
 
 def main() -> None:
     """Print for each layout how IRI and interval agree with the roads that were driven."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("results", type=Path, help="one line of JSON for each drive")
     parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
     parser.add_argument("--drives", type=int, default=len(DRIVES), help="of each layout")
     parser.add_argument("--fast", action="store_true", help="fit no vehicle to the drives")
@@ -88,22 +105,19 @@ def main() -> None:
         f"{'sensors':18s} segments   bias   RMSE  within 15 %  inside 95 %  width (log)  "
         "noted as rough  CPU-s per km"
     )
-    rmse = {}
-    with ProcessPoolExecutor() as pool:
-        done = pool.map(run_case, cases)
-        for name in LAYOUTS:
-            rows = list(itertools.islice(done, options.drives))
-            error, inside, width = (
-                np.concatenate([row[key] for row in rows]) for key in ("iri", "inside", "width")
-            )
-            rmse[name] = float(np.sqrt(np.mean(error**2)))
-            cost = 1e3 * sum(row["seconds"] for row in rows) / sum(row["length"] for row in rows)
-            print(
-                f"{name:18s} {error.size:8d} {error.mean():+6.1%} {rmse[name]:6.1%} "
-                f"{np.mean(np.abs(error) < 0.15):12.0%} {inside.mean():12.0%} "
-                f"{np.nanmedian(width):12.2f} {sum(row['rough'] for row in rows):15d} {cost:13.0f}",
-                flush=True,
-            )
+    rmse, found = {}, run_cases(cases, options.results)
+    for name in LAYOUTS:
+        rows = [row for row in found if row["case"][0] == name]
+        error, inside, width = (
+            np.concatenate([row[key] for row in rows]) for key in ("iri", "inside", "width")
+        )
+        rmse[name] = float(np.sqrt(np.mean(error**2)))
+        cost = 1e3 * sum(row["seconds"] for row in rows) / sum(row["length"] for row in rows)
+        print(
+            f"{name:18s} {error.size:8d} {error.mean():+6.1%} {rmse[name]:6.1%} "
+            f"{np.mean(np.abs(error) < 0.15):12.0%} {inside.mean():12.0%} "
+            f"{np.nanmedian(width):12.2f} {sum(row['rough'] for row in rows):15d} {cost:13.0f}"
+        )
     worse = [name for name in rmse if rmse[name] > rmse["one"]]
     print(f"worse than one sensor by RMSE: {'; '.join(worse) or 'none'}")
 
