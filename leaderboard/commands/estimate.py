@@ -9,15 +9,13 @@ from rich.table import Table
 import estimators
 from estimators.roughness import spectral
 from leaderboard import commands
-from leaderboard.api import ScoreTable
+from leaderboard.api import score
 from leaderboard.commands import drive_files
 from leaderboard.commands.drive_files import DriveOptions, RecordFile, RecordFiles
 from leaderboard.commands.options import Settings, argument, option
 from leaderboard.commands.output import Output, facts_table
 from leaderboard.drive_report.drive_estimates import estimate_drive, make_drive_estimator
 from leaderboard.metrics.alignment import align
-from leaderboard.metrics.api import ScoredEstimate
-from leaderboard.metrics.registry import compute_scores
 from leaderboard.pretraining import rms_roughness
 from leaderboard.report import plots
 from road_envs.core.config import validate_choice
@@ -83,7 +81,7 @@ def estimate(
             aligned = align(surface, result, v, drive.measured.chainage - start)
             profile, scored = aligned.truth, aligned.estimate
             facts["notes"].append(aligned.note)
-        scores = ScoreTable(compute_scores(ScoredEstimate(profile, scored, v, bumps=True)))
+        scores = score(scored, profile)
     shows = [*facts_table(facts)]
     if scores is not None:
         facts["scores"] = scores.values
