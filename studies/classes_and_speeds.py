@@ -30,7 +30,6 @@ CONDITIONS: dict[float, tuple[Any, float]] = {
     14.5: ("ride", 100.0),
     36.0: (MIXED, 100.0),
     54.0: (MIXED, 100.0),
-    80.0: (MIXED, 200.0),
     100.0: (MIXED, 200.0),
 }
 """State of the struts and length [m] of the drives at a speed [km/h]."""
