@@ -9,7 +9,7 @@ individual of grade S1 (manufacture) is "known" if the estimators are given its 
 results for each drive and estimator; those that stand there are not computed again.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -40,6 +40,14 @@ FITTED = ("map_smoother", "wiener")
 """Estimators that fit the vehicle to the drive unless they are told that it is known."""
 
 FIRST_SEED, INDIVIDUALS = 9100, 3
+LEAST_INSIDE = 0.8
+"""Share of the errors in the intervals of 90 % below which they are too narrow."""
+
+QUESTIONS: dict[bool, dict[str, tuple[str, ...]]] = {
+    True: {"field": COMPARED},
+    False: {"known": COMPARED, "described": COMPARED[:1]},
+}
+"""Estimators by what is known of the car, of individuals of grade S3 and of S1."""
 
 
 def cases(questions: dict[str, tuple[str, ...]]) -> list[Row]:
@@ -85,74 +93,69 @@ def _values(rows: list[Row], key: str, **case: object) -> list[float]:
     return [row[key] for row in rows if case.items() <= row.items()]
 
 
-def _table(title: str, head: str, cell: Callable[[dict[str, Any]], str]) -> str:
-    """Return a table with a line for each road and speed."""
+def _table(title: str, names: Iterable[str], cell: Callable[[dict[str, Any]], str]) -> str:
+    """Return a table with a line for each estimator and road, and a column for each speed."""
+    head = f"{'':<14}{'road':<13}" + "".join(f"{kmh:>9g} km/h" for kmh in CONDITIONS)
     lines = [
-        f"{road:<13}{kmh:>5g}{cell({'road': road, 'kmh': kmh})}"
+        f"{name:<14}{road:<13}"
+        + "".join(f"{cell({'name': name, 'road': road, 'kmh': kmh}):>14}" for kmh in CONDITIONS)
+        for name in names
         for road in ROADS
-        for kmh in CONDITIONS
     ]
-    return "\n".join([title, f"{'road':<13}{'km/h':>5}{head}", *lines])
+    return "\n".join([title, head, *lines])
 
 
-def compared(rows: list[Row], knows: str) -> str:
-    """Return the table of all estimators."""
+def errors(rows: list[Row], knows: str, names: Iterable[str] = COMPARED) -> str:
+    """Return the table of errors and of the shares inside the intervals of the worst drive."""
 
     def cell(case: dict[str, Any]) -> str:
-        text = ""
-        for name in COMPARED:
-            case = {**case, "knows": knows, "name": name}
-            errors, inside = (_values(rows, key, **case) for key in ("error", "inside"))
-            text += f"{median(errors):>7.2f} ({max(errors):.2f}) {100 * min(inside):>3.0f}"
-        return text
+        found, inside = (_values(rows, key, knows=knows, **case) for key in ("error", "inside"))
+        return f"{median(found):.2f} {max(found):.2f} {100 * min(inside):>3.0f}"
 
     title = (
-        f"{knows} car: in-band NRMSE, median (worst), and share of errors in the 90 % intervals\n"
-        "of the worst drive in percent"
+        f"{knows}: in-band NRMSE, median and worst, and share of the errors in the intervals of\n"
+        "90 % in percent on the drive where it is least"
     )
-    return _table(title, "".join(f"{name:>18}" for name in COMPARED), cell)
+    return "\n".join([_table(title, names, cell), *(silent(rows, knows, name) for name in names)])
+
+
+def silent(rows: list[Row], knows: str, name: str) -> str:
+    """Return how many drives are wrong without a word: intervals too narrow, no note."""
+    drives = [row for row in rows if row["knows"] == knows and row["name"] == name]
+    wrong = [row for row in drives if row["inside"] < LEAST_INSIDE]
+    unnoted = sum(not row["noted"] for row in wrong)
+    return (
+        f"{name}: {len(wrong)} of {len(drives)} drives have less than {LEAST_INSIDE:.0%} inside, "
+        f"{unnoted} of them without a note on the vehicle"
+    )
 
 
 def described(rows: list[Row]) -> str:
-    """Return the table of `map_smoother` under the description and with the car's parameters."""
+    """Return the table of `map_smoother` beside that with the car's own parameters."""
 
     def cell(case: dict[str, Any]) -> str:
-        case = {**case, "name": "map_smoother"}
-        own = median(_values(rows, "error", knows="known", **case))
-        errors, inside, noted = (
-            _values(rows, key, knows="described", **case) for key in ("error", "inside", "noted")
+        own, found = (
+            median(_values(rows, "error", knows=k, **case)) for k in ("known", "described")
         )
-        return (
-            f"{own:>8.3f}{median(errors):>11.3f}{median(errors) / own:>7.2f}{max(errors):>8.3f}"
-            f"{100 * median(inside):>9.0f}{100 * min(inside):>7.0f}"
-            f"{sum(noted):>6.0f} of {len(noted)}"
-        )
+        inside = _values(rows, "inside", knows="described", **case)
+        return f"{found / own:.2f} {100 * median(inside):>3.0f}"
 
-    title = (
-        "map_smoother with the car's own parameters and under its description: in-band NRMSE,\n"
-        "medians and worst; share of errors in the 90 % intervals, median and least"
-    )
-    head = f"{'own':>8}{'described':>11}{'ratio':>7}{'worst':>8}{'in 90 %':>9}{'least':>7}"
-    return _table(title, f"{head}{'noted':>11}", cell)
+    title = "described: median error over that of the known car, median of the shares"
+    return _table(title, COMPARED[:1], cell)
 
 
 def roughness(rows: list[Row]) -> str:
-    """Return the table of the IRI by `map_smoother`, a column for each speed."""
-    lines = []
-    for road in ROADS:
-        text = f"{road:<13}"
-        for kmh in CONDITIONS:
-            case: dict[str, Any] = {"road": road, "kmh": kmh, "name": "map_smoother"}
-            errors, inside = (_values(rows, key, **case) for key in ("iri_error", "iri_inside"))
-            cell = f"{median(errors):.0%} ({max(errors):.0%})"
-            text += f"{cell:>11}{100 * float(np.mean(inside)):>4.0f}"
-        lines.append(text)
+    """Return the table of the IRI by `map_smoother`."""
+
+    def cell(case: dict[str, Any]) -> str:
+        found, inside = (_values(rows, key, **case) for key in ("iri_error", "iri_inside"))
+        return f"{median(found):.0%} {max(found):.0%} {100 * float(np.mean(inside)):>3.0f}"
+
     title = (
-        "field car: largest error of the IRI of a drive by map_smoother, median (worst), and\n"
-        "share of IRI inside their 95 % intervals in percent"
+        "field: largest error of an IRI of the drive, median and worst, and share of the IRI in\n"
+        "their intervals of 95 % in percent"
     )
-    head = f"{'km/h':<13}" + "".join(f"{kmh:>15g}" for kmh in CONDITIONS)
-    return "\n".join([title, head, *lines])
+    return _table(title, COMPARED[:1], cell)
 
 
 def draw(rows: list[Row], path: Path) -> None:
@@ -176,16 +179,13 @@ def main() -> None:
     parser = study_parser("Errors and intervals by class and speed.")
     parser.add_argument("--field", action="store_true", help="individuals of grade S3")
     chosen = parser.parse_args()
-    if chosen.field:
-        run_study(
-            chosen, cases({"field": COMPARED}), compute,
-            lambda rows: f"{compared(rows, 'field')}\n\n{roughness(rows)}", draw,
-        )  # fmt: skip
-    else:
-        run_study(
-            chosen, cases({"known": COMPARED, "described": COMPARED[:1]}), compute,
-            lambda rows: f"{compared(rows, 'known')}\n\n{described(rows)}", draw,
-        )  # fmt: skip
+    questions = QUESTIONS[chosen.field]
+
+    def summary(rows: list[Row]) -> str:
+        tables = [errors(rows, *question) for question in questions.items()]
+        return "\n\n".join([*tables, roughness(rows) if chosen.field else described(rows)])
+
+    run_study(chosen, cases(questions), compute, summary, draw)
 
 
 if __name__ == "__main__":
