@@ -325,6 +325,22 @@ def test_a_single_forged_drive_is_found_in_every_attempt(verified, seed):
     ]
 
 
+def test_runs_of_a_training_seed_that_is_not_run_again_do_not_agree(verified):
+    """An estimator that is not trained has runs of the first seed only: others are invented."""
+
+    def invent(name):
+        def add_runs(folder):
+            row = store.load(store.row_path(folder, "small", name))
+            own = runs_of(row)
+            more = {(*run[:-1], 2): scores | {"nrmse": 0.01} for run, scores in own.items()}
+            store.save(with_runs(row, own | more), folder)
+
+        return add_runs
+
+    for name in ("reader", "flat"):
+        assert [row.estimator for row in verified(invent(name)) if not row.agrees] == [name]
+
+
 def test_a_row_of_another_task_and_a_failed_baseline_are_refused(verified):
     def fail_a_baseline(folder):
         row = store.load(store.row_path(folder, "small", "truth_plus_noise"))
