@@ -163,6 +163,32 @@ def test_code_that_is_newer_than_the_roads_of_a_season_is_refused(verifies):
     assert "verify-submission submissions/rival" in said()
 
 
+@pytest.mark.parametrize("name", [".gitattributes", "submissions/rival/.gitattributes"])
+def test_attributes_change_no_file_of_a_submission(verifies, name):
+    """Git compares what is stored: the ends of lines could write the roads of a season into code
+    that is older than they are, and spoil the signature of a rival.
+    """
+    repo, said = verifies
+    bit = repo / "submissions" / "rival" / "code" / "bit.txt"
+    bit.parent.mkdir()
+    bit.write_text("a\n")
+    for text in ("a season", "its roads"):
+        call("git", "add", ".", cwd=repo)
+        call("git", "commit", "-m", text, cwd=repo)
+        (repo / "seasons" / "class.yaml").write_text("")
+        (repo / "rules.yaml").write_text("tasks: [seasons/class.yaml]\n")
+    call("git", "branch", "-f", "main", cwd=repo)
+    (repo / "submissions" / "rival" / "results" / "more.json").write_text("")
+    assert "verify-submission submissions/rival" in said()
+    (repo / name).write_text("bit.txt text eol=crlf\n")
+    call("git", "add", ".", cwd=repo)
+    call("git", "commit", "-m", "roads as attributes", cwd=repo)
+    bit.unlink()
+    call("git", "checkout", "--", ".", cwd=repo)
+    assert bit.read_bytes() == b"a\r\n" and "clean" in call("git", "status", cwd=repo)
+    assert said(status=1) == "attributes of files: for a maintainer\n"
+
+
 def test_what_lies_in_the_folder_of_the_site_is_no_row_of_it(submission, verifies, monkeypatch):
     repo, said = verifies
     (repo / "site").mkdir()
