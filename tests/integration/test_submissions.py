@@ -5,6 +5,7 @@ import dataclasses
 import json
 import shutil
 from functools import partial
+from types import SimpleNamespace
 
 import pytest
 import submissions
@@ -339,6 +340,16 @@ def test_runs_of_a_training_seed_that_is_not_run_again_do_not_agree(verified):
 
     for name in ("reader", "flat"):
         assert [row.estimator for row in verified(invent(name)) if not row.agrees] == [name]
+
+
+def test_code_is_one_wheel_alone(submission):
+    """Of two, the first in the order of the disk would be run: any of them, after many trials."""
+    (submission / "code").mkdir()
+    for name in ("a.whl", "b.whl"):
+        (submission / "code" / name).write_text("")
+    sandbox = SimpleNamespace(describe=lambda reference: {"name": "reader"})
+    with pytest.raises(ConfigError, match="code: one wheel alone, or a folder of packages without"):
+        submission_module._submitted_entry(submission, sandbox)
 
 
 def test_a_row_of_another_task_and_a_failed_baseline_are_refused(verified):
