@@ -199,7 +199,7 @@ def _verify_row(
     stored = comparison.scores_by_run(row.scores)
     same = found.tolerance <= comparison.SAME_KERNELS
     ranks_by = task.board_definition.ranks_by
-    compared = SCORES if same else [ranks_by]
+    compared = SCORES if same else [ranks_by, "bound_nrmse", "attainable_nrmse"]  # of all rows
     pairs: list[tuple[dict[str, float], dict[str, float]]] = []
     notes = {f"{row.estimator}: {note}" for note in _NOTES}
     for condition, drives in data.items():

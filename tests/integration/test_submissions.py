@@ -20,6 +20,7 @@ from leaderboard.conformance.probes import CheckResult
 from leaderboard.conformance.results import EstimatorCard, card_identity, card_path
 from leaderboard.entries.entries import make_entry
 from leaderboard.evaluation import store
+from leaderboard.evaluation.provenance import describe_environment
 from leaderboard.metrics.baselines import BASELINES
 from leaderboard.report.citation import cite_entry
 from leaderboard.running.verification import save_definition, verify_folder
@@ -340,6 +341,19 @@ def test_runs_of_a_training_seed_that_is_not_run_again_do_not_agree(verified):
 
     for name in ("reader", "flat"):
         assert [row.estimator for row in verified(invent(name)) if not row.agrees] == [name]
+
+
+def test_the_bound_of_the_drives_is_verified_whatever_machine_a_row_names(verified):
+    """The first row of a board says the bound, below which the rows of others are doubted."""
+    elsewhere = describe_environment() | {"blas": "openblas Z80"}
+
+    def raise_bound(folder):
+        row = store.load(store.row_path(folder, "small", "reader"))
+        runs = {run: own | {"bound_nrmse": 0.9} for run, own in runs_of(row).items()}
+        change_row(folder, scores=with_runs(row, runs).scores, environment=elsewhere)
+
+    found = {row.estimator: row for row in verified(raise_bound)}
+    assert found["reader"].score == "bound_nrmse" and not found["reader"].agrees
 
 
 def test_code_is_one_wheel_alone(submission):
