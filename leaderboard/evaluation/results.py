@@ -17,7 +17,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from pydantic import PlainValidator
+from pydantic import Field, PlainValidator
 
 from leaderboard.entries.entry import Entry
 from leaderboard.evaluation.provenance import package_version
@@ -139,7 +139,7 @@ class Result(Settings):
     calibrates: bool | None = None  # to the vehicle; None on tasks without calibration drives
     calibrate_seconds: float | None = None  # mean of one calibration
     estimate_ms_per_100m: float | None = None
-    parameters: int | None = None  # number of fitted parameters
+    parameters: Annotated[int, Field(lt=2**63)] | None = None  # number of fitted parameters
     causal: bool | None = None
     lag: float = 0.0  # [m] behind the front axle, of a causal estimate
     failure: str | None = None

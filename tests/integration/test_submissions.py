@@ -356,6 +356,11 @@ def test_the_bound_of_the_drives_is_verified_whatever_machine_a_row_names(verifi
     assert found["reader"].score == "bound_nrmse" and not found["reader"].agrees
 
 
+def test_a_number_of_parameters_without_end_is_refused(verified):
+    with pytest.raises(ConfigError, match="parameters: must be below 9"):
+        verified(lambda folder: change_row(folder, parameters=10**400))
+
+
 def test_code_is_one_wheel_alone(submission):
     """Of two, the first in the order of the disk would be run: any of them, after many trials."""
     (submission / "code").mkdir()
