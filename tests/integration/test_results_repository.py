@@ -128,6 +128,23 @@ def test_what_its_owner_has_replaced_or_withdrawn_does_not_come_back(verifies):
         assert "verify-submission submissions/rival" in said()
 
 
+def test_the_name_of_what_was_withdrawn_stays_that_of_its_owner(verifies, tmp_path):
+    """Whoever cites a rival that has left would cite the entry of somebody else."""
+    repo, said = verifies
+    rival = repo / "submissions" / "rival"
+    (rival / "signature.json").write_text("{}")
+    for text in ("signed", "withdrawn"):
+        call("git", "add", ".", cwd=repo)
+        call("git", "commit", "-m", text, cwd=repo)
+        shutil.rmtree(rival, ignore_errors=True)
+    call("git", "branch", "-f", "main", cwd=repo)
+    shutil.rmtree(rival, ignore_errors=True)
+    rival.mkdir()
+    (rival / "submission.json").write_text("{ }")
+    (tmp_path / "road-recon").write_text('#!/bin/sh\n[ $1 = results-site ] || ls "$8"\n')
+    assert said().split() == ["signature.json", "submission.json"]
+
+
 def test_a_link_in_place_of_all_submissions_is_refused(verifies):
     repo, said = verifies
     (repo / "submissions").rename(repo / "others")
