@@ -56,7 +56,7 @@ def _as_heights(values: Any) -> np.ndarray:
         array = np.array(values, dtype=np.int32)
     except (TypeError, ValueError, OverflowError):  # of lists of different lengths, too
         array = np.empty(0, dtype=np.int32)
-    if array.ndim != 2 or array.shape[0] != 2:
+    if array.ndim != 2 or array.shape[0] != 2 or array.shape[1] < 400:  # 10 m have a band
         raise ValueError("left and right must have one number of heights, in whole numbers")
     return _shared(array.tobytes())
 
@@ -78,12 +78,12 @@ class Trace(Settings):
     """
 
     condition: str
-    speed_kmh: float
+    speed_kmh: Annotated[float, Field(gt=0, le=400)]
     road: str
     road_seed: int
     seed: int
     scores: dict[str, float]
-    ds: float  # [m]
+    ds: Annotated[float, Field(gt=0.01, lt=0.1)]  # [m]
     truth: _Heights
     estimate: _Heights
     deviation: _Heights | None = None  # if the estimate has one

@@ -21,6 +21,7 @@ from leaderboard.conformance.results import EstimatorCard, card_identity, card_p
 from leaderboard.entries.entries import make_entry
 from leaderboard.evaluation import store
 from leaderboard.evaluation.provenance import describe_environment
+from leaderboard.evaluation.results import RESULT
 from leaderboard.metrics.baselines import BASELINES
 from leaderboard.report.citation import cite_entry
 from leaderboard.running.verification import save_definition, verify_folder
@@ -369,6 +370,22 @@ def test_code_is_one_wheel_alone(submission):
     sandbox = SimpleNamespace(describe=lambda reference: {"name": "reader"})
     with pytest.raises(ConfigError, match="code: one wheel alone, or a folder of packages without"):
         submission_module._submitted_entry(submission, sandbox)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("ds", 0.0), ("speed_kmh", 0.0), ("truth", [[1, 1], [1, 1]])]
+)
+def test_a_trace_that_cannot_be_drawn_is_refused(verified, field, value):
+    """What is plotted of a drive is not run again; it ended the building of the site."""
+
+    def forge(folder):
+        path = store.row_path(folder, "small", "reader")
+        data, _ = RESULT.read(path)
+        data["traces"][0][field] = value
+        RESULT.write(path, data, data.pop("identity"))
+
+    with pytest.raises(ConfigError, match=f"{field}: "):
+        verified(forge)
 
 
 def test_a_row_of_another_task_and_a_failed_baseline_are_refused(verified):
