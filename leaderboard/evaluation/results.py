@@ -17,7 +17,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from pydantic import PlainValidator
+from pydantic import Field, PlainValidator
 
 from leaderboard.entries.entry import Entry
 from leaderboard.evaluation.provenance import package_version
@@ -56,7 +56,7 @@ def _as_heights(values: Any) -> np.ndarray:
         array = np.array(values, dtype=np.int32)
     except (TypeError, ValueError, OverflowError):  # of lists of different lengths, too
         array = np.empty(0, dtype=np.int32)
-    if array.ndim != 2 or array.shape[0] != 2:
+    if array.ndim != 2 or array.shape[0] != 2 or array.shape[1] < 400:  # 10 m have a band
         raise ValueError("left and right must have one number of heights, in whole numbers")
     return _shared(array.tobytes())
 
@@ -78,12 +78,12 @@ class Trace(Settings):
     """
 
     condition: str
-    speed_kmh: float
+    speed_kmh: Annotated[float, Field(gt=0, le=400)]
     road: str
     road_seed: int
     seed: int
     scores: dict[str, float]
-    ds: float  # [m]
+    ds: Annotated[float, Field(gt=0.01, lt=0.1)]  # [m]
     truth: _Heights
     estimate: _Heights
     deviation: _Heights | None = None  # if the estimate has one
@@ -139,7 +139,7 @@ class Result(Settings):
     calibrates: bool | None = None  # to the vehicle; None on tasks without calibration drives
     calibrate_seconds: float | None = None  # mean of one calibration
     estimate_ms_per_100m: float | None = None
-    parameters: int | None = None  # number of fitted parameters
+    parameters: Annotated[int, Field(lt=2**63)] | None = None  # number of fitted parameters
     causal: bool | None = None
     lag: float = 0.0  # [m] behind the front axle, of a causal estimate
     failure: str | None = None

@@ -199,7 +199,7 @@ def _verify_row(
     stored = comparison.scores_by_run(row.scores)
     same = found.tolerance <= comparison.SAME_KERNELS
     ranks_by = task.board_definition.ranks_by
-    compared = SCORES if same else [ranks_by]
+    compared = SCORES if same else [ranks_by, "bound_nrmse", "attainable_nrmse"]  # of all rows
     pairs: list[tuple[dict[str, float], dict[str, float]]] = []
     notes = {f"{row.estimator}: {note}" for note in _NOTES}
     for condition, drives in data.items():
@@ -209,9 +209,9 @@ def _verify_row(
         if reason := _other_claim(row, made):
             return dataclasses.replace(found, reason=reason)
         notes.update(made.notes)
-        pairs += [
-            (stored.get(run, {}), own) for run, own in comparison.scores_by_run(made.scores).items()
-        ]
+        own = comparison.scores_by_run(made.scores)
+        driven = {x[:-1] for x in own}  # of which the row may have runs of further seeds
+        pairs += [(stored.get(x, {}), own.get(x, {})) for x in stored | own if x[:-1] in driven]
     if (more := [x for x in row.notes if x not in notes]) and len(pairs) >= len(stored):
         return dataclasses.replace(found, reason=f"its note is not found here: {more[0]}")
     if not pairs:

@@ -184,6 +184,8 @@ def _submitted_entry(folder: Path, sandbox: SandboxClient) -> Entry:
     """Return the entry of the code in a submission. Raises ConfigError if it cannot be run."""
     code = folder / "code"
     wheels = list(code.glob("*.whl"))
+    if wheels and len(list(code.iterdir())) > 1:  # which one is run would depend on the disk
+        raise ConfigError(f"{code}: one wheel alone, or a folder of packages without any")
     (entry,) = resolve_entries([str(wheels[0] if wheels else code)], sandbox.describe)
     if entry.failure is not None:
         raise ConfigError(f"{entry.name}: {entry.failure}")

@@ -128,6 +128,23 @@ def test_what_its_owner_has_replaced_or_withdrawn_does_not_come_back(verifies):
         assert "verify-submission submissions/rival" in said()
 
 
+def test_the_name_of_what_was_withdrawn_stays_that_of_its_owner(verifies, tmp_path):
+    """Whoever cites a rival that has left would cite the entry of somebody else."""
+    repo, said = verifies
+    rival = repo / "submissions" / "rival"
+    (rival / "signature.json").write_text("{}")
+    for text in ("signed", "withdrawn"):
+        call("git", "add", ".", cwd=repo)
+        call("git", "commit", "-m", text, cwd=repo)
+        shutil.rmtree(rival, ignore_errors=True)
+    call("git", "branch", "-f", "main", cwd=repo)
+    shutil.rmtree(rival, ignore_errors=True)
+    rival.mkdir()
+    (rival / "submission.json").write_text("{ }")
+    (tmp_path / "road-recon").write_text('#!/bin/sh\n[ $1 = results-site ] || ls "$8"\n')
+    assert said().split() == ["signature.json", "submission.json"]
+
+
 def test_a_link_in_place_of_all_submissions_is_refused(verifies):
     repo, said = verifies
     (repo / "submissions").rename(repo / "others")
@@ -161,6 +178,32 @@ def test_code_that_is_newer_than_the_roads_of_a_season_is_refused(verifies):
     assert said(status=1) == f"submissions/rival: {newer}"
     (repo / "rules.yaml").write_text("tasks: [class]\n")
     assert "verify-submission submissions/rival" in said()
+
+
+@pytest.mark.parametrize("name", [".gitattributes", "submissions/rival/.gitattributes"])
+def test_attributes_change_no_file_of_a_submission(verifies, name):
+    """Git compares what is stored: the ends of lines could write the roads of a season into code
+    that is older than they are, and spoil the signature of a rival.
+    """
+    repo, said = verifies
+    bit = repo / "submissions" / "rival" / "code" / "bit.txt"
+    bit.parent.mkdir()
+    bit.write_text("a\n")
+    for text in ("a season", "its roads"):
+        call("git", "add", ".", cwd=repo)
+        call("git", "commit", "-m", text, cwd=repo)
+        (repo / "seasons" / "class.yaml").write_text("")
+        (repo / "rules.yaml").write_text("tasks: [seasons/class.yaml]\n")
+    call("git", "branch", "-f", "main", cwd=repo)
+    (repo / "submissions" / "rival" / "results" / "more.json").write_text("")
+    assert "verify-submission submissions/rival" in said()
+    (repo / name).write_text("bit.txt text eol=crlf\n")
+    call("git", "add", ".", cwd=repo)
+    call("git", "commit", "-m", "roads as attributes", cwd=repo)
+    bit.unlink()
+    call("git", "checkout", "--", ".", cwd=repo)
+    assert bit.read_bytes() == b"a\r\n" and "clean" in call("git", "status", cwd=repo)
+    assert said(status=1) == "attributes of files: for a maintainer\n"
 
 
 def test_what_lies_in_the_folder_of_the_site_is_no_row_of_it(submission, verifies, monkeypatch):

@@ -5,6 +5,7 @@ import dataclasses
 import json
 import shutil
 from functools import partial
+from types import SimpleNamespace
 
 import pytest
 import submissions
@@ -19,6 +20,8 @@ from leaderboard.conformance.probes import CheckResult
 from leaderboard.conformance.results import EstimatorCard, card_identity, card_path
 from leaderboard.entries.entries import make_entry
 from leaderboard.evaluation import store
+from leaderboard.evaluation.provenance import describe_environment
+from leaderboard.evaluation.results import RESULT
 from leaderboard.metrics.baselines import BASELINES
 from leaderboard.report.citation import cite_entry
 from leaderboard.running.verification import save_definition, verify_folder
@@ -323,6 +326,66 @@ def test_a_single_forged_drive_is_found_in_every_attempt(verified, seed):
     assert [row.estimator for row in verified(improve_one, seed=seed) if not row.agrees] == [
         "reader"
     ]
+
+
+def test_runs_of_a_training_seed_that_is_not_run_again_do_not_agree(verified):
+    """An estimator that is not trained has runs of the first seed only: others are invented."""
+
+    def invent(name):
+        def add_runs(folder):
+            row = store.load(store.row_path(folder, "small", name))
+            own = runs_of(row)
+            more = {(*run[:-1], 2): scores | {"nrmse": 0.01} for run, scores in own.items()}
+            store.save(with_runs(row, own | more), folder)
+
+        return add_runs
+
+    for name in ("reader", "flat"):
+        assert [row.estimator for row in verified(invent(name)) if not row.agrees] == [name]
+
+
+def test_the_bound_of_the_drives_is_verified_whatever_machine_a_row_names(verified):
+    """The first row of a board says the bound, below which the rows of others are doubted."""
+    elsewhere = describe_environment() | {"blas": "openblas Z80"}
+
+    def raise_bound(folder):
+        row = store.load(store.row_path(folder, "small", "reader"))
+        runs = {run: own | {"bound_nrmse": 0.9} for run, own in runs_of(row).items()}
+        change_row(folder, scores=with_runs(row, runs).scores, environment=elsewhere)
+
+    found = {row.estimator: row for row in verified(raise_bound)}
+    assert found["reader"].score == "bound_nrmse" and not found["reader"].agrees
+
+
+def test_a_number_of_parameters_without_end_is_refused(verified):
+    with pytest.raises(ConfigError, match="parameters: must be below 9"):
+        verified(lambda folder: change_row(folder, parameters=10**400))
+
+
+def test_code_is_one_wheel_alone(submission):
+    """Of two, the first in the order of the disk would be run: any of them, after many trials."""
+    (submission / "code").mkdir()
+    for name in ("a.whl", "b.whl"):
+        (submission / "code" / name).write_text("")
+    sandbox = SimpleNamespace(describe=lambda reference: {"name": "reader"})
+    with pytest.raises(ConfigError, match="code: one wheel alone, or a folder of packages without"):
+        submission_module._submitted_entry(submission, sandbox)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("ds", 0.0), ("speed_kmh", 0.0), ("truth", [[1, 1], [1, 1]])]
+)
+def test_a_trace_that_cannot_be_drawn_is_refused(verified, field, value):
+    """What is plotted of a drive is not run again; it ended the building of the site."""
+
+    def forge(folder):
+        path = store.row_path(folder, "small", "reader")
+        data, _ = RESULT.read(path)
+        data["traces"][0][field] = value
+        RESULT.write(path, data, data.pop("identity"))
+
+    with pytest.raises(ConfigError, match=f"{field}: "):
+        verified(forge)
 
 
 def test_a_row_of_another_task_and_a_failed_baseline_are_refused(verified):
