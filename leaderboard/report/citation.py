@@ -28,7 +28,10 @@ _ENTRY = """
   note = {{{note}}},
 }}
 """
-_SPECIAL = str.maketrans({c: f"\\{c}" for c in "&%$#_{}"} | {"\\": "", "\n": " "})
+_SPECIAL = str.maketrans(
+    {c: f"\\{c}" for c in "&%$#_"}
+    | {"{": "(", "}": ")", "\\": "", "\n": " "}  # BibTeX counts \{, too
+)
 
 
 def as_bibtex(note: str = "") -> str:
