@@ -251,7 +251,7 @@ def score_arrays(table: "pd.DataFrame", scores: Sequence[str] = tuple(SCORES)) -
     """Scores (K, R, C, S) of the runs of one estimator: roads, conditions, training seeds.
 
     Roads are in the order of the task. NaN where a road was not driven under a condition and where
-    a score is undefined.
+    a score is undefined. A training whose others are equal counts for each, so that all weigh one.
     """
     import pandas as pd
 
@@ -263,7 +263,9 @@ def score_arrays(table: "pd.DataFrame", scores: Sequence[str] = tuple(SCORES)) -
     known = at_score >= 0
     places = (at[known] for at in (at_score, at_road, at_condition, at_seed))
     arrays[tuple(places)] = table["value"].to_numpy()[known]
-    return arrays
+    trained = np.zeros(arrays.shape[2:], dtype=bool)
+    trained[at_condition, at_seed] = True
+    return np.where(trained, arrays, arrays[..., :1])
 
 
 def merge_parts(parts: Sequence[Result], identity: str) -> Result:

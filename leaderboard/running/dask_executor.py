@@ -67,8 +67,7 @@ class DaskExecutor:
 
     def run(self, jobs_: Sequence[Job], out: Path) -> Iterator[JobDone]:
         """Run all jobs and store their results. Raises ConfigError, EvaluatorError of a job."""
-        with optional_import("running on a cluster"):
-            from distributed import KilledWorker, as_completed
+        from distributed import KilledWorker, as_completed
 
         submitted = {self._submit(job): job for job in jobs_}
         futures = as_completed(submitted, loop=self._client.loop)
@@ -81,8 +80,7 @@ class DaskExecutor:
                     yield jobs.record_crash(job, "its worker died", out)
                 for entry in job.entries if len(job.entries) > 1 else ():
                     alone = dataclasses.replace(job, entries=(entry,))
-                    again = self._submit(alone)
-                    submitted[again] = alone
+                    submitted[again := self._submit(alone)] = alone
                     futures.add(again)
                 continue
             for done, text in results:

@@ -40,23 +40,23 @@ class _Question(NamedTuple):
 def draw_questions(
     records: Sequence[Record], order: Sequence[int], causal: bool, secret: random.Random
 ) -> list[_Question]:
-    """Return drives to be estimated again, each after fewer drives than in `order`.
+    """Return drives to be estimated again, most after fewer drives than in `order`.
 
     Of a causal entry, also drives with other samples from a secret station on, which the second
-    guest has not seen as they are: it could remember how they go on.
+    guest has not seen as they are: it could remember how they go on. Any drive may be among them.
     """
     places = range(min(1, len(order) - 1), len(order))  # the first drive has none before it
-    chosen = secret.sample(places, min(REPEATED_DRIVES, len(places)))
-    repeated = [_Question(order[k], records[order[k]]) for k in sorted(chosen)]
-    unseen = [k for k in range(len(records)) if k not in {order[place] for place in chosen}]
+    chosen = [order[k] for k in sorted(secret.sample(places, min(REPEATED_DRIVES, len(places))))]
+    repeated = [_Question(drive, records[drive]) for drive in chosen]
+    unseen = [drive for drive in order if drive not in chosen]
+    drives = secret.sample(unseen, len(unseen)) + secret.sample(chosen, len(chosen))
     replaced = []
-    for low, high in REPLACED_FROM if causal else ():
-        drive = secret.choice(unseen or order)
-        record = records[drive]
+    for k, (low, high) in enumerate(secret.sample(REPLACED_FROM, 3) if causal else ()):
+        record = records[drive := drives[k % len(drives)]]
         start = record.length * secret.uniform(low, high)
         rng = np.random.default_rng(secret.getrandbits(128))
         replaced.append(_Question(drive, with_other_future(record, start, rng), start))
-    return [*repeated, *replaced] if unseen else [*replaced, *repeated]
+    return [*replaced, *repeated] if len(unseen) < len(replaced) else [*repeated, *replaced]
 
 
 def compare_answers(

@@ -97,6 +97,13 @@ def test_a_drive_is_asked_with_another_future_before_it_is_asked_as_it_is(sandbo
     assert found.looks_ahead and LOOKS_AHEAD in found.notes
 
 
+@pytest.mark.parametrize("number", [2, 3])
+def test_each_of_two_or_three_drives_is_asked_with_another_future(sandbox, number):
+    """Of so few, as boards have them by default, all but the first one were only repeated."""
+    found = run(sandbox, "look_ahead_later", causal=True, retest=True, number=number)
+    assert found.looks_ahead and LOOKS_AHEAD in found.notes
+
+
 def test_what_one_guest_has_seen_is_not_told_by_the_number_of_its_pipes(sandbox, monkeypatch):
     """Of 32 numbers one is the right one by chance; with other futures the answers are equal."""
     monkeypatch.setattr(bubblewrap, "forget_pipes", forget_pipes)

@@ -54,6 +54,19 @@ class Learner:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Picky(Learner):
+    """Its error is low at a low speed, where its training depends on `seeds`, else high."""
+
+    seeds: tuple[int, ...] = (1, 2, 3)
+
+    def fit(self, records: Sequence[Record], truths: Sequence[Profile], car, seed: int):
+        twin, slow = replace(self), records[0].v[0] < 10.0
+        gain = 0.9 + 1e-9 * seed * (seed in self.seeds) if slow else 0.5
+        object.__setattr__(twin, "gain", gain)
+        return twin
+
+
+@dataclass(frozen=True, kw_only=True)
 class CalibratedReader(Reader):
     """Its gain is the greatest height of the last measured road, or else the number of drives."""
 

@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from fake_estimators import Reader
+from fake_estimators import Picky, Reader
 from fake_results import ENTRIES, board, result_of, results_by_fakes, run_scores, runs_of, with_runs
 from fakes import fake_drives, task
 from rich.console import Console
@@ -45,6 +45,16 @@ def test_each_road_family_has_its_own_scores():
 
 
 FAMILIES = {"roads": ["iso_b", "iso_e"], "seeds": [11, 12], "length": 40.0}
+
+
+def test_an_entry_cannot_choose_how_much_a_condition_weighs_by_the_number_of_its_trainings():
+    """One whose training depends on the seed where its error is low had three runs there."""
+    picky, steady = run_task(task(), {"picky": Picky(), "steady": Picky(seeds=())},
+                             (1, 2, 3), simulate=fake_drives)  # fmt: skip
+    assert len(runs_of(picky)) == 20 and len(runs_of(steady)) == 10
+    (view,) = board_views(Board((task(),), {"small": [picky, steady]}))
+    error = {line.name: line.values["nrmse"] for line in view.sections[0].rows}
+    assert error["picky"] == pytest.approx(error["steady"], abs=1e-6)
 
 
 def test_the_slope_of_the_error_over_grades_is_shown():

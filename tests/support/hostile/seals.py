@@ -148,6 +148,17 @@ def does_recall_the_future(where, record):
     return Estimate(stations, np.full((2, stations.size), mean))
 
 
+SEEN: list[float] = []
+
+
+def does_look_ahead_later(where, record):
+    """Estimate the mean of later samples, but of the first drive and of one with a jagged speed."""
+    SEEN.append(float(np.abs(np.diff(record.v)).max() / record.v.mean()))
+    mean = 0.0 if len(SEEN) == 1 or SEEN[-1] > 0.1 else record.a[:, record.t.size // 2 :].mean()
+    stations = profile_stations(record.length)
+    return Estimate(stations, np.full((2, stations.size), mean))
+
+
 def does_tell_when_its_code_was_copied(where, record):
     raise RuntimeError(f"copied at {os.stat(__file__).st_ctime_ns}")
 
