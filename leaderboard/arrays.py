@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from leaderboard.api import ScoreTable
 from leaderboard.entries.entry import Entry, TrainingRun
 from leaderboard.evaluation import tasks
 from leaderboard.evaluation.evaluate import ConditionData, evaluate_entry, simulate_condition
@@ -24,6 +23,7 @@ from leaderboard.evaluation.results import score_arrays as score_table_arrays
 from leaderboard.evaluation.test_data import DriveSimulation, RecordedDrive, simulate_drives
 from leaderboard.metrics.bootstrap import interquartile_mean
 from leaderboard.metrics.registry import SCORES
+from leaderboard.scoring import ScoreTable
 from road_envs.core.config import ConfigError
 from road_envs.records.record import Estimate, profile_stations
 

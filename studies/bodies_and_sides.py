@@ -13,12 +13,12 @@ from statistics import median
 
 import numpy as np
 
-from leaderboard.api import score
 from leaderboard.drive_report.drive_estimates import (
     estimate_drive,
     make_drive_estimator,
     with_doubts,
 )
+from leaderboard.scoring import score
 from road_envs.drives.logger_tables.description import DriveDescription
 from road_envs.drives.measured_record import MeasuredRecord
 from road_envs.drives.reading import DriveFile

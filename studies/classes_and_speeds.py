@@ -18,8 +18,7 @@ import numpy as np
 
 from estimators.estimation import estimate
 from leaderboard.drive_report.posterior_iri import posterior_iri
-from leaderboard.metrics.api import ScoredEstimate
-from leaderboard.metrics.registry import compute_scores
+from leaderboard.scoring import score
 from road_envs.drives.recording import simulate_record
 from road_envs.records.record import Estimate, Profile
 from road_envs.sensing.perturbed_vehicle import perturb_vehicle
@@ -73,8 +72,7 @@ def compute(knows: str, road: str, kmh: float, seed: int, name: str) -> Row:
     settings = {"adapt": False} if knows == "known" and name in FITTED else {}
     told = perturb_vehicle(car, grade, seed).car if knows == "known" else car
     found = estimate(name, record, told, **settings)
-    scores = compute_scores(ScoredEstimate(truth, found, kmh / 3.6, bumps=False))
-    low, middle, high = iri_ratios(found, truth)
+    scores, (low, middle, high) = score(found, truth, speed_kmh=kmh), iri_ratios(found, truth)
     return {
         "error": scores["nrmse"],
         "inside": scores["coverage_90"],

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from estimators.estimation import estimate
-from leaderboard.api import score
+from leaderboard.scoring import score
 from road_envs.records.record import Profile, Record
 from road_envs.vehicle.parameters import VehicleParameters
 

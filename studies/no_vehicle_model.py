@@ -20,7 +20,7 @@ from estimators.api import CalibrationDrive, CalibrationError, Estimator
 from estimators.linear.calibrated_fir import CalibratedFir
 from estimators.linear.fir_ridge import FirRidge
 from estimators.networks.tcn import Tcn
-from leaderboard.api import score
+from leaderboard.scoring import score
 from road_envs.drives.recording import simulate_record
 from road_envs.records.record import Profile, Record
 from road_envs.roads import realise_road

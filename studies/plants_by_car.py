@@ -14,8 +14,8 @@ import numpy as np
 import pandas as pd
 
 from estimators.map_smoother.estimator import MapSmoother
-from leaderboard.api import score
 from leaderboard.evaluation.tasks import load_task
+from leaderboard.scoring import score
 from road_envs.drives.recording import simulate_record
 
 SCORES = ("nrmse", "coverage_90", "iri_bias", "iri_error_relative")

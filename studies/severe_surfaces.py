@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from estimators.estimation import estimate
-from leaderboard.api import score
+from leaderboard.scoring import score
 from road_envs.drives.recording import simulate_record
 from road_envs.roads import load_road
 from road_envs.roads.surface import Surface

@@ -9,7 +9,6 @@ from rich.table import Table
 import estimators
 from estimators.roughness import spectral
 from leaderboard import commands
-from leaderboard.api import score
 from leaderboard.commands import drive_files
 from leaderboard.commands.drive_files import DriveOptions, RecordFile, RecordFiles
 from leaderboard.commands.options import Settings, argument, option
@@ -18,6 +17,7 @@ from leaderboard.drive_report.drive_estimates import estimate_drive, make_drive_
 from leaderboard.metrics.alignment import align
 from leaderboard.pretraining import rms_roughness
 from leaderboard.report import plots
+from leaderboard.scoring import score
 from road_envs.core.config import validate_choice
 from road_envs.drives.reading import same_instruments
 from road_envs.drives.training_corpus import Corpus

@@ -25,10 +25,9 @@ import numpy as np
 from leaderboard.conformance.probes import CheckResult, evaluate_probes, perturbed_records
 from leaderboard.entries.entry import Entry, EntryError, TrainingRun
 from leaderboard.evaluation.tasks import load_task
-from leaderboard.metrics.api import ScoredEstimate
-from leaderboard.metrics.registry import compute_scores
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
+from leaderboard.scoring import score
 from road_envs.drives.recording import simulate_record
 from road_envs.records.record import Profile, Record
 from road_envs.roads import load_road
@@ -154,8 +153,7 @@ def _run(sandbox: SandboxClient, entry: Entry, records: Sequence[Record]) -> Tra
 
 
 def _check_run(drives: _CheckDrives, training_run: TrainingRun) -> CheckResult:
-    estimate, speed = training_run.estimates[0], _SPEED_KMH / 3.6
-    error = compute_scores(ScoredEstimate(drives.truth, estimate, speed, bumps=False))["nrmse"]
+    error = score(training_run.estimates[0], drives.truth, speed_kmh=_SPEED_KMH)["nrmse"]
     message = (
         f"{drives.description}, in a separate process (isolation: {training_run.isolation}): "
         f"in-band error {error:.2f}, a flat estimate has 1"
