@@ -34,7 +34,7 @@ CONDITIONS: dict[float, tuple[Any, float]] = {
 }
 """State of the struts and length [m] of the drives at a speed [km/h]."""
 
-ROADS = ("iso_a", "iso_b", "iso_c", "iso_d", "belgian_like")
+ROADS = ("iso_a", "iso_b", "iso_c", "iso_d")
 COMPARED = ("map_smoother", "kalman_lag", "wiener", "tcn")
 FITTED = ("map_smoother", "wiener")
 """Estimators that fit the vehicle to the drive unless they are told that it is known."""
@@ -162,7 +162,7 @@ def draw(rows: list[Row], path: Path) -> None:
     """Draw the errors of the last question by speed, a panel for each road."""
     from matplotlib.figure import Figure
 
-    figure, knows = Figure(figsize=(10.0, 3.0), layout="constrained"), rows[-1]["knows"]
+    figure, knows = Figure(figsize=(9.0, 3.0), layout="constrained"), rows[-1]["knows"]
     for axes, road in zip(figure.subplots(1, len(ROADS), sharey=True), ROADS, strict=True):
         for name in sorted({row["name"] for row in rows if row["knows"] == knows}):
             case = {"knows": knows, "road": road, "name": name}
