@@ -24,7 +24,7 @@ from leaderboard.entries.entries import registered_entry
 from leaderboard.entries.entry import Entry
 from leaderboard.evaluation import comparison, evaluate, store
 from leaderboard.evaluation.provenance import describe_environment
-from leaderboard.evaluation.results import Result
+from leaderboard.evaluation.results import RUN, Result
 from leaderboard.evaluation.task_files import with_paths
 from leaderboard.evaluation.tasks import Condition, Task
 from leaderboard.evaluation.test_data import RecordedDrive, simulate_drives
@@ -238,10 +238,10 @@ def _drives(task: Task) -> set[tuple[str, int, int]]:
 
 def _other_drives(row: Result, task: Task) -> str | None:
     """Return why a row has not each test drive once with each of its seeds; None if it has."""
-    columns = ["condition", "drive", "road_seed", "seed"]
-    runs = set(row.scores[columns].itertuples(index=False, name=None))
-    expected = {(*drive, seed) for drive in _drives(task) for seed in set(row.scores["seed"])}
-    if runs == expected and not row.scores.duplicated([*columns, "score"]).any():
+    table = row.scores[list(RUN)].drop_duplicates().drop(columns="road")  # one road for each run
+    runs = sorted(table.itertuples(index=False, name=None))
+    expected = sorted((*drive, seed) for drive in _drives(task) for seed in set(table["seed"]))
+    if runs == expected and not row.scores.duplicated([*RUN, "score"]).any():
         return None
     return "its drives are not those of its task, once with each training seed"
 

@@ -232,6 +232,21 @@ def test_a_note_on_another_entry_is_refused(verified):
         verified(accuse("rival"))
 
 
+@pytest.mark.parametrize("score", ["more", "coverage_90"])
+def test_a_score_on_a_road_that_nobody_drove_is_refused(verified, score):
+    """It was compared with nothing, and as a run that was not run again made a note be believed."""
+
+    def accuse(folder):
+        row = store.load(store.row_path(folder, "small", "reader"))
+        runs = runs_of(row)
+        condition, drive, _, *seeds = next(iter(runs))
+        row = with_runs(row, runs | {(condition, drive, "elsewhere", *seeds): {score: 0.9}})
+        store.save(dataclasses.replace(row, notes=(f"rival: {REMEMBERS}",)), folder)
+
+    with pytest.raises(ConfigError, match="reader on small: its drives are not those of its task"):
+        verified(accuse)
+
+
 def test_a_card_that_the_probes_do_not_give_is_refused(verified):
     def forge(folder):
         probes = (CheckResult("causality", False, "it is not"),)
