@@ -265,7 +265,8 @@ def score_arrays(table: "pd.DataFrame", scores: Sequence[str] = tuple(SCORES)) -
     arrays[tuple(places)] = table["value"].to_numpy()[known]
     trained = np.zeros(arrays.shape[2:], dtype=bool)
     trained[at_condition, at_seed] = True
-    return np.where(trained, arrays, arrays[..., :1])
+    first = arrays[:, :, range(len(trained)), trained.argmax(axis=1), None]  # in any order of a row
+    return np.where(trained, arrays, first)
 
 
 def merge_parts(parts: Sequence[Result], identity: str) -> Result:
