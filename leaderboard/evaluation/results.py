@@ -40,6 +40,7 @@ _Role = Literal["entry", "baseline"]
 ISOLATED = ("bubblewrap",)
 """Values of `Result.isolation` of entries without access to files, network and other processes."""
 
+_Cost = Annotated[float, Field(ge=0, le=1e12, allow_inf_nan=False)]  # has a mean
 _Z_UNIT = 1e-5  # unit [m] of the heights of a trace, which are stored as integers
 
 RUN = ("condition", "drive", "road", "road_seed", "seed")
@@ -78,7 +79,7 @@ class Trace(Settings):
     """
 
     condition: str
-    speed_kmh: Annotated[float, Field(gt=0, le=400)]
+    speed_kmh: Annotated[float, Field(gt=0.1, le=400)]
     road: str
     road_seed: int
     seed: int
@@ -135,17 +136,17 @@ class Result(Settings):
     identity: str = ""  # digest of all inputs: task, estimator, versions, seeds
     conditions: tuple[str, ...] = ()
     scores: Any = None
-    train_seconds: tuple[float, ...] = ()  # one per condition and seed
+    train_seconds: tuple[_Cost, ...] = ()  # one per condition and seed
     calibrates: bool | None = None  # to the vehicle; None on tasks without calibration drives
-    calibrate_seconds: float | None = None  # mean of one calibration
-    estimate_ms_per_100m: float | None = None
-    parameters: Annotated[int, Field(lt=2**63)] | None = None  # number of fitted parameters
+    calibrate_seconds: _Cost | None = None  # mean of one calibration
+    estimate_ms_per_100m: _Cost | None = None
+    parameters: Annotated[int, Field(ge=0, lt=2**63)] | None = None  # number of fitted parameters
     causal: bool | None = None
     lag: float = 0.0  # [m] behind the front axle, of a causal estimate
     failure: str | None = None
     notes: tuple[str, ...] = ()
     traces: tuple[Trace, ...] = ()
-    peak_memory: float | None = None  # [GiB] of the entry's processes, libraries included
+    peak_memory: _Cost | None = None  # [GiB] of the entry's processes, libraries included
     isolation: str = "none"  # of the entry: none, process, bubblewrap
     environment: dict[str, str] = dataclasses.field(default_factory=dict)
 
@@ -265,7 +266,8 @@ def score_arrays(table: "pd.DataFrame", scores: Sequence[str] = tuple(SCORES)) -
     arrays[tuple(places)] = table["value"].to_numpy()[known]
     trained = np.zeros(arrays.shape[2:], dtype=bool)
     trained[at_condition, at_seed] = True
-    return np.where(trained, arrays, arrays[..., :1])
+    first = arrays[:, :, range(len(trained)), trained.argmax(axis=1), None]  # in any order of a row
+    return np.where(trained, arrays, first)
 
 
 def merge_parts(parts: Sequence[Result], identity: str) -> Result:

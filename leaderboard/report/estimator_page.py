@@ -18,7 +18,7 @@ from leaderboard.metrics.heights import band_pass, scored_band
 from leaderboard.report import figures as fig
 from leaderboard.report.board_definitions import COLUMNS
 from leaderboard.report.charts import ERROR_AXES, bound_line, error_lines
-from leaderboard.report.tables import Row, Section
+from leaderboard.report.tables import Row, Section, train_seconds
 
 _WORST_DRIVES = 3  # number of drives of a task with the largest errors that are listed
 _LABEL_LENGTH = 20  # length at which the name of a group is continued on a second line [characters]
@@ -123,9 +123,9 @@ def _calibration_figure(task: Task, result: Result, *_: Any) -> dict[str, Any] |
     The errors are those of the stored start of one drive under each condition, in the scored band.
     """
     ratios = [_standardized(trace) for trace in result.traces if trace.z_std is not None]
-    if not ratios:
+    errors = np.concatenate([*ratios, ()])
+    if not errors.size:  # of deviations that are 0 in a trace, too
         return None
-    errors = np.concatenate(ratios)
     inside = [np.mean(errors <= norm.ppf(0.5 + share / 2.0)) for share in _NOMINAL_SHARES]
     exact = {"color": fig.QUIET, "dash": "dot", "width": 1.2}
     x, y = ([fig.rounded(100.0 * s, 4) for s in shares] for shares in (_NOMINAL_SHARES, inside))
@@ -164,11 +164,10 @@ def worst_drives(task: Task, result: Result, key: str) -> list[tuple[str, ...]]:
 
 def cost(task: Task, result: Result) -> tuple[str, ...]:
     """Return task, time per 100 m, time of a training, parameters and memory of an estimator."""
-    trained = bool(result.parameters and result.train_seconds)
     return (
         task.name,
         _text(result.estimate_ms_per_100m, "{:.0f} ms"),
-        _text(float(np.mean(result.train_seconds)) if trained else None, "{:.1f} s"),
+        _text(train_seconds(result), "{:.1f} s"),
         _text(result.parameters or None, "{:d}"),
         _text(result.peak_memory, "{:.2f} GiB"),
     )

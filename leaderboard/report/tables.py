@@ -193,7 +193,7 @@ def _aggregate(
             | {BELOW_BOUND: _share_below(*mine[_BOUNDED])}
         )
     values[ALL_RUNS] |= {
-        "train_seconds": float(np.mean(result.train_seconds)) if result.parameters else None,
+        "train_seconds": train_seconds(result),
         "estimate_ms_per_100m": result.estimate_ms_per_100m,
         "calibrate_seconds": result.calibrate_seconds,
         "parameters": result.parameters or None,
@@ -203,6 +203,12 @@ def _aggregate(
     entry = result.role == "entry"
     division = entry, entry and bool(result.causal)
     return _AggregatedScores(result.estimator, values, ranked, division)
+
+
+def train_seconds(result: Result) -> float | None:
+    """Return the mean time [s] of a training; None without parameters or times."""
+    trained = result.parameters and result.train_seconds
+    return float(np.mean(result.train_seconds)) if trained else None
 
 
 def _tail(ranked: np.ndarray) -> dict[str, float | None]:

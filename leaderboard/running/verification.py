@@ -24,7 +24,7 @@ from leaderboard.entries.entries import registered_entry
 from leaderboard.entries.entry import Entry
 from leaderboard.evaluation import comparison, evaluate, store
 from leaderboard.evaluation.provenance import describe_environment
-from leaderboard.evaluation.results import Result
+from leaderboard.evaluation.results import RUN, Result
 from leaderboard.evaluation.task_files import with_paths
 from leaderboard.evaluation.tasks import Condition, Task
 from leaderboard.evaluation.test_data import RecordedDrive, simulate_drives
@@ -129,8 +129,7 @@ def save_verified(found: Iterable[Verified], out: Path) -> None:
     """Add to what was verified in a folder; what is found on the same kernels is replaced."""
     earlier = [row for rows in load_verified(out).values() for row in rows]
     rows = {(row.identity, row.kernels): row for row in [*earlier, *found] if not row.reason}
-    content = {"rows": [dataclasses.asdict(row) for row in rows.values()]}
-    _VERIFICATION.write(out / "verified.json", content)
+    _VERIFICATION.write(out / "verified.json", {"rows": [*map(dataclasses.asdict, rows.values())]})
 
 
 def verify_folder(
@@ -170,10 +169,9 @@ def verify_folder(
                 some = partial(simulate, chosen=picked)
                 data[condition] = evaluate.simulate_condition(task, condition, some)
         for row in scored:
-            report(f"{task.name}: {row.estimator}", len(found) / len(rows))
-            entry = given.get(row.estimator) or registered_entry(
-                row.estimator, task.trains_on_test_road
-            )
+            name = row.estimator
+            report(f"{task.name}: {name}", len(found) / len(rows))
+            entry = given.get(name) or registered_entry(name, task.trains_on_test_road)
             found.append(_verify_row(task, row, entry, data, run))
     return found
 
@@ -193,8 +191,7 @@ def _verify_row(
     if entry is None:
         unknown = "not of this package: give it with --estimator"
         return dataclasses.replace(found, reason=row.stale_reason(task) or unknown)
-    reason = entry.failure or row.stale_reason(task, entry) or _other_drives(row, task)
-    if reason is not None:
+    if reason := entry.failure or row.stale_reason(task, entry) or _other_drives(row, task):
         return dataclasses.replace(found, reason=reason)
     stored = comparison.scores_by_run(row.scores)
     same = found.tolerance <= comparison.SAME_KERNELS
@@ -238,10 +235,11 @@ def _drives(task: Task) -> set[tuple[str, int, int]]:
 
 def _other_drives(row: Result, task: Task) -> str | None:
     """Return why a row has not each test drive once with each of its seeds; None if it has."""
-    columns = ["condition", "drive", "road_seed", "seed"]
-    runs = set(row.scores[columns].itertuples(index=False, name=None))
-    expected = {(*drive, seed) for drive in _drives(task) for seed in set(row.scores["seed"])}
-    if runs == expected and not row.scores.duplicated([*columns, "score"]).any():
+    table = row.scores[list(RUN)].drop_duplicates().drop(columns="road")  # one road for each run
+    seeds = table.groupby("condition", observed=True)["seed"].unique()  # of some, one may do
+    runs = sorted(table.itertuples(index=False, name=None))
+    expected = sorted((*run, seed) for run in _drives(task) for seed in seeds.get(run[0], [0]))
+    if runs == expected and not row.scores.duplicated([*RUN, "score"]).any():
         return None
     return "its drives are not those of its task, once with each training seed"
 

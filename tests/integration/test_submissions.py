@@ -35,6 +35,7 @@ from leaderboard.submission.submission import (
     SUBMISSION,
     load_submission,
 )
+from road_envs.core.artifacts import CHECKSUM_PREFIX, text_checksum
 from road_envs.core.config import ConfigError
 
 made, submission = submissions.made, submissions.submission
@@ -232,6 +233,21 @@ def test_a_note_on_another_entry_is_refused(verified):
         verified(accuse("rival"))
 
 
+@pytest.mark.parametrize("score", ["more", "coverage_90"])
+def test_a_score_on_a_road_that_nobody_drove_is_refused(verified, score):
+    """It was compared with nothing, and as a run that was not run again made a note be believed."""
+
+    def accuse(folder):
+        row = store.load(store.row_path(folder, "small", "reader"))
+        runs = runs_of(row)
+        condition, drive, _, *seeds = next(iter(runs))
+        row = with_runs(row, runs | {(condition, drive, "elsewhere", *seeds): {score: 0.9}})
+        store.save(dataclasses.replace(row, notes=(f"rival: {REMEMBERS}",)), folder)
+
+    with pytest.raises(ConfigError, match="reader on small: its drives are not those of its task"):
+        verified(accuse)
+
+
 def test_a_card_that_the_probes_do_not_give_is_refused(verified):
     def forge(folder):
         probes = (CheckResult("causality", False, "it is not"),)
@@ -373,7 +389,7 @@ def test_code_is_one_wheel_alone(submission):
 
 
 @pytest.mark.parametrize(
-    ("field", "value"), [("ds", 0.0), ("speed_kmh", 0.0), ("truth", [[1, 1], [1, 1]])]
+    ("field", "value"), [("ds", 0.0), ("speed_kmh", 5e-324), ("truth", [[1, 1], [1, 1]])]
 )
 def test_a_trace_that_cannot_be_drawn_is_refused(verified, field, value):
     """What is plotted of a drive is not run again; it ended the building of the site."""
@@ -386,6 +402,47 @@ def test_a_trace_that_cannot_be_drawn_is_refused(verified, field, value):
 
     with pytest.raises(ConfigError, match=f"{field}: "):
         verified(forge)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("train_seconds", [1.7e308, 1.7e308]),
+        ("estimate_ms_per_100m", "1e999"),
+        ("calibrate_seconds", "NaN"),
+        ("peak_memory", "-Infinity"),
+        ("parameters", -(10**30)),
+    ],
+)
+def test_costs_without_a_mean_are_refused(verified, field, value):
+    """They are what authors say; those without a finite mean ended the building of the site."""
+
+    def forge(folder):
+        path = store.row_path(folder, "small", "reader")
+        data, _ = RESULT.read(path)
+        identity = data.pop("identity")
+        RESULT.write(path, data | {field: value}, identity)
+        text = path.read_text().replace(f'"{value}"', str(value))  # a number that is not finite
+        start = len(CHECKSUM_PREFIX)
+        path.write_text(text.replace(text[start : start + 64], text_checksum(text), 1))
+
+    with pytest.raises(ConfigError, match=f"{field}"):
+        verified(forge)
+
+
+def test_deviations_of_0_and_trainings_without_times_do_not_end_the_site(
+    submission, tmp_path, monkeypatch
+):
+    repo = submission.parents[1]
+    (repo / "rules.yaml").write_text("tasks: [new_road]\nseeds: 2\n")
+    rules, _ = load_rules(repo / "rules.yaml")
+    monkeypatch.setattr(repository, "load_rules", lambda path: (rules, [small()]))
+    row = store.load(store.row_path(submission, "small", "reader"))
+    traces = tuple(dataclasses.replace(x, deviation=0 * x.truth) for x in row.traces)
+    change_row(submission, traces=traces, parameters=3, train_seconds=())
+    write_record(submission)
+    repository.build_site(repo, tmp_path / "site")
+    assert (tmp_path / "site" / "estimators" / "reader.html").exists()
 
 
 def test_a_row_of_another_task_and_a_failed_baseline_are_refused(verified):

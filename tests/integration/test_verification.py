@@ -9,6 +9,7 @@ import sys
 import pandas as pd
 import pytest
 from board_runs import ESTIMATORS, NAMES, make_request, run
+from fake_estimators import Picky
 from fake_results import runs_of, with_last_run, with_runs
 from fakes import SHORT_TASK, fake_drives
 
@@ -64,6 +65,20 @@ def test_a_tenth_of_the_drives_of_an_unaltered_folder_agrees_to_rounding(tmp_pat
     assert found["reader"].runs == 1 and found["learner"].runs == 2
     whole = verify(tmp_path, share=1.0)
     assert whole["reader"].runs == 6 and whole["learner"].runs == 12
+
+
+def test_a_row_whose_training_depends_on_the_seed_under_one_condition_agrees(tmp_path):
+    """It has runs of both seeds there, and of the first one under the other condition."""
+    made = {"picky": Picky()}
+    run(tmp_path, made)
+
+    def run_it(entry, data, seeds):
+        return evaluate.in_process((made | create_baselines())[entry.name])(entry, data, seeds)
+
+    entries = [make_entry("picky", Picky())]
+    found = verify_folder(tmp_path, run_it, entries, simulate=chosen_fakes, share=1.0)
+    picky = next(row for row in found if row.estimator == "picky")
+    assert picky.agrees and picky.runs == 9, picky
 
 
 def test_an_altered_score_is_found_by_its_distance(tmp_path):
