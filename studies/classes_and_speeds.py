@@ -162,7 +162,7 @@ def draw(rows: list[Row], path: Path) -> None:
     """Draw the errors of the last question by speed, a panel for each road."""
     from matplotlib.figure import Figure
 
-    figure, knows = Figure(figsize=(9.0, 3.0), layout="constrained"), rows[-1]["knows"]
+    figure, knows = Figure(figsize=(9.0, 3.3), layout="constrained"), rows[-1]["knows"]
     for axes, road in zip(figure.subplots(1, len(ROADS), sharey=True), ROADS, strict=True):
         for name in sorted({row["name"] for row in rows if row["knows"] == knows}):
             case = {"knows": knows, "road": road, "name": name}
@@ -170,7 +170,8 @@ def draw(rows: list[Row], path: Path) -> None:
             axes.semilogy(list(CONDITIONS), errors, marker="o", label=name)
         axes.set(title=road, xlabel="speed [km/h]")
     figure.axes[0].set_ylabel("in-band NRMSE")
-    figure.axes[-1].legend(fontsize="small")
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     figure.savefig(path, dpi=120)
 
 
