@@ -109,7 +109,7 @@ def test_what_one_guest_has_seen_is_not_told_by_the_number_of_its_pipes(sandbox,
     monkeypatch.setattr(bubblewrap, "forget_pipes", forget_pipes)
     for _ in range(3):
         forget_pipes(count_pipes())  # those of the guests before
-        secret = random.Random(2)
+        secret = random.Random(1)
         monkeypatch.setattr(client.random, "SystemRandom", lambda secret=secret: secret)
         found = run(sandbox, "count_the_future", causal=True, retest=True, number=1)
         if found.looks_ahead:
