@@ -57,7 +57,7 @@ def _as_heights(values: Any) -> np.ndarray:
         array = np.array(values, dtype=np.int32)
     except (TypeError, ValueError, OverflowError):  # of lists of different lengths, too
         array = np.empty(0, dtype=np.int32)
-    if array.ndim != 2 or array.shape[0] != 2 or array.shape[1] < 400:  # 10 m have a band
+    if array.ndim != 2 or array.shape[0] != 2 or array.shape[1] < 4:  # the shortest road
         raise ValueError("left and right must have one number of heights, in whole numbers")
     return _shared(array.tobytes())
 
