@@ -1,6 +1,5 @@
 """Tests of the integrator: formula, order 2, L-stability, energy, and comparison with SciPy."""
 
-import time
 from functools import cache
 
 import numpy as np
@@ -24,9 +23,7 @@ from vehicle_fixtures import (
     vectors,
 )
 
-from road_envs.kernels._numba import kernel
 from road_envs.roads.surface import Surface
-from road_envs.simulation.drive import DriveSimulator
 from road_envs.simulation.rosenbrock import ACCELERATION, EXTENSION, LOAD, TWIST
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.equilibrium import equilibrium
@@ -321,25 +318,3 @@ def test_a_vehicle_at_rest_on_level_ground_stays_at_rest(name, mode):
     )
     np.testing.assert_allclose(y, rest, atol=1e-12)
     np.testing.assert_allclose(out[:, ACCELERATION : ACCELERATION + 7], 0.0, atol=1e-9)
-
-
-@kernel(inline=False)
-def dependent_multiply_adds(x, n):
-    for _ in range(n):
-        x = 0.999 * x + 0.5
-    return x
-
-
-def test_a_step_takes_no_longer_than_500_dependent_multiply_adds():
-    """It takes 210. Counting references in a step, or calling its parts, takes 800."""
-    n, byte = 2000, encode_command("ride")
-    drive = DriveSimulator(PLANTS["defender"], CARS["defender"], ROUGH, 1.0)
-    commands, times = np.full(n, byte, dtype=np.uint8), np.empty((15, 2))
-    for span in times:
-        begin = time.process_time()
-        drive.advance(commands)
-        middle = time.process_time()
-        dependent_multiply_adds(1.0, 500 * n)
-        span[:] = middle - begin, time.process_time() - middle
-    step, limit = times.min(axis=0)
-    assert step < limit
