@@ -116,7 +116,7 @@ class MapSmoother(CalibratedByIdentification, SolverSettings):
             second, flexible = described._estimate(record, found, uncertain, speed_std)
         except (CalibrationError, ArithmeticError):
             return first
-        if flexible.noise_scale[0] > TUNING.structure_gain * left:
+        if flexible.noise_scale[0] - 1.0 > TUNING.structure_gain * (left - 1.0):
             return first
         note = f"a frame that can {_describe_modes(found)} was found, and adapted to the drive"
         return replace(second, notes=(*second.notes, note))

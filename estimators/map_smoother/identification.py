@@ -153,8 +153,8 @@ def _nearest_start(
 ) -> tuple[np.ndarray, list[MapSolution]]:
     """Return where the search begins: a resonance is found only from near its frequency.
 
-    One mode after the other, the frequency is taken at which the drives leave the least noise
-    unexplained.
+    One mode after the other, the frequency is taken at which the drives cost least. The noise that
+    they leave does not tell where all of it is explained: by another road.
     """
     x = np.zeros(size)
     starts = {"frame": TUNING.frame_starts, "bending": TUNING.bending_starts}
@@ -164,9 +164,14 @@ def _nearest_start(
             about = getattr(space.car.variation, mode).f
             points = [x + np.log(f / about) / space.std[i] * np.eye(size)[i] for f in frequencies]
             tried = [solve(point, quick=True) for point in points]
-            left = [sum(float(s.noise_scale[0]) for s in solutions) for solutions in tried]
-            x = points[int(np.argmin(left))]
+            x = points[int(np.argmin([sum(map(_cost, solutions)) for solutions in tried]))]
     return x, solve(x)
+
+
+def _cost(solution: MapSolution) -> float:
+    """Return the cost of a drive under the noise of its instruments."""
+    lin = solution.linearization
+    return lin.with_inverse_variance([one.source.information for one in lin.passes]).cost
 
 
 def _parts(
