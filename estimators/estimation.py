@@ -10,6 +10,7 @@ import numpy as np
 from estimators.api import Estimator, check_estimate
 from estimators.common.blas import single_blas_thread
 from estimators.common.explained import mark_impossible
+from estimators.common.friction import friction_note
 from estimators.common.manoeuvres import mark_manoeuvres
 from estimators.common.odometer import calibrate_odometer
 from estimators.lookup import resolve_estimator, training_notes
@@ -51,7 +52,7 @@ def estimate(
     found = estimator.estimate(record, car)
     check_estimate(found, record)
     notes = (*found.notes, *training_notes(estimator, record, car))
-    notes = (*notes, *_notes_on_description(car))
+    notes = (*friction_note(record, car), *notes, *_notes_on_description(car))
     speed = float(np.nanmedian(record.v))
     found = dataclasses.replace(found, notes=notes, speed=speed)
     if found.s_std is None:  # of an estimator that takes the stations as they are

@@ -159,6 +159,8 @@ class _KalmanSettings(CalibratedByIdentification):
             z = monitoring.reduce_uncertain(z, z_std, ahead, drifting=smooth)
             steps = run.state.jumps.square
             z_std = np.hypot(z_std, monitoring.obstacle_std(steps, run.node_stations, s))
+        long = monitoring.long_waves(z) if smooth else np.zeros_like(z)
+        z_std = monitoring.with_model_error(z_std, z - long, run.acceleration(output), car)
         share = emitted
         if smooth:
             explained = trusted_share(record, valid, car, instruments, z)
@@ -172,7 +174,6 @@ class _KalmanSettings(CalibratedByIdentification):
             )
         lost = run.lost_before_restarts(output)
         share = np.where(lost, 0.0, share)
-        long = monitoring.long_waves(z) if smooth else np.zeros_like(z)
         reduced, std = reduce_unexplained(z - long, z_std, share)
         heights = reduced + monitoring.reduce_slope(long, share)
         return odometer.describe(Estimate(s, heights, std, notes))

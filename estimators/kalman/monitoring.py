@@ -14,6 +14,7 @@ from scipy.signal import convolve
 
 from estimators.kalman.tuning import TUNING
 from road_envs.records.record import PROFILE_SPACING
+from road_envs.vehicle.parameters import VehicleParameters
 
 
 def obstacle_std(square: np.ndarray, nodes: np.ndarray, s: np.ndarray) -> np.ndarray:
@@ -56,6 +57,26 @@ def recent_nis(nis: np.ndarray, front: np.ndarray, length: float) -> np.ndarray:
     first = np.minimum(np.searchsorted(front, front - length), last - TUNING.min_blocks)
     first = np.maximum(first, 0)
     return (total[last] - total[first]) / (last - first)
+
+
+def with_model_error(
+    z_std: np.ndarray, z: np.ndarray, acceleration: np.ndarray, car: VehicleParameters
+) -> np.ndarray:
+    """Return standard deviations `z_std` (2, M) of heights `z` (2, M) [m] with the errors that no
+    innovation shows, since another road explains the readings as well.
+
+    The laws are linearized about a motion, the less well the greater the latest `acceleration` (M,)
+    [m/s²]; and a `car` within its tolerances answers with other heights, in proportion to those of
+    the metres behind.
+    """
+    linearized = z_std * np.hypot(1.0, acceleration / TUNING.linear_acceleration)
+    total = np.cumsum(z**2, axis=1)
+    width = round(TUNING.tolerance_length / PROFILE_SPACING)
+    before = np.pad(total, ((0, 0), (width, 0)))[:, : z.shape[1]]
+    mean = (total - before) / np.minimum(np.arange(1, z.shape[1] + 1), width)
+    stated = [one.relative for one in car.tolerances.values() if one.about is None]
+    share = TUNING.tolerance_error * float(np.median(stated or [0.0]))
+    return np.hypot(linearized, share * np.sqrt(np.maximum(mean, 0.0)))
 
 
 def long_waves(z: np.ndarray) -> np.ndarray:

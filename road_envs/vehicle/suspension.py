@@ -172,6 +172,15 @@ def _velocity_table(damper: Curve, friction: Curve, d: float, f: float) -> np.nd
     return tabulate((damper.scaled(d), friction.scaled(f)), V_0, V_STEP, V_CELLS)
 
 
+def friction_peaks(car: VehicleParameters) -> np.ndarray:
+    """Return the greatest friction [N] of each strut with low and with high damping (2, 4)."""
+    peaks = [
+        [factor * np.abs(curve.F).max() for _, curve in _velocity_curves(car, wheel // 2)]
+        for wheel, factor in enumerate(car.variation.friction)
+    ]
+    return np.array(peaks).T
+
+
 def _velocity_curves(car: VehicleParameters, axle: int) -> list[tuple[Curve, Curve]]:
     """Return damper and friction of an axle's struts, with low and with high damping."""
     if isinstance(car.strut, Strut):
