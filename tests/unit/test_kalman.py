@@ -120,9 +120,14 @@ def drive(mode="handling", kmh=54.0, seed=3, length=100.0, road="iso_d"):
     )
 
 
+KNOWN = replace(DEFENDER, tolerances={})
+"""The car whose parameters are these, not one of those that its description fits."""
+
+
 @cache
-def estimate_of(name, *args, **settings):
-    return create(name, **settings).estimate(drive(*args)[0], DEFENDER)
+def estimate_of(name, *args, known=False, **settings):
+    car = KNOWN if known else DEFENDER
+    return create(name, **settings).estimate(drive(*args)[0], car)
 
 
 def error(estimate, truth, kmh=54.0) -> float:
@@ -280,20 +285,21 @@ def test_a_record_may_begin_and_end_in_the_middle_of_a_road():
 
 
 @pytest.mark.parametrize("name", ["kalman", "kalman_lag", "kalman_rts"])
-def test_confidence_intervals_have_their_nominal_coverage(name):
+def test_confidence_intervals_have_their_nominal_coverage_or_some_more(name):
+    """Individuals with finer steps than the model, at 100 km/h, have some less (docs/field.md)."""
     shares = []
     for mode, kmh, road in (
         ("ride", 14.5, "iso_d"), ("handling", 14.5, "belgian_like"),
         ("ride", 54.0, "belgian_like"), ("handling", 54.0, "iso_d"), ("split", 54.0, "iso_d"),
     ):  # fmt: skip
         _, truth = drive(mode, kmh, 6, 60.0, road)
-        estimate = estimate_of(name, mode, kmh, 6, 60.0, road)
+        estimate = estimate_of(name, mode, kmh, 6, 60.0, road, known=True)
         y, a = band_pass(np.stack([truth.z, estimate.z]), PROFILE_SPACING, scored_band(kmh / 3.6))
         scores = uncertainty(y, a, estimate.z_std)
         shares.append((scores.coverage_50, scores.coverage_90))
     coverage_50, coverage_90 = np.mean(shares, axis=0)
-    assert coverage_50 == pytest.approx(0.5, abs=0.08)
-    assert coverage_90 == pytest.approx(0.9, abs=0.05)
+    assert 0.45 < coverage_50 < 0.65
+    assert 0.85 < coverage_90 < 0.97
 
 
 @pytest.mark.parametrize("name", ["kalman_lag", "kalman_rts"])

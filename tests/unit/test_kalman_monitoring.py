@@ -1,10 +1,20 @@
 """Monitoring of the Kalman filter: local and recent NIS, and heights no larger than their error."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from estimators.kalman.monitoring import local_nis, recent_nis, reduce_uncertain
+from estimators.kalman.monitoring import (
+    local_nis,
+    recent_nis,
+    reduce_uncertain,
+    with_model_error,
+)
 from road_envs.records.record import profile_stations
+from road_envs.vehicle.parameters import Tolerance, load_vehicle
+
+DEFENDER = load_vehicle("land_rover_defender_110")
 
 
 def test_the_local_nis_is_that_of_both_axles_and_no_later_than_the_lag():
@@ -45,3 +55,25 @@ def test_heights_no_larger_than_their_error_are_reduced_and_others_kept():
     later = np.where(s > 30.0, 9.0, z)
     again = reduce_uncertain(later, std, 0.0, drifting=False)
     np.testing.assert_allclose(again[:, s <= 30.0], behind[:, s <= 30.0], rtol=1e-9)
+
+
+def test_the_model_errs_by_tolerances_behind_a_station_and_with_the_accelerations():
+    s = profile_stations(40.0)
+    z, std, none = np.full((2, s.size), 0.02), np.full((2, s.size), 1e-3), np.zeros(s.size)
+    source = {"source": "test"}
+    car = replace(DEFENDER, tolerances={"m_b": Tolerance(relative=0.2, **source)})
+    absent = replace(
+        DEFENDER, tolerances={"variation.frame.f": Tolerance(relative=0.4, about=12.0, **source)}
+    )
+    np.testing.assert_allclose(
+        with_model_error(std, z, none, car), np.hypot(1e-3, 1.5 * 0.2 * 0.02)
+    )
+    np.testing.assert_array_equal(with_model_error(std, z, none, absent), std)
+    shaken = with_model_error(std, z, np.where(s < 20.0, 0.0, 4.5), absent)
+    np.testing.assert_allclose(shaken, np.where(s < 20.0, std, np.sqrt(2.0) * std))
+    later = with_model_error(std, np.where(s > 20.0, 5.0, z), none, car)
+    before = with_model_error(std, z, none, car)
+    np.testing.assert_allclose(later[:, s <= 20.0], before[:, s <= 20.0])
+    forgotten = with_model_error(std, np.where(s < 20.0, 5.0, z), none, car)
+    np.testing.assert_allclose(forgotten[:, s > 30.1], before[:, s > 30.1])
+    assert forgotten[0, np.searchsorted(s, 29.0)] > 10.0 * before[0, 0]
