@@ -139,18 +139,11 @@ def _analysed(each: ReportedPass, drive: DriveFile, chosen: ReportSettings) -> D
     if told.iri_factor is not None:
         known = KnownFactor(told.iri_factor, told.iri_factor_std or _DEFAULT_FACTOR_STD)
     return analyse(
-        each.name,
-        each.measured,
-        each.estimate,
-        chosen.conditions,
-        segment=chosen.segment,
-        modes=drive.car.modes,
-        clipping=instruments.ranges[:, None],
-        noise=instruments.noise_rms(each.measured.record.fs),
-        tolerance_std=tolerance_std,
-        distance_std=distance.std if distance else speed_error,
-        known=known,
-    )
+        each.name, each.measured, each.estimate, chosen.conditions, segment=chosen.segment,
+        modes=drive.car.modes, clipping=instruments.ranges[:, None],
+        noise=instruments.noise_rms(each.measured.record.fs), tolerance_std=tolerance_std,
+        distance_std=distance.std if distance else speed_error, known=known,
+    )  # fmt: skip
 
 
 def write_report(report: _RoadReport, chosen: ReportSettings, folder: Path) -> list[Path]:

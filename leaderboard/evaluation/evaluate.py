@@ -145,16 +145,10 @@ def evaluate_entry(
 ) -> Result:
     """Run an entry under a condition with every training seed and score its estimates."""
     empty = unscored_result(
-        task,
-        entry.name,
-        settings=entry.settings,
-        seeds=tuple(seeds),
-        code=entry.code,
-        conditions=(condition.label,),
-        causal=entry.causal,
-        lag=entry.lag,
+        task, entry.name, settings=entry.settings, seeds=tuple(seeds), code=entry.code,
+        conditions=(condition.label,), causal=entry.causal, lag=entry.lag,
         environment=describe_environment(),
-    )
+    )  # fmt: skip
     failure = entry.failure or (data if isinstance(data, str) else None)
     if failure is not None or isinstance(data, str):
         return dataclasses.replace(empty, failure=failure)
@@ -231,14 +225,8 @@ def _trace(data: ConditionData, estimate: Estimate, scores: dict[str, float], se
     truth = test.truth
     kept = truth.s < _TRACE_LENGTH
     return Trace(
-        condition=data.condition.label,
-        speed_kmh=data.condition.speed_kmh,
-        road=test.road,
-        road_seed=test.seed,
-        seed=seed,
-        scores=scores,
-        ds=truth.ds,
-        truth=quantize_heights(truth.z[:, kept]),
-        estimate=quantize_heights(estimate.z[:, kept]),
+        condition=data.condition.label, speed_kmh=data.condition.speed_kmh, road=test.road,
+        road_seed=test.seed, seed=seed, scores=scores, ds=truth.ds,
+        truth=quantize_heights(truth.z[:, kept]), estimate=quantize_heights(estimate.z[:, kept]),
         deviation=None if estimate.z_std is None else quantize_heights(estimate.z_std[:, kept]),
-    )
+    )  # fmt: skip

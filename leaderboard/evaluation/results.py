@@ -42,6 +42,7 @@ ISOLATED = ("bubblewrap",)
 
 _Cost = Annotated[float, Field(ge=0, le=1e12, allow_inf_nan=False)]  # has a mean
 _Z_UNIT = 1e-5  # unit [m] of the heights of a trace, which are stored as integers
+_MAX_HEIGHTS = 10_000  # of a trace: 100 m at the least spacing; the shortest road has 4
 
 RUN = ("condition", "drive", "road", "road_seed", "seed")
 """Columns that tell a run among those of its entry: the road is that of `road_seed`, the training
@@ -57,8 +58,8 @@ def _as_heights(values: Any) -> np.ndarray:
         array = np.array(values, dtype=np.int32)
     except (TypeError, ValueError, OverflowError):  # of lists of different lengths, too
         array = np.empty(0, dtype=np.int32)
-    if array.ndim != 2 or array.shape[0] != 2 or array.shape[1] < 4:  # the shortest road
-        raise ValueError("left and right must have one number of heights, in whole numbers")
+    if array.ndim != 2 or array.shape[0] != 2 or not 4 <= array.shape[1] <= _MAX_HEIGHTS:
+        raise ValueError("left and right must have one number of heights, 4 to 10000 whole numbers")
     return _shared(array.tobytes())
 
 
@@ -176,27 +177,17 @@ def unscored_result(task: Task, estimator: str, **fields: Any) -> Result:
     `fields` are its other ones: at least `settings` and `seeds`.
     """
     return Result(
-        task=task.name,
-        task_digest=task.digest,
-        estimator=estimator,
+        task=task.name, task_digest=task.digest, estimator=estimator,
         role="baseline" if estimator in ALL_BASELINES else "entry",
-        package_version=package_version(),
-        metric_version=heights.VERSION,
-        evaluation_code=evaluation_version(),
-        **fields,
-    )
+        package_version=package_version(), metric_version=heights.VERSION,
+        evaluation_code=evaluation_version(), **fields,
+    )  # fmt: skip
 
 
-RUN_DEPENDENT = frozenset(
-    {
-        "train_seconds",
-        "calibrate_seconds",
-        "estimate_ms_per_100m",
-        "peak_memory",
-        "isolation",
-        "environment",
-    }
-)
+RUN_DEPENDENT = frozenset({
+    "train_seconds", "calibrate_seconds", "estimate_ms_per_100m", "peak_memory", "isolation",
+    "environment",
+})  # fmt: skip
 """Fields that differ from run to run and machine to machine."""
 
 

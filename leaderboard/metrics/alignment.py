@@ -22,8 +22,10 @@ from road_envs.roads import Surface
 LOCAL_WINDOW, LOCAL_STEP = 20.0, 5.0
 """Length [m] of the windows of a local alignment, and distance [m] from one to the next."""
 
-LOCAL_SEARCH, LOCAL_STRETCH = 12.0, 0.06
-"""Largest lag [m] of an estimate whose positions wander, and its change over the distance."""
+LOCAL_SEARCH, LOCAL_STRETCH = 9.0, 0.06
+"""Largest lag [m] of an estimate whose positions wander, three standard deviations of the worst
+receiver (`position_noise`), and its change over the distance.
+"""
 
 MIN_LOCAL_CORRELATION = 0.5
 """Mean correlation of the windows below which an estimate does not match; that of unrelated roads,

@@ -32,7 +32,7 @@ from road_envs.records.record import scored_band as scored_band
 from road_envs.records.roughness import Band as Band
 from road_envs.records.roughness import band_pass as band_pass
 
-VERSION = 3
+VERSION = 4
 """Version of the metrics: raised whenever a score of the same two profiles changes, which makes
 older results stale.
 """

@@ -73,8 +73,8 @@ _DERIVED = (
            help="Whether the estimator uses the calibration drives that it is given before each "
            "test drive; the others ignore them."),
     Metric("calibrate_seconds", "calibration time", head="calibrate", unit="s", digits=1, blank="",
-           help="Mean time of a calibration. Drives that an estimator before it has identified the "
-           "same vehicle from take none."),
+           help="Mean time of a calibration, of the slowest condition: drives that an estimator "
+           "before it has identified the same vehicle from take none."),
     Metric("slope_interval", "95 % interval of the slope", head="95 %",
            help="95 % interval of the slope, by the same bootstrap as that of the mean."),
 )  # fmt: skip

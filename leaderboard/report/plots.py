@@ -27,14 +27,9 @@ COLOURS = {"left": "#0072B2", "right": "#D55E00", "truth": "#222222", "sensor": 
 SIDES = ("left", "right")
 
 _SVG_STYLE: Any = {
-    "svg.fonttype": "none",
-    "svg.hashsalt": "roadrecon",
-    "font.size": 8.5,
-    "axes.linewidth": 0.6,
-    "axes.titlesize": 9.0,
-    "axes.titlelocation": "left",
-    "path.simplify_threshold": 0.5,
-}
+    "svg.fonttype": "none", "svg.hashsalt": "roadrecon", "font.size": 8.5, "axes.linewidth": 0.6,
+    "axes.titlesize": 9.0, "axes.titlelocation": "left", "path.simplify_threshold": 0.5,
+}  # fmt: skip
 """Matplotlib style of the figures of a page."""
 
 

@@ -132,13 +132,9 @@ def run_job(
         result = dataclasses.replace(result, identity=identity)
         store.save_part(store.to_text(result), out, identity)
         yield JobDone(
-            identity=identity,
-            task=job.task.name,
-            entry=entry.name,
-            condition=condition.label,
-            content_digest=content_digest(result),
-            failure=result.failure,
-        )
+            identity=identity, task=job.task.name, entry=entry.name, condition=condition.label,
+            content_digest=content_digest(result), failure=result.failure,
+        )  # fmt: skip
 
 
 def record_crash(job: Job, reason: str, out: Path) -> JobDone:

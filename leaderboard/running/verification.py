@@ -75,11 +75,10 @@ class Verified(Settings):
     def agrees(self) -> bool:
         """Whether every run is within the tolerance, half of them far within, and their mean.
 
-        Any row can name another machine and have the wide tolerance: its mean may still move by no
-        more than one run, whose weight is up to 2 / `runs`.
+        Any row can name another machine and have the wide tolerance.
         """
         near = min(self.tolerance, comparison.TYPICAL)
-        mean = near + 2.0 * self.tolerance / max(self.runs, 1)
+        mean = comparison.mean_tolerance(self.runs, self.tolerance)
         far = self.distance > self.tolerance or self.typical > near or self.shift > mean
         return not self.reason and not far
 
@@ -234,7 +233,9 @@ def _drives(task: Task) -> set[tuple[str, int, int]]:
 
 
 def _other_drives(row: Result, task: Task) -> str | None:
-    """Return why a row has not each test drive once with each of its seeds; None if it has."""
+    """Return why drives or traces of a row are not those of its task; None if they are."""
+    if [trace.condition for trace in row.traces] != [x.label for x in task.conditions]:
+        return "it has not one trace of each condition"
     table = row.scores[list(RUN)].drop_duplicates().drop(columns="road")  # one road for each run
     seeds = table.groupby("condition", observed=True)["seed"].unique()  # of some, one may do
     runs = sorted(table.itertuples(index=False, name=None))

@@ -215,13 +215,9 @@ class SandboxClient:
         if code is not None:  # a copy of its own: how fast a file is read says nothing of others
             code = Path(shutil.copytree(code, home.with_suffix(".code")))
         return start_guest(
-            estimator_handler.__name__,
-            home,
-            self.limits,
-            isolated=self._bubblewrap,
-            code=code,
+            estimator_handler.__name__, home, self.limits, isolated=self._bubblewrap, code=code,
             libraries=libraries,
-        )
+        )  # fmt: skip
 
     def _begin(
         self, guest: Guest, reference: str, settings: Mapping[str, Any], car: Any
@@ -263,7 +259,7 @@ class _RemoteSession:
 
     def fit(self, training: Sequence[tuple[Record, Profile]], seed: int) -> tuple[int, float]:
         """Train the estimator if it needs training. Raises EntryError."""
-        sent = training if self.needs_training else []
+        sent, seed = (training, seed) if self.needs_training else ([], 0)  # which tells nothing
         head, _, seconds = self._timed(messages.encode_drives("fit", sent, seed=seed))
         return int(messages.number(head, "parameters", LARGEST_COUNT)), seconds
 

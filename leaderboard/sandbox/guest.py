@@ -49,15 +49,9 @@ class Guest:
         handles: Sequence[int] = (),
     ):
         self._process = subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            env=dict(environment),
-            cwd=folder,
-            start_new_session=True,
-            pass_fds=handles,
-        )
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            env=dict(environment), cwd=folder, start_new_session=True, pass_fds=handles,
+        )  # fmt: skip
         self.pid = self._process.pid
         streams = (self._process.stdin, self._process.stdout, self._process.stderr)
         self._requests, self._replies, self._output = (s.fileno() for s in streams if s is not None)

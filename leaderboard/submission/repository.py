@@ -6,11 +6,15 @@ seasons/              hidden test sets: published hashes, later the tasks
 ci/verify.sh          verifies the submissions that a branch changes and builds the site
 """
 
+import dataclasses
+import subprocess
+from contextlib import suppress
 from importlib import resources
 from pathlib import Path
 
 from leaderboard.conformance.method_card import method_card_path
-from leaderboard.conformance.results import card_identity, card_path
+from leaderboard.conformance.results import card_identity, card_path, probe_entries
+from leaderboard.entries.entries import registered_entry
 from leaderboard.evaluation import store
 from leaderboard.metrics.baselines import ALL_BASELINES
 from leaderboard.report.sentences import build_report
@@ -54,8 +58,9 @@ def write_repository(folder: Path) -> list[Path]:
 def build_site(repository: Path, out: Path) -> Path:
     """Write the site of all submissions of a repository into the folder `out`; its index.
 
-    Rows of baselines are taken from the first submission that has them. Raises ConfigError for a
-    damaged submission, if there is none, and for a row in `out` that is of none.
+    Rows of baselines are taken from the first submission that has them, their cards are made here.
+    Raises ConfigError for a damaged submission, if there is none, and for a row in `out` that is of
+    none.
     """
     rules, tasks = load_rules(repository / RULES)
     folders = sorted(path.parent for path in (repository / _SUBMISSIONS).glob("*/submission.json"))
@@ -71,7 +76,8 @@ def build_site(repository: Path, out: Path) -> Path:
                 row = store.load(path)
                 card = card_path(out, card_identity(row.estimator, row.settings, row.code))
                 copy_file(path, target)
-                if (probed := folder / card.relative_to(out)).exists():
+                probed = folder / card.relative_to(out)
+                if path.stem == record.name and probed.exists():
                     copy_file(probed, card)
         copy_file(folder / CARD, method_card_path(out, record.name))
     for path in {*(out / "results").rglob("*.json"), *out.glob("verified.json")} - written:
@@ -79,5 +85,19 @@ def build_site(repository: Path, out: Path) -> Path:
     sized = make_run_request(rules, tasks, (), limits=Limits()).sized_tasks()
     for task in sized:
         save_definition(task, out)
-    board = load_board(sized, out)
+    own = [entry for name in ALL_BASELINES if (entry := registered_entry(name, False))]
+    probe_entries(own, out, Limits())
+    board = dataclasses.replace(load_board(sized, out), since=_submitted_since(repository))
     return write_site(board, build_report(board), out)
+
+
+def _submitted_since(repository: Path) -> dict[str, int]:
+    """Return the order in which names came to the main line, by merges, as authors choose the dates
+    of commits: numbers below 1; none without git.
+    """
+    words = ["git", "log", "--first-parent", "-m", "--diff-filter=A", "--format=", "--name-only"]
+    words, paths = [*words, "--", f"{_SUBMISSIONS}/*/submission.json"], ""
+    with suppress(OSError):
+        paths = subprocess.run(words, cwd=repository, capture_output=True, text=True).stdout
+    names = dict.fromkeys(Path(path).parent.name for path in paths.splitlines())  # latest first
+    return {name: -k for k, name in enumerate(names)}

@@ -131,6 +131,26 @@ def test_a_valid_reply_is_taken_as_it_is(tmp_path):
     assert seconds == 0.0
 
 
+def test_no_seed_tells_an_entry_that_is_not_trained_which_guest_it_is_in():
+    asked = []
+
+    class Answering:
+        limits = Limits()
+
+        def cpu_seconds(self):
+            return 0.0
+
+        def call(self, request, *size):
+            asked.append(request)
+            return {"parameters": 0, "seconds": 0.0}, b""
+
+    for seed in (1, 2, 3):
+        _RemoteSession(Answering(), False, False).fit([], seed)
+    assert len(set(asked)) == 1
+    _RemoteSession(Answering(), True, False).fit([(a_record(), None)], 2)
+    assert b'"seed": 2' in asked[-1]
+
+
 def test_a_guest_that_does_not_read_cannot_block_the_host(tmp_path):
     code = f"import os, time; os.write(1, {READY}); time.sleep(99)"
     guest = Guest([sys.executable, "-I", "-S", "-c", code], {}, tmp_path)

@@ -3,6 +3,7 @@
 import dataclasses
 import os
 import shutil
+import string
 import subprocess
 import sys
 from functools import partial
@@ -16,6 +17,7 @@ from fakes import SHORT_TASK
 from submissions import CARD
 from wheels import module, write_wheel
 
+from leaderboard.entries.entries import fold
 from leaderboard.evaluation import store
 from leaderboard.sandbox import bubblewrap
 from leaderboard.submission import repository, signature
@@ -145,6 +147,44 @@ def test_the_name_of_what_was_withdrawn_stays_that_of_its_owner(verifies, tmp_pa
     assert said().split() == ["signature.json", "submission.json"]
 
 
+@pytest.mark.parametrize("name", ["RIVAL", "r1vaI", "rivaI", "r1va1"])
+def test_a_name_that_looks_like_a_withdrawn_one_is_refused(verifies, name):
+    repo, said = verifies
+    rival = repo / "submissions" / "rival"
+    (rival / "signature.json").write_text("{}")
+    for text in ("signed", "withdrawn"):
+        call("git", "add", ".", cwd=repo)
+        call("git", "commit", "-m", text, cwd=repo)
+        shutil.rmtree(rival, ignore_errors=True)
+    call("git", "branch", "-f", "main", cwd=repo)
+    shutil.copytree(repo / "ci", repo / "submissions" / "another")
+    assert fold(name) == fold("rival") and "verify-submission submissions/another" in said()
+    shutil.copytree(repo / "ci", repo / "submissions" / name)
+    assert f"{name} looks the same as rival, which was signed: rename" in said(status=1)
+
+
+def test_the_script_folds_names_as_the_program_does():
+    script = (ROOT / "leaderboard/submission/templates/verify.txt").read_text()
+    (line,) = [x for x in script.splitlines() if x.startswith("fold()")]
+    names = [string.ascii_letters, string.digits + "_-", "r1vaI-O0"]
+    found = call("sh", "-c", f'{line}\nfor x in {" ".join(names)}; do fold "$x"; done', cwd=ROOT)
+    assert found.split() == [fold(x) for x in names]
+
+
+def test_entries_are_in_the_order_of_merges_whatever_their_commits_say(verifies):
+    repo, _ = verifies
+    shutil.copytree(repo / "submissions" / "rival", repo / "submissions" / "copy")
+    call("git", "add", ".", cwd=repo)
+    early = "2001-01-01T00:00:00"
+    call("env", f"GIT_COMMITTER_DATE={early}", "git", "commit", "-m", "a copy", f"--date={early}",
+         cwd=repo)  # fmt: skip
+    call("git", "switch", "main", cwd=repo)
+    call("git", "merge", "--no-ff", "-m", "merged", "mine", cwd=repo)
+    since = repository._submitted_since(repo)
+    assert sorted(since, key=since.get) == ["rival", "copy"]
+    assert repository._submitted_since(repo / "submissions" / "rival" / ".." / ".." / "..") == {}
+
+
 def test_a_link_in_place_of_all_submissions_is_refused(verifies):
     repo, said = verifies
     (repo / "submissions").rename(repo / "others")
@@ -215,6 +255,7 @@ def test_what_lies_in_the_folder_of_the_site_is_no_row_of_it(submission, verifie
     (repo / "rules.yaml").write_text("tasks: [new_road]\nseeds: 2\n")
     rules, _ = load_rules(repo / "rules.yaml")
     monkeypatch.setattr(repository, "load_rules", lambda path: (rules, [small()]))
+    monkeypatch.setattr(repository, "probe_entries", lambda entries, out, limits: 0)
     row = store.load(store.row_path(submission, "small", "flat"))
     store.save(dataclasses.replace(row, failure="forged", scores=None), repo / "site")
     repository.build_site(repo, repo / "site")

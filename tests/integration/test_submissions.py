@@ -22,7 +22,7 @@ from leaderboard.entries.entries import make_entry
 from leaderboard.evaluation import store
 from leaderboard.evaluation.provenance import describe_environment
 from leaderboard.evaluation.results import RESULT
-from leaderboard.metrics.baselines import BASELINES
+from leaderboard.metrics.baselines import ALL_BASELINES, BASELINES
 from leaderboard.report.citation import cite_entry
 from leaderboard.running.verification import save_definition, verify_folder
 from leaderboard.sandbox.limits import Limits
@@ -276,16 +276,30 @@ def test_names_that_differ_in_case_only_are_refused(verified, tmp_path):
         verified(lambda folder: None)
 
 
+@pytest.fixture(autouse=True)
+def unprobed(monkeypatch):
+    """The baselines of a site are not probed, which takes long."""
+    monkeypatch.setattr(repository, "probe_entries", lambda entries, out, limits: 0)
+
+
 def test_the_site_has_a_page_of_each_entry_with_its_card(submission, tmp_path, monkeypatch):
-    repo = submission.parents[1]
+    repo, probed = submission.parents[1], []
+    probe = lambda entries, out, limits: probed.extend(x.name for x in entries)  # noqa: E731
+    monkeypatch.setattr(repository, "probe_entries", probe)
     (repo / "rules.yaml").write_text("tasks: [new_road]\nseeds: 2\n")
     rules, _ = load_rules(repo / "rules.yaml")
     monkeypatch.setattr(repository, "load_rules", lambda path: (rules, [small()]))
     (submission / "cards").mkdir()
     (submission / "cards" / "of_another.json").write_text("{}")  # the mark of a rival
+    rows = [store.load(store.row_path(submission, "small", x)) for x in ("reader", "flat")]
+    cards = [card_identity(row.estimator, row.settings, row.code) for row in rows]
+    for card in cards:
+        card_path(submission, card).write_text("by its author")
     write_record(submission)
     index = repository.build_site(repo, tmp_path / "site")
     assert not (tmp_path / "site" / "cards" / "of_another.json").exists()
+    assert card_path(tmp_path / "site", cards[0]).read_text() == "by its author"
+    assert not card_path(tmp_path / "site", cards[1]).exists() and set(probed) == {*ALL_BASELINES}
     assert "reader" in index.read_text()
     page = (tmp_path / "site" / "estimators" / "reader.html").read_text()
     assert "Ada Author, Bo Author" in page and "Reads the heights from the record." in page
@@ -389,7 +403,13 @@ def test_code_is_one_wheel_alone(submission):
 
 
 @pytest.mark.parametrize(
-    ("field", "value"), [("ds", 0.0), ("speed_kmh", 5e-324), ("truth", [[1, 1], [1, 1]])]
+    ("field", "value"),
+    [
+        ("ds", 0.0),
+        ("speed_kmh", 5e-324),
+        ("truth", [[1, 1], [1, 1]]),
+        ("truth", [[1] * 100_000] * 2),
+    ],
 )
 def test_a_trace_that_cannot_be_drawn_is_refused(verified, field, value):
     """What is plotted of a drive is not run again; it ended the building of the site."""
@@ -402,6 +422,15 @@ def test_a_trace_that_cannot_be_drawn_is_refused(verified, field, value):
 
     with pytest.raises(ConfigError, match=f"{field}: "):
         verified(forge)
+
+
+def test_a_thousand_copies_of_a_trace_are_refused(verified):
+    def repeat(folder):
+        row = store.load(store.row_path(folder, "small", "reader"))
+        change_row(folder, traces=500 * row.traces)
+
+    with pytest.raises(ConfigError, match="on small: it has not one trace of each condition"):
+        verified(repeat)
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from leaderboard.metrics.registry import compute_scores
 from road_envs.core.config import ConfigError
 from road_envs.records.record import PROFILE_SPACING, Estimate, Profile, profile_stations
 from road_envs.roads import Surface, realise_road
+from road_envs.sensing.perturbed_vehicle import load_plant_mismatch
 
 ROAD = realise_road("iso_c", 4, 200.0)
 NOISE = 0.0005 * np.random.default_rng(0).standard_normal((2, 10_000))
@@ -79,6 +80,14 @@ def test_an_estimate_whose_stations_wander_by_a_metre_is_right_after_local_align
     assert found["nrmse"] > 1.0 and found["coverage_90"] < 0.3
     assert found["nrmse_aligned"] < 0.1 and found["coverage_90_aligned"] > 0.85
     assert np.isnan(local_scores(wander, wandering=False)["nrmse_aligned"])
+
+
+def test_a_delay_is_taken_back_as_far_as_the_worst_receiver_errs():
+    """Three standard deviations: a longer one is the estimator's own."""
+    farthest = 3.0 * load_plant_mismatch().instruments.position_noise[1]
+    assert local_scores(lambda s: farthest - 1.0 + 0.0 * s)["nrmse_aligned"] < 0.1
+    found = local_scores(lambda s: farthest + 1.0 + 0.0 * s)
+    assert found["nrmse_aligned"] == found["nrmse"] > 1.0
 
 
 def test_an_estimate_that_matches_nowhere_is_scored_as_it_is():
