@@ -19,8 +19,7 @@ from typing import NamedTuple
 
 from road_envs.core.atomic_io import write_text
 
-ROOT = Path(__file__).parents[2]
-"""Folder that holds the packages of this project."""
+ROOT = Path(__file__).parents[2]  # folder that holds the packages of this project
 
 PACKAGES = ("road_envs", "estimators", "leaderboard")
 
@@ -156,8 +155,7 @@ def _parse(text: bytes) -> _Source:
     return _Source(hashlib.sha256(ast.dump(tree).encode()).hexdigest()[:DIGITS], tuple(own))
 
 
-_parsed: list[str] = []
-"""Contents that this process has parsed and not saved."""
+_parsed: list[str] = []  # contents that this process has parsed and not saved
 
 
 def _memory_file() -> Path:

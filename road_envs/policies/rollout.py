@@ -15,8 +15,7 @@ from road_envs.envs.options import EnvSetup
 from road_envs.envs.safe4s4 import Safe4S4Setup
 from road_envs.policies.api import Policy, PolicyContext, validate_actions
 
-POLICY_SEED = 0
-"""Seed of random policies."""
+POLICY_SEED = 0  # seed of random policies
 
 EXTREMES = ("load_transfer", "roll")
 """Columns of which a drive has the largest value; of the others it has the sum."""
@@ -28,8 +27,7 @@ It ranks policies that violate behind all that do not: a drive on two wheels for
 costs 5 m²/s⁴, four times what handling costs in comfort [assumed].
 """
 
-KEPT_FLEETS = 2
-"""Fleets that `Drives` keeps to start them again."""
+KEPT_FLEETS = 2  # fleets that `Drives` keeps to start them again
 
 
 @dataclass(frozen=True)

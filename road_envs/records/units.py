@@ -5,8 +5,7 @@ import unicodedata
 
 from road_envs.core.config import ConfigError, shown
 
-STANDARD_GRAVITY = 9.80665
-"""Standard gravity [m/s²], the unit g of acceleration columns."""
+STANDARD_GRAVITY = 9.80665  # standard gravity [m/s²], the unit g of acceleration columns
 
 FACTORS: dict[str, dict[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},

@@ -20,8 +20,7 @@ from road_envs.rendering.scene import (
 )
 from road_envs.vehicle.equations import THETA, Z_B
 
-SCALE = 92.0
-"""Pixels per metre."""
+SCALE = 92.0  # pixels per metre
 
 SHEAR = np.array([0.07, 0.13])
 """Displacement to the right and upwards of a point one metre to the left [m]."""

@@ -42,8 +42,7 @@ LAYOUTS: dict[Layout, tuple[tuple[str, str], ...]] = {
 SIDES = {"left": [0], "right": [1], "both": [0, 1]}
 """Row indices of the heights (2, N) of a surface."""
 
-SAMPLE_SPACING = 0.005
-"""Spacing of the samples of bumps and defects [m]."""
+SAMPLE_SPACING = 0.005  # spacing of the samples of bumps and defects [m]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,8 +113,7 @@ class Bumps(Settings):
         return Surface(z, self.ds, name=f"bumps {self.layout}")
 
 
-MAX_DEFECT_HEIGHT = 10.0
-"""Largest height or depth of a defect [m]."""
+MAX_DEFECT_HEIGHT = 10.0  # largest height or depth of a defect [m]
 
 PositiveRange = Annotated[tuple[Positive, Positive], SmallestFirst]
 

@@ -13,8 +13,7 @@ from pydantic import Field, Tag
 from road_envs.core.config import Positive, Settings, by_kind
 from road_envs.vehicle.force_curves import Curve
 
-ATMOSPHERE = 101325.0
-"""Standard atmospheric pressure [Pa]."""
+ATMOSPHERE = 101325.0  # standard atmospheric pressure [Pa]
 
 MODES = {
     "ride": (False, False),
@@ -24,8 +23,7 @@ MODES = {
 }
 """The four settings of a 4S4 strut: (stiff spring, high damping)."""
 
-PASSIVE_MODES = {"passive": (False, False)}
-"""The only setting of a passive strut."""
+PASSIVE_MODES = {"passive": (False, False)}  # the only setting of a passive strut
 
 Modes = Mapping[str, tuple[bool, bool]]
 """Settings of the struts by name: (stiff spring, high damping)."""
