@@ -44,8 +44,8 @@ class _Source(NamedTuple):
         found = []
         for name in self.imports:
             module, _, inner = name.partition(":")
-            path = inner and find_source(f"{module}.{inner}", root)
-            found.append(path or find_source(module, root))
+            path = inner and _find_source(f"{module}.{inner}", root)
+            found.append(path or _find_source(module, root))
         return [path for path in found if path]
 
 
@@ -69,7 +69,7 @@ def code_digest(text: bytes) -> str:
 def closure(*modules: str, root: Path = ROOT) -> tuple[Path, ...]:
     """Return the files of this project that `modules` reach by imports, their own among them."""
     found: dict[Path, None] = {}
-    front = [path for module in modules if (path := find_source(module, root))]
+    front = [path for module in modules if (path := _find_source(module, root))]
     while front:
         path = front.pop()
         if path not in found:
@@ -108,7 +108,7 @@ def digest(paths: Iterable[Path], root: Path = ROOT) -> str:
 
 
 @cache
-def find_source(module: str, root: Path = ROOT) -> Path | None:
+def _find_source(module: str, root: Path = ROOT) -> Path | None:
     """Return the file of a module of this project; None for any other module."""
     if module.partition(".")[0] not in DIGESTED:
         return None

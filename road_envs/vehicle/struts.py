@@ -30,7 +30,7 @@ Modes = Mapping[str, tuple[bool, bool]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class ModeCurves(Settings):
+class _ModeCurves(Settings):
     """One curve for each setting of the strut's damper valve."""
 
     ride: Annotated[Curve, "N over m/s", "low damping"]
@@ -38,7 +38,7 @@ class ModeCurves(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class AxleCurves(Settings):
+class _AxleCurves(Settings):
     """One curve for the struts of each axle."""
 
     front: Annotated[Curve, "N over m", "both front struts"]
@@ -55,10 +55,10 @@ class Strut(Settings):
     x_1: Annotated[Positive, "m", "static gas column of the first accumulator"]
     x_2: Annotated[Positive, "m", "static gas column of the second accumulator, behind the valve"]
     column_min: Annotated[Positive, "m", "shortest gas column; the force is linear below it"]
-    damper: ModeCurves
-    friction: ModeCurves
+    damper: _ModeCurves
+    friction: _ModeCurves
     bushing: Curve
-    bump_stop: AxleCurves
+    bump_stop: _AxleCurves
     kind: Literal["4s4"] = "4s4"
 
     def __post_init__(self):
@@ -80,7 +80,7 @@ class CoilSpring(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class AirSpring(Settings):
+class _AirSpring(Settings):
     """An air spring of constant effective area whose pressure carries the static load.
 
     With p_0 the atmospheric pressure and p = p_0 + load / A the absolute pressure at static length,
@@ -106,7 +106,7 @@ class AirSpring(Settings):
 
 
 AnySpring = Annotated[
-    Annotated[CoilSpring, Tag("coil")] | Annotated[AirSpring, Tag("air")], by_kind("coil")
+    Annotated[CoilSpring, Tag("coil")] | Annotated[_AirSpring, Tag("air")], by_kind("coil")
 ]
 
 
