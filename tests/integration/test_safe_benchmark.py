@@ -7,7 +7,7 @@ import pytest
 
 from leaderboard.commands import policies as policies_command
 from leaderboard.policies import best_found
-from leaderboard.policies.comparison import BEST_FOUND, compare, label, public_drives, table_lines
+from leaderboard.policies.comparison import BEST_FOUND, _label, compare, public_drives, table_lines
 from leaderboard.policies.page import _render_page, _score_chart, timelines
 from leaderboard.policies.timeline import MODE_NAMES, Timeline, drive_chart
 from road_envs.envs.safe4s4 import Safe4S4Env, Safe4S4Setup
@@ -185,7 +185,7 @@ def test_the_page_shows_every_row_and_the_best_found_as_a_line(searched):
     assert f"<option selected>{BEST_FOUND}</option>" in page
     lines = [t["name"] for t in _score_chart(data)["figures"][""]["data"] if t["mode"] == "lines"]
     assert lines == [BEST_FOUND]
-    assert label(searched.drives.starts[0].description) == data["drives"][0]
+    assert _label(searched.drives.starts[0].description) == data["drives"][0]
 
 
 def test_tuning_takes_the_best_of_its_grid_on_training_drives(monkeypatch):
