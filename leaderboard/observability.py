@@ -56,7 +56,7 @@ def bounds_by_state(
     for speed in speeds_kmh:
         if not (np.isfinite(speed) and speed > 0):
             raise ConfigError(f"the speed must be positive, got {speed} km/h")
-    instruments = instruments_with(sensors, noise_density)
+    instruments = _instruments_with(sensors, noise_density)
     # fails before anything is computed
     chosen = [_damping_by_strut(dampers, mode, car) for mode in modes]
     rows: list[dict[str, Any]] = []
@@ -83,7 +83,7 @@ def bounds_by_state(
     return rows, curves
 
 
-def instruments_with(sensors: str, noise_density: float | None) -> Instruments:
+def _instruments_with(sensors: str, noise_density: float | None) -> Instruments:
     """Load instruments, with another noise density if one is given. Raises ConfigError."""
     instruments = load_instruments(sensors)
     if noise_density is None:

@@ -27,19 +27,7 @@ from road_envs.vehicle.suspension import WHEELS
 _SIDES = ("left", "right")
 _STATION_TOLERANCE = 1e-6  # largest difference [m] of a station from that of the task, for rounding
 
-_CARD = """# RoadRecon task {name}
-
-{training} training drives with the true heights of both wheel paths and {test} test drives without,
-in {form} files:
-
-{tables}
-
-`vehicle.json` has the parameters of the nominal vehicle. Simulated by road-envs {version};
-licence CC-BY-4.0.
-To be scored, fill in `left` and `right` of test_profiles, in its order:
-
-    road-recon score HEIGHTS.{form} --task {name}{roads}
-"""
+_CARD = Path(__file__).parent / "templates" / "task_card.txt"
 
 
 def write_task(task: TaskArrays, folder: Path, form: str, roads: int | None = None) -> list[Path]:
@@ -68,7 +56,7 @@ def write_task(task: TaskArrays, folder: Path, form: str, roads: int | None = No
         table = pd.concat(parts, ignore_index=True)
         table.to_parquet(path) if form == "parquet" else table.to_csv(path, index=False)
         written.append(path)
-    card = _CARD.format(
+    card = _CARD.read_text(encoding="utf-8").format(
         name=task.name, training=len(task.training), test=len(task.test), form=form,
         tables=(__doc__ or "").split("\n\n")[1], version=__version__,
         roads="" if roads is None else f" --roads {roads}",

@@ -56,7 +56,7 @@ from leaderboard.sandbox import messages  # noqa: E402
 from leaderboard.submission.rules import load_rules  # noqa: E402
 from leaderboard.submission.submission import SUBMISSION, load_submission  # noqa: E402
 from leaderboard.task_tables import score_file, write_task  # noqa: E402
-from road_envs.core.artifacts import HEADER, text_checksum  # noqa: E402
+from road_envs.core.artifacts import HEADER, _text_checksum  # noqa: E402
 from road_envs.core.config import ConfigError  # noqa: E402
 from road_envs.drives.logger_tables.description import DriveDescription  # noqa: E402
 from road_envs.drives.recordings.formats import read_source, read_track  # noqa: E402
@@ -183,7 +183,7 @@ def more_readers(folder: Path) -> dict[str, Reader]:
             data = json.loads(text)
             data.pop("sha256", None)
             blank = '{\n "sha256": "' + "0" * 64 + '",\n' + json.dumps(data)[1:]
-            text = blank.replace("0" * 64, text_checksum(blank), 1)
+            text = blank.replace("0" * 64, _text_checksum(blank), 1)
         row.write_text(text, encoding="utf-8")
         views = board_views(load_board(board.tasks, folder / "board"))
         broken = [x.message for view in views for s in view.sections for x in s.rows if x.message]

@@ -33,7 +33,7 @@ from typing import NamedTuple
 import yaml
 
 from road_envs.core.atomic_io import write_text
-from road_envs.core.code_digest import cache_home, closure, code_digest, digest, find_source
+from road_envs.core.code_digest import _find_source, cache_home, closure, code_digest, digest
 
 ROOT = Path(__file__).resolve().parent.parent
 COPIED = (
@@ -182,7 +182,7 @@ def kernel_folders(tree: Path) -> list[str]:
     )
 
     closure.cache_clear()
-    find_source.cache_clear()
+    _find_source.cache_clear()
     own, *others = (
         digest(_kernel_files(tree / package), tree)
         for package in ("road_envs", "estimators", "leaderboard")

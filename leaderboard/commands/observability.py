@@ -8,12 +8,13 @@ from rich.table import Table
 from leaderboard import commands
 from leaderboard.commands.options import Sensors, Vehicle, option
 from leaderboard.commands.output import Output
-from leaderboard.observability import BANDWIDTHS, bounds_by_state, instruments_with
+from leaderboard.observability import BANDWIDTHS, bounds_by_state
 from leaderboard.report import plots
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.core.config import ConfigError, validate_choice
 from road_envs.drives.reading import DEFAULT_VEHICLE
 from road_envs.records.roughness import CLASSES
+from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import load_vehicle
 
 _DEFAULT_MODES = ("ride", "handling", "front=ride,rear=handling", "front=handling,rear=ride")
@@ -67,7 +68,7 @@ def observability(
             model_error=mismatch, attainable=attainable, with_curves=out is not None,
             progress=progress,
         )  # fmt: skip
-    density = instruments_with(sensors, noise).noise_density
+    density = load_instruments(sensors).noise_density if noise is None else noise
     facts: dict[str, Any] = {"vehicle": vehicle, "sensors": sensors, "road_class": road_class}
     facts |= {"noise_density": density, "mismatch": mismatch}
     title = f"class {road_class}, noise {density:g} (m/s²)/√Hz"

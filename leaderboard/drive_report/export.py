@@ -25,7 +25,16 @@ OBSTACLE_COLUMNS = (
 _MILE = 1609.344  # metres in a mile
 
 
-def write_tables(result: DriveResult, folder: Path, stem: str) -> list[Path]:
+def write_files(result: DriveResult, folder: Path, route: str | None = None) -> list[Path]:
+    """Write tables, GeoJSON and, for a `route`, HPMS of a drive; return the files.
+
+    Raises ConfigError for a route that is none.
+    """
+    written = [*_write_tables(result, folder), *_write_geojson(result, folder)]
+    return written if route is None else [*written, _write_hpms(result, folder, route)]
+
+
+def _write_tables(result: DriveResult, folder: Path) -> list[Path]:
     """Write segments, obstacles and heights; return the files."""
     pd = import_pandas()
     estimate = result.estimate
@@ -42,7 +51,7 @@ def write_tables(result: DriveResult, folder: Path, stem: str) -> list[Path]:
     written = []
     for name, table in tables.items():
         for suffix in (".csv", ".parquet") if name != "heights" else (".parquet",):
-            path = folder / f"{stem}_{name}{suffix}"
+            path = folder / f"{result.name}_{name}{suffix}"
             with atomic_write(path) as partial:
                 if suffix == ".csv":
                     table.to_csv(partial, index=False, float_format="%.10g")
@@ -52,7 +61,7 @@ def write_tables(result: DriveResult, folder: Path, stem: str) -> list[Path]:
     return written
 
 
-def write_geojson(result: DriveResult, folder: Path, stem: str) -> list[Path]:
+def _write_geojson(result: DriveResult, folder: Path) -> list[Path]:
     """Write segments as lines and obstacles as points (RFC 7946); nothing without positions."""
     if not result.has_position:
         return []
@@ -62,13 +71,13 @@ def write_geojson(result: DriveResult, folder: Path, stem: str) -> list[Path]:
     ]
     for row in result.obstacles:
         features.append(_feature("Point", [row["lon"], row["lat"]], {**row, "feature": "obstacle"}))
-    path = folder / f"{stem}.geojson"
-    collection = {"type": "FeatureCollection", "name": stem, "features": features}
+    path = folder / f"{result.name}.geojson"
+    collection = {"type": "FeatureCollection", "name": result.name, "features": features}
     write_text(path, json.dumps(nan_to_none(collection), allow_nan=False))
     return [path]
 
 
-def write_hpms(result: DriveResult, folder: Path, stem: str, route: str) -> list[Path]:
+def _write_hpms(result: DriveResult, folder: Path, route: str) -> Path:
     """Write the segments with the columns of sections of the Highway Performance Monitoring System.
 
     Names and units are those of the HPMS Field Manual (FHWA 2016, chapter 3): points along the
@@ -81,9 +90,9 @@ def write_hpms(result: DriveResult, folder: Path, stem: str, route: str) -> list
         begin, end = (mile + row[key] / _MILE for key in ("begin_m", "end_m"))
         place, flags = f"{begin:.4f},{end:.4f},{end - begin:.4f}", row["flags"].replace('"', "'")
         lines.append(f'{name},{place},IRI,{row["iri_in_per_mi"]:.0f},"{flags}"')
-    path = folder / f"{stem}_hpms.csv"
+    path = folder / f"{result.name}_hpms.csv"
     write_text(path, "\n".join(lines) + "\n")
-    return [path]
+    return path
 
 
 def parse_route(route: str) -> tuple[str, float]:

@@ -18,26 +18,8 @@ from leaderboard.drive_report.analysis import DriveResult
 from leaderboard.drive_report.export import OBSTACLE_COLUMNS, segment_line
 from road_envs.core.atomic_io import atomic_write
 
-_APPLICATION, _VERSION, _WGS_84 = 0x47504B47, 10300, 4326
-
-_SYSTEMS = (
-    ("Undefined cartesian", -1, "NONE", -1, "undefined"),
-    ("Undefined geographic", 0, "NONE", 0, "undefined"),
-    ("WGS 84", _WGS_84, "EPSG", _WGS_84, 'GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",'
-     '6378137,298.257223563]],PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]]'),
-)  # fmt: skip
-
-_TABLES = """
-CREATE TABLE gpkg_spatial_ref_sys (srs_name TEXT NOT NULL, srs_id INTEGER PRIMARY KEY,
-  organization TEXT NOT NULL, organization_coordsys_id INTEGER NOT NULL, definition TEXT NOT NULL,
-  description TEXT);
-CREATE TABLE gpkg_contents (table_name TEXT NOT NULL PRIMARY KEY, data_type TEXT NOT NULL,
-  identifier TEXT UNIQUE, description TEXT DEFAULT '', last_change DATETIME NOT NULL,
-  min_x DOUBLE, min_y DOUBLE, max_x DOUBLE, max_y DOUBLE, srs_id INTEGER);
-CREATE TABLE gpkg_geometry_columns (table_name TEXT NOT NULL, column_name TEXT NOT NULL,
-  geometry_type_name TEXT NOT NULL, srs_id INTEGER NOT NULL, z TINYINT NOT NULL,
-  m TINYINT NOT NULL, PRIMARY KEY (table_name, column_name));
-"""
+_WGS_84 = 4326  # its number among the reference systems
+_TABLES = Path(__file__).with_suffix(".sql")
 
 
 class _Layer(NamedTuple):
@@ -57,10 +39,7 @@ def write_geopackage(results: Iterable[DriveResult], path: Path) -> list[Path]:
     if not layers:
         return []
     with atomic_write(path) as partial, closing(sqlite3.connect(partial)) as base:
-        base.execute(f"PRAGMA application_id = {_APPLICATION}")
-        base.execute(f"PRAGMA user_version = {_VERSION}")
-        base.executescript(_TABLES)
-        base.executemany("INSERT INTO gpkg_spatial_ref_sys VALUES (?, ?, ?, ?, ?, '')", _SYSTEMS)
+        base.executescript(_TABLES.read_text(encoding="utf-8"))
         for layer in layers:
             _write_layer(base, layer)
         base.commit()

@@ -142,7 +142,8 @@ def _detect_path(z: np.ndarray, std: np.ndarray, ds: float) -> Iterator[Detected
             middle, height, length = found
             span = int(np.argmin(np.abs(np.array(_SPANS) - length)))
             spread = float(scatter[span, peak])
-            confidence = _confidence(float(np.abs(d[j, peak]) / scatter[j, peak]))
+            x = float(np.abs(d[j, peak]) / scatter[j, peak])
+            confidence = float(np.exp(-np.exp(-(x - _GUMBEL_LOCATION) / _GUMBEL_SCALE)))
             yield DetectedObstacle(middle, height, spread, length, "", confidence)
         z[begin : end + 1] = np.linspace(z[begin], z[end], end - begin + 1)
         low, high = max(0, begin - halves[-1]), min(z.size, end + halves[-1] + 1)
@@ -187,10 +188,6 @@ def _level(z: np.ndarray, foot: int, direction: int, ds: float, length: int) -> 
     size = max(round(_FOOT_WIDTH * length), round(_MIN_FOOT_WIDTH / ds), 1)
     part = z[foot : foot + size] if direction > 0 else z[max(0, foot - size + 1) : foot + 1]
     return float(np.median(part))
-
-
-def _confidence(x: float) -> float:
-    return float(np.exp(-np.exp(-(x - _GUMBEL_LOCATION) / _GUMBEL_SCALE)))
 
 
 def _is_same(a: DetectedObstacle, b: DetectedObstacle) -> bool:

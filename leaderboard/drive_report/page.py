@@ -5,8 +5,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from markupsafe import Markup
-
 from leaderboard.drive_report import pictures
 from leaderboard.drive_report.analysis import DriveResult
 from leaderboard.drive_report.conditions import Conditions
@@ -37,7 +35,6 @@ def write_page(
 
 
 def _drive(result: DriveResult, conditions: Conditions, anchor: str) -> dict[str, Any]:
-    shown = pictures.ShownProfile.of(result)
     paths = ("hri", "iri_mean") if result.is_mean_path else ("iri_left", "iri_right", "iri_mean")
     lengths = {name: 0.0 for name in conditions.categories}
     for row in result.segments:
@@ -60,12 +57,7 @@ def _drive(result: DriveResult, conditions: Conditions, anchor: str) -> dict[str
         "band": scored_band(result.v),
         "has_interval": math.isfinite(result.facts["iri_mean_high"]),
         "level": {name: k for k, name in enumerate(conditions.categories)},
-        "strip": Markup(pictures.profile_strip(result, shown)),
-        "is_shaded": shown.std is not None,
-        "heights": pictures.strip_data(result, shown),
-        "iri": Markup(pictures.iri_chart(result, conditions)),
-        "density": Markup(pictures.density_chart(result)),
-        "map": Markup(pictures.track_map(result, conditions, anchor)),
+        **pictures.draw(result, conditions, anchor),
     }
 
 

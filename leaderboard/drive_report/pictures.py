@@ -5,6 +5,7 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
+from markupsafe import Markup
 
 from leaderboard.drive_report.analysis import DriveResult
 from leaderboard.drive_report.conditions import Conditions
@@ -42,7 +43,7 @@ def _drawn_paths(result: DriveResult) -> dict[str, str]:
     return {side: COLOURS[side] for side in SIDES}
 
 
-class ShownProfile(NamedTuple):
+class _ShownProfile(NamedTuple):
     """Heights that are shown, without long waves: chainage (M,) [m], each path, and their standard
     deviation (2, M) [mm], None where the method has none.
     """
@@ -52,7 +53,7 @@ class ShownProfile(NamedTuple):
     std: np.ndarray | None
 
     @classmethod
-    def of(cls, result: DriveResult) -> "ShownProfile":
+    def of(cls, result: DriveResult) -> "_ShownProfile":
         """Return those of a drive."""
         estimate, ds = result.estimate, result.estimate.ds
         band = (1.0 / _LONGEST_WAVE, scored_band(result.v)[1])
@@ -68,7 +69,20 @@ class ShownProfile(NamedTuple):
         return cls(s, z, std)
 
 
-def strip_data(result: DriveResult, shown: ShownProfile) -> dict[str, Any]:
+def draw(result: DriveResult, conditions: Conditions, anchor: str) -> dict[str, Any]:
+    """Return the pictures of a drive, and the heights that the page's script draws."""
+    shown = _ShownProfile.of(result)
+    return {
+        "strip": Markup(_profile_strip(result, shown)),
+        "is_shaded": shown.std is not None,
+        "heights": _strip_data(result, shown),
+        "iri": Markup(_iri_chart(result, conditions)),
+        "density": Markup(_density_chart(result)),
+        "map": Markup(_track_map(result, conditions, anchor)),
+    }
+
+
+def _strip_data(result: DriveResult, shown: _ShownProfile) -> dict[str, Any]:
     """Return what the page's script draws below the row of a segment: heights in _STRIP_UNIT as
     base64 of 16-bit integers every `step` [m] from `begin` [m], by path with its colour.
     """
@@ -87,7 +101,7 @@ def strip_data(result: DriveResult, shown: ShownProfile) -> dict[str, Any]:
     return {"begin": float(shown.s[0]), "step": step, "unit": _STRIP_UNIT, "paths": paths}
 
 
-def profile_strip(result: DriveResult, shown: ShownProfile) -> str:
+def _profile_strip(result: DriveResult, shown: _ShownProfile) -> str:
     """Return the heights of both wheel paths over the chainage, with their 95 % interval."""
     (s, z, std), ds = shown, result.estimate.ds
     rows = int(np.clip(np.ceil((s[-1] - s[0]) / _ROW_LENGTH), 1, _ROWS))
@@ -117,7 +131,7 @@ def profile_strip(result: DriveResult, shown: ShownProfile) -> str:
     return inline_svg(paint, (8.0, 0.6 + 1.15 * rows))
 
 
-def iri_chart(result: DriveResult, conditions: Conditions) -> str:
+def _iri_chart(result: DriveResult, conditions: Conditions) -> str:
     """Return the IRI of the segments along the road, with intervals, over the categories."""
 
     def paint(figure: Any) -> None:
@@ -154,7 +168,7 @@ def iri_chart(result: DriveResult, conditions: Conditions) -> str:
     return inline_svg(paint, (8.0, 3.0))
 
 
-def density_chart(result: DriveResult) -> str:
+def _density_chart(result: DriveResult) -> str:
     """Return the displacement spectral density of both wheel paths over the ISO 8608 classes."""
     band = scored_band(result.v)
 
@@ -173,7 +187,7 @@ def density_chart(result: DriveResult) -> str:
     return inline_svg(paint, (4.6, 3.6))
 
 
-def track_map(result: DriveResult, conditions: Conditions, anchor: str) -> str:
+def _track_map(result: DriveResult, conditions: Conditions, anchor: str) -> str:
     """Return the track with segments in the colour of their category; empty without positions.
 
     Segment k leads to the element `anchor`-k of the page, and shows its IRI under the pointer.

@@ -10,9 +10,9 @@ import estimators
 from leaderboard.drive_report.analysis import SEGMENT_LENGTHS, DriveResult, KnownFactor, analyse
 from leaderboard.drive_report.conditions import Conditions
 from leaderboard.drive_report.drive_estimates import estimate_drive, make_drive_estimator
-from leaderboard.drive_report.export import parse_route, write_geojson, write_hpms, write_tables
+from leaderboard.drive_report.export import parse_route, write_files
 from leaderboard.drive_report.geopackage import write_geopackage
-from leaderboard.drive_report.known_iri import known_factor, read_known_iri
+from leaderboard.drive_report.known_iri import known_factor
 from leaderboard.drive_report.mean_path import tells_vehicle
 from leaderboard.drive_report.page import write_page
 from leaderboard.drive_report.passes import ReportedPass, align_passes, compare, join
@@ -101,7 +101,7 @@ def make_report(
     joined = join(one, passes, [drive.car for drive in drives])
     results = list(map(_analysed, passes, drives, repeat(chosen)))
     if chosen.known_iri is not None:
-        known, note = known_factor(results[0], read_known_iri(chosen.known_iri))
+        known, note = known_factor(results[0], chosen.known_iri)
         drives = [_with_factor(drive, known) for drive in drives]
         passes = [p.with_note(note) for p in passes]
         results = list(map(_analysed, passes, drives, repeat(chosen)))
@@ -151,10 +151,7 @@ def write_report(report: _RoadReport, chosen: ReportSettings, folder: Path) -> l
     folder.mkdir(parents=True, exist_ok=True)
     written = []
     for result in report.results:
-        written += write_tables(result, folder, result.name)
-        written += write_geojson(result, folder, result.name)
-        if chosen.route is not None:
-            written += write_hpms(result, folder, result.name, chosen.route)
+        written += write_files(result, folder, chosen.route)
     written += write_geopackage(report.results, folder / "report.gpkg")
     about = {"vehicle": report.vehicle, "sensors": report.sensors, "estimator": chosen.estimator}
     page = folder / "index.html"

@@ -69,7 +69,7 @@ def search(
     beams = np.zeros((T, n), dtype=np.int64)
     for i in range(n):
         progress("beam", 0.1 * i / n)
-        own = beam(drives, i)[0]
+        own = _beam(drives, i)[0]
         beams[: len(own), i] = own[:T]
     plans = _best([*candidates, beams], drives)[None].repeat(len(seeds), axis=0)
     stop = Event()
@@ -80,7 +80,7 @@ def search(
             if stop.is_set():
                 return
             progress("sweeps", 0.1 + 0.9 * i / n)
-            climb(alone, i, plan[:, i], sweeps, rng)
+            _climb(alone, i, plan[:, i], sweeps, rng)
 
     with ThreadPoolExecutor(drives.threads) as pool:
         try:
@@ -97,7 +97,7 @@ def _best(plans: Sequence[np.ndarray], drives: Drives) -> np.ndarray:
     return np.stack([plans[k][:, i] for i, k in enumerate(scores.argmax(axis=0))], axis=1)
 
 
-def climb(drives: Drives, i: int, best: np.ndarray, sweeps: int, rng: np.random.Generator) -> None:
+def _climb(drives: Drives, i: int, best: np.ndarray, sweeps: int, rng: np.random.Generator) -> None:
     """Replace the plan `best` (T,) of drive number `i` by better ones, in `sweeps` of the drive."""
     prices, plan = _prices(drives, i, best), best.copy()
     least, length = prices.sum(), round(_WINDOW / drives.setup.interval)
@@ -107,17 +107,17 @@ def climb(drives: Drives, i: int, best: np.ndarray, sweeps: int, rng: np.random.
             if not heat:
                 plan = best.copy()
             if part == 0:
-                sweep(drives, i, plan, rng)
+                _sweep(drives, i, plan, rng)
             else:
                 sums = np.convolve(prices, np.ones(length), "valid")
                 first = int(sums.argmax())
-                sweep(drives, i, plan, rng, first, first + length, heat)
+                _sweep(drives, i, plan, rng, first, first + length, heat)
             prices = _prices(drives, i, plan)
             if prices.sum() < least:
                 best[:], least = plan, prices.sum()
 
 
-def beam(drives: Drives, i: int) -> tuple[np.ndarray, float]:
+def _beam(drives: Drives, i: int) -> tuple[np.ndarray, float]:
     """Return actions (T,) of drive number `i` by the stratified beam search, and their score."""
     setup, pairs = drives.setup, len(drives.setup.command_bytes)
     fleet = _started(drives, i, pairs * pairs)
@@ -144,7 +144,7 @@ def beam(drives: Drives, i: int) -> tuple[np.ndarray, float]:
     return np.repeat(best, hold), float(score.max())
 
 
-def sweep(
+def _sweep(
     drives: Drives, i: int, plan: np.ndarray, rng: np.random.Generator,
     first: int = 0, stop: int | None = None, heat: float = 0.0,
 ) -> None:  # fmt: skip

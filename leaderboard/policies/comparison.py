@@ -120,7 +120,7 @@ def compare(
     data = {
         "benchmark": setup.benchmark.name,
         "split": setup.safe.split,
-        "drives": [label(start.description) for start in drives.starts],
+        "drives": [_label(start.description) for start in drives.starts],
         "reference": reference,
         "rows": rows_of_table,
         "searches": searches,
@@ -128,7 +128,7 @@ def compare(
     return Comparison(data, drives, rollouts)
 
 
-def label(drive: SafeDrive) -> str:
+def _label(drive: SafeDrive) -> str:
     """Return a description such as "j turn to the left, class C then D, 47 km/h, S1, known"."""
     kind = drive.severe.replace("_", " ")
     return (

@@ -3,10 +3,9 @@
 from dataclasses import dataclass
 
 from leaderboard.evaluation.boards import BoardDefinition
-from leaderboard.metrics.api import PERCENT, Metric
+from leaderboard.metrics.api import Metric
 from leaderboard.metrics.registry import SCORES
-from road_envs.core.config import validate_choice
-from road_envs.sensing.perturbed_vehicle import GRADES
+from road_envs.core.config import folder, read_yaml, validate_choice
 
 WORST = "worst"
 TAIL = {"above_0.3": 0.3, "above_1": 1.0}
@@ -32,54 +31,9 @@ class Column(Metric):
     wide: bool = False
 
 
-_DERIVED = (
-    Metric("rank", "rank", digits=0, blank="",
-           help="In the order of the score, entries share the rank of the best of them unless it "
-           "is significantly better (95 % interval of the paired difference below 0); the next "
-           "group has its place as rank. None from fewer than five roads."),
-    Metric("rank_causal", "rank among causal entries", head="among causal", digits=0, blank="",
-           help="Rank among the entries that use no future of the record."),
-    Metric("interval", "95 % interval", head="95 %",
-           help="95 % interval of the interquartile mean, by a bootstrap over roads within their "
-           "families, then over training seeds. None from fewer than five roads."),
-    Metric(WORST, "worst drive", head="worst",
-           help="Largest score of any drive. None from fewer than five roads."),
-    *(
-        Metric(key, f"drives above {limit:g}", head=f"> {limit:g}", **PERCENT,
-               help=f"Share of drives whose ranking score is above {limit:g}.")
-        for key, limit in TAIL.items()
-    ),
-    Metric(BELOW_BOUND, "drives below the bound", head="< bound", **PERCENT, better="",
-           help=f"Share of drives with an error below the {BOUND_NAME}. It is no floor: an "
-           "estimator that uses the nonlinear car and higher frequencies can be below, and so can "
-           "any on roads with single obstacles."),
-    Metric("train_seconds", "training time", head="train", unit="s", digits=1, blank="",
-           help="Mean time of one training under one condition."),
-    Metric("estimate_ms_per_100m", "time per 100 m", head="time", unit="ms/100m", digits=1,
-           blank="", help="Time of an estimate for 100 m of road, on the machine of the run."),
-    Metric("parameters", "fitted parameters", head="weights", digits=0, blank="",
-           help="Number of fitted parameters."),
-    Metric("states", "states of the trainings", head="trainings", unit="<15/15-25/>25 %",
-           help="Number of trainings that were near-optimal, sub-optimal and unstable in the sense "
-           "of the paper's Appendix A: eq. 12 as printed below 15, 15 to 25, above 25 %."),
-    *(
-        Metric(f"grade_{grade}", f"in-band NRMSE on car {grade}", head=grade, digits=3,
-               help=f"In-band NRMSE on cars of grade {grade}.")
-        for grade in GRADES
-    ),
-    Metric("slope", "growth of the NRMSE per grade", head="slope", unit="per grade", digits=3,
-           better="zero", help="Least-squares slope of the NRMSE over the grades of car."),
-    Metric("calibrates", "calibrated to the vehicle", head="calibrated", blank="",
-           help="Whether the estimator uses the calibration drives that it is given before each "
-           "test drive; the others ignore them."),
-    Metric("calibrate_seconds", "calibration time", head="calibrate", unit="s", digits=1, blank="",
-           help="Mean time of a calibration, of the slowest condition: drives that an estimator "
-           "before it has identified the same vehicle from take none."),
-    Metric("slope_interval", "95 % interval of the slope", head="95 %",
-           help="95 % interval of the slope, by the same bootstrap as that of the mean."),
-)  # fmt: skip
+_DERIVED = read_yaml(folder() / "report" / "derived_columns.yaml")
 
-COLUMNS: dict[str, Metric] = {**SCORES, **{column.key: column for column in _DERIVED}}
+COLUMNS: dict[str, Metric] = SCORES | {key: Metric(key, **form) for key, form in _DERIVED.items()}
 """Every column by key: the scores, and what is derived from them."""
 
 

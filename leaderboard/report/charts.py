@@ -1,5 +1,10 @@
-"""Charts of a task: along the road, over spatial frequency, over the runs."""
+"""Charts of a task: along the road, over spatial frequency, over the runs.
 
+Drawn heights are integers of _HEIGHT_UNIT, encoded as differences under `dy`; `std` is their
+standard deviation in that unit, of which the script makes a 90 % band.
+"""
+
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -18,6 +23,8 @@ from leaderboard.report import figures as fig
 from leaderboard.report.tables import SPECTRUM_SCORES, Row
 from road_envs.records.roughness import CLASSES, N_0, displacement_psd, smooth_psd
 
+_HEIGHT_UNIT = 1e-4  # unit [m] of encoded heights
+_DRAWN_HEIGHT_LIMIT = 3.0  # drawn heights are clipped to +- this [m]
 _RAW_SPACING = 0.05  # least spacing [m] at which raw heights are drawn
 
 _IN_BAND_SPACING = 0.1
@@ -33,13 +40,22 @@ _REPLICATES = 300  # bootstrap replicates of a performance profile: enough for a
 
 _SYMBOLS = {"detected": "circle-open", "missed": "x-thin-open", "false alarm": "diamond-open"}
 
+
+def _frequency_axis(low: float, high: float) -> Any:
+    """Return a logarithmic axis of spatial frequency between two frequencies [cycles/m]."""
+    ticks = [n for n in (0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10) if low <= n <= high]
+    label = "spatial frequency [cycles/m]"
+    ends = (fig.rounded(math.log10(low)), fig.rounded(math.log10(high)))
+    return fig.axis(label, *ends, type="log", tickvals=ticks, ticktext=[f"{n:g}" for n in ticks])
+
+
 HEIGHT_AXES: dict[str, Any] = {
     "hovermode": "x unified",
     "xaxis": fig.axis("distance [m]", unifiedhovertitle={"text": "%{x:.1f} m"}),
     "yaxis": fig.axis("height [mm]"),
 }
 ERROR_AXES: dict[str, Any] = {
-    "xaxis": fig.frequency_axis(THIRD_OCTAVES[0], THIRD_OCTAVES[-1]),
+    "xaxis": _frequency_axis(THIRD_OCTAVES[0], THIRD_OCTAVES[-1]),
     "yaxis": fig.axis("error over truth", 0.0, 2.0),
 }
 
@@ -88,7 +104,7 @@ def height_lines(traces: Mapping[str, Trace], side: int, kind: str) -> list[dict
         line = _height_line(name, trace, trace.z_estimated, side, kind)
         if kind == "inside" and trace.z_std is not None:
             first, stride = (round(line[key] / trace.ds) for key in ("x0", "dx"))
-            line["std"] = fig.encode_std(trace.z_std[side, first::stride][: len(line["dy"])])
+            line["std"] = _encode_std(trace.z_std[side, first::stride][: len(line["dy"])])
         lines.append(line | {"line": fig.line_style(name)} | _visibility(k))
     return lines
 
@@ -100,10 +116,21 @@ def _height_line(name: str, trace: Trace, z: np.ndarray, side: int, kind: str) -
         drawn = band_pass(z, trace.ds, scored_band(trace.speed_kmh / 3.6))
         spacing = _IN_BAND_SPACING
     first, stride = (z.shape[1] - drawn.shape[1]) // 2, max(1, round(spacing / trace.ds))
-    heights = fig.encode_heights(drawn[side, ::stride])
+    heights = _encode_heights(drawn[side, ::stride])
     at = {"x0": fig.rounded(first * trace.ds), "dx": fig.rounded(stride * trace.ds), "dy": heights}
     look = {"legendgroup": name, "mode": "lines", "hovertemplate": "%{y:.1f} mm"}
     return {"name": name, **at, **look}
+
+
+def _encode_heights(z: np.ndarray) -> list[int]:
+    """Return the differences of heights (N,) [m], in units of _HEIGHT_UNIT."""
+    limited = np.clip(z, -_DRAWN_HEIGHT_LIMIT, _DRAWN_HEIGHT_LIMIT)
+    return np.diff(np.rint(limited / _HEIGHT_UNIT).astype(int), prepend=0).tolist()
+
+
+def _encode_std(std: np.ndarray) -> list[int]:
+    """Return standard deviations (N,) [m] in units of _HEIGHT_UNIT."""
+    return np.rint(np.minimum(std, _DRAWN_HEIGHT_LIMIT) / _HEIGHT_UNIT).astype(int).tolist()
 
 
 def _road_chart(drawn: Mapping[Condition, Mapping[str, Trace]]) -> fig.Chart:
@@ -170,7 +197,7 @@ def _density_chart(drawn: Mapping[Condition, Mapping[str, Trace]]) -> fig.Chart:
             "layout": {"shapes": [fig.upright(n) for n in scored_band(condition.speed_kmh / 3.6)]},
         }
     layout = {
-        "xaxis": fig.frequency_axis(*_CLASS_FREQUENCIES),
+        "xaxis": _frequency_axis(*_CLASS_FREQUENCIES),
         "yaxis": fig.axis("density [m³]", -9, -1, type="log", exponentformat="power", dtick=2),
         "annotations": _class_letters(),
     }

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from string import Template
 
 from leaderboard.conformance.method_card import find_method_card
 from leaderboard.evaluation.provenance import package_version
@@ -9,25 +10,7 @@ from leaderboard.evaluation.results import Result
 from leaderboard.evaluation.store import load
 from road_envs.core.config import ConfigError, validate_choice
 
-_PROJECT = """@software{{road_recon,
-  title = {{RoadRecon: road profile reconstruction from vehicle responses}},
-  version = {{{version}}},{note}
-}}
-
-@article{{ngwangwa_reconstruction,
-  title = {{Reconstruction of road defects and road roughness classification using Artificial
-           Neural Networks simulation and vehicle dynamic responses: Application to experimental
-           data}},
-  author = {{Ngwangwa, H. M. and Heyns, P. S. and Breytenbach, H. G. A. and Els, P. S.}},
-  journal = {{Journal of Terramechanics}},
-}}
-"""
-_ENTRY = """
-@misc{{road_recon_{name},
-  title = {{{name}, an entry of the RoadRecon leaderboard}},{authors}
-  note = {{{note}}},
-}}
-"""
+_TEMPLATES = Path(__file__).parents[1] / "templates"
 _SPECIAL = str.maketrans(
     {c: f"\\{c}" for c in "&%$#_"}
     | {"{": "(", "}": ")", "\\": "", "\n": " "}  # BibTeX counts \{, too
@@ -37,7 +20,7 @@ _SPECIAL = str.maketrans(
 def as_bibtex(note: str = "") -> str:
     """Entries of this project, with a `note` on what is cited of it, and of the paper."""
     line = f"\n  note = {{{note.translate(_SPECIAL)}}}," if note else ""
-    return _PROJECT.format(version=package_version(), note=line)
+    return _fill("project.bib", version=package_version(), note=line)
 
 
 def cite_entry(out: Path, name: str) -> str:
@@ -56,7 +39,11 @@ def cite_entry(out: Path, name: str) -> str:
         authors = f"\n  author = {{{' and '.join(card.authors).translate(_SPECIAL)}}},"
     reference = "none" if card is None else card.citation
     note = _what_ran(rows) + (f"; {reference}" if reference != "none" else "")
-    return _ENTRY.format(name=name, authors=authors, note=note.translate(_SPECIAL))
+    return _fill("entry.bib", name=name, authors=authors, note=note.translate(_SPECIAL))
+
+
+def _fill(template: str, **values: str) -> str:
+    return Template((_TEMPLATES / template).read_text(encoding="utf-8")).substitute(values)
 
 
 def _what_ran(rows: Sequence[Result]) -> str:

@@ -1,6 +1,7 @@
 """Content of the page of one estimator: method, settings, errors, calibration, cost, failures."""
 
 import inspect
+import json
 import re
 import textwrap
 from collections.abc import Callable, Sequence
@@ -18,7 +19,8 @@ from leaderboard.metrics.heights import band_pass, scored_band
 from leaderboard.report import figures as fig
 from leaderboard.report.board_definitions import COLUMNS
 from leaderboard.report.charts import ERROR_AXES, bound_line, error_lines
-from leaderboard.report.tables import Row, Section, train_seconds
+from leaderboard.report.tables import BoardView, Row, Section, train_seconds
+from leaderboard.running.board import Board
 
 _WORST_DRIVES = 3  # number of drives of a task with the largest errors that are listed
 _LABEL_LENGTH = 20  # length at which the name of a group is continued on a second line [characters]
@@ -30,7 +32,67 @@ _Evaluated = tuple[Task, Result, Row, Section, BoardDefinition]
 """One result with its task and its row on the board."""
 
 
-def estimator_charts(evaluated: Sequence[_Evaluated]) -> dict[str, fig.Chart]:
+def page_values(
+    board: Board, views: Sequence[BoardView], name: str, results: Sequence[tuple[Task, Result]]
+) -> dict[str, Any]:
+    """Return the values of the page of an entry, from its rows on all boards and its `results`."""
+    rows = [
+        (view, section, row)
+        for view in views
+        for section in view.sections
+        for row in section.rows
+        if row.name == name
+    ]
+    by_task = {task.name: (task, result) for task, result in results}
+    evaluated = [
+        (*by_task[section.task], row, section, view.definition)
+        for view, section, row in rows
+        if row.state in ("scored", "baseline")
+    ]
+    first, about = results[0][1], board.methods.get(name)
+    settings = (f"{key.replace('_', ' ')} {x}" for key, x in first.settings.items())
+    return {
+        "root": "../",
+        "name": name,
+        "role": first.role,
+        "causal": first.causal,
+        "lag": first.lag,
+        "settings": ", ".join(settings),
+        "method": _method(name),
+        "method_card": {**vars(about), "authors": ", ".join(about.authors)}.items()
+        if about
+        else (),
+        "cards": list(
+            {card.identity: card for _, result in results if (card := board.card(result))}.values()
+        ),
+        "rows": rows,
+        "charts": _charts(evaluated),
+        "tasks": [task for task, *_ in evaluated],
+        "cost": [_cost(task, result) for task, result, *_ in evaluated],
+        "worst": [
+            drive
+            for task, result, _, _, definition in evaluated
+            for drive in _worst_drives(task, result, definition.ranks_by)
+        ],
+        "failures": [(task, result.failure) for task, result in results if result.failure],
+        "results": [(task, one, _result_provenance(board, task, one)) for task, one in results],
+    }
+
+
+def _result_provenance(board: Board, task: Task, result: Result) -> list[tuple[str, str]]:
+    facts = {
+        "file": f"results/{result.task}/{result.estimator}.json",
+        "task": f"version {task.version}, digest {result.task_digest}",
+        "state": board.stale_reason(task, result) or "fresh",
+        "package": f"road-envs {result.package_version}, metrics {result.metric_version}",
+        "isolation": result.isolation,
+        "training seeds": ", ".join(map(str, result.seeds)),
+        "settings": json.dumps(result.settings) if result.settings else "none",
+    }
+    return [*facts.items(), *result.environment.items()]
+
+
+def _charts(evaluated: Sequence[_Evaluated]) -> dict[str, fig.Chart]:
     """Return the charts of an estimator that are not empty, with a figure for each task."""
     made: dict[str, tuple[str, dict[str, Any], Callable[..., dict[str, Any] | None]]] = {
         "errors": ("Error by condition and family", _ERROR_LAYOUT, _error_figure),
@@ -46,7 +108,7 @@ def estimator_charts(evaluated: Sequence[_Evaluated]) -> dict[str, fig.Chart]:
     }
 
 
-def method(name: str) -> dict[str, Any] | None:
+def _method(name: str) -> dict[str, Any] | None:
     """Paragraphs of the docstrings of an estimator's module and class; None of another package."""
     cls = REGISTRY.get(name)
     if cls is None:
@@ -149,7 +211,7 @@ def _standardized(trace: Trace) -> np.ndarray:
     return np.abs(errors[inside > 0.0]) / inside[inside > 0.0]
 
 
-def worst_drives(task: Task, result: Result, key: str) -> list[tuple[str, ...]]:
+def _worst_drives(task: Task, result: Result, key: str) -> list[tuple[str, ...]]:
     """Return task, road, condition, training seed and error of the worst of several drives."""
     runs = result.scores[result.scores["score"] == key]
     if len(runs) < 2:
@@ -162,7 +224,7 @@ def worst_drives(task: Task, result: Result, key: str) -> list[tuple[str, ...]]:
     ]  # fmt: skip
 
 
-def cost(task: Task, result: Result) -> tuple[str, ...]:
+def _cost(task: Task, result: Result) -> tuple[str, ...]:
     """Return task, time per 100 m, time of a training, parameters and memory of an estimator."""
     return (
         task.name,

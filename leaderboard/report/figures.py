@@ -8,22 +8,15 @@ A chart is plain data:
     figures  by the values of these fields, joined by "|": {data, layout, caption}
 
 Colours are variables of `static/site.css`, so that a figure serves the light and the dark page.
-Heights are integers of _HEIGHT_UNIT, encoded as differences under `dy`; `std` is their standard
-deviation in that unit, of which the script makes a 90 % band.
 
 `static/plotly-basic.min.js` is the unchanged file of the npm package plotly.js-basic-dist-min 4.1.1
 (MIT, `static/plotly-LICENSE.txt`).
 """
 
-import math
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
-_HEIGHT_UNIT = 1e-4  # unit [m] of encoded heights
-_DRAWN_HEIGHT_LIMIT = 3.0  # drawn heights are clipped to +- this [m]
 _N_COLOURS = 7  # number of colours of lines in `static/site.css`: as many as there are FAMILIES
 _DASHES = ("solid", "dash", "dot")  # dashes of the estimators in FAMILIES
 _OTHER_DASHES = ("dashdot", "longdash", "longdashdot")  # dashes of all other estimators
@@ -82,14 +75,6 @@ def axis(label: str, low: float | None = None, high: float | None = None, **opti
     return {"title": {"text": label}, **limits, **options}
 
 
-def frequency_axis(low: float, high: float) -> Any:
-    """Return a logarithmic axis of spatial frequency between two frequencies [cycles/m]."""
-    ticks = [n for n in (0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10) if low <= n <= high]
-    label = "spatial frequency [cycles/m]"
-    ends = (rounded(math.log10(low)), rounded(math.log10(high)))
-    return axis(label, *ends, type="log", tickvals=ticks, ticktext=[f"{n:g}" for n in ticks])
-
-
 def curve(name: str, x: Iterable[float], y: Iterable[float | None], **options: Any) -> Any:
     """Return a line; its legend entry also hides what has the same `legendgroup`."""
     return {"name": name, "x": list(x), "y": list(y), "legendgroup": name, "mode": "lines"} | (
@@ -123,17 +108,6 @@ def upright(x: float, dash: str = "dot") -> dict[str, Any]:
     """Return a vertical line over the whole height of a figure."""
     at = {"x0": x, "x1": x, "y0": 0, "y1": 1, "yref": "paper"}
     return {"type": "line", **at, "line": {"color": QUIET, "dash": dash, "width": 1}}
-
-
-def encode_heights(z: np.ndarray) -> list[int]:
-    """Return the differences of heights (N,) [m], in units of _HEIGHT_UNIT."""
-    limited = np.clip(z, -_DRAWN_HEIGHT_LIMIT, _DRAWN_HEIGHT_LIMIT)
-    return np.diff(np.rint(limited / _HEIGHT_UNIT).astype(int), prepend=0).tolist()
-
-
-def encode_std(std: np.ndarray) -> list[int]:
-    """Return standard deviations (N,) [m] in units of _HEIGHT_UNIT."""
-    return np.rint(np.minimum(std, _DRAWN_HEIGHT_LIMIT) / _HEIGHT_UNIT).astype(int).tolist()
 
 
 def rounded(x: float, digits: int = 8) -> float:

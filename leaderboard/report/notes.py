@@ -9,12 +9,32 @@ from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics.baselines import NOISE_LEVEL, TRUTH_PLUS_NOISE
 from leaderboard.metrics.registry import SCORES
 from leaderboard.report.board_definitions import BELOW_BOUND, BOUND_NAME, BOUND_ROW
+from leaderboard.running.board import Board
 from leaderboard.running.verification import Verified, kernels_of
 from road_envs.sensing.perturbed_vehicle import load_plant_mismatch
 from road_envs.vehicle.parameters import load_vehicle
 
 if TYPE_CHECKING:
     from leaderboard.report.tables import Row
+
+
+PUBLIC_ROADS = (
+    "The test roads of this board are public: an entry can draw them again instead of estimating "
+    "them, and its rank then says nothing. A rank counts only in a sealed season, whose seeds are "
+    "revealed after the entries are in."
+)
+
+
+def section_notes(board: Board, task: Task, rows: Sequence["Row"]) -> tuple[str, ...]:
+    """Return all notes on a task and the `rows` of its scored entries."""
+    scored = board.scored(task)
+    return (
+        *([PUBLIC_ROADS] if task.is_public else []),
+        *_protocol_notes(task, scored),
+        *_surface_notes(task, [*scored, *board.failed(task)]),
+        *sanity_warnings(rows, task.is_public),
+        *_kernel_notes(scored, board.verified),
+    )
 
 
 def sanity_warnings(rows: Sequence["Row"], is_public: bool = False) -> list[str]:
@@ -47,7 +67,7 @@ def sanity_warnings(rows: Sequence["Row"], is_public: bool = False) -> list[str]
     return warnings
 
 
-def protocol_notes(task: Task, results: Sequence[Result]) -> list[str]:
+def _protocol_notes(task: Task, results: Sequence[Result]) -> list[str]:
     trained, pretrained = "", [r.estimator for r in results if r.settings.get("shipped")]
     if task.trains_on_test_road:
         trained = "Trained on altered copies of the test road"
@@ -75,7 +95,7 @@ def _position_note(task: Task) -> str:
     )
 
 
-def surface_notes(task: Task, results: list[Result]) -> list[str]:
+def _surface_notes(task: Task, results: list[Result]) -> list[str]:
     """Return what was changed on a road surface that was read from a file."""
     notes = dict.fromkeys(note for r in results for note in r.notes)
     return [f"Surface: {'; '.join(notes)}."] if notes and task.board_name == "measured" else []
@@ -96,7 +116,7 @@ def isolation_notice(results: Iterable[Result]) -> str | None:
     )
 
 
-def kernel_notes(
+def _kernel_notes(
     results: Sequence[Result], verified: Mapping[str, Sequence[Verified]]
 ) -> list[str]:
     """Return a note on the rows of a task that are not known to agree with the kernels of most.

@@ -11,7 +11,6 @@ them. The index is written last, so an interrupted build leaves the old one; pag
 and entries are deleted.
 """
 
-import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,7 @@ from leaderboard.report import estimator_page, export, overview, tables
 from leaderboard.report.board_definitions import COLUMNS, LIMIT_ROWS, TEXT_COLUMNS
 from leaderboard.report.charts import task_charts
 from leaderboard.report.figures import rounded
-from leaderboard.report.notes import isolation_notice
+from leaderboard.report.notes import PUBLIC_ROADS, isolation_notice
 from leaderboard.report.rendering import BOARD_PAGE, POLICY_PAGE, file_name, render, write_static
 from leaderboard.report.sentences import UNRELATED_ROAD, Report, headline, unrelated_level_errors
 from leaderboard.report.tables import BoardView, Row, Section
@@ -70,7 +69,7 @@ def _render_pages(
             values = _task(board, view, section, task)
             yield f"tasks/{task.name}.html", render("site/task.html", **linked, **values)
     for name, own in results.items():
-        values = _estimator(board, report.views, name, own)
+        values = estimator_page.page_values(board, report.views, name, own)
         page = render("site/estimator.html", **linked, **values)
         yield f"estimators/{file_name(name)}", page
     yield BOARD_PAGE, render("site/index.html", **linked, **_index(board, report))
@@ -95,7 +94,7 @@ def _index(board: Board, report: Report) -> dict[str, Any]:
         "ranked_by": definition.ranks_by,
         "causal": any(row.causal for row in section.rows),
         "notice": isolation_notice(scored),
-        "public": tables.PUBLIC_ROADS if any(task.is_public for task in board.tasks) else None,
+        "public": PUBLIC_ROADS if any(task.is_public for task in board.tasks) else None,
         "findings": report.findings,
         "levels": overview.levels_chart(sorted(claims)),
         "claims": claims,
@@ -165,55 +164,9 @@ def _task(board: Board, view: BoardView, section: Section, task: Task) -> dict[s
         "task": task,
         "charts": task_charts(task, view.definition, drawn, rows) if drawn else {},
         "notice": isolation_notice(scored),
-        "public": tables.PUBLIC_ROADS if task.is_public else None,
+        "public": PUBLIC_ROADS if task.is_public else None,
         "left_out": order[_MAX_DRAWN:],
         "facts_rows": [("drives", _drive_counts(task, scored)), ("digest", task.digest)],
-    }
-
-
-def _estimator(
-    board: Board, views: Sequence[BoardView], name: str, results: Sequence[tuple[Task, Result]]
-) -> dict[str, Any]:
-    rows = [
-        (view, section, row)
-        for view in views
-        for section in view.sections
-        for row in section.rows
-        if row.name == name
-    ]
-    by_task = {task.name: (task, result) for task, result in results}
-    evaluated = [
-        (*by_task[section.task], row, section, view.definition)
-        for view, section, row in rows
-        if row.state in ("scored", "baseline")
-    ]
-    first, about = results[0][1], board.methods.get(name)
-    settings = (f"{key.replace('_', ' ')} {x}" for key, x in first.settings.items())
-    return {
-        "root": "../",
-        "name": name,
-        "role": first.role,
-        "causal": first.causal,
-        "lag": first.lag,
-        "settings": ", ".join(settings),
-        "method": estimator_page.method(name),
-        "method_card": {**vars(about), "authors": ", ".join(about.authors)}.items()
-        if about
-        else (),
-        "cards": list(
-            {card.identity: card for _, result in results if (card := board.card(result))}.values()
-        ),
-        "rows": rows,
-        "charts": estimator_page.estimator_charts(evaluated),
-        "tasks": [task for task, *_ in evaluated],
-        "cost": [estimator_page.cost(task, result) for task, result, *_ in evaluated],
-        "worst": [
-            drive
-            for task, result, _, _, definition in evaluated
-            for drive in estimator_page.worst_drives(task, result, definition.ranks_by)
-        ],
-        "failures": [(task, result.failure) for task, result in results if result.failure],
-        "results": [(task, one, _result_provenance(board, task, one)) for task, one in results],
     }
 
 
@@ -226,19 +179,6 @@ def _board_provenance(board: Board) -> list[tuple[str, str]]:
         machines |= dict.fromkeys(_machine(result) for result in scored)
         rows.append((task.name, f"{_drive_counts(task, scored)}; digest {task.digest[:12]}"))
     return [*(("Made by", text) for text in machines), *rows]
-
-
-def _result_provenance(board: Board, task: Task, result: Result) -> list[tuple[str, str]]:
-    facts = {
-        "file": f"results/{result.task}/{result.estimator}.json",
-        "task": f"version {task.version}, digest {result.task_digest}",
-        "state": board.stale_reason(task, result) or "fresh",
-        "package": f"road-envs {result.package_version}, metrics {result.metric_version}",
-        "isolation": result.isolation,
-        "training seeds": ", ".join(map(str, result.seeds)),
-        "settings": json.dumps(result.settings) if result.settings else "none",
-    }
-    return [*facts.items(), *result.environment.items()]
 
 
 def _machine(result: Result) -> str:

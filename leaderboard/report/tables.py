@@ -35,7 +35,7 @@ from leaderboard.report.board_definitions import (
     Column,
     board_columns,
 )
-from leaderboard.report.notes import kernel_notes, protocol_notes, sanity_warnings, surface_notes
+from leaderboard.report.notes import section_notes
 from leaderboard.report.run_groups import ScoreSlice, run_groups
 from leaderboard.running.board import Board
 from road_envs.sensing.perturbed_vehicle import GRADES
@@ -43,11 +43,6 @@ from road_envs.sensing.perturbed_vehicle import GRADES
 _RowState = Literal["scored", "baseline", "claim", "failed", "stale"]
 _CLAIM_ROW = "paper's claim"
 TRAINING_STATES = ("near_optimal", "sub_optimal", "unstable")
-PUBLIC_ROADS = (
-    "The test roads of this board are public: an entry can draw them again instead of estimating "
-    "them, and its rank then says nothing. A rank counts only in a sealed season, whose seeds are "
-    "revealed after the entries are in."
-)
 ALL_RUNS = ""  # name of the group of all runs
 
 SPECTRUM_SCORES = tuple(name for name in SCORES if name.startswith("error_at_"))
@@ -154,13 +149,7 @@ def _section(board: Board, task: Task, definition: BoardDefinition) -> Section:
         task.name,
         task.heading,
         (*claim, *rows, *failed, *stale),
-        (
-            *([PUBLIC_ROADS] if task.is_public else []),
-            *protocol_notes(task, scored),
-            *surface_notes(task, [*scored, *board.failed(task)]),
-            *sanity_warnings(rows, task.is_public),
-            *kernel_notes(scored, board.verified),
-        ),
+        section_notes(board, task, rows),
         {kind_of_group: tuple(named) for kind_of_group, named in groups.items()},
         tuple(condition.label for condition in task.conditions),
         task.is_public,

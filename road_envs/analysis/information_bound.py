@@ -56,8 +56,7 @@ from road_envs.vehicle.parameters import VehicleParameters
 N_FREQUENCIES = 4001
 """Number of frequencies in a band, enough to resolve the narrowest notch, that of stiff struts."""
 
-Mode = str | Mapping[str, str]
-"""State of all struts, or states by axle or wheel."""
+Mode = str | Mapping[str, str]  # state of all struts, or states by axle or wheel
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -34,8 +34,7 @@ from road_envs.vehicle.linear_model import (
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import encode_command, settled_strut_state
 
-ORDERS = 24
-"""Highest order of the Hermite polynomials whose spectra are computed."""
+ORDERS = 24  # highest order of the Hermite polynomials whose spectra are computed
 
 Spectrum = Callable[[np.ndarray], np.ndarray]
 """From `n` (F,) [cycles/m] to the spectrum (F, 2, 2) [m³] of both wheel paths."""

@@ -77,7 +77,7 @@ class Kind:
         data = {"kind": self.name, "format": self.format, "made_by": code, "identity": identity}
         rest = _dump_by_lines(nan_to_none({**data, **content}))[2:] + "\n"
         blank = f"{CHECKSUM_PREFIX}{'0' * 64}{CHECKSUM_SUFFIX}{rest}"
-        return blank.replace("0" * 64, text_checksum(blank), 1)
+        return blank.replace("0" * 64, _text_checksum(blank), 1)
 
     def write(self, path: Path, content: Mapping[str, Any], identity: str = "") -> None:
         """Write an artifact, whole or not at all, flushed to disk before it becomes visible."""
@@ -113,7 +113,7 @@ class Kind:
         checksum = data.pop("sha256", None)
         if not text.startswith(f"{CHECKSUM_PREFIX}{checksum}{CHECKSUM_SUFFIX}"):
             raise ConfigError(f"{path}: not {what} (it does not begin with its checksum)")
-        if text_checksum(text) != checksum:
+        if _text_checksum(text) != checksum:
             raise ConfigError(
                 f"{path}: modified since it was written, by hand or by a disk fault; make it again"
             )
@@ -152,7 +152,7 @@ class Kind:
         return found
 
 
-def text_checksum(text: str) -> str:
+def _text_checksum(text: str) -> str:
     """Checksum of the text of an artifact, without the one written in it."""
     start = len(CHECKSUM_PREFIX) + 64 + len(CHECKSUM_SUFFIX)
     return hashlib.sha256(text[start:].encode()).hexdigest()
@@ -176,7 +176,7 @@ def _is_artifact(path: Path) -> bool:
     except (OSError, ValueError):
         return False
     start = len(CHECKSUM_PREFIX)
-    return text.startswith(CHECKSUM_PREFIX) and text_checksum(text) == text[start : start + 64]
+    return text.startswith(CHECKSUM_PREFIX) and _text_checksum(text) == text[start : start + 64]
 
 
 def clean(folder: Path, delete: bool = True) -> list[Path]:

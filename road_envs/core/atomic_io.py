@@ -108,8 +108,7 @@ def _fsync(path: Path) -> None:
         os.close(handle)
 
 
-LOCK_FILE = ".owner"
-"""File in a temporary folder that its owner keeps locked while it runs."""
+LOCK_FILE = ".owner"  # file in a temporary folder that its owner keeps locked while it runs
 
 
 class TempFolder:

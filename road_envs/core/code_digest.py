@@ -19,8 +19,7 @@ from typing import NamedTuple
 
 from road_envs.core.atomic_io import write_text
 
-ROOT = Path(__file__).parents[2]
-"""Folder that holds the packages of this project."""
+ROOT = Path(__file__).parents[2]  # folder that holds the packages of this project
 
 PACKAGES = ("road_envs", "estimators", "leaderboard")
 
@@ -45,8 +44,8 @@ class _Source(NamedTuple):
         found = []
         for name in self.imports:
             module, _, inner = name.partition(":")
-            path = inner and find_source(f"{module}.{inner}", root)
-            found.append(path or find_source(module, root))
+            path = inner and _find_source(f"{module}.{inner}", root)
+            found.append(path or _find_source(module, root))
         return [path for path in found if path]
 
 
@@ -70,7 +69,7 @@ def code_digest(text: bytes) -> str:
 def closure(*modules: str, root: Path = ROOT) -> tuple[Path, ...]:
     """Return the files of this project that `modules` reach by imports, their own among them."""
     found: dict[Path, None] = {}
-    front = [path for module in modules if (path := find_source(module, root))]
+    front = [path for module in modules if (path := _find_source(module, root))]
     while front:
         path = front.pop()
         if path not in found:
@@ -109,7 +108,7 @@ def digest(paths: Iterable[Path], root: Path = ROOT) -> str:
 
 
 @cache
-def find_source(module: str, root: Path = ROOT) -> Path | None:
+def _find_source(module: str, root: Path = ROOT) -> Path | None:
     """Return the file of a module of this project; None for any other module."""
     if module.partition(".")[0] not in DIGESTED:
         return None
@@ -156,8 +155,7 @@ def _parse(text: bytes) -> _Source:
     return _Source(hashlib.sha256(ast.dump(tree).encode()).hexdigest()[:DIGITS], tuple(own))
 
 
-_parsed: list[str] = []
-"""Contents that this process has parsed and not saved."""
+_parsed: list[str] = []  # contents that this process has parsed and not saved
 
 
 def _memory_file() -> Path:

@@ -78,8 +78,7 @@ def _check_order(pair: tuple[float, float]) -> tuple[float, float]:
     return pair
 
 
-SmallestFirst = AfterValidator(_check_order)
-"""Constraint on a pair of numbers."""
+SmallestFirst = AfterValidator(_check_order)  # constraint on a pair of numbers
 
 
 def by_kind(default: str) -> Discriminator:

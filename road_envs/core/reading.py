@@ -21,8 +21,7 @@ MAX_CELLS = 2**28
 Run lengths make a constant column of any length a few bytes, so the size of a file is no bound.
 """
 
-MAX_MESSAGE = 300
-"""Characters of a parser's message that are repeated."""
+MAX_MESSAGE = 300  # characters of a parser's message that are repeated
 
 
 @contextmanager

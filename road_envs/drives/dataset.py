@@ -20,34 +20,7 @@ FORMAT = "roadrecon dataset 1"
 CYCLE = ("train",) * 8 + ("validation", "test")
 """Split of the drives k = 0, 1, ..., repeated: every prefix of a data set has 80, 10 and 10 %."""
 
-CARD = """---
-license: cc-by-4.0
-pretty_name: RoadRecon drives
-size_categories: [{size}]
-configs:
-- config_name: records
-  data_files: [{{split: train, path: train_records.parquet}},
-    {{split: validation, path: validation_records.parquet}},
-    {{split: test, path: test_records.parquet}}]
----
-# RoadRecon drives
-
-{drives} simulated drives of a Land Rover Defender with switchable suspension over {metres:.0f} m of
-road, with the true heights of both wheel paths. Road, speed, strut states, vehicle, noise and gains
-are drawn for each drive (`road_envs.drives.training_corpus`); a third of the vehicles have flexible
-bodies or faulty instruments. No drive is one of the benchmark.
-
-- `SPLIT_records.parquet`: one row per sample: `drive`, `t` [s], `a_rf`, `a_lr`, `a_rr` (vertical
-  body accelerations, upwards [m/s²]; empty: lost), `v` [m/s], `s` (station of the front axle [m]),
-  `commands` (bit w: stiff spring, bit 4 + w: high damping, at wheel w of FL, FR, RL, RR).
-- `SPLIT_profiles.parquet`: one row per station: `drive`, `station`, `left`, `right` [m].
-- `drives.parquet`: one row per drive: `drive`, `split`, `length_m`, `speed_kmh`, `samples`.
-- `dataset.json`: version, settings, and the SHA-256 of every file.
-
-Splits: train, validation, test; every drive has a road of its own. Made by `{command}` with
-road-envs {version}, corpus {corpus}. Licence: {licence}. These are no measured data; the vehicles
-are variants of one model, so an error on it says nothing about another kind of vehicle.
-"""
+CARD = Path(__file__).with_name("dataset_card.txt")
 
 
 def write_dataset(
@@ -95,7 +68,7 @@ def write_dataset(
         "licence": "CC-BY-4.0",
     }
     size = "n<1K" if corpus.number < 1000 else "1K<n<10K"
-    card = CARD.format(**facts, size=size, command=command)
+    card = CARD.read_text(encoding="utf-8").format(**facts, size=size, command=command)
     (folder / "README.md").write_text(card, encoding="utf-8")
     paths = sorted(folder.iterdir())
     files = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}

@@ -23,8 +23,7 @@ from road_envs.drives.logger_tables.motion import EARTH_RADIUS, continued
 from road_envs.drives.recordings.recording import Recording, Series
 from road_envs.records.units import STANDARD_GRAVITY
 
-BLOCK = 1.0
-"""Time [s] over which the specific force is averaged: the body bounces at 1 to 2 Hz."""
+BLOCK = 1.0  # time [s] over which the specific force is averaged: the body bounces at 1 to 2 Hz
 
 NEAR, COARSE = 8, 300
 """Least number of blocks of a part with a mount of its own, and number of places at which the
@@ -38,15 +37,12 @@ of 10 %. The second where speed and heading are not known, so that braking and t
 
 MOST_MOVES = 4  # most movements of a device that is still mounted; more are of a loose one
 LEFT_OUT = 1.5  # time [s] on either side of a movement that is left out
-
-EXCITED = 0.25
-"""Least standard deviation [m/s²] of a manoeuvre's acceleration that is regressed on."""
+EXCITED = 0.25  # least standard deviation [m/s²] of a manoeuvre's acceleration that is regressed on
 
 GRAVITY_RANGE = (0.93 * STANDARD_GRAVITY, 1.07 * STANDARD_GRAVITY)
 """Magnitude [m/s²] of the mean that is gravity: offsets of phones are up to some tenths."""
 
-IN_G = (0.93, 1.07)
-"""Magnitude of the mean of accelerations in g."""
+IN_G = (0.93, 1.07)  # magnitude of the mean of accelerations in g
 
 CORRELATED = 4.0
 """Blocks for which a residual of the slow motion lasts, in the standard error of the mount."""

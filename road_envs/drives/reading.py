@@ -29,8 +29,7 @@ from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 from road_envs.vehicle.suspension import check_modes
 
-DEFAULT_VEHICLE = "land_rover_defender_110"
-"""Vehicle of the paper's drives."""
+DEFAULT_VEHICLE = "land_rover_defender_110"  # vehicle of the paper's drives
 
 
 class DriveFile(NamedTuple):

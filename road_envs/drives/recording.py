@@ -26,8 +26,7 @@ from road_envs.vehicle.suspension import MODES, decode_commands, encode_command
 
 FORMAT = "roadrecon record 1"
 
-CHUNK = 20_000
-"""Integrator steps that are simulated before their motion is sampled and discarded."""
+CHUNK = 20_000  # integrator steps that are simulated before their motion is sampled and discarded
 
 
 def true_profile(surface: Surface) -> Profile:

@@ -43,15 +43,13 @@ from road_envs.vehicle.struts import CoilSpring, Strut
 from road_envs.vehicle.suspension import MODES
 from road_envs.vehicle.tolerances import scale_parameters
 
-SEED_STREAM = 0x7EAC4
-"""First entry of the seed of every drive; no task uses it."""
+SEED_STREAM = 0x7EAC4  # first entry of the seed of every drive; no task uses it
 
 GRADE_SHARES = {"S0": 0.66, "S1": 0.06, "S2": 0.14, "S3": 0.14}
 """Shares of the grades. The odometer of S0 to S2 is exact; that of S3 is off by up to 0.2 m."""
 
 WHEEL_PATHS: tuple[Literal["left", "right", "both"], ...] = ("left", "right", "both", "both")
-ATTEMPTS = 10
-"""Number of drives that are tried if the simulation fails."""
+ATTEMPTS = 10  # number of drives that are tried if the simulation fails
 
 
 class _CorpusDrive(NamedTuple):

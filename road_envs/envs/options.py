@@ -54,8 +54,7 @@ RESERVED_NAMES = {"speed", "front", "rear", "planar", "extension", "extension_ra
 MAX_STEPS = 1_000_000
 """Largest number of integrator steps in a control interval: 240 MB of signals are kept."""
 
-MAX_OBSERVED_SPEED = 100.0
-"""Upper limit of the observed speed [m/s]."""
+MAX_OBSERVED_SPEED = 100.0  # upper limit of the observed speed [m/s]
 
 MAX_DRAWS = 20
 """Most roads that an episode draws until one has no step too high for a wheel, as some of class H

@@ -13,8 +13,7 @@ from road_envs.envs.fleet_arrays import StepOutput
 from road_envs.envs.options import EnvSetup, EpisodeStart
 from road_envs.simulation.drive import DriveSimulator
 
-RENDERED_HISTORY = 4.0
-"""Length of the acceleration traces in a rendered frame [s]."""
+RENDERED_HISTORY = 4.0  # length of the acceleration traces in a rendered frame [s]
 
 
 class RoadReconEnv(gymnasium.Env):

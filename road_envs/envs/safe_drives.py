@@ -50,8 +50,7 @@ Range = Annotated[tuple[NonNegative, NonNegative], SmallestFirst]
 TIME_QUANTUM = 0.1
 """Drives last a multiple of this time [s], so that they end alike at every control rate."""
 
-BUMP_LENGTH = 3.7
-"""Length of a bump [m]: the 12 feet of a Watts profile, the common speed hump."""
+BUMP_LENGTH = 3.7  # length of a bump [m]: the 12 feet of a Watts profile, the common speed hump
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,8 +157,7 @@ class SafeDrive(Settings):
         return self.begin + SEVERE_DURATION[self.severe] + REST
 
 
-OFFSET = 3.5
-"""Offset of the double lane change [m], ISO 3888-1:2018, table 1."""
+OFFSET = 3.5  # offset of the double lane change [m], ISO 3888-1:2018, table 1
 
 SEVERE: dict[str, Any] = {
     "j_turn": SteadyTurn(a_y=4.6, build_up=0.4, hold=2.5),
@@ -173,8 +171,9 @@ GENTLE: dict[str, Any] = {
     "slalom": Slalom(a_y=2.0, period=3.0, periods=2.0),
 }
 BRAKING = Braking(a_x=3.0, build_up=0.3, hold=1.5)
-REST = 1.0
-"""Shapes of the gentle manoeuvres, and the time [s] before them. Amplitudes are assumed."""
+"""Shapes of the gentle manoeuvres; amplitudes are assumed."""
+
+REST = 1.0  # time [s] before a gentle manoeuvre
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -37,8 +37,7 @@ SEAT = (0.30, 0.38)
 HIGH_PASS_CORNER = 0.4
 """Corner [Hz] below which a tyre load is quasi-static: the lower band limit of W_k, ISO 2631-1."""
 
-GRACE = 0.02
-"""Time [s] for which both wheels of a side may be off the ground before it counts."""
+GRACE = 0.02  # time [s] for which both wheels of a side may be off the ground before it counts
 
 
 class _SafetyParameters(NamedTuple):

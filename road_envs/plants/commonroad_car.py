@@ -45,8 +45,7 @@ PATCHES = (
 )
 """Regular expressions, what stands in their place, and how often."""
 
-DAMPING_RATE = 0.1
-"""Rate [m/s] within which the linear dampers have the slope of the file's."""
+DAMPING_RATE = 0.1  # rate [m/s] within which the linear dampers have the slope of the file's
 
 CORNERING, RELAXATION = 21.92, 0.05
 """Cornering stiffness of a tyre over its load [1/rad], p_ky1 of the package; its tyres have no

@@ -61,7 +61,7 @@ REGISTRY: dict[str, type[Policy]] = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class PolicySettings(Settings):
+class _PolicySettings(Settings):
     """Settings of a shipped policy and their source."""
 
     settings: dict[str, Any] = field(default_factory=dict)
@@ -108,7 +108,7 @@ def _tuned_settings(name: str) -> dict[str, Any]:
     """Return the shipped settings of a policy; empty if there are none."""
     if name not in config.names("policies"):
         return {}
-    return dict(config.load(PolicySettings, "policies", name).settings)
+    return dict(config.load(_PolicySettings, "policies", name).settings)
 
 
 def _validate_policy_class(cls: Any) -> Any:

@@ -24,8 +24,7 @@ from road_envs.policies.features import MAX_FEATURE, N_FEATURES, FeatureExtracto
 with optional_import("Stable-Baselines3 environments"):
     from stable_baselines3.common.vec_env import VecEnvWrapper
 
-RIDE = ("ride", "ride")
-"""States of the paired baseline."""
+RIDE = ("ride", "ride")  # states of the paired baseline
 
 
 class FeatureVecEnv(VecEnvWrapper):

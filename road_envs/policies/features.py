@@ -46,14 +46,12 @@ FEATURES = {
 NAMES = tuple(FEATURES)
 N_FEATURES = len(NAMES)
 
-FAST, SLOW = 0.05, 0.5
-"""Time constants [s] of the low-passed lateral forces."""
+FAST, SLOW = 0.05, 0.5  # time constants [s] of the low-passed lateral forces
 
 LOOK_AHEAD = 0.05
 """Time [s] over which a strut's rate is extrapolated: the stroke that it will have used."""
 
-MAX_FEATURE = 5.0
-"""Features are clipped to this magnitude."""
+MAX_FEATURE = 5.0  # features are clipped to this magnitude
 
 
 class FeatureExtractor:

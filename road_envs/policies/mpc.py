@@ -35,15 +35,13 @@ from road_envs.vehicle.linear_model import gaussian_damping, linearise, strut_fo
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import MODES
 
-PREDICTION_STEP = 0.01
-"""Longest step of a prediction [s]."""
+PREDICTION_STEP = 0.01  # longest step of a prediction [s]
 
 EXTENSION_RATE = 0.15
 """Standard deviation of the struts' rates of extension [m/s] for the equivalent dampers: that of a
 class-D road at 54 km/h in ride [assumed]."""
 
-SMALL_EXTENSION = 0.01
-"""Extension [m] over which the rate of a strut's spring is taken."""
+SMALL_EXTENSION = 0.01  # extension [m] over which the rate of a strut's spring is taken
 
 
 @dataclass(kw_only=True)

@@ -26,8 +26,7 @@ from road_envs.policies.api import PolicyContext
 from road_envs.policies.features import N_FEATURES, FeatureExtractor
 
 SB3_SUFFIX = ".zip"
-FILE_SUFFIXES = (".npz", SB3_SUFFIX)
-"""Suffixes of the files that hold a network."""
+FILE_SUFFIXES = (".npz", SB3_SUFFIX)  # suffixes of the files that hold a network
 
 SB3_ACTORS = (
     "mlp_extractor.policy_net.", "action_net.", "q_net.q_net.", "quantile_net.quantile_net.",

@@ -32,17 +32,13 @@ from road_envs.policies.features import N_FEATURES, FeatureExtractor
 from road_envs.policies.network_policy import NetworkPolicy, PolicyNetwork
 from road_envs.policies.rollout import POLICY_SEED, Drives, drive_all
 
-FIRST_ROUNDS = 2
-"""Rounds whose drives are those of `mpc`."""
+FIRST_ROUNDS = 2  # rounds whose drives are those of `mpc`
 
 TRAINING_SEEDS, DEVELOPMENT_SEED = 6_000_000, 3_000_000
 """First seeds of the drives: those of training seed 1, a million for each; those of comparison."""
 
-CONSTRAINT = "rrms"
-"""Policy whose violations a network should not exceed."""
-
-FAILED = 0.05
-"""Comfort [m²/s³] and time in violation [s] of each interval after a failure."""
+CONSTRAINT = "rrms"  # policy whose violations a network should not exceed
+FAILED = 0.05  # comfort [m²/s³] and time in violation [s] of each interval after a failure
 
 MAX_COST, ENTROPY, BATCH = 10.0, 0.002, 512
 """Most that a pair may cost above the best [m²/s³]; weight of the entropy; instants of a step."""
@@ -91,7 +87,7 @@ def iterate(
         first = TRAINING_SEEDS + 1_000_000 * (seed - 1) + k * config.drives
         drives = Drives.mirrored(setup, range(first, first + config.drives))
         policy = create("mpc") if k < FIRST_ROUNDS else policy
-        seen.append(examples(config, drives, policy, int(rng.integers(config.every))))
+        seen.append(_examples(config, drives, policy, int(rng.integers(config.every))))
         features, costs = (np.concatenate(part) for part in zip(*seen, strict=True))
         epochs = int(np.clip(400_000 // len(costs), 4, 12))
         _fit(model, features, costs, epochs, 2e-3 if k < 4 else 1e-3, rng)
@@ -106,14 +102,14 @@ def iterate(
     return best[2], tuple(curve)
 
 
-def examples(
+def _examples(
     config: IterationConfig, drives: Drives, policy: Any, first: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return features (M, K) at instants of the drives under a `policy`, from interval `first` on,
     and the costs (M, 16) [m²/s³] of all pairs of states.
     """
     driven = drive_all(policy, drives, store_observations=True)
-    costs = pair_costs(config, drives, driven.actions, first)
+    costs = _pair_costs(config, drives, driven.actions, first)
     instants = first + config.every * np.arange(len(costs))
     extractor = FeatureExtractor(PolicyContext.from_setup(drives.setup, len(drives), POLICY_SEED))
     features = np.stack([extractor.update(x) for x in driven.observations])[instants]
@@ -121,7 +117,7 @@ def examples(
     return features[whole], costs[whole]
 
 
-def pair_costs(
+def _pair_costs(
     config: IterationConfig, drives: Drives, actions: np.ndarray, first: int
 ) -> np.ndarray:
     """Return the costs (T', N, 16) of all pairs every few intervals of drives under `actions`."""

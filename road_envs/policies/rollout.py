@@ -1,7 +1,7 @@
 """Rollouts of a policy: one vehicle for each drive, all at once, without access to the truth."""
 
 import copy
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -15,8 +15,7 @@ from road_envs.envs.options import EnvSetup
 from road_envs.envs.safe4s4 import Safe4S4Setup
 from road_envs.policies.api import Policy, PolicyContext, validate_actions
 
-POLICY_SEED = 0
-"""Seed of random policies."""
+POLICY_SEED = 0  # seed of random policies
 
 EXTREMES = ("load_transfer", "roll")
 """Columns of which a drive has the largest value; of the others it has the sum."""
@@ -28,8 +27,7 @@ It ranks policies that violate behind all that do not: a drive on two wheels for
 costs 5 m²/s⁴, four times what handling costs in comfort [assumed].
 """
 
-KEPT_FLEETS = 2
-"""Fleets that `Drives` keeps to start them again."""
+KEPT_FLEETS = 2  # fleets that `Drives` keeps to start them again
 
 
 @dataclass(frozen=True)
@@ -197,19 +195,18 @@ def drive_all(
     drives: Drives,
     *,
     store_observations: bool = False,
-    progress: Callable[[float], None] = lambda share: None,
 ) -> Rollout:
     """Run a policy on all drives to their ends.
 
-    Without `store_observations` only the first observations are stored. `progress` is called with
-    the share done. Raises PolicyError for invalid actions, and what the policy raises.
+    Without `store_observations` only the first observations are stored. Raises PolicyError for
+    invalid actions, and what the policy raises.
     """
     setup, fleet = drives.setup, drives.start()
     context = PolicyContext.from_setup(setup, fleet.n_vehicles, POLICY_SEED)
     policy.reset(context)
     output, totals = fleet.advance(drives.first_bytes()), _Totals(fleet)
     reasons, actions, rewards = [""] * fleet.n_vehicles, [], []
-    observations, total = [output.observation], fleet.steps_left.max() / fleet.steps
+    observations = [output.observation]
     while totals.running.any():
         chosen = validate_actions(policy.act(output.observation), context)
         output = fleet.advance(setup.command_bytes[chosen])
@@ -220,7 +217,6 @@ def drive_all(
         rewards.append(setup.rewards(output.values))
         if store_observations:
             observations.append(output.observation)
-        progress(min(len(actions) / total, 1.0))
     arrays = np.array(actions), np.array(rewards), np.array(observations)
     named = dict(zip(totals.columns, totals.values, strict=True))
     return Rollout(*arrays, totals.intervals, named, tuple(reasons), setup.interval)

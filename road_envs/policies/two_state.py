@@ -18,7 +18,7 @@ from road_envs.policies.body_motion import BodyMotionEstimator
 
 
 @dataclass(kw_only=True)
-class TwoStateDamper(Settings, abc.ABC):
+class _TwoStateDamper(Settings, abc.ABC):
     """Policy with state `high` where the law is positive, else ride.
 
     `bias` shifts the threshold by a share of the running mean magnitude of the sum; a positive one
@@ -50,7 +50,7 @@ class TwoStateDamper(Settings, abc.ABC):
 
 
 @dataclass(kw_only=True)
-class Skyhook(TwoStateDamper):
+class Skyhook(_TwoStateDamper):
     """Policy with high damping where v e' > 0: an extending strut pulls down a rising body.
 
     Karnopp, Crosby & Harwood, J. Eng. Ind. 96, 1974.
@@ -61,7 +61,7 @@ class Skyhook(TwoStateDamper):
 
 
 @dataclass(kw_only=True)
-class Groundhook(TwoStateDamper):
+class Groundhook(_TwoStateDamper):
     """Policy with high damping where (v - e') e' < 0: an extending strut lifts a falling wheel.
 
     Valasek, Novak, Sika & Vaculin, Vehicle Syst. Dyn. 28, 1997.
@@ -73,7 +73,7 @@ class Groundhook(TwoStateDamper):
 
 
 @dataclass(kw_only=True)
-class AccelerationDriven(TwoStateDamper):
+class AccelerationDriven(_TwoStateDamper):
     """Policy with high damping where a e' > 0: the damper force opposes the acceleration.
 
     Savaresi, Silani & Bittanti, J. Dyn. Syst. Meas. Control 127, 2005.
@@ -84,7 +84,7 @@ class AccelerationDriven(TwoStateDamper):
 
 
 @dataclass(kw_only=True)
-class SkyhookAdd(TwoStateDamper):
+class SkyhookAdd(_TwoStateDamper):
     """Policy of skyhook at low frequencies and acceleration-driven damping at high ones.
 
     They cross over at `crossover` [Hz], alpha = 2 pi crossover: Savaresi & Spelta, J. Dyn. Syst.

@@ -21,8 +21,7 @@ from road_envs.policies.api import PolicyContext
 from road_envs.policies.body_motion import BodyMotionEstimator
 from road_envs.vehicle.linear_model import linearise
 
-LEAK = 0.2
-"""Corner of both leaky integrators [Hz]."""
+LEAK = 0.2  # corner of both leaky integrators [Hz]
 
 MIN_SPEED = 1.0
 """The history covers the wheelbase at this speed [m/s] and above, and less of it below."""

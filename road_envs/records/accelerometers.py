@@ -13,8 +13,7 @@ from pydantic import AfterValidator, Field, TypeAdapter
 
 from road_envs.core.config import NonNegative, Settings, build
 
-MAX_ACCELEROMETERS = 32
-"""Most accelerometers of one vehicle."""
+MAX_ACCELEROMETERS = 32  # most accelerometers of one vehicle
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 

@@ -19,14 +19,12 @@ Band = tuple[float, float]  # lower and upper limit of spatial frequency [cycles
 N_0 = 0.1  # reference spatial frequency of ISO 8608 [cycles/m]
 
 TrackWidth = Annotated[Positive, "m", "distance between the wheel paths"]
-TRACK: TrackWidth = 1.5
-"""Default of `TrackWidth`."""
+TRACK: TrackWidth = 1.5  # default of `TrackWidth`
 
 CLASSES = {name: 16e-6 * 4.0**k for k, name in enumerate("ABCDEFGH")}
 """Geometric mean of G_d(n0) [m³] of each class (ISO 8608, table C.1); its limit is twice that."""
 
-FIT_BAND = (0.011, 2.83)
-"""Band [cycles/m] of the straight-line fit of ISO 8608."""
+FIT_BAND = (0.011, 2.83)  # band [cycles/m] of the straight-line fit of ISO 8608
 
 
 def displacement_psd(
@@ -228,8 +226,7 @@ def _golden_modes(ds: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return poles, modes, np.linalg.solve(modes, P)
 
 
-IN_PER_MI = 63.36
-"""Inches per mile in 1 mm/m."""
+IN_PER_MI = 63.36  # inches per mile in 1 mm/m
 
 COARSEST = 0.3
 """Widest spacing [m] of a profile of which the IRI is computed (ASTM E1926: 300 mm, class 2)."""

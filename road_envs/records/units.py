@@ -3,37 +3,13 @@
 import re
 import unicodedata
 
-from road_envs.core.config import ConfigError, shown
+from road_envs.core.config import ConfigError, folder, read_yaml, shown
 
-STANDARD_GRAVITY = 9.80665
-"""Standard gravity [m/s²], the unit g of acceleration columns."""
+STANDARD_GRAVITY = 9.80665  # standard gravity [m/s²], the unit g of acceleration columns
 
-FACTORS: dict[str, dict[str, float]] = {
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
-    "acceleration": {"m/s2": 1.0, "g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY},
-    "speed": {"m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704, "kn": 1852.0 / 3600.0},
-    "distance": {
-        "m": 1.0,
-        "km": 1e3,
-        "cm": 1e-2,
-        "mm": 1e-3,
-        "mi": 1609.344,
-        "ft": 0.3048,
-        "in": 0.0254,
-        "mil": 25.4e-6,
-    },
-    "angle": {"deg": 1.0, "rad": 57.29577951308232},
-}
+_TABLES = read_yaml(folder() / "units" / "logger_columns.yaml")
+FACTORS: dict[str, dict[str, float]] = _TABLES["factors"]
 """Factor to seconds, m/s², m/s, m or degrees, by kind of quantity and unit."""
-
-SPELLINGS = {
-    "m/s^2": "m/s2", "m/s**2": "m/s2", "m/s/s": "m/s2", "ms-2": "m/s2", "m*s-2": "m/s2",
-    "ms2": "m/s2", "mps2": "m/s2", "mps": "m/s", "ms-1": "m/s", "kmh": "km/h", "kph": "km/h",
-    "km/hr": "km/h", "mi/h": "mph", "knots": "kn", "kt": "kn", "sec": "s", "second": "s",
-    "seconds": "s", "msec": "ms", "millis": "ms", "usec": "us", "degrees": "deg",
-    "degree": "deg", "°": "deg", "metre": "m", "meter": "m", "metres": "m", "meters": "m",
-    "feet": "ft", "inch": "in", "inches": "in", "mils": "mil",
-}  # fmt: skip
 
 SUFFIXES = ("g", "kmh", "kph", "mph", "mps", "ms2", "mps2")
 """Units that a header may end in after an underscore, as in "a_rf_g" and "v_kmh"."""
@@ -45,7 +21,7 @@ def normalise(unit: str) -> str:
     """Return a unit as FACTORS spells it, if it is known there."""
     text = unicodedata.normalize("NFKC", unit).replace("µ", "u").replace("μ", "u")
     text = text.replace("·", "*").replace("−", "-").replace(" ", "").strip("[]()").lower()
-    return SPELLINGS.get(text, text)
+    return _TABLES["spellings"].get(text, text)
 
 
 def is_unit(text: str) -> bool:

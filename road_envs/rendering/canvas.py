@@ -11,8 +11,7 @@ try:
 except ImportError as error:
     raise DependencyNotInstalled("run `pip install 'road-envs[render]'`") from error
 
-SMOOTHING = 3
-"""Supersampling factor of shapes; text is drawn at the final resolution."""
+SMOOTHING = 3  # supersampling factor of shapes; text is drawn at the final resolution
 
 
 @functools.cache

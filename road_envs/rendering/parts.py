@@ -1,7 +1,10 @@
 """Parts of the vehicle that both views draw."""
 
+from typing import Any
+
 import numpy as np
 
+from road_envs.core.config import folder, read_yaml
 from road_envs.rendering import style
 from road_envs.rendering.canvas import Canvas
 from road_envs.rendering.scene import Scene
@@ -9,6 +12,23 @@ from road_envs.rendering.scene import Scene
 MOUNT = 1.02  # height [m] of the upper strut mounts on the body
 TUBE = 0.34  # length [m] of the lower tube of a strut
 COLLAR = 0.06  # length [m] of the stops of a strut
+
+OUTLINES = read_yaml(folder() / "rendering" / "defender_110.yaml")
+"""Parts of the body by view: `colour`, `points`, and the colour of an `edge`, the `radius` [m] of a
+disc, or `line`.
+"""
+
+
+def draw_part(canvas: Canvas, part: dict[str, Any], points: np.ndarray, scale: float) -> None:
+    """Draw one of OUTLINES with its `points` (N, 2) of the canvas."""
+    colour = getattr(style, part["colour"])
+    if "radius" in part:
+        ((x, y),) = points
+        canvas.disc(x, y, part["radius"] * scale, colour)
+    elif "line" in part:
+        canvas.line(points, colour)
+    else:
+        canvas.polygon(points, colour, getattr(style, part["edge"]) if "edge" in part else None)
 
 
 def strut(

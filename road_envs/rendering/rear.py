@@ -7,25 +7,13 @@ import numpy as np
 
 from road_envs.rendering import style
 from road_envs.rendering.canvas import Canvas
-from road_envs.rendering.parts import MOUNT, strut
+from road_envs.rendering.parts import MOUNT, OUTLINES, draw_part, strut
 from road_envs.rendering.scene import REAR_LEFT, REAR_RIGHT, Scene
 from road_envs.vehicle.equations import AXLE, PHI
 
 SCALE = 104.0  # pixels per metre
 GROUND = 254.0  # row of the canvas of level ground
 TYRE = 0.22  # width of a tyre [m]
-
-# Left halves of outlines, completed by their mirror images: lateral position and height [m]
-SHELL = ((0.86, 0.62), (0.895, 1.20), (0.895, 1.30), (0.80, 1.88))
-ROOF = ((0.81, 1.84), (0.77, 1.95), (0.68, 2.00))
-DOOR = ((0.46, 0.70), (0.46, 1.82))
-WINDOW = ((0.38, 1.36), (0.37, 1.76))
-CROSSMEMBER = ((0.74, 0.50), (0.74, 0.64))
-# Parts drawn on both sides
-CORNER_WINDOW = ((0.52, 1.38), (0.78, 1.38), (0.72, 1.76), (0.52, 1.76))
-WELL = ((0.57, 0.62), (0.875, 0.62), (0.885, 0.98), (0.57, 0.98))
-LAMPS = ((0.80, 1.13, style.INDICATOR), (0.80, 1.03, style.LAMP))
-SPARE_HEIGHT = 1.22
 
 SIDES = ("left up", "right up")
 
@@ -50,32 +38,22 @@ class RearView:
         """Return points (N, 2) of the canvas for positions `y` left, `z` up [m]."""
         return np.stack([0.5 * self.canvas.width - SCALE * y, GROUND - SCALE * z], axis=-1)
 
-    def project_body(self, outline: tuple, side: int = 1) -> np.ndarray:
+    def project_body(self, outline: list, side: int = 1) -> np.ndarray:
         """Return points (N, 2) of the canvas for an outline of the body; `side` -1 mirrors it."""
         y, z = np.array(outline, dtype=float).T
         _, y, z = self.scene.body_points(np.full(y.shape, self.axle.x), side * y, z)
         return self.project(y, z)
 
-    def _mirrored_outline(self, half: tuple) -> np.ndarray:
-        return np.concatenate([self.project_body(half), self.project_body(half, -1)[::-1]])
-
     def _draw_body(self) -> None:
-        canvas = self.canvas
-        canvas.polygon(self._mirrored_outline(CROSSMEMBER), style.DARK)
-        canvas.polygon(self._mirrored_outline(SHELL), style.BODY, style.BODY_EDGE)
-        canvas.polygon(self._mirrored_outline(ROOF), style.ROOF, style.BODY_EDGE)
-        canvas.polygon(self._mirrored_outline(DOOR), style.BODY, style.BODY_EDGE)
-        canvas.polygon(self._mirrored_outline(WINDOW), style.GLASS)
-        for side in (1, -1):
-            canvas.polygon(self.project_body(CORNER_WINDOW, side), style.GLASS)
-            canvas.polygon(self.project_body(WELL, side), style.DARK)
-            for y, z, colour in LAMPS:
-                ((column, row),) = self.project_body(((y, z),), side)
-                canvas.disc(column, row, 0.045 * SCALE, colour)
-        ((column, row),) = self.project_body(((0.0, SPARE_HEIGHT),))
-        canvas.disc(column, row, 0.40 * SCALE, style.RUBBER)
-        canvas.disc(column, row, 0.235 * SCALE, style.RIM)
-        canvas.disc(column, row, 0.15 * SCALE, style.STEEL)
+        project = self.project_body
+        for part in OUTLINES["rear_halves"]:
+            left, right = (project(part["points"], side) for side in (1, -1))
+            draw_part(self.canvas, part, np.concatenate([left, right[::-1]]), SCALE)
+        for part in OUTLINES["rear_sides"]:
+            for side in (1, -1):
+                draw_part(self.canvas, part, project(part["points"], side), SCALE)
+        for part in OUTLINES["rear_middle"]:
+            draw_part(self.canvas, part, project(part["points"]), SCALE)
 
     def _draw_axle(self) -> None:
         y = np.array([self.axle.y_t, -self.axle.y_t])
@@ -104,7 +82,7 @@ class RearView:
     def _draw_strut(self, wheel: int) -> None:
         y = self.axle.y_s if wheel == REAR_LEFT else -self.axle.y_s
         foot = self.project(np.array([y]), np.array([self.scene.hub_height(wheel, y)]))[0]
-        head = self.project_body(((y, MOUNT),))[0]
+        head = self.project_body([(y, MOUNT)])[0]
         strut(self.canvas, self.scene, wheel, foot, head, SCALE)
 
     def _draw_ground(self) -> None:

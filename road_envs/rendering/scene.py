@@ -21,8 +21,7 @@ from road_envs.vehicle.suspension import DAMPING_HIGH, VALVE_OPEN
 WHEEL_RADIUS = 0.4
 """Radius of an unloaded tyre [m], 7.50 R 16; the ride model itself does not need it."""
 
-CAMERA_WINDOW = 20.0
-"""Length of road [m] over which the datum is averaged."""
+CAMERA_WINDOW = 20.0  # length of road [m] over which the datum is averaged
 
 FRONT_LEFT, FRONT_RIGHT, REAR_LEFT, REAR_RIGHT = range(4)
 

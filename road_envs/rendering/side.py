@@ -9,7 +9,7 @@ import numpy as np
 
 from road_envs.rendering import style
 from road_envs.rendering.canvas import Canvas
-from road_envs.rendering.parts import MOUNT, strut
+from road_envs.rendering.parts import MOUNT, OUTLINES, draw_part, strut
 from road_envs.rendering.scene import (
     FRONT_LEFT,
     FRONT_RIGHT,
@@ -20,8 +20,7 @@ from road_envs.rendering.scene import (
 )
 from road_envs.vehicle.equations import THETA, Z_B
 
-SCALE = 92.0
-"""Pixels per metre."""
+SCALE = 92.0  # pixels per metre
 
 SHEAR = np.array([0.07, 0.13])
 """Displacement to the right and upwards of a point one metre to the left [m]."""
@@ -39,40 +38,6 @@ GAP = 2.0  # spacing of the painted dashes [m]
 
 DASH_EDGES = (0.46, 0.54)
 """Edges of the painted dashes, from the left (0) to the right wheel path (1)."""
-
-# Outlines: share of the wheelbase ahead of the rear axle, distance ahead of that [m], height [m]
-CHASSIS = ((1, 0.52, 0.50), (1, 0.52, 0.64), (0, -0.98, 0.64), (0, -0.98, 0.50))
-BUMPER = ((1, 0.52, 0.50), (1, 0.68, 0.50), (1, 0.68, 0.66), (1, 0.52, 0.66))
-SHELL = (
-    (1, 0.52, 0.60), (1, 0.53, 1.19), (1, 0.47, 1.26), (1, -0.58, 1.33), (1, -0.74, 1.88),
-    (0, -0.99, 1.88), (0, -1.02, 1.30), (0, -1.02, 0.60),
-)  # fmt: skip
-ROOF = (
-    (1, -0.70, 1.86), (1, -0.78, 1.96), (1, -0.92, 2.00), (0, -0.90, 2.00), (0, -0.98, 1.95),
-    (0, -1.01, 1.84), (1, -0.70, 1.84),
-)  # fmt: skip
-WINDOWS = (
-    ((1, -0.70, 1.36), (1, -0.82, 1.79), (0.5, -0.06, 1.79), (0.5, -0.06, 1.36)),
-    ((0.5, 0.02, 1.36), (0.5, 0.02, 1.79), (0.5, -0.70, 1.79), (0.5, -0.70, 1.36)),
-    ((0, 0.60, 1.40), (0, 0.60, 1.79), (0, -0.88, 1.79), (0, -0.91, 1.40)),
-)
-ALPINE = ((0, 0.40, 1.89), (0, 0.36, 1.94), (0, -0.74, 1.94), (0, -0.78, 1.89))
-ARCH = ((-0.54, 0.58), (-0.50, 0.82), (-0.36, 0.97), (0.36, 0.97), (0.50, 0.82), (0.54, 0.58))
-SEAMS = (
-    ((1, -0.62, 1.30), (1, -0.62, 0.66)),
-    ((0.5, -0.02, 1.84), (0.5, -0.02, 0.66)),
-    ((0.5, -0.76, 1.84), (0.5, -0.76, 0.98)),
-    ((1, 0.50, 1.10), (0, -1.02, 1.10)),
-)
-SPARE = (
-    (0, -1.04, 0.90), (0, -1.04, 1.62), (0, -1.10, 1.66), (0, -1.22, 1.66), (0, -1.26, 1.60),
-    (0, -1.26, 0.92), (0, -1.22, 0.86), (0, -1.10, 0.86),
-)  # fmt: skip
-TAIL_LAMP = ((0, -0.98, 0.92), (0, -1.05, 0.92), (0, -1.05, 1.02), (0, -0.98, 1.02))
-HEADLAMP = ((1, 0.52, 0.98), (1, 0.57, 0.99), (1, 0.57, 1.13), (1, 0.52, 1.14))
-TURN_LAMP = ((1, 0.53, 0.84), (1, 0.57, 0.84), (1, 0.57, 0.91), (1, 0.53, 0.91))
-DRIVER = ((1, -1.02, 1.36), (1, -1.06, 1.46), (1, -1.22, 1.48), (1, -1.32, 1.36))
-HEAD = (1, -1.14, 1.57)
 
 LEGEND = (
     (10, style.SOFT, "soft spring, low damping"),
@@ -114,7 +79,7 @@ class SideView:
         rows = GROUND - SCALE * (z + SHEAR[1] * depth)
         return np.stack(np.broadcast_arrays(columns, rows), axis=-1)
 
-    def project_body(self, outline: tuple) -> np.ndarray:
+    def project_body(self, outline: list) -> np.ndarray:
         """Return points (N, 2) of the canvas for a body outline in the plane of the struts."""
         car = self.scene.car
         share, ahead, z = np.array(outline, dtype=float).T
@@ -182,25 +147,8 @@ class SideView:
         return self.project(x, self.near * (2.0 * across - 1.0), z)
 
     def _draw_body(self) -> None:
-        canvas = self.canvas
-        canvas.polygon(self.project_body(CHASSIS), style.DARK)
-        canvas.polygon(self.project_body(SPARE), style.RUBBER)
-        canvas.polygon(self.project_body(HEADLAMP), style.RIM, style.BODY_EDGE)
-        canvas.polygon(self.project_body(SHELL), style.BODY, style.BODY_EDGE)
-        canvas.polygon(self.project_body(ROOF), style.ROOF, style.BODY_EDGE)
-        for window in WINDOWS:
-            canvas.polygon(self.project_body(window), style.GLASS)
-        canvas.polygon(self.project_body(ALPINE), style.GLASS)
-        canvas.polygon(self.project_body(DRIVER), style.STEEL)
-        ((x, y),) = self.project_body((HEAD,))
-        canvas.disc(x, y, 0.1 * SCALE, style.STEEL)
-        for seam in SEAMS:
-            canvas.line(self.project_body(seam), style.BODY_EDGE)
-        for share in (0, 1):
-            canvas.polygon(self.project_body(tuple((share, *p) for p in ARCH)), style.DARK)
-        canvas.polygon(self.project_body(BUMPER), style.DARK)
-        canvas.polygon(self.project_body(TAIL_LAMP), style.LAMP)
-        canvas.polygon(self.project_body(TURN_LAMP), style.INDICATOR)
+        for part in OUTLINES["side"]:
+            draw_part(self.canvas, part, self.project_body(part["points"]), SCALE)
 
     def _draw_wheel(self, wheel: int) -> None:
         scene, canvas = self.scene, self.canvas
@@ -218,7 +166,7 @@ class SideView:
         axle = self.scene.car.axles[wheel // 2]
         lower = self.scene.hub_height(wheel, -axle.y_s)
         foot = self.project(np.array([axle.x]), self.near, np.array([lower]))[0]
-        head = self.project_body(((1 - wheel // 2, 0.0, MOUNT),))[0]
+        head = self.project_body([(1 - wheel // 2, 0.0, MOUNT)])[0]
         strut(self.canvas, self.scene, wheel, foot, head, SCALE)
 
     def _draw_foreground(self) -> None:

@@ -19,8 +19,7 @@ KINDS: dict[str, type] = {}
 It is empty here because composite roads load other roads: their module imports this one.
 """
 
-MAX_SLOPE = 1.0
-"""Largest RMS slope [m/m] of a road; that of Belgian paving is 0.1."""
+MAX_SLOPE = 1.0  # largest RMS slope [m/m] of a road; that of Belgian paving is 0.1
 
 
 @runtime_checkable

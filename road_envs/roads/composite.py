@@ -17,13 +17,11 @@ from road_envs.roads.api import AnyRoad, with_length
 from road_envs.roads.measured import tile_heights
 from road_envs.roads.surface import DEFAULT_LENGTH, RoadLength, Surface, check_size
 
-MAX_ROADS = 200
-"""Largest number of roads of which one road is composed."""
+MAX_ROADS = 200  # largest number of roads of which one road is composed
 
 _Roads = Annotated[tuple[AnyRoad, ...], Field(min_length=1, max_length=MAX_ROADS)]
 
-MAX_LEVEL = 200.0
-"""Largest level [dB] of a road relative to another, up or down: a factor of 1e10."""
+MAX_LEVEL = 200.0  # largest level [dB] of a road relative to another, up or down: a factor of 1e10
 
 
 @dataclass(frozen=True, kw_only=True)

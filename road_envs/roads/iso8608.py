@@ -27,8 +27,7 @@ from road_envs.roads.surface import DEFAULT_LENGTH, RoadLength, SampleSpacing, S
 
 RoadClass = Literal["A", "B", "C", "D", "E", "F", "G", "H"]
 Coherence = Literal["isotropic", "full", "none"]
-MIN_PERIODS = 8
-"""Least period of the synthesis in units of the longest wavelength 1 / n_min."""
+MIN_PERIODS = 8  # least period of the synthesis in units of the longest wavelength 1 / n_min
 
 
 @dataclass(frozen=True, kw_only=True)

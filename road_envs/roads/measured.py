@@ -23,8 +23,7 @@ from road_envs.roads.formats.opencrg import CurvedGrid, SurfaceFileError, read_b
 from road_envs.roads.formats.table import WheelPaths
 from road_envs.roads.surface import Surface, check_size
 
-DEFAULT_MIN_LENGTH = 2.794
-"""Default of `Measured.min_length` [m]: the wheelbase of a Defender 110."""
+DEFAULT_MIN_LENGTH = 2.794  # default of `Measured.min_length` [m]: the wheelbase of a Defender 110
 SURFACE_SUFFIXES = (".crg", ".erd", ".parquet", ".csv", ".txt", ".dat")
 SIDE_NAMES = ("left", "right")
 

@@ -42,12 +42,11 @@ LAYOUTS: dict[Layout, tuple[tuple[str, str], ...]] = {
 SIDES = {"left": [0], "right": [1], "both": [0, 1]}
 """Row indices of the heights (2, N) of a surface."""
 
-SAMPLE_SPACING = 0.005
-"""Spacing of the samples of bumps and defects [m]."""
+SAMPLE_SPACING = 0.005  # spacing of the samples of bumps and defects [m]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Trapezoid(Settings):
+class _Trapezoid(Settings):
     """Trapezoidal bump: ramp, flat top, and a ramp of the same length."""
 
     height: Annotated[Positive, "m", "of the top"]
@@ -66,8 +65,8 @@ class Bumps(Settings):
 
     layout: Annotated[Layout, "", "sizes and wheel paths of the bumps"]
     spacing: Annotated[Positive, "m", "between the middles of successive bumps"] = 10.4
-    small: Trapezoid = field(default_factory=lambda: Trapezoid(height=0.1, ramp=0.5, top=0.4))
-    large: Trapezoid = field(default_factory=lambda: Trapezoid(height=0.15, ramp=0.75, top=0.6))
+    small: _Trapezoid = field(default_factory=lambda: _Trapezoid(height=0.1, ramp=0.5, top=0.4))
+    large: _Trapezoid = field(default_factory=lambda: _Trapezoid(height=0.15, ramp=0.75, top=0.6))
     length_factor: Annotated[Positive, "", "scales ramps and tops"] = 1.0
     height_factor: Annotated[Positive, "", "scales heights"] = 1.0
     run_in: Annotated[Positive, "m", "before the first ramp"] = 10.0
@@ -84,11 +83,11 @@ class Bumps(Settings):
                 )
 
     @property
-    def blocks(self) -> list[Trapezoid]:
+    def blocks(self) -> list[_Trapezoid]:
         """The scaled bumps in driving order."""
         x, z = self.length_factor, self.height_factor
         sizes = [getattr(self, size) for size, _ in LAYOUTS[self.layout]]
-        return [Trapezoid(height=z * b.height, ramp=x * b.ramp, top=x * b.top) for b in sizes]
+        return [_Trapezoid(height=z * b.height, ramp=x * b.ramp, top=x * b.top) for b in sizes]
 
     @property
     def middles(self) -> np.ndarray:
@@ -114,8 +113,7 @@ class Bumps(Settings):
         return Surface(z, self.ds, name=f"bumps {self.layout}")
 
 
-MAX_DEFECT_HEIGHT = 10.0
-"""Largest height or depth of a defect [m]."""
+MAX_DEFECT_HEIGHT = 10.0  # largest height or depth of a defect [m]
 
 PositiveRange = Annotated[tuple[Positive, Positive], SmallestFirst]
 
@@ -168,7 +166,7 @@ class Defect(Settings):
     def unit_height(self, distance: np.ndarray) -> np.ndarray:
         """Return the height relative to crest or floor at `distance` [m] from the middle."""
         if self.shape == "pothole":
-            hole = Trapezoid(height=1.0, ramp=self.edge, top=self.length - 2.0 * self.edge)
+            hole = _Trapezoid(height=1.0, ramp=self.edge, top=self.length - 2.0 * self.edge)
             return hole.height_at(distance)
         inside = np.clip(distance / self.length, -0.5, 0.5)
         return np.cos(np.pi * inside)
@@ -228,7 +226,7 @@ class Potholes(Settings):
         for path in z:
             for middle, size, depth in self._holes(rng):
                 near = _footprint(s, middle, size)
-                hole = Trapezoid(height=depth, ramp=self.edge, top=size - 2.0 * self.edge)
+                hole = _Trapezoid(height=depth, ramp=self.edge, top=size - 2.0 * self.edge)
                 path[near] = np.minimum(path[near], -hole.height_at(s[near] - middle))
         return Surface(z, SAMPLE_SPACING, name="potholes")
 

@@ -31,8 +31,7 @@ SIGNS: dict[PathSigns, tuple[float, float]] = {
 }
 """Factors of the sine on the left and the right wheel path."""
 
-MIN_SAMPLES_PER_WAVE = 8
-"""Least number of samples per wavelength."""
+MIN_SAMPLES_PER_WAVE = 8  # least number of samples per wavelength
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,13 +18,11 @@ PAD = 3
 """Number of repeated samples at each end of `Surface.padded`; spares the kernel a special case."""
 
 RoadLength = Annotated[Positive, "m", "length of the road"]
-DEFAULT_LENGTH: RoadLength = 100.0
-"""Default of `RoadLength`, the length of the paper's roads."""
+DEFAULT_LENGTH: RoadLength = 100.0  # default of `RoadLength`, the length of the paper's roads
 
 SampleSpacing = Annotated[Positive, "m", "spacing of the samples"]
 
-MAX_SAMPLES = 50_000_000
-"""Largest number of samples per wheel path: 400 MB."""
+MAX_SAMPLES = 50_000_000  # largest number of samples per wheel path: 400 MB
 
 MAX_HEIGHT = 10_000.0
 """Largest height [m] of a surface, up or down; beyond it, heights are in another unit."""
@@ -34,8 +32,7 @@ MAX_RISE = 0.2
 7.50 R16 tyre. There its contact with a step is 60 degrees from the vertical.
 """
 
-RISE_LENGTH = 0.05
-"""Length [m] over which a rise is taken."""
+RISE_LENGTH = 0.05  # length [m] over which a rise is taken
 
 
 class SurfaceBuffers(NamedTuple):

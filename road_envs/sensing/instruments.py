@@ -17,8 +17,7 @@ from road_envs.records.accelerometers import Accelerometer, Layout
 from road_envs.records.record import Record
 from road_envs.vehicle.parameters import VehicleParameters
 
-ANTIALIAS_ORDER = 4
-"""Order of the Butterworth filter before the sampler [assumed]."""
+ANTIALIAS_ORDER = 4  # order of the Butterworth filter before the sampler [assumed]
 
 
 class SensorLocation(NamedTuple):

@@ -28,8 +28,7 @@ from road_envs.vehicle.parameters import GRAVITY
 PerSensor = tuple[Finite, ...]
 """One value for each accelerometer; none if all are without this fault."""
 
-MAX_JITTER_STDS = 3.0
-"""Limit of the time error of a sample, in standard deviations of the jitter."""
+MAX_JITTER_STDS = 3.0  # limit of the time error of a sample, in standard deviations of the jitter
 
 PositionFixLength = Annotated[
     float, Field(gt=0), "m", "distance over which position fixes remove 63 % of an odometer error"
@@ -74,8 +73,7 @@ class SensorFaults(Settings):
         return gain * axis_cosine, gain * GRAVITY * (axis_cosine - 1.0) + offset
 
 
-NO_FAULTS = SensorFaults()
-"""Instruments without faults."""
+NO_FAULTS = SensorFaults()  # instruments without faults
 
 
 def gauss_markov(

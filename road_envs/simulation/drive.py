@@ -21,8 +21,7 @@ from road_envs.vehicle.equilibrium import equilibrium
 from road_envs.vehicle.parameters import DEFAULT_STEP, STEP_LIMIT, VehicleParameters
 from road_envs.vehicle.suspension import encode_command, settled_strut_state
 
-APRON_LENGTH = 5.0
-"""Length [m] of the level apron before and after the surface."""
+APRON_LENGTH = 5.0  # length [m] of the level apron before and after the surface
 
 
 class SimulationError(ArithmeticError):

@@ -10,8 +10,7 @@ import numpy as np
 
 from road_envs.core.config import Finite, NonNegative, Settings
 
-MAX_SPEED_KMH = 200.0
-"""Largest speed [km/h] at which a drive is simulated."""
+MAX_SPEED_KMH = 200.0  # largest speed [km/h] at which a drive is simulated
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,8 +11,7 @@ from road_envs.kernels._numba import kernel
 from road_envs.kernels.simd import any_positive, if_positive, maximum
 from road_envs.kernels.simd_arrays import get, put
 
-SUBSTEPS = 4
-"""Parts of a step on a steep road, an even number."""
+SUBSTEPS = 4  # parts of a step on a steep road, an even number
 
 MAX_RATE_CHANGE = 0.7
 """Greatest change [m/s] of a road height's rate in half a step that is not divided."""

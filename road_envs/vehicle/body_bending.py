@@ -22,8 +22,7 @@ import scipy
 
 from road_envs.vehicle.parameters import BendingMode, VehicleParameters
 
-BETA_L = 4.730040744862704
-"""First root of cos(b L) cosh(b L) = 1."""
+BETA_L = 4.730040744862704  # first root of cos(b L) cosh(b L) = 1
 
 
 def shape(mode: BendingMode, x: np.ndarray | float) -> np.ndarray:

@@ -243,7 +243,7 @@ def _strut_forces(vehicle, e, e_dot, out):
             out[w, k] = strut_force(vehicle, w, e[w, k], e_dot[w, k])[0]
 
 
-def wheel_response(model: LinearModel, f: np.ndarray) -> np.ndarray:
+def _wheel_response(model: LinearModel, f: np.ndarray) -> np.ndarray:
     """Return the sensors' complex responses (F, S, 4) [m/s² per m] to the road height under each
     wheel, at `f` (F,) [Hz].
     """
@@ -342,7 +342,7 @@ def frequency_response(
             "give frequencies either as f [Hz] or as n [cycles/m], not both or neither"
         )
     hertz = np.atleast_1d(np.asarray(f if n is None else v * np.asarray(n), dtype=float))
-    return combine_wheel_paths(model, v, hertz, wheel_response(model, hertz))
+    return combine_wheel_paths(model, v, hertz, _wheel_response(model, hertz))
 
 
 def response_changes(

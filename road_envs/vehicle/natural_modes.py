@@ -18,7 +18,7 @@ FRAME_TORSION_MODE = "frame torsion"
 
 
 @dataclass(frozen=True, eq=False)
-class NaturalModes:
+class _NaturalModes:
     """The seven natural modes in ascending frequency.
 
     `f` (7,): undamped natural frequencies [Hz]. `zeta` (7,): damping ratios from the diagonal of
@@ -33,7 +33,7 @@ class NaturalModes:
     shapes: np.ndarray
 
 
-def natural_modes(model: LinearModel) -> NaturalModes:
+def natural_modes(model: LinearModel) -> _NaturalModes:
     """Return the natural modes of M q'' + C q' + K q = 0, named after their dominant coordinate.
 
     M_j phi_j² is the share of a mode's kinetic energy in coordinate j; names are assigned such that
@@ -57,4 +57,4 @@ def natural_modes(model: LinearModel) -> NaturalModes:
     shapes[:, assigned] *= np.sign(shapes[np.arange(n), assigned])
     omega = np.sqrt(square)
     zeta = np.einsum("ji,jk,ki->i", shapes, C, shapes) / (2.0 * omega)
-    return NaturalModes(tuple(names), omega / (2.0 * np.pi), zeta, shapes)
+    return _NaturalModes(tuple(names), omega / (2.0 * np.pi), zeta, shapes)

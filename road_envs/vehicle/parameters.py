@@ -32,11 +32,8 @@ from road_envs.vehicle.struts import (
     Valve,
 )
 
-GRAVITY = 9.81
-"""Gravitational acceleration used throughout [m/s²]."""
-
-DEFAULT_STEP, STEP_LIMIT = 0.001, 0.01
-"""Default and longest step [s] of the fixed-step integrator."""
+GRAVITY = 9.81  # gravitational acceleration used throughout [m/s²]
+DEFAULT_STEP, STEP_LIMIT = 0.001, 0.01  # default and longest step [s] of the fixed-step integrator
 
 Step = Annotated[float, Field(gt=0, le=STEP_LIMIT), "s", "step of the integrator"]
 
@@ -90,8 +87,7 @@ class VehicleVariation(Settings):
     bending: BendingMode | None = None
 
 
-NOMINAL = VehicleVariation()
-"""No deviation from the parameters."""
+NOMINAL = VehicleVariation()  # no deviation from the parameters
 
 
 @dataclass(frozen=True, kw_only=True)

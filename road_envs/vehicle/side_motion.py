@@ -62,8 +62,7 @@ from road_envs.kernels.simd_arrays import add, get, put
 from road_envs.vehicle.axles import IndependentWheels
 from road_envs.vehicle.parameters import GRAVITY, VehicleParameters
 
-ROLLS = (1, 4, 6)
-"""Coordinates of the roll of the body, of the front and of the rear axle."""
+ROLLS = (1, 4, 6)  # coordinates of the roll of the body, of the front and of the rear axle
 
 SIDE_FIELDS = [
     *((name, "f8", (2,)) for name in ("side_lever", "side_height", "side_rate", "relaxation")),
@@ -76,8 +75,7 @@ SIDE_FIELDS = [
 load of an axle's tyres, the moments of the static loads per angle, M^-1 with zeros for joints that
 are rigid, K_a and c_a."""
 
-RIGID_COORDINATES = 7
-"""Coordinates of `equations`, without the twist of a frame."""
+RIGID_COORDINATES = 7  # coordinates of `equations`, without the twist of a frame
 
 
 def side_constants(car: VehicleParameters) -> dict[str, object]:

@@ -10,8 +10,7 @@ INDEPENDENT_ROLL_CENTRE, SOLID_ROLL_CENTRE = 0.05, 0.4
 CORNERING_PER_LOAD = 14.0
 """Cornering stiffness over the static load of a tyre [1/rad]; 10 to 20 are usual."""
 
-RELAXATION_LENGTH = 0.4
-"""Relaxation length [m]; 0.3 to 0.5 m are usual (Pacejka 2012, chapter 7)."""
+RELAXATION_LENGTH = 0.4  # relaxation length [m]; 0.3 to 0.5 m are usual (Pacejka 2012, chapter 7)
 
 YAW_PER_PITCH_INERTIA = 1.0
 """Yaw inertia of a body over its pitch inertia; 0.96 to 1.08 of the shipped cars."""

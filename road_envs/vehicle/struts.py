@@ -13,8 +13,7 @@ from pydantic import Field, Tag
 from road_envs.core.config import Positive, Settings, by_kind
 from road_envs.vehicle.force_curves import Curve
 
-ATMOSPHERE = 101325.0
-"""Standard atmospheric pressure [Pa]."""
+ATMOSPHERE = 101325.0  # standard atmospheric pressure [Pa]
 
 MODES = {
     "ride": (False, False),
@@ -24,15 +23,14 @@ MODES = {
 }
 """The four settings of a 4S4 strut: (stiff spring, high damping)."""
 
-PASSIVE_MODES = {"passive": (False, False)}
-"""The only setting of a passive strut."""
+PASSIVE_MODES = {"passive": (False, False)}  # the only setting of a passive strut
 
 Modes = Mapping[str, tuple[bool, bool]]
 """Settings of the struts by name: (stiff spring, high damping)."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class ModeCurves(Settings):
+class _ModeCurves(Settings):
     """One curve for each setting of the strut's damper valve."""
 
     ride: Annotated[Curve, "N over m/s", "low damping"]
@@ -40,7 +38,7 @@ class ModeCurves(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class AxleCurves(Settings):
+class _AxleCurves(Settings):
     """One curve for the struts of each axle."""
 
     front: Annotated[Curve, "N over m", "both front struts"]
@@ -57,10 +55,10 @@ class Strut(Settings):
     x_1: Annotated[Positive, "m", "static gas column of the first accumulator"]
     x_2: Annotated[Positive, "m", "static gas column of the second accumulator, behind the valve"]
     column_min: Annotated[Positive, "m", "shortest gas column; the force is linear below it"]
-    damper: ModeCurves
-    friction: ModeCurves
+    damper: _ModeCurves
+    friction: _ModeCurves
     bushing: Curve
-    bump_stop: AxleCurves
+    bump_stop: _AxleCurves
     kind: Literal["4s4"] = "4s4"
 
     def __post_init__(self):
@@ -82,7 +80,7 @@ class CoilSpring(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class AirSpring(Settings):
+class _AirSpring(Settings):
     """An air spring of constant effective area whose pressure carries the static load.
 
     With p_0 the atmospheric pressure and p = p_0 + load / A the absolute pressure at static length,
@@ -108,7 +106,7 @@ class AirSpring(Settings):
 
 
 AnySpring = Annotated[
-    Annotated[CoilSpring, Tag("coil")] | Annotated[AirSpring, Tag("air")], by_kind("coil")
+    Annotated[CoilSpring, Tag("coil")] | Annotated[_AirSpring, Tag("air")], by_kind("coil")
 ]
 
 

@@ -51,8 +51,7 @@ WHEELS = ("FL", "FR", "RL", "RR")
 
 ALL_MODES = MODES | PASSIVE_MODES
 
-ENDLESS = 1e12
-"""Gas column [m] that no extension changes: a spring's constant static load."""
+ENDLESS = 1e12  # gas column [m] that no extension changes: a spring's constant static load
 
 V_0, V_STEP, V_CELLS = -3.0, 0.01, 600
 E_0, E_STEP, E_CELLS = -0.2, 0.0025, 160

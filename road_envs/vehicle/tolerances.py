@@ -129,7 +129,9 @@ def varied_car(car: VehicleParameters, factors: Mapping[str, float]) -> VehicleP
 
 def log_values(car: VehicleParameters, names: tuple[str, ...]) -> np.ndarray:
     """Return the logarithms (P,) of the parameters; of a curve, that of its greatest force."""
-    return np.log([_magnitude(_value_at(car, name)) for name in names])
+    values = (_value_at(car, name) for name in names)
+    sizes = [max(map(abs, _curves(x)[0].F)) if is_dataclass(x) else float(x) for x in values]
+    return np.log(sizes)
 
 
 def _index(part: str, size: int) -> int:
@@ -210,7 +212,3 @@ def _scale(value: Any, factor: float) -> Any:
         scaled = {f.name: getattr(value, f.name).scaled(factor) for f in fields(value)}
         return replace(value, **scaled)
     return tuple(factor * v for v in value) if isinstance(value, tuple) else factor * value
-
-
-def _magnitude(value: Any) -> float:
-    return max(map(abs, _curves(value)[0].F)) if is_dataclass(value) else float(value)

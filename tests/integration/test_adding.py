@@ -47,11 +47,11 @@ POLICY = '''
 
 from dataclasses import dataclass
 
-from road_envs.policies.two_state import TwoStateDamper
+from road_envs.policies.two_state import _TwoStateDamper
 
 
 @dataclass(kw_only=True)
-class Added(TwoStateDamper):
+class Added(_TwoStateDamper):
     """Policy with high damping where -a e' > 0."""
 
     def law(self, v, a, e_dot):

@@ -31,7 +31,7 @@ from leaderboard.evaluation.store import part_path, row_path
 from leaderboard.running import board as board_module
 from leaderboard.running import jobs
 from leaderboard.running.board import RunRequest, load_board, run_board, write_jobs
-from road_envs.core.artifacts import text_checksum
+from road_envs.core.artifacts import _text_checksum
 from road_envs.core.config import ConfigError
 
 FEW_BASELINES = "flat", "truth_plus_noise"
@@ -288,7 +288,7 @@ class Meddler(Counting):
             self.times -= 1
             path = self.target(out)
             text = path.read_text().replace('"value": [', '"value": [-')
-            path.write_text(text.replace(json.loads(text)["sha256"], text_checksum(text)))
+            path.write_text(text.replace(json.loads(text)["sha256"], _text_checksum(text)))
 
 
 def part(out):
@@ -375,7 +375,7 @@ def test_a_row_of_uneven_length_or_of_no_numbers_is_a_failed_row_whatever_its_ch
         reason = "scores: a value is not finite"
     assert first in text
     cut = text.replace(first, other, 1)
-    path.write_text(cut.replace(json.loads(text)["sha256"], text_checksum(cut)))
+    path.write_text(cut.replace(json.loads(text)["sha256"], _text_checksum(cut)))
     again = load_board(board.tasks, tmp_path)
     (row,) = again.failed(small())
     assert row.estimator == "reader" and reason in row.failure

@@ -22,10 +22,10 @@ from road_envs.policies.network_policy import NetworkPolicy
 from road_envs.policies.policy_iteration import (
     DEVELOPMENT_SEED,
     IterationConfig,
+    _examples,
     _fit,
-    examples,
+    _pair_costs,
     iterate,
-    pair_costs,
 )
 from road_envs.policies.rollout import VIOLATION_PRICE, Drives, drive_all, training_drives
 from studies.trained_networks import TrainingConfig, train
@@ -160,7 +160,7 @@ def test_the_best_round_is_one_that_violates_no_more_than_allowed(allowed, chose
     )
     seen = np.zeros((600, N_FEATURES), dtype=np.float32), np.eye(600, 16)
     monkeypatch.setattr(policy_iteration, "drive_all", lambda *arguments: next(driven))
-    monkeypatch.setattr(policy_iteration, "examples", lambda *arguments: seen)
+    monkeypatch.setattr(policy_iteration, "_examples", lambda *arguments: seen)
     network, curve = iterate(TINY, 1, lambda text, share: None)
     assert network.metadata["steps"] == chosen and curve == ((1, -1.0), (2, -2.0), (3, -3.0))
 
@@ -169,7 +169,7 @@ def test_the_cost_of_a_pair_is_that_of_the_drive_in_which_it_is_held():
     """Whole drives with other actions over `hold` intervals are the oracle."""
     config, drives = IterationConfig(every=100, price=50.0), training_drives(1)
     actions = np.full((600, len(drives)), 4)  # ride in front, handling at the rear
-    costs = pair_costs(config, drives, actions, first=120)
+    costs = _pair_costs(config, drives, actions, first=120)
     for pair in (0, 5, 14):
         other = actions.copy()
         other[220:223] = pair
@@ -189,7 +189,7 @@ def test_the_network_learns_better_choices_than_any_constant_pair():
 
     torch.manual_seed(0)
     drives = Drives.mirrored(Safe4S4Setup({"split": "train"}), range(7, 10))
-    features, costs = examples(IterationConfig(horizon=8), drives, create("rrms"), 0)
+    features, costs = _examples(IterationConfig(horizon=8), drives, create("rrms"), 0)
     model = torch.nn.Sequential(
         torch.nn.Linear(N_FEATURES, 16), torch.nn.Tanh(), torch.nn.Linear(16, 16)
     )

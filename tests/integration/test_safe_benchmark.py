@@ -7,7 +7,7 @@ import pytest
 
 from leaderboard.commands import policies as policies_command
 from leaderboard.policies import best_found
-from leaderboard.policies.comparison import BEST_FOUND, compare, label, public_drives, table_lines
+from leaderboard.policies.comparison import BEST_FOUND, _label, compare, public_drives, table_lines
 from leaderboard.policies.page import _render_page, _score_chart, timelines
 from leaderboard.policies.timeline import MODE_NAMES, Timeline, drive_chart
 from road_envs.envs.safe4s4 import Safe4S4Env, Safe4S4Setup
@@ -78,20 +78,20 @@ def test_a_sweep_improves_a_plan_on_its_drive():
     few = public_drives(2)
     plan = np.zeros((600, len(few)), dtype=np.int64)
     before = replay(few, plan).score[0]
-    best_found.sweep(few, 0, plan[:, 0], np.random.default_rng(0))
+    best_found._sweep(few, 0, plan[:, 0], np.random.default_rng(0))
     assert replay(few, plan).score[0] > 0.5 * before > before
 
 
 def test_a_climb_keeps_the_best_of_its_plans(monkeypatch):
     few, rng = public_drives(2), np.random.default_rng(0)
-    plan = best_found.beam(few, 0)[0]
+    plan = best_found._beam(few, 0)[0]
     kept = plan.copy()
     monkeypatch.setattr(best_found, "sweep", lambda drives, i, plan, *rest: plan.fill(0))
-    best_found.climb(few, 0, plan, 2, rng)
+    best_found._climb(few, 0, plan, 2, rng)
     np.testing.assert_array_equal(plan, kept)
     monkeypatch.setattr(best_found, "sweep", lambda drives, i, plan, *rest: np.copyto(plan, kept))
     plan[:] = 0
-    best_found.climb(few, 0, plan, 1, rng)
+    best_found._climb(few, 0, plan, 1, rng)
     np.testing.assert_array_equal(plan, kept)
 
 
@@ -100,7 +100,7 @@ def test_a_climb_sweeps_the_dearest_window_ever_less_at_random(monkeypatch):
     monkeypatch.setattr(best_found, "sweep", lambda *arguments: calls.append(arguments[4:]))
     handling = drive_all(create("fixed_handling"), few)
     assert not handling.violated[0]  # then comfort is all of the price
-    best_found.climb(few, 0, handling.actions[:, 0].copy(), 4, np.random.default_rng(0))
+    best_found._climb(few, 0, handling.actions[:, 0].copy(), 4, np.random.default_rng(0))
     windows, length = [call for call in calls if call], 110  # 5.5 s
     heats = [heat for *_, heat in windows]
     assert heats == sorted(heats, reverse=True) and heats[0] > heats[-1] == 0.0
@@ -112,7 +112,7 @@ def test_a_climb_sweeps_the_dearest_window_ever_less_at_random(monkeypatch):
 def test_the_beam_returns_the_actions_of_its_score():
     one = public_drives(2)
     one.starts = one.starts[2:3]
-    actions, score = best_found.beam(one, 0)
+    actions, score = best_found._beam(one, 0)
     again = replay(one, actions[:, None])
     assert again.score * again.duration == pytest.approx(score)
 
@@ -147,10 +147,10 @@ def test_a_policy_that_fails_is_a_row_with_its_failure():
 
 def test_a_sweep_keeps_a_plan_that_no_trial_improves(monkeypatch):
     few = public_drives(2)
-    plan = best_found.beam(few, 0)[0]
+    plan = best_found._beam(few, 0)[0]
     monkeypatch.setattr(best_found, "_price", lambda output, fleet: np.zeros(fleet.n_vehicles))
     kept = plan.copy()
-    best_found.sweep(few, 0, plan, np.random.default_rng(0))
+    best_found._sweep(few, 0, plan, np.random.default_rng(0))
     np.testing.assert_array_equal(plan, kept)
 
 
@@ -185,7 +185,7 @@ def test_the_page_shows_every_row_and_the_best_found_as_a_line(searched):
     assert f"<option selected>{BEST_FOUND}</option>" in page
     lines = [t["name"] for t in _score_chart(data)["figures"][""]["data"] if t["mode"] == "lines"]
     assert lines == [BEST_FOUND]
-    assert label(searched.drives.starts[0].description) == data["drives"][0]
+    assert _label(searched.drives.starts[0].description) == data["drives"][0]
 
 
 def test_tuning_takes_the_best_of_its_grid_on_training_drives(monkeypatch):

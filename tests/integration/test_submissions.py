@@ -35,7 +35,7 @@ from leaderboard.submission.submission import (
     SUBMISSION,
     load_submission,
 )
-from road_envs.core.artifacts import CHECKSUM_PREFIX, text_checksum
+from road_envs.core.artifacts import CHECKSUM_PREFIX, _text_checksum
 from road_envs.core.config import ConfigError
 
 made, submission = submissions.made, submissions.submission
@@ -453,7 +453,7 @@ def test_costs_without_a_mean_are_refused(verified, field, value):
         RESULT.write(path, data | {field: value}, identity)
         text = path.read_text().replace(f'"{value}"', str(value))  # a number that is not finite
         start = len(CHECKSUM_PREFIX)
-        path.write_text(text.replace(text[start : start + 64], text_checksum(text), 1))
+        path.write_text(text.replace(text[start : start + 64], _text_checksum(text), 1))
 
     with pytest.raises(ConfigError, match=f"{field}"):
         verified(forge)

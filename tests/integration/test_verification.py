@@ -18,7 +18,7 @@ from leaderboard.evaluation import evaluate, store
 from leaderboard.evaluation.comparison import OTHER_KERNELS, SAME_KERNELS
 from leaderboard.evaluation.provenance import describe_environment
 from leaderboard.metrics.baselines import BASELINES
-from leaderboard.report.notes import kernel_notes
+from leaderboard.report.notes import _kernel_notes
 from leaderboard.running.board import create_baselines, load_board
 from leaderboard.running.verification import (
     kernels_of,
@@ -231,19 +231,19 @@ def test_rows_of_other_kernels_are_noted_unless_they_were_verified(tmp_path):
     reader = next(r for r in board.results["small"] if r.estimator == "reader")
     (usual,) = {kernels_of(r.environment) for r in others}
     results = [*others, *made_on("openblas Z80", [first, reader])]
-    (note,) = kernel_notes(results, {})
+    (note,) = _kernel_notes(results, {})
     assert note.startswith(f"{first.estimator}, reader ran on ")
     assert "Z80" in note and usual in note and note.endswith("not verified there.")
     save_verified([dataclasses.replace(row, tolerance=OTHER_KERNELS) for row in
                    verify(tmp_path, share=1.0).values()], tmp_path)  # fmt: skip
     verified = load_verified(tmp_path)
-    assert kernel_notes(results, verified) == []
+    assert _kernel_notes(results, verified) == []
     apart = {reader.identity: [dataclasses.replace(verified[reader.identity][0], distance=0.3)]}
-    (note,) = kernel_notes(results, verified | apart)
+    (note,) = _kernel_notes(results, verified | apart)
     assert note.startswith("reader ran on ") and note.endswith("3.0e-01 apart there.")
-    (note,) = kernel_notes([*others, reader], verified | apart)  # whatever it says of its machine
+    (note,) = _kernel_notes([*others, reader], verified | apart)  # whatever it says of its machine
     assert note == f"reader says that it ran on {usual}: 3.0e-01 apart there."
-    assert kernel_notes([*others, reader], verified) == kernel_notes([], {}) == []
+    assert _kernel_notes([*others, reader], verified) == _kernel_notes([], {}) == []
 
 
 def test_what_was_verified_is_kept_by_row_and_kernels_and_shown(tmp_path):

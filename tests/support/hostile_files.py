@@ -26,7 +26,7 @@ from road_envs.drives.logger_tables.description import (
 )
 from road_envs.drives.measured_record import MeasuredRecord
 from road_envs.drives.recording import read_record, simulate_record, write_record
-from road_envs.policies import PolicySettings
+from road_envs.policies import _PolicySettings
 from road_envs.policies.network_policy import NetworkPolicy
 from road_envs.roads import load_road
 from road_envs.sensing.instruments import load_instruments
@@ -169,8 +169,8 @@ def load_network(path: Path) -> NetworkPolicy:
     return NetworkPolicy(file=str(path))
 
 
-def load_policy_settings(path: Path) -> PolicySettings:
-    return config.load(PolicySettings, "policies", path)
+def load_policy_settings(path: Path) -> _PolicySettings:
+    return config.load(_PolicySettings, "policies", path)
 
 
 def npz(**arrays: Any) -> bytes:

@@ -17,7 +17,7 @@ from road_envs.vehicle.parameters import (
     VehicleVariation,
     load_vehicle,
 )
-from road_envs.vehicle.struts import AxleCurves, ModeCurves
+from road_envs.vehicle.struts import _AxleCurves, _ModeCurves
 from road_envs.vehicle.suspension import encode_command, settled_strut_state
 
 DEFENDER = load_vehicle("land_rover_defender_110")
@@ -48,7 +48,7 @@ def unequal_axles_car() -> VehicleParameters:
 def lossless(car: VehicleParameters) -> VehicleParameters:
     """Return the car without dampers, friction and tyre damping."""
     nothing = Curve(x=(-3.0, 3.0), F=(0.0, 0.0))
-    none = ModeCurves(ride=nothing, handling=nothing)
+    none = _ModeCurves(ride=nothing, handling=nothing)
     return replace(
         car,
         front=replace(car.front, c_t=0.0),
@@ -84,7 +84,7 @@ WITHOUT_STOPS = replace(
     strut=replace(
         CARS["unequal_axles"].strut,
         bushing=_NO_FORCE,
-        bump_stop=AxleCurves(front=_NO_FORCE, rear=_NO_FORCE),
+        bump_stop=_AxleCurves(front=_NO_FORCE, rear=_NO_FORCE),
     ),
 )
 """The car with unequal axles without bushings and bump stops."""

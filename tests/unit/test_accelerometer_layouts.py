@@ -24,7 +24,7 @@ from road_envs.sensing.data_logger import load_instruments
 from road_envs.sensing.instruments import ANTIALIAS_ORDER, instruments_of
 from road_envs.simulation.drive import simulate
 from road_envs.vehicle.equations import AXLE, N_DOF, PHI, THETA, Z_B
-from road_envs.vehicle.linear_model import linearise, wheel_response
+from road_envs.vehicle.linear_model import _wheel_response, linearise
 
 PAPER, IDEAL = load_instruments("paper"), load_instruments("ideal")
 ROAD = smooth_road(length=20.0, height=0.01)
@@ -199,7 +199,7 @@ def test_the_linear_model_has_rows_of_the_axles():
     np.testing.assert_array_equal(rows["front_hub"], [0, 0, 0, 1, 0.6, 0, 0])
     np.testing.assert_array_equal(rows["diff"], [0, 0, 0, 0, 0, 1, 0.1])
     f = np.array([2.0, 11.0, 40.0])
-    H = wheel_response(model, f)
+    H = _wheel_response(model, f)
     # the height of the front left wheel moves the front axle most, and its left end most of all
     assert (np.abs(H[:, 4, 0]) > np.abs(H[:, 5, 0])).all()
     assert (np.abs(H[:, 4, 0]) > np.abs(H[:, 4, 1])).all()

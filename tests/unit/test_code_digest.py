@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from road_envs.core.code_digest import ROOT, closure, code_digest, digest, find_source, importers
+from road_envs.core.code_digest import ROOT, _find_source, closure, code_digest, digest, importers
 
 CODE = b'''"""A module."""
 
@@ -170,5 +170,5 @@ def test_processes_that_start_together_compile_a_kernel_once(tmp_path):
 
 def test_every_module_of_this_project_is_found_by_its_name():
     for name in ("road_envs", "estimators.api", "leaderboard.cli"):
-        assert find_source(name) in closure(name)
+        assert _find_source(name) in closure(name)
         assert all(path.is_relative_to(ROOT) for path in closure(name))

@@ -21,7 +21,7 @@ from road_envs.core.config import (
     read_yaml,
     validate_choice,
 )
-from road_envs.policies import PolicySettings
+from road_envs.policies import _PolicySettings
 from road_envs.sensing.data_logger import Instruments
 from road_envs.sensing.perturbed_vehicle import PlantMismatch
 from road_envs.vehicle.parameters import VehicleParameters
@@ -254,7 +254,7 @@ KINDS = {
     "tasks": Task,
     "boards": BoardDefinition,
     "conditions": Conditions,
-    "policies": PolicySettings,
+    "policies": _PolicySettings,
 }
 FOREIGN_WORDS = ("input should", "valid ", "pydantic", "dict", "tuple", "str ", "nonetype")
 """Of Pydantic and of Python, which a user of YAML files need not know."""

@@ -10,7 +10,7 @@ import pytest
 from leaderboard.drive_report import analysis, obstacles
 from leaderboard.drive_report.analysis import analyse
 from leaderboard.drive_report.conditions import Conditions, load_conditions
-from leaderboard.drive_report.export import write_geojson
+from leaderboard.drive_report.export import _write_geojson
 from leaderboard.drive_report.obstacles import (
     CERTAIN,
     FALSE_ALARMS,
@@ -18,7 +18,7 @@ from leaderboard.drive_report.obstacles import (
     DetectedObstacle,
     detect,
 )
-from leaderboard.drive_report.pictures import iri_chart
+from leaderboard.drive_report.pictures import _iri_chart
 from leaderboard.drive_report.posterior_iri import posterior_iri
 from road_envs.core.config import ConfigError
 from road_envs.drives.measured_record import MeasuredRecord
@@ -201,7 +201,7 @@ def test_categories_change_at_95_and_170_inches_per_mile():
     ("road", "named"), [("iso_b", {"good", "fair", "poor"}), ("iso_d", {"poor"})]
 )
 def test_the_chart_names_the_categories_for_which_there_is_room(road, named):
-    chart = iri_chart(analyse("d", MeasuredRecord(drive()), estimate(road), HPMS), HPMS)
+    chart = _iri_chart(analyse("d", MeasuredRecord(drive()), estimate(road), HPMS), HPMS)
     assert {name for name in HPMS.categories if f">{name}<" in chart} == named
 
 
@@ -251,7 +251,7 @@ def test_geojson_has_lines_for_segments_and_points_for_obstacles(tmp_path):
     position = np.stack([48.0 + record.s / 111_195.0, 11.0 + 0.0 * record.s])
     measured = MeasuredRecord(record, chainage=500.0, position=position)
     result = analyse("d", measured, estimate("street", std=0.002), HPMS)
-    (path,) = write_geojson(result, tmp_path, "d")
+    (path,) = _write_geojson(result, tmp_path)
     features = json.loads(path.read_text())["features"]
     kinds = [feature["geometry"]["type"] for feature in features]
     assert kinds == ["LineString"] * 3 + ["Point"] * 3
@@ -261,7 +261,7 @@ def test_geojson_has_lines_for_segments_and_points_for_obstacles(tmp_path):
     first, last = (features[1]["geometry"]["coordinates"][k] for k in (0, -1))
     assert (last[1] - first[1]) * 111_195.0 == pytest.approx(100.0, abs=0.5)
     assert (
-        write_geojson(analyse("d", MeasuredRecord(record), estimate("iso_c"), HPMS), tmp_path, "e")
+        _write_geojson(analyse("d", MeasuredRecord(record), estimate("iso_c"), HPMS), tmp_path)
         == []
     )
 

@@ -33,7 +33,7 @@ from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.body_bending import modal_force, section, shape
 from road_envs.vehicle.force_curves import Curve
 from road_envs.vehicle.parameters import BendingMode, TorsionalFrame, VehicleParameters
-from road_envs.vehicle.struts import ModeCurves
+from road_envs.vehicle.struts import _ModeCurves
 
 PAPER = load_instruments("paper")
 C_S, K_S = 3000.0, 16682.0
@@ -55,7 +55,7 @@ def linear_car(flexible: bool) -> VehicleParameters:
     a flexible one twists and bends.
     """
     line, none = Curve(x=(-3.0, 3.0), F=(-3.0 * C_S, 3.0 * C_S)), Curve(x=(-3.0, 3.0), F=(0.0, 0.0))
-    damper, friction = ModeCurves(ride=line, handling=line), ModeCurves(ride=none, handling=none)
+    damper, friction = _ModeCurves(ride=line, handling=line), _ModeCurves(ride=none, handling=none)
     variation = DEFENDER.variation
     if flexible:
         frame = TorsionalFrame(f=FRAME[0], zeta=FRAME[1])

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from road_envs.core.code_digest import closure, find_source
+from road_envs.core.code_digest import _find_source, closure
 from road_envs.core.config import ConfigError
 from studies import results
 from studies.results import KEPT, KeptResult
@@ -116,7 +116,7 @@ def test_the_list_is_valid_and_its_modules_exist():
         assert result.modules, name
         for module in result.modules:
             assert results.Kind("x", 1, (module,)).identity() != results.Kind("x", 1).identity()
-            assert find_source(module), module
+            assert _find_source(module), module
     outputs = [path for result in known.values() for path in result.outputs.values()]
     assert len(outputs) == len(set(outputs))
 

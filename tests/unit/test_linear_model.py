@@ -25,13 +25,13 @@ from road_envs.vehicle.equations import DOF
 from road_envs.vehicle.equilibrium import equilibrium
 from road_envs.vehicle.force_curves import Curve
 from road_envs.vehicle.linear_model import (
+    _wheel_response,
     frequency_response,
     gaussian_damping,
     linearise,
-    wheel_response,
 )
 from road_envs.vehicle.natural_modes import NATURAL_MODE_NAMES, natural_modes
-from road_envs.vehicle.struts import ModeCurves
+from road_envs.vehicle.struts import _ModeCurves
 from road_envs.vehicle.suspension import encode_command, settled_strut_state
 
 MODES = ("ride", "handling")
@@ -112,7 +112,7 @@ def test_the_frequency_response_matches_a_scipy_simulation(name, mode, f):
     damping = gaussian_damping(CARS[name], mode, 0.2)
     model, omega = linearise(PLANTS[name], mode, PLACES, damping=damping), 2.0 * np.pi * f
     step = min(0.002, 0.008 / f)
-    response, t = wheel_response(model, np.array([f]))[0], step * np.arange(round(25.0 / step))
+    response, t = _wheel_response(model, np.array([f]))[0], step * np.arange(round(25.0 / step))
     last = slice(t.size - round(5.0 / step), None)  # whole periods
     for wheel in (0, 3):
         u = np.zeros((t.size, 8))
@@ -265,8 +265,8 @@ def test_gaussian_damping_of_a_linear_damper_is_its_constant():
     nothing, line = Curve(x=(-3.0, 3.0), F=(0.0, 0.0)), Curve(x=(-3.0, 3.0), F=(-6000.0, 6000.0))
     strut = replace(
         DEFENDER.strut,
-        damper=ModeCurves(ride=nothing, handling=line),
-        friction=ModeCurves(ride=nothing, handling=nothing),
+        damper=_ModeCurves(ride=nothing, handling=line),
+        friction=_ModeCurves(ride=nothing, handling=nothing),
     )
     actual = gaussian_damping(replace(DEFENDER, strut=strut), SPLIT, np.array([0.1, 0.2, 0.3, 0.4]))
     np.testing.assert_allclose(actual, [0.0, 0.0, 2000.0, 2000.0], rtol=1e-6, atol=1e-9)

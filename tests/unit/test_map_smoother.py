@@ -29,11 +29,11 @@ from road_envs.analysis.information_bound import RoadPrior
 from road_envs.drives.recording import simulate_record
 from road_envs.records.record import Record, scored_band
 from road_envs.roads.iso8608 import Iso8608
-from road_envs.roads.obstacles import Bumps, Trapezoid
+from road_envs.roads.obstacles import Bumps, _Trapezoid
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.force_curves import Curve
 from road_envs.vehicle.parameters import VehicleParameters
-from road_envs.vehicle.struts import ModeCurves
+from road_envs.vehicle.struts import _ModeCurves
 
 PAPER = load_instruments("paper")
 MIXED = {"front": "ride", "rear": "handling"}
@@ -239,7 +239,7 @@ def test_the_block_tangent_equals_the_tangent_of_the_steps(kmh):
 
 def test_under_a_lifted_wheel_the_road_is_not_raised():
     """A bump of 10 cm lifts both axles off; the road behind it is as low as before it."""
-    steep = Trapezoid(height=0.1, ramp=0.2, top=0.4)
+    steep = _Trapezoid(height=0.1, ramp=0.2, top=0.4)
     road = Bumps(layout="small", small=steep, run_in=6.0, run_out=6.0)
     bump = road.realise(np.random.default_rng(0))
     record, truth = simulate_record(
@@ -303,7 +303,7 @@ K_S = (16682.0, 16682.0)
 def linear_car() -> VehicleParameters:
     """Linear dampers and no friction; for small motions the gas springs are linear, too."""
     line, none = Curve(x=(-3.0, 3.0), F=(-3.0 * C_S, 3.0 * C_S)), Curve(x=(-3.0, 3.0), F=(0.0, 0.0))
-    damper, friction = ModeCurves(ride=line, handling=line), ModeCurves(ride=none, handling=none)
+    damper, friction = _ModeCurves(ride=line, handling=line), _ModeCurves(ride=none, handling=none)
     strut = replace(DEFENDER.strut, damper=damper, friction=friction)
     return replace(DEFENDER, strut=strut)
 

@@ -11,7 +11,7 @@ from estimators.common.misfit import misfit_note
 from leaderboard.drive_report.analysis import KnownFactor, analyse
 from leaderboard.drive_report.conditions import load_conditions
 from leaderboard.drive_report.drive_estimates import make_drive_estimator
-from leaderboard.drive_report.known_iri import known_factor, read_known_iri
+from leaderboard.drive_report.known_iri import known_factor
 from leaderboard.drive_report.mean_path import _path_ratio, path_level_ratio, tells_paths_apart
 from leaderboard.drive_report.notes import in_order_of_weight, vehicle_in_words
 from road_envs.core.config import ConfigError
@@ -137,12 +137,12 @@ def test_obstacles_are_possible_where_the_model_does_not_reproduce_the_record():
 def test_a_known_iri_gives_the_factor_of_car_and_mount(tmp_path):
     _, found = result()
     mean = found.facts["iri_mean"]
-    known, note = known_factor(found, read_known_iri(f"{1.2 * mean}"))
+    known, note = known_factor(found, f"{1.2 * mean}")
     assert known.factor == pytest.approx(1.2, rel=1e-6) and "300 m of known IRI" in note
     corrected = result(known=known)[1]
     assert corrected.facts["iri_mean"] == pytest.approx(1.2 * mean, rel=0.03)
     (tmp_path / "k.csv").write_text(f"begin_m,end_m,iri\n100,200,{found.segments[1]['iri_mean']}\n")
-    short, _ = known_factor(found, read_known_iri(str(tmp_path / "k.csv")))
+    short, _ = known_factor(found, str(tmp_path / "k.csv"))
     assert short.factor == pytest.approx(1.0) and short.std > known.std
     assert isinstance(short, KnownFactor)
 
@@ -159,7 +159,7 @@ def test_a_known_iri_gives_the_factor_of_car_and_mount(tmp_path):
 )
 def test_a_known_iri_that_cannot_be_is_refused(text, message):
     with pytest.raises(ConfigError, match=message):
-        known_factor(result()[1], read_known_iri(text))
+        known_factor(result()[1], text)
 
 
 def test_notes_stand_in_the_order_of_their_weight():

@@ -19,13 +19,13 @@ from road_envs.vehicle.force_curves import Curve
 from road_envs.vehicle.linear_model import linearise, strut_forces
 from road_envs.vehicle.natural_modes import natural_modes
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
-from road_envs.vehicle.struts import AirSpring, CoilSpring
+from road_envs.vehicle.struts import CoilSpring, _AirSpring
 from road_envs.vehicle.suspension import encode_command, settled_strut_state
 from road_envs.vehicle.tolerances import parameter_space
 
 PASSIVE = [n for n in config.names("vehicles") if load_vehicle(n).is_passive]
 BMW = load_vehicle("bmw_320i").sliding
-AIR = AirSpring(kind="air", A=0.012, x=0.16, n_p=1.3)
+AIR = _AirSpring(kind="air", A=0.012, x=0.16, n_p=1.3)
 P_0 = 101325.0
 
 

@@ -24,7 +24,7 @@ from leaderboard.report.notes import isolation_notice
 from leaderboard.report.tables import board_views
 from leaderboard.running.board import Board
 from road_envs.core import atomic_io
-from road_envs.core.artifacts import CHECKSUM_PREFIX, text_checksum
+from road_envs.core.artifacts import CHECKSUM_PREFIX, _text_checksum
 from road_envs.core.config import ConfigError
 
 
@@ -40,7 +40,7 @@ def with_valid_checksum(change):
 
     def apply(text):
         text = change(text)
-        return text.replace(json.loads(text)["sha256"], text_checksum(text))
+        return text.replace(json.loads(text)["sha256"], _text_checksum(text))
 
     return apply
 
@@ -127,7 +127,7 @@ def test_the_checksum_covers_every_byte_below_it(tmp_path):
     path = save(result_of("reader"), tmp_path)
     text = path.read_text()
     checksum = hashlib.sha256(text.split("\n", 2)[2].encode()).hexdigest()
-    assert text.startswith(CHECKSUM_PREFIX + checksum) and text_checksum(text) == checksum
+    assert text.startswith(CHECKSUM_PREFIX + checksum) and _text_checksum(text) == checksum
     for at in np.linspace(100, len(text) - 2, 50, dtype=int):
         path.write_text(text[:at] + chr(ord(text[at]) ^ 1) + text[at + 1 :])
         with pytest.raises(ConfigError):

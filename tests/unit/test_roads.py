@@ -14,7 +14,7 @@ from road_envs.roads import KINDS, Road, load_road, with_length
 from road_envs.roads.belgian import Belgian
 from road_envs.roads.composite import FixedSeed, Flat, NoisyCopy
 from road_envs.roads.iso8608 import Iso8608
-from road_envs.roads.obstacles import Bumps, Trapezoid
+from road_envs.roads.obstacles import Bumps, _Trapezoid
 
 SHIPPED = names("roads")
 RANDOM = ["belgian_like", "belgian_training", "iso_c"]
@@ -198,7 +198,7 @@ def test_training_bumps_are_scaled_by_10_percent_and_8_m_apart():
 def test_samples_of_bumps_of_any_size_match_trapezoids(layout, ramp, top, x, h, spacing):
     road = Bumps(
         layout=layout, spacing=spacing, length_factor=x, height_factor=h,
-        small=Trapezoid(height=0.1, ramp=ramp, top=top),
+        small=_Trapezoid(height=0.1, ramp=ramp, top=top),
     )  # fmt: skip
     surface = road.realise(rng())
     np.testing.assert_allclose(surface.z, bump_heights(road, surface.s), atol=1e-12)

@@ -23,11 +23,11 @@ from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.equations import N_DOF
 from road_envs.vehicle.equilibrium import equilibrium
 from road_envs.vehicle.linear_model import (
+    _wheel_response,
     force_response,
     linearise,
     strut_forces,
     strut_rate_response,
-    wheel_response,
 )
 from road_envs.vehicle.parameters import TorsionalFrame, VehicleVariation
 from road_envs.vehicle.suspension import encode_command, settled_strut_state
@@ -209,8 +209,8 @@ def test_more_damping_acts_as_a_strut_force_against_the_rate_of_extension(frame)
     rate = strut_rate_response(after, f)
     force = -more[:, None] * rate
     np.testing.assert_allclose(rate, strut_rate_response(before, f) + rates @ force, rtol=1e-8)
-    expected = wheel_response(before, f) + sensed @ force
-    np.testing.assert_allclose(wheel_response(after, f), expected, rtol=1e-8)
+    expected = _wheel_response(before, f) + sensed @ force
+    np.testing.assert_allclose(_wheel_response(after, f), expected, rtol=1e-8)
 
 
 def test_strut_forces_are_computed_independently():

@@ -37,7 +37,7 @@ from road_envs.roads.surface import Surface, enveloped
 from road_envs.sensing.instruments import load_instruments
 from road_envs.sensing.perturbed_vehicle import perturb_vehicle
 from road_envs.vehicle.force_curves import Curve
-from road_envs.vehicle.struts import ModeCurves
+from road_envs.vehicle.struts import _ModeCurves
 
 PAPER = load_instruments("paper")
 SPLIT = {"front": "ride", "rear": "handling"}
@@ -50,8 +50,8 @@ def linear_car():
     none = Curve(x=(-3.0, 3.0), F=(0.0, 0.0))
     strut = replace(
         DEFENDER.strut,
-        damper=ModeCurves(ride=line[0], handling=line[1]),
-        friction=ModeCurves(ride=none, handling=none),
+        damper=_ModeCurves(ride=line[0], handling=line[1]),
+        friction=_ModeCurves(ride=none, handling=none),
     )
     return replace(DEFENDER, name="linear", strut=strut)
 

@@ -46,8 +46,7 @@ EPOCHS = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"))
 TIME_OF_DAY = r"\s*\d+:\d\d:\d\d(\.\d*)?\s*"
 """Regular expression of a time of the day; pandas would take "5 H" for one as well."""
 
-Y2001 = 1e9
-"""Seconds from 1970 to September 2001: greater times are those of a calendar."""
+Y2001 = 1e9  # seconds from 1970 to September 2001: greater times are those of a calendar
 
 
 class _Clock(NamedTuple):

@@ -57,8 +57,7 @@ The distances are assumed: those of a saloon or hatchback of 2.5 to 2.9 m of whe
 DEFAULT_SENSORS, DEVICE_SENSORS = "paper", "phone"
 """Instruments of the paper's drives, and of one device."""
 
-DEFAULT_PLACE = "dashboard"
-"""Place of one device if none is given, which a note says."""
+DEFAULT_PLACE = "dashboard"  # place of one device if none is given, which a note says
 
 SEAT_NOTE = "a seat swings by itself at 3 to 5 Hz, which no model here has: put it on the floor"
 

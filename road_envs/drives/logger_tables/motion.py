@@ -16,8 +16,7 @@ HELD_ROWS = 5
 SPEED_MAX, SPEED_QUESTIONED = 70.0, 42.0
 """Speeds [m/s] that no drive has (250 km/h), and that are questioned (150 km/h)."""
 
-STANDING = -0.3
-"""Least speed [m/s] that is noise of a standing vehicle."""
+STANDING = -0.3  # least speed [m/s] that is noise of a standing vehicle
 
 TRACK_SMOOTHING = 5.0
 """Time [s] over which positions are averaged before their track is measured: noise lengthens it."""
@@ -27,8 +26,7 @@ POSITION_ERROR, SPEED_ERROR = 1.0, 0.01
 changes slowly, and of a speed, relative to it.
 """
 
-MAX_SPEED_ERROR = 0.05
-"""Largest relative error of a speed that is taken as its calibration."""
+MAX_SPEED_ERROR = 0.05  # largest relative error of a speed that is taken as its calibration
 
 DISAGREEMENT = 0.25
 """Relative difference of two distances of a drive above which one of them is wrong."""

@@ -40,8 +40,7 @@ SPREADSHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
 UNNAMED_INDEX = "__index_level_0__"
 """Name that pandas gives an unnamed index in a Parquet file; the index of a drive is its time."""
 
-Table = Mapping[str, Any]
-"""Columns of a table by header, as pyarrow arrays."""
+Table = Mapping[str, Any]  # columns of a table by header, as pyarrow arrays
 
 
 def read_table(path: Path) -> Table:

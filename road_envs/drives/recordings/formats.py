@@ -44,8 +44,7 @@ READ = (
 SUFFIXES = ".csv .txt .zip .parquet .mf4 .mdf .vbo .json .jsonl .mcap .db3".split()
 """Ends of the names of files in a folder of several drives."""
 
-HEAD = 20_000
-"""Bytes by which a file is recognised."""
+HEAD = 20_000  # bytes by which a file is recognised
 
 
 def read_source(path: Path, description: DriveDescription) -> Recording | Table:

@@ -12,8 +12,7 @@ import numpy as np
 from road_envs.core.config import ConfigError
 from road_envs.drives.recordings.recording import Series
 
-MAX_POINTS = 1_000_000
-"""Most points of a track: eleven days of one a second."""
+MAX_POINTS = 1_000_000  # most points of a track: eleven days of one a second
 
 
 def is_gpx(data: bytes) -> bool:

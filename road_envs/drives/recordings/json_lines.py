@@ -10,8 +10,7 @@ from typing import Any
 from road_envs.core.config import ConfigError
 from road_envs.drives.logger_tables.table import decode
 
-MAX_DEPTH = 4
-"""Most levels of objects inside objects."""
+MAX_DEPTH = 4  # most levels of objects inside objects
 
 
 def is_json(data: bytes) -> bool:

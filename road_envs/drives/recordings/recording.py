@@ -16,8 +16,7 @@ LONGEST_PAUSE = 2.0
 gap, and at 10 m/s two seconds are more than the waves that an estimator joins.
 """
 
-SHORTEST_DRIVE = 8.0
-"""Shortest part [s] that is a drive; shorter ones are left out, with a note."""
+SHORTEST_DRIVE = 8.0  # shortest part [s] that is a drive; shorter ones are left out, with a note
 
 STANDING_SPEED, KEPT_STANDING = 0.5, 2.0
 """Speed [m/s] below which a vehicle stands, and the time [s] of standing that is kept at each end:

@@ -23,16 +23,11 @@ import numpy as np
 
 from road_envs.core.config import ConfigError
 
-RECORD = 80
-"""Characters or bytes of one record."""
-WIDTHS = {"LRFI": 10, "LDFI": 20, "KRBI": 4, "KDBI": 8}
-"""Characters or bytes of one number."""
-MAX_HEIGHT = 1e4
-"""Largest height [m] of an intact file; it exceeds any on Earth."""
-MAX_LENGTH = 1e7
-"""Largest length [m] of an intact file."""
-DEFAULT_INCREMENT = 0.01
-"""Increment of u and v [m] if the header states none."""
+RECORD = 80  # characters or bytes of one record
+WIDTHS = {"LRFI": 10, "LDFI": 20, "KRBI": 4, "KDBI": 8}  # characters or bytes of one number
+MAX_HEIGHT = 1e4  # largest height [m] of an intact file; it exceeds any on Earth
+MAX_LENGTH = 1e7  # largest length [m] of an intact file
+DEFAULT_INCREMENT = 0.01  # increment of u and v [m] if the header states none
 
 
 class SurfaceFileError(ConfigError):
