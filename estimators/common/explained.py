@@ -214,8 +214,7 @@ def _simulate_sensors(
     footprint = Footprint.of(car.variation.contact_length, PROFILE_SPACING)
     c = footprint.apply(np.pad(z, ((0, 0), (pad, pad)), mode="edge"))
     node = inputs.s / PROFILE_SPACING + pad
-    state = rest_state(car, inputs) + 1e-7  # exactly at rest the friction law has no tangent
-    strut_state = settled_strut_state(int(inputs.commands[0]))
+    state, strut_state = rest_state(car, inputs), settled_strut_state(int(inputs.commands[0]))
     a = np.full((rows.shape[0], inputs.n_steps), np.nan)
     for first in range(0, inputs.n_steps, _CHUNK_STEPS):
         last = min(first + _CHUNK_STEPS, inputs.n_steps)

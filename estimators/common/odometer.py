@@ -34,20 +34,20 @@ from estimators.preprocessing import BACKWARD_MAX, JUMP_MAX
 from road_envs.records.record import DistanceScale, Estimate, Record, profile_stations
 
 # Least and greatest L [m] that is looked for; it must be passed within the record
-LENGTHS = (0.5, 100.0)
-MAX_SPEED_ERROR = 0.1  # greatest relative error of a speed signal that is believed
-MIN_DISPLACEMENT = 0.005  # displacement [m] below which nothing is corrected
+_LENGTHS = (0.5, 100.0)
+_MAX_SPEED_ERROR = 0.1  # greatest relative error of a speed signal that is believed
+_MIN_DISPLACEMENT = 0.005  # displacement [m] below which nothing is corrected
 # Least ratio of the displacement to what the fit leaves, root mean square, or to its standard
 # deviation
-CLEARNESS = 10.0
+_CLEARNESS = 10.0
 # Distance [m] before which fixes are not said to wander, online, and least rms [m] from there on
-MIN_WANDER_LENGTH, ONLINE_WANDER = 10.0, 0.02
+_MIN_WANDER_LENGTH, _ONLINE_WANDER = 10.0, 0.02
 WANDER_NOTE = (
     "stations are uncertain by ±{:.1f} m: the positions of the receiver wander against the speed "
     "signal; heights can be compared after alignment"
 )
-FIT_SPACING = 0.1  # distance [m] of the points to which the signals are fitted online
-CORRELATION_LENGTH = 1.0  # length [m] over which the errors of position fixes are correlated
+_FIT_SPACING = 0.1  # distance [m] of the points to which the signals are fitted online
+_CORRELATION_LENGTH = 1.0  # length [m] over which the errors of position fixes are correlated
 
 
 class Odometer(NamedTuple):
@@ -74,6 +74,8 @@ def calibrate_odometer(record: Record, causal: bool = False) -> Odometer:
     A record is returned itself if it is empty, its signals are not finite, their difference shows
     no clear displacement, or, if causal, it goes backwards.
     """
+    if record.t.size == 0:
+        return Odometer(record)
     whole = _calibrate(record)
     if not causal:
         return whole
@@ -88,14 +90,12 @@ def calibrate_odometer(record: Record, causal: bool = False) -> Odometer:
 def _calibrate(record: Record) -> Odometer:
     """Calibrate by the whole record."""
     unchanged = Odometer(record)
-    if record.t.size == 0:
-        return unchanged
     travelled = cumulative_trapezoid(record.v, record.t, initial=0.0)
     slip = travelled - (record.s - record.s[0])
-    if not (np.isfinite(slip).all() and np.ptp(slip) > MIN_DISPLACEMENT):
+    if not (np.isfinite(slip).all() and np.ptp(slip) > _MIN_DISPLACEMENT):
         return unchanged
-    most = min(LENGTHS[1], 0.5 * float(travelled[-1]))
-    if not most > LENGTHS[0]:
+    most = min(_LENGTHS[1], 0.5 * float(travelled[-1]))
+    if not most > _LENGTHS[0]:
         return unchanged
 
     def fit(log_length: float) -> tuple[float, np.ndarray, np.ndarray]:
@@ -110,22 +110,22 @@ def _calibrate(record: Record) -> Odometer:
 
     found = minimize_scalar(
         lambda x: float(np.sum(fit(x)[2] ** 2)),
-        bounds=(np.log(LENGTHS[0]), np.log(most)),
+        bounds=(np.log(_LENGTHS[0]), np.log(most)),
         method="bounded",
     )
     error, displacement, left = fit(found.x)
     greatest = float(np.abs(displacement).max())
     if _goes_on(record.s) and wanders(record.t, left):
         wander = fit_wander(record.t, travelled, record.s - record.s[0])
-        if abs(wander.excess) > MAX_SPEED_ERROR:
+        if abs(wander.excess) > _MAX_SPEED_ERROR:
             return unchanged
         s = record.s[0] + wander.offset + (1.0 + wander.excess) * travelled
         followed = replace(record, s=s, v=(1.0 + wander.excess) * record.v)
         std = wander.station_std
         return Odometer(followed, (WANDER_NOTE.format(std),), std, wander.excess_std)
-    if abs(error) > MAX_SPEED_ERROR or greatest < MIN_DISPLACEMENT:
+    if abs(error) > _MAX_SPEED_ERROR or greatest < _MIN_DISPLACEMENT:
         return unchanged
-    if greatest < CLEARNESS * float(np.sqrt(np.mean(left**2))):
+    if greatest < _CLEARNESS * float(np.sqrt(np.mean(left**2))):
         return unchanged
     corrected = replace(record, s=record.s - displacement, v=record.v / (1.0 + error))
     return Odometer(corrected, (_describe(error, displacement),))
@@ -148,13 +148,11 @@ def _describe(error: float, displacement: np.ndarray) -> str:
 def _calibrate_online(record: Record) -> Odometer:
     """Calibrate each sample by those before it alone, without a word on fixes that wander."""
     unchanged = Odometer(record)
-    if record.t.size == 0:
-        return unchanged
     x = cumulative_trapezoid(record.v, record.t, initial=0.0)
     slip = x - (record.s - record.s[0])
-    if not (np.isfinite(slip).all() and (np.diff(x) >= 0.0).all() and x[-1] > 2.0 * FIT_SPACING):
+    if not (np.isfinite(slip).all() and (np.diff(x) >= 0.0).all() and x[-1] > 2.0 * _FIT_SPACING):
         return unchanged
-    distance = np.arange(0.0, x[-1], FIT_SPACING)
+    distance = np.arange(0.0, x[-1], _FIT_SPACING)
     w = np.interp(distance, x, slip)
     regressors = np.stack([0.5 * distance**2, -cumulative_trapezoid(w, distance, initial=0.0)])
     (aa, ab), (_, bb) = np.cumsum(regressors[:, None] * regressors, axis=2)
@@ -166,28 +164,29 @@ def _calibrate_online(record: Record) -> Odometer:
         error, length = a / b, 1.0 / b
         freedom = np.maximum(np.arange(w.size) - 1, 0)
         rms = np.sqrt(np.maximum(left - a * aw - b * bw, 0.0) / freedom)
-        gradient = (bb + 2.0 * error * ab + error**2 * aa) * CORRELATION_LENGTH / FIT_SPACING
+        gradient = (bb + 2.0 * error * ab + error**2 * aa) * _CORRELATION_LENGTH / _FIT_SPACING
         std = length**2 * rms * np.sqrt(gradient / determinant)  # of the error times the length
         displacement = -length * error * np.expm1(-distance / length)
-        believed = (np.abs(error) < MAX_SPEED_ERROR) & (length > LENGTHS[0])
-        believed &= length < LENGTHS[1]
-        doubt = np.maximum(MIN_DISPLACEMENT, CLEARNESS * np.maximum(rms, std))
+        believed = (np.abs(error) < _MAX_SPEED_ERROR) & (length > _LENGTHS[0])
+        believed &= length < _LENGTHS[1]
+        doubt = np.maximum(_MIN_DISPLACEMENT, _CLEARNESS * np.maximum(rms, std))
         clearness = np.abs(displacement) / doubt
         # an offset is no wander, and errors that change from point to point are none
         sums = np.cumsum([w, *regressors], axis=1)
         mean = (sums[0] - a * sums[1] - b * sums[2]) / (freedom + 1)
         steps = np.cumsum(np.diff(w, prepend=w[0]) ** 2) / freedom
-        wandering = rms**2 - mean**2 > ONLINE_WANDER**2 + steps
-        wandering &= distance > MIN_WANDER_LENGTH
-        wandering &= np.abs(w) < MAX_SPEED_ERROR * distance
+        wandering = rms**2 - mean**2 > _ONLINE_WANDER**2 + steps
+        wandering &= distance > _MIN_WANDER_LENGTH
+        wandering &= np.abs(w) < _MAX_SPEED_ERROR * distance
     share = np.where(believed & (clearness > 1.0), np.minimum(clearness - 1.0, 1.0), 0.0)
     first = int(np.argmax(wandering)) if wandering.any() else distance.size
     share[first:] = 0.0
     if not share.any() and first == distance.size:
         return unchanged
-    known = np.minimum(x // FIT_SPACING, distance.size - 1).astype(int)  # the last that is complete
+    # the last point that is complete
+    known = np.minimum(x // _FIT_SPACING, distance.size - 1).astype(int)
     share, error, length = (np.where(share > 0.0, y, 0.0)[known] for y in (share, error, length))
-    displacement = -error * length * np.expm1(-x / np.maximum(length, LENGTHS[0]))
+    displacement = -error * length * np.expm1(-x / np.maximum(length, _LENGTHS[0]))
     corrected = replace(record, s=record.s - share * displacement, v=record.v * (1 - share * error))
     if first < distance.size:
         at = max(int(np.searchsorted(known, first)), 1)  # from there on the speed alone counts

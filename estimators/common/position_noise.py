@@ -21,9 +21,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-CORRELATION_TIME = 30.0  # [s] of a receiver's error
-WANDER = 0.1  # least standard deviation [m] of what wanders between speed and fixes
-MAX_WANDER = 10.0  # greatest one [m] that a receiver explains
+_CORRELATION_TIME = 30.0  # [s] of a receiver's error
+_WANDER = 0.1  # least standard deviation [m] of what wanders between speed and fixes
+_MAX_WANDER = 10.0  # greatest one [m] that a receiver explains
 SPEED_STD = 0.02  # standard deviation of the relative error of a speed signal, beforehand
 _OFFSET_STD = 100.0  # [m] of the offset, beforehand: it is not known
 _WHITE_STD = 0.03  # [m] of errors of single fixes that are not correlated
@@ -44,7 +44,7 @@ class _WanderFit(NamedTuple):
     station_std: float
 
 
-def block_means(t: np.ndarray, *signals: np.ndarray) -> np.ndarray:
+def _block_means(t: np.ndarray, *signals: np.ndarray) -> np.ndarray:
     """Return the means (1 + k, B) of times (N,) [s] and k signals (N,) over about _BLOCK each."""
     count = int(np.clip((t[-1] - t[0]) / _BLOCK, 1, _MAX_BLOCKS))
     edges = np.linspace(0, t.size, min(count, t.size) + 1).astype(int)
@@ -57,18 +57,19 @@ def wanders(t: np.ndarray, left: np.ndarray) -> bool:
 
     They are too small or too large, constant, or change from sample to sample, where they are not.
     """
-    return WANDER < float(block_means(t, left)[1].std()) < MAX_WANDER
+    return _WANDER < float(_block_means(t, left)[1].std()) < _MAX_WANDER
 
 
 def fit_wander(t: np.ndarray, travelled: np.ndarray, s: np.ndarray) -> _WanderFit:
     """Fit stations `s` (N,) [m], less the first, to the integral of the speed `travelled` (N,)."""
-    times, x, y = block_means(t, travelled, s - travelled)
+    times, x, y = _block_means(t, travelled, s - travelled)
     basis = np.stack([np.ones_like(x), x], axis=1)
     prior = np.diag([_OFFSET_STD**-2, SPEED_STD**-2])
-    lags = np.abs(times[:, None] - times)
+    lags, T = np.abs(times[:, None] - times), _CORRELATION_TIME
     logs, means, covariances = list[float](), list[np.ndarray](), list[np.ndarray]()
     for latency in _LATENCIES:
-        correlation = _receiver_correlation(lags, CORRELATION_TIME, latency)
+        decays = T * np.exp(-lags / T) - latency * np.exp(-lags / latency)
+        correlation = T / (T**2 - latency**2) * decays
         for sigma in _SIGMAS:
             factor = cho_factor(sigma**2 * correlation + _WHITE_STD**2 * np.eye(x.size))
             weighted = cho_solve(factor, np.column_stack([basis, y]))
@@ -88,10 +89,3 @@ def fit_wander(t: np.ndarray, travelled: np.ndarray, s: np.ndarray) -> _WanderFi
     variance = np.einsum("ni,ij,nj->n", basis, covariance, basis)
     stds = np.sqrt([covariance[1, 1], variance.mean()])
     return _WanderFit(*map(float, (*found, *stds)))
-
-
-def _receiver_correlation(lags: np.ndarray, correlation_time: float, latency: float) -> np.ndarray:
-    """Return K over sigma² at the times `lags` [s], of any shape; `latency` is l [s]."""
-    T, late = correlation_time, latency
-    decays = T * np.exp(-lags / T) - late * np.exp(-lags / late)
-    return np.asarray(T / (T**2 - late**2) * decays)

@@ -85,9 +85,7 @@ class SpatialSignals(NamedTuple):
         motions = record.interpolate(fine, sensed)
         motions[:, (fine < record.s[0]) | (fine > record.s[-1])] = 0.0
         s = fine[edge:-edge:DECIMATION]
-        stiff, high = record.spring_stiff, record.damper_high
-        axles = (stiff[:, :2], high[:, :2], stiff[:, 2:], high[:, 2:])
-        states = record.interpolate(s, np.array([pair.mean(axis=1) for pair in axles]))
+        states = record.interpolate(s, axle_states(record))
         v, ratios = np.interp(s, record.s, record.v), _power_ratios(sensed[:N_MOTIONS], record.fs)
         spectrum = record.interpolate(s, ratios) if causal else np.tile(ratios[:, -1:], K)
         return cls(_decimate(motions), v, states.T, margin, spectrum)
@@ -111,6 +109,13 @@ class SpatialSignals(NamedTuple):
     def speed(self) -> float:
         """Mean speed [m/s] at the estimated stations."""
         return float(self.v[self.inside].mean())
+
+
+def axle_states(record: Record) -> np.ndarray:
+    """Return the shares (4, N) of stiff springs and of high damping in front, then at the rear."""
+    stiff, high = record.spring_stiff, record.damper_high
+    axles = (stiff[:, :2], high[:, :2], stiff[:, 2:], high[:, 2:])
+    return np.array([pair.mean(axis=1) for pair in axles])
 
 
 def _n_stations(length: float) -> int:

@@ -84,8 +84,7 @@ def setup_run(
     level = level_ends and record.s[0] <= 0.0
     nodes = int(windows.newest[-1]) + 1
     jumps = RoadJumps.none(TUNING.window_length, nodes, ds)
-    # exactly at rest the friction law has a kink and no tangent
-    motion, blocks = rest_state(car, model_inputs) + 1e-7, measurements.y.shape[1]
+    motion, blocks = rest_state(car, model_inputs), measurements.y.shape[1]
     entries = [motion.size // 2, road.n_vehicle - motion.size // 2]
     biases = np.full(N_BIAS, TUNING.bias_std)
     moving, at_rest = (

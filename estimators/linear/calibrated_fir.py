@@ -40,6 +40,7 @@ from estimators.api import (
 from estimators.common.blas import single_blas_thread
 from estimators.common.coverage import coverage_factors
 from estimators.common.odometer import calibrate_odometer
+from estimators.common.spatial_signals import axle_states
 from estimators.linear import impulse_responses, road_posterior
 from estimators.linear.calibration_checks import check_drives, check_responses
 from estimators.linear.impulse_responses import IdentifiedResponses, Responses, RoadDrive
@@ -304,9 +305,7 @@ def _in_band_power(deviations: np.ndarray, v: float) -> np.ndarray:
 
 def _state(record: Record) -> np.ndarray:
     """Return the prevailing state (4,): stiff and high damping in front, then at the rear."""
-    stiff, high = record.spring_stiff.mean(axis=0), record.damper_high.mean(axis=0)
-    pairs = (stiff[:2], high[:2], stiff[2:], high[2:])
-    return np.array([float(pair.mean() > 0.5) for pair in pairs])
+    return axle_states(record).mean(axis=1).round()
 
 
 def _notes(chosen: _VehicleResponse, state: np.ndarray, record: Record) -> tuple[str, ...]:

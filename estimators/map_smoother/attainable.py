@@ -36,7 +36,7 @@ from road_envs.vehicle.parameters import VehicleParameters
 
 
 @dataclass(frozen=True, eq=False)
-class ExpectedInformation:
+class _ExpectedInformation:
     """Linearizations `at` several roads, whose information on the unknowns is averaged.
 
     It has the interface of one linearization as far as samples need it.
@@ -87,7 +87,7 @@ def attainable_error(
     `noise_density` [(m/s²)/sqrt(Hz)]. Raises RecordError, ArithmeticError, ValueError on a flexible
     frame.
     """
-    objective = whole_drive(record, car, prior, bandwidth, instruments, noise_density)
+    objective = _whole_drive(record, car, prior, bandwidth, instruments, noise_density)
     lin = objective.linearize(objective.from_noise(objective.road.noise_of(truth)))
     stationary = stationary_hessian(objective)  # that of the measurements, for any prior
     lin = update_prior(lin, stationary, np.ones(1))
@@ -109,11 +109,11 @@ def van_trees_error(
 
     The information is averaged over that many `roads`; other arguments as in `attainable_error`.
     """
-    objective = whole_drive(record, car, prior, bandwidth, instruments, noise_density)
+    objective = _whole_drive(record, car, prior, bandwidth, instruments, noise_density)
     rng = np.random.default_rng(0)
     points = [rng.standard_normal(objective.size) for _ in range(roads)]
     at = [objective.linearize(x) for x in points]
-    return _relative_error(ExpectedInformation(at), stationary_hessian(objective), points)
+    return _relative_error(_ExpectedInformation(at), stationary_hessian(objective), points)
 
 
 def _relative_error(lin: Any, stationary: StationaryHessian, points: Sequence[np.ndarray]) -> float:
@@ -136,7 +136,7 @@ def _relative_error(lin: Any, stationary: StationaryHessian, points: Sequence[np
     return float(np.sqrt(error / np.mean([power(x) for x in points])))
 
 
-def whole_drive(
+def _whole_drive(
     record: Record,
     car: VehicleParameters,
     prior: RoadPrior,

@@ -6,7 +6,6 @@ Over a measured road its terms are those of `marginal_likelihood`, over an unmea
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -107,21 +106,14 @@ def fit_car(
         step = covariance @ gradient
         step *= min(1.0, TUNING.max_change / np.abs(step).max())
         x = x + step
-        apply = partial(
-            _with_parameters, space.from_vector(x[: space.size]), errors, x[space.size :]
-        )
-        now = tuple(
-            _resolve(
-                solution,
-                # the unknowns are those of the prior that the road has by now
-                replace(
-                    solution.linearization.objective, passes=objective.with_passes(apply).passes
-                ),
-                solver,
-                term.change(step) if isinstance(term, TangentTerms) else None,
-            )
-            for solution, objective, term in zip(now, original, terms, strict=True)
-        )
+        car, solved = space.from_vector(x[: space.size]), list[MapSolution]()
+        for solution, objective, term in zip(now, original, terms, strict=True):
+            one = errors.apply(objective.passes[0].with_car(car), x[space.size :])
+            # the unknowns are those of the prior that the road has by now
+            changed = replace(solution.linearization.objective, passes=(one,))
+            change = term.change(step) if isinstance(term, TangentTerms) else None
+            solved.append(_resolve(solution, changed, solver, change))
+        now = tuple(solved)
         if (np.abs(step) < small * np.sqrt(np.diag(covariance))).all():
             break
     score = np.sum([term.score_covariance for term in terms], axis=0) + np.eye(size)
@@ -159,13 +151,6 @@ def _terms(
     return tangent_terms(solution, cars).weighted(TUNING.unmeasured_weight)
 
 
-def _with_parameters(
-    car: VehicleParameters, errors: InstrumentErrors, x: np.ndarray, one: Pass
-) -> Pass:
-    """Return the pass of another vehicle and of instruments with the errors `x` (0 or R,)."""
-    return errors.apply(one.with_car(car), x)
-
-
 def adapt_car(
     solutions: Sequence[MapSolution], car: VehicleParameters, solver: GaussNewton
 ) -> CarFit:
@@ -179,19 +164,13 @@ def fit_if_due(
     """Return the fit of `car` to drives, None where the vehicle is not what stays unexplained in
     any of them, has no tolerances, or leaves the range in which its motion is finite.
     """
-    if not (car.tolerances and any(_is_vehicle_unexplained(one) for one in solutions)):
+    unexplained = [x for x in solutions if np.max(x.noise_scale) >= TUNING.adapt_noise_scale]
+    if not (car.tolerances and any(map(can_show_vehicle, unexplained))):
         return None
     try:
         return adapt_car(solutions, car, solver)
     except ArithmeticError:  # a varied vehicle's motion was not finite, or none has its values
         return None
-
-
-def _is_vehicle_unexplained(solution: MapSolution) -> bool:
-    """Return whether what a solution leaves unexplained may be the vehicle: a fit is due."""
-    return bool(
-        np.max(solution.noise_scale) >= TUNING.adapt_noise_scale and can_show_vehicle(solution)
-    )
 
 
 def can_show_vehicle(solution: MapSolution) -> bool:

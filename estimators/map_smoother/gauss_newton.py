@@ -51,7 +51,7 @@ class MapSolution:
     def inverse_hessian(self, max_iterations: int, tolerance: float) -> Operator:
         """Return x(b) (n,), the solution of H x = b by preconditioned conjugate gradients."""
         lin = self.linearization
-        M = preconditioner(lin, self.stationary, self.noise_variance)
+        M = self.stationary.preconditioner(lin, self.noise_variance)
         H, limits = lin.hessian_product, (max_iterations, tolerance)
         return lambda b: conjugate_gradients(H, b, M, *limits)[0]
 
@@ -81,14 +81,15 @@ def minimize(
         if lin is not None:
             lin = update_prior(lin, stationary, noise_scale) if adapt_prior else lin
             objective, x = lin.objective, lin.x
-        plants = [smooth_friction(plant, std) for plant in objective.plants]
+        plants = [_smooth_friction(plant, std) for plant in objective.plants]
         lin = objective.linearize(x, plants)
         noise_scale = update_noise_scale(lin, stationary, noise_scale)
         for n in range(max_steps):
             updates = prior_updates if std == 0.0 and adapt_prior else 0
             if 0 < n <= updates:
                 if n in TUNING.lowering_steps and lin.objective.road.is_level_between_obstacles:
-                    lin = _lower_under_lifted_wheels(lin)
+                    lowered = relax_unloaded(lin)
+                    lin = lin if lowered is None else lin.relinearize(lowered)
                 lin = update_prior(lin, stationary, noise_scale)
             lin, change = solver.step(lin, noise_scale, plants)
             before = np.max(noise_scale)
@@ -148,12 +149,12 @@ class GaussNewton:
         posterior standard deviations.
         """
         weights = [
-            huber_weights(one.residual, one.source.information / scale, self.huber)
+            _huber_weights(one.residual, one.source.information / scale, self.huber)
             for one, scale in zip(lin.passes, noise_scale, strict=True)
         ]
         lin = lin.with_inverse_variance(weights)
         noise_variance = lin.objective.noise_variance * noise_scale
-        M = preconditioner(lin, self.stationary, noise_variance)
+        M = self.stationary.preconditioner(lin, noise_variance)
         is_uneven = lin.objective.road.is_uneven
         more = TUNING.uneven_iterations if is_uneven else 1
         limits = more * self.cg_iterations, self.cg_tolerance
@@ -164,21 +165,6 @@ class GaussNewton:
         dof = np.sum(self.stationary.effective_dof(road, noise_variance)) + others
         # conjugate gradients leave dx' H dx = -slope
         return _line_search(lin, dx, slope, plants), float(np.sqrt(-slope / dof))
-
-
-def preconditioner(
-    lin: Linearization, stationary: StationaryHessian, noise_variance: np.ndarray
-) -> Operator:
-    """The preconditioner at `lin` under noise variances (P,) [(m/s²)²] of a sample."""
-    starts = [one.on_start for one in stationary.passes]
-    offset_scale = lin.offset_scale(noise_variance, starts)
-    return stationary.preconditioner(lin.objective.road, noise_variance, offset_scale)
-
-
-def _lower_under_lifted_wheels(lin: Linearization) -> Linearization:
-    """Return the linearization on the road lowered where no wheel pressed on it."""
-    x = relax_unloaded(lin)
-    return lin if x is None else lin.relinearize(x)
 
 
 def _retry_after_liftoff(
@@ -274,27 +260,23 @@ def _estimate_frequency_weights(
     but never less than that of the instruments.
     """
     noise_variance = lin.objective.noise_variance * noise_scale
-    dof = stationary.effective_dof(lin.objective.road, noise_variance)
-    rows = zip(lin.passes, dof, noise_scale, strict=True)
-    return [_frequency_weights(*row) for row in rows]
+    dofs, weights = stationary.effective_dof(lin.objective.road, noise_variance), []
+    for one, dof, scale in zip(lin.passes, dofs, noise_scale, strict=True):
+        r = np.sqrt(one.source.information) * one.residual
+        left = 1.0 - dof / (one.source.band_share * one.source.is_used.sum())
+        f, S = welch(r, fs=1.0, nperseg=min(TUNING.welch_segment, r.shape[1]))
+        level = np.maximum(0.5 * S.mean(axis=0) / max(left, 0.1), 1.0)
+        weights.append(scale / np.interp(rfftfreq(r.shape[1]), f, level))
+    return weights
 
 
-def _frequency_weights(one: LinearizedPass, dof: float, noise_scale: float) -> np.ndarray:
-    r = np.sqrt(one.source.information) * one.residual
-    left = 1.0 - dof / (one.source.band_share * one.source.is_used.sum())
-    size = min(TUNING.welch_segment, r.shape[1])
-    f, S = welch(r, fs=1.0, nperseg=size)
-    level = np.maximum(0.5 * S.mean(axis=0) / max(left, 0.1), 1.0)
-    return noise_scale / np.interp(rfftfreq(r.shape[1]), f, level)
-
-
-def huber_weights(residual: np.ndarray, inverse_variance: np.ndarray, huber: float) -> np.ndarray:
+def _huber_weights(residual: np.ndarray, inverse_variance: np.ndarray, huber: float) -> np.ndarray:
     """Return `inverse_variance`, reduced where residuals exceed `huber` standard deviations."""
     deviation = np.sqrt(inverse_variance) * np.abs(residual)
     return inverse_variance * np.minimum(1.0, huber / np.maximum(deviation, 1e-12))
 
 
-def smooth_friction(plant: Plant, std: float) -> Plant:
+def _smooth_friction(plant: Plant, std: float) -> Plant:
     """Return the plant with its rate laws averaged over a Gaussian of deviation `std` [m/s]."""
     if std == 0.0:
         return plant

@@ -26,8 +26,7 @@ from estimators.map_smoother.gauss_newton import (
 from estimators.map_smoother.identification_result import (
     IdentificationResult,
     Unexplained,
-    uncertainty_of,
-    with_posterior,
+    posterior_of,
 )
 from estimators.map_smoother.instrument_errors import InstrumentErrors
 from estimators.map_smoother.known_road import check_profile, on_profile
@@ -111,7 +110,7 @@ def _identify(
         (_unexplained(rest, car, settings), _unexplained(rest, fit.car, settings, found))
         for _, rest in parts
     )
-    return IdentificationResult(fit, with_posterior(fit, car), uncertainty_of(fit), unexplained)
+    return IdentificationResult(fit, *posterior_of(fit, car), unexplained)
 
 
 def identify_structure(
@@ -123,8 +122,7 @@ def identify_structure(
     """
     is_short = TUNING.fit_share * record.t.size < TUNING.min_duration * record.fs
     first, _ = _parts(CalibrationDrive(record), settings, 1.0 if is_short else TUNING.fit_share)
-    fit = _fit([first], car, settings, structure=True)
-    return with_posterior(fit, car), uncertainty_of(fit)
+    return posterior_of(_fit([first], car, settings, structure=True), car)
 
 
 def _fit(

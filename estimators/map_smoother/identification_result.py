@@ -8,7 +8,6 @@ from estimators.map_smoother.car_fit import CarFit
 from estimators.map_smoother.tuning import TUNING
 from estimators.map_smoother.vehicle_uncertainty import IDENTIFIED, VehicleUncertainty
 from road_envs.vehicle.parameters import Tolerance, VehicleParameters
-from road_envs.vehicle.tolerances import ParameterSpace
 
 AS_DESCRIBED = "as described, since the drives are those of another kind of vehicle"
 """Source of the tolerances of a vehicle of another kind."""
@@ -112,25 +111,20 @@ def _is_another_kind(fit: CarFit) -> bool:
     return bool(fit.contradiction > TUNING.contradiction and (np.abs(fit.x) > TUNING.far).any())
 
 
-def uncertainty_of(fit: CarFit) -> VehicleUncertainty:
-    """Return that of the vehicle of `with_posterior`."""
-    if _is_another_kind(fit):
-        fit = replace(fit, covariance=np.eye(fit.x.size))
-    return VehicleUncertainty.of_fit(fit)
-
-
-def with_posterior(fit: CarFit, car: VehicleParameters) -> VehicleParameters:
-    """Return the fitted vehicle; its tolerances are the posterior standard deviations, of a vehicle
-    of another kind those of the description.
+def posterior_of(
+    fit: CarFit, car: VehicleParameters
+) -> tuple[VehicleParameters, VehicleUncertainty]:
+    """Return the vehicle fitted in place of `car`, with the posterior standard deviations as its
+    tolerances, and what stays unknown of it; of a vehicle of another kind as in its description.
     """
-    space: ParameterSpace = fit.space
+    space, source = fit.space, IDENTIFIED
     if _is_another_kind(fit):
-        std, source = np.ones(space.size), AS_DESCRIBED
-    else:
-        std, source = np.minimum(fit.std[: space.size], 1.0), IDENTIFIED
+        fit, source = replace(fit, covariance=np.eye(fit.x.size)), AS_DESCRIBED
+    std = space.std * np.minimum(fit.std[: space.size], 1.0)
     found = {
         name: Tolerance(relative=relative, source=source)
-        for name, relative in zip(space.names, (space.std * std).tolist(), strict=True)
+        for name, relative in zip(space.names, std.tolist(), strict=True)
     }
     name = car.name if car.name.endswith("identified") else f"{car.name} identified"
-    return replace(fit.car, name=name, tolerances=found)
+    identified = replace(fit.car, name=name, tolerances=found)
+    return identified, VehicleUncertainty.of_fit(fit)

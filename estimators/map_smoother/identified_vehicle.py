@@ -81,7 +81,7 @@ class CalibratedByIdentification(Settings):
 
     def calibrate(self, drives: Sequence[CalibrationDrive], car: VehicleParameters) -> Self:
         """Return a copy for the vehicle of these drives. Raises CalibrationError, ConfigError."""
-        return copy_with(self, identified=identify_once(drives, car, self.instruments))
+        return copy_with(self, identified=_identify_once(drives, car, self.instruments))
 
     def as_identified(
         self, record: Record, car: VehicleParameters
@@ -91,7 +91,7 @@ class CalibratedByIdentification(Settings):
         return (record, car) if known is None else (known.correct(record), known.car)
 
 
-def identify_once(
+def _identify_once(
     drives: Sequence[CalibrationDrive], car: VehicleParameters, instruments: str
 ) -> IdentifiedVehicle:
     """Identify a vehicle, or return what was identified from the same drives before.

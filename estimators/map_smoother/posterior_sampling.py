@@ -16,7 +16,7 @@ from scipy.signal import hilbert
 
 from estimators.common.conjugate_gradients import Operator
 from estimators.common.model_inputs import ModelInputs
-from estimators.map_smoother.gauss_newton import MapSolution, preconditioner
+from estimators.map_smoother.gauss_newton import MapSolution
 from estimators.map_smoother.road_prior import RoadTransform
 from estimators.map_smoother.tuning import TUNING
 from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
@@ -114,7 +114,7 @@ def posterior_mean_and_std(
     if road.is_uneven:
         variance = variance + TUNING.obstacle_share * variance[:, middle].mean()
     lower, errors = road_below_light_wheels(lin)
-    std = np.sqrt(add_liftoff_errors(variance, errors, inside))
+    std = np.sqrt(_add_liftoff_errors(variance, errors, inside))
     for path, height in errors:
         deviations[:, path] += rng.standard_normal((len(deviations), 1)) * height
     lowered = replace(solution, linearization=lower_road(lin, lower))
@@ -134,7 +134,7 @@ def _draw_roads(
     lin, road = solution.linearization, solution.linearization.objective.road
     # another noise in each window of a drive
     rng = np.random.default_rng([1, round(max(road.origin, 0.0) / road.ds)])
-    shape = preconditioner(lin, solution.stationary, solution.noise_variance)
+    shape = solution.stationary.preconditioner(lin, solution.noise_variance)
     noise = rng.standard_normal((TUNING.road_draws, lin.objective.size))
     u = np.array([shape(row)[: 2 * road.size].reshape(2, -1) for row in noise])
     told = np.array([lin.objective.split(dx)[0] for dx in exact])
@@ -155,7 +155,7 @@ def _draw_roads(
     return np.array([road.apply(row) for row in u])
 
 
-def add_liftoff_errors(
+def _add_liftoff_errors(
     variance: np.ndarray, errors: Sequence[LiftoffError], lines: np.ndarray
 ) -> np.ndarray:
     """Return the `variance` (2, K) [m²] of the error in the band of the spectral `lines`, with that
@@ -177,13 +177,12 @@ def draw_deviations(
     `MapSolution.inverse_hessian`.
 
     `lin` is a linearization, or the expectation of some over roads
-    (`attainable.ExpectedInformation`).
+    (`attainable._ExpectedInformation`).
     """
-    noise = [
-        lin.adjoint(lin.draw_noise(rng)) + rng.standard_normal(lin.objective.size)
-        for _ in range(draws)
+    size = lin.objective.size
+    return [
+        solve(lin.adjoint(lin.draw_noise(rng)) + rng.standard_normal(size)) for _ in range(draws)
     ]
-    return [solve(b) for b in noise]
 
 
 class _VehicleErrors(NamedTuple):

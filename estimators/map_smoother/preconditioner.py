@@ -24,7 +24,7 @@ from scipy.linalg import solve_continuous_lyapunov
 from scipy.ndimage import gaussian_filter1d
 
 from estimators.common.bending import BODY
-from estimators.map_smoother.objective import Means, Objective
+from estimators.map_smoother.objective import Linearization, Means, Objective
 from estimators.map_smoother.one_pass import Pass
 from estimators.map_smoother.road_prior import TO_WHEEL_PATHS, RoadTransform
 from estimators.map_smoother.tuning import TUNING
@@ -81,9 +81,11 @@ class StationaryHessian:
         return information * T.conj()[:, :, None] * T[:, None, :]
 
     def preconditioner(
-        self, road: RoadTransform, noise_variance: np.ndarray, offset_scale: np.ndarray
+        self, lin: Linearization, noise_variance: np.ndarray
     ) -> Callable[[np.ndarray], np.ndarray]:
-        """A function that maps a gradient to a step; `offset_scale` of `Linearization`."""
+        """A function that maps a gradient at `lin` to a step, under noise variances (P,)."""
+        road = lin.objective.road
+        offset_scale = lin.offset_scale(noise_variance, [one.on_start for one in self.passes])
         excess = self.excess(road, noise_variance)
         roots = [
             (np.sqrt(share), _inverse(_root(np.eye(2) + level**2 * excess)))
@@ -252,22 +254,20 @@ def linear_responses(one: Pass, f: np.ndarray) -> Iterator[tuple[float, np.ndarr
     """Yield the share of each strut state in the drive, and its response (F, S, 2) at `f` (F,) [Hz]
     to mean and half difference.
     """
-    v = float(one.inputs.v.mean())
-    for share, mode in _modes(one):
-        H = frequency_response(_linear_model(one, mode), v, f=f)
-        yield share, _sensed(one, H, f)
+    inputs, v = one.inputs, float(one.inputs.v.mean())
+    for command, count in zip(*np.unique(inputs.commands, return_counts=True), strict=True):
+        H = frequency_response(_linear_model(one, command), v, f=f)
+        yield count / inputs.n_steps, _sensed(one, H, f)
 
 
-def _modes(one: Pass) -> Iterator[tuple[float, dict[str, str]]]:
-    """Yield the share of each strut state in the drive, and the command of each wheel."""
-    inputs = one.inputs
-    for byte, count in zip(*np.unique(inputs.commands, return_counts=True), strict=True):
-        yield count / inputs.n_steps, _decode_mode(int(byte))
-
-
-def _linear_model(one: Pass, mode: dict[str, str]) -> LinearModel:
-    """Return the linear vehicle with the points whose accelerations the sensors need."""
+def _linear_model(one: Pass, command: int) -> LinearModel:
+    """Return the linear vehicle in the strut states of a `command` byte, with the points whose
+    accelerations the sensors need.
+    """
     model = one.model
+    stiff, high = (flags[0].tolist() for flags in decode_commands(np.array([command])))
+    names = {flags: name for name, flags in MODES.items()}
+    mode = {w: names[k, c] for w, k, c in zip(WHEELS, stiff, high, strict=True)}
     damping = gaussian_damping(model.plant, mode, TUNING.damping_rate)
     locations = {**model.locations, **({} if model.bending is None else BODY)}
     v = float(one.inputs.v.mean())
@@ -279,7 +279,7 @@ def _start_information(one: Pass) -> np.ndarray:
     the integral over time of the squared accelerations that all sensors have after a unit deviation
     of a coordinate, times the sampling rate.
     """
-    linear = _linear_model(one, _decode_mode(int(one.inputs.commands[0])))
+    linear = _linear_model(one, one.inputs.commands[0])
     C = linear.C[: len(one.model.locations)]
     fs = 1.0 / (one.inputs.h * one.inputs.decimation)
     return fs * np.diag(solve_continuous_lyapunov(linear.A.T, -C.T @ C))
@@ -296,13 +296,6 @@ def _sensed(one: Pass, H: np.ndarray, f: np.ndarray) -> np.ndarray:
     if model.filter is not None:
         response = response * model.filter.response(f)
     return response[:, None, None] * H @ TO_WHEEL_PATHS
-
-
-def _decode_mode(byte: int) -> dict[str, str]:
-    """Return the command of each wheel in a byte."""
-    stiff, high = decode_commands(np.array([byte]))
-    names = {flags: name for name, flags in MODES.items()}
-    return {w: names[bool(stiff[0, i]), bool(high[0, i])] for i, w in enumerate(WHEELS)}
 
 
 def _root(M: np.ndarray) -> np.ndarray:

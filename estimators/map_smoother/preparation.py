@@ -6,8 +6,10 @@ carry information about the road below.
 """
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
 from estimators.common.bending import sensed_bending
 from estimators.common.block_means import MIN_NOISE_DENSITY
@@ -26,7 +28,7 @@ from estimators.map_smoother.tuning import TUNING
 from estimators.map_smoother.windows import PreparedDrive
 from estimators.preprocessing import MaskedRecord, clipped_signs, mask_record, restore_times
 from road_envs.analysis.information_bound import RoadPrior
-from road_envs.core.config import Settings
+from road_envs.core.config import Positive, Settings
 from road_envs.records.record import Record
 from road_envs.records.roughness import CLASSES
 from road_envs.sensing.instruments import Instruments, instruments_of, on_axle
@@ -37,43 +39,31 @@ from road_envs.vehicle.parameters import VehicleParameters
 
 @dataclass(frozen=True, kw_only=True)
 class SolverSettings(Settings):
-    """Settings of the most probable road.
+    """Settings of the most probable road, beside the name or path of the `instruments`.
 
-    - `instruments`: name or path; `noise_density` [(m/s²)/sqrt(Hz)] if it is not theirs.
-    - `G_d0` [m³] and `w`: the road's prior; `adapt_prior`: re-estimate its density from the drive,
-      between the last steps at most `prior_updates` times.
-    - `data_rate` [Hz] of the block means, at least; `step` [s]: longest step of the model.
-    - `level_ends`: the road is level before station 0 and behind its length, where the drive begins
-      at rest.
-    - `huber`: standard deviations beyond which a measurement is down-weighted.
-    - `window`, `overlap` [s]: longer drives are estimated window by window.
+    `level_ends`: the road is level before station 0 and behind its length, where the drive begins
+    at rest. `adapt_prior`: the prior's density is re-estimated from the drive.
     """
 
     instruments: str = "paper"
-    noise_density: float | None = None
-    G_d0: float = CLASSES["D"]
-    w: float = 2.0
+    noise_density: Annotated[Positive | None, "(m/s²)/sqrt(Hz)", "if not the instruments'"] = None
+    G_d0: Annotated[Positive, "m³", "of the road's prior"] = CLASSES["D"]
+    w: Annotated[Positive, "", "waviness of the road's prior"] = 2.0
     adapt_prior: bool = True
-    prior_updates: int = TUNING.prior_updates
-    data_rate: float = 200.0
-    step: float = 0.001
+    prior_updates: Annotated[int, Field(ge=0), "", "between the last steps"] = TUNING.prior_updates
+    data_rate: Annotated[Positive, "Hz", "least one of the block means"] = 200.0
+    step: Annotated[Positive, "s", "longest step of the model"] = 0.001
     level_ends: bool = True
-    huber: float = 5.0
-    window: float = 40.0
-    overlap: float = 5.0
+    huber: Annotated[float, Field(gt=0), "deviations", "from which on readings count less"] = 5.0
+    window: Annotated[float, "s", "longer drives are estimated window by window"] = 40.0
+    overlap: Annotated[Positive, "s", "of the windows"] = 5.0
 
     def __post_init__(self) -> None:
-        for name in ("G_d0", "w", "data_rate", "step", "huber", "overlap"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
-        if self.noise_density is not None and not self.noise_density > 0:
-            raise ValueError(f"noise_density must be positive, got {self.noise_density}")
+        super().__post_init__()
         if not self.window >= 2.0 * self.overlap:
             raise ValueError(
                 f"window must be at least twice the overlap of {self.overlap} s, got {self.window}"
             )
-        if self.prior_updates < 0:
-            raise ValueError(f"prior_updates must not be negative, got {self.prior_updates}")
 
     @property
     def road_prior(self) -> RoadPrior:

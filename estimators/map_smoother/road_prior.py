@@ -14,13 +14,11 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+from scipy.fft import irfft, rfft, rfftfreq
 from scipy.ndimage import spline_filter1d
 
-from estimators.common.road_prior import increment_amplitude
 from estimators.common.spline import evaluate_spline
 from estimators.map_smoother.tuning import TUNING
-from road_envs.analysis.information_bound import RoadPrior
 from road_envs.records.record import Profile
 
 TO_WHEEL_PATHS = np.array([[1.0, 1.0], [1.0, -1.0]])
@@ -127,14 +125,3 @@ class RoadTransform:
         delay = np.exp(-2j * np.pi * self.n[1:] * self.ds)
         integral = np.concatenate([[0.0], 1.0 / (1.0 - delay)])  # the datum is not estimated
         return self.amplitude * integral * np.sinc(self.n * self.ds) ** 4
-
-
-def padded_size(least: int) -> int:
-    """Return a number of nodes that transforms quickly, 64 or more above `least`."""
-    # spare nodes, as the spectrum of the increments is periodic
-    return int(next_fast_len(least + 64, real=True))
-
-
-def prior_amplitude(prior: RoadPrior, size: int, ds: float) -> np.ndarray:
-    """Return A(n) (2, size // 2 + 1) [m] of `size` nodes `ds` [m] apart."""
-    return increment_amplitude(prior, size, ds, flat_below=TUNING.n_flat)

@@ -105,7 +105,7 @@ def _second_order_terms(
     weighted = np.array([one.apply_inverse_covariance(g) for g in G])
     F = np.array([quick(lin.adjoint([g])) for g in weighted])
     left = G - np.array([lin.tangent(f)[0] for f in F])
-    samples = [trace_sample(lin, varied, solve(b)) for b in posterior_noise(lin)]
+    samples = [_trace_sample(lin, varied, solve(b)) for b in _posterior_noise(lin)]
     at_road, along = (np.array(part) for part in zip(*samples, strict=True))
     # A is symmetric: one system for the derivative along the road, not one for each parameter
     moved = lin.tangent(solve(along.mean(axis=0)))[0]
@@ -122,7 +122,7 @@ def _second_order_terms(
     )
 
 
-def trace_sample(
+def _trace_sample(
     lin: Linearization, varied: Sequence[Pass], w: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the sample by `w` (n,) of the derivatives of 1/2 log det A: by the parameters (P,) at
@@ -136,7 +136,7 @@ def trace_sample(
     return at_road, 0.5 * (above.adjoint([dual]) - below.adjoint([dual]))
 
 
-def posterior_noise(lin: Linearization) -> Iterator[np.ndarray]:
+def _posterior_noise(lin: Linearization) -> Iterator[np.ndarray]:
     """Yield samples J' R^-1/2 e_1 + e_2 (n,), of covariance A; A^-1 times one is a sample w.
 
     The rows of e_1 (S, J) and e_2 (2, K) are white, with flat spectra of random phases that are

@@ -11,20 +11,16 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.fft import rfftfreq
+from scipy.fft import next_fast_len, rfftfreq
 
 from estimators.common.block_means import block_means
 from estimators.common.model_inputs import ModelInputs
+from estimators.common.road_prior import increment_amplitude
 from estimators.common.spline import evaluate_spline
 from estimators.map_smoother.objective import Objective, shift_inputs
 from estimators.map_smoother.one_pass import MeasurementModel, Pass
 from estimators.map_smoother.posterior_sampling import RoadPosterior
-from estimators.map_smoother.road_prior import (
-    RoadNodes,
-    RoadTransform,
-    padded_size,
-    prior_amplitude,
-)
+from estimators.map_smoother.road_prior import RoadNodes, RoadTransform
 from estimators.map_smoother.tuning import TUNING
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.vehicle.parameters import VehicleParameters
@@ -87,7 +83,12 @@ class PreparedDrive:
     def split(self, window: float, overlap: float) -> list[Window]:
         """Split the drive into windows of `window` and `overlap` [s]."""
         rate = 1.0 / (self.steps_per_block * self.inputs.h)
-        return _split_windows(self.blocks, round(window * rate), round(overlap * rate))
+        length, common = round(window * rate), round(overlap * rate)
+        windows, begin = list[Window](), 0
+        while self.blocks - begin > length + common:
+            windows.append((begin, begin + length - common, begin + length))
+            begin += length - common
+        return [*windows, (begin, self.blocks, self.blocks)]
 
     def node_at(self, s: float) -> int:
         """Return the node at the station `s` [m] or just before it."""
@@ -150,8 +151,7 @@ class _PassState(NamedTuple):
     def first(cls, drive: PreparedDrive) -> "_PassState":
         """Return that before the first window."""
         strut_state = settled_strut_state(int(drive.inputs.commands[0]))
-        # exactly at rest the friction law has a kink and no tangent
-        return cls(drive.rest_state + 1e-7, drive.initial_std, strut_state)
+        return cls(drive.rest_state, drive.initial_std, strut_state)
 
 
 def on_common_nodes(drives: Sequence[PreparedDrive]) -> list[PreparedDrive]:
@@ -168,15 +168,6 @@ def on_common_nodes(drives: Sequence[PreparedDrive]) -> list[PreparedDrive]:
     begins, ends = zip(*(drive.free_span for drive in drives), strict=True)
     span = (min(begins) if together else -np.inf), max(ends)
     return [replace(drive, nodes=nodes, free_span=span) for drive in drives]
-
-
-def _split_windows(blocks: int, window: int, overlap: int) -> list[Window]:
-    """Split `blocks` into windows."""
-    windows, begin = [], 0
-    while blocks - begin > window + overlap:
-        windows.append((begin, begin + window - overlap, begin + window))
-        begin += window - overlap
-    return [*windows, (begin, blocks, blocks)]
 
 
 def common_windows(
@@ -279,14 +270,16 @@ def _window_objective(
     """
     reach = [drive.nodes_under(begin, end) for drive, _, begin, end in parts]
     low = min(first for first, _ in reach) - TUNING.node_margin
-    size = padded_size(max(last for _, last in reach) + TUNING.node_margin + 1 - low)
+    last = max(last for _, last in reach) + TUNING.node_margin
+    # spare nodes, as the spectrum of the increments is periodic
+    size = int(next_fast_len(last + 1 - low + 64, real=True))
     drive = parts[0][0]
     c, free = so_far.c[:, low : low + size], drive.free[low : low + size].copy()
     free[: max(so_far.first_free_node - low, 0)] = 0.0
     missing = size - free.size
     c, free = np.pad(c, ((0, 0), (0, missing)), mode="edge"), np.pad(free, (0, missing))
     origin, ds = drive.nodes.origin + drive.nodes.ds * low, drive.nodes.ds
-    amplitude = prior_amplitude(prior, size, ds)
+    amplitude = increment_amplitude(prior, size, ds, flat_below=TUNING.n_flat)
     density = np.interp(rfftfreq(size, ds), so_far.n, so_far.density)
     road = RoadTransform(origin, ds, c, free, amplitude, density, np.ones_like(c))
     passes = tuple(_window_pass(*part, road.nodes) for part in parts)

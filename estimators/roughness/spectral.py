@@ -23,7 +23,6 @@ from estimators.wiener.spectral_model import (
     SpectralModel,
     active_sensors,
     fit_hyperparameters,
-    trace,
     windowed_spectrum,
 )
 from estimators.wiener.tuning import TUNING
@@ -128,9 +127,12 @@ def _levels(
             road_posterior = posterior(n, H, unit * levels[k], R)
             z = road_posterior.gain @ y
             second = z @ hermitian(z) + road_posterior.error
-            levels[k] = float(np.mean(trace(np.linalg.solve(unit, second)))) / 2.0
-            unresolved = trace(np.linalg.solve(unit, road_posterior.error)) / levels[k]
-            known = float(np.mean(1.0 - 0.5 * unresolved))
+            told, unresolved = (
+                np.trace(np.linalg.solve(unit, part), axis1=1, axis2=2).real
+                for part in (second, road_posterior.error)
+            )
+            levels[k] = float(np.mean(told)) / 2.0
+            known = float(np.mean(1.0 - 0.5 * (unresolved / levels[k])))
         # two wheel paths; a Hann window leaves two thirds of the independent lines
         counts[k] = 2.0 * span * (n[-1] - n[0]) * max(known, 0.01) * 2.0 / 3.0
     return levels, counts

@@ -71,7 +71,7 @@ class _AdaptedVehicle:
     def model(self, segment: Segment) -> SpectralModel:
         """Return the model of a segment with the noise of an uncertain vehicle."""
         model = fit_hyperparameters(SensedVehicle.of(self.car, self.instruments), segment)
-        _, dH = responses(self.space, self.x, self.instruments, segment, model)
+        _, dH = _responses(self.space, self.x, self.instruments, segment, model)
         return replace(model, model_error=_model_error_psd(dH, self.covariance, model.S))
 
 
@@ -115,7 +115,7 @@ def adapt_vehicle(
     return found if after < before else None
 
 
-def responses(
+def _responses(
     space: ParameterSpace,
     x: np.ndarray,
     instruments: Instruments,
@@ -175,7 +175,7 @@ def _fisher_scoring(
     part = replace(model, n=model.n[used], f=model.f[used], S=model.S[used])
     kappa = TUNING.independent_share * segment.a.shape[1] / model.size
     for _ in range(steps):
-        H, dH = responses(space, x, instruments, segment, part)
+        H, dH = _responses(space, x, instruments, segment, part)
         H, dH = H[:, sensors], dH[:, :, sensors]
         half = dH @ (part.S @ hermitian(H))
         whitening = np.linalg.inv(np.linalg.cholesky(H @ part.S @ hermitian(H) + R))

@@ -40,7 +40,7 @@ from estimators.wiener.spectral_model import (
 from estimators.wiener.tuning import TUNING
 from road_envs.core.config import ConfigError
 from road_envs.records.record import F_C, Record
-from road_envs.sensing.instruments import Instruments, instruments_of
+from road_envs.sensing.instruments import instruments_of
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.side_values import side_values
 
@@ -50,11 +50,17 @@ _SPEED_UNITS = {"km/h": 1.0 / 3.6, "mph": 0.44704}
 
 @dataclass(frozen=True)
 class _Alternative:
-    """Another reading of a drive: what is `different` about its `record`, and what to do."""
+    """Another description of a drive: what is `different` about its `record` or, if given, its
+    `car`, and what to do.
+    """
 
     different: str
     remedy: str
     record: Record
+    car: VehicleParameters | None = None
+
+
+_Deviance = tuple[float, float, float]  # deviance, mean noise scale, number of independent lines
 
 
 def check_notes(
@@ -68,47 +74,11 @@ def check_notes(
     if record.is_switched or len(record.channels) < TUNING.least_channels:
         return ()
     part = _middle(record)
-    described = deviance(part, car, instruments)
+    described = _deviance(part, car, instruments)
     others = list(_other_modes(part, car))
     if described[1] > TUNING.doubted_scale:
         others += _other_readings(part, speed_known)
-    pairs = [(part, car), *((other.record, car) for other in others)]
-    best, gain = _best_description(pairs, described, instruments, TUNING.check_gain)
-    if not best:
-        return ()
-    other = others[best - 1]
-    return (
-        f"the record fits {other.different} better: {other.remedy} (deviance lower by "
-        f"{gain:.2f} per spectral line)",
-    )
-
-
-_Deviance = tuple[float, float, float]
-
-
-def _best_description(
-    pairs: Sequence[tuple[Record, VehicleParameters]],
-    described: _Deviance,
-    instruments: str,
-    least: float,
-) -> tuple[int, float]:
-    """Return the number of the record and vehicle that fit a drive better than the first of the
-    `pairs`, which is `described`, with obstacles and without, and by how much; 0 if none do.
-    """
-    gains = [_clear_gain(described, deviance(*pair, instruments), least) for pair in pairs[1:]]
-    best = 1 + int(np.argmax(gains)) if any(gains) else 0
-    own, other = (
-        deviance(_without_obstacles(record), car, instruments)
-        for record, car in (pairs[0], pairs[best])
-    )
-    return (best, gains[best - 1]) if best and _clear_gain(own, other, least) else (0, 0.0)
-
-
-def _clear_gain(described: _Deviance, other: _Deviance, least: float) -> float:
-    """Return by how much the deviance is lower, per line and noise scale, 0 if not clearly."""
-    smaller = max(1.0, min(described[1], other[1]))
-    gain = (described[0] - other[0]) / (described[2] * smaller)
-    return gain if gain > least * (2.0 if smaller > TUNING.far_scale else 1.0) else 0.0
+    return _note_on_best(part, car, instruments, described, others, TUNING.check_gain)
 
 
 def side_notes(record: Record, car: VehicleParameters, instruments: str) -> tuple[str, ...]:
@@ -120,42 +90,74 @@ def side_notes(record: Record, car: VehicleParameters, instruments: str) -> tupl
     if record.is_switched or len(record.channels) < TUNING.least_channels:
         return ()
     part = _middle(record)
-    described = deviance(part, car, instruments)
+    described = _deviance(part, car, instruments)
     if described[1] > TUNING.doubted_scale:
         return ()
-    others = list(_other_side_motions(car))
-    pairs = [(part, car), *((part, other) for _, other in others)]
-    best, gain = _best_description(pairs, described, instruments, TUNING.side_gain)
-    if not best:
-        return ()
-    remedy = (
-        "the IRI may be up to a fifth too low: give the vehicle's file its `side`"
-        if car.side is None
-        else "the mean of the wheel paths is not affected"
-    )
-    return (
-        f"the record fits {others[best - 1][0]} better: left and right are not told apart as well "
-        f"as the intervals say, {remedy} (deviance lower by {gain:.2f} per spectral line)",
-    )
+    others = list(_other_side_motions(part, car))
+    return _note_on_best(part, car, instruments, described, others, TUNING.side_gain)
 
 
-def _other_side_motions(car: VehicleParameters) -> Iterator[tuple[str, VehicleParameters]]:
-    """Yield what holds a vehicle sideways in another way than described, and that vehicle. A
-    passive car whose file has no `side` is noted without a trial.
+def _note_on_best(
+    record: Record,
+    car: VehicleParameters,
+    instruments: str,
+    described: _Deviance,
+    others: Sequence[_Alternative],
+    least: float,
+) -> tuple[str, ...]:
+    """Return a note on that of the `others` which fits best, if it fits a drive better than its
+    description, with obstacles and without.
     """
+    gains = [
+        _clear_gain(described, _deviance(other.record, other.car or car, instruments), least)
+        for other in others
+    ]
+    if not any(gains):
+        return ()
+    best = others[int(np.argmax(gains))]
+    pairs = (record, car), (best.record, best.car or car)
+    own, other = (
+        _deviance(_without_obstacles(part), vehicle, instruments) for part, vehicle in pairs
+    )
+    if not _clear_gain(own, other, least):
+        return ()
+    return (
+        f"the record fits {best.different} better: {best.remedy} (deviance lower by "
+        f"{max(gains):.2f} per spectral line)",
+    )
+
+
+def _clear_gain(described: _Deviance, other: _Deviance, least: float) -> float:
+    """Return by how much the deviance is lower, per line and noise scale, 0 if not clearly."""
+    smaller = max(1.0, min(described[1], other[1]))
+    gain = (described[0] - other[0]) / (described[2] * smaller)
+    return gain if gain > least * (2.0 if smaller > TUNING.far_scale else 1.0) else 0.0
+
+
+def _other_side_motions(record: Record, car: VehicleParameters) -> Iterator[_Alternative]:
+    """Yield a drive of vehicles that are held sideways in another way than described. A passive
+    car whose file has no `side` is noted without a trial.
+    """
+    blurred = "left and right are not told apart as well as the intervals say, "
     if car.side is None:
         if not car.is_passive:
-            yield "tyres that hold the vehicle sideways", replace(car, side=side_values(car))
+            remedy = "the IRI may be up to a fifth too low: give the vehicle's file its `side`"
+            held = replace(car, side=side_values(car))
+            yield _Alternative(
+                "tyres that hold the vehicle sideways", blurred + remedy, record, held
+            )
         return
-    yield "tyres that slide sideways", car.sliding
+    remedy = blurred + "the mean of the wheel paths is not affected"
+    yield _Alternative("tyres that slide sideways", remedy, record, car.sliding)
     (C_front, C_rear), (h_front, h_rear) = car.side.C_alpha, car.side.roll_centre
     for f in TUNING.side_factors:
         with suppress(ConfigError):  # beyond what any vehicle has
-            stiff = replace(car.side, C_alpha=(f * C_front, f * C_rear))
-            yield f"tyres that hold it sideways {f:g} times as stiffly", replace(car, side=stiff)
+            stiff = replace(car, side=replace(car.side, C_alpha=(f * C_front, f * C_rear)))
+            different = f"tyres that hold it sideways {f:g} times as stiffly"
+            yield _Alternative(different, remedy, record, stiff)
         with suppress(ConfigError):
-            high = replace(car.side, roll_centre=(f * h_front, f * h_rear))
-            yield f"roll centres {f:g} times as high", replace(car, side=high)
+            high = replace(car, side=replace(car.side, roll_centre=(f * h_front, f * h_rear)))
+            yield _Alternative(f"roll centres {f:g} times as high", remedy, record, high)
 
 
 def _without_obstacles(record: Record) -> Record:
@@ -224,11 +226,9 @@ def _other_readings(record: Record, speed_known: bool = False) -> Iterator[_Alte
         )
 
 
-def deviance(
-    record: Record, car: VehicleParameters, instruments: str
-) -> tuple[float, float, float]:
-    """Return deviance, mean noise scale and number of independent lines of a record."""
-    sensors: Instruments = instruments_of(record, instruments)
+def _deviance(record: Record, car: VehicleParameters, instruments: str) -> _Deviance:
+    """Return the deviance of a record under the description of its `car`."""
+    sensors = instruments_of(record, instruments)
     (segment,) = split_segments(mask_record(record, sensors), np.inf, 0.0)
     model = fit_hyperparameters(SensedVehicle.of(car, sensors), segment)
     used, band = active_sensors(segment), (model.f > TUNING.f_low) & (model.f < F_C)

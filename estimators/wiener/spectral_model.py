@@ -237,11 +237,12 @@ def run_em(
         e = y - H @ z
         road = z @ hermitian(z) + road_posterior.error
         noise = e @ hermitian(e) + H @ road_posterior.error @ hermitian(H)
-        level_per_line = trace(np.linalg.solve(unit, road)) / 2.0
+        level_per_line = np.trace(np.linalg.solve(unit, road), axis1=1, axis2=2).real / 2.0
         level = float(np.mean(level_per_line / shape[octave]))
         shape = _shrunk_band_means(level_per_line / level, octave, _ROAD_OCTAVES.size)
         if sensors.size >= 3:
-            scale_per_line = trace(np.linalg.solve(base, noise)) / sensors.size
+            ratio = np.linalg.solve(base, noise)
+            scale_per_line = np.trace(ratio, axis1=1, axis2=2).real / sensors.size
             factor = _shrunk_band_means(scale_per_line, band, _NOISE_OCTAVES.size)
     prior = replace(model.prior, G_d0=level, shape=tuple(shape.tolist()))
     return prior, np.exp(np.interp(np.log(model.f), np.log(_NOISE_OCTAVES), np.log(factor)))
@@ -251,11 +252,6 @@ def _shrunk_band_means(values: np.ndarray, band: np.ndarray, bands: int) -> np.n
     """Return means (bands,) of the lines' values by `band`, shrunk to 1 by `pseudo_count`."""
     count = np.bincount(band, minlength=bands) + TUNING.pseudo_count
     return (np.bincount(band, values, bands) + TUNING.pseudo_count) / count
-
-
-def trace(matrices: np.ndarray) -> np.ndarray:
-    """Return the real traces (F,) of matrices (F, k, k)."""
-    return np.real(np.einsum("fii->f", matrices))
 
 
 def signal_psd(model: SpectralModel, noise: np.ndarray) -> np.ndarray:

@@ -8,10 +8,10 @@ import pytest
 from vehicle_fixtures import DEFENDER
 
 from estimators.map_smoother.attainable import (
-    ExpectedInformation,
+    _ExpectedInformation,
+    _whole_drive,
     attainable_error,
     van_trees_error,
-    whole_drive,
 )
 from estimators.map_smoother.gauss_newton import MapSolution
 from estimators.map_smoother.posterior_sampling import band_pass, draw_deviations, interior
@@ -29,7 +29,7 @@ def drive(length, mode="handling", kmh=54.0):
 
 def test_the_noise_of_the_truth_gives_the_true_heights():
     record, truth = drive(30.0)
-    objective = whole_drive(record, DEFENDER, PRIOR, 100.0, "paper")
+    objective = _whole_drive(record, DEFENDER, PRIOR, 100.0, "paper")
     s = np.linspace(2.0, 28.0, 200)
     z = objective.road.heights_at(objective.road.noise_of(truth), s)
     true = np.array([np.interp(s, truth.s, path - path[0]) for path in truth.z])
@@ -38,7 +38,7 @@ def test_the_noise_of_the_truth_gives_the_true_heights():
 
 def test_samples_have_the_covariance_of_the_dense_posterior():
     record, truth = drive(6.0)
-    objective = whole_drive(record, DEFENDER, PRIOR, 50.0, "paper")
+    objective = _whole_drive(record, DEFENDER, PRIOR, 50.0, "paper")
     lin = objective.linearize(objective.from_noise(objective.road.noise_of(truth)))
     H = np.array([lin.hessian_product(row) for row in np.eye(objective.size)])
     road = objective.road
@@ -81,10 +81,10 @@ def test_of_a_scalar_the_bound_of_van_trees_is_its_closed_form_and_below_the_lea
             draw_noise=lambda rng: rng.standard_normal(),
         )
 
-    expected = ExpectedInformation([at(z) for z in rng.standard_normal(10_000)])
+    expected = _ExpectedInformation([at(z) for z in rng.standard_normal(10_000)])
     precision = 1.0 + (1.0 + 6.0 * cubic + 27.0 * cubic**2) / R
     assert expected.hessian_product(np.ones(1)) == pytest.approx(precision, rel=0.1)
-    few = ExpectedInformation(expected.at[:20])
+    few = _ExpectedInformation(expected.at[:20])
     scores = [few.adjoint(few.draw_noise(rng)) for _ in range(2000)]
     assert np.var(scores) == pytest.approx(few.hessian_product(np.ones(1))[0] - 1.0, rel=0.15)
     # the least error is that of the posterior mean, by quadrature over z and y

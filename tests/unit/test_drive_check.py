@@ -116,7 +116,7 @@ def test_a_known_speed_is_not_doubted(monkeypatch, known):
     """Each deviance takes some tenths of a second; here a slower drive would fit best."""
     record = drive("iso_b", 50, "ride")
     monkeypatch.setattr(
-        drive_check, "deviance", lambda r, *_: (np.median(r.v), 2.0 * TUNING.doubted_scale, 1)
+        drive_check, "_deviance", lambda r, *_: (np.median(r.v), 2.0 * TUNING.doubted_scale, 1)
     )
     notes = check_notes(record, DEFENDER, "paper", speed_known=known)
     assert any("--units v=km/h" in note for note in notes) == (not known)

@@ -9,7 +9,7 @@ from vehicle_fixtures import DEFENDER, smooth_road
 from estimators import create
 from estimators.api import Calibratable, CalibrationDrive, CalibrationError
 from estimators.map_smoother import identification, identified_vehicle
-from estimators.map_smoother.identified_vehicle import IdentifiedVehicle, identify_once
+from estimators.map_smoother.identified_vehicle import IdentifiedVehicle, _identify_once
 from road_envs.drives.recording import simulate_record
 
 OTHER = replace(DEFENDER, m_b=1.1 * DEFENDER.m_b)
@@ -35,8 +35,8 @@ def drive(seed=1):
 
 def test_a_vehicle_is_identified_once_for_the_same_drives(identified, tmp_path):
     first, second = drive(), drive(2)
-    assert identify_once([first], DEFENDER, "paper") == FOUND
-    assert identify_once([first], DEFENDER, "paper") == FOUND and len(identified) == 1
+    assert _identify_once([first], DEFENDER, "paper") == FOUND
+    assert _identify_once([first], DEFENDER, "paper") == FOUND and len(identified) == 1
     for drives, car, instruments in (
         ([second], DEFENDER, "paper"),
         ([first, second], DEFENDER, "paper"),
@@ -45,11 +45,11 @@ def test_a_vehicle_is_identified_once_for_the_same_drives(identified, tmp_path):
         ([replace(first, record=replace(first.record, s=first.record.s + 0.1))], DEFENDER, "paper"),
     ):
         before = len(identified)
-        identify_once(drives, car, instruments)
+        _identify_once(drives, car, instruments)
         assert len(identified) == before + 1
     for path in (tmp_path / "identified_vehicle").iterdir():
         path.write_text("{", encoding="utf-8")
-    assert identify_once([first], DEFENDER, "paper") == FOUND and len(identified) == 7
+    assert _identify_once([first], DEFENDER, "paper") == FOUND and len(identified) == 7
 
 
 @pytest.mark.parametrize("name", WITH_A_MODEL)

@@ -6,8 +6,8 @@ from vehicle_fixtures import DEFENDER
 
 from estimators.common.conjugate_gradients import conjugate_gradients
 from estimators.map_smoother.gauss_newton import (
-    huber_weights,
-    smooth_friction,
+    _huber_weights,
+    _smooth_friction,
 )
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.force_curves import interpolate_table
@@ -27,7 +27,7 @@ def test_conjugate_gradients_agree_with_a_dense_solver():
 
 def test_smoothed_friction_is_the_mean_over_a_gaussian_rate():
     plant = build_plant(DEFENDER)
-    smooth = smooth_friction(plant, 0.05)
+    smooth = _smooth_friction(plant, 0.05)
     rates = np.random.default_rng(6).normal(0.0, 0.05, 200_000)[::20]
     for k, v in ((0.0, 0.03), (1.0, -0.2)):
         forces = [interpolate_table(plant.velocity, k, V_0, V_STEP, v + e)[0] for e in rates]
@@ -39,4 +39,4 @@ def test_smoothed_friction_is_the_mean_over_a_gaussian_rate():
 
 def test_huber_weights_fall_in_proportion_to_the_residual():
     residual, inverse_variance = np.array([0.5, -4.0, 10.0]), np.array([1.0, 1.0, 4.0])
-    np.testing.assert_allclose(huber_weights(residual, inverse_variance, 2.0), [1.0, 0.5, 0.4])
+    np.testing.assert_allclose(_huber_weights(residual, inverse_variance, 2.0), [1.0, 0.5, 0.4])

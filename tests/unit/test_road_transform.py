@@ -4,25 +4,27 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.fft import next_fast_len
 
-from estimators.map_smoother.road_prior import RoadTransform, padded_size, prior_amplitude
+from estimators.common.road_prior import increment_amplitude
+from estimators.map_smoother.road_prior import RoadTransform
 from estimators.map_smoother.tuning import TUNING
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.records.roughness import displacement_psd
 
 PRIOR = RoadPrior()
-NODES = padded_size(4000)
+NODES = next_fast_len(4064, real=True)
 
 
 def free_road(size: int = NODES, ds: float = 0.05) -> RoadTransform:
-    level, amplitude = np.zeros((2, size)), prior_amplitude(PRIOR, size, ds)
-    density = np.ones(size // 2 + 1)
+    level, density = np.zeros((2, size)), np.ones(size // 2 + 1)
+    amplitude = increment_amplitude(PRIOR, size, ds, flat_below=TUNING.n_flat)
     return RoadTransform(0.0, ds, level, np.ones(size), amplitude, density, np.ones((2, size)))
 
 
 def uneven_road() -> RoadTransform:
     """A road that is rough in two places of one wheel path, and level at its ends."""
-    road = free_road(padded_size(400))
+    road = free_road(next_fast_len(464, real=True))
     free, local = road.free.copy(), np.full(road.background.shape, 0.05)
     free[:20], free[-40:], local[0, 80:90], local[0, 300:305] = 0.0, 0.0, 4.0, 7.0
     return replace(road, free=free, local=local)
@@ -55,7 +57,7 @@ def test_the_prior_density_is_flat_below_its_lowest_frequency():
 
 
 def test_the_road_transform_has_its_transpose_and_is_level_where_not_free():
-    road = free_road(padded_size(300))
+    road = free_road(next_fast_len(364, real=True))
     free = np.zeros(road.size)
     free[50:200] = 1.0
     road, rng = replace(road, free=free), np.random.default_rng(2)
@@ -80,7 +82,7 @@ def test_whitened_increments_give_the_same_coefficients_and_the_map_has_its_tran
 
 
 def test_the_transfer_function_is_the_gain_of_a_single_wave():
-    road, k = free_road(padded_size(2000)), 120
+    road, k = free_road(next_fast_len(2064, real=True)), 120
     wave = np.sqrt(2.0) * np.cos(2.0 * np.pi * k * np.arange(road.size) / road.size)
     z = road.heights_at(np.stack([wave, np.zeros(road.size)]), 0.05 * np.arange(20, 1900))
     assert (z[0] == z[1]).all()

@@ -21,9 +21,9 @@ from estimators.map_smoother.marginal_likelihood import (
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.preparation import SolverSettings
 from estimators.map_smoother.tangent_likelihood import (
-    posterior_noise,
+    _posterior_noise,
+    _trace_sample,
     tangent_terms,
-    trace_sample,
 )
 from estimators.map_smoother.tuning import TUNING
 from estimators.map_smoother.windows import whole_objective
@@ -86,7 +86,7 @@ def test_what_the_road_cannot_explain_is_information(terms):
 def test_the_gradient_is_that_at_the_optimum_less_that_of_the_log_determinant(terms):
     (lin, varied), J, A, _, RG = dense_system()
     dx = np.linalg.solve(A, -lin.gradient())
-    samples = [trace_sample(lin, varied, np.linalg.solve(A, b)) for b in posterior_noise(lin)]
+    samples = [_trace_sample(lin, varied, np.linalg.solve(A, b)) for b in _posterior_noise(lin)]
     at_road, along = (np.mean(part, axis=0) for part in zip(*samples, strict=True))
     road = np.linalg.solve(A, J.T @ RG.T)  # moves by -road with the parameters
     expected = RG @ (lin.residual[0].ravel() - J @ dx) - (at_road - road.T @ along)
@@ -115,21 +115,21 @@ def test_with_known_terms_gradient_and_optimum_are_those_of_the_other_vehicle(te
 def test_a_sample_of_the_trace_is_the_change_of_the_tangent_by_a_parameter():
     lin = solution().linearization
     cars = perturbed_cars(SPACE, np.zeros(SPACE.size))
-    small = 1e-3 * next(posterior_noise(lin)) / np.sqrt(lin.x.size)
+    small = 1e-3 * next(_posterior_noise(lin)) / np.sqrt(lin.x.size)
     (means,), (weight,) = lin.tangent(small), lin.inverse_variance
     varied = perturbed_passes(lin.objective.passes[0], cars)
     objectives = (replace(lin.objective, passes=(one,)) for one in varied)
     there = (one.linearize(lin.x, inverse_variance=[weight]) for one in objectives)
     first, *rest = [np.vdot(one.tangent(small)[0], weight * means) for one in there]
-    found, _ = trace_sample(lin, varied, small)
+    found, _ = _trace_sample(lin, varied, small)
     np.testing.assert_allclose(found, (np.array(rest) - first) / TUNING.difference, rtol=0.02)
 
 
 def test_a_sample_of_the_trace_is_the_change_of_the_tangent_along_the_road():
     lin = solution().linearization
-    small = 1e-3 * next(posterior_noise(lin)) / np.sqrt(lin.x.size)
+    small = 1e-3 * next(_posterior_noise(lin)) / np.sqrt(lin.x.size)
     (means,), (weight,) = lin.tangent(small), lin.inverse_variance
-    _, along = trace_sample(lin, [lin.objective.passes[0]] * 2, small)
+    _, along = _trace_sample(lin, [lin.objective.passes[0]] * 2, small)
     for direction in np.random.default_rng(3).standard_normal((3, lin.x.size)):
         dx = 1e-4 * direction / np.sqrt(lin.x.size)
         above, below = (lin.relinearize(lin.x + sign * dx) for sign in (1.0, -1.0))
@@ -164,6 +164,6 @@ def test_a_few_samples_average_a_quadratic_form_of_a_stationary_vehicle_exactly(
     waves[:, [0, -1]] = 0.0  # no constant and no wave of two nodes, which have no phase
     a, b, c, d = (circulant(row) for row in irfft(waves))
     B = np.block([[a, b], [c, d]])
-    samples = [sample[: 2 * K] for sample in posterior_noise(lin)]
+    samples = [sample[: 2 * K] for sample in _posterior_noise(lin)]
     assert len(samples) == TUNING.trace_draws
     assert np.mean([e @ B @ e for e in samples]) == pytest.approx(np.trace(B), abs=1e-9)

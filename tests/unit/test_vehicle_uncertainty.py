@@ -14,8 +14,7 @@ from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.gauss_newton import MapSolution
 from estimators.map_smoother.identification_result import (
     IdentificationResult,
-    uncertainty_of,
-    with_posterior,
+    posterior_of,
 )
 from estimators.map_smoother.identified_vehicle import IdentifiedVehicle
 from estimators.map_smoother.preconditioner import stationary_hessian
@@ -94,7 +93,7 @@ def test_of_a_fit_the_covariance_is_that_of_the_fit_in_units_of_the_tolerances()
 
 
 def test_what_is_not_known_of_a_vehicle_is_remembered_with_it():
-    """As `identify_once` writes and reads it."""
+    """As `_identify_once` writes and reads it."""
     tolerances = {name: Tolerance(relative=0.1, source="test") for name in ("m_b", "I_xx")}
     car = replace(DEFENDER, tolerances=tolerances)
     found = IdentifiedVehicle(car=car, covariance=((0.01, 0.002), (0.002, 0.04)))
@@ -154,7 +153,7 @@ def test_a_vehicle_of_another_kind_keeps_its_tolerances_and_is_noted(contradicti
     solution = MapSolution(lin, stationary_hessian(lin.objective), np.ones(1))
     covariance = np.diag([0.04, 0.01])
     fit = CarFit(parameter_space(car), np.array([far, 0.0]), covariance, (solution,), contradiction)
-    found, uncertainty = with_posterior(fit, car), uncertainty_of(fit)
+    found, uncertainty = posterior_of(fit, car)
     std = [0.1, 0.1] if another else [0.02, 0.01]
     assert [one.relative for one in found.tolerances.values()] == pytest.approx(std)
     np.testing.assert_allclose(np.sqrt(np.diag(uncertainty.covariance))[:2], std)

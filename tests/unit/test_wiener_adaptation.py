@@ -8,7 +8,7 @@ from test_wiener import DEFENDER, PAPER, SPLIT, drive, in_band, synthetic_segmen
 
 from estimators.registry import create
 from estimators.wiener import adaptation
-from estimators.wiener.adaptation import _fisher_scoring, _model_error_psd, responses
+from estimators.wiener.adaptation import _fisher_scoring, _model_error_psd, _responses
 from estimators.wiener.iteration import Iterate
 from estimators.wiener.spectral_model import SensedVehicle, _build_model
 from estimators.wiener.tuning import TUNING
@@ -49,7 +49,7 @@ def test_derivatives_of_the_response_are_differences_of_responses():
     segment, model = synthetic_segment(256e-6, 1.0, 1)
     part = replace(model, n=model.n[20:600:20], f=model.f[20:600:20], S=model.S[20:600:20])
     space = parameter_space(DEFENDER, structure=True)
-    _, dH = responses(space, np.zeros(space.size), PAPER, segment, part)
+    _, dH = _responses(space, np.zeros(space.size), PAPER, segment, part)
     damping = equivalent_damping(space.car, segment.mode, segment.v, part.prior)
     for name in ("m_b", "front.m", "variation.tyre.RL", "variation.frame.f", "variation.bending.f",
                  "variation.contact_length", "variation.gas.FR"):  # fmt: skip
