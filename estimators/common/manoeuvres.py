@@ -2,11 +2,11 @@
 
 The models of the estimators drive straight ahead without pitching moments, so what a manoeuvre does
 to the struts is taken for road. Two signals show it: the measured speed, and the roll acceleration
-between two sensors of the body, left and right at one distance from the axles. Roads are alike in
-both wheel paths in the long waves that excite 0.2 to 0.9 Hz, so they move the body up and down
-there and roll it little; a turn that begins or ends rolls it. Its
-steady part has no vertical acceleration: a beginning and an end close together are taken for one
-turn, and a turn that begins before the record is not seen.
+between two sensors of the body, left and right at one distance from the axles. Roads excite little
+roll between 0.2 and 0.9 Hz compared with that above, and, since their long waves are alike in both
+wheel paths, compared with heave; a turn that begins or ends rolls the body. Its steady part has no
+vertical acceleration: a beginning and an end close together are taken for one turn, and a turn that
+begins before the record is not seen.
 """
 
 from itertools import combinations
@@ -24,22 +24,22 @@ _STANDING = 0.5  # speed [m/s] below which the vehicle stands
 _HARD_CHANGE = 1.5
 # Standard deviation [s] of the window that smooths the speed before it is differentiated
 _SPEED_WINDOW = 0.5
-# Band [Hz] of the roll that manoeuvres excite
-_ROLL_BAND = (0.2, 0.9)
-# Slow roll acceleration [rad/s²] below which nothing is taken for a turn. The start of a record
-# with biased sensors gives up to 0.2, turns of 0.2 g in ride 0.5 and more.
-_LEAST_ROLL = 0.25
-# Slow roll [rad/s²] over the RMS of the slow heave [m/s²] from which on the vehicle turned. Where
-# the former is above _LEAST_ROLL, straight drives on classes A to D and Belgian paving at 14.5 to
-# 80 km/h reach 1.8, and turns of 0.2 g in ride 2.0 (class C at 80 km/h) to 15; on class D 1.3 to 5.
-_ROLL_RATIO = 2.0
+# Bands [Hz] of the roll that manoeuvres excite, and of that which roads excite
+_ROLL_BAND, _ROAD_BAND = (0.2, 0.9), (1.5, 6.0)
+# Slow roll acceleration [rad/s²] below which nothing is taken for a turn, and above which it is the
+# road's. The start of a record with biased sensors gives up to 0.2, turns of 0.2 g in ride 0.5 and
+# more, a road that twists 6 to 13.
+_LEAST_ROLL, _MOST_ROLL = 0.25, 3.0
+# Slow roll over the RMS of the roll in _ROAD_BAND, and over that of the slow heave [m/s²], from
+# which on the vehicle turned. Turns of 0.2 g in ride reach both, but on class D at 80 km/h and on
+# Belgian paving at 36; no straight drive of 270 does, where the greatest is 2.3 times the heave.
+_ROAD_RATIO, _HEAVE_RATIO = 1.4, 1.9
 # Slow roll at the other end of a turn over that from which on one is found: friction and stiffer
 # springs make the release slower than the build-up
 _RELEASE = 0.5
 # Lateral distance [m] of the two sensors, and duration [s] of a record, below which no roll is
 # looked at
 _LEAST_DISTANCE, _LEAST_DURATION = 0.8, 8.0
-_HEAVE_WINDOW = 2.0  # standard deviation [s] of the window of its RMS
 _LONGEST_TURN = 10.0  # longest time [s] between the slow rolls of one turn
 
 
@@ -69,10 +69,16 @@ def _turns(record: Record) -> np.ndarray:
     motion = _roll_and_heave(record)
     if motion is None:
         return np.zeros(record.t.size, dtype=bool)
-    sos = butter(2, _ROLL_BAND, "bandpass", fs=record.fs, output="sos")
-    slow, heave = sosfiltfilt(sos, motion)
-    local = np.sqrt(gaussian_filter1d(heave**2, _HEAVE_WINDOW * record.fs))
-    limit = np.maximum(_LEAST_ROLL, _ROLL_RATIO * np.maximum(local, heave.std()))
+    (slow, heave), (road, _) = (
+        sosfiltfilt(butter(2, band, "bandpass", fs=record.fs, output="sos"), motion)
+        for band in (_ROLL_BAND, _ROAD_BAND)
+    )
+    limit = np.full(slow.size, _LEAST_ROLL)
+    for x, ratio, window in ((road, _ROAD_RATIO, 1.0), (heave, _HEAVE_RATIO, 2.0)):
+        local = np.sqrt(gaussian_filter1d(x**2, window * record.fs))
+        limit = np.maximum(limit, ratio * np.maximum(local, x.std()))
+    if np.abs(slow).max() > _MOST_ROLL:
+        return np.zeros(record.t.size, dtype=bool)
     weak = binary_dilation(np.abs(slow) > _RELEASE * limit, iterations=int(record.fs))
     gap = int(0.5 * _LONGEST_TURN * record.fs)
     runs, _ = label(binary_closing(np.pad(weak, gap), iterations=gap)[gap:-gap])
@@ -102,7 +108,7 @@ def _roll_and_heave(record: Record) -> np.ndarray | None:
         if a.mounted == b.mounted == "body" and (a.axle, a.ahead) == (b.axle, b.ahead)
     ]
     distance, left, right = max(pairs, default=(0.0, 0, 0))
-    if distance < _LEAST_DISTANCE or record.fs < 8.0 * _ROLL_BAND[1]:
+    if distance < _LEAST_DISTANCE or record.fs < 4.0 * _ROAD_BAND[1]:
         return None
     one, other = record.a[left], record.a[right]
     motion = np.array([(one - other) / distance, 0.5 * (one + other)])

@@ -41,6 +41,14 @@ def test_a_curve_of_a_fifth_of_g_is_marked_where_it_was_driven(a_y):
     assert not turned[(record.t < 1.5) | (record.t > 11.7)].any()
 
 
+@pytest.mark.parametrize("a_y", [1.96, -1.96])
+def test_a_curve_is_marked_on_class_c_and_a_road_that_twists_is_none(a_y):
+    record, _ = drive("iso_c", manoeuvre=SteadyTurn(a_y=a_y, begin=4.0, hold=3.0))
+    assert _turns(record).any()
+    twisted, _ = simulate_record("twist", speed_kmh=14.5, seed=9400)
+    assert not _turns(twisted).any()
+
+
 def test_a_lane_change_is_marked():
     assert _turns(drive(speed=15.0, manoeuvre=LaneChange(v=15.0, begin=3.0, offset=1.0))[0]).any()
 
