@@ -32,8 +32,10 @@ _ROLL_BAND, _ROAD_BAND = (0.2, 0.9), (1.5, 6.0)
 _LEAST_ROLL, _MOST_ROLL = 0.25, 3.0
 # Slow roll over the RMS of the roll in _ROAD_BAND, and over that of the slow heave [m/s²], from
 # which on the vehicle turned. Turns of 0.2 g in ride reach both, but on class D at 80 km/h and on
-# Belgian paving at 36; no straight drive of 270 does, where the greatest is 2.3 times the heave.
-_ROAD_RATIO, _HEAVE_RATIO = 1.4, 1.9
+# Belgian paving at 36; no straight drive of 270 does, where the greatest is 2.5 times the heave.
+# Far beyond that it counts alone: changes of lane in stiff states have 6 to 9 times the heave, and
+# 0.9 times the road's.
+_ROAD_RATIO, _HEAVE_RATIO, _FAR_RATIO = 1.4, 1.9, 3.5
 # Slow roll at the other end of a turn over that from which on one is found: friction and stiffer
 # springs make the release slower than the build-up
 _RELEASE = 0.5
@@ -73,10 +75,12 @@ def _turns(record: Record) -> np.ndarray:
         sosfiltfilt(butter(2, band, "bandpass", fs=record.fs, output="sos"), motion)
         for band in (_ROLL_BAND, _ROAD_BAND)
     )
-    limit = np.full(slow.size, _LEAST_ROLL)
-    for x, ratio, window in ((road, _ROAD_RATIO, 1.0), (heave, _HEAVE_RATIO, 2.0)):
-        local = np.sqrt(gaussian_filter1d(x**2, window * record.fs))
-        limit = np.maximum(limit, ratio * np.maximum(local, x.std()))
+    road, heave = (
+        np.maximum(np.sqrt(gaussian_filter1d(x**2, window * record.fs)), x.std())
+        for x, window in ((road, 1.0), (heave, 2.0))
+    )
+    both = np.maximum(_ROAD_RATIO * road, _HEAVE_RATIO * heave)
+    limit = np.maximum(_LEAST_ROLL, np.minimum(both, _FAR_RATIO * heave))
     if np.abs(slow).max() > _MOST_ROLL:
         return np.zeros(record.t.size, dtype=bool)
     weak = binary_dilation(np.abs(slow) > _RELEASE * limit, iterations=int(record.fs))

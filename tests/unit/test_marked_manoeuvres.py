@@ -20,10 +20,10 @@ CAR = load_vehicle("land_rover_defender_110")
 WHEELBASE = 2.79
 
 
-def drive(road="iso_b", speed=10.0, manoeuvre=None):
+def drive(road="iso_b", speed=10.0, manoeuvre=None, mode="ride"):
     """Return the record of a drive with a manoeuvre, from the motion of the body itself."""
     surface = realise_road(road, 8990, 120.0)
-    motion = simulate(CAR, surface, speed, "ride", manoeuvre=manoeuvre)
+    motion = simulate(CAR, surface, speed, mode, manoeuvre=manoeuvre)
     every = slice(None, None, max(1, round(0.005 / (motion.t[1] - motion.t[0]))))
     places = load_instruments("paper").locations(CAR).values()
     a = np.array([motion.vertical_acceleration(p.x, p.y)[every] for p in places])
@@ -49,8 +49,10 @@ def test_a_curve_is_marked_on_class_c_and_a_road_that_twists_is_none(a_y):
     assert not _turns(twisted).any()
 
 
-def test_a_lane_change_is_marked():
-    assert _turns(drive(speed=15.0, manoeuvre=LaneChange(v=15.0, begin=3.0, offset=1.0))[0]).any()
+@pytest.mark.parametrize("mode, offset", [("ride", 1.0), ("handling", 3.5)])
+def test_a_lane_change_is_marked(mode, offset):
+    change = LaneChange(v=15.0, begin=3.0, offset=offset)
+    assert _turns(drive(speed=15.0, manoeuvre=change, mode=mode)[0]).any()
 
 
 def test_a_stop_is_marked_and_said_first_and_the_interval_is_wider():
