@@ -2,6 +2,7 @@
 
     python -m studies.results check [NAME ...]      name those that are stale; some seconds
     python -m studies.results make [NAME ...]       make the stale ones again, --jobs 2 side by side
+    python -m studies.results renew [NAME ...]      after a change that should move nothing
 
 `studies/results.yaml` lists them: commands, outputs, and the modules whose code, with all that they
 import, decides the figures. A result that is made leaves an artifact in `docs/made`, which says by
@@ -9,12 +10,15 @@ which commit, when, on what machine and in how long. A result is stale when its 
 the configurations or an output differ from it.
 
 Unfinished work stays in `out/results` under the identity of the result, and studies that keep their
-rows go on there.
+rows go on there. The rows are kept beside the artifact: where only code has changed, a random tenth
+of them is made again, and if they are equal the result is of today's program, as the artifact says.
 """
 
 import argparse
 import dataclasses
 import hashlib
+import json
+import math
 import os
 import re
 import shlex
@@ -22,12 +26,14 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
+
+import numpy as np
 
 from leaderboard.evaluation.provenance import describe_environment
 from road_envs.core.artifacts import Kind
@@ -111,11 +117,14 @@ def file_digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
 
 
-def make_result(name: str, report: Any = print) -> float:
+def make_result(
+    name: str, report: Any = print, accept: Callable[[Path], str] = lambda work: "whole"
+) -> float:
     """Run the commands of a result, put its outputs in place, and return the time [s] taken.
 
     Libraries use as many threads as it has cores, so that no figure depends on what runs beside it.
-    Raises ConfigError if a command fails or an output is missing; then nothing is replaced.
+    `accept` takes the folder of the work and says how much of it was made now. Raises ConfigError
+    if a command fails, an output is missing or it is not accepted; then nothing is replaced.
     """
     result = known_results()[name]
     identity = result.identity()
@@ -133,7 +142,10 @@ def make_result(name: str, report: Any = print) -> float:
     write_text(work / STDOUT, "\n".join(printed))
     if missing := [file for file in result.outputs if not (work / file).is_file()]:
         raise ConfigError(f"{name}: its commands have not written {', '.join(missing)}")
-    seconds = time.monotonic() - begin
+    seconds, now = time.monotonic() - begin, accept(work)
+    for path in work.glob("*.jsonl"):
+        MADE.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(path, MADE / f"{name}.{path.name}")
     for file, target in result.outputs.items():
         (ROOT / target).parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(work / file, ROOT / target)
@@ -143,11 +155,53 @@ def make_result(name: str, report: Any = print) -> float:
         "commit": environment.get("commit", "no commit")[:7],
         "made": time.strftime("%Y-%m-%d"),
         "seconds": round(seconds),
+        "made now": now,
         "machine": {k: environment[k] for k in ("processor", "python", "numpy")},
         "outputs": {path: file_digest(ROOT / path) for path in result.outputs.values()},
     }
     KEPT.write(MADE / f"{name}.json", content, identity)
     return seconds
+
+
+def renew_result(name: str, rng: np.random.Generator) -> float:
+    """Make a random tenth of the rows of a result again, three at least of each file, and its
+    outputs from all. Raises ConfigError as `make_result`, if there are no rows, and if one differs.
+    """
+    work = WORK / f"{name}-{known_results()[name].identity()[:12]}"
+    work.mkdir(parents=True, exist_ok=True)
+    left_out: dict[str, list[str]] = {}
+    for path in MADE.glob(f"{name}.*.jsonl"):
+        rows, file = path.read_text(encoding="utf-8").splitlines(), path.name[len(name) + 1 :]
+        chosen = rng.choice(len(rows), min(len(rows), max(3, len(rows) // 10)), replace=False)
+        left_out[file] = [rows[k] for k in chosen]
+        rest = (row for k, row in enumerate(rows) if k not in chosen)
+        write_text(work / file, "".join(f"{row}\n" for row in rest))
+    if not left_out:
+        raise ConfigError(f"{name}: none of its rows are kept; make it")
+    return make_result(name, lambda line: None, partial(_compare_rows, left_out))
+
+
+def _compare_rows(left_out: Mapping[str, Sequence[str]], work: Path) -> str:
+    """Say how many rows were made again. Raises ConfigError if one of them is another one now."""
+    for file, rows in left_out.items():
+        found = [json.loads(line) for line in (work / file).read_text("utf-8").splitlines()]
+        for row in rows:
+            if not any(_is_same(json.loads(row), other) for other in found):
+                (work / file).unlink()  # of two programs
+                raise ConfigError(f"{work.name}: a row is another one now: {row}; make it whole")
+    return f"{sum(map(len, left_out.values()))} rows, equal to those of the program before"
+
+
+def _is_same(a: Any, b: Any) -> bool:
+    """Whether two rows are equal, numbers to a millionth and but for times."""
+    if isinstance(a, dict) and isinstance(b, dict):
+        timed = {key for key in a if key.endswith("seconds")}
+        return a.keys() == b.keys() and all(_is_same(a[k], b[k]) for k in a.keys() - timed)
+    if isinstance(a, list) and isinstance(b, list):
+        return len(a) == len(b) and all(map(_is_same, a, b))
+    if isinstance(a, float) and isinstance(b, float):
+        return math.isclose(a, b, rel_tol=1e-6, abs_tol=1e-12) or (a != a and b != b)
+    return bool(a == b)
 
 
 def _run(words: Sequence[str], log: Path, threads: int) -> str:
@@ -185,7 +239,12 @@ def _check(names: Iterable[str]) -> int:
     return len(stale)
 
 
-def _make(names: Iterable[str], results: Mapping[str, KeptResult], jobs: int = 1) -> int:
+def _make(
+    names: Iterable[str],
+    results: Mapping[str, KeptResult],
+    jobs: int = 1,
+    make: Callable[[str], float] = lambda name: make_result(name, lambda line: None),
+) -> int:
     """Make the stale results on `jobs` cores, the longest first; return how many failed."""
     stale = sorted((n for n in names if stale_reason(n)), key=lambda n: -results[n].minutes)
     absent = [n for n in stale if results[n].needs and not (ROOT / results[n].needs).exists()]
@@ -200,7 +259,7 @@ def _make(names: Iterable[str], results: Mapping[str, KeptResult], jobs: int = 1
                 minutes = sum(_cores(results[n], jobs) * results[n].minutes for n in left) / jobs
                 print(f"{following}: {results[following].minutes:g} min, {minutes:.0f} min left")
                 left.remove(following)
-                running[pool.submit(make_result, following, lambda line: None)] = following
+                running[pool.submit(make, following)] = following
                 continue
             for done in wait(running, return_when=FIRST_COMPLETED).done:
                 name = running.pop(done)
@@ -221,7 +280,7 @@ def _cores(result: KeptResult, jobs: int) -> int:
 def main() -> None:
     """Command line; see the module."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("action", choices=("check", "make"))
+    parser.add_argument("action", choices=("check", "make", "renew"))
     parser.add_argument("names", nargs="*", metavar="NAME", help="default: all")
     parser.add_argument("--jobs", type=int, default=1, help="cores to use; by default one")
     chosen = parser.parse_args()
@@ -230,7 +289,13 @@ def main() -> None:
         names = [validate_choice("result", name, results) for name in chosen.names] or [*results]
     except ConfigError as error:
         parser.error(str(error))
-    count = _check(names) if chosen.action == "check" else _make(names, results, chosen.jobs)
+    if chosen.action == "check":
+        count = _check(names)
+    elif chosen.action == "make":
+        count = _make(names, results, chosen.jobs)
+    else:
+        again = partial(renew_result, rng=np.random.default_rng())
+        count = _make(names, results, chosen.jobs, again)
     sys.exit(bool(count))
 
 

@@ -1,10 +1,12 @@
 """Kept results: which are stale and why, how they are made, and that pages quote nothing else."""
 
+import dataclasses
 import re
 import sys
 import threading
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from road_envs.core.code_digest import _find_source, closure
@@ -59,6 +61,45 @@ def test_an_edited_output_and_changed_code_make_it_stale(kept, tmp_path, monkeyp
     assert results.stale_reason("seven").endswith("code has changed since")
     assert results._check(["seven"]) == 1
     assert "stale: seven (docs/seven.txt, docs/seven.csv): made by" in capsys.readouterr().out
+
+
+ROWS = """
+import json, pathlib, sys
+path = pathlib.Path(sys.argv[1])
+text = path.read_text() if path.exists() else ""
+known = [json.loads(line)["case"] for line in text.splitlines()]
+new = [{"case": k, "error": 0.1 * k, "seconds": len(known) + k} for k in range(40)]
+path.write_text(text + "".join(json.dumps(x) + "\\n" for x in new if x["case"] not in known))
+pathlib.Path(sys.argv[2]).write_text(str(len(known)))
+"""
+
+
+def test_a_tenth_of_the_rows_is_made_again_and_a_row_that_differs_refuses_the_rest(
+    kept, tmp_path, monkeypatch
+):
+    with pytest.raises(ConfigError, match="seven: none of its rows are kept; make it"):
+        results.renew_result("seven", np.random.default_rng(1))
+    (tmp_path / "write.py").write_text(ROWS)
+    of_rows = dataclasses.replace(
+        kept, commands=("python write.py {work}/rows.jsonl {work}/a.csv",)
+    )
+    monkeypatch.setattr(results, "known_results", lambda: {"seven": of_rows})
+    results.make_result("seven", report=lambda line: None)
+    monkeypatch.setattr(KeptResult, "identity", lambda self: "another")
+    assert results.stale_reason("seven").endswith("code has changed since")
+    results.renew_result("seven", np.random.default_rng(1))
+    assert results.stale_reason("seven") is None
+    assert (tmp_path / "docs/seven.csv").read_text() == "36"
+    data, _ = KEPT.read(tmp_path / "docs/made/seven.json")
+    assert data["made now"] == "4 rows, equal to those of the program before"
+
+    monkeypatch.setattr(KeptResult, "identity", lambda self: "third")
+    (tmp_path / "write.py").write_text(ROWS.replace("0.1 * k", "0.10001 * k"))
+    with pytest.raises(ConfigError, match=r"a row is another one now: .*; make it whole"):
+        results.renew_result("seven", np.random.default_rng(1))
+    assert (tmp_path / "docs/seven.csv").read_text() == "36"
+    results.make_result("seven", report=lambda line: None)
+    assert (tmp_path / "docs/seven.csv").read_text() == "0"  # nothing of the second program
 
 
 def test_a_configuration_that_changes_changes_the_identity(kept, tmp_path):
