@@ -170,7 +170,7 @@ def count_roads(scores: np.ndarray) -> int:
 def rank_entries(
     scores: Mapping[str, np.ndarray],
     strata: Strata | None = None,
-    equal: Callable[[float, float, int], bool] = lambda a, b, runs: a == b,
+    equal: Callable[[float, float, int], bool] = lambda a, b, drives: a == b,
 ) -> dict[str, int]:
     """Rank the entries by their `scores` (R, C, S), lower is better; best first.
 
@@ -180,21 +180,22 @@ def rank_entries(
     paired difference lies below 0, that is, if it is ahead in 97.5 % of the replicates. A score
     that is NaN comes last.
 
-    Entries that are `equal(best, own, runs)`, by their means and the runs of the best one, share
-    its rank, too, in the order of `scores`: a copy of the leader that is moved by less than can be
-    verified does not stand above it.
+    Entries that are `equal(best, own, drives)`, by their means and the drives of the best one,
+    share its rank, too, in the order of `scores`: a copy of the leader that is moved by less than
+    can be verified does not stand above it.
     """
     made = {name: resample([x], strata=strata) for name, x in scores.items()}
     means = {name: float(np.nan_to_num(x.interval().mean, nan=np.inf)) for name, x in made.items()}
     ranks: dict[str, int] = {}
     left, rank, leader = sorted(made, key=lambda name: means[name]), 0, np.empty(0)
     while left:
-        drawn, runs = made[left[0]].replicates, int(np.isfinite(scores[left[0]]).sum())
+        drawn = made[left[0]].replicates
+        drives = int(np.isfinite(scores[left[0]]).any(axis=2).sum())
         if np.isnan(drawn).any():  # an undefined score loses every comparison
             drawn = np.full(drawn.size, np.inf)
         if rank == 0 or np.mean(drawn > leader) > _QUANTILES[1]:
             rank, leader = len(ranks) + 1, drawn
-        alike = {name for name in left if equal(means[left[0]], means[name], runs)}
+        alike = {name for name in left if equal(means[left[0]], means[name], drives)}
         ranks |= {name: rank for name in scores if name in alike}
         left = [name for name in left if name not in alike]
     return ranks

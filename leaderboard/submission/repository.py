@@ -8,7 +8,9 @@ ci/verify.sh          verifies the submissions that a branch changes and builds 
 
 import dataclasses
 import subprocess
+from collections.abc import Mapping
 from contextlib import suppress
+from functools import partial
 from importlib import resources
 from pathlib import Path
 
@@ -23,7 +25,7 @@ from leaderboard.running.board import load_board
 from leaderboard.running.verification import save_definition
 from leaderboard.sandbox.limits import Limits
 from leaderboard.submission.rules import RULES, load_rules, make_run_request
-from leaderboard.submission.submission import CARD, load_submission
+from leaderboard.submission.submission import CARD, RECORD, load_submission
 from road_envs.core.atomic_io import copy_file, write_text
 from road_envs.core.config import ConfigError
 
@@ -67,8 +69,8 @@ def build_site(repository: Path, out: Path) -> Path:
     if not folders:
         raise ConfigError(f"{repository / _SUBMISSIONS} has no submission")
     written: set[Path] = set()
-    for folder in folders:
-        record = load_submission(folder)
+    records = {folder: load_submission(folder) for folder in folders}
+    for folder, record in records.items():
         for path in sorted((folder / "results").rglob("*.json")):
             target = out / path.relative_to(folder)
             if path.stem == record.name or (path.stem in ALL_BASELINES and target not in written):
@@ -87,17 +89,21 @@ def build_site(repository: Path, out: Path) -> Path:
         save_definition(task, out)
     own = [entry for name in ALL_BASELINES if (entry := registered_entry(name, False))]
     probe_entries(own, out, Limits())
-    board = dataclasses.replace(load_board(sized, out), since=_submitted_since(repository))
+    since = _submitted_since(repository, {x.name: x.code for x in records.values()})
+    board = dataclasses.replace(load_board(sized, out), since=since)
     return write_site(board, build_report(board), out)
 
 
-def _submitted_since(repository: Path) -> dict[str, int]:
-    """Return the order in which names came to the main line, by merges, as authors choose the dates
-    of commits: numbers below 1; none without git.
+def _submitted_since(repository: Path, codes: Mapping[str, str]) -> dict[str, int]:
+    """Return the order in which the `codes` of names, which may be older, came to the main line, by
+    merges, as authors choose the dates of commits: numbers below 1; 1 without git.
     """
-    words = ["git", "log", "--first-parent", "-m", "--diff-filter=A", "--format=", "--name-only"]
-    words, paths = [*words, "--", f"{_SUBMISSIONS}/*/submission.json"], ""
+    since, main = dict.fromkeys(codes, 1), ["git", "log", "--first-parent", "--format=%H"]
+    run = partial(subprocess.run, cwd=repository, capture_output=True, text=True)
     with suppress(OSError):
-        paths = subprocess.run(words, cwd=repository, capture_output=True, text=True).stdout
-    names = dict.fromkeys(Path(path).parent.name for path in paths.splitlines())  # latest first
-    return {name: -k for k, name in enumerate(names)}
+        place = {x: -k for k, x in enumerate(run(main).stdout.split())}  # latest first
+        for name, code in codes.items():
+            record = f"{_SUBMISSIONS}/{name}/{RECORD}"
+            found = run([*main, "-m", "--no-renames", f"-S{code}", "--", record]).stdout.split()
+            since[name] = place.get(found[-1] if found else "", 1)
+    return since

@@ -140,7 +140,7 @@ def verify_submission(
     record = load_submission(folder)
     signature.check_owner(folder, replaces)
     for path in folder.resolve().parent.iterdir():
-        if path.name != record.name and fold(path.name) == fold(record.name):
+        if path.is_dir() and path.name != record.name and fold(path.name) == fold(record.name):
             raise ConfigError(f"{folder}: {path.name} looks the same; rename the entry")
     with SandboxClient(limits) as sandbox:
         entry = _submitted_entry(folder, sandbox)

@@ -69,6 +69,7 @@ def verifies(made, tmp_path):
     repo = tmp_path / "repo"
     repository.write_repository(repo)
     shutil.copytree(made, repo / "submissions" / "rival")
+    (repo / "submissions" / "rival" / "submission.json").write_text("of rival")
     for words in (("init", "-b", "main"), ("add", "."), ("commit", "-m", "a rival")):
         call("git", *words, cwd=repo)
     call("git", "switch", "-c", "mine", cwd=repo)
@@ -173,16 +174,80 @@ def test_the_script_folds_names_as_the_program_does():
 
 def test_entries_are_in_the_order_of_merges_whatever_their_commits_say(verifies):
     repo, _ = verifies
-    shutil.copytree(repo / "submissions" / "rival", repo / "submissions" / "copy")
+    copy = shutil.copytree(repo / "submissions" / "rival", repo / "submissions" / "copy")
+    (copy / "submission.json").write_text("of copy")
     call("git", "add", ".", cwd=repo)
     early = "2001-01-01T00:00:00"
     call("env", f"GIT_COMMITTER_DATE={early}", "git", "commit", "-m", "a copy", f"--date={early}",
          cwd=repo)  # fmt: skip
     call("git", "switch", "main", cwd=repo)
     call("git", "merge", "--no-ff", "-m", "merged", "mine", cwd=repo)
-    since = repository._submitted_since(repo)
-    assert sorted(since, key=since.get) == ["rival", "copy"]
-    assert repository._submitted_since(repo / "submissions" / "rival" / ".." / ".." / "..") == {}
+    assert order_of(repo) == ["rival", "copy"]
+    elsewhere = repository._submitted_since(repo.parent, {"rival": "of rival", "copy": "of copy"})
+    assert elsewhere == {"rival": 1, "copy": 1}  # they still share ranks
+
+
+def order_of(repo):
+    names = ("mine", "copy", "leader", "rival")
+    since = repository._submitted_since(repo, {x: f"of {x}" for x in names})
+    return sorted((x for x in since if since[x] < 1), key=since.get)
+
+
+def add_leader(repo):
+    (repo / "submissions" / "leader").mkdir()
+    (repo / "submissions" / "leader" / "submission.json").write_text("of leader")
+    call("git", "add", ".", cwd=repo)
+    call("git", "commit", "-m", "the leader", cwd=repo)
+
+
+def test_a_name_is_no_older_than_its_code(verifies):
+    """Whoever had a poor entry here first would stand above the leader with a copy of it."""
+    repo, _ = verifies
+    record = repo / "submissions" / "mine" / "submission.json"
+    record.parent.mkdir()
+    for text in ("of something poor", "of mine", "of mine again, with a row of another task"):
+        record.write_text(text)
+        call("git", "add", ".", cwd=repo)
+        call("git", "commit", "-m", text, cwd=repo)
+        if text == "of something poor":
+            add_leader(repo)
+    assert order_of(repo) == ["rival", "leader", "mine"]
+
+
+def test_a_branch_that_has_merged_main_does_not_become_it(verifies):
+    """By a fast-forward it would have come before what it has merged."""
+    repo, said = verifies
+    copy = shutil.copytree(repo / "submissions" / "rival", repo / "submissions" / "copy")
+    (copy / "submission.json").write_text("of copy")
+    call("git", "add", ".", cwd=repo)
+    call("git", "commit", "-m", "a copy", cwd=repo)
+    assert "verify-submission submissions/copy" in said()
+    call("git", "switch", "main", cwd=repo)
+    add_leader(repo)
+    call("git", "switch", "mine", cwd=repo)
+    call("git", "merge", "-m", "merged", "main", cwd=repo)
+    assert said(status=1) == "rebase on main\n"
+    call("git", "switch", "-c", "merge", "main", cwd=repo)
+    call("git", "merge", "--no-ff", "-m", "as for a pull request", "mine", cwd=repo)
+    assert "verify-submission submissions/copy" in said()
+    assert order_of(repo) == ["rival", "leader", "copy"]
+
+
+@pytest.mark.parametrize(
+    "name", ["seasons/1/class_0a1b2c3d.yaml", "submissions/left/submission.json"]
+)
+def test_what_a_branch_adds_and_removes_is_refused(verifies, name):
+    """No reviewer sees it; it made older code newer than a season, and took a signed name."""
+    repo, said = verifies
+    path = repo / name
+    path.parent.mkdir()
+    path.write_text("")
+    shutil.copytree(repo / "submissions" / "rival", repo / "submissions" / "mine")
+    for text in ("added", "removed"):
+        call("git", "add", ".", cwd=repo)
+        call("git", "commit", "-m", text, cwd=repo)
+        path.unlink(missing_ok=True)
+    assert said(status=1) == f"{name}: changed and changed back: squash the commits\n"
 
 
 def test_a_link_in_place_of_all_submissions_is_refused(verifies):

@@ -248,6 +248,17 @@ def test_a_score_on_a_road_that_nobody_drove_is_refused(verified, score):
         verified(accuse)
 
 
+def test_the_conditions_of_a_row_are_in_the_order_of_its_task(verified):
+    """Boards took them by their places: the easy one for the hard one."""
+
+    def swap(folder):
+        row = store.load(store.row_path(folder, "small", "reader"))
+        change_row(folder, scores=with_runs(row, dict(reversed(runs_of(row).items()))).scores)
+
+    with pytest.raises(ConfigError, match="its conditions are not in the order of its task"):
+        verified(swap)
+
+
 def test_a_card_that_the_probes_do_not_give_is_refused(verified):
     def forge(folder):
         probes = (CheckResult("causality", False, "it is not"),)
@@ -271,6 +282,8 @@ def test_a_folder_of_another_name_is_refused(submission):
 
 
 def test_names_that_differ_in_case_only_are_refused(verified, tmp_path):
+    (tmp_path / "Reader").write_text("a file is no entry")  # the script verifies folders alone
+    assert all(row.agrees for row in verified(lambda folder: None))
     (tmp_path / "READER").mkdir()
     with pytest.raises(ConfigError, match="READER looks the same"):
         verified(lambda folder: None)

@@ -89,8 +89,10 @@ def test_no_copy_of_the_leader_within_the_tolerance_stands_above_it(seed, moved,
     scores["leader"] = leader
     farthest = mean_tolerance(leader.size)
     scores |= {f"copy {k}": leader * (1.0 - share * farthest) for k, share in enumerate(moved)}
+    # trainings that are equal, or counted as such, are no further runs
+    scores = {name: np.repeat(x, 1 + k % 3, axis=2) for k, (name, x) in enumerate(scores.items())}
     found = rank_entries(
-        scores, None, lambda a, b, runs: distance("nrmse", a, b) <= mean_tolerance(runs)
+        scores, None, lambda a, b, drives: distance("nrmse", a, b) <= mean_tolerance(drives)
     )
     copies = [f"copy {k}" for k in range(len(moved))]
     assert [name for name in found if not name.startswith("earlier")] == ["leader", *copies]
