@@ -6,9 +6,8 @@ stale result is a row with a message and without scores. Ranks are given among a
 division) and among the causal ones.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -16,7 +15,6 @@ import numpy as np
 from leaderboard.conformance.probes import count_passed
 from leaderboard.conformance.results import EstimatorCard
 from leaderboard.evaluation.boards import BoardDefinition
-from leaderboard.evaluation.comparison import OTHER_KERNELS, distance, mean_tolerance
 from leaderboard.evaluation.results import Result, score_arrays
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics import bootstrap
@@ -123,24 +121,14 @@ def _section(board: Board, task: Task, definition: BoardDefinition) -> Section:
     parts |= {name: part for named in groups.values() for name, part in named.items()}
     scored = board.scored(task)
     tables = [_aggregate(result, task, definition, parts) for result in scored]
-
-    def equal(group: str, a: float, b: float, drives: int) -> bool:
-        # all drives of a group may be far off; the original may be a little higher than found here
-        far = 1.1 * (mean_tolerance(drives) if group == ALL_RUNS else OTHER_KERNELS)
-        return a == b or (bool(board.since) and distance(definition.ranks_by, a, b) <= far)
-
-    def rank(scores: Mapping[str, np.ndarray], group: str) -> dict[str, int]:
-        strata = task.test.strata if group == ALL_RUNS else None
-        return bootstrap.rank_entries(scores, strata, partial(equal, group))
-
-    _rank(sorted(tables, key=lambda x: board.since.get(x.name, 1)), parts, rank)
+    _rank(tables, parts, task.test.strata)
     rows = [
         _scored_row(r, x, definition, board.card(r)) for r, x in zip(scored, tables, strict=True)
     ] + _bound_rows(tables, definition)
 
-    def place(row: Row) -> tuple[bool, float]:
-        score = row.values.get("place", row.values[definition.ranks_by])
-        return row.state != "scored", np.inf if score is None else score
+    def place(row: Row) -> tuple[bool, float, float]:
+        rank, score = row.values.get("rank"), row.values[definition.ranks_by]
+        return row.state != "scored", rank or np.inf, np.inf if score is None else score
 
     rows.sort(key=place)
     claim = []
@@ -241,19 +229,18 @@ def _grade_scores(ranked: np.ndarray, parts: Mapping[str, ScoreSlice], strata: S
 
 
 def _rank(
-    tables: Sequence[_AggregatedScores],
-    parts: Mapping[str, ScoreSlice],
-    rank: Callable[[Mapping[str, np.ndarray], str], dict[str, int]],
+    tables: Sequence[_AggregatedScores], parts: Mapping[str, ScoreSlice], strata: Strata
 ) -> None:
-    """Add the place in every group, and of MIN_ROADS roads the rank, also among causal entries."""
+    """Add the ranks in every group of MIN_ROADS roads, among all entries and the causal ones."""
     by_name = {table.name: table for table in tables}
     for group, part in parts.items():
         for k, key in enumerate(RANK_COLUMNS.values()):
             scores = {x.name: x.ranked[part] for x in tables if x.division[k]}
-            roads = max(map(count_roads, scores.values()), default=0)
-            for place, (name, own) in enumerate([*rank(scores, group).items()] if roads else [], 1):
-                ranked = {key: own} if roads >= MIN_ROADS else {}
-                by_name[name].values[group] |= ranked | ({} if k else {"place": place})
+            if not any(count_roads(x) >= MIN_ROADS for x in scores.values()):
+                continue
+            within = strata if group == ALL_RUNS else None
+            for name, rank in bootstrap.rank_entries(scores, strata=within).items():
+                by_name[name].values[group][key] = rank
 
 
 def _scored_row(

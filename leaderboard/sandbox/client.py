@@ -12,7 +12,7 @@ import shutil
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -140,6 +140,8 @@ class SandboxClient:
             secret.shuffle(order)
 
         def run(asked: Sequence[Record], seeds: Sequence[int], order: Sequence[int], known):
+            if questions:  # another entry may have had the drives, other conditions have the roads
+                self._forget_guests()
             guest = self._start(entry.reference)
             try:
                 session = self._session(guest, entry, car)
@@ -158,18 +160,12 @@ class SandboxClient:
 
         seed, causal = secret.choice(seeds), bool(entry.causal)
         questions = draw_questions(records, order, causal, secret) if retest and not ours else []
-        again, again_first = [], bool(questions) and secret.random() < 0.5
-        if questions and not causal:  # other conditions have the same roads
-            self._forget_guests()
-        if again_first:
-            again = run_again()
-            if causal:
-                self._forget_guests()
-        runs, trains, peak_memory = run(records, seeds, order, calibrations)
-        if questions and not again_first:
-            if causal:
-                self._forget_guests()
-            again = run_again()
+        again_first = bool(questions) and secret.random() < 0.5
+        with bubblewrap.alone() if questions and self._bubblewrap else nullcontext():
+            again = run_again() if again_first else []
+            runs, trains, peak_memory = run(records, seeds, order, calibrations)
+            if questions and not again_first:
+                again = run_again()
         notes = [ONE_TRAINING] if not ours and trains and len(runs) < len(seeds) else []
         first = next((one for one in runs if one.seed == seed), runs[0])
         tested = compare_answers(questions, first, again, entry.lag) if questions else []

@@ -86,10 +86,10 @@ def test_a_climb_keeps_the_best_of_its_plans(monkeypatch):
     few, rng = public_drives(2), np.random.default_rng(0)
     plan = best_found._beam(few, 0)[0]
     kept = plan.copy()
-    monkeypatch.setattr(best_found, "sweep", lambda drives, i, plan, *rest: plan.fill(0))
+    monkeypatch.setattr(best_found, "_sweep", lambda drives, i, plan, *rest: plan.fill(0))
     best_found._climb(few, 0, plan, 2, rng)
     np.testing.assert_array_equal(plan, kept)
-    monkeypatch.setattr(best_found, "sweep", lambda drives, i, plan, *rest: np.copyto(plan, kept))
+    monkeypatch.setattr(best_found, "_sweep", lambda drives, i, plan, *rest: np.copyto(plan, kept))
     plan[:] = 0
     best_found._climb(few, 0, plan, 1, rng)
     np.testing.assert_array_equal(plan, kept)
@@ -97,7 +97,7 @@ def test_a_climb_keeps_the_best_of_its_plans(monkeypatch):
 
 def test_a_climb_sweeps_the_dearest_window_ever_less_at_random(monkeypatch):
     few, calls = public_drives(2), []
-    monkeypatch.setattr(best_found, "sweep", lambda *arguments: calls.append(arguments[4:]))
+    monkeypatch.setattr(best_found, "_sweep", lambda *arguments: calls.append(arguments[4:]))
     handling = drive_all(create("fixed_handling"), few)
     assert not handling.violated[0]  # then comfort is all of the price
     best_found._climb(few, 0, handling.actions[:, 0].copy(), 4, np.random.default_rng(0))

@@ -8,6 +8,7 @@ import os
 import platform
 import random
 import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -125,6 +126,31 @@ def test_no_guest_reads_the_files_of_code_that_another_has_read(sandbox):
             run(sandbox, "tell_when_its_code_was_copied")
         said.add(str(error.value))
     assert len(said) == 2
+
+
+def test_entries_do_not_run_side_by_side(monkeypatch):
+    """What one guest of an entry tells a guest of another lane, it could tell the second guest."""
+    running, seen = [], []
+
+    def count(*given):
+        running.append(1)
+        seen.append(len(running))
+        time.sleep(0.5)
+        found = list(reconstruct_all(*given))
+        running.pop()
+        return found
+
+    def hold():
+        with SandboxClient(LIMITS) as made:
+            run(made, "nothing", retest=True)
+
+    monkeypatch.setattr(client, "reconstruct_all", count)
+    both = [threading.Thread(target=hold) for _ in range(2)]
+    for thread in both:
+        thread.start()
+    for thread in both:
+        thread.join()
+    assert seen == [1, 1, 1, 1]
 
 
 def test_the_threads_of_one_guest_leave_room_for_those_of_another():

@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from fake_estimators import Learner, Picky, Reader
+from fake_estimators import Picky, Reader
 from fake_results import ENTRIES, board, result_of, results_by_fakes, run_scores, runs_of, with_runs
 from fakes import fake_drives, task
 from rich.console import Console
@@ -57,43 +57,6 @@ def test_an_entry_cannot_choose_how_much_a_condition_weighs_by_the_number_of_its
     (view,) = board_views(Board((task(),), {"small": [picky, steady]}))
     error = {line.name: line.values["nrmse"] for line in view.sections[0].rows}
     assert error["picky"] == pytest.approx(error["steady"], abs=1e-6)
-
-
-def test_a_copy_of_the_leader_that_is_a_little_better_stands_below_it():
-    """The row of another processor may be so far off that nobody can tell it from a copy."""
-    original = result_of("learner")
-    runs = runs_of(original).items()
-    nearer = {run: scores | {"nrmse": 0.999 * scores["nrmse"]} for run, scores in runs}
-    copy = dataclasses.replace(with_runs(original, nearer), estimator="a_copy")
-    rows = (copy, original, result_of("flat"))
-
-    def places(**since):
-        (view,) = board_views(Board((task(),), {"small": rows}, since=since))
-        return [(x.name, x.values["rank"]) for x in view.sections[0].rows if x.state == "scored"]
-
-    assert places()[0] == ("a_copy", 1) and places()[1][1] == 2  # where nobody was the first
-    assert places(learner=-1, a_copy=0) == [("learner", 1), ("a_copy", 1)]
-    groups = board_views(Board((task(),), {"small": rows}, since={"learner": -1}))[0].sections[0]
-    assert [line.groups[groups.conditions[0]]["place"] for line in groups.rows[:2]] == [1, 2]
-    # all drives of a condition may be 10 % off
-    label, since = groups.conditions[0], {"learner": -1, "a_copy": 0}
-    nearer = {k: x | {"nrmse": (0.91 if k[0] == label else 1.0) * x["nrmse"]} for k, x in runs}
-    copy = dataclasses.replace(with_runs(original, nearer), estimator="a_copy")
-    board = Board((task(),), {"small": (copy, original)}, since=since)
-    lines = {x.name: x.groups[label] for x in board_views(board)[0].sections[0].rows}
-    assert [(lines[x]["place"], lines[x]["rank"]) for x in since] == [(1, 1), (2, 1)]
-
-
-def test_too_few_roads_for_a_rank_have_the_order_of_ranks():
-    """Those of the rules of a new repository: the copy stood above the leader."""
-    few = task(test={"roads": ["iso_d"], "seeds": [11, 12, 13], "length": 16.0})
-    (original,) = run_task(few, {"learner": Learner()}, (1,), simulate=fake_drives)
-    nearer = {k: x | {"nrmse": 0.999 * x["nrmse"]} for k, x in runs_of(original).items()}
-    copy = dataclasses.replace(with_runs(original, nearer), estimator="a_copy")
-    board = Board((few,), {"small": (copy, original)}, since={"learner": -1, "a_copy": 0})
-    lines = board_views(board)[0].sections[0].rows[:2]
-    assert [line.name for line in lines] == ["learner", "a_copy"]
-    assert "rank" not in lines[0].values
 
 
 def test_the_slope_of_the_error_over_grades_is_shown():
