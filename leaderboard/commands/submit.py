@@ -94,8 +94,13 @@ def new_results_repo(
 
 def results_site(
     folder: Annotated[Path, argument("Results repository.")],
-    out: Annotated[Path, option("Folder of the site.")] = Path("site"),
+    *,
+    out: Annotated[Path, option("Folder of the site, new or empty.")] = Path("site"),
+    workers: Workers = CORES,
+    limits: LimitOptions = _ISOLATED,
 ) -> Output:
-    """Build the site of all submissions of a results repository."""
+    """Run the entries of all submissions of a results repository, and build their site."""
     check_output_folder(out)
-    return Output(facts={"page": str(repository.build_site(folder, out))})
+    with progress_bar() as progress:
+        page = repository.build_site(folder, out, limits.parse(), workers, progress)
+    return Output(facts={"page": str(page)})

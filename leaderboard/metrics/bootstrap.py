@@ -8,7 +8,7 @@ same roads for all of them. Roads are resampled within their family, so that the
 between families do not widen the intervals.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -167,11 +167,7 @@ def count_roads(scores: np.ndarray) -> int:
     return int(np.sum(~np.isnan(scores).all(axis=(1, 2))))
 
 
-def rank_entries(
-    scores: Mapping[str, np.ndarray],
-    strata: Strata | None = None,
-    equal: Callable[[float, float, int], bool] = lambda a, b, runs: a == b,
-) -> dict[str, int]:
+def rank_entries(scores: Mapping[str, np.ndarray], strata: Strata | None = None) -> dict[str, int]:
     """Rank the entries by their `scores` (R, C, S), lower is better; best first.
 
     In the order of their interquartile means, an entry shares the rank of the entry that leads the
@@ -179,22 +175,16 @@ def rank_entries(
     rank is its place, as in 1 2 2 2 5. An entry is significantly better if the 95 % interval of the
     paired difference lies below 0, that is, if it is ahead in 97.5 % of the replicates. A score
     that is NaN comes last.
-
-    Entries that are `equal(best, own, runs)`, by their means and the runs of the best one, share
-    its rank, too, in the order of `scores`: a copy of the leader that is moved by less than can be
-    verified does not stand above it.
     """
     made = {name: resample([x], strata=strata) for name, x in scores.items()}
-    means = {name: float(np.nan_to_num(x.interval().mean, nan=np.inf)) for name, x in made.items()}
+    means = {name: np.nan_to_num(x.interval().mean, nan=np.inf) for name, x in made.items()}
     ranks: dict[str, int] = {}
-    left, rank, leader = sorted(made, key=lambda name: means[name]), 0, np.empty(0)
-    while left:
-        drawn, runs = made[left[0]].replicates, int(np.isfinite(scores[left[0]]).sum())
+    rank, leader = 0, np.empty(0)
+    for place, name in enumerate(sorted(made, key=lambda name: means[name]), start=1):
+        drawn = made[name].replicates
         if np.isnan(drawn).any():  # an undefined score loses every comparison
             drawn = np.full(drawn.size, np.inf)
         if rank == 0 or np.mean(drawn > leader) > _QUANTILES[1]:
-            rank, leader = len(ranks) + 1, drawn
-        alike = {name for name in left if equal(means[left[0]], means[name], runs)}
-        ranks |= {name: rank for name in scores if name in alike}
-        left = [name for name in left if name not in alike]
+            rank, leader = place, drawn
+        ranks[name] = rank
     return ranks

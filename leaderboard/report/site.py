@@ -115,8 +115,7 @@ def _table(view: BoardView, section: Section) -> dict[str, Any]:
     groups |= dict.fromkeys(name for names in section.groups.values() for name in names)
     keys = dict.fromkeys([*(column.key for column in columns), ranks_by, "rank_causal"])
     forms = {key: COLUMNS[key] for key in keys if key not in TEXT_COLUMNS}
-    ends = dict.fromkeys(("low", "high"), COLUMNS[ranks_by])
-    numeric = {**forms, **ends, "place": COLUMNS["rank"]}
+    numeric = {**forms, "low": COLUMNS[ranks_by], "high": COLUMNS[ranks_by]}
     data = {
         "ranks_by": ranks_by,
         "scale": view.definition.scale,

@@ -6,9 +6,8 @@ stale result is a row with a message and without scores. Ranks are given among a
 division) and among the causal ones.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -16,7 +15,6 @@ import numpy as np
 from leaderboard.conformance.probes import count_passed
 from leaderboard.conformance.results import EstimatorCard
 from leaderboard.evaluation.boards import BoardDefinition
-from leaderboard.evaluation.comparison import distance, mean_tolerance
 from leaderboard.evaluation.results import Result, score_arrays
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics import bootstrap
@@ -123,20 +121,14 @@ def _section(board: Board, task: Task, definition: BoardDefinition) -> Section:
     parts |= {name: part for named in groups.values() for name, part in named.items()}
     scored = board.scored(task)
     tables = [_aggregate(result, task, definition, parts) for result in scored]
-
-    def equal(a: float, b: float, runs: int) -> bool:
-        far = mean_tolerance(runs) if board.since else 0.0
-        return a == b or distance(definition.ranks_by, a, b) <= far
-
-    in_order = sorted(tables, key=lambda x: board.since.get(x.name, 1))
-    _rank(in_order, parts, partial(bootstrap.rank_entries, equal=equal), task.test.strata)
+    _rank(tables, parts, task.test.strata)
     rows = [
         _scored_row(r, x, definition, board.card(r)) for r, x in zip(scored, tables, strict=True)
     ] + _bound_rows(tables, definition)
 
-    def place(row: Row) -> tuple[bool, float]:
-        score = row.values.get("place", row.values[definition.ranks_by])
-        return row.state != "scored", np.inf if score is None else score
+    def place(row: Row) -> tuple[bool, float, float]:
+        rank, score = row.values.get("rank"), row.values[definition.ranks_by]
+        return row.state != "scored", rank or np.inf, np.inf if score is None else score
 
     rows.sort(key=place)
     claim = []
@@ -237,12 +229,9 @@ def _grade_scores(ranked: np.ndarray, parts: Mapping[str, ScoreSlice], strata: S
 
 
 def _rank(
-    tables: Sequence[_AggregatedScores],
-    parts: Mapping[str, ScoreSlice],
-    rank: Callable[..., dict[str, int]],
-    strata: Strata,
+    tables: Sequence[_AggregatedScores], parts: Mapping[str, ScoreSlice], strata: Strata
 ) -> None:
-    """Add place and rank in every group of MIN_ROADS roads, and the rank among causal entries."""
+    """Add the ranks in every group of MIN_ROADS roads, among all entries and the causal ones."""
     by_name = {table.name: table for table in tables}
     for group, part in parts.items():
         for k, key in enumerate(RANK_COLUMNS.values()):
@@ -250,8 +239,8 @@ def _rank(
             if not any(count_roads(x) >= MIN_ROADS for x in scores.values()):
                 continue
             within = strata if group == ALL_RUNS else None
-            for place, (name, own) in enumerate(rank(scores, within).items(), start=1):
-                by_name[name].values[group] |= {key: own} | ({} if k else {"place": place})
+            for name, rank in bootstrap.rank_entries(scores, strata=within).items():
+                by_name[name].values[group][key] = rank
 
 
 def _scored_row(

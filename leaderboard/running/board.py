@@ -76,8 +76,7 @@ class Board:
     """Tasks in order with all their stored results: scored, failed and stale.
 
     `entries` are the current versions of the entries by task and name; `cards` are by identity,
-    what was `verified` by the identity of the row, the authors' cards of `methods` by name, the
-    order in which they were submitted in `since`, if they were.
+    what was `verified` by the identity of the row, the authors' cards of `methods` by name.
     """
 
     tasks: tuple[Task, ...]
@@ -86,7 +85,6 @@ class Board:
     cards: Mapping[str, EstimatorCard] = field(default_factory=dict)
     verified: Mapping[str, Sequence[Verified]] = field(default_factory=dict)
     methods: Mapping[str, MethodCard] = field(default_factory=dict)
-    since: Mapping[str, int] = field(default_factory=dict)
 
     def scored(self, task: Task) -> list[Result]:
         """Return the current results of a task that have scores."""

@@ -197,6 +197,7 @@ def _verify_row(
     ranks_by = task.board_definition.ranks_by
     compared = SCORES if same else [ranks_by, "bound_nrmse", "attainable_nrmse"]  # of all rows
     pairs: list[tuple[dict[str, float], dict[str, float]]] = []
+    ranked: list[tuple[float, float]] = []
     notes = {f"{row.estimator}: {note}" for note in _NOTES}
     for condition, drives in data.items():
         made = evaluate.evaluate_entry(task, condition, drives, entry, row.seeds, run)
@@ -207,14 +208,16 @@ def _verify_row(
         notes.update(made.notes)
         own = comparison.scores_by_run(made.scores)
         driven = {x[:-1] for x in own}  # of which the row may have runs of further seeds
-        pairs += [(stored.get(x, {}), own.get(x, {})) for x in stored | own if x[:-1] in driven]
+        here = [(stored.get(x, {}), own.get(x, {})) for x in stored | own if x[:-1] in driven]
+        pairs += here
+        both = [(a[ranks_by], b[ranks_by]) for a, b in here if ranks_by in a and ranks_by in b]
+        ranked += both * (len(row.seeds) if len(own) == len(driven) else 1)  # as on a board
     if (more := [x for x in row.notes if x not in notes]) and len(pairs) >= len(stored):
         return dataclasses.replace(found, reason=f"its note is not found here: {more[0]}")
     if not pairs:
         return found
     distances = [comparison.largest_distance(row, own, compared) for row, own in pairs]
     worst = max(distances, key=lambda x: x.value)
-    ranked = [(a[ranks_by], b[ranks_by]) for a, b in pairs if ranks_by in a and ranks_by in b]
     means = interquartile_mean(np.array(ranked).reshape(-1, 2), axis=0)
     return dataclasses.replace(
         found, runs=len(pairs), score=worst.score, distance=worst.value,
@@ -240,9 +243,11 @@ def _other_drives(row: Result, task: Task) -> str | None:
     seeds = table.groupby("condition", observed=True)["seed"].unique()  # of some, one may do
     runs = sorted(table.itertuples(index=False, name=None))
     expected = sorted((*run, seed) for run in _drives(task) for seed in seeds.get(run[0], [0]))
-    if runs == expected and not row.scores.duplicated([*RUN, "score"]).any():
-        return None
-    return "its drives are not those of its task, once with each training seed"
+    if runs != expected or row.scores.duplicated([*RUN, "score"]).any():
+        return "its drives are not those of its task, once with each training seed"
+    order = [x.label for x in task.conditions if x.label in seeds]  # boards take them by places
+    in_order = table["condition"].unique().tolist() == order
+    return None if in_order else "its conditions are not in the order of its task"
 
 
 def _other_claim(row: Result, made: Result) -> str | None:

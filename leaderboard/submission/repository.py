@@ -6,24 +6,19 @@ seasons/              hidden test sets: published hashes, later the tasks
 ci/verify.sh          verifies the submissions that a branch changes and builds the site
 """
 
-import dataclasses
-import subprocess
-from contextlib import suppress
+from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
 
 from leaderboard.conformance.method_card import method_card_path
-from leaderboard.conformance.results import card_identity, card_path, probe_entries
-from leaderboard.entries.entries import registered_entry
-from leaderboard.evaluation import store
-from leaderboard.metrics.baselines import ALL_BASELINES
 from leaderboard.report.sentences import build_report
 from leaderboard.report.site import write_site
-from leaderboard.running.board import load_board
-from leaderboard.running.verification import save_definition
+from leaderboard.running.board import run_board
+from leaderboard.running.executors import ProcessExecutor
+from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
 from leaderboard.submission.rules import RULES, load_rules, make_run_request
-from leaderboard.submission.submission import CARD, load_submission
+from leaderboard.submission.submission import CARD, load_submission, submitted_entry
 from road_envs.core.atomic_io import copy_file, write_text
 from road_envs.core.config import ConfigError
 
@@ -55,49 +50,34 @@ def write_repository(folder: Path) -> list[Path]:
     return [folder / path for path in _TEMPLATE]
 
 
-def build_site(repository: Path, out: Path) -> Path:
-    """Write the site of all submissions of a repository into the folder `out`; its index.
+def build_site(
+    repository: Path,
+    out: Path,
+    limits: Limits,
+    workers: int = 1,
+    progress: Callable[[str, float], None] = lambda text, share: None,
+) -> Path:
+    """Run the entries of all submissions of a repository and write their site into the new or empty
+    folder `out`; its index.
 
-    Rows of baselines are taken from the first submission that has them, their cards are made here.
-    Raises ConfigError for a damaged submission, if there is none, and for a row in `out` that is of
-    none.
+    What a site shows was found by its builder, on one machine: rows that submissions say count for
+    nothing here. Raises ConfigError for a damaged submission, if there is none, and if `out` has
+    files.
     """
     rules, tasks = load_rules(repository / RULES)
     folders = sorted(path.parent for path in (repository / _SUBMISSIONS).glob("*/submission.json"))
     if not folders:
         raise ConfigError(f"{repository / _SUBMISSIONS} has no submission")
-    written: set[Path] = set()
+    if out.exists() and any(out.iterdir()):
+        raise ConfigError(f"{out} is not empty: a site shows what is run for it; remove the folder")
     for folder in folders:
-        record = load_submission(folder)
-        for path in sorted((folder / "results").rglob("*.json")):
-            target = out / path.relative_to(folder)
-            if path.stem == record.name or (path.stem in ALL_BASELINES and target not in written):
-                written.add(target)
-                row = store.load(path)
-                card = card_path(out, card_identity(row.estimator, row.settings, row.code))
-                copy_file(path, target)
-                probed = folder / card.relative_to(out)
-                if path.stem == record.name and probed.exists():
-                    copy_file(probed, card)
-        copy_file(folder / CARD, method_card_path(out, record.name))
-    for path in {*(out / "results").rglob("*.json"), *out.glob("verified.json")} - written:
-        raise ConfigError(f"{path}: of no submission; remove {out}")
-    sized = make_run_request(rules, tasks, (), limits=Limits()).sized_tasks()
-    for task in sized:
-        save_definition(task, out)
-    own = [entry for name in ALL_BASELINES if (entry := registered_entry(name, False))]
-    probe_entries(own, out, Limits())
-    board = dataclasses.replace(load_board(sized, out), since=_submitted_since(repository))
+        load_submission(folder)
+        copy_file(folder / CARD, method_card_path(out, folder.resolve().name))
+    with SandboxClient(limits) as sandbox:
+        entries = [submitted_entry(folder, sandbox) for folder in folders]
+    for folder, entry in zip(folders, entries, strict=True):
+        if entry.name != folder.resolve().name:  # whose card it would show
+            raise ConfigError(f"{folder}: its code is that of {entry.name}")
+    request = make_run_request(rules, tasks, entries, limits)
+    board = run_board(request, out, ProcessExecutor(workers), progress)
     return write_site(board, build_report(board), out)
-
-
-def _submitted_since(repository: Path) -> dict[str, int]:
-    """Return the order in which names came to the main line, by merges, as authors choose the dates
-    of commits: numbers below 1; none without git.
-    """
-    words = ["git", "log", "--first-parent", "-m", "--diff-filter=A", "--format=", "--name-only"]
-    words, paths = [*words, "--", f"{_SUBMISSIONS}/*/submission.json"], ""
-    with suppress(OSError):
-        paths = subprocess.run(words, cwd=repository, capture_output=True, text=True).stdout
-    names = dict.fromkeys(Path(path).parent.name for path in paths.splitlines())  # latest first
-    return {name: -k for k, name in enumerate(names)}

@@ -82,7 +82,7 @@ def make_submission(
         entry_files.snapshot(find_reference(str(wheel)), partial / "code")
         shutil.copyfile(card, partial / CARD)
         with SandboxClient(limits) as sandbox:
-            entry = _submitted_entry(partial, sandbox)
+            entry = submitted_entry(partial, sandbox)
             progress(f"checking {entry.name}", 0.0)
             _refuse_failed_checks(entry, sandbox, limits)
         request = make_run_request(*rules, [entry], limits)
@@ -140,10 +140,10 @@ def verify_submission(
     record = load_submission(folder)
     signature.check_owner(folder, replaces)
     for path in folder.resolve().parent.iterdir():
-        if path.name != record.name and fold(path.name) == fold(record.name):
+        if path.is_dir() and path.name != record.name and fold(path.name) == fold(record.name):
             raise ConfigError(f"{folder}: {path.name} looks the same; rename the entry")
     with SandboxClient(limits) as sandbox:
-        entry = _submitted_entry(folder, sandbox)
+        entry = submitted_entry(folder, sandbox)
         if (entry.name, entry.code) != (record.name, record.code):
             raise ConfigError(f"{folder}: its code is that of {entry.name} {entry.code}")
         request = make_run_request(*rules, [entry], limits)
@@ -180,7 +180,7 @@ def _verify_probes(entry: Entry, folder: Path, limits: Limits) -> None:
         raise ConfigError(f"{folder}: its card is not what the probes of {entry.name} find here")
 
 
-def _submitted_entry(folder: Path, sandbox: SandboxClient) -> Entry:
+def submitted_entry(folder: Path, sandbox: SandboxClient) -> Entry:
     """Return the entry of the code in a submission. Raises ConfigError if it cannot be run."""
     code = folder / "code"
     wheels = list(code.glob("*.whl"))

@@ -1,6 +1,5 @@
 """Repositories of results: what their script verifies, and the way from a fork to the page."""
 
-import dataclasses
 import os
 import shutil
 import string
@@ -11,7 +10,6 @@ from pathlib import Path
 
 import pytest
 import submissions
-from board_runs import small
 from fake_results import runs_of, with_runs
 from fakes import SHORT_TASK
 from submissions import CARD
@@ -20,6 +18,7 @@ from wheels import module, write_wheel
 from leaderboard.entries.entries import fold
 from leaderboard.evaluation import store
 from leaderboard.sandbox import bubblewrap
+from leaderboard.sandbox.limits import Limits
 from leaderboard.submission import repository, signature
 from leaderboard.submission.rules import load_rules
 from leaderboard.submission.submission import RECORD, SUBMISSION, _digests
@@ -40,7 +39,7 @@ def test_a_results_repository_is_not_written_over_files(tmp_path):
     with pytest.raises(ConfigError, match="seeds: must be at most 100"):
         load_rules(tmp_path / "more.yaml")
     with pytest.raises(ConfigError, match="has no submission"):
-        repository.build_site(tmp_path, tmp_path / "site")
+        repository.build_site(tmp_path, tmp_path / "site", Limits())
 
 
 ROOT = Path(__file__).parents[2]
@@ -69,6 +68,7 @@ def verifies(made, tmp_path):
     repo = tmp_path / "repo"
     repository.write_repository(repo)
     shutil.copytree(made, repo / "submissions" / "rival")
+    (repo / "submissions" / "rival" / "submission.json").write_text("of rival")
     for words in (("init", "-b", "main"), ("add", "."), ("commit", "-m", "a rival")):
         call("git", *words, cwd=repo)
     call("git", "switch", "-c", "mine", cwd=repo)
@@ -81,9 +81,9 @@ def verifies(made, tmp_path):
 
 def test_a_submission_is_verified_before_it_is_committed_and_after(verifies):
     repo, said = verifies
-    assert said() == "no submission differs from main\nresults-site .\n"
+    assert said() == "no submission differs from main\n"
     shutil.copytree(repo / "submissions" / "rival", repo / "submissions" / "mine")
-    verified = "verify-submission submissions/mine\nresults-site .\n"
+    verified = "verify-submission submissions/mine\n"
     assert said() == verified
     call("git", "add", ".", cwd=repo)
     assert said() == verified
@@ -171,18 +171,21 @@ def test_the_script_folds_names_as_the_program_does():
     assert found.split() == [fold(x) for x in names]
 
 
-def test_entries_are_in_the_order_of_merges_whatever_their_commits_say(verifies):
-    repo, _ = verifies
-    shutil.copytree(repo / "submissions" / "rival", repo / "submissions" / "copy")
-    call("git", "add", ".", cwd=repo)
-    early = "2001-01-01T00:00:00"
-    call("env", f"GIT_COMMITTER_DATE={early}", "git", "commit", "-m", "a copy", f"--date={early}",
-         cwd=repo)  # fmt: skip
-    call("git", "switch", "main", cwd=repo)
-    call("git", "merge", "--no-ff", "-m", "merged", "mine", cwd=repo)
-    since = repository._submitted_since(repo)
-    assert sorted(since, key=since.get) == ["rival", "copy"]
-    assert repository._submitted_since(repo / "submissions" / "rival" / ".." / ".." / "..") == {}
+@pytest.mark.parametrize(
+    "name", ["seasons/1/class_0a1b2c3d.yaml", "submissions/left/submission.json"]
+)
+def test_what_a_branch_adds_and_removes_is_refused(verifies, name):
+    """No reviewer sees it; it made older code newer than a season, and took a signed name."""
+    repo, said = verifies
+    path = repo / name
+    path.parent.mkdir()
+    path.write_text("")
+    shutil.copytree(repo / "submissions" / "rival", repo / "submissions" / "mine")
+    for text in ("added", "removed"):
+        call("git", "add", ".", cwd=repo)
+        call("git", "commit", "-m", text, cwd=repo)
+        path.unlink(missing_ok=True)
+    assert said(status=1) == f"{name}: changed and changed back: squash the commits\n"
 
 
 def test_a_link_in_place_of_all_submissions_is_refused(verifies):
@@ -246,24 +249,22 @@ def test_attributes_change_no_file_of_a_submission(verifies, name):
     assert said(status=1) == "attributes of files: for a maintainer\n"
 
 
-def test_what_lies_in_the_folder_of_the_site_is_no_row_of_it(submission, verifies, monkeypatch):
+def test_a_pull_request_builds_no_site_and_the_main_line_all_of_it(verifies):
     repo, said = verifies
     (repo / "site").mkdir()
-    said()
+    assert "results-site" not in said() and (repo / "site").exists()
+    path = f"PATH={repo.parent}:{os.environ['PATH']}"
+    assert call("env", path, "ci/verify.sh", cwd=repo) == "results-site .\n"
     assert not (repo / "site").exists()
-    repo = submission.parents[1]
-    (repo / "rules.yaml").write_text("tasks: [new_road]\nseeds: 2\n")
-    rules, _ = load_rules(repo / "rules.yaml")
-    monkeypatch.setattr(repository, "load_rules", lambda path: (rules, [small()]))
-    monkeypatch.setattr(repository, "probe_entries", lambda entries, out, limits: 0)
-    row = store.load(store.row_path(submission, "small", "flat"))
-    store.save(dataclasses.replace(row, failure="forged", scores=None), repo / "site")
-    repository.build_site(repo, repo / "site")
-    assert store.load(store.row_path(repo / "site", "small", "flat")).failure is None
-    repository.build_site(repo, repo / "site")
-    store.save(dataclasses.replace(row, estimator="phantom"), repo / "site")
-    with pytest.raises(ConfigError, match=r"phantom\.json: of no submission; remove"):
-        repository.build_site(repo, repo / "site")
+
+
+def test_a_site_is_not_built_over_rows_that_lie_there(submission, tmp_path):
+    repository.write_repository(tmp_path / "repo")
+    shutil.copytree(submission, tmp_path / "repo" / "submissions" / "reader")
+    (tmp_path / "site").mkdir()
+    (tmp_path / "site" / "row.json").write_text("{}")
+    with pytest.raises(ConfigError, match="site is not empty: a site shows what is run for it"):
+        repository.build_site(tmp_path / "repo", tmp_path / "site", Limits())
 
 
 @pytest.mark.slow
@@ -292,10 +293,10 @@ def test_from_a_fork_to_the_page(tmp_path):
     call("git", "add", "submissions", cwd=fork)
     call("git", "commit", "-m", "trial", cwd=fork)
     said = call("ci/verify.sh", "origin/main", cwd=fork)
-    assert "5 of 5 rows agree" in said and "site/index.html" in said
+    assert "5 of 5 rows agree" in said and "site" not in said
 
     call("git", "pull", fork, "trial", cwd=upstream)
-    call("road-recon", "results-site", ".", cwd=upstream)
+    assert "site/index.html" in call("ci/verify.sh", cwd=upstream)
     page = (upstream / "site" / "estimators" / "trial.html").read_text()
     assert "Ada Author" in page
     assert "road_recon_trial" in call("road-recon", "cite", "trial", "--out", "site", cwd=upstream)

@@ -22,8 +22,9 @@ from leaderboard.entries.entries import make_entry
 from leaderboard.evaluation import store
 from leaderboard.evaluation.provenance import describe_environment
 from leaderboard.evaluation.results import RESULT
-from leaderboard.metrics.baselines import ALL_BASELINES, BASELINES
+from leaderboard.metrics.baselines import BASELINES
 from leaderboard.report.citation import cite_entry
+from leaderboard.running.board import load_board
 from leaderboard.running.verification import save_definition, verify_folder
 from leaderboard.sandbox.limits import Limits
 from leaderboard.sandbox.retest import REMEMBERS
@@ -163,7 +164,7 @@ def verified(made, tmp_path, monkeypatch):
 
     m = monkeypatch
     m.setattr(submission_module, "SandboxClient", NoSandbox)
-    m.setattr(submission_module, "_submitted_entry", lambda folder, sandbox: entry)
+    m.setattr(submission_module, "submitted_entry", lambda folder, sandbox: entry)
     m.setattr(submission_module, "in_sandbox", lambda sandbox: run_here)
     m.setattr(submission_module, "probe_entries", lambda entries, out, limits: write_card(out))
     m.setattr(submission_module, "verify_folder", partial(verify_folder, simulate=chosen_fakes))
@@ -248,6 +249,17 @@ def test_a_score_on_a_road_that_nobody_drove_is_refused(verified, score):
         verified(accuse)
 
 
+def test_the_conditions_of_a_row_are_in_the_order_of_its_task(verified):
+    """Boards took them by their places: the easy one for the hard one."""
+
+    def swap(folder):
+        row = store.load(store.row_path(folder, "small", "reader"))
+        change_row(folder, scores=with_runs(row, dict(reversed(runs_of(row).items()))).scores)
+
+    with pytest.raises(ConfigError, match="its conditions are not in the order of its task"):
+        verified(swap)
+
+
 def test_a_card_that_the_probes_do_not_give_is_refused(verified):
     def forge(folder):
         probes = (CheckResult("causality", False, "it is not"),)
@@ -271,60 +283,64 @@ def test_a_folder_of_another_name_is_refused(submission):
 
 
 def test_names_that_differ_in_case_only_are_refused(verified, tmp_path):
+    (tmp_path / "Reader").write_text("a file is no entry")  # the script verifies folders alone
+    assert all(row.agrees for row in verified(lambda folder: None))
     (tmp_path / "READER").mkdir()
     with pytest.raises(ConfigError, match="READER looks the same"):
         verified(lambda folder: None)
 
 
-@pytest.fixture(autouse=True)
-def unprobed(monkeypatch):
-    """The baselines of a site are not probed, which takes long."""
-    monkeypatch.setattr(repository, "probe_entries", lambda entries, out, limits: 0)
-
-
-def test_the_site_has_a_page_of_each_entry_with_its_card(submission, tmp_path, monkeypatch):
-    repo, probed = submission.parents[1], []
-    probe = lambda entries, out, limits: probed.extend(x.name for x in entries)  # noqa: E731
-    monkeypatch.setattr(repository, "probe_entries", probe)
+@pytest.fixture
+def build(submission, tmp_path, monkeypatch):
+    """Return a function that builds the site of the submission, from what a run would have stored:
+    by default its own rows.
+    """
+    repo, entry = submission.parents[1], make_entry("reader", ESTIMATORS["reader"])
     (repo / "rules.yaml").write_text("tasks: [new_road]\nseeds: 2\n")
     rules, _ = load_rules(repo / "rules.yaml")
+    ran = shutil.copytree(submission, tmp_path / "ran")
+
+    def run_board(request, out, executor, progress):
+        assert [x.name for x in request.entries] == ["reader"]
+        shutil.copytree(ran / "results", out / "results")
+        return load_board(request.sized_tasks(), out)
+
     monkeypatch.setattr(repository, "load_rules", lambda path: (rules, [small()]))
+    monkeypatch.setattr(repository, "SandboxClient", lambda limits: NoSandbox())
+    monkeypatch.setattr(repository, "submitted_entry", lambda folder, sandbox: entry)
+    monkeypatch.setattr(repository, "run_board", run_board)
+    return ran, lambda: repository.build_site(repo, tmp_path / "site", Limits())
+
+
+def test_the_site_shows_what_its_builder_finds_with_the_card_of_each_entry(build, submission):
+    _, build_site = build
+    row = store.load(store.row_path(submission, "small", "reader"))
+    change_row(submission, notes=("by its author",), parameters=777)
     (submission / "cards").mkdir()
     (submission / "cards" / "of_another.json").write_text("{}")  # the mark of a rival
-    rows = [store.load(store.row_path(submission, "small", x)) for x in ("reader", "flat")]
-    cards = [card_identity(row.estimator, row.settings, row.code) for row in rows]
-    for card in cards:
-        card_path(submission, card).write_text("by its author")
     write_record(submission)
-    index = repository.build_site(repo, tmp_path / "site")
-    assert not (tmp_path / "site" / "cards" / "of_another.json").exists()
-    assert card_path(tmp_path / "site", cards[0]).read_text() == "by its author"
-    assert not card_path(tmp_path / "site", cards[1]).exists() and set(probed) == {*ALL_BASELINES}
+    index = build_site()
+    assert store.load(store.row_path(index.parent, "small", "reader")).parameters == row.parameters
+    assert not (index.parent / "cards").exists()
     assert "reader" in index.read_text()
-    page = (tmp_path / "site" / "estimators" / "reader.html").read_text()
+    page = (index.parent / "estimators" / "reader.html").read_text()
     assert "Ada Author, Bo Author" in page and "Reads the heights from the record." in page
-    assert "Ada Author" not in (tmp_path / "site" / "estimators" / "flat.html").read_text()
+    assert "by its author" not in page
+    assert "Ada Author" not in (index.parent / "estimators" / "flat.html").read_text()
 
 
-def test_no_text_of_a_submission_becomes_code_of_the_site(submission, tmp_path, monkeypatch):
-    repo, attack = (
-        submission.parents[1],
-        '</script><script>alert("1")</script><img src=x onerror=f()>',
-    )
-    (repo / "rules.yaml").write_text("tasks: [new_road]\nseeds: 2\n")
-    rules, _ = load_rules(repo / "rules.yaml")
-    monkeypatch.setattr(repository, "load_rules", lambda path: (rules, [small()]))
+def test_no_text_of_a_submission_becomes_code_of_the_site(build, submission):
+    (ran, build_site), attack = build, '</script><script>alert("1")</script><img src=x onerror=f()>'
     card = {"method": attack, "data": attack, "licence": attack, "authors": [attack]}
     (submission / "card.yaml").write_text(json.dumps(card | {"citation": attack}))
     row = store.load(store.row_path(submission, "small", "reader"))
     traces = [dataclasses.replace(trace, road=attack, condition=attack) for trace in row.traces]
     change_row(
-        submission, notes=(attack,), settings={attack: attack}, isolation=attack, traces=traces,
+        ran, notes=(attack,), settings={attack: attack}, isolation=attack, traces=traces,
         environment={"processor": attack, attack: attack},
     )  # fmt: skip
     write_record(submission)
-    repository.build_site(repo, tmp_path / "site")
-    pages = [path.read_text() for path in (tmp_path / "site").rglob("*.html")]
+    pages = [path.read_text() for path in build_site().parent.rglob("*.html")]
     assert sum("alert(" in page for page in pages) >= 2
     assert not [page for page in pages if "<script>alert" in page or "<img src=x" in page]
 
@@ -399,7 +415,7 @@ def test_code_is_one_wheel_alone(submission):
         (submission / "code" / name).write_text("")
     sandbox = SimpleNamespace(describe=lambda reference: {"name": "reader"})
     with pytest.raises(ConfigError, match="code: one wheel alone, or a folder of packages without"):
-        submission_module._submitted_entry(submission, sandbox)
+        submission_module.submitted_entry(submission, sandbox)
 
 
 @pytest.mark.parametrize(
@@ -459,19 +475,12 @@ def test_costs_without_a_mean_are_refused(verified, field, value):
         verified(forge)
 
 
-def test_deviations_of_0_and_trainings_without_times_do_not_end_the_site(
-    submission, tmp_path, monkeypatch
-):
-    repo = submission.parents[1]
-    (repo / "rules.yaml").write_text("tasks: [new_road]\nseeds: 2\n")
-    rules, _ = load_rules(repo / "rules.yaml")
-    monkeypatch.setattr(repository, "load_rules", lambda path: (rules, [small()]))
-    row = store.load(store.row_path(submission, "small", "reader"))
+def test_deviations_of_0_and_trainings_without_times_do_not_end_the_site(build):
+    ran, build_site = build
+    row = store.load(store.row_path(ran, "small", "reader"))
     traces = tuple(dataclasses.replace(x, deviation=0 * x.truth) for x in row.traces)
-    change_row(submission, traces=traces, parameters=3, train_seconds=())
-    write_record(submission)
-    repository.build_site(repo, tmp_path / "site")
-    assert (tmp_path / "site" / "estimators" / "reader.html").exists()
+    change_row(ran, traces=traces, parameters=3, train_seconds=())
+    assert (build_site().parent / "estimators" / "reader.html").exists()
 
 
 def test_a_row_of_another_task_and_a_failed_baseline_are_refused(verified):

@@ -59,24 +59,6 @@ def test_an_entry_cannot_choose_how_much_a_condition_weighs_by_the_number_of_its
     assert error["picky"] == pytest.approx(error["steady"], abs=1e-6)
 
 
-def test_a_copy_of_the_leader_that_is_a_little_better_stands_below_it():
-    """The row of another processor may be so far off that nobody can tell it from a copy."""
-    original = result_of("learner")
-    runs = runs_of(original).items()
-    nearer = {run: scores | {"nrmse": 0.999 * scores["nrmse"]} for run, scores in runs}
-    copy = dataclasses.replace(with_runs(original, nearer), estimator="a_copy")
-    rows = (copy, original, result_of("flat"))
-
-    def places(**since):
-        (view,) = board_views(Board((task(),), {"small": rows}, since=since))
-        return [(x.name, x.values["rank"]) for x in view.sections[0].rows if x.state == "scored"]
-
-    assert places()[0] == ("a_copy", 1) and places()[1][1] == 2  # where nobody was the first
-    assert places(learner=-1, a_copy=0) == [("learner", 1), ("a_copy", 1)]
-    groups = board_views(Board((task(),), {"small": rows}, since={"learner": -1}))[0].sections[0]
-    assert [line.groups[groups.conditions[0]]["place"] for line in groups.rows[:2]] == [1, 2]
-
-
 def test_the_slope_of_the_error_over_grades_is_shown():
     cars = [{"mode": "ride", "speed_kmh": 30.0, "grade": grade} for grade in ("S0", "S1", "S2")]
     t = task(board="field", conditions=cars)

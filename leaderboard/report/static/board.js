@@ -79,13 +79,13 @@ class BoardTable {
 
   order() {
     const { key, down } = this.sorting;
+    const by = key ?? this.data.ranks_by;
     const groupOf = { claim: 0, scored: 1, baseline: key ? 1 : 2, failed: 3, stale: 4 };
     const place = (row) => {
       const line = this.rowData.get(row.dataset.name);
-      const number = (column) => (line.message ? null : this.cell(line, column)[0]);
+      const value = key === "name" ? line.name : line.message ? null : this.cell(line, by)[0];
       // by default in the order of the ranks, where there are any
-      const rank = key || line.state !== "scored" ? 0 : number("rank") ?? Infinity;
-      const value = key === "name" ? line.name : number(key ?? "place") ?? number(key ?? this.data.ranks_by);
+      const rank = key || line.state !== "scored" ? 0 : this.cell(line, "rank")[0] ?? Infinity;
       return { group: groupOf[line.state], rank, value };
     };
     const sign = down ? -1 : 1;
