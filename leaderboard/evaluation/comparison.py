@@ -56,11 +56,6 @@ def distance(score: str, a: float | None, b: float | None) -> float:
     return abs(a - b) / max(abs(a), abs(b), floor)
 
 
-def mean_tolerance(runs: int, tolerance: float = OTHER_KERNELS) -> float:
-    """Tolerance of a mean of `runs`: one run, whose weight is up to 2 / `runs`, may be far off."""
-    return min(tolerance, TYPICAL) + 2.0 * tolerance / max(runs, 1)
-
-
 def largest_distance(
     a: Mapping[str, float], b: Mapping[str, float], names: Iterable[str] = SCORES
 ) -> _Distance:

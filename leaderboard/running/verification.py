@@ -75,10 +75,11 @@ class Verified(Settings):
     def agrees(self) -> bool:
         """Whether every run is within the tolerance, half of them far within, and their mean.
 
-        Any row can name another machine and have the wide tolerance.
+        Any row can name another machine and have the wide tolerance: its mean may still move by no
+        more than one run, whose weight is up to 2 / `runs`.
         """
         near = min(self.tolerance, comparison.TYPICAL)
-        mean = comparison.mean_tolerance(self.runs, self.tolerance)
+        mean = near + 2.0 * self.tolerance / max(self.runs, 1)
         far = self.distance > self.tolerance or self.typical > near or self.shift > mean
         return not self.reason and not far
 
