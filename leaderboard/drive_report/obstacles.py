@@ -18,7 +18,7 @@ level:
     exp(-exp(-(x - _GUMBEL_LOCATION) / _GUMBEL_SCALE)),     x = |d| / sqrt(road² + error²)
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -88,7 +88,7 @@ def detect(estimate: Estimate) -> list[DetectedObstacle]:
     """Return the obstacles of both wheel paths by station; one in both paths is one obstacle."""
     std = np.zeros_like(estimate.z) if estimate.z_std is None else estimate.z_std
     left, right = (
-        list(_detect_path(z, e, estimate.ds)) for z, e in zip(estimate.z, std, strict=True)
+        _highest(_detect_path(z, e, estimate.ds)) for z, e in zip(estimate.z, std, strict=True)
     )
     merged = []
     for one in left:
@@ -101,6 +101,19 @@ def detect(estimate: Estimate) -> list[DetectedObstacle]:
         means: Any = {name: 0.5 * (getattr(one, name) + getattr(twin, name)) for name in names}
         merged.append(one._replace(side="both", confidence=confidence, **means))
     return sorted([*merged, *(o._replace(side="right") for o in right)])
+
+
+def _highest(found: Iterable[DetectedObstacle]) -> list[DetectedObstacle]:
+    """Return the highest of obstacles less than MERGE_GAP apart, which are one: an edge, or what is
+    estimated where a wheel flew, departs at several places.
+    """
+    groups, end = list[list[DetectedObstacle]](), -np.inf
+    for one in sorted(found, key=lambda one: one.station - 0.5 * one.length):
+        if one.station - 0.5 * one.length - end >= MERGE_GAP:
+            groups.append([])
+        groups[-1].append(one)
+        end = max(end, one.station + 0.5 * one.length)
+    return [max(group, key=lambda one: abs(one.height)) for group in groups]
 
 
 def _departures(z: np.ndarray, std: np.ndarray, ds: float) -> tuple[np.ndarray, np.ndarray]:

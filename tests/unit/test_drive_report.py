@@ -152,6 +152,17 @@ def test_a_deep_hole_leaves_no_rims_as_bumps():
     assert hole.length == pytest.approx(1.0, abs=0.06)
 
 
+@pytest.mark.parametrize("gap, count", [(0.1, 1), (2.0, 2)])
+def test_obstacles_less_than_half_a_metre_apart_are_one(gap, count):
+    """Where a wheel flew, a report had six bumps and two holes in two metres for one bump."""
+    s = np.arange(0.0, 60.0, PROFILE_SPACING)
+    bump = 0.06 * np.cos(np.pi * np.clip((s - 30.0) / 0.9, -0.5, 0.5))
+    hole = 0.03 * np.cos(np.pi * np.clip((s - 30.65 - gap) / 0.4, -0.5, 0.5))
+    found = detect(Estimate(s, np.array([bump - hole, bump - hole])))
+    assert len(found) == count
+    assert found[0].height == pytest.approx(0.06, rel=0.15)
+
+
 def test_an_obstacle_of_little_confidence_is_called_possible(monkeypatch):
     found = [
         DetectedObstacle(40.0 * k, height, 0.002, 1.0, "left", confidence)
