@@ -17,6 +17,7 @@ of them is made again, and if they are equal the result is of today's program, a
 import argparse
 import dataclasses
 import hashlib
+import itertools
 import json
 import math
 import os
@@ -35,6 +36,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
+from leaderboard.evaluation.comparison import TYPICAL
 from leaderboard.evaluation.provenance import describe_environment
 from road_envs.core.artifacts import Kind
 from road_envs.core.atomic_io import write_text
@@ -50,6 +52,9 @@ CONFIGS = ("conditions", "field", "roads", "sensors", "vehicles")
 
 KEPT = Kind("kept result", 1)
 """Written without modules: `road-recon clean` leaves what is kept in the checkout."""
+
+SAME_PROCESSOR = 1e-6
+"""Relative tolerance of rows that were made on a machine like this one."""
 
 STDOUT, STDOUT_JSON = "stdout.txt", "stdout.json"
 """Output of all commands, each below a line `$ command`; and what the last one prints, alone."""
@@ -92,9 +97,7 @@ def known_results() -> dict[str, KeptResult]:
 def stale_reason(name: str) -> str | None:
     """Reason why a result is not of today's program, in a few words; None if it is."""
     result = known_results()[name]
-    try:
-        made, _ = KEPT.read(MADE / f"{name}.json")
-    except ConfigError:
+    if (made := _artifact(name)) is None:
         return "made by an unknown program"
     for path, digest in made["outputs"].items():
         if file_digest(ROOT / path) != digest:
@@ -102,6 +105,14 @@ def stale_reason(name: str) -> str | None:
     if made["identity"] != result.identity():
         return f"made by {made['commit']}, code has changed since"
     return None
+
+
+def _artifact(name: str) -> dict[str, Any] | None:
+    """Content of the artifact of a result; None if there is none that can be read."""
+    try:
+        return KEPT.read(MADE / f"{name}.json")[0]
+    except ConfigError:
+        return None
 
 
 def result_of(path: str) -> str | None:
@@ -165,7 +176,8 @@ def make_result(
 
 def renew_result(name: str, rng: np.random.Generator) -> float:
     """Make a random tenth of the rows of a result again, three at least of each file, and its
-    outputs from all. Raises ConfigError as `make_result`, if there are no rows, and if one differs.
+    outputs from all. Rows of another processor, or of an unknown one, are compared as rows of a
+    board are. Raises ConfigError as `make_result`, if there are no rows, and if one differs.
     """
     work = WORK / f"{name}-{known_results()[name].identity()[:12]}"
     work.mkdir(parents=True, exist_ok=True)
@@ -178,29 +190,36 @@ def renew_result(name: str, rng: np.random.Generator) -> float:
         write_text(work / file, "".join(f"{row}\n" for row in rest))
     if not left_out:
         raise ConfigError(f"{name}: none of its rows are kept; make it")
-    return make_result(name, lambda line: None, partial(_compare_rows, left_out))
+    machine = (_artifact(name) or {"machine": {}})["machine"]
+    is_here = machine.get("processor") == describe_environment()["processor"]
+    tolerance = SAME_PROCESSOR if is_here else TYPICAL
+    compare = partial(_compare_rows, left_out, tolerance)
+    return make_result(name, lambda line: None, compare)
 
 
-def _compare_rows(left_out: Mapping[str, Sequence[str]], work: Path) -> str:
+def _compare_rows(left_out: Mapping[str, Sequence[str]], tolerance: float, work: Path) -> str:
     """Say how many rows were made again. Raises ConfigError if one of them is another one now."""
     for file, rows in left_out.items():
         found = [json.loads(line) for line in (work / file).read_text("utf-8").splitlines()]
         for row in rows:
-            if not any(_is_same(json.loads(row), other) for other in found):
+            if not any(_is_same(json.loads(row), other, tolerance) for other in found):
                 (work / file).unlink()  # of two programs
                 raise ConfigError(f"{work.name}: a row is another one now: {row}; make it whole")
-    return f"{sum(map(len, left_out.values()))} rows, equal to those of the program before"
+    count = sum(map(len, left_out.values()))
+    return f"{count} rows, equal to those of the program before to {tolerance:g}"
 
 
-def _is_same(a: Any, b: Any) -> bool:
-    """Whether two rows are equal, numbers to a millionth and but for times."""
+def _is_same(a: Any, b: Any, tolerance: float) -> bool:
+    """Whether two rows are equal, numbers to a relative `tolerance`, and but for times."""
     if isinstance(a, dict) and isinstance(b, dict):
         timed = {key for key in a if key.endswith("seconds")}
-        return a.keys() == b.keys() and all(_is_same(a[k], b[k]) for k in a.keys() - timed)
+        return a.keys() == b.keys() and all(
+            _is_same(a[k], b[k], tolerance) for k in a.keys() - timed
+        )
     if isinstance(a, list) and isinstance(b, list):
-        return len(a) == len(b) and all(map(_is_same, a, b))
+        return len(a) == len(b) and all(map(_is_same, a, b, itertools.repeat(tolerance)))
     if isinstance(a, float) and isinstance(b, float):
-        return math.isclose(a, b, rel_tol=1e-6, abs_tol=1e-12) or (a != a and b != b)
+        return math.isclose(a, b, rel_tol=tolerance, abs_tol=1e-12) or (a != a and b != b)
     return bool(a == b)
 
 

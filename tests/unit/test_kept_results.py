@@ -63,6 +63,7 @@ def test_an_edited_output_and_changed_code_make_it_stale(kept, tmp_path, monkeyp
     assert "stale: seven (docs/seven.txt, docs/seven.csv): made by" in capsys.readouterr().out
 
 
+ELSEWHERE = {"processor": "another", "python": "3", "numpy": "2"}
 ROWS = """
 import json, pathlib, sys
 path = pathlib.Path(sys.argv[1])
@@ -91,13 +92,22 @@ def test_a_tenth_of_the_rows_is_made_again_and_a_row_that_differs_refuses_the_re
     assert results.stale_reason("seven") is None
     assert (tmp_path / "docs/seven.csv").read_text() == "36"
     data, _ = KEPT.read(tmp_path / "docs/made/seven.json")
-    assert data["made now"] == "4 rows, equal to those of the program before"
+    assert data["made now"] == "4 rows, equal to those of the program before to 1e-06"
 
     monkeypatch.setattr(KeptResult, "identity", lambda self: "third")
     (tmp_path / "write.py").write_text(ROWS.replace("0.1 * k", "0.10001 * k"))
     with pytest.raises(ConfigError, match=r"a row is another one now: .*; make it whole"):
         results.renew_result("seven", np.random.default_rng(1))
     assert (tmp_path / "docs/seven.csv").read_text() == "36"
+    monkeypatch.setattr(results, "describe_environment", lambda: ELSEWHERE)
+    results.renew_result("seven", np.random.default_rng(1))  # as near as on another processor
+    data, _ = KEPT.read(tmp_path / "docs/made/seven.json")
+    assert data["made now"].endswith("to 0.005")
+    (tmp_path / "write.py").write_text(ROWS.replace("0.1 * k", "0.101 * k"))
+    monkeypatch.setattr(KeptResult, "identity", lambda self: "fourth")
+    monkeypatch.setattr(results, "describe_environment", lambda: {**ELSEWHERE, "processor": "2"})
+    with pytest.raises(ConfigError, match="a row is another one now"):
+        results.renew_result("seven", np.random.default_rng(1))
     results.make_result("seven", report=lambda line: None)
     assert (tmp_path / "docs/seven.csv").read_text() == "0"  # nothing of the second program
 
