@@ -13,7 +13,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
+from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 from scipy.signal import butter, sosfiltfilt
 
 from estimators.api import Estimator, HasInstruments
@@ -145,11 +145,14 @@ def mark_impossible(
 ) -> Estimate:
     """Return the `estimate` of an `estimator` with a model of the vehicle with its impossible
     heights marked as `unsure`, in the first note and by a greater `z_std`. Raises ConfigError.
+
+    Which heights of a window demand its accelerations is not told, so all of it are marked.
     """
     if not isinstance(estimator, HasInstruments):
         return estimate
     ratio = _demand_ratio(estimate.z, record, car, instruments_of(record, estimator.instruments))
-    impossible = ratio >= _IMPOSSIBLE_RATIO
+    window = 2 * round(_WINDOW / PROFILE_SPACING) + 1
+    impossible = maximum_filter1d(ratio >= _IMPOSSIBLE_RATIO, window)
     if not impossible.any():
         return estimate
     first, last = PROFILE_SPACING * np.flatnonzero(impossible)[[0, -1]]

@@ -72,45 +72,20 @@ def minimize(
     The prior is updated before each of the `stages` and between steps with the true vehicle, there
     at most `prior_updates` times. Ends when such a step changes the unknowns by less than
     `change_tolerance`. `adapt_car`, if given, then returns the solution with another vehicle.
+
+    What a wrong vehicle leaves is taken for obstacles as well, and a prior that is rough there
+    confirms it. Where much is unexplained on a road that is rough in places, it is therefore sought
+    on one that is equally rough everywhere, too.
     """
-    stationary, noise_scale = solver.stationary, np.full(len(objective.passes), np.inf)
-    lin: Linearization | None = None
-    best: Linearization | None = None  # where a road can explain all readings
-    x = np.zeros(objective.size) if start is None else start
-    for std, max_steps in stages:
-        if lin is not None:
-            lin = update_prior(lin, stationary, noise_scale) if adapt_prior else lin
-            objective, x = lin.objective, lin.x
-        plants = [_smooth_friction(plant, std) for plant in objective.plants]
-        lin = objective.linearize(x, plants)
-        noise_scale = update_noise_scale(lin, stationary, noise_scale)
-        for n in range(max_steps):
-            updates = prior_updates if std == 0.0 and adapt_prior else 0
-            if 0 < n <= updates:
-                if n in TUNING.lowering_steps and lin.objective.road.is_level_between_obstacles:
-                    lowered = relax_unloaded(lin)
-                    lin = lin if lowered is None else lin.relinearize(lowered)
-                lin = update_prior(lin, stationary, noise_scale)
-            lin, change = solver.step(lin, noise_scale, plants)
-            before = np.max(noise_scale)
-            noise_scale = update_noise_scale(lin, stationary, noise_scale)
-            if std == 0.0 and objective.is_underdetermined:
-                power = _misfit_power(lin)
-                least = np.maximum(1.0, TUNING.least_noise * power)
-                noise_scale = np.maximum(least, np.minimum(noise_scale, TUNING.noise_fall * before))
-                if best is None or power.max() < _misfit_power(best).max():
-                    best = lin
-            to_come = lin.objective.road.is_level_between_obstacles and n < min(
-                TUNING.lowering_steps[-1], updates
-            )
-            is_falling = (
-                NOISE_SCALE_WARNING < before and np.max(noise_scale) < TUNING.settled * before
-            )
-            if change < change_tolerance and not (to_come or is_falling):
-                break
-    assert lin is not None
-    if best is not None:
-        lin, noise_scale = best, np.maximum(1.0, _misfit_power(best))
+    options = change_tolerance, adapt_prior, start, stages, prior_updates
+    lin, noise_scale = _descend(objective, solver, *options)
+    if lin.objective.road.is_uneven and np.max(noise_scale) > NOISE_SCALE_WARNING:
+        even = replace(objective, road=replace(objective.road, may_be_uneven=False))
+        other, other_scale = _descend(even, solver, *options)
+        gain = _misfit_power(other).max() / _misfit_power(lin).max()
+        if gain < TUNING.even_gain:
+            lin, noise_scale = other, other_scale
+    stationary = solver.stationary
     if adapt_car is not None:
         found = adapt_car(MapSolution(lin, stationary, noise_scale), solver)
         lin, stationary, noise_scale = found.linearization, found.stationary, found.noise_scale
@@ -188,6 +163,57 @@ def _retry_after_liftoff(
     return new if new.with_inverse_variance(lin.inverse_variance).cost < lin.cost else lin
 
 
+def _descend(
+    objective: Objective,
+    solver: "GaussNewton",
+    change_tolerance: float,
+    adapt_prior: bool,
+    start: Vector | None,
+    stages: Sequence[tuple[float, int]],
+    prior_updates: int,
+) -> tuple[Linearization, np.ndarray]:
+    """Return where the steps of `minimize` end, and the noise scale (P,) of each pass."""
+    stationary, noise_scale = solver.stationary, np.full(len(objective.passes), np.inf)
+    lin: Linearization | None = None
+    best: Linearization | None = None  # where a road can explain all readings
+    x = np.zeros(objective.size) if start is None else start
+    for std, max_steps in stages:
+        if lin is not None:
+            lin = update_prior(lin, stationary, noise_scale) if adapt_prior else lin
+            objective, x = lin.objective, lin.x
+        plants = [_smooth_friction(plant, std) for plant in objective.plants]
+        lin = objective.linearize(x, plants)
+        noise_scale = update_noise_scale(lin, stationary, noise_scale)
+        for n in range(max_steps):
+            updates = prior_updates if std == 0.0 and adapt_prior else 0
+            if 0 < n <= updates:
+                if n in TUNING.lowering_steps and lin.objective.road.is_level_between_obstacles:
+                    lowered = relax_unloaded(lin)
+                    lin = lin if lowered is None else lin.relinearize(lowered)
+                lin = update_prior(lin, stationary, noise_scale)
+            lin, change = solver.step(lin, noise_scale, plants)
+            before = np.max(noise_scale)
+            noise_scale = update_noise_scale(lin, stationary, noise_scale)
+            if std == 0.0 and objective.is_underdetermined:
+                power = _misfit_power(lin)
+                least = np.maximum(1.0, TUNING.least_noise * power)
+                noise_scale = np.maximum(least, np.minimum(noise_scale, TUNING.noise_fall * before))
+                if best is None or power.max() < _misfit_power(best).max():
+                    best = lin
+            to_come = lin.objective.road.is_level_between_obstacles and n < min(
+                TUNING.lowering_steps[-1], updates
+            )
+            is_falling = (
+                NOISE_SCALE_WARNING < before and np.max(noise_scale) < TUNING.settled * before
+            )
+            if change < change_tolerance and not (to_come or is_falling):
+                break
+    assert lin is not None
+    if best is not None:
+        lin, noise_scale = best, np.maximum(1.0, _misfit_power(best))
+    return lin, noise_scale
+
+
 def update_prior(
     lin: Linearization, stationary: StationaryHessian, noise_scale: np.ndarray
 ) -> Linearization:
@@ -202,6 +228,8 @@ def update_prior(
     density = stationary.density_of(objective.road, noise_variance, u)
     road = replace(objective.road, density=density)
     u = road.convert_noise(u, objective.road)
+    if not road.may_be_uneven:
+        return lin.with_road(road, u)
     local = stationary.local_roughness(road, noise_variance, u, passed_nodes(lin))
     rough = replace(road, local=local)
     new = lin.with_road(rough, rough.convert_noise(u, road))

@@ -43,7 +43,8 @@ class RoadTransform:
     Nodes are `ds` [m] apart from the station `origin` [m] on. `background` (2, K) [m] are the
     coefficients for u = 0; `free` (K,) is 1 where the road may rise or fall, else 0;
     `prior_amplitude` (2, K // 2 + 1) [m] and `density` (K // 2 + 1,), by which a drive scaled its
-    square, make A(n); `local` (2, K) is the local roughness of each wheel path relative to it.
+    square, make A(n); `local` (2, K) is the local roughness of each wheel path relative to it, 1
+    where the road may not be uneven.
     """
 
     origin: float
@@ -53,6 +54,7 @@ class RoadTransform:
     prior_amplitude: np.ndarray
     density: np.ndarray
     local: np.ndarray
+    may_be_uneven: bool = True
 
     @cached_property
     def amplitude(self) -> np.ndarray:

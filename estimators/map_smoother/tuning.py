@@ -77,6 +77,9 @@ class _Tuning:
     # up to 50, once 90, on potholes and growing defects, where a limit of 10 doubles the error; 60
     # to 400 on the sine sweep, 1e5 on the corrugation (seeds 71 and 72)
     max_noise_power: Annotated[float, "", "of the road's noise after an update of its prior"] = 50.0
+    # a saloon of grade S2 over two bumps on class B at 100 km/h, three phones: 54 with a hole of
+    # 0.55 m, where an even road leaves 3.5 and has no hole (`studies/few_sensors.py`, seed 704)
+    even_gain: Annotated[float, "", "share of its noise that an even road leaves at most"] = 0.5
     # from the mean of single estimates on, which is so near that friction needs no smoothing
     joint_stages: Annotated[_Stages, "m/s", "the same of several passes"] = ((0.0, 8),)
     joint_prior_updates: Annotated[int, "", "of several passes"] = 2
@@ -95,6 +98,12 @@ class _Tuning:
     # the wheel has hit the far edge of a hole if the road rises behind by a share of its fall
     edge_reach: Annotated[float, "m", "behind a light wheel of that edge"] = 0.15
     edge_share: Annotated[float, "", "that share, at least"] = 0.25
+    # 2.1 to 2.8 and all of the nodes behind a bump of 0.9 m on classes B and C at 100 km/h, 3.6 to
+    # 4.5 and up to three quarters behind the top of a hump of 3.7 m (seeds 9101 and 9103)
+    obstacle_fall: Annotated[float, "std", "of the road across a gap, that only obstacles fall"] = (
+        2.0
+    )
+    flown_share: Annotated[float, "", "of the nodes in such a gap without a load, at least"] = 0.9
     # 1 / sqrt(12) if all of the range were equally probable
     edge_std: Annotated[float, "", "of a road without an edge, over the range it has"] = 0.2
     # a heavier flight is no road: bumps of 0.15 m at 54 km/h have 0.5 to 0.7

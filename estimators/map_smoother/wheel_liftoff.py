@@ -25,7 +25,9 @@ a floor is not seen, and of `edge_std` R where an edge is not. The lowest is
 Where the wheel is light but presses on the road, and on the nodes next to those, an edge may have
 begun: the road errs by as much there, but not in the mean. A stationary road errs as a random walk
 between known ends (a Brownian bridge), whose mean over m steps of variance s² has the variance
-m s² / 12.
+m s² / 12. Where it had to be taken for even (`gauss_newton.minimize`), a wheel that flew where no
+such road falls flew off an obstacle: the road behind is the straight line or the height of landing,
+one as probable as the other.
 """
 
 from typing import NamedTuple
@@ -151,20 +153,22 @@ def road_below_light_wheels(lin: Linearization) -> tuple[np.ndarray, list[Liftof
         for path, mask in enumerate(light)
         for (run,) in find_objects(label(mask)[0])
     ]
-    lower, errors = np.zeros_like(c), []
-    if not road.is_level_between_obstacles:
+    lower, errors, unloaded = np.zeros_like(c), list[LiftoffError](), unloaded_nodes(lin)
+    if not is_level:
         step_variance = road.local**2 * irfft(road.amplitude**2, road.size, axis=1)[:, 0].sum()
-        return lower, [_bridge(step_variance, gap) for gap in gaps]
-    unloaded = unloaded_nodes(lin)
+        bridges = [_bridge(step_variance, gap) for gap in gaps]
+        flown = [not road.may_be_uneven and _is_flown(step_variance, gap, unloaded) for gap in gaps]
+        errors += [bridge for bridge, is_flown in zip(bridges, flown, strict=True) if not is_flown]
+        gaps = [gap for gap, is_flown in zip(gaps, flown, strict=True) if is_flown]
     falls = [gap.fall for gap in gaps if gap.fall > TUNING.min_drop]
     for path, run, level, fall, rise in gaps:
         height, unseen = np.zeros((2, road.size))
         before = max(run.start - 1, 0)
         height[before : run.stop] = np.maximum(c[path, before : run.stop] - level, 0.0)
-        if fall > TUNING.min_drop and rise > TUNING.edge_share * fall:
+        if is_level and fall > TUNING.min_drop and rise > TUNING.edge_share * fall:
             unseen[before : run.stop + 1] = max(falls) * (1.0 + 1.0 / len(falls)) - fall
         lower[path, run] += (unloaded[path] * height + unseen)[run] / 2.0
-        errors.append(LiftoffError(path, TUNING.edge_std * height))
+        errors.append(LiftoffError(path, (TUNING.edge_std if is_level else 0.5) * height))
         errors.append(LiftoffError(path, unseen / np.sqrt(12.0)))
     return lower, errors
 
@@ -187,6 +191,15 @@ def _gap(c: np.ndarray, path: int, run: slice, reach: int) -> _Gap:
     before = c[path, max(run.start - reach, 0) : run.start + 1]
     behind = c[path, run.stop : run.stop + reach + 1]
     return _Gap(path, run, level, before.max() - level, behind.max() - level)
+
+
+def _is_flown(step_variance: np.ndarray, gap: _Gap, unloaded: np.ndarray) -> bool:
+    """Return whether a wheel flew across a gap off an obstacle: an even road, whose steps have this
+    variance (2, K), does not fall so far.
+    """
+    steps = step_variance[gap.path, gap.run.start : gap.run.stop + 1]
+    in_air = unloaded[gap.path, gap.run].mean() > TUNING.flown_share
+    return bool(in_air and gap.fall > TUNING.obstacle_fall * np.sqrt(steps.sum()))
 
 
 def _bridge(step_variance: np.ndarray, gap: _Gap) -> LiftoffError:

@@ -8,8 +8,14 @@ import numpy as np
 from estimators.wiener.segments import dominant_modes
 from leaderboard.drive_report import mean_path
 from leaderboard.drive_report.conditions import Conditions
-from leaderboard.drive_report.mean_path import HRI_STD, MISFIT_STD, tells_paths_apart, tells_vehicle
-from leaderboard.drive_report.notes import in_order_of_weight, is_far_off, misfits, vehicle_in_words
+from leaderboard.drive_report.mean_path import HRI_STD, tells_paths_apart, tells_vehicle
+from leaderboard.drive_report.notes import (
+    in_order_of_weight,
+    is_far_off,
+    misfit_std,
+    misfits,
+    vehicle_in_words,
+)
 from leaderboard.drive_report.obstacles import CERTAIN, DetectedObstacle, detect
 from leaderboard.drive_report.posterior_iri import NO_INTERVAL_NOTE, IriPosterior, posterior_iri
 from road_envs.drives.measured_record import MeasuredRecord
@@ -106,8 +112,7 @@ def analyse(
     edges = _edges(estimate, measured.chainage, segment, record.s[0])
     unknown = 0.0 if tells_vehicle(record.sensors) else float(np.hypot(HRI_STD, tolerance_std))
     factor, std = known or KnownFactor(1.0, unknown)
-    if misfits(estimate, is_mean_path):
-        std = float(np.hypot(std, MISFIT_STD))
+    std = float(np.hypot(std, misfit_std(estimate, is_mean_path)))
     if is_mean_path:
         index = np.searchsorted(estimate.s, edges)
         half, iri = mean_path.mean_path_indices(estimate.z[:1], estimate.ds, index, factor, std)

@@ -1,0 +1,59 @@
+"""A road with obstacles that is sought as an even one, where a rough place confirms itself."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from estimators.estimation import estimate
+from estimators.map_smoother import gauss_newton
+from estimators.map_smoother.tuning import TUNING
+from leaderboard.scoring import score
+from road_envs.drives.recording import simulate_record
+
+CAR, KMH = "bmw_320i", 100.0
+ROAD = {
+    "kind": "superposed",
+    "roads": [
+        {"kind": "iso8608", "road_class": "B", "length": 100.0},
+        {
+            "kind": "defects",
+            "length": 100.0,
+            "defects": [
+                {"shape": "half_sine", "at": 35.0, "length": 0.9, "height": 0.06},
+                {"shape": "half_sine", "at": 70.0, "length": 3.7, "height": 0.075},
+            ],
+        },
+    ],
+}
+
+
+@pytest.fixture(scope="module")
+def drive():
+    """A saloon, as described, over two bumps with three phones in it."""
+    return simulate_record(ROAD, speed_kmh=KMH, vehicle=CAR, instruments="phone", seed=9103)
+
+
+def solved(record):
+    return estimate("map_smoother", record, CAR, instruments="phone", adapt=False)
+
+
+def test_a_rough_place_that_confirms_itself_is_given_up_for_an_even_road(drive, monkeypatch):
+    record, truth = drive
+    found = solved(record)
+    assert found.residual < 1.1
+    assert score(found, truth, speed_kmh=KMH)["nrmse"] < 0.3
+    monkeypatch.setattr(gauss_newton, "TUNING", replace(TUNING, even_gain=0.0))
+    assert solved(record).residual > 3.0
+
+
+def test_behind_a_bump_off_which_a_wheel_flew_the_road_may_fall_at_once(drive):
+    """The straight line to where the wheel lands is 35 mm too high, and was said to err by 3."""
+    record, truth = drive
+    found = solved(record)
+    behind = (found.s > 35.6) & (found.s < 36.2)
+    z = np.array([np.interp(found.s, truth.s, path) for path in truth.z])
+    about = np.abs(found.s - 35.0) < 5.0
+    error = (found.z - z) - (found.z - z)[:, about].mean(axis=1, keepdims=True)
+    assert (np.abs(error[:, behind]) < 3.0 * found.z_std[:, behind]).mean() > 0.9
+    assert np.abs(error[:, behind]).max() < 0.025
