@@ -100,9 +100,7 @@ class _Tuning:
     edge_share: Annotated[float, "", "that share, at least"] = 0.25
     # 2.1 to 2.8 and all of the nodes behind a bump of 0.9 m on classes B and C at 100 km/h, 3.6 to
     # 4.5 and up to three quarters behind the top of a hump of 3.7 m (seeds 9101 and 9103)
-    obstacle_fall: Annotated[float, "std", "of the road across a gap, that only obstacles fall"] = (
-        2.0
-    )
+    obstacle_fall: Annotated[float, "std", "of a road's change across a gap, of obstacles"] = 2.0
     flown_share: Annotated[float, "", "of the nodes in such a gap without a load, at least"] = 0.9
     # 1 / sqrt(12) if all of the range were equally probable
     edge_std: Annotated[float, "", "of a road without an edge, over the range it has"] = 0.2
