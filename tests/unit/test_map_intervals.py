@@ -27,12 +27,12 @@ MIXED = {"front": "ride", "rear": "handling"}
 def below(monkeypatch):
     """Return what is known of the road `c` (2, K) below lifted wheels."""
 
-    def evaluate(c, unloaded, is_level=True, step_std=1.0):
+    def evaluate(c, unloaded, is_level=True, step_std=1.0, may_be_uneven=True):
         size = c.shape[1]
         amplitude = np.full((2, size // 2 + 1), step_std * np.sqrt(0.5))
         road = SimpleNamespace(
             size=size, ds=DS, coefficients=lambda u: c, is_level_between_obstacles=is_level,
-            local=np.ones((2, size)), amplitude=amplitude,
+            local=np.ones((2, size)), amplitude=amplitude, may_be_uneven=may_be_uneven,
         )  # fmt: skip
         lin = SimpleNamespace(x=None, objective=SimpleNamespace(road=road, split=lambda x: (x,)))
         monkeypatch.setattr(wheel_liftoff, "unloaded_nodes", lambda lin, share=0.1: unloaded)
@@ -85,6 +85,24 @@ def test_a_straight_road_across_a_gap_errs_as_a_random_walk_does_between_known_e
     bridge = (walk - share * walk[:, -1:])[:, :-1]
     assert not lower.any()
     assert error.height[nodes[0]] == pytest.approx(bridge.mean(axis=1).std(), rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("fall", "may_be_uneven", "is_flown"),
+    [(0.05, False, True), (0.05, True, False), (0.01, False, False)],
+)
+def test_where_no_even_road_falls_so_far_it_is_a_line_or_the_height_of_landing(
+    below, fall, may_be_uneven, is_flown
+):
+    """A walk of 17 steps of 2 mm changes by 8 mm."""
+    c, unloaded = np.zeros((2, 100)), np.zeros((2, 100), dtype=bool)
+    c[0, :40], c[0, 40:56] = fall, fall * (1.0 - np.arange(1, 17) / 17.0)
+    unloaded[0, 40:56] = True
+    lower, errors = below(c, unloaded, is_level=False, step_std=0.002, may_be_uneven=may_be_uneven)
+    assert lower.any() == is_flown
+    if is_flown:
+        np.testing.assert_allclose(lower[0, 40:56], 0.5 * c[0, 40:56])
+        np.testing.assert_allclose(errors[0].height[40:56], 0.5 * c[0, 40:56])
 
 
 def test_an_error_below_a_wheel_counts_by_its_envelope_in_the_band():
