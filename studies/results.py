@@ -2,7 +2,8 @@
 
     python -m studies.results check [NAME ...]      name those that are stale; some seconds
     python -m studies.results make [NAME ...]       make the stale ones again, --jobs 2 side by side
-    python -m studies.results renew [NAME ...]      after a change that should move nothing
+    python -m studies.results renew [NAME ...]      after a change that should move nothing, or
+                                                    only rows with --anew KEY=VALUE
 
 `studies/results.yaml` lists them: commands, outputs, and the modules whose code, with all that they
 import, decides the figures. A result that is made leaves an artifact in `docs/made`, which says by
@@ -27,7 +28,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from functools import cache, partial
@@ -174,16 +175,18 @@ def make_result(
     return seconds
 
 
-def renew_result(name: str, rng: np.random.Generator) -> float:
+def renew_result(name: str, rng: np.random.Generator, anew: Collection[str] = ()) -> float:
     """Make a random tenth of the rows of a result again, three at least of each file, and its
-    outputs from all. Rows of another processor, or of an unknown one, are compared as rows of a
-    board are. Raises ConfigError as `make_result`, if there are no rows, and if one differs.
+    outputs from all. Rows with one of the pairs `anew`, KEY=VALUE, are made anew and not compared.
+    Rows of another processor, or of an unknown one, are compared as rows of a board are. Raises
+    ConfigError as `make_result`, if there are no rows, and if one differs.
     """
     work = WORK / f"{name}-{known_results()[name].identity()[:12]}"
     work.mkdir(parents=True, exist_ok=True)
     left_out: dict[str, list[str]] = {}
     for path in MADE.glob(f"{name}.*.jsonl"):
-        rows, file = path.read_text(encoding="utf-8").splitlines(), path.name[len(name) + 1 :]
+        lines, file = path.read_text(encoding="utf-8").splitlines(), path.name[len(name) + 1 :]
+        rows = [line for line in lines if not _has(json.loads(line), anew)]
         chosen = rng.choice(len(rows), min(len(rows), max(3, len(rows) // 10)), replace=False)
         left_out[file] = [rows[k] for k in chosen]
         rest = (row for k, row in enumerate(rows) if k not in chosen)
@@ -193,11 +196,17 @@ def renew_result(name: str, rng: np.random.Generator) -> float:
     machine = (_artifact(name) or {"machine": {}})["machine"]
     is_here = machine.get("processor") == describe_environment()["processor"]
     tolerance = SAME_PROCESSOR if is_here else TYPICAL
-    compare = partial(_compare_rows, left_out, tolerance)
+    compare = partial(_compare_rows, left_out, tolerance, anew)
     return make_result(name, lambda line: None, compare)
 
 
-def _compare_rows(left_out: Mapping[str, Sequence[str]], tolerance: float, work: Path) -> str:
+def _has(row: Mapping[str, Any], pairs: Collection[str]) -> bool:
+    return any(f"{key}={value}" in pairs for key, value in row.items())
+
+
+def _compare_rows(
+    left_out: Mapping[str, Sequence[str]], tolerance: float, anew: Collection[str], work: Path
+) -> str:
     """Say how many rows were made again. Raises ConfigError if one of them is another one now."""
     for file, rows in left_out.items():
         found = [json.loads(line) for line in (work / file).read_text("utf-8").splitlines()]
@@ -206,7 +215,8 @@ def _compare_rows(left_out: Mapping[str, Sequence[str]], tolerance: float, work:
                 (work / file).unlink()  # of two programs
                 raise ConfigError(f"{work.name}: a row is another one now: {row}; make it whole")
     count = sum(map(len, left_out.values()))
-    return f"{count} rows, equal to those of the program before to {tolerance:g}"
+    others = "".join(f"all rows of {pair}, and " for pair in anew)
+    return f"{others}{count} rows, equal to those of the program before to {tolerance:g}"
 
 
 def _is_same(a: Any, b: Any, tolerance: float) -> bool:
@@ -302,6 +312,9 @@ def main() -> None:
     parser.add_argument("action", choices=("check", "make", "renew"))
     parser.add_argument("names", nargs="*", metavar="NAME", help="default: all")
     parser.add_argument("--jobs", type=int, default=1, help="cores to use; by default one")
+    parser.add_argument(
+        "--anew", action="append", default=[], metavar="KEY=VALUE", help="rows that have changed"
+    )
     chosen = parser.parse_args()
     try:
         results = known_results()
@@ -313,7 +326,7 @@ def main() -> None:
     elif chosen.action == "make":
         count = _make(names, results, chosen.jobs)
     else:
-        again = partial(renew_result, rng=np.random.default_rng())
+        again = partial(renew_result, rng=np.random.default_rng(), anew=chosen.anew)
         count = _make(names, results, chosen.jobs, again)
     sys.exit(bool(count))
 

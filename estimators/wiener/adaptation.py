@@ -10,7 +10,8 @@ with kappa the independent share of the lines. Fisher scoring finds its maximum:
 derivatives D_p = L^-1 (dC / dx_p) L^-*, C = L L*, the information is kappa sum tr(D_p D_q) + I
 (Whittle 1953, Ark. Mat. 2, 423-434; Kay 1993, "Fundamentals of Statistical Signal Processing:
 Estimation Theory", section 3.9). Its inverse is the covariance of what remains unknown of
-the vehicle, which adds to the noise (`_model_error_psd`).
+the vehicle, which adds to the noise (`_model_error_psd`). Of a vehicle that is not adapted as much
+is unknown as its tolerances say.
 """
 
 from dataclasses import dataclass, replace
@@ -43,9 +44,9 @@ from road_envs.vehicle.tolerances import ParameterSpace, has_absent_elements, pa
 
 
 @dataclass(frozen=True, eq=False)
-class _AdaptedVehicle:
+class _UncertainVehicle:
     """A vehicle `x` (P,) of a `space`, the `covariance` (P, P) of what is unknown of it, and the
-    noise scale that is left unexplained `before` and `after`.
+    noise scale that is left unexplained `before` and `after` its adaptation; equal without one.
     """
 
     space: ParameterSpace
@@ -57,15 +58,17 @@ class _AdaptedVehicle:
 
     @property
     def car(self) -> VehicleParameters:
-        """The adapted vehicle."""
+        """The most probable vehicle."""
         return self.space.from_vector(self.x)
 
     @property
-    def note(self) -> str:
-        """The adaptation in words, for the notes of an estimate."""
+    def notes(self) -> tuple[str, ...]:
+        """The adaptation in words, if there was one, for the notes of an estimate."""
+        if self.after == self.before:
+            return ()
         return (
             f"the vehicle was adapted to the drive: {self.before:.1f} times the noise power of the "
-            f"instruments and the friction was unexplained, now {self.after:.1f} times"
+            f"instruments and the friction was unexplained, now {self.after:.1f} times",
         )
 
     def model(self, segment: Segment) -> SpectralModel:
@@ -82,20 +85,27 @@ def adapt_vehicle(
     car: VehicleParameters,
     instruments: Instruments,
     passes: int,
-) -> _AdaptedVehicle | None:
-    """Return the most probable vehicle on a `segment` of a `record`; None if it may well be `car`,
-    or if no other explains more. `model` is that of the segment for `car`, `passes` those of the
-    estimate. A vehicle is never adapted if its file gives no tolerances, the record has fewer than
-    `least_channels` channels, or much of it is obstacles, which are no part of a Gaussian process.
+) -> _UncertainVehicle | None:
+    """Return the most probable vehicle on a `segment` of a `record`: `car` with its tolerances, if
+    it may well be that or no other explains more; None if its file gives no tolerances. `model` is
+    that of the segment for `car`, `passes` those of the estimate.
+
+    A vehicle is never adapted if the record has fewer than `least_channels` channels, or much of it
+    is obstacles, which are no part of a Gaussian process.
     """
+    if not car.tolerances:
+        return None
     before = after = float(np.mean(model.noise_scale))
+    rigid = parameter_space(car, structure=False)
+    described = _UncertainVehicle(
+        rigid, instruments, np.zeros(rigid.size), np.eye(rigid.size), before, before
+    )
     if (
         before < TUNING.adapted_scale
-        or not car.tolerances
         or active_sensors(segment).size < TUNING.least_channels
         or obstacle_samples(record).mean() > TUNING.max_obstacles
     ):
-        return None
+        return described
     flexible = before > TUNING.structure_scale and has_absent_elements(car)
     space = parameter_space(car, structure=flexible)
     x, covariance = np.zeros(space.size), np.eye(space.size)
@@ -108,11 +118,11 @@ def adapt_vehicle(
             last = list(smooth_segment(model, segment, min(most, passes)))[-1]
             x, covariance, gain = _fisher_scoring(space, x, instruments, segment, last, steps)
             if k == 0 and not flexible and gain < TUNING.adaptation_gain:
-                return None
+                return described
     except ArithmeticError:  # a fitted vehicle is none
-        return None
-    found = _AdaptedVehicle(space, instruments, x, covariance, before, after)
-    return found if after < before else None
+        return described
+    adapted = _UncertainVehicle(space, instruments, x, covariance, before, after)
+    return adapted if after < before else described
 
 
 def _responses(

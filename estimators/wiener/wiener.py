@@ -13,7 +13,8 @@ smoothed on its own (`iteration.py`) and blended with its neighbours.
                       (`iteration.py`): a dozen passes come close to the maximum a posteriori
                       estimate with the nonlinear vehicle, at the cost of Fourier transforms
 
-A vehicle that departs from its description is adapted to the very drive (`adaptation.py`, `adapt`).
+A vehicle that departs from its description is adapted to the very drive (`adaptation.py`, `adapt`);
+what its tolerances leave unknown is part of the standard deviations.
 
 Limitations: rough roads at speed, where wheels leave the ground (there the passes diverge, and the
 result is no better than that of `wiener`); speed or mode changes within a segment.
@@ -86,7 +87,7 @@ class Wiener(CalibratedByIdentification):
             found = adapt_vehicle(masked.record, segments[k], middle, car, sensors, passes)
         if found:
             car, fit, middle = found.car, found.model, found.model(segments[k])
-            notes.append(found.note)
+            notes += found.notes
             unexplained = found.after
         for segment in segments:
             model = middle if segment is segments[k] else fit(segment)

@@ -1,6 +1,7 @@
 """Kept results: which are stale and why, how they are made, and that pages quote nothing else."""
 
 import dataclasses
+import json
 import re
 import sys
 import threading
@@ -110,6 +111,22 @@ def test_a_tenth_of_the_rows_is_made_again_and_a_row_that_differs_refuses_the_re
         results.renew_result("seven", np.random.default_rng(1))
     results.make_result("seven", report=lambda line: None)
     assert (tmp_path / "docs/seven.csv").read_text() == "0"  # nothing of the second program
+
+
+def test_rows_that_are_known_to_have_changed_are_made_anew(kept, tmp_path, monkeypatch):
+    (tmp_path / "write.py").write_text(ROWS)
+    of_rows = dataclasses.replace(
+        kept, commands=("python write.py {work}/rows.jsonl {work}/a.csv",)
+    )
+    monkeypatch.setattr(results, "known_results", lambda: {"seven": of_rows})
+    results.make_result("seven", report=lambda line: None)
+    monkeypatch.setattr(KeptResult, "identity", lambda self: "another")
+    (tmp_path / "write.py").write_text(ROWS.replace("0.1 * k", "0.1 * k + 9.0 * (k == 7)"))
+    results.renew_result("seven", np.random.default_rng(1), ["case=7"])
+    rows = (tmp_path / "docs/made/seven.rows.jsonl").read_text().splitlines()
+    assert {r["case"]: r["error"] for r in map(json.loads, rows)}[7] == pytest.approx(9.7)
+    data, _ = KEPT.read(tmp_path / "docs/made/seven.json")
+    assert data["made now"].startswith("all rows of case=7, and 3 rows, equal to those")
 
 
 def test_a_configuration_that_changes_changes_the_identity(kept, tmp_path):

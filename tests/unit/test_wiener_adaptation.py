@@ -12,6 +12,7 @@ from estimators.wiener.adaptation import _fisher_scoring, _model_error_psd, _res
 from estimators.wiener.iteration import Iterate
 from estimators.wiener.spectral_model import SensedVehicle, _build_model
 from estimators.wiener.tuning import TUNING
+from leaderboard.scoring import score
 from road_envs.analysis.information_bound import equivalent_damping
 from road_envs.drives.recording import simulate_record
 from road_envs.vehicle.linear_model import frequency_response, linearise
@@ -73,10 +74,27 @@ def test_the_error_of_a_model_is_that_of_random_models():
 
 def test_a_vehicle_as_described_is_not_adapted(monkeypatch):
     """Even if its noise, which chance makes large, gives rise to a first step."""
-    monkeypatch.setattr(adaptation, "TUNING", replace(TUNING, adapted_scale=0.0))
     record, _ = drive("defender", "iso_d", "split", 54.0, 1, 60.0)
-    adapted, told = (create("wiener", adapt=a).estimate(record, DEFENDER) for a in (True, False))
-    np.testing.assert_array_equal(adapted.z, told.z)
+    found = []
+    for scale in (0.0, np.inf):
+        monkeypatch.setattr(adaptation, "TUNING", replace(TUNING, adapted_scale=scale))
+        found.append(create("wiener").estimate(record, DEFENDER))
+    np.testing.assert_array_equal(found[0].z, found[1].z)
+    assert not any("adapted" in note for note in found[0].notes)
+
+
+def test_deviations_contain_the_tolerances_of_a_vehicle_that_is_not_adapted():
+    """On a road so smooth that the own departures of a vehicle hardly show."""
+    inside = []
+    for seed in (5100, 5101):
+        given = {"vehicle": DEFENDER, "speed_kmh": 100.0, "mode": SPLIT, "length": 200.0}
+        record, truth = simulate_record("iso_b", **given, instruments=PAPER, seed=seed, grade="S1")
+        for car in (DEFENDER, replace(DEFENDER, tolerances={})):
+            found = create("wiener").estimate(record, car)
+            inside.append(score(found, truth, speed_kmh=100.0)["coverage_90"])
+    told, bare = np.reshape(inside, (2, 2)).mean(axis=0)
+    assert 0.85 < told < 0.95
+    assert bare < told - 0.03
 
 
 @pytest.mark.slow
