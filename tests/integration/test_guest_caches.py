@@ -13,7 +13,7 @@ from road_envs.core.code_digest import ROOT
 
 
 def in_page_cache(path):
-    """Return whether the first page of a file is in memory: mincore(2), which reads nothing itself."""
+    """Return whether the first page of a file is in memory; mincore(2) reads nothing itself."""
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY) as mapped:
         first = ctypes.c_char.from_buffer(mapped)
         is_resident = ctypes.create_string_buffer(1)
