@@ -169,12 +169,12 @@ SENTENCES = {
 }
 """Sentence of the failure of every hostile entry, None for one that gets a row with scores."""
 
-FEW = {"claims", "cheat", "stateful", "deaf", "run_tamper", "reply_flood"}
-KINDS = FEW | {
+KINDS = {
+    *("claims", "cheat", "stateful", "deaf", "run_tamper", "reply_flood"),
     *("exits", "forger", "builtin", "double", "nested_settings", "texts", "pth", "bomb"),
     *("run_kill_evaluation", "run_poison_kernels"),
 }
-"""One entry of each kind. Each takes up to three processes: `make test` has a few of them."""
+"""One entry of each kind; each takes up to three processes."""
 
 
 def small(folder):
@@ -222,11 +222,10 @@ def files_in(folder):
 @pytest.fixture(
     scope="module",
     params=[
-        FEW,
         pytest.param(KINDS, marks=pytest.mark.processes),
         pytest.param(set(SENTENCES), marks=pytest.mark.slow),
     ],
-    ids=["few", "kinds", "all"],
+    ids=["kinds", "all"],
 )
 def names(request):
     """Names of the hostile entries."""

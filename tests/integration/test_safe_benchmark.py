@@ -52,6 +52,7 @@ def searched():
     return compare({name: create(name) for name in LAWS}, few, "rrms", sweeps=1)
 
 
+@pytest.mark.processes
 def test_no_row_is_above_the_best_found_on_any_drive(searched):
     rows = {row["policy"]: np.array(row["scores"]) for row in searched.data["rows"]}
     assert set(rows) == {*LAWS, BEST_FOUND}
@@ -62,6 +63,7 @@ def test_no_row_is_above_the_best_found_on_any_drive(searched):
     assert rows[BEST_FOUND].mean() > 0.85 * laws, "no headroom above the laws"
 
 
+@pytest.mark.processes
 def test_the_best_found_is_the_better_of_two_searches_on_each_drive(searched):
     scores = np.array(searched.data["searches"])
     assert scores.shape == (2, 2) and (scores[0] != scores[1]).any()
@@ -178,6 +180,7 @@ def test_the_timeline_of_a_drive_has_its_motion_and_states(drives, rollouts):
     assert traces["handling"]["x"][0] == pytest.approx(10.0, abs=0.06)
 
 
+@pytest.mark.processes
 def test_the_page_shows_every_row_and_the_best_found_as_a_line(searched):
     data = searched.data
     page = _render_page(data, timelines(searched))

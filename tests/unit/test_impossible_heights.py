@@ -119,7 +119,10 @@ def test_of_a_lost_drift_the_slope_is_reduced_and_no_step_is_made():
         ("kalman_rts", "iso_b", 100.0, MIXED, "S2", "paper"),  # 58 times its range
         ("kalman_rts", "iso_a", 100.0, MIXED, "S2", "paper"),  # 62 times
         ("kalman_rts", "twist", 54.0, MIXED, "S0", "paper"),  # 2.5 times
-        ("map_smoother", "washboard", 54.0, "handling", "S0", "phone"),  # raised ValueError
+        pytest.param(
+            *("map_smoother", "washboard", 54.0, "handling", "S0", "phone"),  # raised ValueError
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_no_estimate_rises_beyond_three_times_the_range_of_the_road(
