@@ -89,7 +89,7 @@ def test_these_tasks_are_of_every_board():
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(name, marks=[pytest.mark.slow] * (name not in UNLIKE))
+        pytest.param(name, marks=pytest.mark.processes if name in UNLIKE else pytest.mark.slow)
         for name in config.names("tasks")
     ],
 )

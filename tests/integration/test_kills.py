@@ -62,6 +62,7 @@ def stage_of(path, out):
     return first if first in STAGES else "page"
 
 
+@pytest.mark.processes
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
 def test_a_run_killed_20_times_gives_the_same_board(tmp_path, monkeypatch):
     # times differ from run to run, and are shown on the pages
