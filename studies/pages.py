@@ -65,10 +65,17 @@ def with_outputs(text: str, read: Callable[[str], str]) -> str:
 
 def write_pages(root: Path = ROOT) -> list[Path]:
     """Write the copies of all pages; returns the pages that changed. Raises ConfigError."""
+
+    def read(path: str) -> str:
+        try:
+            return (root / path).read_text(encoding="utf-8")
+        except OSError as error:
+            raise ConfigError(f"a page shows {path}, which cannot be read: {error}") from None
+
     changed = []
     for page in pages(root):
         text = page.read_text(encoding="utf-8")
-        new = with_outputs(text, lambda path: (root / path).read_text(encoding="utf-8"))
+        new = with_outputs(text, read)
         if new != text:
             write_text(page, new)
             changed.append(page)

@@ -297,8 +297,13 @@ def _make(
                     print(f"  failed: {error}", flush=True)
                 else:
                     print(f"  {name}: made in {done.result() / 60.0:.1f} min", flush=True)
-    for page in write_pages():
-        print(f"written: {page.relative_to(ROOT)}; read the sentences beside its tables again")
+    try:
+        for page in write_pages():
+            shown = page.relative_to(ROOT)
+            print(f"written: {shown}; read the sentences beside its tables again")
+    except ConfigError as error:
+        failed += 1
+        print(f"  failed: {error}")
     return failed
 
 

@@ -61,6 +61,9 @@ def test_pages_are_written_only_where_they_change(tmp_path):
     (tmp_path / "docs/deep/page.md").write_text(PAGE)
     assert write_pages(tmp_path) == [tmp_path / "docs/deep/page.md"]
     assert write_pages(tmp_path) == []
+    (tmp_path / "runs/a.txt").unlink()
+    with pytest.raises(ConfigError, match=r"a page shows runs/a.txt, which cannot be read"):
+        write_pages(tmp_path)
 
 
 def test_every_copy_in_readme_and_docs_is_the_kept_output():
