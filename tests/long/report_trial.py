@@ -107,10 +107,15 @@ def report(case: tuple[str, int, int], folder: Path, *options: str) -> dict:
 
 
 def short_wave_gain(heights: pd.DataFrame, surface: Surface) -> float:
-    """Return the RMS of the waves SHORT_WAVES in reported `heights` over that in the surface."""
-    s = heights["station_m"].to_numpy()
-    n, told = displacement_psd(heights[["left_m", "right_m"]].to_numpy().T, float(s[1] - s[0]))
-    _, true = displacement_psd(surface.height(s), float(s[1] - s[0]))
+    """Return the RMS of the waves SHORT_WAVES in reported `heights`, of both wheel paths or of
+    their mean, over that in the surface.
+    """
+    s, true = heights["station_m"].to_numpy(), surface.height(heights["station_m"].to_numpy())
+    columns = ["left_m", "right_m"]
+    if "mean_m" in heights:
+        columns, true = ["mean_m"], true.mean(axis=0, keepdims=True)
+    n, told = displacement_psd(heights[columns].to_numpy().T, float(s[1] - s[0]))
+    _, true = displacement_psd(true, float(s[1] - s[0]))
     inside = (n >= 1.0 / SHORT_WAVES[1]) & (n <= 1.0 / SHORT_WAVES[0])
     return float(np.sqrt(told[:, inside].sum() / true[:, inside].sum()))
 
