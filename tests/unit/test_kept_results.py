@@ -76,11 +76,8 @@ pathlib.Path(sys.argv[2]).write_text(str(len(known)))
 """
 
 
-def test_a_tenth_of_the_rows_is_made_again_and_a_row_that_differs_refuses_the_rest(
-    kept, tmp_path, monkeypatch
-):
-    with pytest.raises(ConfigError, match="seven: none of its rows are kept; make it"):
-        results.renew_result("seven", np.random.default_rng(1))
+def make_of_rows(kept, tmp_path, monkeypatch):
+    """Make a result that keeps its rows, and change the code that decides it."""
     (tmp_path / "write.py").write_text(ROWS)
     of_rows = dataclasses.replace(
         kept, commands=("python write.py {work}/rows.jsonl {work}/a.csv",)
@@ -88,6 +85,14 @@ def test_a_tenth_of_the_rows_is_made_again_and_a_row_that_differs_refuses_the_re
     monkeypatch.setattr(results, "known_results", lambda: {"seven": of_rows})
     results.make_result("seven", report=lambda line: None)
     monkeypatch.setattr(KeptResult, "identity", lambda self: "another")
+
+
+def test_a_tenth_of_the_rows_is_made_again_and_a_row_that_differs_refuses_the_rest(
+    kept, tmp_path, monkeypatch
+):
+    with pytest.raises(ConfigError, match="seven: none of its rows are kept; make it"):
+        results.renew_result("seven", np.random.default_rng(1))
+    make_of_rows(kept, tmp_path, monkeypatch)
     assert results.stale_reason("seven").endswith("code has changed since")
     results.renew_result("seven", np.random.default_rng(1))
     assert results.stale_reason("seven") is None
@@ -114,13 +119,7 @@ def test_a_tenth_of_the_rows_is_made_again_and_a_row_that_differs_refuses_the_re
 
 
 def test_rows_that_are_known_to_have_changed_are_made_anew(kept, tmp_path, monkeypatch):
-    (tmp_path / "write.py").write_text(ROWS)
-    of_rows = dataclasses.replace(
-        kept, commands=("python write.py {work}/rows.jsonl {work}/a.csv",)
-    )
-    monkeypatch.setattr(results, "known_results", lambda: {"seven": of_rows})
-    results.make_result("seven", report=lambda line: None)
-    monkeypatch.setattr(KeptResult, "identity", lambda self: "another")
+    make_of_rows(kept, tmp_path, monkeypatch)
     (tmp_path / "write.py").write_text(ROWS.replace("0.1 * k", "0.1 * k + 9.0 * (k == 7)"))
     results.renew_result("seven", np.random.default_rng(1), ["case=7"])
     rows = (tmp_path / "docs/made/seven.rows.jsonl").read_text().splitlines()
