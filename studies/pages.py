@@ -13,13 +13,26 @@ part, of those that blank lines separate, and a regular expression in slashes li
     | ... |
 
 The table becomes these columns of an output that is a list of rows as JSON.
+
+    <!-- scores: docs/runs/new_road.csv nrmse .3f; nrmse .2f Belgian; coverage_90 .0% -->
+
+    | | all | Belgian | inside 90 % |
+    |---|---|---|---|
+    | `map_smoother` | ... |
+
+Each cell becomes the score of its column in that format, over all drives or over a group of them,
+for the estimators that the table names, best first by the first column.
 `python -m studies.results make` writes all pages.
 """
 
+import io
 import json
+import math
 import re
 from collections.abc import Callable
 from pathlib import Path
+
+import pandas as pd
 
 from road_envs.core.atomic_io import write_text
 from road_envs.core.code_digest import ROOT
@@ -30,6 +43,7 @@ COPY = re.compile(
     re.MULTILINE,
 )
 ROWS = re.compile(r"(<!-- rows: (\S+) ([\w ]+?) -->\n\n)((?:\|.*\n)*)")
+SCORES = re.compile(r"(<!-- scores: (\S+) ([^>]+?) -->\n\n\|.*\n\|[-|]+\n)((?:\|.*\n)+)")
 WORDS = {"True": "met", "False": "missed", "None": ""}
 """How verdicts are written."""
 
@@ -60,7 +74,26 @@ def with_outputs(text: str, read: Callable[[str], str]) -> str:
         lines = [columns, ["---"] * len(columns), *cells]
         return head + "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
-    return ROWS.sub(table, COPY.sub(copy, text))
+    def scores(found: re.Match[str]) -> str:
+        head, path, wanted, old = found.groups()
+        known = pd.read_csv(io.StringIO(read(path)), index_col=["estimator", "group"]).sort_index()
+        columns = [re.fullmatch(r"(\S+) (\S+) ?(.*)", column) for column in wanted.split("; ")]
+        rows = {}
+        for name in re.findall(r"^\| `(\w+)` ", old, re.MULTILINE):
+            try:
+                rows[name] = [
+                    (known.loc[(name, group or math.nan), score].item(), form)
+                    for score, form, group in (column.groups() for column in columns if column)
+                ]
+            except KeyError as error:
+                raise ConfigError(f"{path} has no {error} of {name}, which a page shows") from None
+        lines = []
+        for name, cells in sorted(rows.items(), key=lambda row: row[1][0][0]):
+            shown = ["" if math.isnan(value) else f"{value:{form}}" for value, form in cells]
+            lines.append(f"| {' | '.join([f'`{name}`', *shown])} |\n")
+        return head + "".join(lines).replace("%", " %")
+
+    return SCORES.sub(scores, ROWS.sub(table, COPY.sub(copy, text)))
 
 
 def write_pages(root: Path = ROOT) -> list[Path]:

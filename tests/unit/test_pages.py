@@ -73,3 +73,19 @@ def test_every_copy_in_readme_and_docs_is_the_kept_output():
         copies += text.count("<!-- output: ")
         assert with_outputs(text, lambda path: (ROOT / path).read_text("utf-8")) == text, page
     assert copies >= 1
+
+
+def test_scores_become_cells_best_first():
+    page = (
+        "<!-- scores: a.csv nrmse .2f; nrmse +.1f Belgian; coverage .0% -->\n\n"
+        "| | all | Belgian | inside |\n|---|---|---|---|\n| `b` | old |\n| `a` |\n\nEnd.\n"
+    )
+    rows = (
+        "estimator,group,nrmse,coverage\na,,0.214,0.456\na,Belgian,0.11,\nb,,0.1,\nb,Belgian,2,\n"
+    )
+    wanted = "| `b` | 0.10 | +2.0 |  |\n| `a` | 0.21 | +0.1 | 46 % |\n\nEnd.\n"
+    written = with_outputs(page, lambda path: rows + "c,,0,0\n")
+    assert written.endswith(f"|---|\n{wanted}")
+    assert with_outputs(written, lambda path: rows) == written
+    with pytest.raises(ConfigError, match="a.csv has no .*Belgian.* of a, which a page shows"):
+        with_outputs(page, lambda path: rows.replace("a,Belgian", "a,bumps"))
