@@ -87,5 +87,5 @@ def test_scores_become_cells_best_first():
     written = with_outputs(page, lambda path: rows + "c,,0,0\n")
     assert written.endswith(f"|---|\n{wanted}")
     assert with_outputs(written, lambda path: rows) == written
-    with pytest.raises(ConfigError, match="a.csv has no .*Belgian.* of a, which a page shows"):
+    with pytest.raises(ConfigError, match=r"a.csv has no .*Belgian.* of a, which a page shows"):
         with_outputs(page, lambda path: rows.replace("a,Belgian", "a,bumps"))
