@@ -11,6 +11,7 @@ from estimators.api import Estimator, check_estimate
 from estimators.common.blas import single_blas_thread
 from estimators.common.explained import mark_impossible
 from estimators.common.friction import friction_note
+from estimators.common.gaps import mark_gaps
 from estimators.common.manoeuvres import mark_manoeuvres
 from estimators.common.odometer import calibrate_odometer
 from estimators.lookup import resolve_estimator, training_notes
@@ -58,6 +59,7 @@ def estimate(
     if found.s_std is None:  # of an estimator that takes the stations as they are
         odometer = calibrate_odometer(record, estimator.causal)
         found = odometer.describe(found) if odometer.s_std is not None else found
+    found = mark_gaps(found, record, car.wheelbase)
     found = mark_manoeuvres(found, record, car.wheelbase)
     return mark_impossible(found, record, car, estimator)
 

@@ -54,14 +54,15 @@ def posterior_mean_and_std(
 
     The course of the deviation along the road is that of the local roughness, by the stationary
     approximation; its level, from the samples, is the same for all nodes that were passed in the
-    same strut state.
+    same strut state. Of nodes that no sensor has read the prior is all that is known.
     """
     lin, rng = solution.linearization, np.random.default_rng(0)
     objective, road = lin.objective, lin.objective.road
     solve = solution.inverse_hessian(*TUNING.draw_cg)
     inside = (road.n >= band[0]) & (road.n <= band[1])
+    unread = solution.stationary.read <= 0.5
     # at the ends of the road the band-pass leaks
-    middle = interior(road.free, round(1.0 / (band[0] * road.ds)))
+    middle = interior(road.free, round(1.0 / (band[0] * road.ds))) & ~unread
 
     def mean_square(roads: Sequence[np.ndarray]) -> np.ndarray:
         """Return the mean square (2, K) [m²] of roads in the band."""
@@ -100,11 +101,15 @@ def posterior_mean_and_std(
     states = _strut_states(road, [one.source.inputs for one in lin.passes])
     level = _average_by_strut_state(square, shape, middle, states, road.ds)
     variance = TUNING.std_inflation**2 * level * shape
+    if unread.any():
+        white = rng.standard_normal((TUNING.road_draws, 2, road.size))
+        prior = mean_square([road.apply(u) for u in white])
+        variance[:, unread] = prior[:, unread].mean(axis=1, keepdims=True)
     if draws:  # they have the level of the exact samples in each strut state, too
         ratio = _average_by_strut_state(
             variance, mean_square(list(deviations)), middle, states, road.ds
         )
-        steps = np.sqrt(ratio) * np.diff(deviations, axis=2, prepend=0.0)
+        steps = np.sqrt(np.where(unread, 1.0, ratio)) * np.diff(deviations, axis=2, prepend=0.0)
         deviations = np.cumsum(steps, axis=2)
         # heights that are wrong by their vehicle have the power of these errors once already
         heights = road.apply(objective.split(lin.x)[0])
@@ -147,6 +152,9 @@ def _draw_roads(
     lines = 2.0 * len(exact) * np.bincount(group)
     ratio = (lines * theirs / ours + TUNING.prior_lines) / (lines + TUNING.prior_lines)
     u = irfft(np.sqrt(ratio)[group] * rfft(u, axis=2), road.size, axis=2)
+    unread = solution.stationary.read <= 0.5
+    if unread.any():
+        u[:, :, unread] = rng.standard_normal((*u.shape[:2], int(unread.sum())))
     if vehicle.moved:
         moved = np.array([lin.objective.split(dx)[0] for dx in vehicle.moved])
         weights = rng.standard_normal((TUNING.road_draws, len(moved)))

@@ -24,6 +24,7 @@ from scipy.linalg import solve_continuous_lyapunov
 from scipy.ndimage import gaussian_filter1d
 
 from estimators.common.bending import BODY
+from estimators.common.gaps import read_share
 from estimators.map_smoother.objective import Linearization, Means, Objective
 from estimators.map_smoother.one_pass import Pass
 from estimators.map_smoother.road_prior import TO_WHEEL_PATHS, RoadTransform
@@ -44,12 +45,13 @@ class _PassInformation(NamedTuple):
     """Information of the measurements of one pass, if of unit variance: `on_road` (F, 2, 2) on the
     heights of mean and half difference at each spatial frequency of the road, `on_start` (14,) on
     each coordinate of the initial vehicle state. The pass has `covered` this share of the nodes
-    that any pass covers.
+    that any pass covers, and its sensors have `read` this share (K,) of its way over each of them.
     """
 
     on_road: np.ndarray
     on_start: np.ndarray
     covered: float
+    read: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +61,11 @@ class StationaryHessian:
     """
 
     passes: tuple[_PassInformation, ...]
+
+    @property
+    def read(self) -> np.ndarray:
+        """Share (K,) of the way over each node that the sensors of any pass have read; 1 ahead."""
+        return np.max([one.read for one in self.passes], axis=0)
 
     def reweighted(self, objective: Objective, weights: Means) -> "StationaryHessian":
         """The Hessian for measurements with weights (J // 2 + 1,) on their frequencies."""
@@ -119,9 +126,8 @@ class StationaryHessian:
             ]
         )
         covered = np.array([one.covered for one in self.passes])
-        return (
-            road.free.sum() * np.mean(2.0 - left) * covered * (traces / max(traces.sum(), 1e-300))
-        )
+        known = np.sum(road.free * self.read)
+        return known * np.mean(2.0 - left) * covered * (traces / max(traces.sum(), 1e-300))
 
     def density_of(
         self, road: RoadTransform, noise_variance: np.ndarray, u: np.ndarray
@@ -134,7 +140,8 @@ class StationaryHessian:
         """
         power = np.sum(np.abs(rfft(road.free * u, axis=1)) ** 2, axis=0) / max(road.free.sum(), 1.0)
         excess = self.excess(road, noise_variance)
-        told = np.sum(1.0 - _posteriors(excess, np.ones(1))[0], axis=1)
+        read = np.sum(road.free * self.read) / max(road.free.sum(), 1.0)
+        told = read * np.sum(1.0 - _posteriors(excess, np.ones(1))[0], axis=1)
         octave = np.round(np.log2(np.maximum(road.n, road.n[1])))
         centre, group = np.unique(octave, return_inverse=True)
         lines = np.bincount(group)
@@ -161,7 +168,8 @@ class StationaryHessian:
         w = road.local * (TO_WHEEL_PATHS @ u) * np.sqrt(0.5) * road.free
         excess = self.excess(road, noise_variance)
         told = 1.0 - _posteriors(excess, ROUGHNESS_STEPS).mean(axis=(1, 2))
-        resolved = road.free * np.interp(road.local, ROUGHNESS_STEPS, told)
+        resolved = road.free * self.read * np.interp(road.local, ROUGHNESS_STEPS, told)
+        passed = passed & (self.read > 0.5)
 
         def variance_within(length: float) -> np.ndarray:
             width = length / road.ds
@@ -176,6 +184,7 @@ class StationaryHessian:
             return np.ones_like(wide)
         variance = np.maximum(variance_within(TUNING.edge_length), TUNING.level_share * wide)
         local = np.sqrt(variance / variance[:, passed].mean())  # the mean power is the spectrum's
+        local = np.where(self.read > 0.5, local, 1.0)
         return np.clip(local, ROUGHNESS_STEPS[0], ROUGHNESS_STEPS[-1])
 
     def error_variance(
@@ -195,18 +204,33 @@ class StationaryHessian:
 def stationary_hessian(objective: Objective) -> StationaryHessian:
     """The Hessian of `objective`, each pass at its mean speed, strut states by their duration."""
     road = objective.road
-    station = (road.origin + road.ds * np.arange(road.size))[road.free > 0]
-    passed = [
-        (station >= one.inputs.s[0] - one.model.wheelbase) & (station <= one.inputs.s[-1])
-        for one in objective.passes
-    ]
-    count = max(np.any(passed, axis=0).sum(), 1)
-    return StationaryHessian(
-        tuple(
-            _PassInformation(_road_information(one, road), _start_information(one), covered)
-            for one, covered in zip(objective.passes, np.sum(passed, axis=1) / count, strict=True)
-        )
+    station = road.origin + road.ds * np.arange(road.size)
+    passed = np.array(
+        [
+            (station >= one.inputs.s[0] - one.model.wheelbase) & (station <= one.inputs.s[-1])
+            for one in objective.passes
+        ]
     )
+    ahead, free = ~passed.any(axis=0), passed[:, road.free > 0]
+    count = max(np.any(free, axis=0).sum(), 1)
+    parts = []
+    for one, there, share in zip(
+        objective.passes, passed, np.sum(free, axis=1) / count, strict=True
+    ):
+        read = np.where(there, _read_share(one, station), ahead)
+        parts.append(
+            _PassInformation(_road_information(one, road), _start_information(one), share, read)
+        )
+    return StationaryHessian(tuple(parts))
+
+
+def _read_share(one: Pass, station: np.ndarray) -> np.ndarray:
+    """Share of what one sensor at least has read while an axle passed the stations (K,) [m]."""
+    blocks = one.measurements
+    size = blocks.sample_weight.shape[2]
+    middle = one.inputs.decimation * size * (2 * np.arange(blocks.y.shape[1]) + 1)
+    s = one.inputs.s[np.minimum(middle, one.inputs.s.size - 1)]
+    return read_share(station, s, blocks.sample_count.max(axis=0) / size, one.model.wheelbase)
 
 
 def _road_information(one: Pass, road: RoadTransform) -> np.ndarray:

@@ -15,6 +15,7 @@ from typing import Any, Self
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+from scipy.ndimage import binary_opening, find_objects, label
 
 from estimators.common.bending import BODY, SensedBending, sensed_bending
 from estimators.common.conjugate_gradients import conjugate_gradients
@@ -195,14 +196,18 @@ def windowed_spectrum(model: SpectralModel, segment: Segment) -> np.ndarray:
     span = np.zeros(segment.a.shape[1], dtype=bool)
     if measured.size:
         span[measured[0] : measured[-1] + 1] = True
-    a = segment.a
-    if (span & ~segment.valid[active_sensors(segment)]).any():
+    a, holed = segment.a, span & ~segment.valid[active_sensors(segment)].all(axis=0)
+    if holed.any():
         C = signal_psd(model, model.noise_psd()) / (2.0 * segment.spacing)
         x = solve_circulant(C, a, segment.valid, model.size)
         a = np.where(segment.valid, a, _circulant_product(C, x, model.size))
-    # Hann window: without it the body's resonances leak to frequencies of low power
+    # Hann windows between long gaps: without them the body's resonances leak to frequencies of low
+    # power, and what a gap holds has less than the road
     window = np.zeros(span.size)
-    window[span] = np.sin(np.pi * (np.arange(span.sum()) + 0.5) / max(span.sum(), 1)) ** 2
+    long = binary_opening(holed, np.ones(round(TUNING.longest_filled / segment.spacing) + 1))
+    for part in find_objects(label(span & ~long)[0]):
+        size = part[0].stop - part[0].start
+        window[part] = np.sin(np.pi * (np.arange(size) + 0.5) / size) ** 2
     power = max(float(window @ window), 1e-9)
     return rfft(a * window * np.sqrt(2.0 * segment.spacing / power), model.size).T[:, :, None]
 

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from estimators.common.gaps import unread_stations
 from estimators.wiener.segments import dominant_modes
 from leaderboard.drive_report import mean_path
 from leaderboard.drive_report.conditions import Conditions
@@ -108,14 +109,16 @@ def analyse(
     record, v = measured.record, float(np.median(measured.record.v))
     is_mean_path = not tells_paths_apart(record.sensors)
     if is_mean_path:
-        estimate = mean_path.with_mean_path(estimate)
+        unread = unread_stations(estimate.s, record)
+        estimate = mean_path.with_mean_path(estimate, unread)
     edges = _edges(estimate, measured.chainage, segment, record.s[0])
     unknown = 0.0 if tells_vehicle(record.sensors) else float(np.hypot(HRI_STD, tolerance_std))
     factor, std = known or KnownFactor(1.0, unknown)
     std = float(np.hypot(std, misfit_std(estimate, is_mean_path)))
     if is_mean_path:
         index = np.searchsorted(estimate.s, edges)
-        half, iri = mean_path.mean_path_indices(estimate.z[:1], estimate.ds, index, factor, std)
+        roads = estimate.draws if unread.any() and estimate.draws is not None else estimate.z[None]
+        half, iri = mean_path.mean_path_indices(roads[:, 0], estimate.ds, index, factor, std)
     else:
         half, iri = None, posterior_iri(estimate, edges, factor=factor, relative_std=std)
     missing = (NO_INTERVAL_NOTE,) if np.isnan(iri.high).any() else ()

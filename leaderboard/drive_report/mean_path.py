@@ -55,6 +55,8 @@ _NORMAL_MEDIAN = 0.6745  # median magnitude of a standard normal number
 _QUANTILES = (0.025, 0.5, 0.975)  # the interval of 95 % and the median
 _SAMPLES = 64  # samples of D
 
+_FILLINGS = 32  # samples of a road where nothing was read
+
 _LEAST_APART = 0.4
 """Least distance [m] to the left of one another at which sensors of the body tell its roll."""
 
@@ -129,18 +131,32 @@ def path_level_ratio(n: float) -> float:
     return float(2.0 / (1.0 + root_coherence(np.array([n]), 2.0, TRACK)[0]))
 
 
-def with_mean_path(estimate: Estimate) -> Estimate:
+def with_mean_path(estimate: Estimate, unread: np.ndarray) -> Estimate:
     """Return an estimate of which both rows are the mean of both wheel paths.
 
-    The error of the mean is the common part of both errors, at most as large as either.
+    The error of the mean is the common part of both errors, at most as large as either. Where it
+    is `unread` (M,), its samples have the slopes of other places, in a row: of a single sensor no
+    prior is known that is as rough as the road.
     """
     std, draws = estimate.z_std, estimate.draws
     if std is not None:
         std = np.tile(std.min(axis=0), (2, 1))
     if draws is not None:
         draws = np.broadcast_to(draws.mean(axis=1, keepdims=True), draws.shape)
+    if unread.any() and not unread.all():
+        draws = _filled(estimate.z.mean(axis=0), unread)
     mean, notes = np.tile(estimate.z.mean(axis=0), (2, 1)), (_MEAN_PATH_NOTE, *estimate.notes)
     return replace(estimate, z=mean, z_std=std, draws=draws, notes=notes)
+
+
+def _filled(z: np.ndarray, unread: np.ndarray) -> np.ndarray:
+    """Return roads (_FILLINGS, 2, M) with the heights `z` (M,) but where they are `unread` (M,)."""
+    rng, slopes = np.random.default_rng(2), np.diff(z, prepend=z[0])
+    known, count = slopes[~unread], np.count_nonzero(unread)
+    filled = np.tile(slopes, (_FILLINGS, 1))
+    for row in filled:
+        row[unread] = known[(rng.integers(known.size) + np.arange(count)) % known.size]
+    return np.broadcast_to(np.cumsum(filled, axis=1)[:, None], (_FILLINGS, 2, z.size))
 
 
 def mean_path_indices(

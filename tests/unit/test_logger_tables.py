@@ -1,6 +1,7 @@
 """Tables as data loggers and phones write them: names, units, clocks, slow sensors."""
 
 import gc
+import re
 import sys
 
 import numpy as np
@@ -173,6 +174,19 @@ def test_a_speed_that_is_a_few_percent_wrong_is_scaled_to_the_track(tmp_path, ga
     measured = read(write(tmp_path / "d.csv", columns))
     assert np.median(measured.record.v / SPEED) == pytest.approx(1.0, abs=0.006)
     assert any("scaled by" in note for note in measured.notes)
+
+
+@pytest.mark.parametrize(("gain", "told"), [(1.1, True), (1.02, False)])
+def test_a_speed_that_disagrees_with_the_positions_is_told(tmp_path, gain, told):
+    degree = np.pi * 6_371_008.8 / 180.0
+    track = {"lat": 48.0 + DISTANCE / degree, "lon": np.full(T.size, 11.0)}
+    columns = {"t": T, **ACCELERATION, "v": gain * SPEED, **track}
+    measured = read(write(tmp_path / "d.csv", columns))
+    notes = [note for note in measured.notes if "distances are those of the speed" in note]
+    assert len(notes) == told
+    if told:
+        driven, track = (float(x) for x in re.findall(r"(\d+) m by", notes[0]))
+        assert driven / track == pytest.approx(gain, abs=0.01)
 
 
 def test_fifty_hertz_are_interpolated_and_noted(tmp_path):

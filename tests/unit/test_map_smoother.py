@@ -20,7 +20,7 @@ from estimators.map_smoother.gauss_newton import (
     update_prior,
 )
 from estimators.map_smoother.objective import Objective
-from estimators.map_smoother.preconditioner import stationary_hessian
+from estimators.map_smoother.preconditioner import StationaryHessian, stationary_hessian
 from estimators.map_smoother.road_prior import RoadTransform
 from estimators.map_smoother.tuning import TUNING
 from estimators.map_smoother.windows import whole_objective
@@ -102,6 +102,39 @@ def test_local_roughness_is_found_where_it_is_and_not_on_a_stationary_road():
     edges[0, [middle, middle + 20]] = 0.05, -0.05  # a bump, level between its edges
     local = stationary.local_roughness(road, noise, road.whiten(edges), inside)
     assert local[0, middle] > 2.0 * local[0, middle + 10] > 2.0 * np.median(local[:, inside])
+
+
+def test_the_prior_does_not_follow_what_was_not_read():
+    """Where no sensor was read the most probable road is level, which says nothing of the road."""
+    objective = objective_of(drive_record()[0])
+    stationary, road, noise = (
+        stationary_hessian(objective),
+        objective.road,
+        objective.noise_variance,
+    )
+    gap = slice(road.size // 2, road.size // 2 + road.size // 6)
+    read = np.ones(road.size)
+    read[gap] = 0.0
+    holed = StationaryHessian((stationary.passes[0]._replace(read=read),))
+    u = np.random.default_rng(4).standard_normal((2, road.size))
+    level = u.copy()
+    level[:, gap] = 0.0
+    inside = road.free > 0
+    np.testing.assert_array_equal(holed.local_roughness(road, noise, level, inside), 1.0)
+    whole, found, wrong = (
+        each.density_of(road, noise, x)[5:-5].mean()
+        for each, x in ((stationary, u), (holed, level), (stationary, level))
+    )
+    assert found == pytest.approx(whole, rel=0.1) and wrong < 0.87 * whole
+    dof = [each.effective_dof(road, noise)[0] for each in (holed, stationary)]
+    assert dof[0] / dof[1] == pytest.approx(np.sum(road.free * read) / road.free.sum())
+    rough = np.full((2, road.size), 0.05)
+    rough[:, road.size // 3 : road.size // 3 + 20] = 5.0
+    local = holed.local_roughness(
+        road, noise, road.whiten(rough * np.diff(road.apply(level), axis=1, prepend=0.0)), inside
+    )
+    np.testing.assert_array_equal(local[:, gap], 1.0)
+    assert local[:, road.size // 3 : road.size // 3 + 20].mean() > 3.0
 
 
 @pytest.mark.parametrize("collapsed", [1.0, 1e-3])

@@ -28,8 +28,8 @@ HPMS = load_conditions("hpms")
 ONE = {"PHONE": PLACES["dashboard"]}
 
 
-def result(seed=1, layout=ONE, length=300.0, **options):
-    """The report of a perfect estimate of a road of class C."""
+def result(seed=1, layout=ONE, length=300.0, gap=None, **options):
+    """The report of a perfect estimate of a road of class C, level where nothing was read."""
     surface = realise_road("iso_c", seed, length)
     s = profile_stations(length)
     t = np.arange(4001) / 200.0
@@ -38,6 +38,10 @@ def result(seed=1, layout=ONE, length=300.0, **options):
     a = np.random.default_rng(seed).standard_normal((k, t.size))
     record = Record(t, a, np.full(t.size, 15.0), 15.0 * t, off, off, length, layout)
     estimate = Estimate(s, surface.height(s), np.full((2, s.size), 1e-4))
+    if gap is not None:
+        a[:, (record.s > gap[0]) & (record.s < gap[1])] = np.nan
+        slopes = np.where((s > gap[0]) & (s < gap[1]), 0.0, np.diff(estimate.z, prepend=0.0))
+        estimate = replace(estimate, z=np.cumsum(slopes, axis=1))
     return surface, analyse("one", MeasuredRecord(record), estimate, HPMS, **options)
 
 
@@ -68,6 +72,20 @@ def test_one_sensor_gives_hri_and_an_iri_and_no_left_and_right():
     assert np.mean(inside) > 0.9
     assert found.is_mean_path and any("do not tell left from right" in n for n in found.notes)
     assert {o["wheel_path"] for o in found.obstacles} <= {"not told"}
+
+
+def test_where_nothing_was_read_the_road_is_taken_as_rough_as_elsewhere():
+    errors, inside, width = [], [], []
+    for seed in range(12):
+        surface, found = result(seed, gap=(110.0, 170.0))
+        true = iri(surface.z, surface.ds, segment=100.0).mean(axis=0)[1]
+        row, other = found.segments[1], result(seed)[1].segments[1]
+        errors.append(row["iri_mean"] / true - 1.0)
+        inside.append(row["iri_mean_low"] <= true <= row["iri_mean_high"])
+        width.append(np.log(row["iri_mean_high"] / row["iri_mean_low"]))
+        width[-1] /= np.log(other["iri_mean_high"] / other["iri_mean_low"])
+        assert row["class"] == other["class"]
+    assert abs(np.mean(errors)) < 0.08 and np.mean(inside) > 0.9 and np.mean(width) > 1.05
 
 
 def test_the_class_is_that_of_a_wheel_path_and_not_of_the_mean_path():

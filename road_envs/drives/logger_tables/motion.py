@@ -113,9 +113,17 @@ def _calibrated(
     if middle.sum() < 2:
         return v
     track = _track_length(smooth[:, middle])[-1]
-    error = track / max(_integrate(t[middle], v[middle])[-1], 1e-9) - 1.0
+    driven = _integrate(t[middle], v[middle])[-1]
+    error = track / max(driven, 1e-9) - 1.0
     weight = 1.0 / (1.0 + (POSITION_ERROR / (SPEED_ERROR * max(track, 1e-9))) ** 2)
     scale = 1.0 + weight * error
+    is_far = abs(track - driven) > 5.0 * POSITION_ERROR
+    if is_far and MAX_SPEED_ERROR <= abs(error) < DISAGREEMENT:
+        findings.notes.append(
+            f"{driven:.0f} m by the speed are {track:.0f} m by the positions: distances are those "
+            "of the speed; check its unit and scale"
+        )
+        return v
     if not abs(error) < MAX_SPEED_ERROR or not abs(scale - 1.0) > 1e-4:
         return v
     findings.notes.append(

@@ -116,7 +116,7 @@ def drives_of(recording: Recording) -> list[Recording]:
             f"no part of the recording lasts {SHORTEST_DRIVE:g} s in motion: it has {t.size} "
             f"samples in {edges.size - 1} parts"
         )
-    notes = [f"{short} parts shorter than {SHORTEST_DRIVE:g} s are left out"] if short else []
+    notes = [f"parts shorter than {SHORTEST_DRIVE:g} s are left out: {short}"] if short else []
     if len(parts) == 1:
         return [replace(parts[0], notes=(*parts[0].notes, *notes))]
     told = f"the recording is split at its pauses into {len(parts)} drives"
