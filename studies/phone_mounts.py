@@ -101,11 +101,15 @@ def compute(mount: str, angle: float | None, seed: int) -> Row:
 
 
 def verdict(row: Row) -> str:
-    """Say whether a report is right, refused, rough by its own word, or wrong in silence."""
+    """Say whether a report is within 15 %, refused, farther off but inside its intervals, rough by
+    its own word, or wrong in silence.
+    """
     if "refused" in row:
         return "refused"
     if all(abs(error) < NEAR for error in row["iri"]):
-        return "right"
+        return "within 15 %"
+    if all(row["inside"]):
+        return "inside 95 %"
     return "says rough" if "rough" in row["notes"][0] else "SILENT"
 
 
@@ -117,7 +121,7 @@ def summary(rows: list[Row]) -> str:
         errors = " ".join(f"{100 * x:+.0f}" for x in row.get("iri", ()))
         inside = f"{sum(row['inside'])} of {len(row['inside'])} inside" if errors else ""
         told = f"IRI {errors} % by segment, {inside}" if errors else row["refused"]
-        lines.append(f"{row['mount']:14s} {angle:10s} {verdict(row):10s} {told}")
+        lines.append(f"{row['mount']:14s} {angle:10s} {verdict(row):12s} {told}")
     verdicts = [verdict(row) for row in rows]
     lines.append(", ".join(f"{verdicts.count(v)} {v}" for v in dict.fromkeys(verdicts)))
     return "\n".join(lines)
