@@ -116,6 +116,7 @@ def verdict(row: Row) -> str:
 def summary(rows: list[Row]) -> str:
     """Return a line for each mount, and the number of each verdict."""
     lines = []
+    rows = [row for mount in MOUNTS for row in rows if mount.items() <= row.items()]
     for row in rows:
         angle = "any way up" if row["angle"] is None else f"{row['angle']} deg"
         errors = " ".join(f"{100 * x:+.0f}" for x in row.get("iri", ()))
