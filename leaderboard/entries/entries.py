@@ -103,14 +103,21 @@ def resolve_entries(names: Sequence[str], describer: _Describe | None) -> list[E
     Raises ConfigError for an unknown name.
     """
     references = [find_reference(name) for name in names]
-    entries: list[Entry] = []
-    for name, reference in zip(names, references, strict=True):
+    entries: dict[int, Entry] = {}
+    failures: dict[int, str] = {}
+    for k, (name, reference) in enumerate(zip(names, references, strict=True)):
         if name in estimators.REGISTRY or describer is None:
-            entries.append(make_entry(name, estimators.create(name)))
-        else:
-            taken = {fold(entry.name) for entry in entries}
-            entries.append(_outside_entry(name, reference, taken, describer))
-    return entries
+            entries[k] = make_entry(name, estimators.create(name))
+            continue
+        taken = {fold(entry.name) for entry in entries.values()}
+        try:
+            entries[k] = _outside_entry(name, reference, taken, describer)
+        except EntryError as error:
+            failures[k] = str(error)
+    for k, failure in failures.items():  # last: none takes the name of an entry that works
+        name = _free_name(_name_of(names[k]), {fold(entry.name) for entry in entries.values()})
+        entries[k] = Entry(name=name, reference=references[k], failure=failure)
+    return [entries[k] for k in range(len(names))]
 
 
 def registered_entry(name: str, each_case: bool) -> Entry | None:
@@ -139,11 +146,8 @@ def entry_refit_per_case(entry: Entry) -> Entry:
 
 
 def _outside_entry(given: str, reference: str, taken: set[str], describer: _Describe) -> Entry:
-    try:
-        known = describer(reference)
-    except EntryError as error:
-        name = _free_name(_name_of(given), taken)
-        return Entry(name=name, reference=reference, failure=str(error))
+    """Return the entry that a guest describes. Raises EntryError, also if it is not named so."""
+    known = describer(reference)
     name = known.pop("name", None) or _name_of(given)
     if not NAME.fullmatch(name):
         reason = "a name has up to 40 letters, digits, _ and -, and begins with a letter"
@@ -153,11 +157,7 @@ def _outside_entry(given: str, reference: str, taken: set[str], describer: _Desc
         reason = f"another entry has the name {name}, or one that looks like it"
     else:
         return Entry(name=name, reference=reference, **known)
-    return Entry(
-        name=_free_name(_name_of(given), taken),
-        reference=reference,
-        failure=f"its entry cannot be named so: {reason}",
-    )
+    raise EntryError(f"its entry cannot be named so: {reason}")
 
 
 def _name_of(given: str) -> str:

@@ -1,9 +1,12 @@
 """Hidden test sets by commitment: a hash is published first, the seeds after all submissions.
 
-    seeds       the first 6 bytes of sha256(salt, task, digest of the public task, k), k = 0, 1, ...
+    key         scrypt(salt; task, digest of the public task)
+    seeds       the first 62 bits of sha256(key, k), k = 0, 1, ...
     commitment  scrypt(salt; all other fields of the published file)
 
-The commitment fixes seeds, tasks and number of roads without disclosing the seeds. Once the salt
+A record tells its seed to who tries them all, as its first sample is noise alone, so there are too
+many; and its seed tells a salt that can be guessed, so each guess takes a slow hash. The commitment
+fixes seeds, tasks and number of roads without disclosing the seeds. Once the salt
 is published, anyone can draw the same seeds and compare.
 """
 
@@ -13,7 +16,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import yaml
 
@@ -35,7 +38,7 @@ scrypt takes a longer one for its digest, which would be a second salt with othe
 class _HiddenSeeds(Settings):
     """The published part of a hidden test set: digests of the public tasks, and the commitment."""
 
-    format: int = 1
+    format: Literal[2] = 2
     package_version: str
     tasks: dict[str, str]
     roads: dict[str, int]
@@ -122,11 +125,12 @@ def _hidden_task(salt: str, hidden: _HiddenSeeds, name: str) -> dict[str, Any]:
 def seeds(salt: str, task: Task, count: int) -> list[int]:
     """Return `count` hidden seeds of a task; no road of theirs has a public seed."""
     public = task.training.all_seeds | task.test.all_seeds
+    key = _slow_hash(salt.encode(*_AS_GIVEN), f"{task.name}\0{task.digest}".encode())
     drawn: list[int] = []
     k = 0
     while len(drawn) < count:
-        text = "\0".join([salt, task.name, task.digest, str(k)])
-        seed = int.from_bytes(hashlib.sha256(text.encode(*_AS_GIVEN)).digest()[:6], "big")
+        digest = hashlib.sha256(key + str(k).encode()).digest()
+        seed = int.from_bytes(digest[:8], "big") >> 2
         roads = {seed + i * SEED_STRIDE for i in range(len(task.test.roads))}
         if not roads & public:
             drawn.append(seed)
@@ -144,4 +148,8 @@ def _commitment(salt: str, hidden: _HiddenSeeds) -> str:
         )
     fields = {**dataclasses.asdict(hidden), "commitment": ""}
     text = json.dumps(fields, sort_keys=True).encode()
-    return hashlib.scrypt(word, salt=text, n=2**14, r=8, p=1, dklen=32).hex()
+    return _slow_hash(word, text).hex()
+
+
+def _slow_hash(word: bytes, salt: bytes) -> bytes:
+    return hashlib.scrypt(word, salt=salt, n=2**14, r=8, p=1, dklen=32)

@@ -170,21 +170,20 @@ def count_roads(scores: np.ndarray) -> int:
 def rank_entries(scores: Mapping[str, np.ndarray], strata: Strata | None = None) -> dict[str, int]:
     """Rank the entries by their `scores` (R, C, S), lower is better; best first.
 
-    In the order of their interquartile means, an entry shares the rank of the entry that leads the
-    group above it, unless that one is significantly better: then it leads the next group and its
-    rank is its place, as in 1 2 2 2 5. An entry is significantly better if the 95 % interval of the
-    paired difference lies below 0, that is, if it is ahead in 97.5 % of the replicates. A score
-    that is NaN comes last.
+    The rank of an entry is one more than the number of entries that are significantly better, so
+    that none of uncertain scores stands between two others. An entry is significantly better if the
+    95 % interval of the paired difference lies below 0, that is, if it is ahead in 97.5 % of the
+    replicates. Within a rank, entries are in the order of their interquartile means. A score that
+    is NaN comes last.
     """
     made = {name: resample([x], strata=strata) for name, x in scores.items()}
     means = {name: np.nan_to_num(x.interval().mean, nan=np.inf) for name, x in made.items()}
-    ranks: dict[str, int] = {}
-    rank, leader = 0, np.empty(0)
-    for place, name in enumerate(sorted(made, key=lambda name: means[name]), start=1):
-        drawn = made[name].replicates
-        if np.isnan(drawn).any():  # an undefined score loses every comparison
-            drawn = np.full(drawn.size, np.inf)
-        if rank == 0 or np.mean(drawn > leader) > _QUANTILES[1]:
-            rank, leader = place, drawn
-        ranks[name] = rank
-    return ranks
+    drawn = {  # an undefined score loses every comparison
+        name: np.full(x.replicates.size, np.inf) if np.isnan(x.replicates).any() else x.replicates
+        for name, x in made.items()
+    }
+    ranks = {
+        name: 1 + sum(bool(np.mean(mine > x) > _QUANTILES[1]) for x in drawn.values())
+        for name, mine in drawn.items()
+    }
+    return dict(sorted(ranks.items(), key=lambda item: (item[1], means[item[0]])))

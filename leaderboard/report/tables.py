@@ -40,6 +40,7 @@ from road_envs.sensing.perturbed_vehicle import GRADES
 
 _RowState = Literal["scored", "baseline", "claim", "failed", "stale"]
 _CLAIM_ROW = "paper's claim"
+_NO_TRAINING = 0.05  # time [s] up to which an entry without parameters has not trained
 TRAINING_STATES = ("near_optimal", "sub_optimal", "unstable")
 ALL_RUNS = ""  # name of the group of all runs
 
@@ -195,9 +196,9 @@ def _aggregate(
 
 
 def train_seconds(result: Result) -> float | None:
-    """Return the mean time [s] of a training; None without parameters or times."""
-    trained = result.parameters and result.train_seconds
-    return float(np.mean(result.train_seconds)) if trained else None
+    """Return the mean time [s] of a training; None if it took none and left no parameters."""
+    seconds = float(np.mean(result.train_seconds)) if result.train_seconds else 0.0
+    return seconds if result.parameters or seconds > _NO_TRAINING else None
 
 
 def _tail(ranked: np.ndarray) -> dict[str, float | None]:

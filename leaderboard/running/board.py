@@ -19,7 +19,12 @@ from leaderboard.metrics.baselines import ALL_BASELINES, BASELINES, MEMORY, TRUT
 from leaderboard.running.executors import Executor
 from leaderboard.running.jobs import to_packed_text
 from leaderboard.running.plan import Plan, PlannedRow, check_owners, make_jobs
-from leaderboard.running.verification import Verified, load_verified, save_definition
+from leaderboard.running.verification import (
+    Verified,
+    load_verified,
+    other_drives,
+    save_definition,
+)
 from leaderboard.sandbox.limits import Limits
 from road_envs.core.atomic_io import (
     copy_file,
@@ -101,7 +106,8 @@ class Board:
 
     def stale_reason(self, task: Task, result: Result) -> str | None:
         """Return why a result cannot be compared with current ones; None if it can."""
-        return result.stale_reason(task, self.entries.get((task.name, result.estimator)))
+        stale = result.stale_reason(task, self.entries.get((task.name, result.estimator)))
+        return stale or (other_drives(result, task) if result.failure is None else None)
 
     def card(self, result: Result) -> EstimatorCard | None:
         """Return the card of the estimator of a result, if it was probed."""

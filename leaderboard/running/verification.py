@@ -31,6 +31,7 @@ from leaderboard.evaluation.test_data import RecordedDrive, simulate_drives
 from leaderboard.json_values import to_json_types
 from leaderboard.metrics.bootstrap import interquartile_mean
 from leaderboard.metrics.registry import SCORES
+from leaderboard.running.jobs import result_identity
 from leaderboard.sandbox.client import ONE_TRAINING
 from leaderboard.sandbox.retest import LOOKS_AHEAD, NOT_RETESTED, REMEMBERS
 from road_envs.core.artifacts import Kind
@@ -191,7 +192,8 @@ def _verify_row(
     if entry is None:
         unknown = "not of this package: give it with --estimator"
         return dataclasses.replace(found, reason=row.stale_reason(task) or unknown)
-    if reason := entry.failure or row.stale_reason(task, entry) or _other_drives(row, task):
+    reason = entry.failure or row.stale_reason(task, entry) or other_drives(row, task)
+    if reason := reason or _other_inputs(row, task, entry):
         return dataclasses.replace(found, reason=reason)
     stored = comparison.scores_by_run(row.scores)
     same = found.tolerance <= comparison.SAME_KERNELS
@@ -236,7 +238,7 @@ def _drives(task: Task) -> set[tuple[str, int, int]]:
     }
 
 
-def _other_drives(row: Result, task: Task) -> str | None:
+def other_drives(row: Result, task: Task) -> str | None:
     """Return why drives or traces of a row are not those of its task; None if they are."""
     if [trace.condition for trace in row.traces] != [x.label for x in task.conditions]:
         return "it has not one trace of each condition"
@@ -249,6 +251,14 @@ def _other_drives(row: Result, task: Task) -> str | None:
     order = [x.label for x in task.conditions if x.label in seeds]  # boards take them by places
     in_order = table["condition"].unique().tolist() == order
     return None if in_order else "its conditions are not in the order of its task"
+
+
+def _other_inputs(row: Result, task: Task, entry: Entry) -> str | None:
+    """Return what a row was made with that a board does not choose; None if nothing."""
+    if row.seeds != tuple(range(1, len(row.seeds) + 1)):
+        return f"its training seeds are {', '.join(map(str, row.seeds))}, not 1 to {len(row.seeds)}"
+    made = result_identity(task, None, entry, row.seeds)
+    return None if row.identity == made else "its identity is not that of what it was made with"
 
 
 def _other_claim(row: Result, made: Result) -> str | None:

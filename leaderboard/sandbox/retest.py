@@ -73,14 +73,21 @@ def compare_answers(
 
 
 def with_other_future(record: Record, start: float, rng: np.random.Generator) -> Record:
-    """Return a record with other signals from the station `start` [m] on, but for the states."""
+    """Return a record with other signals from the station `start` [m] on, but for the states.
+
+    The accelerations there are those of the rest backwards, each sensor's louder or softer by 5 to
+    10 dB, and noise: what is left of no wave, level or spectrum tells how the drive goes on.
+    """
     later = record.s >= start
     noise = np.nanstd(record.a) * rng.standard_normal(record.a.shape)
+    loudness = np.exp(rng.choice([-1.0, 1.0]) * rng.uniform(0.6, 1.2, (len(record.a), 1)))
+    other = record.a.copy()
+    other[:, later] = loudness * record.a[:, later][:, ::-1]
     gain = rng.uniform(1.05, 1.25, record.v.shape)  # another mean and maximum, and median of half
     scale = rng.choice([-1, 1]) * rng.uniform(0.01, 0.03)  # its end tells an odometer's error
     return dataclasses.replace(
         record,
-        a=record.a + np.where(later, noise, 0.0),
+        a=other + np.where(later, noise, 0.0),
         v=record.v * np.where(later, gain, 1.0),
         s=record.s + scale * np.where(later, record.s - start, 0.0),
     )
