@@ -1,13 +1,13 @@
 """Hidden test sets by commitment: a hash is published first, the seeds after all submissions.
 
-    key         scrypt(salt; task, digest of the public task)
+    key         scrypt(salt; commitment, task, digest of the public task)
     seeds       the first 62 bits of sha256(key, k), k = 0, 1, ...
     commitment  scrypt(salt; all other fields of the published file)
 
 A record tells its seed to who tries them all, as its first sample is noise alone, so there are too
 many; and its seed tells a salt that can be guessed, so each guess takes a slow hash. The commitment
 fixes seeds, tasks and number of roads without disclosing the seeds. Once the salt
-is published, anyone can draw the same seeds and compare.
+is published, beside the tasks, anyone can draw the same seeds and compare.
 """
 
 import dataclasses
@@ -22,11 +22,11 @@ import yaml
 
 from leaderboard.evaluation.provenance import package_version
 from leaderboard.evaluation.tasks import SEED_STRIDE, Task, load_task
-from road_envs.core.atomic_io import write_text
+from road_envs.core.atomic_io import atomic_write, write_text
 from road_envs.core.config import ConfigError, Settings, build, find, read_yaml
 from road_envs.core.reading import parsing
 
-COMMITMENT = "commitment.json"
+COMMITMENT, SALT = "commitment.json", "salt.txt"
 _AS_GIVEN = ("utf-8", "surrogateescape")  # a salt may be any bytes
 _SALT_LENGTHS = range(12, 65)
 """Numbers of characters and bytes of a salt: a shorter one could be found by brute force, and
@@ -80,7 +80,7 @@ def load(folder: Path) -> _HiddenSeeds:
 
 
 def reveal(salt: str, folder: Path) -> list[Path]:
-    """Verify `salt` against the commitment in `folder` and write the tasks there as YAML.
+    """Verify `salt` against the commitment in `folder`; write the tasks there as YAML, and itself.
 
     Raises ConfigError if the salt does not match or the public tasks have changed.
     """
@@ -93,7 +93,28 @@ def reveal(salt: str, folder: Path) -> list[Path]:
         write_text(path, yaml.safe_dump(data, sort_keys=False, allow_unicode=True))
         load_task(path)
         written.append(path)
+    with atomic_write(folder / SALT) as partial:
+        partial.write_bytes(salt.encode(*_AS_GIVEN))
     return written
+
+
+def check_revealed(path: Path) -> None:
+    """Raise ConfigError if a commitment stands beside the task `path`, but not that of its roads.
+
+    A season whose public task is another one today, of an older package, cannot be drawn again.
+    """
+    folder = path.parent
+    if not (folder / COMMITMENT).is_file():
+        return
+    hidden = load(folder)
+    with parsing(folder / SALT, ConfigError, "damaged"):
+        salt = (folder / SALT).read_bytes().decode(*_AS_GIVEN)
+    if _commitment(salt, hidden) != hidden.commitment:
+        raise ConfigError(f"{folder / SALT}: the salt does not match the commitment")
+    same = [name for name, digest in hidden.tasks.items() if load_task(name).digest == digest]
+    drawn = [_hidden_task(salt, hidden, name) for name in same]
+    if len(same) == len(hidden.tasks) and read_yaml(path) not in drawn:
+        raise ConfigError(f"{path}: it is no task of the commitment in {folder / COMMITMENT}")
 
 
 def _hidden_task(salt: str, hidden: _HiddenSeeds, name: str) -> dict[str, Any]:
@@ -107,7 +128,7 @@ def _hidden_task(salt: str, hidden: _HiddenSeeds, name: str) -> dict[str, Any]:
         raise ConfigError(f"{name}: the public task has changed since the commitment was made")
     data: dict[str, Any] = read_yaml(find("tasks", name))
     count = min(hidden.roads.get(name, 0), len(task.test.seeds))  # a published file may say any
-    test = {**data["test"], "seeds": seeds(salt, task, count)}
+    test = {**data["test"], "seeds": _seeds(salt, hidden, task, count)}
     test.pop("number", None)
     if task.test.design:
         block = len(task.test.roads_and_seeds)
@@ -122,10 +143,11 @@ def _hidden_task(salt: str, hidden: _HiddenSeeds, name: str) -> dict[str, Any]:
     return {**data, **names, "test": test}
 
 
-def seeds(salt: str, task: Task, count: int) -> list[int]:
+def _seeds(salt: str, hidden: _HiddenSeeds, task: Task, count: int) -> list[int]:
     """Return `count` hidden seeds of a task; no road of theirs has a public seed."""
     public = task.training.all_seeds | task.test.all_seeds
-    key = _slow_hash(salt.encode(*_AS_GIVEN), f"{task.name}\0{task.digest}".encode())
+    text = "\0".join([hidden.commitment, task.name, task.digest])
+    key = _slow_hash(salt.encode(*_AS_GIVEN), text.encode())
     drawn: list[int] = []
     k = 0
     while len(drawn) < count:

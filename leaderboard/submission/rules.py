@@ -13,6 +13,7 @@ from typing import Annotated
 from pydantic import Field
 
 from leaderboard.entries.entry import Entry
+from leaderboard.evaluation.hidden_seeds import check_revealed
 from leaderboard.evaluation.tasks import Task, load_task
 from leaderboard.running.board import RunRequest
 from leaderboard.sandbox.limits import Limits
@@ -32,12 +33,14 @@ class Rules(Settings):
 
 def load_rules(path: Path | None) -> tuple[Rules, list[Task]]:
     """Read rules and their tasks; paths are relative to the file. Without a file, those are the
-    default ones. Raises ConfigError.
+    default ones. Raises ConfigError, also for a season of other roads than were committed to.
     """
     if path is None:
         return Rules(), [load_task(name) for name in Rules.tasks]
     rules = build(Rules, read_yaml(path), str(path))
     files = [path.parent / name for name in rules.tasks]
+    for file in files:
+        check_revealed(file)
     named = zip(rules.tasks, files, strict=True)
     return rules, [load_task(file if file.is_file() else name) for name, file in named]
 

@@ -360,6 +360,40 @@ def test_the_row_of_another_wheel_is_replaced_only_on_request(tmp_path):
     assert store.load(path).code == "1" * 16
 
 
+def test_an_entry_that_cannot_be_described_replaces_no_row_of_another(tmp_path):
+    run_entry(tmp_path, outside("rival", "0" * 16))
+    path = store.row_path(tmp_path, small().name, "rival")
+    before = path.read_bytes()
+    broken = Entry(name="rival", reference="/other/rival.whl", failure="cannot be constructed")
+    with pytest.raises(ConfigError, match=r"rows of rival .* other code; .* --replace rival"):
+        run_entry(tmp_path, broken)
+    assert path.read_bytes() == before
+    run_entry(tmp_path, broken, replace=("rival",))
+    assert store.load(path).failure == "cannot be constructed"
+
+
+@pytest.mark.parametrize("name", ["victim", "../../../elsewhere"])
+def test_a_part_of_another_entry_is_not_assembled(tmp_path, name, expected):
+    run(tmp_path)
+    shutil.rmtree(tmp_path / "results")
+    (row,) = [row for row in make_request().rows() if row.entry.name == "reader"]
+    path = part_path(tmp_path, row.parts[0])
+    other = dataclasses.replace(store.load_part(path), estimator=name)
+    store.save_part(store.to_text(other), tmp_path, row.parts[0])
+    board, ran = run(tmp_path)
+    assert [entry for entry, _ in ran] == ["reader"] and rows(board) == expected
+
+
+def test_a_stored_row_of_other_drives_is_stale(tmp_path):
+    run(tmp_path)
+    row = store.load(store.row_path(tmp_path, small().name, "reader"))
+    for scores in (row.scores[row.scores["road_seed"] > 12], row.scores[:0]):
+        store.save(dataclasses.replace(row, scores=scores), tmp_path)
+        board = load_board([small()], tmp_path)
+        ((stale, reason),) = board.stale(small())
+        assert stale.estimator == "reader" and "not those of its task" in reason
+
+
 @pytest.mark.parametrize("change", ["uneven", "NaN", "1e999"])
 def test_a_row_of_uneven_length_or_of_no_numbers_is_a_failed_row_whatever_its_checksum(
     tmp_path, change

@@ -18,6 +18,7 @@ from leaderboard.evaluation.test_data import simulate_drives
 from leaderboard.report.sentences import build_report
 from leaderboard.report.site import write_site
 from leaderboard.running.board import run_board
+from leaderboard.submission.rules import load_rules
 from road_envs.core import config
 from road_envs.core.config import ConfigError
 
@@ -34,7 +35,8 @@ def test_the_published_file_contains_neither_salt_nor_seeds(published):
     text = (published / hidden_seeds.COMMITMENT).read_text()
     assert [path.name for path in published.iterdir()] == [hidden_seeds.COMMITMENT]
     assert SALT not in text and load_task("class").digest in text
-    for seed in hidden_seeds.seeds(SALT, load_task("class"), 10):
+    (path,) = hidden_seeds.reveal(SALT, published)
+    for seed in load_task(path).test.all_seeds:
         assert str(seed) not in text
 
 
@@ -145,12 +147,50 @@ def test_another_salt_gives_other_seeds_and_another_commitment():
     t = load_task("class")
     one, other = (hidden_seeds.commit(salt, [t]).commitment for salt in (SALT, SALT + "!"))
     assert one != other and one == hidden_seeds.commit(SALT, [t]).commitment
-    assert not set(hidden_seeds.seeds(SALT, t, 50)) & set(hidden_seeds.seeds(SALT + "!", t, 50))
+    assert not drawn(SALT, "class")[0] & drawn(SALT + "!", "class")[0]
 
 
-def test_one_salt_gives_different_seeds_for_each_task():
-    found = [set(hidden_seeds.seeds(SALT, load_task(name), 20)) for name in ("class", "new_road")]
-    assert not found[0] & found[1]
+def drawn(salt, *names):
+    """Return the sets of seeds of tasks that are committed together."""
+    tasks = [load_task(name) for name in names]
+    hidden = hidden_seeds.commit(salt, tasks)
+    return [set(hidden_seeds._seeds(salt, hidden, task, 20)) for task in tasks]
+
+
+def test_one_salt_gives_different_seeds_for_each_task_and_each_commitment():
+    both, alone = drawn(SALT, "class", "new_road"), drawn(SALT, "class")
+    assert not both[0] & both[1] and not both[0] & alone[0]
+
+
+def test_neither_a_seed_nor_a_guessed_salt_can_be_tried_millions_of_times(monkeypatch):
+    """The first sample of a record is noise alone, of which the seed is known to who finds it."""
+    seeds = [seed for found in drawn(SALT, "class", "new_road") for seed in found]
+    assert max(seeds) < 2**62 and max(seeds) > 2**60  # of 40 seeds
+    slow = []
+    monkeypatch.setattr(
+        hidden_seeds.hashlib, "scrypt", lambda word, **cost: slow.append(cost) or b"1"
+    )
+    drawn(SALT, "class")
+    assert len(slow) >= 2 and all(cost["n"] >= 2**14 for cost in slow)
+
+
+def test_a_season_of_other_roads_than_were_committed_to_is_refused(published):
+    (path,) = hidden_seeds.reveal(SALT, published)
+    rules = published / "rules.yaml"
+    rules.write_text(f"tasks: [{path.name}]\n")
+    assert (published / hidden_seeds.SALT).read_text() == SALT
+    assert [task.name for task in load_rules(rules)[1]] == [load_task(path).name]
+    text = path.read_text()
+    path.write_text(text.replace(f"- {load_task(path).test.seeds[0]}\n", "- 7\n", 1))
+    with pytest.raises(ConfigError, match=f"{path.name}: it is no task of the commitment in"):
+        load_rules(rules)
+    path.write_text(text)
+    (published / hidden_seeds.SALT).write_text(SALT + "?")
+    with pytest.raises(ConfigError, match="the salt does not match the commitment"):
+        load_rules(rules)
+    (published / hidden_seeds.SALT).unlink()
+    with pytest.raises(ConfigError, match=r"salt.txt.*No such file"):
+        load_rules(rules)
 
 
 @pytest.mark.parametrize(

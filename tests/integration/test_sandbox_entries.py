@@ -51,6 +51,25 @@ def test_a_plug_in_is_described_without_being_loaded_in_this_process(tmp_path, m
     assert slope.code != before and slope.settings == {"steep": 0.6}
 
 
+def test_what_cannot_be_described_takes_no_name_of_an_entry_that_works(tmp_path):
+    def describe(reference):
+        if "first" in reference or "named" in reference:
+            name = "flat" if "named" in reference else None
+            if name is None:
+                raise EntryError("cannot be constructed")
+            return {"name": name, "causal": False, "code": "1" * 16}
+        return {"name": "rival", "causal": False, "code": "0" * 16}
+
+    wheels = [tmp_path / place / "rival-1.0.whl" for place in ("first", "named", "second")]
+    for wheel in wheels:
+        wheel.parent.mkdir()
+        wheel.touch()
+    found = entries.resolve_entries([str(wheel) for wheel in wheels], describe)
+    assert [(entry.name, entry.failure is None) for entry in found] == [
+        ("rival_2", False), ("rival_3", False), ("rival", True),
+    ]  # fmt: skip
+
+
 def test_limits_must_be_positive():
     for name in ("seconds", "memory", "file"):
         with pytest.raises(ValueError, match=f"{name}: must be positive, got 0"):

@@ -15,7 +15,7 @@ from leaderboard.evaluation.evaluate import run_task
 from leaderboard.metrics.bootstrap import interquartile_mean, iqm_interval
 from leaderboard.report.export import as_json
 from leaderboard.report.sentences import build_report
-from leaderboard.report.tables import board_views
+from leaderboard.report.tables import board_views, train_seconds
 from leaderboard.report.terminal import print_tables
 from leaderboard.running.board import Board
 
@@ -163,3 +163,10 @@ def test_notes_of_a_surface_are_printed():
     ]
     (view,) = board_views(Board((t,), {"small": noted}))
     assert "Surface: 10 m tile mirrored 10 times." in view.sections[0].notes
+
+
+def test_a_training_that_leaves_no_parameters_is_shown():
+    trained = dataclasses.replace(result_of("reader"), parameters=None, train_seconds=(4.0, 5.0))
+    assert train_seconds(trained) == 4.5
+    assert train_seconds(dataclasses.replace(trained, train_seconds=(1e-3,))) is None
+    assert train_seconds(dataclasses.replace(trained, train_seconds=())) is None
