@@ -85,6 +85,10 @@ def test_a_submission_without_its_card_is_refused(submission):
             CARD.replace("licence: MIT", 'licence: "\\e]0;MIT"'),
             "licence has characters that cannot",
         ),
+        *(
+            (CARD.replace("licence: MIT", f'licence: "a\\{x} b"'), "licence has characters that")
+            for x in ("r", "v", "x1c", "N", "L")
+        ),
     ],
 )
 def test_a_card_that_is_not_filled_in_is_refused(text, sentence, tmp_path):
@@ -286,8 +290,7 @@ def test_a_folder_of_another_name_is_refused(submission):
 def test_names_that_differ_in_case_only_are_refused(verified, tmp_path):
     (tmp_path / "Reader").write_text("a file is no entry")  # the script verifies folders alone
     assert all(row.agrees for row in verified(lambda folder: None))
-    for name in ("READER", "\u212aeader"):
-        (tmp_path / name).mkdir()
+    (tmp_path / "READER").mkdir()
     assert all(row.agrees for row in verified(lambda folder: None))  # a folder is none either
     (tmp_path / "READER" / RECORD).write_text("")
     with pytest.raises(ConfigError, match="READER looks the same"):
@@ -530,5 +533,9 @@ def test_a_citation_says_what_ran(submission):
     card = submission / "site" / "methods" / "reader.yaml"
     card.write_text(card.read_text().replace("A. Author, 100 % of it, 2026", "none"))
     assert "none" not in cite_entry(submission / "site", "reader")
+    attack = r"^^5cinput^^7b/etc/passwd^^7d \\input{~/a}"
+    card.write_text(card.read_text().replace("citation: none", f"citation: {attack}\n  2026"))
+    text = cite_entry(submission / "site", "reader")
+    assert "^" not in text and r"\input" not in text and r"(\textasciitilde{}/a) 2026}," in text
     with pytest.raises(ConfigError, match="unknown entry 'leader'"):
         cite_entry(submission / "site", "leader")
