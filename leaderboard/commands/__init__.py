@@ -50,10 +50,18 @@ def parse_settings(pairs: list[str] | None) -> dict[str, Any]:
     return settings
 
 
-def import_from_here(references: Iterable[str]) -> None:
-    """Import "module:Class" of `references` also from this folder, as `python -m` does."""
-    if any(":" in reference for reference in references) and os.getcwd() not in sys.path:
-        sys.path.insert(0, os.getcwd())
+def import_from_here(references: Iterable[str], isolation: str = "process") -> None:
+    """Find the modules of `references` "module:Class" also in this folder.
+
+    Only code that has the rights of the user may import from it, after all that is installed: else
+    a file beside an entry could take the place of a module of this program.
+    """
+    from leaderboard.entries.entry_files import CLASS_FOLDER
+
+    if any(":" in reference for reference in references):
+        os.environ[CLASS_FOLDER] = os.getcwd()
+        if isolation == "process" and os.getcwd() not in sys.path:
+            sys.path.append(os.getcwd())
 
 
 def check_output_path(path: Path | None, *suffixes: str) -> Path | None:

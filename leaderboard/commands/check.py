@@ -34,7 +34,7 @@ def check_estimator(
 
     It runs in separate processes on a few short drives: contract, damaged records, probes, cost.
     """
-    import_from_here([estimator])
+    import_from_here([estimator], limits.isolation)
     of_board = limits.parse()
     own = dataclasses.replace(of_board, seconds=min(RUN_TIME_LIMIT, of_board.seconds))
     with SandboxClient(own) as sandbox:

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 from leaderboard import commands
 from leaderboard.commands.options import Json, LimitOptions, option
+from leaderboard.entries.entry import NAME
 from leaderboard.policies import best_found, comparison
 from leaderboard.policies import page as policy_page
 from leaderboard.policies.policy_process import POLICY_LIMITS, PolicyProcess
@@ -65,12 +66,12 @@ def policies(
     commands.check_output_folder(out)
     if quick:
         drives, sweeps = _QUICK_DRIVES, 0
-    entries = _entries(policy, limits.parse())
+    entries, base = _entries(policy, limits.parse()), _row_name(reference)
     if policy is None:
         pairs = {f"{f}/{r}": FixedPair(front=f, rear=r) for r in MODES for f in MODES}  # type: ignore[arg-type]
         entries = {n: p for n, p in entries.items() if not n.startswith("fixed")} | pairs
-    elif reference not in entries:
-        entries[reference] = make_policy(reference)
+    elif base not in entries:
+        entries |= _entries([reference], limits.parse())
     if out:
         write_pending(out / POLICY_PAGE, "Switching policies", f"policies --out {out}")
     processes = contextlib.ExitStack()
@@ -80,7 +81,7 @@ def policies(
                 processes.enter_context(entry)
         chosen = comparison.public_drives(drives, seal)
         chosen.threads = min(2, os.cpu_count() or 1)
-        found = comparison.compare(entries, chosen, reference, sweeps=sweeps, progress=progress)
+        found = comparison.compare(entries, chosen, base, sweeps=sweeps, progress=progress)
     lines = comparison.table_lines(found.data)
     if out:
         write_text(out / "benchmark.json", commands.to_json(found.data))
@@ -107,7 +108,7 @@ def chosen_isolation(isolation: str) -> Any:
 
 def policy_reference(reference: str, isolation: str) -> str:
     """Return a reference to a policy that may be run. Raises ConfigError."""
-    commands.import_from_here([reference])
+    commands.import_from_here([reference], isolation)
     if ":" not in reference and not reference.endswith(FILE_SUFFIXES):
         validate_choice("policy", reference, names())
     foreign = runs_foreign_code(reference)
@@ -127,8 +128,7 @@ def _entries(references: list[str] | None, limits: Limits) -> dict[str, Any]:
     entries: dict[str, Any] = {}
     for reference in references:
         policy_reference(reference, limits.isolation)
-        name = reference.rpartition(":")[2]
-        name = Path(name).stem if name.endswith(FILE_SUFFIXES) else name
+        name = _row_name(reference)
         if name in entries:
             raise ConfigError(f"two policies have the name {name!r}: give each of them once")
         if runs_foreign_code(reference):
@@ -137,6 +137,18 @@ def _entries(references: list[str] | None, limits: Limits) -> dict[str, Any]:
         else:
             entries[name] = make_policy(reference)
     return entries
+
+
+def _row_name(reference: str) -> str:
+    """Return the name of the row of a policy. Raises ConfigError for one that is another's."""
+    is_file = reference.endswith(FILE_SUFFIXES)
+    name = Path(reference).stem if is_file else reference.rpartition(":")[2].rpartition(".")[2]
+    if name != reference and (not NAME.fullmatch(name) or name in REGISTRY):
+        raise ConfigError(
+            f"the row of {reference!a} would have the name {name!a}: it must be a letter and at "
+            "most 39 letters, digits, - or _, and not that of a policy of this package; rename it"
+        )
+    return name
 
 
 def train_policy(

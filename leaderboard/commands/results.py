@@ -1,6 +1,7 @@
 """Commands on folders of results: `run-job`, `verify`, `score`, `season`, `cite` and `clean`."""
 
 import dataclasses
+import re
 import secrets
 from collections.abc import Sequence
 from pathlib import Path
@@ -27,6 +28,9 @@ from road_envs.core.config import ConfigError
 _RANDOM_ROAD_BOARDS = ("new_road", "field", "class")  # boards with random roads
 
 _DEFAULT_FOLDER = Path("out/leaderboard")
+
+_SEASON_NAME = re.compile(r"[A-Za-z0-9._-]+")
+"""Pattern of a folder's name that git and shells show as it is."""
 
 
 def run_job(
@@ -68,7 +72,7 @@ def verify(
     """
     if not folder.is_dir():
         raise ConfigError(f"{folder}: no such folder")
-    commands.import_from_here(estimator or ())
+    commands.import_from_here(estimator or (), limits.isolation)
     with SandboxClient(limits.parse()) as sandbox, commands.progress_bar() as progress:
         entries = resolve_entries(estimator or (), sandbox.describe)
         run = jobs.in_sandbox(sandbox)
@@ -128,6 +132,11 @@ def season(
 ) -> Output:
     """Publish the hash of a hidden test set, and later, with --reveal, its seeds."""
     facts: dict[str, Any]
+    if not _SEASON_NAME.fullmatch(name := out.resolve().name):
+        raise ConfigError(
+            "--out: the name of the folder may have the letters A to Z and a to z, digits, ., _ "
+            f"and -, got {name!r}"
+        )
     if reveal:
         if salt is None:
             raise ConfigError("--reveal needs the --salt of the hidden test set")

@@ -1,5 +1,6 @@
 """Card of a method, written by its authors: what it is, what it was made from, who may use it."""
 
+import unicodedata
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -33,8 +34,14 @@ class MethodCard(Settings):
         for name, text in texts.items():
             if not text.strip() or _UNWRITTEN in text.split():
                 raise ValueError(f"{name} is not filled in")
-            if not "".join(text.split()).isprintable():  # a terminal or a page would obey it
+            if not all(map(_is_shown, text)):  # a terminal or a page would obey it
                 raise ValueError(f"{name} has characters that cannot be printed")
+
+
+def _is_shown(character: str) -> bool:
+    """Return whether a character is printed, or is a blank or the end of a line."""
+    is_blank = character in "\n\t" or unicodedata.category(character) == "Zs"
+    return is_blank or character.isprintable()
 
 
 def load_method_card(path: Path) -> MethodCard:

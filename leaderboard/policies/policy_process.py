@@ -123,8 +123,11 @@ class PolicyProcess:
         return folder
 
     def _forget_others(self) -> None:
-        """Let the policy before, if it is another one, tell this one nothing of the drives."""
-        reference, pipes = PolicyProcess.last_guest or (self.reference, bubblewrap.count_pipes())
+        """Let the policy before, if it is another one, tell this one nothing of the drives.
+
+        Before the first guest of a command came those of commands before, with the same seal.
+        """
+        reference, pipes = PolicyProcess.last_guest or ("", bubblewrap.count_pipes())
         if reference != self.reference:
             pipes = bubblewrap.forget_guests(pipes)
         PolicyProcess.last_guest = self.reference, pipes

@@ -13,13 +13,14 @@ from road_envs.core.config import ConfigError, validate_choice
 _TEMPLATES = Path(__file__).parents[1] / "templates"
 _SPECIAL = str.maketrans(
     {c: f"\\{c}" for c in "&%$#_"}
-    | {"{": "(", "}": ")", "\\": "", "\n": " "}  # BibTeX counts \{, too
+    | {"{": "(", "}": ")", "\\": ""}  # BibTeX counts \{, too
+    | {"^": r"\textasciicircum{}", "~": r"\textasciitilde{}"}  # TeX reads ^^5c as \
 )
 
 
 def as_bibtex(note: str = "") -> str:
     """Entries of this project, with a `note` on what is cited of it, and of the paper."""
-    line = f"\n  note = {{{note.translate(_SPECIAL)}}}," if note else ""
+    line = f"\n  note = {{{_escape(note)}}}," if note else ""
     return _fill("project.bib", version=package_version(), note=line)
 
 
@@ -36,10 +37,15 @@ def cite_entry(out: Path, name: str) -> str:
     card = find_method_card(out, name)
     authors = ""
     if card is not None:
-        authors = f"\n  author = {{{' and '.join(card.authors).translate(_SPECIAL)}}},"
+        authors = f"\n  author = {{{_escape(' and '.join(card.authors))}}},"
     reference = "none" if card is None else card.citation
     note = _what_ran(rows) + (f"; {reference}" if reference != "none" else "")
-    return _fill("entry.bib", name=name, authors=authors, note=note.translate(_SPECIAL))
+    return _fill("entry.bib", name=name, authors=authors, note=_escape(note))
+
+
+def _escape(text: str) -> str:
+    """Return a text as TeX prints it, in one line."""
+    return " ".join(text.split()).translate(_SPECIAL)
 
 
 def _fill(template: str, **values: str) -> str:

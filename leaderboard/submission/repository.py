@@ -7,10 +7,13 @@ ci/verify.sh          verifies the submissions that a branch changes and builds 
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
 from leaderboard.conformance.method_card import method_card_path
+from leaderboard.entries.entries import RESERVED, fold
+from leaderboard.entries.entry import Entry
 from leaderboard.report.sentences import build_report
 from leaderboard.report.site import write_site
 from leaderboard.running.board import run_board
@@ -61,8 +64,8 @@ def build_site(
     folder `out`; its index.
 
     What a site shows was found by its builder, on one machine: rows that submissions say count for
-    nothing here. Raises ConfigError for a damaged submission, if there is none, and if `out` has
-    files.
+    nothing here. An entry that cannot be run has a row with the reason. Raises ConfigError for a
+    damaged submission, if there is none, and if `out` has files.
     """
     rules, tasks = load_rules(repository / RULES)
     folders = sorted(path.parent for path in (repository / _SUBMISSIONS).glob("*/submission.json"))
@@ -74,10 +77,21 @@ def build_site(
         load_submission(folder)
         copy_file(folder / CARD, method_card_path(out, folder.resolve().name))
     with SandboxClient(limits) as sandbox:
-        entries = [submitted_entry(folder, sandbox) for folder in folders]
-    for folder, entry in zip(folders, entries, strict=True):
-        if entry.name != folder.resolve().name:  # whose card it would show
-            raise ConfigError(f"{folder}: its code is that of {entry.name}")
+        entries = [_entry_of(folder, sandbox) for folder in folders]
     request = make_run_request(rules, tasks, entries, limits)
     board = run_board(request, out, ProcessExecutor(workers), progress)
     return write_site(board, build_report(board), out)
+
+
+def _entry_of(folder: Path, sandbox: SandboxClient) -> Entry:
+    """Return the entry of a submission under the name of its folder, whose card it has.
+
+    Its code can fail, or call itself otherwise, from some day on: a failure of its own row, so that
+    others have theirs.
+    """
+    entry, name = submitted_entry(folder, sandbox), folder.resolve().name
+    if fold(name) in RESERVED:
+        raise ConfigError(f"{folder}: the name {name} is reserved, or looks like one that is")
+    if entry.failure is None and entry.name != name:
+        return replace(entry, name=name, failure=f"its code is that of {entry.name}")
+    return replace(entry, name=name)

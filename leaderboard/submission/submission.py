@@ -82,7 +82,7 @@ def make_submission(
         entry_files.snapshot(find_reference(str(wheel)), partial / "code")
         shutil.copyfile(card, partial / CARD)
         with SandboxClient(limits) as sandbox:
-            entry = submitted_entry(partial, sandbox)
+            entry = _working_entry(partial, sandbox)
             progress(f"checking {entry.name}", 0.0)
             _refuse_failed_checks(entry, sandbox, limits)
         request = make_run_request(*rules, [entry], limits)
@@ -139,11 +139,12 @@ def verify_submission(
     """
     record = load_submission(folder)
     signature.check_owner(folder, replaces)
-    for path in folder.resolve().parent.iterdir():
-        if path.is_dir() and path.name != record.name and fold(path.name) == fold(record.name):
-            raise ConfigError(f"{folder}: {path.name} looks the same; rename the entry")
+    for name in {path.parent.name for path in folder.resolve().parent.glob(f"*/{RECORD}")}:
+        # a folder that is no entry has no row: it would only lock a rival out
+        if NAME.fullmatch(name) and name != record.name and fold(name) == fold(record.name):
+            raise ConfigError(f"{folder}: {name} looks the same; rename the entry")
     with SandboxClient(limits) as sandbox:
-        entry = submitted_entry(folder, sandbox)
+        entry = _working_entry(folder, sandbox)
         if (entry.name, entry.code) != (record.name, record.code):
             raise ConfigError(f"{folder}: its code is that of {entry.name} {entry.code}")
         request = make_run_request(*rules, [entry], limits)
@@ -181,12 +182,20 @@ def _verify_probes(entry: Entry, folder: Path, limits: Limits) -> None:
 
 
 def submitted_entry(folder: Path, sandbox: SandboxClient) -> Entry:
-    """Return the entry of the code in a submission. Raises ConfigError if it cannot be run."""
+    """Return the entry of the code in a submission, with a failure if it cannot be constructed.
+    Raises ConfigError if the code is not that of one entry.
+    """
     code = folder / "code"
     wheels = list(code.glob("*.whl"))
     if wheels and len(list(code.iterdir())) > 1:  # which one is run would depend on the disk
         raise ConfigError(f"{code}: one wheel alone, or a folder of packages without any")
     (entry,) = resolve_entries([str(wheels[0] if wheels else code)], sandbox.describe)
+    return entry
+
+
+def _working_entry(folder: Path, sandbox: SandboxClient) -> Entry:
+    """Return the entry of a submission. Raises ConfigError if it cannot be run."""
+    entry = submitted_entry(folder, sandbox)
     if entry.failure is not None:
         raise ConfigError(f"{entry.name}: {entry.failure}")
     return entry

@@ -71,7 +71,11 @@ def sb3_layers(
     Stable-Baselines3. Raises ValueError if it has none.
     """
     names = [name for name in parameters if name.startswith(SB3_ACTORS)]
-    arrays = [parameters[name].detach().cpu().numpy().copy() for name in names]
+    tensors = [parameters[name].detach().cpu() for name in names]
+    for tensor in tensors:  # a few bytes can stand for any number of values
+        if tensor.numel() * tensor.element_size() > tensor.untyped_storage().nbytes():
+            raise ValueError("a tensor of it has more values than it stores")
+    arrays = [tensor.numpy().copy() for tensor in tensors]
     if not arrays or len(arrays) % 2:
         raise ValueError("no MlpPolicy of PPO, DQN or QR-DQN")
     layers = list(zip(arrays[::2], arrays[1::2], strict=True))

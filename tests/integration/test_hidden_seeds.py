@@ -286,3 +286,9 @@ def test_the_command_draws_a_salt_and_reveals_the_tasks_with_it(tmp_path):
     (path,) = json.loads(shown.stdout)["tasks"]
     assert load_task(path).board == "class"
     assert isinstance(run("--out", tmp_path, "--reveal").exception, ConfigError)
+
+
+@pytest.mark.parametrize("name", ["Fr\u00fchjahr", 'x"y', "a b"])
+def test_the_folder_of_a_season_has_a_name_that_every_program_shows_as_it_is(name, tmp_path):
+    error = run("--out", tmp_path / name, "--task", "class").exception
+    assert isinstance(error, ConfigError) and "letters A to Z and a to z, digits" in str(error)

@@ -5,8 +5,10 @@ from importlib import metadata
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 from wheels import write_policies
 
+from leaderboard.cli import app
 from leaderboard.policies import policy_process
 from leaderboard.policies.comparison import compare, public_drives
 from leaderboard.policies.policy_checks import OPTIONS
@@ -100,7 +102,8 @@ def test_what_a_policy_has_read_is_dropped_before_the_next_one(monkeypatch):
     for name in ("Ride", "Ride", "LivesOn"):
         with policy(name) as attacker:
             roll_out(attacker, dict(SHORT), SEEDS)
-    assert steps == ["guest", "guest", "pipes", "reads", "guest"]
+    forgotten = ["pipes", "reads"]  # before the first, too: of the commands before, with its seal
+    assert steps == [*forgotten, "guest", "guest", *forgotten, "guest"]
 
 
 @pytest.mark.parametrize("name", ["best found", "ride/ride", "a\x1b[2J", "r\u202ems", "x" * 50])
@@ -110,6 +113,15 @@ def test_an_installed_policy_cannot_be_called_like_a_row_of_the_judge(name, monk
     assert metadata.entry_points(group="road_envs.policies", name=name)
     with pytest.raises(ConfigError, match="the name of a policy must be a letter"):
         PolicyProcess(name, limits=LIMITS)
+
+
+@pytest.mark.parametrize(
+    "reference", ["rrms.npz", "best found.npz", "a\x1b[2J.npz", "x/learned.zip", "mine:rrms"]
+)
+@pytest.mark.parametrize("option", ["policy", "reference"])
+def test_a_file_or_a_class_cannot_be_called_like_a_row_of_the_judge(option, reference):
+    result = CliRunner().invoke(app, ["policies", "--quick", f"--{option}", reference])
+    assert "would have the name" in str(result.exception) and "\x1b" not in str(result.exception)
 
 
 def test_a_seal_that_a_policy_could_guess_is_refused():

@@ -18,7 +18,7 @@ from road_envs.envs.vector import RoadReconVectorEnv
 from road_envs.policies import PolicyContext, create, make_policy, policy_iteration
 from road_envs.policies.feature_env import FeatureVecEnv
 from road_envs.policies.features import N_FEATURES, NAMES, FeatureExtractor
-from road_envs.policies.network_policy import NetworkPolicy
+from road_envs.policies.network_policy import NetworkPolicy, sb3_layers
 from road_envs.policies.policy_iteration import (
     DEVELOPMENT_SEED,
     IterationConfig,
@@ -293,6 +293,12 @@ def test_a_zip_that_is_no_saved_model_is_refused(tmp_path):
         np.savez(file, data=np.zeros(3))
     with pytest.raises(ConfigError, match=r"other\.zip: not a saved model of Stable-Baselines3"):
         make_policy(str(path))
+
+
+def test_a_file_of_a_few_bytes_takes_no_memory_for_many_values():
+    few = pytest.importorskip("torch").zeros(1).expand(500, 500)
+    with pytest.raises(ValueError, match="more values than it stores"):
+        sb3_layers({"action_net.weight": few, "action_net.bias": few[0]}, 500)
 
 
 @pytest.mark.parametrize("algorithm", ["dqn", "qrdqn"])

@@ -16,6 +16,7 @@ from submissions import CARD
 from wheels import module, write_wheel
 
 from leaderboard.entries.entries import fold
+from leaderboard.entries.entry import NAME
 from leaderboard.evaluation import store
 from leaderboard.sandbox import bubblewrap
 from leaderboard.sandbox.limits import Limits
@@ -73,7 +74,7 @@ def verifies(made, tmp_path):
         call("git", *words, cwd=repo)
     call("git", "switch", "-c", "mine", cwd=repo)
     program = tmp_path / "road-recon"
-    program.write_text("#!/bin/sh\necho $1 $2\n")
+    program.write_text("#!/bin/sh\nls -A\necho $1 ${2#*/repo/}\n")
     program.chmod(0o755)
     path = f"PATH={tmp_path}:{os.environ['PATH']}"
     return repo, lambda status=0: call("env", path, "ci/verify.sh", "main", cwd=repo, status=status)
@@ -110,7 +111,7 @@ def test_no_attribute_hides_the_signature_of_what_is_replaced(verifies, tmp_path
     call("git", "commit", "-m", "signed", cwd=repo)
     call("git", "branch", "-f", "main", cwd=repo)
     (repo / "submissions" / "rival" / "signature.json").unlink()
-    (tmp_path / "road-recon").write_text('#!/bin/sh\nls "$8"\n')
+    (tmp_path / "road-recon").write_text('#!/bin/sh\nls "$6"\n')
     assert said().split() == ["signature.json", "submission.json"]
 
 
@@ -148,7 +149,7 @@ def test_the_name_of_what_was_withdrawn_stays_that_of_its_owner(verifies, tmp_pa
     rival = withdraw_signed(repo)
     rival.mkdir()
     (rival / "submission.json").write_text("{ }")
-    (tmp_path / "road-recon").write_text('#!/bin/sh\nls "$8"\n')
+    (tmp_path / "road-recon").write_text('#!/bin/sh\nls "$6"\n')
     assert said().split() == ["signature.json", "submission.json"]
 
 
@@ -184,7 +185,137 @@ def test_what_a_branch_adds_and_removes_is_refused(verifies, name):
         call("git", "add", ".", cwd=repo)
         call("git", "commit", "-m", text, cwd=repo)
         path.unlink(missing_ok=True)
-    assert said(status=1) == f"{name}: changed and changed back: squash the commits\n"
+    refused = f"{name}: changed and changed back: squash the commits\n"
+    assert said(status=1) == refused
+    merge_ref(repo, "mine")
+    assert said(status=1) == refused
+
+
+def committed(repo, text, **files):
+    """Write or, with None, remove files of a repository, and commit all."""
+    for name, content in files.items():
+        path = repo / name
+        if content is None:
+            path.unlink()
+        else:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(content)
+    call("git", "add", "--all", cwd=repo)
+    call("git", "commit", "-m", text, cwd=repo)
+
+
+def of_season(name="seasons/1/class.yaml"):
+    """Files of a repository whose rules have a season: its roads, and the rules."""
+    return {name: ""}, {"rules.yaml": f"tasks: [{name}]\n"}
+
+
+CODE = "submissions/mine/code/a.whl"
+RECORD_OF_MINE = {"submissions/mine/submission.json": "of mine"}
+NEWER = "submissions/mine: its code is newer than the roads of seasons/1/class.yaml\n"
+
+
+def merge_ref(repo, branch):
+    """Check out what the CI does of a pull request: the main line, into which it is merged."""
+    call("git", "checkout", "--detach", "main", cwd=repo)
+    call("git", "merge", "--no-ff", "-m", "the pull request", branch, cwd=repo)
+
+
+def test_code_that_came_between_the_roads_and_the_rules_is_refused(verifies):
+    repo, said = verifies
+    roads, rules = of_season()
+    committed(repo, "the roads", **roads)
+    call("git", "branch", "-f", "main", cwd=repo)
+    committed(repo, "mine", **RECORD_OF_MINE, **{CODE: "knows"})
+    assert "verify-submission submissions/mine" in said()
+    call("git", "branch", "-f", "main", cwd=repo)
+    committed(repo, "the rules", **rules)
+    assert said(status=1) == NEWER
+    path = f"PATH={repo.parent}:{os.environ['PATH']}"
+    assert call("env", path, "ci/verify.sh", cwd=repo, status=1) == NEWER
+
+
+def test_no_branch_hides_when_code_or_roads_came(verifies):
+    """From before the roads, with code and the same roads in turn; its history is simplified."""
+    repo, said = verifies
+    roads, rules = of_season()
+    call("git", "branch", "forged", cwd=repo)
+    committed(repo, "the season ends", **roads, **rules)
+    call("git", "branch", "-f", "main", cwd=repo)
+    call("git", "switch", "forged", cwd=repo)
+    committed(repo, "mine", **{CODE: "knows"})
+    committed(repo, "the same roads", **roads, **{CODE: None})
+    call("git", "merge", "-m", "main", "main", cwd=repo)
+    committed(repo, "a word", **{"README.md": "A word."})
+    merge_ref(repo, "forged")
+    assert "class.yaml: changed and changed back" in said(status=1)
+    call("git", "branch", "-f", "main", "forged", cwd=repo)  # without that: taken over as it is
+    call("git", "switch", "-C", "mine", "main", cwd=repo)
+    committed(repo, "mine", **RECORD_OF_MINE, **{CODE: "knows"})
+    assert said(status=1) == NEWER
+
+
+def test_rows_of_a_season_by_older_code_are_taken_from_a_branch_that_has_merged(verifies):
+    repo, said = verifies
+    committed(repo, "mine", **RECORD_OF_MINE, **{CODE: "honest"})
+    call("git", "branch", "-f", "main", cwd=repo)
+    call("git", "switch", "-C", "season", cwd=repo)
+    roads, rules = of_season()
+    committed(repo, "the season ends", **roads, **rules)
+    merge_ref(repo, "season")
+    call("git", "branch", "-f", "main", cwd=repo)
+    call("git", "switch", "mine", cwd=repo)
+    committed(repo, "a word", **{"submissions/mine/card.yaml": ""})
+    call("git", "merge", "-m", "main", "main", cwd=repo)
+    committed(repo, "rows", **{"submissions/mine/results/class.json": ""})
+    merge_ref(repo, "mine")
+    assert said() == "verify-submission submissions/mine\n"
+    call("git", "branch", "-f", "main", "mine", cwd=repo)  # taken over as it is
+    (repo / "rules.yaml").write_text(f"# a word\n{rules['rules.yaml']}")
+    shutil.rmtree(repo / "submissions" / "rival")  # it has no code
+    committed(repo, "rules")
+    assert "rival is removed" in said(status=1)
+
+
+def test_a_name_is_not_freed_by_a_branch_from_before_it(verifies, tmp_path):
+    repo, said = verifies
+    first = call("git", "rev-parse", "main", cwd=repo).strip()
+    call("git", "switch", "-C", "before", f"{first}", cwd=repo)
+    committed(repo, "removed", **{"submissions/rival/submission.json": None})
+    call("git", "switch", "mine", cwd=repo)
+    withdraw_signed(repo)
+    call("git", "switch", "before", cwd=repo)
+    call("git", "merge", "-s", "ours", "-m", "main", "main", cwd=repo)
+    call("git", "branch", "-f", "main", "before", cwd=repo)
+    call("git", "switch", "-C", "mine", "main", cwd=repo)
+    shutil.copytree(repo / "ci", repo / "submissions" / "RIVAL")
+    assert "RIVAL looks the same as rival, which was signed" in said(status=1)
+
+
+@pytest.mark.parametrize("season", ["seasons/Frühjahr/class.yaml", "seasons/a b/class.yaml"])
+def test_code_that_is_newer_than_a_season_of_any_name_is_refused(verifies, season):
+    repo, said = verifies
+    roads, rules = of_season(season)
+    committed(repo, "the season ends", **roads, **rules)
+    call("git", "branch", "-f", "main", cwd=repo)
+    committed(repo, "mine", **{CODE: "knows"})
+    assert said(status=1).endswith(f"newer than the roads of {season}\n")
+
+
+@pytest.mark.parametrize("name", ["\u212aalman", "my entry", 'x"y', "-n", ".numba_config.yaml"])
+def test_a_folder_that_is_no_name_of_an_entry_is_refused(verifies, name):
+    """A rival whose name looks the same would have to be renamed."""
+    repo, said = verifies
+    committed(repo, "notes", **{f"submissions/{name}/notes.txt": ""})
+    assert "a name has up to 40 letters, digits, _ and -" in said(status=1)
+    assert NAME.pattern in (repo / "ci" / "verify.sh").read_text()
+
+
+def test_no_file_of_a_branch_is_read_where_the_judge_starts(verifies):
+    """Numba reads .numba_config.yaml there, and other libraries read other files."""
+    repo, said = verifies
+    (repo / ".numba_config.yaml").write_text("x: [")
+    shutil.copytree(repo / "submissions" / "rival", repo / "submissions" / "mine")
+    assert said() == "verify-submission submissions/mine\n"
 
 
 def test_a_link_in_place_of_all_submissions_is_refused(verifies):
@@ -253,7 +384,7 @@ def test_a_pull_request_builds_no_site_and_the_main_line_all_of_it(verifies):
     (repo / "site").mkdir()
     assert "results-site" not in said() and (repo / "site").exists()
     path = f"PATH={repo.parent}:{os.environ['PATH']}"
-    assert call("env", path, "ci/verify.sh", cwd=repo) == "results-site .\n"
+    assert call("env", path, "ci/verify.sh", cwd=repo) == f"results-site {repo}\n"
     assert not (repo / "site").exists()
 
 

@@ -7,8 +7,10 @@ import pytest
 from guests import LIMITS, drives
 from test_sandbox import MODES
 
+from leaderboard.commands import import_from_here
 from leaderboard.entries import entries
 from leaderboard.entries.entry import EntryError
+from leaderboard.entries.entry_files import CLASS_FOLDER, list_files
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.guest import describe_exit
 from leaderboard.sandbox.limits import Limits
@@ -68,6 +70,23 @@ def test_what_cannot_be_described_takes_no_name_of_an_entry_that_works(tmp_path)
     assert [(entry.name, entry.failure is None) for entry in found] == [
         ("rival_2", False), ("rival_3", False), ("rival", True),
     ]  # fmt: skip
+
+
+def test_a_module_beside_an_entry_takes_the_place_of_none_of_the_leaderboard(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.setenv(CLASS_FOLDER, "")
+    for name in ("beside_it.py", "colorsys.py"):
+        (tmp_path / name).write_text("raise RuntimeError('it was imported')\n")
+    (tmp_path / "wave").mkdir()
+    import_from_here(["beside_it:Mine"], "auto")
+    assert str(tmp_path) not in sys.path
+    for name in ("beside_it", "colorsys"):
+        assert list(list_files(f"{name}:Mine")) == [(tmp_path / f"{name}.py", f"{name}.py")]
+    (installed,) = list_files("wave:Wave_read")  # a folder without __init__.py is no package
+    assert tmp_path not in installed[0].parents
+    import_from_here(["beside_it:Mine"], "process")
+    assert sys.path.index(str(tmp_path)) == len(sys.path) - 1
 
 
 def test_limits_must_be_positive():

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import pytest
 import submissions
-from board_runs import ESTIMATORS, small
+from board_runs import ESTIMATORS, Counting, small
 from fake_results import runs_of, with_runs
 from submissions import CARD, write_record
 from test_verification import chosen_fakes, run_here
@@ -19,12 +19,13 @@ from leaderboard.conformance.method_card import TEMPLATE, load_method_card
 from leaderboard.conformance.probes import CheckResult
 from leaderboard.conformance.results import EstimatorCard, card_identity, card_path
 from leaderboard.entries.entries import make_entry
+from leaderboard.entries.entry import Entry
 from leaderboard.evaluation import store
 from leaderboard.evaluation.provenance import describe_environment
 from leaderboard.evaluation.results import RESULT
 from leaderboard.metrics.baselines import BASELINES
 from leaderboard.report.citation import cite_entry
-from leaderboard.running.board import load_board
+from leaderboard.running.board import load_board, run_board
 from leaderboard.running.verification import save_definition, verify_folder
 from leaderboard.sandbox.limits import Limits
 from leaderboard.sandbox.retest import REMEMBERS
@@ -83,6 +84,10 @@ def test_a_submission_without_its_card_is_refused(submission):
         (
             CARD.replace("licence: MIT", 'licence: "\\e]0;MIT"'),
             "licence has characters that cannot",
+        ),
+        *(
+            (CARD.replace("licence: MIT", f'licence: "a\\{x} b"'), "licence has characters that")
+            for x in ("r", "v", "x1c", "N", "L")
         ),
     ],
 )
@@ -286,6 +291,8 @@ def test_names_that_differ_in_case_only_are_refused(verified, tmp_path):
     (tmp_path / "Reader").write_text("a file is no entry")  # the script verifies folders alone
     assert all(row.agrees for row in verified(lambda folder: None))
     (tmp_path / "READER").mkdir()
+    assert all(row.agrees for row in verified(lambda folder: None))  # a folder is none either
+    (tmp_path / "READER" / RECORD).write_text("")
     with pytest.raises(ConfigError, match="READER looks the same"):
         verified(lambda folder: None)
 
@@ -327,6 +334,23 @@ def test_the_site_shows_what_its_builder_finds_with_the_card_of_each_entry(build
     assert "Ada Author, Bo Author" in page and "Reads the heights from the record." in page
     assert "by its author" not in page
     assert "Ada Author" not in (index.parent / "estimators" / "flat.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("entry", "reason"),
+    [
+        (Entry(name="reader_2", reference="a.whl", failure="not today"), "not today"),
+        (Entry(name="rival", reference="a.whl"), "its code is that of rival"),
+    ],
+)
+def test_an_entry_that_fails_from_some_day_on_ends_no_site(entry, reason, build, monkeypatch):
+    """The code of a wheel can look at the date: nothing that reviewers see changes."""
+    monkeypatch.setattr(repository, "submitted_entry", lambda folder, sandbox: entry)
+    monkeypatch.setattr(repository, "run_board", lambda *x: run_board(*x[:2], Counting()))
+    index = build[1]()
+    row = store.load(store.row_path(index.parent, "small", "reader"))
+    assert row.failure == reason and row.estimator in index.read_text()
+    assert store.load(store.row_path(index.parent, "small", "flat")).failure is None
 
 
 def test_no_text_of_a_submission_becomes_code_of_the_site(build, submission):
@@ -509,5 +533,9 @@ def test_a_citation_says_what_ran(submission):
     card = submission / "site" / "methods" / "reader.yaml"
     card.write_text(card.read_text().replace("A. Author, 100 % of it, 2026", "none"))
     assert "none" not in cite_entry(submission / "site", "reader")
+    attack = r"^^5cinput^^7b/etc/passwd^^7d \\input{~/a}"
+    card.write_text(card.read_text().replace("citation: none", f"citation: {attack}\n  2026"))
+    text = cite_entry(submission / "site", "reader")
+    assert "^" not in text and r"\input" not in text and r"(\textasciitilde{}/a) 2026}," in text
     with pytest.raises(ConfigError, match="unknown entry 'leader'"):
         cite_entry(submission / "site", "leader")
