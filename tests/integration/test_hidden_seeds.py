@@ -67,7 +67,8 @@ def test_every_shipped_task_is_committed_and_revealed(name, tmp_path):
     public, hidden = revealed(name, tmp_path)
     assert hidden.conditions == public.conditions and hidden.board_name == public.board_name
     assert not hidden.test.all_seeds & (public.training.all_seeds | public.test.all_seeds)
-    drawn = hidden_seeds.seeds(SALT, public, len(public.test.seeds))
+    commitment = hidden_seeds.load(tmp_path)
+    drawn = hidden_seeds._seeds(SALT, commitment, public, len(public.test.seeds))
     assert list(hidden.test.seeds) == drawn  # what anyone finds who has the salt
     driven = [
         len(t.drives_of(t.test, condition)) for t in (public, hidden) for condition in t.conditions
