@@ -1,6 +1,7 @@
 """Subcommands of `road-recon` and their error messages."""
 
 import json
+import os
 import subprocess
 import sys
 
@@ -11,6 +12,7 @@ import typer
 
 from leaderboard import cli
 from leaderboard.commands.listing import KINDS
+from leaderboard.entries.entry_files import CLASS_FOLDER
 from leaderboard.lazy_commands import OPTION_SECTIONS, _help_line
 from road_envs.core import config
 from road_envs.core.config import ConfigError
@@ -351,8 +353,11 @@ def test_an_estimator_may_be_in_a_module_of_this_folder(road_recon, tmp_path, mo
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [x for x in sys.path if x not in ("", str(tmp_path))])
+    monkeypatch.setenv(CLASS_FOLDER, "")
     monkeypatch.setattr("leaderboard.commands.board.SandboxClient", stop)
     (tmp_path / "in_this_folder.py").touch()
     code, _, err = road_recon(*words)
-    assert code == 2 and str(tmp_path) in sys.path
+    assert code == 2 and os.environ[CLASS_FOLDER] == str(tmp_path)
+    # in the judge's process nothing is imported from there
+    assert (str(tmp_path) in sys.path) == (words[0] != "leaderboard")
     assert words[0] != "estimate" or "the module in_this_folder has no Other" in err
