@@ -180,7 +180,7 @@ def test_what_a_branch_adds_and_removes_is_refused(verifies, name):
     path = repo / name
     path.parent.mkdir()
     path.write_text("")
-    shutil.copytree(repo / "submissions" / "rival", repo / "submissions" / "mine")
+    (repo / "README.md").write_text("A word.")
     for text in ("added", "removed"):
         call("git", "add", ".", cwd=repo)
         call("git", "commit", "-m", text, cwd=repo)
