@@ -358,7 +358,7 @@ def test_no_text_of_a_submission_becomes_code_of_the_site(build, submission):
     card = {"method": attack, "data": attack, "licence": attack, "authors": [attack]}
     (submission / "card.yaml").write_text(json.dumps(card | {"citation": attack}))
     row = store.load(store.row_path(submission, "small", "reader"))
-    traces = [dataclasses.replace(trace, road=attack, condition=attack) for trace in row.traces]
+    traces = [dataclasses.replace(trace, road=attack) for trace in row.traces]
     change_row(
         ran, notes=(attack,), settings={attack: attack}, isolation=attack, traces=traces,
         environment={"processor": attack, attack: attack},
