@@ -14,12 +14,12 @@ from leaderboard.arrays import load_task as load_arrays
 from leaderboard.commands.options import Json, LimitOptions, ResultsFolder, Share, argument, option
 from leaderboard.commands.output import Output
 from leaderboard.entries.entries import resolve_entries
-from leaderboard.evaluation import hidden_seeds
 from leaderboard.evaluation.tasks import load_task, shipped_tasks
 from leaderboard.report.citation import as_bibtex, cite_entry
 from leaderboard.running import jobs
 from leaderboard.running.verification import SHARE, Verified, save_verified, verify_folder
 from leaderboard.sandbox.client import SandboxClient
+from leaderboard.submission import hidden_seeds
 from leaderboard.task_tables import score_file
 from road_envs.core import artifacts
 from road_envs.core.code_digest import cache_home

@@ -13,10 +13,10 @@ from typing import Annotated
 from pydantic import Field
 
 from leaderboard.entries.entry import Entry
-from leaderboard.evaluation.hidden_seeds import check_revealed
 from leaderboard.evaluation.tasks import Task, load_task
 from leaderboard.running.board import RunRequest
 from leaderboard.sandbox.limits import Limits
+from leaderboard.submission.hidden_seeds import check_revealed
 from road_envs.core.config import Count, Settings, build, read_yaml
 
 RULES = "rules.yaml"

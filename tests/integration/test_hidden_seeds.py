@@ -12,12 +12,12 @@ from fake_estimators import Reader
 from typer.testing import CliRunner
 
 from leaderboard.cli import app
-from leaderboard.evaluation import hidden_seeds
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.evaluation.test_data import simulate_drives
 from leaderboard.report.sentences import build_report
 from leaderboard.report.site import write_site
 from leaderboard.running.board import run_board
+from leaderboard.submission import hidden_seeds
 from leaderboard.submission.rules import load_rules
 from road_envs.core import config
 from road_envs.core.config import ConfigError

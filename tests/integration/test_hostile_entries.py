@@ -20,7 +20,6 @@ from wheels import encrypt, module, write_wheel
 from estimators import create
 from leaderboard.entries.entries import RESERVED, fold, make_entry, resolve_entries
 from leaderboard.entries.entry import NAME
-from leaderboard.evaluation import hidden_seeds
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.metrics.baselines import BASELINES
 from leaderboard.report.notes import isolation_notice
@@ -30,6 +29,7 @@ from leaderboard.sandbox import bubblewrap
 from leaderboard.sandbox.client import ONE_TRAINING, SandboxClient
 from leaderboard.sandbox.limits import Limits
 from leaderboard.sandbox.retest import LOOKS_AHEAD, REMEMBERS
+from leaderboard.submission import hidden_seeds
 
 pytestmark = pytest.mark.skipif(
     bubblewrap.obstacle() is not None, reason=str(bubblewrap.obstacle())

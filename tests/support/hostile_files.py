@@ -15,8 +15,8 @@ import pyarrow.parquet as pq
 from measured import read_measured_record
 
 from estimators import create, weights_io
-from leaderboard.evaluation import hidden_seeds
 from leaderboard.evaluation.tasks import load_task
+from leaderboard.submission import hidden_seeds
 from road_envs.core import config
 from road_envs.core.config import ConfigError, find
 from road_envs.drives.logger_tables.description import (
