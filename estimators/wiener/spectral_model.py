@@ -204,7 +204,7 @@ def windowed_spectrum(model: SpectralModel, segment: Segment) -> np.ndarray:
     # Hann windows between long gaps: without them the body's resonances leak to frequencies of low
     # power, and what a gap holds has less than the road
     window = np.zeros(span.size)
-    long = binary_opening(holed, np.ones(round(TUNING.longest_filled / segment.spacing) + 1))
+    long = binary_opening(holed, np.ones(round(TUNING.longest_filled * span.sum()) + 1))
     for part in find_objects(label(span & ~long)[0]):
         size = part[0].stop - part[0].start
         window[part] = np.sin(np.pi * (np.arange(size) + 0.5) / size) ** 2

@@ -18,7 +18,7 @@ class _Tuning:
     f_pass: Annotated[float, "Hz", "its corner"] = 40.0
     filter_time: Annotated[float, "s", "over which it spreads an invalid sample"] = 0.08
     circle_padding: Annotated[float, "m", "unobserved road before the circle closes"] = 40.0
-    longest_filled: Annotated[float, "m", "gap whose signals are filled in"] = 5.0
+    longest_filled: Annotated[float, "", "gap over segment whose signals are filled in"] = 0.15
     # fit of road and noise
     f_low: Annotated[float, "Hz", "lowest of the fit: below, offset and drift dominate"] = 0.4
     pseudo_count: Annotated[float, "lines", "that the prior value 1 of a band counts for"] = 12.0
