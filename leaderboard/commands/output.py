@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields, is_dataclass
 from typing import Any, cast
 
 import typer
-from rich.table import Table
+from rich.table import Column, Table
 
 from leaderboard.commands import console, print_json
 from leaderboard.commands.options import Json
@@ -32,7 +32,7 @@ class Output:
 
 def facts_table(facts: dict[str, Any]) -> Sequence[Any]:
     """Return a table of facts, and below it their notes, one per line."""
-    table = Table(show_header=False, box=None, pad_edge=False)
+    table = Table("", Column("", overflow="fold"), show_header=False, box=None, pad_edge=False)
     for key, value in facts.items():
         if key != "notes" and value not in ([], {}, None):
             table.add_row(key, _text(value))

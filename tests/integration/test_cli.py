@@ -1,5 +1,6 @@
 """Subcommands of `road-recon` and their error messages."""
 
+import io
 import json
 import os
 import subprocess
@@ -9,9 +10,11 @@ import numpy as np
 import pandas as pd
 import pytest
 import typer
+from rich.console import Console
 
 from leaderboard import cli
 from leaderboard.commands.listing import KINDS
+from leaderboard.commands.output import facts_table
 from leaderboard.entries.entry_files import CLASS_FOLDER
 from leaderboard.lazy_commands import OPTION_SECTIONS, _help_line
 from road_envs.core import config
@@ -328,6 +331,13 @@ def test_the_help_names_the_vehicles_the_sensors_and_the_modes(road_recon):
     for kind in ("vehicles", "sensors"):
         assert ", ".join(config.names(kind)) in shown
     assert "ride, handling, soft_high, stiff_low, passive" in shown
+
+
+def test_a_path_longer_than_the_terminal_is_printed_whole():
+    path, console = "/a/folder" * 20, Console(width=60, file=io.StringIO())
+    for part in facts_table({"page": path, "rows": 3}):
+        console.print(part)
+    assert path in "".join(console.file.getvalue().replace("page", "").split())
 
 
 def test_debug_shows_the_traceback(monkeypatch):
