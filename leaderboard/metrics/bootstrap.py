@@ -170,11 +170,11 @@ def count_roads(scores: np.ndarray) -> int:
 def rank_entries(scores: Mapping[str, np.ndarray], strata: Strata | None = None) -> dict[str, int]:
     """Rank the entries by their `scores` (R, C, S), lower is better; best first.
 
-    The rank of an entry is one more than the number of entries that are significantly better, so
-    that none of uncertain scores stands between two others. An entry is significantly better if the
-    95 % interval of the paired difference lies below 0, that is, if it is ahead in 97.5 % of the
-    replicates. Within a rank, entries are in the order of their interquartile means. A score that
-    is NaN comes last.
+    They are in the order of how many others are significantly better, so that one of uncertain
+    scores stands between no two others; entries with equally many share a rank, the place of the
+    first of them, as in 1 2 2 2 5, and are in the order of their interquartile means. An entry is
+    significantly better if the 95 % interval of the paired difference lies below 0, that is, if it
+    is ahead in 97.5 % of the replicates. A score that is NaN comes last.
     """
     made = {name: resample([x], strata=strata) for name, x in scores.items()}
     means = {name: np.nan_to_num(x.interval().mean, nan=np.inf) for name, x in made.items()}
@@ -182,8 +182,10 @@ def rank_entries(scores: Mapping[str, np.ndarray], strata: Strata | None = None)
         name: np.full(x.replicates.size, np.inf) if np.isnan(x.replicates).any() else x.replicates
         for name, x in made.items()
     }
-    ranks = {
-        name: 1 + sum(bool(np.mean(mine > x) > _QUANTILES[1]) for x in drawn.values())
+    better = {
+        name: sum(bool(np.mean(mine > x) > _QUANTILES[1]) for x in drawn.values())
         for name, mine in drawn.items()
     }
-    return dict(sorted(ranks.items(), key=lambda item: (item[1], means[item[0]])))
+    order = sorted(better, key=lambda name: (better[name], means[name]))
+    counts = [better[name] for name in order]
+    return {name: 1 + counts.index(better[name]) for name in order}
