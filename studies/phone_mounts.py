@@ -11,7 +11,7 @@ the report makes of it.
 import io
 import tempfile
 import zipfile
-from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +21,12 @@ from scipy.spatial.transform import Rotation
 from leaderboard.drive_report.conditions import load_conditions
 from leaderboard.drive_report.report import ReportSettings, make_report
 from road_envs.core.config import ConfigError
-from road_envs.drives.logger_tables.description import PLACES
 from road_envs.drives.reading import read_drive
-from road_envs.drives.recording import simulate_record
+from road_envs.records.record import Record
 from road_envs.records.units import STANDARD_GRAVITY
 from road_envs.roads import realise_road
-from road_envs.sensing.instruments import load_instruments
-from studies.phone_reports import compare, write_zip
+from road_envs.roads.surface import Surface
+from studies.phone_reports import compare, drive_with_phone, write_zip
 from studies.study import Row, run_study, study_parser
 
 VEHICLE, CLASS, SPEED, SEED = "bmw_320i", "B", 70.0, 903
@@ -46,16 +45,17 @@ NEAR = 0.15
 """Relative error of the IRI of a segment that is still right."""
 
 
+@cache
+def driven() -> tuple[Surface, Record, np.ndarray]:
+    """Return the road, the record of the drive, and its vertical acceleration (N,) [m/s²]."""
+    road = {"kind": "iso8608", "road_class": CLASS, "length": LENGTH}
+    surface = realise_road(road, SEED)
+    return surface, *drive_with_phone(surface, SPEED, VEHICLE, SEED)
+
+
 def write_drive(path: Path, mount: str, angle: float | None, seed: int) -> Path:
     """Write the drive of a mount below the folder `path`; returns the file."""
-    road = {"kind": "iso8608", "road_class": CLASS, "length": LENGTH}
-    phone = replace(load_instruments("phone"), accelerometers={"PHONE": PLACES["dashboard"]})
-    record, _ = simulate_record(
-        realise_road(road, SEED), speed_kmh=SPEED, vehicle=VEHICLE, instruments=phone, grade="S2",
-        seed=SEED,
-    )  # fmt: skip
-    good = np.isfinite(record.a[0])
-    vertical = np.interp(record.t, record.t[good], record.a[0, good])
+    _, record, vertical = driven()
     drive = path / "drive.zip"
     if mount == "one axis":
         assert angle is not None
@@ -85,7 +85,7 @@ def write_drive(path: Path, mount: str, angle: float | None, seed: int) -> Path:
 
 def compute(mount: str, angle: float | None, seed: int) -> Row:
     """Report the drive of a mount: errors of IRI and what is said first, or why it is refused."""
-    surface = realise_road({"kind": "iso8608", "road_class": CLASS, "length": LENGTH}, SEED)
+    surface, *_ = driven()
     chosen = ReportSettings(
         conditions=load_conditions("hpms"), settings={}, estimator="map_smoother"
     )

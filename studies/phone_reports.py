@@ -29,6 +29,7 @@ from leaderboard.drive_report.report import ReportSettings, make_report
 from road_envs.drives.logger_tables.description import PLACES
 from road_envs.drives.reading import read_drive
 from road_envs.drives.recording import simulate_record
+from road_envs.records.record import Record
 from road_envs.records.roughness import golden_car
 from road_envs.records.units import STANDARD_GRAVITY
 from road_envs.roads import realise_road
@@ -102,17 +103,26 @@ def write_zip(path: Path, t: np.ndarray, vertical: np.ndarray, speed: float, see
             file.writestr(name, text.getvalue())
 
 
-def run_case(case: tuple[str, str, int, int], folder: Path, estimator: str) -> dict[str, Any]:
-    """Simulate one drive, report it, and return the errors of the report."""
-    vehicle, letter, speed_kmh, seed = case
-    surface = realise_road(road(letter, seed), seed)
+def drive_with_phone(
+    surface: Surface, speed_kmh: float, vehicle: str, seed: int
+) -> tuple[Record, np.ndarray]:
+    """Return the record of an individual of grade S2 with a phone on its dashboard, and the
+    vertical acceleration (N,) [m/s²] with lost samples interpolated.
+    """
     phone = replace(load_instruments("phone"), accelerometers={"PHONE": PLACES["dashboard"]})
     record, _ = simulate_record(
         surface, speed_kmh=speed_kmh, vehicle=vehicle, instruments=phone, grade="S2", seed=seed
     )
-    path = folder / "drive.zip"
     good = np.isfinite(record.a[0])
-    a = np.interp(record.t, record.t[good], record.a[0, good])
+    return record, np.interp(record.t, record.t[good], record.a[0, good])
+
+
+def run_case(case: tuple[str, str, int, int], folder: Path, estimator: str) -> dict[str, Any]:
+    """Simulate one drive, report it, and return the errors of the report."""
+    vehicle, letter, speed_kmh, seed = case
+    surface = realise_road(road(letter, seed), seed)
+    record, a = drive_with_phone(surface, speed_kmh, vehicle, seed)
+    path = folder / "drive.zip"
     write_zip(path, record.t, a, speed_kmh / 3.6, seed)
     began = time.process_time()
     drive = read_drive(path, vehicle=vehicle, offset=float(record.s[0]))
