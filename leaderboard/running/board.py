@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 from estimators import create
@@ -106,8 +107,17 @@ class Board:
 
     def stale_reason(self, task: Task, result: Result) -> str | None:
         """Return why a result cannot be compared with current ones; None if it can."""
-        stale = result.stale_reason(task, self.entries.get((task.name, result.estimator)))
-        return stale or (other_drives(result, task) if result.failure is None else None)
+        entry = self.entries.get((task.name, result.estimator))
+        return result.stale_reason(task, entry) or self._other_drives[task.name, result.estimator]
+
+    @cached_property
+    def _other_drives(self) -> dict[tuple[str, str], str | None]:
+        """Why the drives of a result are not those of its task, by task and estimator."""
+        rows = [(task, row) for task in self.tasks for row in self.results[task.name]]
+        return {
+            (task.name, row.estimator): other_drives(row, task) if row.failure is None else None
+            for task, row in rows
+        }
 
     def card(self, result: Result) -> EstimatorCard | None:
         """Return the card of the estimator of a result, if it was probed."""

@@ -57,4 +57,9 @@ def code_folders(files: str, entries: Iterable[Entry]) -> dict[str, Path]:
 
 def is_from_outside(entry: Entry) -> bool:
     """Return whether code of an entry is run that is none of this package."""
-    return entry.failure is None and entry.reference != BUILTIN and not is_ours(entry.reference)
+    return entry.failure is None and is_by_others(entry)
+
+
+def is_by_others(entry: Entry) -> bool:
+    """Return whether an entry is not of this package, also if it could not be described."""
+    return entry.reference != BUILTIN and not is_ours(entry.reference)

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from leaderboard.entries.entries import fold, is_ours
-from leaderboard.entries.entry import BUILTIN, Entry
+from leaderboard.entries.entries import fold
+from leaderboard.entries.entry import Entry
 from leaderboard.evaluation import store
 from leaderboard.evaluation.results import Result, content_digest, merge_parts
 from leaderboard.evaluation.tasks import Task
+from leaderboard.running import job_files
 from leaderboard.running.jobs import Job, JobDone, result_identity
 from leaderboard.sandbox.limits import Limits
 from road_envs.core.artifacts import NewerFormatError
@@ -60,7 +61,7 @@ def check_owners(rows: Sequence[PlannedRow], out: Path, replace: Collection[str]
     for row in rows:
         name = row.entry.name
         path = store.row_path(out, row.task.name, name)
-        others = path.parent.glob("*.json") if _is_by_others(row.entry) else ()
+        others = path.parent.glob("*.json") if job_files.is_by_others(row.entry) else ()
         for other in (x for x in others if fold(x.stem) == fold(name)):
             if other.stem != name:
                 raise ConfigError(f"{other}: {name} looks the same; rename the entry")
@@ -70,11 +71,6 @@ def check_owners(rows: Sequence[PlannedRow], out: Path, replace: Collection[str]
                     asked[name] = None
     if asked:
         raise ReplacedRowError(list(asked), out)
-
-
-def _is_by_others(entry: Entry) -> bool:
-    """Whether an entry is not of this package; one that failed to be described has a name, too."""
-    return entry.reference != BUILTIN and not is_ours(entry.reference)
 
 
 class Plan:
