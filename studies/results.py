@@ -175,11 +175,17 @@ def make_result(
     return seconds
 
 
-def renew_result(name: str, rng: np.random.Generator, anew: Collection[str] = ()) -> float:
+def renew_result(
+    name: str,
+    rng: np.random.Generator,
+    anew: Collection[str] = (),
+    tolerance: float | None = None,
+) -> float:
     """Make a random tenth of the rows of a result again, three at least of each file, and its
     outputs from all. Rows with one of the pairs `anew`, KEY=VALUE, are made anew and not compared.
-    Rows of another processor, or of an unknown one, are compared as rows of a board are. Raises
-    ConfigError as `make_result`, if there are no rows, and if one differs.
+    They are compared to a relative `tolerance`: by default to the last digits, and as rows of a
+    board are if of another processor, or of an unknown one. Raises ConfigError as `make_result`,
+    if there are no rows, and if one differs.
     """
     work = WORK / f"{name}-{known_results()[name].identity()[:12]}"
     work.mkdir(parents=True, exist_ok=True)
@@ -194,8 +200,9 @@ def renew_result(name: str, rng: np.random.Generator, anew: Collection[str] = ()
     if not left_out:
         raise ConfigError(f"{name}: none of its rows are kept; make it")
     machine = (_artifact(name) or {"machine": {}})["machine"]
-    is_here = machine.get("processor") == describe_environment()["processor"]
-    tolerance = SAME_PROCESSOR if is_here else TYPICAL
+    if tolerance is None:
+        is_here = machine.get("processor") == describe_environment()["processor"]
+        tolerance = SAME_PROCESSOR if is_here else TYPICAL
     compare = partial(_compare_rows, left_out, tolerance, anew)
     return make_result(name, lambda line: None, compare)
 
@@ -320,6 +327,7 @@ def main() -> None:
     parser.add_argument(
         "--anew", action="append", default=[], metavar="KEY=VALUE", help="rows that have changed"
     )
+    parser.add_argument("--tolerance", type=float, help="of rows that are compared, relative")
     chosen = parser.parse_args()
     try:
         results = known_results()
@@ -331,7 +339,12 @@ def main() -> None:
     elif chosen.action == "make":
         count = _make(names, results, chosen.jobs)
     else:
-        again = partial(renew_result, rng=np.random.default_rng(), anew=chosen.anew)
+        again = partial(
+            renew_result,
+            rng=np.random.default_rng(),
+            anew=chosen.anew,
+            tolerance=chosen.tolerance,
+        )
         count = _make(names, results, chosen.jobs, again)
     sys.exit(bool(count))
 
