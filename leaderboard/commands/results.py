@@ -120,7 +120,7 @@ def score(
 def season(
     out: Annotated[Path, option("Folder of the hidden test set.")],
     salt: Annotated[
-        str | None, option("Secret salt; if missing, one is drawn and printed once.")
+        str | None, option("With --reveal: the secret salt, which was drawn and printed once.")
     ] = None,
     task: Annotated[
         list[str] | None,
@@ -148,12 +148,16 @@ def season(
         chosen = [load_task(name) for name in task or ()] or [
             each for each in shipped_tasks() if each.board_name in _RANDOM_ROAD_BOARDS
         ]
-        is_drawn, salt = salt is None, salt or secrets.token_urlsafe(24)
+        if salt is not None:
+            raise ConfigError("--salt is for --reveal: each season has a salt of its own, drawn")
+        salt = secrets.token_urlsafe(24)
         hidden = hidden_seeds.commit(salt, chosen)
         path = hidden_seeds.save(hidden, out)
-        facts = {"commitment": hidden.commitment, "publish": str(path)}
-        if is_drawn:
-            facts["salt, to be kept secret"] = salt
+        facts = {
+            "commitment": hidden.commitment,
+            "publish": str(path),
+            "salt, to be kept secret": salt,
+        }
     return Output(facts=facts)
 
 

@@ -29,12 +29,18 @@ def describe_environment() -> dict[str, str]:
     return {
         "python": platform.python_version(),
         **libraries,
-        "code": digest(path for name in PACKAGES for path in (ROOT / name).rglob("*.py")),
+        "code": package_code(),
         **({"commit": commit} if commit else {}),
         "processor": f"{_processor()}, {os.cpu_count()} cores",
         **_blas(),
         "system": f"{platform.system()} {platform.machine()}",
     }
+
+
+@cache
+def package_code() -> str:
+    """Return a digest of the code of this project, on any of which an entry by others can build."""
+    return digest(path for name in PACKAGES for path in (ROOT / name).rglob("*.py"))
 
 
 def _library(name: str) -> str | None:

@@ -32,10 +32,10 @@ from road_envs.core.extras import optional_import
 if TYPE_CHECKING:
     import pandas as pd
 
-_EVALUATION_MODULE = "leaderboard.evaluation.evaluate"
-"""Module that imports, directly or not, all code that determines drives and scores."""
+_JUDGE = ("leaderboard.evaluation.evaluate", "leaderboard.sandbox.client")
+"""Modules that import, directly or not, all code that determines drives, notes and scores."""
 
-RESULT = Kind("result", 6, (_EVALUATION_MODULE,))
+RESULT = Kind("result", 6, _JUDGE)
 _Role = Literal["entry", "baseline"]
 ISOLATED = ("bubblewrap",)
 """Values of `Result.isolation` of entries without access to files, network and other processes."""
@@ -192,8 +192,8 @@ RUN_DEPENDENT = frozenset({
 
 
 def evaluation_version() -> str:
-    """Version of the code that determines drives and scores."""
-    return code_version(_EVALUATION_MODULE)
+    """Version of the code that determines drives, notes and scores."""
+    return code_version(*_JUDGE)
 
 
 def content_digest(result: Result) -> str:

@@ -174,9 +174,10 @@ def rank_entries(scores: Mapping[str, np.ndarray], strata: Strata | None = None)
     scores stands between no two others; entries with equally many share a rank, the place of the
     first of them, as in 1 2 2 2 5, and are in the order of their interquartile means. An entry is
     significantly better if the 95 % interval of the paired difference lies below 0, that is, if it
-    is ahead in 97.5 % of the replicates. A score that is NaN comes last.
+    is ahead in 97.5 % of the replicates. These draw roads alone, each with all its runs: of three
+    seeds, one of luck alone would be drawn in more than 2.5 %. A score that is NaN comes last.
     """
-    made = {name: resample([x], strata=strata) for name, x in scores.items()}
+    made = {name: resample([x.reshape(len(x), -1, 1)], strata=strata) for name, x in scores.items()}
     means = {name: np.nan_to_num(x.interval().mean, nan=np.inf) for name, x in made.items()}
     drawn = {  # an undefined score loses every comparison
         name: np.full(x.replicates.size, np.inf) if np.isnan(x.replicates).any() else x.replicates

@@ -19,16 +19,19 @@ def run_groups(task: Task) -> dict[str, dict[str, ScoreSlice]]:
 
     Kinds with a single group are left out.
     """
-    every = slice(None)
-    conditions: dict[str, ScoreSlice] = {
-        c.label: (every, slice(k, k + 1)) for k, c in enumerate(task.conditions)
-    }
+    every, design = slice(None), task.test.design
+
+    def runs(conditions: list[int]) -> ScoreSlice:  # of the roads that are driven under them
+        roads = sorted({road for k in conditions for road in design[k]}) if design else every
+        return (np.array(roads)[:, None] if design else every), conditions
+
+    conditions = {c.label: runs([k]) for k, c in enumerate(task.conditions)}
     families: dict[str, ScoreSlice] = {
         family: (task.test.indices_of_family(family), every)
         for family in dict.fromkeys(task.test.families)
     }
     grades: dict[str, ScoreSlice] = {
-        f"car {grade}": (every, [k for k, c in enumerate(task.conditions) if c.grade == grade])
+        f"car {grade}": runs([k for k, c in enumerate(task.conditions) if c.grade == grade])
         for grade in dict.fromkeys(c.grade for c in task.conditions)
     }
     kinds = {"condition": conditions, "family": families, "car": grades, "frame": _frames(task)}

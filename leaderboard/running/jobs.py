@@ -19,9 +19,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from leaderboard.entries.entries import is_ours
 from leaderboard.entries.entry import Entry, TrainingRun
 from leaderboard.evaluation import evaluate, store
-from leaderboard.evaluation.provenance import package_version
+from leaderboard.evaluation.provenance import package_code, package_version
 from leaderboard.evaluation.results import RESULT, content_digest, evaluation_version
 from leaderboard.evaluation.tasks import Task
 from leaderboard.json_values import to_json_types
@@ -66,6 +67,7 @@ def result_identity(task: Task, condition: int | None, entry: Entry, seeds: Sequ
         task.digest,
         None if condition is None else task.conditions[condition].label,
         [entry.name, entry.reference, entry.settings, entry.code],
+        "" if is_ours(entry.reference) else package_code(),
         list(seeds),
         package_version(),
         heights.VERSION,

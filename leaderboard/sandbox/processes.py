@@ -78,8 +78,11 @@ def memory_of_files(pid: int, folders: Iterable[Path]) -> int:
 def set_limits(pid: int, values: Mapping[str, int]) -> None:
     """Set limits of a process that the kernel enforces, by their names in `resource`.
 
-    That of its writable memory is beyond what it has mapped. Nothing is set if it has ended.
+    That of its writable memory is beyond what it has mapped. Nothing is set if it has ended. Where
+    the memory of the machine runs short, such a process is ended first.
     """
+    with suppress(OSError):
+        (PROC / str(pid) / "oom_score_adj").write_text("1000")
     mapped = size_of(pid, "status", "VmData") or 2**30
     for name, value in values.items():
         kind = getattr(resource, name)

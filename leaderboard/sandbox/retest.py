@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from leaderboard.entries.entry import TrainingRun
 from road_envs.records.record import Estimate, Record
@@ -99,11 +100,14 @@ def largest_change(
     """Return the largest difference [m] of two estimates, of heights or of deviations.
 
     Only stations count whose estimate may not depend on the samples from `start` [m] on, with that
-    `lag` [m]. It is infinite if only one of them has deviations.
+    `lag` [m]: it may know better than the odometer where these are, by as much as that has wandered
+    against the speed. It is infinite if only one of them has deviations.
     """
     if (first.z_std is None) != (second.z_std is None):
         return np.inf
-    before = first.s < start - lag - float(np.diff(record.s).max())  # one may interpolate
+    way = cumulative_trapezoid(record.v, record.t, initial=0.0)
+    wander = float(np.ptp((record.s - way)[: max(1, np.argmax(record.s >= start))]))
+    before = first.s < start - lag - wander - float(np.diff(record.s).max())  # one may interpolate
     pairs = [(first.z, second.z), (first.z_std, second.z_std)]
     changes = [np.abs(a - b)[:, before] for a, b in pairs if a is not None and b is not None]
     return float(max(change.max(initial=0.0) for change in changes))

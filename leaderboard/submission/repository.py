@@ -73,6 +73,8 @@ def build_site(
         raise ConfigError(f"{repository / _SUBMISSIONS} has no submission")
     if out.exists() and any(out.iterdir()):
         raise ConfigError(f"{out} is not empty: a site shows what is run for it; remove the folder")
+    if len({fold(folder.name) for folder in folders}) < len(folders):  # of two pull requests
+        raise ConfigError(f"{repository / _SUBMISSIONS}: two names look the same: keep one of them")
     for folder in folders:
         load_submission(folder)
         copy_file(folder / CARD, method_card_path(out, folder.resolve().name))

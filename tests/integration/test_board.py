@@ -32,6 +32,7 @@ from leaderboard.running import board as board_module
 from leaderboard.running import jobs
 from leaderboard.running.board import RunRequest, load_board, run_board, write_jobs
 from road_envs.core.artifacts import _text_checksum
+from road_envs.core.code_digest import closure
 from road_envs.core.config import ConfigError
 
 FEW_BASELINES = "flat", "truth_plus_noise"
@@ -135,6 +136,21 @@ def test_a_missing_or_damaged_row_is_assembled_again_from_its_parts(tmp_path, ex
     row_path(tmp_path, "small", "flat").write_text(text.replace('"nrmse": [1.0', '"nrmse": [0.0'))
     board, ran = run(tmp_path)
     assert ran == [] and rows(board) == expected
+
+
+def test_an_entry_by_others_is_run_again_when_the_package_that_it_builds_on_changes(monkeypatch):
+    entries = [
+        dataclasses.replace(make_request().entries[0], reference=x) for x in ("wiener", "a:B")
+    ]
+    before = [jobs.result_identity(small(), 1, entry, (1,)) for entry in entries]
+    monkeypatch.setattr(jobs, "package_code", lambda: "of today")
+    after = [jobs.result_identity(small(), 1, entry, (1,)) for entry in entries]
+    assert after[0] == before[0] and after[1] != before[1]
+
+
+def test_a_row_is_of_the_code_that_looks_for_foul_play_too():
+    judge = {path.name for path in closure(*RESULT.modules)}
+    assert {"retest.py", "seccomp.py", "evaluate.py"} <= judge
 
 
 @pytest.mark.parametrize("damage", [lambda text: text[:500], lambda text: "", lambda text: "[]"])

@@ -287,6 +287,9 @@ def test_the_command_draws_a_salt_and_reveals_the_tasks_with_it(tmp_path):
     (path,) = json.loads(shown.stdout)["tasks"]
     assert load_task(path).board == "class"
     assert isinstance(run("--out", tmp_path, "--reveal").exception, ConfigError)
+    again = run("--out", tmp_path / "next", "--task", "class", "--salt", salt).exception
+    assert "each season has a salt of its own" in str(again)
+    assert not (tmp_path / "next").exists()
 
 
 @pytest.mark.parametrize("name", ["Fr\u00fchjahr", 'x"y', "a b"])

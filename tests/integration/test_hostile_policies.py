@@ -116,7 +116,11 @@ def test_an_installed_policy_cannot_be_called_like_a_row_of_the_judge(name, monk
 
 
 @pytest.mark.parametrize(
-    "reference", ["rrms.npz", "best found.npz", "a\x1b[2J.npz", "x/learned.zip", "mine:rrms"]
+    "reference",
+    [
+        *("rrms.npz", "best found.npz", "a\x1b[2J.npz", "x/learned.zip", "mine:rrms"),
+        *("RRMS.npz", "iateral.npz", "best-found.npz"),
+    ],
 )
 @pytest.mark.parametrize("option", ["policy", "reference"])
 def test_a_file_or_a_class_cannot_be_called_like_a_row_of_the_judge(option, reference):

@@ -206,7 +206,7 @@ def committed(repo, text, **files):
 
 def of_season(name="seasons/1/class.yaml"):
     """Files of a repository whose rules have a season: its roads, and the rules."""
-    return {name: ""}, {"rules.yaml": f"tasks: [{name}]\n"}
+    return {name: "roads"}, {"rules.yaml": f"tasks: [{name}]\n"}
 
 
 CODE = "submissions/mine/code/a.whl"
@@ -232,6 +232,55 @@ def test_code_that_came_between_the_roads_and_the_rules_is_refused(verifies):
     assert said(status=1) == NEWER
     path = f"PATH={repo.parent}:{os.environ['PATH']}"
     assert call("env", path, "ci/verify.sh", cwd=repo, status=1) == NEWER
+
+
+def moved(repo, roads, rules):
+    """The season leaves the rules, so that new code is taken, and comes back from an archive."""
+    committed(repo, "the season ends", **roads, **rules)
+    committed(repo, "mine, later", **RECORD_OF_MINE, **{CODE: "knows"})
+    call("git", "mv", "seasons/1", "seasons/archive", cwd=repo)
+    return "seasons/archive/class.yaml"
+
+
+def salt_first(repo, roads, rules):
+    """The roads are drawn from the salt by whoever sees it."""
+    committed(repo, "the salt", **{"seasons/1/salt.txt": "of the roads"})
+    committed(repo, "mine, later", **RECORD_OF_MINE, **{CODE: "knows"})
+    committed(repo, "the season ends", **roads)
+    return "seasons/1/class.yaml"
+
+
+def elsewhere(repo, roads, rules):
+    committed(repo, "the season ends", **{"autumn/class.yml": "roads"})
+    committed(repo, "mine, later", **RECORD_OF_MINE, **{CODE: "knows"})
+    return "autumn/class.yml"
+
+
+def not_committed(repo, roads, rules):
+    committed(repo, "the season ends", **roads)
+    (repo / CODE).parent.mkdir(parents=True)
+    (repo / CODE).write_text("knows")
+    (repo / "submissions/mine/submission.json").write_text("of mine")
+    return "seasons/1/class.yaml"
+
+
+@pytest.mark.parametrize("way", [moved, salt_first, elsewhere, not_committed])
+def test_code_that_is_newer_than_the_roads_is_found_wherever_they_stand(verifies, way):
+    repo, _ = verifies
+    shutil.rmtree(repo / "submissions" / "rival")  # it has no code
+    committed(
+        repo, "honest", **{"submissions/old/submission.json": "", CODE.replace("mine", "old"): "o"}
+    )
+    place = way(repo, *of_season())
+    (repo / "rules.yaml").write_text(f"tasks: [{place}]\n")
+    call("git", "commit", "-a", "-m", "the rules", cwd=repo)
+    path = f"PATH={repo.parent}:{os.environ['PATH']}"
+    newer = f"submissions/mine: its code is newer than the roads of {place}\n"
+    assert call("env", path, "ci/verify.sh", cwd=repo, status=1) == newer
+    shutil.rmtree(repo / "submissions" / "mine")
+    if way is not not_committed:
+        call("git", "commit", "-a", "-m", "mine is removed", cwd=repo)
+    assert call("env", path, "ci/verify.sh", cwd=repo) == f"results-site {repo}\n"
 
 
 def test_no_branch_hides_when_code_or_roads_came(verifies):
@@ -332,7 +381,7 @@ def test_code_that_is_newer_than_the_roads_of_a_season_is_refused(verifies):
     (repo / "submissions" / "rival" / "code" / "a.whl").write_text("a")
     for name, text in (
         ("rules.yaml", "tasks: [seasons/1/class.yaml]\n"),
-        ("seasons/1/class.yaml", ""),
+        ("seasons/1/class.yaml", "roads"),
     ):
         call("git", "add", ".", cwd=repo)
         call("git", "commit", "-m", "before", cwd=repo)
@@ -365,7 +414,7 @@ def test_attributes_change_no_file_of_a_submission(verifies, name):
     for text in ("a season", "its roads"):
         call("git", "add", ".", cwd=repo)
         call("git", "commit", "-m", text, cwd=repo)
-        (repo / "seasons" / "class.yaml").write_text("")
+        (repo / "seasons" / "class.yaml").write_text("roads")
         (repo / "rules.yaml").write_text("tasks: [seasons/class.yaml]\n")
     call("git", "branch", "-f", "main", cwd=repo)
     (repo / "submissions" / "rival" / "results" / "more.json").write_text("")
@@ -386,6 +435,16 @@ def test_a_pull_request_builds_no_site_and_the_main_line_all_of_it(verifies):
     path = f"PATH={repo.parent}:{os.environ['PATH']}"
     assert call("env", path, "ci/verify.sh", cwd=repo) == f"results-site {repo}\n"
     assert not (repo / "site").exists()
+
+
+def test_no_site_has_two_names_that_look_the_same(submission, tmp_path):
+    """Of two pull requests, each of which was verified beside an older main line."""
+    repository.write_repository(tmp_path / "repo")
+    for name in ("reader", "Reader"):
+        shutil.copytree(submission, tmp_path / "repo" / "submissions" / name)
+    with pytest.raises(ConfigError, match="two names look the same"):
+        repository.build_site(tmp_path / "repo", tmp_path / "site", Limits())
+    assert not (tmp_path / "site").exists()
 
 
 def test_a_site_is_not_built_over_rows_that_lie_there(submission, tmp_path):

@@ -194,7 +194,7 @@ def test_files_without_content_count_as_memory(sandbox, identity, monkeypatch):
 @pytest.mark.parametrize("root", [True, False])
 def test_no_process_of_a_guest_that_it_could_change_has_other_limits(sandbox, monkeypatch, root):
     monkeypatch.setattr(bubblewrap, "is_root", lambda: root and os.geteuid() == 0)
-    with pytest.raises(EntryError, match=r"RuntimeError: limits \[.*\]$") as error:
+    with pytest.raises(EntryError, match=r"Error: ended first, limits \[.*\]$") as error:
         run(sandbox, "look_at_limits")
     limits = [int(x) for x in str(error.value).rpartition("[")[2].rstrip("]").split(", ") if x]
     assert all(0 < x <= 256 for x in limits[::2]) and all(0 < x < 2**31 for x in limits[1::2])

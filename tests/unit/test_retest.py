@@ -1,11 +1,14 @@
 """What a second guest is asked: drives that go on in another way from a secret point on."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import butter, sosfiltfilt
 
-from leaderboard.sandbox.retest import with_other_future
+from leaderboard.sandbox.retest import largest_change, with_other_future
 from road_envs import simulate_record
+from road_envs.records.record import Estimate
 
 
 @pytest.fixture(scope="module")
@@ -30,3 +33,18 @@ def test_no_level_of_what_follows_is_left_and_what_came_before_is(record, seed):
     assert (np.abs(levels[1] - levels[0]) > 3.0).all()
     waves = [sosfiltfilt(slow, x.a[:, ~before], axis=1).ravel() for x in (record, other)]
     assert abs(np.corrcoef(*waves)[0, 1]) < 0.3
+
+
+@pytest.mark.parametrize("ahead", [0.3, 2.0])
+def test_who_corrects_an_odometer_that_wanders_does_not_look_ahead(record, ahead):
+    """Where the odometer says 45 m, who knows better is at 45.3 m, whose height may depend on all
+    that follows; at 47 m nobody is, by odometer or speed.
+    """
+    wander = 0.4 * np.sin(2.0 * np.pi * record.s / 30.0)
+    wanders = replace(record, s=record.s + wander)
+    s = np.arange(0.0, 100.0, 0.05)
+    first = Estimate(s, np.zeros((2, s.size)))
+    changed = replace(first, z=np.where(s > 45.0 - ahead, 1e-3, 0.0) * np.ones((2, 1)))
+    found = largest_change(first, changed, 45.0, 0.0, wanders)
+    assert found == (0.0 if ahead < 0.8 else 1e-3)
+    assert largest_change(first, changed, 45.0, 0.0, record) == 1e-3

@@ -31,3 +31,15 @@ def test_runs_are_grouped_by_the_frequency_of_the_frame():
 
 def test_a_task_without_flexible_cars_has_no_group_of_frames():
     assert "frame" not in run_groups(load_task("new_road"))
+
+
+def test_a_group_of_a_condition_has_the_roads_that_are_driven_under_it():
+    """Others would be drawn by a bootstrap, and tell nothing."""
+    task = load_task("new_road")
+    scores = np.full((len(task.test.roads_and_seeds), len(task.conditions), 1), np.nan)
+    for k, condition in enumerate(task.conditions):
+        for drive, _, _ in task.drives_of(task.test, condition):
+            scores[drive, k] = k
+    for k, part in enumerate(run_groups(task)["condition"].values()):
+        members = scores[part]
+        assert members.shape == (len(task.test.design[k]), 1, 1) and (members == k).all()

@@ -30,6 +30,7 @@ CALLS = {  # by number on x86_64, with arguments that would succeed
     "unshare": (272, 0x10000000),
     "clone": (56, 0x10000000 | signal.SIGCHLD, 0, 0, 0, 0),
     "io_uring_setup": (425, 1, "buffer"),
+    "syslog": (103, 10, 0, 0),
     "pidfd_open": (434, 1, 0),
     "clone_pidfd": (56, 0x1000 | signal.SIGCHLD, 0, "buffer", 0, 0),
     "shared_memory": (9, 0, 4096, 3, 0x21, -1, 0),
@@ -206,7 +207,8 @@ def does_look_at_limits(where, record):
             found += [
                 resource.prlimit(pid, x)[1] for x in (resource.RLIMIT_NOFILE, resource.RLIMIT_DATA)
             ]
-    raise RuntimeError(f"limits {found}")
+    share = Path("/proc/self/oom_score_adj").read_text().strip()
+    raise RuntimeError(f"ended {'first' if share == '1000' else 'by chance'}, limits {found}")
 
 
 def does_fill_sockets(where, record):
