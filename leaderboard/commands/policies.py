@@ -8,7 +8,6 @@ from typing import Annotated, Any
 
 from leaderboard import commands
 from leaderboard.commands.options import Json, LimitOptions, option
-from leaderboard.entries.entries import fold
 from leaderboard.entries.entry import NAME
 from leaderboard.policies import best_found, comparison
 from leaderboard.policies import page as policy_page
@@ -144,12 +143,11 @@ def _row_name(reference: str) -> str:
     """Return the name of the row of a policy. Raises ConfigError for one that is another's."""
     is_file = reference.endswith(FILE_SUFFIXES)
     name = Path(reference).stem if is_file else reference.rpartition(":")[2].rpartition(".")[2]
-    if name != reference and (
-        not NAME.fullmatch(name) or fold(name) in map(fold, (*REGISTRY, "best_found"))
-    ):
+    is_taken = name.lower().replace("-", "_") in (*REGISTRY, "best_found")
+    if name != reference and (not NAME.fullmatch(name) or is_taken):
         raise ConfigError(
             f"the row of {reference!a} would have the name {name!a}: it must be a letter and at "
-            "most 39 letters, digits, - or _, and not look like a policy of this package; rename it"
+            "most 39 letters, digits, - or _, and not that of a policy of this package; rename it"
         )
     return name
 

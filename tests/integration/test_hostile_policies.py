@@ -119,7 +119,7 @@ def test_an_installed_policy_cannot_be_called_like_a_row_of_the_judge(name, monk
     "reference",
     [
         *("rrms.npz", "best found.npz", "a\x1b[2J.npz", "x/learned.zip", "mine:rrms"),
-        *("RRMS.npz", "iateral.npz", "best-found.npz"),
+        *("RRMS.npz", "best-found.npz"),
     ],
 )
 @pytest.mark.parametrize("option", ["policy", "reference"])
