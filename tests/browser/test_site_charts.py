@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from leaderboard.report.charts import task_charts
 from leaderboard.report.figures import line_style
 from leaderboard.report.notes import sanity_warnings
 from leaderboard.report.overview import ranking_chart
-from leaderboard.report.sentences import build_report
+from leaderboard.report.sentences import _certainty_sentence, build_report
 from leaderboard.report.site import _render_pages
 from leaderboard.report.tables import Row, board_views
 from leaderboard.running.board import Board
@@ -142,9 +143,16 @@ def test_the_headline_names_best_next_and_certainty():
     text = text_of(site()["index.html"])
     cells = lines_of()["reader"].cells
     assert f"reader is best: its error is {cells['nrmse']}, where" in text
-    assert "static_lm follows with" in text and "The first place is not decided" in text
+    assert "static_lm follows with" in text and "The first place is decided" in text
     online = lines_of()["online"].cells["nrmse"]
     assert f"online with {online}, the best that may run while driving" in text
+
+
+def test_the_first_place_is_not_decided_where_another_entry_shares_it():
+    best, other = (lines_of()[name] for name in ("reader", "static_lm"))
+    tied = dataclasses.replace(other, values=other.values | {"rank": best.values["rank"]})
+    said = _certainty_sentence(best, [tied], SimpleNamespace(is_public=False))
+    assert said == "The first place is not decided: these drives cannot tell static_lm from it."
 
 
 def test_calibration_counts_the_errors_inside_the_stated_intervals():

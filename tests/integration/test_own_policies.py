@@ -153,12 +153,12 @@ def test_policies_compares_a_class_and_a_file_beside_shipped_ones(
     monkeypatch.syspath_prepend(str(SUPPORT))
     network = Path(__file__).parents[2] / "configs/policies/learned.npz"
     (tmp_path / "mine.npz").write_bytes(network.read_bytes())
-    words = ("--policy", "fixed_ride", "--policy", "mine.npz", "--policy", "bad_policies:Lateral")
+    words = ("--policy", "fixed_ride", "--policy", "mine.npz", "--policy", "bad_policies:Chance")
     code, out, _ = road_recon(
         "policies", *words, "--quick", "--isolation", "process", "--json", "--out", "out"
     )
     rows = {row["policy"]: row for row in json.loads(out)["rows"]}
-    assert code == 0 and set(rows) == {"fixed_ride", "mine", "Lateral", "rrms"}
+    assert code == 0 and set(rows) == {"fixed_ride", "mine", "Chance", "rrms"}
     assert all(row["failure"] is None for row in rows.values())
     page = (tmp_path / "out/policies.html").read_text()
     assert all(name in page for name in rows)
