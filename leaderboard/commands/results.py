@@ -145,11 +145,11 @@ def season(
         paths = [str(path) for path in hidden_seeds.reveal(salt, out)]
         facts = {"commitment": hidden_seeds.load(out).commitment, "salt": salt, "tasks": paths}
     else:
+        if salt is not None:
+            raise ConfigError("--salt is for --reveal: each season has a salt of its own, drawn")
         chosen = [load_task(name) for name in task or ()] or [
             each for each in shipped_tasks() if each.board_name in _RANDOM_ROAD_BOARDS
         ]
-        if salt is not None:
-            raise ConfigError("--salt is for --reveal: each season has a salt of its own, drawn")
         salt = secrets.token_urlsafe(24)
         hidden = hidden_seeds.commit(salt, chosen)
         path = hidden_seeds.save(hidden, out)

@@ -22,8 +22,10 @@ def run_groups(task: Task) -> dict[str, dict[str, ScoreSlice]]:
     every, design = slice(None), task.test.design
 
     def runs(conditions: list[int]) -> ScoreSlice:  # of the roads that are driven under them
-        roads = sorted({road for k in conditions for road in design[k]}) if design else every
-        return (np.array(roads)[:, None] if design else every), conditions
+        if not design:
+            return every, conditions
+        roads = sorted({road for k in conditions for road in design[k]})
+        return np.array(roads)[:, None], conditions
 
     conditions = {c.label: runs([k]) for k, c in enumerate(task.conditions)}
     families: dict[str, ScoreSlice] = {

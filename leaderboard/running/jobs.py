@@ -19,7 +19,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from leaderboard.entries.entries import is_ours
 from leaderboard.entries.entry import Entry, TrainingRun
 from leaderboard.evaluation import evaluate, store
 from leaderboard.evaluation.provenance import package_code, package_version
@@ -67,7 +66,7 @@ def result_identity(task: Task, condition: int | None, entry: Entry, seeds: Sequ
         task.digest,
         None if condition is None else task.conditions[condition].label,
         [entry.name, entry.reference, entry.settings, entry.code],
-        "" if is_ours(entry.reference) else package_code(),
+        package_code() if job_files.is_by_others(entry) else "",
         list(seeds),
         package_version(),
         heights.VERSION,
