@@ -192,10 +192,13 @@ def is_believed(fit: CarFit, solutions: Sequence[MapSolution]) -> bool:
     A vehicle as described is fitted to what friction and the count of unknowns leave, and a vehicle
     of another kind, such as with a frame that twists, stays unexplained: neither is believed.
     """
-    before, after = (
-        max(float(np.max(s.noise_scale)) for s in part) for part in (solutions, fit.solutions)
-    )
-    return after < min(TUNING.believed_gain * before, TUNING.structure_power)
+    left = noise_left(fit.solutions)
+    return left < min(TUNING.believed_gain * noise_left(solutions), TUNING.structure_power)
+
+
+def noise_left(solutions: Sequence[MapSolution]) -> float:
+    """Return the greatest noise scale of the drives of one vehicle."""
+    return max(float(np.max(one.noise_scale)) for one in solutions)
 
 
 def _resolve(

@@ -19,6 +19,7 @@ from estimators.map_smoother.car_fit import (
     can_show_vehicle,
     fit_if_due,
     is_believed,
+    noise_left,
 )
 from estimators.map_smoother.gauss_newton import (
     GaussNewton,
@@ -66,6 +67,11 @@ class Findings:
     def fit_of(self, number: int) -> CarFit | None:
         """Return the fit of the vehicle of this pass."""
         return next((fit for fit, members in self.fits if number in members), None)
+
+    def doubt(self, fit: CarFit) -> None:
+        """Keep a fit that is not believed, of a vehicle whose elements are not all described."""
+        self.doubted = fit
+        self.left_by_fit = max(self.left_by_fit, noise_left(fit.solutions))
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,12 +158,15 @@ class RoadSolver:
         if is_seen and posterior.vehicle_share > TUNING.vehicle_share_due:
             with suppress(ArithmeticError):  # a varied vehicle's motion was not finite
                 fit = findings.doubted or adapt_car([solution], drive.car, solver)
-                findings.fits = [(fit, [0])]
-                uncertain = VehicleUncertainty.of_tolerances(fit.car, sensors)
-                uncertain = replace(uncertain, is_prior=False, inflation=TUNING.fit_inflation)
-                posterior = posterior_mean_and_std(
-                    fit.solutions[0], self.band, self.draws, uncertain
-                )
+                if noise_left(fit.solutions) >= TUNING.structure_power:
+                    findings.doubt(fit)
+                else:
+                    findings.fits = [(fit, [0])]
+                    uncertain = VehicleUncertainty.of_tolerances(fit.car, sensors)
+                    uncertain = replace(uncertain, is_prior=False, inflation=TUNING.fit_inflation)
+                    posterior = posterior_mean_and_std(
+                        fit.solutions[0], self.band, self.draws, uncertain
+                    )
         findings.vehicle_share = max(findings.vehicle_share, posterior.vehicle_share)
         return posterior
 
@@ -177,9 +186,7 @@ class RoadSolver:
             if is_believed(fit, own):
                 findings.fits.append((fit, [members[k] for k in same]))
             else:
-                findings.doubted = fit
-                left = max(float(one.noise_scale[0]) for one in fit.solutions)
-                findings.left_by_fit = max(findings.left_by_fit, left)
+                findings.doubt(fit)
         if not findings.fits:
             return solution
         if len(members) == 1:

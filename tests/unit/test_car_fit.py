@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.signal import bilinear, lfilter
 from test_map_smoother import residual_at
 from vehicle_fixtures import DEFENDER
 
@@ -233,3 +234,18 @@ def test_a_fit_that_was_not_believed_is_not_made_again_for_the_same_drive(monkey
     found = MapSmoother().estimate(drive.record, DEFENDER)
     assert any("the vehicle was adapted" in note for note in found.notes)
     assert len(made) == 1
+
+
+def test_a_fit_that_leaves_much_does_no_harm_where_sensors_are_on_brackets():
+    drive, truth = calibration_drive("S0", 3, 40.0)
+    w, damping = 2.0 * np.pi * 60.0, 0.03
+    resonance = [2.0 * damping * w, w**2], [1.0, 2.0 * damping * w, w**2]
+    shaken = lfilter(*bilinear(*resonance, drive.record.fs), drive.record.a)
+    unfitted, fitted = (
+        MapSmoother(adapt=adapt).estimate(replace(drive.record, a=shaken), DEFENDER)
+        for adapt in (False, True)
+    )
+    band = scored_band(15.0)
+    errors = [nrmse(truth.z, one.z, truth.ds, band).pooled for one in (unfitted, fitted)]
+    assert errors[1] < 1.1 * errors[0]
+    assert "does not reproduce" in fitted.notes[0]
