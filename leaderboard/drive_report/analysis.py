@@ -28,7 +28,7 @@ SEGMENT_LENGTHS = (10.0, 20.0, 100.0)  # lengths [m] of segments
 
 _PLACE_STD = 0.15
 """Standard deviation [m] of an obstacle's place in a drive whose distance is right; by
-`tests/long/report_trial.py` with seeds 201 to 203.
+`studies/report_trial.py` with seeds 201 to 203.
 """
 
 _RUN_IN = 11.0  # length [m] of the golden car's run-in (Sayers 1995)

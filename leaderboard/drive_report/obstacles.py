@@ -53,7 +53,7 @@ _READINGS = 3  # iterations that find feet and line, each by the line before
 
 HEIGHT_STD = 0.07
 """Relative standard deviation of a height by tyres that envelop an obstacle and a vehicle that is
-not quite the one described, from the simulated drives of `tests/long/report_trial.py`.
+not quite the one described, from the simulated drives of `studies/report_trial.py`.
 """
 
 _GUMBEL_LOCATION, _GUMBEL_SCALE = 3.72, 0.30

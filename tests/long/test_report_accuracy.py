@@ -1,20 +1,16 @@
 """Drives as phones log them, of cars that differ from their description, in reports that hold.
 
-The cases are those of `report_trial.py`, whose summary is printed; no constant of the report was
-chosen by their drives. Places are compared with the true ones, heights with those of the true
-surface, as the report defines them. With `-s` this test is the trial:
+The cases are those of `studies/report_trial.py`, whose summary is printed; no constant of the
+report was chosen by their drives. Places are compared with the true ones, heights with those of the
+true surface, as the report defines them. With `-s` this test is the trial:
 
     python -m pytest -q -s tests/long/test_report_accuracy.py
 """
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))
-import report_trial
+from studies import report_trial
 
 SECONDS = 120.0
 """Longest processor time of a report; its compilation is part of the first."""

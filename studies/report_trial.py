@@ -3,7 +3,7 @@
 For each case a table is written (`examples/phone_drive.py`) and reported by one command,
 and the obstacles and IRI that the report gives are compared with the road:
 
-    python tests/long/report_trial.py --out out/report_trial
+    python -m studies.report_trial --out out/report_trial
 
 The folder keeps what is done, so that a trial that was ended goes on; the summary is printed.
 """
@@ -31,7 +31,7 @@ from road_envs.records.roughness import displacement_psd
 from road_envs.roads import realise_road
 from road_envs.roads.surface import Surface
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[1]
 
 LENGTH = 150.0
 """Length [m] of a road."""
@@ -123,7 +123,9 @@ def compare(drive: dict, defects: list[dict], road_file: Path, seed: int) -> dic
     `height` is compared with that of the true surface over the line between the feet, as reports
     define it, and `nominal` with that of the defect alone.
     """
-    found, place, height, nominal, inside = list(drive["obstacles"]), [], [], [], [0, 0, 0]
+    found, inside = list(drive["obstacles"]), [0, 0, 0]
+    place: list[float | None] = []
+    height, nominal = list[float](), list[float]()
     surface = realise_road(road_file, seed)
     s = profile_stations(LENGTH)
     on_surface = detect(Estimate(s, surface.height(s)))
@@ -187,19 +189,19 @@ def summary(results: list[dict]) -> str:
             f"{nominal} by nominal heights; {_heights(np.ravel([r['height'] for r in chosen]))}"
         )
     for k, name in enumerate(NAMES):
-        place, height, nominal = (
+        place, of_surface, of_defect = (
             np.array([r[key][k] for r in results], dtype=float)
             for key in ("place_m", "height", "nominal")
         )
         lines.append(
             f"{name}: place {np.nanmean(place):+.2f} ± {np.nanstd(place):.2f} m, "
-            f"{np.mean(np.abs(place) <= 0.5):.0%} within 0.5 m; {_heights(height)}; "
-            f"over the nominal {_heights(nominal)}"
+            f"{np.mean(np.abs(place) <= 0.5):.0%} within 0.5 m; {_heights(of_surface)}; "
+            f"over the nominal {_heights(of_defect)}"
         )
-        worst = int(np.argmax(np.abs(height)))
+        worst = int(np.argmax(np.abs(of_surface)))
         letter, speed, seed = results[worst]["case"]
         lines.append(
-            f"{name}, worst: {100.0 * height[worst]:+.0f} % on class {letter} at {speed} km/h, "
+            f"{name}, worst: {100.0 * of_surface[worst]:+.0f} % on class {letter} at {speed} km/h, "
             f"seed {seed}"
         )
     for letter in sorted({r["case"][0] for r in results}):
