@@ -143,8 +143,8 @@ def compare(drive: dict, defects: list[dict], road_file: Path, seed: int) -> dic
             (o for o in on_surface if o.height * defect["height"] > 0.0),
             key=lambda o: abs(o.station - defect["at"]),
         ).height
-        place.append(nearest["station_m"] - defect["at"])
-        inside[0] += bool(abs(place[-1]) <= 1.96 * nearest["station_std_m"])
+        place.append(off := nearest["station_m"] - defect["at"])
+        inside[0] += bool(abs(off) <= 1.96 * nearest["station_std_m"])
         height.append(1e-3 * nearest["height_mm"] / true - 1.0)
         nominal.append(1e-3 * nearest["height_mm"] / defect["height"] - 1.0)
         low, high = (1e-3 * nearest[f"height_{x}_mm"] for x in ("low", "high"))
