@@ -9,7 +9,7 @@ also limits how much of a channel may be missing:
     clean_record(record)               an even clock, with missing samples interpolated
 
 A sample is valid if it is finite, below the instruments' range, and not within the reach of the
-anti-alias filter from one that is not. Samples at standstill are valid, as the vehicle model
+anti-alias filter from one beyond it. Samples at standstill are valid, as the vehicle model
 explains them; a note says how long the vehicle stood. A low-pass that the accelerations have passed
 is undone (`estimators.low_pass`).
 """
@@ -21,7 +21,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from estimators.even_clock import resample_evenly, with_lost_samples
-from estimators.low_pass import undo_low_pass
+from estimators.low_pass import smoothing_notes, undo_low_pass
 from road_envs.kernels.filters import preprocess_accelerations
 from road_envs.records.record import (
     F_C,
@@ -54,7 +54,7 @@ _RANGE_SHARE = 0.98
 # A sensor within this relative distance of its peak for so many consecutive samples is clipped:
 # at 1 kHz no motion above 0.4 Hz has such a flat peak
 _CLIPPING_TOLERANCE, _CLIPPING_SAMPLES = 1e-5, 5
-# Samples to either side of an invalid one that the anti-alias filter mixes with it
+# Samples to either side of a clipped one that the anti-alias filter mixes with it
 ANTIALIAS_SPREAD = 3
 
 
@@ -106,6 +106,8 @@ def mask_record(record: Record, instruments: Instruments | None = None) -> Maske
     clipping_notes = _clipping_notes(names, size, out_of_range)
     density = instruments.noise_densities.max() if instruments else 0.0
     record, valid, filter_notes = undo_low_pass(record, valid, density)
+    if density > 0.0 and instruments:
+        filter_notes += smoothing_notes(record, instruments)
     notes = (*gap_notes, *clock_notes, *drive_notes, *clipping_notes, *filter_notes)
     return MaskedRecord(record, valid, notes)
 
@@ -133,9 +135,9 @@ def _is_out_of_range(size: np.ndarray, instruments: Instruments | None) -> np.nd
 
 
 def _is_valid(finite: np.ndarray, out_of_range: np.ndarray) -> np.ndarray:
-    """Return which samples (k, N) are far enough from any that is missing or out of range."""
+    """Return which samples (k, N) are there, and far enough from any that is out of range."""
     spread = np.ones((1, 2 * ANTIALIAS_SPREAD + 1))
-    return np.asarray(~binary_dilation(~finite | out_of_range, spread))
+    return np.asarray(finite & ~binary_dilation(out_of_range, spread))
 
 
 def clipped_signs(record: Record, instruments: Instruments) -> np.ndarray:

@@ -99,11 +99,15 @@ def make_report(
     passes = align_passes(read)
     progress("joining the passes" if len(drives) > 1 else "writing the report", 0.95)
     joined = join(one, passes, [drive.car for drive in drives])
+    passes = list(map(_with_factor_told, passes, drives))
     results = list(map(_analysed, passes, drives, repeat(chosen)))
     if chosen.known_iri is not None:
         known, note = known_factor(results[0], chosen.known_iri)
-        drives = [_with_factor(drive, known) for drive in drives]
-        passes = [p.with_note(note) for p in passes]
+        is_own = [_car_and_place(drive) == _car_and_place(drives[0]) for drive in drives]
+        drives = [
+            _with_factor(d, known) if own else d for d, own in zip(drives, is_own, strict=True)
+        ]
+        passes = [p.with_note(note) if own else p for p, own in zip(passes, is_own, strict=True)]
         results = list(map(_analysed, passes, drives, repeat(chosen)))
     compared = [r for r, p in zip(results, passes, strict=True) if p.aligned]
     return _RoadReport(
@@ -119,6 +123,20 @@ def make_report(
 def _within(progress: _Progress, what: str, begin: float, share: float) -> _Progress:
     """Return the progress of a part that begins at `begin` and has this `share` of the whole."""
     return lambda text, done: progress(what + text, begin + share * done)
+
+
+def _with_factor_told(each: ReportedPass, drive: DriveFile) -> ReportedPass:
+    """Return a pass with a note of the factor that its description has, if any."""
+    if (factor := drive.description.iri_factor) is None:
+        return each
+    return each.with_note(
+        f"every IRI is multiplied by {factor:.3g}, the factor that the description has of this car "
+        "and its mount"
+    )
+
+
+def _car_and_place(drive: DriveFile) -> tuple[str, str | None, str]:
+    return drive.vehicle, drive.description.at, drive.sensors
 
 
 def _with_factor(drive: DriveFile, known: KnownFactor) -> DriveFile:

@@ -72,7 +72,8 @@ def recording_to_record(
     upright = level(recording)
     seat = (SEAT_NOTE,) if description.at == "seat" else ()
     table = _joined_table(upright.t, upright.vertical, recording.track)
-    drive = to_measured_record(table, wheelbase, description, car)
+    # the recording has been read by them
+    drive = to_measured_record(table, wheelbase, replace(description, columns={}, units={}), car)
     notes = (*upright.notes, *recording.notes, *seat, *drive.notes)
     return drive._replace(notes=notes, place=description.at or "")
 

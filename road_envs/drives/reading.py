@@ -108,9 +108,13 @@ def read_drives(
             f"{path}: say which vehicle was driven: --vehicle with a shipped name (road-recon "
             "lists them with an unknown one) or a file of your own"
         )
+    if not source.is_table and track is None and (chosen.columns or chosen.units):
+        raise ConfigError(
+            f"{path} names its columns and units itself: leave out --columns and --units"
+        )
     try:
         if track is not None:
-            source = source.with_track(*read_track(track), track.name)
+            source = source.with_track(*read_track(track, chosen), track.name)
         car = load_vehicle(chosen.vehicle)
         parts = drives_of(source)
         labels = [path.name] if len(parts) == 1 else [part.name for part in parts]

@@ -215,6 +215,16 @@ def test_a_description_is_written_and_read(tmp_path):
     assert read_description(tmp_path / "d.yaml") == given
 
 
+@pytest.mark.parametrize("changes", [{"vehicle": "van"}, {"at": "trunk"}, {"sensors": "paper"}])
+def test_the_factor_of_another_car_or_place_is_not_kept(changes):
+    known = {"vehicle": "bmw_320i", "at": "dashboard", "sensors": "phone"}
+    given = DriveDescription(**known, iri_factor=0.55, iri_factor_std=0.05)
+    assert given.updated(**known, offset=3.0).iri_factor == 0.55
+    other = given.updated(**changes)
+    assert other.iri_factor is None and other.iri_factor_std is None
+    assert given.updated(**changes, iri_factor=0.6).iri_factor == 0.6
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

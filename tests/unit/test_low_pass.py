@@ -16,6 +16,7 @@ from estimators.preprocessing import mask_record
 from leaderboard.sandbox import messages
 from road_envs.drives.recording import read_record, simulate_record, write_record
 from road_envs.records.record import LowPass, Record
+from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import load_vehicle
 
 
@@ -71,6 +72,24 @@ def test_a_low_pass_that_a_record_does_not_name_is_found(f_c, order):
     gain, expected = (one.gain(f, record.fs) for one in (found, LowPass(f_c, order)))
     np.testing.assert_allclose(gain, expected, atol=0.06)
     assert _find_low_pass(record.a, record.fs, PAPER.noise_density) is None
+
+
+@pytest.mark.parametrize("instruments", ["paper", "phone"])
+def test_smoothed_accelerations_are_told_and_raw_ones_are_not(instruments):
+    record, _ = simulate_record(
+        "iso_b", speed_kmh=36.0, mode="ride", seed=3, length=60.0, instruments=instruments
+    )
+    known = load_instruments(instruments)
+    slow = signal.butter(2, 5.0, fs=record.fs, output="sos")
+    cases = {
+        "raw": record.a,
+        "mean": signal.lfilter(np.full(5, 0.2), 1.0, record.a),
+        "slow": signal.sosfilt(slow, record.a),
+    }
+    for name, a in cases.items():
+        notes = mask_record(replace(record, a=a), known).notes
+        assert any("seem to be smoothed" in note for note in notes) == (name != "raw"), name
+        assert not any("is undone" in note for note in notes)
 
 
 def test_a_measurement_says_nothing_above_its_bandwidth():

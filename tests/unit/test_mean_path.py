@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,8 +15,10 @@ from leaderboard.drive_report.drive_estimates import make_drive_estimator
 from leaderboard.drive_report.known_iri import known_factor
 from leaderboard.drive_report.mean_path import _path_ratio, path_level_ratio, tells_paths_apart
 from leaderboard.drive_report.notes import in_order_of_weight, vehicle_in_words
+from leaderboard.drive_report.passes import ReportedPass
+from leaderboard.drive_report.report import _with_factor_told
 from road_envs.core.config import ConfigError
-from road_envs.drives.logger_tables.description import PLACES
+from road_envs.drives.logger_tables.description import PLACES, DriveDescription
 from road_envs.drives.measured_record import MeasuredRecord
 from road_envs.drives.reading import read_drive
 from road_envs.records.accelerometers import Accelerometer
@@ -163,6 +166,14 @@ def test_a_known_iri_gives_the_factor_of_car_and_mount(tmp_path):
     short, _ = known_factor(found, str(tmp_path / "k.csv"))
     assert short.factor == pytest.approx(1.0) and short.std > known.std
     assert isinstance(short, KnownFactor)
+
+
+def test_a_factor_of_the_description_is_told():
+    each = ReportedPass("one", MeasuredRecord(record=None), None, None)
+    for factor in (None, 0.55):
+        drive = SimpleNamespace(description=DriveDescription(iri_factor=factor))
+        notes = _with_factor_told(each, drive).measured.notes
+        assert any("multiplied by 0.55" in note for note in notes) == (factor is not None)
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ import shutil
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from phone_recordings import EPOCH, FOLDER, SAMPLES, _zip, gpx, phone, phyphox_members, sample
 from phone_recordings import sensor_logger as write_sensor_logger
@@ -171,6 +172,53 @@ def test_standing_before_the_drive_is_left_out(tmp_path):
     drive = read_drive(tmp_path / "d.csv", **CAR)
     assert drive.measured.record.t[-1] == pytest.approx(28.0, abs=1.1)
     assert any("12 s of standing" in note for note in drive.measured.notes)
+
+
+def test_a_late_first_fix_is_not_taken_for_standing(tmp_path):
+    one = phone(TILT, duration=40.0)
+    fixes = {
+        key: np.where(one.fix_t < 6.0, np.nan, getattr(one, key)) for key in ("lat", "lon", "v")
+    }
+    (tmp_path / "d.csv").write_bytes(write_table(replace(one, **fixes)))
+    notes = read_drive(tmp_path / "d.csv", **CAR).measured.notes
+    assert any("no speed is known in the first 4.5 s" in note for note in notes)
+    assert not any("standing" in note for note in notes)
+
+
+def test_units_and_columns_of_a_table_with_axes_are_applied_once(tmp_path):
+    one, path = phone(TILT, duration=20.0, speed=15.0), tmp_path / "d.csv"
+    axes = {f"a{axis}": x / 9.80665 for axis, x in zip("xyz", one.axes.T, strict=True)}
+    v = np.full(one.t.size, 54.0)
+    pd.DataFrame({"Zeit": 1e3 * one.t, **axes, "Geschw": v}).to_csv(path, index=False)
+    given = {"t": "ms", "v": "km/h", "a_phone": "g"}
+    drive = read_drive(path, columns={"t": "Zeit", "v": "Geschw"}, units=given, **CAR)
+    record = drive.measured.record
+    assert record.v == pytest.approx(15.0) and record.t[-1] == pytest.approx(20.0, abs=0.02)
+    assert np.std(record.a) == pytest.approx(np.std(one.vertical), rel=0.05)
+    pd.DataFrame({"Zeit": 1e3 * one.t, **axes}).to_csv(path, index=False)
+    pd.DataFrame({"Zeit": 1e3 * one.t, "Geschw": v}).to_csv(tmp_path / "v.csv", index=False)
+    named = {"columns": {"t": "Zeit", "v": "Geschw"}, "units": given}
+    with pytest.raises(ConfigError, match="there is no column 'Geschw' for v"):
+        read_drive(path, **named, **CAR)
+    (tmp_path / "d.zip").write_bytes(_zip(phyphox_members(one)))
+    with pytest.raises(ConfigError, match="names its columns and units itself"):
+        read_drive(tmp_path / "d.zip", units={"v": "km/h"}, **CAR)
+    pd.DataFrame({"t": one.t, **axes}).to_csv(path, index=False)
+    pd.DataFrame({"t": one.t, "speed": v}).to_csv(tmp_path / "v.csv", index=False)
+    drive = read_drive(path, track=tmp_path / "v.csv", units={"v": "km/h"}, **CAR)
+    assert drive.measured.record.v == pytest.approx(15.0)
+
+
+def test_a_speed_without_a_unit_or_of_0_is_told(tmp_path):
+    one, path = phone(TILT, duration=20.0, speed=15.0), tmp_path / "d.csv"
+    axes = {f"a{axis}": x for axis, x in zip("xyz", one.axes.T, strict=True)}
+    for speed, is_told in (("speed", True), ("speed [m/s]", False), ("v", False)):
+        pd.DataFrame({"t": one.t, **axes, speed: 15.0 + 0.0 * one.t}).to_csv(path, index=False)
+        notes = read_drive(path, **CAR).measured.notes
+        assert any("has no unit: it is read as m/s" in note for note in notes) == is_told
+    pd.DataFrame({"t": one.t, **axes, "v": 0.0 * one.t}).to_csv(path, index=False)
+    with pytest.raises(ConfigError, match="the speed is 0 in all rows"):
+        read_drive(path, **CAR)
 
 
 def test_a_track_of_another_file_is_joined_by_time(tmp_path):

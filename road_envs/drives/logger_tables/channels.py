@@ -103,6 +103,11 @@ class Channels:
         if not np.isfinite(x).any():
             self.findings.problems.append(f"the column {header} holds no number")
             return None
+        # an odometer or positions would tell
+        if quantity == "v" and not (unit or header.lower() == "v" or "s" in self or "lat" in self):
+            self.findings.notes.append(
+                f"the column {header} has no unit: it is read as m/s (--units v=km/h if it is not)"
+            )
         return x
 
     def acceleration(self, quantity: str) -> np.ndarray | None:

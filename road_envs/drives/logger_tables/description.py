@@ -129,7 +129,7 @@ class DriveDescription(Settings):
     @property
     def layout(self) -> dict[str, Accelerometer] | None:
         """The accelerometers that are described: several, or the one device at a place."""
-        if self.at is None and column(DEVICE) not in self.columns:
+        if self.at is None and column(DEVICE) not in {**self.columns, **self.units}:
             return self.accelerometers
         return self.accelerometers or {DEVICE: _parse_place(self.at or DEFAULT_PLACE)}
 
@@ -154,8 +154,14 @@ class DriveDescription(Settings):
         return known
 
     def updated(self, **changes: Any) -> "DriveDescription":
-        """Return the description with `changes`; None changes nothing, mappings are merged."""
+        """Return the description with `changes`; None changes nothing, mappings are merged.
+
+        The factor of another car, or of another place, is not kept.
+        """
         given = {key: value for key, value in changes.items() if value is not None}
+        before = {key: getattr(self, key) for key in ("vehicle", "at", "sensors")}
+        if any(x is not None and given.get(key, x) != x for key, x in before.items()):
+            given = {"iri_factor": None, "iri_factor_std": None, **given}
         for key in given.keys() & {"columns", "units"}:
             given[key] = {**getattr(self, key), **given[key]}
         return replace(self, **given)

@@ -215,7 +215,9 @@ def _check(
     if (v < 0.0).any() or (np.diff(s) < 0.0).any():
         problems.append("the vehicle moves backwards: v must not be negative, nor s decrease")
         return
-    if top > SPEED_MAX:
+    if top == 0.0:
+        problems.append("the speed is 0 in all rows: the vehicle stands, or the column is another")
+    elif top > SPEED_MAX:
         problems.append(
             f"the speed reaches {top:.4g} m/s ({3.6 * top:.4g} km/h): is it in km/h "
             "(--units v=km/h)?"

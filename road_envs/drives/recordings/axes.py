@@ -8,10 +8,11 @@ import numpy as np
 from road_envs.core.config import ConfigError
 from road_envs.drives.logger_tables.channels import Channels, TableFindings
 from road_envs.drives.logger_tables.clock import read_clock
-from road_envs.drives.logger_tables.description import PREFIX, DriveDescription
+from road_envs.drives.logger_tables.description import DEVICE, PREFIX, DriveDescription
 from road_envs.drives.logger_tables.table import Table, numeric_values
 from road_envs.drives.recordings.recording import Recording, Series, make_track
 from road_envs.records import units
+from road_envs.records.accelerometers import column
 
 AXIS = re.compile(r"(?P<before>.*?)[ _.\-]*(?P<axis>[xyz])(?P<after>[ _.\-]*(acc\w*)?)")
 """A name of an axis: "acc_x", "ax", "accelerationX", "linear_acceleration.x", "x_accel", "x"."""
@@ -60,9 +61,10 @@ def _is_linear(key: str) -> bool:
 
 def to_recording(name: str, table: Table, axes: _Axes, description: DriveDescription) -> Recording:
     """Return the recording in a table with three axes. Raises ConfigError."""
-    channels = Channels(table, description)
+    channels = Channels(table, description, (DEVICE,))
     findings, clock = channels.findings, read_clock(channels)
-    x = np.column_stack([_acceleration(table, h, findings) for h in axes.headers])
+    given = description.units.get(column(DEVICE), "")
+    x = np.column_stack([_acceleration(table, h, given, findings) for h in axes.headers])
     names = ("lat", "lon", "v", "s")
     columns = [channels.numbers(key) if key in channels else None for key in names]
     findings.raise_problems()
@@ -73,14 +75,16 @@ def to_recording(name: str, table: Table, axes: _Axes, description: DriveDescrip
         name=name, acceleration=Series(clock.t[fast], x[fast]),
         track=Series(clock.t[slow], track[slow]) if slow.any() else None,
         lacks_gravity=axes.linear, epoch=clock.epoch, notes=tuple(findings.notes),
-        unit_named=any(units.split_header(h)[1] for h in axes.headers),
+        unit_named=bool(given) or any(units.split_header(h)[1] for h in axes.headers),
+        is_table=True,
     )  # fmt: skip
 
 
-def _acceleration(table: Table, header: str, findings: TableFindings) -> np.ndarray:
+def _acceleration(table: Table, header: str, given: str, findings: TableFindings) -> np.ndarray:
+    """Return an axis [m/s²] by the unit that is `given`, if any, or that of its `header`."""
     try:
         x = numeric_values(table[header])
-        unit = units.split_header(header)[1]
+        unit = given or units.split_header(header)[1]
         return x * (units.factor("acceleration", unit) if unit else 1.0)
     except (ValueError, ConfigError) as error:
         findings.problems.append(f"the column {header}: {error}")

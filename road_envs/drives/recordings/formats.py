@@ -20,7 +20,7 @@ from road_envs.core.config import ConfigError
 from road_envs.core.reading import parsing
 from road_envs.drives.logger_tables.channels import Channels
 from road_envs.drives.logger_tables.clock import read_clock
-from road_envs.drives.logger_tables.description import DriveDescription
+from road_envs.drives.logger_tables.description import QUANTITIES, DriveDescription
 from road_envs.drives.logger_tables.table import MAX_BYTES, Table, read_table
 from road_envs.drives.recordings import (
     archive,
@@ -33,6 +33,7 @@ from road_envs.drives.recordings import (
     vbox,
 )
 from road_envs.drives.recordings.recording import Recording, Series, make_track
+from road_envs.records.units import split_header
 
 READ = (
     "zip files and folders of phyphox and Sensor Logger, or of a table with three axes and one "
@@ -130,7 +131,7 @@ def _table_and_track(
     ((member, found),) = with_axes.items()
     recording = axes.to_recording(name, tables.pop(member), found, description)
     for other, table in tables.items() if recording.track is None else ():
-        if (track := _track_of(table)) is not None:
+        if (track := _track_of(table, description)) is not None:
             return recording.with_track(*track, other)
     return recording if recording.track is not None else None
 
@@ -145,7 +146,7 @@ def _table(path: Path, head: bytes) -> Table:
     return vbox.parse_vbo(data) if is_vbo else json_lines.parse_json(data)
 
 
-def read_track(path: Path) -> tuple[Series, float | None]:
+def read_track(path: Path, description: DriveDescription) -> tuple[Series, float | None]:
     """Return the track (N, 4) of a GPX file or a table, and its epoch. Raises ConfigError."""
     with parsing(path, ConfigError, "no readable track"):
         if path.is_dir():
@@ -155,16 +156,24 @@ def read_track(path: Path) -> tuple[Series, float | None]:
         if gpx.is_gpx(head):
             return gpx.parse_gpx(path.read_bytes())
         table = _table(path, head)
-        if (found := _track_of(table)) is None:
+        if (found := _track_of(table, description)) is None:
             raise ConfigError(
                 f"a track without a time, positions or speed; the table has {', '.join(table)}"
             )
         return found
 
 
-def _track_of(table: Table) -> tuple[Series, float | None] | None:
-    """Return the track (N, 4) in a table, and the epoch of its zero; None if there is none."""
-    channels = Channels(table, DriveDescription())
+def _track_of(table: Table, description: DriveDescription) -> tuple[Series, float | None] | None:
+    """Return the track (N, 4) in a table, and the epoch of its zero; None if there is none.
+
+    Of the columns that are described it has some; others are those of the accelerations.
+    """
+    headers = {h.lower() for h in table} | {split_header(h)[0].lower() for h in table}
+    named = {q: x for q, x in description.columns.items() if x.strip().lower() in headers}
+    named, known = (
+        {q: x for q, x in given.items() if q in QUANTITIES} for given in (named, description.units)
+    )
+    channels = Channels(table, DriveDescription(columns=named, units=known))
     names = [key for key in ("lat", "lon", "v", "s") if key in channels]
     if "t" not in channels or not names:
         return None

@@ -23,6 +23,9 @@ STANDING_SPEED, KEPT_STANDING = 0.5, 2.0
 before and behind it the phone is handled.
 """
 
+KEPT_UNKNOWN = 1.5
+"""Time [s] that is kept before the first speed and behind the last: receivers tell one a second."""
+
 MOST_REPEATED = 0.01
 """Largest share of samples whose time is that of the sample before; they are left out."""
 
@@ -57,7 +60,8 @@ class Recording:
     """Accelerations (N, 3) [m/s²] along the axes of a device, with gravity unless it `lacks` it.
 
     The `track` (M, 4) holds latitude and longitude [°], speed [m/s] and odometer [m]. `unit_named`:
-    the file tells the unit of the accelerations. `breaks` [s] are times at which the recording was
+    the unit of the accelerations is told; `is_table`: columns and units were found by their names.
+    `breaks` [s] are times at which the recording was
     paused although its clock goes on.
     """
 
@@ -66,6 +70,7 @@ class Recording:
     track: Series | None = None
     lacks_gravity: bool = False
     unit_named: bool = True
+    is_table: bool = False
     epoch: float | None = None
     breaks: tuple[float, ...] = ()
     notes: tuple[str, ...] = ()
@@ -156,7 +161,10 @@ def _cut(recording: Recording, part: slice) -> Recording:
 
 
 def _without_standing(recording: Recording) -> Recording:
-    """Return a recording that begins and ends shortly before and behind the motion."""
+    """Return a recording that begins and ends shortly before and behind the motion.
+
+    Where it has no speed yet, or no more, the vehicle need not stand.
+    """
     if recording.track is None:
         return recording
     known = np.isfinite(recording.track.x[:, 2])
@@ -165,11 +173,19 @@ def _without_standing(recording: Recording) -> Recording:
     if not moving.size:
         return recording
     a = recording.acceleration
-    begin, end = moving[0] - KEPT_STANDING, moving[-1] + KEPT_STANDING
+    known_at_begin, known_at_end = moving[0] > t[0], moving[-1] < t[-1]
+    begin = moving[0] - (KEPT_STANDING if known_at_begin else KEPT_UNKNOWN)
+    end = moving[-1] + (KEPT_STANDING if known_at_end else KEPT_UNKNOWN)
     part = a.between(begin, end)
     left = (a.t[-1] - a.t[0]) - (part.t[-1] - part.t[0]) if part.t.size else 0.0
     notes = recording.notes
-    if left > 1.0:
+    if not known_at_begin and (late := begin - a.t[0]) > 0.0:
+        notes = (
+            *notes,
+            f"no speed is known in the first {late:.1f} s: they are left out, and distances begin "
+            "behind them (--offset is the chainage there)",
+        )
+    elif left > 1.0:
         notes = (*notes, f"{left:.0f} s of standing before and behind the drive are left out")
     track = recording.track.between(begin - LONGEST_PAUSE, end + LONGEST_PAUSE)
     return replace(recording, acceleration=part, track=track, notes=notes)

@@ -38,7 +38,7 @@ def read_sensor_logger(name: str, members: Mapping[str, bytes]) -> Recording:
     track = _track(members, epoch)
     return Recording(
         name=name, acceleration=a, track=track, lacks_gravity=lacks,
-        epoch=epoch,
+        epoch=epoch, unit_named=False,
     )  # fmt: skip
 
 
