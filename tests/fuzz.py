@@ -282,7 +282,10 @@ def recordings(folder: Path) -> dict[str, Reader]:
     found["drive.mcap"] = write_mcap(folder / "drive.mcap", sample()).read_bytes()
     return {
         "track drive.gpx": Reader(
-            read_track, SAMPLES["drive.gpx"](sample()), "drive.gpx", ConfigError
+            lambda path: read_track(path, DriveDescription()),
+            SAMPLES["drive.gpx"](sample()),
+            "drive.gpx",
+            ConfigError,
         ),
         **{
             f"recording {name}": Reader(

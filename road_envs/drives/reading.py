@@ -114,7 +114,7 @@ def read_drives(
         )
     try:
         if track is not None:
-            source = source.with_track(*read_track(track, chosen), track.name)
+            source = source.with_track(read_track(track, chosen), track.name)
         car = load_vehicle(chosen.vehicle)
         parts = drives_of(source)
         labels = [path.name] if len(parts) == 1 else [part.name for part in parts]

@@ -207,6 +207,9 @@ def test_units_and_columns_of_a_table_with_axes_are_applied_once(tmp_path):
     pd.DataFrame({"t": one.t, "speed": v}).to_csv(tmp_path / "v.csv", index=False)
     drive = read_drive(path, track=tmp_path / "v.csv", units={"v": "km/h"}, **CAR)
     assert drive.measured.record.v == pytest.approx(15.0)
+    pd.DataFrame({"t": one.t, "speed": v / 3.6}).to_csv(tmp_path / "v.csv", index=False)
+    drive = read_drive(path, track=tmp_path / "v.csv", **CAR)
+    assert any("speed has no unit" in note for note in drive.measured.notes)
 
 
 def test_a_speed_without_a_unit_or_of_0_is_told(tmp_path):

@@ -32,7 +32,7 @@ from road_envs.drives.recordings import (
     sensor_logger,
     vbox,
 )
-from road_envs.drives.recordings.recording import Recording, Series, make_track
+from road_envs.drives.recordings.recording import Recording, Track, make_track
 from road_envs.records.units import split_header
 
 READ = (
@@ -132,7 +132,7 @@ def _table_and_track(
     recording = axes.to_recording(name, tables.pop(member), found, description)
     for other, table in tables.items() if recording.track is None else ():
         if (track := _track_of(table, description)) is not None:
-            return recording.with_track(*track, other)
+            return recording.with_track(track, other)
     return recording if recording.track is not None else None
 
 
@@ -146,15 +146,15 @@ def _table(path: Path, head: bytes) -> Table:
     return vbox.parse_vbo(data) if is_vbo else json_lines.parse_json(data)
 
 
-def read_track(path: Path, description: DriveDescription) -> tuple[Series, float | None]:
-    """Return the track (N, 4) of a GPX file or a table, and its epoch. Raises ConfigError."""
+def read_track(path: Path, description: DriveDescription) -> Track:
+    """Return the track in a GPX file or a table. Raises ConfigError."""
     with parsing(path, ConfigError, "no readable track"):
         if path.is_dir():
             raise ConfigError("a track is a GPX file or a table, not a folder")
         with path.open("rb") as file:
             head = file.read(HEAD)
         if gpx.is_gpx(head):
-            return gpx.parse_gpx(path.read_bytes())
+            return Track(*gpx.parse_gpx(path.read_bytes()))
         table = _table(path, head)
         if (found := _track_of(table, description)) is None:
             raise ConfigError(
@@ -163,8 +163,8 @@ def read_track(path: Path, description: DriveDescription) -> tuple[Series, float
         return found
 
 
-def _track_of(table: Table, description: DriveDescription) -> tuple[Series, float | None] | None:
-    """Return the track (N, 4) in a table, and the epoch of its zero; None if there is none.
+def _track_of(table: Table, description: DriveDescription) -> Track | None:
+    """Return the track in a table; None if there is none.
 
     Of the columns that are described it has some; others are those of the accelerations.
     """
@@ -181,4 +181,4 @@ def _track_of(table: Table, description: DriveDescription) -> tuple[Series, floa
     columns = {key: channels.numbers(key) for key in names}
     channels.findings.raise_problems()
     assert clock is not None
-    return make_track(clock.t, **columns), clock.epoch
+    return Track(make_track(clock.t, **columns), clock.epoch, tuple(channels.findings.notes))

@@ -6,6 +6,7 @@ since 1970 at its zero where the file tells. Values that are not known are NaN.
 
 import itertools
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -55,6 +56,16 @@ def make_track(
     return Series(t, np.column_stack([nothing if x is None else x for x in (lat, lon, v, s)]))
 
 
+class Track(NamedTuple):
+    """A track (M, 4) of its own file, as in `Recording`, the time since 1970 [s] at its zero if the
+    file tells it, and notes.
+    """
+
+    series: Series
+    epoch: float | None = None
+    notes: tuple[str, ...] = ()
+
+
 @dataclass(frozen=True, kw_only=True)
 class Recording:
     """Accelerations (N, 3) [m/s²] along the axes of a device, with gravity unless it `lacks` it.
@@ -75,16 +86,16 @@ class Recording:
     breaks: tuple[float, ...] = ()
     notes: tuple[str, ...] = ()
 
-    def with_track(self, track: Series, epoch: float | None, source: str) -> "Recording":
-        """The recording with the `track` of another file, whose zero is at `epoch`.
+    def with_track(self, track: Track, source: str) -> "Recording":
+        """The recording with the `track` of another file, the `source`.
 
         Times since 1970 are compared where both files have them, otherwise both clocks are taken to
         begin together. Raises ConfigError if the two do not overlap.
         """
         shift, common = 0.0, "both clocks are taken to begin together"
-        if epoch is not None and self.epoch is not None:
-            shift, common = epoch - self.epoch, "joined by the time since 1970"
-        t = track.t + shift
+        if track.epoch is not None and self.epoch is not None:
+            shift, common = track.epoch - self.epoch, "joined by the time since 1970"
+        t = track.series.t + shift
         begin, end = self.acceleration.t[0], self.acceleration.t[-1]
         overlap = min(end, t[-1]) - max(begin, t[0])
         if overlap < SHORTEST_DRIVE:
@@ -93,8 +104,9 @@ class Recording:
                 f"the track lasts from {t[0]:.6g} to {t[-1]:.6g} s on the clock of the "
                 f"accelerations, which last from {begin:.6g} to {end:.6g} s"
             )
-        notes = (*self.notes, f"speed and positions are those of {source}, {common}")
-        return replace(self, track=Series(t, track.x), notes=notes)
+        said = f"speed and positions are those of {source}, {common}"
+        notes = (*self.notes, *track.notes, said)
+        return replace(self, track=Series(t, track.series.x), notes=notes)
 
 
 def drives_of(recording: Recording) -> list[Recording]:
