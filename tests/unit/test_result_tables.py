@@ -78,6 +78,17 @@ def test_the_slope_of_the_error_over_grades_is_shown():
     assert view.sections[0].groups["car"] == ("car S0", "car S1", "car S2")
 
 
+def test_who_gives_deviations_on_some_drives_alone_has_no_scores_of_them():
+    """They would be given where they fit; obstacles and others may be missing on a road."""
+    result, names = result_of("reader"), ("coverage_90", "crps", "bump_recall")
+    runs = {run: scores | dict.fromkeys(names, 0.9) for run, scores in runs_of(result).items()}
+    for missing, expected in ((False, [0.9] * 3), (True, [None, None, 0.9])):
+        runs[min(runs)] |= dict.fromkeys(names, np.nan) if missing else {}
+        (view,) = board_views(Board((task(),), {"small": [with_runs(result, runs)]}))
+        line = next(line for line in view.sections[0].rows if line.name == "reader")
+        assert [line.values[name] for name in names] == pytest.approx(expected)
+
+
 def test_causal_entries_also_have_a_rank_among_causal_entries():
     online = dataclasses.replace(result_of("learner"), causal=True)
     (view,) = board_views(Board((task(),), {"small": [result_of("reader"), online]}))
