@@ -229,7 +229,8 @@ def _grade_scores(ranked: np.ndarray, parts: Mapping[str, ScoreSlice], strata: S
         return {}
     values = {f"grade_{grade}": _mean(x[None])[0] for grade, x in by_grade.items()}
     if count_roads(ranked) >= MIN_ROADS:
-        growth = bootstrap.iqm_slope(list(by_grade.values()), strata=strata)
+        whole = all(len(x) == len(ranked) for x in by_grade.values())  # else strata are of others
+        growth = bootstrap.iqm_slope([*by_grade.values()], strata=strata if whole else None)
         values |= {"slope": growth.mean, "slope_low": growth.low, "slope_high": growth.high}
     return _defined(values)
 
