@@ -36,7 +36,7 @@ def test_no_level_of_what_follows_is_left_and_what_came_before_is(record, seed):
 
 
 def test_no_replaced_odometer_ends_before_the_rear_axle_is_at_the_end_of_the_road(record):
-    """Who interpolates there over the stations must not fail, which would count as looking ahead."""
+    """Who interpolates over the stations there must not fail: that counts as looking ahead."""
     long = replace(record, s=3.0 * record.s, v=3.0 * record.v, length=300.0)
     for seed in range(40):
         other = with_other_future(long, 20.0, np.random.default_rng(seed))
