@@ -140,6 +140,8 @@ def _label(drive: SafeDrive) -> str:
 def _row(name: str, rollout: Rollout, base: Rollout | None, drives: Drives) -> dict[str, Any]:
     groups = {group: members(drives, group) for group in GROUPS}
     score, violated, totals = rollout.score, rollout.violated, rollout.totals
+    driven = np.arange(1, len(rollout.actions))[:, None] < rollout.intervals
+    switched = driven & (np.diff(rollout.actions, axis=0) != 0)
     row: dict[str, Any] = {
         "policy": name,
         "failure": None,
@@ -152,7 +154,7 @@ def _row(name: str, rollout: Rollout, base: Rollout | None, drives: Drives) -> d
         },
         "roll": _round(np.degrees(totals["roll"]).max()),
         "tyre_load": _round(np.sqrt(totals["tyre_load"] / rollout.duration).mean()),
-        "switches": _round((np.diff(rollout.actions, axis=0) != 0).mean() / rollout.interval),
+        "switches": _round((switched.sum(axis=0) / rollout.duration).mean()),
         "groups": {
             group: {"score": _round(score[m].mean()), "violations": float(violated[m].mean())}
             for group, m in groups.items()

@@ -52,6 +52,9 @@ _Values = dict[str, float | None]  # numbers by column; None where one is undefi
 _BOUNDED = [[*SCORES].index(name) for name in ("nrmse", "bound_nrmse")]
 """Positions of the error and of its bound among the scores."""
 
+_OF_DEVIATIONS = np.array([name.startswith(("crps", "coverage_")) for name in SCORES])
+"""Whether a score is one of the deviations that an entry gives."""
+
 
 @dataclass(frozen=True)
 class Row:
@@ -168,8 +171,10 @@ def _aggregate(
         | {definition.ranks_by, "bound_nrmse", "attainable_nrmse"}
     )  # fmt: skip
     ranked = scores[[*SCORES].index(definition.ranks_by)].copy()
-    if (np.isnan(ranked) & np.isfinite(scores).any(axis=0)).any():
+    missing = np.isnan(scores) & np.isfinite(scores).any(axis=0)
+    if missing[[*SCORES].index(definition.ranks_by)].any():
         ranked[:] = np.nan  # undefined on a road: the entry ranks last
+    scores[_OF_DEVIATIONS & missing.any(axis=(1, 2, 3))] = np.nan  # else given where they fit
     values: dict[str, _Values] = {}
     for group, part in parts.items():
         mine, own = scores[:, *part], ranked[part]
@@ -224,7 +229,8 @@ def _grade_scores(ranked: np.ndarray, parts: Mapping[str, ScoreSlice], strata: S
         return {}
     values = {f"grade_{grade}": _mean(x[None])[0] for grade, x in by_grade.items()}
     if count_roads(ranked) >= MIN_ROADS:
-        growth = bootstrap.iqm_slope(list(by_grade.values()), strata=strata)
+        whole = all(len(x) == len(ranked) for x in by_grade.values())  # else strata are of others
+        growth = bootstrap.iqm_slope([*by_grade.values()], strata=strata if whole else None)
         values |= {"slope": growth.mean, "slope_low": growth.low, "slope_high": growth.high}
     return _defined(values)
 

@@ -59,7 +59,7 @@ COUNTERS = tuple(Path("/proc", name) for name in (
     "stat", "vmstat", "diskstats", "loadavg", "interrupts", "softirqs", "schedstat", "zoneinfo",
     "buddyinfo", "slabinfo", "pagetypeinfo", "timer_list", "locks", "vmallocinfo", "uptime",
     "sys/fs/dentry-state", "sys/fs/inode-nr", "sys/fs/inode-state", "sys/fs/file-nr",
-    "sys/fs/aio-nr", "sys/kernel/pty/nr", "crypto", "kallsyms", "modules",
+    "sys/fs/aio-nr", "sys/fs/quota", "sys/kernel/pty/nr", "crypto", "kallsyms", "modules",
     "acpi", "bus", "driver", "fs", "irq", "pressure", "scsi", "tty",
 ))  # fmt: skip
 """Files and folders with counts of the machine, such as the look-ups of a file system, by which one

@@ -8,6 +8,7 @@ whether it is causal and forgets the drives before.
 
 import dataclasses
 import random
+import secrets
 import shutil
 import sys
 import time
@@ -78,7 +79,7 @@ class SandboxClient:
         self._temp.path.chmod(0o755)  # a guest has another user
         self._snapshots: dict[str, tuple[str, Path]] = {}
         self._ours: dict[tuple[str, ...], Guest] = {}  # by the libraries that they have loaded
-        self._count = 0
+        self._home = self._temp.path  # of the last guest
         self._pipes = bubblewrap.count_pipes() if self._bubblewrap else 0
         self.isolation = "bubblewrap" if self._bubblewrap else "process"
         if owns_all_children:
@@ -206,8 +207,8 @@ class SandboxClient:
         return guest
 
     def _new_guest(self, code: Path | None, libraries: Sequence[str] = ()) -> Guest:
-        self._count += 1
-        home = self._temp.path / str(self._count)
+        # it sees the name of its code's folder, which must not tell how many were before it
+        self._home = home = self._temp.path / secrets.token_hex(8)
         if code is not None:  # a copy of its own: how fast a file is read says nothing of others
             code = Path(shutil.copytree(code, home.with_suffix(".code")))
         return start_guest(
@@ -235,7 +236,7 @@ class SandboxClient:
             guest.send_end()
             return
         guest.close()
-        shutil.rmtree(self._temp.path / f"{self._count}.code", ignore_errors=True)
+        shutil.rmtree(self._home.with_suffix(".code"), ignore_errors=True)
         for libraries in ours:
             del self._ours[libraries]
 

@@ -85,7 +85,8 @@ def with_other_future(record: Record, start: float, rng: np.random.Generator) ->
     other = record.a.copy()
     other[:, later] = loudness * record.a[:, later][:, ::-1]
     gain = rng.uniform(1.05, 1.25, record.v.shape)  # another mean and maximum, and median of half
-    scale = rng.choice([-1, 1]) * rng.uniform(0.01, 0.03)  # its end tells an odometer's error
+    way = max(100.0, record.s[-1] - start)  # an error of 3 m at most: the rear axle arrives, too
+    scale = rng.choice([-1, 1]) * rng.uniform(1.0, 3.0) / way  # its end tells an odometer's error
     return dataclasses.replace(
         record,
         a=other + np.where(later, noise, 0.0),

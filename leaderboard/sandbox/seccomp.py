@@ -67,6 +67,8 @@ RULES = (
     Rule("pidfd_open", (434, 434), errno.ENOSYS),
     Rule("name_to_handle_at", (303, 264), errno.EOPNOTSUPP),
     Rule("open_by_handle_at", (304, 265)),  # of a process, by its number (Linux 6.17)
+    Rule("sync", (162, 81)),  # the kernel counts how often file systems were written out
+    Rule("syncfs", (306, 267)),
     Rule("setsid", (112, 157), 0),  # sessions are counted in /proc/self/autogroup
     # all but AF_UNIX: others have memory that is counted in one number, AF_VSOCK leads out
     Rule("socket", (41, 198), errno.EAFNOSUPPORT, _When(0, 0xFFFFFFFF, 1, equal=False)),

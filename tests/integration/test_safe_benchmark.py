@@ -1,13 +1,21 @@
 """The benchmark itself: it must decide something, and its line must hold."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from leaderboard.commands import policies as policies_command
 from leaderboard.policies import best_found
-from leaderboard.policies.comparison import BEST_FOUND, _label, compare, public_drives, table_lines
+from leaderboard.policies.comparison import (
+    BEST_FOUND,
+    _label,
+    _row,
+    compare,
+    public_drives,
+    table_lines,
+)
 from leaderboard.policies.page import _render_page, _score_chart, timelines
 from leaderboard.policies.timeline import MODE_NAMES, Timeline, drive_chart
 from road_envs.envs.safe4s4 import Safe4S4Env, Safe4S4Setup
@@ -165,6 +173,17 @@ def test_a_row_counts_wins_ties_and_losses(rollouts, drives):
     assert row["wins"] + row["ties"] + row["losses"] == len(drives)
     assert row["worst_loss"] == pytest.approx(more.min(), rel=1e-4)
     assert rows["rrms"]["ties"] == len(drives)
+
+
+def test_switches_are_counted_until_the_end_of_each_drive(rollouts, drives):
+    rollout, found = rollouts["rrms"], []
+    after = np.arange(len(rollout.actions))[:, None] >= rollout.intervals
+    for later in (0, np.arange(len(rollout.actions))[:, None] % 2):
+        other = replace(rollout, actions=np.where(after, later, rollout.actions))
+        found.append(_row("rrms", other, None, drives)["switches"])
+    own = [np.diff(x[:n]) != 0 for x, n in zip(rollout.actions.T, rollout.intervals, strict=True)]
+    expected = np.mean([x.sum() for x in own] / rollout.duration)
+    assert found == pytest.approx([expected] * 2, abs=1e-3) and expected > 0.0
 
 
 def test_the_timeline_of_a_drive_has_its_motion_and_states(drives, rollouts):

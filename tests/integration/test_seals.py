@@ -128,6 +128,11 @@ def test_no_guest_reads_the_files_of_code_that_another_has_read(sandbox):
     assert len(said) == 2
 
 
+def test_no_guest_knows_by_the_name_of_its_folder_how_many_were_before_it(sandbox):
+    with pytest.raises(EntryError, match=r"RuntimeError: called [0-9a-f]{16}\.code$"):
+        run(sandbox, "tell_the_name_of_its_folder")
+
+
 def test_entries_do_not_run_side_by_side(monkeypatch):
     """What one guest of an entry tells a guest of another lane, it could tell the second guest."""
     running, seen = [], []

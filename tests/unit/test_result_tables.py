@@ -78,6 +78,27 @@ def test_the_slope_of_the_error_over_grades_is_shown():
     assert view.sections[0].groups["car"] == ("car S0", "car S1", "car S2")
 
 
+def test_grades_that_are_driven_on_some_of_the_roads_have_a_slope():
+    cars = [{"mode": "ride", "speed_kmh": 30.0, "grade": grade} for grade in ("S0", "S1")]
+    test = {"roads": ["iso_d"], "seeds": [*range(11, 18)], "length": 40.0}
+    t = task(board="field", conditions=cars, test=test | {"design": [[*range(5)], [*range(2, 7)]]})
+    (result,) = run_task(t, {"reader": Reader()}, (1,), simulate=fake_drives)
+    (view,) = board_views(Board((t,), {"small": [result]}))
+    values = view.sections[0].rows[0].values
+    assert values["slope"] == pytest.approx(values["grade_S1"] - values["grade_S0"])
+
+
+def test_who_gives_deviations_on_some_drives_alone_has_no_scores_of_them():
+    """They would be given where they fit; obstacles and others may be missing on a road."""
+    result, names = result_of("reader"), ("coverage_90", "crps", "bump_recall")
+    runs = {run: scores | dict.fromkeys(names, 0.9) for run, scores in runs_of(result).items()}
+    for missing, expected in ((False, [0.9] * 3), (True, [None, None, 0.9])):
+        runs[min(runs)] |= dict.fromkeys(names, np.nan) if missing else {}
+        (view,) = board_views(Board((task(),), {"small": [with_runs(result, runs)]}))
+        line = next(line for line in view.sections[0].rows if line.name == "reader")
+        assert [line.values[name] for name in names] == pytest.approx(expected)
+
+
 def test_causal_entries_also_have_a_rank_among_causal_entries():
     online = dataclasses.replace(result_of("learner"), causal=True)
     (view,) = board_views(Board((task(),), {"small": [result_of("reader"), online]}))

@@ -35,6 +35,14 @@ def test_no_level_of_what_follows_is_left_and_what_came_before_is(record, seed):
     assert abs(np.corrcoef(*waves)[0, 1]) < 0.3
 
 
+def test_no_replaced_odometer_ends_before_the_rear_axle_is_at_the_end_of_the_road(record):
+    """Who interpolates over the stations there must not fail: that counts as looking ahead."""
+    long = replace(record, s=3.0 * record.s, v=3.0 * record.v, length=300.0)
+    for seed in range(40):
+        other = with_other_future(long, 20.0, np.random.default_rng(seed))
+        assert 0.5 < abs(other.s[-1] - long.s[-1]) < 3.0 + 1e-9
+
+
 @pytest.mark.parametrize("ahead", [0.3, 2.0])
 def test_who_corrects_an_odometer_that_wanders_does_not_look_ahead(record, ahead):
     """Where the odometer says 45 m, who knows better is at 45.3 m, whose height may depend on all

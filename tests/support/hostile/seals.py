@@ -31,6 +31,8 @@ CALLS = {  # by number on x86_64, with arguments that would succeed
     "clone": (56, 0x10000000 | signal.SIGCHLD, 0, 0, 0, 0),
     "io_uring_setup": (425, 1, "buffer"),
     "syslog": (103, 10, 0, 0),
+    "sync": (162,),
+    "sync of one file system": (306, 0),
     "pidfd_open": (434, 1, 0),
     "clone_pidfd": (56, 0x1000 | signal.SIGCHLD, 0, "buffer", 0, 0),
     "shared_memory": (9, 0, 4096, 3, 0x21, -1, 0),
@@ -173,6 +175,12 @@ def does_tell_when_its_code_was_copied(where, record):
     raise RuntimeError(f"copied at {os.stat(__file__).st_ctime_ns}")
 
 
+def does_tell_the_name_of_its_folder(where, record):
+    mounts = Path("/proc/self/mountinfo").read_text().splitlines()
+    (folder,) = (line.split()[3] for line in mounts if line.split()[4] == "/entry")
+    raise RuntimeError(f"called {Path(folder).name}")
+
+
 def does_map_sparsely(where, record):
     """Read a byte of every 2 MiB of much reserved memory: its page tables take up memory."""
     import mmap
@@ -227,7 +235,7 @@ def does_fill_sockets(where, record):
 
 def does_read_counters(where, record):
     """Raise an error with what of the whole machine another guest could have changed."""
-    found, counts = [], {"file-nr", "aio-nr", "nr", "inode-nr", "dentry-state"}
+    found, counts = [], {"file-nr", "aio-nr", "nr", "inode-nr", "dentry-state", "syncs"}
     for top, folders, names in os.walk("/proc"):
         if top == "/proc":
             folders[:] = [x for x in folders if not x.isdigit() and x not in OWN]
