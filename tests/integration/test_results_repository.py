@@ -256,6 +256,12 @@ def elsewhere(repo, roads, rules):
     return "autumn/class.yml"
 
 
+def at_the_root(repo, roads, rules):
+    committed(repo, "the season ends", **{"class.yaml": "roads"})
+    committed(repo, "mine, later", **RECORD_OF_MINE, **{CODE: "knows"})
+    return "class.yaml"
+
+
 def not_committed(repo, roads, rules):
     committed(repo, "the season ends", **roads)
     (repo / CODE).parent.mkdir(parents=True)
@@ -264,7 +270,7 @@ def not_committed(repo, roads, rules):
     return "seasons/1/class.yaml"
 
 
-@pytest.mark.parametrize("way", [moved, salt_first, elsewhere, not_committed])
+@pytest.mark.parametrize("way", [moved, salt_first, elsewhere, at_the_root, not_committed])
 def test_code_that_is_newer_than_the_roads_is_found_wherever_they_stand(verifies, way):
     repo, _ = verifies
     shutil.rmtree(repo / "submissions" / "rival")  # it has no code
