@@ -438,6 +438,11 @@ def test_a_pull_request_builds_no_site_and_the_main_line_all_of_it(verifies):
     repo, said = verifies
     (repo / "site").mkdir()
     assert "results-site" not in said() and (repo / "site").exists()
+    (repo / "site" / "index.html").write_text("")
+    committed(repo, "code with a page", **{"submissions/mine/code/site/index.html": ""})
+    assert call("git", "ls-files", "*.html", cwd=repo).split() == [
+        "submissions/mine/code/site/index.html"
+    ]
     path = f"PATH={repo.parent}:{os.environ['PATH']}"
     assert call("env", path, "ci/verify.sh", cwd=repo) == f"results-site {repo}\n"
     assert not (repo / "site").exists()
