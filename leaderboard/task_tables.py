@@ -89,7 +89,10 @@ def score_file(task: TaskArrays, path: Path) -> ScoreTable:
         rows = values["drive"] == k
         stations = values["station"][rows]
         right = drive["stations"]
-        if stations.shape != right.shape or not np.abs(stations - right).max() <= _STATION_TOLERANCE:
+        if (
+            stations.shape != right.shape
+            or not np.abs(stations - right).max() <= _STATION_TOLERANCE
+        ):
             raise ConfigError(
                 f"{path}: test drive {k} needs its {right.size} stations, 0 to {right[-1]:g} m, "
                 f"in order; got {stations.size}"
