@@ -79,20 +79,27 @@ def score_file(task: TaskArrays, path: Path) -> ScoreTable:
         if missing := [name for name in columns if name not in table]:
             raise ConfigError(f"no column {missing[0]!r}; needed are {', '.join(columns)}")
         deviations = [name for name in ("left_std", "right_std") if name in table]
+        if len(deviations) == 1:
+            raise ConfigError(f"{deviations[0]} is there alone; give left_std and right_std")
         values = {name: table[name].to_numpy(float) for name in (*columns, *deviations)}
+        if not np.isin(values["drive"], np.arange(1, len(task.test) + 1)).all():
+            raise ConfigError(f"a row is of no test drive; those are 1 to {len(task.test)}")
     heights, std = [], []
     for k, drive in enumerate(task.test, start=1):
         rows = values["drive"] == k
         stations = values["station"][rows]
         right = drive["stations"]
-        if stations.shape != right.shape or np.abs(stations - right).max() > _STATION_TOLERANCE:
+        if (
+            stations.shape != right.shape
+            or not np.abs(stations - right).max() <= _STATION_TOLERANCE
+        ):
             raise ConfigError(
                 f"{path}: test drive {k} needs its {right.size} stations, 0 to {right[-1]:g} m, "
                 f"in order; got {stations.size}"
             )
         heights.append(np.stack([values[name][rows] for name in _SIDES]))
         std.append(np.stack([values[name][rows] for name in deviations]) if deviations else None)
-    return score_arrays(task, heights, std if len(deviations) == len(_SIDES) else None)
+    return score_arrays(task, heights, std if deviations else None)
 
 
 def _record_columns(drive: dict[str, Any]) -> dict[str, np.ndarray]:

@@ -19,7 +19,7 @@ _LEAST_LENGTH = 50.0  # least length [m] of a stretch of known IRI
 _LARGEST = 2.0  # largest factor, and the inverse of the smallest, that a car and a mount explain
 
 
-def _read_known_iri(text: str) -> list[tuple[float, float, float]]:
+def read_known_iri(text: str) -> list[tuple[float, float, float]]:
     """Return stretches (begin [m], end [m], IRI [mm/m]) of "3.2" or a table; one of a drive.
 
     The table has the columns begin_m, end_m and iri. Raises ConfigError.
@@ -53,7 +53,7 @@ def known_factor(result: DriveResult, text: str) -> tuple[KnownFactor, str]:
 
     Raises ConfigError if less than _LEAST_LENGTH is covered, or if the factor is implausible.
     """
-    stretches = _read_known_iri(text)
+    stretches = read_known_iri(text)
     known, found, length = 0.0, 0.0, 0.0
     for row in result.segments:
         first, last = row["begin_m"], row["end_m"]

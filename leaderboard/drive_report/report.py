@@ -12,7 +12,7 @@ from leaderboard.drive_report.conditions import Conditions
 from leaderboard.drive_report.drive_estimates import estimate_drive, make_drive_estimator
 from leaderboard.drive_report.export import parse_route, write_files
 from leaderboard.drive_report.geopackage import write_geopackage
-from leaderboard.drive_report.known_iri import known_factor
+from leaderboard.drive_report.known_iri import known_factor, read_known_iri
 from leaderboard.drive_report.mean_path import tells_vehicle
 from leaderboard.drive_report.page import write_page
 from leaderboard.drive_report.passes import ReportedPass, align_passes, compare, join
@@ -49,6 +49,8 @@ class ReportSettings:
     def __post_init__(self):
         if self.route is not None:
             parse_route(self.route)
+        if self.known_iri is not None:
+            read_known_iri(self.known_iri)
         if self.segment not in SEGMENT_LENGTHS:
             allowed = ", ".join(f"{x:g}" for x in SEGMENT_LENGTHS)
             raise ConfigError(f"--segment must be one of {allowed} m, got {self.segment:g} m")

@@ -17,7 +17,7 @@ from leaderboard.evaluation.tasks import Task, load_task
 from leaderboard.running.board import RunRequest
 from leaderboard.sandbox.limits import Limits
 from leaderboard.submission.hidden_seeds import check_revealed
-from road_envs.core.config import Count, Settings, build, read_yaml
+from road_envs.core.config import ConfigError, Count, Settings, build, read_yaml
 
 RULES = "rules.yaml"
 
@@ -33,16 +33,21 @@ class Rules(Settings):
 
 def load_rules(path: Path | None) -> tuple[Rules, list[Task]]:
     """Read rules and their tasks; paths are relative to the file. Without a file, those are the
-    default ones. Raises ConfigError, also for a season of other roads than were committed to.
+    default ones. Raises ConfigError, also for a season of other roads than were committed to, and
+    for one behind a link.
     """
     if path is None:
         return Rules(), [load_task(name) for name in Rules.tasks]
     rules = build(Rules, read_yaml(path), str(path))
-    files = [path.parent / name for name in rules.tasks]
-    for file in files:
+    tasks, root = [], path.parent.resolve()
+    for name in rules.tasks:
+        file = path.parent / name
+        # git knows its age by this path alone
+        if file.is_file() and file.resolve().as_posix() != f"{root.as_posix()}/{name}":
+            raise ConfigError(f"{path}: {name}: a path here has neither links nor . and ..")
         check_revealed(file)
-    named = zip(rules.tasks, files, strict=True)
-    return rules, [load_task(file if file.is_file() else name) for name, file in named]
+        tasks.append(load_task(file if file.is_file() else name))
+    return rules, tasks
 
 
 def make_run_request(

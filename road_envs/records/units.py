@@ -12,7 +12,7 @@ FACTORS: dict[str, dict[str, float]] = _TABLES["factors"]
 """Factor to seconds, m/s², m/s, m or degrees, by kind of quantity and unit."""
 
 SUFFIXES = ("g", "kmh", "kph", "mph", "mps", "ms2", "mps2")
-"""Units that a header may end in after an underscore, as in "a_rf_g" and "v_kmh"."""
+"""Units that a header may end in after an underscore or a blank, as in "a_rf_g" and "v_kmh"."""
 
 HEADER = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\])]*)[\])]$")
 
@@ -37,11 +37,15 @@ def factor(kind: str, unit: str) -> float:
     return found
 
 
-def split_header(header: str) -> tuple[str, str | None]:
-    """Return name and unit of a header: "a_rf [g]", "speed (km/h)" or "a_rf_g"."""
+def split_header(header: str, kind: str | None = None) -> tuple[str, str | None]:
+    """Return name and unit of a header: "a_rf [g]", "speed (km/h)" or "a_rf_g".
+
+    A length at the end is a unit if the `kind` is distance: "left_in", "left in", but not "t_in".
+    """
     if match := HEADER.match(header.strip()):
         return match["name"].strip(), match["unit"].strip()
-    name, _, end = header.strip().rpartition("_")
-    if name and end.lower() in SUFFIXES:
-        return name, end.lower()
+    name, _, end = header.strip().replace(" ", "_").rpartition("_")
+    lengths = FACTORS["distance"] if kind == "distance" else ()
+    if name and (end.lower() in SUFFIXES or normalise(end) in lengths):
+        return header.strip()[: len(name)], end.lower()
     return header.strip(), None

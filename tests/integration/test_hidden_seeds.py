@@ -181,6 +181,12 @@ def test_a_season_of_other_roads_than_were_committed_to_is_refused(published):
     rules.write_text(f"tasks: [{path.name}]\n")
     assert (published / hidden_seeds.SALT).read_text() == SALT
     assert [task.name for task in load_rules(rules)[1]] == [load_task(path).name]
+    (published / "current").symlink_to(".")
+    for way in ("current", ".", "../" + published.name):
+        rules.write_text(f"tasks: [{way}/{path.name}]\n")
+        with pytest.raises(ConfigError, match="a path here has neither links nor"):
+            load_rules(rules)
+    rules.write_text(f"tasks: [{path.name}]\n")
     text = path.read_text()
     path.write_text(text.replace(f"- {load_task(path).test.seeds[0]}\n", "- 7\n", 1))
     with pytest.raises(ConfigError, match=f"{path.name}: it is no task of the commitment in"):

@@ -256,6 +256,12 @@ def elsewhere(repo, roads, rules):
     return "autumn/class.yml"
 
 
+def at_the_root(repo, roads, rules):
+    committed(repo, "the season ends", **{"class.yaml": "roads"})
+    committed(repo, "mine, later", **RECORD_OF_MINE, **{CODE: "knows"})
+    return "class.yaml"
+
+
 def not_committed(repo, roads, rules):
     committed(repo, "the season ends", **roads)
     (repo / CODE).parent.mkdir(parents=True)
@@ -264,7 +270,7 @@ def not_committed(repo, roads, rules):
     return "seasons/1/class.yaml"
 
 
-@pytest.mark.parametrize("way", [moved, salt_first, elsewhere, not_committed])
+@pytest.mark.parametrize("way", [moved, salt_first, elsewhere, at_the_root, not_committed])
 def test_code_that_is_newer_than_the_roads_is_found_wherever_they_stand(verifies, way):
     repo, _ = verifies
     shutil.rmtree(repo / "submissions" / "rival")  # it has no code
@@ -432,6 +438,11 @@ def test_a_pull_request_builds_no_site_and_the_main_line_all_of_it(verifies):
     repo, said = verifies
     (repo / "site").mkdir()
     assert "results-site" not in said() and (repo / "site").exists()
+    (repo / "site" / "index.html").write_text("")
+    committed(repo, "code with a page", **{"submissions/mine/code/site/index.html": ""})
+    assert call("git", "ls-files", "*.html", cwd=repo).split() == [
+        "submissions/mine/code/site/index.html"
+    ]
     path = f"PATH={repo.parent}:{os.environ['PATH']}"
     assert call("env", path, "ci/verify.sh", cwd=repo) == f"results-site {repo}\n"
     assert not (repo / "site").exists()

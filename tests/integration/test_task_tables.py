@@ -73,6 +73,15 @@ def test_a_file_of_other_drives_is_refused_by_a_sentence(arrays, tmp_path):
     table.assign(station=table.station[::-1].to_numpy()).to_csv(path, index=False)
     with pytest.raises(ConfigError, match="test drive 1 needs its"):
         score_file(arrays, path)
+    table.assign(station=table.station.where(table.index != 3)).to_csv(path, index=False)
+    with pytest.raises(ConfigError, match="test drive 1 needs its"):
+        score_file(arrays, path)
+    table.assign(left_std=0.01).to_csv(path, index=False)
+    with pytest.raises(ConfigError, match="left_std is there alone"):
+        score_file(arrays, path)
+    pandas.concat([table, table[:1].assign(drive=last + 1)]).to_csv(path, index=False)
+    with pytest.raises(ConfigError, match=f"a row is of no test drive; those are 1 to {last}"):
+        score_file(arrays, path)
     path.write_bytes(b"\x00\xff")
     with pytest.raises(ConfigError, match="not a table of numbers"):
         score_file(arrays, path)

@@ -189,6 +189,14 @@ def test_a_speed_that_disagrees_with_the_positions_is_told(tmp_path, gain, told)
         assert driven / track == pytest.approx(gain, abs=0.01)
 
 
+def test_a_length_at_the_end_of_a_header_is_a_unit_of_distances_alone(tmp_path):
+    columns = {"time": T, "t_in": 20.0 + T, **ACCELERATION, "v": SPEED}
+    columns["odometer_km"] = 1e-3 * DISTANCE + 7.0
+    found = read(write(tmp_path / "d.csv", columns)).record
+    np.testing.assert_allclose(found.t, T, atol=1e-9)
+    np.testing.assert_allclose(found.s - found.s[0], DISTANCE, atol=1e-6)
+
+
 def test_fifty_hertz_are_interpolated_and_noted(tmp_path):
     every = slice(None, None, 2)
     columns = {"t": T, **ACCELERATION, "v": SPEED}
@@ -252,6 +260,7 @@ def test_a_missing_column_is_named_with_the_nearest(tmp_path):
     [
         ("a_rf [g]", "a_rf", "g"), ("speed (km/h)", "speed", "km/h"), ("v_kmh", "v", "kmh"),
         ("a_rf", "a_rf", None), ("g", "g", None), ("x_long", "x_long", None),
+        ("GPS speed mph", "GPS speed", "mph"),
     ],
 )  # fmt: skip
 def test_a_header_is_split_into_name_and_unit(header, name, unit):

@@ -16,7 +16,7 @@ from leaderboard.drive_report.known_iri import known_factor
 from leaderboard.drive_report.mean_path import _path_ratio, path_level_ratio, tells_paths_apart
 from leaderboard.drive_report.notes import in_order_of_weight, vehicle_in_words
 from leaderboard.drive_report.passes import ReportedPass
-from leaderboard.drive_report.report import _with_factor_told
+from leaderboard.drive_report.report import ReportSettings, _with_factor_told
 from road_envs.core.config import ConfigError
 from road_envs.drives.logger_tables.description import PLACES, DriveDescription
 from road_envs.drives.measured_record import MeasuredRecord
@@ -189,6 +189,14 @@ def test_a_factor_of_the_description_is_told():
 def test_a_known_iri_that_cannot_be_is_refused(text, message):
     with pytest.raises(ConfigError, match=message):
         known_factor(result()[1], text)
+
+
+@pytest.mark.parametrize("text", ["100", "k.csv"])
+def test_a_known_iri_is_read_before_the_estimate(text, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "k.csv").write_text("begin_m,end_m,iri\n0,100,3;2\n")
+    with pytest.raises(ConfigError, match=r"must be an IRI of|k\.csv: neither an IRI nor a table"):
+        ReportSettings(conditions=HPMS, settings={}, known_iri=text)
 
 
 def test_notes_stand_in_the_order_of_their_weight():

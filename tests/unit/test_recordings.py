@@ -1,5 +1,6 @@
 """Recordings of phones and loggers are read as they come; mounts and tilts are found."""
 
+import io
 import re
 import shutil
 from dataclasses import replace
@@ -143,6 +144,19 @@ def test_a_unit_that_is_not_named_follows_from_gravity(tmp_path):
     drive = read_drive(tmp_path / "g.csv", **CAR)
     assert np.std(drive.measured.record.a) == pytest.approx(np.std(one.vertical), rel=0.05)
     assert any("are read as g" in note for note in drive.measured.notes)
+
+
+def test_axes_of_linear_acceleration_come_after_those_with_gravity_in_either_order(tmp_path):
+    one = phone(TILT, duration=20.0)
+    frame = pd.read_csv(io.BytesIO(write_table(one)))
+    up = TILT.apply([0.0, 0.0, 9.80665])
+    for name, part in zip("XYZ", up, strict=True):
+        frame.insert(1, f"LINEAR ACCELERATION {name} (m/s²)", frame[f"acc_{name.lower()}"] - part)
+    frame.columns = [c.replace("acc_", "ACCELEROMETER ") for c in frame.columns]
+    for k, columns in enumerate((list(frame), list(frame)[::-1])):
+        frame[columns].to_csv(tmp_path / f"{k}.csv", index=False)
+        found = read_drive(tmp_path / f"{k}.csv", **CAR).measured
+        assert np.std(found.record.a) == pytest.approx(np.std(one.vertical), rel=0.05)
 
 
 def test_pauses_part_a_recording_into_named_drives(tmp_path):

@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 from road_envs.core.config import ConfigError
 from road_envs.roads import load_road
 from road_envs.roads.formats.opencrg import SurfaceFileError, parse
-from road_envs.roads.formats.table import parse_parquet
+from road_envs.roads.formats.table import parse_parquet, parse_text
 from road_envs.roads.formats.write import WRITERS, write, write_crg
 from road_envs.roads.measured import Measured
 from road_envs.roads.surface import Surface
@@ -169,6 +169,27 @@ def test_one_height_column_is_used_for_both_paths(tmp_path):
     surface = load_road(path).realise(rng())
     np.testing.assert_array_equal(surface.z, [np.arange(9) % 3] * 2)
     assert "left and right wheel path are the same" in surface.notes
+
+
+@pytest.mark.parametrize(
+    ("header", "lengths"),
+    [
+        ("distance_ft,left_in,right_in", (0.3048, 0.0254)),
+        ("distance miles,left [mm],right_mm", (1609.344, 1e-3)),
+        ("distance_m,height_mil", (1.0, 25.4e-6)),
+        ("distance,left,right", (1.0, 1.0)),
+    ],
+)
+def test_a_column_of_a_road_may_end_in_its_unit(header, lengths):
+    columns = [S / lengths[0], *(Z[: header.count(",")] / lengths[1])]
+    rows = [",".join(f"{x:.9g}" for x in row) for row in np.transpose(columns)]
+    found = parse_text("\n".join([header, *rows]).encode())
+    np.testing.assert_allclose([found.ds, *found.z[0]], [S[1], *Z[0]], rtol=1e-6, atol=1e-9)
+
+
+def test_an_inner_and_an_outer_wheel_path_are_not_in_inches():
+    with pytest.raises(SurfaceFileError, match="path_in and path_out have different units"):
+        parse_text(b"distance,path_in,path_out\n0,1,1\n1,1,1\n2,1,1\n3,1,1\n")
 
 
 def test_nulls_are_missing_heights(tmp_path):

@@ -84,8 +84,8 @@ class Channels:
 
     def unit(self, quantity: str) -> str | None:
         """Return the unit that is given, or that of the header, if any."""
-        header = self.headers[quantity]
-        return self.description.units.get(quantity) or (units.split_header(header or "")[1])
+        header, kind = self.headers[quantity] or "", self.quantities[quantity].kind
+        return self.description.units.get(quantity) or units.split_header(header, kind)[1]
 
     def numbers(self, quantity: str) -> np.ndarray | None:
         """Return a column in SI units (N,), NaN for empty cells; None if it cannot be read."""
@@ -186,12 +186,12 @@ class Channels:
 
     def _find(self, quantity: str) -> str | None:
         """Return the header of the column of a quantity, None if there is none."""
-        given = self.description.columns.get(quantity)
+        given, kind = self.description.columns.get(quantity), self.quantities[quantity].kind
         if given is not None:
             wanted = given.strip().lower()
             for matches in (
                 [h for h in self.table if h.lower() == wanted],
-                [h for h in self.table if units.split_header(h)[0].lower() == wanted],
+                [h for h in self.table if units.split_header(h, kind)[0].lower() == wanted],
             ):
                 if len(matches) == 1:
                     return matches[0]
@@ -204,7 +204,7 @@ class Channels:
         taken = {name.strip().lower() for name in self.description.columns.values()}
         free = [h for h in self.table if h.lower() not in taken]
         for name in (quantity, *self.quantities[quantity].aliases):
-            matches = [h for h in free if units.split_header(h)[0].lower() == name]
+            matches = [h for h in free if units.split_header(h, kind)[0].lower() == name]
             if len(matches) > 1:
                 self.findings.problems.append(
                     f"{quantity} is given twice, by the columns {' and '.join(matches)}: say which "

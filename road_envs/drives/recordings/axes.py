@@ -49,8 +49,9 @@ def find_axes(table: Table, description: DriveDescription) -> _Axes | None:
     complete = {key: axes for key, axes in groups.items() if len(axes) == 3}
     if not complete:
         return None
-    # gravity tells the mount: axes that include it come first, then those that are named
-    best = min(complete, key=lambda key: (_is_linear(key), "acc" not in key))
+    # gravity tells the mount: axes that include it come first, then those that are named, and
+    # those of ROS only if there are no others
+    best = min(complete, key=lambda key: (_is_linear(key), "acc" not in key, "linear" in key))
     x, y, z = (complete[best][axis] for axis in "xyz")
     return _Axes((x, y, z), _is_linear(best))
 

@@ -3,7 +3,8 @@
 A table has the columns distance, left, right [m], or distance and one height for both wheel paths.
 Columns of a text file are separated by white space, comma, semicolon or tab; with the latter two
 the decimal mark may be a comma. Lines that begin with "#" and one line of column names are skipped;
-a name may have a unit, as in "left [mm]". Columns of a Parquet file are found by name.
+a name may have a unit, as in "left [mm]" and "left_mm". Columns of a Parquet file are found by
+name.
 """
 
 import re
@@ -55,8 +56,11 @@ def parse_text(data: bytes) -> WheelPaths:
         )
     order = [1, -1]
     if len(names) == table.shape[1]:
-        found = [(name, units.split_header(name)[1] or "m") for name in names]
-        table = table * [metres(unit, f"the column {name}") for name, unit in found]
+        found = [(name, units.split_header(name, "distance")[1] or "m") for name in names]
+        factors = [metres(unit, f"the column {name}") for name, unit in found]
+        if factors[1] != factors[-1]:
+            raise SurfaceFileError(f"the heights {names[1]} and {names[2]} have different units")
+        table = table * factors
         if len(names) == 3 and "right" in names[1] and "left" in names[2]:
             order = [2, 1]
     return _resample_evenly(table[:, 0], checked_heights(table[:, order].T))
