@@ -7,13 +7,10 @@ descent from a level road ends, with its prior and noise, is minimized from the 
 A row is a drive and a vehicle; those that the file has are not computed again.
 """
 
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
 import numpy as np
-import yaml
 
 from estimators.common.odometer import calibrate_odometer
 from estimators.map_smoother.estimator import MapSmoother
@@ -25,7 +22,7 @@ from road_envs.drives.reading import read_drive
 from road_envs.records.record import Profile, profile_stations
 from road_envs.roads import realise_road
 from road_envs.sensing.perturbed_vehicle import perturb_vehicle
-from studies.report_trial import CASES, LENGTH, ROOT, road
+from studies.report_trial import CASES, LENGTH, write_drive
 from studies.study import Row, run_study, study_parser
 
 STEPS, SETTLED = 60, 1e-4
@@ -39,14 +36,10 @@ def compute(road_class: str, kmh: int, seed: int, car: str) -> Row:
     """Return the cost where the descent from a level road ends, that where one from the true road
     does, that of the true road itself, and what the first leaves of the noise's power.
     """
-    described = road(road_class, seed)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        (folder / "road.yaml").write_text(yaml.safe_dump(described), encoding="utf-8")
+        write_drive((road_class, kmh, seed), folder)
         surface = realise_road(folder / "road.yaml", seed)
-        words = ["--out", folder, "--road", folder / "road.yaml", "--speed-kmh", kmh]
-        program = [sys.executable, ROOT / "examples/phone_drive.py", *words, "--seed", seed]
-        subprocess.run([str(word) for word in program], check=True, stdout=subprocess.DEVNULL)
         drive = read_drive(folder / "phone_drive.csv", folder / "phone_drive.yaml")
     vehicle = drive.car if car == "described" else perturb_vehicle(drive.car, "S2", seed).car
     odometer = calibrate_odometer(drive.measured.record)

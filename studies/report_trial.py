@@ -73,15 +73,24 @@ def road(letter: str, seed: int) -> dict:
     }
 
 
-def report(case: tuple[str, int, int], folder: Path, *options: str) -> dict:
-    """Write the drive of a case into `folder`, report it, and return the errors of the report."""
+def write_drive(case: tuple[str, int, int], folder: Path) -> dict:
+    """Write the drive of a case, phone_drive.csv and .yaml, and its road.yaml into `folder`; return
+    the road.
+    """
     letter, speed, seed = case
-    folder.mkdir(parents=True, exist_ok=True)
     described = road(letter, seed)
     (folder / "road.yaml").write_text(yaml.safe_dump(described), encoding="utf-8")
     words = ["--out", folder, "--road", folder / "road.yaml", "--speed-kmh", speed, "--seed", seed]
     with _arguments("phone_drive.py", *words), contextlib.redirect_stdout(io.StringIO()):
         runpy.run_path(str(ROOT / "examples/phone_drive.py"))
+    return described
+
+
+def report(case: tuple[str, int, int], folder: Path, *options: str) -> dict:
+    """Write the drive of a case into `folder`, report it, and return the errors of the report."""
+    _, speed, seed = case
+    folder.mkdir(parents=True, exist_ok=True)
+    described = write_drive(case, folder)
     began = time.process_time()
     words = ["--description", folder / "phone_drive.yaml", "--out", folder / "report", "--json"]
     printed = io.StringIO()
