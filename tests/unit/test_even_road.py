@@ -9,7 +9,9 @@ from estimators.estimation import estimate
 from estimators.map_smoother import gauss_newton
 from estimators.map_smoother.tuning import TUNING
 from leaderboard.scoring import score
+from road_envs.drives.logger_tables.description import PLACES
 from road_envs.drives.recording import simulate_record
+from road_envs.sensing.instruments import load_instruments
 
 CAR, KMH = "bmw_320i", 100.0
 ROAD = {
@@ -45,6 +47,31 @@ def test_a_rough_place_that_confirms_itself_is_given_up_for_an_even_road(drive, 
     assert score(found, truth, speed_kmh=KMH)["nrmse"] < 0.3
     monkeypatch.setattr(gauss_newton, "TUNING", replace(TUNING, even_gain=0.0))
     assert solved(record).residual > 3.0
+
+
+def test_one_phone_takes_the_even_road_that_costs_less(monkeypatch):
+    """One sensor does not tell roads apart by what they leave unexplained."""
+    bumps = [(40.0, 1.2, 0.06), (80.0, 0.9, 0.06), (115.0, 0.9, 0.05)]
+    defects = [
+        {"shape": "half_sine", "at": at, "length": length, "height": height}
+        for at, length, height in bumps
+    ]
+    ground = {"kind": "iso8608", "road_class": "C", "length": 150.0}
+    obstacles = {"kind": "defects", "length": 150.0, "defects": defects}
+    road = {"kind": "superposed", "roads": [ground, obstacles]}
+    phone = replace(load_instruments("phone"), accelerometers={"PHONE": PLACES["dashboard"]})
+    record, truth = simulate_record(road, speed_kmh=60.0, vehicle=CAR, instruments=phone, seed=9306)
+    near = [np.abs(truth.s - at) < 4.0 for at, _, _ in bumps]
+
+    def errors(found):
+        z = [np.interp(truth.s, found.s, found.z.mean(axis=0)), truth.z.mean(axis=0)]
+        low, true_low = ([path[k].min() - np.median(path[k]) for k in near] for path in z)
+        return np.subtract(low, true_low)
+
+    found = solved(record)
+    assert found.residual < 1.1 and np.abs(errors(found)).max() < 0.0045
+    monkeypatch.setattr(gauss_newton, "_is_likelier", lambda even, uneven: False)
+    assert solved(record).residual > 1.2
 
 
 def test_behind_a_bump_off_which_a_wheel_flew_the_road_may_fall_at_once(drive):
