@@ -289,7 +289,7 @@ def _is_likelier(even: Linearization, uneven: Linearization) -> bool:
         ).cost
         for lin in (even, uneven)
     ]
-    return costs[0] < costs[1]
+    return bool(costs[0] < costs[1])
 
 
 def _misfit_power(lin: Linearization) -> np.ndarray:

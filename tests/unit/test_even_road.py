@@ -1,6 +1,7 @@
 """A road with obstacles that is sought as an even one, where a rough place confirms itself."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -72,6 +73,30 @@ def test_one_phone_takes_the_even_road_that_costs_less(monkeypatch):
     assert found.residual < 1.1 and np.abs(errors(found)).max() < 0.0045
     monkeypatch.setattr(gauss_newton, "_is_likelier", lambda even, uneven: False)
     assert solved(record).residual > 1.2
+
+
+@pytest.mark.parametrize(
+    ("sensors", "even", "uneven", "expected"),
+    [
+        (1, (1.6, 500.0), (1.2, 2000.0), True),  # costs less under a noise of 1.6
+        (1, (1.6, 900.0), (1.2, 600.0), False),
+        (3, (1.6, 500.0), (1.2, 2000.0), False),  # three sensors tell by what is left
+        (3, (0.5, 2000.0), (1.2, 500.0), True),
+    ],
+)
+def test_an_even_road_is_likelier(monkeypatch, sensors, even, uneven, expected):
+    """Roads are their residuals' power and their own cost, which is that of 1000 readings."""
+
+    def point(power, prior):
+        one = SimpleNamespace(source=SimpleNamespace(information=1.0))
+        objective = SimpleNamespace(is_underdetermined=sensors < 3)
+        at = lambda weights: SimpleNamespace(cost=prior + 500.0 * power * weights[0])  # noqa: E731
+        return SimpleNamespace(
+            power=np.array([power]), passes=[one], objective=objective, with_inverse_variance=at
+        )
+
+    monkeypatch.setattr(gauss_newton, "_misfit_power", lambda lin: lin.power)
+    assert bool(gauss_newton._is_likelier(point(*even), point(*uneven))) == expected
 
 
 def test_behind_a_bump_off_which_a_wheel_flew_the_road_may_fall_at_once(drive):
