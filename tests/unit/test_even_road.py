@@ -79,7 +79,7 @@ def test_one_phone_takes_the_even_road_that_costs_less(monkeypatch):
     ("sensors", "even", "uneven", "expected"),
     [
         (1, (1.6, 500.0), (1.2, 2000.0), True),  # costs less under a noise of 1.6
-        (1, (1.6, 900.0), (1.2, 600.0), False),
+        (1, (2.0, 500.0), (1.0, 700.0), False),  # 1000 under a noise of 2, and 950
         (3, (1.6, 500.0), (1.2, 2000.0), False),  # three sensors tell by what is left
         (3, (0.5, 2000.0), (1.2, 500.0), True),
     ],
