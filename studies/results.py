@@ -12,7 +12,8 @@ the configurations or an output differ from it.
 
 Unfinished work stays in `out/results` under the identity of the result, and studies that keep their
 rows go on there. The rows are kept beside the artifact: where only code has changed, a random tenth
-of them is made again, and if they are equal the result is of today's program, as the artifact says.
+of them is made again, some of each estimator, and if they are equal the result is of today's
+program, as the artifact says.
 """
 
 import argparse
@@ -181,11 +182,11 @@ def renew_result(
     anew: Collection[str] = (),
     tolerance: float | None = None,
 ) -> float:
-    """Make a random tenth of the rows of a result again, three at least of each file, and its
-    outputs from all. Rows with one of the pairs `anew`, KEY=VALUE, are made anew and not compared.
-    They are compared to a relative `tolerance`: by default to the last digits, and as rows of a
-    board are if of another processor, or of an unknown one. Raises ConfigError as `make_result`,
-    if there are no rows, and if one differs.
+    """Make a random tenth of the rows of a result again, three at least of each estimator in each
+    file, and its outputs from all. Rows with one of the pairs `anew`, KEY=VALUE, are made anew and
+    not compared. They are compared to a relative `tolerance`: by default to the last digits, and as
+    rows of a board are if of another processor, or of an unknown one. Raises ConfigError
+    as `make_result`, if there are no rows, and if one differs.
     """
     work = WORK / f"{name}-{known_results()[name].identity()[:12]}"
     work.mkdir(parents=True, exist_ok=True)
@@ -193,7 +194,7 @@ def renew_result(
     for path in MADE.glob(f"{name}.*.jsonl"):
         lines, file = path.read_text(encoding="utf-8").splitlines(), path.name[len(name) + 1 :]
         rows = [line for line in lines if not _has(json.loads(line), anew)]
-        chosen = rng.choice(len(rows), min(len(rows), max(3, len(rows) // 10)), replace=False)
+        chosen = _some_of_each([json.loads(row).get("name") for row in rows], rng)
         left_out[file] = [rows[k] for k in chosen]
         rest = (row for k, row in enumerate(rows) if k not in chosen)
         write_text(work / file, "".join(f"{row}\n" for row in rest))
@@ -205,6 +206,15 @@ def renew_result(
         tolerance = SAME_PROCESSOR if is_here else TYPICAL
     compare = partial(_compare_rows, left_out, tolerance, anew)
     return make_result(name, lambda line: None, compare)
+
+
+def _some_of_each(names: Sequence[str | None], rng: np.random.Generator) -> set[int]:
+    """Return a random tenth of the indices of each of the `names`, three at least."""
+    chosen = set[int]()
+    for name in dict.fromkeys(names):
+        own = [k for k, other in enumerate(names) if other == name]
+        chosen |= set(rng.choice(own, min(len(own), max(3, len(own) // 10)), replace=False))
+    return chosen
 
 
 def _has(row: Mapping[str, Any], pairs: Collection[str]) -> bool:

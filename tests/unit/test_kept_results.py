@@ -76,9 +76,9 @@ pathlib.Path(sys.argv[2]).write_text(str(len(known)))
 """
 
 
-def make_of_rows(kept, tmp_path, monkeypatch):
+def make_of_rows(kept, tmp_path, monkeypatch, rows=ROWS):
     """Make a result that keeps its rows, and change the code that decides it."""
-    (tmp_path / "write.py").write_text(ROWS)
+    (tmp_path / "write.py").write_text(rows)
     of_rows = dataclasses.replace(
         kept, commands=("python write.py {work}/rows.jsonl {work}/a.csv",)
     )
@@ -116,6 +116,15 @@ def test_a_tenth_of_the_rows_is_made_again_and_a_row_that_differs_refuses_the_re
         results.renew_result("seven", np.random.default_rng(1))
     results.make_result("seven", report=lambda line: None)
     assert (tmp_path / "docs/seven.csv").read_text() == "0"  # nothing of the second program
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_some_rows_of_each_estimator_are_made_again(kept, tmp_path, monkeypatch, seed):
+    named = ROWS.replace('"case": k,', '"case": k, "name": "other" if k % 10 == 7 else "one",')
+    make_of_rows(kept, tmp_path, monkeypatch, named)
+    (tmp_path / "write.py").write_text(named.replace("0.1 * k", "0.1 * k + (k % 10 == 7)"))
+    with pytest.raises(ConfigError, match=r'a row is another one now: .*"other"'):
+        results.renew_result("seven", np.random.default_rng(seed))
 
 
 def test_rows_that_are_known_to_have_changed_are_made_anew(kept, tmp_path, monkeypatch):
