@@ -90,13 +90,16 @@ def test_an_even_road_is_likelier(monkeypatch, sensors, even, uneven, expected):
     def point(power, prior):
         one = SimpleNamespace(source=SimpleNamespace(information=1.0))
         objective = SimpleNamespace(is_underdetermined=sensors < 3)
-        at = lambda weights: SimpleNamespace(cost=prior + 500.0 * power * weights[0])  # noqa: E731
+
+        def at(weights):
+            return SimpleNamespace(cost=prior + 500.0 * power * weights[0])
+
         return SimpleNamespace(
             power=np.array([power]), passes=[one], objective=objective, with_inverse_variance=at
         )
 
     monkeypatch.setattr(gauss_newton, "_misfit_power", lambda lin: lin.power)
-    assert bool(gauss_newton._is_likelier(point(*even), point(*uneven))) == expected
+    assert gauss_newton._is_likelier(point(*even), point(*uneven)) is expected
 
 
 def test_behind_a_bump_off_which_a_wheel_flew_the_road_may_fall_at_once(drive):
