@@ -119,6 +119,8 @@ def _estimates(
             if array is not None and (array.shape != shape or not np.isfinite(array).all()):
                 wanted = f"test drive {k + 1} needs finite {what} of the shape {shape}"
                 raise ConfigError(f"{wanted}, got {array.shape}")
+            if array is not None and given is std and (array < 0.0).any():
+                raise ConfigError(f"test drive {k + 1} has negative {what}")
             arrays.append(array)
         z, deviation = arrays
         yield Estimate(drive["stations"], z, deviation)

@@ -78,6 +78,8 @@ def score_file(task: TaskArrays, path: Path) -> ScoreTable:
         columns = ["drive", "station", *_SIDES]
         if missing := [name for name in columns if name not in table]:
             raise ConfigError(f"no column {missing[0]!r}; needed are {', '.join(columns)}")
+        if twice := table.columns[table.columns.duplicated()].tolist():
+            raise ConfigError(f"it has two columns {twice[0]!r}")
         deviations = [name for name in ("left_std", "right_std") if name in table]
         if len(deviations) == 1:
             raise ConfigError(f"{deviations[0]} is there alone; give left_std and right_std")

@@ -38,8 +38,8 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from leaderboard.evaluation.comparison import TYPICAL
 from leaderboard.evaluation.provenance import describe_environment
+from leaderboard.metrics.bootstrap import REPRODUCIBLE
 from road_envs.core.artifacts import Kind
 from road_envs.core.atomic_io import write_text
 from road_envs.core.code_digest import ROOT
@@ -203,7 +203,7 @@ def renew_result(
     machine = (_artifact(name) or {"machine": {}})["machine"]
     if tolerance is None:
         is_here = machine.get("processor") == describe_environment()["processor"]
-        tolerance = SAME_PROCESSOR if is_here else TYPICAL
+        tolerance = SAME_PROCESSOR if is_here else REPRODUCIBLE
     compare = partial(_compare_rows, left_out, tolerance, anew)
     return make_result(name, lambda line: None, compare)
 

@@ -82,8 +82,8 @@ def verify(
 
 
 def verified_output(found: Sequence[Verified]) -> Output:
-    """Return what was found of each row; exit status 1 if one differs."""
-    run = [row for row in found if row.runs]
+    """Return what was found of each row; exit status 1 if one differs or is false."""
+    run = [row for row in found if row.runs or row.is_false]
     agreeing = sum(row.agrees for row in run)
     cells = []
     for row in found:
@@ -91,6 +91,7 @@ def verified_output(found: Sequence[Verified]) -> Output:
         if row.runs:
             numbers = [str(row.runs), f"{row.distance:.1e}", f"{row.tolerance:.0e}"]
         verdict = row.reason or ("agrees" if row.agrees else "DIFFERS")
+        verdict = f"DIFFERS: {row.reason}" if row.is_false else verdict
         cells.append([row.estimator, row.task, *numbers, str(row.score), verdict])
     heads = ("estimator", "task", "runs", "apart", "tolerance", "score", "result")
     table = commands.make_table(heads, cells, texts=("task", *heads[5:]), box=None)

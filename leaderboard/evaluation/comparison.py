@@ -28,11 +28,6 @@ SAME_KERNELS = 1e-9
 OTHER_KERNELS = 0.1
 """Tolerance of two processors or kernels: twice the largest distance that was measured."""
 
-TYPICAL = 5e-3
-"""Largest distance of half of the runs on other processors or kernels: ten times the median that
-was measured. So a row cannot be moved as a whole within `OTHER_KERNELS`.
-"""
-
 _PRINTED_STEPS = 100
 """Steps of the last printed digit that a smaller score is taken relative to."""
 

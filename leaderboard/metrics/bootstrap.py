@@ -22,6 +22,11 @@ _QUANTILES = (0.5 - 0.95 / 2, 0.5 + 0.95 / 2)
 MIN_ROADS = 5
 """Least number of roads for an interval or a rank: with two, the interval is their two scores."""
 
+REPRODUCIBLE = 5e-3
+"""Share of a score by which the same program differs on other processors or kernels in half of its
+runs: ten times the median that was measured (`evaluation.comparison`). Nobody leads by less.
+"""
+
 MAX_BATCH_SCORES = 2_000_000  # scores held in memory at once while resampling: 16 MB
 Strata = Sequence[Sequence[int]]  # indices of the roads of each stratum (family of roads)
 
@@ -173,9 +178,10 @@ def rank_entries(scores: Mapping[str, np.ndarray], strata: Strata | None = None)
     They are in the order of how many others are significantly better, so that one of uncertain
     scores stands between no two others; entries with equally many share a rank, the place of the
     first of them, as in 1 2 2 2 5, and are in the order of their interquartile means. An entry is
-    significantly better if the 95 % interval of the paired difference lies below 0, that is, if it
-    is ahead in 97.5 % of the replicates. These draw roads alone, each with all its runs: of three
-    seeds, one of luck alone would be drawn in more than 2.5 %. A score that is NaN comes last.
+    significantly better if it is ahead by more than `REPRODUCIBLE` in 97.5 % of the replicates, as
+    of two that err alike one is always ahead, by rounding. These draw roads alone, each with all
+    its runs: of three seeds, one of luck alone would be drawn in more than 2.5 %. A score that is
+    NaN comes last.
     """
     made = {name: resample([x.reshape(len(x), -1, 1)], strata=strata) for name, x in scores.items()}
     means = {name: np.nan_to_num(x.interval().mean, nan=np.inf) for name, x in made.items()}
@@ -183,8 +189,11 @@ def rank_entries(scores: Mapping[str, np.ndarray], strata: Strata | None = None)
         name: np.full(x.replicates.size, np.inf) if np.isnan(x.replicates).any() else x.replicates
         for name, x in made.items()
     }
+    margin = {name: REPRODUCIBLE * np.abs(x) for name, x in drawn.items()}
     better = {
-        name: sum(bool(np.mean(mine > x) > _QUANTILES[1]) for x in drawn.values())
+        name: sum(
+            bool(np.mean(mine > x + margin[rival]) > _QUANTILES[1]) for rival, x in drawn.items()
+        )
         for name, mine in drawn.items()
     }
     order = sorted(better, key=lambda name: (better[name], means[name]))

@@ -13,7 +13,7 @@ import shutil
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext, suppress
+from contextlib import nullcontext
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -146,31 +146,45 @@ class SandboxClient:
             guest = self._start(entry.reference)
             try:
                 session = self._session(guest, entry, car)
-                runs = list(reconstruct_all(session, training, asked, seeds, order, known))
+                # of others each by itself: two that happen to be equal say nothing of the third
+                alone = session.needs_training and not ours
+                parts = [[one] for one in seeds] if alone else [seeds]
+                runs = [
+                    made
+                    for part in parts
+                    for made in reconstruct_all(session, training, asked, part, order, known)
+                ]
             finally:
                 self._end(guest)
             return runs, session.needs_training, guest.peak_memory
 
-        def run_again() -> list[Estimate]:
+        def run_again() -> tuple[list[Estimate], str]:
             known = [calibrations[q.drive] for q in questions] if calibrations else ()
             asked = [q.record for q in questions]
+            reason = ""
             for _ in range(START_ATTEMPTS):  # something else may have ended the guest
-                with suppress(EntryError):
-                    return run(asked, [seed], range(len(asked)), known)[0][0].estimates
-            return []
+                try:
+                    return run(asked, [seed], range(len(asked)), known)[0][0].estimates, ""
+                except EntryError as error:
+                    reason = str(error)
+            return [], reason
 
         seed, causal = secret.choice(seeds), bool(entry.causal)
         questions = draw_questions(records, order, causal, secret) if retest and not ours else []
         again_first = bool(questions) and secret.random() < 0.5
         with bubblewrap.alone() if questions and self._bubblewrap else nullcontext():
-            again = run_again() if again_first else []
+            again, reason = run_again() if again_first else ([], "")
             runs, trains, peak_memory = run(records, seeds, order, calibrations)
             if questions and not again_first:
-                again = run_again()
-        notes = [ONE_TRAINING] if not ours and trains and len(runs) < len(seeds) else []
-        first = next((one for one in runs if one.seed == seed), runs[0])
-        tested = compare_answers(questions, first, again, entry.lag) if questions else []
-        looks_ahead, notes = not {LOOKS_AHEAD, NOT_RETESTED}.isdisjoint(tested), notes + tested
+                again, reason = run_again()
+        tested = [f"{NOT_RETESTED}: {reason}"] if reason else []
+        if again:
+            first = next((one for one in runs if one.seed == seed), runs[0])
+            tested = compare_answers(questions, first, again, entry.lag)
+        notes = []
+        if not ours and trains and _are_equal(runs):
+            runs, notes = runs[:1], [ONE_TRAINING] if len(runs) > 1 else []
+        looks_ahead, notes = bool(reason) or LOOKS_AHEAD in tested, notes + tested
         found = {"peak_memory": peak_memory, "isolation": self.isolation, "notes": tuple(notes)}
         return [dataclasses.replace(one, **found, looks_ahead=looks_ahead) for one in runs]
 
@@ -243,6 +257,15 @@ class SandboxClient:
     def _close_guests(self) -> None:
         while self._ours:
             self._ours.popitem()[1].close()
+
+
+def _are_equal(runs: Sequence[TrainingRun]) -> bool:
+    """Return whether all trainings have led to the same heights and deviations."""
+    return all(
+        np.array_equal(a.z, b.z) and np.array_equal(a.z_std, b.z_std)  # type: ignore[arg-type]
+        for run in runs
+        for a, b in zip(runs[0].estimates, run.estimates, strict=True)
+    )
 
 
 @dataclasses.dataclass

@@ -20,6 +20,9 @@ NEW_NAMESPACES, PIDFD = 0x7E020000, 0x1000
 COOKIE, PASSPIDFD, PEERPIDFD = 57, 76, 77
 """Options of sockets: its number among all of the machine, handles of processes."""
 
+TERMINAL = 0x5400
+"""Requests of `ioctl` to terminals and pipes (FIONREAD, FIONBIO), up to 0x54FF."""
+
 SHARED_ANONYMOUS = 0x21
 """Flags of `mmap`, MAP_SHARED | MAP_ANONYMOUS: its pages stay when no process has them mapped."""
 
@@ -65,6 +68,8 @@ RULES = (
     Rule("getsockopt", (55, 209), errno.ENOPROTOOPT, _When(2, 0xFFFFFFFF, PEERPIDFD, equal=True)),
     Rule("setsockopt", (54, 208), errno.ENOPROTOOPT, _When(2, 0xFFFFFFFF, PASSPIDFD, equal=True)),
     Rule("pidfd_open", (434, 434), errno.ENOSYS),
+    # of files: which of their parts, or the file itself, anybody has used; keys of file systems
+    Rule("ioctl", (16, 29), errno.ENOTTY, _When(1, 0xFFFFFF00, TERMINAL, equal=False)),
     Rule("name_to_handle_at", (303, 264), errno.EOPNOTSUPP),
     Rule("open_by_handle_at", (304, 265)),  # of a process, by its number (Linux 6.17)
     Rule("sync", (162, 81)),  # the kernel counts how often file systems were written out

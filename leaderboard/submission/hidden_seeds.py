@@ -98,22 +98,28 @@ def reveal(salt: str, folder: Path) -> list[Path]:
     return written
 
 
-def check_revealed(path: Path) -> None:
-    """Raise ConfigError if a commitment stands beside the task `path`, but not that of its roads.
+def check_revealed(path: Path, root: Path) -> None:
+    """Raise ConfigError if a commitment stands in a folder of the task `path`, below or at `root`,
+    but not that of its roads.
 
-    A season whose public task is another one today, of an older package, cannot be drawn again.
+    Those of a public task that is another one today, of a later package, cannot be drawn again.
     """
-    folder = path.parent
-    if not (folder / COMMITMENT).is_file():
+    above = (folder for folder in path.parents if folder.is_relative_to(root))
+    folder = next((x for x in above if (x / COMMITMENT).is_file()), None)
+    if folder is None:
         return
     hidden = load(folder)
     with parsing(folder / SALT, ConfigError, "damaged"):
         salt = (folder / SALT).read_bytes().decode(*_AS_GIVEN)
     if _commitment(salt, hidden) != hidden.commitment:
         raise ConfigError(f"{folder / SALT}: the salt does not match the commitment")
-    same = [name for name, digest in hidden.tasks.items() if load_task(name).digest == digest]
-    drawn = [_hidden_task(salt, hidden, name) for name in same]
-    if len(same) == len(hidden.tasks) and read_yaml(path) not in drawn:
+    name = {_season_name(task, hidden): task for task in hidden.tasks}.get(path.stem, "")
+    is_drawn = bool(name)
+    if name and (
+        load_task(name).digest == hidden.tasks[name] or hidden.package_version == package_version()
+    ):
+        is_drawn = read_yaml(path) == _hidden_task(salt, hidden, name)
+    if not is_drawn:
         raise ConfigError(f"{path}: it is no task of the commitment in {folder / COMMITMENT}")
 
 
@@ -138,9 +144,12 @@ def _hidden_task(salt: str, hidden: _HiddenSeeds, name: str) -> dict[str, Any]:
             [block * k + index for k in range(repeats) for index in indices]
             for indices in task.test.design
         ]
-    season = hidden.commitment[:8]
-    names = {"name": f"{task.name}_{season}", "title": f"{task.title}; season {season}"}
-    return {**data, **names, "test": test}
+    title = f"{task.title}; season {hidden.commitment[:8]}"
+    return {**data, "name": _season_name(task.name, hidden), "title": title, "test": test}
+
+
+def _season_name(task: str, hidden: _HiddenSeeds) -> str:
+    return f"{task}_{hidden.commitment[:8]}"
 
 
 def _seeds(salt: str, hidden: _HiddenSeeds, task: Task, count: int) -> list[int]:

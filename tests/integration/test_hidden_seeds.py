@@ -5,8 +5,10 @@ import hashlib
 import html
 import json
 import shutil
+from pathlib import Path
 
 import pytest
+import yaml
 from board_runs import Counting, make_request
 from fake_estimators import Reader
 from typer.testing import CliRunner
@@ -20,7 +22,8 @@ from leaderboard.running.board import run_board
 from leaderboard.submission import hidden_seeds
 from leaderboard.submission.rules import load_rules
 from road_envs.core import config
-from road_envs.core.config import ConfigError
+from road_envs.core.atomic_io import write_text
+from road_envs.core.config import ConfigError, find, read_yaml
 
 SALT = "correct horse battery"
 
@@ -198,6 +201,39 @@ def test_a_season_of_other_roads_than_were_committed_to_is_refused(published):
     (published / hidden_seeds.SALT).unlink()
     with pytest.raises(ConfigError, match=r"salt.txt.*No such file"):
         load_rules(rules)
+
+
+@pytest.mark.parametrize("below", ["", "more/"])
+def test_a_task_that_is_not_drawn_from_the_commitment_is_refused(tmp_path, below):
+    """Neither beside a task of no version nor in a folder below: by hand, roads are chosen."""
+    hidden = hidden_seeds.commit(SALT, [load_task("class"), load_task("new_road")])
+    odd = dataclasses.replace(hidden, tasks={**hidden.tasks, "class": "0" * 64})
+    odd = dataclasses.replace(odd, commitment=hidden_seeds._commitment(SALT, odd))
+    for one in (hidden, odd):
+        folder = tmp_path / one.commitment[:8]
+        hidden_seeds.save(one, folder)
+        (folder / hidden_seeds.SALT).write_text(SALT)
+        for task in ("class", "new_road"):
+            name = f"{below}{task}_{one.commitment[:8]}.yaml"
+            data = read_yaml(find("tasks", task)) | {"name": Path(name).stem}
+            write_text(folder / name, yaml.safe_dump(data))
+            (folder / "rules.yaml").write_text(f"tasks: [{name}]\n")
+            why = "it is no task of the commitment|the public task has changed since"
+            with pytest.raises(ConfigError, match=why):
+                load_rules(folder / "rules.yaml")
+        (folder / "any.yaml").write_text((folder / name).read_text())
+        (folder / "rules.yaml").write_text("tasks: [any.yaml]\n")
+        with pytest.raises(ConfigError, match="it is no task of the commitment"):
+            load_rules(folder / "rules.yaml")
+
+
+@pytest.mark.parametrize("text", [r'["cl\x61ss.yaml"]', "['a b.yaml']", '\n  - "cl\\\n  ass.yaml"'])
+def test_a_path_that_the_rules_do_not_spell_out_is_refused(tmp_path, text):
+    for name in ("class", "a b"):
+        shutil.copy(find("tasks", "class"), tmp_path / f"{name}.yaml")
+    (tmp_path / "rules.yaml").write_text(f"tasks: {text}\n")
+    with pytest.raises(ConfigError, match="a path is one word of letters, digits and"):
+        load_rules(tmp_path / "rules.yaml")
 
 
 @pytest.mark.parametrize(

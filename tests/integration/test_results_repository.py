@@ -3,15 +3,14 @@
 import os
 import shutil
 import string
-import subprocess
-import sys
 from functools import partial
-from pathlib import Path
 
 import pytest
+import results_repositories
 import submissions
 from fake_results import runs_of, with_runs
 from fakes import SHORT_TASK
+from results_repositories import ROOT, call, committed, merge_ref
 from submissions import CARD
 from wheels import module, write_wheel
 
@@ -26,6 +25,7 @@ from leaderboard.submission.submission import RECORD, SUBMISSION, _digests
 from road_envs.core.config import ConfigError
 
 made, submission = submissions.made, submissions.submission
+verifies = results_repositories.verifies
 
 
 def test_a_results_repository_is_not_written_over_files(tmp_path):
@@ -43,41 +43,7 @@ def test_a_results_repository_is_not_written_over_files(tmp_path):
         repository.build_site(tmp_path, tmp_path / "site", Limits())
 
 
-ROOT = Path(__file__).parents[2]
-GIT_NAMES = [f"GIT_{x}_{y}" for x in ("AUTHOR", "COMMITTER") for y in ("NAME", "EMAIL")]
 ESTIMATE = "a = np.nan_to_num(record.a[0])\nz[:] = 1e-3 * np.interp(stations, record.s, a)"
-
-
-def call(*words, cwd, status=0):
-    """Run a program as a user does; return what it has printed."""
-    environment = {
-        **os.environ,
-        "PATH": os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]),
-        "PYTHONPATH": str(ROOT),
-        **dict.fromkeys(GIT_NAMES, "a@b.c"),
-    }
-    done = subprocess.run(
-        [str(word) for word in words], cwd=cwd, env=environment, capture_output=True, text=True
-    )
-    assert done.returncode == status, done.stdout + done.stderr
-    return done.stdout + done.stderr
-
-
-@pytest.fixture
-def verifies(made, tmp_path):
-    """A repository with a rival's submission, and what its ci/verify.sh says of a branch of it."""
-    repo = tmp_path / "repo"
-    repository.write_repository(repo)
-    shutil.copytree(made, repo / "submissions" / "rival")
-    (repo / "submissions" / "rival" / "submission.json").write_text("of rival")
-    for words in (("init", "-b", "main"), ("add", "."), ("commit", "-m", "a rival")):
-        call("git", *words, cwd=repo)
-    call("git", "switch", "-c", "mine", cwd=repo)
-    program = tmp_path / "road-recon"
-    program.write_text("#!/bin/sh\nls -A\necho $1 ${2#*/repo/}\n")
-    program.chmod(0o755)
-    path = f"PATH={tmp_path}:{os.environ['PATH']}"
-    return repo, lambda status=0: call("env", path, "ci/verify.sh", "main", cwd=repo, status=status)
 
 
 def test_a_submission_is_verified_before_it_is_committed_and_after(verifies):
@@ -163,6 +129,17 @@ def test_a_name_that_looks_like_a_withdrawn_one_is_refused(verifies, name):
     assert f"{name} looks the same as rival, which was signed: rename" in said(status=1)
 
 
+def test_a_file_within_a_folder_signs_no_name(verifies):
+    """Added and removed by one branch, it would lock the owners of such names out."""
+    repo, said = verifies
+    path = "submissions/Riva1/x/signature.json"
+    committed(repo, "added", **{path: "{}"})
+    committed(repo, "removed", **{path: None})
+    call("git", "branch", "-f", "main", cwd=repo)
+    committed(repo, "the owner", **{"submissions/rival/card.yaml": "new"})
+    assert said() == "verify-submission submissions/rival\n"
+
+
 def test_the_script_folds_names_as_the_program_does():
     script = (ROOT / "leaderboard/submission/templates/verify.txt").read_text()
     (line,) = [x for x in script.splitlines() if x.startswith("fold()")]
@@ -191,146 +168,6 @@ def test_what_a_branch_adds_and_removes_is_refused(verifies, name):
     assert said(status=1) == refused
 
 
-def committed(repo, text, **files):
-    """Write or, with None, remove files of a repository, and commit all."""
-    for name, content in files.items():
-        path = repo / name
-        if content is None:
-            path.unlink()
-        else:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(content)
-    call("git", "add", "--all", cwd=repo)
-    call("git", "commit", "-m", text, cwd=repo)
-
-
-def of_season(name="seasons/1/class.yaml"):
-    """Files of a repository whose rules have a season: its roads, and the rules."""
-    return {name: "roads"}, {"rules.yaml": f"tasks: [{name}]\n"}
-
-
-CODE = "submissions/mine/code/a.whl"
-RECORD_OF_MINE = {"submissions/mine/submission.json": "of mine"}
-NEWER = "submissions/mine: its code is newer than the roads of seasons/1/class.yaml\n"
-
-
-def merge_ref(repo, branch):
-    """Check out what the CI does of a pull request: the main line, into which it is merged."""
-    call("git", "checkout", "--detach", "main", cwd=repo)
-    call("git", "merge", "--no-ff", "-m", "the pull request", branch, cwd=repo)
-
-
-def test_code_that_came_between_the_roads_and_the_rules_is_refused(verifies):
-    repo, said = verifies
-    roads, rules = of_season()
-    committed(repo, "the roads", **roads)
-    call("git", "branch", "-f", "main", cwd=repo)
-    committed(repo, "mine", **RECORD_OF_MINE, **{CODE: "knows"})
-    assert "verify-submission submissions/mine" in said()
-    call("git", "branch", "-f", "main", cwd=repo)
-    committed(repo, "the rules", **rules)
-    assert said(status=1) == NEWER
-    path = f"PATH={repo.parent}:{os.environ['PATH']}"
-    assert call("env", path, "ci/verify.sh", cwd=repo, status=1) == NEWER
-
-
-def moved(repo, roads, rules):
-    """The season leaves the rules, so that new code is taken, and comes back from an archive."""
-    committed(repo, "the season ends", **roads, **rules)
-    committed(repo, "mine, later", **RECORD_OF_MINE, **{CODE: "knows"})
-    call("git", "mv", "seasons/1", "seasons/archive", cwd=repo)
-    return "seasons/archive/class.yaml"
-
-
-def salt_first(repo, roads, rules):
-    """The roads are drawn from the salt by whoever sees it."""
-    committed(repo, "the salt", **{"seasons/1/salt.txt": "of the roads"})
-    committed(repo, "mine, later", **RECORD_OF_MINE, **{CODE: "knows"})
-    committed(repo, "the season ends", **roads)
-    return "seasons/1/class.yaml"
-
-
-def elsewhere(repo, roads, rules):
-    committed(repo, "the season ends", **{"autumn/class.yml": "roads"})
-    committed(repo, "mine, later", **RECORD_OF_MINE, **{CODE: "knows"})
-    return "autumn/class.yml"
-
-
-def at_the_root(repo, roads, rules):
-    committed(repo, "the season ends", **{"class.yaml": "roads"})
-    committed(repo, "mine, later", **RECORD_OF_MINE, **{CODE: "knows"})
-    return "class.yaml"
-
-
-def not_committed(repo, roads, rules):
-    committed(repo, "the season ends", **roads)
-    (repo / CODE).parent.mkdir(parents=True)
-    (repo / CODE).write_text("knows")
-    (repo / "submissions/mine/submission.json").write_text("of mine")
-    return "seasons/1/class.yaml"
-
-
-@pytest.mark.parametrize("way", [moved, salt_first, elsewhere, at_the_root, not_committed])
-def test_code_that_is_newer_than_the_roads_is_found_wherever_they_stand(verifies, way):
-    repo, _ = verifies
-    shutil.rmtree(repo / "submissions" / "rival")  # it has no code
-    committed(
-        repo, "honest", **{"submissions/old/submission.json": "", CODE.replace("mine", "old"): "o"}
-    )
-    place = way(repo, *of_season())
-    (repo / "rules.yaml").write_text(f"tasks: [{place}]\n")
-    call("git", "commit", "-a", "-m", "the rules", cwd=repo)
-    path = f"PATH={repo.parent}:{os.environ['PATH']}"
-    newer = f"submissions/mine: its code is newer than the roads of {place}\n"
-    assert call("env", path, "ci/verify.sh", cwd=repo, status=1) == newer
-    shutil.rmtree(repo / "submissions" / "mine")
-    if way is not not_committed:
-        call("git", "commit", "-a", "-m", "mine is removed", cwd=repo)
-    assert call("env", path, "ci/verify.sh", cwd=repo) == f"results-site {repo}\n"
-
-
-def test_no_branch_hides_when_code_or_roads_came(verifies):
-    """From before the roads, with code and the same roads in turn; its history is simplified."""
-    repo, said = verifies
-    roads, rules = of_season()
-    call("git", "branch", "forged", cwd=repo)
-    committed(repo, "the season ends", **roads, **rules)
-    call("git", "branch", "-f", "main", cwd=repo)
-    call("git", "switch", "forged", cwd=repo)
-    committed(repo, "mine", **{CODE: "knows"})
-    committed(repo, "the same roads", **roads, **{CODE: None})
-    call("git", "merge", "-m", "main", "main", cwd=repo)
-    committed(repo, "a word", **{"README.md": "A word."})
-    merge_ref(repo, "forged")
-    assert "class.yaml: changed and changed back" in said(status=1)
-    call("git", "branch", "-f", "main", "forged", cwd=repo)  # without that: taken over as it is
-    call("git", "switch", "-C", "mine", "main", cwd=repo)
-    committed(repo, "mine", **RECORD_OF_MINE, **{CODE: "knows"})
-    assert said(status=1) == NEWER
-
-
-def test_rows_of_a_season_by_older_code_are_taken_from_a_branch_that_has_merged(verifies):
-    repo, said = verifies
-    committed(repo, "mine", **RECORD_OF_MINE, **{CODE: "honest"})
-    call("git", "branch", "-f", "main", cwd=repo)
-    call("git", "switch", "-C", "season", cwd=repo)
-    roads, rules = of_season()
-    committed(repo, "the season ends", **roads, **rules)
-    merge_ref(repo, "season")
-    call("git", "branch", "-f", "main", cwd=repo)
-    call("git", "switch", "mine", cwd=repo)
-    committed(repo, "a word", **{"submissions/mine/card.yaml": ""})
-    call("git", "merge", "-m", "main", "main", cwd=repo)
-    committed(repo, "rows", **{"submissions/mine/results/class.json": ""})
-    merge_ref(repo, "mine")
-    assert said() == "verify-submission submissions/mine\n"
-    call("git", "branch", "-f", "main", "mine", cwd=repo)  # taken over as it is
-    (repo / "rules.yaml").write_text(f"# a word\n{rules['rules.yaml']}")
-    shutil.rmtree(repo / "submissions" / "rival")  # it has no code
-    committed(repo, "rules")
-    assert "rival is removed" in said(status=1)
-
-
 def test_a_name_is_not_freed_by_a_branch_from_before_it(verifies, tmp_path):
     repo, said = verifies
     first = call("git", "rev-parse", "main", cwd=repo).strip()
@@ -344,16 +181,6 @@ def test_a_name_is_not_freed_by_a_branch_from_before_it(verifies, tmp_path):
     call("git", "switch", "-C", "mine", "main", cwd=repo)
     shutil.copytree(repo / "ci", repo / "submissions" / "RIVAL")
     assert "RIVAL looks the same as rival, which was signed" in said(status=1)
-
-
-@pytest.mark.parametrize("season", ["seasons/Frühjahr/class.yaml", "seasons/a b/class.yaml"])
-def test_code_that_is_newer_than_a_season_of_any_name_is_refused(verifies, season):
-    repo, said = verifies
-    roads, rules = of_season(season)
-    committed(repo, "the season ends", **roads, **rules)
-    call("git", "branch", "-f", "main", cwd=repo)
-    committed(repo, "mine", **{CODE: "knows"})
-    assert said(status=1).endswith(f"newer than the roads of {season}\n")
 
 
 @pytest.mark.parametrize("name", ["\u212aalman", "my entry", 'x"y', "-n", ".numba_config.yaml"])
@@ -379,33 +206,6 @@ def test_a_link_in_place_of_all_submissions_is_refused(verifies):
     (repo / "submissions").symlink_to("others")
     shutil.copytree(repo / "others" / "rival", repo / "others" / "mine")
     assert said(status=1) == "submissions is a link\n"
-
-
-def test_code_that_is_newer_than_the_roads_of_a_season_is_refused(verifies):
-    repo, said = verifies
-    (repo / "submissions" / "rival" / "code").mkdir()
-    (repo / "submissions" / "rival" / "code" / "a.whl").write_text("a")
-    for name, text in (
-        ("rules.yaml", "tasks: [seasons/1/class.yaml]\n"),
-        ("seasons/1/class.yaml", "roads"),
-    ):
-        call("git", "add", ".", cwd=repo)
-        call("git", "commit", "-m", "before", cwd=repo)
-        (repo / name).parent.mkdir(exist_ok=True)
-        (repo / name).write_text(text)
-    call("git", "add", ".", cwd=repo)
-    call("git", "commit", "-m", "the season ends", cwd=repo)
-    call("git", "branch", "-f", "main", cwd=repo)
-    (repo / "submissions" / "rival" / "results" / "more.json").write_text("")
-    assert "verify-submission submissions/rival" in said()  # with its row of the season
-    newer = "its code is newer than the roads of seasons/1/class.yaml\n"
-    mine = shutil.copytree(repo / "submissions" / "rival", repo / "submissions" / "mine")
-    assert said(status=1).endswith(f"submissions/mine: {newer}")
-    shutil.rmtree(mine)
-    (repo / "submissions" / "rival" / "code" / "a.whl").write_text("b")
-    assert said(status=1) == f"submissions/rival: {newer}"
-    (repo / "rules.yaml").write_text("tasks: [class]\n")
-    assert "verify-submission submissions/rival" in said()
 
 
 @pytest.mark.parametrize("name", [".gitattributes", "submissions/rival/.gitattributes"])

@@ -182,7 +182,8 @@ def test_a_second_guest_that_something_else_ended_is_asked_once_more(
     training, records, car = drives(2)
     entry = Entry(name="x", reference="fake_estimators:Reader", causal=True)
     (run,) = sandbox.reconstruct(entry, training, records, car, (1,), retest=True)
-    assert run.notes == notes and run.looks_ahead == bool(notes)
+    assert [note[: len(NOT_RETESTED)] for note in run.notes] == list(notes)
+    assert run.looks_ahead == bool(notes)
     assert len(sessions) == 3 and nothing_left()
     # else an attempt could tell the next one
     assert dropped == ([0, 1, 2] if sandbox.isolation == "bubblewrap" else [])

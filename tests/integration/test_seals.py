@@ -11,6 +11,7 @@ import threading
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from fakes import fake_drives, task
 from wheels import module, write_wheel
@@ -21,8 +22,9 @@ from leaderboard.sandbox import bubblewrap, client, guest, processes, seccomp
 from leaderboard.sandbox.bubblewrap import count_pipes, forget_pipes
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
-from leaderboard.sandbox.retest import LOOKS_AHEAD, REMEMBERS
+from leaderboard.sandbox.retest import LOOKS_AHEAD, NOT_RETESTED, REMEMBERS
 from road_envs.core.config import ConfigError
+from road_envs.records.record import Profile, profile_stations
 
 pytestmark = [
     pytest.mark.skipif(bubblewrap.obstacle() is not None, reason=str(bubblewrap.obstacle())),
@@ -236,6 +238,37 @@ def test_deviations_and_the_use_of_speed_are_tested_for_causality(sandbox, how):
 
 def test_deviations_are_tested_for_memory(sandbox):
     assert run(sandbox, "deviate_by_memory", retest=True).notes == (REMEMBERS,)
+
+
+@pytest.mark.parametrize(
+    ("cls", "settings", "notes"),
+    [
+        ("Learner", {"gains": (1.0, 1.0, 1.0), "deviations": (0.1, 0.2, 0.3)}, ()),
+        ("Learner", {"gains": (1.0, 1.0, 0.9), "deviations": (0.1, 0.1, 0.1)}, ()),
+        ("Learner", {"gains": (1.0,) * 3, "deviations": (0.1,) * 3}, (client.ONE_TRAINING,)),
+        ("SinglePrecision", {}, ()),
+        ("Refuser", {}, ()),
+        ("Refuser", {"limit": 1.0}, (NOT_RETESTED,)),
+    ],
+)
+@pytest.mark.parametrize("chance", range(3))
+def test_an_honest_causal_entry_does_not_look_ahead(
+    sandbox, monkeypatch, cls, settings, notes, chance
+):
+    """Whichever of three training seeds the second guest has."""
+    secret = random.Random(chance)
+    secret.choice = lambda seeds: seeds[chance]
+    monkeypatch.setattr(client.random, "SystemRandom", lambda: secret)
+    entry = Entry(name="x", reference=f"honest:{cls}", settings=settings, causal=True)
+    records, car = drives()
+    training = [(records[0], Profile(s := profile_stations(40.0), np.zeros((2, s.size))))]
+    found = sandbox.reconstruct(entry, training, records, car, (1, 2, 3), retest=True)
+    assert len(found[0].notes) == len(notes)
+    assert all(a.startswith(b) for a, b in zip(found[0].notes, notes, strict=True))
+    assert found[0].looks_ahead == (NOT_RETESTED in notes)
+    if found[0].looks_ahead:
+        assert found[0].notes[0].endswith("ValueError: the speed jumps")
+    assert len(found) == (3 if cls == "Learner" and not notes else 1)
 
 
 @pytest.mark.parametrize("place", [2, 3])

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pandas
+import pyarrow.parquet
 import pytest
 from fakes import fake_drives, task
 
@@ -55,6 +56,20 @@ def test_heights_in_a_file_score_as_in_arrays(arrays, form, tmp_path):
     table.to_csv(path, index=False) if form == "csv" else table.to_parquet(path)
     found, expected = score_file(arrays, path).values, score_arrays(arrays, heights).values
     np.testing.assert_equal(found, expected)
+
+
+def test_deviations_below_0_and_columns_that_are_there_twice_are_refused(arrays, tmp_path):
+    write_task(arrays, tmp_path, "csv")
+    table = filled(pandas.read_csv(tmp_path / "test_profiles.csv"), guesses(arrays))
+    table["left_std"], table["right_std"] = 0.01, -0.01
+    table.to_csv(tmp_path / "negative.csv", index=False)
+    with pytest.raises(ConfigError, match="test drive 1 has negative standard deviations"):
+        score_file(arrays, tmp_path / "negative.csv")
+    path = tmp_path / "twice.parquet"
+    both = pyarrow.Table.from_pandas(table[["drive", "station", "left", "right"]])
+    pyarrow.parquet.write_table(both.append_column("left", both["left"]), path)
+    with pytest.raises(ConfigError, match=r"twice.parquet: it has two columns 'left'"):
+        score_file(arrays, path)
 
 
 def test_a_file_of_other_drives_is_refused_by_a_sentence(arrays, tmp_path):

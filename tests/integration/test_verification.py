@@ -13,6 +13,7 @@ from fake_estimators import Picky
 from fake_results import runs_of, with_last_run, with_runs
 from fakes import SHORT_TASK, fake_drives
 
+from leaderboard.commands.results import verified_output
 from leaderboard.entries.entries import make_entry
 from leaderboard.evaluation import evaluate, store
 from leaderboard.evaluation.comparison import OTHER_KERNELS, SAME_KERNELS
@@ -21,11 +22,13 @@ from leaderboard.metrics.baselines import BASELINES
 from leaderboard.report.notes import _kernel_notes
 from leaderboard.running.board import create_baselines, load_board
 from leaderboard.running.verification import (
+    _other_claim,
     kernels_of,
     load_verified,
     save_verified,
     verify_folder,
 )
+from leaderboard.sandbox.retest import LOOKS_AHEAD, NOT_RETESTED
 from road_envs.core.config import ConfigError
 
 
@@ -183,7 +186,33 @@ def test_a_row_that_says_something_else_of_its_entry_does_not_agree(tmp_path):
         store.save(dataclasses.replace(row, **{field: value}), tmp_path)
         found = verify(tmp_path)["reader"]
         expected = f"its {field} is {getattr(row, field)}, the row says {value}"
-        assert found.reason == expected and not found.agrees
+        assert found.reason == expected and not found.agrees and found.is_false
+
+
+@pytest.mark.parametrize(
+    "told", [{"causal": True}, {"lag": 5.0}, {"seeds": (2, 1)}, {"task_digest": "0" * 64}]
+)
+def test_who_lies_of_two_things_is_not_called_one_that_cannot_be_run(tmp_path, told):
+    """Nor is a row of another task left out without a word."""
+    run(tmp_path)
+    alter(tmp_path, "reader", scores={"nrmse": 0.01}, **told)
+    found = verify(tmp_path)
+    output = verified_output(list(found.values()))
+    is_other = "task_digest" in told
+    assert found["reader"].is_false != is_other and found["reader"].reason
+    assert output.status == int(not is_other)
+    assert output.shows[1].endswith(f"; {int(is_other)} could not be run again")
+
+
+def test_a_row_may_say_by_chance_that_its_entry_looks_ahead(tmp_path):
+    run(tmp_path)
+    row = store.load(store.row_path(tmp_path, "small", "reader"))
+    made = dataclasses.replace(row, causal=True)
+    for note in (LOOKS_AHEAD, f"{NOT_RETESTED}: ended"):
+        less = dataclasses.replace(row, causal=False, notes=(f"reader: {note}",))
+        assert _other_claim(less, made) is None
+        assert _other_claim(made, less) == "its causal is False, the row says True"
+    assert _other_claim(row, made) == "its causal is True, the row says False"
 
 
 def test_a_row_of_chosen_training_seeds_does_not_agree(tmp_path):

@@ -82,3 +82,13 @@ def test_one_lucky_training_of_three_is_not_the_rank_of_an_entry():
     steady = {f"at {x}": x + road + 0.01 * rng.standard_normal((24, 1, 1)) for x in (0.3, 0.5)}
     lottery = road + np.array([0.2, 1.0, 1.0])
     assert rank_entries({**steady, "lottery": lottery}) == {"at 0.3": 1, "at 0.5": 2, "lottery": 3}
+
+
+@pytest.mark.parametrize("apart", [1e-15, 1e-9, 1e-3])
+def test_a_copy_that_errs_less_by_rounding_shares_the_rank(apart):
+    """Of two such copies one is ahead on every road; a third below both would push a rival down."""
+    rng = np.random.default_rng(9)
+    road = 0.5 + 0.1 * rng.random((20, 2, 1))
+    rival = road + 0.02 * rng.standard_normal((20, 2, 1))
+    scores = {"first": road, "copy": (1.0 - apart) * road, "rival": rival, "worse": 1.1 * road}
+    assert rank_entries(scores) == {"first": 1, "copy": 1, "rival": 1, "worse": 4}

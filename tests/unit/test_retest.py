@@ -43,6 +43,15 @@ def test_no_replaced_odometer_ends_before_the_rear_axle_is_at_the_end_of_the_roa
         assert 0.5 < abs(other.s[-1] - long.s[-1]) < 3.0 + 1e-9
 
 
+@pytest.mark.parametrize("kmh", [14.5, 54.0, 100.0])
+def test_a_replaced_speed_changes_as_that_of_a_car_and_goes_on_higher(record, kmh):
+    constant = replace(record, v=np.full_like(record.v, kmh / 3.6), t=record.t * 54.0 / kmh)
+    for seed in range(10):
+        other = with_other_future(constant, 45.0, np.random.default_rng(seed))
+        assert 1.0 < np.diff(other.v).max() / np.diff(constant.t).min() < 9.0
+        assert 1.049 < other.v[-1] / constant.v[-1] < 1.251
+
+
 @pytest.mark.parametrize("ahead", [0.3, 2.0])
 def test_who_corrects_an_odometer_that_wanders_does_not_look_ahead(record, ahead):
     """Where the odometer says 45 m, who knows better is at 45.3 m, whose height may depend on all
