@@ -189,11 +189,9 @@ def rank_entries(scores: Mapping[str, np.ndarray], strata: Strata | None = None)
         name: np.full(x.replicates.size, np.inf) if np.isnan(x.replicates).any() else x.replicates
         for name, x in made.items()
     }
-    margin = {name: REPRODUCIBLE * np.abs(x) for name, x in drawn.items()}
+    worse = {name: x + REPRODUCIBLE * np.abs(x) for name, x in drawn.items()}  # than each
     better = {
-        name: sum(
-            bool(np.mean(mine > x + margin[rival]) > _QUANTILES[1]) for rival, x in drawn.items()
-        )
+        name: sum(bool(np.mean(mine > x) > _QUANTILES[1]) for x in worse.values())
         for name, mine in drawn.items()
     }
     order = sorted(better, key=lambda name: (better[name], means[name]))

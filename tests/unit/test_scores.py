@@ -261,7 +261,7 @@ def test_replicates_do_not_depend_on_the_batch_size(monkeypatch):
 
 
 def test_a_rank_is_the_place_by_how_many_entries_are_significantly_better():
-    rng = np.random.default_rng(5)
+    rng = np.random.default_rng(13)
     road = rng.standard_normal((12, 2, 1))
     scores = {
         f"entry {k}": road + 0.12 * k + 0.3 * rng.standard_normal((12, 2, 3))
@@ -276,7 +276,7 @@ def test_a_rank_is_the_place_by_how_many_entries_are_significantly_better():
     assert list(found) == sorted(found, key=lambda name: (better[name], means[name]))
     for name, rank in found.items():
         assert rank == 1 + sum(better[other] < better[name] for other in found)
-    assert len(set(found.values())) in (3, 4, 5)
+    assert any(rank != 1 + better[name] for name, rank in found.items())
 
 
 def test_an_entry_that_gives_up_some_drives_for_a_better_mean_lifts_nobody():
