@@ -198,7 +198,7 @@ def test_a_task_takes_the_modes_of_its_car_only(tmp_path):
         load_task(path)
 
 
-@pytest.mark.processes
+@pytest.mark.slow
 def test_the_frame_of_an_ordinary_car_is_found_though_its_file_has_none():
     drive = {"vehicle": "bmw_320i", "speed_kmh": 54.0, "mode": "passive", "seed": 77}
     road = realise_road("iso_c", 77, 60.0)

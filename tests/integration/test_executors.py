@@ -85,7 +85,7 @@ def expected(tmp_path_factory, conditions):
     return rows(board)
 
 
-@pytest.mark.processes
+@pytest.mark.slow
 def test_without_isolation_failing_entries_do_not_change_a_bit_of_the_other_rows(
     tmp_path, expected, conditions
 ):

@@ -73,7 +73,7 @@ def iri_error(layout, surface):
     return abs(facts["iri_mean"] / true - 1.0), inside
 
 
-@pytest.mark.processes
+@pytest.mark.slow
 def test_more_sensors_in_a_car_whose_frame_twists_are_right_within_their_interval():
     surface = realise_road("iso_b", 7, 120.0)
     one, _ = iri_error("one", surface)

@@ -121,7 +121,7 @@ def test_of_a_lost_drift_the_slope_is_reduced_and_no_step_is_made():
         ("kalman_rts", "twist", 54.0, MIXED, "S0", "paper"),  # 2.5 times
         pytest.param(
             *("map_smoother", "washboard", 54.0, "handling", "S0", "phone"),  # raised ValueError
-            marks=pytest.mark.processes,
+            marks=pytest.mark.slow,
         ),
     ],
 )
