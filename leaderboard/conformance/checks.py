@@ -24,6 +24,7 @@ import numpy as np
 
 from leaderboard.conformance.probes import CheckResult, evaluate_probes, perturbed_records
 from leaderboard.entries.entry import Entry, EntryError, TrainingRun
+from leaderboard.evaluation.evaluate import SEEDS
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
@@ -204,8 +205,8 @@ def _check_costs(
 ) -> list[CheckResult]:
     """Check time and memory against the limits.
 
-    The time is extrapolated to one training and all test drives of a condition of _COST_TASK; it
-    is an upper bound, since the first estimate may include compilation.
+    The time is extrapolated to all trainings and test drives of a condition of _COST_TASK; it is an
+    upper bound, since the first estimate may include compilation.
     """
     task = load_task(_COST_TASK).with_test_drives(None)
     measured_training = sum(record.length for record, _ in drives.training)
@@ -214,7 +215,8 @@ def _check_costs(
     )
     train_seconds = training_run.train_seconds
     metres = len(training_run.estimates) * drives.record.length
-    predicted = (
+    trainings = len(SEEDS) if training_run.parameters else 1
+    predicted = trainings * (
         train_seconds * training_length / measured_training
         + training_run.estimate_seconds * test_length / metres
     )

@@ -42,8 +42,8 @@ _VERIFICATION = Kind("verification", 1)
 SHARE = 0.1
 """Share of the drives of a task that are run again."""
 
-_NOTES = (LOOKS_AHEAD, REMEMBERS, NOT_RETESTED, ONE_TRAINING)
-"""Beginnings of notes on what a judge may find out about an entry by chance, and not again."""
+_BY_CHANCE = (LOOKS_AHEAD, REMEMBERS, ONE_TRAINING)
+"""What a judge may find out about an entry by chance, and not again."""
 
 _DECIDE_DIGITS = ("numpy", "scipy", "numba", "torch", "processor", "blas")
 """Parts of the environment of a result that decide its last digits."""
@@ -129,7 +129,10 @@ def load_verified(out: Path) -> dict[str, list[Verified]]:
 def save_verified(found: Iterable[Verified], out: Path) -> None:
     """Add to what was verified in a folder; what is found on the same kernels is replaced."""
     earlier = [row for rows in load_verified(out).values() for row in rows]
+    found = list(found)
     rows = {(row.identity, row.kernels): row for row in [*earlier, *found] if not row.reason}
+    for row in (row for row in found if row.is_false):
+        rows.pop((row.identity, row.kernels), None)
     _VERIFICATION.write(out / "verified.json", {"rows": [*map(dataclasses.asdict, rows.values())]})
 
 
@@ -173,11 +176,15 @@ def verify_folder(
                 report(f"{task.name}: simulating, {condition.label}", len(found) / len(rows))
                 some = partial(simulate, chosen=picked)
                 data[condition] = evaluate.simulate_condition(task, condition, some)
+        for _, row in (x for x in rows if x[0] is task and x[1].failure is not None):
+            found.append(dataclasses.replace(_not_run(task, row), reason=f"failed: {row.failure}"))
         for row in scored:
             name = row.estimator
             report(f"{task.name}: {name}", len(found) / len(rows))
             entry = given.get(name) or registered_entry(name, task.trains_on_test_road)
             found.append(_verify_row(task, row, entry, data, run))
+    if not found:
+        raise ConfigError(f"{out}: no rows of these tasks")
     return found
 
 
@@ -203,23 +210,25 @@ def _verify_row(
     compared = SCORES if same else [ranks_by, "bound_nrmse", "attainable_nrmse"]  # of all rows
     pairs: list[tuple[dict[str, float], dict[str, float]]] = []
     ranked: list[tuple[float, float]] = []
-    notes: set[str] = set()
+    notes, busy = {f"{row.estimator}: {note}" for note in _BY_CHANCE}, ""
+    notes.update(_not_retested(row))
     for condition, drives in data.items():
         made = evaluate.evaluate_entry(task, condition, drives, entry, row.seeds, run)
-        busy = [] if _notes_of(row, NOT_RETESTED) else _notes_of(made, NOT_RETESTED)
-        if reason := made.failure or "".join(busy):
-            return dataclasses.replace(found, reason=reason)
+        if made.failure is not None:
+            return dataclasses.replace(found, reason=made.failure)
+        busy = busy or "".join(_not_retested(made)[: not _not_retested(row)])
         if reason := _other_claim(row, made):
             return dataclasses.replace(found, reason=reason, is_false=True)
         notes.update(made.notes)
         own = comparison.scores_by_run(made.scores)
         driven = {x[:-1] for x in own}  # of which the row may have runs of further seeds
+        if len(own) == len(driven):  # on these drives no training seed changes anything
+            own |= {x: own[first] for x in stored for first in own if x[:-1] == first[:-1]}
         here = [(stored.get(x, {}), own.get(x, {})) for x in stored | own if x[:-1] in driven]
         pairs += here
         both = [(a[ranks_by], b[ranks_by]) for a, b in here if ranks_by in a and ranks_by in b]
         ranked += both * (len(row.seeds) if len(own) == len(driven) else 1)  # as on a board
-    more = [note for note in row.notes if note not in notes.union(_notes_of(row, *_NOTES))]
-    if more and len(pairs) >= len(stored):
+    if (more := [note for note in row.notes if note not in notes]) and len(pairs) >= len(stored):
         reason = f"its note is not found here: {more[0]}"
         return dataclasses.replace(found, reason=reason, is_false=True)
     if not pairs:
@@ -227,11 +236,12 @@ def _verify_row(
     distances = [comparison.largest_distance(row, own, compared) for row, own in pairs]
     worst = max(distances, key=lambda x: x.value)
     means = interquartile_mean(np.array(ranked).reshape(-1, 2), axis=0)
-    return dataclasses.replace(
+    found = dataclasses.replace(
         found, runs=len(pairs), score=worst.score, distance=worst.value,
         typical=statistics.median_low([x.value for x in distances]),
         shift=comparison.distance(ranks_by, *means.tolist()) if ranked else 0.0,
     )  # fmt: skip
+    return dataclasses.replace(found, reason=busy) if busy and found.agrees else found
 
 
 def _drives(task: Task) -> set[tuple[str, int, int]]:
@@ -268,20 +278,25 @@ def _other_seeds(row: Result) -> str | None:
 def _other_claim(row: Result, made: Result) -> str | None:
     """Return what a row says otherwise of its entry than was found; None if nothing.
 
-    That it looks ahead, or could not be asked again, may have been found by chance.
+    That it looks ahead may have been found by chance, and that it could not be asked again, here
+    or there.
     """
-    chance = _notes_of(row, LOOKS_AHEAD, NOT_RETESTED) and row.causal is False
+    said = _not_retested(row) or f"{row.estimator}: {LOOKS_AHEAD}" in row.notes
+    chance = row.causal is False if said else bool(_not_retested(made))
     for name in ("role", "causal", "lag", "calibrates", "code", "settings"):
         if getattr(row, name) != getattr(made, name) and not (name == "causal" and chance):
             return f"its {name} is {getattr(made, name)}, the row says {getattr(row, name)}"
-    missing = [note for note in made.notes if note not in row.notes]
-    missing = [note for note in missing if note not in _notes_of(made, NOT_RETESTED)]
+    one = f"{row.estimator}: {ONE_TRAINING}"  # of these drives
+    known = {*row.notes, *_not_retested(made), one}
+    missing = [note for note in made.notes if note not in known]
     return f"it lacks the note: {missing[0]}" if missing else None
 
 
-def _notes_of(row: Result, *beginnings: str) -> list[str]:
-    """Return the notes of a row that begin so."""
-    return [x for x in row.notes if x.removeprefix(f"{row.estimator}: ").startswith(beginnings)]
+def _not_retested(row: Result) -> list[str]:
+    """Return the notes of a row that it could not be asked again, each with its reason."""
+    begins = f"{row.estimator}: {NOT_RETESTED}: "
+    notes = row.notes if row.role == "entry" else ()
+    return [note for note in notes if note.startswith(begins) and ";" not in note]
 
 
 def _not_run(task: Task, row: Result) -> Verified:

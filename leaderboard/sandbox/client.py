@@ -166,7 +166,7 @@ class SandboxClient:
                 try:
                     return run(asked, [seed], range(len(asked)), known)[0][0].estimates, ""
                 except EntryError as error:
-                    reason = str(error)
+                    reason = str(error).replace(";", ",")  # which parts notes
             return [], reason
 
         seed, causal = secret.choice(seeds), bool(entry.causal)

@@ -50,7 +50,8 @@ def draw_questions(
     """Return drives to be estimated again, most after fewer drives than in `order`.
 
     Of a causal entry, also drives with other samples from a secret station on, which the second
-    guest has not seen as they are: it could remember how they go on. Any drive may be among them.
+    guest has not seen as they are: it could remember how they go on. Any drive may be among them;
+    of two or three replaced ones of one drive, that which is replaced first is asked first.
     """
     places = range(min(1, len(order) - 1), len(order))  # the first drive has none before it
     chosen = [order[k] for k in sorted(secret.sample(places, min(REPEATED_DRIVES, len(places))))]
@@ -58,7 +59,7 @@ def draw_questions(
     unseen = [drive for drive in order if drive not in chosen]
     drives = secret.sample(unseen, len(unseen)) + secret.sample(chosen, len(chosen))
     replaced = []
-    for k, (low, high) in enumerate(secret.sample(REPLACED_FROM, 3) if causal else ()):
+    for k, (low, high) in enumerate(REPLACED_FROM if causal else ()):
         record = records[drive := drives[k % len(drives)]]
         start = record.length * secret.uniform(low, high)
         rng = np.random.default_rng(secret.getrandbits(128))
@@ -82,24 +83,24 @@ def with_other_future(record: Record, start: float, rng: np.random.Generator) ->
 
     The accelerations there are those of the rest backwards, each sensor's louder or softer by 5 to
     10 dB, and noise: what is left of no wave, level or spectrum tells how the drive goes on. The
-    car gains 5 to 25 % of its speed, as cars can: an entry may refuse what cannot be true.
+    speed rises or falls by up to 3 %, as cars can, and the odometer with it: an entry may refuse
+    what cannot be true.
     """
     later = record.s >= start
     noise = np.nanstd(record.a) * rng.standard_normal(record.a.shape)
     loudness = np.exp(rng.choice([-1.0, 1.0]) * rng.uniform(0.6, 1.2, (len(record.a), 1)))
     other = record.a.copy()
     other[:, later] = loudness * record.a[:, later][:, ::-1]
-    gain = rng.uniform(0.05, 0.25)  # another mean and maximum, and median of half
-    begin = int(np.argmax(later))
-    seconds = gain * record.v[begin] / HARD_ACCELERATION
-    risen = np.clip((record.t - record.t[begin]) / max(seconds, 1.0 / record.fs), 0.0, 1.0)
     way = max(100.0, record.s[-1] - start)  # an error of 3 m at most: the rear axle arrives, too
-    scale = rng.choice([-1, 1]) * rng.uniform(1.0, 3.0) / way  # its end tells an odometer's error
+    gain = rng.choice([-1, 1]) * rng.uniform(1.0, 3.0) / way  # its end tells an odometer's error
+    begin = int(np.argmax(later))
+    seconds = abs(gain) * record.v[begin] / HARD_ACCELERATION
+    risen = np.clip((record.t - record.t[begin]) / max(seconds, 1.0 / record.fs), 0.0, 1.0)
     return dataclasses.replace(
         record,
         a=other + np.where(later, noise, 0.0),
         v=record.v * np.where(later, 1.0 + gain * risen, 1.0),
-        s=record.s + scale * np.where(later, record.s - start, 0.0),
+        s=record.s + gain * np.where(later, record.s - start, 0.0),
     )
 
 

@@ -69,7 +69,7 @@ RULES = (
     Rule("setsockopt", (54, 208), errno.ENOPROTOOPT, _When(2, 0xFFFFFFFF, PASSPIDFD, equal=True)),
     Rule("pidfd_open", (434, 434), errno.ENOSYS),
     # of files: which of their parts, or the file itself, anybody has used; keys of file systems
-    Rule("ioctl", (16, 29), errno.ENOTTY, _When(1, 0xFFFFFF00, TERMINAL, equal=False)),
+    Rule("ioctl", (16, 29), errno.EOPNOTSUPP, _When(1, 0xFFFFFF00, TERMINAL, equal=False)),
     Rule("name_to_handle_at", (303, 264), errno.EOPNOTSUPP),
     Rule("open_by_handle_at", (304, 265)),  # of a process, by its number (Linux 6.17)
     Rule("sync", (162, 81)),  # the kernel counts how often file systems were written out

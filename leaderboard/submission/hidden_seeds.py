@@ -99,14 +99,17 @@ def reveal(salt: str, folder: Path) -> list[Path]:
 
 
 def check_revealed(path: Path, root: Path) -> None:
-    """Raise ConfigError if a commitment stands in a folder of the task `path`, below or at `root`,
-    but not that of its roads.
+    """Raise ConfigError if a commitment stands beside the task `path`, but not that of its roads,
+    or if the one that its name has stands in a folder above, up to `root`.
 
-    Those of a public task that is another one today, of a later package, cannot be drawn again.
+    Those of a public task that is another one today, of another package, cannot be drawn again.
     """
-    above = (folder for folder in path.parents if folder.is_relative_to(root))
-    folder = next((x for x in above if (x / COMMITMENT).is_file()), None)
-    if folder is None:
+    folder = path.parent
+    for above in (x for x in folder.parents if x.is_relative_to(root)):
+        other = above / COMMITMENT
+        if other.is_file() and path.stem.endswith(f"_{load(above).commitment[:8]}"):
+            raise ConfigError(f"{path}: a season stands beside its commitment, {other}")
+    if not (folder / COMMITMENT).is_file():
         return
     hidden = load(folder)
     with parsing(folder / SALT, ConfigError, "damaged"):

@@ -21,7 +21,7 @@ from leaderboard.submission.hidden_seeds import check_revealed
 from road_envs.core.config import ConfigError, Count, Settings, build, read_yaml
 
 RULES = "rules.yaml"
-_BETWEEN_PATHS = re.compile(r"""[\s,'"[\]]+""")
+_BETWEEN_PATHS = re.compile(r"""[\s,'"[\]]+""", re.ASCII)
 _PATH = re.compile(r"[\w./-]+")
 
 
@@ -43,7 +43,7 @@ def load_rules(path: Path | None) -> tuple[Rules, list[Task]]:
         return Rules(), [load_task(name) for name in Rules.tasks]
     rules = build(Rules, read_yaml(path), str(path))
     tasks, root = [], path.parent.resolve()
-    words = _BETWEEN_PATHS.split(path.read_text(encoding="utf-8"))
+    words = _BETWEEN_PATHS.split(re.sub("#.*", "", path.read_text(encoding="utf-8")))
     for name in rules.tasks:
         file = path.parent / name
         # git knows its age by this path alone

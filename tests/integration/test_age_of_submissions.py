@@ -47,13 +47,13 @@ def salt_first(repo, roads, rules):
 
 
 def elsewhere(repo, roads, rules):
-    committed(repo, "the season ends", **{"autumn/class.yml": "roads"})
+    committed(repo, "the season ends", **of_season("autumn/class.yml")[0])
     committed(repo, "mine, later", **RECORD_OF_MINE, **{CODE: "knows"})
     return "autumn/class.yml"
 
 
 def at_the_root(repo, roads, rules):
-    committed(repo, "the season ends", **{"class.yaml": "roads"})
+    committed(repo, "the season ends", **of_season("class.yaml")[0])
     committed(repo, "mine, later", **RECORD_OF_MINE, **{CODE: "knows"})
     return "class.yaml"
 
@@ -143,7 +143,7 @@ def test_code_that_is_newer_than_the_roads_of_a_season_is_refused(verifies):
     (repo / "submissions" / "rival" / "code" / "a.whl").write_text("a")
     for name, text in (
         ("rules.yaml", "tasks: [seasons/1/class.yaml]\n"),
-        ("seasons/1/class.yaml", "roads"),
+        *of_season()[0].items(),
     ):
         call("git", "add", ".", cwd=repo)
         call("git", "commit", "-m", "before", cwd=repo)
@@ -209,3 +209,30 @@ def test_a_name_within_another_word_of_the_rules_is_no_season(verifies):
     call("git", "branch", "-f", "main", cwd=repo)
     committed(repo, "mine", **RECORD_OF_MINE, **{CODE: "new"})
     assert said() == "verify-submission submissions/mine\n"
+
+
+@pytest.mark.parametrize("text", ["tasks: [short.yaml]", "tasks: [new_road]  # then short.yaml"])
+def test_a_task_of_its_own_hides_no_roads(verifies, text):
+    repo, said = verifies
+    committed(repo, "the rules", **{"short.yaml": "public roads", "rules.yaml": f"{text}\n"})
+    call("git", "branch", "-f", "main", cwd=repo)
+    committed(repo, "mine", **RECORD_OF_MINE, **{CODE: "new"})
+    assert said() == "verify-submission submissions/mine\n"
+
+
+def test_the_pull_request_of_a_season_is_told_which_entries_it_makes_newer(verifies):
+    """An honest entry was merged into the main line after the season's branch began."""
+    repo, said = verifies
+    committed(repo, "its code", **{"submissions/rival/code/a.whl": "knows nothing"})
+    call("git", "branch", "-f", "main", cwd=repo)
+    roads, rules = of_season()
+    committed(repo, "the season ends", **roads, **rules)
+    assert said() == "no submission differs from main\n"
+    call("git", "switch", "main", cwd=repo)
+    committed(repo, "merged meanwhile", **RECORD_OF_MINE, **{CODE: "knows nothing"})
+    call("git", "switch", "mine", cwd=repo)
+    call("git", "merge", "-m", "updated", "main", cwd=repo)
+    assert said(status=1) == NEWER
+    call("git", "reset", "--hard", "main", cwd=repo)
+    committed(repo, "the season ends", **roads, **rules)
+    assert said() == "no submission differs from main\n"

@@ -219,12 +219,21 @@ def test_a_task_that_is_not_drawn_from_the_commitment_is_refused(tmp_path, below
             write_text(folder / name, yaml.safe_dump(data))
             (folder / "rules.yaml").write_text(f"tasks: [{name}]\n")
             why = "it is no task of the commitment|the public task has changed since"
+            why = "a season stands beside its commitment" if below else why
             with pytest.raises(ConfigError, match=why):
                 load_rules(folder / "rules.yaml")
-        (folder / "any.yaml").write_text((folder / name).read_text())
-        (folder / "rules.yaml").write_text("tasks: [any.yaml]\n")
-        with pytest.raises(ConfigError, match="it is no task of the commitment"):
-            load_rules(folder / "rules.yaml")
+
+
+@pytest.mark.parametrize("blank", ["\u0085", "\u2028", "\u00a0"])
+def test_blanks_of_other_alphabets_part_no_words_of_the_rules(tmp_path, blank):
+    """The script parts them at those of ASCII alone; YAML breaks lines at the first two."""
+    shutil.copy(find("tasks", "class"), tmp_path / "mine.yaml")
+    text = f"tasks: ['mine.yam\\x6c'] # {blank}mine.yaml{blank}".replace("'", '"')
+    if blank != "\u00a0":
+        text = f"tasks:\n- new_road{blank}- mine.yaml{blank}seeds: 3\n"
+    (tmp_path / "rules.yaml").write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigError, match="a path is one word of letters, digits and"):
+        load_rules(tmp_path / "rules.yaml")
 
 
 @pytest.mark.parametrize("text", [r'["cl\x61ss.yaml"]', "['a b.yaml']", '\n  - "cl\\\n  ass.yaml"'])

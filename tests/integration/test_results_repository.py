@@ -119,6 +119,24 @@ def test_the_name_of_what_was_withdrawn_stays_that_of_its_owner(verifies, tmp_pa
     assert said().split() == ["signature.json", "submission.json"]
 
 
+def test_no_branch_from_before_it_frees_the_name_of_what_was_withdrawn(verifies, tmp_path):
+    repo, said = verifies
+    rival = repo / "submissions" / "rival"
+    committed(repo, "signed", **{"submissions/rival/signature.json": "{}"})
+    call("git", "branch", "-f", "main", cwd=repo)
+    call("git", "switch", "-c", "notes", cwd=repo)
+    committed(repo, "a note", **{"docs/note.txt": "a note"})
+    call("git", "switch", "main", cwd=repo)
+    shutil.rmtree(rival)
+    call("git", "commit", "-a", "-m", "withdrawn", cwd=repo)
+    call("git", "merge", "--no-ff", "-m", "the notes", "notes", cwd=repo)
+    call("git", "switch", "-C", "mine", cwd=repo)
+    rival.mkdir()
+    (rival / "submission.json").write_text("of another")
+    (tmp_path / "road-recon").write_text('#!/bin/sh\nls "$6"\n')
+    assert said().split() == ["signature.json", "submission.json"]
+
+
 @pytest.mark.parametrize("name", ["RIVAL", "r1vaI", "rivaI", "r1va1"])
 def test_a_name_that_looks_like_a_withdrawn_one_is_refused(verifies, name):
     repo, said = verifies

@@ -28,6 +28,7 @@ from leaderboard.running.verification import (
     save_verified,
     verify_folder,
 )
+from leaderboard.sandbox.client import ONE_TRAINING
 from leaderboard.sandbox.retest import LOOKS_AHEAD, NOT_RETESTED
 from road_envs.core.config import ConfigError
 
@@ -211,8 +212,59 @@ def test_a_row_may_say_by_chance_that_its_entry_looks_ahead(tmp_path):
     for note in (LOOKS_AHEAD, f"{NOT_RETESTED}: ended"):
         less = dataclasses.replace(row, causal=False, notes=(f"reader: {note}",))
         assert _other_claim(less, made) is None
-        assert _other_claim(made, less) == "its causal is False, the row says True"
+        found = dataclasses.replace(row, causal=False, notes=(f"reader: {LOOKS_AHEAD}",))
+        assert _other_claim(made, found) == "its causal is False, the row says True"
     assert _other_claim(row, made) == "its causal is True, the row says False"
+    busy = dataclasses.replace(made, causal=False, notes=(f"reader: {NOT_RETESTED}: x",))
+    assert _other_claim(made, busy) is None  # it was here that it could not be asked again
+    for changes in ({"estimator": "learner"}, {"role": "baseline"}):  # nor is a note of these
+        assert _other_claim(dataclasses.replace(less, **changes), made)
+
+
+def test_a_note_is_a_whole_sentence_of_the_judge(tmp_path):
+    """What follows it could be said of a rival."""
+    run(tmp_path)
+    row = store.load(store.row_path(tmp_path, "small", "reader"))
+    for note in (
+        f"{ONE_TRAINING}; rival: {LOOKS_AHEAD}",
+        f"{NOT_RETESTED}: x; rival: {LOOKS_AHEAD}",
+    ):
+        store.save(dataclasses.replace(row, notes=(f"reader: {note}",)), tmp_path)
+        assert verify(tmp_path, share=1.0)["reader"].is_false
+
+
+def test_what_could_not_be_asked_again_is_compared_all_the_same(tmp_path):
+    run(tmp_path)
+
+    def busy(entry, data, seeds):
+        for one in run_here(entry, data, seeds):
+            yield dataclasses.replace(one, notes=(f"{NOT_RETESTED}: busy",), looks_ahead=True)
+
+    entries = [make_entry(name, estimator) for name, estimator in ESTIMATORS.items()]
+    for factor, reason in ((1.0, f"reader: {NOT_RETESTED}: busy"), (0.5, "")):
+        row = store.load(store.row_path(tmp_path, "small", "reader"))
+        lower = {k: x | {"nrmse": factor * x["nrmse"]} for k, x in runs_of(row).items()}
+        store.save(with_runs(row, lower), tmp_path)
+        found = verify_folder(tmp_path, busy, entries, simulate=chosen_fakes, seed=1)
+        reader = next(row for row in found if row.estimator == "reader")
+        assert reader.reason == reason and not reader.agrees and reader.runs
+
+
+def test_rows_that_have_failed_are_named(tmp_path):
+    run(tmp_path)
+    for name in NAMES:
+        row = store.load(store.row_path(tmp_path, "small", name))
+        store.save(dataclasses.replace(row, failure="no number"), tmp_path)
+    output = verified_output(list(verify(tmp_path).values()))
+    assert output.status == 0 and f"; {len(NAMES)} could not be run again" in output.shows[1]
+
+
+def test_what_was_verified_is_forgotten_once_it_is_false(tmp_path):
+    run(tmp_path)
+    found = verify(tmp_path)["reader"]
+    save_verified([found], tmp_path)
+    save_verified([dataclasses.replace(found, reason="it lies", is_false=True)], tmp_path)
+    assert load_verified(tmp_path) == {}
 
 
 def test_a_row_of_chosen_training_seeds_does_not_agree(tmp_path):

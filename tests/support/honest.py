@@ -47,7 +47,7 @@ class Learner:
 
 @dataclass(frozen=True, kw_only=True)
 class Refuser:
-    """Refuses a record in which the speed changes as no car's does."""
+    """Refuses a record whose speed changes as no car's does, or is not that of its odometer."""
 
     causal: ClassVar[bool] = True
 
@@ -55,7 +55,10 @@ class Refuser:
 
     def estimate(self, record, car) -> Estimate:
         if np.abs(np.diff(record.v) / np.diff(record.t)).max() > self.limit:
-            raise ValueError("the speed jumps")
+            raise ValueError("the speed jumps; rival cheats")
+        way = np.cumsum(record.v[:-1] * np.diff(record.t))
+        if np.abs(way - (record.s[1:] - record.s[0])).max() > 0.3:
+            raise ValueError("odometer and speed disagree")
         return Estimate(*heights(record))
 
 

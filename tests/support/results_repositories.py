@@ -61,7 +61,8 @@ def committed(repo, text, **files):
 
 def of_season(name="seasons/1/class.yaml"):
     """Files of a repository whose rules have a season: its roads, and the rules."""
-    return {name: "roads"}, {"rules.yaml": f"tasks: [{name}]\n"}
+    commitment = Path(name).with_name("commitment.json").as_posix()
+    return {name: "roads", commitment: "{}"}, {"rules.yaml": f"tasks: [{name}]\n"}
 
 
 def merge_ref(repo, branch):

@@ -1,12 +1,14 @@
 """What a second guest is asked: drives that go on in another way from a secret point on."""
 
+import random
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import cumulative_trapezoid
 from scipy.signal import butter, sosfiltfilt
 
-from leaderboard.sandbox.retest import largest_change, with_other_future
+from leaderboard.sandbox.retest import draw_questions, largest_change, with_other_future
 from road_envs import simulate_record
 from road_envs.records.record import Estimate
 
@@ -44,12 +46,22 @@ def test_no_replaced_odometer_ends_before_the_rear_axle_is_at_the_end_of_the_roa
 
 
 @pytest.mark.parametrize("kmh", [14.5, 54.0, 100.0])
-def test_a_replaced_speed_changes_as_that_of_a_car_and_goes_on_higher(record, kmh):
+def test_a_replaced_speed_is_that_of_a_car_and_of_its_odometer(record, kmh):
     constant = replace(record, v=np.full_like(record.v, kmh / 3.6), t=record.t * 54.0 / kmh)
     for seed in range(10):
         other = with_other_future(constant, 45.0, np.random.default_rng(seed))
-        assert 1.0 < np.diff(other.v).max() / np.diff(constant.t).min() < 9.0
-        assert 1.049 < other.v[-1] / constant.v[-1] < 1.251
+        assert 1.0 < np.abs(np.diff(other.v)).max() / np.diff(constant.t).min() < 9.0
+        assert 0.009 < abs(other.v[-1] / constant.v[-1] - 1.0) < 0.031
+        way = cumulative_trapezoid(other.v, constant.t, initial=0.0)
+        assert np.abs(way - other.s + other.s[0]).max() < 0.2
+
+
+def test_of_one_drive_what_is_replaced_first_is_asked_first(record):
+    """Else the second guest would know how it goes on when it is asked what comes before."""
+    for seed in range(5):
+        asked = draw_questions([record], [0], True, random.Random(seed))
+        starts = [question.start for question in asked]
+        assert len(starts) == 4 and starts == sorted(starts) and np.isinf(starts[-1])
 
 
 @pytest.mark.parametrize("ahead", [0.3, 2.0])
