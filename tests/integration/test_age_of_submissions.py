@@ -205,7 +205,7 @@ def test_a_branch_that_adds_the_roads_once_more_is_refused(older, content):
 
 def test_a_name_within_another_word_of_the_rules_is_no_season(verifies):
     repo, said = verifies
-    committed(repo, "notes", **{"s.yaml": "notes"}, **of_season("seasons/s.yaml")[1])
+    committed(repo, "notes", **of_season("s.yaml")[0], **of_season("seasons/s.yaml")[1])
     call("git", "branch", "-f", "main", cwd=repo)
     committed(repo, "mine", **RECORD_OF_MINE, **{CODE: "new"})
     assert said() == "verify-submission submissions/mine\n"
