@@ -256,6 +256,7 @@ def test_rows_that_have_failed_are_named(tmp_path):
         row = store.load(store.row_path(tmp_path, "small", name))
         store.save(dataclasses.replace(row, failure="no number"), tmp_path)
     output = verified_output(list(verify(tmp_path).values()))
+    assert {fact["reason"] for fact in output.facts} == {"failed: no number"}
     assert output.status == 0 and f"; {len(NAMES)} could not be run again" in output.shows[1]
 
 
