@@ -90,8 +90,9 @@ def verified_output(found: Sequence[Verified]) -> Output:
         numbers = [""] * 3
         if row.runs:
             numbers = [str(row.runs), f"{row.distance:.1e}", f"{row.tolerance:.0e}"]
-        verdict = row.reason or ("agrees" if row.agrees else "DIFFERS")
-        verdict = f"DIFFERS: {row.reason}" if row.is_false else verdict
+        verdict = "agrees" if row.agrees else "DIFFERS"
+        if row.reason:
+            verdict = f"DIFFERS: {row.reason}" if row.is_false else row.reason
         cells.append([row.estimator, row.task, *numbers, str(row.score), verdict])
     heads = ("estimator", "task", "runs", "apart", "tolerance", "score", "result")
     table = commands.make_table(heads, cells, texts=("task", *heads[5:]), box=None)
