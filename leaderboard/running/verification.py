@@ -163,7 +163,7 @@ def verify_folder(
     for _, row in rows:
         others.pop(row.identity, None)
     why = "it is of another task than is defined here"
-    found = [dataclasses.replace(_not_run(*x), reason=why) for x in others.values()]
+    found = [_without_runs(*x, why) for x in others.values()]
     rng = np.random.default_rng(seed)
     for task in tasks:
         scored = [row for known, row in rows if known is task and row.failure is None]
@@ -177,7 +177,7 @@ def verify_folder(
                 some = partial(simulate, chosen=picked)
                 data[condition] = evaluate.simulate_condition(task, condition, some)
         for _, row in (x for x in rows if x[0] is task and x[1].failure is not None):
-            found.append(dataclasses.replace(_not_run(task, row), reason=f"failed: {row.failure}"))
+            found.append(_without_runs(task, row, f"failed: {row.failure}"))
         for row in scored:
             name = row.estimator
             report(f"{task.name}: {name}", len(found) / len(rows))
@@ -196,7 +196,7 @@ def _verify_row(
     run: evaluate.EntryRunner,
 ) -> Verified:
     """Run an entry again on the drives of each condition and compare with its row."""
-    found = _not_run(task, row)
+    found = _without_runs(task, row)
     if entry is None:
         unknown = "not of this package: give it with --estimator"
         return dataclasses.replace(found, reason=row.stale_reason(task) or unknown)
@@ -223,7 +223,8 @@ def _verify_row(
         own = comparison.scores_by_run(made.scores)
         driven = {x[:-1] for x in own}  # of which the row may have runs of further seeds
         if len(own) == len(driven):  # on these drives no training seed changes anything
-            own |= {x: own[first] for x in stored for first in own if x[:-1] == first[:-1]}
+            by_drive = {x[:-1]: scores for x, scores in own.items()}
+            own |= {x: by_drive[x[:-1]] for x in stored if x[:-1] in driven}
         here = [(stored.get(x, {}), own.get(x, {})) for x in stored | own if x[:-1] in driven]
         pairs += here
         both = [(a[ranks_by], b[ranks_by]) for a, b in here if ranks_by in a and ranks_by in b]
@@ -299,10 +300,10 @@ def _not_retested(row: Result) -> list[str]:
     return [note for note in notes if note.startswith(begins) and ";" not in note]
 
 
-def _not_run(task: Task, row: Result) -> Verified:
+def _without_runs(task: Task, row: Result, reason: str = "") -> Verified:
     return Verified(
         task=task.name, estimator=row.estimator, identity=row.identity, tolerance=_tolerance(row),
-        kernels=kernels_of(describe_environment()),
+        kernels=kernels_of(describe_environment()), reason=reason,
     )  # fmt: skip
 
 

@@ -177,14 +177,16 @@ class SandboxClient:
             runs, trains, peak_memory = run(records, seeds, order, calibrations)
             if questions and not again_first:
                 again, reason = run_again()
-        tested = [f"{NOT_RETESTED}: {reason}"] if reason else []
-        if again:
+        tested, unasked = [], bool(questions) and not again
+        if unasked:
+            tested = [f"{NOT_RETESTED}: {reason}"]
+        elif questions:
             first = next((one for one in runs if one.seed == seed), runs[0])
             tested = compare_answers(questions, first, again, entry.lag)
         notes = []
         if not ours and trains and _are_equal(runs):
             runs, notes = runs[:1], [ONE_TRAINING] if len(runs) > 1 else []
-        looks_ahead, notes = bool(reason) or LOOKS_AHEAD in tested, notes + tested
+        looks_ahead, notes = unasked or LOOKS_AHEAD in tested, notes + tested
         found = {"peak_memory": peak_memory, "isolation": self.isolation, "notes": tuple(notes)}
         return [dataclasses.replace(one, **found, looks_ahead=looks_ahead) for one in runs]
 

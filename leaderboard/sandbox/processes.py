@@ -25,7 +25,7 @@ INODE = 1024
 libc = ctypes.CDLL(None, use_errno=True)
 
 
-class Process(NamedTuple):
+class _Process(NamedTuple):
     """A process: its parent, resident memory [bytes] and processor time [s].
 
     The processor time is that of all its threads and of the ended children that it has waited for.
@@ -49,12 +49,12 @@ def become_subreaper() -> None:
         libc.prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
 
 
-def tree(root: int) -> list[Process]:
+def tree(root: int) -> list[_Process]:
     """Return `root` and all its descendants, level by level; [] where there is no /proc."""
     if not LINUX:
         return []
-    children: dict[int, list[Process]] = {}
-    result: list[Process] = []
+    children: dict[int, list[_Process]] = {}
+    result: list[_Process] = []
     for entry in os.scandir(PROC):
         if entry.name.isdigit() and (process := _read_process(int(entry.name))) is not None:
             children.setdefault(process.parent, []).append(process)
@@ -122,7 +122,7 @@ def kill(pid: int) -> None:
         os.kill(pid, signal.SIGKILL)
 
 
-def _read_process(pid: int) -> Process | None:
+def _read_process(pid: int) -> _Process | None:
     """Read a process from /proc; None if it no longer exists."""
     try:
         text = (PROC / str(pid) / "stat").read_bytes()
@@ -130,4 +130,4 @@ def _read_process(pid: int) -> Process | None:
         return None
     fields = text.rpartition(b")")[2].split()  # the name in brackets may be any bytes
     cpu = sum(map(int, fields[11:15])) / TICKS
-    return Process(pid, int(fields[1]), PAGE * int(fields[21]), cpu)
+    return _Process(pid, int(fields[1]), PAGE * int(fields[21]), cpu)

@@ -123,6 +123,12 @@ def test_the_run_time_is_predicted_for_a_whole_condition_of_the_board(sandbox):
     assert 30.0 <= predicted < 60.0
 
 
+def test_all_trainings_of_what_learns_are_predicted(sandbox):
+    results = check_results(sandbox, "SlowLearner")
+    predicted = float(results["time"].message.split("about ")[1].split(" s ")[0])
+    assert 90.0 <= predicted < 180.0
+
+
 def test_the_damaged_records_have_the_named_damage():
     drives = check_drives()
     lost = np.isnan(drives.damaged["gaps"].a).mean(axis=1)

@@ -95,6 +95,23 @@ def test_a_row_whose_training_depends_on_the_seed_under_one_condition_agrees(tmp
     assert not picky.agrees and picky.distance < OTHER_KERNELS and picky.typical == 0.0, picky
 
 
+def test_a_training_that_changes_nothing_of_the_drives_that_are_run_again_agrees(tmp_path):
+    """Its seed changes others, so that the row has runs of both and no note."""
+    made = {"picky": Picky()}
+    run(tmp_path, made)
+    assert not store.load(store.row_path(tmp_path, "small", "picky")).notes
+
+    def run_it(entry, data, seeds):
+        runs = [*evaluate.in_process((made | create_baselines())[entry.name])(entry, data, seeds)]
+        equal = entry.name == "picky" and len(runs) == 1
+        return [dataclasses.replace(runs[0], notes=(ONE_TRAINING,))] if equal else runs
+
+    entries = [make_entry("picky", Picky())]
+    found = verify_folder(tmp_path, run_it, entries, simulate=chosen_fakes, share=1.0)
+    picky = next(row for row in found if row.estimator == "picky")
+    assert picky.agrees and picky.runs == 9, picky
+
+
 def test_an_altered_score_is_found_by_its_distance(tmp_path):
     run(tmp_path)
     row = store.load(store.row_path(tmp_path, "small", "reader"))

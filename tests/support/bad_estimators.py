@@ -92,6 +92,20 @@ class Slow(Valid):
 
 
 @dataclass(frozen=True, kw_only=True)
+class SlowLearner(Slow):
+    """Needs training, from which it takes nothing."""
+
+    def fit(self, records, truths, car, seed):
+        return self
+
+    def weights(self):
+        return {"none": np.zeros(1)}
+
+    def with_weights(self, weights):
+        return self
+
+
+@dataclass(frozen=True, kw_only=True)
 class Broken(Valid):
     def estimate(self, record, car):
         raise RuntimeError("out of order")
