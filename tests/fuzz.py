@@ -6,7 +6,7 @@ nothing.
 Samples are mutated by operations of this file alone, which has no part in the tests: on bytes, on
 lines, on the tree of a JSON or YAML text, and on the members of a ZIP archive. A file must be read
 or refused by the documented error in one sentence, within 5 s of processor time. What ends
-otherwise is kept in `out/fuzz`, and the counts in `docs/runs/fuzz.txt`.
+otherwise is kept in `out/fuzz`, and the counts of each reader's last run in `docs/runs/fuzz.txt`.
 """
 
 import collections
@@ -340,31 +340,29 @@ def main() -> None:
     """Fuzz every reader, print and keep the counts, in the order of the readers."""
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 600.0
     jobs = int(sys.argv[2]) if len(sys.argv) > 2 else 1
-    head = f"{'reader':<26}{'files':>9}{'read':>9}{'refused':>9}{'faults':>8}{'processor':>11}"
+    head = f"{'reader':<28}{'files':>9}{'read':>9}{'refused':>9}{'faults':>8}{'processor':>11}"
+    about = ["$ make fuzz", "", "The last run of each reader, and how long the processor worked.", ""]
     total = 0
     with tempfile.TemporaryDirectory() as temp:
         os.environ["TMPDIR"] = temp  # of all processes
         tempfile.tempdir = None
         os.environ["OPENBLAS_NUM_THREADS"] = os.environ["OMP_NUM_THREADS"] = "1"
         chosen = sys.argv[3:] or list(samples()[1])
-        lines = [
-            f"$ make fuzz SECONDS={seconds:g} JOBS={jobs}",
-            f"{seconds:g} s of the processor for each of {len(chosen)} readers, {jobs} at once",
-            head,
-        ]
+        kept = ROOT / "docs" / "runs" / "fuzz.txt"
+        lines = {line[:28].strip(): line for line in kept.read_text("utf-8").splitlines()}
+        lines = {name: lines.get(name, f"{name:<28}    not run") for name in samples()[1]}
         context = multiprocessing.get_context("spawn")
         with ProcessPoolExecutor(jobs, context) as pool:
             counts = pool.map(fuzz, chosen, [seconds] * len(chosen))
             for name, (count, refused, faults, worked) in zip(chosen, counts, strict=True):
                 total += faults
                 read = count - refused - faults
-                lines.append(
-                    f"{name:<26}{count:>9}{read:>9}{refused:>9}{faults:>8}{worked:>9.0f} s"
+                lines[name] = (
+                    f"{name:<28}{count:>9}{read:>9}{refused:>9}{faults:>8}{worked:>9.0f} s"
                 )
-                print(lines[-1], flush=True)
-    if len(sys.argv) < 4:
-        kept = ROOT / "docs" / "runs" / "fuzz.txt"
-        kept.write_text("\n".join(lines) + "\n", encoding="utf-8")
+                print(lines[name], flush=True)
+                text = "\n".join([*about, head, *lines.values(), ""])
+                kept.write_text(text, encoding="utf-8")
     sys.exit(total > 0)
 
 
