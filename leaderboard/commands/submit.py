@@ -11,7 +11,7 @@ from leaderboard.commands.output import Output, facts_table
 from leaderboard.commands.results import verified_output
 from leaderboard.conformance.method_card import TEMPLATE
 from leaderboard.submission import repository, signature
-from leaderboard.submission.rules import load_rules
+from leaderboard.submission.rules import RULES, load_rules
 from leaderboard.submission.submission import SUBMISSION_SHARE, make_submission, verify_submission
 from road_envs.core.atomic_io import write_text
 from road_envs.core.config import ConfigError
@@ -96,10 +96,14 @@ def results_site(
     folder: Annotated[Path, argument("Results repository.")],
     *,
     out: Annotated[Path, option("Folder of the site, new or empty.")] = Path("site"),
+    check: Annotated[bool, option("Read the rules and their seasons, and run nothing.")] = False,
     workers: Workers = CORES,
     limits: LimitOptions = _ISOLATED,
 ) -> Output:
     """Run the entries of all submissions of a results repository, and build their site."""
+    if check:
+        _, tasks = load_rules(folder / RULES)
+        return Output(facts={"tasks": [task.name for task in tasks]})
     check_output_folder(out)
     with progress_bar() as progress:
         page = repository.build_site(folder, out, limits.parse(), workers, progress)

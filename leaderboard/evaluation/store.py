@@ -84,8 +84,8 @@ def _check_name(path: Path, named: bool, what: str) -> None:
 
 def load_rows(out: Path, task: Task) -> list[Result]:
     """Return all rows of a task; an unreadable file becomes a row with a failure."""
-    paths = sorted((out / "results" / task.name).glob("*.json"))
-    return [_row_or_failure(path, task) for path in paths if path.name[0] != "."]
+    paths = sorted((out / "results" / task.name).glob("[!.]*.json"))
+    return [_row_or_failure(path, task) for path in paths]
 
 
 def _row_or_failure(path: Path, task: Task) -> Result:

@@ -3,6 +3,7 @@
     index.html               who is best; all boards, with filters, sorting and findings
     tasks/<task>.html        one task: every score, and its charts
     estimators/<name>.html   one entry: method, errors, calibration, cost, failures, provenance
+    seasons/<name>/          sites of past seasons, as they were built then, if they lie there
     static/                  style, scripts and the charts' library, shared by all pages
     export/                  the same for programs and papers
 
@@ -40,7 +41,8 @@ def write_site(board: Board, report: Report, out: Path) -> Path:
     index = out / BOARD_PAGE
     written = write_static(out)
     policies = (out / POLICY_PAGE).is_file()
-    for name, text in _render_pages(board, report, policies):  # the index comes last
+    past = sorted(x.parent.name for x in out.glob(f"seasons/*/{BOARD_PAGE}"))
+    for name, text in _render_pages(board, report, policies, past):  # the index comes last
         if name == index.name:
             export.write_exports(board, report.views, out)
         write_text(out / name, text)
@@ -53,11 +55,12 @@ def write_site(board: Board, report: Report, out: Path) -> Path:
 
 
 def _render_pages(
-    board: Board, report: Report, policies: bool = False
+    board: Board, report: Report, policies: bool = False, past: Sequence[str] = ()
 ) -> Iterator[tuple[str, str]]:
     """Yield path and text of every page, the index last.
 
-    With `policies` the pages link to the comparison of policies beside them.
+    With `policies` the pages link to the comparison of policies beside them, and the index links to
+    the sites of the `past` seasons.
     """
     linked = {"board": True, "policies": policies}
     results: dict[str, list[tuple[Task, Result]]] = {}
@@ -72,7 +75,7 @@ def _render_pages(
         values = estimator_page.page_values(board, report.views, name, own)
         page = render("site/estimator.html", **linked, **values)
         yield f"estimators/{file_name(name)}", page
-    yield BOARD_PAGE, render("site/index.html", **linked, **_index(board, report))
+    yield BOARD_PAGE, render("site/index.html", **linked, past=past, **_index(board, report))
 
 
 def _index(board: Board, report: Report) -> dict[str, Any]:

@@ -141,8 +141,9 @@ class SandboxClient:
             secret.shuffle(order)
 
         def run(asked: Sequence[Record], seeds: Sequence[int], order: Sequence[int], known):
-            if questions:  # another entry may have had the drives, other conditions have the roads
-                self._forget_guests()
+            # another entry may have had the drives, other conditions have the roads
+            if questions and self._bubblewrap:
+                self._pipes = bubblewrap.forget_guests(self._pipes)
             guest = self._start(entry.reference)
             try:
                 session = self._session(guest, entry, car)
@@ -177,10 +178,9 @@ class SandboxClient:
             runs, trains, peak_memory = run(records, seeds, order, calibrations)
             if questions and not again_first:
                 again, reason = run_again()
-        tested, unasked = [], bool(questions) and not again
-        if unasked:
-            tested = [f"{NOT_RETESTED}: {reason}"]
-        elif questions:
+        unasked = bool(questions) and not again
+        tested = [f"{NOT_RETESTED}: {reason}"] if unasked else []
+        if again:
             first = next((one for one in runs if one.seed == seed), runs[0])
             tested = compare_answers(questions, first, again, entry.lag)
         notes = []
@@ -189,10 +189,6 @@ class SandboxClient:
         looks_ahead, notes = unasked or LOOKS_AHEAD in tested, notes + tested
         found = {"peak_memory": peak_memory, "isolation": self.isolation, "notes": tuple(notes)}
         return [dataclasses.replace(one, **found, looks_ahead=looks_ahead) for one in runs]
-
-    def _forget_guests(self) -> None:
-        if self._bubblewrap:
-            self._pipes = bubblewrap.forget_guests(self._pipes)
 
     def _snapshot(self, reference: str) -> tuple[str, Path]:
         """Return the digest of an outside entry's code and the folder with a copy of it."""

@@ -2,10 +2,11 @@
 
 rules.yaml            the tasks, and how entries are run on them
 submissions/NAME/     one folder for each entry (`submission`)
-seasons/              hidden test sets: published hashes, later the tasks
+seasons/NAME/         a hidden test set: a published hash, later its tasks, at last page/, its site
 ci/verify.sh          verifies the submissions that a branch changes and builds the site
 """
 
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from importlib import resources
@@ -64,7 +65,7 @@ def build_site(
     folder `out`; its index.
 
     What a site shows was found by its builder, on one machine: rows that submissions say count for
-    nothing here. An entry that cannot be run has a row with the reason. Raises ConfigError for a
+    nothing here. It has copies of the sites of past seasons, unless it becomes one itself. An entry that cannot be run has a row with the reason. Raises ConfigError for a
     damaged submission, if there is none, and if `out` has files.
     """
     rules, tasks = load_rules(repository / RULES)
@@ -75,6 +76,10 @@ def build_site(
         raise ConfigError(f"{out} is not empty: a site shows what is run for it; remove the folder")
     if len({fold(folder.name) for folder in folders}) < len(folders):  # of two pull requests
         raise ConfigError(f"{repository / _SUBMISSIONS}: two names look the same: keep one of them")
+    seasons = (repository / "seasons").resolve()
+    pages = [] if seasons in out.resolve().parents else sorted(seasons.glob("*/page"))
+    for page in pages:  # each would have copies of all before it
+        shutil.copytree(page, out / "seasons" / page.parent.name, symlinks=True)
     for folder in folders:
         load_submission(folder)
         copy_file(folder / CARD, method_card_path(out, folder.resolve().name))

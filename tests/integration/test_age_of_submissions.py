@@ -236,3 +236,21 @@ def test_the_pull_request_of_a_season_is_told_which_entries_it_makes_newer(verif
     call("git", "reset", "--hard", "main", cwd=repo)
     committed(repo, "the season ends", **roads, **rules)
     assert said() == "no submission differs from main\n"
+
+
+def test_rules_that_cannot_be_read_are_refused_before_all_that_comes_after_them(verifies):
+    repo, said = verifies
+    assert said() == "no submission differs from main\n"
+    asked = repo.parent / "asked"
+    (repo.parent / "road-recon").write_text(f"#!/bin/sh\necho $* >{asked}\nexit 2\n")
+    committed(repo, "a typo", **{"seasons/1/new_raod.yaml": "roads"})
+    assert said(status=2) == ""
+    assert asked.read_text() == f"results-site {repo} --check --isolation bubblewrap\n"
+
+
+def test_the_rules_of_a_repository_can_be_checked(tmp_path):
+    call("road-recon", "new-results-repo", "repo", cwd=tmp_path)
+    check = ("road-recon", "results-site", "repo", "--check")
+    assert "new_road" in call(*check, cwd=tmp_path)
+    (tmp_path / "repo/rules.yaml").write_text("tasks: [seasons/1/new_raod.yaml]\n")
+    assert "seasons/1/new_raod.yaml" in call(*check, cwd=tmp_path, status=2)

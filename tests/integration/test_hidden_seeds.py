@@ -203,6 +203,13 @@ def test_a_season_of_other_roads_than_were_committed_to_is_refused(published):
         load_rules(rules)
 
 
+def test_a_commitment_beside_the_rules_says_nothing_of_public_tasks(published):
+    for _ in range(2):
+        (published / "rules.yaml").write_text("tasks: [new_road]\n")
+        assert [task.name for task in load_rules(published / "rules.yaml")[1]] == ["new_road"]
+        hidden_seeds.reveal(SALT, published)
+
+
 @pytest.mark.parametrize("below", ["", "more/"])
 def test_a_task_that_is_not_drawn_from_the_commitment_is_refused(tmp_path, below):
     """Neither beside a task of no version nor in a folder below: by hand, roads are chosen."""

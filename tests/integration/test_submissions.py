@@ -353,6 +353,17 @@ def test_an_entry_that_fails_from_some_day_on_ends_no_site(entry, reason, build,
     assert store.load(store.row_path(index.parent, "small", "flat")).failure is None
 
 
+def test_a_site_links_to_the_pages_of_past_seasons(build, submission):
+    repo = submission.parents[1]
+    page = repository.build_site(repo, repo / "seasons" / "1 & 2" / "page", Limits())
+    assert "Past seasons" not in page.read_text()
+    index = build[1]()
+    assert 'href="seasons/1%20%26%202/index.html"' in index.read_text()
+    assert (index.parent / "seasons/1 & 2/index.html").read_text() == page.read_text()
+    later = repository.build_site(repo, repo / "seasons" / "3" / "page", Limits())
+    assert not (later.parent / "seasons").exists()
+
+
 def test_no_text_of_a_submission_becomes_code_of_the_site(build, submission):
     (ran, build_site), attack = build, '</script><script>alert("1")</script><img src=x onerror=f()>'
     card = {"method": attack, "data": attack, "licence": attack, "authors": [attack]}

@@ -314,6 +314,18 @@ def test_given_tasks_are_verified_whatever_the_folder_defines(tmp_path):
     assert [name for name, row in found.items() if not row.agrees] == ["reader"]
 
 
+def test_rows_of_a_task_that_a_folder_does_not_define_are_named(tmp_path):
+    run(tmp_path)
+    path = store.row_path(tmp_path, "small", "reader")
+    other = path.parents[1] / "other" / path.name
+    other.parent.mkdir()
+    other.write_text(path.read_text())
+    rows = [row for row in verify_folder(tmp_path, run_here, simulate=chosen_fakes, seed=1)]
+    assert [(x.estimator, x.reason) for x in rows if x.task == "other"] == [
+        ("reader", "its task is not defined here")
+    ]
+
+
 def test_a_row_that_cannot_be_run_again_says_why(tmp_path):
     run(tmp_path)
     other = dataclasses.replace(ESTIMATORS["reader"], gain=0.1)
