@@ -341,7 +341,12 @@ def main() -> None:
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 600.0
     jobs = int(sys.argv[2]) if len(sys.argv) > 2 else 1
     head = f"{'reader':<28}{'files':>9}{'read':>9}{'refused':>9}{'faults':>8}{'processor':>11}"
-    about = ["$ make fuzz", "", "The last run of each reader, and how long the processor worked.", ""]
+    about = [
+        "$ make fuzz",
+        "",
+        "The last run of each reader, and how long the processor worked.",
+        "",
+    ]
     total = 0
     with tempfile.TemporaryDirectory() as temp:
         os.environ["TMPDIR"] = temp  # of all processes
@@ -361,7 +366,7 @@ def main() -> None:
                     f"{name:<28}{count:>9}{read:>9}{refused:>9}{faults:>8}{worked:>9.0f} s"
                 )
                 print(lines[name], flush=True)
-                text = "\n".join([*about, head, *lines.values(), ""])
+                text = "\n".join([about, head, *lines.values(), ""])
                 kept.write_text(text, encoding="utf-8")
     sys.exit(total > 0)
 

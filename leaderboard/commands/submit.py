@@ -50,11 +50,12 @@ def submit(
             f"{card} has been written: fill it in, then give the command again: {again}"
         )
     own, code = load_rules(rules), wheel.absolute()
+    signer = None if sign is None else signature.signer(sign)
     with progress_bar() as progress:
         record = make_submission(code, card, own, out, limits.parse(), workers, progress)
     facts = dataclasses.asdict(record)
-    if sign is not None:
-        facts["signed by"] = signature.sign(out, sign)
+    if signer is not None:
+        facts["signed by"] = signer(out)
     shown = {key: x for key, x in facts.items() if key != "cpu_seconds"}
     shown["files"] = f"{len(record.files)} below {out}"
     shown["hardware"] = f"{record.hardware['processor']}, {record.cpu_seconds:g} s of its time"

@@ -36,6 +36,7 @@ _TEMPLATE = {
     f"{_SUBMISSIONS}/README.md": "submissions.txt",
     "seasons/README.md": "seasons.txt",
     ".gitignore": "gitignore.txt",
+    ".gitattributes": "gitattributes.txt",
 }
 """Files of a new results repository, and the templates that they are made from."""
 
@@ -65,8 +66,9 @@ def build_site(
     folder `out`; its index.
 
     What a site shows was found by its builder, on one machine: rows that submissions say count for
-    nothing here. It has copies of the sites of past seasons, unless it becomes one itself. An entry that cannot be run has a row with the reason. Raises ConfigError for a
-    damaged submission, if there is none, and if `out` has files.
+    nothing here. It has copies of the sites of past seasons, unless it becomes one itself. An entry
+    that cannot be run has a row with the reason. Raises ConfigError for a damaged submission, if
+    there is none, and if `out` has files.
     """
     rules, tasks = load_rules(repository / RULES)
     folders = sorted(path.parent for path in (repository / _SUBMISSIONS).glob("*/submission.json"))

@@ -8,6 +8,7 @@ extra `sign`.
 
 import json
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +21,9 @@ FILE = "signature.json"
 RECORD = "submission.json"
 
 
-def sign(folder: Path, key: Path) -> str:
-    """Sign the record in `folder` with a private key, made if it does not exist.
-
-    Returns the public key. Raises ConfigError for a file that is no key.
+def signer(key: Path) -> Callable[[Path], str]:
+    """Return what signs the record in a folder with a private key, which is made if it does not
+    exist, and returns the public one. Raises ConfigError for a file that is no key.
     """
     ed25519, serialization = _library()
     if not key.exists():
@@ -40,9 +40,14 @@ def sign(folder: Path, key: Path) -> str:
     if not isinstance(private, ed25519.Ed25519PrivateKey):
         raise ConfigError(f"{key}: not an Ed25519 key")
     public = private.public_key().public_bytes_raw().hex()
-    signature = private.sign((folder / RECORD).read_bytes()).hex()
-    write_text(folder / FILE, json.dumps({"key": public, "signature": signature}, indent=1) + "\n")
-    return public
+
+    def sign(folder: Path) -> str:
+        signature = private.sign((folder / RECORD).read_bytes()).hex()
+        text = json.dumps({"key": public, "signature": signature}, indent=1)
+        write_text(folder / FILE, text + "\n")
+        return public
+
+    return sign
 
 
 def verify(folder: Path) -> str | None:

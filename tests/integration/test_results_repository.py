@@ -244,12 +244,29 @@ def test_attributes_change_no_file_of_a_submission(verifies, name):
     (repo / "submissions" / "rival" / "results" / "more.json").write_text("")
     assert "verify-submission submissions/rival" in said()
     (repo / name).write_text("bit.txt text eol=crlf\n")
+    assert said(status=1) == "attributes of files: for a maintainer\n"
     call("git", "add", ".", cwd=repo)
     call("git", "commit", "-m", "roads as attributes", cwd=repo)
     bit.unlink()
     call("git", "checkout", "--", ".", cwd=repo)
     assert bit.read_bytes() == b"a\r\n" and "clean" in call("git", "status", cwd=repo)
     assert said(status=1) == "attributes of files: for a maintainer\n"
+
+
+def test_git_leaves_out_no_file_of_a_submission_and_changes_none(verifies):
+    repo, said = verifies
+    call("git", "config", "core.autocrlf", "input", cwd=repo)
+    committed(repo, "mine", **{"submissions/mine/submission.json": "", "submissions/mine/a": ""})
+    (repo / "submissions/mine/a").write_bytes(b"a\r\n")
+    call("git", "commit", "-a", "-m", "its lines", cwd=repo)
+    call("git", "clone", repo, repo.parent / "clone", cwd=repo)
+    assert (repo.parent / "clone/submissions/mine/a").read_bytes() == b"a\r\n"
+    (repo / ".git/info/exclude").write_text("*.npz\n")
+    (repo / "submissions/mine/b.npz").write_text("weights")
+    left = "submissions/mine/b.npz"
+    assert said(status=1) == f"git ignores {left}: git add --force submissions/mine\n"
+    call("git", "add", "--force", "submissions/mine", cwd=repo)
+    assert said() == "verify-submission submissions/mine\n"
 
 
 def test_a_pull_request_builds_no_site_and_the_main_line_all_of_it(verifies):
@@ -322,11 +339,11 @@ def test_from_a_fork_to_the_page(tmp_path):
 
     # another key than that of the owner, then a better score, under a record made anew
     folder = fork / "submissions" / "trial"
-    signature.sign(upstream / "submissions" / "trial", tmp_path / "owner.pem")
+    signature.signer(tmp_path / "owner.pem")(upstream / "submissions" / "trial")
     call("git", "add", "submissions", cwd=upstream)
     call("git", "commit", "-m", "signed", cwd=upstream)
     call("git", "fetch", cwd=fork)
-    signature.sign(folder, tmp_path / "other.pem")
+    signature.signer(tmp_path / "other.pem")(folder)
     call("git", "add", "submissions", cwd=fork)
     call("git", "commit", "-m", "signed by another", cwd=fork)
     said = " ".join(call("ci/verify.sh", "origin/main", cwd=fork, status=2).split())
@@ -337,5 +354,5 @@ def test_from_a_fork_to_the_page(tmp_path):
     data, _ = SUBMISSION.read(folder / RECORD)
     data.pop("identity")
     SUBMISSION.write(folder / RECORD, data | {"files": _digests(folder)})
-    signature.sign(folder, tmp_path / "owner.pem")
+    signature.signer(tmp_path / "owner.pem")(folder)
     assert "DIFFERS" in call("ci/verify.sh", "origin/main", cwd=fork, status=1)

@@ -11,6 +11,7 @@ import pytest
 import submissions
 from board_runs import ESTIMATORS, Counting, small
 from fake_results import runs_of, with_runs
+from results_repositories import call
 from submissions import CARD, write_record
 from test_verification import chosen_fakes, run_here
 
@@ -97,19 +98,31 @@ def test_a_card_that_is_not_filled_in_is_refused(text, sentence, tmp_path):
         load_method_card(tmp_path / "card.yaml")
 
 
+def test_a_key_is_read_before_anything_is_run(tmp_path):
+    pytest.importorskip("cryptography")
+    (tmp_path / "card.yaml").write_text("")
+    (tmp_path / "key.pem").write_text("ssh-ed25519 AAAA")
+    (tmp_path / "a.whl").touch()
+    said = call(
+        "road-recon", "submit", "a.whl", "--sign", "key.pem", "--out", "out", cwd=tmp_path, status=2
+    )
+    assert "key.pem: not a private key in PEM format" in " ".join(said.split())
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_signature_is_of_one_record_and_one_key(submission, tmp_path):
     pytest.importorskip("cryptography")
     assert signature.verify(submission) is None
-    key = signature.sign(submission, tmp_path / "key.pem")
-    assert signature.verify(submission) == key == signature.sign(submission, tmp_path / "key.pem")
+    key = signature.signer(tmp_path / "key.pem")(submission)
+    assert signature.verify(submission) == key == signature.signer(tmp_path / "key.pem")(submission)
     assert (tmp_path / "key.pem").stat().st_mode & 0o777 == 0o600
-    other = signature.sign(submission, tmp_path / "other.pem")
+    other = signature.signer(tmp_path / "other.pem")(submission)
     assert other != key and signature.verify(submission) == other
     forged = json.loads((submission / signature.FILE).read_text()) | {"key": key}
     (submission / signature.FILE).write_text(json.dumps(forged))
     with pytest.raises(ConfigError, match=r"not the signature of submission\.json"):
         signature.verify(submission)
-    signature.sign(submission, tmp_path / "key.pem")
+    signature.signer(tmp_path / "key.pem")(submission)
     with (submission / RECORD).open("a") as file:
         file.write(" ")
     with pytest.raises(ConfigError, match=r"not the signature of submission\.json"):
@@ -124,13 +137,13 @@ def test_what_replaces_a_signed_submission_is_signed_by_its_key(submission, tmp_
     earlier = shutil.copytree(submission, tmp_path / "earlier" / "reader")
     signature.check_owner(submission, None)
     signature.check_owner(submission, earlier)  # of which nobody is known to be the owner
-    owner = signature.sign(earlier, tmp_path / "key.pem")
+    owner = signature.signer(tmp_path / "key.pem")(earlier)
     with pytest.raises(ConfigError, match=f"reader: is not signed, what .* the key {owner[:12]}"):
         signature.check_owner(submission, earlier)
-    other = signature.sign(submission, tmp_path / "other.pem")
+    other = signature.signer(tmp_path / "other.pem")(submission)
     with pytest.raises(ConfigError, match=f"signed by the key {other[:12]}, .* {owner[:12]}; sign"):
         signature.check_owner(submission, earlier)
-    signature.sign(submission, tmp_path / "key.pem")
+    signature.signer(tmp_path / "key.pem")(submission)
     signature.check_owner(submission, earlier)
 
 
@@ -191,7 +204,7 @@ def test_an_honest_submission_agrees(verified):
 def test_a_submission_that_replaces_a_signed_one_needs_its_key(verified, made, tmp_path):
     pytest.importorskip("cryptography")
     earlier = shutil.copytree(made, tmp_path / "earlier" / "reader")
-    signature.sign(earlier, tmp_path / "key.pem")
+    signature.signer(tmp_path / "key.pem")(earlier)
     with pytest.raises(ConfigError, match="is not signed, what it replaces by the key"):
         verified(lambda folder: None, replaces=earlier)
 
