@@ -55,13 +55,15 @@ def probe_entries(
     limits: Limits,
     report: Callable[[str], None] = lambda text: None,
 ) -> int:
-    """Probe every entry without a card, in separate processes; return the number of new cards."""
+    """Probe every entry without a card, or whose probes could not be run, in separate processes;
+    return the number of new cards.
+    """
     missing = {
         card_identity(e.name, e.settings, e.code): e
         for e in entries
         if e.reference != BUILTIN
         and e.failure is None
-        and find_card(out, e.name, e.settings, e.code) is None
+        and ((card := find_card(out, e.name, e.settings, e.code)) is None or card.failure)
     }
     if not missing:
         return 0

@@ -55,7 +55,7 @@ def page_values(
         "root": "../",
         "name": name,
         "role": first.role,
-        "causal": first.causal,
+        "causal": all(result.causal for _, result in results),
         "lag": first.lag,
         "settings": ", ".join(settings),
         "method": _method(name),

@@ -32,6 +32,7 @@ def section_notes(board: Board, task: Task, rows: Sequence["Row"]) -> tuple[str,
         *([PUBLIC_ROADS] if task.is_public else []),
         *_protocol_notes(task, scored),
         *_surface_notes(task, [*scored, *board.failed(task)]),
+        *(f"{note}." for row in scored for note in _own_notes(row)),
         *sanity_warnings(rows, task.is_public),
         *_kernel_notes(scored, board.verified),
     )
@@ -97,8 +98,13 @@ def _position_note(task: Task) -> str:
 
 def _surface_notes(task: Task, results: list[Result]) -> list[str]:
     """Return what was changed on a road surface that was read from a file."""
-    notes = dict.fromkeys(note for r in results for note in r.notes)
+    notes = dict.fromkeys(x for r in results for x in r.notes if x not in _own_notes(r))
     return [f"Surface: {'; '.join(notes)}."] if notes and task.board_name == "measured" else []
+
+
+def _own_notes(result: Result) -> list[str]:
+    """Return what the judge has found out about an entry."""
+    return [note for note in result.notes if note.startswith(f"{result.estimator}: ")]
 
 
 def isolation_notice(results: Iterable[Result]) -> str | None:

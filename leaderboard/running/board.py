@@ -7,9 +7,8 @@ from pathlib import Path
 
 from estimators import create
 from estimators.api import Estimator
-from leaderboard.conformance import results as conformance_results
 from leaderboard.conformance.method_card import MethodCard, find_method_card
-from leaderboard.conformance.results import EstimatorCard
+from leaderboard.conformance.results import EstimatorCard, card_identity, find_card, probe_entries
 from leaderboard.entries.entries import entry_refit_per_case, make_entry, registered_entry
 from leaderboard.entries.entry import Entry
 from leaderboard.evaluation.evaluate import SEEDS
@@ -20,19 +19,9 @@ from leaderboard.metrics.baselines import ALL_BASELINES, BASELINES, MEMORY, TRUT
 from leaderboard.running.executors import Executor
 from leaderboard.running.jobs import to_packed_text
 from leaderboard.running.plan import Plan, PlannedRow, check_owners, make_jobs
-from leaderboard.running.verification import (
-    Verified,
-    load_verified,
-    other_drives,
-    save_definition,
-)
+from leaderboard.running.verification import Verified, load_verified, other_drives, save_definition
 from leaderboard.sandbox.limits import Limits
-from road_envs.core.atomic_io import (
-    copy_file,
-    remove_stale_partials,
-    remove_stale_temp,
-    write_text,
-)
+from road_envs.core.atomic_io import copy_file, remove_stale_partials, remove_stale_temp, write_text
 from road_envs.core.config import ConfigError
 
 
@@ -121,9 +110,7 @@ class Board:
 
     def card(self, result: Result) -> EstimatorCard | None:
         """Return the card of the estimator of a result, if it was probed."""
-        return self.cards.get(
-            conformance_results.card_identity(result.estimator, result.settings, result.code)
-        )
+        return self.cards.get(card_identity(result.estimator, result.settings, result.code))
 
     def _fresh(self, task: Task) -> list[Result]:
         return [r for r in self.results[task.name] if self.stale_reason(task, r) is None]
@@ -144,10 +131,7 @@ def load_board(tasks: Sequence[Task], out: Path, rows: Sequence[PlannedRow] = ()
             if entry is not None:
                 entries[task.name, name] = entry
     versions = {(r.estimator, str(r.settings), r.code): r for rs in results.values() for r in rs}
-    cards = [
-        conformance_results.find_card(out, r.estimator, r.settings, r.code)
-        for r in versions.values()
-    ]
+    cards = [find_card(out, r.estimator, r.settings, r.code) for r in versions.values()]
     by_identity = {card.identity: card for card in cards if card is not None}
     names = {result.estimator for rows in results.values() for result in rows}
     methods = {name: card for name in names if (card := find_method_card(out, name))}
@@ -184,9 +168,7 @@ def run_board(
         if plan.assemble_rows():
             if request.probes:
                 entries = [row.entry for row in rows]
-                conformance_results.probe_entries(
-                    entries, out, request.limits, lambda text: progress(text, 1.0)
-                )
+                probe_entries(entries, out, request.limits, lambda text: progress(text, 1.0))
             return load_board(request.sized_tasks(), out, rows)
     raise ConfigError(
         f"{out}: another process changed the files of this run in {ATTEMPTS} attempts; "

@@ -32,7 +32,7 @@ from leaderboard.json_values import to_json_types
 from leaderboard.metrics.bootstrap import REPRODUCIBLE, interquartile_mean
 from leaderboard.metrics.registry import SCORES
 from leaderboard.sandbox.client import ONE_TRAINING
-from leaderboard.sandbox.retest import LOOKS_AHEAD, NOT_RETESTED, REMEMBERS
+from leaderboard.sandbox.retest import NOT_CAUSAL, NOT_RETESTED, REMEMBERS
 from road_envs.core.artifacts import Kind
 from road_envs.core.config import ConfigError, Settings, build
 
@@ -42,7 +42,7 @@ _VERIFICATION = Kind("verification", 1)
 SHARE = 0.1
 """Share of the drives of a task that are run again."""
 
-_BY_CHANCE = (LOOKS_AHEAD, REMEMBERS, ONE_TRAINING)
+_BY_CHANCE = (*NOT_CAUSAL, REMEMBERS, ONE_TRAINING)
 """What a judge may find out about an entry by chance, and not again."""
 
 _DECIDE_DIGITS = ("numpy", "scipy", "numba", "torch", "processor", "blas")
@@ -216,7 +216,7 @@ def _verify_row(
     for condition, drives in data.items():
         made = evaluate.evaluate_entry(task, condition, drives, entry, row.seeds, run)
         if made.failure is not None:
-            return dataclasses.replace(found, reason=made.failure)
+            return dataclasses.replace(found, reason=made.failure, is_false=True)
         busy = busy or "".join(_not_retested(made)[: not _not_retested(row)])
         if reason := _other_claim(row, made):
             return dataclasses.replace(found, reason=reason, is_false=True)
@@ -283,7 +283,7 @@ def _other_claim(row: Result, made: Result) -> str | None:
     That it looks ahead may have been found by chance, and that it could not be asked again, here
     or there.
     """
-    said = _not_retested(row) or f"{row.estimator}: {LOOKS_AHEAD}" in row.notes
+    said = _not_retested(row) or {f"{row.estimator}: {x}" for x in NOT_CAUSAL} & set(row.notes)
     chance = row.causal is False if said else bool(_not_retested(made))
     for name in ("role", "causal", "lag", "calibrates", "code", "settings"):
         if getattr(row, name) != getattr(made, name) and not (name == "causal" and chance):

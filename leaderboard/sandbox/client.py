@@ -36,7 +36,7 @@ from leaderboard.sandbox import bubblewrap, estimator_handler, messages, process
 from leaderboard.sandbox.guest import Guest
 from leaderboard.sandbox.launch import START_ATTEMPTS, start_guest
 from leaderboard.sandbox.limits import Limits
-from leaderboard.sandbox.retest import LOOKS_AHEAD, NOT_RETESTED, compare_answers, draw_questions
+from leaderboard.sandbox.retest import NOT_CAUSAL, NOT_RETESTED, compare_answers, draw_questions
 from road_envs.core.atomic_io import TempFolder
 from road_envs.records.record import Estimate, Profile, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
@@ -183,11 +183,10 @@ class SandboxClient:
         if again:
             first = next((one for one in runs if one.seed == seed), runs[0])
             tested = compare_answers(questions, first, again, entry.lag)
-        notes = []
-        if not ours and trains and _are_equal(runs):
-            runs, notes = runs[:1], [ONE_TRAINING] if len(runs) > 1 else []
-        looks_ahead, notes = unasked or LOOKS_AHEAD in tested, notes + tested
-        found = {"peak_memory": peak_memory, "isolation": self.isolation, "notes": tuple(notes)}
+        if not ours and trains and len(runs) > 1 and _are_equal(runs):
+            runs, tested = runs[:1], [ONE_TRAINING, *tested]
+        looks_ahead = unasked or not set(NOT_CAUSAL).isdisjoint(tested)
+        found = {"peak_memory": peak_memory, "isolation": self.isolation, "notes": tuple(tested)}
         return [dataclasses.replace(one, **found, looks_ahead=looks_ahead) for one in runs]
 
     def _snapshot(self, reference: str) -> tuple[str, Path]:

@@ -9,6 +9,7 @@ Request, and after the arrow the reply, which the host checks.
 """
 
 import importlib
+import json
 import os
 import sys
 import zipfile
@@ -20,7 +21,13 @@ from typing import Any
 import numpy as np
 
 from estimators.api import ENTRY_POINT_GROUP, CalibrationDrive, check_class
-from leaderboard.entries.entry import EntryError, LocalSession, describe_error, describe_estimator
+from leaderboard.entries.entry import (
+    EntryError,
+    LocalSession,
+    describe_error,
+    describe_estimator,
+    get_settings,
+)
 from leaderboard.entries.entry_files import CLASS_REFERENCE, WEIGHTS_SUFFIXES
 from leaderboard.sandbox import messages
 from road_envs.core.config import build
@@ -57,6 +64,8 @@ def _start(request: dict[str, Any], code: str | None) -> tuple[dict[str, Any], L
     """Load an estimator; return what it says about itself, or with a car its session and needs."""
     try:
         name, estimator = load(request["reference"], request["settings"], code)
+        # another type would come back as a text, and the entry run with that
+        json.dumps(get_settings(estimator), default=_refuse_setting, allow_nan=False)
         known = describe_estimator(estimator)
     except BaseException as error:
         reason = str(error) if isinstance(error, EntryError) else describe_error(error)
@@ -67,6 +76,12 @@ def _start(request: dict[str, Any], code: str | None) -> tuple[dict[str, Any], L
     session = LocalSession(estimator, build(VehicleParameters, request["car"], "car"))
     needs = ("needs_training", "calibrates", "uses_seed")
     return {name: getattr(session, name) for name in needs}, session
+
+
+def _refuse_setting(value: object) -> str:
+    if isinstance(value, Path):
+        return str(value)
+    raise EntryError(f"a setting has the type {type(value).__name__}, which is none of JSON")
 
 
 def _preload_scipy() -> None:

@@ -141,19 +141,18 @@ def settings(value: object) -> dict[str, Any]:
         raise EntryError("its settings must be a JSON object with names as keys")
     if len(json.dumps(value)) > MAX_SETTINGS:
         raise EntryError(f"its settings are longer than {MAX_SETTINGS} characters")
-    return {key: _clean(item) for key, item in value.items()}
+    _check_settings(value)
+    return value
 
 
-def _clean(value: Any) -> Any:
-    if isinstance(value, str):
-        return text(value) if value else ""
-    if isinstance(value, list):
-        return [_clean(item) for item in value]
-    if isinstance(value, dict):
-        return {text(key): _clean(item) for key, item in value.items()}
+def _check_settings(value: Any) -> None:
+    if isinstance(value, str) and value not in ("", text(value)):
+        raise EntryError(f"a text in its settings is not one printable line of up to {MAX_TEXT}")
     if isinstance(value, int | float) and not abs(value) <= LARGEST_NUMBER:
         raise EntryError(f"a number in its settings is beyond {LARGEST_NUMBER:g}")
-    return value
+    if isinstance(value, list | dict):
+        for item in [*value, *value.values()] if isinstance(value, dict) else value:
+            _check_settings(item)
 
 
 def _is_deeper(value: Any, depth: int) -> bool:

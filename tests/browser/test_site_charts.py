@@ -23,6 +23,7 @@ from leaderboard.report.sentences import _certainty_sentence, build_report
 from leaderboard.report.site import _render_pages
 from leaderboard.report.tables import Row, board_views
 from leaderboard.running.board import Board
+from leaderboard.sandbox.retest import REMEMBERS, UNTESTABLE
 
 
 def chart(page, name):
@@ -207,6 +208,40 @@ def test_the_page_of_a_public_board_says_in_its_head_that_ranks_come_from_season
         (section,) = report.views[0].sections
         first = next(iter(section.notes), "")
         assert first.startswith("The test roads of this board are public") is is_public
+
+
+def test_what_the_judge_has_found_out_about_an_entry_is_read_beside_its_row():
+    notes = tuple(f"reader: {note}" for note in (REMEMBERS, UNTESTABLE))
+    for task in tasks():
+        rows = [
+            dataclasses.replace(r, notes=(*r.notes, *notes), causal=False)
+            if r.estimator == "reader"
+            else r
+            for r in results()[task.name]
+        ]
+        made = Board((task,), {task.name: rows})
+        report = build_report(made)
+        pages = dict(_render_pages(made, report))
+        (section,) = (x for view in report.views for x in view.sections)
+        assert {f"{note}." for note in notes} <= set(section.notes)
+        assert not [x for x in section.notes if x.startswith("Surface") and "reader" in x]
+        for page in ("index.html", f"tasks/{task.name}.html"):
+            assert all(note in text_of(pages[page]) for note in notes), page
+
+
+def test_an_entry_is_causal_if_it_was_found_so_on_all_tasks():
+    one, other = (task for task in tasks() if task.name in ("held_out", "paving"))
+    for last in (True, False):
+        rows = {
+            task.name: [
+                dataclasses.replace(r, causal=causal) if r.estimator == "reader" else r
+                for r in results()[task.name]
+            ]
+            for task, causal in ((one, True), (other, last))
+        }
+        made = Board((one, other), rows)
+        page = dict(_render_pages(made, build_report(made)))["estimators/reader.html"]
+        assert ("Causal: the height" in text_of(page)) is last
 
 
 def test_the_sentence_on_an_entry_below_the_bound_does_not_comfort_on_public_roads():

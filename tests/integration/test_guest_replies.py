@@ -180,9 +180,17 @@ def test_texts_are_one_short_printable_line():
     assert messages.text("a\nb\x1b[31m\u202ec\t<b>") == "a b [31m c <b>"
     assert len(messages.text("x" * 10**6)) == messages.MAX_TEXT + 4
     assert messages.text(None) == messages.text("\0") == "no message"
-    assert messages.settings({"a": "b\nc", "n": [1, 2.5, None, True]}) == {
-        "a": "b c", "n": [1, 2.5, None, True],
-    }  # fmt: skip
+
+
+@pytest.mark.parametrize("word", ["\t", " ", "a\nb", "a  b", "x" * 301, "\u202e"])
+@pytest.mark.parametrize(
+    "where", [lambda x: x, lambda x: [x], lambda x: {x: 1}, lambda x: {"a": x}]
+)
+def test_settings_are_run_as_they_are_or_refused(word, where):
+    with pytest.raises(EntryError, match="a text in its settings is not one printable line of up"):
+        messages.settings({"a": where(word)})
+    plain = {"a": where("one word"), "b": "", "n": [1, 2.5, None, True]}
+    assert messages.settings(plain) == plain
 
 
 @pytest.mark.parametrize("depth", [5, 900, 100_000])

@@ -22,7 +22,7 @@ from leaderboard.sandbox import bubblewrap, client, guest, processes, seccomp
 from leaderboard.sandbox.bubblewrap import count_pipes, forget_pipes
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
-from leaderboard.sandbox.retest import LOOKS_AHEAD, NOT_RETESTED, REMEMBERS
+from leaderboard.sandbox.retest import LOOKS_AHEAD, NOT_CAUSAL, NOT_RETESTED, REMEMBERS
 from road_envs.core.config import ConfigError
 from road_envs.records.record import Profile, profile_stations
 
@@ -97,7 +97,7 @@ def test_the_end_of_the_odometer_counts_as_a_later_sample(sandbox):
 @pytest.mark.parametrize("number", [1, 2])
 def test_a_drive_is_asked_with_another_future_before_it_is_asked_as_it_is(sandbox, number):
     found = run(sandbox, "recall_the_future", causal=True, retest=True, number=number)
-    assert found.looks_ahead and LOOKS_AHEAD in found.notes
+    assert found.looks_ahead and not set(NOT_CAUSAL).isdisjoint(found.notes)
 
 
 @pytest.mark.parametrize("number", [2, 3])

@@ -15,6 +15,7 @@ from fakes import SHORT_TASK, fake_drives
 
 from leaderboard.commands.results import verified_output
 from leaderboard.entries.entries import make_entry
+from leaderboard.entries.entry import EntryError
 from leaderboard.evaluation import evaluate, store
 from leaderboard.evaluation.comparison import OTHER_KERNELS, SAME_KERNELS
 from leaderboard.evaluation.provenance import describe_environment
@@ -312,6 +313,22 @@ def test_given_tasks_are_verified_whatever_the_folder_defines(tmp_path):
     alter(tmp_path, "reader", scores={"nrmse": 0.01})
     found = verify(tmp_path, share=1.0, tasks=board.tasks)
     assert [name for name, row in found.items() if not row.agrees] == ["reader"]
+
+
+def test_a_scored_row_whose_entry_fails_here_does_not_agree(tmp_path):
+    """By the status of the command: code that raises from some day on would hide false scores."""
+    run(tmp_path)
+
+    def fails(entry, data, seeds):
+        if entry.name == "reader":
+            raise EntryError("not today")
+        return run_here(entry, data, seeds)
+
+    entries = [make_entry(name, estimator) for name, estimator in ESTIMATORS.items()]
+    found = verify_folder(tmp_path, fails, entries, simulate=chosen_fakes, seed=1)
+    (row,) = (row for row in found if row.estimator == "reader")
+    assert row.is_false and row.reason.endswith("not today")
+    assert verified_output(found).status == 1
 
 
 def test_rows_of_a_task_that_a_folder_does_not_define_are_named(tmp_path):

@@ -5,8 +5,8 @@ They are loaded by name in the process of an entry.
 
 import dataclasses
 import time
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -103,6 +103,21 @@ class SlowLearner(Slow):
 
     def with_weights(self, weights):
         return self
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArraySetting(Valid):
+    taps: Any = field(default_factory=lambda: np.ones(3))
+
+
+@dataclass(frozen=True, kw_only=True)
+class InfiniteSetting(Valid):
+    cutoff: float = np.inf
+
+
+@dataclass(frozen=True, kw_only=True)
+class TabSetting(Valid):
+    separator: str = "\t"
 
 
 @dataclass(frozen=True, kw_only=True)

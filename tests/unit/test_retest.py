@@ -8,9 +8,17 @@ import pytest
 from scipy.integrate import cumulative_trapezoid
 from scipy.signal import butter, sosfiltfilt
 
-from leaderboard.sandbox.retest import draw_questions, largest_change, with_other_future
+from leaderboard.entries.entry import TrainingRun
+from leaderboard.sandbox.retest import (
+    REMEMBERS,
+    UNTESTABLE,
+    compare_answers,
+    draw_questions,
+    largest_change,
+    with_other_future,
+)
 from road_envs import simulate_record
-from road_envs.records.record import Estimate
+from road_envs.records.record import Estimate, profile_stations
 
 
 @pytest.fixture(scope="module")
@@ -62,6 +70,36 @@ def test_of_one_drive_what_is_replaced_first_is_asked_first(record):
         asked = draw_questions([record], [0], True, random.Random(seed))
         starts = [question.start for question in asked]
         assert len(starts) == 4 and starts == sorted(starts) and np.isinf(starts[-1])
+
+
+class _Adaptive:
+    """Causal in time: its gain is a mean over all samples so far, those of drives before included.
+    The other is random.
+    """
+
+    def __init__(self, is_random):
+        self._rng, self._sum, self._random = np.random.default_rng(), 1.0, is_random
+
+    def estimate(self, record):
+        gain = self._sum + np.cumsum(record.a[0] ** 2)
+        if self._random:
+            gain = self._rng.random(gain.size)
+        stations = profile_stations(record.length)
+        last = np.searchsorted(record.s, stations, side="right") - 1
+        self._sum = gain[-1]
+        return Estimate(stations, np.tile((record.a[0] / gain)[last.clip(0)], (2, 1)))
+
+
+@pytest.mark.parametrize("is_random", [False, True])
+def test_who_remembers_is_not_said_to_look_ahead(record, is_random):
+    """Its second guest has seen other drives before those that are replaced, too."""
+    records = [replace(record, a=(1.0 + k) * record.a) for k in range(4)]
+    for seed in range(10):
+        questions = draw_questions(records, range(4), True, random.Random(seed))
+        first, second = _Adaptive(is_random), _Adaptive(is_random)
+        run = TrainingRun([first.estimate(x) for x in records], 0.0, 0.0, 0)
+        again = [second.estimate(question.record) for question in questions]
+        assert compare_answers(questions, run, again, 0.0) == [REMEMBERS, UNTESTABLE]
 
 
 @pytest.mark.parametrize("ahead", [0.3, 2.0])
