@@ -78,7 +78,10 @@ def score_file(task: TaskArrays, path: Path) -> ScoreTable:
         columns = ["drive", "station", *_SIDES]
         if missing := [name for name in columns if name not in table]:
             raise ConfigError(f"no column {missing[0]!r}; needed are {', '.join(columns)}")
-        if twice := table.columns[table.columns.duplicated()].tolist():
+        heads = table.columns  # pandas gives the second one of a CSV another name
+        if not is_parquet:
+            heads = pd.Index(pd.read_csv(path, header=None, nrows=1, dtype=str).iloc[0])
+        if twice := heads[heads.duplicated()].tolist():
             raise ConfigError(f"it has two columns {twice[0]!r}")
         deviations = [name for name in ("left_std", "right_std") if name in table]
         if len(deviations) == 1:

@@ -30,9 +30,9 @@ class MethodCard(Settings):
 
     def __post_init__(self):
         super().__post_init__()
-        texts = {**vars(self), "authors": " ".join(self.authors)}
-        for name, text in texts.items():
-            if not text.strip() or _UNWRITTEN in text.split():
+        texts = [*vars(self).items(), *(("authors", author) for author in (self.authors or [""]))]
+        for name, text in (x for x in texts if isinstance(x[1], str)):
+            if text.strip() in ("", _UNWRITTEN):
                 raise ValueError(f"{name} is not filled in")
             if not all(map(_is_shown, text)):  # a terminal or a page would obey it
                 raise ValueError(f"{name} has characters that cannot be printed")
@@ -40,8 +40,8 @@ class MethodCard(Settings):
 
 def _is_shown(character: str) -> bool:
     """Return whether a character is printed, or is a blank or the end of a line."""
-    is_blank = character in "\n\t" or unicodedata.category(character) == "Zs"
-    return is_blank or character.isprintable()
+    is_blank = character in "\n\t\u200c\u200d" or unicodedata.category(character) == "Zs"
+    return is_blank or character.isprintable()  # two of these join letters in Persian and Hindi
 
 
 def load_method_card(path: Path) -> MethodCard:

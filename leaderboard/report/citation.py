@@ -54,8 +54,9 @@ def _fill(template: str, **values: str) -> str:
 
 def _what_ran(rows: Sequence[Result]) -> str:
     """Version and digests of the rows, by which anybody can tell whether they cite the same."""
-    first = rows[0]
-    tasks = ", ".join(f"{row.task} {row.task_digest[:12]}" for row in rows)
-    code = f"code {first.code}, " if first.code else ""
-    settings = f"settings {first.settings or 'by default'}"
-    return f"{code}{settings}, road-envs {first.package_version}, {tasks}"
+    tasks: dict[str, list[str]] = {}
+    for row in rows:
+        code = f"code {row.code}, " if row.code else ""
+        program = f"{code}settings {row.settings or 'by default'}, road-envs {row.package_version}"
+        tasks.setdefault(program, []).append(f"{row.task} {row.task_digest[:12]}")
+    return "; ".join(f"{program}, {', '.join(names)}" for program, names in tasks.items())

@@ -124,10 +124,9 @@ def load_board(tasks: Sequence[Task], out: Path, rows: Sequence[PlannedRow] = ()
     results = {task.name: load_rows(out, task) for task in tasks}
     entries = {(row.task.name, row.entry.name): row.entry for row in rows}
     for task in tasks:
+        refits = task.trains_on_test_road
         for name in {result.estimator for result in results[task.name]}:
-            entry = entries.get((task.name, name)) or registered_entry(
-                name, task.trains_on_test_road
-            )
+            entry = entries.get((task.name, name)) or registered_entry(name, refits)
             if entry is not None:
                 entries[task.name, name] = entry
     versions = {(r.estimator, str(r.settings), r.code): r for rs in results.values() for r in rs}

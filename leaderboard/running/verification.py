@@ -82,7 +82,7 @@ class Verified(Settings):
         near = min(self.tolerance, REPRODUCIBLE)  # so no row is moved as a whole
         mean = near + 2.0 * self.tolerance / max(self.runs, 1)
         far = self.distance > self.tolerance or self.typical > near or self.shift > mean
-        return not self.reason and not far
+        return self.runs > 0 and not self.reason and not far
 
 
 def kernels_of(environment: Mapping[str, str]) -> str:

@@ -141,8 +141,7 @@ class SandboxClient:
             secret.shuffle(order)
 
         def run(asked: Sequence[Record], seeds: Sequence[int], order: Sequence[int], known):
-            # another entry may have had the drives, other conditions have the roads
-            if questions and self._bubblewrap:
+            if questions and self._bubblewrap:  # other guests may have had its drives or roads
                 self._pipes = bubblewrap.forget_guests(self._pipes)
             guest = self._start(entry.reference)
             try:

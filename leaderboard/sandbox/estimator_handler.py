@@ -134,4 +134,7 @@ def _load_package(folder: Path, settings: dict[str, Any]) -> tuple[str, Any]:
     if len(found) != 1:
         names = sorted(entry.name for entry in found)
         raise EntryError(f"it must declare one entry point of {ENTRY_POINT_GROUP}, found {names}")
-    return found[0].name, build(check_class(found[0].load()), settings, found[0].name)
+    cls, module = found[0].load(), sys.modules[found[0].module]
+    if not Path(file := getattr(module, "__file__", None) or "/").is_relative_to(folder):
+        raise EntryError(f"its module {found[0].module} is that of the judge's machine, {file}")
+    return found[0].name, build(check_class(cls), settings, found[0].name)

@@ -15,6 +15,7 @@ from pathlib import Path
 from leaderboard.conformance.method_card import method_card_path
 from leaderboard.entries.entries import RESERVED, fold
 from leaderboard.entries.entry import Entry
+from leaderboard.evaluation.provenance import package_version
 from leaderboard.report.sentences import build_report
 from leaderboard.report.site import write_site
 from leaderboard.running.board import run_board
@@ -50,7 +51,8 @@ def write_repository(folder: Path) -> list[Path]:
         raise ConfigError(f"{folder} is not empty; choose a new or empty folder")
     templates = resources.files("leaderboard.submission") / "templates"
     for path, name in _TEMPLATE.items():
-        write_text(folder / path, (templates / name).read_text(encoding="utf-8"))
+        text = (templates / name).read_text(encoding="utf-8")
+        write_text(folder / path, text.replace("{version}", package_version()))
     (folder / "ci/verify.sh").chmod(0o755)
     return [folder / path for path in _TEMPLATE]
 

@@ -1,7 +1,7 @@
 """Rules of a results repository: its tasks and how entries are run on them.
 
 tasks: [new_road, seasons/autumn/new_road_0a1b2c3d.yaml]
-roads: 4        test drives per condition on random roads; all if it is missing
+roads: 6        test drives per condition on random roads; all if it is missing
 seeds: 3        training seeds
 """
 
@@ -15,6 +15,7 @@ from pydantic import Field
 
 from leaderboard.entries.entry import Entry
 from leaderboard.evaluation.tasks import Task, load_task
+from leaderboard.metrics.bootstrap import MIN_ROADS
 from leaderboard.running.board import RunRequest
 from leaderboard.sandbox.limits import Limits
 from leaderboard.submission.hidden_seeds import check_revealed
@@ -30,7 +31,7 @@ class Rules(Settings):
     """Names of shipped tasks or paths of YAML files, test drives per condition, training seeds."""
 
     tasks: tuple[str, ...] = ("new_road",)
-    roads: Count | None = None
+    roads: Annotated[int, Field(ge=MIN_ROADS)] | None = None  # with fewer, nothing is ranked
     seeds: Annotated[Count, Field(le=100)] = 3
 
 

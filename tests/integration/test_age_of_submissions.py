@@ -254,3 +254,10 @@ def test_the_rules_of_a_repository_can_be_checked(tmp_path):
     assert "new_road" in call(*check, cwd=tmp_path)
     (tmp_path / "repo/rules.yaml").write_text("tasks: [seasons/1/new_raod.yaml]\n")
     assert "seasons/1/new_raod.yaml" in call(*check, cwd=tmp_path, status=2)
+
+
+def test_a_repository_without_submissions_has_no_site_yet(verifies):
+    repo, _ = verifies
+    committed(repo, "none left", **{"submissions/rival/submission.json": None})
+    path = f"PATH={repo.parent}:{os.environ['PATH']}"
+    assert call("env", path, "ci/verify.sh", cwd=repo) == "no submissions yet\n"

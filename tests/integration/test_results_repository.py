@@ -17,6 +17,7 @@ from wheels import module, write_wheel
 from leaderboard.entries.entries import fold
 from leaderboard.entries.entry import NAME
 from leaderboard.evaluation import store
+from leaderboard.evaluation.provenance import package_version
 from leaderboard.sandbox import bubblewrap
 from leaderboard.sandbox.limits import Limits
 from leaderboard.submission import repository, signature
@@ -33,9 +34,13 @@ def test_a_results_repository_is_not_written_over_files(tmp_path):
     written = repository.write_repository(tmp_path)
     assert tmp_path / "ci" / "verify.sh" in written and os.access(written[2], os.X_OK)
     rules, tasks = load_rules(tmp_path / "rules.yaml")
-    assert rules.roads == 4 and [task.name for task in tasks] == ["new_road"]
+    assert rules.roads == 6 and [task.name for task in tasks] == ["new_road"]
     with pytest.raises(ConfigError, match="is not empty"):
         repository.write_repository(tmp_path)
+    assert f"sign]=={package_version()}'" in (tmp_path / ".github/workflows/verify.yml").read_text()
+    (tmp_path / "more.yaml").write_text("roads: 4\n")
+    with pytest.raises(ConfigError, match="roads: must be at least 5"):
+        load_rules(tmp_path / "more.yaml")
     (tmp_path / "more.yaml").write_text("seeds: 100000000000\n")
     with pytest.raises(ConfigError, match="seeds: must be at most 100"):
         load_rules(tmp_path / "more.yaml")

@@ -331,6 +331,15 @@ def test_no_module_of_a_wheel_stands_before_those_of_the_judge(sandbox, tmp_path
     assert sandbox.reconstruct(entry, [], *drives(1), (1,))[0].estimates
 
 
+def test_a_module_that_is_installed_beside_the_judge_does_not_run_in_the_name_of_a_wheel(
+    sandbox, tmp_path
+):
+    """Its digest would be that of other code."""
+    wheel = write_wheel(tmp_path, "json", module(), "json = json:JSONDecoder")
+    (entry,) = entries.resolve_entries([str(wheel)], sandbox.describe)
+    assert "its module json is that of the judge's machine" in entry.failure
+
+
 def test_an_entry_runs_whatever_the_umask(tmp_path):
     before = os.umask(0o077)
     try:

@@ -80,6 +80,8 @@ def test_a_submission_without_its_card_is_refused(submission):
     [
         (TEMPLATE, "method is not filled in"),
         (CARD.replace("data: none", "data: ''"), "data is not filled in"),
+        (CARD.replace("[Ada Author", "[..."), "authors is not filled in"),
+        (CARD.replace("[Ada Author", "[''"), "authors is not filled in"),
         (CARD.replace("licence: MIT", ""), "licence: missing"),
         (CARD + "more: 1", "more: unknown key"),
         (
@@ -108,6 +110,14 @@ def test_a_key_is_read_before_anything_is_run(tmp_path):
     )
     assert "key.pem: not a private key in PEM format" in " ".join(said.split())
     assert not (tmp_path / "out").exists()
+
+
+def test_names_may_have_joined_letters_and_texts_three_dots(tmp_path):
+    text = CARD.replace("Ada Author", "\u0646\u06cc\u200c\u0644").replace(
+        "data: none", "data: 1 ... 9"
+    )
+    (tmp_path / "card.yaml").write_text(text)
+    assert load_method_card(tmp_path / "card.yaml").data == "1 ... 9"
 
 
 def test_a_signature_is_of_one_record_and_one_key(submission, tmp_path):
@@ -554,6 +564,13 @@ def test_a_citation_says_what_ran(submission):
     row = store.load(store.row_path(submission, "small", "reader"))
     assert "author = {Ada Author and Bo Author}" in text and r"100 \% of it" in text
     assert f"small {row.task_digest[:12]}" in text and row.package_version in text
+    other = dataclasses.replace(row, task="other", settings={"gain": 7.0}, code="abc")
+    store.save(other, submission / "site")
+    text = cite_entry(submission / "site", "reader")
+    assert (
+        f"code abc, settings (gain: 7.0), road-envs {row.package_version}, other"
+        in text.replace("'", "")
+    )
     card = submission / "site" / "methods" / "reader.yaml"
     card.write_text(card.read_text().replace("A. Author, 100 % of it, 2026", "none"))
     assert "none" not in cite_entry(submission / "site", "reader")

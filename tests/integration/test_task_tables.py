@@ -68,6 +68,10 @@ def test_deviations_below_0_and_columns_that_are_there_twice_are_refused(arrays,
     path = tmp_path / "twice.parquet"
     both = pyarrow.Table.from_pandas(table[["drive", "station", "left", "right"]])
     pyarrow.parquet.write_table(both.append_column("left", both["left"]), path)
+    csv = tmp_path / "twice.csv"
+    csv.write_text("drive,station,left,right,left\n1,0,0,0,1\n")
+    with pytest.raises(ConfigError, match=r"twice.csv: it has two columns 'left'"):
+        score_file(arrays, csv)
     with pytest.raises(ConfigError, match=r"twice.parquet: it has two columns 'left'"):
         score_file(arrays, path)
 

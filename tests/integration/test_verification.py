@@ -278,6 +278,11 @@ def test_rows_that_have_failed_are_named(tmp_path):
     assert output.status == 0 and f"; {len(NAMES)} could not be run again" in output.shows[1]
 
 
+def test_a_row_of_which_no_drive_was_run_again_does_not_agree(tmp_path):
+    run(tmp_path)
+    assert not any(row.agrees for row in verify(tmp_path, share=0.0).values())
+
+
 def test_what_was_verified_is_forgotten_once_it_is_false(tmp_path):
     run(tmp_path)
     found = verify(tmp_path)["reader"]
