@@ -112,10 +112,11 @@ def headline(section: Section, definition: BoardDefinition) -> list[str]:
     if not scored:
         return []
     best, *others = scored
+    tied = [row.name for row in others if row.values.get("rank") == best.values.get("rank")]
     return [
-        _best_sentence(best, section, definition),
+        _best_sentence(best, tied, section, definition),
         *([_others_sentence(best, others, definition)] if others else []),
-        _certainty_sentence(best, others, section),
+        _certainty_sentence(best, tied, section),
     ]
 
 
@@ -158,7 +159,9 @@ def _memory(rows: Sequence[Row]) -> str:
     )
 
 
-def _best_sentence(best: Row, section: Section, definition: BoardDefinition) -> str:
+def _best_sentence(
+    best: Row, tied: Sequence[str], section: Section, definition: BoardDefinition
+) -> str:
     key = definition.ranks_by
     low, high = best.values.get("low"), best.values.get("high")
     interval = tables.interval_text(low, high, key)
@@ -167,7 +170,8 @@ def _best_sentence(best: Row, section: Section, definition: BoardDefinition) -> 
     worst = best.values.get(WORST)
     tail = "" if worst is None else f" On its worst drive it is {COLUMNS[WORST].text(worst)}."
     error = COLUMNS[key].text(best.values[key])
-    return f"{best.name} is best: its error is {error}{scale}{sure}.{tail}"
+    is_best = "has the lowest error:" if tied else "is best: its error is"
+    return f"{best.name} {is_best} {error}{scale}{sure}.{tail}"
 
 
 def _others_sentence(best: Row, others: Sequence[Row], definition: BoardDefinition) -> str:
@@ -190,11 +194,9 @@ def _others_sentence(best: Row, others: Sequence[Row], definition: BoardDefiniti
     return f"{text}; the paper's network has {score(paper)}, {verdict} than a flat road."
 
 
-def _certainty_sentence(best: Row, others: Sequence[Row], section: Section) -> str:
-    rank = best.values.get("rank")
-    if rank is None:
+def _certainty_sentence(best: Row, tied: Sequence[str], section: Section) -> str:
+    if best.values.get("rank") is None:
         return "Too few roads for a rank or an interval: another road may give another order."
-    tied = [row.name for row in others if row.values.get("rank") == rank]
     if tied:
         names = ", ".join(tied)
         return f"The first place is not decided: these drives cannot tell {names} from it."

@@ -3,7 +3,6 @@
 import dataclasses
 import json
 import re
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,7 +18,7 @@ from leaderboard.report.charts import task_charts
 from leaderboard.report.figures import line_style
 from leaderboard.report.notes import sanity_warnings
 from leaderboard.report.overview import ranking_chart
-from leaderboard.report.sentences import _certainty_sentence, build_report
+from leaderboard.report.sentences import build_report, headline
 from leaderboard.report.site import _render_pages
 from leaderboard.report.tables import Row, board_views
 from leaderboard.running.board import Board
@@ -150,10 +149,19 @@ def test_the_headline_names_best_next_and_certainty():
 
 
 def test_the_first_place_is_not_decided_where_another_entry_shares_it():
-    best, other = (lines_of()[name] for name in ("reader", "static_lm"))
-    tied = dataclasses.replace(other, values=other.values | {"rank": best.values["rank"]})
-    said = _certainty_sentence(best, [tied], SimpleNamespace(is_public=False))
-    assert said == "The first place is not decided: these drives cannot tell static_lm from it."
+    (section, *_), definition = board_views(board())[0].sections, board_views(board())[0].definition
+    assert headline(section, definition)[0].startswith("reader is best: its error is ")
+    for rank in (1, None):  # or where there are too few roads
+        rows = [
+            dataclasses.replace(row, values={**row.values, "rank": rank})
+            if row.name in ("reader", "static_lm")
+            else row
+            for row in section.rows
+        ]
+        first, *_, last = headline(dataclasses.replace(section, rows=rows), definition)
+        assert first.startswith("reader has the lowest error: ")
+        tied = "The first place is not decided: these drives cannot tell static_lm from it."
+        assert last == tied if rank else last.startswith("Too few roads")
 
 
 def test_calibration_counts_the_errors_inside_the_stated_intervals():
