@@ -43,6 +43,10 @@ def submit(
     """
     if not wheel.exists():
         raise ConfigError(f"{wheel}: no such file; give a wheel or a folder of installed packages")
+    if wheel.is_dir() and (found := next(wheel.rglob(".git"), None)):
+        raise ConfigError(
+            f"{found}: give packages, such as `pip install --target` makes, not a clone"
+        )
     if not card.exists():
         write_text(card, TEMPLATE)
         again = shlex.join(["road-recon", "submit", str(wheel), "--card", str(card), "..."])

@@ -86,14 +86,14 @@ def _find_module(name: str) -> ModuleSpec | None:
 
 
 def _walk(root: Path, prefix: str) -> Iterator[tuple[Path, str]]:
-    """Yield the regular files below a folder, without bytecode and git; links are left out."""
+    """Yield the regular files below a folder, without bytecode; links are left out."""
     left = [(root, prefix, 0)]
     while left:
         folder, prefix, depth = left.pop()
         if depth > _MAX_DEPTH:
             raise EntryError(f"its folders are nested more than {_MAX_DEPTH} deep")
         for entry in sorted(os.scandir(folder), key=lambda entry: entry.name):
-            if entry.is_dir(follow_symlinks=False) and entry.name not in ("__pycache__", ".git"):
+            if entry.is_dir(follow_symlinks=False) and entry.name != "__pycache__":
                 left.append((Path(entry.path), f"{prefix}{entry.name}/", depth + 1))
             elif entry.is_file(follow_symlinks=False):
                 yield Path(entry.path), prefix + entry.name

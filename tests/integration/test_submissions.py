@@ -112,6 +112,13 @@ def test_a_key_is_read_before_anything_is_run(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_a_clone_is_no_code_of_a_submission(tmp_path):
+    """Git would take it for a repository of its own, and its configuration may hold a token."""
+    (tmp_path / "mine" / "src" / ".git").mkdir(parents=True)
+    said = call("road-recon", "submit", "mine", "--out", "out", cwd=tmp_path, status=2)
+    assert "mine/src/.git: give packages" in " ".join(said.split())
+
+
 def test_names_may_have_joined_letters_and_texts_three_dots(tmp_path):
     text = CARD.replace("Ada Author", "\u0646\u06cc\u200c\u0644").replace(
         "data: none", "data: 1 ... 9"
