@@ -8,7 +8,7 @@ import sys
 
 import pandas as pd
 import pytest
-from board_runs import ESTIMATORS, NAMES, make_request, run
+from board_runs import ESTIMATORS, NAMES, copy_of_run, make_request, run
 from fake_estimators import Picky
 from fake_results import runs_of, with_last_run, with_runs
 from fakes import SHORT_TASK, fake_drives
@@ -61,7 +61,7 @@ def alter(out, name, **changes):
 
 
 def test_a_tenth_of_the_drives_of_an_unaltered_folder_agrees_to_rounding(tmp_path):
-    run(tmp_path)
+    copy_of_run(tmp_path)
     found = verify(tmp_path)
     assert found.keys() == NAMES
     for row in found.values():
@@ -114,7 +114,7 @@ def test_a_training_that_changes_nothing_of_the_drives_that_are_run_again_agrees
 
 
 def test_an_altered_score_is_found_by_its_distance(tmp_path):
-    run(tmp_path)
+    copy_of_run(tmp_path)
     row = store.load(store.row_path(tmp_path, "small", "reader"))
     score = list(runs_of(row).values())[-1]["nrmse"]
     alter(tmp_path, "reader", scores={"nrmse": 1.01 * score})
@@ -125,7 +125,7 @@ def test_an_altered_score_is_found_by_its_distance(tmp_path):
 
 
 def test_a_score_that_a_row_lacks_is_as_far_as_can_be_and_kept_so(tmp_path):
-    run(tmp_path)
+    copy_of_run(tmp_path)
     row = store.load(store.row_path(tmp_path, "small", "reader"))
     bare = with_last_run(row, lambda own: {n: x for n, x in own.items() if n != "nrmse"})
     store.save(bare, tmp_path)
@@ -136,7 +136,7 @@ def test_a_score_that_a_row_lacks_is_as_far_as_can_be_and_kept_so(tmp_path):
 
 
 def test_of_a_row_of_other_kernels_the_ranking_score_is_compared_at_a_wider_tolerance(tmp_path):
-    run(tmp_path)
+    copy_of_run(tmp_path)
     row = store.load(store.row_path(tmp_path, "small", "reader"))
     scores = list(runs_of(row).values())[-1]
     elsewhere = describe_environment() | {"blas": "openblas Z80"}
@@ -150,7 +150,7 @@ def test_of_a_row_of_other_kernels_the_ranking_score_is_compared_at_a_wider_tole
 
 
 def test_a_row_of_other_kernels_that_is_better_on_most_drives_does_not_agree(tmp_path):
-    run(tmp_path)
+    copy_of_run(tmp_path)
     elsewhere = describe_environment() | {"blas": "openblas Z80"}
     row = store.load(store.row_path(tmp_path, "small", "reader"))
     for moved, agrees in ((3, True), (4, False)):  # of six drives
@@ -165,7 +165,7 @@ def test_a_row_of_other_kernels_that_is_better_on_most_drives_does_not_agree(tmp
 
 
 def test_a_row_of_another_machine_by_its_own_word_is_moved_no_farther_than_by_one_run(tmp_path):
-    run(tmp_path)
+    copy_of_run(tmp_path)
     elsewhere = describe_environment() | {"processor": "Z80, 2 cores"}
     row = store.load(store.row_path(tmp_path, "small", "reader"))
     for share, agrees in ((0.2, True), (0.95, False)):  # of the tolerance, three of six runs
@@ -182,7 +182,7 @@ def test_a_row_of_another_machine_by_its_own_word_is_moved_no_farther_than_by_on
 
 
 def test_a_row_of_chosen_drives_or_of_repeated_ones_is_not_that_of_its_task(tmp_path):
-    run(tmp_path)
+    copy_of_run(tmp_path)
     row = store.load(store.row_path(tmp_path, "small", "learner"))
     runs, table = runs_of(row), row.scores
     lowest = dict([min(runs.items(), key=lambda x: x[1]["nrmse"])])
@@ -199,7 +199,7 @@ def test_a_row_of_chosen_drives_or_of_repeated_ones_is_not_that_of_its_task(tmp_
 
 
 def test_a_row_that_says_something_else_of_its_entry_does_not_agree(tmp_path):
-    run(tmp_path)
+    copy_of_run(tmp_path)
     row = store.load(store.row_path(tmp_path, "small", "reader"))
     for field, value in (("causal", not row.causal), ("lag", 5.0), ("role", "baseline")):
         store.save(dataclasses.replace(row, **{field: value}), tmp_path)
@@ -213,7 +213,7 @@ def test_a_row_that_says_something_else_of_its_entry_does_not_agree(tmp_path):
 )
 def test_who_lies_of_two_things_is_not_called_one_that_cannot_be_run(tmp_path, told):
     """Nor is a row of another task left out without a word."""
-    run(tmp_path)
+    copy_of_run(tmp_path)
     alter(tmp_path, "reader", scores={"nrmse": 0.01}, **told)
     found = verify(tmp_path)
     output = verified_output(list(found.values()))
@@ -224,7 +224,7 @@ def test_who_lies_of_two_things_is_not_called_one_that_cannot_be_run(tmp_path, t
 
 
 def test_a_row_may_say_by_chance_that_its_entry_looks_ahead(tmp_path):
-    run(tmp_path)
+    copy_of_run(tmp_path)
     row = store.load(store.row_path(tmp_path, "small", "reader"))
     made = dataclasses.replace(row, causal=True)
     for note in (LOOKS_AHEAD, f"{NOT_RETESTED}: ended"):
@@ -241,7 +241,7 @@ def test_a_row_may_say_by_chance_that_its_entry_looks_ahead(tmp_path):
 
 def test_a_note_is_a_whole_sentence_of_the_judge(tmp_path):
     """What follows it could be said of a rival."""
-    run(tmp_path)
+    copy_of_run(tmp_path)
     row = store.load(store.row_path(tmp_path, "small", "reader"))
     for note in (
         f"{ONE_TRAINING}; rival: {LOOKS_AHEAD}",
@@ -252,7 +252,7 @@ def test_a_note_is_a_whole_sentence_of_the_judge(tmp_path):
 
 
 def test_what_could_not_be_asked_again_is_compared_all_the_same(tmp_path):
-    run(tmp_path)
+    copy_of_run(tmp_path)
 
     def busy(entry, data, seeds):
         for one in run_here(entry, data, seeds):
@@ -269,7 +269,7 @@ def test_what_could_not_be_asked_again_is_compared_all_the_same(tmp_path):
 
 
 def test_rows_that_have_failed_are_named(tmp_path):
-    run(tmp_path)
+    copy_of_run(tmp_path)
     for name in NAMES:
         row = store.load(store.row_path(tmp_path, "small", name))
         store.save(dataclasses.replace(row, failure="no number"), tmp_path)
@@ -279,12 +279,12 @@ def test_rows_that_have_failed_are_named(tmp_path):
 
 
 def test_a_row_of_which_no_drive_was_run_again_does_not_agree(tmp_path):
-    run(tmp_path)
+    copy_of_run(tmp_path)
     assert not any(row.agrees for row in verify(tmp_path, share=0.0).values())
 
 
 def test_what_was_verified_is_forgotten_once_it_is_false(tmp_path):
-    run(tmp_path)
+    copy_of_run(tmp_path)
     found = verify(tmp_path)["reader"]
     save_verified([found], tmp_path)
     save_verified([dataclasses.replace(found, reason="it lies", is_false=True)], tmp_path)
@@ -292,14 +292,14 @@ def test_what_was_verified_is_forgotten_once_it_is_false(tmp_path):
 
 
 def test_a_row_of_chosen_training_seeds_does_not_agree(tmp_path):
-    run(tmp_path)
+    copy_of_run(tmp_path)
     row = store.load(store.row_path(tmp_path, "small", "learner"))
     store.save(dataclasses.replace(row, seeds=(7, 2)), tmp_path)
     assert verify(tmp_path)["learner"].reason == "its training seeds are 7, 2, not 1 to 2"
 
 
 def test_a_note_that_a_row_lacks_is_found(tmp_path):
-    run(tmp_path)
+    copy_of_run(tmp_path)
 
     def noted(entry, data, seeds):
         for one in run_here(entry, data, seeds):
@@ -322,7 +322,7 @@ def test_given_tasks_are_verified_whatever_the_folder_defines(tmp_path):
 
 def test_a_scored_row_whose_entry_fails_here_does_not_agree(tmp_path):
     """By the status of the command: code that raises from some day on would hide false scores."""
-    run(tmp_path)
+    copy_of_run(tmp_path)
 
     def fails(entry, data, seeds):
         if entry.name == "reader":
@@ -337,7 +337,7 @@ def test_a_scored_row_whose_entry_fails_here_does_not_agree(tmp_path):
 
 
 def test_rows_of_a_task_that_a_folder_does_not_define_are_named(tmp_path):
-    run(tmp_path)
+    copy_of_run(tmp_path)
     path = store.row_path(tmp_path, "small", "reader")
     other = path.parents[1] / "other" / path.name
     other.parent.mkdir()
@@ -349,7 +349,7 @@ def test_rows_of_a_task_that_a_folder_does_not_define_are_named(tmp_path):
 
 
 def test_a_row_that_cannot_be_run_again_says_why(tmp_path):
-    run(tmp_path)
+    copy_of_run(tmp_path)
     other = dataclasses.replace(ESTIMATORS["reader"], gain=0.1)
     found = verify(tmp_path, entries=[make_entry("reader", other)])
     assert found["learner"].reason == "not of this package: give it with --estimator"
@@ -360,7 +360,7 @@ def test_a_row_that_cannot_be_run_again_says_why(tmp_path):
 
 
 def test_a_task_that_is_not_the_one_of_its_file_is_refused(tmp_path):
-    run(tmp_path)
+    copy_of_run(tmp_path)
     (path,) = (tmp_path / "definitions").iterdir()
     path.rename(path.with_stem("0" * 64))
     with pytest.raises(ConfigError, match="the task small, or a file that it names, is not the"):

@@ -2,6 +2,9 @@
 
 import dataclasses
 import functools
+import shutil
+import tempfile
+from pathlib import Path
 
 from fake_estimators import Learner, Reader
 from fakes import fake_drives, task
@@ -51,6 +54,18 @@ def run(out, estimators=ESTIMATORS, **options):
     executor = Counting(estimators)
     board = run_board(make_request(estimators, **options), out, executor)
     return board, executor.ran
+
+
+def copy_of_run(out):
+    """Put what `run` stores into a folder: it is made once."""
+    shutil.copytree(_stored().name, out, dirs_exist_ok=True)
+
+
+@functools.cache
+def _stored():
+    made = tempfile.TemporaryDirectory()
+    run(Path(made.name))
+    return made
 
 
 def rows(board):
