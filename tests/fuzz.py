@@ -366,7 +366,7 @@ def main() -> None:
                     f"{name:<28}{count:>9}{read:>9}{refused:>9}{faults:>8}{worked:>9.0f} s"
                 )
                 print(lines[name], flush=True)
-                text = "\n".join([about, head, *lines.values(), ""])
+                text = "\n".join([*about, head, *lines.values(), ""])
                 kept.write_text(text, encoding="utf-8")
     sys.exit(total > 0)
 
