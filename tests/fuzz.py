@@ -68,7 +68,7 @@ NUMBERS = (0, -1, 1e308, -1e-308, 2**31, 2**63, 10**40, 1.5, True, None)
 TEXTS = ("", "\u202e", "\\input{x}", "../x", "\x00", "=1", "a" * 3000, "nan", "1e5", "é")
 KINDS = (list, dict)
 CARD = "method: a\ndata: none\nlicence: MIT\nauthors: [b]\ncitation: none\n"
-RULES = "tasks: [class]\nroads: 2\nseeds: 3\n"
+RULES = "tasks: [class]\nroads: 6\nseeds: 3\n"
 RECORD = {
     "name": "a", "code": "b", "package_version": "1", "hardware": {"blas": "c"}, "cpu_seconds": 1.5,
     "files": {"card.yaml": hashlib.sha256(CARD.encode()).hexdigest()},
