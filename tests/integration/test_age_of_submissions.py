@@ -261,3 +261,14 @@ def test_a_repository_without_submissions_has_no_site_yet(verifies):
     committed(repo, "none left", **{"submissions/rival/submission.json": None})
     path = f"PATH={repo.parent}:{os.environ['PATH']}"
     assert call("env", path, "ci/verify.sh", cwd=repo) == "no submissions yet\n"
+
+
+def test_a_clone_without_its_history_is_refused(verifies):
+    repo, _ = verifies
+    roads, rules = of_season()
+    committed(repo, "mine", **RECORD_OF_MINE, **{CODE: "honest"})
+    committed(repo, "the season ends", **roads, **rules)
+    call("git", "clone", "--depth=1", "--branch=mine", f"file://{repo}", "shallow", cwd=repo.parent)
+    path = f"PATH={repo.parent}:{os.environ['PATH']}"
+    said = call("env", path, "ci/verify.sh", cwd=repo.parent / "shallow", status=1)
+    assert said == "a shallow clone: git fetch --unshallow\n"
