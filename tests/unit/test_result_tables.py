@@ -178,12 +178,14 @@ def test_the_json_output_has_the_rows_of_the_table():
 
 def test_notes_of_a_surface_are_printed():
     t = task(board="measured")
+    tiled = "10 m tile mirrored 10 times"
     noted = [
-        dataclasses.replace(r, task_digest=t.digest, notes=("10 m tile mirrored 10 times",))
+        dataclasses.replace(r, task_digest=t.digest, notes=(tiled, f"{r.estimator}: remembers"))
         for r in results_by_fakes()
     ]
     (view,) = board_views(Board((t,), {"small": noted}))
-    assert "Surface: 10 m tile mirrored 10 times." in view.sections[0].notes
+    assert f"Surface: {tiled}." in view.sections[0].notes
+    assert "reader: remembers." in view.sections[0].notes
 
 
 def test_a_training_that_leaves_no_parameters_is_shown():
