@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Literal
 
+from leaderboard.metrics.registry import SCORES
 from road_envs.core import config
 from road_envs.core.config import Positive, Settings
 
@@ -31,6 +32,11 @@ class BoardDefinition(Settings):
     divisions: tuple[Division, ...] = ("offline", "causal")
     scale: Positive = 2.0
     order: int = 100
+
+    def __post_init__(self):
+        super().__post_init__()
+        low = [key for key, x in SCORES.items() if x.better == "low" and x.compute is not None]
+        config.validate_choice("score to rank by, of which less is better:", self.ranks_by, low)
 
 
 @cache

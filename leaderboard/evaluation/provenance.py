@@ -8,6 +8,7 @@ from importlib import metadata
 from pathlib import Path
 
 import road_envs
+from road_envs.core import config
 from road_envs.core.code_digest import PACKAGES, ROOT, digest
 
 _LIBRARIES = ("numpy", "scipy", "numba", "torch")
@@ -39,8 +40,14 @@ def describe_environment() -> dict[str, str]:
 
 @cache
 def package_code() -> str:
-    """Return a digest of the code of this project, on any of which an entry by others can build."""
-    return digest(path for name in PACKAGES for path in (ROOT / name).rglob("*.py"))
+    """Return a digest of the code, weights and configurations of this project: an entry by others
+    can build on any of them.
+    """
+    own = [path for name in PACKAGES for path in (ROOT / name).rglob("*.*")]
+    code = digest(path for path in own if path.suffix in (".py", ".safetensors"))
+    configs = config.folder()
+    shows = configs / "boards"  # they change no result
+    return code + digest((x for x in configs.rglob("*.*") if x.parent != shows), configs.parent)
 
 
 def _library(name: str) -> str | None:

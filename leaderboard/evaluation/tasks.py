@@ -201,6 +201,9 @@ class Task(Settings):
             raise ValueError(f"name {self.name!r} may have letters, digits, '_', '-' and '.' only")
         if isinstance(self.board, str):
             config.validate_choice("board", self.board, shipped_boards())
+        labels = [condition.label for condition in self.conditions]
+        if len(set(labels)) < len(labels):
+            raise ValueError(f"conditions must have labels that differ, got {labels}")
         if self.training.design or len(self.test.design) not in (0, len(self.conditions)):
             raise ValueError(
                 "a design lists the test drives of every condition: "

@@ -41,7 +41,7 @@ def board_columns(name: str, definition: BoardDefinition) -> tuple[Column, ...]:
     """Return the columns of a board in their order. Raises ConfigError for an unknown one."""
     ranks = [RANK_COLUMNS[division] for division in definition.divisions]
     shown = [*ranks[:1], *definition.columns]
-    for key in (definition.ranks_by, *definition.columns, *definition.on_request):
+    for key in (*definition.columns, *definition.on_request):
         validate_choice(f"column of the board {name}:", key, COLUMNS)
     declared = [metric.key for metric in SCORES.values() if name in metric.boards]
     keys = dict.fromkeys([*shown, *ranks, *definition.on_request, *declared])

@@ -102,7 +102,7 @@ def check_revealed(path: Path, root: Path) -> None:
     """Raise ConfigError if a commitment stands beside the task `path`, but not that of its roads,
     or if the one that its name has stands in a folder above, up to `root`.
 
-    Those of a public task that is another one today, of another package, cannot be drawn again.
+    Of a public task that is another one today, of another package, only the seeds can be compared.
     """
     folder = path.parent
     for above in (x for x in folder.parents if x.is_relative_to(root)):
@@ -116,14 +116,23 @@ def check_revealed(path: Path, root: Path) -> None:
         salt = (folder / SALT).read_bytes().decode(*_AS_GIVEN)
     if _commitment(salt, hidden) != hidden.commitment:
         raise ConfigError(f"{folder / SALT}: the salt does not match the commitment")
-    name = {_season_name(task, hidden): task for task in hidden.tasks}.get(path.stem, "")
-    is_drawn = bool(name)
-    if name and (
-        load_task(name).digest == hidden.tasks[name] or hidden.package_version == package_version()
-    ):
-        is_drawn = read_yaml(path) == _hidden_task(salt, hidden, name)
-    if not is_drawn:
+    name = {_season_name(task, hidden): task for task in hidden.tasks}.get(path.stem)
+    if name is None or not _is_drawn(path, salt, hidden, name):
         raise ConfigError(f"{path}: it is no task of the commitment in {folder / COMMITMENT}")
+
+
+def _is_drawn(path: Path, salt: str, hidden: _HiddenSeeds, name: str) -> bool:
+    """Whether the file `path` is the public task `name` on the roads of the salt."""
+    public, found = load_task(name), load_task(path)
+    if hidden.package_version == package_version():
+        return bool(read_yaml(path) == _hidden_task(salt, hidden, name))
+    if public.digest != hidden.tasks[name]:
+        seeds = list(found.test.seeds)
+        drawn = _seeds(salt, hidden, public, hidden.tasks[name], len(seeds))
+        return seeds == drawn and len(seeds) == hidden.roads.get(name)
+    # another package may describe it in other words
+    today = build(Task, _hidden_task(salt, hidden, name), name)
+    return (found.digest, found.board) == (today.digest, today.board)
 
 
 def _hidden_task(salt: str, hidden: _HiddenSeeds, name: str) -> dict[str, Any]:
@@ -137,7 +146,7 @@ def _hidden_task(salt: str, hidden: _HiddenSeeds, name: str) -> dict[str, Any]:
         raise ConfigError(f"{name}: the public task has changed since the commitment was made")
     data: dict[str, Any] = read_yaml(find("tasks", name))
     count = min(hidden.roads.get(name, 0), len(task.test.seeds))  # a published file may say any
-    test = {**data["test"], "seeds": _seeds(salt, hidden, task, count)}
+    test = {**data["test"], "seeds": _seeds(salt, hidden, task, task.digest, count)}
     test.pop("number", None)
     if task.test.design:
         block = len(task.test.roads_and_seeds)
@@ -155,10 +164,10 @@ def _season_name(task: str, hidden: _HiddenSeeds) -> str:
     return f"{task}_{hidden.commitment[:8]}"
 
 
-def _seeds(salt: str, hidden: _HiddenSeeds, task: Task, count: int) -> list[int]:
-    """Return `count` hidden seeds of a task; no road of theirs has a public seed."""
+def _seeds(salt: str, hidden: _HiddenSeeds, task: Task, digest: str, count: int) -> list[int]:
+    """Return `count` hidden seeds of a task that had this digest; none is public today."""
     public = task.training.all_seeds | task.test.all_seeds
-    text = "\0".join([hidden.commitment, task.name, task.digest])
+    text = "\0".join([hidden.commitment, task.name, digest])
     key = _slow_hash(salt.encode(*_AS_GIVEN), text.encode())
     drawn: list[int] = []
     k = 0

@@ -83,6 +83,8 @@ def build_site(
     seasons = (repository / "seasons").resolve()
     pages = [] if seasons in out.resolve().parents else sorted(seasons.glob("*/page"))
     for page in pages:  # each would have copies of all before it
+        if page.is_symlink() or not page.is_dir():
+            raise ConfigError(f"{page}: a past season's site is a folder")
         shutil.copytree(page, out / "seasons" / page.parent.name, symlinks=True)
     for folder in folders:
         load_submission(folder)

@@ -30,7 +30,7 @@ _PATH = re.compile(r"[\w./-]+")
 class Rules(Settings):
     """Names of shipped tasks or paths of YAML files, test drives per condition, training seeds."""
 
-    tasks: tuple[str, ...] = ("new_road",)
+    tasks: Annotated[tuple[str, ...], Field(min_length=1)] = ("new_road",)
     roads: Annotated[int, Field(ge=MIN_ROADS)] | None = None  # with fewer, nothing is ranked
     seeds: Annotated[Count, Field(le=100)] = 3
 
@@ -44,7 +44,8 @@ def load_rules(path: Path | None) -> tuple[Rules, list[Task]]:
         return Rules(), [load_task(name) for name in Rules.tasks]
     rules = build(Rules, read_yaml(path), str(path))
     tasks, root = [], path.parent.resolve()
-    words = _BETWEEN_PATHS.split(re.sub("#.*", "", path.read_text(encoding="utf-8")))
+    # as bytes: a carriage return ends a line for YAML alone, not for the script
+    words = _BETWEEN_PATHS.split(re.sub("#.*", "", path.read_bytes().decode()))
     for name in rules.tasks:
         file = path.parent / name
         if not file.is_file():
@@ -58,6 +59,8 @@ def load_rules(path: Path | None) -> tuple[Rules, list[Task]]:
             raise ConfigError(f"{path}: {name}: a path is one word of letters, digits and . _ - /")
         check_revealed(file, path.parent)
         tasks.append(load_task(file))
+    if len({task.name for task in tasks}) < len(tasks):
+        raise ConfigError(f"{path}: tasks must differ by name, got {[x.name for x in tasks]}")
     return rules, tasks
 
 

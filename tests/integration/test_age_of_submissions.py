@@ -127,6 +127,24 @@ def test_rows_of_a_season_by_older_code_are_taken_from_a_branch_that_has_merged(
     assert "rival is removed" in said(status=1)
 
 
+@pytest.mark.parametrize("content", ["roads", "of the roads"])
+def test_roads_within_the_code_of_an_entry_make_no_other_one_newer(verifies, content):
+    """Its branch, from before all others, is merged after the season, which it has seen."""
+    repo, said = verifies
+    call("git", "branch", "rival", cwd=repo)
+    committed(repo, "mine", **RECORD_OF_MINE, **{CODE: "honest"})
+    roads, rules = of_season()
+    committed(repo, "the season ends", **roads, **rules, **{"seasons/1/salt.txt": "of the roads"})
+    call("git", "branch", "-f", "main", cwd=repo)
+    call("git", "switch", "rival", cwd=repo)
+    committed(repo, "knows", **{"submissions/rival/code/b.whl": content})
+    merge_ref(repo, "rival")
+    call("git", "branch", "-f", "main", cwd=repo)
+    call("git", "switch", "-C", "mine", cwd=repo)
+    committed(repo, "a word", **{"submissions/mine/card.yaml": ""})
+    assert said() == "verify-submission submissions/mine\n"
+
+
 @pytest.mark.parametrize("season", ["seasons/Frühjahr/class.yaml", "a-1.yaml"])
 def test_code_that_is_newer_than_a_season_of_any_name_is_refused(verifies, season):
     repo, said = verifies

@@ -71,7 +71,7 @@ def test_every_shipped_task_is_committed_and_revealed(name, tmp_path):
     assert hidden.conditions == public.conditions and hidden.board_name == public.board_name
     assert not hidden.test.all_seeds & (public.training.all_seeds | public.test.all_seeds)
     commitment = hidden_seeds.load(tmp_path)
-    drawn = hidden_seeds._seeds(SALT, commitment, public, len(public.test.seeds))
+    drawn = hidden_seeds._seeds(SALT, commitment, public, public.digest, len(public.test.seeds))
     assert list(hidden.test.seeds) == drawn  # what anyone finds who has the salt
     driven = [
         len(t.drives_of(t.test, condition)) for t in (public, hidden) for condition in t.conditions
@@ -151,19 +151,19 @@ def test_another_salt_gives_other_seeds_and_another_commitment():
     t = load_task("class")
     one, other = (hidden_seeds.commit(salt, [t]).commitment for salt in (SALT, SALT + "!"))
     assert one != other and one == hidden_seeds.commit(SALT, [t]).commitment
-    assert not drawn(SALT, "class")[0] & drawn(SALT + "!", "class")[0]
+    assert not {*drawn(SALT, "class")[0]} & {*drawn(SALT + "!", "class")[0]}
 
 
 def drawn(salt, *names):
-    """Return the sets of seeds of tasks that are committed together."""
+    """Return the seeds of tasks that are committed together."""
     tasks = [load_task(name) for name in names]
     hidden = hidden_seeds.commit(salt, tasks)
-    return [set(hidden_seeds._seeds(salt, hidden, task, 20)) for task in tasks]
+    return [hidden_seeds._seeds(salt, hidden, task, task.digest, 20) for task in tasks]
 
 
 def test_one_salt_gives_different_seeds_for_each_task_and_each_commitment():
     both, alone = drawn(SALT, "class", "new_road"), drawn(SALT, "class")
-    assert not both[0] & both[1] and not both[0] & alone[0]
+    assert len({*both[0], *both[1], *alone[0]}) == 60
 
 
 def test_neither_a_seed_nor_a_guessed_salt_can_be_tried_millions_of_times(monkeypatch):
@@ -231,14 +231,64 @@ def test_a_task_that_is_not_drawn_from_the_commitment_is_refused(tmp_path, below
                 load_rules(folder / "rules.yaml")
 
 
-@pytest.mark.parametrize("blank", ["\u0085", "\u2028", "\u00a0"])
+@pytest.fixture
+def refused(published):
+    """Whether rules refuse the file of a season with other keys of its task, or of its test."""
+    (path,) = hidden_seeds.reveal(SALT, published)
+    rules = published / "rules.yaml"
+    rules.write_text(f"tasks: [{path.name}]\n")
+    task = read_yaml(path)
+
+    def is_refused(test=None, **keys):
+        path.write_text(yaml.safe_dump({**task, **keys, "test": task["test"] | (test or {})}))
+        try:
+            load_rules(rules)
+        except ConfigError as error:
+            assert "it is no task of the commitment" in str(error)
+            return True
+        return False
+
+    return is_refused
+
+
+def test_a_later_package_may_describe_a_task_in_other_words(refused, monkeypatch):
+    assert not refused() and refused(title="Roads")
+    monkeypatch.setattr(hidden_seeds, "package_version", lambda: "99.0")
+    assert not refused() and not refused(title="Roads")
+    assert refused(board="paper")  # which would rank by another score
+
+
+def test_the_seeds_of_a_season_are_those_of_its_salt_in_any_later_package(refused, monkeypatch):
+    later = dataclasses.replace(load_task("class"), version=99)
+    (seeds,) = drawn(SALT, "class")
+    monkeypatch.setattr(hidden_seeds, "package_version", lambda: "99.0")
+    monkeypatch.setattr(
+        hidden_seeds, "load_task", lambda name: later if name == "class" else load_task(name)
+    )
+    assert not refused() and not refused({"seeds": seeds[:10]})
+    assert refused({"seeds": [7, *seeds[1:10]]}) and refused({"seeds": seeds[:9], "number": 45})
+
+
+def test_rules_name_some_tasks_and_each_once(tmp_path):
+    rules = tmp_path / "rules.yaml"
+    for text, why in (("[]", "must have at least 1"), ("[class, class]", "differ by name")):
+        rules.write_text(f"tasks: {text}\n")
+        with pytest.raises(ConfigError, match=why):
+            load_rules(rules)
+
+
+@pytest.mark.parametrize("blank", ["\r", "\u0085", "\u2028", "\u00a0"])
 def test_blanks_of_other_alphabets_part_no_words_of_the_rules(tmp_path, blank):
-    """The script parts them at those of ASCII alone; YAML breaks lines at the first two."""
+    """The script parts them at those of ASCII alone; YAML breaks lines at the first three, and a
+    carriage return ends no comment for the script.
+    """
     shutil.copy(find("tasks", "class"), tmp_path / "mine.yaml")
     text = f"tasks: ['mine.yam\\x6c'] # {blank}mine.yaml{blank}".replace("'", '"')
     if blank != "\u00a0":
         text = f"tasks:\n- new_road{blank}- mine.yaml{blank}seeds: 3\n"
-    (tmp_path / "rules.yaml").write_text(text, encoding="utf-8")
+    if blank == "\r":
+        text = "tasks: # of autumn\r  [mine.yaml]\n"
+    (tmp_path / "rules.yaml").write_bytes(text.encode())
     with pytest.raises(ConfigError, match="a path is one word of letters, digits and"):
         load_rules(tmp_path / "rules.yaml")
 

@@ -54,6 +54,8 @@ ESTIMATE = "a = np.nan_to_num(record.a[0])\nz[:] = 1e-3 * np.interp(stations, re
 def test_a_submission_is_verified_before_it_is_committed_and_after(verifies):
     repo, said = verifies
     assert said() == "no submission differs from main\n"
+    with (repo.parent / "road-recon").open("a") as program:  # a new one replaces none
+        program.write('case "$*" in *--replaces*) echo replaces; esac\n')
     shutil.copytree(repo / "submissions" / "rival", repo / "submissions" / "mine")
     verified = "verify-submission submissions/mine\n"
     assert said() == verified

@@ -392,6 +392,10 @@ def test_a_site_links_to_the_pages_of_past_seasons(build, submission):
     assert (index.parent / "seasons/1 & 2/index.html").read_text() == page.read_text()
     later = repository.build_site(repo, repo / "seasons" / "3" / "page", Limits())
     assert not (later.parent / "seasons").exists()
+    (repo / "seasons" / "4").mkdir()
+    (repo / "seasons" / "4" / "page").symlink_to("/")
+    with pytest.raises(ConfigError, match="4/page: a past season's site is a folder"):
+        repository.build_site(repo, repo.parent / "other", Limits())
 
 
 def test_no_text_of_a_submission_becomes_code_of_the_site(build, submission):
