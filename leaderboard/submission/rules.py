@@ -5,6 +5,7 @@ roads: 6        test drives per condition on random roads; all if it is missing
 seeds: 3        training seeds
 """
 
+import dataclasses
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,9 +17,10 @@ from pydantic import Field
 from leaderboard.entries.entry import Entry
 from leaderboard.evaluation.tasks import Task, load_task
 from leaderboard.metrics.bootstrap import MIN_ROADS
+from leaderboard.report.notes import PUBLIC_ROADS
 from leaderboard.running.board import RunRequest
 from leaderboard.sandbox.limits import Limits
-from leaderboard.submission.hidden_seeds import check_revealed
+from leaderboard.submission.hidden_seeds import COMMITMENT, check_revealed
 from road_envs.core.config import ConfigError, Count, Settings, build, read_yaml
 
 RULES = "rules.yaml"
@@ -43,13 +45,13 @@ def load_rules(path: Path | None) -> tuple[Rules, list[Task]]:
     if path is None:
         return Rules(), [load_task(name) for name in Rules.tasks]
     rules = build(Rules, read_yaml(path), str(path))
-    tasks, root = [], path.parent.resolve()
+    sealed, public, root = [], [], path.parent.resolve()
     # as bytes: a carriage return ends a line for YAML alone, not for the script
     words = _BETWEEN_PATHS.split(re.sub("#.*", "", path.read_bytes().decode()))
     for name in rules.tasks:
         file = path.parent / name
         if not file.is_file():
-            tasks.append(load_task(name))
+            public.append(load_task(name))
             continue
         # git knows its age by this path alone
         if file.resolve().as_posix() != f"{root.as_posix()}/{name}":
@@ -58,7 +60,12 @@ def load_rules(path: Path | None) -> tuple[Rules, list[Task]]:
         if name not in words or not _PATH.fullmatch(name):
             raise ConfigError(f"{path}: {name}: a path is one word of letters, digits and . _ - /")
         check_revealed(file, path.parent)
-        tasks.append(load_task(file))
+        task = load_task(file)
+        if (file.parent / COMMITMENT).is_file():
+            sealed.append(task)
+        else:
+            public.append(dataclasses.replace(task, note=f"{task.note} {PUBLIC_ROADS}".strip()))
+    tasks = [*sealed, *public]  # a site begins with the first
     if len({task.name for task in tasks}) < len(tasks):
         raise ConfigError(f"{path}: tasks must differ by name, got {[x.name for x in tasks]}")
     return rules, tasks

@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 from leaderboard.cli import app
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.evaluation.test_data import simulate_drives
+from leaderboard.report.notes import PUBLIC_ROADS
 from leaderboard.report.sentences import build_report
 from leaderboard.report.site import write_site
 from leaderboard.running.board import run_board
@@ -267,6 +268,19 @@ def test_the_seeds_of_a_season_are_those_of_its_salt_in_any_later_package(refuse
     )
     assert not refused() and not refused({"seeds": seeds[:10]})
     assert refused({"seeds": [7, *seeds[1:10]]}) and refused({"seeds": seeds[:9], "number": 45})
+
+
+def test_a_site_begins_with_the_season_and_says_which_roads_of_its_own_are_public(published):
+    (path,) = hidden_seeds.reveal(SALT, published)
+    (published / "mine").mkdir()
+    text = find("tasks", "class").read_text().replace("name: class", "name: own")
+    (published / "mine" / "own.yaml").write_text(text)
+    rules = published / "rules.yaml"
+    rules.write_text(f"tasks: [new_road, mine/own.yaml, {path.name}]\n")
+    season, shipped, own = load_rules(rules)[1]
+    assert [season.name, shipped.name, own.name] == [path.stem, "new_road", "own"]
+    assert PUBLIC_ROADS in own.note and not own.is_public and shipped.is_public
+    assert season.note == load_task("class").note
 
 
 def test_rules_name_some_tasks_and_each_once(tmp_path):
