@@ -172,8 +172,8 @@ def _seeds(salt: str, hidden: _HiddenSeeds, task: Task, digest: str, count: int)
     drawn: list[int] = []
     k = 0
     while len(drawn) < count:
-        digest = hashlib.sha256(key + str(k).encode()).digest()
-        seed = int.from_bytes(digest[:8], "big") >> 2
+        word = hashlib.sha256(key + str(k).encode()).digest()
+        seed = int.from_bytes(word[:8], "big") >> 2
         roads = {seed + i * SEED_STRIDE for i in range(len(task.test.roads))}
         if not roads & public:
             drawn.append(seed)
