@@ -25,7 +25,7 @@ from fakes import fake_drives
 from in_process import InProcessExecutor
 
 from leaderboard.entries.entry import BUILTIN, Entry
-from leaderboard.evaluation import evaluate, store
+from leaderboard.evaluation import evaluate, provenance, store
 from leaderboard.evaluation.results import RESULT
 from leaderboard.evaluation.store import part_path, row_path
 from leaderboard.running import board as board_module
@@ -145,6 +145,20 @@ def test_an_entry_by_others_is_run_again_when_the_package_that_it_builds_on_chan
     monkeypatch.setattr(jobs, "package_code", lambda: "of today")
     after = [jobs.result_identity(small(), 1, entry, (1,)) for entry in entries]
     assert after[:2] == before[:2] and after[2] != before[2]
+
+
+def test_the_package_that_others_build_on_has_weights_and_vehicles(monkeypatch):
+    kept = {}
+
+    def digest_of(paths, root=None):
+        kept.update((path.name, path) for path in paths)
+        return ""
+
+    monkeypatch.setattr(provenance, "digest", digest_of)
+    provenance.package_code.__wrapped__()
+    assert {"fir_ridge.safetensors", "land_rover_defender_110.yaml", "provenance.py"} <= {*kept}
+    shown = kept["new_road.yaml"].parent.name  # a board changes no result
+    assert shown == "tasks" and "measured.yaml" not in kept
 
 
 def test_a_row_is_of_the_code_that_looks_for_foul_play_too():

@@ -243,6 +243,19 @@ def test_training_on_the_test_road_must_be_declared(training):
             {"board": "papers"},
             "unknown board 'papers' (did you mean 'paper'?); known: class, field",
         ),
+        (
+            {"board": {"title": "Mine", "ranks_by": "r"}},  # of which more is better
+            "unknown score to rank by, of which less is better: 'r'",
+        ),
+        (
+            {
+                "conditions": [
+                    {"mode": "ride", "speed_kmh": 9.0, "car": f"{folder}/van.yaml"}
+                    for folder in "ab"
+                ]
+            },
+            "conditions must have labels that differ",
+        ),
         ({"test": {"roads": ["iso_x"], "seeds": [9]}}, "unknown road 'iso_x'"),
         ({"test": {"roads": [], "seeds": [9]}}, "roads: must have at least 1 element, got"),
         ({"test": {"roads": ["iso_d"], "seeds": [9, 9]}}, "seeds must differ"),

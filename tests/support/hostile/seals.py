@@ -175,7 +175,8 @@ def does_look_ahead_later(where, record):
 
 
 def does_tell_when_its_code_was_copied(where, record):
-    raise RuntimeError(f"copied at {os.stat(__file__).st_ctime_ns}")
+    times = os.stat(__file__)
+    raise RuntimeError(f"written at {times.st_mtime_ns}, copied at {times.st_ctime_ns}")
 
 
 def does_tell_the_name_of_its_folder(where, record):
