@@ -326,10 +326,12 @@ def test_a_guest_that_is_killed_as_it_starts_is_started_again(sandbox, monkeypat
 
 def test_no_module_of_a_wheel_stands_before_those_of_the_judge(sandbox, tmp_path):
     code = "raise SystemExit('loaded')\n"
-    names = ("numpy/__init__", "leaderboard/__init__", "sitecustomize", "usercustomize", "signal")
+    names = ("numpy/__init__", "leaderboard/__init__", "sitecustomize", "usercustomize", "colorsys")
     files = [(f"{name}.py", code) for name in names]
     (entry,) = entries.resolve_entries(
-        [str(write_wheel(tmp_path, "shadow", module(), files=files))], sandbox.describe
+        # the last one is loaded by nothing before the wheel
+        [str(write_wheel(tmp_path, "shadow", module(head="import colorsys"), files=files))],
+        sandbox.describe,
     )
     assert entry.failure is None
     assert sandbox.reconstruct(entry, [], *drives(1), (1,))[0].estimates
