@@ -199,9 +199,9 @@ def test_a_restart_is_known_to_earlier_stations_only_if_they_are_emitted_later()
 
 def test_a_vehicle_far_from_its_description_is_not_begun_anew_again_and_again():
     record, truth = simulate_record(
-        "iso_d", mode="handling", speed_kmh=54.0, seed=160, grade="S3", length=100.0
+        "iso_d", mode="handling", speed_kmh=54.0, seed=164, grade="S4", length=100.0
     )
-    assert error(create("kalman_lag").estimate(record, DEFENDER), truth) < 1.0  # else 1.4
+    assert error(create("kalman_lag").estimate(record, DEFENDER), truth) < 0.95  # else 1.17
 
 
 def test_what_is_measured_after_a_restart_tells_nothing_of_the_road_before():
