@@ -63,7 +63,7 @@ def roll(car, f, v=V):
 def test_the_roll_response_is_that_of_the_lagrangian_in_fixed_axes():
     f = np.array([0.3, 0.67, 1.0, 2.0, 3.0, 5.0, 8.0, 12.0, 20.0])
     for v in (3.0, 10.0, 30.0):
-        for car in (LINEAR, PACKAGE):
+        for car in (LINEAR, PACKAGE, with_side(LINEAR, swing_arm=(1.4, 2.0))):  # which leans
             np.testing.assert_allclose(roll(car, f, v), independent_roll(car, f, v), rtol=1e-9)
 
 
