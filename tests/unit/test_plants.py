@@ -93,6 +93,15 @@ def test_a_car_on_a_level_road_stays_at_rest(plant, name):
     assert np.abs(motion).max() < 3e-3
 
 
+def test_a_car_of_mujoco_goes_where_it_heads():
+    """Without slip its speed sideways is v psi, here 10 m/s times 0.01."""
+    one = MujocoCar(CARS["bmw_320i"], POINTS)
+    one.data.qpos[2] = 0.01
+    for _ in range(2000):
+        one.step(np.zeros(4), np.zeros(4), 10.0)
+    assert one.data.qvel[0] == pytest.approx(0.1, abs=0.015)
+
+
 def test_struts_and_tyres_of_mujoco_carry_the_weight():
     car = CARS["bmw_320i"]
     one = MujocoCar(car, POINTS)
