@@ -12,12 +12,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from leaderboard.evaluation.kept_drives import kept_path
+from leaderboard.evaluation.kept_drives import facts, kept_path
 from leaderboard.evaluation.tasks import Condition, load_task
 from road_envs.core import config
 from road_envs.drives.recording import write_record
 from road_envs.plants.driving import simulate_on_plant
 from road_envs.roads import Road
+from road_envs.sensing.instruments import load_instruments
 
 TASKS = ("plants_told", "plants_known", "plants_blind")
 PLACES = 2
@@ -55,7 +56,8 @@ def main() -> None:
             plant, surface, speed_kmh=speed, seed=seed, vehicle=car, instruments=instruments
         )
         about = {"plant": plant, "vehicle": car, "road": surface.name, "seed": seed}
-        write_record(path, record, about | {"speed_kmh": speed, "instruments": instruments})
+        about |= {"speed_kmh": speed, **facts(surface, load_instruments(instruments))}
+        write_record(path, record, about)
         pack(path)
         print(path.name, flush=True)
 

@@ -162,15 +162,22 @@ def _tasks(
     if sum(map(bool, (tasks, boards, roads))) > 1:
         raise ConfigError("give only one of --task, --board and --road")
     if roads:
-        return [task for road in roads for task in surface_tasks(road)]
+        return _of_different_names([task for road in roads for task in surface_tasks(road)])
     boards = [name.replace("-", "_") for name in boards or []]
     for name in boards:
         validate_choice("board", name, names("boards"))
     if "measured" in boards:
         raise ConfigError("the board of measured surfaces needs files: give them with --road")
     if tasks:
-        return [load_task(name) for name in tasks]
+        return _of_different_names([load_task(name) for name in tasks])
     return [task for task in shipped_tasks() if not boards or task.board_name in boards]
+
+
+def _of_different_names(tasks: list[Task]) -> list[Task]:
+    names = [task.name for task in tasks]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise ConfigError(f"two tasks are named {twice[0]}: name one differently")
+    return tasks
 
 
 def _entries(names: Sequence[str] | None, without: Sequence[str], limits: Limits) -> list[Entry]:

@@ -90,7 +90,7 @@ def verified_output(found: Sequence[Verified]) -> Output:
         numbers = [""] * 3
         if row.runs:
             numbers = [str(row.runs), f"{row.distance:.1e}", f"{row.tolerance:.0e}"]
-        verdict = "agrees" if row.agrees else "DIFFERS"
+        verdict = "agrees" if row.agrees else f"DIFFERS: {row.is_far or 'no run'}"
         if row.reason:
             verdict = f"DIFFERS: {row.reason}" if row.is_false else row.reason
         cells.append([row.estimator, row.task, *numbers, str(row.score), verdict])

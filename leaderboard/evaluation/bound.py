@@ -31,13 +31,13 @@ def nrmse_bound(task: Task, condition: Condition, truth: Profile) -> float:
     if road is None:
         return np.nan
     mode = json.dumps(condition.simulator_mode)
-    return pooled_bound(task.car, task.instruments, mode, v, *road)
+    return pooled_bound(condition.car or task.car, task.instruments, mode, v, *road)
 
 
 def third_octave_bound(task: Task, condition: Condition) -> list[float]:
     """Return the least NRMSE [-] in each of THIRD_OCTAVES on an ISO road (w = 2) of class D."""
     v, edge = condition.speed_kmh / 3.6, 2.0 ** (1 / 6)  # half a third octave
-    car, instruments = load_vehicle(task.car), load_instruments(task.instruments)
+    car, instruments = task.vehicle_of(condition), load_instruments(task.instruments)
     n = np.geomspace(THIRD_OCTAVES[0] / edge, THIRD_OCTAVES[-1] * edge, 15 * 60)
     prior = RoadPrior(G_d0=CLASSES["D"])
     posterior = bound(car, condition.simulator_mode, v, instruments, prior, n=n)

@@ -2,7 +2,7 @@
 
 `configs/plants` holds one Parquet file for each drive, which `python -m studies.plant_records`
 writes, and a card. The true profile follows from the road and its seed. Drives of a season, whose
-seeds nobody knew, are not kept: the plant drives them.
+seeds nobody knew, are not kept: the plant drives them, as it does other roads of the same name.
 """
 
 import hashlib
@@ -10,6 +10,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from leaderboard.json_values import to_json_types
 from road_envs.core import config
 from road_envs.core.config import ConfigError
 from road_envs.core.extras import MissingExtraError
@@ -19,11 +22,21 @@ from road_envs.records.record import Profile, Record
 from road_envs.roads import Surface
 from road_envs.sensing.instruments import Instruments
 
+SAME_HEIGHT = 1e-5
+"""Largest difference [m] of the heights of one road, which machines round in their own ways."""
+
 
 def kept_path(plant: str, car: str, road: str, speed_kmh: float, seed: int) -> Path:
     """Return the file of the drive of a plant with the numbers of a shipped `car`."""
     stem = f"{plant}_{car}_{road}_{speed_kmh:g}_{seed}".replace(" ", "_")
     return config.folder() / "plants" / f"{stem}.parquet"
+
+
+def facts(surface: Surface, instruments: Instruments) -> dict[str, Any]:
+    """Return what the file of a kept drive says of its road, some heights [m], and instruments."""
+    heights = surface.height(np.linspace(0.0, surface.length, 8)).round(6).tolist()
+    told = {"length": surface.length, "heights": heights, "instruments": instruments}
+    return to_json_types(told)  # type: ignore[no-any-return]
 
 
 def drive_of_plant(
@@ -34,14 +47,17 @@ def drive_of_plant(
     `seed` is that of the surface. Raises ConfigError if it is not kept nor can be made.
     """
     path = kept_path(plant, car, surface.name, speed_kmh, seed)
-    if not path.exists():
-        given: dict[str, Any] = {"speed_kmh": speed_kmh, "seed": seed, "instruments": instruments}
-        try:
-            return simulate_on_plant(plant, surface, vehicle=car, **given)
-        except MissingExtraError as error:
-            raise ConfigError(f"the drive {path.name} is not kept: {error}") from None
-    record, _ = read_record(path)
-    return record, true_profile(surface)
+    if path.exists():
+        record, about = read_record(path)
+        wanted = facts(surface, instruments)
+        heights = np.abs(np.subtract(about.pop("heights"), wanted.pop("heights")))
+        if heights.max() < SAME_HEIGHT and wanted.items() <= about.items():
+            return record, true_profile(surface)
+    given: dict[str, Any] = {"speed_kmh": speed_kmh, "seed": seed, "instruments": instruments}
+    try:
+        return simulate_on_plant(plant, surface, vehicle=car, **given)
+    except MissingExtraError as error:
+        raise ConfigError(f"the drive {path.name} is not kept: {error}") from None
 
 
 @cache

@@ -1,5 +1,6 @@
 """Files that a task names: surfaces, roads, vehicles, instruments."""
 
+import hashlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,18 @@ DESCRIPTIVE_FIELDS = frozenset(
     {"title", "board", "source", "sources", "note", "claimed_level_error", "families"}
 )
 """Fields that only describe a task: editing them does not invalidate results."""
+
+
+def files_of(path: str) -> list[Path]:
+    """Return a file and the one beside it that holds the numbers of an ERD surface."""
+    binary = Path(path).with_suffix(".bin")
+    return [Path(path), *([binary] if path.lower().endswith(".erd") and binary.exists() else [])]
+
+
+def digest_of(path: str) -> str:
+    """Return the SHA-256 of a file with that beside it."""
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files_of(path))).hexdigest()
+
 
 _SUFFIXES = (".yaml", ".yml", *SURFACE_SUFFIXES)
 

@@ -22,7 +22,7 @@ from pydantic import Field
 
 from leaderboard.evaluation.boards import BoardDefinition, shipped_boards
 from leaderboard.evaluation.kept_drives import kept_digest
-from leaderboard.evaluation.task_files import DESCRIPTIVE_FIELDS, with_paths
+from leaderboard.evaluation.task_files import DESCRIPTIVE_FIELDS, digest_of, with_paths
 from leaderboard.json_values import to_json_types
 from road_envs.core import config
 from road_envs.core.config import ConfigError, Count, Positive, Settings
@@ -393,7 +393,7 @@ def _digested_fields(value: Any) -> dict[str, Any]:
     if isinstance(value, Task | Condition):
         kept |= {name: Path(kept[name]).name for name in ("car", "instruments") if name in kept}
     if isinstance(value, Measured):
-        kept["path"] = hashlib.sha256(Path(value.path).read_bytes()).hexdigest()
+        kept["path"] = digest_of(value.path)
     return kept
 
 

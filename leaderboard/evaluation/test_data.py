@@ -28,6 +28,9 @@ class RecordedDrive:
     calibration: tuple[CalibrationDrive, ...] = ()
 
 
+_CALIBRATION = 1
+"""Random streams of the noise of calibration drives; those of test drives have no second number."""
+
 DriveSimulation = Callable[[Task, DriveSet, Condition], Iterator[RecordedDrive]]
 """Function that simulates drives: `simulate_drives`, or a faster substitute in tests."""
 
@@ -55,8 +58,8 @@ def simulate_drive(
 ) -> RecordedDrive:
     """Return the drive over the `road` of a `seed`, without drives to calibrate with."""
     surface = road.realise(np.random.default_rng(seed))
-    stream = task.seed_stream(condition)
-    record, truth = _driven(task, drives, condition, condition, surface, (seed, seed, stream))
+    noise = np.random.SeedSequence(seed, spawn_key=(task.seed_stream(condition),))
+    record, truth = _driven(task, drives, condition, condition, surface, (seed, seed, noise))
     return RecordedDrive(0, surface.name, seed, record, truth, surface.notes)
 
 
@@ -66,7 +69,9 @@ def calibration_drives(task: Task, condition: Condition, seed: int) -> tuple[Cal
     for k, run in enumerate(task.calibration, start=1):
         own_seed = seed + run.seed_offset
         rng = np.random.default_rng(own_seed)
-        surface, seeds = run.driven_road.realise(rng), (seed, own_seed, run.seed_offset)
+        surface = run.driven_road.realise(rng)
+        noise = np.random.SeedSequence(seed, spawn_key=(_CALIBRATION, run.seed_offset))
+        seeds = (seed, own_seed, noise)
         record, truth = _driven(task, task.test, condition, run, surface, seeds)
         profile = None if run.survey_std is None else levelled(truth, run.survey_std, rng)
         std = run.survey_std or CalibrationDrive.survey_std
@@ -80,11 +85,12 @@ def _driven(
     condition: Condition,
     run: ModeAndSpeed,
     surface: Surface,
-    seeds: tuple[int, int, int],
+    seeds: tuple[int, int, np.random.SeedSequence],
 ) -> tuple[Record, Profile]:
     """Return record and truth of a `run` over a surface by the vehicle of a condition.
 
-    `seeds` are those of the vehicle, of the surface, and, beside that of the vehicle, of the noise.
+    `seeds` are those of the vehicle, of the surface and of the noise, which no other may draw: a
+    road that varies is filtered white noise.
     """
     of_vehicle, of_surface, of_noise = seeds
     if condition.plant and drives is task.test:
@@ -98,7 +104,7 @@ def _driven(
         surface,
         speed_kmh=run.speed_kmh,
         mode=run.simulator_mode,
-        seed=np.random.SeedSequence([of_vehicle, of_noise]),
+        seed=of_noise,
         vehicle=task.vehicle_of(condition),
         instruments=instruments,
         individual=np.random.SeedSequence(of_vehicle),

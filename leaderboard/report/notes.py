@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from estimators.lookup import TRAINING_VEHICLE
-from leaderboard.evaluation.results import ISOLATED, Result
+from leaderboard.evaluation.results import ISOLATED, Result, content_digest
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics.baselines import NOISE_LEVEL, TRUTH_PLUS_NOISE
 from leaderboard.metrics.registry import SCORES
@@ -134,7 +134,7 @@ def _kernel_notes(
     usual = max(set(made.values()), key=lambda x: (list(made.values()).count(x), x), default="")
     notes: dict[str, list[str]] = {}
     for result in results:
-        again = [x for x in verified.get(result.identity, ()) if x.kernels == usual]
+        again = [x for x in verified.get(content_digest(result), ()) if x.kernels == usual]
         says_usual = made[result.estimator] == usual
         if any(x.agrees for x in again) or (says_usual and not again):
             continue

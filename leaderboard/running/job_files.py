@@ -4,7 +4,6 @@ A job names files of the machine that planned it. Packed, it names copies of the
 own file and by the digest of their content, so that it can be run where there are no other files.
 """
 
-import hashlib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ from typing import Any
 from leaderboard.entries import entry_files
 from leaderboard.entries.entries import is_ours
 from leaderboard.entries.entry import BUILTIN, Entry, EntryError
-from leaderboard.evaluation.task_files import with_paths
+from leaderboard.evaluation.task_files import digest_of, files_of, with_paths
 from road_envs.core.config import ConfigError
 
 _FOLDER = "files"
@@ -27,9 +26,9 @@ def pack(spec: dict[str, Any], entries: Iterable[Entry]) -> tuple[dict[str, Any]
     sources: dict[str, Path] = {}
 
     def copy(path: str) -> str:
-        name = f"{_FOLDER}/{hashlib.sha256(Path(path).read_bytes()).hexdigest()}/{Path(path).name}"
-        sources[name] = Path(path)
-        return name
+        folder = f"{_FOLDER}/{digest_of(path)}"
+        sources.update({f"{folder}/{file.name}": file for file in files_of(path)})
+        return f"{folder}/{Path(path).name}"
 
     try:
         task = with_paths(spec["task"], copy)

@@ -44,7 +44,7 @@ class Job(Settings):
     seeds: tuple[int, ...]
     limits: Limits = field(default_factory=Limits)
     task_digest: str = ""
-    evaluation_code: str = ""  # version of the evaluation code that planned the job
+    evaluation_code: str = ""  # version of the code, with its weights, that planned the job
     files: str = ""  # folder with copies of all files that the job needs; "": they are elsewhere
 
 
@@ -88,9 +88,13 @@ def to_packed_text(job: Job) -> tuple[str, dict[str, Path]]:
     return json.dumps(spec, indent=1) + "\n", sources
 
 
+def _code_here() -> str:
+    return f"{evaluation_version()}+{package_code()}"  # of which no file of weights is a part
+
+
 def _to_spec(job: Job) -> dict[str, Any]:
-    digest, code = job.task.digest, evaluation_version()
-    spec = to_json_types(dataclasses.replace(job, task_digest=digest, evaluation_code=code))
+    known = {"task_digest": job.task.digest, "evaluation_code": _code_here()}
+    spec = to_json_types(dataclasses.replace(job, **known))
     return job_files.locate(spec, Path())  # the process that runs it has another working folder
 
 
@@ -110,8 +114,8 @@ def from_text(text: str, where: str, folder: Path = Path()) -> Job:
     job = build(Job, data, where)
     if not 0 <= job.condition < len(job.task.conditions):
         raise ConfigError(f"{where}: {job.task.name} has no condition {job.condition}")
-    if job.evaluation_code != evaluation_version():
-        raise ConfigError(f"{where}: planned by another version of the code; plan it again")
+    if job.evaluation_code != _code_here():
+        raise ConfigError(f"{where}: planned by other code or weights; plan it again")
     if job.task_digest != job.task.digest:
         raise ConfigError(
             f"{where}: the task {job.task.name} or one of its files differs here; plan it again"

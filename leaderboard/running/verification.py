@@ -24,20 +24,21 @@ from leaderboard.entries.entries import registered_entry
 from leaderboard.entries.entry import Entry
 from leaderboard.evaluation import comparison, evaluate, store
 from leaderboard.evaluation.provenance import describe_environment
-from leaderboard.evaluation.results import RUN, Result
+from leaderboard.evaluation.results import RUN, Result, content_digest
 from leaderboard.evaluation.task_files import with_paths
 from leaderboard.evaluation.tasks import Condition, Task
 from leaderboard.evaluation.test_data import RecordedDrive, simulate_drives
 from leaderboard.json_values import to_json_types
 from leaderboard.metrics.bootstrap import REPRODUCIBLE, interquartile_mean
 from leaderboard.metrics.registry import SCORES
+from leaderboard.running import job_files
 from leaderboard.sandbox.client import ONE_TRAINING
 from leaderboard.sandbox.retest import NOT_CAUSAL, NOT_RETESTED, REMEMBERS
 from road_envs.core.artifacts import Kind
 from road_envs.core.config import ConfigError, Settings, build
 
 _DEFINITION = Kind("task", 1)
-_VERIFICATION = Kind("verification", 1)
+_VERIFICATION = Kind("verification", 2)
 
 SHARE = 0.1
 """Share of the drives of a task that are run again."""
@@ -61,7 +62,7 @@ class Verified(Settings):
 
     task: str
     estimator: str
-    identity: str = ""  # of the row
+    content: str = ""  # digest of the row
     kernels: str = ""
     tolerance: float = comparison.OTHER_KERNELS
     runs: int = 0
@@ -79,10 +80,18 @@ class Verified(Settings):
         Any row can name another machine and have the wide tolerance: its mean may still move by no
         more than one run, whose weight is up to 2 / `runs`.
         """
+        return self.runs > 0 and not self.reason and not self.is_far
+
+    @property
+    def is_far(self) -> str:
+        """What of the scores is too far from those of the row, in words; "" if nothing is."""
         near = min(self.tolerance, REPRODUCIBLE)  # so no row is moved as a whole
         mean = near + 2.0 * self.tolerance / max(self.runs, 1)
-        far = self.distance > self.tolerance or self.typical > near or self.shift > mean
-        return self.runs > 0 and not self.reason and not far
+        if self.distance > self.tolerance:
+            return "more than the tolerance"
+        if self.typical > near:
+            return f"half of its runs by {self.typical:.1e} or more, of {near:.0e} allowed"
+        return f"its mean by {self.shift:.1e}, of {mean:.0e} allowed" if self.shift > mean else ""
 
 
 def kernels_of(environment: Mapping[str, str]) -> str:
@@ -115,14 +124,14 @@ def _load_definitions(out: Path) -> list[Task]:
 
 
 def load_verified(out: Path) -> dict[str, list[Verified]]:
-    """Verified rows of a folder, by the identity of the row; nothing if it is damaged."""
+    """Verified rows of a folder, by the digest of their content; nothing if it is damaged."""
 
     def parse(data: Mapping[str, Any]) -> list[Verified]:
         return [build(Verified, row, "verified.json") for row in data["rows"]]
 
     by_row: dict[str, list[Verified]] = {}
     for row in _VERIFICATION.find(out / "verified.json", "", parse) or []:
-        by_row.setdefault(row.identity, []).append(row)
+        by_row.setdefault(row.content, []).append(row)
     return by_row
 
 
@@ -130,9 +139,9 @@ def save_verified(found: Iterable[Verified], out: Path) -> None:
     """Add to what was verified in a folder; what is found on the same kernels is replaced."""
     earlier = [row for rows in load_verified(out).values() for row in rows]
     found = list(found)
-    rows = {(row.identity, row.kernels): row for row in [*earlier, *found] if not row.reason}
+    rows = {(row.content, row.kernels): row for row in [*earlier, *found] if not row.reason}
     for row in (row for row in found if row.is_false):
-        rows.pop((row.identity, row.kernels), None)
+        rows.pop((row.content, row.kernels), None)
     _VERIFICATION.write(out / "verified.json", {"rows": [*map(dataclasses.asdict, rows.values())]})
 
 
@@ -216,7 +225,8 @@ def _verify_row(
     for condition, drives in data.items():
         made = evaluate.evaluate_entry(task, condition, drives, entry, row.seeds, run)
         if made.failure is not None:
-            return dataclasses.replace(found, reason=made.failure, is_false=True)
+            others = job_files.is_by_others(entry)  # ours may lack a library here
+            return dataclasses.replace(found, reason=made.failure, is_false=others)
         busy = busy or "".join(_not_retested(made)[: not _not_retested(row)])
         if reason := _other_claim(row, made):
             return dataclasses.replace(found, reason=reason, is_false=True)
@@ -303,8 +313,8 @@ def _not_retested(row: Result) -> list[str]:
 
 def _without_runs(task: Task, row: Result, reason: str = "") -> Verified:
     return Verified(
-        task=task.name, estimator=row.estimator, identity=row.identity, tolerance=_tolerance(row),
-        kernels=kernels_of(describe_environment()), reason=reason,
+        task=task.name, estimator=row.estimator, content=content_digest(row), reason=reason,
+        kernels=kernels_of(describe_environment()), tolerance=_tolerance(row),
     )  # fmt: skip
 
 

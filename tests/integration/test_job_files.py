@@ -15,6 +15,7 @@ from board_runs import (
 )
 from fakes import fake_drives, task
 from in_process import InProcessExecutor
+from oracles_roads import erd_file
 
 from leaderboard.entries import entry_files
 from leaderboard.entries.entry import Entry
@@ -48,7 +49,7 @@ def test_a_job_is_equal_after_writing_and_reading_its_file(t):
         (lambda data: [], "a job: not a job"),
         (lambda data: {**data, "colour": 1}, "colour: unknown key"),
         (lambda data: {**data, "condition": 7}, "small has no condition 7"),
-        (lambda data: {**data, "evaluation_code": "0"}, "planned by another version of the code"),
+        (lambda data: {**data, "evaluation_code": "0"}, "planned by other code or weights"),
         (lambda data: {**data, "task_digest": "0"}, "the task small or one of its files differs"),
     ],
 )
@@ -57,6 +58,14 @@ def test_an_invalid_job_file_is_rejected_with_the_reason(change, message):
     data = change(json.loads(jobs.to_text(job)))
     with pytest.raises(ConfigError, match=message):
         jobs.from_text(data if isinstance(data, str) else json.dumps(data), "a job")
+
+
+def test_a_job_is_not_run_where_the_weights_differ(tmp_path, monkeypatch):
+    job = jobs.Job(task=small(), condition=0, entries=(), seeds=(1,))
+    text = jobs.to_text(job)
+    monkeypatch.setattr(jobs, "package_code", lambda: "of other weights")
+    with pytest.raises(ConfigError, match="a job: planned by other code or weights; plan it again"):
+        jobs.from_text(text, "a job")
 
 
 def test_entries_are_split_into_jobs_only_if_workers_would_be_idle(tmp_path):
@@ -99,10 +108,15 @@ def test_planned_jobs_need_no_other_file(tmp_path):
     given = tmp_path / "given"
     write_files(given)
     (given / "elsewhere.py").write_text(wheels.module())
+    header, body = erd_file(
+        np.random.default_rng(5).standard_normal((2, 900)), "<"
+    )  # heights in a file of their own
+    (given / "section.erd").write_bytes(header)
+    (given / "section.bin").write_bytes(body)
     changed = {"kind": "noisy_copy", "road": {"kind": "measured", "path": str(given / "road.csv")}}
     t = task(
         car=str(given / "car.yaml"),
-        training={"roads": [changed], "seeds": [1]},
+        training={"roads": [changed, str(given / "section.erd")], "seeds": [1]},
         trains_on_test_road=True,
     )
     code = entry_files.snapshot(str(given), None)

@@ -66,6 +66,21 @@ def test_what_is_not_kept_is_driven_by_the_plant_or_refused(monkeypatch):
         drive_of_plant(*drive)
 
 
+@pytest.mark.parametrize("changed", ["road", "length", "instruments"])
+def test_another_road_of_the_same_name_or_other_instruments_are_not_those_of_a_kept_drive(
+    changed, monkeypatch
+):
+    (given,) = simulate_drives(BOARD[0], BOARD[0].test, BOARD[0].conditions[0])
+    length = 90.0 if changed == "length" else 100.0
+    surface = realise_road("iso_b", given.seed, length)
+    if changed == "road":
+        surface = dataclasses.replace(surface, z=1.1 * surface.z)
+    sensors = load_instruments("phone" if changed == "instruments" else "paper")
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(ConfigError, match="is not kept"):
+        drive_of_plant("mujoco", "bmw_320i", surface, 90.0, given.seed, sensors)
+
+
 def test_the_described_car_is_that_of_the_condition():
     told = BOARD[0]
     cars = [told.vehicle_of(condition) for condition in told.conditions]

@@ -142,6 +142,15 @@ def test_no_estimate_rises_beyond_three_times_the_range_of_the_road(road, mode):
     assert np.ptp(estimate.z, axis=1).max() < 3.0 * np.ptp(truth.z)
 
 
+def test_a_prior_under_which_its_road_is_most_improbable_is_not_taken():
+    """Of a single wave it would allow hardly any other road: the error would be 0.21."""
+    record, truth = simulate_record("washboard_oblique", speed_kmh=90.0, mode=MIXED, seed=3)
+    estimate = create("map_smoother").estimate(record, DEFENDER)
+    error = estimate.z - [np.interp(estimate.s, truth.s, z) for z in truth.z]
+    error -= error.mean(axis=1, keepdims=True)
+    assert error.std() < 0.18 * truth.z.std()
+
+
 def test_draws_have_the_error_of_the_estimate_octave_by_octave_and_agree_with_the_deviation():
     surface = realise_road("iso_c", 73, 150.0)
     record, truth = simulate_record(surface, vehicle=DEFENDER, speed_kmh=54.0, mode=MIXED, seed=73)

@@ -37,6 +37,19 @@ def test_the_bound_of_a_realised_road_is_that_of_its_class(place):
     assert found == pytest.approx((0.117, 0.0266)[place], rel=0.1)
 
 
+def test_the_bound_is_that_of_the_car_of_the_condition():
+    condition = {"mode": "passive", "speed_kmh": 54.0}
+    own = task(car="van", conditions=[condition])
+    other = task(car="bmw_320i", conditions=[condition])
+    given = task(car="bmw_320i", conditions=[{**condition, "car": "van"}])
+    of_road, of_octaves = (
+        [find(t, t.conditions[0], *more) for t in (own, given, other)]
+        for find, more in ((nrmse_bound, [realised(road_class="C")]), (third_octave_bound, []))
+    )
+    assert of_road[0] == of_road[1] > 1.3 * of_road[2]
+    assert of_octaves[0] == of_octaves[1] != of_octaves[2]
+
+
 def test_level_and_waviness_are_fitted_inside_the_band():
     band = (0.2, 1.8)
     level, w = fit_spectrum(realised(road_class="D"), band)

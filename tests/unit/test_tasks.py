@@ -127,7 +127,7 @@ def test_training_uses_the_nominal_vehicle_and_test_one_perturbed_vehicle(monkey
     seen = []
 
     def recorded(surface, *, grade, seed, individual, **options):
-        seen.append((grade, seed.entropy, individual.entropy))
+        seen.append((grade, seed.entropy, *seed.spawn_key, individual.entropy))
         return simulate_record(surface, grade=grade, seed=seed, individual=individual, **options)
 
     monkeypatch.setattr(test_data, "simulate_record", recorded)
@@ -136,8 +136,8 @@ def test_training_uses_the_nominal_vehicle_and_test_one_perturbed_vehicle(monkey
     for condition in t.conditions:
         list(simulate_drives(t, t.training, condition)), list(simulate_drives(t, t.test, condition))
     trained, tested = seen[::2], seen[1::2]
-    assert trained == [("S0", [1, 0], 1)] * 3
-    assert tested == [(grade, [11, 0], 11) for grade in ("S0", "S1", "S3")]
+    assert trained == [("S0", 1, 0, 1)] * 3
+    assert tested == [(grade, 11, 0, 11) for grade in ("S0", "S1", "S3")]
 
 
 CALIBRATION = [
@@ -151,7 +151,7 @@ def test_calibration_drives_are_of_the_very_vehicle_on_other_roads(monkeypatch):
     driven = []
 
     def recorded(surface, *, seed, individual, grade, speed_kmh, **options):
-        driven.append((individual.entropy, grade, speed_kmh, seed.entropy))
+        driven.append((individual.entropy, grade, speed_kmh, seed.spawn_key))
         return simulate_record(
             surface, seed=seed, individual=individual, grade=grade, speed_kmh=speed_kmh, **options
         )
@@ -161,7 +161,7 @@ def test_calibration_drives_are_of_the_very_vehicle_on_other_roads(monkeypatch):
              test={"roads": ["iso_b"], "seeds": [11], "length": 12.0})  # fmt: skip
     (drive,) = simulate_drives(t, t.test, t.conditions[0])
     assert driven == [
-        (11, "S1", 30.0, [11, 0]), (11, "S1", 36.0, [11, 100]), (11, "S1", 30.0, [11, 200])
+        (11, "S1", 30.0, (0,)), (11, "S1", 36.0, (1, 100)), (11, "S1", 30.0, (1, 200))
     ]  # fmt: skip
     unknown, known = drive.calibration
     assert unknown.profile is None and known.survey_std == 0.001
@@ -372,6 +372,23 @@ def test_drives_are_simulated_with_the_step_of_the_task():
     finer = dataclasses.replace(t.test, step=0.0005)
     a, b = (next(simulate_drives(t, d, t.conditions[0])).record.a for d in (t.test, finer))
     assert a.shape == b.shape and 0.0 < np.abs(a - b).max() < 0.1 * np.abs(a).max()
+
+
+def test_the_noise_of_a_drive_is_drawn_by_no_other_seed_of_its_task(monkeypatch):
+    """`SeedSequence([n, 0])` draws what n does, and a road that varies is filtered white noise."""
+    run = {"road": "iso_c", "mode": "ride", "speed_kmh": 54.0, "seed_offset": 1, "length": 20.0}
+    t = task(test={"roads": ["flat"], "seeds": [11], "length": 20.0}, calibration=[run])
+    drawn = [np.random.SeedSequence(seed) for seed in (11, 12)]  # of both roads, and the vehicle
+
+    def driven(surface, **given):
+        drawn.append(given["seed"])
+        return simulate_record(surface, **given)
+
+    monkeypatch.setattr(test_data, "simulate_record", driven)
+    for condition in t.conditions:
+        next(simulate_drives(t, t.test, condition))
+    assert len(drawn) == 6  # the calibration drive of both conditions is one
+    assert len({tuple(sequence.generate_state(4)) for sequence in drawn}) == 5
 
 
 def test_noise_is_simulated_only_if_the_task_has_it():
