@@ -12,8 +12,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from leaderboard.evaluation.kept_drives import facts, kept_path
 from leaderboard.evaluation.tasks import Condition, load_task
+from leaderboard.kept_drives import facts, kept_path
 from road_envs.core import config
 from road_envs.drives.recording import write_record
 from road_envs.plants.driving import simulate_on_plant

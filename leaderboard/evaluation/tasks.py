@@ -21,9 +21,9 @@ import numpy as np
 from pydantic import Field
 
 from leaderboard.evaluation.boards import BoardDefinition, shipped_boards
-from leaderboard.evaluation.kept_drives import kept_digest
 from leaderboard.evaluation.task_files import DESCRIPTIVE_FIELDS, digest_of, with_paths
 from leaderboard.json_values import to_json_types
+from leaderboard.kept_drives import kept_digest
 from road_envs.core import config
 from road_envs.core.config import ConfigError, Count, Positive, Settings
 from road_envs.core.reading import parsing

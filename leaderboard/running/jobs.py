@@ -93,8 +93,8 @@ def _code_here() -> str:
 
 
 def _to_spec(job: Job) -> dict[str, Any]:
-    known = {"task_digest": job.task.digest, "evaluation_code": _code_here()}
-    spec = to_json_types(dataclasses.replace(job, **known))
+    planned = dataclasses.replace(job, task_digest=job.task.digest, evaluation_code=_code_here())
+    spec = to_json_types(planned)
     return job_files.locate(spec, Path())  # the process that runs it has another working folder
 
 

@@ -7,9 +7,9 @@ import sys
 import numpy as np
 import pytest
 
-from leaderboard.evaluation.kept_drives import drive_of_plant, kept_digest, kept_path
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.evaluation.test_data import simulate_drives
+from leaderboard.kept_drives import drive_of_plant, kept_digest, kept_path
 from road_envs.core.config import ConfigError
 from road_envs.plants.commonroad_car import as_driven
 from road_envs.roads import realise_road

@@ -6,13 +6,14 @@ seeds nobody knew, are not kept: the plant drives them, as it does other roads o
 """
 
 import hashlib
+import json
+from dataclasses import asdict
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
-from leaderboard.json_values import to_json_types
 from road_envs.core import config
 from road_envs.core.config import ConfigError
 from road_envs.core.extras import MissingExtraError
@@ -35,8 +36,8 @@ def kept_path(plant: str, car: str, road: str, speed_kmh: float, seed: int) -> P
 def facts(surface: Surface, instruments: Instruments) -> dict[str, Any]:
     """Return what the file of a kept drive says of its road, some heights [m], and instruments."""
     heights = surface.height(np.linspace(0.0, surface.length, 8)).round(6).tolist()
-    told = {"length": surface.length, "heights": heights, "instruments": instruments}
-    return to_json_types(told)  # type: ignore[no-any-return]
+    about = {"length": surface.length, "heights": heights, "instruments": asdict(instruments)}
+    return cast(dict[str, Any], json.loads(json.dumps(about)))
 
 
 def drive_of_plant(
@@ -49,9 +50,9 @@ def drive_of_plant(
     path = kept_path(plant, car, surface.name, speed_kmh, seed)
     if path.exists():
         record, about = read_record(path)
-        wanted = facts(surface, instruments)
-        heights = np.abs(np.subtract(about.pop("heights"), wanted.pop("heights")))
-        if heights.max() < SAME_HEIGHT and wanted.items() <= about.items():
+        wanted, kept = facts(surface, instruments), cast(dict[str, Any], about)
+        apart = np.abs(np.subtract(kept.pop("heights", np.inf), wanted.pop("heights"))).max()
+        if apart < SAME_HEIGHT and wanted.items() <= kept.items():
             return record, true_profile(surface)
     given: dict[str, Any] = {"speed_kmh": speed_kmh, "seed": seed, "instruments": instruments}
     try:
