@@ -11,7 +11,7 @@ from leaderboard.commands.output import Output, facts_table
 from leaderboard.commands.results import verified_output
 from leaderboard.conformance.method_card import TEMPLATE
 from leaderboard.submission import repository, signature
-from leaderboard.submission.rules import RULES, load_rules
+from leaderboard.submission.rules import RULES, load_rules, make_run_request
 from leaderboard.submission.submission import SUBMISSION_SHARE, make_submission, verify_submission
 from road_envs.core.atomic_io import write_text
 from road_envs.core.config import ConfigError
@@ -107,8 +107,9 @@ def results_site(
 ) -> Output:
     """Run the entries of all submissions of a results repository, and build their site."""
     if check:
-        _, tasks = load_rules(folder / RULES)
-        return Output(facts={"tasks": [task.name for task in tasks]})
+        rules, tasks = load_rules(folder / RULES)
+        sized = make_run_request(rules, tasks, [], limits.parse()).sized_tasks()
+        return Output(facts={"tasks": {task.name: task.digest for task in sized}})
     check_output_folder(out)
     with progress_bar() as progress:
         page = repository.build_site(folder, out, limits.parse(), workers, progress)

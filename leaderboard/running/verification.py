@@ -75,16 +75,16 @@ class Verified(Settings):
 
     @property
     def agrees(self) -> bool:
-        """Whether every run is within the tolerance, half of them far within, and their mean.
-
-        Any row can name another machine and have the wide tolerance: its mean may still move by no
-        more than one run, whose weight is up to 2 / `runs`.
-        """
+        """Whether every run is within the tolerance, half of them far within, and their mean."""
         return self.runs > 0 and not self.reason and not self.is_far
 
     @property
     def is_far(self) -> str:
-        """What of the scores is too far from those of the row, in words; "" if nothing is."""
+        """What of the scores is too far from those of the row, in words; "" if nothing is.
+
+        Any row can name another machine and have the wide tolerance: its mean may still move by no
+        more than one run, whose weight is up to 2 / `runs`.
+        """
         near = min(self.tolerance, REPRODUCIBLE)  # so no row is moved as a whole
         mean = near + 2.0 * self.tolerance / max(self.runs, 1)
         if self.distance > self.tolerance:

@@ -33,6 +33,11 @@ _SALT_LENGTHS = range(12, 65)
 scrypt takes a longer one for its digest, which would be a second salt with other seeds.
 """
 
+SEEDS_ALONE = (
+    "Only the seeds are known to be those of before the entries: roads, cars and speeds are of a "
+    "task that this package does not have."
+)
+
 
 @dataclass(frozen=True, kw_only=True)
 class _HiddenSeeds(Settings):
@@ -98,11 +103,12 @@ def reveal(salt: str, folder: Path) -> list[Path]:
     return written
 
 
-def check_revealed(path: Path, root: Path) -> None:
-    """Raise ConfigError if a commitment stands beside the task `path`, but not that of its roads,
-    or if the one that its name has stands in a folder above, up to `root`.
+def check_revealed(path: Path, root: Path) -> str:
+    """Return a note on the task `path` if only its seeds are fixed by the commitment beside it.
 
-    Of a public task that is another one today, of another package, only the seeds can be compared.
+    That is so if the public task was another one in the package of the commitment, by its word.
+    Raises ConfigError if it is not the commitment of its roads, or if the one that its name has
+    stands in a folder above, up to `root`.
     """
     folder = path.parent
     for above in (x for x in folder.parents if x.is_relative_to(root)):
@@ -110,7 +116,7 @@ def check_revealed(path: Path, root: Path) -> None:
         if other.is_file() and path.stem.endswith(f"_{load(above).commitment[:8]}"):
             raise ConfigError(f"{path}: a season stands beside its commitment, {other}")
     if not (folder / COMMITMENT).is_file():
-        return
+        return ""
     hidden = load(folder)
     with parsing(folder / SALT, ConfigError, "damaged"):
         salt = (folder / SALT).read_bytes().decode(*_AS_GIVEN)
@@ -119,6 +125,7 @@ def check_revealed(path: Path, root: Path) -> None:
     name = {_season_name(task, hidden): task for task in hidden.tasks}.get(path.stem)
     if name is None or not _is_drawn(path, salt, hidden, name):
         raise ConfigError(f"{path}: it is no task of the commitment in {folder / COMMITMENT}")
+    return "" if load_task(name).digest == hidden.tasks[name] else SEEDS_ALONE
 
 
 def _is_drawn(path: Path, salt: str, hidden: _HiddenSeeds, name: str) -> bool:

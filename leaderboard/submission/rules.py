@@ -59,12 +59,10 @@ def load_rules(path: Path | None) -> tuple[Rules, list[Task]]:
         # ci/verify.sh finds the seasons by these words
         if name not in words or not _PATH.fullmatch(name):
             raise ConfigError(f"{path}: {name}: a path is one word of letters, digits and . _ - /")
-        check_revealed(file, path.parent)
-        task = load_task(file)
-        if (file.parent / COMMITMENT).is_file():
-            sealed.append(task)
-        else:
-            public.append(dataclasses.replace(task, note=f"{task.note} {PUBLIC_ROADS}".strip()))
+        note, task = check_revealed(file, path.parent), load_task(file)
+        is_sealed = (file.parent / COMMITMENT).is_file()
+        note = f"{task.note} {note if is_sealed else PUBLIC_ROADS}".strip()
+        (sealed if is_sealed else public).append(dataclasses.replace(task, note=note))
     tasks = [*sealed, *public]  # a site begins with the first
     if len({task.name for task in tasks}) < len(tasks):
         raise ConfigError(f"{path}: tasks must differ by name, got {[x.name for x in tasks]}")

@@ -6,7 +6,10 @@ import shutil
 import pytest
 import results_repositories
 import submissions
+import yaml
 from results_repositories import call, committed, merge_ref, of_season
+
+from road_envs.core.config import find, read_yaml
 
 made, submission = submissions.made, submissions.submission
 verifies = results_repositories.verifies
@@ -127,8 +130,10 @@ def test_rows_of_a_season_by_older_code_are_taken_from_a_branch_that_has_merged(
     assert "rival is removed" in said(status=1)
 
 
-@pytest.mark.parametrize("content", ["roads", "of the roads"])
-def test_roads_within_the_code_of_an_entry_make_no_other_one_newer(verifies, content):
+@pytest.mark.parametrize(
+    ("name", "content"), [("b.whl", "roads"), ("b.whl", "of the roads"), ('a"b', "of the roads")]
+)
+def test_roads_within_the_code_of_an_entry_make_no_other_one_newer(verifies, name, content):
     """Its branch, from before all others, is merged after the season, which it has seen."""
     repo, said = verifies
     call("git", "branch", "rival", cwd=repo)
@@ -137,7 +142,7 @@ def test_roads_within_the_code_of_an_entry_make_no_other_one_newer(verifies, con
     committed(repo, "the season ends", **roads, **rules, **{"seasons/1/salt.txt": "of the roads"})
     call("git", "branch", "-f", "main", cwd=repo)
     call("git", "switch", "rival", cwd=repo)
-    committed(repo, "knows", **{"submissions/rival/code/b.whl": content})
+    committed(repo, "knows", **{f"submissions/rival/code/{name}": content})
     merge_ref(repo, "rival")
     call("git", "branch", "-f", "main", cwd=repo)
     call("git", "switch", "-C", "mine", cwd=repo)
@@ -216,7 +221,6 @@ def test_a_branch_that_adds_the_roads_once_more_is_refused(older, content):
     repo, said = older
     call("git", "switch", "older", cwd=repo)
     committed(repo, "added", **{"docs/x": content})
-    committed(repo, "removed", **{"docs/x": None, "docs/note.txt": "a note"})
     merge_ref(repo, "older")
     assert said(status=1).endswith("adds a file that main has: rebase the branch onto it\n")
 
@@ -272,6 +276,23 @@ def test_the_rules_of_a_repository_can_be_checked(tmp_path):
     assert "new_road" in call(*check, cwd=tmp_path)
     (tmp_path / "repo/rules.yaml").write_text("tasks: [seasons/1/new_raod.yaml]\n")
     assert "seasons/1/new_raod.yaml" in call(*check, cwd=tmp_path, status=2)
+    (tmp_path / "repo/rules.yaml").write_text("tasks: [new_road]\nroads: 1000\n")
+    assert "number of drives must be" in call(*check, cwd=tmp_path, status=2)
+    own = read_yaml(find("tasks", "class")) | {"name": "own", "instruments": "none.yaml"}
+    (tmp_path / "repo/own.yaml").write_text(yaml.safe_dump(own))
+    (tmp_path / "repo/rules.yaml").write_text("tasks: [own.yaml]\n")
+    assert "none.yaml" in call(*check, cwd=tmp_path, status=2)
+
+
+def test_a_branch_that_has_merged_another_one_and_undone_it_is_refused(verifies):
+    """Its diff shows its own submission alone; after both are merged the other one is undone."""
+    repo, said = verifies
+    call("git", "switch", "--create", "organiser", "main", cwd=repo)
+    committed(repo, "more roads", **{"rules.yaml": "tasks: [new_road]\nroads: 20\n"})
+    call("git", "switch", "mine", cwd=repo)
+    committed(repo, "mine", **RECORD_OF_MINE, **{CODE: "honest"})
+    call("git", "merge", "--strategy=ours", "--message=merged", "organiser", cwd=repo)
+    assert said(status=1) == "rules.yaml: changed and changed back: squash the commits\n"
 
 
 def test_a_repository_without_submissions_has_no_site_yet(verifies):

@@ -259,7 +259,9 @@ def test_a_later_package_may_describe_a_task_in_other_words(refused, monkeypatch
     assert refused(board="paper")  # which would rank by another score
 
 
-def test_the_seeds_of_a_season_are_those_of_its_salt_in_any_later_package(refused, monkeypatch):
+def test_the_seeds_of_a_season_are_those_of_its_salt_in_any_later_package(
+    refused, published, monkeypatch
+):
     later = dataclasses.replace(load_task("class"), version=99)
     (seeds,) = drawn(SALT, "class")
     monkeypatch.setattr(hidden_seeds, "package_version", lambda: "99.0")
@@ -267,6 +269,8 @@ def test_the_seeds_of_a_season_are_those_of_its_salt_in_any_later_package(refuse
         hidden_seeds, "load_task", lambda name: later if name == "class" else load_task(name)
     )
     assert not refused() and not refused({"seeds": seeds[:10]})
+    (season,) = load_rules(published / "rules.yaml")[1]  # whose conditions are taken on trust
+    assert season.note.endswith(hidden_seeds.SEEDS_ALONE)
     assert refused({"seeds": [7, *seeds[1:10]]}) and refused({"seeds": seeds[:9], "number": 45})
 
 

@@ -3,6 +3,7 @@
 import errno
 import io
 import os
+import re
 import subprocess
 import sys
 import time
@@ -44,6 +45,18 @@ def test_roads_that_are_too_high_or_of_too_many_parts_are_refused_early(road, se
     with pytest.raises(ValueError, match=sentence):
         realise_road(road, 0)
     assert time.process_time() - began < 2.0
+
+
+def test_two_tasks_of_one_name_are_refused_before_anything_runs(road_recon, tmp_path):
+    paths = [tmp_path / folder / "street.csv" for folder in ("a", "b")]
+    for path in paths:
+        path.parent.mkdir()
+        rows = [f"{0.1 * k:.1f},{k % 7},{k % 5}\n" for k in range(400)]
+        path.write_text("distance [m],left [mm],right [mm]\n" + "".join(rows))
+    words = [word for path in paths for word in ("--road", str(path))]
+    code, _, err = road_recon("leaderboard", *words, "--estimator", "flat", "--out", "out")
+    assert code == 2 and re.match("error: two tasks are named .*street.*: name one diff", err), err
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_vehicle_that_cannot_stand_still_is_one_sentence(tmp_path):

@@ -164,6 +164,7 @@ def test_a_row_of_other_kernels_that_is_another_on_most_drives_does_not_agree(tm
         store.save(altered, tmp_path)
         found = verify(tmp_path, share=1.0)["reader"]
         assert found.agrees == agrees and found.distance == pytest.approx(0.05)
+    assert found.is_far == "half of its runs by 5.0e-02 or more, of 5e-03 allowed"
 
 
 def test_a_row_of_another_machine_by_its_own_word_is_moved_no_farther_than_by_one_run(tmp_path):
@@ -181,6 +182,7 @@ def test_a_row_of_another_machine_by_its_own_word_is_moved_no_farther_than_by_on
         found = verify(tmp_path, share=1.0)["reader"]
         assert found.runs == 6 and found.typical == 0.0 and found.distance <= OTHER_KERNELS
         assert found.agrees == agrees and 0.5 * share < found.shift / OTHER_KERNELS < share
+    assert found.is_far.startswith("its mean by ")
 
 
 def test_a_row_of_chosen_drives_or_of_repeated_ones_is_not_that_of_its_task(tmp_path):
