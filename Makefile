@@ -7,7 +7,7 @@ export PYTHONDONTWRITEBYTECODE :=
 # in the order of tests/conftest.py
 WORKERS := -n logical --no-loadscope-reorder
 
-.PHONY: leaderboard policies test suite test-processes test-long test-lowest test-versions package lint bench mutants kills docs \
+.PHONY: leaderboard policies test suite test-more test-long test-lowest test-versions package lint bench mutants kills docs \
 	results results-check clean
 
 # the run of the README's table; the comparison of policies, which uses one core, runs beside it
@@ -37,19 +37,19 @@ results-check: $(READY)
 suite: $(READY)
 	$(VENV)/bin/pytest $(WORKERS)
 
-test-processes: $(READY)
-	$(VENV)/bin/pytest -m "processes and not slow" $(WORKERS)
+test-more: $(READY)
+	$(VENV)/bin/pytest -m "(costly or processes) and not slow" $(WORKERS)
 
-test-long: test-processes
+test-long: test-more
 	$(VENV)/bin/pip install --quiet --constraint constraints.txt --editable '.[agents]'
-	$(VENV)/bin/pytest $(WORKERS) tests/integration/test_rl_libraries.py tests/integration/test_episodes.py
+	$(VENV)/bin/pytest -m "not slow" $(WORKERS) tests/integration/test_rl_libraries.py tests/integration/test_episodes.py
 	$(VENV)/bin/pytest -m slow -s
 	ROADRECON_EXAMPLES=20 $(VENV)/bin/pytest -m hypothesis
 
 test-lowest:
 	$(PYTHON) -m venv .venv-lowest
 	.venv-lowest/bin/pip install --quiet --constraint constraints-lowest.txt --editable '.[test]'
-	.venv-lowest/bin/pytest $(WORKERS) tests/unit
+	.venv-lowest/bin/pytest -m "not slow and not processes" $(WORKERS) tests/unit
 
 # on each interpreter that is at hand, without torch: tests that need it skip themselves
 VERSIONS ?= python3.12 python3.13
@@ -59,7 +59,7 @@ test-python%:
 	@if ! python$* -c '' 2>/dev/null; then echo "python$*: not at hand, skipped"; exit 0; fi; \
 	set -e; python$* -m venv .venv-$*; \
 	.venv-$*/bin/pip install --quiet --constraint constraints.txt --editable '.[test-without-torch]'; \
-	.venv-$*/bin/pytest $(WORKERS)
+	.venv-$*/bin/pytest -m "not slow and not processes" $(WORKERS)
 
 package: $(READY)
 	$(VENV)/bin/pip install --quiet --constraint constraints.txt build

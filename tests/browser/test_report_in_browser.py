@@ -36,6 +36,7 @@ def reported(tmp_path_factory):
     return write_report(made, chosen, folder / "out")[0], made.drives[0]
 
 
+@pytest.mark.costly
 def test_a_link_to_a_segment_opens_its_heights_below_its_row(browser, reported):
     page, result = reported
     browser.open(page, after=f"#drive-0-{FIRST}")

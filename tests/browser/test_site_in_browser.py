@@ -20,6 +20,7 @@ ROWS = """[...document.querySelectorAll('#task-%s tbody tr')].filter(r => !r.hid
 CELL = 'document.querySelector(\'#task-%s tr[data-name="%s"] td[data-key="%s"]\').textContent'
 
 
+@pytest.mark.costly
 def test_no_page_logs_errors_requests_resources_or_overflows(browser, written):
     for name in site():
         browser.open(written / name, 400)
@@ -198,6 +199,7 @@ def test_a_filter_without_matches_says_so_and_can_be_cleared(browser, written):
     assert "reader" in browser.value(ROWS % "held_out")
 
 
+@pytest.mark.costly
 def test_text_on_both_pages_has_enough_contrast(browser, written):
     """WCAG 2: at least 4.5 for text, and 3 for the lines of charts."""
     try:

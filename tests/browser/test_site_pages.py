@@ -77,6 +77,7 @@ def test_the_site_is_small(written):
     assert size < 2.1e6
 
 
+@pytest.mark.costly
 def test_the_site_is_built_from_stored_results(tmp_path, written):
     for found in results().values():
         for result in found:

@@ -44,6 +44,7 @@ def error(name, record, truth) -> float:
 
 @pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("name", sorted(registry.names()))
+@pytest.mark.costly
 def test_every_estimator_takes_a_layout_or_says_what_it_needs(name, layout):
     record, truth = drive(layout)
     try:
@@ -62,12 +63,14 @@ MODEL_BASED = ("wiener", "iterated_wiener", "map_smoother")
 
 
 @pytest.mark.parametrize("name", ["wiener", "map_smoother"])
+@pytest.mark.costly
 def test_sensors_on_the_axles_tell_more_than_one_on_the_body(name):
     errors = {layout: error(name, *drive(layout)) for layout in LAYOUTS}
     assert errors["hubs"] < 0.2 and errors["six"] < 0.25 and 0.5 < errors["one"] < 0.9
 
 
 @pytest.mark.parametrize("name", ["wiener", "map_smoother", "inverse_quarter_car", "fir_ridge"])
+@pytest.mark.costly
 def test_the_order_of_the_sensors_does_not_matter(name):
     record, _ = drive("six")
     order = [4, 2, 0, 5, 1, 3]

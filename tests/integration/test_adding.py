@@ -231,6 +231,7 @@ def printed(tmp_path_factory):
 
 
 @pytest.mark.parametrize("kind", ADDITIONS)
+@pytest.mark.costly
 def test_one_file_and_one_line_with_its_import_add_it(printed, kind):
     assert printed[kind] == ADDITIONS[kind][-1]
 

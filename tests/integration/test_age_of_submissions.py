@@ -19,6 +19,7 @@ RECORD_OF_MINE = {"submissions/mine/submission.json": "of mine"}
 NEWER = "submissions/mine: its code is newer than the roads of seasons/1/class.yaml\n"
 
 
+@pytest.mark.costly
 def test_code_that_came_between_the_roads_and_the_rules_is_refused(verifies):
     repo, said = verifies
     roads, rules = of_season()
@@ -270,6 +271,7 @@ def test_rules_that_cannot_be_read_are_refused_before_all_that_comes_after_them(
     assert asked.read_text() == f"results-site {repo} --check --isolation bubblewrap\n"
 
 
+@pytest.mark.costly
 def test_the_rules_of_a_repository_can_be_checked(tmp_path):
     call("road-recon", "new-results-repo", "repo", cwd=tmp_path)
     check = ("road-recon", "results-site", "repo", "--check")

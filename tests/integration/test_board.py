@@ -60,6 +60,7 @@ def expected(tmp_path_factory):
 # resuming
 
 
+@pytest.mark.costly
 def test_valid_stored_results_are_not_run_again(tmp_path, expected):
     assert len(run(tmp_path)[1]) == PARTS
     board, ran = run(tmp_path)
@@ -77,6 +78,7 @@ def test_valid_stored_results_are_not_run_again(tmp_path, expected):
         ({"estimators": {**ESTIMATORS, "third": Reader(gain=0.1)}}, 2),
     ],
 )
+@pytest.mark.costly
 def test_a_change_reruns_only_the_results_that_depend_on_it(tmp_path, change, count):
     run(tmp_path)
     assert len(run(tmp_path, **change)[1]) == count
@@ -91,6 +93,7 @@ def test_a_change_reruns_only_the_results_that_depend_on_it(tmp_path, change, co
         ("RESULT", dataclasses.replace(RESULT, modules=("road_envs.core.config",))),
     ],
 )
+@pytest.mark.costly
 def test_another_package_or_evaluation_version_reruns_everything(
     tmp_path, monkeypatch, name, other
 ):
@@ -167,6 +170,7 @@ def test_a_row_is_of_the_code_that_looks_for_foul_play_too():
 
 
 @pytest.mark.parametrize("damage", [lambda text: text[:500], lambda text: "", lambda text: "[]"])
+@pytest.mark.costly
 def test_only_a_damaged_part_is_run_again(tmp_path, expected, damage):
     run(tmp_path)
     t = small()
@@ -251,6 +255,7 @@ def test_a_run_killed_at_any_time_and_resumed_gives_the_same_board(tmp_path, exp
     assert finished > wanted // 10
 
 
+@pytest.mark.costly
 def test_a_run_resumed_after_an_exception_at_any_write_gives_the_same_board(
     tmp_path, monkeypatch, expected
 ):
@@ -297,6 +302,7 @@ def test_a_full_disk_is_reported_and_no_valid_row_is_lost(tmp_path, expected):
         subprocess.run(["umount", str(disk)], check=True)
 
 
+@pytest.mark.costly
 def test_parallel_runs_in_one_folder_give_the_same_board(tmp_path, expected):
     with forked(lambda: run(tmp_path)), forked(lambda: run(tmp_path, resume=False)):
         board, _ = run(tmp_path)
@@ -329,6 +335,7 @@ def row(out):
 
 
 @pytest.mark.parametrize("target", [part, row])
+@pytest.mark.costly
 def test_files_altered_during_a_run_are_detected_and_made_again(tmp_path, expected, target):
     if target is row:
         run(tmp_path)
@@ -402,6 +409,7 @@ def test_an_entry_that_cannot_be_described_replaces_no_row_of_another(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["victim", "../../../elsewhere"])
+@pytest.mark.costly
 def test_a_part_of_another_entry_is_not_assembled(tmp_path, name, expected):
     run(tmp_path)
     shutil.rmtree(tmp_path / "results")
@@ -424,6 +432,7 @@ def test_a_stored_row_of_other_drives_is_stale(tmp_path):
 
 
 @pytest.mark.parametrize("change", ["uneven", "NaN", "1e999"])
+@pytest.mark.costly
 def test_a_row_of_uneven_length_or_of_no_numbers_is_a_failed_row_whatever_its_checksum(
     tmp_path, change
 ):

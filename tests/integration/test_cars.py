@@ -54,6 +54,7 @@ def drive():
 @pytest.mark.parametrize(
     ("estimator", "limit"), [("map_smoother", 0.25), ("kalman_rts", 0.3), ("wiener", 0.45)]
 )
+@pytest.mark.costly
 def test_estimators_with_a_vehicle_model_find_the_road(drive, name, estimator, limit):
     record, truth = drive(name)
     found = estimate(estimator, record, name)
@@ -129,6 +130,7 @@ def test_the_commands_take_the_vehicle(road_recon, name):
     assert all(row["class"] in ("C", "D") for row in rows[1:])
 
 
+@pytest.mark.costly
 def test_the_drive_of_a_passive_car_needs_no_mode_and_takes_no_other(road_recon):
     road = ("--road", "iso_c", "--length", "40", "--speed-kmh", "36")
     road_recon("simulate", *road, "--vehicle", "bmw_320i", "--out", "d.csv")
@@ -179,6 +181,7 @@ VAN_TASK = {
 }  # fmt: skip
 
 
+@pytest.mark.costly
 def test_a_task_may_name_another_car(tmp_path):
     path = tmp_path / "van.yaml"
     path.write_text(json.dumps(VAN_TASK), encoding="utf-8")

@@ -165,6 +165,7 @@ def test_choices_for_a_table_are_saved_and_read(road_recon, tmp_path):
     assert code == 2 and "key=value" in err
 
 
+@pytest.mark.costly
 def test_scores_of_an_estimate_are_printed_with_their_units(road_recon):
     road_recon("simulate", *DRIVE, "--out", "d.parquet", "--truth", "t.csv")
     code, out, _ = road_recon("estimate", "wiener", "d.parquet", "--truth", "t.csv")
@@ -249,6 +250,7 @@ def test_an_exported_road_can_be_read_back_from_every_format(road_recon, tmp_pat
         (("leaderboard", "--estimator", "flat", "--without", "tcn"), ["not both"]),
     ],
 )  # fmt: skip
+@pytest.mark.costly
 def test_invalid_input_gives_one_sentence_and_writes_no_file(road_recon, tmp_path, words, message):
     code, out, err = road_recon(*words)
     assert code == 2

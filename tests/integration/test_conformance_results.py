@@ -65,6 +65,7 @@ def card_of(probed, name):
     return find_card(out, name, entries[name].settings, entries[name].code)
 
 
+@pytest.mark.costly
 def test_every_entry_gets_one_card(probed):
     out, entries = probed
     valid, random, broken = (card_of(probed, name) for name in ENTRIES)

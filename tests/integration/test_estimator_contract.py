@@ -97,16 +97,19 @@ def copy_arrays(holder: Record | Profile) -> dict:
     return {key: np.copy(value) for key, value in vars(holder).items()}
 
 
+@pytest.mark.costly
 def test_an_estimate_is_valid(expected):
     check_estimate(expected, RECORD)
 
 
+@pytest.mark.costly
 def test_roads_of_other_lengths_than_in_training_are_estimated(estimator):
     for length in (7.0, 33.0):
         record, _ = drive(101, length)
         check_estimate(estimator.estimate(record, CAR), record)
 
 
+@pytest.mark.costly
 def test_equal_records_give_equal_estimates_and_are_not_modified(estimator, expected):
     record, _ = drive(100)
     before = copy_arrays(record)
@@ -117,6 +120,7 @@ def test_equal_records_give_equal_estimates_and_are_not_modified(estimator, expe
         np.testing.assert_array_equal(getattr(record, key), value)
 
 
+@pytest.mark.costly
 def test_a_record_shorter_than_the_road_gives_a_complete_estimate(estimator):
     record, _ = drive(104)
     on_road = (record.s >= 0.3) & (record.s <= record.length - 0.3)
@@ -141,6 +145,7 @@ def test_a_causal_estimator_does_not_use_the_future(name):
         np.testing.assert_array_equal(before.z_std[:, past], after.z_std[:, past])
 
 
+@pytest.mark.costly
 def test_a_stored_estimator_gives_the_same_estimate(estimator, expected, tmp_path):
     save(estimator, tmp_path / "kept.npz")
     kept = load(tmp_path / "kept.npz")
@@ -158,6 +163,7 @@ def test_the_fitted_state_is_excluded_from_equality_hash_and_repr(estimator):
 
 
 @pytest.mark.parametrize("name", TRAINABLE)
+@pytest.mark.costly
 def test_fitting_again_gives_the_same_and_modifies_neither_estimator_nor_drives(name):
     fresh = create(name, **SMALL.get(name, {}))
     records, truths = zip(*(drive(seed) for seed in SEEDS), strict=True)

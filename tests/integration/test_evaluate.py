@@ -234,6 +234,7 @@ def test_two_roads_with_one_name_and_seed_are_scored_separately():
     assert run_scores(run({"reader": Reader()}, t=t)["reader"], "r").shape == (2, 2, 1)
 
 
+@pytest.mark.costly
 def test_results_of_a_changed_task_are_stale(tmp_path):
     board(tmp_path, {"reader": Reader()}, seeds=(1,))
     changed = dataclasses.replace(task(), version=2)

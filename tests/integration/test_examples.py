@@ -29,7 +29,7 @@ EXAMPLES = {
 
 SLOW = {"own_estimator", "board_from_python", "train_a_policy"}
 """Examples that run a whole task, as README.md and the tutorial of an own estimator do too, or
-train for seconds. The others run in `make test-processes`, the pages in `make test`.
+train for seconds. The others run in `make test-more`, the pages in `make test`.
 """
 
 PNG_SIGNATURE = b"\x89PNG"
@@ -146,6 +146,7 @@ def test_an_own_estimator_needs_at_most_80_lines():
     assert len(cls.splitlines()) <= 80
 
 
+@pytest.mark.costly
 def test_the_readme_runs_and_gives_what_it_states(tmp_path):
     """In a new interpreter, as readers run it."""
     (tmp_path / "page.py").write_text(code_of(ROOT / "README.md"), encoding="utf-8")
@@ -208,6 +209,7 @@ def test_the_vehicle_of_the_tutorial_is_estimated_best_with_its_own_parameters(p
     assert values["right"] < values["wrong"]
 
 
+@pytest.mark.costly
 def test_the_table_of_the_tutorial_is_read_as_a_measured_drive(page_values):
     folder, values = page_values("measured_drive.md")
     assert values["length"] > 100.0 and values["class"] == "Estimate"

@@ -175,6 +175,7 @@ def test_killing_a_run_ends_its_processes_and_it_can_be_resumed(tmp_path, expect
     assert killed_and_resumed(tmp_path, expected, [1.5] * conditions, conditions, ONE) >= 1
 
 
+@pytest.mark.costly
 def test_a_failure_of_the_evaluation_is_not_attributed_to_an_entry(tmp_path, monkeypatch):
     monkeypatch.setattr(executors.jobs, "to_text", lambda job: "{")
     with pytest.raises(ConfigError, match="damaged, not valid JSON"):
@@ -186,6 +187,7 @@ def test_a_failure_of_the_evaluation_is_not_attributed_to_an_entry(tmp_path, mon
         ProcessExecutor(0)
 
 
+@pytest.mark.costly
 def test_a_process_of_jobs_that_something_else_ends_as_it_starts_is_started_once_more(
     tmp_path, monkeypatch
 ):
@@ -200,6 +202,7 @@ def test_a_process_of_jobs_that_something_else_ends_as_it_starts_is_started_once
     assert len(started) >= 2 and "flat" in rows(board) and not board.failed(small())
 
 
+@pytest.mark.costly
 def test_jobs_with_entries_of_this_package_share_a_process_and_its_guest(tmp_path, monkeypatch):
     started = []
     start = executors.JobProcess.__init__
@@ -313,6 +316,7 @@ def test_without_dask_the_error_names_the_extra(monkeypatch):
         DaskExecutor("tcp://127.0.0.1:9")
 
 
+@pytest.mark.costly
 def test_run_job_stores_the_result_of_a_run(tmp_path, expected, conditions):
     from typer.testing import CliRunner
 

@@ -88,6 +88,7 @@ MALFORMED = {
 
 
 @pytest.mark.parametrize("name", MALFORMED)
+@pytest.mark.costly
 def test_a_malformed_reply_is_one_sentence(name, tmp_path):
     guest = guest_that_sends(MALFORMED[name], tmp_path)
     guest.start_run(Limits(seconds=20.0))
@@ -99,6 +100,7 @@ def test_a_malformed_reply_is_one_sentence(name, tmp_path):
     assert name != "a size of 4 GiB" or text == "its reply is invalid: a head of 4294967295 bytes"
 
 
+@pytest.mark.costly
 def test_random_replies_never_raise_anything_else(tmp_path):
     rng = np.random.default_rng(1)
     good = head(FINE) + HEIGHTS

@@ -66,6 +66,7 @@ def revealed(name, folder):
 
 
 @pytest.mark.parametrize("name", config.names("tasks"))
+@pytest.mark.costly
 def test_every_shipped_task_is_committed_and_revealed(name, tmp_path):
     """And verified by anyone with the salt."""
     public, hidden = revealed(name, tmp_path)
@@ -117,6 +118,7 @@ def test_a_revealed_task_is_run_and_shown_on_its_page(name, tmp_path):
     assert season in page and SALT not in index + page
 
 
+@pytest.mark.costly
 def test_a_season_of_the_plants_is_driven_by_them(tmp_path):
     for extra in ("mujoco", "vehiclemodels"):
         pytest.importorskip(extra, reason="the extra `plants` is not installed")
@@ -212,6 +214,7 @@ def test_a_commitment_beside_the_rules_says_nothing_of_public_tasks(published):
 
 
 @pytest.mark.parametrize("below", ["", "more/"])
+@pytest.mark.costly
 def test_a_task_that_is_not_drawn_from_the_commitment_is_refused(tmp_path, below):
     """Neither beside a task of no version nor in a folder below: by hand, roads are chosen."""
     hidden = hidden_seeds.commit(SALT, [load_task("class"), load_task("new_road")])

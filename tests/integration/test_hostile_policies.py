@@ -123,6 +123,7 @@ def test_an_installed_policy_cannot_be_called_like_a_row_of_the_judge(name, monk
     ],
 )
 @pytest.mark.parametrize("option", ["policy", "reference"])
+@pytest.mark.costly
 def test_a_file_or_a_class_cannot_be_called_like_a_row_of_the_judge(option, reference):
     result = CliRunner().invoke(app, ["policies", "--quick", f"--{option}", reference])
     assert "would have the name" in str(result.exception) and "\x1b" not in str(result.exception)

@@ -56,6 +56,7 @@ def drive(reference, limits=LIMITS, seeds=SEEDS):
         return roll_out(policy, dict(SHORT), seeds).actions
 
 
+@pytest.mark.costly
 def test_a_policy_in_a_process_acts_as_it_does_here():
     np.testing.assert_array_equal(drive("Lateral"), roll_out(Lateral(), dict(SHORT), SEEDS).actions)
     np.testing.assert_array_equal(drive("Prints"), drive("Lateral"))
@@ -77,11 +78,13 @@ def test_a_policy_in_a_process_acts_as_it_does_here():
         ),
     ],
 )
+@pytest.mark.costly
 def test_a_policy_beyond_its_limits_ends_in_a_sentence(reference, sentence):
     with pytest.raises(PolicyError, match=sentence):
         drive(reference, dataclasses.replace(POLICY_LIMITS, seconds=2.0, memory=1.5))
 
 
+@pytest.mark.costly
 def test_a_process_that_failed_is_replaced_at_the_next_episode():
     with PolicyProcess("bad_policies:Leaves", limits=LIMITS) as policy:
         for _ in range(2):
@@ -111,10 +114,12 @@ def verdicts(name):
         ("Beyond", ["runs"]),
     ],
 )
+@pytest.mark.costly
 def test_each_fault_fails_its_check(name, failed):
     assert [check for check, passed in verdicts(name).items() if passed is False] == failed
 
 
+@pytest.mark.costly
 def test_a_sound_policy_passes_and_what_it_refuses_is_noted():
     found = verdicts("Lateral")
     assert not [check for check, passed in found.items() if passed is False]
@@ -135,6 +140,7 @@ def test_policies_of_this_package_pass(name):
     assert not failed
 
 
+@pytest.mark.costly
 def test_check_policy_refuses_foreign_code_until_it_is_trusted(road_recon, monkeypatch):
     monkeypatch.syspath_prepend(str(SUPPORT))
     monkeypatch.setattr(bubblewrap, "obstacle", lambda: "bubblewrap is not installed")
@@ -147,6 +153,7 @@ def test_check_policy_refuses_foreign_code_until_it_is_trusted(road_recon, monke
     assert code == 1 and not json.loads(out)["passed"]
 
 
+@pytest.mark.costly
 def test_policies_compares_a_class_and_a_file_beside_shipped_ones(
     road_recon, tmp_path, monkeypatch
 ):

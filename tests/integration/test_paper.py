@@ -74,6 +74,7 @@ def claim(found, says):
     return one
 
 
+@pytest.mark.costly
 def test_there_are_the_papers_eight_scenarios_in_its_order():
     cases = made().scenarios
     assert [case.number for case in cases] == list(range(1, 9))

@@ -31,6 +31,7 @@ def passes(files, tmp_path):
     return Path(shutil.copytree(files, tmp_path, dirs_exist_ok=True))
 
 
+@pytest.mark.costly
 def test_several_drives_give_one_road_that_is_better_than_that_of_one(road_recon, passes):
     def nrmse(*files):
         words = ("estimate", "iterated_wiener", *files, "--truth", "road.csv", "--json")
@@ -46,6 +47,7 @@ def test_several_drives_give_one_road_that_is_better_than_that_of_one(road_recon
     assert (passes / "road_found.csv").exists()
 
 
+@pytest.mark.costly
 def test_a_drive_of_another_road_is_refused_by_name_and_nothing_is_written(road_recon, passes):
     code, _, err = road_recon("estimate", "wiener", "a.parquet", "c.parquet", "--out", "e.csv")
     assert code == 2
@@ -61,6 +63,7 @@ def test_a_drive_given_twice_is_refused(road_recon, passes, words):
     assert not (passes / "twice.csv").exists()
 
 
+@pytest.mark.costly
 def test_each_table_is_read_by_the_description_beside_it(road_recon, passes):
     """b.csv has columns of other names, which its own description tells."""
     for name in ("a", "b"):

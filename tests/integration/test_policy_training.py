@@ -139,6 +139,7 @@ def trained():
     return iterate(TINY, 3, lambda text, share: None)
 
 
+@pytest.mark.costly
 def test_policy_iteration_is_reproducible_and_returns_a_round_of_its_curve(trained):
     network, curve = iterate(TINY, 3, lambda text, share: None)
     for (W, b), (W_2, b_2) in zip(network.layers, trained[0].layers, strict=True):
@@ -152,6 +153,7 @@ def test_policy_iteration_is_reproducible_and_returns_a_round_of_its_curve(train
 
 
 @pytest.mark.parametrize(("allowed", "chosen"), [(4, 1), (2, 2), (1, 3), (0, 3)])
+@pytest.mark.costly
 def test_the_best_round_is_one_that_violates_no_more_than_allowed(allowed, chosen, monkeypatch):
     """Three rounds that violate in ever fewer drives, with ever lower scores."""
     driven = iter(
@@ -184,6 +186,7 @@ def test_the_cost_of_a_pair_is_that_of_the_drive_in_which_it_is_held():
     assert np.ptp(costs[1], axis=1).min() > 0.0
 
 
+@pytest.mark.costly
 def test_the_network_learns_better_choices_than_any_constant_pair():
     import torch
 
@@ -199,6 +202,7 @@ def test_the_network_learns_better_choices_than_any_constant_pair():
     assert worse[np.arange(len(worse)), chosen].mean() < 0.8 * worse.mean(axis=0).min()
 
 
+@pytest.mark.costly
 def test_a_trained_policy_stands_beside_the_laws_on_public_drives(
     trained, monkeypatch, tmp_path, capsys
 ):
@@ -234,6 +238,7 @@ def test_the_training_of_the_tutorial_beats_ride_in_ten_minutes(road_recon, tmp_
     assert own.mean() > rrms.mean()
 
 
+@pytest.mark.costly
 def test_training_is_reproducible_and_its_network_can_drive(tmp_path):
     result = train(SMALL, 3)
     for (W, b), (W_2, b_2) in zip(
@@ -311,6 +316,7 @@ def test_value_learning_trains_a_network(algorithm):
     assert result.policy.network.metadata["activation"] == "relu"
 
 
+@pytest.mark.costly
 def test_a_recurrent_policy_acts_as_its_library_predicts():
     """Its own `predict` in the steps of the features is the oracle."""
     pytest.importorskip("sb3_contrib")

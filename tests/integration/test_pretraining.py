@@ -124,6 +124,7 @@ def test_the_digest_depends_on_the_deviations_of_individuals(monkeypatch):
     assert Corpus().digest != before
 
 
+@pytest.mark.costly
 def test_a_short_training_is_reproducible_to_the_bit_interrupted_or_not(tmp_path, monkeypatch):
     """The command of the shipped weights on fewer drives and steps; drives are simulated once."""
     simulated = cache(CORPUS.simulate_drive)

@@ -195,6 +195,7 @@ def test_every_estimator_takes_the_same_damaged_records_with_the_same_note(name,
 
 
 @pytest.mark.parametrize("name", REGISTRY)
+@pytest.mark.costly
 def test_every_estimator_refuses_the_same_records_with_the_same_sentence(name):
     record, _ = drive()
     for what, (damage, sentence) in REFUSED.items():
@@ -204,6 +205,7 @@ def test_every_estimator_refuses_the_same_records_with_the_same_sentence(name):
 
 
 @pytest.mark.parametrize("name", REGISTRY)
+@pytest.mark.costly
 def test_a_record_with_many_missing_samples_is_refused_only_where_they_are_interpolated(name):
     record, _ = drive()
     for what, (damage, sentence) in INCOMPLETE.items():
@@ -218,6 +220,7 @@ def test_a_record_with_many_missing_samples_is_refused_only_where_they_are_inter
 
 
 @pytest.mark.parametrize("name", REGISTRY)
+@pytest.mark.costly
 def test_a_road_of_one_metre_is_estimated_by_every_estimator(name):
     record = replace(drive()[0], length=1.0)
     check_estimate(ready(name).estimate(record, CAR), record)

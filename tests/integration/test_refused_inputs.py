@@ -110,6 +110,7 @@ def test_a_board_is_printed_in_the_locale_c_without_utf_8(tmp_path):
     assert "Kürze: Kurz, für alle" in done.stdout.decode()
 
 
+@pytest.mark.costly
 def test_an_address_where_no_scheduler_answers_is_one_sentence_in_ten_seconds(tmp_path):
     pytest.importorskip("distributed")
     (tmp_path / "short.yaml").write_text(SHORT_TASK, encoding="utf-8")

@@ -13,6 +13,7 @@ from road_envs.vehicle.parameters import write_vehicle
 DRIVE = ("--road", "iso_b", "--length", "120", "--speed-kmh", "50", "--sensors", "phone")
 
 
+@pytest.mark.costly
 def test_a_report_has_a_page_that_needs_no_other_file_and_tables_that_agree(road_recon, tmp_path):
     road_recon("simulate", *DRIVE, "--out", "one.csv")
     table = pd.read_csv("one.csv", comment="#")
@@ -48,6 +49,7 @@ def test_a_report_has_a_page_that_needs_no_other_file_and_tables_that_agree(road
     assert sum(f["geometry"]["type"] == "LineString" for f in features) == len(rows)
 
 
+@pytest.mark.costly
 def test_without_positions_there_is_no_map(road_recon, tmp_path):
     road_recon("simulate", *DRIVE, "--out", "one.parquet")
     code, out, err = road_recon("report", "one.parquet", "--out", "r", "--estimator", "wiener")
@@ -56,6 +58,7 @@ def test_without_positions_there_is_no_map(road_recon, tmp_path):
     assert page.count("><svg") == 3 and "on the track" not in page
 
 
+@pytest.mark.costly
 def test_a_record_says_which_vehicle_was_simulated_and_else_a_note_which_is_assumed(
     road_recon, tmp_path
 ):
@@ -80,6 +83,7 @@ def test_a_record_says_which_vehicle_was_simulated_and_else_a_note_which_is_assu
     assert "does not say which vehicle was simulated" in json.loads(out)["drives"][0]["notes"][0]
 
 
+@pytest.mark.costly
 def test_passes_are_moved_onto_the_first_and_compared(road_recon, tmp_path):
     """Two speeds, one of them without odometer; and a drive over another road."""
     road_recon("simulate", *DRIVE, "--seed", "2", "--out", "one.csv")

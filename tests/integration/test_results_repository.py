@@ -51,6 +51,7 @@ def test_a_results_repository_is_not_written_over_files(tmp_path):
 ESTIMATE = "a = np.nan_to_num(record.a[0])\nz[:] = 1e-3 * np.interp(stations, record.s, a)"
 
 
+@pytest.mark.costly
 def test_a_submission_is_verified_before_it_is_committed_and_after(verifies):
     repo, said = verifies
     assert said() == "no submission differs from main\n"

@@ -18,6 +18,7 @@ def library(name: str):
 
 
 @IDS
+@pytest.mark.costly
 def test_torchrl_makes_an_environment_by_its_id(name, options):
     envs = library("torchrl.envs")
     env, plain = envs.GymEnv(name, **options), gymnasium.make(name, **options)

@@ -43,6 +43,7 @@ def test_ride_violates_and_handling_is_uncomfortable(rollouts):
     assert handling.comfort.mean() > 1.6 * ride.comfort.mean()
 
 
+@pytest.mark.costly
 def test_the_rank_order_is_the_same_at_all_control_rates():
     orders = set()
     for rate in (10.0, 20.0, 50.0, 100.0):
@@ -84,6 +85,7 @@ def test_the_best_found_is_the_better_of_two_searches_on_each_drive(searched):
     )
 
 
+@pytest.mark.costly
 def test_a_sweep_improves_a_plan_on_its_drive():
     few = public_drives(2)
     plan = np.zeros((600, len(few)), dtype=np.int64)
@@ -92,6 +94,7 @@ def test_a_sweep_improves_a_plan_on_its_drive():
     assert replay(few, plan).score[0] > 0.5 * before > before
 
 
+@pytest.mark.costly
 def test_a_climb_keeps_the_best_of_its_plans(monkeypatch):
     few, rng = public_drives(2), np.random.default_rng(0)
     plan = best_found._beam(few, 0)[0]
@@ -105,6 +108,7 @@ def test_a_climb_keeps_the_best_of_its_plans(monkeypatch):
     np.testing.assert_array_equal(plan, kept)
 
 
+@pytest.mark.costly
 def test_a_climb_sweeps_the_dearest_window_ever_less_at_random(monkeypatch):
     few, calls = public_drives(2), []
     monkeypatch.setattr(best_found, "_sweep", lambda *arguments: calls.append(arguments[4:]))
@@ -119,6 +123,7 @@ def test_a_climb_sweeps_the_dearest_window_ever_less_at_random(monkeypatch):
     assert {call[:2] for call in windows} == {(np.argmax(sums), np.argmax(sums) + length)}
 
 
+@pytest.mark.costly
 def test_the_beam_returns_the_actions_of_its_score():
     one = public_drives(2)
     one.starts = one.starts[2:3]
@@ -155,6 +160,7 @@ def test_a_policy_that_fails_is_a_row_with_its_failure():
     assert "failed: AttributeError" in _render_page(data)
 
 
+@pytest.mark.costly
 def test_a_sweep_keeps_a_plan_that_no_trial_improves(monkeypatch):
     few = public_drives(2)
     plan = best_found._beam(few, 0)[0]

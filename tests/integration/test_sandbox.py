@@ -371,6 +371,7 @@ def test_user_namespaces_serve_hosts_that_are_not_root(sandbox, monkeypatch):
         run(sandbox, how="write_elsewhere", where="/proc/sys/kernel")
 
 
+@pytest.mark.costly
 def test_without_bubblewrap_only_the_estimators_of_this_package_run(monkeypatch):
     monkeypatch.setattr(bubblewrap, "obstacle", lambda: "bubblewrap is not installed")
     with SandboxClient(dataclasses.replace(LIMITS, isolation="auto")) as sandbox:

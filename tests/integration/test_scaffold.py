@@ -45,6 +45,7 @@ def packages(tmp_path_factory):
     return folder
 
 
+@pytest.mark.costly
 def test_the_tests_of_all_packages_pass(packages):
     folders = [packages / example for example in EXAMPLES]
     options = ("-q", "-p", "no:cacheprovider", "--import-mode=importlib")
@@ -86,6 +87,7 @@ def test_the_template_package_installs_and_gets_a_row_on_the_board(
         ("policy", ("check-policy", "road_recon_firm_in_corners.policy:FirmInCorners")),
     ],
 )
+@pytest.mark.costly
 def test_the_templates_of_a_learner_and_of_a_policy_pass_the_checks(
     packages, monkeypatch, road_recon, example, check
 ):

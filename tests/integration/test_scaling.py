@@ -29,6 +29,7 @@ def calls_and_bytes(out, result, n):
     return calls[0], sum(path.stat().st_size for path in out.rglob("*.html"))
 
 
+@pytest.mark.costly
 def test_tables_and_pages_grow_in_proportion_to_the_rows(tmp_path):
     (result,) = run_task(SMALL, {"reader": Reader()}, (1,), simulate=fake_drives)
     calls_and_bytes(tmp_path / "first", result, 1)  # templates are compiled once

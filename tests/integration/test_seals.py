@@ -107,6 +107,7 @@ def test_each_of_two_or_three_drives_is_asked_with_another_future(sandbox, numbe
     assert found.looks_ahead and LOOKS_AHEAD in found.notes
 
 
+@pytest.mark.costly
 def test_what_one_guest_has_seen_is_not_told_by_the_number_of_its_pipes(sandbox, monkeypatch):
     """Of 32 numbers one is the right one by chance; with other futures the answers are equal."""
     monkeypatch.setattr(bubblewrap, "forget_pipes", forget_pipes)
@@ -254,6 +255,7 @@ def test_deviations_are_tested_for_memory(sandbox):
     ],
 )
 @pytest.mark.parametrize("chance", range(3))
+@pytest.mark.costly
 def test_an_honest_causal_entry_does_not_look_ahead(
     sandbox, monkeypatch, cls, settings, notes, chance
 ):

@@ -107,6 +107,7 @@ def test_the_network_keeps_its_training_history():
     assert training.train[-1] < training.train[0]
 
 
+@pytest.mark.costly
 def test_the_network_learns_heights_that_depend_on_one_sample():
     """Heights that are a function of the accelerations at the same station."""
 

@@ -44,6 +44,7 @@ from road_envs.core.config import ConfigError
 made, submission = submissions.made, submissions.submission
 
 
+@pytest.mark.costly
 def test_a_submission_that_was_not_touched_is_read(submission):
     assert load_submission(submission).name == "reader"
 
@@ -100,6 +101,7 @@ def test_a_card_that_is_not_filled_in_is_refused(text, sentence, tmp_path):
         load_method_card(tmp_path / "card.yaml")
 
 
+@pytest.mark.costly
 def test_a_key_is_read_before_anything_is_run(tmp_path):
     pytest.importorskip("cryptography")
     (tmp_path / "card.yaml").write_text("")
@@ -112,6 +114,7 @@ def test_a_key_is_read_before_anything_is_run(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.costly
 def test_a_clone_is_no_code_of_a_submission(tmp_path):
     """Git would take it for a repository of its own, and its configuration may hold a token."""
     (tmp_path / "mine" / "src" / ".git").mkdir(parents=True)
@@ -249,6 +252,7 @@ def test_a_row_of_another_name_is_refused(verified):
         verified(add_row)
 
 
+@pytest.mark.costly
 def test_a_row_of_the_easiest_drive_or_with_a_false_claim_is_refused(verified):
     def choose(folder):
         row = store.load(store.row_path(folder, "small", "reader"))
@@ -260,6 +264,7 @@ def test_a_row_of_the_easiest_drive_or_with_a_false_claim_is_refused(verified):
         verified(lambda folder: change_row(folder, lag=3.0))
 
 
+@pytest.mark.costly
 def test_a_note_on_another_entry_is_refused(verified):
     def accuse(name):
         return lambda folder: change_row(folder, notes=(f"{name}: {REMEMBERS}",))
@@ -270,6 +275,7 @@ def test_a_note_on_another_entry_is_refused(verified):
 
 
 @pytest.mark.parametrize("score", ["more", "coverage_90"])
+@pytest.mark.costly
 def test_a_score_on_a_road_that_nobody_drove_is_refused(verified, score):
     """It was compared with nothing, and as a run that was not run again made a note be believed."""
 
@@ -317,6 +323,7 @@ def test_a_folder_of_another_name_is_refused(submission):
         load_submission(submission)
 
 
+@pytest.mark.costly
 def test_names_that_differ_in_case_only_are_refused(verified, tmp_path):
     (tmp_path / "Reader").write_text("a file is no entry")  # the script verifies folders alone
     assert all(row.agrees for row in verified(lambda folder: None))
@@ -373,6 +380,7 @@ def test_the_site_shows_what_its_builder_finds_with_the_card_of_each_entry(build
         (Entry(name="rival", reference="a.whl"), "its code is that of rival"),
     ],
 )
+@pytest.mark.costly
 def test_an_entry_that_fails_from_some_day_on_ends_no_site(entry, reason, build, monkeypatch):
     """The code of a wheel can look at the date: nothing that reviewers see changes."""
     monkeypatch.setattr(repository, "submitted_entry", lambda folder, sandbox: entry)
@@ -431,6 +439,7 @@ def test_a_record_that_is_a_link_is_not_read(submission):
 
 
 @pytest.mark.parametrize("seed", range(3))
+@pytest.mark.costly
 def test_a_single_forged_drive_is_found_in_every_attempt(verified, seed):
     def improve_one(folder):
         row = store.load(store.row_path(folder, "small", "reader"))
@@ -443,6 +452,7 @@ def test_a_single_forged_drive_is_found_in_every_attempt(verified, seed):
     ]
 
 
+@pytest.mark.costly
 def test_runs_of_a_training_seed_that_is_not_run_again_do_not_agree(verified):
     """An estimator that is not trained has runs of the first seed only: others are invented."""
 
@@ -509,6 +519,7 @@ def test_a_trace_that_cannot_be_drawn_is_refused(verified, field, value):
         verified(forge)
 
 
+@pytest.mark.costly
 def test_a_thousand_copies_of_a_trace_are_refused(verified):
     def repeat(folder):
         row = store.load(store.row_path(folder, "small", "reader"))

@@ -61,6 +61,7 @@ def alter(out, name, **changes):
     store.save(dataclasses.replace(row, **changes), out)
 
 
+@pytest.mark.costly
 def test_a_tenth_of_the_drives_of_an_unaltered_folder_agrees_to_rounding(tmp_path):
     copy_of_run(tmp_path)
     found = verify(tmp_path)
@@ -73,6 +74,7 @@ def test_a_tenth_of_the_drives_of_an_unaltered_folder_agrees_to_rounding(tmp_pat
     assert whole["reader"].runs == 6 and whole["learner"].runs == 12
 
 
+@pytest.mark.costly
 def test_a_row_whose_training_depends_on_the_seed_under_one_condition_agrees(tmp_path):
     """It has runs of both seeds there, and of the first one under the other condition."""
     made = {"picky": Picky()}
@@ -97,6 +99,7 @@ def test_a_row_whose_training_depends_on_the_seed_under_one_condition_agrees(tmp
     assert not picky.agrees and picky.distance < OTHER_KERNELS and picky.typical == 0.0, picky
 
 
+@pytest.mark.costly
 def test_a_training_that_changes_nothing_of_the_drives_that_are_run_again_agrees(tmp_path):
     """Its seed changes others, so that the row has runs of both and no note."""
     made = {"picky": Picky()}
@@ -136,6 +139,7 @@ def test_a_score_that_a_row_lacks_is_as_far_as_can_be_and_kept_so(tmp_path):
     assert load_verified(tmp_path)[content_digest(bare)] == [found["reader"]]
 
 
+@pytest.mark.costly
 def test_of_a_row_of_other_kernels_the_ranking_score_is_compared_at_a_wider_tolerance(tmp_path):
     copy_of_run(tmp_path)
     row = store.load(store.row_path(tmp_path, "small", "reader"))
@@ -167,6 +171,7 @@ def test_a_row_of_other_kernels_that_is_another_on_most_drives_does_not_agree(tm
     assert found.is_far == "half of its runs by 5.0e-02 or more, of 5e-03 allowed"
 
 
+@pytest.mark.costly
 def test_a_row_of_another_machine_by_its_own_word_is_moved_no_farther_than_by_one_run(tmp_path):
     copy_of_run(tmp_path)
     elsewhere = describe_environment() | {"processor": "Z80, 2 cores"}
@@ -185,6 +190,7 @@ def test_a_row_of_another_machine_by_its_own_word_is_moved_no_farther_than_by_on
     assert found.is_far.startswith("its mean by ")
 
 
+@pytest.mark.costly
 def test_a_row_of_chosen_drives_or_of_repeated_ones_is_not_that_of_its_task(tmp_path):
     copy_of_run(tmp_path)
     row = store.load(store.row_path(tmp_path, "small", "learner"))
@@ -202,6 +208,7 @@ def test_a_row_of_chosen_drives_or_of_repeated_ones_is_not_that_of_its_task(tmp_
     assert found.distance == 2.0 and not found.agrees
 
 
+@pytest.mark.costly
 def test_a_row_that_says_something_else_of_its_entry_does_not_agree(tmp_path):
     copy_of_run(tmp_path)
     row = store.load(store.row_path(tmp_path, "small", "reader"))
@@ -215,6 +222,7 @@ def test_a_row_that_says_something_else_of_its_entry_does_not_agree(tmp_path):
 @pytest.mark.parametrize(
     "told", [{"causal": True}, {"lag": 5.0}, {"seeds": (2, 1)}, {"task_digest": "0" * 64}]
 )
+@pytest.mark.costly
 def test_who_lies_of_two_things_is_not_called_one_that_cannot_be_run(tmp_path, told):
     """Nor is a row of another task left out without a word."""
     copy_of_run(tmp_path)
@@ -243,6 +251,7 @@ def test_a_row_may_say_by_chance_that_its_entry_looks_ahead(tmp_path):
         assert _other_claim(dataclasses.replace(less, **changes), made)
 
 
+@pytest.mark.costly
 def test_a_note_is_a_whole_sentence_of_the_judge(tmp_path):
     """What follows it could be said of a rival."""
     copy_of_run(tmp_path)
@@ -315,6 +324,7 @@ def test_a_note_that_a_row_lacks_is_found(tmp_path):
     assert reasons["reader"] == "it lacks the note: reader: it remembers"
 
 
+@pytest.mark.costly
 def test_given_tasks_are_verified_whatever_the_folder_defines(tmp_path):
     board, _ = run(tmp_path)
     for path in (tmp_path / "definitions").iterdir():
@@ -384,6 +394,7 @@ def made_on(blas, results):
     return [dataclasses.replace(r, environment=environment) for r in results]
 
 
+@pytest.mark.costly
 def test_rows_of_other_kernels_are_noted_unless_they_were_verified(tmp_path):
     board, _ = run(tmp_path)
     first, *others = (r for r in board.results["small"] if r.estimator != "reader")
@@ -409,6 +420,7 @@ def test_rows_of_other_kernels_are_noted_unless_they_were_verified(tmp_path):
     assert note.endswith("not verified there.")
 
 
+@pytest.mark.costly
 def test_what_was_verified_is_kept_by_row_and_kernels_and_shown(tmp_path):
     board, _ = run(tmp_path)
     found = verify(tmp_path)["reader"]

@@ -31,12 +31,14 @@ def truth(problem):
     return problem.scipy("Radau", 1e-6)
 
 
+@pytest.mark.costly
 def test_the_body_moves_in_the_compared_drive(truth):
     assert truth.shape == (600, 3)
     assert abs(truth[-100:, 0]).max() > 0.1
 
 
 @pytest.mark.parametrize("method", METHODS)
+@pytest.mark.costly
 def test_every_scipy_method_reproduces_the_reference(problem, truth, method):
     assert relative_error(problem.scipy(method, 1e-5), truth) < 0.003
 
@@ -81,6 +83,7 @@ def test_a_missing_or_failing_peer_raises_an_error_that_names_it(problem, monkey
         problem.octave(1e-3)
 
 
+@pytest.mark.costly
 def test_the_command_measures_plots_and_names_skipped_peers(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(precision, "_timed", lambda run, setting: (run(setting), 0.05))
     monkeypatch.setattr(precision, "SCIPY", {"RK45": (1e-3, 1e-5)})

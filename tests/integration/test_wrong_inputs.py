@@ -241,6 +241,7 @@ def run(monkeypatch, capsys, tmp_path):
 
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("name", ERRORS)
+@pytest.mark.costly
 def test_a_wrong_input_is_refused_in_one_sentence(run, tmp_path, name):
     prepare, words, sentence = ERRORS[name]
     prepare()
@@ -252,6 +253,7 @@ def test_a_wrong_input_is_refused_in_one_sentence(run, tmp_path, name):
 
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("name", NOTES)
+@pytest.mark.costly
 def test_a_doubtful_input_is_answered_with_a_note(run, name):
     assert_note(run, *NOTES[name])
 

@@ -127,6 +127,7 @@ def relative_error(states, truth):
 
 
 @pytest.mark.parametrize(("name", "mode"), [("unequal_axles", "ride"), ("defender", "handling")])
+@pytest.mark.costly
 def test_the_drive_converges_to_scipys_radau_with_the_tolerance(name, mode):
     t, truth = reference(name, mode)
     rtol = 10.0 ** -np.arange(4.0, 9.0)

@@ -36,6 +36,7 @@ def test_the_noise_of_the_truth_gives_the_true_heights():
     assert np.std(z - true) < 0.04 * np.std(true)  # what is shorter than two nodes is left out
 
 
+@pytest.mark.costly
 def test_samples_have_the_covariance_of_the_dense_posterior():
     record, truth = drive(6.0)
     objective = _whole_drive(record, DEFENDER, PRIOR, 50.0, "paper")

@@ -90,6 +90,7 @@ def error(estimate, profile: Profile, v: float) -> float:
     return float(np.sqrt(np.mean(e**2) / np.mean(z**2)))
 
 
+@pytest.mark.costly
 def test_identified_responses_have_the_transfer_functions_of_the_vehicle():
     taps = calibrated().fitted_state.by_state[0].responses.taps
     f = np.array([1.0, 1.5, 2.0, 2.5, 4.0])
@@ -146,6 +147,7 @@ def test_amplitude_is_found_and_not_only_shape():
 
 
 @pytest.mark.usefixtures("short_memory")
+@pytest.mark.costly
 def test_any_number_of_sensors_serves():
     """With two of the three sensors the wheel paths are told apart less well."""
     profile, test = road(1, 40.0), road(2, 40.0)
@@ -262,6 +264,7 @@ REFUSED = {
 
 @pytest.mark.usefixtures("short_memory")
 @pytest.mark.parametrize("fault", REFUSED)
+@pytest.mark.costly
 def test_calibration_drives_that_tell_nothing_are_refused(fault):
     profile = road(1, 35.0)
     change, message = REFUSED[fault]
@@ -275,6 +278,7 @@ def test_it_must_be_calibrated_before_use():
 
 
 @pytest.mark.usefixtures("short_memory")
+@pytest.mark.costly
 def test_each_strut_state_has_its_own_responses():
     profile = road(1, 30.0)
     soft = drive(profile, 10.0)
@@ -291,6 +295,7 @@ def test_each_strut_state_has_its_own_responses():
     assert any("no calibration drive" in note for note in both.estimate(other_state, CAR).notes)
 
 
+@pytest.mark.costly
 def test_a_second_calibration_starts_from_the_responses_before_it():
     """Drives of a vehicle like it serve as prior for one short drive of the vehicle itself."""
     short, test = road(14, 40.0), road(15, 60.0)
@@ -305,6 +310,7 @@ def test_a_second_calibration_starts_from_the_responses_before_it():
     assert both.calibrate([CalibrationDrive(record)], CAR) is both
 
 
+@pytest.mark.costly
 def test_a_long_road_is_estimated_in_windows_that_agree(monkeypatch):
     profile = road(2, 130.0)
     record = drive(profile, 10.0)
@@ -337,6 +343,7 @@ def test_the_posterior_module_solves_for_the_most_probable_settings():
     assert abs(found[1][0] - found[0][0]) < 0.7
 
 
+@pytest.mark.costly
 def test_responses_that_tell_nothing_of_a_held_out_road_are_refused(monkeypatch):
     profile = road(1, 55.0)
     monkeypatch.setattr(calibrated_fir, "_MAX_HELD_OUT", 0.01)

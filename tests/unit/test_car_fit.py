@@ -81,6 +81,7 @@ def compared(result, true):
     return (x / result.std[: space.size])[~friction]
 
 
+@pytest.mark.costly
 def test_a_flexible_vehicle_is_recovered_from_a_drive_over_a_known_road():
     drive, _ = calibration_drive("S3")
     result = identify([drive], DEFENDER, structure=True)
@@ -107,6 +108,7 @@ def test_the_state_in_which_a_part_of_a_drive_begins_is_found_over_a_known_road(
     assert found.noise_scale < 5.0 < 0.05 * at_rest.noise_scale
 
 
+@pytest.mark.costly
 def test_the_smoother_adapts_to_another_vehicle_and_not_to_its_own():
     drive, truth = calibration_drive("S1", 1, 90.0)
     told, adapted = (
@@ -220,6 +222,7 @@ def test_drives_of_two_vehicles_contradict_each_other_about_one():
     assert contradiction(0.1) == 0.0
 
 
+@pytest.mark.costly
 def test_a_fit_that_was_not_believed_is_not_made_again_for_the_same_drive(monkeypatch):
     drive, _ = calibration_drive("S1", 1, 40.0)
     made = []
@@ -236,6 +239,7 @@ def test_a_fit_that_was_not_believed_is_not_made_again_for_the_same_drive(monkey
     assert len(made) == 1
 
 
+@pytest.mark.costly
 def test_a_fit_that_leaves_much_does_no_harm_where_sensors_are_on_brackets():
     drive, truth = calibration_drive("S0", 3, 40.0)
     w, damping = 2.0 * np.pi * 60.0, 0.03

@@ -116,6 +116,7 @@ print(law.twice(2.0), sum(law.twice._cache_hits.values()))
 """
 
 
+@pytest.mark.costly
 def test_a_kernel_is_compiled_again_when_code_changes_and_not_for_a_comment(tmp_path):
     package = tmp_path / "kernel_package"
     package.mkdir()
@@ -147,6 +148,7 @@ def test_a_kernel_is_compiled_again_when_code_changes_and_not_for_a_comment(tmp_
     assert run(source.replace("FACTOR = 2.0", "FACTOR = 3.0")) == (6.0, 0)
 
 
+@pytest.mark.costly
 def test_processes_that_start_together_compile_a_kernel_once(tmp_path):
     package = tmp_path / "kernel_package"
     package.mkdir()

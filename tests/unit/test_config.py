@@ -268,6 +268,7 @@ def places(data, where=()):
 
 
 @pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.costly
 def test_a_wrong_value_at_any_key_is_described_in_words_of_a_yaml_file(kind):
     data = read_yaml(config.find(kind, names(kind)[-1]))
     every = max(1, sum(1 for _ in places(data)) // 60)

@@ -41,6 +41,7 @@ def reported(tmp_path_factory):
     return folder / "out", made.drives[0]
 
 
+@pytest.mark.costly
 def test_a_geopackage_has_the_segments_obstacles_and_the_track(reported):
     folder, result = reported
     with closing(sqlite3.connect(folder / "report.gpkg")) as base:

@@ -127,6 +127,7 @@ def kept(stem):
 
 
 @pytest.mark.parametrize("car", ["bmw_320i", "defender_110_coils"])
+@pytest.mark.costly
 def test_another_programs_side_motion_is_noticed_and_that_of_the_file_is_not(car):
     described = load_vehicle(car)
     (note,) = side_notes(kept(f"commonroad_{car}_iso8608_B_90_17101"), described, "paper")
@@ -139,6 +140,7 @@ def test_another_programs_side_motion_is_noticed_and_that_of_the_file_is_not(car
 
 
 @pytest.mark.parametrize(("grade", "is_noted"), [("S2", False), ("S4", True)])
+@pytest.mark.costly
 def test_a_switchable_vehicle_whose_tyres_hold_it_is_noticed(grade, is_noted):
     """Behind its frame and its bending body, which hide it from the described one."""
     record, _ = simulate_record(

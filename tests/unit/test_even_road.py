@@ -41,6 +41,7 @@ def solved(record):
     return estimate("map_smoother", record, CAR, instruments="phone", adapt=False)
 
 
+@pytest.mark.costly
 def test_a_rough_place_that_confirms_itself_is_given_up_for_an_even_road(drive, monkeypatch):
     record, truth = drive
     found = solved(record)
@@ -50,6 +51,7 @@ def test_a_rough_place_that_confirms_itself_is_given_up_for_an_even_road(drive, 
     assert solved(record).residual > 3.0
 
 
+@pytest.mark.costly
 def test_one_phone_takes_the_even_road_that_costs_less(monkeypatch):
     """One sensor does not tell roads apart by what they leave unexplained."""
     bumps = [(40.0, 1.2, 0.06), (80.0, 0.9, 0.06), (115.0, 0.9, 0.05)]
@@ -102,6 +104,7 @@ def test_an_even_road_is_likelier(monkeypatch, sensors, even, uneven, expected):
     assert gauss_newton._is_likelier(point(*even), point(*uneven)) is expected
 
 
+@pytest.mark.costly
 def test_behind_a_bump_off_which_a_wheel_flew_the_road_may_fall_at_once(drive):
     """The straight line to where the wheel lands is 35 mm too high, and was said to err by 3."""
     record, truth = drive

@@ -63,6 +63,7 @@ def test_what_the_model_does_not_explain_is_taken_away_and_counted_as_error():
 
 
 @pytest.mark.parametrize("name", ["kalman_lag", "kalman_rts", "iterated_wiener"])
+@pytest.mark.costly
 def test_on_a_vehicle_far_from_the_described_one_no_estimate_is_worse_than_a_flat_road(name):
     record, truth = simulate_record(
         "iso_d", speed_kmh=54.0, mode="handling", seed=25, grade="S2", length=100.0, step=5e-4

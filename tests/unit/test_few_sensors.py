@@ -82,6 +82,7 @@ def test_more_sensors_in_a_car_whose_frame_twists_are_right_within_their_interva
         assert inside and error < max(one, 0.2)
 
 
+@pytest.mark.costly
 def test_two_sensors_whose_frame_is_not_found_tell_the_mean_path(monkeypatch):
     monkeypatch.setattr(drive_estimates, "with_twist", lambda record, car, instruments: car)
     error, inside = iri_error("two, both sides", realise_road("iso_b", 7, 120.0))
@@ -187,6 +188,7 @@ def test_two_sensors_on_both_sides_tell_the_paths_but_no_vehicle():
     assert tells_vehicle(LAYOUTS["three"]) and tells_vehicle(None)
 
 
+@pytest.mark.costly
 def test_a_vehicle_that_is_little_known_makes_no_road_rougher():
     """Errors of the vehicle are in the heights already, and count in an IRI once."""
     record, truth = simulate_record(

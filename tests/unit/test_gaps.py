@@ -39,6 +39,7 @@ def in_band(z: np.ndarray, ds: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", ["map_smoother", "wiener", "kalman_rts"])
+@pytest.mark.costly
 def test_what_was_not_read_is_not_known_and_the_rest_is_known_as_before(drive, name):
     record, truth = drive
     whole, holed = estimate(name, record), estimate(name, with_gap(record))

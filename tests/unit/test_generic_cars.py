@@ -85,6 +85,7 @@ def test_a_forward_control_van_is_a_van():
     assert fitted_vehicle("mine", "van", mass, own.wheelbase, track).wheelbase == own.wheelbase
 
 
+@pytest.mark.costly
 def test_an_estimate_says_that_side_motion_is_missing_where_a_car_has_none():
     car, paper = load_vehicle("bmw_320i"), load_vehicle("land_rover_defender_110")
     for described, said in ((car, False), (car.sliding, True), (paper, False)):

@@ -44,6 +44,7 @@ def all_readers(tmp_path_factory):
 
 
 @pytest.mark.parametrize("name", ALL)
+@pytest.mark.costly
 def test_a_valid_file_is_read_and_a_folder_and_hostile_texts_are_refused(
     name, all_readers, tmp_path
 ):
@@ -147,6 +148,7 @@ CELLS = (
 
 
 @pytest.mark.parametrize("quantity", DRIVE)
+@pytest.mark.costly
 def test_any_cell_of_a_drive_is_read_or_refused(quantity, all_readers, tmp_path):
     """One cell, the second half, or all of a column; `read_drive` asserts what is read."""
     said = []

@@ -53,6 +53,7 @@ def test_a_vehicle_is_identified_once_for_the_same_drives(identified, tmp_path):
 
 
 @pytest.mark.parametrize("name", WITH_A_MODEL)
+@pytest.mark.costly
 def test_every_estimator_with_a_model_uses_what_was_identified(identified, name):
     """As if it had been told that vehicle, with readings corrected by hand."""
     estimator, calibration = create(name), drive()

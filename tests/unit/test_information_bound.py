@@ -197,6 +197,7 @@ def test_a_sensor_without_response_leaves_the_prior():
 
 @pytest.mark.parametrize("mode", ["ride", "handling"])
 @pytest.mark.parametrize("name", CARS)
+@pytest.mark.costly
 def test_the_equivalent_damping_is_a_fixed_point_of_linearization(name, mode):
     car, v, prior = CARS[name], 12.0, RoadPrior()
     result = equivalent_damping(car, mode, v, prior)

@@ -130,6 +130,7 @@ def test_inputs_are_shifted_with_their_speed():
     np.testing.assert_allclose((moved.v / inputs.v)[at], [1.01, 1.0])
 
 
+@pytest.mark.costly
 def test_two_passes_are_better_than_either_and_their_odometers_are_aligned():
     """The second odometer is 1.2 m and 0.8 % off, and position fixes pull it back."""
     records, truth = drives()
@@ -148,6 +149,7 @@ def test_two_passes_are_better_than_either_and_their_odometers_are_aligned():
     assert 0.5 < np.std(z) / joint.z_std.mean() < 1.6
 
 
+@pytest.mark.costly
 def test_windows_of_all_passes_end_at_the_same_stations_and_join():
     records, truth = drives(50.0)
     smoother = MapSmoother(adapt=False, draws=0)

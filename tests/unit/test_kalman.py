@@ -135,6 +135,7 @@ def error(estimate, truth, kmh=54.0) -> float:
 
 
 @pytest.mark.parametrize("mode, most", [("ride", 0.2), ("handling", 0.13)])
+@pytest.mark.costly
 def test_the_error_falls_from_filter_to_fixed_lag_to_whole_drive_smoother(mode, most):
     _, truth = drive(mode)
     names = "kalman", "kalman_lag", "kalman_rts"
@@ -143,6 +144,7 @@ def test_the_error_falls_from_filter_to_fixed_lag_to_whole_drive_smoother(mode, 
     assert 2.0 * late < early < 0.8
 
 
+@pytest.mark.costly
 def test_unequal_strut_states_need_a_lag_of_wheelbases():
     _, truth = drive("split")
     early = create("kalman_lag", lag=LAG).estimate(drive("split")[0], DEFENDER)
@@ -151,6 +153,7 @@ def test_unequal_strut_states_need_a_lag_of_wheelbases():
     assert 1.8 * lag < error(early, truth) < 0.35
 
 
+@pytest.mark.costly
 def test_later_samples_leave_emitted_stations_unchanged_even_if_they_clip():
     record, _ = drive("handling", 54.0, 3, 60.0)
     late = record.s > 30.0
@@ -204,6 +207,7 @@ def test_a_vehicle_far_from_its_description_is_not_begun_anew_again_and_again():
     assert error(create("kalman_lag").estimate(record, DEFENDER), truth) < 0.95  # else 1.17
 
 
+@pytest.mark.costly
 def test_what_is_measured_after_a_restart_tells_nothing_of_the_road_before():
     record, _ = lost_drive()
     inputs, heights = build_model_inputs(record, PAPER, DEFENDER, 0.001), []
@@ -221,6 +225,7 @@ def test_what_is_measured_after_a_restart_tells_nothing_of_the_road_before():
     assert np.abs(heights[0] - heights[1])[s > 30.0].max() > 1e-3
 
 
+@pytest.mark.costly
 def test_missing_clipped_and_dropped_samples_cost_little_and_are_noted():
     record, truth = drive()
     a = record.a.copy()
@@ -239,6 +244,7 @@ def test_missing_clipped_and_dropped_samples_cost_little_and_are_noted():
     assert any("the clock is uneven" in note for note in dropped.notes)
 
 
+@pytest.mark.costly
 def test_switching_struts_are_followed_and_must_be_known():
     record, truth = switched()
     estimate = create("kalman_lag").estimate(record, DEFENDER)
@@ -285,6 +291,7 @@ def test_a_record_may_begin_and_end_in_the_middle_of_a_road():
 
 
 @pytest.mark.parametrize("name", ["kalman", "kalman_lag", "kalman_rts"])
+@pytest.mark.costly
 def test_confidence_intervals_have_their_nominal_coverage_or_some_more(name):
     """Individuals with finer steps than the model, at 100 km/h, have some less (docs/field.md)."""
     shares = []
@@ -312,6 +319,7 @@ def test_intervals_widen_where_obstacles_surprise_the_filter(name):
     assert 0.85 < scores.coverage_90  # 0.81 without (`kalman_rts`)
 
 
+@pytest.mark.costly
 def test_nodes_that_have_left_are_smoothed_as_if_all_were_held(monkeypatch):
     """Over obstacles, whose steps are accepted after nodes have left that their edges disturb."""
     case = "ride", 30.0, 72, 60.0, "random_bumps"
@@ -356,6 +364,7 @@ def test_the_roughness_scale_is_estimated_within_a_factor_of_two():
 
 
 @pytest.mark.parametrize("name", ["kalman", "kalman_lag"])
+@pytest.mark.costly
 def test_the_probes_are_passed(name):
     record, _ = drive("handling", 54.0, 3, 30.0)
     for result in probe_estimator(create(name), record, DEFENDER):

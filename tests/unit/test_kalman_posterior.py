@@ -236,6 +236,7 @@ FLEXIBLE = pytest.param(4.79, True, marks=pytest.mark.slow, id="a body that twis
 
 
 @pytest.mark.parametrize("lag, flexible", [(0.0, False), (4.79, False), (6.5, False), FLEXIBLE])
+@pytest.mark.costly
 def test_an_emitted_station_is_the_dense_posterior_of_the_blocks_until_then(lag, flexible):
     """Heights within a tenth of their standard deviation, standard deviations to a hundredth."""
     run, record, _ = run_of(drawn_samples(flexible), flexible, lag)
@@ -254,6 +255,7 @@ def test_an_emitted_station_is_the_dense_posterior_of_the_blocks_until_then(lag,
     assert len(compared) >= 7
 
 
+@pytest.mark.costly
 def test_the_smoothed_profile_is_the_dense_posterior_of_all_blocks():
     run, record, _ = run_of(drawn_samples())
     output = setup_output(run, record, 0.004, detrended=False)

@@ -55,6 +55,7 @@ def test_a_drive_is_driven_over_the_road_of_its_seed():
     assert lags[0] > 1.5 * lags[1]
 
 
+@pytest.mark.costly
 def test_what_is_not_kept_is_driven_by_the_plant_or_refused(monkeypatch):
     surface, sensors = realise_road("iso_c", 1, 30.0), load_instruments("paper")
     drive = ("mujoco", "bmw_320i", surface, 36.0, 1, sensors)

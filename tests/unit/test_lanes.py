@@ -37,6 +37,7 @@ def fill_on_the_stack(numbers, rows):
     return one.ctypes.data % 64 + many.ctypes.data % 64
 
 
+@pytest.mark.costly
 def test_arrays_on_the_stack_are_apart_and_begin_on_cache_lines():
     numbers, rows = np.zeros(2), np.zeros((2, LANES))
     assert fill_on_the_stack(numbers, rows) == 0

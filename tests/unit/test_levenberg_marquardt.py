@@ -325,6 +325,7 @@ def test_the_jacobian_for_the_peers_is_the_derivative_of_the_outputs():
 
 
 @pytest.mark.parametrize("peer", [lm_peers.time_scipy, lm_peers.time_torch])
+@pytest.mark.costly
 def test_a_peer_reaches_the_same_error_from_the_same_start(peer):
     rng = np.random.default_rng(6)
     x = rng.uniform(-1.0, 1.0, (3, 200))

@@ -108,6 +108,7 @@ def test_about_any_state_the_model_matches_differences(name, q, v, strut_state):
 @every_car
 @every_mode
 @pytest.mark.parametrize("f", [0.4, 1.0, 8.0, 16.0])
+@pytest.mark.costly
 def test_the_frequency_response_matches_a_scipy_simulation(name, mode, f):
     damping = gaussian_damping(CARS[name], mode, 0.2)
     model, omega = linearise(PLANTS[name], mode, PLACES, damping=damping), 2.0 * np.pi * f

@@ -300,6 +300,7 @@ def test_what_a_parser_says_of_a_damaged_mdf_file_is_cut_to_one_line(tmp_path, m
     assert len(str(said.value)) < 600
 
 
+@pytest.mark.costly
 def test_a_damaged_mdf_file_is_refused_in_one_sentence_without_a_word_after_it(
     tmp_path, capsys, monkeypatch
 ):

@@ -118,6 +118,7 @@ def test_an_error_below_a_wheel_counts_by_its_envelope_in_the_band():
 
 
 @pytest.mark.parametrize(("road", "seed"), [("random_bumps", 211), ("potholes", 212)])
+@pytest.mark.costly
 def test_intervals_are_wide_where_wheels_fly_and_cover_what_they_say(road, seed):
     record, truth = simulate_record(
         road, speed_kmh=54.0, mode="ride", seed=seed, length=60.0, step=5e-4
@@ -136,6 +137,7 @@ def test_intervals_are_wide_where_wheels_fly_and_cover_what_they_say(road, seed)
     ("road", "mode"),
     [("washboard", {"front": "ride", "rear": "handling"}), ("bump_large_small", "handling")],
 )
+@pytest.mark.costly
 def test_no_estimate_rises_beyond_three_times_the_range_of_the_road(road, mode):
     record, truth = simulate_record(road, speed_kmh=54.0, mode=mode, seed=3)
     estimate = create("map_smoother").estimate(record, DEFENDER)

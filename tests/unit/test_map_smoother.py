@@ -197,6 +197,7 @@ def test_a_clipped_sample_is_a_limit_and_not_a_measurement():
     np.testing.assert_allclose(left_out.residual(predicted), [[0.0, -1.5]])
 
 
+@pytest.mark.costly
 def test_bumps_on_a_level_road_are_found_within_a_twentieth():
     road = {"kind": "scaled", "height_factor": -1.0, "road": {
         "kind": "potholes", "length": 50.0, "rate": 0.06, "depth": [0.03, 0.08],
@@ -315,6 +316,7 @@ def test_drawn_noise_has_the_inverse_covariance_of_the_cost():
     assert np.var(drawn @ direction.ravel()) == pytest.approx(expected, rel=0.1)
 
 
+@pytest.mark.costly
 def test_joined_windows_agree_with_one_window_within_its_std():
     record, truth = drive_record(length=90.0)
     whole = MapSmoother(adapt=False).estimate(record, DEFENDER)
@@ -376,6 +378,7 @@ def dense_tangent(objective: Objective) -> np.ndarray:
     return samples.reshape(J, -1, 3, 2 * size).mean(axis=1).transpose(1, 0, 2).reshape(3 * J, -1)
 
 
+@pytest.mark.costly
 def test_on_a_linear_vehicle_the_map_road_is_the_dense_gaussian_posterior():
     """Motions are so small that gas springs and tyres are linear. The oracle shares the prior,
     whose density is tested above, and the noise scale.

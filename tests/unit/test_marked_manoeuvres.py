@@ -70,6 +70,7 @@ def test_a_stop_is_marked_and_said_first_and_the_interval_is_wider():
 
 @pytest.mark.parametrize("road", ["iso_a", "iso_b", "iso_c", "iso_d"])
 @pytest.mark.parametrize("speed_kmh", [14.5, 36.0, 100.0])
+@pytest.mark.costly
 def test_straight_drives_are_not_marked(road, speed_kmh):
     record, _ = simulate_record(road, speed_kmh=speed_kmh, seed=8991, grade="S1", length=300.0)
     assert not _turns(record).any() and not _speed_changes(record).any()
@@ -83,6 +84,7 @@ def test_sensors_that_tell_no_roll_see_no_turn():
     assert not _turns(one).any()
 
 
+@pytest.mark.costly
 def test_estimate_marks_a_turn_for_an_estimator_that_knows_none():
     record, _ = drive(manoeuvre=SteadyTurn(a_y=1.96, begin=4.0, hold=3.0))
     found = estimate("iterated_wiener", record)

@@ -77,6 +77,7 @@ def test_one_sensor_gives_hri_and_an_iri_and_no_left_and_right():
     assert {o["wheel_path"] for o in found.obstacles} <= {"not told"}
 
 
+@pytest.mark.costly
 def test_where_nothing_was_read_the_road_is_taken_as_rough_as_elsewhere():
     errors, inside, width = [], [], []
     for seed in range(12):

@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 
+import pytest
+
 from estimators.map_smoother.gauss_newton import GaussNewton, minimize
 from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.preparation import SolverSettings
@@ -33,6 +35,7 @@ def one_phone():
     return minimize(objective, GaussNewton(stationary_hessian(objective), settings.huber))
 
 
+@pytest.mark.costly
 def test_the_record_of_one_sensor_is_explained_to_its_noise_behind_humps_on_a_smooth_road():
     solution = one_phone()
     (one,) = solution.linearization.passes

@@ -48,6 +48,7 @@ def test_patches_have_their_length_and_a_uniform_offset():
 
 
 @pytest.mark.parametrize("law", LAWS)
+@pytest.mark.costly
 def test_the_mean_spectrum_is_that_of_the_stationary_road(law):
     paths = np.concatenate([varying(law).realise(rng(k)).z for k in range(12)])
     each = np.array([segment_spectrum(z, 0.05, 800)[1] for z in paths])
@@ -67,6 +68,7 @@ def short_waves(z, ds=0.05, low=1.0):
 
 
 @pytest.mark.parametrize(("law", "spread"), [("gamma", 0.7), ("lognormal", 0.5)])
+@pytest.mark.costly
 def test_short_waves_have_the_kurtosis_of_their_distribution(law, spread):
     parts = [short_waves(varying(law, spread).realise(rng(k)).z) for k in range(40)]
     m2, m4 = (np.array([np.mean(x**p) for x in parts]) for p in (2, 4))

@@ -62,6 +62,7 @@ def test_the_displacement_of_an_odometer_with_position_fixes_is_found(error, len
 
 
 @pytest.mark.parametrize("length, noise", [(1e9, 0.0), (1e-3, 0.0), (10.0, 0.3)])
+@pytest.mark.costly
 def test_an_odometer_without_fixes_with_immediate_or_with_noisy_ones_is_left_alone(length, noise):
     record, _ = drive(0.02, length, noise)
     assert calibrate_odometer(record)[0] is record
@@ -94,6 +95,7 @@ def test_online_the_displacement_is_found_from_the_samples_before_alone(error, l
 
 
 @pytest.mark.parametrize("length, noise", [(1e9, 0.0), (1e-3, 0.0), (10.0, 0.3)])
+@pytest.mark.costly
 def test_online_an_unclear_displacement_is_left_alone(length, noise):
     record, _ = drive(0.02, length, noise)
     assert calibrate_odometer(record, causal=True)[0] is record
@@ -114,6 +116,7 @@ def wandering(seed, noise=None, speed_kmh=54.0):
     return Record(t, np.zeros((3, t.size)), speed, read, states, states, 300.0), s
 
 
+@pytest.mark.costly
 def test_stations_beside_fixes_that_wander_are_within_their_deviation():
     inside, errors = [], []
     for seed in range(40):
@@ -147,6 +150,7 @@ def test_fixes_that_do_not_wander_leave_no_deviation():
 
 
 @pytest.mark.parametrize("name", ["wiener", "kalman_rts"])
+@pytest.mark.costly
 def test_heights_beside_fixes_that_wander_are_right_after_alignment(name):
     record, truth = simulate_record("iso_d", speed_kmh=54.0, mode="handling", seed=7, length=150.0)
     errors = []
@@ -186,6 +190,7 @@ def test_stations_speed_and_heights_follow_the_distance_scale_that_was_found():
 
 
 @pytest.mark.parametrize("name", ["wiener", "fir_ridge", "tcn", "tcn_causal"])
+@pytest.mark.costly
 def test_an_estimate_is_that_of_the_calibrated_stations(name):
     surface = realise_road("iso_d", 3, 40.0)
     record, _ = simulate_record(surface, speed_kmh=54.0, mode="ride", seed=3)

@@ -113,6 +113,7 @@ def test_another_road_and_the_opposite_direction_are_refused_by_name():
         align_passes(records, [first, other], names)
 
 
+@pytest.mark.costly
 def test_any_estimator_estimates_several_passes():
     road = realise_road("iso_c", 3, 40.0)
     records, truths = zip(

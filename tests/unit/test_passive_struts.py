@@ -100,6 +100,7 @@ def test_natural_frequencies_are_those_of_four_wheels_with_bars():
 
 
 @pytest.mark.parametrize("springs", ["coil", "air"])
+@pytest.mark.costly
 def test_a_drive_is_that_of_four_wheels(springs):
     loads = BMW.strut_loads
     if springs == "coil":

@@ -281,6 +281,7 @@ def test_a_symmetric_road_rolls_every_vehicle_but_the_nominal_one():
         assert (motion.state[:, [1, 4, 6]] == 0.0).all() == still
 
 
+@pytest.mark.costly
 def test_a_perturbed_drive_matches_scipy_with_independent_equations():
     """Reference: Radau with the paper's equations, and enveloping by SciPy's spline."""
     vehicle, L = perturb_vehicle(DEFENDER, "S3", 21), ASSUMED.structure.contact_length

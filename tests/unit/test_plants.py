@@ -56,6 +56,7 @@ def told(plant, car):
 
 @pytest.mark.parametrize("name", CARS)
 @pytest.mark.parametrize("plant", PLANTS)
+@pytest.mark.costly
 def test_heave_and_pitch_agree_with_our_simulator(plant, name):
     found, expected = driven(plant, CARS[name]), ours(told(plant, CARS[name]))
     for k in (0, 2):
@@ -63,6 +64,7 @@ def test_heave_and_pitch_agree_with_our_simulator(plant, name):
         assert found[k].std() == pytest.approx(expected[k].std(), rel=0.05)
 
 
+@pytest.mark.costly
 def test_roll_of_commonroad_is_that_of_the_table():
     # ratios to a body that rolls about its centre of mass, as measured by others with this car
     # (BMW, 36 km/h): 1.65, 1.58, 0.37, 0.47, 0.59
@@ -78,6 +80,7 @@ def test_roll_of_commonroad_is_that_of_the_table():
 
 
 @pytest.mark.parametrize("name", ["bmw_320i", "volkswagen_vanagon"])
+@pytest.mark.costly
 def test_the_plants_roll_as_each_other_and_not_as_ours(name):
     car = CARS[name]
     one, other = (driven(plant, car)[1] for plant in PLANTS)
@@ -87,6 +90,7 @@ def test_the_plants_roll_as_each_other_and_not_as_ours(name):
 
 @pytest.mark.parametrize("name", CARS)
 @pytest.mark.parametrize("plant", PLANTS)
+@pytest.mark.costly
 def test_a_car_on_a_level_road_stays_at_rest(plant, name):
     # free wheels of CommonRoad brake by a thousandth of g while they settle
     motion = driven(plant, CARS[name], LEVEL, duration=2.0)[:, 100:]
@@ -212,6 +216,7 @@ def test_an_accelerometer_on_an_axle_is_refused_by_the_car_itself(plant, axle, n
         PLANTS[plant](CARS["bmw_320i"], places)
 
 
+@pytest.mark.costly
 def test_tyres_of_another_program_are_noticed_behind_peaks_of_paving_too():
     """The paving makes the Defender seem to twist and bend; its file has rigid joints."""
     name = "defender_110_coils"

@@ -54,6 +54,7 @@ def pair_of(action) -> tuple[str, str]:
 
 
 @pytest.mark.parametrize("name", REGISTRY)
+@pytest.mark.costly
 def test_every_policy_runs_and_vehicles_do_not_affect_each_other(name):
     policy = create(name)
     three = roll_out(policy, OPTIONS, [5, 6, 7])
@@ -161,6 +162,7 @@ def test_rrms_compares_lateral_with_vertical_acceleration():
     assert [pair_of(a)[0] for a in actions] == ["ride", "handling", "ride"]
 
 
+@pytest.mark.costly
 def test_greedy_information_takes_the_pair_of_least_cost():
     slow = observed(speed=15.0)
     chosen = []
@@ -174,6 +176,7 @@ def test_greedy_information_takes_the_pair_of_least_cost():
     assert chosen[1][0] != chosen[1][1]
 
 
+@pytest.mark.costly
 def test_expected_comfort_agrees_with_simulated_drives():
     """The closed form of the linear vehicle against simulation on class D; friction causes 15 %."""
     straight = {**OPTIONS, "manoeuvre": None, "length": 300.0}

@@ -35,6 +35,7 @@ def test_a_command_acts_after_the_delay_and_holds_the_oil_of_that_moment():
     assert moved < SwitchedStruts(CAR, encode_command("ride"))(e + 0.01, REST)[0] - 200.0
 
 
+@pytest.mark.costly
 def test_a_turn_in_mujoco_leans_the_car_as_the_own_side_motion_does():
     pytest.importorskip("mujoco")
     fixed = {

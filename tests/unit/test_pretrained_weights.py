@@ -63,6 +63,7 @@ def rare_taps(causal: bool, flexible: bool) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("name", "array"), WINDOWS.items())
+@pytest.mark.costly
 def test_shipped_fir_taps_match_the_corpus_as_simulated_now(name, array):
     """A change of simulator, road or corpus requires new weights."""
     arrays, _ = read_shipped(name)

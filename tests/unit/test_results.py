@@ -114,6 +114,7 @@ def test_an_invalid_file_raises_an_error_that_names_it(tmp_path, change, message
 
 
 @pytest.mark.parametrize(("change", "message"), INVALID)
+@pytest.mark.costly
 def test_an_invalid_file_is_a_failed_row_and_other_rows_are_unaffected(tmp_path, change, message):
     path = edited(tmp_path, change)
     save(result_of("learner"), tmp_path)

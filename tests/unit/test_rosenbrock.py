@@ -53,6 +53,7 @@ def road_under(surface, name, s, speed=SPEED):
     st.floats(5.0, 30.0),
     st.floats(-0.01, 0.01),
 )
+@pytest.mark.costly
 def test_one_step_equals_the_published_formula(name, mode, y, h, s, psi):
     """dw/dt, the road's second derivative, is a difference over the half step.
 
@@ -168,6 +169,7 @@ def test_the_method_has_order_two_on_the_nonlinear_vehicle_over_a_road(name, mod
 
 
 @pytest.mark.parametrize(("name", "mode"), [("unequal_axles", "ride"), ("defender", "handling")])
+@pytest.mark.costly
 def test_a_drive_with_wheel_lift_off_matches_the_reference(name, mode):
     t, truth = reference(name, mode, ROUGH, 1.0, rtol=1e-8)
     states, least = simulate_states(name, mode, ROUGH, t, 0.00025)
@@ -176,6 +178,7 @@ def test_a_drive_with_wheel_lift_off_matches_the_reference(name, mode):
 
 
 @pytest.mark.parametrize(("name", "mode"), [("unequal_axles", "handling"), ("defender", "ride")])
+@pytest.mark.costly
 def test_a_drive_matches_scipy_on_the_papers_equations(name, mode):
     """The oracle shares no code: the paper's equations, SciPy's curves, splines and Radau."""
     plant, strut_state = PLANTS[name], settled_strut_state(encode_command(mode))

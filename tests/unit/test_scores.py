@@ -91,6 +91,7 @@ def expected(name):
 
 
 @pytest.mark.parametrize("name", CASES)
+@pytest.mark.costly
 def test_scores_equal_an_independent_implementation(name):
     y, a, sigma, ds = case(name)
     mine = dict(found(name))

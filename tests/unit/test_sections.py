@@ -80,11 +80,13 @@ def test_sections_cover_the_drive_with_their_run_ins_on_its_own_stations(drive, 
     assert found[-1].end == record.t.size and found[0].begin == 0
 
 
+@pytest.mark.costly
 def test_a_short_drive_is_one_section_and_its_estimate_that_without_sections(drive):
     assert len(split(*drive[:1], drive[1].wheelbase)) == 1
     assert_equal(estimate(drive), ONE.estimate(*drive))
 
 
+@pytest.mark.costly
 def test_the_road_of_all_sections_is_that_of_the_drive(drive, short):
     whole, joined = ONE.estimate(*drive), estimate(drive)
     slopes, others = (np.diff(x.z, axis=1)[:, 400:-200] for x in (whole, joined))
@@ -116,6 +118,7 @@ def test_parts_go_on_at_the_height_of_those_before():
     assert found.distance == pytest.approx((1.01, 0.01)) and found.residual == 2.0
 
 
+@pytest.mark.costly
 def test_an_interrupted_estimate_goes_on_and_is_that_of_one_that_was_not(
     drive, short, tmp_path, monkeypatch
 ):
@@ -131,6 +134,7 @@ def test_an_interrupted_estimate_goes_on_and_is_that_of_one_that_was_not(
     assert not tmp_path.exists()
 
 
+@pytest.mark.costly
 def test_nothing_is_kept_for_another_record_vehicle_or_setting(drive, short, tmp_path, monkeypatch):
     record, car = drive
     estimate(drive, tmp_path)
@@ -147,6 +151,7 @@ def test_nothing_is_kept_for_another_record_vehicle_or_setting(drive, short, tmp
 
 
 @pytest.mark.parametrize("damage", ["cut", "changed", "another's"])
+@pytest.mark.costly
 def test_a_damaged_section_is_estimated_anew(drive, short, tmp_path, monkeypatch, damage):
     first = estimate(drive, tmp_path)
     one, other = sorted(tmp_path.iterdir())[:2]
@@ -162,6 +167,7 @@ def test_a_damaged_section_is_estimated_anew(drive, short, tmp_path, monkeypatch
     assert len(calls) == 1 and one.read_text() == text
 
 
+@pytest.mark.costly
 def test_a_stopped_report_says_what_is_kept_and_the_next_one_removes_it(
     short, tmp_path, monkeypatch, capsys
 ):

@@ -178,6 +178,7 @@ def states(drive, n=2):
 @pytest.mark.parametrize(
     ("car", "most", "ratio"), [(LINEAR, 2e-3, 3.5), (SOFT, 3e-3, 3.4)], ids=["rigid", "joints"]
 )
+@pytest.mark.costly
 def test_the_step_is_of_order_two(car, most, ratio):
     errors = []
     for h in (1e-3, 5e-4):

@@ -47,6 +47,7 @@ def test_a_stiff_body_or_a_short_drive_or_one_that_is_described_so_does_not_bend
 
 @pytest.mark.parametrize("layout", [SIDES, load_instruments("phone").accelerometers])
 @pytest.mark.parametrize("f", [8.5, 17.0])
+@pytest.mark.costly
 def test_the_twist_of_a_frame_is_found_by_sensors_on_both_sides(layout, f):
     record, car = drive(layout, frame=TorsionalFrame(f=f, zeta=0.06))
     found = with_twist(record, car, "phone")

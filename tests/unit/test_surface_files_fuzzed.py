@@ -146,6 +146,7 @@ def test_a_truncated_file_is_read_or_rejected(reader):
     ],
     ids=lambda x: x if isinstance(x, str) else x[:12].decode(),
 )
+@pytest.mark.costly
 def test_time_and_memory_scale_with_the_size_of_repetitive_files(reader, data):
     answer(warmed(reader)[0], data)
 

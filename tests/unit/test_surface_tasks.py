@@ -87,6 +87,7 @@ def test_a_file_that_is_no_surface_is_refused(tmp_path):
         surface_tasks(path)
 
 
+@pytest.mark.costly
 def test_the_digest_depends_on_the_content_of_a_surface_file(tmp_path):
     path = surface_file(tmp_path, "a.csv", seed=1)
     before = surface_tasks(path)[0].digest

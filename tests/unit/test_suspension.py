@@ -57,6 +57,7 @@ def test_static_spring_rates_are_16_7_and_83_6_kn_per_m():
 @every_car
 @both_axles
 @given(strut_states, st.floats(-0.3, 0.3), st.floats(-4.0, 4.0))
+@pytest.mark.costly
 def test_a_strut_force_is_the_sum_of_its_five_components(name, w, strut_state, e, e_dot):
     oracle = oracles.NonlinearCar(CARS[name])
     moved = np.full(4, e), np.full(4, e_dot)

@@ -137,6 +137,7 @@ def test_a_sample_of_the_trace_is_the_change_of_the_tangent_along_the_road():
         assert along @ dx == pytest.approx(np.vdot(change, weight * means), rel=0.02)
 
 
+@pytest.mark.costly
 def test_the_gradient_at_the_true_vehicle_is_as_large_as_the_information_says():
     """On a road that friction hides in part, the sign of a likelihood that is right."""
     car = load_vehicle("compact")

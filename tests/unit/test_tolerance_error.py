@@ -20,6 +20,7 @@ def record_of(road, speed_kmh):
     return record
 
 
+@pytest.mark.costly
 def test_friction_leaves_more_open_on_smooth_roads_and_a_known_car_nothing():
     car = load_vehicle("bmw_320i")
     slow, fast = record_of("iso_a", 50.0), record_of("iso_c", 70.0)
@@ -28,6 +29,7 @@ def test_friction_leaves_more_open_on_smooth_roads_and_a_known_car_nothing():
     assert roughness_std(slow, replace(car, tolerances={}), "phone") == 0.0
 
 
+@pytest.mark.costly
 def test_a_tenth_of_a_tolerance_leaves_a_tenth_of_the_error():
     car, record = load_vehicle("bmw_320i"), record_of("iso_c", 70.0)
     mass = [Tolerance(relative=x, source="a test") for x in (0.1, 0.01)]

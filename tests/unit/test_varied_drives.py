@@ -95,6 +95,7 @@ def distance(actual, truth):
 
 @every_variation
 @every_mode
+@pytest.mark.costly
 def test_the_integrator_converges_with_order_two(name, mode):
     """Also with a flexible frame, whose coupling the matrix of the step leaves out."""
     t, truth = reference(name, mode, GENTLE, 1.0)
@@ -107,6 +108,7 @@ def test_the_integrator_converges_with_order_two(name, mode):
     assert error[0] < 5e-3 and error[-1] < 2e-5
 
 
+@pytest.mark.costly
 def test_a_drive_on_a_rough_road_matches_scipy():
     """All deviations and lifted wheels; the reference shares no code: SciPy's splines and Radau."""
     plant, t = VARIED_PLANTS["flexible"], np.linspace(0.0, 0.5, 26)

@@ -227,6 +227,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault, message", FAULTS.items())
+@pytest.mark.costly
 def test_the_checker_detects(fault, message):
     with pytest.raises(VectorCheckError, match=message):
         check_vector_env(

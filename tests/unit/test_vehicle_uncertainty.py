@@ -103,6 +103,7 @@ def test_what_is_not_known_of_a_vehicle_is_remembered_with_it():
     assert IdentifiedVehicle(car=car).uncertainty is None
 
 
+@pytest.mark.costly
 def test_intervals_of_a_wrong_vehicle_cover_the_error_if_they_know_of_it():
     record, truth = drive_record(length=40.0)
     names = ("m_b", "front.m", "rear.m", "I_yy", "variation.damper.FL", "variation.tyre.RR")
@@ -124,6 +125,7 @@ def test_intervals_of_a_wrong_vehicle_cover_the_error_if_they_know_of_it():
 
 
 @pytest.mark.parametrize(("grade", "widened"), [("S0", False), ("S1", True)])
+@pytest.mark.costly
 def test_the_tolerances_of_a_described_vehicle_count_where_its_error_shows(grade, widened):
     record, truth = simulate_record(
         "iso_b", speed_kmh=36.0, mode=MIXED, seed=211, grade=grade, length=60.0

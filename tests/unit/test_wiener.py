@@ -74,6 +74,7 @@ def in_band(estimate, truth, speed_kmh):
     return nrmse(truth.z, estimate.z, PROFILE_SPACING, scored_band(speed_kmh / 3.6)).pooled
 
 
+@pytest.mark.costly
 def test_iterations_that_end_early_find_the_road_of_all_of_them(monkeypatch):
     record, truth = drive(mode="ride", length=40.0)
     early = in_band(create("iterated_wiener", adapt=False).estimate(record, DEFENDER), truth, 54.0)
@@ -92,6 +93,7 @@ def test_iterations_that_end_early_find_the_road_of_all_of_them(monkeypatch):
 
 
 @pytest.mark.parametrize("mode", ["ride", "split"])
+@pytest.mark.costly
 def test_on_a_linear_vehicle_the_error_is_at_the_bound(mode):
     """On class B, where gas springs and bump stops stay linear."""
     errors = []
@@ -105,6 +107,7 @@ def test_on_a_linear_vehicle_the_error_is_at_the_bound(mode):
 
 
 @pytest.mark.parametrize(("mode", "speed_kmh"), [("ride", 54.0), ("handling", 30.0)])
+@pytest.mark.costly
 def test_on_the_defender_the_error_is_the_bound_with_residuals_as_noise(mode, speed_kmh):
     errors = []
     for seed in (1, 2):
@@ -117,6 +120,7 @@ def test_on_the_defender_the_error_is_the_bound_with_residuals_as_noise(mode, sp
 
 
 @pytest.mark.parametrize("mode", ["ride", "split"])
+@pytest.mark.costly
 def test_subtracting_the_force_residuals_reduces_the_error(mode):
     record, truth = drive("defender", "iso_d", mode)
     once, often = (
@@ -194,6 +198,7 @@ def synthetic_segment(
 
 
 @pytest.mark.parametrize("level", [64e-6, 1024e-6])
+@pytest.mark.costly
 def test_the_road_level_is_estimated_from_the_record(level):
     found = []
     for seed in (1, 2, 3):
@@ -251,6 +256,7 @@ def test_the_expected_force_residual_equals_a_monte_carlo_mean():
 
 
 @pytest.mark.parametrize("name", ["wiener", "iterated_wiener"])
+@pytest.mark.costly
 def test_left_and_right_paths_are_not_swapped(name):
     record, truth = drive("defender", "iso_d", "handling", 30.0)
     band = scored_band(30.0 / 3.6)
@@ -288,6 +294,7 @@ def test_standard_deviations_follow_a_change_of_roughness():
     assert std[0, std.shape[1] * 5 // 6] > 2.0 * std[0, std.shape[1] // 6]
 
 
+@pytest.mark.costly
 def test_segments_are_joined_without_steps(monkeypatch):
     """Two segments give the estimate of one in the scored band."""
     record, truth = drive("defender", "iso_c", "ride", length=210.0)
@@ -314,6 +321,7 @@ def faulty(record, where, value, sensors=slice(None)):
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 39.24], ids=["nan", "inf", "limit"])
+@pytest.mark.costly
 def test_a_gap_degrades_the_estimate_only_near_the_gap(value):
     record, truth = drive()
     whole = create("wiener").estimate(record, DEFENDER)
@@ -342,6 +350,7 @@ def test_with_one_dead_sensor_the_mean_of_the_wheel_paths_is_estimated():
     assert np.corrcoef(mean[0][0], mean[1][0])[0, 1] > 0.8
 
 
+@pytest.mark.costly
 def test_varying_speed_and_mode_changes_are_noted():
     record, _ = drive(length=60.0)
     swaying = replace(record, v=record.v * (1.0 + 0.2 * np.sin(record.t)))

@@ -72,6 +72,7 @@ def test_the_error_of_a_model_is_that_of_random_models():
     np.testing.assert_allclose(found, expected, atol=0.05 * np.abs(expected).max())
 
 
+@pytest.mark.costly
 def test_a_vehicle_as_described_is_not_adapted(monkeypatch):
     """Even if its noise, which chance makes large, gives rise to a first step."""
     record, _ = drive("defender", "iso_d", "split", 54.0, 1, 60.0)
@@ -83,6 +84,7 @@ def test_a_vehicle_as_described_is_not_adapted(monkeypatch):
     assert not any("adapted" in note for note in found[0].notes)
 
 
+@pytest.mark.costly
 def test_deviations_contain_the_tolerances_of_a_vehicle_that_is_not_adapted():
     """On a road so smooth that the own departures of a vehicle hardly show."""
     inside = []
