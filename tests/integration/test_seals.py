@@ -7,6 +7,7 @@ import hashlib
 import os
 import platform
 import random
+import socket
 import threading
 import time
 from pathlib import Path
@@ -119,6 +120,15 @@ def test_what_one_guest_has_seen_is_not_told_by_the_number_of_its_pipes(sandbox,
         if found.looks_ahead:
             return
     raise AssertionError(found.notes)
+
+
+def test_no_program_of_the_machine_is_met_by_its_name(sandbox):
+    name = f"road-recon-{os.getpid()}"
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(f"\0{name}")
+        server.listen()
+        with pytest.raises(EntryError, match="Connection refused"):
+            run(sandbox, "connect_to_a_name", where=name)
 
 
 def test_no_time_of_a_file_tells_a_guest_how_long_its_run_has_lasted(sandbox):

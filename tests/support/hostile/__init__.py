@@ -221,6 +221,12 @@ def poisoned_kernels():
     return [path for path in files if path.read_bytes() == POISON]
 
 
+def does_connect_to_a_name(where, record):
+    """By a socket that has a name in the network alone, no file, and that no filter refuses."""
+    with socket.socket(socket.AF_UNIX) as line:
+        line.connect(f"\0{where}")
+
+
 def does_connect(where, record):
     with socket.create_connection(("127.0.0.1", int(where)), timeout=2.0) as line:
         line.sendall(b"the record is mine")
