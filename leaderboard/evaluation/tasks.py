@@ -380,10 +380,9 @@ def training_delays(task: Task) -> list[float]:
 def _digested_fields(value: Any) -> dict[str, Any]:
     """Return the fields of a dataclass that its digest covers; a surface file by its content.
 
-    Vehicle and instruments are digested by their content too: the folder of their file is left out.
-
-    Fields at their defaults are left out, so that a new option leaves the digests of all tasks as
-    they are; code that changes a default changes the version of the evaluation code.
+    So are vehicle and instruments, without the folder of their file. Fields at their defaults are
+    left out, so that a new option leaves the digests of all tasks as they are; code that changes a
+    default changes the version of the evaluation code.
     """
     kept = {
         f.name: x

@@ -80,7 +80,7 @@ class Verified(Settings):
 
     @property
     def is_far(self) -> str:
-        """What of the scores is too far from those of the row, in words; "" if nothing is.
+        """Words on the scores that are too far from those of the row; "" if none is.
 
         Any row can name another machine and have the wide tolerance: its mean may still move by no
         more than one run, whose weight is up to 2 / `runs`.

@@ -45,8 +45,8 @@ def load_rules(path: Path | None) -> tuple[Rules, list[Task]]:
     if path is None:
         return Rules(), [load_task(name) for name in Rules.tasks]
     rules = build(Rules, read_yaml(path), str(path))
-    sealed: list[Task] = []
-    public, root = list[Task](), path.parent.resolve()
+    sealed, public = list[Task](), list[Task]()
+    root = path.parent.resolve()
     # as bytes: a carriage return ends a line for YAML alone, not for the script
     words = _BETWEEN_PATHS.split(re.sub("#.*", "", path.read_bytes().decode()))
     for name in rules.tasks:

@@ -108,9 +108,8 @@ def test_planned_jobs_need_no_other_file(tmp_path):
     given = tmp_path / "given"
     write_files(given)
     (given / "elsewhere.py").write_text(wheels.module())
-    header, body = erd_file(
-        np.random.default_rng(5).standard_normal((2, 900)), "<"
-    )  # heights in a file of their own
+    z = np.random.default_rng(5).standard_normal((2, 900))
+    header, body = erd_file(z, "<")  # heights in a file of their own
     (given / "section.erd").write_bytes(header)
     (given / "section.bin").write_bytes(body)
     changed = {"kind": "noisy_copy", "road": {"kind": "measured", "path": str(given / "road.csv")}}
