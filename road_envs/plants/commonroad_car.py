@@ -45,6 +45,8 @@ PATCHES = (
 )
 """Regular expressions, what stands in their place, and how often."""
 
+_MAX_STEP = 1e-3  # greatest step [s] of a drive
+
 DAMPING_RATE = 0.1  # rate [m/s] within which the linear dampers have the slope of the file's
 
 CORNERING, RELAXATION = 21.92, 0.05
@@ -149,9 +151,10 @@ class CommonRoadCar:
         """Return vertical accelerations (k, N) [m/s²] every `sample` [s] of a drive from `begin`.
 
         Front axle at `begin` [m], constant `speed` [m/s]. By the classic method of Runge and Kutta,
-        of order 4, with a step of one sample.
+        of order 4, with steps of _MAX_STEP [s] or less.
         """
-        h, n = sample, round(duration / sample)
+        per_sample = math.ceil(sample / _MAX_STEP - 1e-9)
+        h, n = sample / per_sample, round(duration / sample) * per_sample
         stations = begin + speed * 0.5 * h * np.arange(2 * n + 1)
         behind = np.array([self.car.wheelbase * (w // 2) for w in range(4)])
         z = np.stack([surface.height(stations - b)[w % 2] for w, b in enumerate(behind)], axis=1)
@@ -160,11 +163,12 @@ class CommonRoadCar:
         # the package begins with struts off their static lengths
         y[8] = (y[21] - y[16]) / self.car.wheelbase
         y[11] = y[16] + self.p.a * y[8]
-        found = np.empty((n, 3))
+        found = np.empty((n // per_sample, 3))
         for i in range(n):
             before, middle, after = heights[2 * i : 2 * i + 3]
             k_1 = self._rate(y, before)
-            found[i] = k_1[[12, 7, 9]]  # heave (down), roll, pitch
+            if i % per_sample == 0:
+                found[i // per_sample] = k_1[[12, 7, 9]]  # heave (down), roll, pitch
             k_2 = self._rate(y + 0.5 * h * k_1, middle)
             k_3 = self._rate(y + 0.5 * h * k_2, middle)
             k_4 = self._rate(y + h * k_3, after)

@@ -22,6 +22,7 @@ PLANTS: dict[str, Callable[..., Any]] = {"mujoco": MujocoCar, "commonroad": Comm
 
 RUN_IN = 5.0  # level road [m] before and behind the surface, on which a drive begins and ends
 MAX_SPEED_KMH = 150.0  # greatest speed of a drive [km/h]
+_NOISE = 0  # random stream of the noise
 
 
 def simulate_on_plant(
@@ -50,7 +51,8 @@ def simulate_on_plant(
         instruments = load_instruments(instruments)
     _check(plant, car)
     step, v = 1.0 / instruments.fs, speed_kmh / 3.6
-    logger = DataLogger(instruments, car, step, np.random.default_rng(seed))
+    noise = np.random.SeedSequence(seed, spawn_key=(_NOISE,))  # the road has the numbers of `seed`
+    logger = DataLogger(instruments, car, step, np.random.default_rng(noise))
     driven = surface
     if (contact := car.variation.contact_length) > 0.0:
         driven = enveloped(surface, contact)

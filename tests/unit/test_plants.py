@@ -16,7 +16,7 @@ from road_envs.drives.logger_tables.description import DriveDescription
 from road_envs.drives.measured_record import MeasuredRecord
 from road_envs.drives.reading import DriveFile
 from road_envs.drives.recording import simulate_record
-from road_envs.plants import commonroad_car
+from road_envs.plants import commonroad_car, driving
 from road_envs.plants.commonroad_car import CommonRoadCar, as_driven
 from road_envs.plants.driving import PLANTS, simulate_on_plant
 from road_envs.plants.mujoco_car import MujocoCar
@@ -192,6 +192,25 @@ def test_a_record_of_a_plant_is_as_any_other():
     n = min(own.t.size, record.t.size)
     found, expected = record.a[1:, :n].mean(axis=0), own.a[1:, :n].mean(axis=0)
     assert np.corrcoef(found, expected)[0, 1] > 0.999
+
+
+def test_a_slow_sampling_of_commonroad_is_no_other_motion():
+    surface = realise_road("iso_b", 3, 20.0)
+    drive = CommonRoadCar(CARS["bmw_320i"], POINTS).drive
+    fine, coarse = (drive(surface, -5.0, 15.0, 1.0, sample) for sample in (0.001, 0.01))
+    np.testing.assert_allclose(coarse, fine[:, ::10], atol=1e-9)
+
+
+def test_the_noise_of_a_plant_is_not_drawn_by_the_numbers_of_its_road(monkeypatch):
+    """A road that varies is filtered white noise, of one seed."""
+
+    def stop(*given):
+        assert given[-1].standard_normal() != np.random.default_rng(3).standard_normal()
+        raise InterruptedError
+
+    monkeypatch.setattr(driving, "DataLogger", stop)
+    with pytest.raises(InterruptedError):
+        simulate_on_plant("mujoco", "iso_b", seed=3, speed_kmh=36.0, vehicle="bmw_320i")
 
 
 @pytest.mark.parametrize(
