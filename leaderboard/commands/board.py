@@ -15,7 +15,6 @@ from leaderboard.commands.options import CORES, Json, LimitOptions, Workers, opt
 from leaderboard.entries.entries import resolve_entries
 from leaderboard.entries.entry import Entry
 from leaderboard.evaluation.evaluate import SEEDS
-from leaderboard.evaluation.surface_tasks import surface_tasks
 from leaderboard.evaluation.tasks import Task, load_task, shipped_tasks
 from leaderboard.metrics.baselines import ALL_BASELINES
 from leaderboard.report.attainable import with_attainable
@@ -32,6 +31,7 @@ from leaderboard.running.executors import ProcessExecutor
 from leaderboard.running.plan import ReplacedRowError, check_owners
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
+from leaderboard.surface_tasks import surface_tasks
 from road_envs.core.config import ConfigError, names, validate_choice
 
 
@@ -162,22 +162,15 @@ def _tasks(
     if sum(map(bool, (tasks, boards, roads))) > 1:
         raise ConfigError("give only one of --task, --board and --road")
     if roads:
-        return _of_different_names([task for road in roads for task in surface_tasks(road)])
+        return [task for road in roads for task in surface_tasks(road)]
     boards = [name.replace("-", "_") for name in boards or []]
     for name in boards:
         validate_choice("board", name, names("boards"))
     if "measured" in boards:
         raise ConfigError("the board of measured surfaces needs files: give them with --road")
     if tasks:
-        return _of_different_names([load_task(name) for name in tasks])
+        return [load_task(name) for name in tasks]
     return [task for task in shipped_tasks() if not boards or task.board_name in boards]
-
-
-def _of_different_names(tasks: list[Task]) -> list[Task]:
-    names = [task.name for task in tasks]
-    if twice := [name for name in names if names.count(name) > 1]:
-        raise ConfigError(f"two tasks are named {twice[0]}: name one differently")
-    return tasks
 
 
 def _entries(names: Sequence[str] | None, without: Sequence[str], limits: Limits) -> list[Entry]:

@@ -11,7 +11,6 @@ import dataclasses
 import hashlib
 import json
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -21,14 +20,16 @@ import numpy as np
 from pydantic import Field
 
 from leaderboard.evaluation.boards import BoardDefinition, shipped_boards
+from leaderboard.evaluation.drive_set import DriveSet, at_length
 from leaderboard.evaluation.task_files import DESCRIPTIVE_FIELDS, digest_of, with_paths
 from leaderboard.json_values import to_json_types
 from leaderboard.kept_drives import kept_digest
+from leaderboard.shared_surfaces import fixed_surfaces
 from road_envs.core import config
 from road_envs.core.config import ConfigError, Count, Positive, Settings
 from road_envs.core.reading import parsing
 from road_envs.plants.commonroad_car import as_driven
-from road_envs.roads import Road, with_length
+from road_envs.roads import Road
 from road_envs.roads.api import AnyRoad
 from road_envs.roads.composite import NoisyCopy
 from road_envs.roads.measured import Measured
@@ -38,14 +39,11 @@ from road_envs.sensing.perturbed_vehicle import (
     load_plant_mismatch,
     perturb_vehicle,
 )
-from road_envs.vehicle.parameters import DEFAULT_STEP, Step, VehicleParameters, load_vehicle
+from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 from road_envs.vehicle.suspension import encode_command
 
 Grade = Literal["S0", "S1", "S2", "S3", "S4"]
 StrutMode = Literal["ride", "handling", "soft_high", "stiff_low", "passive"]
-
-SEED_STRIDE = 10_000
-"""Offset between the seeds of one road of a list and those of the next."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,72 +86,6 @@ class Condition(ModeAndSpeed):
 
 
 @dataclass(frozen=True, kw_only=True)
-class DriveSet(Settings):
-    """Every road at every seed, seed by seed; only the first `number` if it is given."""
-
-    roads: Annotated[tuple[AnyRoad, ...], Field(min_length=1)]
-    seeds: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1)]
-    number: int | None = None
-    length: float | None = None  # [m]; else each road's own
-    step: Step = DEFAULT_STEP
-    noise: bool = True  # of the instruments
-    families: tuple[str, ...] = ()  # one for each road, to report scores by family
-    design: tuple[tuple[int, ...], ...] = ()  # drives of each condition; empty: all in each
-
-    def __post_init__(self):
-        super().__post_init__()
-        if self.families and len(self.families) != len(self.roads):
-            raise ValueError(
-                f"families must name one family for each of the {len(self.roads)} roads, "
-                f"got {len(self.families)}"
-            )
-        if len(set(self.seeds)) < len(self.seeds):
-            raise ValueError(f"seeds must differ, got {list(self.seeds)}")
-        total = len(self.roads) * len(self.seeds)
-        if self.number is not None and not 1 <= self.number <= total:
-            raise ValueError(f"number of drives must be 1 to {total}, got {self.number}")
-        drives = set(range(total if self.number is None else self.number))
-        if self.design and set().union(*self.design) != drives:
-            raise ValueError(
-                f"design must use each of the drives 0 to {max(drives)} under some condition, "
-                f"got {[list(indices) for indices in self.design]}"
-            )
-
-    @property
-    def roads_and_seeds(self) -> list[tuple[Road, int]]:
-        """Roads to drive, each with the seed of its realisation."""
-        # equal seeds would give correlated roads, so the k-th road of the list adds k * SEED_STRIDE
-        pairs = [
-            (_at_length(road, self.length), seed + k * SEED_STRIDE)
-            for seed in self.seeds
-            for k, road in enumerate(self.roads)
-        ]
-        return pairs[: self.number]
-
-    @property
-    def all_seeds(self) -> set[int]:
-        """Every seed that `roads_and_seeds` could contain, for any `number`."""
-        return {seed + k * SEED_STRIDE for seed in self.seeds for k in range(len(self.roads))}
-
-    @property
-    def strata(self) -> list[list[int]]:
-        """Indices in `roads_and_seeds` by family, in which a bootstrap resamples them.
-
-        All are one stratum where a family has a single road, of which nothing could be drawn.
-        """
-        by_family = [self.indices_of_family(name) for name in dict.fromkeys(self.families)]
-        strata = [indices for indices in by_family if indices]
-        if not strata or min(map(len, strata)) < 2:
-            return [list(range(len(self.roads_and_seeds)))]
-        return strata
-
-    def indices_of_family(self, family: str) -> list[int]:
-        """Return the indices in `roads_and_seeds` of the roads of a family."""
-        kinds = [self.families[k % len(self.roads)] for k in range(len(self.roads_and_seeds))]
-        return [k for k, kind in enumerate(kinds) if kind == family]
-
-
-@dataclass(frozen=True, kw_only=True)
 class _CalibrationRun(ModeAndSpeed):
     """A drive of each test vehicle that estimators are given before its test drive.
 
@@ -169,7 +101,7 @@ class _CalibrationRun(ModeAndSpeed):
     @property
     def driven_road(self) -> Road:
         """The road at the length that is driven."""
-        return _at_length(self.road, self.length)
+        return at_length(self.road, self.length)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -204,6 +136,8 @@ class Task(Settings):
         labels = [condition.label for condition in self.conditions]
         if len(set(labels)) < len(labels):
             raise ValueError(f"conditions must have labels that differ, got {labels}")
+        self._check_groups(labels)
+        self._check_plants()
         if self.training.design or len(self.test.design) not in (0, len(self.conditions)):
             raise ValueError(
                 "a design lists the test drives of every condition: "
@@ -213,10 +147,9 @@ class Task(Settings):
             raise ValueError("position_noise needs the position fixes of S3 or S4 everywhere")
         if shared := sorted(self.training.all_seeds & self.test.all_seeds):
             raise ValueError(f"training and test share the seeds {shared}")
-        fixed = [_base_road(road) for road in self.test.roads if not _is_random(road)]
+        fixed = fixed_surfaces(self.test.roads)
         self._check_calibration(fixed)
-        shared_roads = [road for road in self.training.roads if _base_road(road) in fixed]
-        if shared_roads and not self.trains_on_test_road:
+        if fixed & fixed_surfaces(self.training.roads) and not self.trains_on_test_road:
             raise ValueError(
                 "training and test share a surface; choose other roads, or set "
                 "trains_on_test_road: true"
@@ -313,14 +246,38 @@ class Task(Settings):
         test = dataclasses.replace(self.test, length=length)
         return dataclasses.replace(self, test=test, note=note)
 
-    def _check_calibration(self, fixed: Sequence[Road]) -> None:
+    def _check_groups(self, labels: list[str]) -> None:
+        """Raise ValueError if a name stands for other drives as well."""
+        for family in self.test.families:  # as `report.run_groups` names conditions and cars
+            if not family or family in labels or family.startswith(("car ", "frame ")):
+                raise ValueError(
+                    f"families need names that are no condition, car or frame, got {family!r}"
+                )
+        if not isinstance(self.board, str) and self.name in shipped_boards():
+            raise ValueError(
+                f"a task with a board of its own cannot be named as the board {self.name}"
+            )
+
+    def _check_plants(self) -> None:
+        """Raise ValueError on what drives of foreign plants do not have."""
+        if not any(condition.plant for condition in self.conditions):
+            return
+        absent = {
+            "a low_pass": self.low_pass is not None,
+            "test drives without noise": not self.test.noise,
+            "a grade": any(c.plant and c.grade != "S0" for c in self.conditions),
+        }
+        if asked := [name for name, is_asked in absent.items() if is_asked]:
+            raise ValueError(f"conditions on a plant cannot have {asked[0]}")
+
+    def _check_calibration(self, fixed: set[str]) -> None:
         """Raise ValueError if a calibration drive shares a seed or a `fixed` road of the test."""
         used = self.training.all_seeds | self.test.all_seeds
         for run in self.calibration:
             seeds = {seed + run.seed_offset for seed in self.test.all_seeds}
             if shared := sorted(seeds & used):
                 raise ValueError(f"a calibration drive shares the seeds {shared} with other drives")
-            if _base_road(run.road) in fixed:
+            if fixed & fixed_surfaces([run.road]):
                 raise ValueError(
                     "a calibration drive and a test drive share a surface; choose another road for "
                     "the calibration"
@@ -342,6 +299,9 @@ def load_task(name: str | Path) -> Task:
         raise ConfigError(
             f"{name}: the task is named {task.name!r} but its file {stem!r}; give both one name"
         )
+    if stem in config.names("tasks") and path != config.find("tasks", stem):
+        if task.digest != load_task(stem).digest:
+            raise ConfigError(f"{name}: {stem} is the name of another, shipped task; change it")
     for condition in task.conditions:
         try:
             encode_command(condition.simulator_mode, task.vehicle_of(condition))
@@ -354,21 +314,6 @@ def shipped_tasks(board: str | None = None) -> list[Task]:
     """Return all shipped tasks, or those of one board, ordered by name."""
     tasks = [load_task(name) for name in config.names("tasks")]
     return [task for task in tasks if board in (None, task.board_name)]
-
-
-def _at_length(road: Road, length: float | None) -> Road:
-    return road if length is None else with_length(road, length)
-
-
-def _is_random(road: Road) -> bool:
-    """Return whether a road's surface depends on the seed."""
-    first, second = (road.realise(np.random.default_rng(seed)).z for seed in (0, 1))
-    return not np.array_equal(first, second)
-
-
-def _base_road(road: Road) -> Road:
-    """Return the road from which a noisy copy is made, of copies too."""
-    return _base_road(road.road) if isinstance(road, NoisyCopy) else road
 
 
 def training_delays(task: Task) -> list[float]:

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimators.api import CalibrationDrive
-from leaderboard.evaluation.tasks import Condition, DriveSet, ModeAndSpeed, Task
+from leaderboard.evaluation.drive_set import DriveSet
+from leaderboard.evaluation.tasks import Condition, ModeAndSpeed, Task
 from leaderboard.kept_drives import drive_of_plant
 from road_envs.drives.recording import simulate_record
 from road_envs.kernels.filters import LOW_PASS_ORDER, preprocess_accelerations

@@ -44,8 +44,13 @@ class RunRequest:
     replace: tuple[str, ...] = ()
 
     def sized_tasks(self) -> list[Task]:
-        """Return the tasks with the requested number of roads. Raises ConfigError."""
-        n = self.roads
+        """Return the tasks with the requested number of roads.
+
+        Raises ConfigError if there are fewer, or if two tasks have one name.
+        """
+        names, n = [task.name for task in self.tasks], self.roads
+        if twice := [name for name in names if names.count(name) > 1]:
+            raise ConfigError(f"two tasks are named {twice[0]}: name one differently")
         return [
             task.with_test_drives(n) if n and task.has_several_test_drives else task
             for task in self.tasks

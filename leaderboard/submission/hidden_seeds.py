@@ -20,8 +20,9 @@ from typing import Any, Literal
 
 import yaml
 
+from leaderboard.evaluation.drive_set import SEED_STRIDE
 from leaderboard.evaluation.provenance import package_version
-from leaderboard.evaluation.tasks import SEED_STRIDE, Task, load_task
+from leaderboard.evaluation.tasks import Task, load_task
 from road_envs.core.atomic_io import atomic_write, write_text
 from road_envs.core.config import ConfigError, Settings, build, find, read_yaml
 from road_envs.core.reading import parsing
@@ -123,14 +124,15 @@ def check_revealed(path: Path, root: Path) -> str:
     if _commitment(salt, hidden) != hidden.commitment:
         raise ConfigError(f"{folder / SALT}: the salt does not match the commitment")
     name = {_season_name(task, hidden): task for task in hidden.tasks}.get(path.stem)
-    if name is None or not _is_drawn(path, salt, hidden, name):
+    public = None if name is None else load_task(name)
+    if public is None or not _is_drawn(path, salt, hidden, public):
         raise ConfigError(f"{path}: it is no task of the commitment in {folder / COMMITMENT}")
-    return "" if load_task(name).digest == hidden.tasks[name] else SEEDS_ALONE
+    return "" if public.digest == hidden.tasks[public.name] else SEEDS_ALONE
 
 
-def _is_drawn(path: Path, salt: str, hidden: _HiddenSeeds, name: str) -> bool:
-    """Whether the file `path` is the public task `name` on the roads of the salt."""
-    public, found = load_task(name), load_task(path)
+def _is_drawn(path: Path, salt: str, hidden: _HiddenSeeds, public: Task) -> bool:
+    """Whether the file `path` is the `public` task on the roads of the salt."""
+    name, found = public.name, load_task(path)
     if hidden.package_version == package_version():
         return bool(read_yaml(path) == _hidden_task(salt, hidden, name))
     if public.digest != hidden.tasks[name]:
@@ -139,7 +141,12 @@ def _is_drawn(path: Path, salt: str, hidden: _HiddenSeeds, name: str) -> bool:
         return seeds == drawn and len(seeds) == hidden.roads.get(name)
     # another package may describe it in other words
     today = build(Task, _hidden_task(salt, hidden, name), name)
-    return (found.digest, found.board) == (today.digest, today.board)
+    return _what_ranks(found) == _what_ranks(today)
+
+
+def _what_ranks(task: Task) -> tuple[object, ...]:
+    """What decides scores and ranks of a task, beside which its words may differ."""
+    return task.digest, task.board, task.test.families, task.claimed_level_error
 
 
 def _hidden_task(salt: str, hidden: _HiddenSeeds, name: str) -> dict[str, Any]:

@@ -313,3 +313,16 @@ def test_a_clone_without_its_history_is_refused(verifies):
     path = f"PATH={repo.parent}:{os.environ['PATH']}"
     said = call("env", path, "ci/verify.sh", cwd=repo.parent / "shallow", status=1)
     assert said == "a shallow clone: git fetch --unshallow\n"
+
+
+def test_a_tag_is_no_branch_that_is_compared_with(verifies):
+    """Git takes the tag: nothing would differ from it."""
+    repo, said = verifies
+    committed(repo, "mine", **RECORD_OF_MINE, **{CODE: "honest"})
+    call("git", "tag", "main", "HEAD", cwd=repo)
+    assert said(status=1) == "a tag is named main\n"
+    path = f"PATH={repo.parent}:{os.environ['PATH']}"
+    found = call("env", path, "ci/verify.sh", "refs/heads/main", cwd=repo)
+    assert "verify-submission submissions/mine" in found
+    workflow = (repo / ".github" / "workflows" / "verify.yml").read_text()
+    assert "format('refs/remotes/origin/{0}', github.base_ref)" in workflow

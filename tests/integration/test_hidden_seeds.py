@@ -20,8 +20,9 @@ from leaderboard.report.notes import PUBLIC_ROADS
 from leaderboard.report.sentences import build_report
 from leaderboard.report.site import write_site
 from leaderboard.running.board import run_board
+from leaderboard.sandbox.limits import Limits
 from leaderboard.submission import hidden_seeds
-from leaderboard.submission.rules import load_rules
+from leaderboard.submission.rules import load_rules, make_run_request
 from road_envs.core import config
 from road_envs.core.atomic_io import write_text
 from road_envs.core.config import ConfigError, find, read_yaml
@@ -260,6 +261,8 @@ def test_a_later_package_may_describe_a_task_in_other_words(refused, monkeypatch
     monkeypatch.setattr(hidden_seeds, "package_version", lambda: "99.0")
     assert not refused() and not refused(title="Roads")
     assert refused(board="paper")  # which would rank by another score
+    families = {"families": ["easy", "hard", "hard", "hard", "hard"]}
+    assert refused(families) and refused(claimed_level_error=0.1)
 
 
 def test_the_seeds_of_a_season_are_those_of_its_salt_in_any_later_package(
@@ -292,10 +295,10 @@ def test_a_site_begins_with_the_season_and_says_which_roads_of_its_own_are_publi
 
 def test_rules_name_some_tasks_and_each_once(tmp_path):
     rules = tmp_path / "rules.yaml"
-    for text, why in (("[]", "must have at least 1"), ("[class, class]", "differ by name")):
+    for text, why in (("[]", "must have at least 1"), ("[class, class]", "two tasks are named")):
         rules.write_text(f"tasks: {text}\n")
         with pytest.raises(ConfigError, match=why):
-            load_rules(rules)
+            make_run_request(*load_rules(rules), [], Limits()).sized_tasks()
 
 
 @pytest.mark.parametrize("blank", ["\r", "\u0085", "\u2028", "\u00a0"])

@@ -6,7 +6,8 @@ estimator can be chosen and a drive takes a millisecond.
 
 import numpy as np
 
-from leaderboard.evaluation.tasks import Condition, DriveSet, Task
+from leaderboard.evaluation.drive_set import DriveSet
+from leaderboard.evaluation.tasks import Condition, Task
 from leaderboard.evaluation.test_data import RecordedDrive
 from road_envs.core.config import build
 from road_envs.records.record import Profile, Record, profile_stations

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from leaderboard.evaluation.surface_tasks import _surface_class, surface_tasks
+from leaderboard.surface_tasks import _surface_class, surface_tasks
 from road_envs.core.config import ConfigError
 from road_envs.roads import load_road, write_csv
 from road_envs.simulation.drive import simulate

@@ -11,9 +11,10 @@ from fakes import task
 from scipy import signal
 
 from leaderboard.evaluation import test_data
-from leaderboard.evaluation.surface_tasks import _surface_class
 from leaderboard.evaluation.tasks import load_task, shipped_tasks
 from leaderboard.evaluation.test_data import simulate_drives
+from leaderboard.shared_surfaces import fixed_surfaces
+from leaderboard.surface_tasks import _surface_class
 from road_envs.core import config
 from road_envs.core.config import ConfigError, names
 from road_envs.drives.recording import simulate_record
@@ -235,6 +236,46 @@ def test_training_on_the_test_road_must_be_declared(training):
     assert task(**roads, test=test, trains_on_test_road=True).trains_on_test_road
 
 
+WAVES = {"kind": "sine_sweep", "length": 40.0, "n_start": 1.0, "n_end": 1.0, "amplitude": 0.01,
+         "amplitude_end": 0.01}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("training", "shares"),
+    [
+        ({**WAVES, "length": 50.0}, True),
+        ({"kind": "with_aprons", "road": WAVES}, True),
+        ({"kind": "scaled", "road": WAVES, "height_factor": 2.0}, True),
+        ({"kind": "concatenated", "roads": ["iso_c", {"kind": "noisy_copy", "road": WAVES}]}, True),
+        ({"kind": "fixed_seed", "road": "iso_c", "seed": 3}, False),
+        ({"kind": "concatenated", "roads": ["iso_c", {"kind": "flat"}]}, False),
+    ],
+)
+def test_a_surface_is_the_same_at_another_length_between_aprons_scaled_or_altered(training, shares):
+    test = {"kind": "concatenated", "roads": [WAVES, {"kind": "flat"}, "iso_c"]}
+    assert len(fixed_surfaces([load_road(test)])) == 1
+    roads = {
+        "training": {"roads": [training], "seeds": [1]},
+        "test": {"roads": [test], "seeds": [2]},
+    }
+    if shares:
+        with pytest.raises(ConfigError, match="trains_on_test_road"):
+            task(**roads)
+    else:
+        task(**roads)
+
+
+def test_a_file_is_the_same_surface_under_another_name_and_a_seed_draws_another(tmp_path):
+    heights = 0.01 * np.random.default_rng(0).standard_normal((200, 2))
+    table = "".join(f"{0.1 * k:.1f},{a:.5f},{b:.5f}\n" for k, (a, b) in enumerate(heights))
+    for name in "ab":
+        (tmp_path / f"{name}.csv").write_text(f"station,left,right\n{table}")
+    a, b = ([load_road(tmp_path / f"{name}.csv")] for name in "ab")
+    assert fixed_surfaces(a) == fixed_surfaces(b)
+    drawn = [load_road({"kind": "fixed_seed", "road": "iso_c", "seed": k}) for k in (1, 1, 2)]
+    assert len(fixed_surfaces(drawn)) == 2
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -269,6 +310,39 @@ def test_training_on_the_test_road_must_be_declared(training):
         ),
         ({"conditions": [{"mode": "sport", "speed_kmh": 9.0}]}, "mode"),
         ({"conditions": []}, "conditions: must have at least 1 element"),
+        (
+            {"name": "class", "board": {"title": "Mine", "ranks_by": "nrmse"}},
+            "a task with a board of its own cannot be named as the board class",
+        ),
+        (
+            {
+                "conditions": [{"mode": "passive", "speed_kmh": 9.0, "plant": "mujoco"}],
+                "low_pass": 4.0,
+            },
+            "conditions on a plant cannot have a low_pass",
+        ),
+        (
+            {
+                "conditions": [
+                    {"mode": "passive", "speed_kmh": 9.0, "plant": "mujoco", "grade": "S1"}
+                ]
+            },
+            "conditions on a plant cannot have a grade",
+        ),
+        (
+            {
+                "conditions": [{"mode": "passive", "speed_kmh": 9.0, "plant": "mujoco"}],
+                "test": {"roads": ["iso_d"], "seeds": [9], "noise": False},
+            },
+            "conditions on a plant cannot have test drives without noise",
+        ),
+        *[
+            (
+                {"test": {"roads": ["iso_d"], "seeds": [9], "families": [family]}},
+                f"families need names that are no condition, car or frame, got {family!r}",
+            )
+            for family in ("", "ride, 14.5 km/h", "car S1", "frame 7 to 9 Hz")
+        ],
         ({"name": "../up"}, "letters, digits"),
         ({"name": ".."}, "letters, digits"),
     ],
@@ -283,6 +357,18 @@ def test_the_name_of_a_task_must_be_that_of_its_file(tmp_path):
     path = tmp_path / "mine.yaml"
     path.write_text(yaml.safe_dump({**as_settings(), "name": "other"}))
     with pytest.raises(ConfigError, match="named 'other' but its file 'mine'"):
+        load_task(path)
+
+
+def test_no_other_task_has_the_name_of_a_shipped_one(tmp_path):
+    data = config.read_yaml(config.find("tasks", "class"))
+    path = tmp_path / "class.yaml"
+    path.write_text(yaml.safe_dump(data))
+    assert load_task(path).digest == load_task("class").digest
+    path.write_text(yaml.safe_dump({**data, "bumps": True}))
+    with pytest.raises(
+        ConfigError, match=r"class\.yaml: class is the name of another, shipped task"
+    ):
         load_task(path)
 
 

@@ -1,0 +1,46 @@
+"""Surfaces that do not depend on a seed, of which roads of a task are made.
+
+A road is compared by what it is made of: a piece of a surface, one between aprons, scaled or
+altered is of that surface, too.
+"""
+
+import dataclasses
+from collections.abc import Iterable
+
+import numpy as np
+
+from leaderboard.evaluation.task_files import digest_of
+from road_envs.roads import Road
+from road_envs.roads.composite import FixedSeed, Flat
+from road_envs.roads.measured import Measured
+
+
+def fixed_surfaces(roads: Iterable[Road]) -> set[str]:
+    """Return descriptions of the uneven surfaces of `roads` that no seed varies."""
+    return {_described(part) for road in roads for part in _parts(road) if not _is_random(part)}
+
+
+def _parts(road: Road) -> list[Road]:
+    """Return the roads that a road is made of: itself, if of no other."""
+    if isinstance(road, Flat):
+        return []
+    inner = getattr(road, "roads", ()) or ([road.road] if hasattr(road, "road") else [])
+    if isinstance(road, FixedSeed) or not inner:
+        return [road]
+    return [part for one in inner for part in _parts(one)]
+
+
+def _is_random(road: Road) -> bool:
+    """Return whether a road's surface depends on the seed."""
+    first, second = (road.realise(np.random.default_rng(seed)).z for seed in (0, 1))
+    return not np.array_equal(first, second)
+
+
+def _described(road: Road) -> str:
+    """Return the settings of a road but for its length, or the content of its file."""
+    if isinstance(road, Measured):
+        return digest_of(road.path)
+    if isinstance(road, FixedSeed):
+        return f"{road.seed} {[_described(part) for part in _parts(road.road)]}"
+    names = [f.name for f in dataclasses.fields(road) if f.name != "length"]  # type: ignore[arg-type]
+    return f"{type(road).__name__} {[(name, getattr(road, name)) for name in names]}"
