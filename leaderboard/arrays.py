@@ -25,7 +25,7 @@ from leaderboard.metrics.bootstrap import interquartile_mean
 from leaderboard.metrics.registry import SCORES
 from leaderboard.scoring import ScoreTable
 from road_envs.core.config import ConfigError
-from road_envs.records.record import Estimate, profile_stations
+from road_envs.records.record import Estimate, Profile, Record, profile_stations
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,9 +34,11 @@ class TaskArrays:
 
     `condition` (str), times `t` (N,) [s], accelerations `a` (C, N) [m/s²] of the sensors
     `channels`, speed `v` (N,) [m/s], station `s` (N,) [m] of the front axle, `spring_stiff` and
-    `damper_high` (N, 4) of the wheels FL, FR, RL, RR, and `stations` (M,) [m]. Those of `training`
-    also have the true heights `z` (2, M) [m] of the left and the right wheel path. A training drive
-    serves the test drives of its condition. `vehicle` has the parameters of the nominal vehicle.
+    `damper_high` (N, 4) of the wheels FL, FR, RL, RR, `stations` (M,) [m], and `vehicle`, the
+    parameters of the one that an estimator is told under this condition. Those of `training` also
+    have the true heights `z` (2, M) [m] of the left and the right wheel path. A training drive
+    serves the test drives of its condition. Those have a list `calibration` of earlier drives of
+    the same vehicle, with `z` where their road was surveyed. `vehicle` is the nominal vehicle.
     """
 
     name: str
@@ -96,14 +98,26 @@ def score_arrays(
 
 
 def _arrays(data: ConditionData, drive: RecordedDrive, has_truth: bool) -> dict[str, Any]:
-    record = drive.record
+    car = asdict(data.task.vehicle_of(data.condition))
+    label = data.condition.label
+    earlier = [
+        _of_record(label, x.record, car, x.profile) for x in drive.calibration if not has_truth
+    ]
+    own = _of_record(label, drive.record, car, drive.truth if has_truth else None)
+    return own if has_truth else {**own, "calibration": earlier}
+
+
+def _of_record(
+    condition: str, record: Record, car: dict[str, Any], profile: Profile | None
+) -> dict[str, Any]:
     names = ("t", "a", "v", "s", "spring_stiff", "damper_high")
     return {
-        "condition": data.condition.label,
+        "condition": condition,
         "channels": record.channels,
         **{name: getattr(record, name) for name in names},
         "stations": profile_stations(record.length),
-        **({"z": drive.truth.z} if has_truth else {}),
+        "vehicle": car,
+        **({"z": profile.z} if profile is not None else {}),
     }
 
 
@@ -115,7 +129,7 @@ def _estimates(
         shape = (2, drive["stations"].size)
         arrays: list[Any] = []
         for what, given in (("heights", heights), ("standard deviations", std)):
-            array = None if given is None else np.asarray(given[k], dtype=float)
+            array = None if given is None else _real(given[k])
             if array is not None and (array.shape != shape or not np.isfinite(array).all()):
                 wanted = f"test drive {k + 1} needs finite {what} of the shape {shape}"
                 raise ConfigError(f"{wanted}, got {array.shape}")
@@ -124,3 +138,14 @@ def _estimates(
             arrays.append(array)
         z, deviation = arrays
         yield Estimate(drive["stations"], z, deviation)
+
+
+def _real(values: Any) -> np.ndarray:
+    """Return real numbers as an array; an empty one of anything else, and of masked numbers."""
+    try:
+        array = np.asarray(values)
+        array = array.astype(float) if array.dtype == object else array
+    except (TypeError, ValueError, RuntimeError):  # ragged lists; tensors with gradients
+        return np.empty(0)
+    is_real = array.dtype.kind in "iuf" and not np.ma.is_masked(values)
+    return array.astype(float) if is_real else np.empty(0)

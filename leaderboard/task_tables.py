@@ -33,9 +33,15 @@ _CARD = Path(__file__).parent / "templates" / "task_card.txt"
 def write_task(task: TaskArrays, folder: Path, form: str, roads: int | None = None) -> list[Path]:
     """Write the drives of a task into `folder` as tables of the `form` csv or parquet.
 
-    `roads` is that of `load_task`, for the card. Raises MissingExtraError without pd.
+    `roads` is that of `load_task`, for the card. Raises MissingExtraError without pandas, and
+    ConfigError for a task that tables cannot hold.
     """
     pd = import_pandas()
+    if any(x["calibration"] or x["vehicle"] != task.vehicle for x in task.test):
+        raise ConfigError(
+            f"{task.name}: tables hold neither calibration drives nor a vehicle for each "
+            "condition; leaderboard.load_task has them"
+        )
     tables: dict[str, list[Any]] = {"drives": []}
     for split, drives in (("training", task.training), ("test", task.test)):
         for k, drive in enumerate(drives, start=1):
@@ -100,7 +106,7 @@ def score_file(task: TaskArrays, path: Path) -> ScoreTable:
         ):
             raise ConfigError(
                 f"{path}: test drive {k} needs its {right.size} stations, 0 to {right[-1]:g} m, "
-                f"in order; got {stations.size}"
+                f"in order and to {_STATION_TOLERANCE:g} m; got {stations.size}"
             )
         heights.append(np.stack([values[name][rows] for name in _SIDES]))
         std.append(np.stack([values[name][rows] for name in deviations]) if deviations else None)

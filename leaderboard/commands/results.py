@@ -77,8 +77,7 @@ def verify(
         entries = resolve_entries(estimator or (), sandbox.describe)
         run = jobs.in_sandbox(sandbox)
         found = verify_folder(folder, run, entries, share=share, seed=seed, report=progress)
-    save_verified(found, folder)
-    return verified_output(found)
+    return verified_output(save_verified(found, folder))
 
 
 def verified_output(found: Sequence[Verified]) -> Output:

@@ -14,6 +14,7 @@ import numpy as np
 from leaderboard.evaluation.tasks import Condition, Task
 from leaderboard.metrics.roughness import THIRD_OCTAVES
 from road_envs.analysis.information_bound import RoadPrior, bound
+from road_envs.plants.commonroad_car import as_driven
 from road_envs.records.record import Profile, scored_band
 from road_envs.records.roughness import CLASSES, displacement_psd, fit_line, smooth_psd
 from road_envs.sensing.instruments import load_instruments
@@ -25,13 +26,19 @@ _WAVINESS_LIMITS = (1.0, 4.0)  # limits of the waviness fitted to a density
 
 
 def nrmse_bound(task: Task, condition: Condition, truth: Profile) -> float:
-    """Return the least in-band NRMSE [-] on a road like `truth`; NaN on a level road."""
+    """Return the least in-band NRMSE [-] on a road like `truth`; NaN on a level road, and of
+    instruments without noise.
+    """
     v = condition.speed_kmh / 3.6
     road = fit_spectrum(truth, scored_band(v))
     if road is None:
         return np.nan
     mode = json.dumps(condition.simulator_mode)
-    return pooled_bound(condition.car or task.car, task.instruments, mode, v, *road)
+    car, is_linear = condition.car or task.car, condition.plant == "commonroad"
+    try:
+        return pooled_bound(car, task.instruments, mode, v, *road, is_linear=is_linear)
+    except np.linalg.LinAlgError:  # instruments without noise
+        return np.nan
 
 
 def third_octave_bound(task: Task, condition: Condition) -> list[float]:
@@ -67,12 +74,21 @@ def fit_spectrum(truth: Profile, band: tuple[float, float]) -> tuple[float, floa
 
 
 @lru_cache(maxsize=4096)
-def pooled_bound(car: str, instruments: str, mode: str, v: float, level: float, w: float) -> float:
+def pooled_bound(
+    car: str,
+    instruments: str,
+    mode: str,
+    v: float,
+    level: float,
+    w: float,
+    is_linear: bool = False,
+) -> float:
     """Return the least in-band NRMSE [-] at `v` [m/s] on a road of `level` [dB] and waviness `w`.
 
     `mode` is JSON text; `level` and `w` are rounded as `fit_spectrum` returns them, so that results
-    can be cached.
+    can be cached. `is_linear`: the car has the struts of the plant `commonroad`.
     """
-    vehicle, prior = load_vehicle(car), RoadPrior(G_d0=10.0 ** (level / 10.0), w=w)
+    vehicle = as_driven(load_vehicle(car)) if is_linear else load_vehicle(car)
+    prior = RoadPrior(G_d0=10.0 ** (level / 10.0), w=w)
     n = np.linspace(*scored_band(v), _N_FREQUENCIES)
     return bound(vehicle, json.loads(mode), v, load_instruments(instruments), prior, n=n).pooled

@@ -130,7 +130,7 @@ def simulate_condition(
     try:
         training = [lock_arrays(drive) for drive in simulate(task, task.training, condition)]
         tests = [lock_arrays(drive) for drive in simulate(task, task.test, condition)]
-    except SimulationError as error:
+    except (SimulationError, ArithmeticError) as error:  # the latter of a plant
         return f"{condition.label}: the simulation of a drive failed: {error}"
     return ConditionData(task, condition, training, tests)
 

@@ -19,8 +19,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, PlainValidator
 
+import estimators
 from leaderboard.entries.entry import Entry
-from leaderboard.evaluation.provenance import package_version
+from leaderboard.evaluation.provenance import package_code, package_version
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics import heights
 from leaderboard.metrics.baselines import ALL_BASELINES
@@ -164,6 +165,9 @@ class Result(Settings):
             return f"scored by metrics {self.metric_version}, now {heights.VERSION}"
         if self.evaluation_code != evaluation_version():
             return "driven or scored by other code"
+        by_others = self.role == "entry" and self.estimator not in estimators.REGISTRY
+        if by_others and self.environment.get("code", package_code()) != package_code():
+            return "made with other code or weights of this package"
         if entry is None or not self.code:
             return None
         if self.code != entry.code:

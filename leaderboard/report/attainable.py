@@ -15,7 +15,7 @@ import numpy as np
 from estimators.map_smoother.attainable import attainable_error
 from leaderboard.evaluation.bound import fit_spectrum
 from leaderboard.evaluation.comparison import scores_by_run
-from leaderboard.evaluation.results import Result, make_table
+from leaderboard.evaluation.results import Result, content_digest, make_table
 from leaderboard.evaluation.tasks import Condition, Task
 from leaderboard.evaluation.test_data import RecordedDrive, simulate_drives
 from leaderboard.running.board import Board
@@ -33,7 +33,7 @@ BANDWIDTH = 100.0  # bandwidth [Hz] of the data; the estimators of this package 
 
 def with_attainable(board: Board, report: Callable[[str], None] = lambda text: None) -> Board:
     """Return the board with `attainable_nrmse` and `attainable_efficiency` of every drive."""
-    results = dict(board.results)
+    results, verified = dict(board.results), dict(board.verified)
     for task in board.tasks:
         found: dict[tuple[str, int], float] = {}
         for condition in task.conditions:
@@ -41,8 +41,10 @@ def with_attainable(board: Board, report: Callable[[str], None] = lambda text: N
                 report(f"{task.name}: attainable error, {condition.label}")
                 errors = _attainable_errors(task, condition)
                 found |= {(condition.label, k): error for k, error in errors.items()}
-        results[task.name] = [_with_scores(result, found) for result in results[task.name]]
-    return dataclasses.replace(board, results=results)
+        results[task.name] = [_with_scores(result, found) for result in board.results[task.name]]
+        for before, now in zip(board.results[task.name], results[task.name], strict=True):
+            verified[content_digest(now)] = board.verified.get(content_digest(before), ())
+    return dataclasses.replace(board, results=results, verified=verified)
 
 
 def _attainable_errors(task: Task, condition: Condition) -> dict[int, float]:

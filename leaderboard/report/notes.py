@@ -25,16 +25,25 @@ PUBLIC_ROADS = (
 )
 
 
-def section_notes(board: Board, task: Task, rows: Sequence["Row"]) -> tuple[str, ...]:
-    """Return all notes on a task and the `rows` of its scored entries."""
+def section_notes(
+    board: Board, task: Task, rows: Sequence["Row"], level_drives: int
+) -> tuple[str, ...]:
+    """Return all notes on a task, on the `rows` of its scored entries and its `level_drives`."""
     scored = board.scored(task)
+    level = (
+        "drive is over a road that is" if level_drives == 1 else "drives are over roads that are"
+    )
     return (
         *([PUBLIC_ROADS] if task.is_public else []),
+        *(
+            [f"{level_drives} {level} level in the band: nobody has a score there."]
+            * (level_drives > 0)
+        ),
         *_protocol_notes(task, scored),
         *_surface_notes(task, [*scored, *board.failed(task)]),
         *(f"{note}." for row in scored for note in _own_notes(row)),
         *sanity_warnings(rows, task.is_public),
-        *_kernel_notes(scored, board.verified),
+        *_kernel_notes(scored, _verified_for(task, board.verified)),
     )
 
 
@@ -122,6 +131,17 @@ def isolation_notice(results: Iterable[Result]) -> str | None:
     )
 
 
+def _verified_for(
+    task: Task, verified: Mapping[str, Sequence[Verified]]
+) -> dict[str, list[Verified]]:
+    """Return what was verified less what agrees in another score than the task is ranked by."""
+    rank = task.board_definition.ranks_by
+    return {
+        content: [x for x in rows if x.ranks_by == rank or x.compares_all or not x.agrees]
+        for content, rows in verified.items()
+    }
+
+
 def _kernel_notes(
     results: Sequence[Result], verified: Mapping[str, Sequence[Verified]]
 ) -> list[str]:
@@ -134,7 +154,12 @@ def _kernel_notes(
     usual = max(set(made.values()), key=lambda x: (list(made.values()).count(x), x), default="")
     notes: dict[str, list[str]] = {}
     for result in results:
-        again = [x for x in verified.get(content_digest(result), ()) if x.kernels == usual]
+        known = verified.get(content_digest(result), ())
+        if false := [x.reason for x in known if x.is_false]:
+            text = f"is not what was found when it was run again: {false[0]}"
+            notes.setdefault(text, []).append(result.estimator)
+            continue
+        again = [x for x in known if x.kernels == usual]
         says_usual = made[result.estimator] == usual
         if any(x.agrees for x in again) or (says_usual and not again):
             continue

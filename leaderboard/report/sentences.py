@@ -116,7 +116,7 @@ def headline(section: Section, definition: BoardDefinition) -> list[str]:
     return [
         _best_sentence(best, tied, section, definition),
         *([_others_sentence(best, others, definition)] if others else []),
-        _certainty_sentence(best, tied, section),
+        _certainty_sentence(best, tied, section) if others else "It is the only entry.",
     ]
 
 

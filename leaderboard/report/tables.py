@@ -99,10 +99,15 @@ class BoardView:
 
 
 def board_views(board: Board) -> list[BoardView]:
-    """Return the boards that have a task, the main one first."""
+    """Return the boards that have a task: those of a season or of other roads that are not public
+    before others, then the main one.
+    """
     definitions = {task.board_name: task.board_definition for task in board.tasks}
+    sealed = {task.board_name for task in board.tasks if not task.is_public}
     views = []
-    for name, definition in sorted(definitions.items(), key=lambda item: item[1].order):
+    for name, definition in sorted(
+        definitions.items(), key=lambda item: (item[0] not in sealed, item[1].order)
+    ):
         tasks = [task for task in board.tasks if task.board_name == name]
         sections = tuple(_section(board, task, definition) for task in tasks)
         views.append(BoardView(name, definition, sections))
@@ -124,7 +129,8 @@ def _section(board: Board, task: Task, definition: BoardDefinition) -> Section:
     parts: dict[str, ScoreSlice] = {ALL_RUNS: (slice(None), slice(None))}
     parts |= {name: part for named in groups.values() for name, part in named.items()}
     scored = board.scored(task)
-    tables = [_aggregate(result, task, definition, parts) for result in scored]
+    on_level = _level_runs(scored, definition)
+    tables = [_aggregate(result, task, definition, parts, on_level) for result in scored]
     _rank(tables, parts, task.test.strata)
     rows = [
         _scored_row(r, x, definition, board.card(r)) for r, x in zip(scored, tables, strict=True)
@@ -145,7 +151,7 @@ def _section(board: Board, task: Task, definition: BoardDefinition) -> Section:
         task.name,
         task.heading,
         (*claim, *rows, *failed, *stale),
-        section_notes(board, task, rows),
+        section_notes(board, task, rows, int(np.sum(on_level) if scored else 0)),
         {kind_of_group: tuple(named) for kind_of_group, named in groups.items()},
         tuple(condition.label for condition in task.conditions),
         task.is_public,
@@ -162,16 +168,23 @@ class _AggregatedScores(NamedTuple):
 
 
 def _aggregate(
-    result: Result, task: Task, definition: BoardDefinition, parts: Mapping[str, ScoreSlice]
+    result: Result,
+    task: Task,
+    definition: BoardDefinition,
+    parts: Mapping[str, ScoreSlice],
+    on_level: np.ndarray,
 ) -> _AggregatedScores:
-    """Average the scores of a result over all runs and over each group."""
+    """Average the scores of a result over all runs and over each group.
+
+    Runs `on_level` (R, C) roads have no ranking score, which counts against no entry.
+    """
     scores, strata = score_arrays(result.scores), task.test.strata
     shown = (
         {*definition.columns, *definition.on_request, *SPECTRUM_SCORES}
         | {definition.ranks_by, "bound_nrmse", "attainable_nrmse"}
     )  # fmt: skip
     ranked = scores[[*SCORES].index(definition.ranks_by)].copy()
-    missing = np.isnan(scores) & np.isfinite(scores).any(axis=0)
+    missing = np.isnan(scores) & np.isfinite(scores).any(axis=0) & ~on_level[:, :, None]
     if missing[[*SCORES].index(definition.ranks_by)].any():
         ranked[:] = np.nan  # undefined on a road: the entry ranks last
     scores[_OF_DEVIATIONS & missing.any(axis=(1, 2, 3))] = np.nan  # else given where they fit
@@ -198,6 +211,16 @@ def _aggregate(
     entry = result.role == "entry"
     division = entry, entry and bool(result.causal)
     return _AggregatedScores(result.estimator, values, ranked, division)
+
+
+def _level_runs(scored: Sequence[Result], definition: BoardDefinition) -> np.ndarray:
+    """Return which runs (R, C) have other scores alone in each row: of roads that are uneven in the
+    band, even a flat estimate has a ranking score.
+    """
+    rank = [*SCORES].index(definition.ranks_by)
+    scores = [np.isfinite(score_arrays(one.scores)) for one in scored]
+    others = [~x[rank].any(axis=-1) & x.any(axis=(0, 3)) for x in scores]
+    return np.all(others, axis=0)
 
 
 def train_seconds(result: Result) -> float | None:

@@ -26,7 +26,7 @@ from leaderboard.evaluation import comparison, evaluate, store
 from leaderboard.evaluation.provenance import describe_environment
 from leaderboard.evaluation.results import RUN, Result, content_digest
 from leaderboard.evaluation.task_files import with_paths
-from leaderboard.evaluation.tasks import Condition, Task
+from leaderboard.evaluation.tasks import Condition, Task, load_task
 from leaderboard.evaluation.test_data import RecordedDrive, simulate_drives
 from leaderboard.json_values import to_json_types
 from leaderboard.metrics.bootstrap import REPRODUCIBLE, interquartile_mean
@@ -54,6 +54,7 @@ _DECIDE_DIGITS = ("numpy", "scipy", "numba", "torch", "processor", "blas")
 class Verified(Settings):
     """A row and what its drives had when they were run again on the machine `kernels`.
 
+    `ranks_by` is the ranking score, by the word of the folder, of what was compared.
     `distance` is the largest of the `runs` (drives times training seeds), that of `score`,
     `typical` the median of the largest of each run, and `shift` that of the interquartile means of
     the ranking score, by which boards rank. With a `reason` the row was not run again or failed;
@@ -63,6 +64,7 @@ class Verified(Settings):
     task: str
     estimator: str
     content: str = ""  # digest of the row
+    ranks_by: str = ""
     kernels: str = ""
     tolerance: float = comparison.OTHER_KERNELS
     runs: int = 0
@@ -72,6 +74,11 @@ class Verified(Settings):
     shift: float = 0.0
     reason: str = ""
     is_false: bool = False
+
+    @property
+    def compares_all(self) -> bool:
+        """Whether all scores were compared, not those alone that kernels hardly move."""
+        return self.tolerance <= comparison.SAME_KERNELS
 
     @property
     def agrees(self) -> bool:
@@ -108,19 +115,32 @@ def save_definition(task: Task, out: Path) -> None:
         _DEFINITION.write(path, {"task": plain}, task.digest)
 
 
-def _load_definitions(out: Path) -> list[Task]:
-    """Tasks of a folder of results, by name. Raises ConfigError for a damaged or foreign file."""
-    tasks = []
-    for path in (out / "definitions").glob("*.json"):
-        data, _ = _DEFINITION.read(path)
-        task = build(Task, data["task"], str(path))
-        if task.digest != path.stem:
-            raise ConfigError(
-                f"{path}: the task {task.name}, or a file that it names, is not the one that was "
-                "run; verify where it is"
-            )
-        tasks.append(task)
-    return sorted(tasks, key=lambda task: (task.name, task.digest))
+def _load_definitions(out: Path) -> tuple[list[Task], list[ConfigError]]:
+    """Tasks of a folder of results, by name, and what is wrong with those that cannot be read."""
+    tasks, errors = list[Task](), list[ConfigError]()
+    for path in sorted((out / "definitions").glob("*.json")):
+        try:
+            data, _ = _DEFINITION.read(path)
+            task = build(Task, data["task"], str(path))
+            if task.digest != path.stem:
+                raise ConfigError(
+                    f"{path}: the task {task.name}, or a file that it names, is not the one that "
+                    "was run; verify where it is"
+                )
+            if task.is_public and task.digest != _as_shipped(task).digest:
+                raise ConfigError(f"{path}: its {task.name} is not that of this package")
+        except ConfigError as error:
+            errors.append(error)
+        else:
+            tasks.append(task)
+    return sorted(tasks, key=lambda task: (task.name, task.digest)), errors
+
+
+def _as_shipped(task: Task) -> Task:
+    """Return the task of this name in this package, on the drives of `task`."""
+    shipped = load_task(task.name)
+    drives = {name: getattr(task.test, name) for name in ("number", "design", "length")}
+    return dataclasses.replace(shipped, test=dataclasses.replace(shipped.test, **drives))
 
 
 def load_verified(out: Path) -> dict[str, list[Verified]]:
@@ -135,14 +155,32 @@ def load_verified(out: Path) -> dict[str, list[Verified]]:
     return by_row
 
 
-def save_verified(found: Iterable[Verified], out: Path) -> None:
-    """Add to what was verified in a folder; what is found on the same kernels is replaced."""
-    earlier = [row for rows in load_verified(out).values() for row in rows]
-    found = list(found)
-    rows = {(row.content, row.kernels): row for row in [*earlier, *found] if not row.reason}
-    for row in (row for row in found if row.is_false):
-        rows.pop((row.content, row.kernels), None)
+def save_verified(found: Iterable[Verified], out: Path) -> list[Verified]:
+    """Add to what was verified in a folder, and return what is known of the `found` rows.
+
+    What differed once on the same kernels does so for good: a part of the drives may agree.
+    """
+    rows = {(x.content, x.kernels): x for known in load_verified(out).values() for x in known}
+    known = []
+    for row in found:
+        key = row.content, row.kernels
+        if row.reason and not row.is_false:
+            known.append(row)
+            continue
+        if key not in rows or not _outweighs(rows[key], row):
+            rows[key] = row
+        known.append(row if row.is_false or rows[key].agrees else rows[key])
     _VERIFICATION.write(out / "verified.json", {"rows": [*map(dataclasses.asdict, rows.values())]})
+    return known
+
+
+def _outweighs(earlier: Verified, row: Verified) -> bool:
+    """Whether what was found of a row before stands against what was found now."""
+    if earlier.is_false:  # it would be found again, if it was not by chance
+        return False
+    if earlier.agrees != row.agrees:
+        return row.agrees
+    return earlier.ranks_by == row.ranks_by and earlier.runs > row.runs
 
 
 def verify_folder(
@@ -162,23 +200,24 @@ def verify_folder(
     `report` is called with each step as it begins and the share of the rows that are done. Raises
     ConfigError if there is nothing to be verified.
     """
-    tasks = _load_definitions(out) if tasks is None else tasks
+    tasks, unread = _load_definitions(out) if tasks is None else (tasks, [])
     stored = [(task, row) for task in tasks for row in store.load_rows(out, task)]
     rows = [(task, row) for task, row in stored if row.task_digest == task.digest]
     given = {entry.name: entry for entry in entries}
     if not rows:
-        raise ConfigError(f"{out}: no results with the task that they were made with")
+        raise (
+            unread or [ConfigError(f"{out}: no results with the task that they were made with")]
+        )[0]
     known, current = {task.name for task in tasks}, {row.identity for _, row in rows}
     others = {row.identity: (task, row) for task, row in stored if row.identity not in current}
     why = "it is of another task than is defined here"
     found = [_without_runs(*x, why) for x in others.values()]
-    why = "its task is not defined here"
+    why = f"its task is not defined here{''.join(f', and {error}' for error in unread[:1])}"
     for file in sorted((out / "results").glob("*/[!.]*.json")):
         if file.parent.name not in known:
             found.append(Verified(task=file.parent.name, estimator=file.stem, reason=why))
     rng = np.random.default_rng(seed)
     for task in tasks:
-        scored = [row for known, row in rows if known is task and row.failure is None]
         drives = sorted({(label, drive) for label, drive, _ in _drives(task)})
         count = math.ceil(share * len(drives))
         chosen = {drives[k] for k in rng.choice(len(drives), count, replace=False)}
@@ -188,36 +227,37 @@ def verify_folder(
                 report(f"{task.name}: simulating, {condition.label}", len(found) / len(rows))
                 some = partial(simulate, chosen=picked)
                 data[condition] = evaluate.simulate_condition(task, condition, some)
-        for _, row in (x for x in rows if x[0] is task and x[1].failure is not None):
-            found.append(_without_runs(task, row, f"failed: {row.failure}"))
-        for row in scored:
+        for row in [row for known, row in rows if known is task]:
             name = row.estimator
             report(f"{task.name}: {name}", len(found) / len(rows))
             entry = given.get(name) or registered_entry(name, task.trains_on_test_road)
-            found.append(_verify_row(task, row, entry, data, run))
+            if entry is None:
+                unknown = "not of this package: give it with --estimator"
+                found.append(_without_runs(task, row, row.stale_reason(task) or unknown))
+            elif reason := entry.failure or row.stale_reason(task, entry):
+                found.append(_without_runs(task, row, reason))
+            elif row.failure is not None:
+                found.append(_verify_failure(task, row, entry, data, run))
+            else:
+                found.append(_verify_row(task, row, entry, data, run))
     return found
 
 
 def _verify_row(
     task: Task,
     row: Result,
-    entry: Entry | None,
+    entry: Entry,
     data: Mapping[Condition, evaluate.ConditionData | str],
     run: evaluate.EntryRunner,
 ) -> Verified:
     """Run an entry again on the drives of each condition and compare with its row."""
     found = _without_runs(task, row)
-    if entry is None:
-        unknown = "not of this package: give it with --estimator"
-        return dataclasses.replace(found, reason=row.stale_reason(task) or unknown)
-    if reason := entry.failure or row.stale_reason(task, entry):
-        return dataclasses.replace(found, reason=reason)
     if reason := other_drives(row, task) or _other_seeds(row):
         return dataclasses.replace(found, reason=reason, is_false=True)
     stored = comparison.scores_by_run(row.scores)
-    same = found.tolerance <= comparison.SAME_KERNELS
-    ranks_by = task.board_definition.ranks_by
-    compared = SCORES if same else [ranks_by, "bound_nrmse", "attainable_nrmse"]  # of all rows
+    ranks_by = found.ranks_by
+    some = [ranks_by, "bound_nrmse", "attainable_nrmse"]  # the last two are of all rows
+    compared = SCORES if found.compares_all else some
     pairs: list[tuple[dict[str, float], dict[str, float]]] = []
     ranked: list[tuple[float, float]] = []
     notes, busy = {f"{row.estimator}: {note}" for note in _BY_CHANCE}, ""
@@ -256,6 +296,24 @@ def _verify_row(
     return dataclasses.replace(found, reason=busy) if busy and found.agrees else found
 
 
+def _verify_failure(
+    task: Task,
+    row: Result,
+    entry: Entry,
+    data: Mapping[Condition, evaluate.ConditionData | str],
+    run: evaluate.EntryRunner,
+) -> Verified:
+    """Run an entry whose row says that it failed; on other drives than these it may have."""
+    found = _without_runs(task, row, f"failed: {row.failure}")
+    made = (evaluate.evaluate_entry(task, *x, entry, row.seeds, run) for x in data.items())
+    if not data or any(one.failure is not None for one in made):
+        return found
+    reason = f"it does not fail on these drives; its row says: {row.failure}"
+    drives = [x.tests for x in data.values() if not isinstance(x, str)]
+    is_whole = sum(map(len, drives)) == len(_drives(task))
+    return dataclasses.replace(found, reason=reason, is_false=is_whole)
+
+
 def _drives(task: Task) -> set[tuple[str, int, int]]:
     """Return condition, index and seed of the road of each test drive of a task."""
     return {
@@ -282,8 +340,10 @@ def other_drives(row: Result, task: Task) -> str | None:
 
 def _other_seeds(row: Result) -> str | None:
     """Return which training seeds a row was made with that no board chooses; None if it has not."""
-    if row.seeds == tuple(range(1, len(row.seeds) + 1)):
+    if row.seeds and row.seeds == tuple(range(1, len(row.seeds) + 1)):
         return None
+    if not row.seeds:
+        return "it has no training seeds"
     return f"its training seeds are {', '.join(map(str, row.seeds))}, not 1 to {len(row.seeds)}"
 
 
@@ -314,7 +374,8 @@ def _not_retested(row: Result) -> list[str]:
 def _without_runs(task: Task, row: Result, reason: str = "") -> Verified:
     return Verified(
         task=task.name, estimator=row.estimator, content=content_digest(row), reason=reason,
-        kernels=kernels_of(describe_environment()), tolerance=_tolerance(row),
+        ranks_by=task.board_definition.ranks_by, kernels=kernels_of(describe_environment()),
+        tolerance=_tolerance(row),
     )  # fmt: skip
 
 

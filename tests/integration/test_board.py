@@ -421,6 +421,18 @@ def test_a_part_of_another_entry_is_not_assembled(tmp_path, name, expected):
     assert [entry for entry, _ in ran] == ["reader"] and rows(board) == expected
 
 
+def test_a_stored_row_by_others_is_stale_once_what_they_build_on_has_changed(tmp_path):
+    run(tmp_path)
+    row = store.load(store.row_path(tmp_path, small().name, "reader"))
+    elsewhere = dataclasses.replace(row, environment=row.environment | {"code": "other weights"})
+    store.save(elsewhere, tmp_path)
+    ((stale, reason),) = load_board([small()], tmp_path).stale(small())
+    assert stale.estimator == "reader"
+    assert reason == "made with other code or weights of this package"
+    ours = dataclasses.replace(elsewhere, estimator="wiener")
+    assert ours.stale_reason(small()) is None
+
+
 def test_a_stored_row_of_other_drives_is_stale(tmp_path):
     run(tmp_path)
     row = store.load(store.row_path(tmp_path, small().name, "reader"))

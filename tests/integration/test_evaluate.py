@@ -106,10 +106,11 @@ def test_a_failed_training_names_the_seed():
     assert failed.failure == "ride, 14.5 km/h, training with seed 1: ValueError: singular matrix"
 
 
-def test_a_failed_simulation_fails_every_row_of_the_task():
+@pytest.mark.parametrize("error", [SimulationError, ZeroDivisionError])
+def test_a_failed_simulation_fails_every_row_of_the_task(error):
     def breaks_down(t, drives, condition):
         if condition.speed_kmh > 50.0:
-            raise SimulationError("the car left the road")
+            raise error("the car left the road")
         return fake_drives(t, drives, condition)
 
     for result in run_task(task(), {"reader": Reader()}, simulate=breaks_down):

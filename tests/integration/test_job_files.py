@@ -99,7 +99,7 @@ def test_files_of_a_task_are_found_from_another_folder(tmp_path, monkeypatch):
     text = jobs.to_text(jobs.Job(task=t, condition=0, entries=(), seeds=(1,)))
     verification.save_definition(t, tmp_path / "out")
     monkeypatch.chdir("/")
-    (defined,) = verification._load_definitions(tmp_path / "out")
+    ((defined,), _) = verification._load_definitions(tmp_path / "out")
     assert defined.vehicle == load_vehicle(tmp_path / "given/car.yaml")
     assert jobs.from_text(text, "a job").task.vehicle == load_vehicle(tmp_path / "given/car.yaml")
 

@@ -9,6 +9,7 @@ from fakes import fake_drives, task
 from leaderboard.arrays import load_task, score_arrays
 from leaderboard.task_tables import score_file, write_task
 from road_envs.core.config import ConfigError
+from road_envs.vehicle.parameters import load_vehicle
 
 
 @pytest.fixture(scope="module")
@@ -104,3 +105,43 @@ def test_a_file_of_other_drives_is_refused_by_a_sentence(arrays, tmp_path):
     path.write_bytes(b"\x00\xff")
     with pytest.raises(ConfigError, match="not a table of numbers"):
         score_file(arrays, path)
+
+
+def test_each_drive_has_the_vehicle_of_its_condition_and_earlier_drives_of_it(tmp_path):
+    """Tables have neither, and say so."""
+    cars = ("van", "bmw_320i")
+    conditions = [{"mode": "passive", "speed_kmh": 36.0, "car": car} for car in cars]
+    road = {"roads": ["iso_d"], "length": 16.0}
+    calibration = [{"mode": "passive", "speed_kmh": 36.0, "road": "iso_c", "seed_offset": 100,
+                    "length": 16.0, "survey_std": 0.001}]  # fmt: skip
+    common = {"car": "van", "training": {**road, "seeds": [1]}, "test": {**road, "seeds": [2]}}
+    arrays = load_task(task(**common, conditions=conditions), simulate=fake_drives)
+    masses = [load_vehicle(car).m_b for car in cars]
+    assert [drive["vehicle"]["m_b"] for drive in arrays.test] == masses
+    assert [drive["vehicle"]["m_b"] for drive in arrays.training] == masses
+    calibrated = load_task(task(**common, conditions=conditions[:1], calibration=calibration))
+    ((earlier,),) = (drive["calibration"] for drive in calibrated.test)
+    assert earlier["z"].shape[0] == 2 and earlier["a"].shape[1] == earlier["t"].size
+    for one in (arrays, calibrated):
+        with pytest.raises(ConfigError, match="neither calibration drives nor a vehicle for each"):
+            write_task(one, tmp_path / "tables", "csv")
+    assert not (tmp_path / "tables").exists()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda z: z + 1j,
+        lambda z: z > 0.0,
+        lambda z: (1e9 * z).astype("timedelta64[ns]"),
+        lambda z: np.ma.masked_array(z, mask=z > 0.0),
+        lambda z: [[1.0, 2.0], [1.0]],
+        lambda z: z.astype(str),
+    ],
+)
+def test_heights_that_are_no_real_numbers_are_refused(arrays, change):
+    heights = guesses(arrays)
+    objects = score_arrays(arrays, [z.astype(object) for z in heights]).values
+    np.testing.assert_equal(objects, score_arrays(arrays, heights).values)
+    with pytest.raises(ConfigError, match=r"test drive 2 needs finite heights of the shape"):
+        score_arrays(arrays, [heights[0], change(heights[1]), *heights[2:]])

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import os
+import shutil
 import subprocess
 import sys
 
@@ -20,13 +21,16 @@ from leaderboard.evaluation import evaluate, store
 from leaderboard.evaluation.comparison import OTHER_KERNELS, SAME_KERNELS
 from leaderboard.evaluation.provenance import describe_environment
 from leaderboard.evaluation.results import content_digest
+from leaderboard.evaluation.tasks import load_task
 from leaderboard.metrics.baselines import BASELINES
-from leaderboard.report.notes import _kernel_notes
+from leaderboard.report.notes import _kernel_notes, _verified_for
 from leaderboard.running.board import create_baselines, load_board
 from leaderboard.running.verification import (
+    _load_definitions,
     _other_claim,
     kernels_of,
     load_verified,
+    save_definition,
     save_verified,
     verify_folder,
 )
@@ -281,14 +285,29 @@ def test_what_could_not_be_asked_again_is_compared_all_the_same(tmp_path):
         assert reader.reason == reason and not reader.agrees and reader.runs
 
 
-def test_rows_that_have_failed_are_named(tmp_path):
+@pytest.mark.parametrize("share", [0.1, 1.0])
+def test_a_row_that_has_failed_is_run_again(tmp_path, share):
+    """On a part of the drives that an entry runs it may all the same have failed on others."""
     copy_of_run(tmp_path)
-    for name in NAMES:
-        row = store.load(store.row_path(tmp_path, "small", name))
-        store.save(dataclasses.replace(row, failure="no number"), tmp_path)
-    output = verified_output(list(verify(tmp_path).values()))
-    assert {fact["reason"] for fact in output.facts} == {"failed: no number"}
-    assert output.status == 0 and f"; {len(NAMES)} could not be run again" in output.shows[1]
+    for name in ("reader", "learner"):
+        alter(tmp_path, name, failure="no number")
+
+    def fails(entry, data, seeds):
+        if entry.name == "learner":
+            raise EntryError("no number here, either")
+        yield from run_here(entry, data, seeds)
+
+    entries = [make_entry(name, estimator) for name, estimator in ESTIMATORS.items()]
+    options = {"simulate": chosen_fakes, "seed": 1, "share": share}
+    found = verify_folder(tmp_path, fails, entries, **options)
+    reasons = {row.estimator: row.reason for row in found if row.reason}
+    assert reasons == {
+        "reader": "it does not fail on these drives; its row says: no number",
+        "learner": "failed: no number",
+    }
+    output = verified_output(found)
+    assert output.status == (share == 1.0)
+    assert f"{2 - (share == 1.0)} could not be run again" in output.shows[1]
 
 
 def test_a_row_of_which_no_drive_was_run_again_does_not_agree(tmp_path):
@@ -296,12 +315,72 @@ def test_a_row_of_which_no_drive_was_run_again_does_not_agree(tmp_path):
     assert not any(row.agrees for row in verify(tmp_path, share=0.0).values())
 
 
-def test_what_was_verified_is_forgotten_once_it_is_false(tmp_path):
+def test_what_differed_once_stands_against_a_part_of_the_drives_that_agrees(tmp_path):
+    """Else a row would be clean again by another choice of drives."""
     copy_of_run(tmp_path)
-    found = verify(tmp_path)["reader"]
+    alter(tmp_path, "reader", scores={"nrmse": 0.01})
+    (whole,) = save_verified([verify(tmp_path, share=1.0)["reader"]], tmp_path)
+    assert whole.runs == 6 and not whole.agrees
+    part = dataclasses.replace(whole, runs=1, distance=0.0, typical=0.0, shift=0.0)
+    assert part.agrees and save_verified([part], tmp_path) == [whole]
+    assert load_verified(tmp_path) == {whole.content: [whole]}
+    assert verified_output(save_verified([part], tmp_path)).status == 1
+    worse = dataclasses.replace(whole, distance=1.5)
+    assert save_verified([worse], tmp_path) == [worse] == load_verified(tmp_path)[whole.content]
+    false = dataclasses.replace(whole, runs=0, reason="its lag is 1", is_false=True)
+    other = dataclasses.replace(false, content="of another row")
+    assert save_verified([other], tmp_path) == [other]
+    agrees = dataclasses.replace(part, content=other.content)  # it was false by chance
+    assert save_verified([agrees], tmp_path) == [agrees] == load_verified(tmp_path)[other.content]
+
+
+def test_a_row_that_was_found_false_is_noted_on_its_board(tmp_path):
+    board, _ = run(tmp_path)
+    (reader,) = (r for r in board.results["small"] if r.estimator == "reader")
+    found = dataclasses.replace(verify(tmp_path)["reader"], reason="its lag is 1", is_false=True)
     save_verified([found], tmp_path)
-    save_verified([dataclasses.replace(found, reason="it lies", is_false=True)], tmp_path)
-    assert load_verified(tmp_path) == {}
+    (note,) = _kernel_notes([reader], load_verified(tmp_path))
+    assert note == "reader is not what was found when it was run again: its lag is 1."
+
+
+def test_what_agrees_in_another_score_than_the_board_ranks_by_counts_for_nothing(tmp_path):
+    """The board of a stored definition is no part of its digest."""
+    board, _ = run(tmp_path)
+    (t,), rows = board.tasks, verify(tmp_path)
+    own = rows["reader"]
+    assert own.ranks_by == t.board_definition.ranks_by == "nrmse"
+    elsewhere = dataclasses.replace(own, tolerance=OTHER_KERNELS, ranks_by="dsd_distance_db")
+    apart = dataclasses.replace(elsewhere, distance=0.9)
+    counted = [own, dataclasses.replace(elsewhere, ranks_by="nrmse"), apart]
+    verified = {own.content: [*counted, elsewhere]}
+    assert _verified_for(t, verified) == {own.content: counted}
+
+
+def test_a_definition_that_cannot_be_read_ends_no_verification_of_other_tasks(tmp_path):
+    copy_of_run(tmp_path)
+    (tmp_path / "definitions" / "0.json").write_text("{}")
+    (tmp_path / "results" / "gone").mkdir()
+    shutil.copy(store.row_path(tmp_path, "small", "reader"), tmp_path / "results" / "gone")
+    entries = [make_entry(name, estimator) for name, estimator in ESTIMATORS.items()]
+    found = verify_folder(tmp_path, run_here, entries, simulate=chosen_fakes, seed=1)
+    (gone,) = (row for row in found if row.task == "gone")
+    assert "its task is not defined here, and " in gone.reason and "0.json" in gone.reason
+    assert any(row.agrees for row in found)
+    for path in (tmp_path / "definitions").glob("[!0]*.json"):
+        path.unlink()
+    with pytest.raises(ConfigError, match=r"0\.json"):
+        verify(tmp_path)
+
+
+def test_a_definition_of_another_task_than_the_shipped_one_of_its_name_is_named(tmp_path):
+    copy_of_run(tmp_path)
+    own = dataclasses.replace(load_task("class"), bumps=True)
+    save_definition(own, tmp_path)
+    for number in (2, None):
+        save_definition(load_task("class").with_test_drives(number), tmp_path)
+    tasks, unread = _load_definitions(tmp_path)
+    assert [task.name for task in tasks] == ["class", "class", "small"]
+    assert [str(x).partition(": ")[2] for x in unread] == ["its class is not that of this package"]
 
 
 def test_a_row_of_chosen_training_seeds_does_not_agree(tmp_path):
@@ -309,6 +388,8 @@ def test_a_row_of_chosen_training_seeds_does_not_agree(tmp_path):
     row = store.load(store.row_path(tmp_path, "small", "learner"))
     store.save(dataclasses.replace(row, seeds=(7, 2)), tmp_path)
     assert verify(tmp_path)["learner"].reason == "its training seeds are 7, 2, not 1 to 2"
+    store.save(dataclasses.replace(row, seeds=()), tmp_path)
+    assert verify(tmp_path)["learner"].reason == "it has no training seeds"
 
 
 def test_a_note_that_a_row_lacks_is_found(tmp_path):

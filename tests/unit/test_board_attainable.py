@@ -9,11 +9,13 @@ from fake_results import run_scores, runs_of
 from fakes import fake_drives, task
 
 from leaderboard.evaluation.evaluate import run_task
+from leaderboard.evaluation.results import content_digest
 from leaderboard.report import attainable
 from leaderboard.report.sentences import build_report
 from leaderboard.report.site import write_site
 from leaderboard.report.tables import board_views
 from leaderboard.running.board import Board
+from leaderboard.running.verification import Verified
 
 
 @pytest.fixture
@@ -50,6 +52,17 @@ def test_every_drive_is_computed_once_and_efficiency_is_relative_to_it(computed)
     assert by_name["reader"].values["attainable_efficiency"] > 0.0
     (plain,) = board_views(Board((t,), {t.name: rows}))
     assert "attainable" not in {row.name for row in plain.sections[0].rows}
+
+
+def test_what_was_verified_of_a_row_holds_with_its_attainable_errors(computed):
+    t = task()
+    (row,) = run_task(t, {"reader": Reader()}, (1,), simulate=fake_drives)
+    found = Verified(task=t.name, estimator="reader", content=content_digest(row), runs=1)
+    board = Board((t,), {t.name: [row]}, verified={content_digest(row): [found]})
+    board = attainable.with_attainable(board)
+    (more,) = board.results[t.name]
+    assert content_digest(more) != content_digest(row)
+    assert board.verified[content_digest(more)] == [found]
 
 
 def test_drives_of_perturbed_vehicles_and_tasks_without_a_bound_have_none(computed):

@@ -7,11 +7,20 @@ import json
 import numpy as np
 import pytest
 from fake_estimators import Picky, Reader
-from fake_results import ENTRIES, board, result_of, results_by_fakes, run_scores, runs_of, with_runs
+from fake_results import (
+    ENTRIES,
+    board,
+    result_of,
+    results_by_fakes,
+    run_scores,
+    runs_of,
+    with_runs,
+)
 from fakes import fake_drives, task
 from rich.console import Console
 
 from leaderboard.evaluation.evaluate import run_task
+from leaderboard.evaluation.tasks import load_task
 from leaderboard.metrics.bootstrap import interquartile_mean, iqm_interval
 from leaderboard.report.export import as_json
 from leaderboard.report.sentences import build_report
@@ -42,6 +51,46 @@ def test_each_road_family_has_its_own_scores():
     rough = run_scores(result, "level_error")[[1, 3]]
     assert line.groups["rough"]["level_error"] == pytest.approx(interquartile_mean(rough.ravel()))
     assert view.sections[0].groups["family"] == ("level", "rough")
+
+
+def test_a_drive_over_a_level_road_takes_no_rank_from_anybody():
+    """Nobody has a score there; who has none where others have one is ranked last."""
+    results = results_by_fakes()
+
+    def on_level(result):
+        runs = runs_of(result)
+        last = next(reversed(runs))[:2]
+        changed = {k: x | {"nrmse": None} if k[:2] == last else x for k, x in runs.items()}
+        return with_runs(result, changed)
+
+    level = [r if r.failure else on_level(r) for r in results]
+    (view,) = board_views(Board((task(),), {"small": level}))
+    (section,) = view.sections
+    ranks = {row.name: row.values["rank"] for row in section.rows if row.state == "scored"}
+    assert ranks == {"reader": 1, "learner": 2}
+    assert (
+        section.notes[0]
+        == "1 drive is over a road that is level in the band: nobody has a score there."
+    )
+    mixed = [new if new.estimator == "reader" else old
+             for new, old in zip(level, results, strict=True)]  # fmt: skip
+    (view,) = board_views(Board((task(),), {"small": mixed}))
+    rows = {row.name: row.values for row in view.sections[0].rows}
+    assert rows["reader"]["low"] is None and rows["learner"]["rank"] == 1
+    assert "level in the band" not in str(view.sections[0].notes)
+
+
+def test_boards_whose_roads_are_not_public_come_first():
+    shipped, own = load_task("new_road"), task(board="class")
+    assert shipped.board_definition.order < own.board_definition.order
+    board = Board((shipped, own), {"small": [], "new_road": []})
+    assert [view.board for view in board_views(board)] == ["class", "new_road"]
+
+
+def test_the_only_entry_has_won_nothing():
+    only = [r for r in results_by_fakes() if r.estimator in ("reader", "truth_plus_noise")]
+    text = str(build_report(Board((task(),), {"small": only})).findings)
+    assert "It is the only entry." in text and "first place" not in text
 
 
 FAMILIES = {"roads": ["iso_b", "iso_e"], "seeds": [11, 12], "length": 40.0}

@@ -12,7 +12,7 @@ from leaderboard.metrics.api import ScoredEstimate
 from leaderboard.metrics.registry import compute_scores
 from leaderboard.metrics.roughness import THIRD_OCTAVES
 from road_envs.analysis.information_bound import RoadPrior, bound
-from road_envs.records.record import Estimate, Profile, profile_stations
+from road_envs.records.record import Estimate, Profile, profile_stations, scored_band
 from road_envs.roads import load_road
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import load_vehicle
@@ -48,6 +48,24 @@ def test_the_bound_is_that_of_the_car_of_the_condition():
     )
     assert of_road[0] == of_road[1] > 1.3 * of_road[2]
     assert of_octaves[0] == of_octaves[1] != of_octaves[2]
+
+
+def test_the_bound_of_a_plant_is_that_of_the_car_that_it_drives():
+    """The struts of `commonroad` are linear."""
+    condition = {"mode": "passive", "speed_kmh": 36.0, "car": "jeep_cherokee"}
+    other = task(car="bmw_320i", conditions=[{**condition, "plant": "mujoco"}])
+    t = task(car="bmw_320i", conditions=[{**condition, "plant": "commonroad"}])
+    spectrum = fit_spectrum(realised(road_class="C"), scored_band(10.0))
+    prior = RoadPrior(G_d0=10.0 ** (spectrum[0] / 10.0), w=spectrum[1])
+    instruments = load_instruments(t.instruments)
+    expected = bound(t.vehicle_of(t.conditions[0]), "passive", 10.0, instruments, prior)
+    found = [nrmse_bound(x, x.conditions[0], realised(road_class="C")) for x in (t, other)]
+    assert found[0] == pytest.approx(expected.pooled, rel=1e-3) and found[1] > 1.1 * found[0]
+
+
+def test_instruments_without_noise_have_no_bound():
+    t = task(instruments="ideal")
+    assert np.isnan(nrmse_bound(t, t.conditions[0], realised(road_class="C")))
 
 
 def test_level_and_waviness_are_fitted_inside_the_band():
