@@ -13,6 +13,8 @@ from road_envs.roads import realise_road
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import load_vehicle
 
+pytestmark = pytest.mark.costly
+
 POINTS = """[...document.querySelectorAll('tr.opened polyline')]
 .map(line => [...line.points].map(p => [p.x, p.y]))"""
 OPENED = "[...document.querySelectorAll('tr.opened')].map(r => r.previousElementSibling.id)"
@@ -36,7 +38,6 @@ def reported(tmp_path_factory):
     return write_report(made, chosen, folder / "out")[0], made.drives[0]
 
 
-@pytest.mark.costly
 def test_a_link_to_a_segment_opens_its_heights_below_its_row(browser, reported):
     page, result = reported
     browser.open(page, after=f"#drive-0-{FIRST}")

@@ -15,12 +15,13 @@ from leaderboard.report.site import write_site
 from leaderboard.running.board import Board
 from road_envs.core.atomic_io import write_text
 
+pytestmark = pytest.mark.costly
+
 ROWS = """[...document.querySelectorAll('#task-%s tbody tr')].filter(r => !r.hidden)
 .map(r => r.dataset.name)"""
 CELL = 'document.querySelector(\'#task-%s tr[data-name="%s"] td[data-key="%s"]\').textContent'
 
 
-@pytest.mark.costly
 def test_no_page_logs_errors_requests_resources_or_overflows(browser, written):
     for name in site():
         browser.open(written / name, 400)
@@ -199,7 +200,6 @@ def test_a_filter_without_matches_says_so_and_can_be_cleared(browser, written):
     assert "reader" in browser.value(ROWS % "held_out")
 
 
-@pytest.mark.costly
 def test_text_on_both_pages_has_enough_contrast(browser, written):
     """WCAG 2: at least 4.5 for text, and 3 for the lines of charts."""
     try:

@@ -110,6 +110,7 @@ def test_a_manufactured_vehicle_drives_and_its_file_reads_back(name, tmp_path):
         for name in VEHICLES
     ],
 )
+@pytest.mark.costly
 def test_the_commands_take_the_vehicle(road_recon, name):
     words = ("--vehicle", name, "--speed-kmh", "36")
     code, _, err = road_recon(

@@ -44,6 +44,7 @@ def failed(results):
     return {name for name, result in results.items() if result.passed is False}
 
 
+@pytest.mark.costly
 def test_a_valid_estimator_passes_and_every_check_has_one_sentence(sandbox):
     results = check_results(sandbox, "Valid")
     assert tuple(results) == NAMES and not failed(results)
@@ -118,6 +119,7 @@ def test_no_further_check_runs_after_an_estimator_fails_to_run(sandbox):
     assert results["runs"].message.endswith("seed 1: RuntimeError: out of order")
 
 
+@pytest.mark.costly
 def test_the_run_time_is_predicted_for_a_whole_condition_of_the_board(sandbox):
     """0.1 s for 60 m are 30 s for the 18 km of a condition."""
     results = check_results(sandbox, "Slow")
@@ -126,6 +128,7 @@ def test_the_run_time_is_predicted_for_a_whole_condition_of_the_board(sandbox):
     assert 30.0 <= predicted < 60.0
 
 
+@pytest.mark.costly
 def test_all_trainings_of_what_learns_are_predicted(sandbox):
     results = check_results(sandbox, "SlowLearner")
     predicted = float(results["time"].message.split("about ")[1].split(" s ")[0])
@@ -154,6 +157,7 @@ def test_a_record_with_lost_samples_can_be_perturbed(sandbox):
     assert not np.array_equal(late.a, records["original"].a)
 
 
+@pytest.mark.costly
 def test_check_estimator_exits_with_1_on_a_failure_and_prints_json(monkeypatch, tmp_path):
     shutil.copy(bad_estimators.__file__, tmp_path / "mine_here.py")
     monkeypatch.chdir(tmp_path)

@@ -186,12 +186,14 @@ def test_the_report_of_the_readme_is_written(lines, road_recon, tmp_path):
     assert (tmp_path / "report/index.html").is_file()
 
 
+@pytest.mark.costly
 def test_the_first_drive_is_reconstructed_with_the_error_that_it_states(page_values):
     folder, values = page_values("first_drive.md")
     assert values["nrmse"] == pytest.approx(0.19, abs=0.01)
     assert (folder / "estimate.png").read_bytes().startswith(PNG_SIGNATURE)
 
 
+@pytest.mark.costly
 def test_the_estimator_of_the_tutorial_learns_and_passes_the_probes(page_values):
     _, values = page_values("own_estimator.md")
     assert values["one drive"] < 0.7 and values["task"] == pytest.approx(0.48, abs=0.05)
@@ -203,6 +205,7 @@ def test_the_policy_of_the_tutorial_beats_constant_states(page_values):
     assert values["own"] > max(values["ride"], values["handling"])
 
 
+@pytest.mark.costly
 def test_the_vehicle_of_the_tutorial_is_estimated_best_with_its_own_parameters(page_values):
     _, values = page_values("own_vehicle.md")
     assert values["mass"] == 1250.0

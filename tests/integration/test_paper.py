@@ -86,6 +86,7 @@ def test_there_are_the_papers_eight_scenarios_in_its_order():
         assert all(t.z.shape == case.truth.z.shape for t in case.trainings)
 
 
+@pytest.mark.costly
 def test_naive_baselines_are_scored_with_the_network():
     case = made().paving[0]
     assert set(case.baselines) == {"unrelated_road", "mean", "constant", "memory"}

@@ -216,6 +216,7 @@ def test_standard_deviations_are_returned_from_the_sandbox(sandbox):
     np.testing.assert_array_equal(training_run.estimates[0].z_std, 0.003)
 
 
+@pytest.mark.costly
 def test_estimators_of_this_package_share_a_guest_until_one_fails(sandbox):
     first = run(sandbox, "flat")
     guest = sandbox.guest

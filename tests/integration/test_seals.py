@@ -148,6 +148,7 @@ def test_no_guest_reads_the_files_of_code_that_another_has_read(sandbox):
     assert len(called) == 2
 
 
+@pytest.mark.costly
 def test_entries_do_not_run_side_by_side(monkeypatch):
     """What one guest of an entry tells a guest of another lane, it could tell the second guest."""
     running, seen = [], []
@@ -173,6 +174,7 @@ def test_entries_do_not_run_side_by_side(monkeypatch):
     assert seen == [1, 1, 1, 1]
 
 
+@pytest.mark.costly
 def test_the_threads_of_one_guest_leave_room_for_those_of_another():
     limits = Limits(seconds=30.0, processes=4, isolation="bubblewrap")
     most = 4 * limits.processes + 64
@@ -291,6 +293,7 @@ def test_memory_is_tested_on_any_drive_but_the_first(sandbox, place):
     assert found.notes == (REMEMBERS,)
 
 
+@pytest.mark.costly
 def test_the_second_guest_is_the_first_in_half_of_the_runs(sandbox, monkeypatch):
     asked = []
 

@@ -262,6 +262,7 @@ def test_a_doubtful_input_is_answered_with_a_note(run, name):
     "name",
     [pytest.param(name, marks=[pytest.mark.slow] * ("km/h" not in name)) for name in CHECKED],
 )
+@pytest.mark.costly
 def test_a_description_that_fits_worse_than_another_is_noted(run, name):
     assert_note(run, *CHECKED[name])
 

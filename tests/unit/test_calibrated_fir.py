@@ -120,6 +120,7 @@ def test_the_long_wave_gain_is_the_motion_in_phase_with_the_road_at_half_a_hertz
 
 
 @pytest.mark.parametrize("v", [8.0, 5.0])
+@pytest.mark.costly
 def test_another_road_is_found_at_any_speed(v):
     """A wheelbase told wrongly, and a window over distance, would not carry over."""
     profile = road(2, 100.0)

@@ -44,6 +44,7 @@ def told(record, mode):
         pytest.param("iso_b", 15, "ride", "S1", marks=pytest.mark.slow),
     ],
 )
+@pytest.mark.costly
 def test_a_wrong_mode_is_noticed_and_the_right_one_is_not_doubted(road, speed, mode, grade):
     record = drive(road, speed, mode, grade)
     assert check_notes(record, DEFENDER, "paper") == ()

@@ -271,6 +271,7 @@ def test_the_smoothed_profile_is_the_dense_posterior_of_all_blocks():
         np.testing.assert_allclose(np.sqrt(output.variance[m]), np.sqrt(variance), rtol=0.01)
 
 
+@pytest.mark.costly
 def test_smoothing_in_chunks_is_nearly_smoothing_at_once():
     once, chunks = [], []
     for result, size in ((once, 10**6), (chunks, 16)):

@@ -155,6 +155,7 @@ def relative_error(states, truth):
         pytest.param("defender", "ride", marks=pytest.mark.slow),
     ],
 )
+@pytest.mark.costly
 def test_the_method_has_order_two_on_the_nonlinear_vehicle_over_a_road(name, mode):
     t, truth = reference(name, mode, GENTLE, 1.0)
     h = 0.001 / 2.0 ** np.arange(5)

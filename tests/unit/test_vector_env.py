@@ -66,6 +66,7 @@ def vector(options=SHORT, **kwargs):
         for name, options in VARIANTS.items()
     ],
 )
+@pytest.mark.costly
 def test_environment_i_equals_the_single_one_with_seed_plus_i_in_every_mode(options):
     number = 10  # more than one block of lanes, the second one partly filled
     ended = check_vector_env(
