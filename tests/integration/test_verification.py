@@ -329,7 +329,7 @@ def test_what_differed_once_stands_against_a_part_of_the_drives_that_agrees(tmp_
     assert save_verified([worse], tmp_path) == [worse] == load_verified(tmp_path)[whole.content]
     false = dataclasses.replace(whole, runs=0, reason="its lag is 1", is_false=True)
     other = dataclasses.replace(false, content="of another row")
-    assert save_verified([other], tmp_path) == [other]
+    assert save_verified([other], tmp_path) == [other] == load_verified(tmp_path)[other.content]
     agrees = dataclasses.replace(part, content=other.content)  # it was false by chance
     assert save_verified([agrees], tmp_path) == [agrees] == load_verified(tmp_path)[other.content]
 
