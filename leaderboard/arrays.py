@@ -38,7 +38,8 @@ class TaskArrays:
     parameters of the one that an estimator is told under this condition. Those of `training` also
     have the true heights `z` (2, M) [m] of the left and the right wheel path. A training drive
     serves the test drives of its condition. Those have a list `calibration` of earlier drives of
-    the same vehicle, with `z` where their road was surveyed. `vehicle` is the nominal vehicle.
+    the same vehicle, with `z` where their road was surveyed. The field `vehicle` below has the
+    parameters of the task's nominal vehicle.
     """
 
     name: str

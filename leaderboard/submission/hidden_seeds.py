@@ -145,7 +145,7 @@ def _is_drawn(path: Path, salt: str, hidden: _HiddenSeeds, public: Task) -> bool
 
 
 def _what_ranks(task: Task) -> tuple[object, ...]:
-    """What decides scores and ranks of a task, beside which its words may differ."""
+    """Return the parts of a task that decide scores and ranks; its other words may differ."""
     return task.digest, task.board, task.test.families, task.claimed_level_error
 
 
