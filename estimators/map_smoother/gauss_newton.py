@@ -195,10 +195,10 @@ def _descend(
             before = np.max(noise_scale)
             noise_scale = update_noise_scale(lin, stationary, noise_scale)
             if std == 0.0 and objective.is_underdetermined:
-                power = _misfit_power(lin)
+                power = misfit_power(lin)
                 least = np.maximum(1.0, TUNING.least_noise * power)
                 noise_scale = np.maximum(least, np.minimum(noise_scale, TUNING.noise_fall * before))
-                if best is None or power.max() < _misfit_power(best).max():
+                if best is None or power.max() < misfit_power(best).max():
                     best = lin
             to_come = lin.objective.road.is_level_between_obstacles and n < min(
                 TUNING.lowering_steps[-1], updates
@@ -210,7 +210,7 @@ def _descend(
                 break
     assert lin is not None
     if best is not None:
-        lin, noise_scale = best, np.maximum(1.0, _misfit_power(best))
+        lin, noise_scale = best, np.maximum(1.0, misfit_power(best))
     return lin, noise_scale
 
 
@@ -277,7 +277,7 @@ def _is_likelier(even: Linearization, uneven: Linearization) -> bool:
     The residual of an uneven road says nothing there: one phone, whose true road leaves the noise,
     got two holes of 0.3 m behind bumps of 50 mm at 60 km/h (5 % more than the noise).
     """
-    powers = _misfit_power(even), _misfit_power(uneven)
+    powers = misfit_power(even), misfit_power(uneven)
     if powers[0].max() < TUNING.even_gain * powers[1].max():
         return True
     if not uneven.objective.is_underdetermined:
@@ -292,7 +292,7 @@ def _is_likelier(even: Linearization, uneven: Linearization) -> bool:
     return bool(costs[0] < costs[1])
 
 
-def _misfit_power(lin: Linearization) -> np.ndarray:
+def misfit_power(lin: Linearization) -> np.ndarray:
     """Power (P,) of the residual over the instruments' noise."""
     return np.array([_noise_scale(one, 0.0) for one in lin.passes])
 

@@ -196,7 +196,8 @@ def draw_deviations(
 class _VehicleErrors(NamedTuple):
     """Samples `moved` of the deviation of `x` by errors of the vehicle, the `weight` of their
     squares, and the power `evidence` that such errors explain of the residual, in units of the
-    noise: about one for each sample if the vehicle has none.
+    noise: about one for each sample if the vehicle has none. That of a road longer than
+    `TUNING.evidence_length` is for so much of it, as the power grows with the length.
     """
 
     moved: list[np.ndarray]
@@ -235,6 +236,7 @@ def _draw_vehicle_errors(
     evidence = float(along @ np.linalg.lstsq(gram, along)[0])
     typical = TUNING.shown_share * float(np.trace(gram)) / draws
     shown = max(evidence - draws, 0.0) / max(typical, 1e-12)
+    evidence /= max(1.0, lin.objective.road.length / TUNING.evidence_length)
     return _VehicleErrors(moved, TUNING.tolerance_inflation**2 * min(1.0, shown), evidence)
 
 

@@ -67,6 +67,11 @@ class RoadTransform:
         return self.free.size
 
     @property
+    def length(self) -> float:
+        """Length [m] that may rise or fall."""
+        return float(self.ds * self.free.sum())
+
+    @property
     def nodes(self) -> RoadNodes:
         """The nodes."""
         return RoadNodes(self.origin, self.ds, self.size)

@@ -25,6 +25,7 @@ from estimators.map_smoother.gauss_newton import (
     GaussNewton,
     MapSolution,
     minimize,
+    misfit_power,
     update_noise_scale,
 )
 from estimators.map_smoother.objective import Objective
@@ -160,7 +161,7 @@ class RoadSolver:
                 fit = findings.doubted or adapt_car([solution], drive.car, solver)
                 if noise_left(fit.solutions) >= TUNING.structure_power:
                     findings.doubt(fit)
-                else:
+                elif _explains_more(fit.solutions[0], solution):
                     findings.fits = [(fit, [0])]
                     uncertain = VehicleUncertainty.of_tolerances(fit.car, sensors)
                     uncertain = replace(uncertain, is_prior=False, inflation=TUNING.fit_inflation)
@@ -202,3 +203,12 @@ class RoadSolver:
             noise_scale = update_noise_scale(lin, solver.stationary, noise_scale)
             lin, _ = solver.step(lin, noise_scale)
         return MapSolution(lin, solver.stationary, noise_scale)
+
+
+def _explains_more(fitted: MapSolution, described: MapSolution) -> bool:
+    """Return whether a fitted vehicle leaves no more than the described one, or than the noise.
+
+    Noise scales do not tell, as they never rise in a minimization.
+    """
+    left = [misfit_power(one.linearization).max() for one in (fitted, described)]
+    return bool(left[0] <= max(1.0, left[1]))

@@ -120,6 +120,7 @@ class _Tuning:
     # about six of its errors are independent, and their mean square is then within a quarter
     vehicle_draws: Annotated[int, "", "of an uncertain vehicle"] = 8
     # 7 to 33 of a vehicle as described, 68 to 650 of one of S1 (seed 211)
+    evidence_length: Annotated[float, "m", "of road for which both are, where it is longer"] = 100.0
     quick_evidence: Annotated[float, "", "of the residual below which few samples do"] = 45.0
     quick_draws: Annotated[int, "", "then"] = 4
     quick_draw_cg: Annotated[_CG, "", "of each"] = (9, 0.1)
@@ -172,7 +173,8 @@ class _Tuning:
     )  # fmt: skip
     adapt_noise_scale: Annotated[float, "", "from which on a vehicle is fitted"] = 1.15
     # 4 to 88 for vehicles as described, 52 to 1600 for S1 (seed 211); on smooth roads the road
-    # takes most of what a wrong vehicle leaves
+    # takes most of what a wrong vehicle leaves; as many times as much where a drive is as many
+    # times as long (seeds 9501 to 9503)
     evidence_due: Annotated[float, "", "of the residual from which on it is fitted, too"] = 100.0
     vehicle_share_due: Annotated[float, "", "if it has this share of the variance"] = 0.5
     max_unloaded_share: Annotated[float, "", "of the road without a load, of a fit"] = 0.02

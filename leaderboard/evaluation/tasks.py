@@ -149,7 +149,9 @@ class Task(Settings):
             raise ValueError(f"training and test share the seeds {shared}")
         fixed = fixed_surfaces(self.test.roads)
         self._check_calibration(fixed)
-        if fixed & fixed_surfaces(self.training.roads) and not self.trains_on_test_road:
+        if self.trains_on_test_road or not fixed:
+            return
+        if fixed & fixed_surfaces(self.training.roads):
             raise ValueError(
                 "training and test share a surface; choose other roads, or set "
                 "trains_on_test_road: true"

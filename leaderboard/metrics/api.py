@@ -67,8 +67,7 @@ class ScoredEstimate:
     @cached_property
     def in_band(self) -> tuple[np.ndarray, np.ndarray]:
         """Truth and estimate, each (2, K) [m], inside the scored band."""
-        y, a = heights.band_pass(np.stack([self.y, self.a]), self.ds, self.band)
-        return y, a
+        return heights.in_band(self.y, self.a, self.ds, self.band)
 
     @cached_property
     def aligned(self) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
@@ -76,8 +75,7 @@ class ScoredEstimate:
         deviation (2, L) [m] about them, if the estimate has one.
         """
         y, a, std = align_locally(self.y, self.a, self.std, self.ds, self.v)
-        y, a = heights.band_pass(np.stack([y, a]), self.ds, self.band)
-        return y, a, std
+        return *heights.in_band(y, a, self.ds, self.band), std
 
     @cached_property
     def densities(self) -> tuple[np.ndarray, np.ndarray]:

@@ -32,7 +32,7 @@ from road_envs.records.record import scored_band as scored_band
 from road_envs.records.roughness import Band as Band
 from road_envs.records.roughness import band_pass as band_pass
 
-VERSION = 4
+VERSION = 5
 """Version of the metrics: raised whenever a score of the same two profiles changes, which makes
 older results stale.
 """
@@ -71,7 +71,17 @@ class _Uncertainty(NamedTuple):
 
 def nrmse(y: np.ndarray, a: np.ndarray, ds: float, band: Band) -> _Sides:
     """Return RMS error over RMS truth [-], of estimate `a` and truth `y` (2, M), inside `band`."""
-    return error_over_truth(*band_pass(np.stack([y, a]), ds, band))
+    return error_over_truth(*in_band(y, a, ds, band))
+
+
+def in_band(y: np.ndarray, a: np.ndarray, ds: float, band: Band) -> tuple[np.ndarray, np.ndarray]:
+    """Return truth `y` and estimate `a` (2, M) [m] inside `band`, each (2, K).
+
+    A truth with nothing but rounding error there, of a level road or a slope, is flat.
+    """
+    within, estimated = band_pass(np.stack([y, a]), ds, band)
+    is_flat = np.mean(within**2) <= _NEGLIGIBLE**2 * np.mean(y**2)
+    return within * (not is_flat), estimated
 
 
 def error_over_truth(y: np.ndarray, a: np.ndarray) -> _Sides:

@@ -42,7 +42,8 @@ def with_attainable(board: Board, report: Callable[[str], None] = lambda text: N
                 errors = _attainable_errors(task, condition)
                 found |= {(condition.label, k): error for k, error in errors.items()}
         results[task.name] = [_with_scores(result, found) for result in board.results[task.name]]
-        for before, now in zip(board.results[task.name], results[task.name], strict=True):
+        pairs = zip(board.results[task.name], results[task.name], strict=True)
+        for before, now in pairs if board.verified else ():
             verified[content_digest(now)] = board.verified.get(content_digest(before), ())
     return dataclasses.replace(board, results=results, verified=verified)
 

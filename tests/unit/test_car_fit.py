@@ -240,6 +240,29 @@ def test_a_fit_that_was_not_believed_is_not_made_again_for_the_same_drive(monkey
 
 
 @pytest.mark.costly
+def test_a_long_drive_of_a_described_vehicle_is_not_taken_for_one_of_another(monkeypatch):
+    # of 400 m, the errors of its tolerances explain 104 of the residual, and of each 100 m 26
+    monkeypatch.setattr(solver, "adapt_car", lambda *_: pytest.fail("a vehicle was fitted"))
+    record, truth = simulate_record(
+        "iso_b", vehicle=DEFENDER, speed_kmh=54.0, mode=MIXED, seed=9501, length=400.0
+    )
+    found = MapSmoother(draws=2).estimate(record, DEFENDER)
+    band = scored_band(15.0)
+    assert nrmse(truth.z, found.z, truth.ds, band).pooled < 0.15
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "is_kept"), [(0.37, 1.9, False), (0.37, 0.9, True), (2.0, 1.9, True)]
+)
+def test_a_fit_that_explains_less_than_the_described_vehicle_is_refused(
+    before, after, is_kept, monkeypatch
+):
+    monkeypatch.setattr(solver, "misfit_power", lambda power: np.array([power]))
+    described, fitted = (SimpleNamespace(linearization=power) for power in (before, after))
+    assert solver._explains_more(fitted, described) is is_kept
+
+
+@pytest.mark.costly
 def test_a_fit_that_leaves_much_does_no_harm_where_sensors_are_on_brackets():
     drive, truth = calibration_drive("S0", 3, 40.0)
     w, damping = 2.0 * np.pi * 60.0, 0.03

@@ -100,7 +100,7 @@ def test_an_even_road_is_likelier(monkeypatch, sensors, even, uneven, expected):
             power=np.array([power]), passes=[one], objective=objective, with_inverse_variance=at
         )
 
-    monkeypatch.setattr(gauss_newton, "_misfit_power", lambda lin: lin.power)
+    monkeypatch.setattr(gauss_newton, "misfit_power", lambda lin: lin.power)
     assert gauss_newton._is_likelier(point(*even), point(*uneven)) is expected
 
 

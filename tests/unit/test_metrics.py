@@ -144,6 +144,14 @@ def test_a_flat_truth_leaves_the_error_undefined():
     assert np.isnan(heights.coherence(0.0 * y, y, DS, BAND))
 
 
+@pytest.mark.parametrize("slope", [1e-6, 0.03])
+def test_a_slope_is_flat_inside_the_band(slope):
+    y = slope * np.stack([S, S])
+    scored = ScoredEstimate(Profile(S, y), Estimate(S, road(2)), 15.0, bumps=False)
+    assert np.isnan(compute_scores(scored)["nrmse"])
+    assert np.isnan(heights.nrmse(y, road(2), DS, BAND)).all()
+
+
 def test_a_sign_flip_is_perfect_by_equation_12_and_wrong_by_other_scores():
     y = road(3)
     assert heights.level_error(y, -y) == (0.0, 0.0, 0.0)
