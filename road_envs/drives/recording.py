@@ -26,8 +26,6 @@ from road_envs.vehicle.suspension import MODES, decode_commands, encode_command
 
 FORMAT = "roadrecon record 1"
 
-_NOISE = 1  # stream of the noise of an int seed, whose road has the random numbers of the seed
-
 CHUNK = 20_000  # integrator steps that are simulated before their motion is sampled and discarded
 
 
@@ -78,8 +76,7 @@ def simulate_record(
     one = perturb_vehicle(car, grade, drawn_by, plant_mismatch, k, position_noise)
     step = min(step, one.step)
     drive = DriveSimulator(one.plant, one.car, surface, speed_kmh / 3.6, mode, step)
-    noise = np.random.SeedSequence(seed, spawn_key=(_NOISE,)) if isinstance(seed, int) else seed
-    logger = DataLogger(instruments, one.car, step, np.random.default_rng(noise), one.faults)
+    logger = DataLogger(instruments, one.car, step, np.random.default_rng(seed), one.faults)
     byte, parts = encode_command(mode, car), []
     while not drive.is_finished:  # in chunks, which bounds the memory of a long drive
         commands = np.full(min(CHUNK, drive.steps_left), byte, dtype=np.uint8)
