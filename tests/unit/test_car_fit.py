@@ -241,10 +241,10 @@ def test_a_fit_that_was_not_believed_is_not_made_again_for_the_same_drive(monkey
 
 @pytest.mark.costly
 def test_a_long_drive_of_a_described_vehicle_is_not_taken_for_one_of_another(monkeypatch):
-    # of 400 m, the errors of its tolerances explain 104 of the residual, and of each 100 m 26
+    # of 400 m, the errors of its tolerances explain 130 of the residual, and of each 100 m 32
     monkeypatch.setattr(solver, "adapt_car", lambda *_: pytest.fail("a vehicle was fitted"))
     record, truth = simulate_record(
-        "iso_b", vehicle=DEFENDER, speed_kmh=54.0, mode=MIXED, seed=9501, length=400.0
+        "iso_b", vehicle=DEFENDER, speed_kmh=54.0, mode=MIXED, seed=11, length=400.0
     )
     found = MapSmoother(draws=2).estimate(record, DEFENDER)
     band = scored_band(15.0)

@@ -9,6 +9,7 @@ from vehicle_fixtures import DEFENDER
 from estimators.wiener import drive_check
 from estimators.wiener.drive_check import _without_obstacles, check_notes, side_notes
 from estimators.wiener.tuning import TUNING
+from leaderboard.drive_report import drive_estimates
 from leaderboard.drive_report.drive_estimates import with_doubts
 from road_envs.core import config
 from road_envs.drives.logger_tables.description import DriveDescription
@@ -138,6 +139,25 @@ def test_another_programs_side_motion_is_noticed_and_that_of_the_file_is_not(car
     front, rear = described.side.C_alpha
     stiff = replace(described, side=replace(described.side, C_alpha=(3.0 * front, 3.0 * rear)))
     assert "sideways 0.5 times as stiffly" in side_notes(record, stiff, "paper")[0]
+
+
+@pytest.mark.parametrize(("behind", "sought"), [("body", 1), ("description", 2), ("", 2)])
+def test_side_motion_that_a_body_hides_is_sought_with_the_described_one(
+    behind, sought, monkeypatch
+):
+    names = []
+
+    def noted(record, car, sensors):
+        names.append("description" if car is DEFENDER else "body")
+        return ("a note",) if names[-1] == behind else ()
+
+    monkeypatch.setattr(drive_estimates, "with_twist", lambda record, car, sensors: car)
+    monkeypatch.setattr(drive_estimates, "with_bending", lambda record, car, _: replace(car))
+    monkeypatch.setattr(drive_estimates, "side_notes", noted)
+    measured = MeasuredRecord(drive("iso_c", 54.0, "ride", length=20.0))
+    file = DriveFile("d", "d", measured, "", DEFENDER, "paper", False, DriveDescription())
+    assert with_doubts(file).measured.notes == (("a note",) if behind else ())
+    assert len(names) == sought
 
 
 @pytest.mark.parametrize(("grade", "is_noted"), [("S2", False), ("S4", True)])
