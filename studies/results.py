@@ -190,13 +190,13 @@ def renew_result(
     """
     work = WORK / f"{name}-{known_results()[name].identity()[:12]}"
     work.mkdir(parents=True, exist_ok=True)
-    left_out: dict[str, list[str]] = {}
+    left_out: dict[str, dict[str, int]] = {}
     for path in MADE.glob(f"{name}.*.jsonl"):
         lines, file = path.read_text(encoding="utf-8").splitlines(), path.name[len(name) + 1 :]
         rows = [line for line in lines if not _has(json.loads(line), anew)]
         chosen = _some_of_each([json.loads(row).get("name") for row in rows], rng)
-        left_out[file] = [rows[k] for k in chosen]
-        rest = (row for k, row in enumerate(rows) if k not in chosen)
+        left_out[file] = {rows[k]: lines.index(rows[k]) for k in chosen}
+        rest = (row for row in rows if row not in left_out[file])
         write_text(work / file, "".join(f"{row}\n" for row in rest))
     if not left_out:
         raise ConfigError(f"{name}: none of its rows are kept; make it")
@@ -222,15 +222,21 @@ def _has(row: Mapping[str, Any], pairs: Collection[str]) -> bool:
 
 
 def _compare_rows(
-    left_out: Mapping[str, Sequence[str]], tolerance: float, anew: Collection[str], work: Path
+    left_out: Mapping[str, Mapping[str, int]], tolerance: float, anew: Collection[str], work: Path
 ) -> str:
-    """Say how many rows were made again. Raises ConfigError if one of them is another one now."""
+    """Say how many rows were made again, and put each in its place, the least first. Raises
+    ConfigError if one of them is another one now.
+    """
     for file, rows in left_out.items():
-        found = [json.loads(line) for line in (work / file).read_text("utf-8").splitlines()]
-        for row in rows:
-            if not any(_is_same(json.loads(row), other, tolerance) for other in found):
+        lines = (work / file).read_text("utf-8").splitlines()
+        for row, place in sorted(rows.items(), key=lambda item: item[1]):
+            same = (x for x in lines if _is_same(json.loads(row), json.loads(x), tolerance))
+            if (line := next(same, None)) is None:
                 (work / file).unlink()  # of two programs
                 raise ConfigError(f"{work.name}: a row is another one now: {row}; make it whole")
+            lines.remove(line)
+            lines.insert(place, line)
+        write_text(work / file, "".join(f"{line}\n" for line in lines))
     count = sum(map(len, left_out.values()))
     others = "".join(f"all rows of {pair}, and " for pair in anew)
     return f"{others}{count} rows, equal to those of the program before to {tolerance:g}"

@@ -99,6 +99,8 @@ def test_a_tenth_of_the_rows_is_made_again_and_a_row_that_differs_refuses_the_re
     assert (tmp_path / "docs/seven.csv").read_text() == "36"
     data, _ = KEPT.read(tmp_path / "docs/made/seven.json")
     assert data["made now"] == "4 rows, equal to those of the program before to 1e-06"
+    rows = (tmp_path / "docs/made/seven.rows.jsonl").read_text().splitlines()
+    assert [json.loads(row)["case"] for row in rows] == [*range(40)]
 
     monkeypatch.setattr(KeptResult, "identity", lambda self: "third")
     (tmp_path / "write.py").write_text(ROWS.replace("0.1 * k", "0.10001 * k"))
