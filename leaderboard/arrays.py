@@ -48,6 +48,11 @@ class TaskArrays:
     vehicle: dict[str, Any]
     _data: tuple[ConditionData, ...] = field(repr=False)
 
+    @property
+    def identity(self) -> str:
+        """Name and digest of the task with these test drives, which tables name."""
+        return f"{self.name}-{self._data[0].task.digest[:12]}"
+
 
 def load_task(
     task: str | Path | tasks.Task,

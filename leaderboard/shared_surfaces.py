@@ -9,6 +9,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from leaderboard.evaluation.drive_set import DriveSet
 from leaderboard.evaluation.task_files import digest_of
 from road_envs.roads import Road
 from road_envs.roads.composite import FixedSeed, Flat
@@ -18,6 +19,28 @@ from road_envs.roads.measured import Measured
 def fixed_surfaces(roads: Iterable[Road]) -> set[str]:
     """Return descriptions of the uneven surfaces of `roads` that no seed varies."""
     return {_described(part) for road in roads for part in _parts(road) if not _is_random(part)}
+
+
+def shared_seeds(training: DriveSet, test: DriveSet) -> list[int]:
+    """Return the seeds by which roads of both sets are drawn, those of fixed pieces of one alone as
+    well: those of both are their `fixed_surfaces`.
+    """
+    (of_training, fixed_there), (of_test, fixed_here) = (
+        (
+            one.all_seeds,
+            {x.seed for road in one.roads for x in _parts(road) if isinstance(x, FixedSeed)},
+        )
+        for one in (training, test)
+    )
+    return sorted(of_training & (of_test | fixed_here) | fixed_there & of_test)
+
+
+def repeated_road(drives: DriveSet) -> str | None:
+    """Return the kind of an uneven road that several seeds realise alike; None if there is none."""
+    for road in drives.roads if len(drives.seeds) > 1 else ():
+        if fixed_surfaces([road]) and not _is_random(road):
+            return type(road).__name__
+    return None
 
 
 def _parts(road: Road) -> list[Road]:

@@ -3,7 +3,8 @@
     drives            drive, split (training or test), condition
     SPLIT_records     drive, t [s], a column of each sensor [m/s²], v [m/s], s [m] of the front
                       axle, spring_stiff_WHEEL and damper_high_WHEEL (0 or 1)
-    SPLIT_profiles    drive, station [m], left and right [m], which are empty for test drives
+    SPLIT_profiles    drive, station [m], left and right [m], which are empty for test drives, and
+                      for these task, the drives that they are of
 
 Each is CSV or Parquet. Heights are returned as test_profiles with `left` and `right` filled in, and
 if they are known `left_std` and `right_std` [m].
@@ -53,8 +54,9 @@ def write_task(task: TaskArrays, folder: Path, form: str, roads: int | None = No
             )
             z = drive.get("z", np.full((2, drive["stations"].size), np.nan))
             heights = dict(zip(_SIDES, z, strict=True))
+            own = {"task": task.identity} if split == "test" else {}
             tables.setdefault(f"{split}_profiles", []).append(
-                pd.DataFrame({"drive": k, "station": drive["stations"], **heights})
+                pd.DataFrame({"drive": k, "station": drive["stations"], **heights, **own})
             )
     written = []
     for name, parts in tables.items():
@@ -75,20 +77,25 @@ def write_task(task: TaskArrays, folder: Path, form: str, roads: int | None = No
 def score_file(task: TaskArrays, path: Path) -> ScoreTable:
     """Score the heights of a CSV or Parquet file in the order of test_profiles.
 
-    Raises ConfigError for a missing column, and for drives or stations that are not the task's.
+    Raises ConfigError for a missing column, and for a task, drives or stations that are others.
     """
     pd = import_pandas()
     with parsing(path, ConfigError, "damaged, or not a table of numbers"):
         is_parquet = path.suffix == ".parquet"
         table = read_parquet(path).to_pandas() if is_parquet else pd.read_csv(path)
         columns = ["drive", "station", *_SIDES]
-        if missing := [name for name in columns if name not in table]:
-            raise ConfigError(f"no column {missing[0]!r}; needed are {', '.join(columns)}")
+        if missing := [name for name in (*columns, "task") if name not in table]:
+            raise ConfigError(f"no column {missing[0]!r}; needed are {', '.join(columns)}, task")
         heads = table.columns  # pandas gives the second one of a CSV another name
         if not is_parquet:
             heads = pd.Index(pd.read_csv(path, header=None, nrows=1, dtype=str).iloc[0])
         if twice := heads[heads.duplicated()].tolist():
             raise ConfigError(f"it has two columns {twice[0]!r}")
+        if other := set(table["task"].astype(str)) - {task.identity}:
+            raise ConfigError(
+                f"its heights are of {min(other)[:80]}, not of {task.identity}: give --task and "
+                "--roads as for the tables"
+            )
         deviations = [name for name in ("left_std", "right_std") if name in table]
         if len(deviations) == 1:
             raise ConfigError(f"{deviations[0]} is there alone; give left_std and right_std")

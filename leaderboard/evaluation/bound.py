@@ -36,7 +36,7 @@ def nrmse_bound(task: Task, condition: Condition, truth: Profile) -> float:
     mode = json.dumps(condition.simulator_mode)
     car, is_linear = condition.car or task.car, condition.plant == "commonroad"
     try:
-        return pooled_bound(car, task.instruments, mode, v, *road, is_linear=is_linear)
+        return pooled_bound(car, task.instruments, mode, v, *road, is_linear, task.digest)
     except np.linalg.LinAlgError:  # instruments without noise
         return np.nan
 
@@ -82,11 +82,13 @@ def pooled_bound(
     level: float,
     w: float,
     is_linear: bool = False,
+    content: str = "",
 ) -> float:
     """Return the least in-band NRMSE [-] at `v` [m/s] on a road of `level` [dB] and waviness `w`.
 
     `mode` is JSON text; `level` and `w` are rounded as `fit_spectrum` returns them, so that results
-    can be cached. `is_linear`: the car has the struts of the plant `commonroad`.
+    can be cached, for a `content` of the files of car and instruments. `is_linear`: the car has the
+    struts of the plant `commonroad`.
     """
     vehicle = as_driven(load_vehicle(car)) if is_linear else load_vehicle(car)
     prior = RoadPrior(G_d0=10.0 ** (level / 10.0), w=w)

@@ -24,7 +24,7 @@ from leaderboard.evaluation.drive_set import DriveSet, at_length
 from leaderboard.evaluation.task_files import DESCRIPTIVE_FIELDS, digest_of, with_paths
 from leaderboard.json_values import to_json_types
 from leaderboard.kept_drives import kept_digest
-from leaderboard.shared_surfaces import fixed_surfaces
+from leaderboard.shared_surfaces import fixed_surfaces, repeated_road, shared_seeds
 from road_envs.core import config
 from road_envs.core.config import ConfigError, Count, Positive, Settings
 from road_envs.core.reading import parsing
@@ -145,13 +145,13 @@ class Task(Settings):
             )
         if self.position_noise and any(c.grade not in ("S3", "S4") for c in self.conditions):
             raise ValueError("position_noise needs the position fixes of S3 or S4 everywhere")
-        if shared := sorted(self.training.all_seeds & self.test.all_seeds):
+        if shared := shared_seeds(self.training, self.test):
             raise ValueError(f"training and test share the seeds {shared}")
+        if kind := repeated_road(self.test):
+            raise ValueError(f"no seed varies the road {kind}, so the test needs a single seed")
         fixed = fixed_surfaces(self.test.roads)
         self._check_calibration(fixed)
-        if self.trains_on_test_road or not fixed:
-            return
-        if fixed & fixed_surfaces(self.training.roads):
+        if fixed and not self.trains_on_test_road and fixed & fixed_surfaces(self.training.roads):
             raise ValueError(
                 "training and test share a surface; choose other roads, or set "
                 "trains_on_test_road: true"

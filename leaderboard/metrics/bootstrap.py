@@ -69,8 +69,9 @@ def bootstrap(
     """Return the interquartile means (B,) of resamples of `scores` (R, C, S): roads, then seeds.
 
     Roads are resampled within each of `strata`, lists of their indices; by default there is one.
-    The resampled roads depend on `seed`, `strata`, R and B alone, so entries with one `seed` are
-    paired. NaNs mark missing runs and are ignored.
+    The resampled roads depend on `seed`, `strata`, B and which roads have runs alone, so entries
+    with one `seed` and runs on the same roads are paired. NaNs mark missing runs and are ignored; a
+    road without runs is not drawn.
     """
     batches = _replicate_scores(scores, seed, replicates, strata)
     return np.concatenate([interquartile_mean(x) for x in batches])
@@ -108,13 +109,13 @@ def resample(
     return Resampled(float(np.dot(weights, means)), np.tensordot(weights, made, axes=1))
 
 
-def iqm_slope(parts: Sequence[np.ndarray], strata: Strata | None = None) -> Interval:
-    """Return the least-squares slope of the interquartile mean over `parts`, each (R, C, S).
-
-    With its 95 % interval; the parts are paired road by road and seed by seed.
+def iqm_slope(parts: Mapping[int, np.ndarray], strata: Strata | None = None) -> Interval:
+    """Return the least-squares slope of the interquartile mean of `parts` (R, C, S) over their
+    keys, with its 95 % interval; the parts are paired road by road and seed by seed.
     """
-    x = np.arange(len(parts)) - 0.5 * (len(parts) - 1)
-    return resample(parts, (x / np.sum(x * x)).tolist(), strata=strata).interval()
+    x = np.array([*parts], dtype=float)
+    x -= x.mean()
+    return resample([*parts.values()], (x / np.sum(x * x)).tolist(), strata=strata).interval()
 
 
 def performance_profile(
@@ -146,10 +147,14 @@ def _replicate_scores(
     # indices of the roads (B, R), drawn stratum by stratum, and of the seeds (B, S): the streams of
     # both are apart, so that entries with other numbers of seeds still share their roads
     R, _, S = scores.shape
+    has_runs = ~np.isnan(scores).all(axis=(1, 2))
+    has_runs |= not has_runs.any()
+    drawable = [[k for k in part if has_runs[k]] for part in strata or [range(R)]]
     road_rng, seed_rng = np.random.default_rng(seed).spawn(2)
     drawn = [
         np.asarray(roads)[road_rng.integers(len(roads), size=(replicates, len(roads)))]
-        for roads in strata or [range(R)]
+        for roads in drawable
+        if roads
     ]
     roads = np.concatenate(drawn, axis=1)
     seeds = seed_rng.integers(S, size=(replicates, S))

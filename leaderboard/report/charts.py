@@ -20,7 +20,7 @@ from leaderboard.metrics.obstacles import Obstacle, match_obstacles, true_obstac
 from leaderboard.metrics.registry import SCORES
 from leaderboard.metrics.roughness import THIRD_OCTAVES
 from leaderboard.report import figures as fig
-from leaderboard.report.tables import SPECTRUM_SCORES, Row
+from leaderboard.report.tables import SPECTRUM_SCORES, Row, level_runs
 from road_envs.records.roughness import CLASSES, N_0, displacement_psd, smooth_psd
 
 _HEIGHT_UNIT = 1e-4  # unit [m] of encoded heights
@@ -74,17 +74,21 @@ def task_charts(
         "density": _density_chart(drawn),
         "error": _error_chart(task, {name: rows[name] for name in results}),
     }
-    arrays = {name: _counted_runs(r, definition.ranks_by) for name, r in results.items()}
+    on_level = level_runs([*results.values()], definition)
+    key = definition.ranks_by
+    arrays = {name: _counted_runs(r, key, on_level) for name, r in results.items()}
     scores = {name: x for name, x in arrays.items() if count_roads(x) >= MIN_ROADS}
     if scores:
         charts["runs"] = _runs_chart(scores, definition, task.test.strata)
     return charts
 
 
-def _counted_runs(result: Result, key: str) -> np.ndarray:
-    """Return a score (R, C, S) of all runs; one without it counts as infinite."""
+def _counted_runs(result: Result, key: str, on_level: np.ndarray) -> np.ndarray:
+    """Return a score (R, C, S) of all runs; one without it counts as infinite, but for those
+    `on_level` (R, C) roads.
+    """
     every = score_arrays(result.scores)
-    driven = np.isfinite(every).any(axis=0)
+    driven = np.isfinite(every).any(axis=0) & ~on_level[:, :, None]
     own = every[[*SCORES].index(key)]
     return np.where(driven & np.isnan(own), np.inf, own)
 

@@ -14,10 +14,12 @@ from typing import TYPE_CHECKING, Any
 
 from leaderboard.evaluation.results import COLUMNS, scores_table
 from leaderboard.metrics.registry import SCORES
+from leaderboard.report.board_definitions import TAIL, WORST
 from leaderboard.report.citation import as_bibtex
 from leaderboard.report.tables import ALL_RUNS, BoardView, Section, nonempty_columns
 from leaderboard.running.board import Board
 from road_envs.core.atomic_io import atomic_write, write_text
+from road_envs.sensing.perturbed_vehicle import GRADES
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -26,7 +28,7 @@ _FOLDER = "export"
 _ROW_FIELDS = ("board", "task", "group", "estimator", "state", "causal", "text")
 _NUMBER_FIELDS = (
     "rank", "rank_causal", "low", "high", *SCORES,
-    "grade_S0", "grade_S1", "grade_S2", "grade_S3", "slope", "slope_low", "slope_high",
+    WORST, *TAIL, *(f"grade_{grade}" for grade in GRADES), "slope", "slope_low", "slope_high",
     "train_seconds", "calibrate_seconds", "estimate_ms_per_100m", "parameters",
 )  # fmt: skip
 _FORMULA_SIGNS = ("=", "+", "-", "@", "\t", "\r")

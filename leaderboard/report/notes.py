@@ -28,17 +28,15 @@ PUBLIC_ROADS = (
 def section_notes(
     board: Board, task: Task, rows: Sequence["Row"], level_drives: int
 ) -> tuple[str, ...]:
-    """Return all notes on a task, on the `rows` of its scored entries and its `level_drives`."""
+    """Return all notes on a task, on the `rows` of its scored entries and on its `level_drives`,
+    which have no ranking score.
+    """
     scored = board.scored(task)
-    level = (
-        "drive is over a road that is" if level_drives == 1 else "drives are over roads that are"
-    )
+    drives = f"{level_drives} drive{'s' * (level_drives > 1)}"
+    level = f"On {drives} nobody has a score, as on a level road."
     return (
         *([PUBLIC_ROADS] if task.is_public else []),
-        *(
-            [f"{level_drives} {level} level in the band: nobody has a score there."]
-            * (level_drives > 0)
-        ),
+        *([level] if level_drives else []),
         *_protocol_notes(task, scored),
         *_surface_notes(task, [*scored, *board.failed(task)]),
         *(f"{note}." for row in scored for note in _own_notes(row)),
@@ -161,7 +159,14 @@ def _kernel_notes(
             continue
         again = [x for x in known if x.kernels == usual]
         says_usual = made[result.estimator] == usual
-        if any(x.agrees for x in again) or (says_usual and not again):
+        if any(x.agrees for x in again):
+            continue
+        elsewhere = [x for x in known if x.runs and x.is_far and x.kernels != usual]
+        if elsewhere and not again:
+            text = f"was run again on {elsewhere[0].kernels}: {elsewhere[0].distance:.1e} apart"
+            notes.setdefault(text, []).append(result.estimator)
+            continue
+        if says_usual and not again:
             continue
         text = f"ran on {made[result.estimator]}, the others on {usual}: "
         text = f"says that it ran on {usual}: " if says_usual else text

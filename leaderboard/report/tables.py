@@ -23,10 +23,9 @@ from leaderboard.metrics.bootstrap import MIN_ROADS, Interval, Strata, count_roa
 from leaderboard.metrics.level import EQ_12_RAW, STATE_LIMITS
 from leaderboard.metrics.registry import SCORES
 from leaderboard.report.board_definitions import (
-    ATTAINABLE_ROW,
     BELOW_BOUND,
-    BOUND_ROW,
     COLUMNS,
+    LIMIT_ROWS,
     RANK_COLUMNS,
     TAIL,
     WORST,
@@ -49,6 +48,7 @@ SPECTRUM_SCORES = tuple(name for name in SCORES if name.startswith("error_at_"))
 
 _Values = dict[str, float | None]  # numbers by column; None where one is undefined
 
+_LIMITS = ("bound_nrmse", "attainable_nrmse")
 _BOUNDED = [[*SCORES].index(name) for name in ("nrmse", "bound_nrmse")]
 """Positions of the error and of its bound among the scores."""
 
@@ -129,7 +129,7 @@ def _section(board: Board, task: Task, definition: BoardDefinition) -> Section:
     parts: dict[str, ScoreSlice] = {ALL_RUNS: (slice(None), slice(None))}
     parts |= {name: part for named in groups.values() for name, part in named.items()}
     scored = board.scored(task)
-    on_level = _level_runs(scored, definition)
+    on_level = level_runs(scored, definition)
     tables = [_aggregate(result, task, definition, parts, on_level) for result in scored]
     _rank(tables, parts, task.test.strata)
     rows = [
@@ -181,7 +181,7 @@ def _aggregate(
     scores, strata = score_arrays(result.scores), task.test.strata
     shown = (
         {*definition.columns, *definition.on_request, *SPECTRUM_SCORES}
-        | {definition.ranks_by, "bound_nrmse", "attainable_nrmse"}
+        | {definition.ranks_by, *_LIMITS}
     )  # fmt: skip
     ranked = scores[[*SCORES].index(definition.ranks_by)].copy()
     missing = np.isnan(scores) & np.isfinite(scores).any(axis=0) & ~on_level[:, :, None]
@@ -191,7 +191,7 @@ def _aggregate(
     values: dict[str, _Values] = {}
     for group, part in parts.items():
         mine, own = scores[:, *part], ranked[part]
-        means = dict(zip(SCORES, _mean(mine), strict=True))
+        means = dict(zip(SCORES, _mean(mine), strict=True)) | _unknown_limits(mine)
         score = Interval(np.nan, np.nan, np.nan)
         if count_roads(own) >= MIN_ROADS:
             score = bootstrap.iqm_interval(own, strata=strata if group == ALL_RUNS else None)
@@ -213,7 +213,7 @@ def _aggregate(
     return _AggregatedScores(result.estimator, values, ranked, division)
 
 
-def _level_runs(scored: Sequence[Result], definition: BoardDefinition) -> np.ndarray:
+def level_runs(scored: Sequence[Result], definition: BoardDefinition) -> np.ndarray:
     """Return which runs (R, C) have other scores alone in each row: of roads that are uneven in the
     band, even a flat estimate has a ranking score.
     """
@@ -253,7 +253,8 @@ def _grade_scores(ranked: np.ndarray, parts: Mapping[str, ScoreSlice], strata: S
     values = {f"grade_{grade}": _mean(x[None])[0] for grade, x in by_grade.items()}
     if count_roads(ranked) >= MIN_ROADS:
         whole = all(len(x) == len(ranked) for x in by_grade.values())  # else strata are of others
-        growth = bootstrap.iqm_slope([*by_grade.values()], strata=strata if whole else None)
+        graded = {GRADES.index(grade): x for grade, x in by_grade.items()}
+        growth = bootstrap.iqm_slope(graded, strata=strata if whole else None)
         values |= {"slope": growth.mean, "slope_low": growth.low, "slope_high": growth.high}
     return _defined(values)
 
@@ -300,8 +301,10 @@ def _scored_row(
 def _bound_rows(tables: Sequence[_AggregatedScores], definition: BoardDefinition) -> list[Row]:
     """Return the rows of bound and attainable error, as far as computed, if NRMSE ranks."""
     rows = []
-    for name, key in ((BOUND_ROW, "bound_nrmse"), (ATTAINABLE_ROW, "attainable_nrmse")):
-        bounded = [x.values for x in tables if x.values[ALL_RUNS].get(key) is not None]
+    for name, key in zip(LIMIT_ROWS, _LIMITS, strict=True):
+        bounded = [
+            x.values for x in tables if any(y.get(key) is not None for y in x.values.values())
+        ]
         if not bounded or definition.ranks_by != "nrmse":
             continue
         groups = {group: {"nrmse": x.get(key)} for group, x in bounded[0].items()}
@@ -314,6 +317,15 @@ def _bound_rows(tables: Sequence[_AggregatedScores], definition: BoardDefinition
 def _mean(scores: np.ndarray) -> np.ndarray:
     """Return the interquartile means (K,) of scores (K, R, C, S); NaN if no run has the score."""
     return bootstrap.interquartile_mean(scores.reshape(len(scores), -1))
+
+
+def _unknown_limits(scores: np.ndarray) -> dict[str, float]:
+    """Return NaN for each limit of the NRMSE that some drives (K, R, C, S) lack: its mean would be
+    of others than that of the NRMSE beside it.
+    """
+    driven = np.isfinite(scores[_BOUNDED[0]])
+    lacking = (np.isnan(scores[[*SCORES].index(name)]) & driven for name in _LIMITS)
+    return {name: np.nan for name, x in zip(_LIMITS, lacking, strict=True) if x.any()}
 
 
 def _training_states(error: np.ndarray) -> _Values:

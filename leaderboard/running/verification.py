@@ -58,7 +58,7 @@ class Verified(Settings):
     `distance` is the largest of the `runs` (drives times training seeds), that of `score`,
     `typical` the median of the largest of each run, and `shift` that of the interquartile means of
     the ranking score, by which boards rank. With a `reason` the row was not run again or failed;
-    where `is_false`, it says something else of the entry or of its drives than was found.
+    where `is_false`, it says something else than was found on this `share` of the drives.
     """
 
     task: str
@@ -74,6 +74,7 @@ class Verified(Settings):
     shift: float = 0.0
     reason: str = ""
     is_false: bool = False
+    share: float = 0.0
 
     @property
     def compares_all(self) -> bool:
@@ -176,8 +177,8 @@ def save_verified(found: Iterable[Verified], out: Path) -> list[Verified]:
 
 def _outweighs(earlier: Verified, row: Verified) -> bool:
     """Whether what was found of a row before stands against what was found now."""
-    if earlier.is_false:  # it would be found again, if it was not by chance
-        return False
+    if earlier.is_false:  # on as many drives it would be found again, if it was not by chance
+        return earlier.share > row.share
     if earlier.agrees != row.agrees:
         return row.agrees
     return earlier.ranks_by == row.ranks_by and earlier.runs > row.runs
@@ -205,9 +206,8 @@ def verify_folder(
     rows = [(task, row) for task, row in stored if row.task_digest == task.digest]
     given = {entry.name: entry for entry in entries}
     if not rows:
-        raise (
-            unread or [ConfigError(f"{out}: no results with the task that they were made with")]
-        )[0]
+        none = ConfigError(f"{out}: no results with the task that they were made with")
+        raise [*unread, none][0]
     known, current = {task.name for task in tasks}, {row.identity for _, row in rows}
     others = {row.identity: (task, row) for task, row in stored if row.identity not in current}
     why = "it is of another task than is defined here"
@@ -236,10 +236,10 @@ def verify_folder(
                 found.append(_without_runs(task, row, row.stale_reason(task) or unknown))
             elif reason := entry.failure or row.stale_reason(task, entry):
                 found.append(_without_runs(task, row, reason))
-            elif row.failure is not None:
-                found.append(_verify_failure(task, row, entry, data, run))
             else:
-                found.append(_verify_row(task, row, entry, data, run))
+                check = _verify_row if row.failure is None else _verify_failure
+                now = check(task, row, entry, data, run)
+                found.append(dataclasses.replace(now, share=count / len(drives)))
     return found
 
 

@@ -120,7 +120,10 @@ def _load_package(folder: Path, settings: dict[str, Any]) -> tuple[str, Any]:
 
     Files named .pth have no effect. Raises EntryError.
     """
-    for wheel in folder.glob("*.whl"):
+    wheels = [*folder.glob("*.whl")]
+    if len(wheels) > 1:  # which one is run would depend on the disk
+        raise EntryError(f"it must be one wheel, found {sorted(wheel.name for wheel in wheels)}")
+    for wheel in wheels:
         folder = Path(os.environ["HOME"]) / "entry"
         with zipfile.ZipFile(wheel) as archive:
             archive.extractall(folder)
@@ -133,7 +136,10 @@ def _load_package(folder: Path, settings: dict[str, Any]) -> tuple[str, Any]:
     ]
     if len(found) != 1:
         names = sorted(entry.name for entry in found)
-        raise EntryError(f"it must declare one entry point of {ENTRY_POINT_GROUP}, found {names}")
+        raise EntryError(
+            f"it must declare one entry point of {ENTRY_POINT_GROUP}, found {names}, or be "
+            "given as module:Class"
+        )
     cls, module = found[0].load(), sys.modules[found[0].module]
     if not Path(file := getattr(module, "__file__", None) or "/").is_relative_to(folder):
         raise EntryError(f"its module {found[0].module} is that of the judge's machine, {file}")

@@ -83,6 +83,8 @@ def make_submission(
         shutil.copyfile(card, partial / CARD)
         with SandboxClient(limits) as sandbox:
             entry = _working_entry(partial, sandbox)
+            if folder.resolve().name != entry.name:  # before all is run
+                raise ConfigError(f"{folder}: it must have the name of its entry, {entry.name}")
             progress(f"checking {entry.name}", 0.0)
             _refuse_failed_checks(entry, sandbox, limits)
         request = make_run_request(*rules, [entry], limits)
@@ -187,7 +189,7 @@ def submitted_entry(folder: Path, sandbox: SandboxClient) -> Entry:
     """
     code = folder / "code"
     wheels = list(code.glob("*.whl"))
-    if wheels and len(list(code.iterdir())) > 1:  # which one is run would depend on the disk
+    if any(wheel.is_dir() for wheel in wheels) or (wheels and len(list(code.iterdir())) > 1):
         raise ConfigError(f"{code}: one wheel alone, or a folder of packages without any")
     (entry,) = resolve_entries([str(wheels[0] if wheels else code)], sandbox.describe)
     return entry

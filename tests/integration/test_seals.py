@@ -207,6 +207,11 @@ def test_page_tables_count_as_memory(sandbox):
         run(sandbox, "map_sparsely")
 
 
+def test_memory_of_no_process_is_not_to_be_had(sandbox, identity):
+    with pytest.raises(EntryError, match=r"Error: \[Errno (13|19|30)\]"):
+        run(sandbox, "map_the_zero_device")
+
+
 def test_files_without_content_count_as_memory(sandbox, identity, monkeypatch):
     monkeypatch.setattr(processes, "INODE", 2**20)
     with pytest.raises(EntryError, match=r"more than 0\.5 GiB, the memory limit"):

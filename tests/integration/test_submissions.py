@@ -495,6 +495,30 @@ def test_code_is_one_wheel_alone(submission):
     sandbox = SimpleNamespace(describe=lambda reference: {"name": "reader"})
     with pytest.raises(ConfigError, match="code: one wheel alone, or a folder of packages without"):
         submission_module.submitted_entry(submission, sandbox)
+    for name in ("a.whl", "b.whl"):
+        (submission / "code" / name).unlink()
+    (submission / "code" / "c.whl").mkdir()  # which may hold several
+    with pytest.raises(ConfigError, match="code: one wheel alone, or a folder of packages without"):
+        submission_module.submitted_entry(submission, sandbox)
+
+
+def test_a_folder_by_another_name_than_its_entry_is_refused_before_anything_is_run(
+    submission, tmp_path, monkeypatch
+):
+    class NoGuests(contextlib.nullcontext):
+        describe = staticmethod(lambda reference: {"name": "reader", "code": "1" * 16})
+
+    (tmp_path / "card.yaml").write_text(CARD)
+    wheel = tmp_path / "reader-1.0.whl"
+    wheel.touch()
+    monkeypatch.setattr(submission_module, "SandboxClient", lambda limits: NoGuests(NoGuests))
+    monkeypatch.setattr(submission_module, "check_entry", lambda *_: pytest.fail("it was checked"))
+    with pytest.raises(ConfigError, match="another: it must have the name of its entry, reader"):
+        submission_module.make_submission(
+            wheel, tmp_path / "card.yaml", (Rules(tasks=("small",), seeds=2), []),
+            tmp_path / "another", Limits(),
+        )  # fmt: skip
+    assert not (tmp_path / "another").exists()
 
 
 @pytest.mark.parametrize(

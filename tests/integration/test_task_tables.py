@@ -67,10 +67,10 @@ def test_deviations_below_0_and_columns_that_are_there_twice_are_refused(arrays,
     with pytest.raises(ConfigError, match="test drive 1 has negative standard deviations"):
         score_file(arrays, tmp_path / "negative.csv")
     path = tmp_path / "twice.parquet"
-    both = pyarrow.Table.from_pandas(table[["drive", "station", "left", "right"]])
+    both = pyarrow.Table.from_pandas(table[["drive", "station", "left", "right", "task"]])
     pyarrow.parquet.write_table(both.append_column("left", both["left"]), path)
     csv = tmp_path / "twice.csv"
-    csv.write_text("drive,station,left,right,left\n1,0,0,0,1\n")
+    csv.write_text("drive,station,left,right,task,left\n1,0,0,0,a,1\n")
     with pytest.raises(ConfigError, match=r"twice.csv: it has two columns 'left'"):
         score_file(arrays, csv)
     with pytest.raises(ConfigError, match=r"twice.parquet: it has two columns 'left'"):
@@ -85,6 +85,9 @@ def test_a_file_of_other_drives_is_refused_by_a_sentence(arrays, tmp_path):
     table = filled(pandas.read_csv(path), guesses(arrays))
     table.drop(columns="left").to_csv(path, index=False)
     with pytest.raises(ConfigError, match=r"no column 'left'; needed are drive, station, left"):
+        score_file(arrays, path)
+    table.assign(task="new_road-0").to_csv(path, index=False)
+    with pytest.raises(ConfigError, match=r"its heights are of new_road-0, not of .*: give --task"):
         score_file(arrays, path)
     table[:-1].to_csv(path, index=False)
     last = len(arrays.test)

@@ -331,6 +331,9 @@ def test_what_differed_once_stands_against_a_part_of_the_drives_that_agrees(tmp_
     other = dataclasses.replace(false, content="of another row")
     assert save_verified([other], tmp_path) == [other] == load_verified(tmp_path)[other.content]
     agrees = dataclasses.replace(part, content=other.content)  # it was false by chance
+    assert other.share == agrees.share == 1.0
+    fewer = dataclasses.replace(agrees, share=0.1)
+    assert save_verified([fewer], tmp_path) == [other] == load_verified(tmp_path)[other.content]
     assert save_verified([agrees], tmp_path) == [agrees] == load_verified(tmp_path)[other.content]
 
 
@@ -496,6 +499,9 @@ def test_rows_of_other_kernels_are_noted_unless_they_were_verified(tmp_path):
     (note,) = _kernel_notes([*others, reader], verified | apart)  # whatever it says of its machine
     assert note == f"reader says that it ran on {usual}: 3.0e-01 apart there."
     assert _kernel_notes([*others, reader], verified) == _kernel_notes([], {}) == []
+    elsewhere = {own: [dataclasses.replace(apart[own][0], kernels="Z80")]}
+    (note,) = _kernel_notes([*others, reader], elsewhere)
+    assert note == "reader was run again on Z80: 3.0e-01 apart."
     moved = with_last_run(made_on("openblas Z80", [reader])[0], lambda x: {"nrmse": 0.1})
     (note,) = _kernel_notes([*others, moved], verified)  # altered after it was verified
     assert note.endswith("not verified there.")

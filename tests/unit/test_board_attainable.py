@@ -75,6 +75,15 @@ def test_drives_of_perturbed_vehicles_and_tasks_without_a_bound_have_none(comput
     assert computed == []
 
 
+def test_the_row_is_of_the_drives_of_the_error_beside_it(computed):
+    t = task(conditions=[{"mode": "ride", "speed_kmh": 54.0, "grade": x} for x in ("S0", "S3")])
+    rows = run_task(t, {"reader": Reader()}, (1,), simulate=fake_drives)
+    (view,) = board_views(attainable.with_attainable(Board((t,), {t.name: rows})))
+    (row,) = (row for row in view.sections[0].rows if row.name == "attainable")
+    assert row.values["nrmse"] is None and row.groups["car S3"]["nrmse"] is None
+    assert row.groups["car S0"]["nrmse"] > 0.0
+
+
 def test_the_pages_of_a_board_have_its_row(computed, tmp_path):
     t = task()
     rows = run_task(t, {"flat": Reader(gain=0.0)}, (1,), simulate=fake_drives)

@@ -22,9 +22,10 @@ from rich.console import Console
 from leaderboard.evaluation.evaluate import run_task
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.metrics.bootstrap import interquartile_mean, iqm_interval
+from leaderboard.report.charts import _counted_runs
 from leaderboard.report.export import as_json
 from leaderboard.report.sentences import build_report
-from leaderboard.report.tables import board_views, train_seconds
+from leaderboard.report.tables import board_views, level_runs, train_seconds
 from leaderboard.report.terminal import print_tables
 from leaderboard.running.board import Board
 
@@ -68,16 +69,16 @@ def test_a_drive_over_a_level_road_takes_no_rank_from_anybody():
     (section,) = view.sections
     ranks = {row.name: row.values["rank"] for row in section.rows if row.state == "scored"}
     assert ranks == {"reader": 1, "learner": 2}
-    assert (
-        section.notes[0]
-        == "1 drive is over a road that is level in the band: nobody has a score there."
-    )
+    assert section.notes[0] == "On 1 drive nobody has a score, as on a level road."
+    scored = [r for r in level if not r.failure]
+    on_level = level_runs(scored, view.definition)
+    assert not any(np.isinf(_counted_runs(r, "nrmse", on_level)).any() for r in scored)
     mixed = [new if new.estimator == "reader" else old
              for new, old in zip(level, results, strict=True)]  # fmt: skip
     (view,) = board_views(Board((task(),), {"small": mixed}))
     rows = {row.name: row.values for row in view.sections[0].rows}
     assert rows["reader"]["low"] is None and rows["learner"]["rank"] == 1
-    assert "level in the band" not in str(view.sections[0].notes)
+    assert "nobody has a score" not in str(view.sections[0].notes)
 
 
 def test_boards_whose_roads_are_not_public_come_first():

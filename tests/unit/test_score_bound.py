@@ -12,6 +12,7 @@ from leaderboard.metrics.api import ScoredEstimate
 from leaderboard.metrics.registry import compute_scores
 from leaderboard.metrics.roughness import THIRD_OCTAVES
 from road_envs.analysis.information_bound import RoadPrior, bound
+from road_envs.core import config
 from road_envs.records.record import Estimate, Profile, profile_stations, scored_band
 from road_envs.roads import load_road
 from road_envs.sensing.instruments import load_instruments
@@ -48,6 +49,16 @@ def test_the_bound_is_that_of_the_car_of_the_condition():
     )
     assert of_road[0] == of_road[1] > 1.3 * of_road[2]
     assert of_octaves[0] == of_octaves[1] != of_octaves[2]
+
+
+def test_the_bound_is_of_the_car_as_its_file_is_now(tmp_path):
+    condition, file = {"mode": "passive", "speed_kmh": 54.0}, tmp_path / "own.yaml"
+    text, bounds = config.find("vehicles", "van").read_text(), []
+    for mass in ("1930.0", "1330.0"):
+        file.write_text(text.replace("m_b: 1930.0", f"m_b: {mass}"))
+        t = task(car=str(file), conditions=[condition])
+        bounds.append(nrmse_bound(t, t.conditions[0], realised(road_class="C")))
+    assert bounds[0] != pytest.approx(bounds[1], rel=1e-3)
 
 
 def test_the_bound_of_a_plant_is_that_of_the_car_that_it_drives():

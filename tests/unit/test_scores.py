@@ -296,11 +296,27 @@ def test_the_slope_equals_that_of_polyfit_and_its_interval_is_paired():
     rng = np.random.default_rng(7)
     road = rng.standard_normal((20, 1, 1))
     parts = [1.0 + 0.3 * k + road + 0.05 * rng.standard_normal((20, 2, 3)) for k in range(4)]
-    found = iqm_slope(parts)
+    found = iqm_slope(dict(enumerate(parts)))
     means = [oracle.interquartile_mean(part.ravel()) for part in parts]
     assert found.mean == pytest.approx(np.polyfit(range(4), means, 1)[0])
     # unpaired, the spread of the roads alone would give it +-0.2
     assert 0.0 < found.high - found.low < 0.05 and found.low < 0.3 < found.high
+    apart = iqm_slope({0: parts[0], 3: parts[3]})  # of what was left out between them
+    assert apart.mean == pytest.approx((means[3] - means[0]) / 3.0)
+
+
+@pytest.mark.parametrize("strata", [None, [[0, 1, 2], [3, 4, 5]]])
+def test_roads_without_a_score_of_anybody_leave_ranks_and_intervals(strata):
+    scores = {name: x + 0.01 * np.arange(6.0) for name, x in (("a", 0.1), ("b", 0.3), ("c", 0.5))}
+    scores = {name: x.reshape(6, 1, 1) for name, x in scores.items()}
+    for x in scores.values():
+        x[2:4] = np.nan
+    assert rank_entries(scores, strata) == {"a": 1, "b": 2, "c": 3}
+    assert np.isfinite(iqm_interval(scores["a"], strata)).all()
+    lost = {**scores, "b": np.full((6, 1, 1), np.nan)}
+    assert rank_entries(lost, strata) == {"a": 1, "c": 2, "b": 3}
+    kept = {name: x[[0, 1, 4, 5]] for name, x in scores.items()}
+    assert iqm_interval(kept["a"]) == iqm_interval(scores["a"])
 
 
 def test_runs_that_were_not_driven_count_nowhere():

@@ -227,6 +227,17 @@ def test_a_shared_seed_is_refused():
         task(training=DRIVES, test={"roads": ["iso_d"], "seeds": [2, 3]})
 
 
+def test_a_road_drawn_by_a_seed_of_its_own_is_that_of_the_seed():
+    fixed = {"kind": "fixed_seed", "seed": 5, "road": "iso_d"}
+    drawn, alone = {"roads": ["iso_d"], "seeds": [5, 6]}, {"roads": [fixed], "seeds": [1]}
+    for training, test in ((drawn, alone), (alone, drawn)):
+        with pytest.raises(ConfigError, match=r"training and test share the seeds \[5\]"):
+            task(training=training, test=test)
+    with pytest.raises(ConfigError, match=r"no seed varies the road FixedSeed, so the test needs"):
+        task(training=DRIVES, test={**alone, "seeds": [11, 12]})
+    assert task(training=DRIVES, test={"roads": ["iso_d", "flat"], "seeds": [11, 12]})
+
+
 @pytest.mark.parametrize("training", ["belgian", "belgian_training"])
 def test_training_on_the_test_road_must_be_declared(training):
     roads = {"training": {"roads": [training], "seeds": [1]}}

@@ -198,6 +198,13 @@ def does_map_sparsely(where, record):
     time.sleep(1.0)
 
 
+def does_map_the_zero_device(where, record):
+    """Share memory with nobody, which counts for no process."""
+    import mmap
+
+    mmap.mmap(os.open("/dev/zero", os.O_RDWR), 2**20, mmap.MAP_SHARED)
+
+
 def does_make_empty_files(where, record):
     """Make files without content, which take up memory of the kernel: 1 kB each.
 
