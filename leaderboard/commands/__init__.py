@@ -50,24 +50,18 @@ def parse_settings(pairs: list[str] | None) -> dict[str, Any]:
     return settings
 
 
-def find_here(references: Iterable[str]) -> None:
-    """Find the modules of `references` "module:Class" also in this folder, of which entries get a
-    copy; they import nothing else from here.
+def import_from_here(references: Iterable[str], isolation: str = "process") -> None:
+    """Find the modules of `references` "module:Class" also in this folder.
+
+    Only code that has the rights of the user may import from it, after all that is installed: else
+    a file beside an entry could take the place of a module of this program.
     """
     from leaderboard.entries.entry_files import CLASS_FOLDER
 
     if any(":" in reference for reference in references):
         os.environ[CLASS_FOLDER] = os.getcwd()
-
-
-def import_from_here(reference: str) -> None:
-    """Import the module of a reference "module:Class" also from this folder, into this process.
-
-    After all that is installed: else a file beside it could take the place of a module of this
-    program.
-    """
-    if ":" in reference and os.getcwd() not in sys.path:
-        sys.path.append(os.getcwd())
+        if isolation == "process" and os.getcwd() not in sys.path:
+            sys.path.append(os.getcwd())
 
 
 def check_output_path(path: Path | None, *suffixes: str) -> Path | None:

@@ -108,7 +108,7 @@ def chosen_isolation(isolation: str) -> Any:
 
 def policy_reference(reference: str, isolation: str) -> str:
     """Return a reference to a policy that may be run. Raises ConfigError."""
-    commands.find_here([reference])
+    commands.import_from_here([reference], isolation)
     if ":" not in reference and not reference.endswith(FILE_SUFFIXES):
         validate_choice("policy", reference, names())
     foreign = runs_foreign_code(reference)

@@ -72,7 +72,7 @@ def verify(
     """
     if not folder.is_dir():
         raise ConfigError(f"{folder}: no such folder")
-    commands.find_here(estimator or ())
+    commands.import_from_here(estimator or (), "auto")
     with SandboxClient(limits.parse()) as sandbox, commands.progress_bar() as progress:
         entries = resolve_entries(estimator or (), sandbox.describe)
         run = jobs.in_sandbox(sandbox)

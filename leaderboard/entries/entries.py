@@ -28,9 +28,8 @@ from leaderboard.entries.entry import (
     describe_estimator,
     needs_training,
 )
-from road_envs.core import config
 from road_envs.core.artifacts import code_version
-from road_envs.core.code_digest import PACKAGES, digest
+from road_envs.core.code_digest import PACKAGES
 from road_envs.core.config import ConfigError, validate_choice
 
 _MADE_FROM_TRUTH = ("truth_plus_noise", "memory")
@@ -53,12 +52,8 @@ _Describe = Callable[[str], dict[str, Any]]
 def _code_of(reference: str, estimator: Estimator) -> str:
     if not is_ours(reference):
         return entry_files.snapshot(reference, None)
-    parts = [code_version(type(estimator).__module__)]
-    if (weights := _included_weights(estimator)) is not None:
-        parts.append(_arrays_digest(weights))
-    if isinstance(instruments := getattr(estimator, "instruments", None), str):
-        parts.append(digest([config.find("sensors", instruments)]))  # which it reads by this name
-    return "+".join(parts)
+    code, weights = code_version(type(estimator).__module__), _included_weights(estimator)
+    return code if weights is None else f"{code}+{_arrays_digest(weights)}"
 
 
 def is_ours(reference: str) -> bool:

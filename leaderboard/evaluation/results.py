@@ -26,7 +26,9 @@ from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics import heights
 from leaderboard.metrics.baselines import ALL_BASELINES
 from leaderboard.metrics.registry import SCORES
+from road_envs.core import config
 from road_envs.core.artifacts import Kind, code_version
+from road_envs.core.code_digest import digest
 from road_envs.core.config import Settings
 from road_envs.core.extras import optional_import
 
@@ -195,9 +197,13 @@ RUN_DEPENDENT = frozenset({
 """Fields that differ from run to run and machine to machine."""
 
 
+@lru_cache(maxsize=1)
 def evaluation_version() -> str:
-    """Version of the code that determines drives, notes and scores."""
-    return code_version(*_JUDGE)
+    """Version of what determines drives, notes and scores: code, and the shipped instruments, which
+    estimators read whatever a task has.
+    """
+    folder = config.folder() / "sensors"
+    return f"{code_version(*_JUDGE)}+{digest(folder.iterdir(), folder)}"
 
 
 def content_digest(result: Result) -> str:

@@ -65,7 +65,7 @@ def result_identity(task: Task, condition: int | None, entry: Entry, seeds: Sequ
     return RESULT.identity(
         task.digest,
         None if condition is None else task.conditions[condition].label,
-        [entry.name, entry.reference, entry.settings, entry.code],
+        [entry.name, entry.reference, entry.settings, entry.code, evaluation_version()],
         package_code() if job_files.is_by_others(entry) else "",
         list(seeds),
         package_version(),

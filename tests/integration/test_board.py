@@ -90,6 +90,7 @@ def test_a_change_reruns_only_the_results_that_depend_on_it(tmp_path, change, co
     ("name", "other"),
     [
         ("package_version", lambda: "another"),
+        ("evaluation_version", lambda: "another"),
         ("RESULT", dataclasses.replace(RESULT, modules=("road_envs.core.config",))),
     ],
 )

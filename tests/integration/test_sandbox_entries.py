@@ -7,15 +7,13 @@ import pytest
 from guests import LIMITS, drives
 from test_sandbox import MODES
 
-from estimators import create
-from leaderboard.commands import find_here, import_from_here
+from leaderboard.commands import import_from_here
 from leaderboard.entries import entries
 from leaderboard.entries.entry import EntryError
 from leaderboard.entries.entry_files import CLASS_FOLDER, list_files
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.guest import describe_exit
 from leaderboard.sandbox.limits import Limits
-from road_envs.core import config
 
 
 def test_a_plug_in_is_described_without_being_loaded_in_this_process(tmp_path, monkeypatch):
@@ -74,16 +72,6 @@ def test_what_cannot_be_described_takes_no_name_of_an_entry_that_works(tmp_path)
     ]  # fmt: skip
 
 
-def test_the_code_of_our_entries_has_the_instruments_that_they_read(tmp_path, monkeypatch):
-    paper = config.find("sensors", "paper")
-    (tmp_path / "paper.yaml").write_text(paper.read_text().replace("0.01", "0.02"))
-    made = {name: create(name) for name in ("wiener", "fir_ridge")}
-    before = [entries.make_entry(*x).code for x in made.items()]
-    monkeypatch.setattr(config, "find", lambda kind, name: tmp_path / "paper.yaml")
-    after = [entries.make_entry(*x).code for x in made.items()]
-    assert before[0] != after[0] and before[1] == after[1]
-
-
 def test_a_module_beside_an_entry_takes_the_place_of_none_of_the_leaderboard(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
@@ -91,13 +79,13 @@ def test_a_module_beside_an_entry_takes_the_place_of_none_of_the_leaderboard(tmp
     for name in ("beside_it.py", "colorsys.py"):
         (tmp_path / name).write_text("raise RuntimeError('it was imported')\n")
     (tmp_path / "wave").mkdir()
-    find_here(["beside_it:Mine"])
+    import_from_here(["beside_it:Mine"], "auto")
     assert str(tmp_path) not in sys.path
     for name in ("beside_it", "colorsys"):
         assert list(list_files(f"{name}:Mine")) == [(tmp_path / f"{name}.py", f"{name}.py")]
     (installed,) = list_files("wave:Wave_read")  # a folder without __init__.py is no package
     assert tmp_path not in installed[0].parents
-    import_from_here("beside_it:Mine")
+    import_from_here(["beside_it:Mine"], "process")
     assert sys.path.index(str(tmp_path)) == len(sys.path) - 1
 
 

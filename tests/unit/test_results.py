@@ -3,6 +3,7 @@
 import dataclasses
 import hashlib
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -23,9 +24,19 @@ from leaderboard.evaluation.store import load, load_rows, row_path, save
 from leaderboard.report.notes import isolation_notice
 from leaderboard.report.tables import board_views
 from leaderboard.running.board import Board
-from road_envs.core import atomic_io
+from road_envs.core import atomic_io, config
 from road_envs.core.artifacts import CHECKSUM_PREFIX, _text_checksum
 from road_envs.core.config import ConfigError
+
+
+def test_the_version_of_the_evaluation_is_of_the_shipped_instruments_too(tmp_path, monkeypatch):
+    """Estimators read them by name, whatever instruments a task has."""
+    shutil.copytree(config.folder() / "sensors", tmp_path / "sensors")
+    before = results.evaluation_version()
+    monkeypatch.setattr(config, "folder", lambda: tmp_path)
+    assert results.evaluation_version.__wrapped__() == before
+    (tmp_path / "sensors" / "paper.yaml").write_text("noise_density: 0.02\n")
+    assert results.evaluation_version.__wrapped__() != before
 
 
 def edited(tmp_path, change):
