@@ -34,9 +34,9 @@ def nrmse_bound(task: Task, condition: Condition, truth: Profile) -> float:
     if road is None:
         return np.nan
     mode = json.dumps(condition.simulator_mode)
-    car, is_linear = condition.car or task.car, condition.plant == "commonroad"
+    car, options = condition.car or task.car, {"is_linear": condition.plant == "commonroad"}
     try:
-        return pooled_bound(car, task.instruments, mode, v, *road, is_linear, task.digest)
+        return pooled_bound(car, task.instruments, mode, v, *road, content=task.digest, **options)
     except np.linalg.LinAlgError:  # instruments without noise
         return np.nan
 
@@ -81,6 +81,7 @@ def pooled_bound(
     v: float,
     level: float,
     w: float,
+    *,
     is_linear: bool = False,
     content: str = "",
 ) -> float:

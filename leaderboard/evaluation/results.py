@@ -199,10 +199,8 @@ RUN_DEPENDENT = frozenset({
 
 @lru_cache(maxsize=1)
 def evaluation_version() -> str:
-    """Version of what determines drives, notes and scores: code, and the shipped instruments, which
-    estimators read whatever a task has.
-    """
-    folder = config.folder() / "sensors"
+    """Version of what determines drives, notes and scores: code, and the shipped instruments."""
+    folder = config.folder() / "sensors"  # estimators read them, whatever a task has
     return f"{code_version(*_JUDGE)}+{digest(folder.iterdir(), folder)}"
 
 
