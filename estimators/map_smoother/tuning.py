@@ -119,8 +119,8 @@ class _Tuning:
     attainable_draws: Annotated[int, "", "of each posterior of the attainable error"] = 2
     # about six of its errors are independent, and their mean square is then within a quarter
     vehicle_draws: Annotated[int, "", "of an uncertain vehicle"] = 8
-    # 7 to 33 of a vehicle as described, 68 to 650 of one of S1 (seed 211)
     evidence_length: Annotated[float, "m", "of road for which both are, where it is longer"] = 100.0
+    # 7 to 33 of a vehicle as described, 68 to 650 of one of S1 (seed 211)
     quick_evidence: Annotated[float, "", "of the residual below which few samples do"] = 45.0
     quick_draws: Annotated[int, "", "then"] = 4
     quick_draw_cg: Annotated[_CG, "", "of each"] = (9, 0.1)
