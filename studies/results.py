@@ -218,7 +218,12 @@ def _some_of_each(names: Sequence[str | None], rng: np.random.Generator) -> set[
 
 
 def _has(row: Mapping[str, Any], pairs: Collection[str]) -> bool:
-    return any(f"{key}={value}" in pairs for key, value in row.items())
+    """Whether a row has one of the pairs KEY=VALUE, as its value or as an item of a list."""
+    return any(
+        f"{key}={item}" in pairs
+        for key, value in row.items()
+        for item in (value if isinstance(value, list) else [value])
+    )
 
 
 def _compare_rows(
