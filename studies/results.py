@@ -22,7 +22,6 @@ import hashlib
 import itertools
 import json
 import math
-import os
 import re
 import shlex
 import shutil
@@ -44,6 +43,7 @@ from road_envs.core.artifacts import Kind
 from road_envs.core.atomic_io import write_text
 from road_envs.core.code_digest import ROOT
 from road_envs.core.config import ConfigError, Positive, Settings, build, read_yaml, validate_choice
+from studies.arithmetic import describe_machine, environment
 from studies.pages import write_pages
 
 LIST = Path(__file__).with_suffix(".yaml")
@@ -55,8 +55,8 @@ CONFIGS = ("conditions", "field", "roads", "sensors", "vehicles")
 KEPT = Kind("kept result", 1)
 """Written without modules: `road-recon clean` leaves what is kept in the checkout."""
 
-SAME_PROCESSOR = 1e-6
-"""Relative tolerance of rows that were made on a machine like this one."""
+SAME_KERNELS = 1e-6
+"""Relative tolerance of rows that were made with the same arithmetic (`studies.arithmetic`)."""
 
 STDOUT, STDOUT_JSON = "stdout.txt", "stdout.json"
 """Output of all commands, each below a line `$ command`; and what the last one prints, alone."""
@@ -75,6 +75,9 @@ class KeptResult(Settings):
     minutes: Annotated[Positive, "min", "on an idle machine of two cores"]
     cores: Literal[1, 2] = 1
     """Number of cores that it keeps busy; 2 too where work beside it would disturb a timing."""
+
+    native: bool = False
+    """Whether it is made with all that the processor has, as it tells how fast that is."""
 
     configs: tuple[str, ...] = ()
     needs: str = ""
@@ -147,7 +150,7 @@ def make_result(
     for command in result.commands:
         report(f"  $ {command}")
         words = shlex.split(command.replace("{work}", str(work)))
-        text = _run(words, work / "log.txt", result.cores)
+        text = _run(words, work / "log.txt", result.cores, environment(result.native))
         shown = re.sub(r" --out \{work\}\S*", "", command).replace("{work}/", "")
         lines = [f"$ {shown}", *text.rstrip().splitlines()]
         printed.append("".join(f"{line.rstrip()}\n" for line in lines))
@@ -162,14 +165,13 @@ def make_result(
     for file, target in result.outputs.items():
         (ROOT / target).parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(work / file, ROOT / target)
-    environment = describe_environment()
     content = {
         "commands": list(result.commands),
-        "commit": environment.get("commit", "no commit")[:7],
+        "commit": describe_environment().get("commit", "no commit")[:7],
         "made": time.strftime("%Y-%m-%d"),
         "seconds": round(seconds),
         "made now": now,
-        "machine": {k: environment[k] for k in ("processor", "python", "numpy")},
+        "machine": describe_machine(result.native),
         "outputs": {path: file_digest(ROOT / path) for path in result.outputs.values()},
     }
     KEPT.write(MADE / f"{name}.json", content, identity)
@@ -185,8 +187,8 @@ def renew_result(
     """Make a random tenth of the rows of a result again, three at least of each estimator in each
     file, and its outputs from all. Rows with one of the pairs `anew`, KEY=VALUE, are made anew and
     not compared. They are compared to a relative `tolerance`: by default to the last digits, and as
-    rows of a board are if of another processor, or of an unknown one. Raises ConfigError
-    as `make_result`, if there are no rows, and if one differs.
+    rows of a board are if they are of another kernel of BLAS, or of an unknown one. Raises
+    ConfigError as `make_result`, if there are no rows, and if one differs.
     """
     work = WORK / f"{name}-{known_results()[name].identity()[:12]}"
     work.mkdir(parents=True, exist_ok=True)
@@ -202,8 +204,9 @@ def renew_result(
         raise ConfigError(f"{name}: none of its rows are kept; make it")
     machine = (_artifact(name) or {"machine": {}})["machine"]
     if tolerance is None:
-        is_here = machine.get("processor") == describe_environment()["processor"]
-        tolerance = SAME_PROCESSOR if is_here else REPRODUCIBLE
+        here = describe_machine(known_results()[name].native)
+        is_same = "blas" in machine and machine["blas"] == here.get("blas")
+        tolerance = SAME_KERNELS if is_same else REPRODUCIBLE
     compare = partial(_compare_rows, left_out, tolerance, anew)
     return make_result(name, lambda line: None, compare)
 
@@ -261,7 +264,7 @@ def _is_same(a: Any, b: Any, tolerance: float) -> bool:
     return bool(a == b)
 
 
-def _run(words: Sequence[str], log: Path, threads: int) -> str:
+def _run(words: Sequence[str], log: Path, threads: int, variables: Mapping[str, str]) -> str:
     """Output of a command of this Python's environment. Raises ConfigError if it fails."""
     programs = Path(sys.executable).parent
     own = {"python": sys.executable, "road-recon": str(programs / "road-recon")}
@@ -270,7 +273,7 @@ def _run(words: Sequence[str], log: Path, threads: int) -> str:
         done = subprocess.run(
             [own.get(words[0], words[0]), *words[1:]],
             cwd=ROOT,
-            env={**os.environ, **limits},
+            env={**variables, **limits},
             stdout=subprocess.PIPE,
             stderr=errors,
             text=True,

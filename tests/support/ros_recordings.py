@@ -6,6 +6,8 @@ other readers (rosbags, mcap-ros2-support) can be asked what they hold.
 
 import sqlite3
 import struct
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -78,25 +80,31 @@ def messages(one: Phone, order: str = "<", frame: str = "imu") -> list[tuple[str
     return [(topic, kind, round(1e9 * t), data) for topic, kind, t, data in found]
 
 
+@contextmanager
+def opened(path: Path) -> Iterator[sqlite3.Connection]:
+    """A file of SQLite whose changes are kept, and which is closed."""
+    with closing(sqlite3.connect(path)) as base, base:
+        yield base
+
+
 def write_bag(folder: Path, one: Phone, order: str = "<") -> Path:
     """Write a bag with a file of SQLite; return its folder."""
     folder.mkdir()
     rows = messages(one, order)
     topics = sorted({(topic, kind) for topic, kind, *_ in rows})
-    base = sqlite3.connect(folder / f"{folder.name}_0.db3")
-    base.execute(
-        "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT "
-        "NULL, serialization_format TEXT NOT NULL, offered_qos_profiles TEXT NOT NULL)"
-    )
-    base.execute("CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, "
-                 "timestamp INTEGER NOT NULL, data BLOB NOT NULL)")  # fmt: skip
-    for k, (topic, kind) in enumerate(topics, 1):
-        base.execute("INSERT INTO topics VALUES (?, ?, ?, 'cdr', '')", (k, topic, kind))
-    number = {topic: k for k, (topic, _) in enumerate(topics, 1)}
-    rows.sort(key=lambda row: row[2])
-    base.executemany("INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)",
-                     [(number[topic], t, data) for topic, _, t, data in rows])  # fmt: skip
-    base.commit(), base.close()
+    with opened(folder / f"{folder.name}_0.db3") as base:
+        base.execute(
+            "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT "
+            "NULL, serialization_format TEXT NOT NULL, offered_qos_profiles TEXT NOT NULL)"
+        )
+        base.execute("CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, "
+                     "timestamp INTEGER NOT NULL, data BLOB NOT NULL)")  # fmt: skip
+        for k, (topic, kind) in enumerate(topics, 1):
+            base.execute("INSERT INTO topics VALUES (?, ?, ?, 'cdr', '')", (k, topic, kind))
+        number = {topic: k for k, (topic, _) in enumerate(topics, 1)}
+        rows.sort(key=lambda row: row[2])
+        base.executemany("INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)",
+                         [(number[topic], t, data) for topic, _, t, data in rows])  # fmt: skip
     (folder / "metadata.yaml").write_text(_metadata(folder.name, rows, topics))
     return folder
 

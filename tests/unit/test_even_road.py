@@ -63,18 +63,21 @@ def test_one_phone_takes_the_even_road_that_costs_less(monkeypatch):
     obstacles = {"kind": "defects", "length": 150.0, "defects": defects}
     road = {"kind": "superposed", "roads": [ground, obstacles]}
     phone = replace(load_instruments("phone"), accelerometers={"PHONE": PLACES["dashboard"]})
-    record, truth = simulate_record(road, speed_kmh=60.0, vehicle=CAR, instruments=phone, seed=9306)
-    near = [np.abs(truth.s - at) < 4.0 for at, _, _ in bumps]
+    options = {"speed_kmh": 60.0, "vehicle": CAR, "instruments": phone}
+    drives = [simulate_record(road, **options, seed=seed) for seed in (9303, 9308)]
+    near = [np.abs(drives[0][1].s - at) < 4.0 for at, _, _ in bumps]
 
-    def errors(found):
+    def errors(found, truth):
         z = [np.interp(truth.s, found.s, found.z.mean(axis=0)), truth.z.mean(axis=0)]
         low, true_low = ([path[k].min() - np.median(path[k]) for k in near] for path in z)
         return np.subtract(low, true_low)
 
-    found = solved(record)
-    assert found.residual < 1.1 and np.abs(errors(found)).max() < 0.0045
+    for record, truth in drives:
+        found = solved(record)
+        assert found.residual < 1.1 and np.abs(errors(found, truth)).max() < 0.006
     monkeypatch.setattr(gauss_newton, "_is_likelier", lambda even, uneven: False)
-    assert solved(record).residual > 1.2
+    # of one drive an uneven road may be found, too: by rounding, another on each kernel of BLAS
+    assert max(solved(record).residual for record, _ in drives) > 1.5
 
 
 @pytest.mark.parametrize(

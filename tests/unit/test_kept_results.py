@@ -13,6 +13,7 @@ import pytest
 from road_envs.core.code_digest import _find_source, closure
 from road_envs.core.config import ConfigError
 from studies import results
+from studies.arithmetic import portable
 from studies.results import KEPT, KeptResult
 
 ROOT = Path(__file__).parents[2]
@@ -53,6 +54,20 @@ def test_a_result_is_stale_until_it_is_made_and_then_of_today(kept, tmp_path, ca
     assert results._check(["seven"]) == 0 and "today's program" in capsys.readouterr().out
 
 
+@pytest.mark.skipif(not portable(), reason="no x86 processor with AVX2")
+@pytest.mark.parametrize(("native", "kernel"), [(False, "Haswell"), (True, "None")])
+def test_all_but_times_are_made_with_one_arithmetic(kept, tmp_path, monkeypatch, native, kernel):
+    monkeypatch.delenv("OPENBLAS_CORETYPE", raising=False)
+    told = "import os, sys; print(os.environ.get('OPENBLAS_CORETYPE'), file=open(sys.argv[1], 'w'))"
+    (tmp_path / "write.py").write_text(f"{told}; print()")
+    made = dataclasses.replace(kept, native=native)
+    monkeypatch.setattr(results, "known_results", lambda: {"seven": made})
+    results.make_result("seven", report=lambda line: None)
+    assert (tmp_path / "docs/seven.csv").read_text() == f"{kernel}\n"
+    data, _ = KEPT.read(tmp_path / "docs/made/seven.json")
+    assert native or data["machine"]["blas"] == "openblas Haswell"
+
+
 def test_an_edited_output_and_changed_code_make_it_stale(kept, tmp_path, monkeypatch, capsys):
     results.make_result("seven", report=lambda line: None)
     (tmp_path / "docs/seven.csv").write_text("8")
@@ -64,7 +79,6 @@ def test_an_edited_output_and_changed_code_make_it_stale(kept, tmp_path, monkeyp
     assert "stale: seven (docs/seven.txt, docs/seven.csv): made by" in capsys.readouterr().out
 
 
-ELSEWHERE = {"processor": "another", "python": "3", "numpy": "2"}
 ROWS = """
 import json, pathlib, sys
 path = pathlib.Path(sys.argv[1])
@@ -107,13 +121,14 @@ def test_a_tenth_of_the_rows_is_made_again_and_a_row_that_differs_refuses_the_re
     with pytest.raises(ConfigError, match=r"a row is another one now: .*; make it whole"):
         results.renew_result("seven", np.random.default_rng(1))
     assert (tmp_path / "docs/seven.csv").read_text() == "36"
-    monkeypatch.setattr(results, "describe_environment", lambda: ELSEWHERE)
+    elsewhere = {"blas": "another kernel"}
+    monkeypatch.setattr(results, "describe_machine", lambda native: elsewhere)
     results.renew_result("seven", np.random.default_rng(1))  # as near as on another processor
     data, _ = KEPT.read(tmp_path / "docs/made/seven.json")
     assert data["made now"].endswith("to 0.005")
     (tmp_path / "write.py").write_text(ROWS.replace("0.1 * k", "0.101 * k"))
     monkeypatch.setattr(KeptResult, "identity", lambda self: "fourth")
-    monkeypatch.setattr(results, "describe_environment", lambda: {**ELSEWHERE, "processor": "2"})
+    monkeypatch.setattr(results, "describe_machine", lambda native: {"blas": "a third one"})
     with pytest.raises(ConfigError, match="a row is another one now"):
         results.renew_result("seven", np.random.default_rng(1))
     results.make_result("seven", report=lambda line: None)

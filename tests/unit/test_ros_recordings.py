@@ -1,6 +1,5 @@
 """MCAP files, bags of ROS 2, MDF files with groups, and folders are read as they come."""
 
-import sqlite3
 import struct
 from dataclasses import replace
 
@@ -8,7 +7,7 @@ import numpy as np
 import pytest
 from phone_recordings import gpx, phone, sample
 from phone_recordings import table as write_table
-from ros_recordings import IMU, messages, vertical_error, write_bag, write_mcap
+from ros_recordings import IMU, messages, opened, vertical_error, write_bag, write_mcap
 from scipy.spatial.transform import Rotation
 
 from road_envs.core.config import ConfigError
@@ -68,7 +67,7 @@ def test_other_readers_find_the_same_in_the_samples(tmp_path):
 
 def test_the_inertial_unit_with_most_messages_is_taken_and_a_note_says_so(tmp_path):
     folder = write_bag(tmp_path / "bag", ONE)
-    with sqlite3.connect(folder / "bag_0.db3") as base:
+    with opened(folder / "bag_0.db3") as base:
         base.execute(f"INSERT INTO topics VALUES (9, '/other', '{IMU}', 'cdr', '')")
         data = messages(ONE)[0][3]
         base.execute("INSERT INTO messages (topic_id, timestamp, data) VALUES (9, 1, ?)", (data,))
@@ -78,7 +77,7 @@ def test_the_inertial_unit_with_most_messages_is_taken_and_a_note_says_so(tmp_pa
 
 
 def _sql(path, *statements):
-    with sqlite3.connect(path) as base:
+    with opened(path) as base:
         for statement in statements:
             base.execute(statement)
 
@@ -107,7 +106,7 @@ def test_a_file_of_sqlite_that_is_no_bag_is_refused(tmp_path, statements, messag
 )  # fmt: skip
 def test_a_damaged_message_is_refused(tmp_path, cut, message):
     folder = write_bag(tmp_path / "bag", ONE)
-    with sqlite3.connect(folder / "bag_0.db3") as base:
+    with opened(folder / "bag_0.db3") as base:
         query = "SELECT id, data FROM messages WHERE length(data) > 300"
         number, data = base.execute(query).fetchone()
         base.execute("UPDATE messages SET data = ? WHERE id = ?", (cut(data), number))
