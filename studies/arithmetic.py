@@ -43,16 +43,12 @@ def environment(native: bool) -> dict[str, str]:
     return {**os.environ, **({} if native else portable())}
 
 
+@cache
 def describe_machine(native: bool) -> Mapping[str, str]:
     """Return the entries `MACHINE` of what commands in that environment compute with."""
-    return _describe(tuple(sorted(environment(native).items())))
-
-
-@cache
-def _describe(variables: tuple[tuple[str, str], ...]) -> Mapping[str, str]:
     words = "import json; from leaderboard.evaluation.provenance import describe_environment; "
     words += "print(json.dumps(describe_environment()))"
     command = [sys.executable, "-c", words]
-    done = subprocess.run(command, env=dict(variables), stdout=subprocess.PIPE, check=True)
+    done = subprocess.run(command, env=environment(native), stdout=subprocess.PIPE, check=True)
     told = json.loads(done.stdout)
     return {key: told[key] for key in MACHINE if key in told}
