@@ -134,31 +134,27 @@ def file_digest(path: Path) -> str:
 
 
 def make_result(
-    name: str, report: Any = print, accept: Callable[[Path], str] = lambda work: "whole"
+    name: str, report: Any = print, accept: Callable[[Path], str] | None = None
 ) -> float:
     """Run the commands of a result, put its outputs in place, and return the time [s] taken.
 
     Libraries use as many threads as it has cores, so that no figure depends on what runs beside it.
-    `accept` takes the folder of the work and says how much of it was made now. Raises ConfigError
-    if a command fails, an output is missing or it is not accepted; then nothing is replaced.
+    `accept` takes the folder of the work, puts its rows in order, which the commands then print
+    again, and says how much of it was made now. Raises ConfigError if a command fails, an output is
+    missing or it is not accepted; then nothing is replaced.
     """
     result = known_results()[name]
     identity = result.identity()
     work = WORK / f"{name}-{identity[:12]}"
     work.mkdir(parents=True, exist_ok=True)
-    begin, printed = time.monotonic(), []
-    for command in result.commands:
-        report(f"  $ {command}")
-        words = shlex.split(command.replace("{work}", str(work)))
-        text = _run(words, work / "log.txt", result.cores, environment(result.native))
-        shown = re.sub(r" --out \{work\}\S*", "", command).replace("{work}/", "")
-        lines = [f"$ {shown}", *text.rstrip().splitlines()]
-        printed.append("".join(f"{line.rstrip()}\n" for line in lines))
-        write_text(work / STDOUT_JSON, text)
-    write_text(work / STDOUT, "\n".join(printed))
+    begin, now = time.monotonic(), "whole"
+    _run_commands(result, work, report)
+    if accept is not None:
+        now = accept(work)
+        _run_commands(result, work, lambda line: None)
     if missing := [file for file in result.outputs if not (work / file).is_file()]:
         raise ConfigError(f"{name}: its commands have not written {', '.join(missing)}")
-    seconds, now = time.monotonic() - begin, accept(work)
+    seconds = time.monotonic() - begin
     for path in work.glob("*.jsonl"):
         MADE.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(path, MADE / f"{name}.{path.name}")
@@ -262,6 +258,20 @@ def _is_same(a: Any, b: Any, tolerance: float) -> bool:
     if isinstance(a, float) and isinstance(b, float):
         return math.isclose(a, b, rel_tol=tolerance, abs_tol=1e-12) or (a != a and b != b)
     return bool(a == b)
+
+
+def _run_commands(result: KeptResult, work: Path, report: Callable[[str], Any]) -> None:
+    """Run the commands of a result, and write what they print. Raises ConfigError if one fails."""
+    printed = []
+    for command in result.commands:
+        report(f"  $ {command}")
+        words = shlex.split(command.replace("{work}", str(work)))
+        text = _run(words, work / "log.txt", result.cores, environment(result.native))
+        shown = re.sub(r" --out \{work\}\S*", "", command).replace("{work}/", "")
+        lines = [f"$ {shown}", *text.rstrip().splitlines()]
+        printed.append("".join(f"{line.rstrip()}\n" for line in lines))
+        write_text(work / STDOUT_JSON, text)
+    write_text(work / STDOUT, "\n".join(printed))
 
 
 def _run(words: Sequence[str], log: Path, threads: int, variables: Mapping[str, str]) -> str:

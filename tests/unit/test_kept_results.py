@@ -86,7 +86,7 @@ text = path.read_text() if path.exists() else ""
 known = [json.loads(line)["case"] for line in text.splitlines()]
 new = [{"case": k, "error": 0.1 * k, "seconds": len(known) + k} for k in range(40)]
 path.write_text(text + "".join(json.dumps(x) + "\\n" for x in new if x["case"] not in known))
-pathlib.Path(sys.argv[2]).write_text(str(len(known)))
+pathlib.Path(sys.argv[2]).write_text(f"{len(known)} {known == sorted(known)}")
 """
 
 
@@ -110,7 +110,7 @@ def test_a_tenth_of_the_rows_is_made_again_and_a_row_that_differs_refuses_the_re
     assert results.stale_reason("seven").endswith("code has changed since")
     results.renew_result("seven", np.random.default_rng(1))
     assert results.stale_reason("seven") is None
-    assert (tmp_path / "docs/seven.csv").read_text() == "36"
+    assert (tmp_path / "docs/seven.csv").read_text() == "40 True"
     data, _ = KEPT.read(tmp_path / "docs/made/seven.json")
     assert data["made now"] == "4 rows, equal to those of the program before to 1e-06"
     rows = (tmp_path / "docs/made/seven.rows.jsonl").read_text().splitlines()
@@ -120,7 +120,7 @@ def test_a_tenth_of_the_rows_is_made_again_and_a_row_that_differs_refuses_the_re
     (tmp_path / "write.py").write_text(ROWS.replace("0.1 * k", "0.10001 * k"))
     with pytest.raises(ConfigError, match=r"a row is another one now: .*; make it whole"):
         results.renew_result("seven", np.random.default_rng(1))
-    assert (tmp_path / "docs/seven.csv").read_text() == "36"
+    assert (tmp_path / "docs/seven.csv").read_text() == "40 True"
     elsewhere = {"blas": "another kernel"}
     monkeypatch.setattr(results, "describe_machine", lambda native: elsewhere)
     results.renew_result("seven", np.random.default_rng(1))  # as near as on another processor
@@ -132,7 +132,7 @@ def test_a_tenth_of_the_rows_is_made_again_and_a_row_that_differs_refuses_the_re
     with pytest.raises(ConfigError, match="a row is another one now"):
         results.renew_result("seven", np.random.default_rng(1))
     results.make_result("seven", report=lambda line: None)
-    assert (tmp_path / "docs/seven.csv").read_text() == "0"  # nothing of the second program
+    assert (tmp_path / "docs/seven.csv").read_text() == "0 True"  # nothing of the second program
 
 
 @pytest.mark.parametrize("seed", range(5))
