@@ -18,7 +18,7 @@ from road_envs.core.config import ConfigError
 
 Example = Literal["estimator", "learner", "policy"]
 
-_INIT = '"""A ${kind} for RoadRecon: `${name}`."""\n'
+_INIT = '"""${article} ${kind} for RoadRecon: `${name}`."""\n'
 
 
 def write_package(name: str, folder: Path, example: Example = "estimator") -> list[Path]:
@@ -27,12 +27,11 @@ def write_package(name: str, folder: Path, example: Example = "estimator") -> li
     Returns its files. Raises ConfigError, before anything is written, for an invalid name or a
     folder with files.
     """
-    kind = "policy" if example == "policy" else "estimator"
+    kind, article = ("policy", "A") if example == "policy" else ("estimator", "An")
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name) or keyword.iskeyword(name):
-        article = "a" if kind == "policy" else "an"
         raise ConfigError(
-            f"{name!r} cannot be the name of {article} {kind}: use lower-case letters, digits and "
-            "'_', and begin with a letter"
+            f"{name!r} cannot be the name of {article.lower()} {kind}: use lower-case letters, "
+            "digits and '_', and begin with a letter"
         )
     if name in (policies.available() if kind == "policy" else estimators.available()):
         raise ConfigError(f"the name {name!r} is taken by an installed {kind}; choose another")
@@ -42,6 +41,7 @@ def write_package(name: str, folder: Path, example: Example = "estimator") -> li
     fields = {
         "name": name,
         "kind": kind,
+        "article": article,
         "group": "policies" if kind == "policy" else "estimators",
         "module": module,
         "distribution": module.replace("_", "-"),

@@ -91,10 +91,23 @@ def verify_one(
 
 def new_results_repo(
     folder: Annotated[Path, argument("New or empty folder; a .git may be there.")],
+    *,
+    package: Annotated[
+        str | None,
+        option(
+            "What its CI gives to pip: by default the release of this version; "
+            "'road-envs[all,sign] @ git+https://HOST/PATH@COMMIT' for another program."
+        ),
+    ] = None,
 ) -> Output:
     """Write a repository of results: rules, CI that verifies submissions, site, issue form."""
-    written = [str(path) for path in repository.write_repository(folder)]
-    return Output(facts={"written": written}, shows=written)
+    written = [str(path) for path in repository.write_repository(folder, package)]
+    steps = [f"cd {shlex.quote(str(folder))}", "git init --initial-branch main", "git add ."]
+    steps += ["git commit --message rules", "git remote add origin ADDRESS"]
+    following = " && ".join([*steps, "git push --set-upstream origin main"])
+    return Output(
+        facts={"written": written, "next": following}, shows=[*written, "", f"next: {following}"]
+    )
 
 
 def results_site(

@@ -42,17 +42,21 @@ _TEMPLATE = {
 """Files of a new results repository, and the templates that they are made from."""
 
 
-def write_repository(folder: Path) -> list[Path]:
+def write_repository(folder: Path, package: str | None = None) -> list[Path]:
     """Write a results repository into a new or empty folder (a .git may be there); its files.
 
-    Raises ConfigError for a folder with files.
+    `package` is what its CI gives to pip, by default the release of this version. Raises
+    ConfigError for a folder with files, and a `package` that is not one line without quotes.
     """
+    package = package or f"road-envs[all,sign]=={package_version()}"
+    if not package.isprintable() or set(package) & set("'\"`"):
+        raise ConfigError(f"--package: one line without quotes, got {package!r}")
     if folder.exists() and (not folder.is_dir() or any(x.name != ".git" for x in folder.iterdir())):
         raise ConfigError(f"{folder} is not empty; choose a new or empty folder")
     templates = resources.files("leaderboard.submission") / "templates"
     for path, name in _TEMPLATE.items():
         text = (templates / name).read_text(encoding="utf-8")
-        write_text(folder / path, text.replace("{version}", package_version()))
+        write_text(folder / path, text.replace("{package}", package))
     (folder / "ci/verify.sh").chmod(0o755)
     return [folder / path for path in _TEMPLATE]
 

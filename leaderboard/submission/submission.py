@@ -10,7 +10,8 @@ import hashlib
 import os
 import resource
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -31,13 +32,15 @@ from leaderboard.running.verification import Verified, verify_folder
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
 from leaderboard.submission import signature
+from leaderboard.submission.dependencies import missing_packages
 from leaderboard.submission.rules import Rules, make_run_request
 from road_envs.core.artifacts import Kind
-from road_envs.core.atomic_io import TempFolder, new_folder
+from road_envs.core.atomic_io import PARTIAL_SUFFIX, TempFolder, new_folder, write_text
 from road_envs.core.config import ConfigError, Settings, build
 
 SUBMISSION = Kind("submission", 1)
 RECORD, CARD = signature.RECORD, "card.yaml"
+_PARTS = "jobs"
 _UNSEALED = (RECORD, signature.FILE)  # files whose digests the record does not hold
 
 SUBMISSION_SHARE = 1.0
@@ -72,12 +75,12 @@ def make_submission(
 ) -> _Submission:
     """Check an entry, run it by the `rules` and write the folder of its submission.
 
-    Raises ConfigError for a card that is not filled in, a failed check, a failed row, and a folder
-    that exists.
+    What was driven before it was stopped or failed is not driven again. Raises ConfigError for a
+    card that is not filled in, packages that boards lack, a failed check, a failed row, and a
+    folder that exists.
     """
     load_method_card(card)
-    began = _cpu_seconds()
-    with new_folder(folder) as partial:
+    with new_folder(folder) as partial, _keeping_parts(folder, partial / _PARTS) as spent:
         (partial / "code").mkdir()
         entry_files.snapshot(find_reference(str(wheel)), partial / "code")
         shutil.copyfile(card, partial / CARD)
@@ -86,13 +89,14 @@ def make_submission(
             if folder.resolve().name != entry.name:  # before all is run
                 raise ConfigError(f"{folder}: it must have the name of its entry, {entry.name}")
             progress(f"checking {entry.name}", 0.0)
+            _refuse_missing_packages(entry, partial / "code")
             _refuse_failed_checks(entry, sandbox, limits)
         request = make_run_request(*rules, [entry], limits)
         board = run_board(request, partial, ProcessExecutor(workers), progress)
         for failed in (row for task in board.tasks for row in board.failed(task)):
             raise ConfigError(f"{failed.estimator} failed on {failed.task}: {failed.failure}")
-        shutil.rmtree(partial / "jobs", ignore_errors=True)
-        cost = round(_cpu_seconds() - began, 1)
+        cost = round(spent(), 1)
+        shutil.rmtree(partial / _PARTS, ignore_errors=True)
         record = _Submission(
             name=entry.name, code=entry.code, package_version=package_version(),
             hardware=describe_environment(), cpu_seconds=cost, files=_digests(partial),
@@ -118,7 +122,10 @@ def load_submission(folder: Path) -> _Submission:
         )
     for name in sorted(found):
         if found[name] != record.files[name]:
-            raise ConfigError(f"{folder / name}: changed since the submission was made")
+            raise ConfigError(
+                f"{folder / name}: changed since the submission was made; restore it, or remove "
+                f"{folder} and submit again"
+            )
     load_method_card(folder / CARD)
     return record
 
@@ -159,8 +166,15 @@ def verify_submission(
                 stored.discard(path)
                 if row.task_digest != task.digest or row.seeds != request.seeds:
                     raise ConfigError(f"{reason} was not made by these rules")
-                if row.failure or row.stale_reason(task):
-                    raise ConfigError(f"{reason}: {row.failure or row.stale_reason(task)}")
+                if row.failure:
+                    raise ConfigError(f"{reason}: {row.failure}")
+                if stale := row.stale_reason(task):
+                    made = f"{record.package_version}, code {_code(row.environment)}"
+                    here = f"{package_version()}, code {_code(describe_environment())}"
+                    raise ConfigError(
+                        f"{reason}: {stale} (road-envs {made}; here {here}): install what verifies "
+                        "it, and submit again"
+                    )
         for path in sorted(stored):
             raise ConfigError(f"{path}: neither a row of its entry nor a baseline of the rules")
         _verify_probes(entry, folder, limits)
@@ -201,6 +215,38 @@ def _working_entry(folder: Path, sandbox: SandboxClient) -> Entry:
     if entry.failure is not None:
         raise ConfigError(f"{entry.name}: {entry.failure}")
     return entry
+
+
+def _refuse_missing_packages(entry: Entry, code: Path) -> None:
+    for module, package in missing_packages(code).items():
+        raise ConfigError(
+            f"{entry.name} imports {module} of the package {package}, which boards lack: submit a "
+            "folder that has it, too (pip install --target FOLDER), or do without it"
+        )
+
+
+def _code(environment: Mapping[str, str]) -> str:
+    return environment.get("code", "unknown")[:8]
+
+
+@contextmanager
+def _keeping_parts(folder: Path, parts: Path) -> Iterator[Callable[[], float]]:
+    """Take the parts of rows over that a stopped run has left beside `folder`, and leave them there
+    if this one ends early: they are found by what they were made from. Yields a function that
+    returns the processor time [s] of all these runs.
+    """
+    kept, cost = folder.with_name(f".{folder.name}.{_PARTS}{PARTIAL_SUFFIX}"), parts / "cpu_seconds"
+    if kept.is_dir():
+        kept.rename(parts)
+    before = float(cost.read_text(encoding="utf-8")) if cost.is_file() else 0.0
+    began = _cpu_seconds()
+    try:
+        yield lambda: before + _cpu_seconds() - began
+    except BaseException:
+        if parts.is_dir():
+            write_text(cost, f"{before + _cpu_seconds() - began:.1f}\n")
+            parts.rename(kept)
+        raise
 
 
 def _refuse_failed_checks(entry: Entry, sandbox: SandboxClient, limits: Limits) -> None:

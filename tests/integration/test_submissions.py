@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import json
 import shutil
+import zipfile
 from functools import partial
 from types import SimpleNamespace
 
@@ -502,23 +503,64 @@ def test_code_is_one_wheel_alone(submission):
         submission_module.submitted_entry(submission, sandbox)
 
 
-def test_a_folder_by_another_name_than_its_entry_is_refused_before_anything_is_run(
-    submission, tmp_path, monkeypatch
-):
+@pytest.fixture
+def submit(tmp_path, monkeypatch):
+    """Submits an entry `reader` that no guest has read, to a folder."""
+
     class NoGuests(contextlib.nullcontext):
         describe = staticmethod(lambda reference: {"name": "reader", "code": "1" * 16})
 
     (tmp_path / "card.yaml").write_text(CARD)
     wheel = tmp_path / "reader-1.0.whl"
-    wheel.touch()
+    with zipfile.ZipFile(wheel, "w") as archive:
+        archive.writestr("reader.py", "import pytest")
+        points = "[road_envs.estimators]\nreader = reader:Reader"
+        archive.writestr("reader-1.0.dist-info/entry_points.txt", points)
     monkeypatch.setattr(submission_module, "SandboxClient", lambda limits: NoGuests(NoGuests))
+    monkeypatch.setattr(submission_module, "check_entry", lambda *_: [])
+    rules = Rules(tasks=("small",), seeds=2), []
+    return lambda name: submission_module.make_submission(
+        wheel, tmp_path / "card.yaml", rules, tmp_path / name, Limits()
+    )
+
+
+def test_a_folder_by_another_name_than_its_entry_is_refused_before_anything_is_run(
+    submit, tmp_path, monkeypatch
+):
     monkeypatch.setattr(submission_module, "check_entry", lambda *_: pytest.fail("it was checked"))
     with pytest.raises(ConfigError, match="another: it must have the name of its entry, reader"):
-        submission_module.make_submission(
-            wheel, tmp_path / "card.yaml", (Rules(tasks=("small",), seeds=2), []),
-            tmp_path / "another", Limits(),
-        )  # fmt: skip
+        submit("another")
     assert not (tmp_path / "another").exists()
+
+
+def test_a_package_that_boards_lack_is_refused_before_anything_is_run(submit, monkeypatch):
+    monkeypatch.setattr(submission_module, "check_entry", lambda *_: pytest.fail("it was checked"))
+    with pytest.raises(ConfigError, match="reader imports pytest of the package pytest, which"):
+        submit("reader")
+
+
+def test_what_was_driven_before_a_submission_was_stopped_is_not_lost(submit, tmp_path, monkeypatch):
+    monkeypatch.setattr(submission_module, "missing_packages", lambda code: {})
+    times = iter([0.0, 5.0, 100.0, 103.0])  # of two processes
+    monkeypatch.setattr(submission_module, "_cpu_seconds", lambda: next(times))
+    found = []
+
+    def run(request, out, executor, progress):
+        parts = out / "jobs"
+        found.append(sorted(path.name for path in parts.glob("*.json")))
+        parts.mkdir(exist_ok=True)
+        (parts / f"{len(found)}.json").write_text("{}")
+        if len(found) == 1:
+            raise KeyboardInterrupt
+        return SimpleNamespace(tasks=[])
+
+    monkeypatch.setattr(submission_module, "run_board", run)
+    with pytest.raises(KeyboardInterrupt):
+        submit("reader")
+    assert [path.name for path in tmp_path.glob(".*")] == [".reader.jobs.partial"]
+    record = submit("reader")
+    assert found == [[], ["1.json"]] and record.cpu_seconds == 8.0
+    assert not list(tmp_path.glob(".*")) and load_submission(tmp_path / "reader") == record
 
 
 @pytest.mark.parametrize(

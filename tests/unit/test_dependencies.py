@@ -1,0 +1,50 @@
+"""What an entry imports and boards lack is told before it is submitted."""
+
+import zipfile
+
+import pytest
+
+from leaderboard.submission.dependencies import missing_packages
+
+POINTS = "[road_envs.estimators]\nmine = mine.entry:Mine\n"
+ENTRY = "import numpy as np\nfrom . import helper\nfrom estimators import estimate\n"
+
+
+def write(folder, helper, **more):
+    """Write the code of an entry with a helper; return its folder."""
+    files = {"mine/__init__.py": "", "mine/entry.py": ENTRY, "mine/helper.py": helper}
+    for name, text in {**files, "mine-1.dist-info/entry_points.txt": POINTS, **more}.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("helper", "missing"),
+    [
+        ("import pytest", {"pytest": "pytest"}),
+        ("def f():\n    from _pytest.mark import Mark", {"_pytest": "pytest"}),
+        ("class A:\n    import xdist.plugin", {"xdist": "pytest-xdist"}),
+        ("try:\n    import pytest\nexcept ImportError:\n    pass", {}),
+        ("from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import pytest", {}),
+        ("import json, scipy.signal, torch, yaml\nfrom . import entry", {}),
+        ("import not_installed_anywhere", {}),  # which cannot be constructed here, either
+        ("import pytest (", {}),
+    ],
+)
+@pytest.mark.parametrize("as_wheel", [False, True])
+def test_modules_that_boards_lack_are_named_with_their_package(tmp_path, helper, missing, as_wheel):
+    code = write(tmp_path / "code", helper)
+    if as_wheel:
+        files = [path for path in code.rglob("*") if path.is_file()]
+        (tmp_path / "wheel").mkdir()
+        with zipfile.ZipFile(tmp_path / "wheel" / "mine-1-py3-none-any.whl", "w") as wheel:
+            for path in files:
+                wheel.write(path, path.relative_to(code).as_posix())
+        code = tmp_path / "wheel"
+    assert missing_packages(code) == missing
+
+
+def test_packages_that_come_along_and_modules_that_are_not_run_are_not_missing(tmp_path):
+    along = {"pytest/__init__.py": "", "mine/test_helper.py": "import xdist"}
+    assert missing_packages(write(tmp_path, "import pytest", **along)) == {}
