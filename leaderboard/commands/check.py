@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated, Any
 
 from rich.table import Table
@@ -16,6 +17,7 @@ from leaderboard.conformance.probes import PROBES, CheckResult
 from leaderboard.entries.entries import resolve_entries
 from leaderboard.policies.policy_checks import check_policy as run_policy_checks
 from leaderboard.sandbox.client import SandboxClient
+from leaderboard.submission.dependencies import missing_packages
 
 _MARKS = {
     True: Text("passed", style="green"),
@@ -39,8 +41,17 @@ def check_estimator(
     own = dataclasses.replace(of_board, seconds=min(RUN_TIME_LIMIT, of_board.seconds))
     with SandboxClient(own) as sandbox:
         (entry,) = resolve_entries([estimator], sandbox.describe)
-        results = check_entry(entry, sandbox, of_board)
+        results = [*_check_packages(Path(estimator)), *check_entry(entry, sandbox, of_board)]
     return _checks_output("estimator", entry.name, results, _summarize(results))
+
+
+def _check_packages(code: Path) -> list[CheckResult]:
+    """Return a failed check for each package that a wheel or folder needs and boards lack."""
+    missing = missing_packages(code) if code.exists() else {}
+    return [
+        CheckResult("packages", False, f"{module} is of the package {package}, which boards lack")
+        for module, package in missing.items()
+    ]
 
 
 def check_policy(

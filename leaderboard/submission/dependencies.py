@@ -19,10 +19,11 @@ _EXTRA = re.compile(r"""extra\s*==\s*["']([\w.-]+)["']""")
 
 
 def missing_packages(code: Path) -> dict[str, str]:
-    """Return the packages of modules that the code of a submission imports, by module, where they
-    are none of its own, of Python, or of what boards install.
+    """Return the packages of modules that the code of an entry imports, by module, where they are
+    none of its own, of Python, or of what boards install.
 
-    What it imports only if it can (`try`), or for types alone, does not count.
+    `code` is a wheel, or a folder with one or with installed packages. What is imported only if it
+    can be (`try`), or for types alone, does not count.
     """
     files = _sources(code)
     found, left = dict[str, str](), _entry_modules(files)
@@ -56,7 +57,7 @@ def _places(name: str) -> tuple[str, str]:
 def _sources(code: Path) -> dict[str, str]:
     """Texts of the Python files and of the entry points in a wheel or folder, by their paths."""
     wanted = re.compile(r".*\.py|[^/]*\.dist-info/entry_points\.txt")
-    if wheel := next(code.glob("*.whl"), None):
+    if wheel := code if code.is_file() else next(code.glob("*.whl"), None):
         with zipfile.ZipFile(wheel) as archive:
             names = [name for name in archive.namelist() if wanted.fullmatch(name)]
             return {name: archive.read(name).decode("utf-8", "replace") for name in names}

@@ -1,9 +1,14 @@
 """What an entry imports and boards lack is told before it is submitted."""
 
 import zipfile
+from contextlib import nullcontext
+from types import SimpleNamespace
 
 import pytest
 
+from leaderboard.commands import check
+from leaderboard.commands.options import LimitOptions
+from leaderboard.conformance.probes import CheckResult
 from leaderboard.submission.dependencies import missing_packages
 
 POINTS = "[road_envs.estimators]\nmine = mine.entry:Mine\n"
@@ -42,9 +47,23 @@ def test_modules_that_boards_lack_are_named_with_their_package(tmp_path, helper,
             for path in files:
                 wheel.write(path, path.relative_to(code).as_posix())
         code = tmp_path / "wheel"
+        assert missing_packages(next(code.iterdir())) == missing
     assert missing_packages(code) == missing
 
 
 def test_packages_that_come_along_and_modules_that_are_not_run_are_not_missing(tmp_path):
     along = {"pytest/__init__.py": "", "mine/test_helper.py": "import xdist"}
     assert missing_packages(write(tmp_path, "import pytest", **along)) == {}
+
+
+def test_the_check_of_a_wheel_or_folder_fails_for_them(tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        check, "SandboxClient", lambda limits: nullcontext(SimpleNamespace(describe=0))
+    )
+    monkeypatch.setattr(check, "resolve_entries", lambda *_: [SimpleNamespace(name="mine")])
+    monkeypatch.setattr(check, "check_entry", lambda *_: [CheckResult("runs", True, "60 m")])
+    good = check.check_estimator(str(write(tmp_path / "good", "import yaml")), LimitOptions())
+    assert good.status == 0
+    bad = check.check_estimator(str(write(tmp_path / "bad", "import xdist")), LimitOptions())
+    assert bad.status == 1 and bad.facts["checks"][0]["name"] == "packages"
+    assert "xdist is of the package pytest-xdist" in bad.facts["checks"][0]["message"]
