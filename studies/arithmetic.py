@@ -1,5 +1,7 @@
 """One arithmetic for all kept results, whatever the processor: that of x86 with AVX2.
 
+    env $(python -m studies.arithmetic) road-recon leaderboard --board new_road --seeds 2
+
 With AVX-512 the same program sums in another order. That moves most scores by less than 1e-3, but
 a drive of a suspension's law that switches at zero by 2 %, and a vehicle's fit now and then to
 another optimum; rows of two such machines could not be compared.
@@ -35,7 +37,7 @@ def portable() -> dict[str, str]:
     if not {"AVX2", "X86_V3"} & {*found}:
         return {}
     later = [name for name in found if name.startswith(("AVX512", "X86_V4"))]
-    return _AVX2 | ({"NPY_DISABLE_CPU_FEATURES": " ".join(later)} if later else {})
+    return _AVX2 | ({"NPY_DISABLE_CPU_FEATURES": ",".join(later)} if later else {})
 
 
 def environment(native: bool) -> dict[str, str]:
@@ -52,3 +54,7 @@ def describe_machine(native: bool) -> Mapping[str, str]:
     done = subprocess.run(command, env=environment(native), stdout=subprocess.PIPE, check=True)
     told = json.loads(done.stdout)
     return {key: told[key] for key in MACHINE if key in told}
+
+
+if __name__ == "__main__":
+    print(" ".join(f"{name}={value}" for name, value in portable().items()))

@@ -69,6 +69,7 @@ def _kept_caches():
 
 
 LEARNS = importlib.util.find_spec("torch") is not None
+NEEDED = ("torch", "stable_baselines3")
 collect_ignore = (
     []
     if LEARNS
@@ -81,10 +82,13 @@ def pytest_runtest_call(item):
     """Skip what needs the extra `learn` where that is not installed (`make test-versions`)."""
     try:
         return (yield)
-    except ImportError as error:
-        if LEARNS or not any(name in str(error) for name in ("torch", "stable_baselines3")):
+    except Exception as error:
+        if LEARNS or not any(f"module named '{name}" in str(error) for name in NEEDED):
             raise
         pytest.skip("needs the extra learn")
+
+
+pytest_runtest_setup = pytest_runtest_call
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -184,6 +184,7 @@ VAN_TASK = {
 
 @pytest.mark.costly
 def test_a_task_may_name_another_car(tmp_path):
+    pytest.importorskip("torch")
     path = tmp_path / "van.yaml"
     path.write_text(json.dumps(VAN_TASK), encoding="utf-8")
     results = run_task(load_task(path), {"wiener": create("wiener"), "tcn": create("tcn")}, (1,))

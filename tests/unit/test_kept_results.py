@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import re
+import subprocess
 import sys
 import threading
 from pathlib import Path
@@ -66,6 +67,13 @@ def test_all_but_times_are_made_with_one_arithmetic(kept, tmp_path, monkeypatch,
     assert (tmp_path / "docs/seven.csv").read_text() == f"{kernel}\n"
     data, _ = KEPT.read(tmp_path / "docs/made/seven.json")
     assert native or data["machine"]["blas"] == "openblas Haswell"
+
+
+@pytest.mark.skipif(not portable(), reason="no x86 processor with AVX2")
+def test_the_variables_are_words_for_a_shell():
+    command = [sys.executable, "-m", "studies.arithmetic"]
+    told = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    assert dict(word.split("=", 1) for word in told.split()) == portable()
 
 
 def test_an_edited_output_and_changed_code_make_it_stale(kept, tmp_path, monkeypatch, capsys):
