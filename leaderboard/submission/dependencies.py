@@ -4,8 +4,9 @@ import ast
 import re
 import sys
 import zipfile
+import zlib
 from collections.abc import Iterator, Mapping
-from configparser import ConfigParser
+from configparser import ConfigParser, Error
 from importlib import metadata
 from pathlib import Path
 
@@ -58,9 +59,12 @@ def _sources(code: Path) -> dict[str, str]:
     """Texts of the Python files and of the entry points in a wheel or folder, by their paths."""
     wanted = re.compile(r".*\.py|[^/]*\.dist-info/entry_points\.txt")
     if wheel := code if code.is_file() else next(code.glob("*.whl"), None):
-        with zipfile.ZipFile(wheel) as archive:
-            names = [name for name in archive.namelist() if wanted.fullmatch(name)]
-            return {name: archive.read(name).decode("utf-8", "replace") for name in names}
+        try:
+            with zipfile.ZipFile(wheel) as archive:
+                names = [name for name in archive.namelist() if wanted.fullmatch(name)]
+                return {name: archive.read(name).decode("utf-8", "replace") for name in names}
+        except (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError):
+            return {}  # damaged: said where it is run; or the weights of an entry of this package
     paths = {x.relative_to(code).as_posix(): x for x in code.rglob("*") if x.is_file()}
     return {
         name: path.read_text("utf-8", "replace")
@@ -75,7 +79,10 @@ def _entry_modules(files: Mapping[str, str]) -> list[str]:
     for path, text in files.items():
         if path.endswith("entry_points.txt"):
             parser = ConfigParser(delimiters="=", interpolation=None)
-            parser.read_string(text)
+            try:
+                parser.read_string(text)
+            except Error:  # said where it is run
+                continue
             section = parser[ENTRY_POINT_GROUP] if ENTRY_POINT_GROUP in parser else {}
             for value in section.values():
                 parts = value.partition(":")[0].strip().split(".")

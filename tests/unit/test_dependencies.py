@@ -56,6 +56,14 @@ def test_packages_that_come_along_and_modules_that_are_not_run_are_not_missing(t
     assert missing_packages(write(tmp_path, "import pytest", **along)) == {}
 
 
+def test_what_is_no_wheel_and_broken_entry_points_are_left_to_others(tmp_path):
+    weights = tmp_path / "tcn.safetensors"
+    weights.write_bytes(b"\x08" + bytes(100))
+    assert missing_packages(weights) == {}
+    points = {"mine-1.dist-info/entry_points.txt": "mine = mine.entry:Mine"}
+    assert missing_packages(write(tmp_path / "code", "import pytest", **points)) == {}
+
+
 def test_the_check_of_a_wheel_or_folder_fails_for_them(tmp_path, monkeypatch):
     monkeypatch.setattr(
         check, "SandboxClient", lambda limits: nullcontext(SimpleNamespace(describe=0))
