@@ -118,8 +118,8 @@ def test_an_installed_policy_cannot_be_called_like_a_row_of_the_judge(name, monk
 @pytest.mark.parametrize(
     "reference",
     [
-        *("rrms.npz", "best found.npz", "a\x1b[2J.npz", "x/learned.zip", "mine:rrms"),
-        *("RRMS.npz", "best-found.npz"),
+        *("rrms.npz", "best found.npz", "a\x1b[2J.npz", "x/learned.zip"),
+        *("RRMS.npz", "best-found.npz", pytest.param("mine:rrms", marks=isolated)),
     ],
 )
 @pytest.mark.parametrize("option", ["policy", "reference"])
