@@ -12,8 +12,8 @@ from pathlib import Path
 
 from estimators import ENTRY_POINT_GROUP
 
-_PROJECT, _EXTRAS = "road-envs", ("all", "sign")
-"""What boards install (`templates/workflow.txt`)."""
+PROJECT, EXTRAS = "road-envs", ("all", "sign")
+"""What boards install."""
 
 _REQUIREMENT = re.compile(r"\s*([\w.-]+)\s*(?:\[([^]]*)\])?[^;]*(?:;(.*))?")
 _EXTRA = re.compile(r"""extra\s*==\s*["']([\w.-]+)["']""")
@@ -114,11 +114,11 @@ def _imports(text: str, module: str, is_package: bool) -> Iterator[str]:
 
 
 def _installed_by_boards() -> set[str]:
-    """Distributions that the project with `_EXTRAS` requires, and itself; markers of platforms and
+    """Distributions that the project with `EXTRAS` requires, and itself; markers of platforms and
     versions are not asked.
     """
-    found = {_PROJECT}
-    left: list[tuple[str, tuple[str, ...]]] = [(_PROJECT, _EXTRAS)]
+    found = {PROJECT}
+    left: list[tuple[str, tuple[str, ...]]] = [(PROJECT, EXTRAS)]
     while left:
         name, extras = left.pop()
         try:

@@ -22,6 +22,7 @@ from leaderboard.running.board import run_board
 from leaderboard.running.executors import ProcessExecutor
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
+from leaderboard.submission.dependencies import EXTRAS, PROJECT
 from leaderboard.submission.rules import RULES, load_rules, make_run_request
 from leaderboard.submission.submission import CARD, load_submission, submitted_entry
 from road_envs.core.atomic_io import copy_file, write_text
@@ -48,7 +49,7 @@ def write_repository(folder: Path, package: str | None = None) -> list[Path]:
     `package` is what its CI gives to pip, by default the release of this version. Raises
     ConfigError for a folder with files, and a `package` that is not one line without quotes.
     """
-    package = package or f"road-envs[all,sign]=={package_version()}"
+    package = package or f"{PROJECT}[{','.join(EXTRAS)}]=={package_version()}"
     if not package.isprintable() or set(package) & set("'\"`"):
         raise ConfigError(f"--package: one line without quotes, got {package!r}")
     if folder.exists() and (not folder.is_dir() or any(x.name != ".git" for x in folder.iterdir())):
