@@ -41,7 +41,9 @@ def check_estimator(
     own = dataclasses.replace(of_board, seconds=min(RUN_TIME_LIMIT, of_board.seconds))
     with SandboxClient(own) as sandbox:
         (entry,) = resolve_entries([estimator], sandbox.describe)
-        results = [*_check_packages(Path(estimator)), *check_entry(entry, sandbox, of_board)]
+        results = list(check_entry(entry, sandbox, of_board))
+    if entry.failure is None:
+        results = [*_check_packages(Path(estimator)), *results]
     return _checks_output("estimator", entry.name, results, _summarize(results))
 
 

@@ -4,9 +4,7 @@ import ast
 import re
 import sys
 import zipfile
-import zlib
-from collections.abc import Iterator, Mapping
-from configparser import ConfigParser, Error
+from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
 
@@ -26,68 +24,51 @@ def missing_packages(code: Path) -> dict[str, str]:
     `code` is a wheel, or a folder with one or with installed packages. What is imported only if it
     can be (`try`), or for types alone, does not count.
     """
-    files = _sources(code)
-    found, left = dict[str, str](), _entry_modules(files)
+    wheel = code if code.is_file() else next(code.glob("*.whl"), None)
+    found, left = dict[str, str](), _entry_modules(wheel or code)
+    if not left:  # weights of an entry of this package, or what the judge refuses
+        return found
+    files = code if wheel is None else zipfile.Path(wheel)
     boards, places = _installed_by_boards(), metadata.packages_distributions()
     seen = set(left)
     while left:
         name = left.pop()
-        path = next((p for p in _places(name) if p in files), None)
-        top = name.partition(".")[0]
+        path, top = _file_of(name, files), name.partition(".")[0]
         if path is None:
             packages = [_normal(x) for x in places.get(top, ())]
             if top not in sys.stdlib_module_names and packages and not boards & {*packages}:
                 found[top] = packages[0]
             continue
-        for other in _imports(files[path], name, path.endswith("__init__.py")):
-            parents = other.split(".")
-            new = {".".join(parents[: k + 1]) for k in range(len(parents))} - seen
+        text = path.read_text(encoding="utf-8", errors="replace")
+        for other in _imports(text, name, path.name == "__init__.py"):
             # a name of a package is a module only if there is such a file
-            new = {x for x in new if "." not in x or any(p in files for p in _places(x))}
+            new = {x for x in _with_packages(other) if "." not in x or _file_of(x, files)} - seen
             seen |= new
             left += sorted(new)
     return found
 
 
-def _places(name: str) -> tuple[str, str]:
-    """Files that a module can be."""
-    path = name.replace(".", "/")
-    return f"{path}.py", f"{path}/__init__.py"
+def _with_packages(module: str) -> list[str]:
+    """Names of a module and of the packages that it is in."""
+    parts = module.split(".")
+    return [".".join(parts[: k + 1]) for k in range(len(parts))]
 
 
-def _sources(code: Path) -> dict[str, str]:
-    """Texts of the Python files and of the entry points in a wheel or folder, by their paths."""
-    wanted = re.compile(r".*\.py|[^/]*\.dist-info/entry_points\.txt")
-    if wheel := code if code.is_file() else next(code.glob("*.whl"), None):
-        try:
-            with zipfile.ZipFile(wheel) as archive:
-                names = [name for name in archive.namelist() if wanted.fullmatch(name)]
-                return {name: archive.read(name).decode("utf-8", "replace") for name in names}
-        except (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError):
-            return {}  # damaged: said where it is run; or the weights of an entry of this package
-    paths = {x.relative_to(code).as_posix(): x for x in code.rglob("*") if x.is_file()}
-    return {
-        name: path.read_text("utf-8", "replace")
-        for name, path in paths.items()
-        if wanted.fullmatch(name)
-    }
+def _file_of(module: str, files: Path | zipfile.Path) -> Path | zipfile.Path | None:
+    """File of a module in a folder or wheel; None if it is not there."""
+    path = module.replace(".", "/")
+    found = (files / place for place in (f"{path}.py", f"{path}/__init__.py"))
+    return next((file for file in found if file.is_file()), None)
 
 
-def _entry_modules(files: Mapping[str, str]) -> list[str]:
+def _entry_modules(code: Path) -> list[str]:
     """Modules, and their packages, that the entry points of estimators name."""
-    found = []
-    for path, text in files.items():
-        if path.endswith("entry_points.txt"):
-            parser = ConfigParser(delimiters="=", interpolation=None)
-            try:
-                parser.read_string(text)
-            except Error:  # said where it is run
-                continue
-            section = parser[ENTRY_POINT_GROUP] if ENTRY_POINT_GROUP in parser else {}
-            for value in section.values():
-                parts = value.partition(":")[0].strip().split(".")
-                found += [".".join(parts[: k + 1]) for k in range(len(parts))]
-    return found
+    return [
+        name
+        for distribution in metadata.distributions(path=[str(code)])
+        for entry in distribution.entry_points.select(group=ENTRY_POINT_GROUP)
+        for name in _with_packages(entry.module)
+    ]
 
 
 def _imports(text: str, module: str, is_package: bool) -> Iterator[str]:

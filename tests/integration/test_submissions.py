@@ -4,7 +4,6 @@ import contextlib
 import dataclasses
 import json
 import shutil
-import zipfile
 from functools import partial
 from types import SimpleNamespace
 
@@ -15,6 +14,7 @@ from fake_results import runs_of, with_runs
 from results_repositories import call
 from submissions import CARD, write_record
 from test_verification import chosen_fakes, run_here
+from wheels import write_wheel
 
 from leaderboard.conformance import results as conformance_results
 from leaderboard.conformance.method_card import TEMPLATE, load_method_card
@@ -511,11 +511,7 @@ def submit(tmp_path, monkeypatch):
         describe = staticmethod(lambda reference: {"name": "reader", "code": "1" * 16})
 
     (tmp_path / "card.yaml").write_text(CARD)
-    wheel = tmp_path / "reader-1.0.whl"
-    with zipfile.ZipFile(wheel, "w") as archive:
-        archive.writestr("reader.py", "import pytest")
-        points = "[road_envs.estimators]\nreader = reader:Reader"
-        archive.writestr("reader-1.0.dist-info/entry_points.txt", points)
+    wheel = write_wheel(tmp_path, "reader", "import pytest")
     monkeypatch.setattr(submission_module, "SandboxClient", lambda limits: NoGuests(NoGuests))
     monkeypatch.setattr(submission_module, "check_entry", lambda *_: [])
     rules = Rules(tasks=("small",), seeds=2), []

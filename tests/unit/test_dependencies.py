@@ -1,10 +1,10 @@
 """What an entry imports and boards lack is told before it is submitted."""
 
-import zipfile
 from contextlib import nullcontext
 from types import SimpleNamespace
 
 import pytest
+from wheels import write_wheel
 
 from leaderboard.commands import check
 from leaderboard.commands.options import LimitOptions
@@ -41,13 +41,11 @@ def write(folder, helper, **more):
 def test_modules_that_boards_lack_are_named_with_their_package(tmp_path, helper, missing, as_wheel):
     code = write(tmp_path / "code", helper)
     if as_wheel:
-        files = [path for path in code.rglob("*") if path.is_file()]
-        (tmp_path / "wheel").mkdir()
-        with zipfile.ZipFile(tmp_path / "wheel" / "mine-1-py3-none-any.whl", "w") as wheel:
-            for path in files:
-                wheel.write(path, path.relative_to(code).as_posix())
+        files = [(f"mine/{path.name}", path.read_text()) for path in (code / "mine").iterdir()]
         code = tmp_path / "wheel"
-        assert missing_packages(next(code.iterdir())) == missing
+        code.mkdir()
+        wheel = write_wheel(code, "my_road", "", "mine = mine.entry:Mine", files)
+        assert missing_packages(wheel) == missing
     assert missing_packages(code) == missing
 
 
@@ -68,7 +66,9 @@ def test_the_check_of_a_wheel_or_folder_fails_for_them(tmp_path, monkeypatch):
     monkeypatch.setattr(
         check, "SandboxClient", lambda limits: nullcontext(SimpleNamespace(describe=0))
     )
-    monkeypatch.setattr(check, "resolve_entries", lambda *_: [SimpleNamespace(name="mine")])
+    monkeypatch.setattr(
+        check, "resolve_entries", lambda *_: [SimpleNamespace(name="mine", failure=None)]
+    )
     monkeypatch.setattr(check, "check_entry", lambda *_: [CheckResult("runs", True, "60 m")])
     good = check.check_estimator(str(write(tmp_path / "good", "import yaml")), LimitOptions())
     assert good.status == 0
