@@ -112,9 +112,11 @@ def train(
 def rms_roughness(record: Record, corpus: Corpus) -> RoughnessEstimate:
     """Roughness of a record by the regression on its RMS, fitted to simulated drives like it.
 
-    They are of the vehicle and the instruments of `corpus`, in the record's mode and at its speeds.
+    They are of individuals of the vehicle of `corpus` and of its instruments (grade S2), in the
+    record's mode and at its speeds: a car that is as described would teach too narrow an interval.
     """
     mode = dominant_modes(record, np.arange(record.t.size), corpus.vehicle.modes)
     slow, fast = 3.6 * np.percentile(record.v, [5.0, 95.0])
-    drives = drives_in_mode(corpus, mode, (slow / _SPEED_MARGIN, fast * _SPEED_MARGIN), _N_DRIVES)
+    speeds = slow / _SPEED_MARGIN, fast * _SPEED_MARGIN
+    drives = drives_in_mode(corpus, mode, speeds, _N_DRIVES, "S2")
     return RmsRoughness.fit(*zip(*drives, strict=True)).predict(record)

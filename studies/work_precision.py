@@ -86,6 +86,8 @@ def precision(
         print_json(rows + skipped)
         return
     console.print(_table(rows))
+    console.print()
+    console.print(_speeds(rows))
     for row in skipped:
         notices.print(f"{row['method']} is skipped: {row['skipped']}")
 
@@ -121,6 +123,37 @@ def _table(rows: list[dict[str, Any]]) -> Table:
 
     heads = ("method", "setting", "error", "x real time")
     return make_table(heads, map(cells, rows), title="error against cost", texts=("setting",))
+
+
+def speeds_at_equal_error(rows: list[dict[str, Any]]) -> dict[str, float]:
+    """Speed of each method [times real time] at the error of our largest constant step.
+
+    Interpolated between the rows of a method in log error and log speed; NaN for one whose errors
+    do not enclose that error.
+    """
+    error = max(row["error"] for row in rows if row["method"] == OURS[0])
+    speeds = {}
+    for name in dict.fromkeys(row["method"] for row in rows):
+        points = sorted(
+            (row["error"], row["times_real_time"]) for row in rows if row["method"] == name
+        )
+        known, speed = np.log(points).T
+        at = np.interp(math.log(error), known, speed, left=math.nan, right=math.nan)
+        speeds[name] = math.exp(at)
+    return speeds
+
+
+def _speeds(rows: list[dict[str, Any]]) -> Table:
+    speeds = speeds_at_equal_error(rows)
+    fastest = speeds[OURS[0]]
+    error = max(row["error"] for row in rows if row["method"] == OURS[0])
+    cells = [
+        (name, *(f"{rounded(x, 2):g}" for x in (speed, fastest / speed)))
+        for name, speed in speeds.items()
+        if math.isfinite(speed) and name != OURS[0]
+    ]
+    title = f"speed at {100 * error:.3g} % error, that of h = 1 ms"
+    return make_table(("method", "x real time", "h = 1 ms is faster by"), cells, title=title)
 
 
 def draw_precision(

@@ -13,10 +13,8 @@ scale per input, e is noise (Rasmussen & Williams, "Gaussian Processes for Machi
 sections 2.2, 2.7 and 5.4.1). Amplitudes and length scales maximise the marginal likelihood. The
 posterior of y is normal, so classes have probabilities as in `spectral.py`.
 
-Measured on 60 roads of 200 m from the corpus at 14.5 to 54 km/h, with a regression trained on 60
-others for each of ride, handling, and ride in front with handling behind: median error 0.5 dB, RMS
-error 2.1 to 2.5 dB, class correct in 83 %. `spectral` on the same: 0.4 dB, 0.9 to 1.1 dB, 92 %.
-The large RMS error comes from roads with single obstacles; on stationary roads both are equal.
+Errors beside those of `spectral`: `studies/roughness_alone.py`. Single obstacles mislead it more,
+and drives of the described vehicle alone would teach an interval that no other vehicle keeps to.
 
 Limitations: strut states and speeds outside the training data; roads of another waviness, since
 one RMS per sensor does not resolve frequency.

@@ -4,19 +4,26 @@
 
 No profile is reconstructed. The level of each octave is the maximum-likelihood level of the
 accelerations' spectra under the linearised vehicle (empirical Bayes, `wiener/spectral_model.py`),
-per segment. With M independent lines the logarithm of a level has a standard deviation of at least
-sqrt(1 / M). The posterior over classes A to H follows from a normal density of log G_d(n0) with
-class limits at twice the geometric means (ISO 8608, table C.1).
+per segment; a vehicle that departs from its description is adapted to the drive first
+(`wiener/adaptation.py`). With M independent lines the logarithm of a level has a standard deviation
+of at least sqrt(1 / M); what the tolerances of the vehicle leave open (`tolerance_error.py`), and a
+model that does not reproduce the record, add to it. The posterior over classes A to H follows from
+a normal density of log G_d(n0), with class limits at twice the geometric means (ISO 8608, C.1).
 
 Limitations: wheels leaving the ground; roads too short to have a level.
 """
 
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import ndtr
 
+from estimators.common.misfit import NOISE_SCALE_WARNING, misfit_note
 from estimators.preprocessing import mask_record
+from estimators.roughness.tolerance_error import roughness_std
+from estimators.wiener.adaptation import adapt_vehicle
 from estimators.wiener.segments import Segment, split_segments
 from estimators.wiener.spectral_model import (
     SensedVehicle,
@@ -33,8 +40,12 @@ from road_envs.records.roughness import CLASSES
 from road_envs.sensing.instruments import instruments_of
 from road_envs.vehicle.parameters import VehicleParameters
 
-# Standard deviation of the log level due to deviations of the vehicle [assumed]
-_MODEL_ERROR = 0.10
+_MODEL_ERROR, _MISFIT_ERROR = 0.10, 0.5
+"""Standard deviations of the log level by what no tolerance describes [assumed], and where the
+model is far from reproducing the record (`studies.roughness_alone`, development seeds: individuals
+of grade S2 by the described car, 0.49).
+"""
+
 _EM_ITERATIONS = 8  # expectation-maximisation iterations of an octave's level
 
 
@@ -43,7 +54,7 @@ class ClassPosterior(NamedTuple):
 
     `G_d0` [m³] and the standard deviation `log_std` of its natural logarithm, over the scored band;
     `octaves` (K,) [cycles/m] with their own `levels` (K,) [m³], `level_stds` (K,) and most probable
-    `octave_classes`; `probability` of each class by letter.
+    `octave_classes`; `probability` of each class by letter; `notes` on the vehicle.
     """
 
     G_d0: float
@@ -53,6 +64,7 @@ class ClassPosterior(NamedTuple):
     level_stds: np.ndarray
     probability: dict[str, float]
     octave_classes: tuple[str, ...]
+    notes: tuple[str, ...] = ()
 
     @property
     def letter(self) -> str:
@@ -65,24 +77,42 @@ def classify_record(
 ) -> ClassPosterior:
     """Return the roughness of a record's road. Raises ConfigError, RecordError, ValueError."""
     sensors = instruments_of(record, instruments)
-    vehicle = SensedVehicle.of(car, sensors)
     masked = mask_record(record, sensors)
     octaves = scored_octaves(float(np.median(masked.record.v)))
-    segments = split_segments(masked, TUNING.segment_length, TUNING.segment_margin)
-    parts = [_levels(fit_hyperparameters(vehicle, each), each, octaves) for each in segments]
-    own, weights = np.swapaxes(parts, 0, 1)
+    segments = list(split_segments(masked, TUNING.segment_length, TUNING.segment_margin))
+    fit: Callable[[Segment], SpectralModel] = partial(
+        fit_hyperparameters, SensedVehicle.of(car, sensors)
+    )
+    middle = fit(segments[len(segments) // 2])
+    unexplained, notes = float(np.mean(middle.noise_scale)), list[str]()
+    found = adapt_vehicle(masked.record, segments[len(segments) // 2], middle, car, sensors, 1)
+    if found is not None and found.notes:
+        car, fit, unexplained, notes = found.car, found.model, found.after, [*found.notes]
+    model_std = np.hypot(
+        _MODEL_ERROR, 2.0 * roughness_std(record, car, instruments, _even(octaves))
+    )
+    if unexplained > NOISE_SCALE_WARNING:
+        model_std = np.hypot(model_std, _MISFIT_ERROR)
+        notes.append(misfit_note(unexplained))
+    own, weights = np.swapaxes([_levels(fit(each), each, octaves) for each in segments], 0, 1)
     total = np.maximum(weights.sum(axis=0), 1e-9)
     levels = (weights * own).sum(axis=0) / total
-    stds = np.sqrt(1.0 / np.maximum(total, 1.0) + _MODEL_ERROR**2)
+    stds = np.sqrt(1.0 / np.maximum(total, 1.0) + model_std**2)
     use = total > 1.0
     share = np.where(use, 1.0 / stds**2, 0.0)
     log_level = float(share @ np.log(levels) / share.sum())
-    log_std = float(np.sqrt(1.0 / total[use].sum() + _MODEL_ERROR**2))
+    log_std = float(np.sqrt(1.0 / total[use].sum() + model_std**2))
     pairs = zip(np.log(levels).tolist(), stds.tolist(), strict=True)
     by_octave = [class_probabilities(*pair) for pair in pairs]
     classes = tuple(max(each, key=each.__getitem__) for each in by_octave)
     probability, G_d0 = class_probabilities(log_level, log_std), float(np.exp(log_level))
-    return ClassPosterior(G_d0, log_std, octaves, levels, stds, probability, classes)
+    return ClassPosterior(G_d0, log_std, octaves, levels, stds, probability, classes, tuple(notes))
+
+
+def _even(octaves: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """Return the weight of a spatial frequency in a level that is the mean over `octaves` (K,)."""
+    low, high = octaves[0] * 2.0**-0.5, octaves[-1] * 2.0**0.5
+    return lambda n: np.where((n >= low) & (n < high), 1.0 / n, 0.0)
 
 
 def class_probabilities(log_level: float, log_std: float) -> dict[str, float]:

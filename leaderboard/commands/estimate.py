@@ -109,10 +109,11 @@ def classify(
     """
     validate_choice("method", method, _METHODS)
     drive = drive_files.read_drive(record, options)
-    measured, notes = drive.measured.record, drive.measured.notes
+    measured, notes = drive.measured.record, [*drive.measured.notes]
     result: Any
     if method == "spectral":
         result = spectral.classify_record(measured, drive.car, drive.sensors)
+        notes += result.notes
     else:
         result = rms_roughness(measured, Corpus(car=drive.vehicle, instruments=drive.sensors))
     found = result._asdict().items()
@@ -125,7 +126,7 @@ def classify(
     if method == "spectral":
         shows.append(_octaves_table(result))
     shows += [f"- {note}" for note in notes]
-    return Output(facts={"class": result.letter, **facts, "notes": list(notes)}, shows=shows)
+    return Output(facts={"class": result.letter, **facts, "notes": notes}, shows=shows)
 
 
 def _octaves_table(posterior: spectral.ClassPosterior) -> Table:

@@ -6,18 +6,20 @@ from itertools import repeat
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import estimators
+from estimators.roughness.tolerance_error import roughness_std
 from leaderboard.drive_report.analysis import SEGMENT_LENGTHS, DriveResult, KnownFactor, analyse
 from leaderboard.drive_report.conditions import Conditions
 from leaderboard.drive_report.drive_estimates import estimate_drive, make_drive_estimator
 from leaderboard.drive_report.export import parse_route, write_files
 from leaderboard.drive_report.geopackage import write_geopackage
 from leaderboard.drive_report.known_iri import known_factor, read_known_iri
-from leaderboard.drive_report.mean_path import tells_vehicle
+from leaderboard.drive_report.mean_path import golden_power, tells_vehicle
 from leaderboard.drive_report.page import write_page
 from leaderboard.drive_report.passes import ReportedPass, align_passes, compare, join
 from leaderboard.drive_report.sections import Sections
-from leaderboard.drive_report.tolerance_error import roughness_std
 from road_envs.core.config import ConfigError
 from road_envs.drives.logger_tables.description import DriveDescription
 from road_envs.drives.reading import DriveFile, same_instruments
@@ -155,7 +157,10 @@ def _analysed(each: ReportedPass, drive: DriveFile, chosen: ReportSettings) -> D
     told = drive.description
     known, tolerance_std = None, 0.0
     if not tells_vehicle(each.measured.record.sensors):
-        tolerance_std = roughness_std(each.measured.record, drive.car, drive.sensors)
+        n, power = golden_power(0.05, 6000)
+        tolerance_std = roughness_std(
+            each.measured.record, drive.car, drive.sensors, lambda at: np.interp(at, n, power)
+        )
     if told.iri_factor is not None:
         known = KnownFactor(told.iri_factor, told.iri_factor_std or _DEFAULT_FACTOR_STD)
     return analyse(

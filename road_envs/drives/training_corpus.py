@@ -135,15 +135,20 @@ class Corpus(Settings):
 
 
 def drives_in_mode(
-    corpus: Corpus, mode: str | Mapping[str, str], speeds_kmh: tuple[float, float], number: int
+    corpus: Corpus,
+    mode: str | Mapping[str, str],
+    speeds_kmh: tuple[float, float],
+    number: int,
+    grade: str = "S0",
 ) -> list[tuple[Record, Profile]]:
-    """Simulate `number` drives of the nominal vehicle in one `mode` over roads of 100 m.
+    """Simulate `number` drives in one `mode` over roads of 100 m, each by an individual of `grade`.
 
     The roads are those of a corpus, the speeds are log-uniform. Raises SimulationError if too many
     drives fail.
     """
     drives: list[tuple[Record, Profile]] = []
     shared: Any = {"vehicle": corpus.vehicle, "instruments": corpus.sensors, "mode": mode}
+    shared["grade"] = grade
     for k in itertools.count():
         # the attempt number ATTEMPTS keeps this stream apart from that of `simulate_drive`
         rng = np.random.default_rng([SEED_STREAM, corpus.seed, k, ATTEMPTS])

@@ -1,6 +1,7 @@
 """Work-precision comparison: all integrators reproduce one reference solution."""
 
 import json
+import math
 import shutil
 import sys
 
@@ -9,6 +10,7 @@ import pytest
 import typer
 
 from road_envs.roads import load_road
+from studies import missed_bumps
 from studies import work_precision as precision
 from studies.bench import integrators
 from studies.bench.integrators import (
@@ -56,6 +58,27 @@ def test_a_step_limit_prevents_adaptive_solvers_from_skipping_a_bump():
     assert np.abs(truth[:, 0]).max() > 5.0
     assert relative_error(limited.scipy("BDF", 1e-4), truth) < 0.02
     assert relative_error(limited.adaptive(1e-5), truth) < 0.02
+
+
+def test_speed_at_equal_error_follows_power_laws_and_is_unknown_beyond_them():
+    steps = 1e-3 * 0.5 ** np.arange(3)
+    rows = [
+        {"method": precision.OURS[0], "error": 40.0 * h, "times_real_time": 2e6 * h} for h in steps
+    ]
+    rows += [
+        {"method": "order 4", "error": e, "times_real_time": 100.0 * e**0.25} for e in (1e-4, 0.3)
+    ]
+    rows += [{"method": "exact", "error": e, "times_real_time": 1.0} for e in (1e-6, 1e-5)]
+    speeds = precision.speeds_at_equal_error(rows)
+    assert speeds[precision.OURS[0]] == pytest.approx(2000.0)
+    assert speeds["order 4"] == pytest.approx(100.0 * 0.04**0.25)
+    assert math.isnan(speeds["exact"])
+
+
+def test_the_missed_bump_is_found_with_limited_steps():
+    heights = [missed_bumps.largest_heave("Radau", rtol, step) for rtol, step in missed_bumps.CASES]
+    assert max(heights[:2]) < 1e-9
+    assert heights[2] == pytest.approx(missed_bumps.largest_heave("DOP853", 1e-6, 1e-3), rel=0.01)
 
 
 def test_sundials_reproduces_the_reference(problem, truth):

@@ -8,8 +8,16 @@ from scipy import stats
 from test_wiener import DEFENDER, drive
 
 from estimators.roughness.spectral import class_probabilities, classify_record
+from road_envs.drives.recording import simulate_record
 from road_envs.records.record import PROFILE_SPACING
-from road_envs.records.roughness import CLASSES, band_means, displacement_psd, roughness_class
+from road_envs.records.roughness import (
+    CLASSES,
+    band_means,
+    displacement_psd,
+    octave_levels,
+    roughness_class,
+)
+from road_envs.roads import realise_road
 
 
 @pytest.mark.parametrize(("road", "mode"), [("iso_b", "ride"), ("iso_d", "split")])
@@ -45,3 +53,16 @@ def test_the_command_reports_the_class(road_recon):
     code, out, _ = road_recon("classify", "d.parquet")
     assert code == 0 and "class C" in out
     assert road_recon("classify", "none.parquet")[0] == 2
+
+
+@pytest.mark.costly
+@pytest.mark.parametrize("seed", [0, 2, 4])
+def test_an_individual_is_adapted_to_its_drive_and_its_level_lies_in_the_interval(seed):
+    surface = realise_road("iso_b", seed, 200.0)
+    record, truth = simulate_record(surface, speed_kmh=30.0, grade="S2", seed=seed)
+    found = classify_record(record, DEFENDER)
+    n, G = displacement_psd(truth.z, truth.ds)
+    _, levels = octave_levels(n, G, (found.octaves[0], found.octaves[-1]))
+    error = np.log(found.G_d0 / np.exp(np.log(levels.mean(axis=0)).mean()))
+    assert any("adapted to the drive" in note for note in found.notes)
+    assert abs(error) < 2.0 * found.log_std < 1.5

@@ -2,43 +2,45 @@
 
 An estimate with the described vehicle makes of each frequency what that vehicle would need for the
 measured acceleration. Vehicles within the tolerances accelerate the sensors more or less on a road
-of the drive's level; the root of their power over that of the described one, weighted as the golden
-car does, is the factor on the roughness. Its deviation is near 0.06 where dampers rule, and 0.1 to
-0.2 at 50 km/h on class A, where friction does, which is the least known (`studies/phone_reports.py`
-with seed 110: an IRI that is 19 % high is 2 % high with the individual's own parameters).
+of the drive's level; the root of their power over that of the described one, weighted as an index
+of roughness does, is the factor on that index. Weighted as the golden car does, its deviation is
+near 0.06 where dampers rule, and 0.1 to 0.2 at 50 km/h on class A, where friction does, which is
+the least known (`studies/phone_reports.py` with seed 110: an IRI that is 19 % high is 2 % high with
+the individual's own parameters).
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from estimators.wiener.spectral_model import SensedVehicle
 from estimators.wiener.structure_search import CalmDrive, Spectra
-from leaderboard.drive_report.mean_path import golden_power
 from road_envs.analysis.information_bound import equivalent_damping
 from road_envs.records.record import Record
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.tolerances import parameter_space
 
 _DRAWS = 24  # vehicles that are drawn
-_GOLDEN_STEP, _GOLDEN_SIZE = (
-    0.05,
-    6000,
-)  # step [m] and number of samples of the golden car's response
 _SIDE = "side."  # beginning of the names of parameters that play no part on a straight road
 
 
-def roughness_std(record: Record, car: VehicleParameters, instruments: str) -> float:
+def roughness_std(
+    record: Record,
+    car: VehicleParameters,
+    instruments: str,
+    weight: Callable[[np.ndarray], np.ndarray],
+) -> float:
     """Return the relative standard deviation of the roughness of a drive by the tolerances of
-    `car`; 0 where it has none, and of drives that are too short or never calm. Raises ConfigError.
+    `car`; 0 where it has none, and of drives that are too short or never calm. `weight` gives the
+    share of each spatial frequency (F,) [cycles/m] in the square of the index. Raises ConfigError.
     """
     used = {key: x for key, x in car.tolerances.items() if not key.startswith(_SIDE)}
     drive = CalmDrive.of(record, car, instruments)
     if not used or not drive.tells(record):
         return 0.0
     described = drive.on_fitted_level(SensedVehicle.of(car, drive.sensors), 2.0)
-    n, power = golden_power(_GOLDEN_STEP, _GOLDEN_SIZE)
-    weight = np.interp(drive.f / drive.v, n, power)
+    weights = weight(drive.f / drive.v)
     space, rng = parameter_space(replace(car, tolerances=used)), np.random.default_rng(0)
     factors = []
     for _ in range(_DRAWS):
@@ -46,5 +48,5 @@ def roughness_std(record: Record, car: VehicleParameters, instruments: str) -> f
         damping = equivalent_damping(vehicle.plant, drive.mode, drive.v, described.prior)
         other = Spectra.of(vehicle, damping, described.prior, drive, described.D)
         ratio = other.total(drive.weights) / described.total(drive.weights)
-        factors.append(0.5 * np.log(np.average(ratio.mean(axis=0), weights=weight)))
+        factors.append(0.5 * np.log(np.average(ratio.mean(axis=0), weights=weights)))
     return float(np.std(factors))
