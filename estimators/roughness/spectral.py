@@ -10,7 +10,8 @@ of at least sqrt(1 / M); what the tolerances of the vehicle leave open (`toleran
 model that does not reproduce the record, add to it. The posterior over classes A to H follows from
 a normal density of log G_d(n0), with class limits at twice the geometric means (ISO 8608, C.1).
 
-Limitations: wheels leaving the ground; roads too short to have a level.
+Limitations: wheels leaving the ground and obstacles, of which spectra tell in part (a note says so,
+and the interval is wide); roads too short to have a level.
 """
 
 from collections.abc import Callable
@@ -24,6 +25,7 @@ from estimators.common.misfit import NOISE_SCALE_WARNING, misfit_note
 from estimators.preprocessing import mask_record
 from estimators.roughness.tolerance_error import roughness_std
 from estimators.wiener.adaptation import adapt_vehicle
+from estimators.wiener.drive_check import obstacle_samples
 from estimators.wiener.segments import Segment, split_segments
 from estimators.wiener.spectral_model import (
     SensedVehicle,
@@ -40,12 +42,14 @@ from road_envs.records.roughness import CLASSES
 from road_envs.sensing.instruments import instruments_of
 from road_envs.vehicle.parameters import VehicleParameters
 
-_MODEL_ERROR, _MISFIT_ERROR = 0.10, 0.5
-"""Standard deviations of the log level by what no tolerance describes [assumed], and where the
-model is far from reproducing the record (`studies.roughness_alone`, development seeds: individuals
-of grade S2 by the described car, 0.49).
+_MODEL_ERROR, _MISFIT_ERROR, _OBSTACLE_ERROR = 0.10, 0.5, 0.8
+"""Standard deviations of the log level: by what no tolerance describes [assumed], where the model
+is far from reproducing the record, and where much of it is obstacles. The latter two are RMS errors
+over drives of `studies.roughness_alone` with development seeds (1130000, 1150000): individuals of
+grade S2 by the described car, and roads with potholes.
 """
 
+_OBSTACLES = 0.2  # share of a record from which on obstacles decide its level
 _EM_ITERATIONS = 8  # expectation-maximisation iterations of an octave's level
 
 
@@ -94,6 +98,13 @@ def classify_record(
     if unexplained > NOISE_SCALE_WARNING:
         model_std = np.hypot(model_std, _MISFIT_ERROR)
         notes.append(misfit_note(unexplained))
+    obstacles = float(obstacle_samples(record).mean())
+    if obstacles > _OBSTACLES:
+        model_std = np.hypot(model_std, _OBSTACLE_ERROR)
+        notes.append(
+            f"{obstacles:.0%} of the drive is shaken by obstacles, which spectra tell in part: the "
+            "level may be some dB too low"
+        )
     own, weights = np.swapaxes([_levels(fit(each), each, octaves) for each in segments], 0, 1)
     total = np.maximum(weights.sum(axis=0), 1e-9)
     levels = (weights * own).sum(axis=0) / total
