@@ -154,7 +154,7 @@ def read_track(path: Path, description: DriveDescription) -> Track:
         with path.open("rb") as file:
             head = file.read(HEAD)
         if gpx.is_gpx(head):
-            return Track(*gpx.parse_gpx(path.read_bytes()))
+            return gpx.parse_gpx(path.read_bytes())
         table = _table(path, head)
         if (found := _track_of(table, description)) is None:
             raise ConfigError(
