@@ -30,7 +30,6 @@ from road_envs.drives.recordings.recording import Recording, Series
 
 IMU, FIX = "sensor_msgs/msg/Imu", "sensor_msgs/msg/NavSatFix"
 TWIST = "geometry_msgs/msg/TwistStamped"
-KINDS = (IMU, FIX, TWIST)  # types of messages that are read
 MOST_MESSAGES = 20_000_000  # most messages of a recording: 14 hours at 400 Hz
 NO_FIX = -1  # status of a fix that is none
 MCAP_MAGIC, SQLITE_MAGIC = b"\x89MCAP0\r\n", b"SQLite format 3\x00"  # first bytes of the files
@@ -38,7 +37,7 @@ MAX_CHUNK = 2**28  # most bytes of a chunk when unpacked; writers make chunks of
 MAX_MESSAGE = 2**16  # most bytes of a message that is read; one of an inertial unit has some 350
 
 
-_Message = tuple[str, str, bytes]  # topic, type (one of KINDS) and serialised fields of a message
+_Message = tuple[str, str, bytes]  # topic, type (one of DECODERS) and serialised fields
 
 
 class _Fields:
@@ -68,31 +67,25 @@ class _Fields:
         return seconds + 1e-9 * nanoseconds
 
 
-def _imu(data: bytes) -> tuple[float, ...]:
-    """Return time [s] and linear acceleration [m/s²]; three 3 x 3 covariances lie between."""
-    fields = _Fields(data)
-    t = fields.header()
+def _imu(fields: _Fields) -> tuple[float, ...]:
+    """Return the linear acceleration [m/s²] behind the header."""
     fields.numbers("d", 4 + 9 + 3 + 9)  # orientation and angular velocity, with covariances
-    return t, *fields.numbers("d", 3)
+    return fields.numbers("d", 3)
 
 
-def _fix(data: bytes) -> tuple[float, ...]:
-    """Return time [s] and the row of a track: latitude and longitude [°], NaN without a fix."""
-    fields = _Fields(data)
-    t = fields.header()
+def _fix(fields: _Fields) -> tuple[float, ...]:
+    """Return the row of a track behind the header: latitude and longitude [°], NaN without fix."""
     (status,), _ = fields.numbers("b"), fields.numbers("H")
     lat, lon = (np.nan, np.nan) if status <= NO_FIX else fields.numbers("d", 2)
-    return t, lat, lon, np.nan, np.nan
+    return lat, lon, np.nan, np.nan
 
 
-def _twist(data: bytes) -> tuple[float, ...]:
-    """Return time [s] and the row of a track: the magnitude of the linear velocity [m/s]."""
-    fields = _Fields(data)
-    t = fields.header()
-    return t, np.nan, np.nan, float(np.linalg.norm(fields.numbers("d", 3))), np.nan
+def _twist(fields: _Fields) -> tuple[float, ...]:
+    """Return the row of a track behind the header: the magnitude of the velocity [m/s]."""
+    return np.nan, np.nan, float(np.linalg.norm(fields.numbers("d", 3))), np.nan
 
 
-DECODERS = {IMU: _imu, FIX: _fix, TWIST: _twist}
+DECODERS = {IMU: _imu, FIX: _fix, TWIST: _twist}  # types of messages that are read
 
 
 def _to_recording(name: str, messages: Iterable[_Message]) -> Recording:
@@ -101,7 +94,8 @@ def _to_recording(name: str, messages: Iterable[_Message]) -> Recording:
     for k, (topic, kind, data) in enumerate(messages):
         if k >= MOST_MESSAGES:
             raise ConfigError(f"more than {MOST_MESSAGES} messages: cut the recording")
-        rows[kind, topic].append(DECODERS[kind](data))
+        fields = _Fields(data)
+        rows[kind, topic].append((fields.header(), *DECODERS[kind](fields)))
     units = {topic: values for (kind, topic), values in rows.items() if kind == IMU}
     if not units:
         others = ", ".join(sorted({kind for kind, _ in rows})) or "none that is read"
@@ -140,7 +134,7 @@ def _in_order(rows: list[tuple[float, ...]]) -> np.ndarray:
 
 
 def _mcap_messages(path: Path) -> Iterator[_Message]:
-    """Yield the messages of KINDS in an MCAP file. Raises ConfigError.
+    """Yield the messages of DECODERS in an MCAP file. Raises ConfigError.
 
     A chunk states its size when unpacked; no more than that, and no more than MAX_CHUNK, is
     unpacked.
@@ -170,7 +164,7 @@ def _mcap_messages(path: Path) -> Iterator[_Message]:
                     schemas[record.id] = record.name
                 elif isinstance(record, Channel):
                     kind = schemas.get(record.schema_id, "")
-                    if record.message_encoding == "cdr" and kind in KINDS:
+                    if record.message_encoding == "cdr" and kind in DECODERS:
                         channels[record.id] = (record.topic, kind)
                     else:
                         other.add(f"{kind or 'no type'} ({record.message_encoding})")
@@ -181,7 +175,7 @@ def _mcap_messages(path: Path) -> Iterator[_Message]:
             raise ConfigError(f"a damaged MCAP file: {error or type(error).__name__}") from None
     if not found:
         raise ConfigError(
-            f"no message that is read ({', '.join(KINDS)}, serialised by CDR); the file has "
+            f"no message that is read ({', '.join(DECODERS)}, serialised by CDR); the file has "
             f"{', '.join(sorted(other)) or 'none'}"
         )
 
@@ -240,7 +234,7 @@ def _messages(path: Path) -> Iterator[_Message]:
 
 
 def _sqlite_messages(path: Path) -> Iterator[_Message]:
-    kinds = ", ".join(f"'{kind}'" for kind in KINDS)
+    kinds = ", ".join(f"'{kind}'" for kind in DECODERS)
     query = (
         "SELECT topics.name, topics.type, messages.data FROM messages JOIN topics "
         f"ON messages.topic_id = topics.id WHERE topics.type IN ({kinds}) "
