@@ -103,28 +103,21 @@ class Posterior:
         `which` is "left", "right", "mean" or "difference".
         """
         known = {"left": (1.0, 0.0), "right": (0.0, 1.0), "mean": (0.5, 0.5)}
-        weights = known.get(which, (1.0, -1.0))
-        return np.sqrt(_project_psd(self.error, *weights) / _project_psd(self.prior, *weights))
-
-    def variance(self) -> np.ndarray:
-        """Return the error variance (2,) [m²] of each wheel path within the frequencies `n`."""
-        return np.trapezoid(self.path_psd, self.n, axis=0)
+        a = np.array(known.get(which, (1.0, -1.0)))
+        # rounding may leave -1e-30
+        error, prior = (np.maximum(np.real(a @ x @ a), 0.0) for x in (self.error, self.prior))
+        return np.sqrt(error / prior)
 
     def nrmse(self) -> np.ndarray:
         """Return the RMS error relative to the RMS of the road (2,) [-], for each wheel path."""
         prior = np.real(self.prior[:, [0, 1], [0, 1]])
-        return np.sqrt(self.variance() / np.trapezoid(prior, self.n, axis=0))
+        error, road = (np.trapezoid(x, self.n, axis=0) for x in (self.path_psd, prior))
+        return np.sqrt(error / road)
 
     @cached_property
     def pooled(self) -> float:
         """`nrmse` of both wheel paths together [-], pooled as in the scores."""
         return float(np.sqrt(np.mean(self.nrmse() ** 2)))
-
-
-def _project_psd(spectrum: np.ndarray, left: float, right: float) -> np.ndarray:
-    """Return the density (F,) of the weighted sum `left` z_left + `right` z_right."""
-    a = np.array([left, right])
-    return np.maximum(np.real(a @ spectrum @ a), 0.0)  # rounding may leave -1e-30
 
 
 def posterior(
