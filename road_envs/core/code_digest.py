@@ -60,11 +60,6 @@ def cache_home() -> Path:
     return (home if usable else Path(tempfile.gettempdir())) / "road-recon"
 
 
-def code_digest(text: bytes) -> str:
-    """Digest of Python source without docstrings, comments and layout. Raises SyntaxError."""
-    return _parse(text).digest
-
-
 @cache
 def closure(*modules: str, root: Path = ROOT) -> tuple[Path, ...]:
     """Return the files of this project that `modules` reach by imports, their own among them."""
