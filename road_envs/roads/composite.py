@@ -143,12 +143,8 @@ class Scaled(_Modified):
     def realise(self, rng: np.random.Generator) -> Surface:
         surface = self.road.realise(rng)
         note = f"heights x {self.height_factor:g}, lengths x {self.length_factor:g}"
-        return Surface(
-            self.height_factor * surface.z,
-            self.length_factor * surface.ds,
-            name=f"{surface.name}, scaled",
-            notes=(*surface.notes, note),
-        )
+        z, ds = self.height_factor * surface.z, self.length_factor * surface.ds
+        return Surface(z, ds, name=f"{surface.name}, scaled", notes=(*surface.notes, note))
 
 
 @dataclass(frozen=True, kw_only=True)
