@@ -1,7 +1,5 @@
 """Speed, distance and position of a drive from what a table holds, at the times of the record."""
 
-from typing import NamedTuple
-
 import numpy as np
 import scipy
 
@@ -32,18 +30,14 @@ DISAGREEMENT = 0.25
 """Relative difference of two distances of a drive above which one of them is wrong."""
 
 
-class _DrivenMotion(NamedTuple):
-    """Speed `v` [m/s] and odometer `s` [m] (N,); latitude and longitude [°] (2, N) or None."""
-
-    v: np.ndarray
-    s: np.ndarray
-    position: np.ndarray | None
+_Motion = tuple[np.ndarray, np.ndarray, np.ndarray | None]
 
 
-def read_motion(channels: Channels, t_rows: np.ndarray, t: np.ndarray) -> _DrivenMotion | None:
+def read_motion(channels: Channels, t_rows: np.ndarray, t: np.ndarray) -> _Motion | None:
     """Return the motion at the times `t` (N,) of a table with rows at `t_rows` [s].
 
-    The distance is the odometer's, the integral of the speed, or the length of the track, in this
+    It is speed [m/s] and odometer [m] (N,), and latitude and longitude [°] (2, N) or None. The
+    distance is the odometer's, the integral of the speed, or the length of the track, in this
     order. Returns None if it is unknown, which is added to the problems.
     """
     findings = channels.findings
@@ -89,7 +83,7 @@ def read_motion(channels: Channels, t_rows: np.ndarray, t: np.ndarray) -> _Drive
     if v is None:
         v = np.maximum(np.gradient(_smoothed(distance, t, 1.0), t), 0.0)
     _check(t, v, distance, track, s is not None, findings)
-    return _DrivenMotion(v, distance, position) if len(findings.problems) == before else None
+    return (v, distance, position) if len(findings.problems) == before else None
 
 
 def _integrate(t: np.ndarray, v: np.ndarray) -> np.ndarray:
