@@ -85,8 +85,16 @@ def _of_zip(data: bytes) -> dict[str, bytes]:
             hint = "; archives inside an archive are not opened: unpack it" if nested else ""
             raise ConfigError(f"an archive without tables ({', '.join(READ)}){hint}")
         _check_total(sum(m.file_size for m in wanted))
-        for member in wanted:
-            _check_compression(member)
+        for m in wanted:
+            if m.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                raise ConfigError(f"{m.filename} is compressed by another method than deflate")
+            if m.flag_bits & 1:
+                raise ConfigError(f"{m.filename} is encrypted: unpack the archive")
+            if m.file_size > max(RATIO_FREE, MAX_RATIO * m.compress_size):
+                raise ConfigError(
+                    f"{m.filename} is more than {MAX_RATIO} times as large when unpacked: no "
+                    "recording"
+                )
         # at most the stated size is unpacked: `read` ends there and compares the checksum
         return {m.filename: archive.read(m) for m in wanted}
 
@@ -96,17 +104,6 @@ def _check_total(size: int) -> None:
         raise ConfigError(
             f"{size / 2**20:.0f} MiB of tables; at most {MAX_UNPACKED / 2**20:.0f} MiB are read: "
             "cut the recording into shorter drives"
-        )
-
-
-def _check_compression(member: zipfile.ZipInfo) -> None:
-    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise ConfigError(f"{member.filename} is compressed by another method than deflate")
-    if member.flag_bits & 1:
-        raise ConfigError(f"{member.filename} is encrypted: unpack the archive")
-    if member.file_size > max(RATIO_FREE, MAX_RATIO * member.compress_size):
-        raise ConfigError(
-            f"{member.filename} is more than {MAX_RATIO} times as large when unpacked: no recording"
         )
 
 
