@@ -262,14 +262,13 @@ class BoundTable:
         """Evaluate the bound for every pair of states and every speed."""
         v = np.unique(np.array(list(speeds), dtype=float))
         plant, locations = build_plant(car), instruments.locations(car)
-
-        def pooled_nrmse(front: str, rear: str, speed: float) -> float:
-            mode = {"front": front, "rear": rear}
+        nrmse = np.empty((len(modes), len(modes), v.size))
+        for i, j, k in np.ndindex(nrmse.shape):
+            mode, speed = {"front": modes[i], "rear": modes[j]}, float(v[k])
             n = np.linspace(*scored_band(speed), N_FREQUENCIES // 4)
-            return bound(plant, mode, speed, instruments, prior, n=n, locations=locations).pooled
-
-        table = [[[pooled_nrmse(f, r, speed) for speed in v] for r in modes] for f in modes]
-        return cls(modes, v, np.array(table))
+            found = bound(plant, mode, speed, instruments, prior, n=n, locations=locations)
+            nrmse[i, j, k] = found.pooled
+        return cls(modes, v, nrmse)
 
     def interpolate(self, front: str, rear: str, v: float) -> float:
         """Return the bound [-] for a pair of states at `v` [m/s], interpolated over speed."""

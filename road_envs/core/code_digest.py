@@ -114,11 +114,10 @@ def _find_source(module: str, root: Path = ROOT) -> Path | None:
 
 def _is_text(statement: ast.AST) -> bool:
     """Return True for a bare string: a docstring of a module, class, function or name."""
-    return (
-        isinstance(statement, ast.Expr)
-        and isinstance(statement.value, ast.Constant)
-        and isinstance(statement.value.value, str)
-    )
+    match statement:
+        case ast.Expr(value=ast.Constant(value=str())):
+            return True
+    return False
 
 
 def _source(path: Path) -> _Source:
