@@ -16,7 +16,7 @@ the rear, roll does not respond at n = (2 k + 1) / (2 wheelbase); with unequal s
 
 R = N² v with the noise density N of the sensors. A `model_error` m adds independent noise of m
 times the road-induced signal to each sensor, R_ii = N² v + m² (H S H*)_ii: the model is wrong by
-that share, independently in each sensor. Above the low-pass `f_c` the response is zero.
+that share, independently in each sensor. Above the low-pass F_C the response is zero.
 
 Dampers and friction are replaced by the linear damping of least mean square error for a Gaussian
 rate of extension, whose standard deviation depends on road, speed and the damping itself
@@ -170,14 +170,13 @@ def measurement(
     locations: Mapping[str, tuple[Any, ...]] | None = None,
     damping: np.ndarray | None = None,
     residual_as_noise: bool = False,
-    f_c: float = F_C,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return response H (F, S, 2) and noise spectrum R (F, S, S) of the sensors at `n` (F,).
 
     `locations`, as in `linearise`, replace those of the `instruments`. `damping` (4,) [N s/m] of
     the struts is `equivalent_damping` by default. With `residual_as_noise` the nonlinear residual
     of the strut forces adds to the noise, which gives the bound of purely linear estimators. Above
-    `f_c` [Hz] nothing is measured.
+    the low-pass of F_C [Hz] nothing is measured.
     """
     if damping is None:
         damping = equivalent_damping(car, mode, v, prior)
@@ -187,7 +186,7 @@ def measurement(
         locations = instruments.locations(car)
     model = linearise(car, mode, locations, damping=damping, speed=v)
     H = frequency_response(model, v, n=n)
-    H[n * v > f_c] = 0.0
+    H[n * v > F_C] = 0.0
     # density over n; the lower limit keeps R regular for noise-free instruments
     own = dict(zip(instruments.accelerometers, instruments.noise_densities, strict=True))
     densities = np.array([own.get(name, instruments.noise_density) for name in locations])
