@@ -68,8 +68,6 @@ def read_table(path: Path) -> Table:
 
 def parse_text(data: bytes) -> Table:
     """Return the columns of a table of text by header. Raises ConfigError, ValueError."""
-    if len(data) > MAX_BYTES:
-        raise ConfigError(f"{len(data) / 2**20:.0f} MiB; at most {MAX_BYTES / 2**20:.0f} are read")
     return _by_header(_parse_table(data))
 
 

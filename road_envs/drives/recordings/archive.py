@@ -1,6 +1,7 @@
 """Zip files and folders of recording apps, bounded whatever they claim, and tables in them."""
 
 import io
+import posixpath
 import zipfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path, PurePosixPath
@@ -26,8 +27,6 @@ READ = (".csv", ".json", ".txt", ".gpx")  # ends of the names of members that ar
 
 def is_zip(path: Path) -> bool:
     """Whether a file begins as a zip file does, and is no spreadsheet of one."""
-    if path.is_dir():
-        return False
     with path.open("rb") as file:
         if file.read(4) != ZIP:
             return False
@@ -47,12 +46,8 @@ def read_members(path: Path) -> Mapping[str, bytes]:
     members = _of_folder(path) if path.is_dir() else _of_zip(path.read_bytes())
     names = [PurePosixPath(name) for name in members]
     # apps put everything into one folder named after the recording, or into none
-    while (
-        names
-        and len({name.parts[0] for name in names}) == 1
-        and all(len(name.parts) > 1 for name in names)
-    ):
-        names = [PurePosixPath(*name.parts[1:]) for name in names]
+    common = posixpath.commonpath([name.parent for name in names] or [PurePosixPath()])
+    names = [name.relative_to(common) for name in names]
     return dict(zip(map(str, names), members.values(), strict=True))
 
 
