@@ -52,12 +52,11 @@ class _Source(NamedTuple):
 def cache_home() -> Path:
     """Folder for what can be computed again: XDG_CACHE_HOME, ~/.cache or the temporary folder."""
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    try:
+    with suppress(OSError):
         home.mkdir(parents=True, exist_ok=True)
-        usable = os.access(home, os.W_OK)
-    except OSError:
-        usable = False
-    return (home if usable else Path(tempfile.gettempdir())) / "road-recon"
+        if os.access(home, os.W_OK):
+            return home / "road-recon"
+    return Path(tempfile.gettempdir()) / "road-recon"
 
 
 @cache
