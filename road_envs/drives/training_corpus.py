@@ -114,7 +114,7 @@ class Corpus(Settings):
         instruments = dataclasses.replace(self.sensors, noise_density=density, speed_error=0.0)
         record, truth = simulate_record(
             surface,
-            vehicle=perturb_parameters(self.vehicle, rng, deviation_scale),
+            vehicle=_perturb_parameters(self.vehicle, rng, deviation_scale),
             speed_kmh=float(np.exp(rng.uniform(*np.log([self.slowest_kmh, self.fastest_kmh])))),
             mode=mode,
             instruments=instruments,
@@ -209,7 +209,7 @@ def _draw_modes(rng: np.random.Generator) -> tuple[str, str]:
     return str(front), str(rear)
 
 
-def perturb_parameters(
+def _perturb_parameters(
     car: VehicleParameters, rng: np.random.Generator, deviation_scale: float
 ) -> VehicleParameters:
     """Return a randomly perturbed vehicle.
