@@ -33,20 +33,11 @@ LARGEST_MEMORY = 1000  # most files that are remembered from one process to the 
 class _Source(NamedTuple):
     """One Python file: digest of its code, and what it imports of this project.
 
-    `imports` holds "a" for `import a` and "a:b" for `from a import b`.
+    `imports` holds "a" for `import a` and "a:b" for `from a import b`: a.b, or a if b is no module.
     """
 
     digest: str
     imports: tuple[str, ...]
-
-    def files(self, root: Path) -> list[Path]:
-        """Files that it imports: of "a:b" the module a.b, or a where b is none."""
-        found = []
-        for name in self.imports:
-            module, _, inner = name.partition(":")
-            path = inner and _find_source(f"{module}.{inner}", root)
-            found.append(path or _find_source(module, root))
-        return [path for path in found if path]
 
 
 def cache_home() -> Path:
@@ -63,12 +54,13 @@ def cache_home() -> Path:
 def closure(*modules: str, root: Path = ROOT) -> tuple[Path, ...]:
     """Return the files of this project that `modules` reach by imports, their own among them."""
     found: dict[Path, None] = {}
-    front = [path for module in modules if (path := _find_source(module, root))]
+    front = list(modules)
     while front:
-        path = front.pop()
-        if path not in found:
+        module, _, inner = front.pop().partition(":")
+        path = (inner and _find_source(f"{module}.{inner}", root)) or _find_source(module, root)
+        if path and path not in found:
             found[path] = None
-            front += _source(path).files(root)
+            front += _source(path).imports
     _save_memory()
     return tuple(found)
 

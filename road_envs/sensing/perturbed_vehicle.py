@@ -183,7 +183,6 @@ class PerturbedVehicle:
     `step` [s]: longest step of the integrator.
     """
 
-    grade: str
     car: VehicleParameters
     faults: SensorFaults = NO_FAULTS
     step: float = np.inf
@@ -217,7 +216,7 @@ def perturb_vehicle(
     if position_noise and level < INSTRUMENT_LEVEL:
         raise ConfigError(f"position noise needs the position fixes of grade S3 or S4, got {grade}")
     if level == 0:
-        return PerturbedVehicle(grade, car)
+        return PerturbedVehicle(car)
     mismatch = load_plant_mismatch() if plant_mismatch is None else plant_mismatch
     root = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
 
@@ -236,7 +235,7 @@ def perturb_vehicle(
         faults = replace(faults, position_noise=std, position_correlation_time=time)
     if level >= SIDE_LEVEL and mismatch.side is not None:
         car = _with_side_motion(car, mismatch.side, stream(SIDE_LEVEL))
-    return PerturbedVehicle(grade, car, faults, mismatch.step)
+    return PerturbedVehicle(car, faults, mismatch.step)
 
 
 def _four_factors(rng: np.random.Generator, most: float) -> PerWheel:
