@@ -150,16 +150,6 @@ class Defect(Settings):
                 f"{self.height} m and a growth of {self.growth} over {self.count} defects"
             )
 
-    @property
-    def middles(self) -> np.ndarray:
-        """Stations (count,) [m] of the middles of the row."""
-        return self.at + self.spacing * np.arange(self.count)
-
-    @property
-    def heights(self) -> np.ndarray:
-        """Heights (count,) [m] of the row."""
-        return self.height * self.growth ** np.arange(self.count)
-
     def unit_height(self, distance: np.ndarray) -> np.ndarray:
         """Return the height relative to crest or floor at `distance` [m] from the middle."""
         if self.shape == "pothole":
@@ -190,7 +180,9 @@ class Defects(Settings):
     def realise(self, rng: np.random.Generator) -> Surface:
         s, z = _flat_road_grid(self.length)
         for defect in self.defects:
-            for middle, height in zip(defect.middles, defect.heights, strict=True):
+            row = np.arange(defect.count)
+            middles, heights = defect.at + defect.spacing * row, defect.height * defect.growth**row
+            for middle, height in zip(middles, heights, strict=True):
                 near = _footprint(s, middle, defect.length)
                 z[SIDES[defect.side], near] += height * defect.unit_height(s[near] - middle)
         return Surface(z, SAMPLE_SPACING, name=self.name)
