@@ -33,7 +33,7 @@ from typing import NamedTuple
 import yaml
 
 from road_envs.core.atomic_io import write_text
-from road_envs.core.code_digest import _find_source, cache_home, closure, code_digest, digest
+from road_envs.core.code_digest import _find_source, _parse, cache_home, closure, digest
 
 ROOT = Path(__file__).resolve().parent.parent
 COPIED = (
@@ -72,12 +72,12 @@ class Fault(NamedTuple):
         path = ROOT / self.file
         text = path.read_text("utf-8")
         if path.suffix == ".py" and text.count(self.old) == 1:
-            text = code_digest(ast.unparse(statements_at(text, self.old)[0]).encode())
+            text = _parse(ast.unparse(statements_at(text, self.old)[0]).encode()).digest
         tree = ast.parse(test_file(ROOT, self.tests).read_text("utf-8"))
         name = self.tests.split("::")[1].partition("[")[0]
         functions = (n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef))
         function = next(n for n in functions if n.name == name)
-        return short_digest(text, code_digest(ast.unparse(function).encode()))
+        return short_digest(text, _parse(ast.unparse(function).encode()).digest)
 
 
 class Verdict(NamedTuple):

@@ -16,7 +16,7 @@ the rear, roll does not respond at n = (2 k + 1) / (2 wheelbase); with unequal s
 
 R = N² v with the noise density N of the sensors. A `model_error` m adds independent noise of m
 times the road-induced signal to each sensor, R_ii = N² v + m² (H S H*)_ii: the model is wrong by
-that share, independently in each sensor. Above the low-pass `f_c` the response is zero.
+that share, independently in each sensor. Above the low-pass F_C the response is zero.
 
 Dampers and friction are replaced by the linear damping of least mean square error for a Gaussian
 rate of extension, whose standard deviation depends on road, speed and the damping itself
@@ -103,28 +103,21 @@ class Posterior:
         `which` is "left", "right", "mean" or "difference".
         """
         known = {"left": (1.0, 0.0), "right": (0.0, 1.0), "mean": (0.5, 0.5)}
-        weights = known.get(which, (1.0, -1.0))
-        return np.sqrt(_project_psd(self.error, *weights) / _project_psd(self.prior, *weights))
-
-    def variance(self) -> np.ndarray:
-        """Return the error variance (2,) [m²] of each wheel path within the frequencies `n`."""
-        return np.trapezoid(self.path_psd, self.n, axis=0)
+        a = np.array(known.get(which, (1.0, -1.0)))
+        # rounding may leave -1e-30
+        error, prior = (np.maximum(np.real(a @ x @ a), 0.0) for x in (self.error, self.prior))
+        return np.sqrt(error / prior)
 
     def nrmse(self) -> np.ndarray:
         """Return the RMS error relative to the RMS of the road (2,) [-], for each wheel path."""
         prior = np.real(self.prior[:, [0, 1], [0, 1]])
-        return np.sqrt(self.variance() / np.trapezoid(prior, self.n, axis=0))
+        error, road = (np.trapezoid(x, self.n, axis=0) for x in (self.path_psd, prior))
+        return np.sqrt(error / road)
 
     @cached_property
     def pooled(self) -> float:
         """`nrmse` of both wheel paths together [-], pooled as in the scores."""
         return float(np.sqrt(np.mean(self.nrmse() ** 2)))
-
-
-def _project_psd(spectrum: np.ndarray, left: float, right: float) -> np.ndarray:
-    """Return the density (F,) of the weighted sum `left` z_left + `right` z_right."""
-    a = np.array([left, right])
-    return np.maximum(np.real(a @ spectrum @ a), 0.0)  # rounding may leave -1e-30
 
 
 def posterior(
@@ -177,14 +170,13 @@ def measurement(
     locations: Mapping[str, tuple[Any, ...]] | None = None,
     damping: np.ndarray | None = None,
     residual_as_noise: bool = False,
-    f_c: float = F_C,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return response H (F, S, 2) and noise spectrum R (F, S, S) of the sensors at `n` (F,).
 
     `locations`, as in `linearise`, replace those of the `instruments`. `damping` (4,) [N s/m] of
     the struts is `equivalent_damping` by default. With `residual_as_noise` the nonlinear residual
     of the strut forces adds to the noise, which gives the bound of purely linear estimators. Above
-    `f_c` [Hz] nothing is measured.
+    the low-pass of F_C [Hz] nothing is measured.
     """
     if damping is None:
         damping = equivalent_damping(car, mode, v, prior)
@@ -194,7 +186,7 @@ def measurement(
         locations = instruments.locations(car)
     model = linearise(car, mode, locations, damping=damping, speed=v)
     H = frequency_response(model, v, n=n)
-    H[n * v > f_c] = 0.0
+    H[n * v > F_C] = 0.0
     # density over n; the lower limit keeps R regular for noise-free instruments
     own = dict(zip(instruments.accelerometers, instruments.noise_densities, strict=True))
     densities = np.array([own.get(name, instruments.noise_density) for name in locations])
@@ -269,14 +261,13 @@ class BoundTable:
         """Evaluate the bound for every pair of states and every speed."""
         v = np.unique(np.array(list(speeds), dtype=float))
         plant, locations = build_plant(car), instruments.locations(car)
-
-        def pooled_nrmse(front: str, rear: str, speed: float) -> float:
-            mode = {"front": front, "rear": rear}
+        nrmse = np.empty((len(modes), len(modes), v.size))
+        for i, j, k in np.ndindex(nrmse.shape):
+            mode, speed = {"front": modes[i], "rear": modes[j]}, float(v[k])
             n = np.linspace(*scored_band(speed), N_FREQUENCIES // 4)
-            return bound(plant, mode, speed, instruments, prior, n=n, locations=locations).pooled
-
-        table = [[[pooled_nrmse(f, r, speed) for speed in v] for r in modes] for f in modes]
-        return cls(modes, v, np.array(table))
+            found = bound(plant, mode, speed, instruments, prior, n=n, locations=locations)
+            nrmse[i, j, k] = found.pooled
+        return cls(modes, v, nrmse)
 
     def interpolate(self, front: str, rear: str, v: float) -> float:
         """Return the bound [-] for a pair of states at `v` [m/s], interpolated over speed."""

@@ -169,26 +169,21 @@ def nan_to_none(value: Any) -> Any:
     return value
 
 
-def _is_artifact(path: Path) -> bool:
-    """Tell whether a file is an undamaged artifact of any kind and format."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, ValueError):
-        return False
-    start = len(CHECKSUM_PREFIX)
-    return text.startswith(CHECKSUM_PREFIX) and _text_checksum(text) == text[start : start + 64]
-
-
 def clean(folder: Path, delete: bool = True) -> list[Path]:
     """Delete the undamaged artifacts below `folder` that other code has made; returns their paths.
 
     Files that are no artifacts, or say nothing of their code, stay. With `delete` False all stay.
     """
     found = []
-    for path in filter(_is_artifact, sorted(folder.rglob("*.json"))):
-        digest_then, *modules = json.loads(path.read_text(encoding="utf-8")).get("made_by") or [""]
-        if modules and digest_then != code_version(*modules):
-            found.append(path)
+    for path in sorted(folder.rglob("*.json")):
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, ValueError):
+            continue
+        if text.startswith(f"{CHECKSUM_PREFIX}{_text_checksum(text)}"):
+            digest_then, *modules = json.loads(text).get("made_by") or [""]
+            if modules and digest_then != code_version(*modules):
+                found.append(path)
     for path in found if delete else ():
         path.unlink(missing_ok=True)
     return found

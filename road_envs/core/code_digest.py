@@ -33,48 +33,34 @@ LARGEST_MEMORY = 1000  # most files that are remembered from one process to the 
 class _Source(NamedTuple):
     """One Python file: digest of its code, and what it imports of this project.
 
-    `imports` holds "a" for `import a` and "a:b" for `from a import b`.
+    `imports` holds "a" for `import a` and "a:b" for `from a import b`: a.b, or a if b is no module.
     """
 
     digest: str
     imports: tuple[str, ...]
 
-    def files(self, root: Path) -> list[Path]:
-        """Files that it imports: of "a:b" the module a.b, or a where b is none."""
-        found = []
-        for name in self.imports:
-            module, _, inner = name.partition(":")
-            path = inner and _find_source(f"{module}.{inner}", root)
-            found.append(path or _find_source(module, root))
-        return [path for path in found if path]
-
 
 def cache_home() -> Path:
     """Folder for what can be computed again: XDG_CACHE_HOME, ~/.cache or the temporary folder."""
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    try:
+    with suppress(OSError):
         home.mkdir(parents=True, exist_ok=True)
-        usable = os.access(home, os.W_OK)
-    except OSError:
-        usable = False
-    return (home if usable else Path(tempfile.gettempdir())) / "road-recon"
-
-
-def code_digest(text: bytes) -> str:
-    """Digest of Python source without docstrings, comments and layout. Raises SyntaxError."""
-    return _parse(text).digest
+        if os.access(home, os.W_OK):
+            return home / "road-recon"
+    return Path(tempfile.gettempdir()) / "road-recon"
 
 
 @cache
 def closure(*modules: str, root: Path = ROOT) -> tuple[Path, ...]:
     """Return the files of this project that `modules` reach by imports, their own among them."""
     found: dict[Path, None] = {}
-    front = [path for module in modules if (path := _find_source(module, root))]
+    front = list(modules)
     while front:
-        path = front.pop()
-        if path not in found:
+        module, _, inner = front.pop().partition(":")
+        path = (inner and _find_source(f"{module}.{inner}", root)) or _find_source(module, root)
+        if path and path not in found:
             found[path] = None
-            front += _source(path).files(root)
+            front += _source(path).imports
     _save_memory()
     return tuple(found)
 
@@ -119,11 +105,10 @@ def _find_source(module: str, root: Path = ROOT) -> Path | None:
 
 def _is_text(statement: ast.AST) -> bool:
     """Return True for a bare string: a docstring of a module, class, function or name."""
-    return (
-        isinstance(statement, ast.Expr)
-        and isinstance(statement.value, ast.Constant)
-        and isinstance(statement.value.value, str)
-    )
+    match statement:
+        case ast.Expr(value=ast.Constant(value=str())):
+            return True
+    return False
 
 
 def _source(path: Path) -> _Source:

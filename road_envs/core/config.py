@@ -255,9 +255,8 @@ def _describe(errors: Sequence[Mapping[str, Any]], cls: type) -> str:
         errors,
         key=lambda e: (e["type"] != UNKNOWN_KEY, e["type"] != "value_error" and not _range_of(e)),
     )
-    places = {_place(e, cls) for e in errors}
-    loc, value = _place(first, cls), first["input"]
-    hint, _, notes = _field_at(cls, first["loc"])
+    places = {_field_of(error, cls)[1] for error in errors}
+    (hint, loc, notes), value = _field_of(first, cls), first["input"]
     if first["type"] == UNKNOWN_KEY:
         owner = _bare(hint)
         fields = dataclasses.fields(owner) if dataclasses.is_dataclass(owner) else ()
@@ -307,13 +306,6 @@ def _expected(error: Mapping[str, Any]) -> str:
     return f"must be {expected}" if expected else "is of a wrong kind"
 
 
-def _place(error: Mapping[str, Any], cls: type) -> tuple[Any, ...]:
-    """Return the location of an error, without the branches of unions."""
-    loc = error["loc"]
-    place = _field_at(cls, loc)[1]
-    return (*place, loc[-1]) if error["type"] == UNKNOWN_KEY else place
-
-
 def _range_of(error: Mapping[str, Any]) -> str:
     """Return the range that a value is outside of; empty if the error is another one."""
     match error["type"], error.get("ctx"):
@@ -334,16 +326,16 @@ def _range_of(error: Mapping[str, Any]) -> str:
     return ""
 
 
-def _field_at(cls: Any, loc: Sequence[str | int]) -> tuple[Any, tuple[str | int, ...], list[str]]:
-    """Return the annotation at `loc`, its place, and the unit and meaning of its field.
+def _field_of(error: Mapping[str, Any], cls: type) -> tuple[Any, tuple[Any, ...], list[str]]:
+    """Return the annotation of what is wrong, its place, and the unit and meaning of its field.
 
-    The place has the parts of `loc` that are a field, a key or an index, not those that are
-    branches of unions.
+    The place has the parts of the error's location that are a field, a key or an index, not those
+    that are branches of unions.
     """
     hint: Any = cls
-    place: tuple[str | int, ...] = ()
+    place: tuple[Any, ...] = ()
     notes: list[str] = []
-    for part in loc:
+    for part in error["loc"]:
         if (branch := _tagged(hint).get(part)) is not None:
             hint = branch
             continue
@@ -357,6 +349,8 @@ def _field_at(cls: Any, loc: Sequence[str | int]) -> tuple[Any, tuple[str | int,
             hint, place = types[part], (*place, part)
             own = [n for n in getattr(hint, "__metadata__", ()) if isinstance(n, str)]
             notes = own or notes
+    if error["type"] == UNKNOWN_KEY:
+        place = (*place, error["loc"][-1])
     return hint, place, notes
 
 

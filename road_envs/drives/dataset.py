@@ -3,6 +3,7 @@
 import hashlib
 import json
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -40,7 +41,7 @@ def write_dataset(
     for split in dict.fromkeys(CYCLE):
         chosen = [k for k in range(corpus.number) if CYCLE[k % len(CYCLE)] == split]
         writers: dict[str, Any] = {}
-        try:
+        with ExitStack() as stack:
             for k in chosen:
                 progress(f"simulating drive {k}", len(rows) / corpus.number)
                 record, truth, _ = corpus.simulate_drive(k)
@@ -52,11 +53,8 @@ def write_dataset(
                     table = pa.table(columns)
                     if name not in writers:
                         path = folder / f"{split}_{name}.parquet"
-                        writers[name] = pq.ParquetWriter(path, table.schema)
+                        writers[name] = stack.enter_context(pq.ParquetWriter(path, table.schema))
                     writers[name].write_table(table)
-        finally:
-            for writer in writers.values():
-                writer.close()
     rows.sort(key=lambda row: row["drive"])
     pq.write_table(pa.Table.from_pylist(rows), folder / "drives.parquet")
     facts = {

@@ -143,8 +143,8 @@ def to_measured_record(
         raise ConfigError(
             f"{share:.0%} of the samples are lost; at most {MAX_LOST_SHARE:.0%} may be"
         )
-    v, s = (np.interp(even, t - start, x) for x in (motion.v, motion.s))
-    position = motion.position
+    v, s, position = motion
+    v, s = (np.interp(even, t - start, x) for x in (v, s))
     if position is not None:
         position = np.array([np.interp(even, t - start, x) for x in position])
     before = np.searchsorted(clock.t - start, even + 0.5 * dt) - 1  # a state holds until the next

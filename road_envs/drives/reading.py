@@ -93,8 +93,9 @@ def read_drives(
     described = read_description(description) if isinstance(description, Path) else description
     chosen = (described or DriveDescription()).updated(**changes)
     if path.exists() and not path.is_dir() and is_record(path):
-        given = [key for key, value in changes.items() if value is not None]
-        return [_read_record(path, chosen, given, described is not None, track)]
+        options = {**changes, "track": track}
+        given = [key for key, value in options.items() if value is not None]
+        return [_read_record(path, chosen, given, described is not None)]
     source = read_source(path, chosen)
     if not isinstance(source, Recording):
         if track is not None:
@@ -149,7 +150,7 @@ def _read_table(path: Path, table: Any, chosen: DriveDescription) -> DriveFile:
 
 
 def _read_record(
-    path: Path, chosen: DriveDescription, given: list[str], is_described: bool, track: Path | None
+    path: Path, chosen: DriveDescription, given: list[str], is_described: bool
 ) -> DriveFile:
     """Read a record of this package, which takes a vehicle and instruments only.
 
@@ -157,9 +158,8 @@ def _read_record(
     one: a record may come from anybody, so no file is opened that it names.
     """
     needless = [key for key in given if key not in ("vehicle", "sensors")]
-    if needless or is_described or track:
-        options = [*needless, *(["track"] if track else [])]
-        left = ", ".join(f"--{x.replace('_', '-')}" for x in options) or "the description"
+    if needless or is_described:
+        left = ", ".join(f"--{x.replace('_', '-')}" for x in needless) or "the description"
         raise ConfigError(f"{path} contains all that belongs to the drive: leave out {left}")
     record, provenance = read_record(path)
     simulated, notes = provenance.get("vehicle"), tuple[str, ...]()

@@ -23,7 +23,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
@@ -50,14 +50,6 @@ GRADE_SHARES = {"S0": 0.66, "S1": 0.06, "S2": 0.14, "S3": 0.14}
 
 WHEEL_PATHS: tuple[Literal["left", "right", "both"], ...] = ("left", "right", "both", "both")
 ATTEMPTS = 10  # number of drives that are tried if the simulation fails
-
-
-class _CorpusDrive(NamedTuple):
-    """A record, its true profile, and whether the vehicle's body neither twists nor bends."""
-
-    record: Record
-    truth: Profile
-    rigid: bool
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,8 +86,8 @@ class Corpus(Settings):
         """The nominal instruments."""
         return load_instruments(self.instruments)
 
-    def simulate_drive(self, k: int, nominal: bool = False) -> _CorpusDrive:
-        """Simulate drive `k`: record, true profile, and whether the body is rigid.
+    def simulate_drive(self, k: int, nominal: bool = False) -> tuple[Record, Profile, bool]:
+        """Simulate drive `k`: record, true profile, and whether the body neither twists nor bends.
 
         Every call gives the same. With `nominal` the nominal vehicle and instruments drive over the
         same road in the same mode. Raises SimulationError if all attempts fail.
@@ -108,7 +100,7 @@ class Corpus(Settings):
                 last_error = error
         raise last_error
 
-    def _simulate(self, rng: np.random.Generator, nominal: bool) -> _CorpusDrive:
+    def _simulate(self, rng: np.random.Generator, nominal: bool) -> tuple[Record, Profile, bool]:
         length = 10.0 * rng.integers(self.shortest // 10, self.longest // 10 + 1)
         surface = _draw_road(rng, length).realise(rng)
         front, rear = _draw_modes(rng)  # drawn for every car, so that seeds keep their roads
@@ -122,7 +114,7 @@ class Corpus(Settings):
         instruments = dataclasses.replace(self.sensors, noise_density=density, speed_error=0.0)
         record, truth = simulate_record(
             surface,
-            vehicle=perturb_parameters(self.vehicle, rng, deviation_scale),
+            vehicle=_perturb_parameters(self.vehicle, rng, deviation_scale),
             speed_kmh=float(np.exp(rng.uniform(*np.log([self.slowest_kmh, self.fastest_kmh])))),
             mode=mode,
             instruments=instruments,
@@ -130,8 +122,7 @@ class Corpus(Settings):
             seed=np.random.SeedSequence(rng.integers(2**32, size=4).tolist()),
         )
         gains = 1.0 + 0.01 * deviation_scale * rng.standard_normal((3, 1))
-        record = dataclasses.replace(record, a=gains * record.a)
-        return _CorpusDrive(record, truth, rigid=grade in ("S0", "S1"))
+        return dataclasses.replace(record, a=gains * record.a), truth, grade in ("S0", "S1")
 
 
 def drives_in_mode(
@@ -223,7 +214,7 @@ def _draw_modes(rng: np.random.Generator) -> tuple[str, str]:
     return str(front), str(rear)
 
 
-def perturb_parameters(
+def _perturb_parameters(
     car: VehicleParameters, rng: np.random.Generator, deviation_scale: float
 ) -> VehicleParameters:
     """Return a randomly perturbed vehicle.

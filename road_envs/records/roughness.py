@@ -141,10 +141,7 @@ def fit_line(
 
 def roughness_class(G_d0: float) -> str:
     """Return the class "A" to "H" of a road with the density `G_d0` [m³] at n0."""
-    for name, mean in CLASSES.items():
-        if G_d0 < 2.0 * mean:
-            return name
-    return "H"
+    return next((name for name, mean in CLASSES.items() if G_d0 < 2.0 * mean), "H")
 
 
 def octave_levels(
@@ -247,13 +244,12 @@ def profile_indices(z: np.ndarray, ds: float, segment: float) -> list[dict[str, 
     if length < 11.0:
         raise ValueError(f"a profile of {length:.3g} m; the IRI needs at least 11 m")
     motion = 1e3 * np.abs(golden_car(np.stack([z[0], z[1], z.mean(axis=0)]), ds))
-    count = max(1, int(length / segment + 0.5)) if np.isfinite(segment) else 1
-    edges = [k * segment for k in range(count)] if count > 1 else [0.0]
-    index = [min(round(edge / ds), motion.shape[1]) for edge in edges] + [motion.shape[1]]
+    count = int(length / segment + 0.5)
+    edges = [0.0, *(k * segment for k in range(1, count)), length]
     rows = []
-    for k, (i, j) in enumerate(itertools.pairwise(index)):
-        left, right, half = motion[:, i:j].mean(axis=1)
-        end = edges[k + 1] if k + 1 < count else length
-        rows.append({"begin_m": edges[k], "end_m": end, "left": float(left), "right": float(right),
+    for begin, end in itertools.pairwise(edges):
+        last = None if end == length else round(end / ds)
+        left, right, half = motion[:, round(begin / ds) : last].mean(axis=1)
+        rows.append({"begin_m": begin, "end_m": end, "left": float(left), "right": float(right),
                      "mean": 0.5 * float(left + right), "half_car": float(half)})  # fmt: skip
     return rows

@@ -24,11 +24,6 @@ def normalise(unit: str) -> str:
     return _TABLES["spellings"].get(text, text)
 
 
-def is_unit(text: str) -> bool:
-    """Return whether a text is a unit of any kind of quantity."""
-    return any(normalise(text) in factors for factors in FACTORS.values())
-
-
 def factor(kind: str, unit: str) -> float:
     """Return the factor from `unit` to that of SI (degrees for angles). Raises ConfigError."""
     known = FACTORS[kind]

@@ -34,15 +34,6 @@ class Road(Protocol):
         ...
 
 
-@runtime_checkable
-class _Resizable(Protocol):
-    """A road whose length is that of an inner road plus or times a constant."""
-
-    def with_length(self, length: float) -> Road:
-        """Return the road with another length [m]."""
-        ...
-
-
 def load_road(source: str | Path | Mapping[str, Any] | Road) -> Road:
     """Load a road from a shipped name ("iso_d"), a YAML path, a surface file or a mapping.
 
@@ -103,9 +94,9 @@ def with_length(road: Road, length: float) -> Road:
     """
     if isinstance(length, bool) or not isinstance(length, int | float):
         raise ConfigError(f"length must be a number, got {length!r}")
-    if isinstance(road, _Resizable):
-        return road.with_length(length)
     settings: Any = road
+    if hasattr(road, "with_length"):  # its length is that of an inner road plus or times a constant
+        return settings.with_length(length)
     if "length" not in {f.name for f in dataclasses.fields(settings)}:
         kind = {cls: kind for kind, cls in KINDS.items()}.get(type(road), type(road).__name__)
         raise ConfigError(f"the length of a {kind} road follows from its other settings")

@@ -17,17 +17,16 @@ import numpy as np
 import scipy
 from pydantic import Field
 
-from road_envs.core.config import Finite, NonNegative, Positive, Settings
-from road_envs.records.roughness import N_0, TRACK, TrackWidth, root_coherence
-from road_envs.roads.iso8608 import cell_edges, check_band, power_law, synthesise
-from road_envs.roads.surface import DEFAULT_LENGTH, RoadLength, SampleSpacing, Surface
+from road_envs.core.config import Finite, NonNegative, Positive
+from road_envs.records.roughness import N_0, root_coherence
+from road_envs.roads.iso8608 import SpectralRoad, power_law
+from road_envs.roads.surface import Surface
 
 
 @dataclass(frozen=True, kw_only=True)
-class Belgian(Settings):
+class Belgian(SpectralRoad):
     """A random paving similar to the paper's."""
 
-    length: RoadLength = DEFAULT_LENGTH
     G_d0: Annotated[Positive, "m³", "base at n0; centre of class D at 0.77 cycles/m"] = 0.00139
     w: Annotated[Positive, "", "waviness of the base"] = 2.15
     n_above: Annotated[Positive, "cycles/m", "frequency beyond which the base is steeper"] = 3.0
@@ -37,13 +36,9 @@ class Belgian(Settings):
     peak: Annotated[Finite, Field(gt=1), "", "density at n_cobble over that of the base"] = 6.0
     coherence: Annotated[NonNegative, "", "coherence (squared) of the paths at n_cobble"] = 0.22
     n_min: Annotated[Positive, "cycles/m", "lower end of the band [assumed]"] = 0.05
-    n_max: Annotated[Positive, "cycles/m", "upper end of the band"] = 10.0
-    track: TrackWidth = TRACK
-    ds: SampleSpacing = 0.01
 
     def __post_init__(self):
         super().__post_init__()
-        check_band(self)
         if self._cobble_coherence > 1.0:
             limit = (1.0 - 1.0 / self.peak) ** 2
             raise ValueError(f"coherence must be within 0 and {limit:.3g}, got {self.coherence}")
@@ -54,13 +49,13 @@ class Belgian(Settings):
         return np.sqrt(self.coherence) / (1.0 - 1.0 / self.peak)
 
     def realise(self, rng: np.random.Generator) -> Surface:
-        edges = cell_edges(self)
+        edges = self._cell_edges()
         n = 0.5 * (edges[1:] + edges[:-1])
         base, cobbles = self._base(edges), self._cobbles(edges)
         power = base + cobbles
         shared = root_coherence(n, self.w, self.track) * base + self._cobble_coherence * cobbles
         g = shared / np.where(power > 0.0, power, 1.0)  # the last cell can have no width
-        return synthesise(rng, self, edges, power, g, "belgian")
+        return self._synthesise(rng, power, g, "belgian")
 
     def _base(self, edges: np.ndarray) -> np.ndarray:
         """Return the power [m²] of the base in each cell between `edges`."""

@@ -78,7 +78,7 @@ class NoisyCopy(_Modified):
 
     def realise(self, rng: np.random.Generator) -> Surface:
         """Draw the road and the noise, each from its own random stream."""
-        road_rng, noise_rng = _spawn_streams(rng, 2)
+        road_rng, noise_rng = map(np.random.default_rng, rng.integers(2**63, size=2))
         surface = self.road.realise(road_rng)
         s, ds, start = surface.s, surface.ds, surface.start
         # on a finer grid white noise would be steps too short for a wheel to follow
@@ -143,12 +143,8 @@ class Scaled(_Modified):
     def realise(self, rng: np.random.Generator) -> Surface:
         surface = self.road.realise(rng)
         note = f"heights x {self.height_factor:g}, lengths x {self.length_factor:g}"
-        return Surface(
-            self.height_factor * surface.z,
-            self.length_factor * surface.ds,
-            name=f"{surface.name}, scaled",
-            notes=(*surface.notes, note),
-        )
+        z, ds = self.height_factor * surface.z, self.length_factor * surface.ds
+        return Surface(z, ds, name=f"{surface.name}, scaled", notes=(*surface.notes, note))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -244,10 +240,5 @@ def _superpose(
 
 def _realise_all(roads: Sequence[AnyRoad], rng: np.random.Generator) -> list[Surface]:
     """Draw one surface of each road; appending a road does not change the draws before it."""
-    streams = _spawn_streams(rng, len(roads))
-    return [road.realise(own) for road, own in zip(roads, streams, strict=True)]
-
-
-def _spawn_streams(rng: np.random.Generator, count: int) -> list[np.random.Generator]:
-    """Return `count` independent generators, determined by the state of `rng`."""
-    return [np.random.default_rng(k) for k in rng.integers(2**63, size=count)]
+    seeds = rng.integers(2**63, size=len(roads))
+    return [road.realise(np.random.default_rng(k)) for road, k in zip(roads, seeds, strict=True)]

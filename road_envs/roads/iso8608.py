@@ -66,18 +66,75 @@ class RoughnessVariation(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Iso8608(Settings):
+class SpectralRoad(Settings):
+    """A road that is a sum of cosines within a band, both wheel paths on one grid."""
+
+    length: RoadLength = DEFAULT_LENGTH
+    n_min: Annotated[Positive, "cycles/m", "lower end of the band"] = 0.01
+    n_max: Annotated[Positive, "cycles/m", "upper end of the band"] = 10.0
+    track: TrackWidth = TRACK
+    ds: SampleSpacing = 0.01
+
+    def __post_init__(self):
+        super().__post_init__()
+        check_size(self._period, self.ds, "period (twice the length, or more for long waves)")
+        if self.length < 4.0 * self.ds:
+            raise ValueError(
+                f"length must be at least 4 ds = {4.0 * self.ds:g} m, got {self.length} m"
+            )
+        if not self.n_min < self.n_max <= 0.5 / self.ds:
+            raise ValueError(
+                f"the band must satisfy n_min < n_max <= 1 / (2 ds) = {0.5 / self.ds:g} cycles/m, "
+                f"got n_min = {self.n_min}, n_max = {self.n_max}"
+            )
+
+    @property
+    def _period(self) -> float:
+        """Period [m]: at least two road lengths and MIN_PERIODS of the longest waves."""
+        return max(2.0 * self.length, MIN_PERIODS / self.n_min)
+
+    def _spectral_lines(self) -> tuple[int, int, int]:
+        """Return the samples per period and the indices of the first and last spectral line."""
+        size = _smooth_number(int(np.ceil(self._period / self.ds)))
+        last = min(round(self.n_max * size * self.ds), (size - 1) // 2)
+        return size, round(self.n_min * size * self.ds), last
+
+    def _cell_edges(self) -> np.ndarray:
+        """Return the edges (K + 1,) [cycles/m] of the spectral cells within [n_min, n_max]."""
+        size, first, last = self._spectral_lines()
+        edges = (np.arange(first, last + 2) - 0.5) / (size * self.ds)
+        edges[0], edges[-1] = self.n_min, self.n_max
+        return edges
+
+    def _synthesise(
+        self, rng, power, g, name: str, variation: RoughnessVariation | None = None
+    ) -> Surface:
+        """Draw both wheel paths from `power` (K,) [m²] and root coherence `g` (K,) of the lines.
+
+        Each path starts at height 0: the datum of a road has no effect on the vehicle.
+        """
+        size, first, last = self._spectral_lines()
+        if variation is None:
+            unit = np.exp(1j * rng.uniform(0.0, 2.0 * np.pi, (2, power.size)))
+        else:
+            level = variation.draw(rng, size, self.ds)
+            noise = np.sqrt(level / size) * rng.standard_normal((2, size))
+            unit = np.fft.rfft(noise)[:, first : last + 1]
+        parts = np.sqrt(power * np.array([1.0 + g, 1.0 - g])) * unit
+        lines = np.zeros((2, size // 2 + 1), dtype=complex)
+        lines[:, first : last + 1] = [parts[0] + parts[1], parts[0] - parts[1]]
+        z = 0.5 * size * np.fft.irfft(lines, size)[:, : round(self.length / self.ds) + 1]
+        return Surface(z - z[:, :1], self.ds, name=name)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Iso8608(SpectralRoad):
     """A Gaussian road, stationary without a `variation`; give either `road_class` or `G_d0`."""
 
     road_class: Annotated[RoadClass | None, "", "ISO class, taken at its geometric mean"] = None
     G_d0: Annotated[Positive | None, "m³", "displacement PSD at n0"] = None
     w: Annotated[Positive, "", "waviness"] = 2.0
-    length: RoadLength = DEFAULT_LENGTH
-    n_min: Annotated[Positive, "cycles/m", "lower end of the band"] = 0.01
-    n_max: Annotated[Positive, "cycles/m", "upper end of the band"] = 10.0
     coherence: Annotated[Coherence, "", "between the wheel paths"] = "isotropic"
-    track: TrackWidth = TRACK
-    ds: SampleSpacing = 0.01
     variation: Annotated[RoughnessVariation | None, "", "of the roughness along the road"] = None
 
     def __post_init__(self):
@@ -86,7 +143,6 @@ class Iso8608(Settings):
             raise ValueError(
                 f"give exactly one of road_class and G_d0, got {self.road_class} and {self.G_d0}"
             )
-        check_band(self)
 
     @property
     def density(self) -> float:
@@ -94,22 +150,21 @@ class Iso8608(Settings):
         return CLASSES[self.road_class] if self.road_class else float(self.G_d0 or 0.0)
 
     def realise(self, rng: np.random.Generator) -> Surface:
-        edges, power, g = _cell_spectra(self)
         name = f"iso8608 {self.road_class or f'G_d0={self.G_d0:g}'}"
-        return synthesise(rng, self, edges, power, g, name, self.variation)
+        return self._synthesise(rng, *_cell_spectra(self), name, self.variation)
 
 
 @lru_cache(maxsize=16)
-def _cell_spectra(road: Iso8608) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return cell edges, power and root coherence, which all realisations of a road share."""
-    edges = cell_edges(road)
+def _cell_spectra(road: Iso8608) -> tuple[np.ndarray, np.ndarray]:
+    """Return power and root coherence of the cells, which all realisations of a road share."""
+    edges = road._cell_edges()
     power = power_law(edges, road.density, road.w)
     g = np.full(power.size, 1.0 if road.coherence == "full" else 0.0)
     if road.coherence == "isotropic":
         g = root_coherence(0.5 * (edges[1:] + edges[:-1]), road.w, road.track)
-    for array in (edges, power, g):
+    for array in (power, g):
         array.flags.writeable = False
-    return edges, power, g
+    return power, g
 
 
 def power_law(edges: np.ndarray, G_d0: float, w: float) -> np.ndarray:
@@ -117,59 +172,6 @@ def power_law(edges: np.ndarray, G_d0: float, w: float) -> np.ndarray:
     if w == 1.0:
         return G_d0 * N_0 * np.diff(np.log(edges))
     return G_d0 * N_0 * np.diff((edges / N_0) ** (1.0 - w)) / (1.0 - w)
-
-
-def cell_edges(road) -> np.ndarray:
-    """Return the edges (K + 1,) [cycles/m] of a road's spectral cells within [n_min, n_max]."""
-    size, first, last = _spectral_lines(road)
-    edges = (np.arange(first, last + 2) - 0.5) / (size * road.ds)
-    edges[0], edges[-1] = road.n_min, road.n_max
-    return edges
-
-
-def synthesise(
-    rng, road, edges, power, g, name: str, variation: RoughnessVariation | None = None
-) -> Surface:
-    """Draw both wheel paths from the `power` (K,) [m²] and root coherence `g` (K,) of the lines.
-
-    Each path starts at height 0: the datum of a road has no effect on the vehicle.
-    """
-    size, first, last = _spectral_lines(road)
-    if variation is None:
-        unit = np.exp(1j * rng.uniform(0.0, 2.0 * np.pi, (2, power.size)))
-    else:
-        level = variation.draw(rng, size, road.ds)
-        noise = np.sqrt(level / size) * rng.standard_normal((2, size))
-        unit = np.fft.rfft(noise)[:, first : last + 1]
-    parts = np.sqrt(power * np.array([1.0 + g, 1.0 - g])) * unit
-    lines = np.zeros((2, size // 2 + 1), dtype=complex)
-    lines[:, first : last + 1] = [parts[0] + parts[1], parts[0] - parts[1]]
-    z = 0.5 * size * np.fft.irfft(lines, size)[:, : round(road.length / road.ds) + 1]
-    return Surface(z - z[:, :1], road.ds, name=name)
-
-
-def check_band(road) -> None:
-    """Raise ValueError or ConfigError if length, spacing and band of a road are inconsistent."""
-    check_size(_period(road), road.ds, "period (twice the length, or more for long waves)")
-    if road.length < 4.0 * road.ds:
-        raise ValueError(f"length must be at least 4 ds = {4.0 * road.ds:g} m, got {road.length} m")
-    if not road.n_min < road.n_max <= 0.5 / road.ds:
-        raise ValueError(
-            f"the band must satisfy n_min < n_max <= 1 / (2 ds) = {0.5 / road.ds:g} cycles/m, "
-            f"got n_min = {road.n_min}, n_max = {road.n_max}"
-        )
-
-
-def _period(road) -> float:
-    """Return the period [m]: at least two road lengths and MIN_PERIODS of the longest waves."""
-    return max(2.0 * road.length, MIN_PERIODS / road.n_min)
-
-
-def _spectral_lines(road) -> tuple[int, int, int]:
-    """Return the samples per period and the indices of the first and last spectral line."""
-    size = _smooth_number(int(np.ceil(_period(road) / road.ds)))
-    last = min(round(road.n_max * size * road.ds), (size - 1) // 2)
-    return size, round(road.n_min * size * road.ds), last
 
 
 def _smooth_number(least: int) -> int:

@@ -92,10 +92,8 @@ class Bumps(Settings):
     @property
     def middles(self) -> np.ndarray:
         """Stations [m] of the middles of the bumps."""
-        first = self.blocks[0]
-        return (
-            self.run_in + first.ramp + 0.5 * first.top + self.spacing * np.arange(len(self.blocks))
-        )
+        first, row = self.blocks[0], self.spacing * np.arange(len(self.blocks))
+        return self.run_in + first.ramp + 0.5 * first.top + row
 
     @property
     def length(self) -> float:
@@ -106,10 +104,9 @@ class Bumps(Settings):
     def realise(self, rng: np.random.Generator) -> Surface:
         s = self.ds * np.arange(int(np.ceil(self.length / self.ds)) + 1)
         z = np.zeros((2, s.size))
-        for block, middle, (_, side) in zip(
-            self.blocks, self.middles, LAYOUTS[self.layout], strict=True
-        ):
-            z[SIDES[side]] += block.height_at(s - middle)
+        sides = [SIDES[side] for _, side in LAYOUTS[self.layout]]
+        for block, middle, side in zip(self.blocks, self.middles, sides, strict=True):
+            z[side] += block.height_at(s - middle)
         return Surface(z, self.ds, name=f"bumps {self.layout}")
 
 
@@ -153,23 +150,12 @@ class Defect(Settings):
                 f"{self.height} m and a growth of {self.growth} over {self.count} defects"
             )
 
-    @property
-    def middles(self) -> np.ndarray:
-        """Stations (count,) [m] of the middles of the row."""
-        return self.at + self.spacing * np.arange(self.count)
-
-    @property
-    def heights(self) -> np.ndarray:
-        """Heights (count,) [m] of the row."""
-        return self.height * self.growth ** np.arange(self.count)
-
     def unit_height(self, distance: np.ndarray) -> np.ndarray:
         """Return the height relative to crest or floor at `distance` [m] from the middle."""
         if self.shape == "pothole":
             hole = _Trapezoid(height=1.0, ramp=self.edge, top=self.length - 2.0 * self.edge)
             return hole.height_at(distance)
-        inside = np.clip(distance / self.length, -0.5, 0.5)
-        return np.cos(np.pi * inside)
+        return np.cos(np.pi * np.clip(distance / self.length, -0.5, 0.5))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,7 +180,9 @@ class Defects(Settings):
     def realise(self, rng: np.random.Generator) -> Surface:
         s, z = _flat_road_grid(self.length)
         for defect in self.defects:
-            for middle, height in zip(defect.middles, defect.heights, strict=True):
+            row = np.arange(defect.count)
+            middles, heights = defect.at + defect.spacing * row, defect.height * defect.growth**row
+            for middle, height in zip(middles, heights, strict=True):
                 near = _footprint(s, middle, defect.length)
                 z[SIDES[defect.side], near] += height * defect.unit_height(s[near] - middle)
         return Surface(z, SAMPLE_SPACING, name=self.name)
@@ -224,18 +212,15 @@ class Potholes(Settings):
         """Draw number, positions, sizes and depths of the potholes of each wheel path."""
         s, z = _flat_road_grid(self.length)
         for path in z:
-            for middle, size, depth in self._holes(rng):
+            count = rng.poisson(self.rate * self.length)
+            sizes = rng.uniform(*self.size, count)
+            middles = 0.5 * sizes + rng.uniform(0.0, 1.0, count) * (self.length - sizes)
+            depths = rng.uniform(*self.depth, count)
+            for middle, size, depth in zip(middles, sizes, depths, strict=True):
                 near = _footprint(s, middle, size)
                 hole = _Trapezoid(height=depth, ramp=self.edge, top=size - 2.0 * self.edge)
                 path[near] = np.minimum(path[near], -hole.height_at(s[near] - middle))
         return Surface(z, SAMPLE_SPACING, name="potholes")
-
-    def _holes(self, rng: np.random.Generator) -> np.ndarray:
-        """Draw middle, size and depth [m] of each pothole of a wheel path (count, 3)."""
-        count = rng.poisson(self.rate * self.length)
-        size = rng.uniform(*self.size, count)
-        middle = 0.5 * size + rng.uniform(0.0, 1.0, count) * (self.length - size)
-        return np.column_stack([middle, size, rng.uniform(*self.depth, count)])
 
 
 def _flat_road_grid(length: float) -> tuple[np.ndarray, np.ndarray]:

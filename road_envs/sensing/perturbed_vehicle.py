@@ -183,7 +183,6 @@ class PerturbedVehicle:
     `step` [s]: longest step of the integrator.
     """
 
-    grade: str
     car: VehicleParameters
     faults: SensorFaults = NO_FAULTS
     step: float = np.inf
@@ -217,28 +216,26 @@ def perturb_vehicle(
     if position_noise and level < INSTRUMENT_LEVEL:
         raise ConfigError(f"position noise needs the position fixes of grade S3 or S4, got {grade}")
     if level == 0:
-        return PerturbedVehicle(grade, car)
+        return PerturbedVehicle(car)
     mismatch = load_plant_mismatch() if plant_mismatch is None else plant_mismatch
-    car, faults = _with_tolerances(car, mismatch.manufacture, seed), NO_FAULTS
+    root = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
+
+    def stream(group: int) -> np.random.Generator:
+        spawn_key = (*root.spawn_key, PERTURBATION_STREAM, group)
+        return np.random.default_rng(np.random.SeedSequence(root.entropy, spawn_key=spawn_key))
+
+    car, faults = _with_tolerances(car, mismatch.manufacture, stream(MANUFACTURE_LEVEL)), NO_FAULTS
     if level >= STRUCTURE_LEVEL:
-        car = _with_structure(car, mismatch.structure, seed)
+        car = _with_structure(car, mismatch.structure, stream(STRUCTURE_LEVEL))
     if level >= INSTRUMENT_LEVEL:
-        faults = _draw_sensor_faults(mismatch.instruments, seed, accelerometers)
+        faults = _draw_sensor_faults(mismatch.instruments, stream(INSTRUMENT_LEVEL), accelerometers)
     if position_noise:
-        rng = np.random.default_rng(_seed_sequence(seed, POSITION_NOISE_KEY))
-        std = float(rng.uniform(*mismatch.instruments.position_noise))
+        std = float(stream(POSITION_NOISE_KEY).uniform(*mismatch.instruments.position_noise))
         time = mismatch.instruments.position_correlation_time
         faults = replace(faults, position_noise=std, position_correlation_time=time)
     if level >= SIDE_LEVEL and mismatch.side is not None:
-        car = _with_side_motion(car, mismatch.side, seed)
-    return PerturbedVehicle(grade, car, faults, mismatch.step)
-
-
-def _seed_sequence(seed: int | np.random.SeedSequence, group: int) -> np.random.SeedSequence:
-    root = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
-    return np.random.SeedSequence(
-        root.entropy, spawn_key=(*root.spawn_key, PERTURBATION_STREAM, group)
-    )
+        car = _with_side_motion(car, mismatch.side, stream(SIDE_LEVEL))
+    return PerturbedVehicle(car, faults, mismatch.step)
 
 
 def _four_factors(rng: np.random.Generator, most: float) -> PerWheel:
@@ -248,10 +245,8 @@ def _four_factors(rng: np.random.Generator, most: float) -> PerWheel:
 
 
 def _with_tolerances(
-    car: VehicleParameters, limits: _ManufacturingTolerances, seed: int | np.random.SeedSequence
+    car: VehicleParameters, limits: _ManufacturingTolerances, rng: np.random.Generator
 ) -> VehicleParameters:
-    rng = np.random.default_rng(_seed_sequence(seed, MANUFACTURE_LEVEL))
-
     def factor(least: float, most: float) -> float:
         return 1.0 + float(rng.choice((-1.0, 1.0)) * rng.uniform(least, most))
 
@@ -261,23 +256,21 @@ def _with_tolerances(
         factors |= {f"{axle}.m": factor(*mass), f"{axle}.I_xx": factor(*inertia)}
         if isinstance(getattr(car, axle), IndependentWheels):  # it follows from the mass
             del factors[f"{axle}.I_xx"]
-    common, each = factor(*limits.friction), _four_factors(rng, limits.strut_friction)
+    common, friction = factor(*limits.friction), _four_factors(rng, limits.strut_friction)
     struts = {
         "gas": _four_factors(rng, limits.strut_gas),
         "damper": _four_factors(rng, limits.strut_damper),
-        "friction": [common * one for one in each],
+        "friction": [common * one for one in friction],
         "bushing": _four_factors(rng, limits.strut_bushing),
     }
     for name, values in struts.items():
-        for wheel, value in zip(WHEELS, values, strict=True):
-            factors[f"variation.{name}.{wheel}"] = value
+        factors |= {f"variation.{name}.{w}": x for w, x in zip(WHEELS, values, strict=True)}
     return scale_parameters(car, factors)
 
 
 def _with_structure(
-    car: VehicleParameters, limits: _UnmodelledStructure, seed: int | np.random.SeedSequence
+    car: VehicleParameters, limits: _UnmodelledStructure, rng: np.random.Generator
 ) -> VehicleParameters:
-    rng = np.random.default_rng(_seed_sequence(seed, STRUCTURE_LEVEL))
     variation = replace(
         car.variation,
         tyre=_four_factors(rng, limits.tyre_pressure * limits.tyre_pressure_effect),
@@ -293,10 +286,9 @@ def _with_structure(
 
 
 def _with_side_motion(
-    car: VehicleParameters, limits: _SideMotionRange, seed: int | np.random.SeedSequence
+    car: VehicleParameters, limits: _SideMotionRange, rng: np.random.Generator
 ) -> VehicleParameters:
     """Return the vehicle with another side motion than that of its file, or with one at all."""
-    rng = np.random.default_rng(_seed_sequence(seed, SIDE_LEVEL))
 
     def scattered(value: float | tuple[float, float]) -> Any:
         factors = rng.uniform(1.0 - limits.scatter, 1.0 + limits.scatter, np.shape(value))
@@ -330,11 +322,9 @@ def _draw_mode(rng: np.random.Generator, limits: _FrameRange) -> dict[str, float
 
 
 def _draw_sensor_faults(
-    limits: SensorFaultLimits, seed: int | np.random.SeedSequence, k: int
+    limits: SensorFaultLimits, rng: np.random.Generator, k: int
 ) -> SensorFaults:
     """Draw the faults of `k` accelerometers."""
-    stream = _seed_sequence(seed, INSTRUMENT_LEVEL)
-    rng = np.random.default_rng(stream)
 
     def draw(most: float, centre: float = 0.0) -> PerSensor:
         return tuple((centre + rng.uniform(-most, most, k)).tolist())
@@ -347,6 +337,6 @@ def _draw_sensor_faults(
         gain=draw(limits.gain, 1.0),
         offset=draw(limits.offset),
         speed=float(rng.uniform(-limits.speed, limits.speed)),
-        seed=tuple(int(x) for x in stream.generate_state(4)),
+        seed=tuple(rng.bit_generator.seed_seq.generate_state(4).tolist()),
         **{name: getattr(limits, name) for name in own},
     )

@@ -100,9 +100,8 @@ class JitteredSampler:
     def __init__(self, decimation: int, step: float, faults: SensorFaults, k: int = 3):
         self.decimation, self.jitter = decimation, faults.jitter / step
         self.margin = int(np.ceil(MAX_JITTER_STDS * self.jitter))
-        self.dropout_length = faults.dropout_length
-        rate, length = faults.dropout_rate, faults.dropout_length
-        self.dropout_probability = rate / (length * (1.0 - rate))
+        rate, self.dropout_length = faults.dropout_rate, faults.dropout_length
+        self.dropout_probability = rate / (self.dropout_length * (1.0 - rate))
         streams = np.random.SeedSequence(faults.seed).spawn(2)
         self.jitter_rng, self.dropout_rng = map(np.random.default_rng, streams)
         # remaining samples of the current dropout; 0 directly after one, -1 otherwise

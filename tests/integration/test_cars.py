@@ -17,7 +17,7 @@ from leaderboard.evaluation.tasks import load_task
 from leaderboard.metrics.heights import band_pass, error_over_truth, uncertainty
 from road_envs import load_vehicle, simulate_record
 from road_envs.core.config import ConfigError
-from road_envs.drives.training_corpus import Corpus, perturb_parameters
+from road_envs.drives.training_corpus import Corpus, _perturb_parameters
 from road_envs.records.record import scored_band
 from road_envs.roads import realise_road
 from road_envs.vehicle.parameters import write_vehicle
@@ -167,7 +167,7 @@ def test_drives_of_the_vehicle_can_be_trained_on(name):
     corpus = Corpus(car=name, number=2, shortest=100, longest=100)
     record, truth, _ = corpus.simulate_drive(0)
     assert np.isfinite(record.a).all() and truth.z.shape[1] == truth.s.size
-    one = perturb_parameters(corpus.vehicle, np.random.default_rng(1), 1.0)
+    one = _perturb_parameters(corpus.vehicle, np.random.default_rng(1), 1.0)
     assert one.strut != corpus.vehicle.strut and one.front != corpus.vehicle.front
     if corpus.vehicle.is_passive:
         assert not record.spring_stiff.any() and not record.damper_high.any()

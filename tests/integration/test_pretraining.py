@@ -17,7 +17,7 @@ from leaderboard.evaluation.tasks import load_task
 from leaderboard.evaluation.test_data import simulate_drives
 from leaderboard.metrics.heights import band_pass, nrmse, scored_band
 from road_envs.drives import training_corpus
-from road_envs.drives.training_corpus import Corpus, perturb_parameters
+from road_envs.drives.training_corpus import Corpus, _perturb_parameters
 from road_envs.roads import Iso8608
 from road_envs.sensing.perturbed_vehicle import load_plant_mismatch
 from road_envs.simulation.drive import SimulationError
@@ -102,11 +102,11 @@ def test_a_third_of_the_corpus_are_individuals_and_calibration_drives_are_nomina
 def test_vehicles_vary_by_the_stated_amounts():
     car = Corpus().vehicle
     rng = np.random.default_rng(0)
-    others = [perturb_parameters(car, rng, 1.0) for _ in range(200)]
+    others = [_perturb_parameters(car, rng, 1.0) for _ in range(200)]
     assert np.std([c.m_b / car.m_b for c in others]) == pytest.approx(0.06, rel=0.2)
     peaks = [c.strut.friction.ride.F[0] / car.strut.friction.ride.F[0] for c in others]
     assert np.std(peaks) == pytest.approx(0.158, rel=0.2)  # 15 % and 5 % together
-    assert perturb_parameters(car, rng, 0.0) == car
+    assert _perturb_parameters(car, rng, 0.0) == car
 
 
 def test_different_corpora_have_different_digests():

@@ -12,7 +12,7 @@ from oracles_roads import erd_file
 
 from road_envs.core.config import ConfigError
 from road_envs.roads import load_road
-from road_envs.roads.formats.erd import _parse_header, _parse_numbers
+from road_envs.roads.formats.erd import _parse
 from road_envs.roads.formats.opencrg import SurfaceFileError
 from road_envs.roads.measured import Measured
 
@@ -28,11 +28,11 @@ def wavy(channels=2, size=40):
 
 
 def read(header, body):
-    return _parse_numbers(_parse_header(header + body)[0], _parse_header(header + body)[1])
+    return _parse(header + body, lambda: body)
 
 
 def read_floats(header, body):
-    return _parse_numbers(_parse_header(header)[0], body)
+    return _parse(header, lambda: body)
 
 
 # the format

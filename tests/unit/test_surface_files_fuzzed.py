@@ -37,11 +37,11 @@ def text(separator):
 
 
 def read_erd(data):
-    return erd._parse_numbers(*erd._parse_header(data))
+    return erd._parse(data, lambda: data.partition(b"\nEND")[2])
 
 
 def read_floats(data):
-    return erd._parse_numbers(erd._parse_header(erd_file(Z, "<")[0])[0], data)
+    return erd._parse(erd_file(Z, "<")[0], lambda: data)
 
 
 READERS = {

@@ -97,7 +97,7 @@ def _seconds(column: Any, unit: str | None, findings: TableFindings) -> np.ndarr
     if pa.types.is_time(column.type):
         return _time_of_day(pd.to_timedelta(column.to_pandas().astype(str), errors="coerce"))
     if pa.types.is_timestamp(column.type) or pa.types.is_date(column.type):
-        return _epoch(pd.to_datetime(column.to_pandas(), utc=True))
+        return since_1970(pd.to_datetime(column.to_pandas(), utc=True))
     if pa.types.is_string(column.type):
         cells = column.to_pandas()
         if pd.to_numeric(cells.head(20), errors="coerce").isna().all():
@@ -111,7 +111,7 @@ def _seconds(column: Any, unit: str | None, findings: TableFindings) -> np.ndarr
                     f"row {wrong[0] + 1}: {shown(cells.iloc[wrong[0]])} is neither a number nor "
                     "a time in ISO 8601"
                 )
-            return _epoch(stamps)
+            return since_1970(stamps)
     t = numeric_values(column)
     if unit is None:
         first = float(np.nanmin(t)) if np.isfinite(t).any() else 0.0
@@ -129,7 +129,7 @@ def _time_of_day(times: Any) -> np.ndarray:
     return x
 
 
-def _epoch(stamps: Any) -> np.ndarray:
+def since_1970(stamps: Any) -> np.ndarray:
     """Return seconds since 1970 of pandas' time stamps, NaN where empty."""
     x = stamps.astype("datetime64[ns, UTC]").astype("int64").to_numpy() * 1e-9
     return np.where(stamps.isna().to_numpy(), np.nan, x)

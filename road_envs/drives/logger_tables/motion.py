@@ -1,7 +1,5 @@
 """Speed, distance and position of a drive from what a table holds, at the times of the record."""
 
-from typing import NamedTuple
-
 import numpy as np
 import scipy
 
@@ -32,18 +30,14 @@ DISAGREEMENT = 0.25
 """Relative difference of two distances of a drive above which one of them is wrong."""
 
 
-class _DrivenMotion(NamedTuple):
-    """Speed `v` [m/s] and odometer `s` [m] (N,); latitude and longitude [°] (2, N) or None."""
-
-    v: np.ndarray
-    s: np.ndarray
-    position: np.ndarray | None
+_Motion = tuple[np.ndarray, np.ndarray, np.ndarray | None]
 
 
-def read_motion(channels: Channels, t_rows: np.ndarray, t: np.ndarray) -> _DrivenMotion | None:
+def read_motion(channels: Channels, t_rows: np.ndarray, t: np.ndarray) -> _Motion | None:
     """Return the motion at the times `t` (N,) of a table with rows at `t_rows` [s].
 
-    The distance is the odometer's, the integral of the speed, or the length of the track, in this
+    It is speed [m/s] and odometer [m] (N,), and latitude and longitude [°] (2, N) or None. The
+    distance is the odometer's, the integral of the speed, or the length of the track, in this
     order. Returns None if it is unknown, which is added to the problems.
     """
     findings = channels.findings
@@ -84,17 +78,14 @@ def read_motion(channels: Channels, t_rows: np.ndarray, t: np.ndarray) -> _Drive
         track = _track_length(np.array([_smoothed(x, t, 2.0) for x in position]))
     if s is None and v is not None and position is not None:
         v = _calibrated(t, v, position, findings)
-    distance = s if s is not None else _integrate(t, v) if v is not None else track
+    distance = track if s is None else s
+    if s is None and v is not None:
+        distance = scipy.integrate.cumulative_trapezoid(v, t, initial=0.0)
     assert distance is not None
     if v is None:
         v = np.maximum(np.gradient(_smoothed(distance, t, 1.0), t), 0.0)
     _check(t, v, distance, track, s is not None, findings)
-    return _DrivenMotion(v, distance, position) if len(findings.problems) == before else None
-
-
-def _integrate(t: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Return the distance [m] of the speeds `v` (N,) [m/s] by the trapezoidal rule."""
-    return np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t))])
+    return (v, distance, position) if len(findings.problems) == before else None
 
 
 def _track_length(position: np.ndarray) -> np.ndarray:
@@ -113,7 +104,7 @@ def _calibrated(
     if middle.sum() < 2:
         return v
     track = _track_length(smooth[:, middle])[-1]
-    driven = _integrate(t[middle], v[middle])[-1]
+    driven = scipy.integrate.cumulative_trapezoid(v[middle], t[middle])[-1]
     error = track / max(driven, 1e-9) - 1.0
     weight = 1.0 / (1.0 + (POSITION_ERROR / (SPEED_ERROR * max(track, 1e-9))) ** 2)
     scale = 1.0 + weight * error
@@ -224,7 +215,7 @@ def _check(
         )
     elif top > SPEED_QUESTIONED:
         findings.notes.append(f"the speed reaches {3.6 * top:.0f} km/h: check its unit")
-    travelled = {"speed": _integrate(t, v)[-1]}
+    travelled = {"speed": scipy.integrate.cumulative_trapezoid(v, t, initial=0.0)[-1]}
     if has_odometer:
         travelled["odometer"] = s[-1] - s[0]
     if track is not None:

@@ -8,6 +8,7 @@ stripped headers to columns.
 
 import gc
 import io
+import itertools
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -20,7 +21,7 @@ import numpy as np
 from road_envs.core.config import ConfigError, shown
 from road_envs.core.extras import import_pyarrow, optional_import
 from road_envs.core.reading import MAX_MESSAGE, parsing, read_parquet
-from road_envs.records.units import is_unit
+from road_envs.records import units
 
 SNIFFED_CHARACTERS = 10_000  # number of characters that are searched for a decimal comma
 SNIFFED_LINES = 60  # number of lines among which the header is looked for
@@ -67,8 +68,6 @@ def read_table(path: Path) -> Table:
 
 def parse_text(data: bytes) -> Table:
     """Return the columns of a table of text by header. Raises ConfigError, ValueError."""
-    if len(data) > MAX_BYTES:
-        raise ConfigError(f"{len(data) / 2**20:.0f} MiB; at most {MAX_BYTES / 2**20:.0f} are read")
     return _by_header(_parse_table(data))
 
 
@@ -128,9 +127,11 @@ def _parse_table(data: bytes) -> Any:
     head, delimiter, rest = _find_header(text)
     names = [cell.strip().strip('"') for cell in head.split(delimiter)]
     _check_headers(names)
-    units, _, below = rest.partition("\n")
-    cells = [cell.strip(' "[]()') for cell in units.split(delimiter)]
-    if len(cells) == len(names) and any(cells) and all(is_unit(cell) for cell in cells if cell):
+    first, _, below = rest.partition("\n")
+    cells = [cell.strip(' "[]()') for cell in first.split(delimiter)]
+    given = {units.normalise(cell) for cell in cells if cell}
+    known = {unit for factors in units.FACTORS.values() for unit in factors}
+    if len(cells) == len(names) and given and given <= known:
         pairs = zip(names, cells, strict=True)
         names, rest = [f"{name} [{unit}]" if unit else name for name, unit in pairs], below
     comma = delimiter != "," and re.search(r"\d,\d", rest[:SNIFFED_CHARACTERS]) is not None
@@ -153,13 +154,8 @@ def _find_header(text: str) -> tuple[str, str, str]:
     start = 0
     while text.startswith("#", start):
         start = text.find("\n", start) + 1 or len(text)
-    lines: list[tuple[int, str]] = []
-    while len(lines) < SNIFFED_LINES and start < len(text):
-        end = text.find("\n", start)
-        end = len(text) if end < 0 else end
-        lines.append((start, text[start:end]))
-        start = end + 1
-    shown = [(at, line) for at, line in lines if line.strip()]
+    lines = itertools.islice(re.compile(r"(?m)^.*$").finditer(text, start), SNIFFED_LINES)
+    shown = [(line.start(), line[0]) for line in lines if line[0].strip()]
     if not shown:
         return "", ",", ""
     complete = [line for _, line in shown][: -1 if len(shown) > 2 else None]

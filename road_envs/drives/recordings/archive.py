@@ -1,14 +1,16 @@
 """Zip files and folders of recording apps, bounded whatever they claim, and tables in them."""
 
 import io
+import posixpath
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path, PurePosixPath
 
 import numpy as np
 
 from road_envs.core.config import ConfigError
 from road_envs.drives.logger_tables.table import Table, numeric_values, parse_text
+from road_envs.drives.recordings.recording import Series, make_track
 from road_envs.records import units
 
 MAX_MEMBERS = 2000  # most files of an archive or a folder
@@ -25,8 +27,6 @@ READ = (".csv", ".json", ".txt", ".gpx")  # ends of the names of members that ar
 
 def is_zip(path: Path) -> bool:
     """Whether a file begins as a zip file does, and is no spreadsheet of one."""
-    if path.is_dir():
-        return False
     with path.open("rb") as file:
         if file.read(4) != ZIP:
             return False
@@ -46,12 +46,8 @@ def read_members(path: Path) -> Mapping[str, bytes]:
     members = _of_folder(path) if path.is_dir() else _of_zip(path.read_bytes())
     names = [PurePosixPath(name) for name in members]
     # apps put everything into one folder named after the recording, or into none
-    while (
-        names
-        and len({name.parts[0] for name in names}) == 1
-        and all(len(name.parts) > 1 for name in names)
-    ):
-        names = [PurePosixPath(*name.parts[1:]) for name in names]
+    common = posixpath.commonpath([name.parent for name in names] or [PurePosixPath()])
+    names = [name.relative_to(common) for name in names]
     return dict(zip(map(str, names), members.values(), strict=True))
 
 
@@ -73,25 +69,29 @@ def _of_zip(data: bytes) -> dict[str, bytes]:
         members = [m for m in archive.infolist() if not m.is_dir()]
         if len(members) > MAX_MEMBERS:
             raise ConfigError(f"an archive of {len(members)} files; at most {MAX_MEMBERS} are read")
-        for member in members:
-            _check_name(member.filename)
+        for name in (member.filename for member in members):
+            inside = PurePosixPath(name.replace("\\", "/")).parts
+            if ".." in inside or name.startswith(("/", "\\")) or ":" in name[:3]:
+                raise ConfigError(f"the archive holds {name[:80]!r}, a path that leaves its folder")
         wanted = [m for m in members if PurePosixPath(m.filename).suffix.lower() in READ]
         wanted = [m for m in wanted if not m.filename.startswith("__MACOSX/")]
         if not wanted:
-            inside = any(m.filename.lower().endswith(".zip") for m in members)
-            hint = "; archives inside an archive are not opened: unpack it" if inside else ""
+            nested = any(m.filename.lower().endswith(".zip") for m in members)
+            hint = "; archives inside an archive are not opened: unpack it" if nested else ""
             raise ConfigError(f"an archive without tables ({', '.join(READ)}){hint}")
         _check_total(sum(m.file_size for m in wanted))
-        for member in wanted:
-            _check_compression(member)
+        for m in wanted:
+            if m.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                raise ConfigError(f"{m.filename} is compressed by another method than deflate")
+            if m.flag_bits & 1:
+                raise ConfigError(f"{m.filename} is encrypted: unpack the archive")
+            if m.file_size > max(RATIO_FREE, MAX_RATIO * m.compress_size):
+                raise ConfigError(
+                    f"{m.filename} is more than {MAX_RATIO} times as large when unpacked: no "
+                    "recording"
+                )
         # at most the stated size is unpacked: `read` ends there and compares the checksum
         return {m.filename: archive.read(m) for m in wanted}
-
-
-def _check_name(name: str) -> None:
-    parts = PurePosixPath(name.replace("\\", "/")).parts
-    if ".." in parts or name.startswith(("/", "\\")) or ":" in name[:3]:
-        raise ConfigError(f"the archive holds {name[:80]!r}, a path that leaves its folder")
 
 
 def _check_total(size: int) -> None:
@@ -99,17 +99,6 @@ def _check_total(size: int) -> None:
         raise ConfigError(
             f"{size / 2**20:.0f} MiB of tables; at most {MAX_UNPACKED / 2**20:.0f} MiB are read: "
             "cut the recording into shorter drives"
-        )
-
-
-def _check_compression(member: zipfile.ZipInfo) -> None:
-    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise ConfigError(f"{member.filename} is compressed by another method than deflate")
-    if member.flag_bits & 1:
-        raise ConfigError(f"{member.filename} is encrypted: unpack the archive")
-    if member.file_size > max(RATIO_FREE, MAX_RATIO * member.compress_size):
-        raise ConfigError(
-            f"{member.filename} is more than {MAX_RATIO} times as large when unpacked: no recording"
         )
 
 
@@ -135,8 +124,21 @@ def number_column(table: Table, wanted: str, kind: str, member: str) -> np.ndarr
         x = numeric_values(table[matches[0]])
         unit = units.split_header(matches[0])[1]
         return x * (units.factor(kind, unit) if unit else 1.0)
-    except (ValueError, ConfigError) as error:
+    except ValueError as error:
         raise ConfigError(f"{member}, column {matches[0]}: {error}") from None
+
+
+def axis_columns(table: Table, axes: Iterable[str], member: str) -> np.ndarray | None:
+    """Return the accelerations (N, 3) [m/s²] in the columns of three `axes`; None if one lacks."""
+    found = [number_column(table, axis, "acceleration", member) for axis in axes]
+    known = [x for x in found if x is not None]
+    return np.column_stack(known) if len(known) == len(found) else None
+
+
+def track_columns(table: Table, t: np.ndarray, speed: str, member: str) -> Series:
+    """Return the track at the times `t` (N,) [s]: positions, and the column `speed`."""
+    lat, lon = (number_column(table, key, "angle", member) for key in ("latitude", "longitude"))
+    return make_track(t, lat, lon, number_column(table, speed, "speed", member))
 
 
 def find_member(members: Mapping[str, bytes], *names: str) -> str | None:

@@ -1,11 +1,9 @@
 """Tables with the three axes of one accelerometer: which columns they are, and their unit."""
 
 import re
-from typing import NamedTuple
 
 import numpy as np
 
-from road_envs.core.config import ConfigError
 from road_envs.drives.logger_tables.channels import Channels, TableFindings
 from road_envs.drives.logger_tables.clock import read_clock
 from road_envs.drives.logger_tables.description import DEVICE, PREFIX, DriveDescription
@@ -23,11 +21,7 @@ LINEAR = ("linear", "user", "without gravity", "no gravity", "nograv")
 """
 
 
-class _Axes(NamedTuple):
-    """Headers of the three axes, in their order x, y, z, and whether the name says `linear`."""
-
-    headers: tuple[str, str, str]
-    linear: bool
+_Axes = tuple[list[str], bool]  # headers of x, y and z, and whether they are without gravity
 
 
 def find_axes(table: Table, description: DriveDescription) -> _Axes | None:
@@ -52,8 +46,7 @@ def find_axes(table: Table, description: DriveDescription) -> _Axes | None:
     # gravity tells the mount: axes that include it come first, then those that are named, and
     # those of ROS only if there are no others
     best = min(complete, key=lambda key: (_is_linear(key), "acc" not in key, "linear" in key))
-    x, y, z = (complete[best][axis] for axis in "xyz")
-    return _Axes((x, y, z), _is_linear(best))
+    return [complete[best][axis] for axis in "xyz"], _is_linear(best)
 
 
 def _is_linear(key: str) -> bool:
@@ -62,21 +55,21 @@ def _is_linear(key: str) -> bool:
 
 def to_recording(name: str, table: Table, axes: _Axes, description: DriveDescription) -> Recording:
     """Return the recording in a table with three axes. Raises ConfigError."""
-    channels = Channels(table, description, (DEVICE,))
+    (headers, is_linear), channels = axes, Channels(table, description, (DEVICE,))
     findings, clock = channels.findings, read_clock(channels)
     given = description.units.get(column(DEVICE), "")
-    x = np.column_stack([_acceleration(table, h, given, findings) for h in axes.headers])
+    x = np.column_stack([_acceleration(table, h, given, findings) for h in headers])
     names = ("lat", "lon", "v", "s")
     columns = [channels.numbers(key) if key in channels else None for key in names]
     findings.raise_problems()
     assert clock is not None
-    track = make_track(clock.t, *columns).x
-    slow, fast = np.isfinite(track).any(axis=1), np.isfinite(x).all(axis=1)
+    track = make_track(clock.t, *columns)
+    track = track[np.isfinite(track.x).any(axis=1)]
     return Recording(
-        name=name, acceleration=Series(clock.t[fast], x[fast]),
-        track=Series(clock.t[slow], track[slow]) if slow.any() else None,
-        lacks_gravity=axes.linear, epoch=clock.epoch, notes=tuple(findings.notes),
-        unit_named=bool(given) or any(units.split_header(h)[1] for h in axes.headers),
+        name=name, acceleration=Series(clock.t, x)[np.isfinite(x).all(axis=1)],
+        track=track if track.t.size else None,
+        lacks_gravity=is_linear, epoch=clock.epoch, notes=tuple(findings.notes),
+        unit_named=bool(given) or any(units.split_header(h)[1] for h in headers),
         is_table=True,
     )  # fmt: skip
 
@@ -87,6 +80,6 @@ def _acceleration(table: Table, header: str, given: str, findings: TableFindings
         x = numeric_values(table[header])
         unit = given or units.split_header(header)[1]
         return x * (units.factor("acceleration", unit) if unit else 1.0)
-    except (ValueError, ConfigError) as error:
+    except ValueError as error:
         findings.problems.append(f"the column {header}: {error}")
         return np.full(len(table[header]), np.nan)

@@ -80,7 +80,7 @@ def drives_in(path: Path) -> list[Path]:
     if not path.is_dir() or ros.is_bag(path):
         return [path]
     inside = sorted(p for p in path.iterdir() if not p.name.startswith("."))
-    if any(_is_app_folder(folder) for folder in inside if folder.is_dir()):
+    if any(map(_is_app_folder, inside)):
         return [p for p in inside if _is_app_folder(p) or p.suffix.lower() in SUFFIXES]
     with parsing(path, ConfigError, "no readable folder"):
         members = archive.read_members(path)
@@ -154,7 +154,7 @@ def read_track(path: Path, description: DriveDescription) -> Track:
         with path.open("rb") as file:
             head = file.read(HEAD)
         if gpx.is_gpx(head):
-            return Track(*gpx.parse_gpx(path.read_bytes()))
+            return gpx.parse_gpx(path.read_bytes())
         table = _table(path, head)
         if (found := _track_of(table, description)) is None:
             raise ConfigError(

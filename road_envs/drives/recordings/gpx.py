@@ -10,7 +10,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from road_envs.core.config import ConfigError
-from road_envs.drives.recordings.recording import Series
+from road_envs.drives.logger_tables.clock import since_1970
+from road_envs.drives.recordings.recording import Series, Track
 
 MAX_POINTS = 1_000_000  # most points of a track: eleven days of one a second
 
@@ -19,8 +20,10 @@ def is_gpx(data: bytes) -> bool:
     return re.search(rb"<(\w+:)?gpx[\s>]", data[:2000]) is not None
 
 
-def parse_gpx(data: bytes) -> tuple[Series, float]:
-    """Return the track (N, 4) of the points by time, and its epoch [s]. Raises ConfigError."""
+def parse_gpx(data: bytes) -> Track:
+    """Return the track of the points by time. Raises ConfigError."""
+    import pandas as pd
+
     if re.search(rb"<!(DOCTYPE|ENTITY)", data):
         raise ConfigError("a GPX file with a document type or entities is not read")
     try:
@@ -34,7 +37,10 @@ def parse_gpx(data: bytes) -> tuple[Series, float]:
     stamps = [_text(p, "time") for p in points]
     if None in stamps:
         raise ConfigError(f"point {stamps.index(None) + 1} of the GPX file has no time")
-    t = _seconds([str(x) for x in stamps])
+    t = since_1970(pd.to_datetime(pd.Series(stamps), utc=True, format="ISO8601", errors="coerce"))
+    if np.isnan(t).any():
+        k = int(np.flatnonzero(np.isnan(t))[0])
+        raise ConfigError(f"the time {str(stamps[k])[:60]!r} of point {k + 1} is not in ISO 8601")
     rows = [[_number(p.get("lat")), _number(p.get("lon")), _number(_text(p, "speed")), np.nan]
             for p in points]  # fmt: skip
     x, order = np.array(rows), np.argsort(t, kind="stable")
@@ -46,18 +52,7 @@ def parse_gpx(data: bytes) -> tuple[Series, float]:
         raise ConfigError(f"point {k + 1} of the GPX file has no latitude and longitude")
     if np.isnan(x[:, 2]).any():
         x[:, 2] = np.nan
-    return Series(t - t[0], x), float(t[0])
-
-
-def _seconds(stamps: list[str]) -> np.ndarray:
-    """Return seconds since 1970 of times in ISO 8601. Raises ConfigError."""
-    import pandas as pd
-
-    times = pd.to_datetime(pd.Series(stamps), utc=True, format="ISO8601", errors="coerce")
-    if times.isna().any():
-        k = int(np.flatnonzero(times.isna().to_numpy())[0])
-        raise ConfigError(f"the time {stamps[k][:60]!r} of point {k + 1} is not in ISO 8601")
-    return times.astype("datetime64[ns, UTC]").astype("int64").to_numpy() * 1e-9
+    return Track(Series(t - t[0], x), float(t[0]))
 
 
 def _local(element: ElementTree.Element) -> str:

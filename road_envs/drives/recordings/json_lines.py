@@ -35,11 +35,9 @@ def parse_json(data: bytes) -> Mapping[str, Any]:
         raise ConfigError(f"no readable JSON lines, one object each: {said}") from None
     if wrong := next((k for k, row in enumerate(rows, 1) if not isinstance(row, dict)), None):
         raise ConfigError(f"line {wrong} is no JSON object")
-    flat = [_flat(row) for row in rows]
-    names = list(dict.fromkeys(name for row in flat for name in row))
     try:
-        frame = pd.DataFrame(flat, columns=names)
-        return {str(name): pa.chunked_array([pa.array(frame[name])]) for name in names}
+        frame = pd.DataFrame([_flat(row) for row in rows])
+        return {name: pa.chunked_array([pa.array(frame[name])]) for name in frame}
     except (pa.ArrowException, ValueError, TypeError, OverflowError) as error:
         raise ConfigError(f"a column of the JSON lines holds mixed values: {error}") from None
 

@@ -11,15 +11,17 @@ accelerations are without gravity. `Location.csv` has "Latitude (°)", "Longitud
 
 from collections.abc import Mapping
 
-import numpy as np
-
 from road_envs.core.config import ConfigError
-from road_envs.drives.logger_tables.table import Table
-from road_envs.drives.recordings.archive import find_member, number_column, parse_member
-from road_envs.drives.recordings.recording import Recording, Series, make_track
+from road_envs.drives.recordings.archive import (
+    axis_columns,
+    find_member,
+    number_column,
+    parse_member,
+    track_columns,
+)
+from road_envs.drives.recordings.recording import Recording, Series
 
-AXES = (("X", "Y", "Z"), ("Acceleration x", "Acceleration y", "Acceleration z"))
-LINEAR_AXES = tuple(f"Linear Acceleration {axis}" for axis in "xyz")
+AXES = ("", "Acceleration ", "Linear Acceleration ")  # names of columns before x, y and z
 WITH_GRAVITY = ("Accelerometer.csv", "Acceleration.csv", "Raw Data.csv")
 LINEAR = ("Linear Accelerometer.csv", "Linear Acceleration.csv")
 
@@ -33,35 +35,28 @@ def read_phyphox(name: str, members: Mapping[str, bytes]) -> Recording:
     file = find_member(members, *WITH_GRAVITY) or find_member(members, *LINEAR)
     assert file is not None
     table = parse_member(file, members[file])
-    lacks = file.rsplit("/", 1)[-1] in LINEAR
-    a = next((x for axes in AXES if (x := _axes(table, axes, file)) is not None), None)
-    if a is None:
-        a, lacks = _axes(table, LINEAR_AXES, file), True
-    if a is None:
+    t = number_column(table, "Time", "time", file)
+    for before in AXES:
+        if (a := axis_columns(table, [before + axis for axis in "xyz"], file)) is not None:
+            break
+    if t is None or a is None:
         raise ConfigError(f"{file} lacks the columns X, Y and Z; it has {', '.join(table)}")
     location = find_member(members, "Location.csv", "GPS.csv")
-    track = None if location is None else _track(location, members[location])
     epoch, breaks = _events(members)
     return Recording(
-        name=name, acceleration=a, track=track, lacks_gravity=lacks, epoch=epoch,
+        name=name,
+        acceleration=Series(t, a),
+        track=None if location is None else _track(location, members[location]),
+        lacks_gravity="Linear" in before or file.rsplit("/", 1)[-1] in LINEAR,
+        epoch=epoch,
         breaks=breaks,
-    )  # fmt: skip
-
-
-def _axes(table: Table, axes: tuple[str, ...], file: str) -> Series | None:
-    t = number_column(table, "Time", "time", file)
-    columns = [number_column(table, axis, "acceleration", file) for axis in axes]
-    found = [x for x in columns if x is not None]
-    return None if t is None or len(found) < 3 else Series(t, np.column_stack(found))
+    )
 
 
 def _track(file: str, data: bytes) -> Series | None:
     table = parse_member(file, data)
     t = number_column(table, "Time", "time", file)
-    if t is None:
-        return None
-    lat, lon = (number_column(table, key, "angle", file) for key in ("Latitude", "Longitude"))
-    return make_track(t, lat, lon, number_column(table, "Velocity", "speed", file))
+    return None if t is None else track_columns(table, t, "Velocity", file)
 
 
 def _events(members: Mapping[str, bytes]) -> tuple[float | None, tuple[float, ...]]:

@@ -38,10 +38,12 @@ class Series:
     t: np.ndarray
     x: np.ndarray
 
+    def __getitem__(self, samples: slice | np.ndarray) -> "Series":
+        return Series(self.t[samples], self.x[samples])
+
     def between(self, begin: float, end: float) -> "Series":
         """The samples from `begin` to `end` [s]."""
-        inside = (self.t >= begin) & (self.t <= end)
-        return Series(self.t[inside], self.x[inside])
+        return self[(self.t >= begin) & (self.t <= end)]
 
 
 def make_track(
@@ -145,7 +147,7 @@ def drives_of(recording: Recording) -> list[Recording]:
 
 def _increasing(series: Series) -> Series:
     """Return a series without the few samples that repeat the time before. Raises ConfigError."""
-    series = Series(series.t[known := np.isfinite(series.t)], series.x[known])
+    series = series[np.isfinite(series.t)]
     if not series.t.size:
         raise ConfigError("the recording has no acceleration with a time")
     steps = np.diff(series.t)
@@ -161,11 +163,11 @@ def _increasing(series: Series) -> Series:
             f"{repeated:.0%} of the accelerations have the time of the one before: the clock is "
             "rounded; write it with more decimals"
         )
-    return Series(series.t[new], series.x[new])
+    return series[new]
 
 
 def _cut(recording: Recording, part: slice) -> Recording:
-    a = Series(recording.acceleration.t[part], recording.acceleration.x[part])
+    a = recording.acceleration[part]
     track = recording.track
     if track is not None and a.t.size:
         track = track.between(a.t[0] - LONGEST_PAUSE, a.t[-1] + LONGEST_PAUSE)

@@ -20,7 +20,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from contextlib import closing
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -30,7 +30,6 @@ from road_envs.drives.recordings.recording import Recording, Series
 
 IMU, FIX = "sensor_msgs/msg/Imu", "sensor_msgs/msg/NavSatFix"
 TWIST = "geometry_msgs/msg/TwistStamped"
-KINDS = (IMU, FIX, TWIST)  # types of messages that are read
 MOST_MESSAGES = 20_000_000  # most messages of a recording: 14 hours at 400 Hz
 NO_FIX = -1  # status of a fix that is none
 MCAP_MAGIC, SQLITE_MAGIC = b"\x89MCAP0\r\n", b"SQLite format 3\x00"  # first bytes of the files
@@ -38,12 +37,7 @@ MAX_CHUNK = 2**28  # most bytes of a chunk when unpacked; writers make chunks of
 MAX_MESSAGE = 2**16  # most bytes of a message that is read; one of an inertial unit has some 350
 
 
-class _RosMessage(NamedTuple):
-    """One serialised message of a type `kind` of KINDS, on a `topic`."""
-
-    topic: str
-    kind: str
-    data: bytes
+_Message = tuple[str, str, bytes]  # topic, type (one of DECODERS) and serialised fields
 
 
 class _Fields:
@@ -73,39 +67,35 @@ class _Fields:
         return seconds + 1e-9 * nanoseconds
 
 
-def _imu(data: bytes) -> tuple[float, ...]:
-    """Return time [s] and linear acceleration [m/s²]; three 3 x 3 covariances lie between."""
-    fields = _Fields(data)
-    t = fields.header()
+def _imu(fields: _Fields) -> tuple[float, ...]:
+    """Return the linear acceleration [m/s²] behind the header."""
     fields.numbers("d", 4 + 9 + 3 + 9)  # orientation and angular velocity, with covariances
-    return t, *fields.numbers("d", 3)
+    return fields.numbers("d", 3)
 
 
-def _fix(data: bytes) -> tuple[float, ...]:
-    """Return time [s], latitude and longitude [°], NaN without a fix."""
-    fields = _Fields(data)
-    t = fields.header()
+def _fix(fields: _Fields) -> tuple[float, ...]:
+    """Return the row of a track behind the header: latitude and longitude [°], NaN without fix."""
     (status,), _ = fields.numbers("b"), fields.numbers("H")
-    lat, lon = fields.numbers("d", 2)
-    return (t, np.nan, np.nan) if status <= NO_FIX else (t, lat, lon)
+    lat, lon = (np.nan, np.nan) if status <= NO_FIX else fields.numbers("d", 2)
+    return lat, lon, np.nan, np.nan
 
 
-def _twist(data: bytes) -> tuple[float, ...]:
-    """Return time [s] and the magnitude of the linear velocity [m/s]."""
-    fields = _Fields(data)
-    return fields.header(), float(np.linalg.norm(fields.numbers("d", 3)))
+def _twist(fields: _Fields) -> tuple[float, ...]:
+    """Return the row of a track behind the header: the magnitude of the velocity [m/s]."""
+    return np.nan, np.nan, float(np.linalg.norm(fields.numbers("d", 3))), np.nan
 
 
-DECODERS = {IMU: _imu, FIX: _fix, TWIST: _twist}
+DECODERS = {IMU: _imu, FIX: _fix, TWIST: _twist}  # types of messages that are read
 
 
-def _to_recording(name: str, messages: Iterable[_RosMessage]) -> Recording:
+def _to_recording(name: str, messages: Iterable[_Message]) -> Recording:
     """Return the recording in messages; of several inertial units that with most of them."""
     rows: dict[tuple[str, str], list[tuple[float, ...]]] = defaultdict(list)
-    for k, message in enumerate(messages):
+    for k, (topic, kind, data) in enumerate(messages):
         if k >= MOST_MESSAGES:
             raise ConfigError(f"more than {MOST_MESSAGES} messages: cut the recording")
-        rows[message.kind, message.topic].append(DECODERS[message.kind](message.data))
+        fields = _Fields(data)
+        rows[kind, topic].append((fields.header(), *DECODERS[kind](fields)))
     units = {topic: values for (kind, topic), values in rows.items() if kind == IMU}
     if not units:
         others = ", ".join(sorted({kind for kind, _ in rows})) or "none that is read"
@@ -119,17 +109,17 @@ def _to_recording(name: str, messages: Iterable[_RosMessage]) -> Recording:
         notes = (f"the accelerations are those of the topic {chosen}; left out: {left}",)
     a = _in_order(units[chosen])
     zero = float(a[0, 0])
-    parts = [_track(values, kind, zero) for (kind, _), values in rows.items() if kind != IMU]
-    track = _merged(np.concatenate(parts)) if parts else None
+    parts = [_in_order(values) for (kind, _), values in rows.items() if kind != IMU]
+    track = _merged(np.concatenate(parts), zero) if parts else None
     return Recording(
         name=name, acceleration=Series(a[:, 0] - zero, a[:, 1:]), track=track,
         epoch=zero, notes=notes,
     )  # fmt: skip
 
 
-def _merged(x: np.ndarray) -> Series:
+def _merged(x: np.ndarray, zero: float) -> Series:
     """Return rows (N, 5) of several topics as one track; those of the same time are one row."""
-    t, row = np.unique(np.round(x[:, 0], 6), return_inverse=True)
+    t, row = np.unique(np.round(x[:, 0] - zero, 6), return_inverse=True)
     found = np.full((t.size, x.shape[1] - 1), np.nan)
     for k, values in enumerate(x[:, 1:].T):
         known = np.isfinite(values)
@@ -143,17 +133,8 @@ def _in_order(rows: list[tuple[float, ...]]) -> np.ndarray:
     return x[np.argsort(x[:, 0], kind="stable")]
 
 
-def _track(rows: list[tuple[float, ...]], kind: str, zero: float) -> np.ndarray:
-    """Return time, latitude, longitude, speed and odometer (N, 5), NaN where not known."""
-    x = _in_order(rows)
-    found = np.full((len(x), 5), np.nan)
-    found[:, 0] = x[:, 0] - zero
-    found[:, (1, 2) if kind == FIX else (3,)] = x[:, 1:]
-    return found
-
-
-def _mcap_messages(path: Path) -> Iterator[_RosMessage]:
-    """Yield the messages of KINDS in an MCAP file. Raises ConfigError.
+def _mcap_messages(path: Path) -> Iterator[_Message]:
+    """Yield the messages of DECODERS in an MCAP file. Raises ConfigError.
 
     A chunk states its size when unpacked; no more than that, and no more than MAX_CHUNK, is
     unpacked.
@@ -183,18 +164,18 @@ def _mcap_messages(path: Path) -> Iterator[_RosMessage]:
                     schemas[record.id] = record.name
                 elif isinstance(record, Channel):
                     kind = schemas.get(record.schema_id, "")
-                    if record.message_encoding == "cdr" and kind in KINDS:
+                    if record.message_encoding == "cdr" and kind in DECODERS:
                         channels[record.id] = (record.topic, kind)
                     else:
                         other.add(f"{kind or 'no type'} ({record.message_encoding})")
                 elif isinstance(record, Message) and record.channel_id in channels:
                     found = True
-                    yield _RosMessage(*channels[record.channel_id], record.data)
+                    yield *channels[record.channel_id], record.data
         except McapError as error:
             raise ConfigError(f"a damaged MCAP file: {error or type(error).__name__}") from None
     if not found:
         raise ConfigError(
-            f"no message that is read ({', '.join(KINDS)}, serialised by CDR); the file has "
+            f"no message that is read ({', '.join(DECODERS)}, serialised by CDR); the file has "
             f"{', '.join(sorted(other)) or 'none'}"
         )
 
@@ -246,14 +227,14 @@ def _packed(folder: Path) -> list[Path]:
     return sorted(folder.glob("*.db3.zstd")) + sorted(folder.glob("*.mcap.zstd"))
 
 
-def _messages(path: Path) -> Iterator[_RosMessage]:
+def _messages(path: Path) -> Iterator[_Message]:
     with path.open("rb") as file:
         is_mcap = path.suffix == ".mcap" or file.read(8) == MCAP_MAGIC
     return _mcap_messages(path) if is_mcap else _sqlite_messages(path)
 
 
-def _sqlite_messages(path: Path) -> Iterator[_RosMessage]:
-    kinds = ", ".join(f"'{kind}'" for kind in KINDS)
+def _sqlite_messages(path: Path) -> Iterator[_Message]:
+    kinds = ", ".join(f"'{kind}'" for kind in DECODERS)
     query = (
         "SELECT topics.name, topics.type, messages.data FROM messages JOIN topics "
         f"ON messages.topic_id = topics.id WHERE topics.type IN ({kinds}) "
@@ -270,6 +251,6 @@ def _sqlite_messages(path: Path) -> Iterator[_RosMessage]:
                     "tables, not topics and messages"
                 )
             for topic, kind, data in base.execute(query):
-                yield _RosMessage(str(topic), str(kind), bytes(data))
+                yield str(topic), str(kind), bytes(data)
     except sqlite3.Error as error:
         raise ConfigError(f"no readable bag of ROS 2: {error}") from None

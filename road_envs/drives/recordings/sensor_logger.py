@@ -13,8 +13,14 @@ from collections.abc import Mapping
 import numpy as np
 
 from road_envs.core.config import ConfigError
-from road_envs.drives.recordings.archive import find_member, number_column, parse_member
-from road_envs.drives.recordings.recording import Recording, Series, make_track
+from road_envs.drives.recordings.archive import (
+    axis_columns,
+    find_member,
+    number_column,
+    parse_member,
+    track_columns,
+)
+from road_envs.drives.recordings.recording import Recording, Series
 
 TOTAL, LINEAR, GRAVITY = "TotalAcceleration.csv", "Accelerometer.csv", "Gravity.csv"
 
@@ -56,11 +62,9 @@ def _times(table: Mapping, file: str) -> tuple[np.ndarray, float]:
 def _axes(file: str, members: Mapping[str, bytes]) -> tuple[Series, float | None]:
     table = parse_member(file, members[file])
     t, epoch = _times(table, file)
-    columns = [number_column(table, axis, "acceleration", file) for axis in "xyz"]
-    found = [x for x in columns if x is not None]
-    if len(found) < 3:
+    if (found := axis_columns(table, "xyz", file)) is None:
         raise ConfigError(f"{file} lacks the columns x, y and z; it has {', '.join(table)}")
-    return Series(t, np.column_stack(found)), None if np.isnan(epoch) else epoch
+    return Series(t, found), None if np.isnan(epoch) else epoch
 
 
 def _track(members: Mapping[str, bytes], zero: float | None) -> Series | None:
@@ -70,8 +74,6 @@ def _track(members: Mapping[str, bytes], zero: float | None) -> Series | None:
     t, epoch = _times(table, file)
     if zero is not None and np.isfinite(epoch):
         t = t + (epoch - zero)
-    speed = number_column(table, "speed", "speed", file)
-    v = None if speed is None else np.where(speed < 0.0, np.nan, speed)
-    lat, lon = (number_column(table, key, "angle", file) for key in ("latitude", "longitude"))
-    track, order = make_track(t, lat, lon, v), np.argsort(t, kind="stable")
-    return Series(t[order], track.x[order])
+    track = track_columns(table, t, "speed", file)[np.argsort(t, kind="stable")]
+    track.x[track.x[:, 2] < 0.0, 2] = np.nan
+    return track

@@ -8,7 +8,8 @@ where `[header]` says so. Accelerations of IMU channels are in g. The date is in
 
 import re
 from collections.abc import Mapping
-from datetime import UTC, datetime
+from contextlib import suppress
+from datetime import datetime
 from typing import Any
 
 import numpy as np
@@ -74,10 +75,7 @@ def _column(name: str, x: np.ndarray, knots: bool) -> tuple[str, np.ndarray]:
 
 def _date(line: str) -> float:
     """Return midnight of the day in the first line [s since 1970]; 0 without one."""
-    if not (found := re.search(r"(\d{1,2})/(\d{1,2})/(\d{4})", line)):
-        return 0.0
-    day, month, year = map(int, found.groups())
-    try:
-        return datetime(year, month, day, tzinfo=UTC).timestamp()
-    except ValueError:
-        return 0.0
+    if found := re.search(r"\d{1,2}/\d{1,2}/\d{4}", line):
+        with suppress(ValueError):
+            return datetime.strptime(f"{found[0]} +0000", "%d/%m/%Y %z").timestamp()
+    return 0.0

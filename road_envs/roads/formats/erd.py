@@ -18,7 +18,7 @@ channel is used for both paths. Channels without a unit and other number types a
 """
 
 import re
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -42,30 +42,23 @@ MIN_PLAUSIBLE_SHARE = 0.9
 MAX_CHANNELS = 1000
 
 
-@dataclass(frozen=True)
-class _Header:
-    """Contents of a header; `samples` is 0 if it does not state their number. `step` [m]."""
-
-    channels: int
-    samples: int
-    number_type: int
-    step: float
-    keywords: dict[str, str]
-
-
 def read(path: str | Path) -> WheelPaths:
     """Read both wheel paths from a file, or from the ".bin" beside it. Raises SurfaceFileError."""
-    header, body = _parse_header(read_bytes(path))
-    if header.number_type == FLOAT:
-        binary = Path(path).with_suffix(".bin")
-        if not binary.is_file():
-            raise SurfaceFileError(f"its numbers should be in {binary.name}, which is missing")
-        body = read_bytes(binary)
-    return _parse_numbers(header, body)
+    beside = Path(path).with_suffix(".bin")
+
+    def read_binary() -> bytes:
+        if not beside.is_file():
+            raise SurfaceFileError(f"its numbers should be in {beside.name}, which is missing")
+        return read_bytes(beside)
+
+    return _parse(read_bytes(path), read_binary)
 
 
-def _parse_header(data: bytes) -> tuple[_Header, bytes]:
-    """Return the header in the bytes of a file, and the bytes after it. Raises SurfaceFileError."""
+def _parse(data: bytes, read_binary: Callable[[], bytes]) -> WheelPaths:
+    """Return both wheel paths from the bytes of a file; `read_binary` returns those of the other.
+
+    Raises SurfaceFileError.
+    """
     if data[:9].upper() != b"ERDFILEV2":
         raise SurfaceFileError("not an ERD file: it does not begin with ERDFILEV2")
     data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
@@ -92,21 +85,18 @@ def _parse_header(data: bytes) -> tuple[_Header, bytes]:
         raise SurfaceFileError(
             f"the step must be positive and below {MAX_LENGTH:g} m, got {step:g} m"
         )
-    return _Header(channels, max(0, samples), number_type, step, keywords), data[end.end() :]
-
-
-def _parse_numbers(header: _Header, body: bytes) -> WheelPaths:
-    """Return both wheel paths from the bytes with the numbers. Raises SurfaceFileError."""
-    values = _text(body) if header.number_type == TEXT else _floats(body)
-    samples, rest = divmod(values.size, header.channels)
-    if rest or not samples or samples != (header.samples or samples):
+    values = _text(data[end.end() :]) if number_type == TEXT else _floats(read_binary())
+    stated = max(0, samples)  # a header need not state their number
+    samples, rest = divmod(values.size, channels)
+    if rest or not samples or samples != (stated or samples):
         raise SurfaceFileError(
-            f"damaged: {values.size} numbers, but the header states {header.samples or 'complete'} "
-            f"samples of {header.channels} channels"
+            f"damaged: {values.size} numbers, but the header states {stated or 'complete'} "
+            f"samples of {channels} channels"
         )
-    table = values.reshape(samples, header.channels)
-    z = [checked_heights(table[:, k], scale) for k, scale in _left_and_right(header)]
-    return WheelPaths(np.array(z), header.step)
+    table = values.reshape(samples, channels)
+    pair = _left_and_right(channels, keywords)
+    z = [checked_heights(table[:, k], scale) for k, scale in pair]
+    return WheelPaths(np.array(z), step)
 
 
 def _text(body: bytes) -> np.ndarray:
@@ -133,14 +123,14 @@ def _plausible_share(values: np.ndarray) -> float:
     return 1.0 - implausible.sum() / max(1, values.size)
 
 
-def _left_and_right(header: _Header) -> list[tuple[int, float]]:
+def _left_and_right(channels: int, keywords: Mapping[str, str]) -> list[tuple[int, float]]:
     """Return the channel index and its unit in metres, for the left and right wheel path."""
     short, long, unit = (
-        _fields(header, key, width)
+        [keywords.get(key, "")[k * width : (k + 1) * width].strip() for k in range(channels)]
         for key, width in (("SHORTNAM", 8), ("LONGNAME", 32), ("UNITSNAM", 8))
     )
-    lengths = [k for k in range(header.channels) if normalise(unit[k]) in FACTORS["distance"]]
-    if header.channels == 1:
+    lengths = [k for k in range(channels) if normalise(unit[k]) in FACTORS["distance"]]
+    if channels == 1:
         pair = [0, 0]
     else:
         pair = []
@@ -148,19 +138,13 @@ def _left_and_right(header: _Header) -> list[tuple[int, float]]:
             pattern = re.compile(rf"{letter}\W*elev|.*\b{word}\b", re.IGNORECASE)
             matches = [k for k in lengths if pattern.match(short[k]) or pattern.match(long[k])]
             if len(matches) != 1:
-                channels = ", ".join(f"{name} [{u}]" for name, u in zip(short, unit, strict=True))
+                known = ", ".join(f"{name} [{u}]" for name, u in zip(short, unit, strict=True))
                 raise SurfaceFileError(
                     f"{len(matches)} channels match the {word} wheel path, expected 1 among: "
-                    f"{channels:.200}"
+                    f"{known:.200}"
                 )
             pair += matches
     return [(k, metres(unit[k], f"channel {k + 1}")) for k in pair]
-
-
-def _fields(header: _Header, keyword: str, width: int) -> list[str]:
-    """Return the text of each channel under a keyword, `width` characters per channel."""
-    text = header.keywords.get(keyword, "")
-    return [text[k * width : (k + 1) * width].strip() for k in range(header.channels)]
 
 
 def _whole_number(text: str) -> int:

@@ -41,8 +41,10 @@ def parse_text(data: bytes) -> WheelPaths:
         raise SurfaceFileError("not a text file") from None
     lines = [s for line in text.splitlines() if (s := line.strip()) and not s.startswith("#")]
     mark = next((mark for mark in ";\t," if lines and mark in lines[0]), None)
-    names = []
-    if lines and not _is_number(_cells(lines[0], mark)[0]):
+    names: list[str] = []
+    try:
+        float(_cells(lines[0], mark)[0] if lines else "0")
+    except ValueError:
         names = [cell.lower() for cell in _cells(lines.pop(0), mark)]
     if not lines:
         raise SurfaceFileError("the table is empty")
@@ -152,11 +154,3 @@ def _columns(names: list[str]) -> list[str]:
         "the columns must be distance, left, right, or distance, height, "
         f"got {', '.join(names) or 'none'}"
     )
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

@@ -54,13 +54,10 @@ def write_crg(surface: Surface, path: str | Path, data_format: str = "KDBI") -> 
         raise ConfigError(f"unknown data format {data_format!r}; known: {', '.join(WIDTHS)}")
     left, right = surface.z
     grid = np.array([right, right, left, left]).T
-    header = "\n".join([*_crg_header(surface, data_format), "$" * 72, ""]).encode(
-        "ascii", "replace"
-    )
+    header = "\n".join([*_crg_header(surface, data_format), "$" * 72, ""])
+    payload = (_binary if data_format.startswith("K") else _text)(grid, data_format)
     with atomic_write(path) as partial:
-        partial.write_bytes(
-            header + (_binary if data_format.startswith("K") else _text)(grid, data_format)
-        )
+        partial.write_bytes(header.encode("ascii", "replace") + payload)
 
 
 def _write_erd(surface: Surface, path: str | Path) -> None:
