@@ -71,9 +71,12 @@ class _UncertainVehicle:
             f"instruments and the friction was unexplained, now {self.after:.1f} times",
         )
 
-    def model(self, segment: Segment) -> SpectralModel:
-        """Return the model of a segment with the noise of an uncertain vehicle."""
-        model = fit_hyperparameters(SensedVehicle.of(self.car, self.instruments), segment)
+    def model(self, segment: Segment, fitted: SpectralModel | None = None) -> SpectralModel:
+        """Return the model of a segment with the noise of an uncertain vehicle: the one `fitted` to
+        it with this vehicle, if there is one, or a new one.
+        """
+        vehicle = SensedVehicle.of(self.car, self.instruments)
+        model = fitted or fit_hyperparameters(vehicle, segment)
         _, dH = _responses(self.space, self.x, self.instruments, segment, model)
         return replace(model, model_error=_model_error_psd(dH, self.covariance, model.S))
 

@@ -86,7 +86,8 @@ class Wiener(CalibratedByIdentification):
         if self.adapt and self.identified is None:
             found = adapt_vehicle(masked.record, segments[k], middle, car, sensors, passes)
         if found:
-            car, fit, middle = found.car, found.model, found.model(segments[k])
+            fitted = middle if found.car == car else None
+            car, fit, middle = found.car, found.model, found.model(segments[k], fitted)
             notes += found.notes
             unexplained = found.after
         for segment in segments:
