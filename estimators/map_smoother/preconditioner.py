@@ -203,8 +203,7 @@ class StationaryHessian:
 
 def stationary_hessian(objective: Objective) -> StationaryHessian:
     """The Hessian of `objective`, each pass at its mean speed, strut states by their duration."""
-    road = objective.road
-    station = road.origin + road.ds * np.arange(road.size)
+    road, station = objective.road, objective.road.stations
     passed = np.array(
         [
             (station >= one.inputs.s[0] - one.model.wheelbase) & (station <= one.inputs.s[-1])
@@ -261,17 +260,6 @@ def _split_levels(local: np.ndarray) -> list[tuple[float, np.ndarray]]:
     )
     shares = np.array([np.interp(log, levels, row) for row in np.eye(levels.size)])
     return list(zip(np.exp(levels), shares, strict=True))
-
-
-def prior_spectrum(road: RoadTransform, one: Pass, f: np.ndarray) -> np.ndarray:
-    """Return the spectrum (F, 2) [m²] of mean and half difference in block means at `f` (F,) [Hz].
-
-    In units in which that of unit white noise of the block means is 1.
-    """
-    v, dt = float(one.inputs.v.mean()), one.block_duration
-    density = np.abs(road.transfer_function()) ** 2 * road.ds / (v * dt)
-    response = np.sinc(f * dt) ** 2
-    return np.array([np.interp(f / v, road.n, path) * response for path in density]).T
 
 
 def linear_responses(one: Pass, f: np.ndarray) -> Iterator[tuple[float, np.ndarray]]:
