@@ -1,11 +1,9 @@
 """Known road of a calibration drive: the measured profile in place of the prior's road."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from scipy.fft import irfft, rfft, rfftfreq
-from scipy.ndimage import spline_filter1d
 
 from estimators.api import CalibrationDrive, CalibrationError
 from estimators.map_smoother.objective import Objective
@@ -24,17 +22,21 @@ def on_profile(objective: Objective, drive: CalibrationDrive) -> Objective:
     road, profile = objective.road, drive.profile
     if profile is None:
         return objective
-    prior, noise = _road_prior(profile), 2.0 * drive.survey_std**2 * profile.ds
+    # a prior of the profile's own level, from waves that are long against its error
+    n, G = displacement_psd(profile.z, profile.ds)
+    inside = (n > TUNING.level_band[0]) & (n < TUNING.level_band[1])
+    prior = RoadPrior(G_d0=float(np.mean(G[:, inside] * (n[inside] / N_0) ** 2)))
+    noise = 2.0 * drive.survey_std**2 * profile.ds
 
     def share(n: np.ndarray) -> np.ndarray:
         """Return the road's share of the profile's density at `n` [cycles/m]."""
         density = prior.density(np.maximum(n, 1e-6))
         return density / (density + noise)
 
-    s = road.origin + road.ds * np.arange(road.size)
-    smooth = _filtered(profile, share)
-    heights = np.array([np.interp(s, profile.s, z) for z in smooth])
-    background = spline_filter1d(heights, order=3, axis=1, mode="nearest")
+    both = np.concatenate([profile.z, profile.z[:, ::-1]], axis=1)  # mirrored at both ends
+    spectrum = rfft(both, axis=1) * share(rfftfreq(both.shape[1], profile.ds))
+    smooth = irfft(spectrum, both.shape[1], axis=1)[:, : profile.s.size]
+    background = road.spline_of(Profile(profile.s, smooth))
     rise = np.maximum(2.0 * np.sin(np.pi * road.n * road.ds), 1e-3)
     # mean and half difference have half the variance each of what is left of the error
     amplitude = rise * np.sqrt(0.25 * noise * share(road.n) / road.ds) * np.ones((2, 1))
@@ -44,20 +46,6 @@ def on_profile(objective: Objective, drive: CalibrationDrive) -> Objective:
         free=np.zeros(road.size),
     )  # fmt: skip
     return replace(objective, road=known)
-
-
-def _road_prior(profile: Profile) -> RoadPrior:
-    """Return a prior of the profile's own level, from waves that are long against its error."""
-    n, G = displacement_psd(profile.z, profile.ds)
-    inside = (n > TUNING.level_band[0]) & (n < TUNING.level_band[1])
-    return RoadPrior(G_d0=float(np.mean(G[:, inside] * (n[inside] / N_0) ** 2)))
-
-
-def _filtered(profile: Profile, share: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """Return the heights (2, M) with each wave multiplied by `share`; mirrored at both ends."""
-    both = np.concatenate([profile.z, profile.z[:, ::-1]], axis=1)
-    spectrum = rfft(both, axis=1) * share(rfftfreq(both.shape[1], profile.ds))
-    return irfft(spectrum, both.shape[1], axis=1)[:, : profile.s.size]
 
 
 def check_profile(objective: Objective, drive: CalibrationDrive) -> None:

@@ -187,9 +187,8 @@ class Linearization:
     @cached_property
     def _hats(self) -> np.ndarray:
         """Weights (M, K) of the shifts at the nodes."""
-        road, knots = self.objective.road, self.objective.knots
-        station = road.origin + road.ds * np.arange(road.size)
-        return np.array([np.interp(station, knots, unit) for unit in np.eye(knots.size)])
+        stations, knots = self.objective.road.stations, self.objective.knots
+        return np.array([np.interp(stations, knots, unit) for unit in np.eye(knots.size)])
 
     @cached_property
     def _shift_information(self) -> np.ndarray:

@@ -258,10 +258,9 @@ def interior(free: np.ndarray, margin: int) -> np.ndarray:
 
 def _strut_states(road: RoadTransform, drives: Sequence[ModelInputs]) -> np.ndarray:
     """Number (K,) of the combination of strut states in which the drives passed each node."""
-    station = road.origin + road.ds * np.arange(road.size)
     states = []
     for inputs in drives:
-        passed = np.clip(np.searchsorted(inputs.s[::2], station), 0, inputs.n_steps - 1)
+        passed = np.clip(np.searchsorted(inputs.s[::2], road.stations), 0, inputs.n_steps - 1)
         states.append(inputs.commands[passed])
     return np.unique(states, axis=1, return_inverse=True)[1].ravel()
 

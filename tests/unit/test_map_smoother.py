@@ -12,6 +12,7 @@ from scipy.linalg import expm
 from vehicle_fixtures import DEFENDER
 
 from estimators.common.block_means import block_means
+from estimators.common.spline import evaluate_spline
 from estimators.map_smoother import gauss_newton, wheel_liftoff
 from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.gauss_newton import (
@@ -406,9 +407,9 @@ def test_on_a_linear_vehicle_the_map_road_is_the_dense_gaussian_posterior():
     noise *= np.sqrt(solution.noise_scale)
     J, y = J / noise[:, None], y / noise
     expected = np.linalg.solve(np.eye(J.shape[1]) + J.T @ J, J.T @ y)
-    s = np.linspace(1.0, 7.0, 400)
+    at = (np.linspace(1.0, 7.0, 400) - road.origin) / road.ds
     u, dense, true = (
-        road.heights_at(x[: 2 * road.size].reshape(2, -1), s)
+        evaluate_spline(road.coefficients(x[: 2 * road.size].reshape(2, -1)), at)
         for x in (solution.linearization.x, expected, drawn)
     )
     assert np.std(dense - true) < 0.1 * np.std(true)
