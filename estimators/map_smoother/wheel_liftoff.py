@@ -46,39 +46,30 @@ def unloaded_nodes(lin: Linearization, share: float = TUNING.liftoff_load_share)
     """Return which free nodes (2, K) were passed but never pressed on by this `share` of the mean
     wheel load, in any of the passes.
     """
-    light = np.all([_unloaded_in_pass(one, share) for one in lin.passes], axis=0)
+    light = np.all([_greatest_loads(one) < share for one in lin.passes], axis=0)
     return np.asarray(light & (lin.objective.road.free > 0))
 
 
 def passed_nodes(lin: Linearization) -> np.ndarray:
     """Return which free nodes (K,) a wheel has passed, in one of the passes at least."""
-    passed = np.any([_passed_by(one, _wheel_nodes(one)) for one in lin.passes], axis=0)
+    passed = np.any([np.isfinite(_greatest_loads(one)[0]) for one in lin.passes], axis=0)
     return np.asarray(passed & (lin.objective.road.free > 0))
 
 
-def _unloaded_in_pass(one: LinearizedPass, share: float) -> np.ndarray:
-    """Return which nodes (2, K) were passed, but never pressed on."""
-    nodes = _wheel_nodes(one)
-    loads, max_load = one.tape.signals[:, LOAD : LOAD + 4], np.zeros((2, one.source.nodes.size))
-    for wheel in range(4):
-        for k in (0, 1):  # the nodes to either side carry the wheel
-            np.maximum.at(max_load[wheel % 2], nodes[wheel // 2] + k, loads[:, wheel])
-    light = max_load < share * loads.mean()
-    return light & _passed_by(one, nodes)
-
-
-def _wheel_nodes(one: LinearizedPass) -> list[np.ndarray]:
-    """Return the node (N,) behind front and rear wheels at each step."""
+def _greatest_loads(one: LinearizedPass) -> np.ndarray:
+    """Return the greatest load (2, K) on each node over the mean wheel load; inf where no wheel has
+    passed.
+    """
     nodes, s = one.source.nodes, one.source.inputs.s[::2]
-    stations = s, s - one.source.model.wheelbase
-    return [((station - nodes.origin) / nodes.ds).astype(int) for station in stations]
-
-
-def _passed_by(one: LinearizedPass, nodes: list[np.ndarray]) -> np.ndarray:
-    passed = np.zeros(one.source.nodes.size, dtype=bool)
-    for axle in nodes:
-        passed[axle.min() : axle.max()] = True
-    return passed
+    loads = one.tape.signals[:, LOAD : LOAD + 4]
+    passed, greatest = np.zeros(nodes.size, dtype=bool), np.zeros((2, nodes.size))
+    for axle, station in enumerate((s, s - one.source.model.wheelbase)):
+        node = ((station - nodes.origin) / nodes.ds).astype(int)
+        passed[node.min() : node.max()] = True
+        for side in range(2):
+            for k in (0, 1):  # the nodes to either side carry the wheel
+                np.maximum.at(greatest[side], node + k, loads[:, 2 * axle + side])
+    return np.where(passed, greatest / loads.mean(), np.inf)
 
 
 def distance_in_air(one: LinearizedPass) -> float:
@@ -156,10 +147,19 @@ def road_below_light_wheels(lin: Linearization) -> tuple[np.ndarray, list[Liftof
     lower, errors, unloaded = np.zeros_like(c), list[LiftoffError](), unloaded_nodes(lin)
     if not is_level:
         step_variance = road.local**2 * irfft(road.amplitude**2, road.size, axis=1)[:, 0].sum()
-        bridges = [_bridge(step_variance, gap) for gap in gaps]
-        flown = [not road.may_be_uneven and _is_flown(step_variance, gap, unloaded) for gap in gaps]
-        errors += [bridge for bridge, is_flown in zip(bridges, flown, strict=True) if not is_flown]
-        gaps = [gap for gap, is_flown in zip(gaps, flown, strict=True) if is_flown]
+        flown = []
+        for gap in gaps:
+            steps = step_variance[gap.path, gap.run.start : gap.run.stop + 1]
+            in_air = unloaded[gap.path, gap.run].mean() > TUNING.flown_share
+            # an even road does not fall so far: the wheel flew off an obstacle
+            is_drop = gap.fall > TUNING.obstacle_fall * np.sqrt(steps.sum())
+            if in_air and is_drop and not road.may_be_uneven:
+                flown.append(gap)
+                continue
+            height = np.zeros(road.size)
+            height[gap.run] = np.sqrt(steps.sum() / 12.0)
+            errors.append(LiftoffError(gap.path, height))
+        gaps = flown
     falls = [gap.fall for gap in gaps if gap.fall > TUNING.min_drop]
     for path, run, level, fall, rise in gaps:
         height, unseen = np.zeros((2, road.size))
@@ -191,20 +191,3 @@ def _gap(c: np.ndarray, path: int, run: slice, reach: int) -> _Gap:
     before = c[path, max(run.start - reach, 0) : run.start + 1]
     behind = c[path, run.stop : run.stop + reach + 1]
     return _Gap(path, run, level, before.max() - level, behind.max() - level)
-
-
-def _is_flown(step_variance: np.ndarray, gap: _Gap, unloaded: np.ndarray) -> bool:
-    """Return whether a wheel flew across a gap off an obstacle: an even road, whose steps have this
-    variance (2, K), does not fall so far.
-    """
-    steps = step_variance[gap.path, gap.run.start : gap.run.stop + 1]
-    in_air = unloaded[gap.path, gap.run].mean() > TUNING.flown_share
-    return bool(in_air and gap.fall > TUNING.obstacle_fall * np.sqrt(steps.sum()))
-
-
-def _bridge(step_variance: np.ndarray, gap: _Gap) -> LiftoffError:
-    """Return the error of a straight road across a gap, whose steps have this variance (2, K)."""
-    height = np.zeros(step_variance.shape[1])
-    steps = step_variance[gap.path, gap.run.start : gap.run.stop + 1]
-    height[gap.run] = np.sqrt(steps.sum() / 12.0)
-    return LiftoffError(gap.path, height)
