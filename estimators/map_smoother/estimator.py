@@ -39,8 +39,7 @@ from estimators.common.odometer import calibrate_odometer
 from estimators.map_smoother.identification import identify_structure
 from estimators.map_smoother.identified_vehicle import CalibratedByIdentification
 from estimators.map_smoother.preparation import SolverSettings
-from estimators.map_smoother.solver import Findings, RoadSolver
-from estimators.map_smoother.speed_error import distance_scale
+from estimators.map_smoother.solver import Findings, RoadSolver, distance_scale
 from estimators.map_smoother.tuning import TUNING
 from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
 from estimators.map_smoother.windows import PreparedDrive, on_common_nodes

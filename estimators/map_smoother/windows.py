@@ -75,11 +75,6 @@ class PreparedDrive:
         """Stations [m] at which the blocks begin."""
         return self.inputs.s[:: 2 * self.steps_per_block][: self.blocks]
 
-    @property
-    def mean_speed(self) -> float:
-        """Mean speed [m/s]."""
-        return float(self.inputs.v.mean())
-
     def split(self, window: float, overlap: float) -> list[Window]:
         """Split the drive into windows of `window` and `overlap` [s]."""
         rate = 1.0 / (self.steps_per_block * self.inputs.h)

@@ -11,7 +11,7 @@ from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.gauss_newton import GaussNewton, minimize
 from estimators.map_smoother.objective import Objective
 from estimators.map_smoother.preconditioner import stationary_hessian
-from estimators.map_smoother.speed_error import distance_scale, estimate_speed_error
+from estimators.map_smoother.solver import distance_scale, estimate_speed_error
 from estimators.map_smoother.windows import whole_objective
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.drives.recording import simulate_record
