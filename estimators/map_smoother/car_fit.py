@@ -9,12 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimators.map_smoother.gauss_newton import (
-    GaussNewton,
-    MapSolution,
-    update_noise_scale,
-    update_prior,
-)
+from estimators.map_smoother.gauss_newton import GaussNewton, MapSolution
 from estimators.map_smoother.instrument_errors import InstrumentErrors
 from estimators.map_smoother.marginal_likelihood import (
     LikelihoodTerms,
@@ -112,7 +107,7 @@ def fit_car(
             # the unknowns are those of the prior that the road has by now
             changed = replace(solution.linearization.objective, passes=(one,))
             change = term.change(step) if isinstance(term, TangentTerms) else None
-            solved.append(_resolve(solution, changed, solver, change))
+            solved.append(resolve(solution, changed, solver, change))
         now = tuple(solved)
         if (np.abs(step) < small * np.sqrt(np.diag(covariance))).all():
             break
@@ -201,23 +196,21 @@ def noise_left(solutions: Sequence[MapSolution]) -> float:
     return max(float(np.max(one.noise_scale)) for one in solutions)
 
 
-def _resolve(
+def resolve(
     solution: MapSolution,
     objective: Objective,
     solver: GaussNewton,
-    change: np.ndarray | None,
+    change: np.ndarray | None = None,
+    steps: int = TUNING.road_steps,
 ) -> MapSolution:
-    """Return the solution of a drive with another `objective`, after steps from its road on.
+    """Return the solution of drives with another `objective`, after `steps` from its road on.
 
     With a `change` of the unknowns that is expected, the prior of the road follows it, too.
     """
-    stationary = stationary_hessian(objective)
-    solver = replace(solver, stationary=stationary)
-    x = solution.linearization.x + (0.0 if change is None else change)
-    lin, noise_scale = objective.linearize(x), solution.noise_scale
-    for _ in range(TUNING.road_steps):
-        noise_scale = update_noise_scale(lin, stationary, noise_scale)
-        lin, _ = solver.step(lin, noise_scale)
+    lin = objective.linearize(solution.linearization.x + (0.0 if change is None else change))
+    point = MapSolution(lin, stationary_hessian(objective), solution.noise_scale)
+    for _ in range(steps):
+        point, _ = solver.step(point.with_noise_scale())
         if change is not None:
-            lin = update_prior(lin, stationary, noise_scale)
-    return MapSolution(lin, stationary, noise_scale)
+            point = point.with_prior()
+    return point

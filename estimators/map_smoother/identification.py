@@ -6,9 +6,8 @@ combined. The last third of each drive is held out: there the described and the 
 are compared.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from scipy.signal import welch
@@ -17,12 +16,7 @@ from estimators.api import CalibrationDrive, CalibrationError
 from estimators.common.blas import single_blas_thread
 from estimators.common.odometer import calibrate_odometer
 from estimators.map_smoother.car_fit import CarFit, fit_car
-from estimators.map_smoother.gauss_newton import (
-    GaussNewton,
-    MapSolution,
-    minimize,
-    update_noise_scale,
-)
+from estimators.map_smoother.gauss_newton import GaussNewton, MapSolution, minimize
 from estimators.map_smoother.identification_result import (
     IdentificationResult,
     Unexplained,
@@ -40,7 +34,7 @@ from estimators.map_smoother.windows import whole_objective
 from road_envs.records.record import Record
 from road_envs.sensing.instruments import instruments_of
 from road_envs.vehicle.parameters import VehicleParameters
-from road_envs.vehicle.tolerances import ParameterSpace, has_absent_elements, parameter_space
+from road_envs.vehicle.tolerances import has_absent_elements, parameter_space
 
 
 @single_blas_thread()
@@ -131,7 +125,12 @@ def _fit(
     settings: SolverSettings,
     structure: bool,
 ) -> CarFit:
-    """Return the fit to `drives`."""
+    """Return the fit to `drives`, from near the resonances that are searched: a resonance is found
+    only from near its frequency.
+
+    One mode after the other, the frequency is taken at which the drives cost least. The noise that
+    they leave does not tell where all of it is explained: by another road.
+    """
     space = parameter_space(car, structure)
     known = all(drive.profile is not None for drive in drives)
 
@@ -139,37 +138,20 @@ def _fit(
         vehicle = space.from_vector(x[: space.size])
         return [_solve(drive, vehicle, settings, quick) for drive in drives]
 
+    def cost(x: np.ndarray) -> float:
+        return sum(one.linearization.cost_under(np.ones(1)) for one in solve(x, quick=True))
+
     errors = len(InstrumentErrors(drives[0].record.channels).names) if known else 0
-    x, solutions = _nearest_start(space, space.size + errors, solve)
-    solver = GaussNewton(solutions[0].stationary, settings.huber)
-    steps = TUNING.identification_steps
-    return fit_car(solutions, space, solver, instruments=known, start=x, max_steps=steps)
-
-
-def _nearest_start(
-    space: ParameterSpace, size: int, solve: Callable[..., list[MapSolution]]
-) -> tuple[np.ndarray, list[MapSolution]]:
-    """Return where the search begins: a resonance is found only from near its frequency.
-
-    One mode after the other, the frequency is taken at which the drives cost least. The noise that
-    they leave does not tell where all of it is explained: by another road.
-    """
-    x = np.zeros(size)
+    x = np.zeros(space.size + errors)
     starts = {"frame": TUNING.frame_starts, "bending": TUNING.bending_starts}
     for mode, frequencies in starts.items():
         if (name := f"variation.{mode}.f") in space.names:
             i = space.names.index(name)
-            about = getattr(space.car.variation, mode).f
-            points = [x + np.log(f / about) / space.std[i] * np.eye(size)[i] for f in frequencies]
-            tried = [solve(point, quick=True) for point in points]
-            x = points[int(np.argmin([sum(map(_cost, solutions)) for solutions in tried]))]
-    return x, solve(x)
-
-
-def _cost(solution: MapSolution) -> float:
-    """Return the cost of a drive under the noise of its instruments."""
-    lin = solution.linearization
-    return lin.with_inverse_variance([one.source.information for one in lin.passes]).cost
+            about, unit = getattr(space.car.variation, mode).f, np.eye(x.size)[i]
+            points = [x + np.log(f / about) / space.std[i] * unit for f in frequencies]
+            x = min(points, key=cost)
+    solver, steps = GaussNewton(settings.huber), TUNING.identification_steps
+    return fit_car(solve(x), space, solver, instruments=known, start=x, max_steps=steps)
 
 
 def _parts(
@@ -235,11 +217,12 @@ def _solve(
     """
     objective = _objective(drive, car, settings)
     objective = objective.with_passes(lambda one: InstrumentErrors.of(one).apply(one, errors))
-    solver = GaussNewton(stationary_hessian(objective), settings.huber)
+    solver = GaussNewton(settings.huber)
     if drive.profile is not None:
         return _settle(objective, solver, 2 if quick else TUNING.settling_steps)
-    options: Any = {"change_tolerance": 1.0, "adapt_prior": False} if quick else {}
-    return minimize(objective, solver, **options)
+    if quick:
+        solver = replace(solver, change_tolerance=1.0, adapt_prior=False)
+    return minimize(objective, solver)
 
 
 def _settle(objective: Objective, solver: GaussNewton, max_steps: int) -> MapSolution:
@@ -247,13 +230,14 @@ def _settle(objective: Objective, solver: GaussNewton, max_steps: int) -> MapSol
 
     A drive that is cut out begins in motion, and only a few steps find its first state.
     """
-    lin, noise_scale = objective.linearize(np.zeros(objective.size)), np.array([np.inf])
+    lin = objective.linearize(np.zeros(objective.size))
+    found = MapSolution(lin, stationary_hessian(objective), np.array([np.inf]))
     for _ in range(max_steps):
-        before, noise_scale = noise_scale, update_noise_scale(lin, solver.stationary, noise_scale)
-        if noise_scale[0] > TUNING.settled_on_known * before[0]:
+        before, found = found.noise_scale, found.with_noise_scale()
+        if found.noise_scale[0] > TUNING.settled_on_known * before[0]:
             break
-        lin, _ = solver.step(lin, noise_scale)
-    return MapSolution(lin, solver.stationary, noise_scale)
+        found, _ = solver.step(found)
+    return found
 
 
 def _unexplained(

@@ -68,11 +68,6 @@ class Objective:
         return sum(len(one.model.sensor_rows) for one in self.passes) <= WHEEL_PATHS
 
     @property
-    def plants(self) -> list[Plant]:
-        """The vehicle of each pass."""
-        return [one.model.plant for one in self.passes]
-
-    @property
     def noise_variance(self) -> np.ndarray:
         """Variance (P,) [(m/s²)²] of a sample's noise in each pass."""
         return np.array([one.model.noise_variance for one in self.passes])
@@ -132,6 +127,11 @@ class Linearization:
     def cost(self) -> float:
         """The cost at `x`."""
         return sum(one.misfit for one in self.passes) + 0.5 * float(self.x @ self.x)
+
+    def cost_under(self, noise_scale: np.ndarray) -> float:
+        """The cost at `x` under `noise_scale` (P,) times the noise of the instruments."""
+        pairs = zip(self.passes, noise_scale, strict=True)
+        return self.with_inverse_variance([one.source.information / k for one, k in pairs]).cost
 
     def gradient(self) -> np.ndarray:
         """Gradient of the cost with respect to `x`."""

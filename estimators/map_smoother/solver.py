@@ -26,18 +26,17 @@ from estimators.map_smoother.car_fit import (
     fit_if_due,
     is_believed,
     noise_left,
+    resolve,
 )
 from estimators.map_smoother.gauss_newton import (
     GaussNewton,
     MapSolution,
     minimize,
     misfit_power,
-    update_noise_scale,
 )
 from estimators.map_smoother.objective import Objective
 from estimators.map_smoother.one_pass import MeasurementModel
 from estimators.map_smoother.posterior_sampling import RoadPosterior, posterior_mean_and_std
-from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.preparation import SolverSettings
 from estimators.map_smoother.tuning import TUNING
 from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
@@ -121,17 +120,17 @@ class RoadSolver:
             for one, fit in zip(objective.passes, fits, strict=True)
         )
         objective = replace(objective, passes=passes)
-        solver = GaussNewton(stationary_hessian(objective), settings.huber)
-        adapt = partial(self._adapt, members=members, findings=findings)
-        solution = minimize(
-            objective,
-            solver,
-            adapt_prior=settings.adapt_prior,
-            start=None if start is None else objective.from_noise(objective.road.noise_of(start)),
-            stages=TUNING.friction_stages if start is None else TUNING.joint_stages,
-            prior_updates=settings.prior_updates if start is None else TUNING.joint_prior_updates,
-            adapt_car=adapt if self.adapt and not findings.fits else None,
+        solver = GaussNewton(
+            settings.huber, adapt_prior=settings.adapt_prior, prior_updates=settings.prior_updates
         )
+        x = None
+        if start is not None:
+            x = objective.from_noise(objective.road.noise_of(start))
+            updates = TUNING.joint_prior_updates
+            solver = replace(solver, stages=TUNING.joint_stages, prior_updates=updates)
+        adapt = partial(self._adapt, members=members, findings=findings)
+        is_due = self.adapt and not findings.fits
+        solution = minimize(objective, solver, x, adapt if is_due else None)
         findings.in_air[members] += [distance_in_air(one) for one in solution.linearization.passes]
         if len(self.drives) > 1:
             posterior = posterior_mean_and_std(solution, self.band, self.draws)
@@ -193,17 +192,11 @@ class RoadSolver:
             return solution
         if len(members) == 1:
             return findings.fits[0][0].solutions[0]
-        lin, noise_scale = solution.linearization, solution.noise_scale
-        fits = [findings.fit_of(number) for number in members]
-        pairs = zip(lin.objective.passes, fits, strict=True)
+        objective, fits = solution.linearization.objective, map(findings.fit_of, members)
+        pairs = zip(objective.passes, fits, strict=True)
         passes = tuple(one.with_car(fit.car) if fit else one for one, fit in pairs)
-        objective = replace(lin.objective, passes=passes)
-        solver = replace(solver, stationary=stationary_hessian(objective))
-        lin = objective.linearize(lin.x)
-        for _ in range(TUNING.adapted_steps):
-            noise_scale = update_noise_scale(lin, solver.stationary, noise_scale)
-            lin, _ = solver.step(lin, noise_scale)
-        return MapSolution(lin, solver.stationary, noise_scale)
+        objective = replace(objective, passes=passes)
+        return resolve(solution, objective, solver, steps=TUNING.adapted_steps)
 
 
 def _explains_more(fitted: MapSolution, described: MapSolution) -> bool:

@@ -24,7 +24,6 @@ from estimators.map_smoother.marginal_likelihood import (
     sensitivities,
 )
 from estimators.map_smoother.objective import Objective
-from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.tangent_likelihood import TangentTerms
 from estimators.map_smoother.tuning import TUNING
 from estimators.map_smoother.windows import whole_objective
@@ -102,7 +101,7 @@ def test_the_state_in_which_a_part_of_a_drive_begins_is_found_over_a_known_road(
     car, smoother = perturb_vehicle(DEFENDER, "S1", 2).car, MapSmoother()
     _, later = identification._parts(drive, smoother)
     objective = identification._objective(later, car, smoother)
-    at_rest = identification._settle(objective, GaussNewton(stationary_hessian(objective)), 1)
+    at_rest = identification._settle(objective, GaussNewton(), 1)
     found = identification._solve(later, car, smoother)
     # what remains are the errors of the profile
     assert found.noise_scale < 5.0 < 0.05 * at_rest.noise_scale
@@ -191,7 +190,7 @@ def test_an_identification_that_does_not_explain_held_out_readings_is_refused(
 
 def test_each_step_over_an_unmeasured_road_has_derivatives_of_its_own(monkeypatch):
     objective, at = short_objective(), []
-    steps = GaussNewton(stationary_hessian(objective), 4.0)
+    steps = GaussNewton(4.0)
     few = ParameterSpace(DEFENDER, SPACE.names[:3], SPACE.std[:3])
 
     def logged(space, x):

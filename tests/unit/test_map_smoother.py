@@ -15,11 +15,7 @@ from estimators.common.block_means import block_means
 from estimators.common.spline import evaluate_spline
 from estimators.map_smoother import gauss_newton, wheel_liftoff
 from estimators.map_smoother.estimator import MapSmoother
-from estimators.map_smoother.gauss_newton import (
-    GaussNewton,
-    minimize,
-    update_prior,
-)
+from estimators.map_smoother.gauss_newton import GaussNewton, MapSolution, minimize
 from estimators.map_smoother.objective import Objective
 from estimators.map_smoother.preconditioner import StationaryHessian, stationary_hessian
 from estimators.map_smoother.road_prior import RoadTransform
@@ -230,7 +226,7 @@ def test_the_gradient_equals_finite_differences_of_the_cost(mode):
 def test_an_update_of_the_prior_changes_neither_road_nor_motion():
     objective = objective_of(drive_record(length=12.0)[0])
     lin = objective.linearize(perturb(np.zeros(objective.size)))
-    new = update_prior(lin, stationary_hessian(objective), np.ones(1))
+    new = MapSolution(lin, stationary_hessian(objective), np.ones(1)).with_prior().linearization
     again = new.objective.linearize(new.x)
     assert not np.allclose(new.objective.road.amplitude, objective.road.amplitude, rtol=0.03)
     np.testing.assert_allclose(new.residual, again.residual, atol=1e-6)
@@ -401,8 +397,8 @@ def test_on_a_linear_vehicle_the_map_road_is_the_dense_gaussian_posterior():
     (settling,) = objective.linearize(np.zeros(objective.size)).residual
     measurements = replace(one.measurements, y=y.reshape(settling.shape) - settling)
     objective = Objective(road, (replace(one, measurements=measurements),))
-    solver = GaussNewton(stationary_hessian(objective), cg_iterations=400, cg_tolerance=1e-6)
-    solution = minimize(objective, solver, adapt_prior=False, change_tolerance=1e-9)
+    precise = {"cg_iterations": 400, "cg_tolerance": 1e-6, "change_tolerance": 1e-9}
+    solution = minimize(objective, GaussNewton(adapt_prior=False, **precise))
     assert 1.0 <= solution.noise_scale < 1.1
     noise *= np.sqrt(solution.noise_scale)
     J, y = J / noise[:, None], y / noise
