@@ -4,7 +4,7 @@ Over a measured road its terms are those of `marginal_likelihood`, over an unmea
 `tangent_likelihood`. After each step of the parameters the road of each drive follows.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -88,6 +88,11 @@ def fit_car(
     original, now = [s.linearization.objective for s in solutions], tuple(solutions)
     small = TUNING.small_change if instruments else TUNING.small_on_unmeasured
     terms: list[LikelihoodTerms | TangentTerms] = []
+    weights = [TUNING.unmeasured_weight if one.road.free.any() else 1.0 for one in original]
+
+    def total(parts: Iterable[np.ndarray]) -> np.ndarray:
+        return np.sum([k * part for k, part in zip(weights, parts, strict=True)], axis=0)
+
     for n in range(max_steps):
         cars = perturbed_cars(space, x[: space.size])
         is_renewed = renewed_steps is None or n < renewed_steps
@@ -96,8 +101,8 @@ def fit_car(
             _terms(solution, objective.passes[0], cars, x[space.size :], before)
             for solution, objective, before in zip(now, original, known, strict=True)
         ]
-        gradient = np.sum([term.gradient for term in terms], axis=0) - x
-        covariance = np.linalg.inv(np.sum([t.information for t in terms], axis=0) + np.eye(size))
+        gradient = total(term.gradient for term in terms) - x
+        covariance = np.linalg.inv(total(term.information for term in terms) + np.eye(size))
         step = covariance @ gradient
         step *= min(1.0, TUNING.max_change / np.abs(step).max())
         x = x + step
@@ -111,7 +116,7 @@ def fit_car(
         now = tuple(solved)
         if (np.abs(step) < small * np.sqrt(np.diag(covariance))).all():
             break
-    score = np.sum([term.score_covariance for term in terms], axis=0) + np.eye(size)
+    score = total(term.score_covariance for term in terms) + np.eye(size)
     return CarFit(space, x, covariance @ score @ covariance, now, _contradiction(terms, step))
 
 
@@ -123,8 +128,7 @@ def _contradiction(terms: Sequence[LikelihoodTerms | TangentTerms], step: np.nda
             variance, directions = np.linalg.eigh(one.score_covariance)
             told = variance > TUNING.told_share * variance[-1]
             left = directions.T @ (one.gradient - one.information @ step)
-            power = float(np.mean(left[told] ** 2 / variance[told]))
-            powers.append(power / TUNING.unmeasured_weight)
+            powers.append(float(np.mean(left[told] ** 2 / variance[told])))
     return max(powers) if len(powers) > 1 else 0.0
 
 
@@ -135,15 +139,12 @@ def _terms(
     errors: np.ndarray,
     known: LikelihoodTerms | TangentTerms | None,
 ) -> LikelihoodTerms | TangentTerms:
-    """Return the terms of a drive, of its weight if nobody measured the road; those of second order
-    there are the `known` ones, if any.
+    """Return the terms of a drive; those of second order over an unmeasured road are the `known`
+    ones, if any.
     """
     if not solution.linearization.objective.road.free.any():
         return known_road_terms(solution, original, cars, errors)
-    if isinstance(known, TangentTerms):
-        known = known.weighted(1.0 / TUNING.unmeasured_weight)
-        return tangent_terms(solution, cars, known).weighted(TUNING.unmeasured_weight)
-    return tangent_terms(solution, cars).weighted(TUNING.unmeasured_weight)
+    return tangent_terms(solution, cars, known if isinstance(known, TangentTerms) else None)
 
 
 def adapt_car(

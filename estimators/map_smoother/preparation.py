@@ -35,6 +35,7 @@ from road_envs.sensing.instruments import Instruments, instruments_of, on_axle
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.linear_model import linearise
 from road_envs.vehicle.parameters import VehicleParameters
+from road_envs.vehicle.suspension import settled_strut_state
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,8 +119,9 @@ class SolverSettings(Settings):
         if model.filter is not None and not level:  # what the filter held before is not known
             valid = valid & (np.arange(valid.shape[1]) >= model.filter.memory * record.fs)
         drive = PreparedDrive(
-            car, model, inputs, a, valid, censored, block, rest, initial_std, nodes, span
-        )
+            car, model, inputs, a, valid, censored, block,
+            rest, initial_std, settled_strut_state(int(inputs.commands[0])), nodes, span,
+        )  # fmt: skip
         return drive, notes
 
     def _measurement_model(

@@ -61,15 +61,6 @@ class TangentTerms(NamedTuple):
     to_optimum: np.ndarray
     by_parameter: np.ndarray
 
-    def weighted(self, weight: float) -> "TangentTerms":
-        """The terms of a drive that counts as `weight` drives."""
-        return self._replace(
-            gradient=weight * self.gradient,
-            information=weight * self.information,
-            score_covariance=weight * self.score_covariance,
-            log_det_gradient=weight * self.log_det_gradient,
-        )
-
     def change(self, step: np.ndarray) -> np.ndarray:
         """Return the expected change (n,) of the unknowns with a `step` (P,) of the parameters."""
         return self.to_optimum + step @ self.by_parameter
