@@ -42,7 +42,7 @@ from estimators.map_smoother.preparation import SolverSettings
 from estimators.map_smoother.solver import Findings, RoadSolver, distance_scale
 from estimators.map_smoother.tuning import TUNING
 from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
-from estimators.map_smoother.windows import PreparedDrive, on_common_nodes
+from estimators.map_smoother.windows import on_common_nodes
 from road_envs.records.record import Estimate, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.tolerances import has_absent_elements
@@ -94,8 +94,7 @@ class MapSmoother(CalibratedByIdentification, SolverSettings):
             drives.append(drive)
             notes += [f"{name}: {remark}" for remark in remarks]
         solver = RoadSolver(self, on_common_nodes(drives), self.adapt, self.draws, start=start)
-        found, _ = self._solve(solver, records[0].length, names)
-        return replace(found, notes=(*notes, *found.notes))
+        return self._solve(solver, records[0].length, names, notes)[0]
 
     def _estimate_adapting(
         self, record: Record, car: VehicleParameters, speed_std: float
@@ -117,7 +116,9 @@ class MapSmoother(CalibratedByIdentification, SolverSettings):
             return first
         if flexible.noise_scale[0] - 1.0 > TUNING.structure_gain * (left - 1.0):
             return first
-        note = f"a frame that can {_describe_modes(found)} was found, and adapted to the drive"
+        elements = {"twist": found.variation.frame, "bend": found.variation.bending}
+        modes = [f"{verb} at {mode.f:.1f} Hz" for verb, mode in elements.items() if mode]
+        note = f"a frame that can {' and '.join(modes)} was found, and adapted to the drive"
         return replace(second, notes=(*second.notes, note))
 
     def _estimate(
@@ -130,29 +131,31 @@ class MapSmoother(CalibratedByIdentification, SolverSettings):
         """Estimate a single drive; `uncertainty` is that of a vehicle that was identified."""
         drive, notes = self.prepare(record, car, speed_std=speed_std)
         solver = RoadSolver(self, [drive], self.adapt, self.draws, uncertainty)
-        found, findings = self._solve(solver, record.length, [""])
-        return replace(found, notes=(*notes, *found.notes)), findings
+        return self._solve(solver, record.length, [""], notes)
 
     def _solve(
-        self, solver: RoadSolver, length: float, names: Sequence[str]
+        self, solver: RoadSolver, length: float, names: Sequence[str], remarks: Sequence[str]
     ) -> tuple[Estimate, Findings]:
-        """Estimate a road of `length` [m], with notes on what was found, which name the drive if
-        there are several.
+        """Estimate a road of `length` [m], with `remarks` on the records and notes on what was
+        found, which name the drive if there are several.
         """
         road, findings = solver.solve()
         drives, s = solver.drives, profile_stations(length)
         z, std, drawn = road.at_stations(drives[0].nodes, s)
         z_std, draws = (std, drawn) if self.draws else (None, None)
-        notes = _findings_notes(findings, names)
-        lost = [
-            _lost_noise_scale(drive, in_air, length) / scale
-            for drive, in_air, scale in zip(
-                drives, findings.in_air, findings.noise_scale, strict=True
-            )
-        ]
+        notes = [*remarks, *_findings_notes(findings, names)]
+        share = 0.0
+        for drive, in_air, scale in zip(
+            drives, findings.in_air, findings.noise_scale.tolist(), strict=True
+        ):
+            most = TUNING.lost_noise_scale  # above it the minimization has lost the vehicle
+            if in_air < TUNING.lost_air_share * length:
+                power = float(drive.a.var()) / drive.model.noise_variance
+                most = max(most, TUNING.lost_power_share * power)
+            share = max(share, most / scale)
         distance, doubts = distance_scale(findings.speed_errors, drives[0].model)
         notes += doubts
-        if (share := max(lost)) < 1.0:
+        if share < 1.0:
             z, z_std = reduce_unexplained(z, z_std, share)
             distance = draws = None
             notes.append(
@@ -191,21 +194,3 @@ def _findings_notes(findings: Findings, names: Sequence[str]) -> list[str]:
             "drive on a rougher road as well"
         )
     return notes
-
-
-def _lost_noise_scale(drive: PreparedDrive, in_air: float, length: float) -> float:
-    """Noise scale above which the minimization has lost the vehicle of a drive, whose wheels spent
-    the distance `in_air` [m] off a road of this `length` [m].
-    """
-    if in_air >= TUNING.lost_air_share * length:
-        return TUNING.lost_noise_scale
-    return max(
-        TUNING.lost_noise_scale,
-        TUNING.lost_power_share * float(drive.a.var()) / drive.model.noise_variance,
-    )
-
-
-def _describe_modes(car: VehicleParameters) -> str:
-    """Return the frequencies of the body's modes in words."""
-    modes = {"twist": car.variation.frame, "bend": car.variation.bending}
-    return " and ".join(f"{verb} at {mode.f:.1f} Hz" for verb, mode in modes.items() if mode)
