@@ -116,11 +116,15 @@ class SolverSettings(Settings):
         rest = rest_state(car, inputs)
         typical = REST_STD if level else MOVING_STD
         initial_std = np.repeat(typical[[0, -1]], rest.size // 2)  # of a frame's twist, too
-        if model.filter is not None and not level:  # what the filter held before is not known
-            valid = valid & (np.arange(valid.shape[1]) >= model.filter.memory * record.fs)
+        strut_state = settled_strut_state(int(inputs.commands[0]))
+        filter_state = np.zeros((0, len(a), 2))
+        if model.filter is not None:
+            filter_state = model.filter.at_rest(len(a))
+            if not level:  # what the filter held before is not known
+                valid = valid & (np.arange(valid.shape[1]) >= model.filter.memory * record.fs)
         drive = PreparedDrive(
             car, model, inputs, a, valid, censored, block,
-            rest, initial_std, settled_strut_state(int(inputs.commands[0])), nodes, span,
+            rest, initial_std, strut_state, filter_state, nodes, span,
         )  # fmt: skip
         return drive, notes
 

@@ -36,8 +36,8 @@ class PreparedDrive:
     - Samples `a` (S, T) [m/s²], of which `valid` (S, T) are used, and `censored` (S, T) as in
       `block_means`, in blocks of `block_size`.
     - Where the next window begins, `vehicle_state` (14,) with the prior standard deviation
-      `initial_std` (14,) about it, `strut_state` (4, 3), and `filter_state` of the anti-alias
-      filter, None at rest or if it only delays.
+      `initial_std` (14,) about it, `strut_state` (4, 3), and `filter_state` (n, S, 2) of the
+      anti-alias filter, empty if it only delays.
     - `nodes` of the road, and the stations `free_span` [m] between which it may rise or fall.
     """
 
@@ -51,9 +51,9 @@ class PreparedDrive:
     vehicle_state: np.ndarray
     initial_std: np.ndarray
     strut_state: np.ndarray
+    filter_state: np.ndarray
     nodes: RoadNodes
     free_span: tuple[float, float]
-    filter_state: np.ndarray | None = None
 
     @property
     def free(self) -> np.ndarray:
