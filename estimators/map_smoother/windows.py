@@ -76,16 +76,6 @@ class PreparedDrive:
         """Stations [m] at which the blocks begin."""
         return self.inputs.s[:: 2 * self.steps_per_block][: self.blocks]
 
-    def split(self, window: float, overlap: float) -> list[Window]:
-        """Split the drive into windows of `window` and `overlap` [s]."""
-        rate = 1.0 / (self.steps_per_block * self.inputs.h)
-        length, common = round(window * rate), round(overlap * rate)
-        windows, begin = list[Window](), 0
-        while self.blocks - begin > length + common:
-            windows.append((begin, begin + length - common, begin + length))
-            begin += length - common
-        return [*windows, (begin, self.blocks, self.blocks)]
-
     def node_at(self, s: float) -> int:
         """Return the node at the station `s` [m] or just before it."""
         return int((s - self.nodes.origin) / self.nodes.ds)
@@ -157,7 +147,13 @@ def common_windows(
     the others begin and end at the same stations.
     """
     longest = max(drives, key=lambda one: one.blocks * one.block_size)
-    starts = longest.block_stations
+    starts, blocks = longest.block_stations, longest.blocks
+    rate = 1.0 / (longest.steps_per_block * longest.inputs.h)
+    length, common = round(window * rate), round(overlap * rate)
+    begins = [0]
+    while blocks - begins[-1] > length + common:
+        begins.append(begins[-1] + length - common)
+    ends = [*(begin + length for begin in begins[:-1]), blocks]
 
     def at(one: PreparedDrive, block: int) -> int:
         if one is longest or block == 0:
@@ -168,7 +164,7 @@ def common_windows(
 
     return [
         tuple((at(one, begin), at(one, after), at(one, end)) for one in drives)
-        for begin, after, end in longest.split(window, overlap)
+        for begin, after, end in zip(begins, [*begins[1:], blocks], ends, strict=True)
     ]
 
 
