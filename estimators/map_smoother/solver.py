@@ -51,8 +51,12 @@ from road_envs.records.record import DistanceScale, Profile, scored_band
 
 
 @dataclass(eq=False)
-class Findings:
-    """Results of all windows so far, a field a line, in this order:
+class RoadSolver:
+    """Solver of the windows of `drives` on common nodes, from the road `start` on, if there is one.
+
+    `adapt`: vehicles that stay unexplained are fitted; `draws`: posterior samples for the standard
+    deviation in the `band` [cycles/m]; `uncertainty` is that of the vehicle of a single drive if it
+    was identified. What it has found in all windows so far, a field a line, in this order:
 
     greatest noise scale of each pass (P,);
     distance in the air of each pass (P,) [m];
@@ -62,13 +66,23 @@ class Findings:
     relative error of the speed of a single drive in each window, with its variance.
     """
 
-    noise_scale: np.ndarray
-    in_air: np.ndarray
-    fits: list[tuple[CarFit, list[int]]] = field(default_factory=list)
-    doubted: CarFit | None = None
-    left_by_fit: float = 0.0
-    vehicle_share: float = 0.0
-    speed_errors: list[tuple[float, float]] = field(default_factory=list)
+    settings: SolverSettings
+    drives: Sequence[PreparedDrive]
+    adapt: bool
+    draws: int
+    uncertainty: VehicleUncertainty | None = None
+    start: Profile | None = None
+
+    noise_scale: np.ndarray = field(init=False)
+    in_air: np.ndarray = field(init=False)
+    fits: list[tuple[CarFit, list[int]]] = field(default_factory=list, init=False)
+    doubted: CarFit | None = field(default=None, init=False)
+    left_by_fit: float = field(default=0.0, init=False)
+    vehicle_share: float = field(default=0.0, init=False)
+    speed_errors: list[tuple[float, float]] = field(default_factory=list, init=False)
+
+    def __post_init__(self) -> None:
+        self.noise_scale, self.in_air = np.ones(len(self.drives)), np.zeros(len(self.drives))
 
     def fit_of(self, number: int) -> CarFit | None:
         """Return the fit of the vehicle of this pass."""
@@ -79,42 +93,21 @@ class Findings:
         self.doubted = fit
         self.left_by_fit = max(self.left_by_fit, noise_left(fit.solutions))
 
-
-@dataclass(frozen=True, eq=False)
-class RoadSolver:
-    """Solver of the windows of `drives` on common nodes, from the road `start` on, if there is one.
-
-    `adapt`: vehicles that stay unexplained are fitted; `draws`: posterior samples for the standard
-    deviation in the `band` [cycles/m]; `uncertainty` is that of the vehicle of a single drive if it
-    was identified.
-    """
-
-    settings: SolverSettings
-    drives: Sequence[PreparedDrive]
-    adapt: bool
-    draws: int
-    uncertainty: VehicleUncertainty | None = None
-    start: Profile | None = None
-
     @property
     def band(self) -> tuple[float, float]:
         """The scored band [cycles/m] of the slowest drive."""
         return scored_band(min(float(drive.inputs.v.mean()) for drive in self.drives))
 
-    def solve(self) -> tuple[RoadSoFar, Findings]:
-        """Solve all windows. Raises ArithmeticError."""
-        settings, count = self.settings, len(self.drives)
-        findings = Findings(np.ones(count), np.zeros(count))
+    def solve(self) -> RoadSoFar:
+        """Return the road of all windows. Raises ArithmeticError."""
+        settings = self.settings
         windows = common_windows(self.drives, settings.window, settings.overlap)
-        solve = partial(self._solve_window, findings=findings)
-        return reconstruct(self.drives, settings.road_prior, windows, solve), findings
+        return reconstruct(self.drives, settings.road_prior, windows, self._solve_window)
 
-    def _solve_window(
-        self, objective: Objective, members: list[int], findings: Findings
-    ) -> RoadPosterior:
-        settings, start, findings.doubted = self.settings, self.start, None
+    def _solve_window(self, objective: Objective, members: list[int]) -> RoadPosterior:
+        settings, start, self.doubted = self.settings, self.start, None
         # vehicles that were fitted in a window are those of the whole drives
-        fits = [findings.fit_of(number) for number in members]
+        fits = [self.fit_of(number) for number in members]
         passes = tuple(
             replace(one, model=one.with_car(fit.car).model) if fit else one
             for one, fit in zip(objective.passes, fits, strict=True)
@@ -128,28 +121,25 @@ class RoadSolver:
             x = objective.from_noise(objective.road.noise_of(start))
             updates = TUNING.joint_prior_updates
             solver = replace(solver, stages=TUNING.joint_stages, prior_updates=updates)
-        adapt = partial(self._adapt, members=members, findings=findings)
-        is_due = self.adapt and not findings.fits
-        solution = minimize(objective, solver, x, adapt if is_due else None)
-        findings.in_air[members] += [distance_in_air(one) for one in solution.linearization.passes]
+        adapt = partial(self._adapt, members) if self.adapt and not self.fits else None
+        solution = minimize(objective, solver, x, adapt)
+        self.in_air[members] += [distance_in_air(one) for one in solution.linearization.passes]
         if len(self.drives) > 1:
             posterior = posterior_mean_and_std(solution, self.band, self.draws)
         else:
-            posterior = self._with_vehicle(solution, solver, findings)
-        scale = np.maximum(findings.noise_scale[members], posterior.solution.noise_scale)
-        findings.noise_scale[members] = scale
+            posterior = self._with_vehicle(solution, solver)
+        scale = np.maximum(self.noise_scale[members], posterior.solution.noise_scale)
+        self.noise_scale[members] = scale
         return posterior
 
-    def _with_vehicle(
-        self, solution: MapSolution, solver: GaussNewton, findings: Findings
-    ) -> RoadPosterior:
+    def _with_vehicle(self, solution: MapSolution, solver: GaussNewton) -> RoadPosterior:
         """Return the posterior of a single drive with errors of its vehicle, which is fitted to the
         drive if they show.
         """
-        drive, fit, uncertain = self.drives[0], findings.fit_of(0), self.uncertainty
+        drive, fit, uncertain = self.drives[0], self.fit_of(0), self.uncertainty
         sensors = tuple(drive.model.locations)
         if drive.model.speed_std > 0.0:
-            findings.speed_errors.append(estimate_speed_error(solution))
+            self.speed_errors.append(estimate_speed_error(solution))
         if fit:
             uncertain = replace(VehicleUncertainty.of_fit(fit), inflation=TUNING.fit_inflation)
         elif self.adapt and uncertain is None and drive.car.tolerances:
@@ -158,22 +148,20 @@ class RoadSolver:
         is_seen = posterior.evidence > TUNING.evidence_due and can_show_vehicle(solution)
         if is_seen and posterior.vehicle_share > TUNING.vehicle_share_due:
             with suppress(ArithmeticError):  # a varied vehicle's motion was not finite
-                fit = findings.doubted or adapt_car([solution], drive.car, solver)
+                fit = self.doubted or adapt_car([solution], drive.car, solver)
                 if noise_left(fit.solutions) >= TUNING.structure_power:
-                    findings.doubt(fit)
+                    self.doubt(fit)
                 elif _explains_more(fit.solutions[0], solution):
-                    findings.fits = [(fit, [0])]
+                    self.fits = [(fit, [0])]
                     uncertain = VehicleUncertainty.of_tolerances(fit.car, sensors)
                     uncertain = replace(uncertain, is_prior=False, inflation=TUNING.fit_inflation)
                     posterior = posterior_mean_and_std(
                         fit.solutions[0], self.band, self.draws, uncertain
                     )
-        findings.vehicle_share = max(findings.vehicle_share, posterior.vehicle_share)
+        self.vehicle_share = max(self.vehicle_share, posterior.vehicle_share)
         return posterior
 
-    def _adapt(
-        self, solution: MapSolution, solver: GaussNewton, members: list[int], findings: Findings
-    ) -> MapSolution:
+    def _adapt(self, members: list[int], solution: MapSolution, solver: GaussNewton) -> MapSolution:
         """Return the solution with each vehicle fitted to all its passes, where that is due."""
         cars = [self.drives[number].car for number in members]
         for first, car in enumerate(cars):
@@ -185,14 +173,14 @@ class RoadSolver:
             if fit is None:
                 continue
             if is_believed(fit, own):
-                findings.fits.append((fit, [members[k] for k in same]))
+                self.fits.append((fit, [members[k] for k in same]))
             else:
-                findings.doubt(fit)
-        if not findings.fits:
+                self.doubt(fit)
+        if not self.fits:
             return solution
         if len(members) == 1:
-            return findings.fits[0][0].solutions[0]
-        objective, fits = solution.linearization.objective, map(findings.fit_of, members)
+            return self.fits[0][0].solutions[0]
+        objective, fits = solution.linearization.objective, map(self.fit_of, members)
         pairs = zip(objective.passes, fits, strict=True)
         passes = tuple(one.with_car(fit.car) if fit else one for one, fit in pairs)
         objective = replace(objective, passes=passes)
