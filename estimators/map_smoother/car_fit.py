@@ -17,9 +17,8 @@ from estimators.map_smoother.marginal_likelihood import (
     perturbed_cars,
 )
 from estimators.map_smoother.objective import Objective
-from estimators.map_smoother.one_pass import Pass
 from estimators.map_smoother.preconditioner import stationary_hessian
-from estimators.map_smoother.tangent_likelihood import TangentTerms, tangent_terms
+from estimators.map_smoother.tangent_likelihood import tangent_terms
 from estimators.map_smoother.tuning import TUNING
 from estimators.map_smoother.wheel_liftoff import unloaded_nodes
 from road_envs.sensing.instruments import on_axle
@@ -87,7 +86,7 @@ def fit_car(
     x = np.zeros(size) if start is None else start
     original, now = [s.linearization.objective for s in solutions], tuple(solutions)
     small = TUNING.small_change if instruments else TUNING.small_on_unmeasured
-    terms: list[LikelihoodTerms | TangentTerms] = []
+    terms: list[LikelihoodTerms] = []
     weights = [TUNING.unmeasured_weight if one.road.free.any() else 1.0 for one in original]
 
     def total(parts: Iterable[np.ndarray]) -> np.ndarray:
@@ -98,7 +97,9 @@ def fit_car(
         is_renewed = renewed_steps is None or n < renewed_steps
         known = [None] * len(now) if is_renewed else terms
         terms = [
-            _terms(solution, objective.passes[0], cars, x[space.size :], before)
+            tangent_terms(solution, cars, before)
+            if objective.road.free.any()
+            else known_road_terms(solution, objective.passes[0], cars, x[space.size :])
             for solution, objective, before in zip(now, original, known, strict=True)
         ]
         gradient = total(term.gradient for term in terms) - x
@@ -111,8 +112,7 @@ def fit_car(
             one = errors.apply(objective.passes[0].with_car(car), x[space.size :])
             # the unknowns are those of the prior that the road has by now
             changed = replace(solution.linearization.objective, passes=(one,))
-            change = term.change(step) if isinstance(term, TangentTerms) else None
-            solved.append(resolve(solution, changed, solver, change))
+            solved.append(resolve(solution, changed, solver, term.change(step)))
         now = tuple(solved)
         if (np.abs(step) < small * np.sqrt(np.diag(covariance))).all():
             break
@@ -120,31 +120,16 @@ def fit_car(
     return CarFit(space, x, covariance @ score @ covariance, now, _contradiction(terms, step))
 
 
-def _contradiction(terms: Sequence[LikelihoodTerms | TangentTerms], step: np.ndarray) -> float:
+def _contradiction(terms: Sequence[LikelihoodTerms], step: np.ndarray) -> float:
     """Return `CarFit.contradiction` after a `step` (P,) from the vehicle of the `terms`."""
     powers = []
     for one in terms:
-        if isinstance(one, TangentTerms):
+        if one.change(step) is not None:
             variance, directions = np.linalg.eigh(one.score_covariance)
             told = variance > TUNING.told_share * variance[-1]
             left = directions.T @ (one.gradient - one.information @ step)
             powers.append(float(np.mean(left[told] ** 2 / variance[told])))
     return max(powers) if len(powers) > 1 else 0.0
-
-
-def _terms(
-    solution: MapSolution,
-    original: Pass,
-    cars: Sequence[VehicleParameters],
-    errors: np.ndarray,
-    known: LikelihoodTerms | TangentTerms | None,
-) -> LikelihoodTerms | TangentTerms:
-    """Return the terms of a drive; those of second order over an unmeasured road are the `known`
-    ones, if any.
-    """
-    if not solution.linearization.objective.road.free.any():
-        return known_road_terms(solution, original, cars, errors)
-    return tangent_terms(solution, cars, known if isinstance(known, TangentTerms) else None)
 
 
 def adapt_car(

@@ -36,12 +36,23 @@ NO_ERRORS = np.zeros(0)
 class LikelihoodTerms(NamedTuple):
     """Terms of the marginal likelihood of one drive: `gradient` (P,), `information` (P, P), and the
     covariance of the gradient `score_covariance` (P, P), which is the information if the model is
-    right.
+    right. Empty where the road was measured: the derivatives `log_det_gradient` (P,) of
+    1/2 log det A, and the change of the solution's unknowns `to_optimum` (n,) and `by_parameter`
+    (P, n).
     """
 
     gradient: np.ndarray
     information: np.ndarray
     score_covariance: np.ndarray
+    log_det_gradient: np.ndarray = np.zeros(0)
+    to_optimum: np.ndarray = np.zeros(0)
+    by_parameter: np.ndarray = np.zeros(0)
+
+    def change(self, step: np.ndarray) -> np.ndarray | None:
+        """Return the expected change (n,) of the unknowns with a `step` (P,) of the parameters;
+        None where the road was measured.
+        """
+        return self.to_optimum + step @ self.by_parameter if self.by_parameter.size else None
 
 
 def perturbed_cars(space: ParameterSpace, x: np.ndarray) -> list[VehicleParameters]:

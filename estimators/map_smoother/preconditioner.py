@@ -216,20 +216,17 @@ def stationary_hessian(objective: Objective) -> StationaryHessian:
     for one, there, share in zip(
         objective.passes, passed, np.sum(free, axis=1) / count, strict=True
     ):
-        read = np.where(there, _read_share(one, station), ahead)
+        blocks = one.measurements
+        size = blocks.sample_weight.shape[2]
+        middle = one.inputs.decimation * size * (2 * np.arange(blocks.y.shape[1]) + 1)
+        s = one.inputs.s[np.minimum(middle, one.inputs.s.size - 1)]
+        # what one sensor at least has read
+        part = blocks.sample_count.max(axis=0) / size
+        read = np.where(there, read_share(station, s, part, one.model.wheelbase), ahead)
         parts.append(
             _PassInformation(_road_information(one, road), _start_information(one), share, read)
         )
     return StationaryHessian(tuple(parts))
-
-
-def _read_share(one: Pass, station: np.ndarray) -> np.ndarray:
-    """Share of what one sensor at least has read while an axle passed the stations (K,) [m]."""
-    blocks = one.measurements
-    size = blocks.sample_weight.shape[2]
-    middle = one.inputs.decimation * size * (2 * np.arange(blocks.y.shape[1]) + 1)
-    s = one.inputs.s[np.minimum(middle, one.inputs.s.size - 1)]
-    return read_share(station, s, blocks.sample_count.max(axis=0) / size, one.model.wheelbase)
 
 
 def _road_information(one: Pass, road: RoadTransform) -> np.ndarray:

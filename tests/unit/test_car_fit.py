@@ -19,12 +19,12 @@ from estimators.map_smoother.gauss_newton import GaussNewton, minimize
 from estimators.map_smoother.identification import identify
 from estimators.map_smoother.instrument_errors import InstrumentErrors
 from estimators.map_smoother.marginal_likelihood import (
+    LikelihoodTerms,
     perturbed_cars,
     perturbed_passes,
     sensitivities,
 )
 from estimators.map_smoother.objective import Objective
-from estimators.map_smoother.tangent_likelihood import TangentTerms
 from estimators.map_smoother.tuning import TUNING
 from estimators.map_smoother.windows import whole_objective
 from leaderboard.metrics.heights import nrmse
@@ -209,8 +209,8 @@ def test_drives_of_two_vehicles_contradict_each_other_about_one():
     def wish(change):
         information = 1e4 * np.eye(2)
         gradient = information @ np.array([change, 0.0])
-        nothing = np.zeros(2), np.zeros(0), np.zeros((2, 0))
-        return TangentTerms(gradient, information, information, *nothing)
+        unmoved = np.zeros(2), np.zeros(1), np.zeros((2, 1))
+        return LikelihoodTerms(gradient, information, information, *unmoved)
 
     def contradiction(*changes):
         return car_fit._contradiction([wish(change) for change in changes], np.zeros(2))
