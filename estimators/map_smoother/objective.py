@@ -94,24 +94,16 @@ class Objective:
         """Unknowns with the noise `u` (2, K) of the road; all others are 0."""
         return np.pad(u.ravel(), (0, self.size - u.size))
 
-    def linearize(
-        self,
-        x: np.ndarray,
-        plants: Sequence[Plant] | None = None,
-        inverse_variance: Means | None = None,
-        frequency_weights: Sequence[np.ndarray | None] | None = None,
-    ) -> "Linearization":
+    def linearize(self, x: np.ndarray, plants: Sequence[Plant] | None = None) -> "Linearization":
         """Linearize at `x`, for the vehicles of the passes or other `plants`, and for the
-        instruments' noise or another. Raises ArithmeticError.
+        instruments' noise. Raises ArithmeticError.
         """
         u, own, shifts = self.split(x)
         c, none = self.road.coefficients(u), [None] * len(self.passes)
-        weights = inverse_variance or none, frequency_weights or none
-        rows = zip(self.passes, shifts, own, plants or none, *weights, strict=True)
         linearized = []
-        for one, shift, *rest in rows:
+        for one, shift, values, plant in zip(self.passes, shifts, own, plants or none, strict=True):
             moved = replace(one, inputs=shift_inputs(one.inputs, self.knots, shift))
-            linearized.append(moved.linearize(c, *rest))
+            linearized.append(moved.linearize(c, values, plant))
         return Linearization(self, x, tuple(linearized))
 
 
@@ -244,5 +236,11 @@ class Linearization:
 
     def relinearize(self, x: np.ndarray, plants: Sequence[Plant] | None = None) -> "Linearization":
         """The same objective and noise at another `x`. Raises ArithmeticError."""
-        weights = [one.frequency_weights for one in self.passes]
-        return self.objective.linearize(x, plants, self.inverse_variance, weights)
+        new = self.objective.linearize(x, plants)
+        passes = tuple(
+            replace(
+                one, inverse_variance=old.inverse_variance, frequency_weights=old.frequency_weights
+            )
+            for one, old in zip(new.passes, self.passes, strict=True)
+        )
+        return replace(new, passes=passes)

@@ -174,21 +174,14 @@ class Pass:
         return self.residual(self.simulate(c, own).acceleration, self.split(own)[1])
 
     def linearize(
-        self,
-        c: np.ndarray,
-        own: np.ndarray,
-        plant: Plant | None = None,
-        inverse_variance: np.ndarray | None = None,
-        frequency_weights: np.ndarray | None = None,
+        self, c: np.ndarray, own: np.ndarray, plant: Plant | None = None
     ) -> "LinearizedPass":
         """Linearize the drive over the road of `c` (2, K), for the plant of the model or another,
-        and for the instruments' noise or another. Raises ArithmeticError.
+        and for the instruments' noise. Raises ArithmeticError.
         """
         tape = self.simulate(c, own, plant)
         residual = self.residual(tape.acceleration, self.split(own)[1])
-        if inverse_variance is None:
-            inverse_variance = self.information
-        return LinearizedPass(self, c, own, tape, residual, inverse_variance, frequency_weights)
+        return LinearizedPass(self, c, own, tape, residual, self.information)
 
     def state_after(
         self, c: np.ndarray, own: np.ndarray, steps: int

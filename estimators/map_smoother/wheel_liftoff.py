@@ -139,27 +139,24 @@ def road_below_light_wheels(lin: Linearization) -> tuple[np.ndarray, list[Liftof
     c = road.coefficients(lin.objective.split(lin.x)[0])
     is_level = road.is_level_between_obstacles
     light = unloaded_nodes(lin, TUNING.light_on_level if is_level else TUNING.light_elsewhere)
-    gaps = [
-        _gap(c, path, run, round(TUNING.edge_reach / road.ds))
-        for path, mask in enumerate(light)
-        for (run,) in find_objects(label(mask)[0])
-    ]
-    lower, errors, unloaded = np.zeros_like(c), list[LiftoffError](), unloaded_nodes(lin)
-    if not is_level:
-        step_variance = road.local**2 * irfft(road.amplitude**2, road.size, axis=1)[:, 0].sum()
-        flown = []
-        for gap in gaps:
-            steps = step_variance[gap.path, gap.run.start : gap.run.stop + 1]
-            in_air = unloaded[gap.path, gap.run].mean() > TUNING.flown_share
+    step_variance = road.local**2 * irfft(road.amplitude**2, road.size, axis=1)[:, 0].sum()
+    lower, errors, gaps = np.zeros_like(c), list[LiftoffError](), list[_Gap]()
+    unloaded, reach = unloaded_nodes(lin), round(TUNING.edge_reach / road.ds)
+    for path, mask in enumerate(light):
+        for (run,) in find_objects(label(mask)[0]):
+            level = c[path, run.stop]
+            fall = c[path, max(run.start - reach, 0) : run.start + 1].max() - level
+            rise = c[path, run.stop : run.stop + reach + 1].max() - level
+            steps = step_variance[path, run.start : run.stop + 1]
+            in_air = unloaded[path, run].mean() > TUNING.flown_share
             # an even road does not fall so far: the wheel flew off an obstacle
-            is_drop = gap.fall > TUNING.obstacle_fall * np.sqrt(steps.sum())
-            if in_air and is_drop and not road.may_be_uneven:
-                flown.append(gap)
+            is_drop = fall > TUNING.obstacle_fall * np.sqrt(steps.sum())
+            if is_level or (in_air and is_drop and not road.may_be_uneven):
+                gaps.append(_Gap(path, run, level, fall, rise))
                 continue
             height = np.zeros(road.size)
-            height[gap.run] = np.sqrt(steps.sum() / 12.0)
-            errors.append(LiftoffError(gap.path, height))
-        gaps = flown
+            height[run] = np.sqrt(steps.sum() / 12.0)
+            errors.append(LiftoffError(path, height))
     falls = [gap.fall for gap in gaps if gap.fall > TUNING.min_drop]
     for path, run, level, fall, rise in gaps:
         height, unseen = np.zeros((2, road.size))
@@ -184,10 +181,3 @@ def lower_road(lin: Linearization, lower: np.ndarray) -> Linearization:
         return lin.relinearize(lin.x + lin.objective.from_noise(u))
     except ArithmeticError:
         return lin
-
-
-def _gap(c: np.ndarray, path: int, run: slice, reach: int) -> _Gap:
-    level = c[path, run.stop]
-    before = c[path, max(run.start - reach, 0) : run.start + 1]
-    behind = c[path, run.stop : run.stop + reach + 1]
-    return _Gap(path, run, level, before.max() - level, behind.max() - level)
