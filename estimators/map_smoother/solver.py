@@ -6,10 +6,9 @@ that a vehicle that differs from its description counts for less. Passes whose v
 described alike are taken for drives of one vehicle: if it has to be adapted, its parameters are
 fitted to all of them.
 
-Both axles roll over the same road, so the delay between what front and rear measure is wheelbase
-over speed, and the relative error of the speed of a single drive is found together with the road.
-Its posterior standard deviation is about 0.01 % after 100 m: the bound of the linear vehicle, whose
-parameters are uncertain too.
+The relative error of the speed of a single drive is found together with the road. Its posterior
+standard deviation is about 0.01 % after 100 m: the bound of the linear vehicle, whose parameters
+are uncertain too.
 """
 
 from collections.abc import Sequence
