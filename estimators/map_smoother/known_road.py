@@ -89,7 +89,8 @@ def check_profile(objective: Objective, drive: CalibrationDrive) -> None:
 def _expected(objective: Objective) -> np.ndarray:
     """Return the block means (S, J) expected on the known road, less their means."""
     (one,) = objective.passes
-    expected = one.measurements.y - one.residual_at(objective.road.background, np.zeros(one.size))
+    lin = one.linearize(objective.road.background, np.zeros(one.size))
+    expected = one.measurements.y - lin.residual
     return expected - expected.mean(axis=1, keepdims=True)
 
 

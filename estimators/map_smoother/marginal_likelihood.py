@@ -98,7 +98,7 @@ def varied_residuals(lin: LinearizedPass, varied: Sequence[Pass]) -> np.ndarray:
     left = np.array([one.residual(a, bias) for one, a in zip(varied, motions, strict=True)])
     for k, one in enumerate(varied):  # the road under longer tyres is another
         if one.model.contact_length != source.model.contact_length:
-            left[k] = one.residual_at(lin.c, lin.own)
+            left[k] = one.linearize(lin.c, lin.own).residual
     if not np.isfinite(left).all():
         raise ArithmeticError("the motion of a varied vehicle was not finite")
     return left
@@ -117,7 +117,7 @@ def reading_sensitivities(lin: LinearizedPass, base: Pass, errors: np.ndarray) -
         if k < instruments.n_fixed:  # the vehicle moves as before
             found.append(varied.residual(lin.tape.acceleration, bias))
         else:
-            found.append(varied.residual_at(lin.c, lin.own))
+            found.append(varied.linearize(lin.c, lin.own).residual)
     return (lin.residual - np.array(found)) / TUNING.difference
 
 

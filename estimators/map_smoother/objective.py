@@ -118,7 +118,9 @@ class Linearization:
     @property
     def cost(self) -> float:
         """The cost at `x`."""
-        return sum(one.misfit for one in self.passes) + 0.5 * float(self.x @ self.x)
+        pairs = zip(self.residual, self.apply_inverse_covariance(self.residual), strict=True)
+        misfit = sum(0.5 * float(np.sum(residual * weighted)) for residual, weighted in pairs)
+        return misfit + 0.5 * float(self.x @ self.x)
 
     def cost_under(self, noise_scale: np.ndarray) -> float:
         """The cost at `x` under `noise_scale` (P,) times the noise of the instruments."""

@@ -169,10 +169,6 @@ class Pass:
             v=self.inputs.v[1::2],
         )
 
-    def residual_at(self, c: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Residual (S, J) [m/s²] of the measurements. Raises ArithmeticError."""
-        return self.residual(self.simulate(c, own).acceleration, self.split(own)[1])
-
     def linearize(
         self, c: np.ndarray, own: np.ndarray, plant: Plant | None = None
     ) -> "LinearizedPass":
@@ -271,11 +267,6 @@ class LinearizedPass:
             return self.inverse_variance * means
         root = np.sqrt(self.inverse_variance)
         return root * _apply_frequency_weights(self.frequency_weights, root * means)
-
-    @property
-    def misfit(self) -> float:
-        """Share of the measurements in the cost."""
-        return 0.5 * float(np.sum(self.residual * self.apply_inverse_covariance(self.residual)))
 
     @cached_property
     def block_tangent(self) -> BlockTangent:

@@ -155,14 +155,14 @@ def test_a_calibration_drive_that_does_not_fit_is_refused_in_one_sentence(change
 def test_errors_of_the_instruments_are_applied_to_the_model():
     objective = short_objective()
     (one,), c, own = objective.passes, objective.road.background, np.zeros(17)
-    means = one.measurements.y - one.residual_at(c, own)
+    means = one.measurements.y - one.linearize(c, own).residual
     errors = np.zeros(11)
     errors[:3] = 2.0, 0.0, -1.0
     readings = InstrumentErrors.of(one)
     assert readings.names[:5] == ("gain.RF", "gain.LR", "gain.RR", "x.RF", "x.LR")
     assert readings.names[8:] == ("y.RR", "odometer", "speed")
     changed = readings.apply(one, errors)
-    scaled = one.measurements.y - changed.residual_at(c, own)
+    scaled = one.measurements.y - changed.linearize(c, own).residual
     expected = np.exp(readings.std * errors)[:3, None] * means
     np.testing.assert_allclose(scaled, expected, atol=1e-12)
     moved = readings.apply(one, np.eye(11)[9])

@@ -65,7 +65,7 @@ def residual_at(objective: Objective, x: np.ndarray) -> np.ndarray:
     """Residual of an objective of one pass."""
     (one,) = objective.passes
     _, (own,), _ = objective.split(x)
-    return one.residual_at(objective.coefficients(x), own)
+    return one.linearize(objective.coefficients(x), own).residual
 
 
 def error(estimate, profile, record) -> float:
