@@ -120,12 +120,7 @@ def minimize(
             lin = found.linearization.with_frequency_weights(weights)
             colored = white.reweighted(lin.objective, weights)
             found, _ = solver.step(MapSolution(lin, colored, found.noise_scale))
-    for _ in range(TUNING.max_liftoff_retries):
-        better = _retry_after_liftoff(found, solver)
-        if better is found:
-            break
-        found = better
-    return found
+    return _retry_after_liftoff(found, solver)
 
 
 @dataclass(frozen=True)
@@ -169,21 +164,25 @@ class GaussNewton:
 
 
 def _retry_after_liftoff(found: MapSolution, solver: GaussNewton) -> MapSolution:
-    """Return the optimum from the road lowered where no wheel pressed on it, if it costs less.
+    """Return the optimum from the road lowered where no wheel pressed on it, as often as it then
+    costs less.
 
     A road with obstacles has been lowered before.
     """
-    lin = found.linearization
-    if lin.objective.road.is_level_between_obstacles or (x := relax_unloaded(lin)) is None:
-        return found
-    try:
-        new = replace(found, linearization=lin.relinearize(x))
-    except ArithmeticError:
-        return found
-    for _ in range(TUNING.liftoff_steps):
-        new, _ = solver.step(new)
-    cost = new.linearization.with_inverse_variance(lin.inverse_variance).cost
-    return new if cost < lin.cost else found
+    for _ in range(TUNING.max_liftoff_retries):
+        lin = found.linearization
+        if lin.objective.road.is_level_between_obstacles or (x := relax_unloaded(lin)) is None:
+            break
+        try:
+            new = replace(found, linearization=lin.relinearize(x))
+        except ArithmeticError:
+            break
+        for _ in range(TUNING.liftoff_steps):
+            new, _ = solver.step(new)
+        if not new.linearization.with_inverse_variance(lin.inverse_variance).cost < lin.cost:
+            break
+        found = new
+    return found
 
 
 def _descend(

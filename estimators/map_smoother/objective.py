@@ -23,9 +23,6 @@ from estimators.map_smoother.road_prior import RoadTransform
 from estimators.map_smoother.tuning import TUNING
 from road_envs.vehicle.equations import Plant
 
-WHEEL_PATHS = 2
-"""Wheel paths of a road."""
-
 Means = Sequence[np.ndarray]
 """Block means (S, J) of each pass."""
 
@@ -64,8 +61,10 @@ class Objective:
 
     @property
     def is_underdetermined(self) -> bool:
-        """True if there are no more sensors than wheel paths: a road explains all measurements."""
-        return sum(len(one.model.sensor_rows) for one in self.passes) <= WHEEL_PATHS
+        """True if there are no more sensors than the two wheel paths: a road explains all
+        measurements.
+        """
+        return sum(len(one.model.sensor_rows) for one in self.passes) <= 2
 
     @property
     def noise_variance(self) -> np.ndarray:

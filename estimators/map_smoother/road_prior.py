@@ -21,10 +21,7 @@ from estimators.map_smoother.tuning import TUNING
 from road_envs.records.record import Profile
 
 TO_WHEEL_PATHS = np.array([[1.0, 1.0], [1.0, -1.0]])
-"""From mean and half difference to left and right."""
-
-FROM_WHEEL_PATHS = np.linalg.inv(TO_WHEEL_PATHS)
-"""From left and right to mean and half difference."""
+"""From mean and half difference to left and right; half of it leads back."""
 
 
 class RoadNodes(NamedTuple):
@@ -113,7 +110,7 @@ class RoadTransform:
 
     def whiten(self, increments: np.ndarray) -> np.ndarray:
         """Return the noise (2, K) of the `increments` (2, K) [m] of both wheel paths where free."""
-        e = FROM_WHEEL_PATHS @ (self.free * increments / self.local)
+        e = 0.5 * TO_WHEEL_PATHS @ (self.free * increments / self.local)
         return irfft(rfft(e, axis=1) / self.amplitude, self.size, axis=1)
 
     def convert_noise(self, u: np.ndarray, other: "RoadTransform") -> np.ndarray:
