@@ -48,7 +48,7 @@ def compute(road_class: str, kmh: int, seed: int, car: str) -> Row:
     found = minimize(objective, solver)
     end, scale = found.linearization, found.noise_scale
     variance = [one.source.information / k for one, k in zip(end.passes, scale, strict=True)]
-    end = end.with_inverse_variance(variance)
+    end = end.with_noise(variance)
     s = profile_stations(LENGTH)
     u = end.objective.road.noise_of(Profile(s, surface.height(s)))
     truth = end.relinearize(end.objective.from_noise(u))

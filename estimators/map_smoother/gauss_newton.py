@@ -117,7 +117,8 @@ def minimize(
         white = found.stationary
         for _ in range(TUNING.reweighting_steps):
             weights = _estimate_frequency_weights(replace(found, stationary=white))
-            lin = found.linearization.with_frequency_weights(weights)
+            lin = found.linearization
+            lin = lin.with_noise(lin.inverse_variance, weights)
             colored = white.reweighted(lin.objective, weights)
             found, _ = solver.step(MapSolution(lin, colored, found.noise_scale))
     return _retry_after_liftoff(found, solver)
@@ -151,7 +152,7 @@ class GaussNewton:
             _huber_weights(one.residual, one.source.information / scale, self.huber)
             for one, scale in zip(point.linearization.passes, point.noise_scale, strict=True)
         ]
-        lin = point.linearization.with_inverse_variance(weights)
+        lin = point.linearization.with_noise(weights)
         point, road = replace(point, linearization=lin), lin.objective.road
         more = TUNING.uneven_iterations if road.is_uneven else 1
         gradient = lin.gradient()
@@ -179,7 +180,7 @@ def _retry_after_liftoff(found: MapSolution, solver: GaussNewton) -> MapSolution
             break
         for _ in range(TUNING.liftoff_steps):
             new, _ = solver.step(new)
-        if not new.linearization.with_inverse_variance(lin.inverse_variance).cost < lin.cost:
+        if not new.linearization.with_noise(lin.inverse_variance).cost < lin.cost:
             break
         found = new
     return found

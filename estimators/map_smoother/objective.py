@@ -124,7 +124,7 @@ class Linearization:
     def cost_under(self, noise_scale: np.ndarray) -> float:
         """The cost at `x` under `noise_scale` (P,) times the noise of the instruments."""
         pairs = zip(self.passes, noise_scale, strict=True)
-        return self.with_inverse_variance([one.source.information / k for one, k in pairs]).cost
+        return self.with_noise([one.source.information / k for one, k in pairs]).cost
 
     def gradient(self) -> np.ndarray:
         """Gradient of the cost with respect to `x`."""
@@ -218,17 +218,16 @@ class Linearization:
         alone = Objective(self.objective.road, (one.source,))
         return Linearization(alone, np.concatenate([u, own]), (one,))
 
-    def with_frequency_weights(self, weights: Means) -> "Linearization":
-        """The same point under noise of other frequency weights (J // 2 + 1,)."""
-        pairs = zip(self.passes, weights, strict=True)
-        passes = tuple(replace(one, frequency_weights=part) for one, part in pairs)
-        return replace(self, passes=passes)
-
-    def with_inverse_variance(self, variance: Means) -> "Linearization":
-        """The same point under other inverse variances of the noise."""
-        pairs = zip(self.passes, variance, strict=True)
-        passes = tuple(replace(one, inverse_variance=part) for one, part in pairs)
-        return replace(self, passes=passes)
+    def with_noise(
+        self, inverse_variance: Means, weights: Sequence[np.ndarray | None] | None = None
+    ) -> "Linearization":
+        """The same point under other inverse variances (S, J) of the noise of each pass and, if
+        given, other `weights` (J // 2 + 1,) of its frequencies.
+        """
+        weights = weights or [one.frequency_weights for one in self.passes]
+        rows = zip(self.passes, inverse_variance, weights, strict=True)
+        passes = (replace(one, inverse_variance=r, frequency_weights=w) for one, r, w in rows)
+        return replace(self, passes=tuple(passes))
 
     def with_road(self, road: RoadTransform, u: np.ndarray) -> "Linearization":
         """The same motions under another prior, by which `u` (2, K) gives the same road."""
@@ -237,11 +236,5 @@ class Linearization:
 
     def relinearize(self, x: np.ndarray, plants: Sequence[Plant] | None = None) -> "Linearization":
         """The same objective and noise at another `x`. Raises ArithmeticError."""
-        new = self.objective.linearize(x, plants)
-        passes = tuple(
-            replace(
-                one, inverse_variance=old.inverse_variance, frequency_weights=old.frequency_weights
-            )
-            for one, old in zip(new.passes, self.passes, strict=True)
-        )
-        return replace(new, passes=passes)
+        weights = [one.frequency_weights for one in self.passes]
+        return self.objective.linearize(x, plants).with_noise(self.inverse_variance, weights)

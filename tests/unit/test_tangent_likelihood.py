@@ -118,7 +118,7 @@ def test_a_sample_of_the_trace_is_the_change_of_the_tangent_by_a_parameter():
     (means,), (weight,) = lin.tangent(small), lin.inverse_variance
     varied = perturbed_passes(lin.objective.passes[0], cars)
     objectives = (replace(lin.objective, passes=(one,)) for one in varied)
-    there = (one.linearize(lin.x).with_inverse_variance([weight]) for one in objectives)
+    there = (one.linearize(lin.x).with_noise([weight]) for one in objectives)
     first, *rest = [np.vdot(one.tangent(small)[0], weight * means) for one in there]
     found, _ = _trace_sample(lin, varied, small)
     np.testing.assert_allclose(found, (np.array(rest) - first) / TUNING.difference, rtol=0.02)
