@@ -115,16 +115,11 @@ def _gaussian_expectation(
     `std_e` and `std_w` (4,).
     """
     mean, variance = np.zeros(e.shape), np.zeros(4)
-    for i in range(4):
-        tables = (
-            (law.e, law.over_extension[i], e[i], std_e[i]),
-            (law.e_dot, law.over_rate[i], w[i], std_w[i]),
-        )
-        for grid_, table, at, std in tables:
-            first = _gaussian_average(grid_, table, std)
-            second = _gaussian_average(grid_, table**2, std)
-            mean[i] += np.interp(at, grid_, first)
-            variance[i] += float(np.mean(np.interp(at, grid_, second - first**2)))
+    for x, *rows in (law.e, law.over_extension, e, std_e), (law.e_dot, law.over_rate, w, std_w):
+        for i, (table, at, std) in enumerate(zip(*rows, strict=True)):
+            first, second = (_gaussian_average(x, y, std) for y in (table, table**2))
+            mean[i] += np.interp(at, x, first)
+            variance[i] += float(np.mean(np.interp(at, x, second - first**2)))
     return mean, variance
 
 
