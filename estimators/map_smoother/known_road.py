@@ -50,24 +50,26 @@ def on_profile(objective: Objective, drive: CalibrationDrive) -> Objective:
 
 def check_profile(objective: Objective, drive: CalibrationDrive) -> None:
     """Raise CalibrationError if the readings do not belong to the profile, and say what would."""
-    (one,) = objective.passes
-    y = one.measurements.y
-    y = y - y.mean(axis=1, keepdims=True)
-    expected = _expected(objective)
-    fit, ratio = _correlation(y, expected), float(y.std() / expected.std())
-    profile = drive.profile
+    (one,), profile = objective.passes, drive.profile
     assert profile is not None
+    y = one.measurements.y - one.measurements.y.mean(axis=1, keepdims=True)
+
+    def compare(z: np.ndarray) -> tuple[float, float]:
+        """Return the correlation with the readings expected on heights `z`, and over them."""
+        known = on_profile(objective, replace(drive, profile=Profile(profile.s, z))).road
+        lin = one.linearize(known.background, np.zeros(one.size))
+        expected = one.measurements.y - lin.residual
+        expected -= expected.mean(axis=1, keepdims=True)
+        fit = np.sum(y * expected) / np.sqrt(np.sum(y**2) * np.sum(expected**2))
+        return float(fit), float(y.std() / expected.std())
+
+    fit, ratio = compare(profile.z)
     others = {
         "reversed": profile.z[::-1, ::-1],
         "with left and right exchanged": profile.z[::-1],
         "with the opposite sign": -profile.z,
     }
-    tried = {
-        what: _correlation(
-            y, _expected(on_profile(objective, replace(drive, profile=Profile(profile.s, z))))
-        )
-        for what, z in others.items()
-    }
+    tried = {what: compare(z)[0] for what, z in others.items()}
     best = max(tried, key=lambda what: tried[what])
     if tried[best] > max(TUNING.min_correlation, fit + TUNING.clearly_better):
         hint = f"the profile {best} fits ({tried[best]:.2f})"
@@ -84,15 +86,3 @@ def check_profile(objective: Objective, drive: CalibrationDrive) -> None:
         f"{drive.name}: the readings do not belong to its profile (correlation {fit:.2f} with "
         f"those expected); {hint}"
     )
-
-
-def _expected(objective: Objective) -> np.ndarray:
-    """Return the block means (S, J) expected on the known road, less their means."""
-    (one,) = objective.passes
-    lin = one.linearize(objective.road.background, np.zeros(one.size))
-    expected = one.measurements.y - lin.residual
-    return expected - expected.mean(axis=1, keepdims=True)
-
-
-def _correlation(y: np.ndarray, expected: np.ndarray) -> float:
-    return float(np.sum(y * expected) / np.sqrt(np.sum(y**2) * np.sum(expected**2)))
