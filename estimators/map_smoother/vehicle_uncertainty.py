@@ -14,6 +14,7 @@ samples of the road under the joint posterior of road, vehicle and instruments
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from estimators.map_smoother.car_fit import CarFit
 from estimators.map_smoother.instrument_errors import InstrumentErrors
@@ -70,9 +71,7 @@ class VehicleUncertainty:
         unit[: space.size] = space.std
         covariance = unit[:, None] * fit.covariance * unit
         if fit.x.size == space.size:
-            rest = np.diag(_unfitted_variance(errors))
-            covariance = np.pad(covariance, (0, len(rest)))
-            covariance[space.size :, space.size :] = rest
+            covariance = block_diag(covariance, np.diag(_unfitted_variance(errors)))
         return cls(fit.car, space.names, covariance)
 
     def draw_changes(self, lin: LinearizedPass, white: np.ndarray) -> np.ndarray:

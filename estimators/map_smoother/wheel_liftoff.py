@@ -81,8 +81,7 @@ def distance_in_air(one: LinearizedPass) -> float:
 def relax_unloaded(lin: Linearization) -> np.ndarray | None:
     """Return `lin.x` with the road lowered where it is unloaded; None if it is not much higher."""
     unloaded, road = unloaded_nodes(lin), lin.objective.road
-    u = lin.objective.split(lin.x)[0]
-    before = road.coefficients(u)
+    before = lin.objective.coefficients(lin.x)
     lower = _level if road.is_level_between_obstacles else _straight
     pairs = zip(before, unloaded, strict=True)
     c = np.array(
@@ -136,7 +135,7 @@ def road_below_light_wheels(lin: Linearization) -> tuple[np.ndarray, list[Liftof
     errors below light wheels, which are independent of one another.
     """
     road = lin.objective.road
-    c = road.coefficients(lin.objective.split(lin.x)[0])
+    c = lin.objective.coefficients(lin.x)
     is_level = road.is_level_between_obstacles
     light = unloaded_nodes(lin, TUNING.light_on_level if is_level else TUNING.light_elsewhere)
     step_variance = road.local**2 * irfft(road.amplitude**2, road.size, axis=1)[:, 0].sum()
