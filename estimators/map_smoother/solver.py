@@ -138,7 +138,7 @@ class RoadSolver:
         drive, fit, uncertain = self.drives[0], self.fit_of(0), self.uncertainty
         sensors = tuple(drive.model.locations)
         if drive.model.speed_std > 0.0:
-            self.speed_errors.append(estimate_speed_error(solution))
+            self.speed_errors.append(_estimate_speed_error(solution))
         if fit:
             uncertain = replace(VehicleUncertainty.of_fit(fit), inflation=TUNING.fit_inflation)
         elif self.adapt and uncertain is None and drive.car.tolerances:
@@ -195,7 +195,7 @@ def _explains_more(fitted: MapSolution, described: MapSolution) -> bool:
     return bool(left[0] <= max(1.0, left[1]))
 
 
-def estimate_speed_error(solution: MapSolution) -> tuple[float, float]:
+def _estimate_speed_error(solution: MapSolution) -> tuple[float, float]:
     """The relative error of the speed of a single pass, an unknown, and its variance."""
     (one,) = solution.linearization.passes
     size = solution.linearization.x.size
