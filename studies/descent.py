@@ -8,15 +8,13 @@ A row is a drive and a vehicle; those that the file has are not computed again.
 """
 
 import tempfile
+from dataclasses import replace
 from pathlib import Path
-
-import numpy as np
 
 from estimators.common.odometer import calibrate_odometer
 from estimators.map_smoother.estimator import MapSmoother
-from estimators.map_smoother.gauss_newton import GaussNewton, minimize
+from estimators.map_smoother.gauss_newton import GaussNewton, MapSolution, minimize
 from estimators.map_smoother.objective import Linearization
-from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.windows import whole_objective
 from road_envs.drives.reading import read_drive
 from road_envs.records.record import Profile, profile_stations
@@ -46,28 +44,27 @@ def compute(road_class: str, kmh: int, seed: int, car: str) -> Row:
     settings = MapSmoother(draws=0, adapt=False, instruments=drive.sensors)
     prepared, _ = settings.prepare(odometer.record, vehicle, speed_std=odometer.speed_std)
     objective = whole_objective(prepared, settings.road_prior)
-    solver = GaussNewton(stationary_hessian(objective), settings.huber)
-    found = minimize(objective, solver, prior_updates=settings.prior_updates)
+    solver = GaussNewton(settings.huber, prior_updates=settings.prior_updates)
+    found = minimize(objective, solver)
     end, scale = found.linearization, found.noise_scale
-    solver = GaussNewton(found.stationary)
     variance = [one.source.information / k for one, k in zip(end.passes, scale, strict=True)]
-    end = end.with_inverse_variance(variance)
+    end = end.with_noise(variance)
     s = profile_stations(LENGTH)
     u = end.objective.road.noise_of(Profile(s, surface.height(s)))
     truth = end.relinearize(end.objective.from_noise(u))
-    best = _descended(truth, solver, scale)
+    best = _descended(replace(found, linearization=truth))
     costs = {"level": end.cost, "truth": best.cost, "at_truth": truth.cost}
     return costs | {"left": float(scale[0])}
 
 
-def _descended(lin: Linearization, solver: GaussNewton, noise_scale: np.ndarray) -> Linearization:
+def _descended(point: MapSolution) -> Linearization:
     """Return where steps under a fixed prior and noise end."""
     for _ in range(STEPS):
-        before = lin.cost
-        lin, _ = solver.step(lin, noise_scale)
-        if lin.cost > (1.0 - SETTLED) * before:
+        before = point.linearization.cost
+        point, _ = GaussNewton().step(point)
+        if point.linearization.cost > (1.0 - SETTLED) * before:
             break
-    return lin
+    return point.linearization
 
 
 def summary(rows: list[Row]) -> str:

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from estimators.map_smoother.gauss_newton import MapSolution, update_prior
+from estimators.map_smoother.gauss_newton import MapSolution
 from estimators.map_smoother.objective import Linearization, Means, Objective
 from estimators.map_smoother.posterior_sampling import band_pass, draw_deviations, interior
 from estimators.map_smoother.preconditioner import StationaryHessian, stationary_hessian
@@ -90,7 +90,7 @@ def attainable_error(
     objective = _whole_drive(record, car, prior, bandwidth, instruments, noise_density)
     lin = objective.linearize(objective.from_noise(objective.road.noise_of(truth)))
     stationary = stationary_hessian(objective)  # that of the measurements, for any prior
-    lin = update_prior(lin, stationary, np.ones(1))
+    lin = MapSolution(lin, stationary, np.ones(1)).with_prior().linearization
     return _relative_error(lin, stationary, [lin.x])
 
 

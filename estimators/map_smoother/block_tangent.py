@@ -34,27 +34,30 @@ N_ROWS = 4 * LANES
 """Rows of P at most: vehicle state and block means. Four registers hold them."""
 
 
-class _NodeTrack(NamedTuple):
-    """Nodes under the axles in N steps and M chunks.
+class _Track(NamedTuple):
+    """Nodes under the axles, and samples, in N steps and M chunks.
 
     At each half step (2 N,): node number `front_node` of the front axle and `node_rate` [nodes/s].
-    `first` (M, 2): the first of `width` nodes that each axle passes in a chunk, of `size` in all.
-    `n_states` of the vehicle: 14, or 16 with a flexible frame, four more with side motion; `ds`
-    [m]: distance of the nodes.
+    `first` (M, 2): the first node that each axle passes in a chunk, of `size` in all. `n_states` of
+    the vehicle: 14, or 16 with a flexible frame, four more with side motion; `ds` [m]: distance of
+    the nodes. `sample_weight` (S, J, b) of the samples, one in `decimation` steps, in their block
+    means; `sensor_rows` (S, 7).
     """
 
     front_node: np.ndarray
     node_rate: np.ndarray
     wheelbase_nodes: float
     first: np.ndarray
-    width: int
     size: int
     n_states: int
     ds: float
+    decimation: int
+    sample_weight: np.ndarray
+    sensor_rows: np.ndarray
 
 
 @kernel
-def _road_derivatives(track: _NodeTrack, n, m, road):
+def _road_derivatives(track: _Track, n, m, road):
     """Write the derivative of heights and rates under the wheels to `road` (G, 16, LANES).
 
     For the step `n` of the chunk `m`. Rows 0 to 7 are heights and rates at the first half step,
@@ -79,27 +82,19 @@ def _road_derivatives(track: _NodeTrack, n, m, road):
     return begun
 
 
-class _Sampling(NamedTuple):
-    """`sample_weight` (S, J, b) of the samples, one in `decimation` steps, in their block means;
-    `sensor_rows` (S, 7).
-    """
-
-    decimation: int
-    sample_weight: np.ndarray
-    sensor_rows: np.ndarray
-
-
 @kernel
-def _fill_chunk_matrices(
-    constants, rows, h, track: _NodeTrack, sampling: _Sampling, P, flexible=None, side=None
-):
+def _fill_chunk_matrices(constants, rows, h, track: _Track, P, flexible=None, side=None):
     """Write the matrices of all chunks to `P` (M, C, N_ROWS), transposed: a column in each row,
     those of the nodes before those of the states.
 
     `rows` of the tape; `flexible`, `side` as of `sensitivity.tangent_step`.
     """
     n_states, n_dof = track.n_states, track.n_states // 2
-    decimation, sample_weight, sensor_rows = sampling
+    decimation, sample_weight, sensor_rows = (
+        track.decimation,
+        track.sample_weight,
+        track.sensor_rows,
+    )
     p, changes = constants[0], P.shape[1]
     groups = -(-changes // LANES)
     work = step_workspace(stack_rows(WORKSPACE_ROWS))
@@ -212,7 +207,6 @@ class BlockTangent:
     width: int
     n_nodes: int
     shape: tuple[int, int]
-    n_states: int
 
     def apply(self, start: np.ndarray, c: np.ndarray) -> np.ndarray:
         """Return the change (S, J) of the block means by one of the first state (14,) and of `c`
@@ -224,7 +218,7 @@ class BlockTangent:
 
     def apply_transpose(self, means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Apply the transpose: from block means (S, J) to the first state (14,) and `c` (2, K)."""
-        y, c = np.zeros(self.n_states), np.empty((2, self.n_nodes))
+        y, c = np.zeros(self.P.shape[1] - 4 * self.width), np.empty((2, self.n_nodes))
         _apply_chunks_transpose(self.P, self.first, self.width, means, y, c)
         return y, c
 
@@ -253,11 +247,11 @@ def build_block_tangent(
     width = int((high - low).max()) + 4
     first = np.minimum(low - 1, nodes.size - width)
     P = np.empty((begin.size, 4 * width + n_states, N_ROWS), dtype=np.float32)
-    track = _NodeTrack(
-        x, inputs.v / nodes.ds, wheelbase_nodes, first, width, nodes.size, n_states, nodes.ds
-    )
-    sampling = _Sampling(inputs.decimation, sample_weight, sensor_rows)
+    track = _Track(
+        x, inputs.v / nodes.ds, wheelbase_nodes, first, nodes.size, n_states, nodes.ds,
+        inputs.decimation, sample_weight, sensor_rows,
+    )  # fmt: skip
     flags = tape.plant.kernel_flags
-    _fill_chunk_matrices(tape.plant.constants, tape.rows, tape.h, track, sampling, P, *flags)
+    _fill_chunk_matrices(tape.plant.constants, tape.rows, tape.h, track, P, *flags)
     P = P.reshape(*P.shape[:2], N_ROWS // LANES, LANES)
-    return BlockTangent(P, first, width, nodes.size, (sensors, blocks), n_states)
+    return BlockTangent(P, first, width, nodes.size, (sensors, blocks))

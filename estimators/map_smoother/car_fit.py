@@ -4,17 +4,12 @@ Over a measured road its terms are those of `marginal_likelihood`, over an unmea
 `tangent_likelihood`. After each step of the parameters the road of each drive follows.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimators.map_smoother.gauss_newton import (
-    GaussNewton,
-    MapSolution,
-    update_noise_scale,
-    update_prior,
-)
+from estimators.map_smoother.gauss_newton import GaussNewton, MapSolution
 from estimators.map_smoother.instrument_errors import InstrumentErrors
 from estimators.map_smoother.marginal_likelihood import (
     LikelihoodTerms,
@@ -22,9 +17,8 @@ from estimators.map_smoother.marginal_likelihood import (
     perturbed_cars,
 )
 from estimators.map_smoother.objective import Objective
-from estimators.map_smoother.one_pass import Pass
 from estimators.map_smoother.preconditioner import stationary_hessian
-from estimators.map_smoother.tangent_likelihood import TangentTerms, tangent_terms
+from estimators.map_smoother.tangent_likelihood import tangent_terms
 from estimators.map_smoother.tuning import TUNING
 from estimators.map_smoother.wheel_liftoff import unloaded_nodes
 from road_envs.sensing.instruments import on_axle
@@ -92,17 +86,24 @@ def fit_car(
     x = np.zeros(size) if start is None else start
     original, now = [s.linearization.objective for s in solutions], tuple(solutions)
     small = TUNING.small_change if instruments else TUNING.small_on_unmeasured
-    terms: list[LikelihoodTerms | TangentTerms] = []
+    terms: list[LikelihoodTerms] = []
+    weights = [TUNING.unmeasured_weight if one.road.free.any() else 1.0 for one in original]
+
+    def total(parts: Iterable[np.ndarray]) -> np.ndarray:
+        return np.sum([k * part for k, part in zip(weights, parts, strict=True)], axis=0)
+
     for n in range(max_steps):
         cars = perturbed_cars(space, x[: space.size])
         is_renewed = renewed_steps is None or n < renewed_steps
         known = [None] * len(now) if is_renewed else terms
         terms = [
-            _terms(solution, objective.passes[0], cars, x[space.size :], before)
+            tangent_terms(solution, cars, before)
+            if objective.road.free.any()
+            else known_road_terms(solution, objective.passes[0], cars, x[space.size :])
             for solution, objective, before in zip(now, original, known, strict=True)
         ]
-        gradient = np.sum([term.gradient for term in terms], axis=0) - x
-        covariance = np.linalg.inv(np.sum([t.information for t in terms], axis=0) + np.eye(size))
+        gradient = total(term.gradient for term in terms) - x
+        covariance = np.linalg.inv(total(term.information for term in terms) + np.eye(size))
         step = covariance @ gradient
         step *= min(1.0, TUNING.max_change / np.abs(step).max())
         x = x + step
@@ -111,44 +112,24 @@ def fit_car(
             one = errors.apply(objective.passes[0].with_car(car), x[space.size :])
             # the unknowns are those of the prior that the road has by now
             changed = replace(solution.linearization.objective, passes=(one,))
-            change = term.change(step) if isinstance(term, TangentTerms) else None
-            solved.append(_resolve(solution, changed, solver, change))
+            solved.append(resolve(solution, changed, solver, term.change(step)))
         now = tuple(solved)
         if (np.abs(step) < small * np.sqrt(np.diag(covariance))).all():
             break
-    score = np.sum([term.score_covariance for term in terms], axis=0) + np.eye(size)
+    score = total(term.score_covariance for term in terms) + np.eye(size)
     return CarFit(space, x, covariance @ score @ covariance, now, _contradiction(terms, step))
 
 
-def _contradiction(terms: Sequence[LikelihoodTerms | TangentTerms], step: np.ndarray) -> float:
+def _contradiction(terms: Sequence[LikelihoodTerms], step: np.ndarray) -> float:
     """Return `CarFit.contradiction` after a `step` (P,) from the vehicle of the `terms`."""
     powers = []
     for one in terms:
-        if isinstance(one, TangentTerms):
+        if one.change(step) is not None:
             variance, directions = np.linalg.eigh(one.score_covariance)
             told = variance > TUNING.told_share * variance[-1]
             left = directions.T @ (one.gradient - one.information @ step)
-            power = float(np.mean(left[told] ** 2 / variance[told]))
-            powers.append(power / TUNING.unmeasured_weight)
+            powers.append(float(np.mean(left[told] ** 2 / variance[told])))
     return max(powers) if len(powers) > 1 else 0.0
-
-
-def _terms(
-    solution: MapSolution,
-    original: Pass,
-    cars: Sequence[VehicleParameters],
-    errors: np.ndarray,
-    known: LikelihoodTerms | TangentTerms | None,
-) -> LikelihoodTerms | TangentTerms:
-    """Return the terms of a drive, of its weight if nobody measured the road; those of second order
-    there are the `known` ones, if any.
-    """
-    if not solution.linearization.objective.road.free.any():
-        return known_road_terms(solution, original, cars, errors)
-    if isinstance(known, TangentTerms):
-        known = known.weighted(1.0 / TUNING.unmeasured_weight)
-        return tangent_terms(solution, cars, known).weighted(TUNING.unmeasured_weight)
-    return tangent_terms(solution, cars).weighted(TUNING.unmeasured_weight)
 
 
 def adapt_car(
@@ -201,23 +182,21 @@ def noise_left(solutions: Sequence[MapSolution]) -> float:
     return max(float(np.max(one.noise_scale)) for one in solutions)
 
 
-def _resolve(
+def resolve(
     solution: MapSolution,
     objective: Objective,
     solver: GaussNewton,
-    change: np.ndarray | None,
+    change: np.ndarray | None = None,
+    steps: int = TUNING.road_steps,
 ) -> MapSolution:
-    """Return the solution of a drive with another `objective`, after steps from its road on.
+    """Return the solution of drives with another `objective`, after `steps` from its road on.
 
     With a `change` of the unknowns that is expected, the prior of the road follows it, too.
     """
-    stationary = stationary_hessian(objective)
-    solver = replace(solver, stationary=stationary)
-    x = solution.linearization.x + (0.0 if change is None else change)
-    lin, noise_scale = objective.linearize(x), solution.noise_scale
-    for _ in range(TUNING.road_steps):
-        noise_scale = update_noise_scale(lin, stationary, noise_scale)
-        lin, _ = solver.step(lin, noise_scale)
+    lin = objective.linearize(solution.linearization.x + (0.0 if change is None else change))
+    point = MapSolution(lin, stationary_hessian(objective), solution.noise_scale)
+    for _ in range(steps):
+        point, _ = solver.step(point.with_noise_scale())
         if change is not None:
-            lin = update_prior(lin, stationary, noise_scale)
-    return MapSolution(lin, stationary, noise_scale)
+            point = point.with_prior()
+    return point

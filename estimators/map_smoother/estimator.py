@@ -39,11 +39,10 @@ from estimators.common.odometer import calibrate_odometer
 from estimators.map_smoother.identification import identify_structure
 from estimators.map_smoother.identified_vehicle import CalibratedByIdentification
 from estimators.map_smoother.preparation import SolverSettings
-from estimators.map_smoother.solver import Findings, RoadSolver
-from estimators.map_smoother.speed_error import distance_scale
+from estimators.map_smoother.solver import RoadSolver, distance_scale
 from estimators.map_smoother.tuning import TUNING
 from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
-from estimators.map_smoother.windows import PreparedDrive, on_common_nodes
+from estimators.map_smoother.windows import on_common_nodes
 from road_envs.records.record import Estimate, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.tolerances import has_absent_elements
@@ -95,18 +94,17 @@ class MapSmoother(CalibratedByIdentification, SolverSettings):
             drives.append(drive)
             notes += [f"{name}: {remark}" for remark in remarks]
         solver = RoadSolver(self, on_common_nodes(drives), self.adapt, self.draws, start=start)
-        found, _ = self._solve(solver, records[0].length, names)
-        return replace(found, notes=(*notes, *found.notes))
+        return self._solve(solver, records[0].length, names, notes)
 
     def _estimate_adapting(
         self, record: Record, car: VehicleParameters, speed_std: float
     ) -> Estimate:
         """Estimate both wheel paths, also with elements that the description leaves out."""
         known = None if self.identified is None else self.identified.uncertainty
-        first, findings = self._estimate(record, car, known, speed_std)
-        left = findings.left_by_fit
-        if findings.fits or findings.speed_errors:  # places need the vehicle, flights or not
-            left = max(left, float(findings.noise_scale[0]))
+        first, solver = self._estimate(record, car, known, speed_std)
+        left = solver.left_by_fit
+        if solver.fits or solver.speed_errors:  # places need the vehicle, flights or not
+            left = max(left, float(solver.noise_scale[0]))
         if not (self.adapt and left >= TUNING.searched_power and has_absent_elements(car)):
             return first
         described = replace(self, adapt=False)
@@ -118,7 +116,9 @@ class MapSmoother(CalibratedByIdentification, SolverSettings):
             return first
         if flexible.noise_scale[0] - 1.0 > TUNING.structure_gain * (left - 1.0):
             return first
-        note = f"a frame that can {_describe_modes(found)} was found, and adapted to the drive"
+        elements = {"twist": found.variation.frame, "bend": found.variation.bending}
+        modes = [f"{verb} at {mode.f:.1f} Hz" for verb, mode in elements.items() if mode]
+        note = f"a frame that can {' and '.join(modes)} was found, and adapted to the drive"
         return replace(second, notes=(*second.notes, note))
 
     def _estimate(
@@ -127,86 +127,68 @@ class MapSmoother(CalibratedByIdentification, SolverSettings):
         car: VehicleParameters,
         uncertainty: VehicleUncertainty | None,
         speed_std: float,
-    ) -> tuple[Estimate, Findings]:
+    ) -> tuple[Estimate, RoadSolver]:
         """Estimate a single drive; `uncertainty` is that of a vehicle that was identified."""
         drive, notes = self.prepare(record, car, speed_std=speed_std)
         solver = RoadSolver(self, [drive], self.adapt, self.draws, uncertainty)
-        found, findings = self._solve(solver, record.length, [""])
-        return replace(found, notes=(*notes, *found.notes)), findings
+        return self._solve(solver, record.length, [""], notes), solver
 
     def _solve(
-        self, solver: RoadSolver, length: float, names: Sequence[str]
-    ) -> tuple[Estimate, Findings]:
-        """Estimate a road of `length` [m], with notes on what was found, which name the drive if
-        there are several.
+        self, solver: RoadSolver, length: float, names: Sequence[str], remarks: Sequence[str]
+    ) -> Estimate:
+        """Estimate a road of `length` [m], with `remarks` on the records and notes on what was
+        found, which name the drive if there are several.
         """
-        road, findings = solver.solve()
-        drives, s = solver.drives, profile_stations(length)
+        road, drives, s = solver.solve(), solver.drives, profile_stations(length)
         z, std, drawn = road.at_stations(drives[0].nodes, s)
         z_std, draws = (std, drawn) if self.draws else (None, None)
-        notes = _findings_notes(findings, names)
-        lost = [
-            _lost_noise_scale(drive, in_air, length) / scale
-            for drive, in_air, scale in zip(
-                drives, findings.in_air, findings.noise_scale, strict=True
-            )
-        ]
-        distance, doubts = distance_scale(findings.speed_errors, drives[0].model)
+        notes = [*remarks, *_findings_notes(solver, names)]
+        share = 0.0
+        for drive, in_air, scale in zip(
+            drives, solver.in_air, solver.noise_scale.tolist(), strict=True
+        ):
+            most = TUNING.lost_noise_scale  # above it the minimization has lost the vehicle
+            if in_air < TUNING.lost_air_share * length:
+                power = float(drive.a.var()) / drive.model.noise_variance
+                most = max(most, TUNING.lost_power_share * power)
+            share = max(share, most / scale)
+        distance, doubts = distance_scale(solver.speed_errors, drives[0].model)
         notes += doubts
-        if (share := max(lost)) < 1.0:
+        if share < 1.0:
             z, z_std = reduce_unexplained(z, z_std, share)
             distance = draws = None
             notes.append(
                 f"the heights are reduced to {share:.0%}: their motion is not the measured one"
             )
-        residual = float(np.sqrt(findings.noise_scale.max()))
-        found = Estimate(
+        residual = float(np.sqrt(solver.noise_scale.max()))
+        return Estimate(
             s, z, z_std, tuple(notes), distance=distance, draws=draws, residual=residual
         )
-        return found, findings
 
 
-def _findings_notes(findings: Findings, names: Sequence[str]) -> list[str]:
-    """Notes on the drives of these `names`; a single one is not named."""
+def _findings_notes(solver: RoadSolver, names: Sequence[str]) -> list[str]:
+    """Notes on what was found of the drives of these `names`; a single one is not named."""
     several = len(names) > 1
     labels = [f"{name}: " if several else "" for name in names]
     notes = [
         f"{label}wheels were in the air for {length:.1f} m of the drive; the road below them is "
         "uncertain"
-        for label, length in zip(labels, findings.in_air, strict=True)
+        for label, length in zip(labels, solver.in_air, strict=True)
         if length >= 0.1
     ]
-    for fit, members in findings.fits:
+    for fit, members in solver.fits:
         whose = f" of {', '.join(names[k] for k in members)}" if several else ""
         drives = "drives" if several else "drive"
         notes.append(f"the vehicle{whose} was adapted to the {drives}: {fit.summary()}")
     notes += [
         f"{label}{misfit_note(scale)}"
-        for label, scale in zip(labels, findings.noise_scale.tolist(), strict=True)
+        for label, scale in zip(labels, solver.noise_scale.tolist(), strict=True)
         if scale > NOISE_SCALE_WARNING
     ]
-    if findings.vehicle_share > TUNING.vehicle_share_noted:
-        ratio = np.sqrt(1.0 / (1.0 - findings.vehicle_share))
+    if solver.vehicle_share > TUNING.vehicle_share_noted:
+        ratio = np.sqrt(1.0 / (1.0 - solver.vehicle_share))
         notes.append(
             f"the errors are {ratio:.1f} times those of a vehicle that is known: calibrate it, or "
             "drive on a rougher road as well"
         )
     return notes
-
-
-def _lost_noise_scale(drive: PreparedDrive, in_air: float, length: float) -> float:
-    """Noise scale above which the minimization has lost the vehicle of a drive, whose wheels spent
-    the distance `in_air` [m] off a road of this `length` [m].
-    """
-    if in_air >= TUNING.lost_air_share * length:
-        return TUNING.lost_noise_scale
-    return max(
-        TUNING.lost_noise_scale,
-        TUNING.lost_power_share * float(drive.a.var()) / drive.model.noise_variance,
-    )
-
-
-def _describe_modes(car: VehicleParameters) -> str:
-    """Return the frequencies of the body's modes in words."""
-    modes = {"twist": car.variation.frame, "bend": car.variation.bending}
-    return " and ".join(f"{verb} at {mode.f:.1f} Hz" for verb, mode in modes.items() if mode)

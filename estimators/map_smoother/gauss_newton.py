@@ -18,20 +18,19 @@ from estimators.common.conjugate_gradients import Operator, conjugate_gradients
 from estimators.common.misfit import NOISE_SCALE_WARNING
 from estimators.map_smoother.objective import Linearization, Objective
 from estimators.map_smoother.one_pass import LinearizedPass
-from estimators.map_smoother.preconditioner import StationaryHessian
+from estimators.map_smoother.preconditioner import StationaryHessian, stationary_hessian
 from estimators.map_smoother.tuning import TUNING
 from estimators.map_smoother.wheel_liftoff import passed_nodes, relax_unloaded
 from road_envs.vehicle.equations import Plant
 from road_envs.vehicle.force_curves import gaussian_smoothed
 from road_envs.vehicle.suspension import V_0, V_STEP
 
-Vector = np.ndarray
-
 
 @dataclass(frozen=True, eq=False)
 class MapSolution:
-    """Result of the minimization: the final `linearization`, the preconditioner's `stationary`
-    Hessian, and the `noise_scale` (P,) on the noise variance of the instruments of each pass.
+    """A point of the minimization, and its result: the `linearization` there, the preconditioner's
+    `stationary` Hessian, and the `noise_scale` (P,) on the noise variance of the instruments of
+    each pass.
     """
 
     linearization: Linearization
@@ -42,6 +41,12 @@ class MapSolution:
     def noise_variance(self) -> np.ndarray:
         """Variance (P,) [(m/s²)²] of a sample in each pass, by all that stays unexplained."""
         return self.linearization.objective.noise_variance * self.noise_scale
+
+    @property
+    def effective_dof(self) -> np.ndarray:
+        """Number (P,) of the road's unknowns that each pass determines."""
+        road = self.linearization.objective.road
+        return self.stationary.effective_dof(road, self.noise_variance)
 
     def of_pass(self, k: int) -> "MapSolution":
         """Return the solution of the pass `k` alone, on the same road."""
@@ -55,190 +60,184 @@ class MapSolution:
         H, limits = lin.hessian_product, (max_iterations, tolerance)
         return lambda b: conjugate_gradients(H, b, M, *limits)[0]
 
+    def with_noise_scale(self) -> "MapSolution":
+        """Return the point under the power of the residual over the instruments' noise, for the
+        degrees of freedom left. It never rises above the noise scale so far, nor falls below 1.
+        """
+        pairs = zip(self.linearization.passes, self.effective_dof, strict=True)
+        scales = [_noise_scale(one, share) for one, share in pairs]
+        return replace(self, noise_scale=np.maximum(1.0, np.minimum(self.noise_scale, scales)))
+
+    def with_prior(self) -> "MapSolution":
+        """Return the point under the prior that its own road suggests; the same road.
+
+        The prior stays if the road would be most improbable under the other one: where a road is a
+        single wave the prior would allow hardly any other, and the next step would go anywhere.
+        """
+        lin, x, before = self.linearization, self.linearization.x, self.linearization.objective.road
+        u = lin.objective.split(x)[0]
+        density = self.stationary.density_of(before, self.noise_variance, u)
+        road = replace(before, density=density)
+        u = road.convert_noise(u, before)
+        if not road.may_be_uneven:
+            return replace(self, linearization=lin.with_road(road, u))
+        passed = passed_nodes(lin)
+        local = self.stationary.local_roughness(road, self.noise_variance, u, passed)
+        rough = replace(road, local=local)
+        new = lin.with_road(rough, rough.convert_noise(u, road))
+        most = TUNING.max_noise_power * max(float(x @ x), lin.objective.size)
+        return replace(self, linearization=new) if float(new.x @ new.x) < most else self
+
 
 def minimize(
     objective: Objective,
     solver: "GaussNewton",
-    *,
-    change_tolerance: float = TUNING.change_tolerance,
-    adapt_prior: bool = True,
-    start: Vector | None = None,
-    stages: Sequence[tuple[float, int]] = TUNING.friction_stages,
-    prior_updates: int = TUNING.prior_updates,
+    start: np.ndarray | None = None,
     adapt_car: "Callable[[MapSolution, GaussNewton], MapSolution] | None" = None,
 ) -> MapSolution:
     """Minimize the objective from a level road or `start` on.
 
-    The prior is updated before each of the `stages` and between steps with the true vehicle, there
-    at most `prior_updates` times. Ends when such a step changes the unknowns by less than
-    `change_tolerance`. `adapt_car`, if given, then returns the solution with another vehicle.
+    `adapt_car`, if given, returns the solution with another vehicle where the descent has ended.
 
     What a wrong vehicle leaves is taken for obstacles as well, and a prior that is rough there
     confirms it. Where much is unexplained on a road that is rough in places, it is therefore sought
     on one that is equally rough everywhere, too; always where a road can explain all readings.
     """
-    options = change_tolerance, adapt_prior, start, stages, prior_updates
-    lin, noise_scale = _descend(objective, solver, *options)
-    is_doubtful = objective.is_underdetermined or np.max(noise_scale) > NOISE_SCALE_WARNING
-    if lin.objective.road.is_uneven and is_doubtful:
+    stationary = stationary_hessian(objective)
+    found = _descend(objective, stationary, solver, start)
+    is_doubtful = objective.is_underdetermined or np.max(found.noise_scale) > NOISE_SCALE_WARNING
+    if found.linearization.objective.road.is_uneven and is_doubtful:
         even = replace(objective, road=replace(objective.road, may_be_uneven=False))
-        other, other_scale = _descend(even, solver, *options)
-        if _is_likelier(other, lin):
-            lin, noise_scale = other, other_scale
-    stationary = solver.stationary
+        other = _descend(even, stationary, solver, start)
+        if _is_likelier(other.linearization, found.linearization):
+            found = other
     if adapt_car is not None:
-        found = adapt_car(MapSolution(lin, stationary, noise_scale), solver)
-        lin, stationary, noise_scale = found.linearization, found.stationary, found.noise_scale
-        solver = replace(solver, stationary=stationary)
-    if np.max(noise_scale) > NOISE_SCALE_WARNING and not objective.is_underdetermined:
+        found = adapt_car(found, solver)
+    if np.max(found.noise_scale) > NOISE_SCALE_WARNING and not objective.is_underdetermined:
+        white = found.stationary
         for _ in range(TUNING.reweighting_steps):
-            weights = _estimate_frequency_weights(lin, stationary, noise_scale)
-            lin = lin.with_frequency_weights(weights)
-            solver = replace(solver, stationary=stationary.reweighted(lin.objective, weights))
-            lin, _ = solver.step(lin, noise_scale)
-    for _ in range(TUNING.max_liftoff_retries):
-        better = _retry_after_liftoff(lin, solver, noise_scale)
-        if better is lin:
-            break
-        lin = better
-    return MapSolution(lin, solver.stationary, noise_scale)
+            weights = _estimate_frequency_weights(replace(found, stationary=white))
+            lin = found.linearization
+            lin = lin.with_noise(lin.inverse_variance, weights)
+            colored = white.reweighted(lin.objective, weights)
+            found, _ = solver.step(MapSolution(lin, colored, found.noise_scale))
+    return _retry_after_liftoff(found, solver)
 
 
 @dataclass(frozen=True)
 class GaussNewton:
-    """Gauss-Newton steps, by conjugate gradients that `stationary` preconditions.
+    """Gauss-Newton steps, by conjugate gradients, and when they end.
 
-    `huber`: standard deviations beyond which a block mean is down-weighted.
+    `huber`: standard deviations beyond which a block mean is down-weighted. With `adapt_prior` the
+    prior is updated before each of the `stages` and between steps with the true vehicle, there at
+    most `prior_updates` times. A stage ends when such a step changes the unknowns by less than
+    `change_tolerance`.
     """
 
-    stationary: StationaryHessian
     huber: float = np.inf
     cg_iterations: int = 40
     cg_tolerance: float = 0.1
+    change_tolerance: float = TUNING.change_tolerance
+    adapt_prior: bool = True
+    stages: Sequence[tuple[float, int]] = TUNING.friction_stages
+    prior_updates: int = TUNING.prior_updates
 
     def step(
-        self, lin: Linearization, noise_scale: np.ndarray, plants: Sequence[Plant] | None = None
-    ) -> tuple[Linearization, float]:
-        """Return the next point, for the vehicles of the passes or other `plants`, under
-        `noise_scale` times the noise; and the root mean square change of the resolved unknowns in
-        posterior standard deviations.
+        self, point: MapSolution, plants: Sequence[Plant] | None = None
+    ) -> tuple[MapSolution, float]:
+        """Return the next point, for the vehicles of the passes or other `plants`; and the root
+        mean square change of the resolved unknowns in posterior standard deviations.
         """
         weights = [
             _huber_weights(one.residual, one.source.information / scale, self.huber)
-            for one, scale in zip(lin.passes, noise_scale, strict=True)
+            for one, scale in zip(point.linearization.passes, point.noise_scale, strict=True)
         ]
-        lin = lin.with_inverse_variance(weights)
-        noise_variance = lin.objective.noise_variance * noise_scale
-        M = self.stationary.preconditioner(lin, noise_variance)
-        is_uneven = lin.objective.road.is_uneven
-        more = TUNING.uneven_iterations if is_uneven else 1
-        limits = more * self.cg_iterations, self.cg_tolerance
+        lin = point.linearization.with_noise(weights)
+        point, road = replace(point, linearization=lin), lin.objective.road
+        more = TUNING.uneven_iterations if road.is_uneven else 1
         gradient = lin.gradient()
-        dx, _ = conjugate_gradients(lin.hessian_product, -gradient, M, *limits)
+        dx = point.inverse_hessian(more * self.cg_iterations, self.cg_tolerance)(-gradient)
         slope = float(gradient @ dx)
-        road, others = lin.objective.road, lin.objective.size - 2 * lin.objective.road.size
-        dof = np.sum(self.stationary.effective_dof(road, noise_variance)) + others
+        dof = np.sum(point.effective_dof) + (lin.objective.size - 2 * road.size)
+        lin = _line_search(lin, dx, slope, plants)
         # conjugate gradients leave dx' H dx = -slope
-        return _line_search(lin, dx, slope, plants), float(np.sqrt(-slope / dof))
+        return replace(point, linearization=lin), float(np.sqrt(-slope / dof))
 
 
-def _retry_after_liftoff(
-    lin: Linearization, solver: GaussNewton, noise_scale: np.ndarray
-) -> Linearization:
-    """Return the optimum from the road lowered where no wheel pressed on it, if it costs less.
+def _retry_after_liftoff(found: MapSolution, solver: GaussNewton) -> MapSolution:
+    """Return the optimum from the road lowered where no wheel pressed on it, as often as it then
+    costs less.
 
     A road with obstacles has been lowered before.
     """
-    if lin.objective.road.is_level_between_obstacles:
-        return lin
-    x = relax_unloaded(lin)
-    if x is None:
-        return lin
-    try:
-        new = lin.relinearize(x)
-    except ArithmeticError:
-        return lin
-    for _ in range(TUNING.liftoff_steps):
-        new, _ = solver.step(new, noise_scale)
-    return new if new.with_inverse_variance(lin.inverse_variance).cost < lin.cost else lin
+    for _ in range(TUNING.max_liftoff_retries):
+        lin = found.linearization
+        if lin.objective.road.is_level_between_obstacles or (x := relax_unloaded(lin)) is None:
+            break
+        try:
+            new = replace(found, linearization=lin.relinearize(x))
+        except ArithmeticError:
+            break
+        for _ in range(TUNING.liftoff_steps):
+            new, _ = solver.step(new)
+        if not new.linearization.with_noise(lin.inverse_variance).cost < lin.cost:
+            break
+        found = new
+    return found
 
 
 def _descend(
     objective: Objective,
-    solver: "GaussNewton",
-    change_tolerance: float,
-    adapt_prior: bool,
-    start: Vector | None,
-    stages: Sequence[tuple[float, int]],
-    prior_updates: int,
-) -> tuple[Linearization, np.ndarray]:
-    """Return where the steps of `minimize` end, and the noise scale (P,) of each pass."""
-    stationary, noise_scale = solver.stationary, np.full(len(objective.passes), np.inf)
-    lin: Linearization | None = None
+    stationary: StationaryHessian,
+    solver: GaussNewton,
+    start: np.ndarray | None,
+) -> MapSolution:
+    """Return where the steps of `minimize` end."""
+    noise_scale = np.full(len(objective.passes), np.inf)
+    point: MapSolution | None = None
     best: Linearization | None = None  # where a road can explain all readings
     x = np.zeros(objective.size) if start is None else start
-    for std, max_steps in stages:
-        if lin is not None:
-            lin = update_prior(lin, stationary, noise_scale) if adapt_prior else lin
+    for std, max_steps in solver.stages:
+        if point is not None:
+            point = point.with_prior() if solver.adapt_prior else point
+            lin, noise_scale = point.linearization, point.noise_scale
             objective, x = lin.objective, lin.x
-        plants = [_smooth_friction(plant, std) for plant in objective.plants]
+        plants = [_smooth_friction(one.model.plant, std) for one in objective.passes]
         lin = objective.linearize(x, plants)
-        noise_scale = update_noise_scale(lin, stationary, noise_scale)
+        point = MapSolution(lin, stationary, noise_scale).with_noise_scale()
         for n in range(max_steps):
-            updates = prior_updates if std == 0.0 and adapt_prior else 0
+            updates = solver.prior_updates if std == 0.0 and solver.adapt_prior else 0
             if 0 < n <= updates:
+                lin = point.linearization
                 if n in TUNING.lowering_steps and lin.objective.road.is_level_between_obstacles:
                     lowered = relax_unloaded(lin)
                     lin = lin if lowered is None else lin.relinearize(lowered)
-                lin = update_prior(lin, stationary, noise_scale)
-            lin, change = solver.step(lin, noise_scale, plants)
-            before = np.max(noise_scale)
-            noise_scale = update_noise_scale(lin, stationary, noise_scale)
+                point = replace(point, linearization=lin).with_prior()
+            before = np.max(point.noise_scale)
+            point, change = solver.step(point, plants)
+            point, lin = point.with_noise_scale(), point.linearization
             if std == 0.0 and objective.is_underdetermined:
                 power = misfit_power(lin)
                 least = np.maximum(1.0, TUNING.least_noise * power)
-                noise_scale = np.maximum(least, np.minimum(noise_scale, TUNING.noise_fall * before))
+                noise_scale = np.minimum(point.noise_scale, TUNING.noise_fall * before)
+                point = replace(point, noise_scale=np.maximum(least, noise_scale))
                 if best is None or power.max() < misfit_power(best).max():
                     best = lin
             to_come = lin.objective.road.is_level_between_obstacles and n < min(
                 TUNING.lowering_steps[-1], updates
             )
-            is_falling = (
-                NOISE_SCALE_WARNING < before and np.max(noise_scale) < TUNING.settled * before
-            )
-            if change < change_tolerance and not (to_come or is_falling):
+            now = np.max(point.noise_scale)
+            is_falling = NOISE_SCALE_WARNING < before and now < TUNING.settled * before
+            if change < solver.change_tolerance and not (to_come or is_falling):
                 break
-    assert lin is not None
+    assert point is not None
     if best is not None:
-        lin, noise_scale = best, np.maximum(1.0, misfit_power(best))
-    return lin, noise_scale
-
-
-def update_prior(
-    lin: Linearization, stationary: StationaryHessian, noise_scale: np.ndarray
-) -> Linearization:
-    """Return the linearization under the prior that its own road suggests; the same road.
-
-    The prior stays if the road would be most improbable under the other one: where a road is a
-    single wave the prior would allow hardly any other, and the next step would go anywhere.
-    """
-    objective, x = lin.objective, lin.x
-    u = objective.split(x)[0]
-    noise_variance = objective.noise_variance * noise_scale
-    density = stationary.density_of(objective.road, noise_variance, u)
-    road = replace(objective.road, density=density)
-    u = road.convert_noise(u, objective.road)
-    if not road.may_be_uneven:
-        return lin.with_road(road, u)
-    local = stationary.local_roughness(road, noise_variance, u, passed_nodes(lin))
-    rough = replace(road, local=local)
-    new = lin.with_road(rough, rough.convert_noise(u, road))
-    most = TUNING.max_noise_power * max(float(x @ x), objective.size)
-    return new if float(new.x @ new.x) < most else lin
+        return MapSolution(best, stationary, np.maximum(1.0, misfit_power(best)))
+    return point
 
 
 def _line_search(
-    lin: Linearization, dx: Vector, slope: float, plants: Sequence[Plant] | None
+    lin: Linearization, dx: np.ndarray, slope: float, plants: Sequence[Plant] | None
 ) -> Linearization:
     """Return a point along `dx` by backtracking: the step is halved until the cost has fallen.
 
@@ -257,19 +256,6 @@ def _line_search(
     return lin
 
 
-def update_noise_scale(
-    lin: Linearization, stationary: StationaryHessian, noise_scale: np.ndarray
-) -> np.ndarray:
-    """Power (P,) of the residual over the instruments' noise, for the degrees of freedom left.
-
-    It never rises above `noise_scale`, nor falls below 1.
-    """
-    noise_variance = lin.objective.noise_variance * noise_scale
-    dof = stationary.effective_dof(lin.objective.road, noise_variance)
-    scales = [_noise_scale(one, share) for one, share in zip(lin.passes, dof, strict=True)]
-    return np.maximum(1.0, np.minimum(noise_scale, scales))
-
-
 def _is_likelier(even: Linearization, uneven: Linearization) -> bool:
     """Return whether an `even` road is to be preferred: if it leaves much less, or, where a road
     can explain all readings, costs less under the noise that the worse one needs.
@@ -283,13 +269,7 @@ def _is_likelier(even: Linearization, uneven: Linearization) -> bool:
     if not uneven.objective.is_underdetermined:
         return False
     noise = np.maximum(1.0, np.maximum(*powers))
-    costs = [
-        lin.with_inverse_variance(
-            [one.source.information / k for one, k in zip(lin.passes, noise, strict=True)]
-        ).cost
-        for lin in (even, uneven)
-    ]
-    return bool(costs[0] < costs[1])
+    return even.cost_under(noise) < uneven.cost_under(noise)
 
 
 def misfit_power(lin: Linearization) -> np.ndarray:
@@ -303,15 +283,12 @@ def _noise_scale(one: LinearizedPass, dof: float) -> float:
     return float(squares[used].mean() / (share * max(1.0 - dof / (share * used.sum()), 0.1)))
 
 
-def _estimate_frequency_weights(
-    lin: Linearization, stationary: StationaryHessian, noise_scale: np.ndarray
-) -> list[np.ndarray]:
+def _estimate_frequency_weights(point: MapSolution) -> list[np.ndarray]:
     """Weight (J // 2 + 1,) of each frequency in each pass: noise as large as the residual is there,
     but never less than that of the instruments.
     """
-    noise_variance = lin.objective.noise_variance * noise_scale
-    dofs, weights = stationary.effective_dof(lin.objective.road, noise_variance), []
-    for one, dof, scale in zip(lin.passes, dofs, noise_scale, strict=True):
+    weights, lin = [], point.linearization
+    for one, dof, scale in zip(lin.passes, point.effective_dof, point.noise_scale, strict=True):
         r = np.sqrt(one.source.information) * one.residual
         left = 1.0 - dof / (one.source.band_share * one.source.is_used.sum())
         f, S = welch(r, fs=1.0, nperseg=min(TUNING.welch_segment, r.shape[1]))

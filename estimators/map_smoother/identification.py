@@ -6,30 +6,24 @@ combined. The last third of each drive is held out: there the described and the 
 are compared.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
+from scipy.fft import irfft, rfft, rfftfreq
 from scipy.signal import welch
 
 from estimators.api import CalibrationDrive, CalibrationError
 from estimators.common.blas import single_blas_thread
 from estimators.common.odometer import calibrate_odometer
 from estimators.map_smoother.car_fit import CarFit, fit_car
-from estimators.map_smoother.gauss_newton import (
-    GaussNewton,
-    MapSolution,
-    minimize,
-    update_noise_scale,
-)
+from estimators.map_smoother.gauss_newton import GaussNewton, MapSolution, minimize
 from estimators.map_smoother.identification_result import (
     IdentificationResult,
     Unexplained,
     posterior_of,
 )
 from estimators.map_smoother.instrument_errors import InstrumentErrors
-from estimators.map_smoother.known_road import check_profile, on_profile
 from estimators.map_smoother.marginal_likelihood import NO_ERRORS
 from estimators.map_smoother.objective import Objective
 from estimators.map_smoother.preconditioner import stationary_hessian
@@ -37,10 +31,12 @@ from estimators.map_smoother.preparation import SolverSettings
 from estimators.map_smoother.tuning import TUNING
 from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
 from estimators.map_smoother.windows import whole_objective
-from road_envs.records.record import Record
+from road_envs.analysis.information_bound import RoadPrior
+from road_envs.records.record import Profile, Record
+from road_envs.records.roughness import N_0, displacement_psd
 from road_envs.sensing.instruments import instruments_of
 from road_envs.vehicle.parameters import VehicleParameters
-from road_envs.vehicle.tolerances import ParameterSpace, has_absent_elements, parameter_space
+from road_envs.vehicle.tolerances import has_absent_elements, parameter_space
 
 
 @single_blas_thread()
@@ -71,7 +67,7 @@ def identify(
     parts = [_parts(drive, chosen) for drive in drives]
     for first, _ in parts:
         if first.profile is not None:
-            check_profile(_objective(first, car, chosen), first)
+            _check_profile(_objective(first, car, chosen), first)
     try:
         result = _identify(parts, car, chosen, bool(structure))
         if structure is None and result.left >= TUNING.structure_power and has_absent_elements(car):
@@ -131,7 +127,12 @@ def _fit(
     settings: SolverSettings,
     structure: bool,
 ) -> CarFit:
-    """Return the fit to `drives`."""
+    """Return the fit to `drives`, from near the resonances that are searched: a resonance is found
+    only from near its frequency.
+
+    One mode after the other, the frequency is taken at which the drives cost least. The noise that
+    they leave does not tell where all of it is explained: by another road.
+    """
     space = parameter_space(car, structure)
     known = all(drive.profile is not None for drive in drives)
 
@@ -139,37 +140,20 @@ def _fit(
         vehicle = space.from_vector(x[: space.size])
         return [_solve(drive, vehicle, settings, quick) for drive in drives]
 
+    def cost(x: np.ndarray) -> float:
+        return sum(one.linearization.cost_under(np.ones(1)) for one in solve(x, quick=True))
+
     errors = len(InstrumentErrors(drives[0].record.channels).names) if known else 0
-    x, solutions = _nearest_start(space, space.size + errors, solve)
-    solver = GaussNewton(solutions[0].stationary, settings.huber)
-    steps = TUNING.identification_steps
-    return fit_car(solutions, space, solver, instruments=known, start=x, max_steps=steps)
-
-
-def _nearest_start(
-    space: ParameterSpace, size: int, solve: Callable[..., list[MapSolution]]
-) -> tuple[np.ndarray, list[MapSolution]]:
-    """Return where the search begins: a resonance is found only from near its frequency.
-
-    One mode after the other, the frequency is taken at which the drives cost least. The noise that
-    they leave does not tell where all of it is explained: by another road.
-    """
-    x = np.zeros(size)
+    x = np.zeros(space.size + errors)
     starts = {"frame": TUNING.frame_starts, "bending": TUNING.bending_starts}
     for mode, frequencies in starts.items():
         if (name := f"variation.{mode}.f") in space.names:
             i = space.names.index(name)
-            about = getattr(space.car.variation, mode).f
-            points = [x + np.log(f / about) / space.std[i] * np.eye(size)[i] for f in frequencies]
-            tried = [solve(point, quick=True) for point in points]
-            x = points[int(np.argmin([sum(map(_cost, solutions)) for solutions in tried]))]
-    return x, solve(x)
-
-
-def _cost(solution: MapSolution) -> float:
-    """Return the cost of a drive under the noise of its instruments."""
-    lin = solution.linearization
-    return lin.with_inverse_variance([one.source.information for one in lin.passes]).cost
+            about, unit = getattr(space.car.variation, mode).f, np.eye(x.size)[i]
+            points = [x + np.log(f / about) / space.std[i] * unit for f in frequencies]
+            x = min(points, key=cost)
+    solver, steps = GaussNewton(settings.huber), TUNING.identification_steps
+    return fit_car(solve(x), space, solver, instruments=known, start=x, max_steps=steps)
 
 
 def _parts(
@@ -220,7 +204,82 @@ def _objective(
     # on a profile the speed is one of the instruments' errors
     speed_std = None if is_measured else 0.0
     prepared, _ = settings.prepare(drive.record, car, readings, speed_std)
-    return on_profile(whole_objective(prepared, settings.road_prior), drive)
+    return _on_profile(whole_objective(prepared, settings.road_prior), drive)
+
+
+def _on_profile(objective: Objective, drive: CalibrationDrive) -> Objective:
+    """Return the objective with the known road, if there is one, in place of the prior's.
+
+    The road is the Wiener filter's estimate from the profile: left as measured, errors of short
+    waves would count as road and make the vehicle look softer than it is.
+    """
+    road, profile = objective.road, drive.profile
+    if profile is None:
+        return objective
+    # a prior of the profile's own level, from waves that are long against its error
+    n, G = displacement_psd(profile.z, profile.ds)
+    inside = (n > TUNING.level_band[0]) & (n < TUNING.level_band[1])
+    prior = RoadPrior(G_d0=float(np.mean(G[:, inside] * (n[inside] / N_0) ** 2)))
+    noise = 2.0 * drive.survey_std**2 * profile.ds
+
+    def share(n: np.ndarray) -> np.ndarray:
+        """Return the road's share of the profile's density at `n` [cycles/m]."""
+        density = prior.density(np.maximum(n, 1e-6))
+        return density / (density + noise)
+
+    both = np.concatenate([profile.z, profile.z[:, ::-1]], axis=1)  # mirrored at both ends
+    spectrum = rfft(both, axis=1) * share(rfftfreq(both.shape[1], profile.ds))
+    smooth = irfft(spectrum, both.shape[1], axis=1)[:, : profile.s.size]
+    background = road.spline_of(Profile(profile.s, smooth))
+    rise = np.maximum(2.0 * np.sin(np.pi * road.n * road.ds), 1e-3)
+    # mean and half difference have half the variance each of what is left of the error
+    amplitude = rise * np.sqrt(0.25 * noise * share(road.n) / road.ds) * np.ones((2, 1))
+    # the road is not moved: its error counts as noise of the readings
+    known = replace(
+        road, background=background, prior_amplitude=amplitude, density=np.ones(road.n.size),
+        free=np.zeros(road.size),
+    )  # fmt: skip
+    return replace(objective, road=known)
+
+
+def _check_profile(objective: Objective, drive: CalibrationDrive) -> None:
+    """Raise CalibrationError if the readings do not belong to the profile, and say what would."""
+    (one,), profile = objective.passes, drive.profile
+    assert profile is not None
+    y = one.measurements.y - one.measurements.y.mean(axis=1, keepdims=True)
+
+    def compare(z: np.ndarray) -> tuple[float, float]:
+        """Return the correlation with the readings expected on heights `z`, and over them."""
+        known = _on_profile(objective, replace(drive, profile=Profile(profile.s, z))).road
+        lin = one.linearize(known.background, np.zeros(one.size))
+        expected = one.measurements.y - lin.residual
+        expected -= expected.mean(axis=1, keepdims=True)
+        fit = np.sum(y * expected) / np.sqrt(np.sum(y**2) * np.sum(expected**2))
+        return float(fit), float(y.std() / expected.std())
+
+    fit, ratio = compare(profile.z)
+    others = {
+        "reversed": profile.z[::-1, ::-1],
+        "with left and right exchanged": profile.z[::-1],
+        "with the opposite sign": -profile.z,
+    }
+    tried = {what: compare(z)[0] for what, z in others.items()}
+    best = max(tried, key=lambda what: tried[what])
+    if tried[best] > max(TUNING.min_correlation, fit + TUNING.clearly_better):
+        hint = f"the profile {best} fits ({tried[best]:.2f})"
+    elif fit < TUNING.min_correlation:
+        hint = "it may be another part of the road, or the odometer may be displaced"
+    elif not 1.0 / TUNING.unit_ratio < ratio < TUNING.unit_ratio:
+        raise CalibrationError(
+            f"{drive.name}: the accelerations are {ratio:.2g} times those expected on its profile; "
+            "check the units of both (m/s² and m)"
+        )
+    else:
+        return
+    raise CalibrationError(
+        f"{drive.name}: the readings do not belong to its profile (correlation {fit:.2f} with "
+        f"those expected); {hint}"
+    )
 
 
 def _solve(
@@ -235,11 +294,12 @@ def _solve(
     """
     objective = _objective(drive, car, settings)
     objective = objective.with_passes(lambda one: InstrumentErrors.of(one).apply(one, errors))
-    solver = GaussNewton(stationary_hessian(objective), settings.huber)
+    solver = GaussNewton(settings.huber)
     if drive.profile is not None:
         return _settle(objective, solver, 2 if quick else TUNING.settling_steps)
-    options: Any = {"change_tolerance": 1.0, "adapt_prior": False} if quick else {}
-    return minimize(objective, solver, **options)
+    if quick:
+        solver = replace(solver, change_tolerance=1.0, adapt_prior=False)
+    return minimize(objective, solver)
 
 
 def _settle(objective: Objective, solver: GaussNewton, max_steps: int) -> MapSolution:
@@ -247,13 +307,14 @@ def _settle(objective: Objective, solver: GaussNewton, max_steps: int) -> MapSol
 
     A drive that is cut out begins in motion, and only a few steps find its first state.
     """
-    lin, noise_scale = objective.linearize(np.zeros(objective.size)), np.array([np.inf])
+    lin = objective.linearize(np.zeros(objective.size))
+    found = MapSolution(lin, stationary_hessian(objective), np.array([np.inf]))
     for _ in range(max_steps):
-        before, noise_scale = noise_scale, update_noise_scale(lin, solver.stationary, noise_scale)
-        if noise_scale[0] > TUNING.settled_on_known * before[0]:
+        before, found = found.noise_scale, found.with_noise_scale()
+        if found.noise_scale[0] > TUNING.settled_on_known * before[0]:
             break
-        lin, _ = solver.step(lin, noise_scale)
-    return MapSolution(lin, solver.stationary, noise_scale)
+        found, _ = solver.step(found)
+    return found
 
 
 def _unexplained(

@@ -18,7 +18,6 @@ import numpy as np
 
 from estimators.api import CalibrationDrive, CalibrationError, copy_with
 from estimators.map_smoother.identification import identify
-from estimators.map_smoother.identification_result import IdentificationResult
 from estimators.map_smoother.preparation import SolverSettings
 from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
 from road_envs.core.artifacts import Kind
@@ -41,16 +40,6 @@ class IdentifiedVehicle:
     gain: tuple[float, ...] = (1.0, 1.0, 1.0)
     displacement: float = 0.0
     covariance: tuple[tuple[float, ...], ...] = ()
-
-    @classmethod
-    def of(cls, result: IdentificationResult) -> Self:
-        """Return what an identification has found."""
-        return cls(
-            car=result.car,
-            gain=result.sensor_gains,
-            displacement=result.displacement,
-            covariance=tuple(map(tuple, result.uncertainty.covariance.tolist())),
-        )
 
     @property
     def uncertainty(self) -> VehicleUncertainty | None:
@@ -111,8 +100,14 @@ def _identify_once(
 def _identify(
     drives: Sequence[CalibrationDrive], car: VehicleParameters, instruments: str
 ) -> IdentifiedVehicle:
-    settings = SolverSettings(instruments=instruments)
-    return IdentifiedVehicle.of(identify(drives, car, settings, structure=None))
+    found = identify(drives, car, SolverSettings(instruments=instruments), structure=None)
+    covariance = tuple(map(tuple, found.uncertainty.covariance.tolist()))
+    return IdentifiedVehicle(
+        car=found.car,
+        gain=found.sensor_gains,
+        displacement=found.displacement,
+        covariance=covariance,
+    )
 
 
 def _drives_digest(drives: Sequence[CalibrationDrive]) -> str:

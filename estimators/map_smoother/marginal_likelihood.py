@@ -22,10 +22,7 @@ from scipy.fft import rfft, rfftfreq
 from estimators.map_smoother.gauss_newton import MapSolution
 from estimators.map_smoother.instrument_errors import InstrumentErrors
 from estimators.map_smoother.one_pass import LinearizedPass, Pass
-from estimators.map_smoother.preconditioner import (
-    linear_responses,
-    prior_spectrum,
-)
+from estimators.map_smoother.preconditioner import linear_responses
 from estimators.map_smoother.road_prior import RoadTransform
 from estimators.map_smoother.tuning import TUNING
 from road_envs.analysis.statistical_linearization import hermitian
@@ -39,12 +36,23 @@ NO_ERRORS = np.zeros(0)
 class LikelihoodTerms(NamedTuple):
     """Terms of the marginal likelihood of one drive: `gradient` (P,), `information` (P, P), and the
     covariance of the gradient `score_covariance` (P, P), which is the information if the model is
-    right.
+    right. Empty where the road was measured: the derivatives `log_det_gradient` (P,) of
+    1/2 log det A, and the change of the solution's unknowns `to_optimum` (n,) and `by_parameter`
+    (P, n).
     """
 
     gradient: np.ndarray
     information: np.ndarray
     score_covariance: np.ndarray
+    log_det_gradient: np.ndarray = np.zeros(0)
+    to_optimum: np.ndarray = np.zeros(0)
+    by_parameter: np.ndarray = np.zeros(0)
+
+    def change(self, step: np.ndarray) -> np.ndarray | None:
+        """Return the expected change (n,) of the unknowns with a `step` (P,) of the parameters;
+        None where the road was measured.
+        """
+        return self.to_optimum + step @ self.by_parameter if self.by_parameter.size else None
 
 
 def perturbed_cars(space: ParameterSpace, x: np.ndarray) -> list[VehicleParameters]:
@@ -90,7 +98,7 @@ def varied_residuals(lin: LinearizedPass, varied: Sequence[Pass]) -> np.ndarray:
     left = np.array([one.residual(a, bias) for one, a in zip(varied, motions, strict=True)])
     for k, one in enumerate(varied):  # the road under longer tyres is another
         if one.model.contact_length != source.model.contact_length:
-            left[k] = one.residual_at(lin.c, lin.own)
+            left[k] = one.linearize(lin.c, lin.own).residual
     if not np.isfinite(left).all():
         raise ArithmeticError("the motion of a varied vehicle was not finite")
     return left
@@ -109,7 +117,7 @@ def reading_sensitivities(lin: LinearizedPass, base: Pass, errors: np.ndarray) -
         if k < instruments.n_fixed:  # the vehicle moves as before
             found.append(varied.residual(lin.tape.acceleration, bias))
         else:
-            found.append(varied.residual_at(lin.c, lin.own))
+            found.append(varied.linearize(lin.c, lin.own).residual)
     return (lin.residual - np.array(found)) / TUNING.difference
 
 
@@ -128,7 +136,11 @@ def known_road_terms(
     if errors.size > 0:
         read = reading_sensitivities(lin, original.with_car(cars[0]), errors)
         G = np.concatenate([G, read])
-    f, lines = _lines(lin.source)
+    blocks = lin.source.measurements.y.shape[1]
+    f = rfftfreq(blocks, lin.source.block_duration)[1:]
+    # lines of the two-sided spectrum that each stands for: none above the bandwidth
+    lines = np.where(2 * np.arange(1, f.size + 1) == blocks, 1.0, 2.0)
+    lines *= f <= lin.source.model.bandwidth
     A, r = _spectrum(lin.source, G), _spectrum(lin.source, lin.residual[None])
     covariance = _covariance(road, lin.source, f)
     # the error of the profile is noise; what the model cannot explain adds to it, band by band
@@ -154,20 +166,14 @@ def _spectrum(one: Pass, means: np.ndarray) -> np.ndarray:
     return rfft(means * one.is_used, axis=2)[:, :, 1:].transpose(2, 1, 0) / np.sqrt(means.shape[2])
 
 
-def _lines(one: Pass) -> tuple[np.ndarray, np.ndarray]:
-    """Return the frequencies (F,) [Hz] of the block means' spectrum, without the mean, and how many
-    lines of the two-sided spectrum each stands for: none above the bandwidth.
-    """
-    blocks, dt = one.measurements.y.shape[1], one.block_duration
-    lines = np.full(blocks // 2, 2.0)
-    lines[-1] = 1.0 if blocks % 2 == 0 else 2.0
-    f = rfftfreq(blocks, dt)[1:]
-    return f, lines * (f <= one.model.bandwidth)
-
-
 def _covariance(road: RoadTransform, one: Pass, f: np.ndarray) -> np.ndarray:
-    """Return the covariance (F, S, S) [(m/s²)²] of the block means' spectrum at `f` (F,) [Hz]."""
-    S = prior_spectrum(road, one, f)[:, None, :]
+    """Return the covariance (F, S, S) [(m/s²)²] of the block means' spectrum at `f` (F,) [Hz], in
+    units in which that of unit white noise of the block means is 1.
+    """
+    v, dt = float(one.inputs.v.mean()), one.block_duration
+    density = np.abs(road.transfer_function()) ** 2 * road.ds / (v * dt)
+    response = np.sinc(f * dt) ** 2
+    S = np.array([np.interp(f / v, road.n, path) * response for path in density]).T[:, None, :]
     noise = one.model.noise_variance / one.measurements.sample_weight.shape[2]
     parts = ((share * H * S, H) for share, H in linear_responses(one, f))
     eye = np.eye(len(one.model.sensor_rows))

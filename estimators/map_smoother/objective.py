@@ -23,9 +23,6 @@ from estimators.map_smoother.road_prior import RoadTransform
 from estimators.map_smoother.tuning import TUNING
 from road_envs.vehicle.equations import Plant
 
-WHEEL_PATHS = 2
-"""Wheel paths of a road."""
-
 Means = Sequence[np.ndarray]
 """Block means (S, J) of each pass."""
 
@@ -64,13 +61,10 @@ class Objective:
 
     @property
     def is_underdetermined(self) -> bool:
-        """True if there are no more sensors than wheel paths: a road explains all measurements."""
-        return sum(len(one.model.sensor_rows) for one in self.passes) <= WHEEL_PATHS
-
-    @property
-    def plants(self) -> list[Plant]:
-        """The vehicle of each pass."""
-        return [one.model.plant for one in self.passes]
+        """True if there are no more sensors than the two wheel paths: a road explains all
+        measurements.
+        """
+        return sum(len(one.model.sensor_rows) for one in self.passes) <= 2
 
     @property
     def noise_variance(self) -> np.ndarray:
@@ -99,24 +93,16 @@ class Objective:
         """Unknowns with the noise `u` (2, K) of the road; all others are 0."""
         return np.pad(u.ravel(), (0, self.size - u.size))
 
-    def linearize(
-        self,
-        x: np.ndarray,
-        plants: Sequence[Plant] | None = None,
-        inverse_variance: Means | None = None,
-        frequency_weights: Sequence[np.ndarray | None] | None = None,
-    ) -> "Linearization":
+    def linearize(self, x: np.ndarray, plants: Sequence[Plant] | None = None) -> "Linearization":
         """Linearize at `x`, for the vehicles of the passes or other `plants`, and for the
-        instruments' noise or another. Raises ArithmeticError.
+        instruments' noise. Raises ArithmeticError.
         """
         u, own, shifts = self.split(x)
         c, none = self.road.coefficients(u), [None] * len(self.passes)
-        weights = inverse_variance or none, frequency_weights or none
-        rows = zip(self.passes, shifts, own, plants or none, *weights, strict=True)
         linearized = []
-        for one, shift, *rest in rows:
+        for one, shift, values, plant in zip(self.passes, shifts, own, plants or none, strict=True):
             moved = replace(one, inputs=shift_inputs(one.inputs, self.knots, shift))
-            linearized.append(moved.linearize(c, *rest))
+            linearized.append(moved.linearize(c, values, plant))
         return Linearization(self, x, tuple(linearized))
 
 
@@ -131,7 +117,14 @@ class Linearization:
     @property
     def cost(self) -> float:
         """The cost at `x`."""
-        return sum(one.misfit for one in self.passes) + 0.5 * float(self.x @ self.x)
+        pairs = zip(self.residual, self.apply_inverse_covariance(self.residual), strict=True)
+        misfit = sum(0.5 * float(np.sum(residual * weighted)) for residual, weighted in pairs)
+        return misfit + 0.5 * float(self.x @ self.x)
+
+    def cost_under(self, noise_scale: np.ndarray) -> float:
+        """The cost at `x` under `noise_scale` (P,) times the noise of the instruments."""
+        pairs = zip(self.passes, noise_scale, strict=True)
+        return self.with_noise([one.source.information / k for one, k in pairs]).cost
 
     def gradient(self) -> np.ndarray:
         """Gradient of the cost with respect to `x`."""
@@ -187,9 +180,8 @@ class Linearization:
     @cached_property
     def _hats(self) -> np.ndarray:
         """Weights (M, K) of the shifts at the nodes."""
-        road, knots = self.objective.road, self.objective.knots
-        station = road.origin + road.ds * np.arange(road.size)
-        return np.array([np.interp(station, knots, unit) for unit in np.eye(knots.size)])
+        stations, knots = self.objective.road.stations, self.objective.knots
+        return np.array([np.interp(stations, knots, unit) for unit in np.eye(knots.size)])
 
     @cached_property
     def _shift_information(self) -> np.ndarray:
@@ -226,17 +218,16 @@ class Linearization:
         alone = Objective(self.objective.road, (one.source,))
         return Linearization(alone, np.concatenate([u, own]), (one,))
 
-    def with_frequency_weights(self, weights: Means) -> "Linearization":
-        """The same point under noise of other frequency weights (J // 2 + 1,)."""
-        pairs = zip(self.passes, weights, strict=True)
-        passes = tuple(replace(one, frequency_weights=part) for one, part in pairs)
-        return replace(self, passes=passes)
-
-    def with_inverse_variance(self, variance: Means) -> "Linearization":
-        """The same point under other inverse variances of the noise."""
-        pairs = zip(self.passes, variance, strict=True)
-        passes = tuple(replace(one, inverse_variance=part) for one, part in pairs)
-        return replace(self, passes=passes)
+    def with_noise(
+        self, inverse_variance: Means, weights: Sequence[np.ndarray | None] | None = None
+    ) -> "Linearization":
+        """The same point under other inverse variances (S, J) of the noise of each pass and, if
+        given, other `weights` (J // 2 + 1,) of its frequencies.
+        """
+        weights = weights or [one.frequency_weights for one in self.passes]
+        rows = zip(self.passes, inverse_variance, weights, strict=True)
+        passes = (replace(one, inverse_variance=r, frequency_weights=w) for one, r, w in rows)
+        return replace(self, passes=tuple(passes))
 
     def with_road(self, road: RoadTransform, u: np.ndarray) -> "Linearization":
         """The same motions under another prior, by which `u` (2, K) gives the same road."""
@@ -246,4 +237,4 @@ class Linearization:
     def relinearize(self, x: np.ndarray, plants: Sequence[Plant] | None = None) -> "Linearization":
         """The same objective and noise at another `x`. Raises ArithmeticError."""
         weights = [one.frequency_weights for one in self.passes]
-        return self.objective.linearize(x, plants, self.inverse_variance, weights)
+        return self.objective.linearize(x, plants).with_noise(self.inverse_variance, weights)

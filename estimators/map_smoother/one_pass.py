@@ -59,9 +59,9 @@ class MeasurementModel:
 @dataclass(frozen=True, eq=False)
 class Pass:
     """One pass in a window. The vehicle begins about the state `initial_state` (14,), with the
-    prior standard deviation `initial_std` (14,), with `strut_state` (4, 3) and, if the model has a
-    filter, with its `filter_state` (n, S, 2); None: at rest. `nodes` are those of the road; each
-    sensor has J block means in the `measurements`.
+    prior standard deviation `initial_std` (14,), with `strut_state` (4, 3) and the `filter_state`
+    (n, S, 2) of the model's filter, if it has one. `nodes` are those of the road; each sensor has J
+    block means in the `measurements`.
     """
 
     model: MeasurementModel
@@ -71,7 +71,7 @@ class Pass:
     nodes: RoadNodes
     inputs: ModelInputs
     measurements: BlockMeans
-    filter_state: np.ndarray | None = None
+    filter_state: np.ndarray
 
     @property
     def size(self) -> int:
@@ -169,38 +169,27 @@ class Pass:
             v=self.inputs.v[1::2],
         )
 
-    def residual_at(self, c: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Residual (S, J) [m/s²] of the measurements. Raises ArithmeticError."""
-        return self.residual(self.simulate(c, own).acceleration, self.split(own)[1])
-
     def linearize(
-        self,
-        c: np.ndarray,
-        own: np.ndarray,
-        plant: Plant | None = None,
-        inverse_variance: np.ndarray | None = None,
-        frequency_weights: np.ndarray | None = None,
+        self, c: np.ndarray, own: np.ndarray, plant: Plant | None = None
     ) -> "LinearizedPass":
         """Linearize the drive over the road of `c` (2, K), for the plant of the model or another,
-        and for the instruments' noise or another. Raises ArithmeticError.
+        and for the instruments' noise. Raises ArithmeticError.
         """
         tape = self.simulate(c, own, plant)
         residual = self.residual(tape.acceleration, self.split(own)[1])
-        if inverse_variance is None:
-            inverse_variance = self.information
-        return LinearizedPass(self, c, own, tape, residual, inverse_variance, frequency_weights)
+        return LinearizedPass(self, c, own, tape, residual, self.information)
 
     def state_after(
         self, c: np.ndarray, own: np.ndarray, steps: int
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Vehicle state (14,), strut state (4, 3) and that of the anti-alias filter after `steps`
         on the road of `c` (2, K).
         """
         part = replace(self, inputs=self.inputs.slice_steps(0, steps))
-        tape, filter_state = part.simulate(c, own), None
-        if (low_pass := self.model.filter) is not None:
+        tape, filter_state = part.simulate(c, own), self.filter_state
+        if self.model.filter is not None:
             sensed = self._at_sensors(tape.acceleration, self.inputs.h)
-            _, filter_state = low_pass.filter(sensed, self._filter_state_of(low_pass))
+            _, filter_state = self.model.filter.filter(sensed, filter_state)
         return tape.end, tape.strut_state, filter_state
 
     @property
@@ -239,24 +228,13 @@ class Pass:
         if sampled is None:
             samples = acceleration[:: inputs.decimation][: self.measurements.n_samples]
             return self._at_sensors(samples, inputs.h * inputs.decimation)
-        sensed = self._at_sensors(acceleration, inputs.h)
-        start = (
-            self._filter_state_of(sampled.filter)
-            if follows
-            else sampled.filter.at_rest(len(sensed))
-        )
-        return sampled.read(sensed, start)
+        state = self.filter_state if follows else np.zeros_like(self.filter_state)
+        return sampled.read(self._at_sensors(acceleration, inputs.h), state)
 
     def _at_sensors(self, acceleration: np.ndarray, step: float) -> np.ndarray:
         """Return the accelerations (S, N) at the sensors from those of the coordinates (N, 7)."""
         sensed, bending = self.model.sensor_rows @ acceleration.T, self.model.bending
         return sensed if bending is None else sensed + bending.at_samples(acceleration, step)
-
-    def _filter_state_of(self, low_pass: SensorFilter) -> np.ndarray:
-        """Return the state (n, S, 2) of the anti-alias filter at the first step."""
-        if self.filter_state is not None:
-            return self.filter_state
-        return low_pass.at_rest(len(self.model.sensor_rows))
 
     @cached_property
     def sampled_filter(self) -> SampledFilter | None:
@@ -289,11 +267,6 @@ class LinearizedPass:
             return self.inverse_variance * means
         root = np.sqrt(self.inverse_variance)
         return root * _apply_frequency_weights(self.frequency_weights, root * means)
-
-    @property
-    def misfit(self) -> float:
-        """Share of the measurements in the cost."""
-        return 0.5 * float(np.sum(self.residual * self.apply_inverse_covariance(self.residual)))
 
     @cached_property
     def block_tangent(self) -> BlockTangent:

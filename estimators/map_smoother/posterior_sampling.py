@@ -78,19 +78,13 @@ def posterior_mean_and_std(
 
     drawn = draw_deviations(lin, solve, rng, draws)
     square = mean_square(roads_of(drawn))
-    errors_of_vehicle = _VehicleErrors([], 0.0, 0.0)
+    errors_of_vehicle = _VehicleErrors()
     if draws and uncertainty:
         if uncertainty.is_prior:
-            quick = solution.inverse_hessian(*TUNING.quick_draw_cg)
-            errors_of_vehicle = _draw_vehicle_errors(
-                solution, quick, rng, uncertainty, TUNING.quick_draws
-            )
+            few = TUNING.quick_draws, TUNING.quick_draw_cg
+            errors_of_vehicle = _draw_vehicle_errors(solution, rng, uncertainty, *few)
         if not uncertainty.is_prior or errors_of_vehicle.evidence > TUNING.quick_evidence:
-            fine = solution.inverse_hessian(*TUNING.vehicle_cg)
-            errors_of_vehicle = _draw_vehicle_errors(solution, fine, rng, uncertainty)
-    deviations = np.zeros((0, 2, road.size))
-    if draws:
-        deviations = _draw_roads(solution, drawn, errors_of_vehicle)
+            errors_of_vehicle = _draw_vehicle_errors(solution, rng, uncertainty)
     of_vehicle = errors_of_vehicle.weight * mean_square(roads_of(errors_of_vehicle.moved))
     square = square + of_vehicle
     vehicle_share = float(of_vehicle.mean() / max(square.mean(), 1e-300))
@@ -105,7 +99,9 @@ def posterior_mean_and_std(
         white = rng.standard_normal((TUNING.road_draws, 2, road.size))
         prior = mean_square([road.apply(u) for u in white])
         variance[:, unread] = prior[:, unread].mean(axis=1, keepdims=True)
+    deviations = np.zeros((0, 2, road.size))
     if draws:  # they have the level of the exact samples in each strut state, too
+        deviations = _draw_roads(solution, drawn, errors_of_vehicle)
         ratio = _average_by_strut_state(
             variance, mean_square(list(deviations)), middle, states, road.ds
         )
@@ -200,19 +196,19 @@ class _VehicleErrors(NamedTuple):
     `TUNING.evidence_length` is for so much of it, as the power grows with the length.
     """
 
-    moved: list[np.ndarray]
-    weight: float
-    evidence: float
+    moved: Sequence[np.ndarray] = ()
+    weight: float = 0.0
+    evidence: float = 0.0
 
 
 def _draw_vehicle_errors(
     solution: MapSolution,
-    solve: Operator,
     rng: np.random.Generator,
     uncertainty: VehicleUncertainty,
     draws: int = TUNING.vehicle_draws,
+    cg: tuple[int, float] = TUNING.vehicle_cg,
 ) -> _VehicleErrors:
-    """Return samples of the road's error by that of the vehicle.
+    """Return samples of the road's error by that of the vehicle; `cg` as of `inverse_hessian`.
 
     A road cannot follow all that an error of the vehicle changes, and what is left shows in the
     residual. Where the residual of a vehicle as described holds less of it than vehicles within the
@@ -223,10 +219,11 @@ def _draw_vehicle_errors(
         (one,) = lin.passes
         changes = uncertainty.draw_changes(one, rng.standard_normal(white))
     except ArithmeticError:  # on this road some vehicle within the tolerances does not stay finite
-        return _VehicleErrors([], 0.0, 0.0)
+        return _VehicleErrors()
+    solve = solution.inverse_hessian(*cg)
     moved = [solve(lin.adjoint(lin.apply_inverse_covariance([change]))) for change in changes]
     if not uncertainty.is_prior:
-        return _VehicleErrors(moved, uncertainty.inflation**2, 0.0)
+        return _VehicleErrors(moved, uncertainty.inflation**2)
     root = np.sqrt(one.source.information)
     left = [
         (root * (change - lin.tangent(dx)[0])).ravel()
@@ -258,10 +255,9 @@ def interior(free: np.ndarray, margin: int) -> np.ndarray:
 
 def _strut_states(road: RoadTransform, drives: Sequence[ModelInputs]) -> np.ndarray:
     """Number (K,) of the combination of strut states in which the drives passed each node."""
-    station = road.origin + road.ds * np.arange(road.size)
     states = []
     for inputs in drives:
-        passed = np.clip(np.searchsorted(inputs.s[::2], station), 0, inputs.n_steps - 1)
+        passed = np.clip(np.searchsorted(inputs.s[::2], road.stations), 0, inputs.n_steps - 1)
         states.append(inputs.commands[passed])
     return np.unique(states, axis=1, return_inverse=True)[1].ravel()
 

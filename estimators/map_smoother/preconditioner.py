@@ -94,9 +94,14 @@ class StationaryHessian:
         road = lin.objective.road
         offset_scale = lin.offset_scale(noise_variance, [one.on_start for one in self.passes])
         excess = self.excess(road, noise_variance)
+        # levels of local roughness, and the nodes' shares in them, which add to 1
+        log = 0.5 * np.log(np.mean(road.local**2, axis=0))
+        count = 1 + int(np.ceil(np.ptp(log) / TUNING.max_level_step))
+        levels = np.linspace(log.min(), log.max(), count)
+        shares = [np.interp(log, levels, row) for row in np.eye(count)]
         roots = [
             (np.sqrt(share), _inverse(_root(np.eye(2) + level**2 * excess)))
-            for level, share in _split_levels(road.local)
+            for level, share in zip(np.exp(levels), shares, strict=True)
         ]
 
         def apply(g: np.ndarray) -> np.ndarray:
@@ -203,8 +208,7 @@ class StationaryHessian:
 
 def stationary_hessian(objective: Objective) -> StationaryHessian:
     """The Hessian of `objective`, each pass at its mean speed, strut states by their duration."""
-    road = objective.road
-    station = road.origin + road.ds * np.arange(road.size)
+    road, station = objective.road, objective.road.stations
     passed = np.array(
         [
             (station >= one.inputs.s[0] - one.model.wheelbase) & (station <= one.inputs.s[-1])
@@ -217,20 +221,17 @@ def stationary_hessian(objective: Objective) -> StationaryHessian:
     for one, there, share in zip(
         objective.passes, passed, np.sum(free, axis=1) / count, strict=True
     ):
-        read = np.where(there, _read_share(one, station), ahead)
+        blocks = one.measurements
+        size = blocks.sample_weight.shape[2]
+        middle = one.inputs.decimation * size * (2 * np.arange(blocks.y.shape[1]) + 1)
+        s = one.inputs.s[np.minimum(middle, one.inputs.s.size - 1)]
+        # what one sensor at least has read
+        part = blocks.sample_count.max(axis=0) / size
+        read = np.where(there, read_share(station, s, part, one.model.wheelbase), ahead)
         parts.append(
             _PassInformation(_road_information(one, road), _start_information(one), share, read)
         )
     return StationaryHessian(tuple(parts))
-
-
-def _read_share(one: Pass, station: np.ndarray) -> np.ndarray:
-    """Share of what one sensor at least has read while an axle passed the stations (K,) [m]."""
-    blocks = one.measurements
-    size = blocks.sample_weight.shape[2]
-    middle = one.inputs.decimation * size * (2 * np.arange(blocks.y.shape[1]) + 1)
-    s = one.inputs.s[np.minimum(middle, one.inputs.s.size - 1)]
-    return read_share(station, s, blocks.sample_count.max(axis=0) / size, one.model.wheelbase)
 
 
 def _road_information(one: Pass, road: RoadTransform) -> np.ndarray:
@@ -253,35 +254,19 @@ def _posteriors(excess: np.ndarray, local: np.ndarray) -> np.ndarray:
     return np.array([np.real(M[:, [0, 1], [0, 1]]) for M in matrices])
 
 
-def _split_levels(local: np.ndarray) -> list[tuple[float, np.ndarray]]:
-    """Return levels of local roughness (2, K), and the shares (K,) in them, which add to 1."""
-    log = 0.5 * np.log(np.mean(local**2, axis=0))
-    levels = np.linspace(
-        log.min(), log.max(), 1 + int(np.ceil(np.ptp(log) / TUNING.max_level_step))
-    )
-    shares = np.array([np.interp(log, levels, row) for row in np.eye(levels.size)])
-    return list(zip(np.exp(levels), shares, strict=True))
-
-
-def prior_spectrum(road: RoadTransform, one: Pass, f: np.ndarray) -> np.ndarray:
-    """Return the spectrum (F, 2) [m²] of mean and half difference in block means at `f` (F,) [Hz].
-
-    In units in which that of unit white noise of the block means is 1.
-    """
-    v, dt = float(one.inputs.v.mean()), one.block_duration
-    density = np.abs(road.transfer_function()) ** 2 * road.ds / (v * dt)
-    response = np.sinc(f * dt) ** 2
-    return np.array([np.interp(f / v, road.n, path) * response for path in density]).T
-
-
 def linear_responses(one: Pass, f: np.ndarray) -> Iterator[tuple[float, np.ndarray]]:
-    """Yield the share of each strut state in the drive, and its response (F, S, 2) at `f` (F,) [Hz]
-    to mean and half difference.
+    """Yield the share of each strut state in the drive, and the response (F, S, 2) of the sensors
+    in it at `f` (F,) [Hz] to mean and half difference.
     """
-    inputs, v = one.inputs, float(one.inputs.v.mean())
+    inputs, model, v = one.inputs, one.model, float(one.inputs.v.mean())
+    response = np.sinc(f / v * model.contact_length)
+    if model.filter is not None:
+        response = response * model.filter.response(f)
     for command, count in zip(*np.unique(inputs.commands, return_counts=True), strict=True):
         H = frequency_response(_linear_model(one, command), v, f=f)
-        yield count / inputs.n_steps, _sensed(one, H, f)
+        if model.bending is not None:
+            H = model.bending.response(H, f)
+        yield count / inputs.n_steps, response[:, None, None] * H @ TO_WHEEL_PATHS
 
 
 def _linear_model(one: Pass, command: int) -> LinearModel:
@@ -307,19 +292,6 @@ def _start_information(one: Pass) -> np.ndarray:
     C = linear.C[: len(one.model.locations)]
     fs = 1.0 / (one.inputs.h * one.inputs.decimation)
     return fs * np.diag(solve_continuous_lyapunov(linear.A.T, -C.T @ C))
-
-
-def _sensed(one: Pass, H: np.ndarray, f: np.ndarray) -> np.ndarray:
-    """Return the responses (F, S, 2) of the sensors to mean and half difference, from those of the
-    points of `_linear_model` to the road under the tyres.
-    """
-    model = one.model
-    if model.bending is not None:
-        H = model.bending.response(H, f)
-    response = np.sinc(f / one.inputs.v.mean() * model.contact_length)
-    if model.filter is not None:
-        response = response * model.filter.response(f)
-    return response[:, None, None] * H @ TO_WHEEL_PATHS
 
 
 def _root(M: np.ndarray) -> np.ndarray:

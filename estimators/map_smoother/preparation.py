@@ -26,7 +26,7 @@ from estimators.map_smoother.one_pass import MeasurementModel
 from estimators.map_smoother.road_prior import RoadNodes
 from estimators.map_smoother.tuning import TUNING
 from estimators.map_smoother.windows import PreparedDrive
-from estimators.preprocessing import MaskedRecord, clipped_signs, mask_record, restore_times
+from estimators.preprocessing import clipped_signs, mask_record, restore_times
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.core.config import Positive, Settings
 from road_envs.records.record import Record
@@ -35,6 +35,7 @@ from road_envs.sensing.instruments import Instruments, instruments_of, on_axle
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.linear_model import linearise
 from road_envs.vehicle.parameters import VehicleParameters
+from road_envs.vehicle.suspension import settled_strut_state
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,39 +83,11 @@ class SolverSettings(Settings):
         of None it has no error. Raises ConfigError, RecordError.
         """
         instruments = instruments_of(record, self.instruments)
-        masked = restore_times(mask_record(record, instruments), record, instruments)
-        model = self._measurement_model(masked.record, car, instruments)
+        masked = mask_record(record, instruments)
+        record, valid, notes = restore_times(masked, record, instruments)
+        model, v = self._measurement_model(record, car, instruments), float(record.v.mean())
         if speed_std is not None:
             model = replace(model, speed_std=max(speed_std, instruments.speed_error))
-        drive = self._prepare_drive(masked, car, instruments, model, readings_per_unknown)
-        return drive, masked.notes
-
-    def _measurement_model(
-        self, record: Record, car: VehicleParameters, instruments: Instruments
-    ) -> MeasurementModel:
-        """Return the model of the vehicle and its instruments."""
-        one, locations = build_plant(car), instruments.locations(car)
-        sensor_rows = linearise(one, "ride", locations).sensor_rows
-        density = self.noise_density or max(instruments.noise_density, MIN_NOISE_DENSITY)
-        noise = density**2 * 0.5 * record.fs
-        return MeasurementModel(
-            one, car.valve.lag, car.wheelbase, locations, sensor_rows, noise,
-            bending=sensed_bending(car, locations), contact_length=car.variation.contact_length,
-            bandwidth=record.bandwidth,
-        )  # fmt: skip
-
-    def _prepare_drive(
-        self,
-        masked: MaskedRecord,
-        car: VehicleParameters,
-        instruments: Instruments,
-        model: MeasurementModel,
-        readings_per_unknown: float,
-    ) -> PreparedDrive:
-        """Return the drive of a masked record, the `model` with the anti-alias filter where it does
-        more than delay the samples.
-        """
-        record, valid, v = masked.record, masked.valid, float(masked.record.v.mean())
         ds = float(np.clip(0.5 * v / TUNING.f_resolved, *TUNING.node_spacings))
         unknowns = 2.0 * v / ds  # per second
         rate = max(self.data_rate, readings_per_unknown * unknowns / len(record.a))
@@ -125,7 +98,7 @@ class SolverSettings(Settings):
         precise = is_on_axle or instruments.noise_densities.min() < TUNING.delay_noise_density
         filtered = precise or not (is_even(record) and is_only_a_delay(instruments))
         inputs = build_model_inputs(record, instruments, car, self.step, filtered)
-        if filtered:
+        if filtered:  # the anti-alias filter does more than delay the samples
             rate = record.fs / block
             model = replace(model, filter=SensorFilter.of(instruments, inputs.h, rate))
         censored = clipped_signs(record, instruments)
@@ -143,8 +116,28 @@ class SolverSettings(Settings):
         rest = rest_state(car, inputs)
         typical = REST_STD if level else MOVING_STD
         initial_std = np.repeat(typical[[0, -1]], rest.size // 2)  # of a frame's twist, too
-        if model.filter is not None and not level:  # what the filter held before is not known
-            valid = valid & (np.arange(valid.shape[1]) >= model.filter.memory * record.fs)
-        return PreparedDrive(
-            car, model, inputs, a, valid, censored, block, rest, initial_std, nodes, span
-        )
+        strut_state = settled_strut_state(int(inputs.commands[0]))
+        filter_state = np.zeros((0, len(a), 2))
+        if model.filter is not None:
+            filter_state = model.filter.at_rest(len(a))
+            if not level:  # what the filter held before is not known
+                valid = valid & (np.arange(valid.shape[1]) >= model.filter.memory * record.fs)
+        drive = PreparedDrive(
+            car, model, inputs, a, valid, censored, block,
+            rest, initial_std, strut_state, filter_state, nodes, span,
+        )  # fmt: skip
+        return drive, notes
+
+    def _measurement_model(
+        self, record: Record, car: VehicleParameters, instruments: Instruments
+    ) -> MeasurementModel:
+        """Return the model of the vehicle and its instruments."""
+        one, locations = build_plant(car), instruments.locations(car)
+        sensor_rows = linearise(one, "ride", locations).sensor_rows
+        density = self.noise_density or max(instruments.noise_density, MIN_NOISE_DENSITY)
+        noise = density**2 * 0.5 * record.fs
+        return MeasurementModel(
+            one, car.valve.lag, car.wheelbase, locations, sensor_rows, noise,
+            bending=sensed_bending(car, locations), contact_length=car.variation.contact_length,
+            bandwidth=record.bandwidth,
+        )  # fmt: skip

@@ -17,15 +17,11 @@ import numpy as np
 from scipy.fft import irfft, rfft, rfftfreq
 from scipy.ndimage import spline_filter1d
 
-from estimators.common.spline import evaluate_spline
 from estimators.map_smoother.tuning import TUNING
 from road_envs.records.record import Profile
 
 TO_WHEEL_PATHS = np.array([[1.0, 1.0], [1.0, -1.0]])
-"""From mean and half difference to left and right."""
-
-FROM_WHEEL_PATHS = np.linalg.inv(TO_WHEEL_PATHS)
-"""From left and right to mean and half difference."""
+"""From mean and half difference to left and right; half of it leads back."""
 
 
 class RoadNodes(NamedTuple):
@@ -72,6 +68,11 @@ class RoadTransform:
         return float(self.ds * self.free.sum())
 
     @property
+    def stations(self) -> np.ndarray:
+        """Stations (K,) [m] of the nodes."""
+        return self.origin + self.ds * np.arange(self.size)
+
+    @property
     def nodes(self) -> RoadNodes:
         """The nodes."""
         return RoadNodes(self.origin, self.ds, self.size)
@@ -107,13 +108,9 @@ class RoadTransform:
         """Return the coefficients (2, K) [m] of both wheel paths."""
         return self.background + self.apply(u)
 
-    def heights_at(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
-        """Return the heights (2, M) [m] of both wheel paths at the stations `s` (M,) [m]."""
-        return evaluate_spline(self.coefficients(u), (s - self.origin) / self.ds)
-
     def whiten(self, increments: np.ndarray) -> np.ndarray:
         """Return the noise (2, K) of the `increments` (2, K) [m] of both wheel paths where free."""
-        e = FROM_WHEEL_PATHS @ (self.free * increments / self.local)
+        e = 0.5 * TO_WHEEL_PATHS @ (self.free * increments / self.local)
         return irfft(rfft(e, axis=1) / self.amplitude, self.size, axis=1)
 
     def convert_noise(self, u: np.ndarray, other: "RoadTransform") -> np.ndarray:
@@ -122,10 +119,13 @@ class RoadTransform:
 
     def noise_of(self, profile: Profile) -> np.ndarray:
         """Return the noise (2, K) of the road of a `profile`, which begins at height 0."""
-        station = self.origin + self.ds * np.arange(self.size)
-        z = np.array([np.interp(station, profile.s, path - path[0]) for path in profile.z])
-        c = spline_filter1d(z, order=3, axis=1, mode="nearest")
+        c = self.spline_of(Profile(profile.s, profile.z - profile.z[:, :1]))
         return self.whiten(np.diff(c, axis=1, prepend=0.0))
+
+    def spline_of(self, profile: Profile) -> np.ndarray:
+        """Return the coefficients (2, K) [m] of the spline through a `profile` at the nodes."""
+        z = np.array([np.interp(self.stations, profile.s, path) for path in profile.z])
+        return spline_filter1d(z, order=3, axis=1, mode="nearest")
 
     def transfer_function(self) -> np.ndarray:
         """Return the response (2, K // 2 + 1) [m] of mean and half difference to `u`."""

@@ -34,52 +34,27 @@ differences between the roads x + w and x - w.
 """
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
 
 import numpy as np
 from scipy.fft import irfft
 
 from estimators.map_smoother.gauss_newton import MapSolution
-from estimators.map_smoother.marginal_likelihood import perturbed_passes, sensitivities
+from estimators.map_smoother.marginal_likelihood import (
+    LikelihoodTerms,
+    perturbed_passes,
+    sensitivities,
+)
 from estimators.map_smoother.objective import Linearization
 from estimators.map_smoother.one_pass import Pass
 from estimators.map_smoother.tuning import TUNING
 from road_envs.vehicle.parameters import VehicleParameters
 
 
-class TangentTerms(NamedTuple):
-    """Terms of one drive's marginal likelihood: `gradient` (P,), `information` (P, P) and the
-    covariance `score_covariance` (P, P) of the gradient, with that by sampling; the derivatives
-    `log_det_gradient` (P,) of 1/2 log det A; and the change of the solution's unknowns `to_optimum`
-    (n,), and `by_parameter` (P, n).
-    """
-
-    gradient: np.ndarray
-    information: np.ndarray
-    score_covariance: np.ndarray
-    log_det_gradient: np.ndarray
-    to_optimum: np.ndarray
-    by_parameter: np.ndarray
-
-    def weighted(self, weight: float) -> "TangentTerms":
-        """The terms of a drive that counts as `weight` drives."""
-        return self._replace(
-            gradient=weight * self.gradient,
-            information=weight * self.information,
-            score_covariance=weight * self.score_covariance,
-            log_det_gradient=weight * self.log_det_gradient,
-        )
-
-    def change(self, step: np.ndarray) -> np.ndarray:
-        """Return the expected change (n,) of the unknowns with a `step` (P,) of the parameters."""
-        return self.to_optimum + step @ self.by_parameter
-
-
 def tangent_terms(
     solution: MapSolution,
     cars: Sequence[VehicleParameters],
-    known: TangentTerms | None = None,
-) -> TangentTerms:
+    known: LikelihoodTerms | None = None,
+) -> LikelihoodTerms:
     """Return the terms of a drive over an unmeasured road; `cars` as of `perturbed_cars`.
 
     With those of a vehicle nearby that are `known`, only gradient and optimum are computed.
@@ -98,7 +73,7 @@ def tangent_terms(
 
 def _second_order_terms(
     solution: MapSolution, varied: Sequence[Pass], G: np.ndarray
-) -> TangentTerms:
+) -> LikelihoodTerms:
     """Return the terms without gradient and optimum, of the derivatives `G` (P, S, J)."""
     lin, solve = solution.linearization, solution.inverse_hessian(*TUNING.trace_cg)
     (one,), quick = lin.passes, solution.inverse_hessian(*TUNING.quick_cg)
@@ -112,7 +87,7 @@ def _second_order_terms(
     log_det_gradient = at_road.mean(axis=0) - np.einsum("psj,sj->p", weighted, moved)
     weighted = np.array([one.apply_inverse_covariance(g) for g in left])
     information = np.einsum("psj,qsj->pq", left, weighted) + F @ F.T
-    return TangentTerms(
+    return LikelihoodTerms(
         gradient=-log_det_gradient,
         information=information,
         score_covariance=information + np.cov(at_road.T - F @ along.T) / len(samples),

@@ -12,9 +12,9 @@ samples of the road under the joint posterior of road, vehicle and instruments
 """
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from estimators.map_smoother.car_fit import CarFit
 from estimators.map_smoother.instrument_errors import InstrumentErrors
@@ -71,16 +71,8 @@ class VehicleUncertainty:
         unit[: space.size] = space.std
         covariance = unit[:, None] * fit.covariance * unit
         if fit.x.size == space.size:
-            rest = np.diag(_unfitted_variance(errors))
-            covariance = np.pad(covariance, (0, len(rest)))
-            covariance[space.size :, space.size :] = rest
+            covariance = block_diag(covariance, np.diag(_unfitted_variance(errors)))
         return cls(fit.car, space.names, covariance)
-
-    @cached_property
-    def _root(self) -> np.ndarray:
-        """A root of the covariance."""
-        values, vectors = np.linalg.eigh(self.covariance)
-        return vectors * np.sqrt(np.maximum(values, 0.0))
 
     def draw_changes(self, lin: LinearizedPass, white: np.ndarray) -> np.ndarray:
         """Return samples of G dp (N, S, J) [m/s²]: by how much the block means of a drive are
@@ -88,7 +80,9 @@ class VehicleUncertainty:
 
         `white` (N, P + R) is standard normal. Raises ArithmeticError.
         """
-        of_car, of_instruments = np.split(white @ self._root.T, [len(self.names)], axis=1)
+        values, vectors = np.linalg.eigh(self.covariance)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        of_car, of_instruments = np.split(white @ root.T, [len(self.names)], axis=1)
         factors = np.exp(TUNING.difference * of_car).tolist()
         cars = [varied_car(self.car, dict(zip(self.names, x, strict=True))) for x in factors]
         left = varied_residuals(lin, [lin.source.with_car(car) for car in cars])

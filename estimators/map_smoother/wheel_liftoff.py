@@ -46,39 +46,30 @@ def unloaded_nodes(lin: Linearization, share: float = TUNING.liftoff_load_share)
     """Return which free nodes (2, K) were passed but never pressed on by this `share` of the mean
     wheel load, in any of the passes.
     """
-    light = np.all([_unloaded_in_pass(one, share) for one in lin.passes], axis=0)
+    light = np.all([_greatest_loads(one) < share for one in lin.passes], axis=0)
     return np.asarray(light & (lin.objective.road.free > 0))
 
 
 def passed_nodes(lin: Linearization) -> np.ndarray:
     """Return which free nodes (K,) a wheel has passed, in one of the passes at least."""
-    passed = np.any([_passed_by(one, _wheel_nodes(one)) for one in lin.passes], axis=0)
+    passed = np.any([np.isfinite(_greatest_loads(one)[0]) for one in lin.passes], axis=0)
     return np.asarray(passed & (lin.objective.road.free > 0))
 
 
-def _unloaded_in_pass(one: LinearizedPass, share: float) -> np.ndarray:
-    """Return which nodes (2, K) were passed, but never pressed on."""
-    nodes = _wheel_nodes(one)
-    loads, max_load = one.tape.signals[:, LOAD : LOAD + 4], np.zeros((2, one.source.nodes.size))
-    for wheel in range(4):
-        for k in (0, 1):  # the nodes to either side carry the wheel
-            np.maximum.at(max_load[wheel % 2], nodes[wheel // 2] + k, loads[:, wheel])
-    light = max_load < share * loads.mean()
-    return light & _passed_by(one, nodes)
-
-
-def _wheel_nodes(one: LinearizedPass) -> list[np.ndarray]:
-    """Return the node (N,) behind front and rear wheels at each step."""
+def _greatest_loads(one: LinearizedPass) -> np.ndarray:
+    """Return the greatest load (2, K) on each node over the mean wheel load; inf where no wheel has
+    passed.
+    """
     nodes, s = one.source.nodes, one.source.inputs.s[::2]
-    stations = s, s - one.source.model.wheelbase
-    return [((station - nodes.origin) / nodes.ds).astype(int) for station in stations]
-
-
-def _passed_by(one: LinearizedPass, nodes: list[np.ndarray]) -> np.ndarray:
-    passed = np.zeros(one.source.nodes.size, dtype=bool)
-    for axle in nodes:
-        passed[axle.min() : axle.max()] = True
-    return passed
+    loads = one.tape.signals[:, LOAD : LOAD + 4]
+    passed, greatest = np.zeros(nodes.size, dtype=bool), np.zeros((2, nodes.size))
+    for axle, station in enumerate((s, s - one.source.model.wheelbase)):
+        node = ((station - nodes.origin) / nodes.ds).astype(int)
+        passed[node.min() : node.max()] = True
+        for side in range(2):
+            for k in (0, 1):  # the nodes to either side carry the wheel
+                np.maximum.at(greatest[side], node + k, loads[:, 2 * axle + side])
+    return np.where(passed, greatest / loads.mean(), np.inf)
 
 
 def distance_in_air(one: LinearizedPass) -> float:
@@ -90,8 +81,7 @@ def distance_in_air(one: LinearizedPass) -> float:
 def relax_unloaded(lin: Linearization) -> np.ndarray | None:
     """Return `lin.x` with the road lowered where it is unloaded; None if it is not much higher."""
     unloaded, road = unloaded_nodes(lin), lin.objective.road
-    u = lin.objective.split(lin.x)[0]
-    before = road.coefficients(u)
+    before = lin.objective.coefficients(lin.x)
     lower = _level if road.is_level_between_obstacles else _straight
     pairs = zip(before, unloaded, strict=True)
     c = np.array(
@@ -145,21 +135,27 @@ def road_below_light_wheels(lin: Linearization) -> tuple[np.ndarray, list[Liftof
     errors below light wheels, which are independent of one another.
     """
     road = lin.objective.road
-    c = road.coefficients(lin.objective.split(lin.x)[0])
+    c = lin.objective.coefficients(lin.x)
     is_level = road.is_level_between_obstacles
     light = unloaded_nodes(lin, TUNING.light_on_level if is_level else TUNING.light_elsewhere)
-    gaps = [
-        _gap(c, path, run, round(TUNING.edge_reach / road.ds))
-        for path, mask in enumerate(light)
-        for (run,) in find_objects(label(mask)[0])
-    ]
-    lower, errors, unloaded = np.zeros_like(c), list[LiftoffError](), unloaded_nodes(lin)
-    if not is_level:
-        step_variance = road.local**2 * irfft(road.amplitude**2, road.size, axis=1)[:, 0].sum()
-        bridges = [_bridge(step_variance, gap) for gap in gaps]
-        flown = [not road.may_be_uneven and _is_flown(step_variance, gap, unloaded) for gap in gaps]
-        errors += [bridge for bridge, is_flown in zip(bridges, flown, strict=True) if not is_flown]
-        gaps = [gap for gap, is_flown in zip(gaps, flown, strict=True) if is_flown]
+    step_variance = road.local**2 * irfft(road.amplitude**2, road.size, axis=1)[:, 0].sum()
+    lower, errors, gaps = np.zeros_like(c), list[LiftoffError](), list[_Gap]()
+    unloaded, reach = unloaded_nodes(lin), round(TUNING.edge_reach / road.ds)
+    for path, mask in enumerate(light):
+        for (run,) in find_objects(label(mask)[0]):
+            level = c[path, run.stop]
+            fall = c[path, max(run.start - reach, 0) : run.start + 1].max() - level
+            rise = c[path, run.stop : run.stop + reach + 1].max() - level
+            steps = step_variance[path, run.start : run.stop + 1]
+            in_air = unloaded[path, run].mean() > TUNING.flown_share
+            # an even road does not fall so far: the wheel flew off an obstacle
+            is_drop = fall > TUNING.obstacle_fall * np.sqrt(steps.sum())
+            if is_level or (in_air and is_drop and not road.may_be_uneven):
+                gaps.append(_Gap(path, run, level, fall, rise))
+                continue
+            height = np.zeros(road.size)
+            height[run] = np.sqrt(steps.sum() / 12.0)
+            errors.append(LiftoffError(path, height))
     falls = [gap.fall for gap in gaps if gap.fall > TUNING.min_drop]
     for path, run, level, fall, rise in gaps:
         height, unseen = np.zeros((2, road.size))
@@ -184,27 +180,3 @@ def lower_road(lin: Linearization, lower: np.ndarray) -> Linearization:
         return lin.relinearize(lin.x + lin.objective.from_noise(u))
     except ArithmeticError:
         return lin
-
-
-def _gap(c: np.ndarray, path: int, run: slice, reach: int) -> _Gap:
-    level = c[path, run.stop]
-    before = c[path, max(run.start - reach, 0) : run.start + 1]
-    behind = c[path, run.stop : run.stop + reach + 1]
-    return _Gap(path, run, level, before.max() - level, behind.max() - level)
-
-
-def _is_flown(step_variance: np.ndarray, gap: _Gap, unloaded: np.ndarray) -> bool:
-    """Return whether a wheel flew across a gap off an obstacle: an even road, whose steps have this
-    variance (2, K), does not fall so far.
-    """
-    steps = step_variance[gap.path, gap.run.start : gap.run.stop + 1]
-    in_air = unloaded[gap.path, gap.run].mean() > TUNING.flown_share
-    return bool(in_air and gap.fall > TUNING.obstacle_fall * np.sqrt(steps.sum()))
-
-
-def _bridge(step_variance: np.ndarray, gap: _Gap) -> LiftoffError:
-    """Return the error of a straight road across a gap, whose steps have this variance (2, K)."""
-    height = np.zeros(step_variance.shape[1])
-    steps = step_variance[gap.path, gap.run.start : gap.run.stop + 1]
-    height[gap.run] = np.sqrt(steps.sum() / 12.0)
-    return LiftoffError(gap.path, height)

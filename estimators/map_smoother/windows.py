@@ -8,7 +8,6 @@ memory is that of one window. The windows of several passes begin and end at the
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from scipy.fft import next_fast_len, rfftfreq
@@ -24,7 +23,6 @@ from estimators.map_smoother.road_prior import RoadNodes, RoadTransform
 from estimators.map_smoother.tuning import TUNING
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.vehicle.parameters import VehicleParameters
-from road_envs.vehicle.suspension import settled_strut_state
 
 Window = tuple[int, int, int]
 """Begin, begin of the next one, and end of a window, in blocks."""
@@ -37,8 +35,9 @@ class PreparedDrive:
     - `model` of vehicle and instruments, and model `inputs`.
     - Samples `a` (S, T) [m/s²], of which `valid` (S, T) are used, and `censored` (S, T) as in
       `block_means`, in blocks of `block_size`.
-    - `rest_state` (14,) of the vehicle and the prior standard deviation `initial_std` (14,) about
-      it.
+    - Where the next window begins, `vehicle_state` (14,) with the prior standard deviation
+      `initial_std` (14,) about it, `strut_state` (4, 3), and `filter_state` (n, S, 2) of the
+      anti-alias filter, empty if it only delays.
     - `nodes` of the road, and the stations `free_span` [m] between which it may rise or fall.
     """
 
@@ -49,8 +48,10 @@ class PreparedDrive:
     valid: np.ndarray
     censored: np.ndarray
     block_size: int
-    rest_state: np.ndarray
+    vehicle_state: np.ndarray
     initial_std: np.ndarray
+    strut_state: np.ndarray
+    filter_state: np.ndarray
     nodes: RoadNodes
     free_span: tuple[float, float]
 
@@ -74,21 +75,6 @@ class PreparedDrive:
     def block_stations(self) -> np.ndarray:
         """Stations [m] at which the blocks begin."""
         return self.inputs.s[:: 2 * self.steps_per_block][: self.blocks]
-
-    @property
-    def mean_speed(self) -> float:
-        """Mean speed [m/s]."""
-        return float(self.inputs.v.mean())
-
-    def split(self, window: float, overlap: float) -> list[Window]:
-        """Split the drive into windows of `window` and `overlap` [s]."""
-        rate = 1.0 / (self.steps_per_block * self.inputs.h)
-        length, common = round(window * rate), round(overlap * rate)
-        windows, begin = list[Window](), 0
-        while self.blocks - begin > length + common:
-            windows.append((begin, begin + length - common, begin + length))
-            begin += length - common
-        return [*windows, (begin, self.blocks, self.blocks)]
 
     def node_at(self, s: float) -> int:
         """Return the node at the station `s` [m] or just before it."""
@@ -136,24 +122,6 @@ class RoadSoFar:
         return evaluate_spline(self.c, x), std, draws
 
 
-class _PassState(NamedTuple):
-    """State of a pass where its next window begins: `vehicle_state` (14,) with the standard
-    deviation `initial_std` (14,), `strut_state` (4, 3) and `filter_state` of the anti-alias filter,
-    None at rest or if it only delays.
-    """
-
-    vehicle_state: np.ndarray
-    initial_std: np.ndarray
-    strut_state: np.ndarray
-    filter_state: np.ndarray | None = None
-
-    @classmethod
-    def first(cls, drive: PreparedDrive) -> "_PassState":
-        """Return that before the first window."""
-        strut_state = settled_strut_state(int(drive.inputs.commands[0]))
-        return cls(drive.rest_state, drive.initial_std, strut_state)
-
-
 def on_common_nodes(drives: Sequence[PreparedDrive]) -> list[PreparedDrive]:
     """Return the drives on the finest nodes that any of them needs; the road is level where it is
     so for all of them, if they begin at the same place.
@@ -179,7 +147,13 @@ def common_windows(
     the others begin and end at the same stations.
     """
     longest = max(drives, key=lambda one: one.blocks * one.block_size)
-    starts = longest.block_stations
+    starts, blocks = longest.block_stations, longest.blocks
+    rate = 1.0 / (longest.steps_per_block * longest.inputs.h)
+    length, common = round(window * rate), round(overlap * rate)
+    begins = [0]
+    while blocks - begins[-1] > length + common:
+        begins.append(begins[-1] + length - common)
+    ends = [*(begin + length for begin in begins[:-1]), blocks]
 
     def at(one: PreparedDrive, block: int) -> int:
         if one is longest or block == 0:
@@ -190,7 +164,7 @@ def common_windows(
 
     return [
         tuple((at(one, begin), at(one, after), at(one, end)) for one in drives)
-        for begin, after, end in longest.split(window, overlap)
+        for begin, after, end in zip(begins, [*begins[1:], blocks], ends, strict=True)
     ]
 
 
@@ -204,17 +178,17 @@ def reconstruct(
 
     `solve` gets the objective of a window and the numbers of its passes.
     """
-    drives, states = list(drives), [_PassState.first(drive) for drive in drives]
+    drives = list(drives)
     road = RoadSoFar.level(drives[0].nodes.size)
     for spans in windows:
         members = [k for k, (begin, _, end) in enumerate(spans) if end - begin >= TUNING.min_blocks]
         members = members or list(range(len(drives)))
-        parts = [(drives[k], states[k], spans[k][0], spans[k][2]) for k in members]
+        parts = [(drives[k], spans[k][0], spans[k][2]) for k in members]
         objective = _window_objective(parts, prior, road)
         posterior = solve(objective, members)
         lin = posterior.solution.linearization
-        u, own, shifts = lin.objective.split(lin.x)
-        c, ends = lin.objective.road.coefficients(u), list[int]()
+        _, own, shifts = lin.objective.split(lin.x)
+        c, ends = lin.objective.coefficients(lin.x), list[int]()
         for k, one, values, shift in zip(members, lin.passes, own, shifts, strict=True):
             drive, (begin, after, end) = drives[k], spans[k]
             moved = shift_inputs(drive.inputs, objective.knots, shift)
@@ -222,26 +196,26 @@ def reconstruct(
             if after < end:
                 steps = (after - begin) * drive.steps_per_block
                 state, strut_state, filter_state = one.source.state_after(c, values, steps)
-                states[k] = _PassState(state, np.zeros_like(state), strut_state, filter_state)
+                drives[k] = replace(
+                    drive,
+                    vehicle_state=state,
+                    initial_std=np.zeros_like(state),
+                    strut_state=strut_state,
+                    filter_state=filter_state,
+                )
                 # up to the nodes that carry the front axle now
                 ends.append(drive.node_at(one.source.inputs.s[2 * steps]) + 3)
         last = max(ends, default=drives[0].nodes.size)
-        road = _extended(road, posterior, drives[0].nodes, prior, c, last)
+        road = _extended(road, posterior, drives[0].nodes, last)
     return road
 
 
 def _extended(
-    so_far: RoadSoFar,
-    posterior: RoadPosterior,
-    nodes: RoadNodes,
-    prior: RoadPrior,
-    c: np.ndarray,
-    last: int,
+    so_far: RoadSoFar, posterior: RoadPosterior, nodes: RoadNodes, last: int
 ) -> RoadSoFar:
-    """Return the road after another window with the coefficients `c` (2, K), final before the node
-    `last`.
-    """
-    road = posterior.solution.linearization.objective.road
+    """Return the road after another window, final before the node `last`."""
+    lin = posterior.solution.linearization
+    road, c = lin.objective.road, lin.objective.coefficients(lin.x)
     low = round((road.origin - nodes.origin) / nodes.ds)
     first, last = max(so_far.first_free_node, low), min(last, low + road.size, nodes.size)
     here = slice(first - low, last - low)
@@ -263,12 +237,12 @@ def _extended(
 
 
 def _window_objective(
-    parts: Sequence[tuple[PreparedDrive, _PassState, int, int]], prior: RoadPrior, so_far: RoadSoFar
+    parts: Sequence[tuple[PreparedDrive, int, int]], prior: RoadPrior, so_far: RoadSoFar
 ) -> Objective:
-    """Return the objective of drives on common nodes, each from its state on, with its blocks
-    `begin` to `end` (excluded).
+    """Return the objective of drives on common nodes, each with its blocks `begin` to `end`
+    (excluded).
     """
-    reach = [drive.nodes_under(begin, end) for drive, _, begin, end in parts]
+    reach = [drive.nodes_under(begin, end) for drive, begin, end in parts]
     low = min(first for first, _ in reach) - TUNING.node_margin
     last = max(last for _, last in reach) + TUNING.node_margin
     # spare nodes, as the spectrum of the increments is periodic
@@ -289,9 +263,7 @@ def _window_objective(
     return Objective(road, passes, origin + np.linspace(0.0, ds * size, count))
 
 
-def _window_pass(
-    drive: PreparedDrive, state: _PassState, begin: int, end: int, nodes: RoadNodes
-) -> Pass:
+def _window_pass(drive: PreparedDrive, begin: int, end: int, nodes: RoadNodes) -> Pass:
     """Return the pass of blocks `begin` to `end` (excluded) on the nodes of the window."""
     inputs = drive.inputs.slice_steps(begin * drive.steps_per_block, end * drive.steps_per_block)
     samples = slice(begin * drive.block_size, end * drive.block_size)
@@ -302,12 +274,12 @@ def _window_pass(
     bridged = np.isfinite(drive.model.bandwidth)
     measurements = block_means(a, valid, drive.block_size, censored, bridged)
     return Pass(
-        drive.model, state.strut_state, state.vehicle_state, state.initial_std, nodes, inputs,
-        measurements, state.filter_state,
+        drive.model, drive.strut_state, drive.vehicle_state, drive.initial_std, nodes, inputs,
+        measurements, drive.filter_state,
     )  # fmt: skip
 
 
 def whole_objective(drive: PreparedDrive, prior: RoadPrior, blocks: int | None = None) -> Objective:
     """Return the objective of a drive, or of its first `blocks`, as one window."""
-    part = drive, _PassState.first(drive), 0, blocks or drive.blocks
+    part = drive, 0, blocks or drive.blocks
     return _window_objective([part], prior, RoadSoFar.level(drive.nodes.size))

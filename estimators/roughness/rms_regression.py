@@ -57,33 +57,16 @@ class RoughnessEstimate(NamedTuple):
         return max(self.probability, key=self.probability.__getitem__)
 
 
-class _Standardizer(NamedTuple):
-    """Mean and standard deviation of each column."""
-
-    mean: np.ndarray
-    std: np.ndarray
-
-    @classmethod
-    def fit(cls, x: np.ndarray) -> "_Standardizer":
-        """Return those of `x` (N, k); a constant column has standard deviation 1."""
-        std = x.std(axis=0)
-        return cls(x.mean(axis=0), np.where(std > 1e-9, std, 1.0))
-
-    def __call__(self, x: np.ndarray) -> np.ndarray:
-        """Return the columns (N, k) standardised."""
-        return (x - self.mean) / self.std
-
-
 @dataclass(frozen=True, eq=False)
 class RmsRoughness:
-    """A fitted regression: standardised inputs `x` (N, N_INPUTS) and outputs `y` (N,), their
-    standardizers, and `theta`, logarithms as in _THETA_BOUNDS.
+    """A fitted regression: standardised inputs `x` (N, N_INPUTS) and outputs `y` (N,), mean and
+    standard deviation of inputs and output (2, N_INPUTS + 1) before it, and `theta`, logarithms as
+    in _THETA_BOUNDS.
     """
 
     x: np.ndarray
     y: np.ndarray
-    x_scale: _Standardizer
-    y_scale: _Standardizer
+    scales: np.ndarray
     theta: np.ndarray
 
     @classmethod
@@ -92,20 +75,21 @@ class RmsRoughness:
         X = np.array([_features(record) for record in records])
         pairs = zip(records, truths, strict=True)
         levels = [_roughness_level(truth, float(np.nanmedian(x.v))) for x, truth in pairs]
-        Y = np.log(levels)[:, None]
-        scales = _Standardizer.fit(X), _Standardizer.fit(Y)
-        x, y = scales[0](X), scales[1](Y)[:, 0]
+        table = np.column_stack([X, np.log(levels)])
+        mean, std = table.mean(axis=0), table.std(axis=0)
+        std = np.where(std > 1e-9, std, 1.0)  # of a constant column 1
+        x, y = np.split((table - mean) / std, [N_INPUTS], axis=1)
         start = np.array([-1.0, *np.full(N_INPUTS, 1.0), -1.5])
-        loss = partial(_neg_log_marginal_likelihood, x, y)
+        loss = partial(_neg_log_marginal_likelihood, x, y[:, 0])
         optimum = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=_THETA_BOUNDS)
-        return cls(x, y, *scales, optimum.x)
+        return cls(x, y[:, 0], np.array([mean, std]), optimum.x)
 
     def predict(self, record: Record) -> RoughnessEstimate:
         """Return the roughness of the road of a `record`. Raises RecordError."""
-        at = self.x_scale(_features(record)[None])
-        mean, std = _predict_gp(self.x, self.y, self.theta, at)
-        log_level = float(self.y_scale.mean[0] + self.y_scale.std[0] * mean[0])
-        log_std = float(self.y_scale.std[0] * std[0])
+        x_scale, (y_mean, y_std) = self.scales[:, :-1], self.scales[:, -1]
+        at = (_features(record) - x_scale[0]) / x_scale[1]
+        mean, std = _predict_gp(self.x, self.y, self.theta, at[None])
+        log_level, log_std = float(y_mean + y_std * mean[0]), float(y_std * std[0])
         probability = class_probabilities(log_level, log_std)
         return RoughnessEstimate(float(np.exp(log_level)), log_std, probability)
 

@@ -14,7 +14,8 @@ Limitations: wheels leaving the ground and obstacles, of which spectra tell in p
 and the interval is wide); roads too short to have a level.
 """
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -39,7 +40,7 @@ from road_envs.analysis.information_bound import RoadPrior, posterior
 from road_envs.analysis.statistical_linearization import hermitian
 from road_envs.records.record import SCORED_F_MAX, Record, scored_band
 from road_envs.records.roughness import CLASSES
-from road_envs.sensing.instruments import instruments_of
+from road_envs.sensing.instruments import Instruments, instruments_of
 from road_envs.vehicle.parameters import VehicleParameters
 
 _MODEL_ERROR, _MISFIT_ERROR, _OBSTACLE_ERROR = 0.10, 0.5, 0.8
@@ -84,27 +85,8 @@ def classify_record(
     masked = mask_record(record, sensors)
     octaves = scored_octaves(float(np.median(masked.record.v)))
     segments = list(split_segments(masked, TUNING.segment_length, TUNING.segment_margin))
-    fit: Callable[[Segment], SpectralModel] = partial(
-        fit_hyperparameters, SensedVehicle.of(car, sensors)
-    )
-    middle = fit(segments[len(segments) // 2])
-    unexplained, notes = float(np.mean(middle.noise_scale)), list[str]()
-    found = adapt_vehicle(masked.record, segments[len(segments) // 2], middle, car, sensors, 1)
-    if found is not None and found.notes:
-        car, fit, unexplained, notes = found.car, found.model, found.after, [*found.notes]
-    model_std = np.hypot(
-        _MODEL_ERROR, 2.0 * roughness_std(record, car, instruments, _even(octaves))
-    )
-    if unexplained > NOISE_SCALE_WARNING:
-        model_std = np.hypot(model_std, _MISFIT_ERROR)
-        notes.append(misfit_note(unexplained))
-    obstacles = float(obstacle_samples(record).mean())
-    if obstacles > _OBSTACLES:
-        model_std = np.hypot(model_std, _OBSTACLE_ERROR)
-        notes.append(
-            f"{obstacles:.0%} of the drive is shaken by obstacles, which spectra tell in part: the "
-            "level may be some dB too low"
-        )
+    fit, model_std, notes = _model_of_drive(masked.record, segments, car, sensors)
+    model_std = np.hypot(model_std, 2.0 * roughness_std(record, car, instruments, _even(octaves)))
     own, weights = np.swapaxes([_levels(fit(each), each, octaves) for each in segments], 0, 1)
     total = np.maximum(weights.sum(axis=0), 1e-9)
     levels = (weights * own).sum(axis=0) / total
@@ -117,7 +99,33 @@ def classify_record(
     by_octave = [class_probabilities(*pair) for pair in pairs]
     classes = tuple(max(each, key=each.__getitem__) for each in by_octave)
     probability, G_d0 = class_probabilities(log_level, log_std), float(np.exp(log_level))
-    return ClassPosterior(G_d0, log_std, octaves, levels, stds, probability, classes, tuple(notes))
+    return ClassPosterior(G_d0, log_std, octaves, levels, stds, probability, classes, notes)
+
+
+def _model_of_drive(
+    record: Record, segments: Sequence[Segment], car: VehicleParameters, sensors: Instruments
+) -> tuple[Callable[[Segment], SpectralModel], float, tuple[str, ...]]:
+    """Return the model of a segment, of the vehicle adapted to the drive, the standard deviation
+    of log levels by what is wrong with it, and notes.
+    """
+    vehicle, middle = SensedVehicle.of(car, sensors), segments[len(segments) // 2]
+    fit: Callable[[Segment], SpectralModel] = partial(fit_hyperparameters, vehicle)
+    model = fit(middle)
+    unexplained, std, notes = float(np.mean(model.noise_scale)), _MODEL_ERROR, list[str]()
+    found = adapt_vehicle(record, middle, model, car, sensors, 1)
+    if found is not None and found.notes:
+        fit, unexplained, notes = found.model, found.unexplained, [*found.notes]
+    if unexplained > NOISE_SCALE_WARNING:
+        std = math.hypot(std, _MISFIT_ERROR)
+        notes.append(misfit_note(unexplained))
+    obstacles = float(obstacle_samples(record).mean())
+    if obstacles > _OBSTACLES:
+        std = math.hypot(std, _OBSTACLE_ERROR)
+        notes.append(
+            f"{obstacles:.0%} of the drive is shaken by obstacles, which spectra tell in part: the "
+            "level may be some dB too low"
+        )
+    return fit, std, tuple(notes)
 
 
 def _even(octaves: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:

@@ -47,6 +47,6 @@ def roughness_std(
         vehicle = SensedVehicle.of(space.draw(rng), drive.sensors)
         damping = equivalent_damping(vehicle.plant, drive.mode, drive.v, described.prior)
         other = Spectra.of(vehicle, damping, described.prior, drive, described.D)
-        ratio = other.total(drive.weights) / described.total(drive.weights)
+        ratio = other.of_channels.sum(axis=0) / described.of_channels.sum(axis=0)
         factors.append(0.5 * np.log(np.average(ratio.mean(axis=0), weights=weights)))
     return float(np.std(factors))

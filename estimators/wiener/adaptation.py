@@ -45,35 +45,29 @@ from road_envs.vehicle.tolerances import ParameterSpace, has_absent_elements, pa
 
 @dataclass(frozen=True, eq=False)
 class _UncertainVehicle:
-    """A vehicle `x` (P,) of a `space`, the `covariance` (P, P) of what is unknown of it, and the
-    noise scale that is left unexplained `before` and `after` its adaptation; equal without one.
+    """A vehicle `x` (P,) of a `space`, the `covariance` (P, P) of what is unknown of it, the noise
+    scale that it leaves `unexplained`, and its adaptation in words, if there was one, as `notes` of
+    an estimate.
     """
 
     space: ParameterSpace
     instruments: Instruments
     x: np.ndarray
     covariance: np.ndarray
-    before: float
-    after: float
+    unexplained: float
+    notes: tuple[str, ...] = ()
 
     @property
     def car(self) -> VehicleParameters:
         """The most probable vehicle."""
         return self.space.from_vector(self.x)
 
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """The adaptation in words, if there was one, for the notes of an estimate."""
-        if self.after == self.before:
-            return ()
-        return (
-            f"the vehicle was adapted to the drive: {self.before:.1f} times the noise power of the "
-            f"instruments and the friction was unexplained, now {self.after:.1f} times",
-        )
-
-    def model(self, segment: Segment) -> SpectralModel:
-        """Return the model of a segment with the noise of an uncertain vehicle."""
-        model = fit_hyperparameters(SensedVehicle.of(self.car, self.instruments), segment)
+    def model(self, segment: Segment, fitted: SpectralModel | None = None) -> SpectralModel:
+        """Return the model of a segment with the noise of an uncertain vehicle: the one `fitted` to
+        it with this vehicle, if there is one, or a new one.
+        """
+        vehicle = SensedVehicle.of(self.car, self.instruments)
+        model = fitted or fit_hyperparameters(vehicle, segment)
         _, dH = _responses(self.space, self.x, self.instruments, segment, model)
         return replace(model, model_error=_model_error_psd(dH, self.covariance, model.S))
 
@@ -98,7 +92,7 @@ def adapt_vehicle(
     before = after = float(np.mean(model.noise_scale))
     rigid = parameter_space(car, structure=False)
     described = _UncertainVehicle(
-        rigid, instruments, np.zeros(rigid.size), np.eye(rigid.size), before, before
+        rigid, instruments, np.zeros(rigid.size), np.eye(rigid.size), before
     )
     if (
         before < TUNING.adapted_scale
@@ -115,14 +109,19 @@ def adapt_vehicle(
                 vehicle = SensedVehicle.of(space.from_vector(x), instruments)
                 model = fit_hyperparameters(vehicle, segment)
                 after = float(np.mean(model.noise_scale))
-            last = list(smooth_segment(model, segment, min(most, passes)))[-1]
+            last = smooth_segment(model, segment, min(most, passes))
             x, covariance, gain = _fisher_scoring(space, x, instruments, segment, last, steps)
             if k == 0 and not flexible and gain < TUNING.adaptation_gain:
                 return described
     except ArithmeticError:  # a fitted vehicle is none
         return described
-    adapted = _UncertainVehicle(space, instruments, x, covariance, before, after)
-    return adapted if after < before else described
+    if not after < before:
+        return described
+    note = (
+        f"the vehicle was adapted to the drive: {before:.1f} times the noise power of the "
+        f"instruments and the friction was unexplained, now {after:.1f} times"
+    )
+    return _UncertainVehicle(space, instruments, x, covariance, after, (note,))
 
 
 def _responses(

@@ -13,7 +13,6 @@ the signals, part of its variance remains as noise, and the noise scale is fitte
 may diverge where wheels leave the ground; a diverging pass is discarded.
 """
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -50,12 +49,15 @@ class Iterate(NamedTuple):
     noise: np.ndarray
 
 
-def smooth_segment(model: SpectralModel, segment: Segment, passes: int) -> Iterator[Iterate]:
-    """Yield the result of each pass until `passes` are done, or the iteration ends or diverges."""
+def smooth_segment(model: SpectralModel, segment: Segment, passes: int) -> Iterate:
+    """Return the result of the last pass, when `passes` are done or the iteration ends, or of the
+    one before which it diverges.
+    """
     M, size, measured = segment.a.shape[1], model.size, max(int(segment.valid.sum()), 1)
     q, share = np.zeros((4, size)), np.ones(4)
     start: np.ndarray | None = None  # the previous solution warm-starts the next solve
     first: float | None = None
+    iterate: Iterate | None = None
     change = 1.0
     for remaining in reversed(range(passes)):
         residual_lines = apply_response(model.H_force, rfft(q))
@@ -72,26 +74,28 @@ def smooth_segment(model: SpectralModel, segment: Segment, passes: int) -> Itera
         first = neg_log_likelihood if first is None else first
         # less likely than the first pass while q still changes much: keep the previous pass
         if change > TUNING.divergence_threshold and not neg_log_likelihood <= first:
-            return
+            break
         z = apply_response(model.S @ hermitian(model.H), rfft(start, size))
         z = z / (2.0 * segment.spacing) * (model.f > TUNING.f_datum)
         w = apply_response(model.X, z) + apply_response(model.X_force, rfft(q))
         error = posterior(model.n, model.H, model.S, noise).error
         iterate = Iterate(z, w, error, model, y, noise)
-        yield iterate
         if not remaining:
-            return
-        expected, unknown = _residual_forces(model, iterate)
+            break
+        expected, unknown = _residual_forces(iterate)
         change = float(np.linalg.norm(expected - q)) / max(float(np.linalg.norm(expected)), 1e-9)
         if change < TUNING.converged:
-            return
+            break
         q += TUNING.relaxation * (expected - q)
         unresolved = unknown / np.maximum(model.residual_power, 1e-9)
         share = np.clip(TUNING.residual_noise_share * unresolved, 0.01, 1.0)
+    assert iterate is not None
+    return iterate
 
 
-def _residual_forces(model: SpectralModel, iterate: Iterate) -> tuple[np.ndarray, np.ndarray]:
+def _residual_forces(iterate: Iterate) -> tuple[np.ndarray, np.ndarray]:
     """Return expected force residuals (4, size) [N] and their mean variances (4,) [N²]."""
+    model = iterate.model
     slow = model.f > TUNING.f_datum
     per_rate = np.where(slow, 1.0 / (2j * np.pi * model.f), 0.0)
     w, e = irfft(iterate.w, model.size), irfft(iterate.w * per_rate, model.size)
@@ -111,16 +115,11 @@ def _gaussian_expectation(
     `std_e` and `std_w` (4,).
     """
     mean, variance = np.zeros(e.shape), np.zeros(4)
-    for i in range(4):
-        tables = (
-            (law.e, law.over_extension[i], e[i], std_e[i]),
-            (law.e_dot, law.over_rate[i], w[i], std_w[i]),
-        )
-        for grid_, table, at, std in tables:
-            first = _gaussian_average(grid_, table, std)
-            second = _gaussian_average(grid_, table**2, std)
-            mean[i] += np.interp(at, grid_, first)
-            variance[i] += float(np.mean(np.interp(at, grid_, second - first**2)))
+    for x, *rows in (law.e, law.over_extension, e, std_e), (law.e_dot, law.over_rate, w, std_w):
+        for i, (table, at, std) in enumerate(zip(*rows, strict=True)):
+            first, second = (_gaussian_average(x, y, std) for y in (table, table**2))
+            mean[i] += np.interp(at, x, first)
+            variance[i] += float(np.mean(np.interp(at, x, second - first**2)))
     return mean, variance
 
 

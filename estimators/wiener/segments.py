@@ -45,23 +45,17 @@ def split_segments(masked: MaskedRecord, length: float, margin: float) -> Iterat
     """Yield segments of about `length` [m], with up to `margin` [m] of record on either side."""
     record, good, _ = masked
     fs = record.fs
-    a = _bridge_and_lowpass(record.a, good, fs)
+    mean = [x[g].mean() if g.any() else 0.0 for x, g in zip(record.a, good, strict=True)]
+    filled = bridge(np.where(good, record.a - np.array(mean)[:, None], np.nan))
+    # interpolated where not good, and low-passed at 40 Hz without phase
+    sos = signal.butter(TUNING.pass_order, min(TUNING.f_pass, 0.4 * fs), fs=fs, output="sos")
+    a = signal.sosfiltfilt(sos, filled, axis=1, padlen=min(50, filled.shape[1] - 1))
     reach = np.ones(2 * round(TUNING.filter_time * fs) + 1)
     bad = np.array([signal.fftconvolve(~g, reach, "same") > 0.5 for g in good])
     count = max(1, round(record.length / length))
     edges = np.linspace(0.0, record.length, count + 1)
     for low, high in pairwise(edges):
         yield _segment(record, a, bad, (float(low), float(high)), margin)
-
-
-def _bridge_and_lowpass(a: np.ndarray, good: np.ndarray, fs: float) -> np.ndarray:
-    """Return signals (k, N) without their mean over `good` samples, interpolated where not `good`,
-    and low-passed at 40 Hz without phase.
-    """
-    mean = [x[g].mean() if g.any() else 0.0 for x, g in zip(a, good, strict=True)]
-    filled = bridge(np.where(good, a - np.array(mean)[:, None], np.nan))
-    sos = signal.butter(TUNING.pass_order, min(TUNING.f_pass, 0.4 * fs), fs=fs, output="sos")
-    return signal.sosfiltfilt(sos, filled, axis=1, padlen=min(50, a.shape[1] - 1))
 
 
 def _segment(record: Record, a: np.ndarray, bad: np.ndarray, core, margin: float) -> Segment:

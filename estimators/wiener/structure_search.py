@@ -175,9 +175,18 @@ class CalmDrive:
         return 2.0 * self.windows / TUNING.hann_lines * self._whittle(spectra)[1]
 
     def _whittle(self, spectra: "Spectra") -> tuple[float, float]:
-        road, forces = spectra.of_channels(self.weights)
-        noise = self.weights**2 @ self.sensors.noise_densities**2
-        return _whittle(self.power.mean(axis=0), road, forces + noise[:, None])
+        """Return the factor on the density of the road that fits the periodogram best, beside that
+        of forces and noise, and the deviance of one window's lines.
+        """
+        road, forces = spectra.of_channels
+        others = forces + (self.weights**2 @ self.sensors.noise_densities**2)[:, None]
+        power, level = self.power.mean(axis=0), 1.0
+        for _ in range(TUNING.level_steps):
+            weight = (road / (level * road + others)) ** 2
+            best = float(np.sum(weight * (power - others) / road) / np.sum(weight))
+            level = max(best, 0.1 * level)
+        total = correlate1d(level * road + others, _HANN_KERNEL, axis=1, mode="nearest")
+        return level, float(np.sum(np.log(total) + power / total))
 
 
 class Spectra(NamedTuple):
@@ -213,28 +222,10 @@ class Spectra(NamedTuple):
         H, H_force = frequency_response(linear, v, f=f), force_response(linear, f)[0]
         return cls(vehicle, drive, damping, prior, H, prior.spectrum(f / v) / v, H_force, D)
 
-    def total(self, weights: np.ndarray) -> np.ndarray:
-        """Return the density (C, F) [(m/s²)²/Hz] of channels of `weights` (C, S), without noise."""
-        road, forces = self.of_channels(weights)
-        return road + forces
-
-    def of_channels(self, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return densities (C, F) [(m/s²)²/Hz] of channels by the road and by the forces."""
-        f = self.drive.f
+    @property
+    def of_channels(self) -> np.ndarray:
+        """Densities (2, C, F) [(m/s²)²/Hz] of the channels by the road and by the forces."""
+        weights, f = self.drive.weights, self.drive.f
         H, H_force = (weights @ self.vehicle.readings(x, f) for x in (self.H, self.H_force))
         parts = H @ self.S @ hermitian(H), H_force @ self.D @ hermitian(H_force)
-        road, forces = (np.real(np.einsum("fss->sf", part)) for part in parts)
-        return road, forces
-
-
-def _whittle(power: np.ndarray, road: np.ndarray, others: np.ndarray) -> tuple[float, float]:
-    """Return the factor on the density (S, F) of the `road` that fits a periodogram best, beside
-    that of the `others`, and the deviance of one window's lines.
-    """
-    level = 1.0
-    for _ in range(TUNING.level_steps):
-        weight = (road / (level * road + others)) ** 2
-        best = float(np.sum(weight * (power - others) / road) / np.sum(weight))
-        level = max(best, 0.1 * level)
-    total = correlate1d(level * road + others, _HANN_KERNEL, axis=1, mode="nearest")
-    return level, float(np.sum(np.log(total) + power / total))
+        return np.array([np.real(np.einsum("fss->sf", part)) for part in parts])

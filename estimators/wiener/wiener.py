@@ -86,14 +86,14 @@ class Wiener(CalibratedByIdentification):
         if self.adapt and self.identified is None:
             found = adapt_vehicle(masked.record, segments[k], middle, car, sensors, passes)
         if found:
-            car, fit, middle = found.car, found.model, found.model(segments[k])
+            fitted = middle if found.car == car else None
+            car, fit, middle = found.car, found.model, found.model(segments[k], fitted)
             notes += found.notes
-            unexplained = found.after
+            unexplained = found.unexplained
         for segment in segments:
             model = middle if segment is segments[k] else fit(segment)
             unexplained = max(unexplained, float(np.mean(model.noise_scale)))
-            last = list(smooth_segment(model, segment, passes))[-1]
-            z, std = _to_grid(model, segment, last)
+            z, std = _to_grid(segment, smooth_segment(model, segment, passes))
             at = np.round(stations / PROFILE_SPACING).astype(int) - segment.first * segment.stride
             weight = _blend_weights(stations, segment.core, record.length)
             inside = (at >= 0) & (at < z.shape[1]) & (weight > 0.0)
@@ -124,10 +124,9 @@ class IteratedWiener(Wiener):
         return self._estimate(record, car, self.passes)
 
 
-def _to_grid(
-    model: SpectralModel, segment: Segment, iterate: Iterate
-) -> tuple[np.ndarray, np.ndarray]:
+def _to_grid(segment: Segment, iterate: Iterate) -> tuple[np.ndarray, np.ndarray]:
     """Return heights and standard deviations (2, N) [m] at profile stations of the segment."""
+    model = iterate.model
     size = model.size * segment.stride
     lines = np.zeros((2, size // 2 + 1), dtype=complex)
     lines[:, : model.n.size] = iterate.z * (model.f < F_C)
@@ -138,18 +137,13 @@ def _to_grid(
     def std(spectrum: np.ndarray) -> np.ndarray:
         return np.sqrt(np.trapezoid(np.real(np.einsum("fii->if", spectrum[band])), model.n[band]))
 
-    share = _coverage(segment, size)
-    known, prior = std(iterate.error)[:, None] ** 2, std(model.S)[:, None] ** 2
-    return z, np.sqrt(share * known + (1.0 - share) * prior)
-
-
-def _coverage(segment: Segment, size: int) -> np.ndarray:
-    """Return the fraction (size,) of valid samples within 1.5 m of each profile station."""
+    # valid samples within 1.5 m of each profile station
     measured = np.repeat(segment.valid.mean(axis=0), segment.stride)
     window = np.ones(2 * round(1.5 / PROFILE_SPACING) + 1)
     share = np.zeros(size)
-    share[: measured.size] = np.convolve(measured, window / window.size, "same")
-    return np.clip(share, 0.0, 1.0)
+    share[: measured.size] = np.convolve(measured, window / window.size, "same").clip(0.0, 1.0)
+    known, prior = std(iterate.error)[:, None] ** 2, std(model.S)[:, None] ** 2
+    return z, np.sqrt(share * known + (1.0 - share) * prior)
 
 
 def _blend_weights(stations: np.ndarray, core: tuple[float, float], length: float) -> np.ndarray:

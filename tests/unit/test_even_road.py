@@ -93,14 +93,10 @@ def test_an_even_road_is_likelier(monkeypatch, sensors, even, uneven, expected):
     """Roads are their residuals' power and their own cost, which is that of 1000 readings."""
 
     def point(power, prior):
-        one = SimpleNamespace(source=SimpleNamespace(information=1.0))
-        objective = SimpleNamespace(is_underdetermined=sensors < 3)
-
-        def at(weights):
-            return SimpleNamespace(cost=prior + 500.0 * power * weights[0])
-
         return SimpleNamespace(
-            power=np.array([power]), passes=[one], objective=objective, with_inverse_variance=at
+            power=np.array([power]),
+            objective=SimpleNamespace(is_underdetermined=sensors < 3),
+            cost_under=lambda noise: prior + 500.0 * power / float(noise[0]),
         )
 
     monkeypatch.setattr(gauss_newton, "misfit_power", lambda lin: lin.power)

@@ -31,10 +31,11 @@ def below(monkeypatch):
         size = c.shape[1]
         amplitude = np.full((2, size // 2 + 1), step_std * np.sqrt(0.5))
         road = SimpleNamespace(
-            size=size, ds=DS, coefficients=lambda u: c, is_level_between_obstacles=is_level,
+            size=size, ds=DS, is_level_between_obstacles=is_level,
             local=np.ones((2, size)), amplitude=amplitude, may_be_uneven=may_be_uneven,
         )  # fmt: skip
-        lin = SimpleNamespace(x=None, objective=SimpleNamespace(road=road, split=lambda x: (x,)))
+        objective = SimpleNamespace(road=road, coefficients=lambda x: c)
+        lin = SimpleNamespace(x=None, objective=objective)
         monkeypatch.setattr(wheel_liftoff, "unloaded_nodes", lambda lin, share=0.1: unloaded)
         return road_below_light_wheels(lin)
 

@@ -12,13 +12,10 @@ from scipy.linalg import expm
 from vehicle_fixtures import DEFENDER
 
 from estimators.common.block_means import block_means
+from estimators.common.spline import evaluate_spline
 from estimators.map_smoother import gauss_newton, wheel_liftoff
 from estimators.map_smoother.estimator import MapSmoother
-from estimators.map_smoother.gauss_newton import (
-    GaussNewton,
-    minimize,
-    update_prior,
-)
+from estimators.map_smoother.gauss_newton import GaussNewton, MapSolution, minimize
 from estimators.map_smoother.objective import Objective
 from estimators.map_smoother.preconditioner import StationaryHessian, stationary_hessian
 from estimators.map_smoother.road_prior import RoadTransform
@@ -68,7 +65,7 @@ def residual_at(objective: Objective, x: np.ndarray) -> np.ndarray:
     """Residual of an objective of one pass."""
     (one,) = objective.passes
     _, (own,), _ = objective.split(x)
-    return one.residual_at(objective.coefficients(x), own)
+    return one.linearize(objective.coefficients(x), own).residual
 
 
 def error(estimate, profile, record) -> float:
@@ -229,7 +226,7 @@ def test_the_gradient_equals_finite_differences_of_the_cost(mode):
 def test_an_update_of_the_prior_changes_neither_road_nor_motion():
     objective = objective_of(drive_record(length=12.0)[0])
     lin = objective.linearize(perturb(np.zeros(objective.size)))
-    new = update_prior(lin, stationary_hessian(objective), np.ones(1))
+    new = MapSolution(lin, stationary_hessian(objective), np.ones(1)).with_prior().linearization
     again = new.objective.linearize(new.x)
     assert not np.allclose(new.objective.road.amplitude, objective.road.amplitude, rtol=0.03)
     np.testing.assert_allclose(new.residual, again.residual, atol=1e-6)
@@ -309,7 +306,7 @@ def test_drawn_noise_has_the_inverse_covariance_of_the_cost():
     objective = objective_of(drive_record(length=12.0)[0])
     J, rng = objective.passes[0].measurements.y.shape[1], np.random.default_rng(10)
     weights, inverse_variance = rng.uniform(0.01, 2.0, J // 2 + 1), rng.uniform(0.5, 2.0, (3, J))
-    lin = objective.linearize(np.zeros(objective.size), None, [inverse_variance], [weights])
+    lin = objective.linearize(np.zeros(objective.size)).with_noise([inverse_variance], [weights])
     drawn = np.array([lin.draw_noise(rng)[0].ravel() for _ in range(4000)])
     direction = rng.standard_normal((3, J))
     expected = np.sum(direction * lin.apply_inverse_covariance([direction])[0])
@@ -400,15 +397,15 @@ def test_on_a_linear_vehicle_the_map_road_is_the_dense_gaussian_posterior():
     (settling,) = objective.linearize(np.zeros(objective.size)).residual
     measurements = replace(one.measurements, y=y.reshape(settling.shape) - settling)
     objective = Objective(road, (replace(one, measurements=measurements),))
-    solver = GaussNewton(stationary_hessian(objective), cg_iterations=400, cg_tolerance=1e-6)
-    solution = minimize(objective, solver, adapt_prior=False, change_tolerance=1e-9)
+    precise = {"cg_iterations": 400, "cg_tolerance": 1e-6, "change_tolerance": 1e-9}
+    solution = minimize(objective, GaussNewton(adapt_prior=False, **precise))
     assert 1.0 <= solution.noise_scale < 1.1
     noise *= np.sqrt(solution.noise_scale)
     J, y = J / noise[:, None], y / noise
     expected = np.linalg.solve(np.eye(J.shape[1]) + J.T @ J, J.T @ y)
-    s = np.linspace(1.0, 7.0, 400)
+    at = (np.linspace(1.0, 7.0, 400) - road.origin) / road.ds
     u, dense, true = (
-        road.heights_at(x[: 2 * road.size].reshape(2, -1), s)
+        evaluate_spline(road.coefficients(x[: 2 * road.size].reshape(2, -1)), at)
         for x in (solution.linearization.x, expected, drawn)
     )
     assert np.std(dense - true) < 0.1 * np.std(true)

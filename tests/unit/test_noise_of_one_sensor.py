@@ -5,7 +5,6 @@ from dataclasses import replace
 import pytest
 
 from estimators.map_smoother.gauss_newton import GaussNewton, minimize
-from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.preparation import SolverSettings
 from estimators.map_smoother.windows import whole_objective
 from road_envs.drives.logger_tables.description import PLACES
@@ -32,7 +31,7 @@ def one_phone():
     car, settings = load_vehicle("jeep_cherokee"), SolverSettings(instruments="phone")
     record, _ = simulate_record(ROAD, speed_kmh=100.0, vehicle=car, instruments=phones, seed=102)
     objective = whole_objective(settings.prepare(record, car)[0], settings.road_prior)
-    return minimize(objective, GaussNewton(stationary_hessian(objective), settings.huber))
+    return minimize(objective, GaussNewton(settings.huber))
 
 
 @pytest.mark.costly

@@ -7,6 +7,7 @@ import pytest
 from scipy.fft import next_fast_len
 
 from estimators.common.road_prior import increment_amplitude
+from estimators.common.spline import evaluate_spline
 from estimators.map_smoother.road_prior import RoadTransform
 from estimators.map_smoother.tuning import TUNING
 from road_envs.analysis.information_bound import RoadPrior
@@ -32,8 +33,9 @@ def uneven_road() -> RoadTransform:
 
 def test_roads_drawn_from_the_prior_have_its_density_and_coherence():
     road, rng = free_road(), np.random.default_rng(1)
-    s = 0.02 * np.arange(500, 9500)
-    z = np.array([road.heights_at(rng.standard_normal((2, road.size)), s) for _ in range(40)])
+    at = 0.02 * np.arange(500, 9500) / road.ds
+    drawn = (road.coefficients(rng.standard_normal((2, road.size))) for _ in range(40))
+    z = np.array([evaluate_spline(c, at) for c in drawn])
     n, G = displacement_psd(z, 0.02)
     for low, high in ((0.3, 1.0), (1.0, 3.0), (3.0, 8.0)):  # below, drift leaks into the windows
         inside = (n > low) & (n < high)
@@ -84,6 +86,7 @@ def test_whitened_increments_give_the_same_coefficients_and_the_map_has_its_tran
 def test_the_transfer_function_is_the_gain_of_a_single_wave():
     road, k = free_road(next_fast_len(2064, real=True)), 120
     wave = np.sqrt(2.0) * np.cos(2.0 * np.pi * k * np.arange(road.size) / road.size)
-    z = road.heights_at(np.stack([wave, np.zeros(road.size)]), 0.05 * np.arange(20, 1900))
+    c = road.coefficients(np.stack([wave, np.zeros(road.size)]))
+    z = evaluate_spline(c, 0.05 * np.arange(20, 1900) / road.ds)
     assert (z[0] == z[1]).all()
     assert z[0].std() == pytest.approx(abs(road.transfer_function()[0, k]), rel=1e-3)

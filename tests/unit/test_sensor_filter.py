@@ -145,7 +145,7 @@ def test_a_window_in_the_middle_of_a_drive_goes_on_where_the_filter_was():
     state, strut_state, filter_state = one.state_after(c, own, 3000)
     rest = replace(one.inputs, offset=None)
     later = rest.slice_steps(3000, rest.n_steps)
-    whole = one.residual_at(c, own)
+    whole = one.linearize(c, own).residual
     means = one.measurements
     part = replace(
         one,
@@ -161,7 +161,7 @@ def test_a_window_in_the_middle_of_a_drive_goes_on_where_the_filter_was():
         ),
     )
     own[: state.size] = 0.0
-    np.testing.assert_allclose(part.residual_at(c, own), whole[:, 300:], atol=1e-6)
+    np.testing.assert_allclose(part.linearize(c, own).residual, whole[:, 300:], atol=1e-6)
 
 
 def test_lost_samples_of_a_jittering_clock_are_missing_and_the_others_stay():

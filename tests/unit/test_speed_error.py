@@ -10,8 +10,7 @@ from vehicle_fixtures import DEFENDER
 from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.gauss_newton import GaussNewton, minimize
 from estimators.map_smoother.objective import Objective
-from estimators.map_smoother.preconditioner import stationary_hessian
-from estimators.map_smoother.speed_error import distance_scale, estimate_speed_error
+from estimators.map_smoother.solver import _estimate_speed_error, distance_scale
 from estimators.map_smoother.windows import whole_objective
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.drives.recording import simulate_record
@@ -51,8 +50,8 @@ def test_the_derivative_by_the_speed_is_that_of_drives_and_has_its_transpose():
 
 def test_a_wrong_speed_is_found_with_the_road():
     objective = objective_of(too_fast=0.012)
-    solution = minimize(objective, GaussNewton(stationary_hessian(objective)), prior_updates=0)
-    error, variance = estimate_speed_error(solution)
+    solution = minimize(objective, GaussNewton(prior_updates=0))
+    error, variance = _estimate_speed_error(solution)
     assert error == pytest.approx(1.0 / 1.012 - 1.0, abs=4e-4)
     assert 1e-5 < np.sqrt(variance) < 4e-4
 

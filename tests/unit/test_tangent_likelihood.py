@@ -18,7 +18,6 @@ from estimators.map_smoother.marginal_likelihood import (
     perturbed_passes,
     sensitivities,
 )
-from estimators.map_smoother.preconditioner import stationary_hessian
 from estimators.map_smoother.preparation import SolverSettings
 from estimators.map_smoother.tangent_likelihood import (
     _posterior_noise,
@@ -45,7 +44,7 @@ def solution() -> MapSolution:
     record, _ = simulate_record(surface, vehicle=DEFENDER, speed_kmh=54.0, mode="handling", seed=5)
     drive, _ = MapSmoother().prepare(record, DEFENDER)
     objective = whole_objective(drive, RoadPrior(), 200)
-    return minimize(objective, GaussNewton(stationary_hessian(objective)), adapt_prior=False)
+    return minimize(objective, GaussNewton(adapt_prior=False))
 
 
 @pytest.fixture(scope="module")
@@ -119,7 +118,7 @@ def test_a_sample_of_the_trace_is_the_change_of_the_tangent_by_a_parameter():
     (means,), (weight,) = lin.tangent(small), lin.inverse_variance
     varied = perturbed_passes(lin.objective.passes[0], cars)
     objectives = (replace(lin.objective, passes=(one,)) for one in varied)
-    there = (one.linearize(lin.x, inverse_variance=[weight]) for one in objectives)
+    there = (one.linearize(lin.x).with_noise([weight]) for one in objectives)
     first, *rest = [np.vdot(one.tangent(small)[0], weight * means) for one in there]
     found, _ = _trace_sample(lin, varied, small)
     np.testing.assert_allclose(found, (np.array(rest) - first) / TUNING.difference, rtol=0.02)
@@ -145,7 +144,7 @@ def test_the_gradient_at_the_true_vehicle_is_as_large_as_the_information_says():
     settings = SolverSettings()
     drive, _ = settings.prepare(record, car)
     objective = whole_objective(drive, settings.road_prior)
-    found = minimize(objective, GaussNewton(stationary_hessian(objective), settings.huber))
+    found = minimize(objective, GaussNewton(settings.huber))
     space = parameter_space(car)
     terms = tangent_terms(found, perturbed_cars(space, np.zeros(space.size)))
     values, vectors = np.linalg.eigh(terms.information)
