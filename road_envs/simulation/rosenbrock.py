@@ -133,7 +133,7 @@ class StepInputs(NamedTuple):
     road: np.ndarray
     a_xy: np.ndarray | None
     h: float
-    v: float
+    v: float | np.ndarray
 
 
 @kernel
