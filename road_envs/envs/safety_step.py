@@ -58,8 +58,11 @@ def safety_parameters(car: VehicleParameters, step: float) -> _SafetyParameters:
 
 
 @kernel
-def _add_squares(common, p, wk_state, high_pass_state, row, sums):
-    """Add the squared seat acceleration and the squared dynamic tyre loads of a step."""
+def add_safety(common, p, wk_state, high_pass_state, off, row, sums):
+    """Add one step with the signals `row` to the `sums` (N_SAFETY,) of a block.
+
+    `common` are the FleetParameters; the states are those of `FleetState`.
+    """
     # the mean over both front seats, (a + b)² and (a - b)², is a² + b²: no side is preferred
     centre = get(row, ACCELERATION + Z_B) - p.seat[0] * get(row, ACCELERATION + THETA)
     side = p.seat[1] * get(row, ACCELERATION + PHI)
@@ -70,6 +73,7 @@ def _add_squares(common, p, wk_state, high_pass_state, row, sums):
         load = get(row, LOAD + w) * common.per_static_load[w] - 1.0
         load = filter_sample(p.high_pass_sos, high_pass_state, w, load)
         add(sums, TYRE_LOAD, 0.25 * common.h * load * load)
+    _add_violations(common.h, p.stops, off, row, sums)
 
 
 @kernel(inline=False)
@@ -96,16 +100,6 @@ def _add_violations(h, stops, off, row, sums):
             ratio = abs(left - right) / (left + right)
             sums[LOAD_TRANSFER, k] = max(sums[LOAD_TRANSFER, k], ratio)
         sums[ROLL, k] = max(sums[ROLL, k], abs(row[PHI, k]))
-
-
-@kernel
-def add_safety(common, p, wk_state, high_pass_state, off, row, sums):
-    """Add one step with the signals `row` to the `sums` (N_SAFETY,) of a block.
-
-    `common` are the FleetParameters; the states are those of `FleetState`.
-    """
-    _add_squares(common, p, wk_state, high_pass_state, row, sums)
-    _add_violations(common.h, p.stops, off, row, sums)
 
 
 @kernel(inline=False)
