@@ -217,10 +217,12 @@ class InstrumentedFleet:
 
     def _advance(self, commands: np.ndarray | int, mask: np.ndarray | None) -> fa.StepOutput:
         self._commands[: self.n_vehicles] = commands
-        moving = self._moving if mask is None else np.unique(np.flatnonzero(mask) // LANES)
-        # blocks advance as a whole: lanes outside the mask are restored afterwards
-        saved = None if mask is None else [field[moving] for field in self.state]
-        size = self.n_vehicles
+        moving, size = self._moving, self.n_vehicles
+        if mask is not None:  # blocks advance as a whole: lanes outside it are restored afterwards
+            moving = np.unique(np.flatnonzero(mask) // LANES)
+            lanes = LANES * moving[:, None] + np.arange(LANES)
+            b, k = np.divmod(np.setdiff1d(lanes, np.flatnonzero(mask)), LANES)
+            saved = [field[b, ..., k] for field in self.state]
         output = fa.StepOutput(
             np.empty((size, self.observation_size), dtype=np.float32),
             np.empty((size, len(self.columns))),
@@ -242,8 +244,9 @@ class InstrumentedFleet:
         n = len(self._workspaces)
         jobs = [moving] if n == 1 else np.array_split(moving, n)
         run_in_threads(run, list(zip(jobs, self._workspaces, strict=True)))
-        if mask is not None and saved is not None:
-            self._restore_unmasked(moving, mask, saved)
+        if mask is not None:
+            for field, before in zip(self.state, saved, strict=True):
+                field[b, ..., k] = before
         if self.settings.unresolved_variance is not None:  # the fourth cost
             values, weight = output.values, self.settings.unresolved_variance_weight
             values[:, fa.OUT_UNRESOLVED] = self.unresolved[np.arange(self.n_vehicles), commands]
@@ -311,17 +314,6 @@ class InstrumentedFleet:
         instants = 0.5 * self.step * (2 * done[:, None] + np.arange(2 * self.steps + 1)[:, None])
         a_xy = manoeuvre.at(instants)
         return np.moveaxis(a_xy, -1, 2).reshape(len(done), 4 * self.steps + 2, LANES)
-
-    def _restore_unmasked(
-        self, moving: np.ndarray, mask: np.ndarray, saved: list[np.ndarray]
-    ) -> None:
-        """Restore the state of the vehicles outside the `mask` after an interval."""
-        unmasked = np.ones(len(self._moving) * LANES, dtype=bool)
-        unmasked[: self.n_vehicles] = ~mask
-        for field, before in zip(self.state, saved, strict=True):
-            for j, b in enumerate(moving):
-                lanes = unmasked[b * LANES : (b + 1) * LANES]
-                field[b][..., lanes] = before[j][..., lanes]
 
     def _initial_state(self, blocks: int, delay: int, sensors: int) -> fa.FleetState:
         """Return the state of vehicles at rest on level ground, in all lanes of every block."""
