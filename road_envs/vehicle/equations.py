@@ -169,15 +169,14 @@ def build_plant(car: VehicleParameters, manoeuvres: bool = False) -> Plant:
         **side_constants(car),
     }
     constants = np.zeros(1, dtype=PLANT_DTYPE)
-    for name in PLANT_DTYPE.names or ():
-        constants[name] = values[name]
+    for name, value in values.items():
+        constants[name] = value
     return Plant(constants, velocity, displacement)
 
 
 def _frame_constants(car: VehicleParameters) -> dict[str, object]:
     if (frame := car.variation.frame) is None:
-        none = dict.fromkeys(("frame_inertia", "frame_rate", "frame_damping"), 0.0)
-        return {**none, "twist_share": (0.0, 0.0)}
+        return {}
     inertia, omega = 0.25 * car.I_xx, 2.0 * np.pi * frame.f
     return {
         "frame_inertia": inertia,

@@ -276,13 +276,9 @@ def check_plausible(car: VehicleParameters, where: str) -> None:
 
 def write_vehicle(path: Path, car: VehicleParameters, comment: str = "") -> None:
     """Write a vehicle as YAML, with a `comment` of one or more lines at the head."""
-    data = json.loads(json.dumps(asdict(car)))
-    if car.is_passive:
-        del data["valve"]
-    if car.side is None:
-        del data["side"]
-    if not car.tolerances_of:
-        del data["tolerances_of"]
+    absent = {"valve": car.is_passive, "side": car.side is None}
+    absent["tolerances_of"] = not car.tolerances_of
+    data = {k: v for k, v in json.loads(json.dumps(asdict(car))).items() if not absent.get(k)}
     head = "".join(f"# {line}\n" for line in comment.splitlines())
     text = yaml.safe_dump(data, sort_keys=False, allow_unicode=True, default_flow_style=None)
     write_text(path, head + text)

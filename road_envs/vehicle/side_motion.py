@@ -79,9 +79,9 @@ RIGID_COORDINATES = 7  # coordinates of `equations`, without the twist of a fram
 
 
 def side_constants(car: VehicleParameters) -> dict[str, object]:
-    """Return the constants of a vehicle's side motion, all 0 if it has none."""
+    """Return the constants of a vehicle's side motion, which are 0 if it has none."""
     if car.side is None:
-        return {name: np.zeros(shape) for name, _, shape in SIDE_FIELDS}
+        return {}
     # wheels' centres move sideways with phi, phi_a, V and r, and add their mass to all four
     side, height = car.side, np.array(car.side.roll_centre)
     lever, x = car.h_cg - height, np.array([axle.x for axle in car.axles])
