@@ -144,10 +144,7 @@ class InstrumentedFleet:
         self._idle = [True]  # emptied by the thread that advances: taking from a list is atomic
 
     def start(self, i: int, drive: DriveSimulator, logger: DataLogger, speed_kmh: float) -> None:
-        """Start vehicle `i` on a `drive`, measured by `logger`.
-
-        `speed_kmh` is the speed reported in the output of drives at constant speed.
-        """
+        """Start vehicle `i` on a `drive` measured by `logger`, with `speed_kmh` in its output."""
         b, k = divmod(i, LANES)
         row = self._rows.setdefault(i, len(self._rows))
         self._set_road(i, row, drive)
@@ -181,10 +178,7 @@ class InstrumentedFleet:
             self.cars.share(i, other)
 
     def copy_vehicles(self, source: np.ndarray, target: np.ndarray | None = None) -> None:
-        """Overwrite the motion of vehicle `target[j]`, by default j, by that of `source[j]`.
-
-        Both are on equal drives.
-        """
+        """Give vehicle `target[j]`, by default j, the motion of `source[j]`, on an equal drive."""
         target = np.arange(source.size) if target is None else target
         (b, k), (b_new, k_new) = np.divmod(source, LANES), np.divmod(target, LANES)
         for field in self.state:

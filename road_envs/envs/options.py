@@ -57,8 +57,7 @@ MAX_STEPS = 1_000_000
 MAX_OBSERVED_SPEED = 100.0  # upper limit of the observed speed [m/s]
 
 MAX_DRAWS = 20
-"""Most roads that an episode draws until one has no step too high for a wheel, as some of class H
-have."""
+"""Most roads that an episode draws until one has no step too high for a wheel."""
 
 _bound_tables: dict[tuple[str, str, tuple[float, ...], tuple[str, ...]], BoundTable] = {}
 """Tables that were computed, by all that they depend on."""
@@ -121,10 +120,7 @@ class EnvOptions(Settings):
 
 
 class EpisodeStart(NamedTuple):
-    """Start of one episode: speed [km/h], command byte, drive, and instruments.
-
-    `description` is the `SafeDrive` of an episode of the benchmark.
-    """
+    """Start of one episode; `description` is its `SafeDrive`, if it is one of the benchmark."""
 
     speed_kmh: float
     command_byte: int

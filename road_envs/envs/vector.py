@@ -175,17 +175,13 @@ class RoadReconVectorEnv(VectorEnv):
             setattr(self, name, value)
 
     def _keep(self, observations: np.ndarray) -> None:
-        """Keep a copy of the observations for a reset of other environments."""
         if self.autoreset_mode == AutoresetMode.DISABLED:
             self._observations = observations.copy()
 
     def _autoreset(
         self, ended: np.ndarray, output: StepOutput, infos: dict[str, Any]
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start new episodes where one has `ended`, and return their observations and infos.
-
-        The last observations and infos of the ended episodes go to `final_obs`, `final_info`.
-        """
+        """Start new episodes where one has `ended`; return their observations, and all infos."""
         final_obs = np.full(self.num_envs, None, dtype=object)
         for i in np.flatnonzero(ended):
             final_obs[i] = output.observation[i].copy()

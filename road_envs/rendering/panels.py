@@ -125,10 +125,7 @@ def accelerations(canvas: Canvas, scene: Scene) -> None:
 
 
 def _envelope(a: np.ndarray, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Return ages [s] and values of the minimum and the maximum of each group of samples.
-
-    `a` (N,) are the samples; the groups have the width of about one pixel.
-    """
+    """Return ages [s] and values of the extremes of the samples `a` (N,) in about each pixel."""
     size = max(round(scene.window * scene.fs / 500.0), 1)
     cells = a[a.size % size :].reshape(-1, size)
     age = np.arange(cells.shape[0])[::-1] * size / scene.fs

@@ -14,9 +14,7 @@ TUBE = 0.34  # length [m] of the lower tube of a strut
 COLLAR = 0.06  # length [m] of the stops of a strut
 
 OUTLINES = read_yaml(folder() / "rendering" / "defender_110.yaml")
-"""Parts of the body by view: `colour`, `points`, and the colour of an `edge`, the `radius` [m] of a
-disc, or `line`.
-"""
+"""Parts of the body by view: `colour`, `points`, and an `edge`, a `radius` [m] or `line`."""
 
 
 def draw_part(canvas: Canvas, part: dict[str, Any], points: np.ndarray, scale: float) -> None:

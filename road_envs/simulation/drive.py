@@ -200,10 +200,7 @@ class DriveSimulator:
         return sent[: commands.size]
 
     def half_step_inputs(self, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return stations [m] and speeds [m/s] (2 n + 1,), and a_x, a_y [m/s²] (2 n + 1, 2).
-
-        They are those of the next `n` steps, at every half step.
-        """
+        """Return stations [m], speeds [m/s], (a_x, a_y) [m/s²] at half steps of the next `n`."""
         instants = 0.5 * self.step * (2 * self.steps + np.arange(2 * n + 1))
         distance, v, a_x = self.speed_profile.at(instants)
         a_xy = np.zeros((v.size, 2)) if self.manoeuvre is None else self.manoeuvre.at(instants)
@@ -245,9 +242,7 @@ def simulate(
     step: float = DEFAULT_STEP,
     manoeuvre: Manoeuvre | None = None,
 ) -> Trajectory:
-    """Simulate `car` over the whole `surface` in one mode, at a `speed` [m/s] or profile.
-
-    Without a `mode` it is the first of the car: ride, or passive.
+    """Simulate `car` over the whole `surface` in one mode; arguments as of DriveSimulator.
 
     Without a `manoeuvre` no horizontal acceleration acts on the body, not even that of the speed
     profile, as in the paper. Raises ConfigError on bad input, SimulationError if the motion

@@ -33,7 +33,6 @@ from road_envs.vehicle.suspension import VehicleBuffers
 
 @cache
 def _thread_pool(threads: int) -> ThreadPoolExecutor:
-    """Return a persistent pool of `threads` threads."""
     # a new thread starts on its creator's core, and an interval ends before it is migrated
     return ThreadPoolExecutor(threads)
 

@@ -106,10 +106,7 @@ def lane_buffers(
     lags: Sequence[float],
     h: float,
 ) -> LaneBuffers:
-    """Return LANES vehicles at their states (14,) and strut states (4, 3), for steps of `h` [s].
-
-    `lags` [s] are the time constants of their valves.
-    """
+    """Return LANES vehicles at states (14,) and strut states (4, 3), with valves of `lags` [s]."""
     constants = np.concatenate([plant.constants for plant in plants])
     distinct = list({id(plant): plant for plant in plants}.values())
     of_lane = [next(i for i, p in enumerate(distinct) if p is plant) for plant in plants]
@@ -189,11 +186,9 @@ class SharedInputs(NamedTuple):
 def drive_variants(
     plants: Sequence[Plant], starts: Sequence[np.ndarray], inputs: SharedInputs
 ) -> list[np.ndarray]:
-    """Return the accelerations (N, 7) of the coordinates of each plant; (N, 8) if flexible, two
-    more with side motion.
+    """Return the accelerations (N, `n_dof`) of each plant from its first state in `starts`.
 
-    `starts` (14,) or (16,): the first state of each. All plants are flexible, or none, and so with
-    side motion. A motion that diverges is NaN.
+    All plants are flexible, or none, and so with side motion. A motion that diverges is NaN.
     """
     steps = inputs.commands.size
     road = np.ascontiguousarray(inputs.road.reshape(steps, 16))

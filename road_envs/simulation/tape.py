@@ -1,7 +1,4 @@
-"""Drives on tape: simulate once, then apply the derivative of the drive.
-
-`linearize_drive` returns a Tape, one row of `sensitivity` for every step.
-"""
+"""Drives on tape: simulate once, then apply the derivative, a row of `sensitivity` per step."""
 
 from dataclasses import dataclass
 
@@ -86,9 +83,7 @@ class Tape:
 
     @property
     def acceleration(self) -> np.ndarray:
-        """Accelerations (N, 7) of the degrees of freedom at the beginning of each step, then those
-        of a flexible frame's twist and of side motion.
-        """
+        """Accelerations (N, `n_dof`) of the coordinates at the beginning of each step."""
         found = self.signals[:, ACCELERATION : ACCELERATION + N_DOF]
         if self.plant.flexible:
             found = np.column_stack([found, self.signals[:, TWIST + 2]])

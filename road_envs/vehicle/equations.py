@@ -109,16 +109,12 @@ class Plant:
 
     @property
     def n_dof(self) -> int:
-        """Half the number of states: 7, 1 more of a flexible frame, 2 more with side motion, 2 more
-        with joints of the axles that give way.
-        """
+        """Half the number of states: 7, 8 with a flexible frame, and those of `n_side`."""
         return N_DOF + self.flexible + n_side(self.constants[0])
 
     @property
     def kernel_flags(self) -> tuple[bool | None, ...]:
-        """Last arguments of kernels, `flexible` and `side`, so that those of a
-        vehicle without either compile without them.
-        """
+        """Last arguments of kernels, `flexible` and `side`: without either they compile without."""
         flexible = True if self.flexible else None
         return (flexible, True) if self.sideways else (True,) if flexible else ()
 
@@ -130,10 +126,8 @@ class Plant:
 
 
 class Motion(NamedTuple):
-    """Coordinates `q` (7,) and rates `v` (7,) of a vehicle; (8,) with a flexible frame, and two
-    more with side motion, which are those of `side_motion`.
-
-    With LANES vehicles the lanes are the last axis.
+    """Coordinates `q` and rates `v` of a vehicle: (7,), (8,) with a flexible frame, then those of
+    `side_motion`. With LANES vehicles the lanes are the last axis.
     """
 
     q: np.ndarray
@@ -220,10 +214,7 @@ def twist_extension(p, psi, w):
 
 @kernel
 def _axle_roll_moment(p, F, i, roll):
-    """Return the roll moment [N m] of strut forces `F` (4,) and bushings on the body over axle `i`.
-
-    `roll` [rad] is the body's roll relative to the axle.
-    """
+    """Return the body's roll moment [N m] over axle `i`, at the relative `roll` [rad] to it."""
     # left minus right first: equal forces give a moment of exactly 0
     return get(p.y_s, 2 * i) * (get(F, 2 * i) - get(F, 2 * i + 1)) - get(p.k_roll, i) * roll
 
@@ -270,19 +261,14 @@ def add_tyres(p, T, out):
 
 @kernel
 def twist_moment(p, F, front, rear):
-    """Return the generalised force [N m] of struts and bushings on the twist of the frame.
-
-    Arguments as for `add_struts`.
-    """
+    """Return the generalised force [N m] on the frame's twist; arguments as of `add_struts`."""
     moment = get(p.twist_share, 0) * _axle_roll_moment(p, F, 0, front)
     return moment + get(p.twist_share, 1) * _axle_roll_moment(p, F, 1, rear)
 
 
 @kernel
 def roll_moments(p, F, T, front, rear):
-    """Return the generalised forces of strut forces `F` (4,), bushings and tyre loads `T` (4,) on
-    the roll of the body, the front and the rear axle, as `add_struts` and `add_tyres`.
-    """
+    """Return the roll moments of `add_struts` and `add_tyres` on body, front and rear axle."""
     f, r = _axle_roll_moment(p, F, 0, front), _axle_roll_moment(p, F, 1, rear)
     t_f = get(p.y_t, 0) * (get(T, 0) - get(T, 1))
     return f + r, t_f - f, get(p.y_t, 2) * (get(T, 2) - get(T, 3)) - r

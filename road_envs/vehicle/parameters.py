@@ -171,9 +171,7 @@ class VehicleParameters(Settings):
 
     @property
     def sliding(self) -> "VehicleParameters":
-        """The vehicle without side motion, as if its tyres could slide sideways; itself if it has
-        none.
-        """
+        """The vehicle without side motion, free to slide sideways; itself if it has none."""
         if self.side is None:
             return self
         rest = {k: t for k, t in self.tolerances.items() if k.partition(".")[0] != "side"}
@@ -199,9 +197,7 @@ class VehicleParameters(Settings):
 
     @property
     def pitch_inertia(self) -> float:
-        """Inertia [kg m²] that pitch accelerates: that of the body, and that of wheels and axles
-        which go fore and aft.
-        """
+        """Inertia [kg m²] that pitch accelerates: of the body, of axles that go fore and aft."""
         return self.I_yy + (self.front.m + self.rear.m) * self.pitch_lever**2
 
     @property
@@ -214,10 +210,7 @@ class VehicleParameters(Settings):
     def tyre_loads(self) -> tuple[float, float]:
         """Static load [N] of one front and of one rear tyre."""
         front, rear = self.strut_loads
-        return (
-            front + 0.5 * self.front.m * GRAVITY,
-            rear + 0.5 * self.rear.m * GRAVITY,
-        )
+        return front + 0.5 * self.front.m * GRAVITY, rear + 0.5 * self.rear.m * GRAVITY
 
     @property
     def tyre_deflections(self) -> tuple[float, float]:

@@ -127,10 +127,7 @@ class PassiveStrut(Settings):
     motion_ratio: Annotated[Positive, "", "travel of the strut per travel of the wheel"] = 1.0
 
     def spring_force(self, e: np.ndarray, load: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the spring's force [N] at the wheel and its derivative by `e` [m].
-
-        `load` [N] is the static load of the body on the wheel.
-        """
+        """Return the force [N] at the wheel, with the static one `load`, and its slope by `e`."""
         r = self.motion_ratio
         F, slope = self.spring.force(r * e, load / r)
         return r * F, r * r * slope

@@ -80,8 +80,7 @@ class VehicleBuffers(NamedTuple):
 def encode_command(
     mode: str | Mapping[str, str] | None, car: VehicleParameters | None = None
 ) -> int:
-    """Return a mode of the struts as one byte: bit w: stiff spring, bit 4 + w: high damping, at
-    wheel w.
+    """Return a mode of the struts as a byte: bits w and 4 + w for stiff spring and high damping.
 
     `mode` is the name of a mode for the whole vehicle, or a mapping from "front" and "rear", or
     from all of FL, FR, RL, RR, to such names. With a `car` it must be one of its own, and None is

@@ -53,10 +53,7 @@ class ParameterSpace:
         return len(self.names)
 
     def from_vector(self, x: np.ndarray) -> VehicleParameters:
-        """Return the vehicle of a vector `x` (P,).
-
-        Raises ArithmeticError if it is none, since a value is beyond its range.
-        """
+        """Return the vehicle of a vector `x` (P,). Raises ArithmeticError if there is none."""
         factors = np.exp(self.std * x).tolist()
         return varied_car(self.car, dict(zip(self.names, factors, strict=True)))
 
