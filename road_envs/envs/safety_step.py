@@ -15,7 +15,6 @@ from road_envs.kernels.simd import LANES
 from road_envs.kernels.simd_arrays import add, get
 from road_envs.simulation.rosenbrock import ACCELERATION, EXTENSION, LOAD
 from road_envs.vehicle.equations import PHI, THETA, Z_B
-from road_envs.vehicle.force_curves import zero_force_range
 from road_envs.vehicle.parameters import VehicleParameters
 
 SAFETY_COLUMNS = (
@@ -52,9 +51,8 @@ class _SafetyParameters(NamedTuple):
 
 def safety_parameters(car: VehicleParameters, step: float) -> _SafetyParameters:
     """Return the constants of the described `car` for steps of `step` [s]."""
-    stops = [zero_force_range(curve) for curve in car.bump_stops for _ in range(2)]
     high_pass = scipy.signal.butter(2, HIGH_PASS_CORNER, "highpass", fs=1.0 / step, output="sos")
-    return _SafetyParameters(high_pass, np.array(SEAT), np.array(stops))
+    return _SafetyParameters(high_pass, np.array(SEAT), car.free_travel)
 
 
 @kernel

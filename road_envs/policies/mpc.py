@@ -30,7 +30,6 @@ from road_envs.policies.fixed import Mode
 from road_envs.policies.rollout import VIOLATION_PRICE
 from road_envs.policies.wheelbase_preview import WheelbasePreview
 from road_envs.vehicle.equations import N_DOF, PHI, THETA, build_plant
-from road_envs.vehicle.force_curves import zero_force_range
 from road_envs.vehicle.linear_model import gaussian_damping, linearise, strut_forces
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import MODES
@@ -77,9 +76,7 @@ class ModelPredictive(Settings):
         self.stiff = np.repeat(self.stiff, 2, axis=1)  # (P, 4)
         self.held_rate = _spring_rates(car, "handling") - _spring_rates(car, "ride")
         self.valve_time = car.valve.delay + car.valve.lag
-        stops = [zero_force_range(curve) for curve in car.bump_stops for _ in range(2)]
-        self.stops = np.array(stops)
-        size = context.n_vehicles
+        self.stops, size = car.free_travel, context.n_vehicles
         self.current, self.held = np.zeros(size, dtype=int), np.zeros((size, 4))
         self.planar, self.weighted = np.zeros((size, 2)), np.zeros((size, 2, len(self.filter[0])))
 

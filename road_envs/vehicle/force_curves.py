@@ -51,12 +51,6 @@ class Curve(Settings):
         return self if factor == 1.0 else Curve(x=self.x, F=tuple(factor * F for F in self.F))
 
 
-def zero_force_range(curve: Curve) -> tuple[float, float]:
-    """Return the extensions [m] between which a bump stop exerts no force; 0 if it always does."""
-    free = [x for x, F in zip(curve.x, curve.F, strict=True) if F == 0.0]
-    return min(free, default=0.0), max(free, default=0.0)
-
-
 def _pchip_coefficients(x: Sequence[float], y: Sequence[float]) -> np.ndarray:
     """Return coefficients (4, N - 1) of the cubics between `x` (N,), in powers of x - x_i.
 

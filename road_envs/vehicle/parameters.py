@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 import yaml
 from pydantic import Field
 
@@ -161,6 +162,13 @@ class VehicleParameters(Settings):
             return self.strut.bump_stop.front, self.strut.bump_stop.rear
         front, rear = self.strut.front, self.strut.rear
         return front.at_wheel(front.bump_stop), rear.at_wheel(rear.bump_stop)
+
+    @property
+    def free_travel(self) -> np.ndarray:
+        """Extensions (4, 2) [m] of each strut between which its bump stop exerts no force, or 0."""
+        stops = [stop for stop in self.bump_stops for _ in range(2)]
+        free = [[x for x, F in zip(stop.x, stop.F, strict=True) if F == 0.0] for stop in stops]
+        return np.array([(min(x, default=0.0), max(x, default=0.0)) for x in free])
 
     @property
     def rigid(self) -> "VehicleParameters":
