@@ -272,14 +272,9 @@ class EnvSetup:
             truth=o.truth,
         )
 
-    def make_fleet(
-        self, n_vehicles: int = 1, threads: int = 1, **options: Any
-    ) -> InstrumentedFleet:
+    def make_fleet(self, n_vehicles: int = 1, **options: Any) -> InstrumentedFleet:
         """Return a fleet at rest, one vehicle for each environment, with these of its `options`."""
-        settings = self.fleet_settings()
-        return InstrumentedFleet(
-            self.plant, self.car, settings, n_vehicles, threads=threads, **options
-        )
+        return InstrumentedFleet(self.plant, self.car, self.fleet_settings(), n_vehicles, **options)
 
     def episode_options(self, options: dict[str, Any]) -> Any:
         """Return the options with those of one episode. Raises ConfigError on unknown ones."""

@@ -127,8 +127,8 @@ class Drives:
         if (copies, numbers) not in self._fleets:
             if len(self._fleets) >= KEPT_FLEETS:
                 self._fleets.pop(next(iter(self._fleets)))
-            number_of_vehicles = copies * len(numbers)
-            fleet = self.setup.make_fleet(number_of_vehicles, self.threads, distinct=len(numbers))
+            size, options = len(numbers), {"threads": self.threads}
+            fleet = self.setup.make_fleet(copies * size, distinct=size, **options)
             for i, number in enumerate(numbers):
                 start = self.starts[number]
                 fleet.start(copies * i, start.drive, start.logger, start.speed_kmh)
