@@ -234,21 +234,15 @@ def kernel(
             compiled._cache = _KernelCache(function, count_references)
             name = f"{function.__module__}.{function.__name__}.lock"
             lock = Path(compiled._cache.cache_path, name)
-            compiled.compile = _one_at_a_time(compiled.compile, lock)
+            compile_signature = compiled.compile
+
+            # locks are taken from callers to callees, inside that of this process: no deadlock
+            def compile_alone(sig: Any) -> Any:
+                with global_compiler_lock, exclusive_lock(lock, MAX_WAIT):
+                    return compile_signature(sig)
+
+            compiled.compile = compile_alone
         inside = _InKernels(compiled)
         compiled.get_call_template = inside.get_call_template
         compiled.get_overload = inside.get_overload
     return compiled
-
-
-def _one_at_a_time(compile_signature: Callable[[Any], Any], lock: Path) -> Callable[[Any], Any]:
-    """Return the method `compile` of a dispatcher, held by one process at a time.
-
-    Locks are taken from callers to callees, inside the lock of this process: no deadlock.
-    """
-
-    def compile_alone(sig: Any) -> Any:
-        with global_compiler_lock, exclusive_lock(lock, MAX_WAIT):
-            return compile_signature(sig)
-
-    return compile_alone
