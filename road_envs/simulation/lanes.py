@@ -13,7 +13,7 @@ import numpy as np
 
 from road_envs.kernels._numba import kernel
 from road_envs.kernels.simd import LANES, broadcast
-from road_envs.kernels.simd_arrays import get, put, stack_array, stack_rows
+from road_envs.kernels.simd_arrays import get, put, stack_rows
 from road_envs.simulation.rosenbrock import (
     ACCELERATION,
     N_SIDE_SIGNALS,
@@ -64,18 +64,8 @@ def transpose_constants(constants: np.ndarray) -> np.ndarray:
 @kernel(inline=False)
 def update_lane_valves(constants, strut_state, q, k, byte, alpha, h):
     """Advance the valves of lane `k`, vehicle `constants` (1,); return whether all are settled."""
-    # the valve law is written for the arrays of one vehicle: copy the lane out and back
-    own, own_q = stack_rows(4), stack_array(10)[: q.shape[0]]
-    for w in range(strut_state.shape[0]):
-        for j in range(strut_state.shape[1]):
-            own[w, j] = strut_state[w, j, k]
-    for j in range(own_q.size):
-        own_q[j] = q[j, k]
-    at_target = update_valves(constants[0], own, own_q, byte, alpha, h)
-    for w in range(strut_state.shape[0]):
-        for j in range(strut_state.shape[1]):
-            strut_state[w, j, k] = own[w, j]
-    return at_target
+    # the valve law is written for the arrays of one vehicle
+    return update_valves(constants[0], strut_state[:, :, k], q[:, k], byte, alpha, h)
 
 
 class LaneBuffers(NamedTuple):
