@@ -25,7 +25,7 @@ from road_envs.kernels._numba import kernel
 from road_envs.kernels.simd_arrays import add, get, put, stack_array
 from road_envs.roads.surface import height_and_slope
 from road_envs.simulation.block_elimination import factorize, solve_factored
-from road_envs.simulation.substeps import SUBSTEPS, interpolate, mark_steep
+from road_envs.simulation.substeps import SUBSTEPS, interpolate, is_steep
 from road_envs.vehicle.equations import (
     N_DOF,
     PHI,
@@ -348,7 +348,7 @@ def integrate(vehicle, y, surface, inputs, lag, out, flexible=None, side=None):
     motion they are those of `n_signals`. A step on a steep road is divided (`substeps`).
     """
     p, work = vehicle.constants[0], step_workspace(stack_array(WORKSPACE_ROWS))
-    road, steep = stack_array(16), stack_array(1)
+    road = stack_array(16)
     s, v, a_xy, commands, h = inputs
     motion, unused = Motion(y[: y.size // 2], y[y.size // 2 :]), stack_array(N_SIDE_SIGNALS)
     alpha = 1.0 - np.exp(-h / lag)
@@ -356,7 +356,7 @@ def integrate(vehicle, y, surface, inputs, lag, out, flexible=None, side=None):
         sample_road(p, surface, s[2 * n], v[2 * n], road[:8])
         sample_road(p, surface, s[2 * n + 1], v[2 * n + 1], road[8:])
         update_valves(p, vehicle.strut_state, motion.q, commands[n], alpha, h)
-        parts = SUBSTEPS if mark_steep(road, steep) else 1
+        parts = SUBSTEPS if is_steep(road) else 1
         for i in range(parts):
             for half in range(2 if parts > 1 else 0):
                 station = interpolate(s[2 * n : 2 * n + 3], i, half)

@@ -18,11 +18,17 @@ MAX_RATE_CHANGE = 0.7
 
 
 @kernel
-def mark_steep(road, steep):
-    """Return if the step of a vehicle, or of any lane, of the inputs `road` (16,) must be divided.
+def is_steep(road):
+    """Return whether the step of one vehicle, with the inputs `road` (16,), must be divided."""
+    steep = False
+    for w in range(4):
+        steep = steep or abs(road[12 + w] - road[4 + w]) > MAX_RATE_CHANGE
+    return steep
 
-    Of which goes to `steep` (1,), as 1 or 0.
-    """
+
+@kernel
+def mark_steep(road, steep):
+    """Write to `steep` (1, LANES) which lanes of `road` must be divided, 1 or 0; return if any."""
     put(steep, 0, 0.0)
     for w in range(4):
         change = get(road, 12 + w) - get(road, 4 + w)
