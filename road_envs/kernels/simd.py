@@ -16,7 +16,7 @@ from typing import Any
 
 from llvmlite import ir
 from numba import extending, types
-from numba.extending import lower_builtin, models, overload, register_model
+from numba.extending import lower_builtin, models, register_model
 
 from road_envs.kernels._numba import AbstractTemplate, infer_global, signature
 
@@ -182,18 +182,6 @@ def sum_lanes(context, x):
 
 
 @intrinsic
-def _insert_lane(context, x, k, value):
-    """Return a copy of the vector `x` with the number `value` in lane `k`."""
-
-    def generate(context, builder, signature, values):
-        k = context.cast(builder, values[1], signature.args[1], types.int32)
-        number = context.cast(builder, values[2], signature.args[2], types.float64)
-        return builder.insert_element(values[0], number, k)
-
-    return vector(x, k, value), generate
-
-
-@intrinsic
 def broadcast(context, value):
     """Return a vector with the number `value` in every lane."""
 
@@ -255,19 +243,20 @@ def power(x, n):
     return x**n
 
 
-@overload(power)
-def _overload_power(x, n):
-    if not any_vector(x, n):
-        return power
+typed(power)(elementwise)
 
-    # vector units have no instruction for a power
-    def lane_by_lane(x, n):
-        y = x
-        for k in range(LANES):
-            y = _insert_lane(y, k, extract_lane(x, k) ** extract_lane(n, k))
-        return y
 
-    return lane_by_lane
+@lower_builtin(power, types.Any, types.Any)
+def _power(context, builder, signature, values):
+    scalar_power = builder.module.declare_intrinsic("llvm.pow", [ir.DoubleType()])
+    x, n = _broadcast_all(context, builder, signature, values)
+    if x.type != LLVM_VECTOR:
+        return builder.call(scalar_power, (x, n))
+    y = x
+    for k in map(INT32, range(LANES)):  # vector units have no instruction for a power
+        one = builder.call(scalar_power, [builder.extract_element(each, k) for each in (x, n)])
+        y = builder.insert_element(y, one, k)
+    return y
 
 
 def integer_part(x):
