@@ -25,7 +25,7 @@ from road_envs.vehicle.equations import N_DOF, Motion, Plant
 from road_envs.vehicle.side_motion import n_side
 
 
-@kernel
+@kernel(count_references=False)
 def _integrate_with_derivative(
     vehicle, y, inputs, commands, lag, out, rows, flexible=None, side=None
 ):
@@ -45,7 +45,7 @@ def _integrate_with_derivative(
         step_with_derivative(vehicle, motion, step_inputs, work, out[n], rows[n], flexible, side)
 
 
-@kernel
+@kernel(count_references=False)
 def _propagate_tangent(constants, rows, y, road, h, v, a, flexible=None, side=None):
     """Apply `tangent_step` row by row; write changes of accelerations to `a` (N, 7)."""
     n_dof, p, work = y.size // 2, constants[0], step_workspace(stack_array(WORKSPACE_ROWS))
