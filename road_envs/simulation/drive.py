@@ -181,17 +181,12 @@ class DriveSimulator:
 
     @property
     def steps_left(self) -> int:
-        """Number of steps until the drive is finished."""
+        """Number of steps until the rear axle has left the surface and its apron."""
         return max(self._total - self.steps, 0)
 
     def limit_duration(self, duration: float) -> None:
         """End the drive after `duration` [s], if it is not at the end of its road before."""
         self._total = min(self._total, round(duration / self.step))
-
-    @property
-    def is_finished(self) -> bool:
-        """True once the rear axle has left the surface and its apron."""
-        return self.steps_left == 0
 
     def delayed_commands(self, commands: np.ndarray) -> np.ndarray:
         """Return the bytes (n,) that reach the valves in n steps; queue `commands` (n,)."""
