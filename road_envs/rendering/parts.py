@@ -54,11 +54,9 @@ def strut(
 
 
 def _stop(canvas: Canvas, start: np.ndarray, end: np.ndarray, half: np.ndarray, lit: bool) -> None:
+    _bar(canvas, start, end, (1.9 if lit else 1.0) * half, style.DARK)
     if lit:
-        _bar(canvas, start, end, 1.9 * half, style.DARK)
         _bar(canvas, start, end, 1.6 * half, style.STOP_REACHED)
-    else:
-        _bar(canvas, start, end, half, style.DARK)
 
 
 def _bar(canvas: Canvas, start: np.ndarray, end: np.ndarray, half: np.ndarray, fill: str) -> None:

@@ -1,7 +1,4 @@
-"""Struts of a vehicle as parameters: 4S4 struts with their valve, and passive ones.
-
-`suspension` has the force laws of both as kernels read them. Symbols as in the literature.
-"""
+"""Struts as parameters, 4S4 and passive ones; `suspension` has the laws that kernels read."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
