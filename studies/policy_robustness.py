@@ -30,7 +30,6 @@ from road_envs.policies.api import Policy, PolicyContext
 from road_envs.policies.rollout import POLICY_SEED, VIOLATION_PRICE, Drives, drive_all
 from road_envs.sensing.instruments import SensorLocation
 from road_envs.vehicle.equations import build_plant
-from road_envs.vehicle.force_curves import zero_force_range
 from road_envs.vehicle.parameters import GRAVITY, VehicleParameters, load_vehicle
 from road_envs.vehicle.suspension import (
     advance_valve,
@@ -141,8 +140,7 @@ class PlantDrive:
         )
         for _ in range(round(1.0 / STEP)):  # to rest
             self.plant.step(self.z[0], np.zeros(4), 0.0)
-        stops = [zero_force_range(curve) for curve in car.bump_stops for _ in range(2)]
-        self.stops, self.done = np.array(stops), 0
+        self.stops, self.done = car.free_travel, 0
         self.seats = np.zeros((self.n, 2))
         self.off, self.cost, self.failed = np.zeros(2), 0.0, False
 

@@ -78,7 +78,7 @@ def simulate_record(
     drive = DriveSimulator(one.plant, one.car, surface, speed_kmh / 3.6, mode, step)
     logger = DataLogger(instruments, one.car, step, np.random.default_rng(seed), one.faults)
     byte, parts = encode_command(mode, car), []
-    while not drive.is_finished:  # in chunks, which bounds the memory of a long drive
+    while drive.steps_left:  # in chunks, which bounds the memory of a long drive
         commands = np.full(min(CHUNK, drive.steps_left), byte, dtype=np.uint8)
         parts.append(logger.sample(drive.advance(commands)))
     a = np.concatenate([*parts, logger.flush()], axis=1)

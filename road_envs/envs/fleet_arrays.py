@@ -211,16 +211,9 @@ class StepOutput(NamedTuple):
         return self.events[:, END_OF_ROAD] > 0
 
     @property
-    def s(self) -> np.ndarray:
-        """Stations of the front axles at the samples [m] (N, k)."""
-        return self.truth[:, TRUE_S]
-
-    @property
-    def profile(self) -> np.ndarray:
-        """Heights under the front wheels at the samples [m] (N, 2, k)."""
-        return self.truth[:, TRUE_PROFILE:TRUE_LOADS]
-
-    @property
-    def loads(self) -> np.ndarray:
-        """Tyre loads at the samples [N] (N, 4, k)."""
-        return self.truth[:, TRUE_LOADS:]
+    def truths(self) -> dict[str, np.ndarray]:
+        """Stations (N, k) [m] of the front axles at the samples, heights (N, 2, k) [m] under their
+        wheels, and tyre loads (N, 4, k) [N].
+        """
+        s, profile = self.truth[:, TRUE_S], self.truth[:, TRUE_PROFILE:TRUE_LOADS]
+        return {"s": s, "profile": profile, "loads": self.truth[:, TRUE_LOADS:]}

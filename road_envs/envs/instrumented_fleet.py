@@ -144,10 +144,7 @@ class InstrumentedFleet:
         self._idle = [True]  # emptied by the thread that advances: taking from a list is atomic
 
     def start(self, i: int, drive: DriveSimulator, logger: DataLogger, speed_kmh: float) -> None:
-        """Start vehicle `i` on a `drive`, measured by `logger`.
-
-        `speed_kmh` is the speed reported in the output of drives at constant speed.
-        """
+        """Start vehicle `i` on a `drive` measured by `logger`, with `speed_kmh` in its output."""
         b, k = divmod(i, LANES)
         row = self._rows.setdefault(i, len(self._rows))
         self._set_road(i, row, drive)
@@ -181,10 +178,7 @@ class InstrumentedFleet:
             self.cars.share(i, other)
 
     def copy_vehicles(self, source: np.ndarray, target: np.ndarray | None = None) -> None:
-        """Overwrite the motion of vehicle `target[j]`, by default j, by that of `source[j]`.
-
-        Both are on equal drives.
-        """
+        """Give vehicle `target[j]`, by default j, the motion of `source[j]`, on an equal drive."""
         target = np.arange(source.size) if target is None else target
         (b, k), (b_new, k_new) = np.divmod(source, LANES), np.divmod(target, LANES)
         for field in self.state:
@@ -217,10 +211,12 @@ class InstrumentedFleet:
 
     def _advance(self, commands: np.ndarray | int, mask: np.ndarray | None) -> fa.StepOutput:
         self._commands[: self.n_vehicles] = commands
-        moving = self._moving if mask is None else np.unique(np.flatnonzero(mask) // LANES)
-        # blocks advance as a whole: lanes outside the mask are restored afterwards
-        saved = None if mask is None else [field[moving] for field in self.state]
-        size = self.n_vehicles
+        moving, size = self._moving, self.n_vehicles
+        if mask is not None:  # blocks advance as a whole: lanes outside it are restored afterwards
+            moving = np.unique(np.flatnonzero(mask) // LANES)
+            lanes = LANES * moving[:, None] + np.arange(LANES)
+            b, k = np.divmod(np.setdiff1d(lanes, np.flatnonzero(mask)), LANES)
+            saved = [field[b, ..., k] for field in self.state]
         output = fa.StepOutput(
             np.empty((size, self.observation_size), dtype=np.float32),
             np.empty((size, len(self.columns))),
@@ -242,8 +238,9 @@ class InstrumentedFleet:
         n = len(self._workspaces)
         jobs = [moving] if n == 1 else np.array_split(moving, n)
         run_in_threads(run, list(zip(jobs, self._workspaces, strict=True)))
-        if mask is not None and saved is not None:
-            self._restore_unmasked(moving, mask, saved)
+        if mask is not None:
+            for field, before in zip(self.state, saved, strict=True):
+                field[b, ..., k] = before
         if self.settings.unresolved_variance is not None:  # the fourth cost
             values, weight = output.values, self.settings.unresolved_variance_weight
             values[:, fa.OUT_UNRESOLVED] = self.unresolved[np.arange(self.n_vehicles), commands]
@@ -311,17 +308,6 @@ class InstrumentedFleet:
         instants = 0.5 * self.step * (2 * done[:, None] + np.arange(2 * self.steps + 1)[:, None])
         a_xy = manoeuvre.at(instants)
         return np.moveaxis(a_xy, -1, 2).reshape(len(done), 4 * self.steps + 2, LANES)
-
-    def _restore_unmasked(
-        self, moving: np.ndarray, mask: np.ndarray, saved: list[np.ndarray]
-    ) -> None:
-        """Restore the state of the vehicles outside the `mask` after an interval."""
-        unmasked = np.ones(len(self._moving) * LANES, dtype=bool)
-        unmasked[: self.n_vehicles] = ~mask
-        for field, before in zip(self.state, saved, strict=True):
-            for j, b in enumerate(moving):
-                lanes = unmasked[b * LANES : (b + 1) * LANES]
-                field[b][..., lanes] = before[j][..., lanes]
 
     def _initial_state(self, blocks: int, delay: int, sensors: int) -> fa.FleetState:
         """Return the state of vehicles at rest on level ground, in all lanes of every block."""

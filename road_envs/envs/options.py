@@ -57,8 +57,7 @@ MAX_STEPS = 1_000_000
 MAX_OBSERVED_SPEED = 100.0  # upper limit of the observed speed [m/s]
 
 MAX_DRAWS = 20
-"""Most roads that an episode draws until one has no step too high for a wheel, as some of class H
-have."""
+"""Most roads that an episode draws until one has no step too high for a wheel."""
 
 _bound_tables: dict[tuple[str, str, tuple[float, ...], tuple[str, ...]], BoundTable] = {}
 """Tables that were computed, by all that they depend on."""
@@ -121,10 +120,7 @@ class EnvOptions(Settings):
 
 
 class EpisodeStart(NamedTuple):
-    """Start of one episode: speed [km/h], command byte, drive, and instruments.
-
-    `description` is the `SafeDrive` of an episode of the benchmark.
-    """
+    """Start of one episode; `description` is its `SafeDrive`, if it is one of the benchmark."""
 
     speed_kmh: float
     command_byte: int
@@ -276,14 +272,9 @@ class EnvSetup:
             truth=o.truth,
         )
 
-    def make_fleet(
-        self, n_vehicles: int = 1, threads: int = 1, **options: Any
-    ) -> InstrumentedFleet:
+    def make_fleet(self, n_vehicles: int = 1, **options: Any) -> InstrumentedFleet:
         """Return a fleet at rest, one vehicle for each environment, with these of its `options`."""
-        settings = self.fleet_settings()
-        return InstrumentedFleet(
-            self.plant, self.car, settings, n_vehicles, threads=threads, **options
-        )
+        return InstrumentedFleet(self.plant, self.car, self.fleet_settings(), n_vehicles, **options)
 
     def episode_options(self, options: dict[str, Any]) -> Any:
         """Return the options with those of one episode. Raises ConfigError on unknown ones."""

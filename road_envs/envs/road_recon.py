@@ -231,6 +231,5 @@ class RoadReconEnv(gymnasium.Env):
         info["reason"] = self.setup.failure_code(output, 0)
         self._failed = (output, start.drive.surface.name) if info["reason"] else None
         if self.setup.options.truth:
-            info["s"], info["profile"] = output.s[0], output.profile[0]
-            info["loads"] = output.loads[0]
+            info |= {name: rows[0] for name, rows in output.truths.items()}
         return reward, info

@@ -146,7 +146,7 @@ class SafeDrive(Settings):
         sign = self.severity * (1.0 if self.side == "left" else -1.0)
         if self.severe == "lane_change":  # of the standard's offset: the speed makes it severe
             return LaneChange(v=self.v, begin=self.begin, offset=np.copysign(OFFSET, sign))
-        shape = SEVERE[self.severe]
+        shape, _ = SEVERE[self.severe]
         return replace(shape, a_y=sign * shape.a_y, begin=self.begin)
 
     @property
@@ -154,16 +154,15 @@ class SafeDrive(Settings):
         """Time at which the gentle manoeuvre begins: REST after the severe one."""
         if self.severe == "lane_change":
             return self.begin + sum(self._severe.sections) / self.v + REST
-        return self.begin + SEVERE_DURATION[self.severe] + REST
+        return self.begin + SEVERE[self.severe][1] + REST
 
 
 OFFSET = 3.5  # offset of the double lane change [m], ISO 3888-1:2018, table 1
 
-SEVERE: dict[str, Any] = {
-    "j_turn": SteadyTurn(a_y=4.6, build_up=0.4, hold=2.5),
-    "fishhook": Fishhook(a_y=4.2, build_up=0.4, dwell=0.25, hold=2.0),
+SEVERE: dict[str, tuple[Any, float]] = {
+    "j_turn": (SteadyTurn(a_y=4.6, build_up=0.4, hold=2.5), 3.3),
+    "fishhook": (Fishhook(a_y=4.2, build_up=0.4, dwell=0.25, hold=2.0), 3.7),
 }
-SEVERE_DURATION = {"j_turn": 3.3, "fishhook": 3.7}
 """Shapes of the severe manoeuvres, and how long they last [s]."""
 
 GENTLE: dict[str, Any] = {

@@ -15,7 +15,6 @@ from road_envs.kernels.simd import LANES
 from road_envs.kernels.simd_arrays import add, get
 from road_envs.simulation.rosenbrock import ACCELERATION, EXTENSION, LOAD
 from road_envs.vehicle.equations import PHI, THETA, Z_B
-from road_envs.vehicle.force_curves import zero_force_range
 from road_envs.vehicle.parameters import VehicleParameters
 
 SAFETY_COLUMNS = (
@@ -52,14 +51,16 @@ class _SafetyParameters(NamedTuple):
 
 def safety_parameters(car: VehicleParameters, step: float) -> _SafetyParameters:
     """Return the constants of the described `car` for steps of `step` [s]."""
-    stops = [zero_force_range(curve) for curve in car.bump_stops for _ in range(2)]
     high_pass = scipy.signal.butter(2, HIGH_PASS_CORNER, "highpass", fs=1.0 / step, output="sos")
-    return _SafetyParameters(high_pass, np.array(SEAT), np.array(stops))
+    return _SafetyParameters(high_pass, np.array(SEAT), car.free_travel)
 
 
 @kernel
-def _add_squares(common, p, wk_state, high_pass_state, row, sums):
-    """Add the squared seat acceleration and the squared dynamic tyre loads of a step."""
+def add_safety(common, p, wk_state, high_pass_state, off, row, sums):
+    """Add one step with the signals `row` to the `sums` (N_SAFETY,) of a block.
+
+    `common` are the FleetParameters; the states are those of `FleetState`.
+    """
     # the mean over both front seats, (a + b)² and (a - b)², is a² + b²: no side is preferred
     centre = get(row, ACCELERATION + Z_B) - p.seat[0] * get(row, ACCELERATION + THETA)
     side = p.seat[1] * get(row, ACCELERATION + PHI)
@@ -70,6 +71,7 @@ def _add_squares(common, p, wk_state, high_pass_state, row, sums):
         load = get(row, LOAD + w) * common.per_static_load[w] - 1.0
         load = filter_sample(p.high_pass_sos, high_pass_state, w, load)
         add(sums, TYRE_LOAD, 0.25 * common.h * load * load)
+    _add_violations(common.h, p.stops, off, row, sums)
 
 
 @kernel(inline=False)
@@ -96,16 +98,6 @@ def _add_violations(h, stops, off, row, sums):
             ratio = abs(left - right) / (left + right)
             sums[LOAD_TRANSFER, k] = max(sums[LOAD_TRANSFER, k], ratio)
         sums[ROLL, k] = max(sums[ROLL, k], abs(row[PHI, k]))
-
-
-@kernel
-def add_safety(common, p, wk_state, high_pass_state, off, row, sums):
-    """Add one step with the signals `row` to the `sums` (N_SAFETY,) of a block.
-
-    `common` are the FleetParameters; the states are those of `FleetState`.
-    """
-    _add_squares(common, p, wk_state, high_pass_state, row, sums)
-    _add_violations(common.h, p.stops, off, row, sums)
 
 
 @kernel(inline=False)

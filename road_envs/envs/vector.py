@@ -90,7 +90,7 @@ class RoadReconVectorEnv(VectorEnv):
         self.single_action_space = self.setup.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self.fleet = self.setup.make_fleet(num_envs, threads)
+        self.fleet = self.setup.make_fleet(num_envs, threads=threads)
         self._generators: list[np.random.Generator] = []
         self._seeds: list[int] = []
         self._roads, self.failures = [""] * num_envs, [""] * num_envs
@@ -175,17 +175,13 @@ class RoadReconVectorEnv(VectorEnv):
             setattr(self, name, value)
 
     def _keep(self, observations: np.ndarray) -> None:
-        """Keep a copy of the observations for a reset of other environments."""
         if self.autoreset_mode == AutoresetMode.DISABLED:
             self._observations = observations.copy()
 
     def _autoreset(
         self, ended: np.ndarray, output: StepOutput, infos: dict[str, Any]
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start new episodes where one has `ended`, and return their observations and infos.
-
-        The last observations and infos of the ended episodes go to `final_obs`, `final_info`.
-        """
+        """Start new episodes where one has `ended`; return their observations, and all infos."""
         final_obs = np.full(self.num_envs, None, dtype=object)
         for i in np.flatnonzero(ended):
             final_obs[i] = output.observation[i].copy()
@@ -224,8 +220,7 @@ class RoadReconVectorEnv(VectorEnv):
             infos["reason"][i] = self.setup.failure_code(output, int(i))
             self.failures[i] = self.setup.failure_text(output, int(i), self._roads[i])
         if self.setup.options.truth:
-            rows = {"s": output.s, "profile": output.profile, "loads": output.loads}
-            for name, array in rows.items():
+            for name, array in output.truths.items():
                 inside = mask.reshape(-1, *[1] * (array.ndim - 1))
                 infos[name] = array if mask.all() else np.where(inside, array, 0.0)
         return infos | dict.fromkeys([f"_{name}" for name in infos], mask.copy())

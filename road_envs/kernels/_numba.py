@@ -22,7 +22,7 @@ import logging
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, TypeVar, overload
 
@@ -219,11 +219,7 @@ def kernel(
     it, since the counters are atomic. Numba refuses to compile it if it does create one.
     """
     if function is None:
-        return lambda f: _compiled(f, inline, count_references)
-    return _compiled(function, inline, count_references)
-
-
-def _compiled(function: F, inline: bool, count_references: bool) -> F:
+        return partial(kernel, inline=inline, count_references=count_references)
     counting: Any = {"_nrt": count_references}  # an option of Numba that its types leave out
     compiled: Any = numba.njit(
         error_model="numpy",
@@ -234,27 +230,19 @@ def _compiled(function: F, inline: bool, count_references: bool) -> F:
     )(function)
     if hasattr(compiled, "_cache"):  # NUMBA_DISABLE_JIT leaves a plain function
         with suppress(RuntimeError):  # nowhere to write: compiled anew in every process
-            compiled._cache = _KernelCache(
-                function, count_references
-            )  # as `cache=True`, with the key above
-            lock = Path(
-                compiled._cache.cache_path, f"{function.__module__}.{function.__name__}.lock"
-            )
-            compiled.compile = _one_at_a_time(compiled.compile, lock)
+            # as `cache=True`, with the key above
+            compiled._cache = _KernelCache(function, count_references)
+            name = f"{function.__module__}.{function.__name__}.lock"
+            lock = Path(compiled._cache.cache_path, name)
+            compile_signature = compiled.compile
+
+            # locks are taken from callers to callees, inside that of this process: no deadlock
+            def compile_alone(sig: Any) -> Any:
+                with global_compiler_lock, exclusive_lock(lock, MAX_WAIT):
+                    return compile_signature(sig)
+
+            compiled.compile = compile_alone
         inside = _InKernels(compiled)
         compiled.get_call_template = inside.get_call_template
         compiled.get_overload = inside.get_overload
     return compiled
-
-
-def _one_at_a_time(compile_signature: Callable[[Any], Any], lock: Path) -> Callable[[Any], Any]:
-    """Return the method `compile` of a dispatcher, held by one process at a time.
-
-    Locks are taken from callers to callees, inside the lock of this process: no deadlock.
-    """
-
-    def compile_alone(sig: Any) -> Any:
-        with global_compiler_lock, exclusive_lock(lock, MAX_WAIT):
-            return compile_signature(sig)
-
-    return compile_alone

@@ -11,11 +11,10 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import extending, types
+from numba import types
 
 from road_envs.kernels._numba import kernel, ziggurat
-
-intrinsic: Any = extending.intrinsic  # its annotations count the typing context as an argument
+from road_envs.kernels.simd import intrinsic
 
 MULTIPLIER = 0x2360ED051FC65DA44385DF649FCCF645
 """Of the congruential generator (`PCG_DEFAULT_MULTIPLIER_128`)."""

@@ -16,7 +16,7 @@ from typing import Any
 
 from llvmlite import ir
 from numba import extending, types
-from numba.extending import lower_builtin, models, overload, register_model
+from numba.extending import lower_builtin, models, register_model
 
 from road_envs.kernels._numba import AbstractTemplate, infer_global, signature
 
@@ -98,11 +98,6 @@ def _constant(kind, number: float):
     return ir.Constant(kind, number)
 
 
-def _where_greater(builder, a, b, x, y):
-    """Select lane by lane `x` where a > b, else `y`."""
-    return builder.select(builder.fcmp_ordered(">", a, b), x, y)
-
-
 def _overload_arithmetic(operators: tuple[Any, ...], instruction: str) -> None:
     def lower(context, builder, signature, values):
         a, b = _broadcast_all(context, builder, signature, values)
@@ -138,26 +133,19 @@ def if_positive(c, a, b):
     return a if c > 0.0 else b
 
 
-for _choice in (maximum, minimum, if_positive):
-    typed(_choice)(elementwise)
+def _register_choice(function: Any, choose: Callable[..., Any]) -> None:
+    """Lower a `function` to the numbers or vectors (a, b, x, y) of `choose`: x if a > b, else y."""
+    typed(function)(elementwise)
+
+    @lower_builtin(function, types.VarArg(types.Any))
+    def lower(context, builder, signature, values):
+        a, b, x, y = choose(*_broadcast_all(context, builder, signature, values))
+        return builder.select(builder.fcmp_ordered(">", a, b), x, y)
 
 
-@lower_builtin(maximum, types.VarArg(types.Any))
-def _maximum(context, builder, signature, values):
-    a, b = _broadcast_all(context, builder, signature, values)
-    return _where_greater(builder, a, b, a, b)
-
-
-@lower_builtin(minimum, types.VarArg(types.Any))
-def _minimum(context, builder, signature, values):
-    a, b = _broadcast_all(context, builder, signature, values)
-    return _where_greater(builder, a, b, b, a)
-
-
-@lower_builtin(if_positive, types.VarArg(types.Any))
-def _if_positive(context, builder, signature, values):
-    c, a, b = _broadcast_all(context, builder, signature, values)
-    return _where_greater(builder, c, _constant(c.type, 0.0), a, b)
+_register_choice(maximum, lambda a, b: (a, b, a, b))
+_register_choice(minimum, lambda a, b: (a, b, b, a))
+_register_choice(if_positive, lambda c, a, b: (c, _constant(c.type, 0.0), a, b))
 
 
 def shuffled(builder, a, b, mask):
@@ -194,18 +182,6 @@ def sum_lanes(context, x):
 
 
 @intrinsic
-def _insert_lane(context, x, k, value):
-    """Return a copy of the vector `x` with the number `value` in lane `k`."""
-
-    def generate(context, builder, signature, values):
-        k = context.cast(builder, values[1], signature.args[1], types.int32)
-        number = context.cast(builder, values[2], signature.args[2], types.float64)
-        return builder.insert_element(values[0], number, k)
-
-    return vector(x, k, value), generate
-
-
-@intrinsic
 def broadcast(context, value):
     """Return a vector with the number `value` in every lane."""
 
@@ -225,66 +201,62 @@ def is_zero_or_one(x):
     return x == 0.0 or x == 1.0
 
 
-def _every_lane_is(builder, x, *numbers):
-    """Return whether every lane of `x` equals one of two `numbers`."""
-    a, b = (builder.fcmp_ordered("==", x, _constant(x.type, number)) for number in numbers)
-    either = builder.or_(a, b)
-    if x.type != LLVM_VECTOR:
-        return either
-    # one bit per lane, read as an integer: all ones if every lane is equal
-    bits = builder.bitcast(either, ir.IntType(LANES))
-    return builder.icmp_unsigned("==", bits, ir.Constant(bits.type, -1))
-
-
-for _test in (equals_one, is_zero_or_one):
-    typed(_test)(lambda x: signature(types.boolean, x))
-
-
-@lower_builtin(equals_one, types.Any)
-def _equals_one(context, builder, signature, values):
-    return _every_lane_is(builder, values[0], 1.0, 1.0)
-
-
-@lower_builtin(is_zero_or_one, types.Any)
-def _is_zero_or_one(context, builder, signature, values):
-    return _every_lane_is(builder, values[0], 0.0, 1.0)
-
-
 def any_positive(x):
     """Return whether `x`, or any lane of it, is greater than 0."""
     return x > 0.0
 
 
-typed(any_positive)(lambda x: signature(types.boolean, x))
+for _test in (equals_one, is_zero_or_one, any_positive):
+    typed(_test)(lambda x: signature(types.boolean, x))
+
+
+def _compare_lanes(builder, flags, comparison, expected):
+    """Compare the `flags` of all lanes, one bit each, as an integer; one flag is the answer."""
+    if flags.type == ir.IntType(1):
+        return flags
+    bits = builder.bitcast(flags, ir.IntType(LANES))
+    return builder.icmp_unsigned(comparison, bits, ir.Constant(bits.type, expected))
+
+
+@lower_builtin(equals_one, types.Any)
+def _equals_one(context, builder, signature, values):
+    (x,) = values
+    one = builder.fcmp_ordered("==", x, _constant(x.type, 1.0))
+    return _compare_lanes(builder, one, "==", -1)
+
+
+@lower_builtin(is_zero_or_one, types.Any)
+def _is_zero_or_one(context, builder, signature, values):
+    (x,) = values
+    zero, one = (builder.fcmp_ordered("==", x, _constant(x.type, number)) for number in (0.0, 1.0))
+    return _compare_lanes(builder, builder.or_(zero, one), "==", -1)
 
 
 @lower_builtin(any_positive, types.Any)
 def _any_positive(context, builder, signature, values):
     (x,) = values
     above = builder.fcmp_ordered(">", x, _constant(x.type, 0.0))
-    if x.type != LLVM_VECTOR:
-        return above
-    bits = builder.bitcast(above, ir.IntType(LANES))
-    return builder.icmp_unsigned("!=", bits, ir.Constant(bits.type, 0))
+    return _compare_lanes(builder, above, "!=", 0)
 
 
 def power(x, n):
     return x**n
 
 
-@overload(power)
-def _overload_power(x, n):
-    if not any_vector(x, n):
-        return power
+typed(power)(elementwise)
 
-    # vector units have no instruction for a power
-    def lane_by_lane(x, n):
-        y = x
-        for k in range(LANES):
-            y = _insert_lane(y, k, extract_lane(x, k) ** extract_lane(n, k))
-        return y
 
-    return lane_by_lane
+@lower_builtin(power, types.Any, types.Any)
+def _power(context, builder, signature, values):
+    scalar_power = builder.module.declare_intrinsic("llvm.pow", [ir.DoubleType()])
+    x, n = _broadcast_all(context, builder, signature, values)
+    if x.type != LLVM_VECTOR:
+        return builder.call(scalar_power, (x, n))
+    y = x
+    for k in map(INT32, range(LANES)):  # vector units have no instruction for a power
+        one = builder.call(scalar_power, [builder.extract_element(each, k) for each in (x, n)])
+        y = builder.insert_element(y, one, k)
+    return y
 
 
 def integer_part(x):

@@ -156,8 +156,8 @@ class CommonRoadCar:
         per_sample = math.ceil(sample / _MAX_STEP - 1e-9)
         h, n = sample / per_sample, round(duration / sample) * per_sample
         stations = begin + speed * 0.5 * h * np.arange(2 * n + 1)
-        behind = np.array([self.car.wheelbase * (w // 2) for w in range(4)])
-        z = np.stack([surface.height(stations - b)[w % 2] for w, b in enumerate(behind)], axis=1)
+        axles = stations, stations - self.car.wheelbase
+        z = np.concatenate([surface.height(s) for s in axles]).T
         heights = (z - z[0].mean()).tolist()
         y = np.array(self.init([0.0, 0.0, 0.0, speed, 0.0, 0.0, 0.0], self.p))
         # the package begins with struts off their static lengths

@@ -120,10 +120,9 @@ class MujocoCar:
         every = round(sample / STEP)
         n = round(duration / sample)
         stations = begin + speed * STEP * np.arange(n * every)
-        behind = np.array([self.car.wheelbase * (w // 2) for w in range(4)])
+        axles = stations, stations - self.car.wheelbase
         z, slope = (
-            np.stack([of(stations - b)[w % 2] for w, b in enumerate(behind)], axis=1)
-            for of in (surface.height, surface.slope)
+            np.concatenate([of(s) for s in axles]).T for of in (surface.height, surface.slope)
         )
         rest = np.zeros(4)
         for _ in range(round(SETTLING / STEP)):

@@ -53,7 +53,6 @@ class FeatureVecEnv(VecEnvWrapper):
         self.features = FeatureExtractor(PolicyContext.from_setup(setup, self.num_envs, seed))
 
     def reset(self) -> np.ndarray:
-        """Start episodes in all environments, and return the features (N, K)."""
         self.features.reset(np.ones(self.num_envs, dtype=bool))
         observations: Any = self.venv.reset()
         return self.features.update(observations[:: self.rows])
@@ -62,10 +61,7 @@ class FeatureVecEnv(VecEnvWrapper):
         self._actions = np.asarray(actions)
 
     def step_wait(self):
-        """Return features, rewards, dones (N, ...) and infos.
-
-        Rewards after the end of an episode are discarded.
-        """
+        """Return features, rewards up to the ends of episodes, dones (N, ...) and infos."""
         features, n = self.features, self.num_envs
         total, ended = np.zeros(n, dtype=np.float32), np.zeros(n, dtype=bool)
         infos: list[dict[str, Any]] = [{} for _ in range(n)]

@@ -10,7 +10,6 @@ import numpy as np
 
 from road_envs.policies.api import PolicyContext
 from road_envs.policies.body_motion import BodyMotionEstimator, RunningRms
-from road_envs.vehicle.force_curves import zero_force_range
 
 FEATURES = {
     "heave_acceleration": 0.5,
@@ -44,7 +43,7 @@ FEATURES = {
 """Features and their scales, one over a unit: m/s², rad/s², m/s, rad/s, m; strokes are a share."""
 
 NAMES = tuple(FEATURES)
-N_FEATURES = len(NAMES)
+N_FEATURES, SCALES = len(NAMES), np.array(list(FEATURES.values()))
 
 FAST, SLOW = 0.05, 0.5  # time constants [s] of the low-passed lateral forces
 
@@ -65,8 +64,7 @@ class FeatureExtractor:
         self.vertical, self.lateral = RunningRms(context, 0.5), RunningRms(context, 0.5)
         self.low_passed = np.zeros((2, context.n_vehicles))
         self.decay = np.exp(-context.interval / np.array([[FAST], [SLOW]]))
-        curves = [curve for curve in context.car.bump_stops for _ in range(2)]
-        self.stops = np.array([zero_force_range(curve) for curve in curves])  # (4, 2)
+        self.stops = context.car.free_travel
 
     def reset(self, mask: np.ndarray) -> None:
         for part in (self.body, self.vertical, self.lateral):
@@ -96,6 +94,3 @@ class FeatureExtractor:
         rows = [even, mirrored, side * self.low_passed, stroke, running, *states]
         features = np.concatenate([np.asarray(row) for row in rows]).T * SCALES
         return np.clip(features, -MAX_FEATURE, MAX_FEATURE).astype(np.float32)
-
-
-SCALES = np.array(list(FEATURES.values()))

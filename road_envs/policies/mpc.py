@@ -30,7 +30,6 @@ from road_envs.policies.fixed import Mode
 from road_envs.policies.rollout import VIOLATION_PRICE
 from road_envs.policies.wheelbase_preview import WheelbasePreview
 from road_envs.vehicle.equations import N_DOF, PHI, THETA, build_plant
-from road_envs.vehicle.force_curves import zero_force_range
 from road_envs.vehicle.linear_model import gaussian_damping, linearise, strut_forces
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import MODES
@@ -77,9 +76,7 @@ class ModelPredictive(Settings):
         self.stiff = np.repeat(self.stiff, 2, axis=1)  # (P, 4)
         self.held_rate = _spring_rates(car, "handling") - _spring_rates(car, "ride")
         self.valve_time = car.valve.delay + car.valve.lag
-        stops = [zero_force_range(curve) for curve in car.bump_stops for _ in range(2)]
-        self.stops = np.array(stops)
-        size = context.n_vehicles
+        self.stops, size = car.free_travel, context.n_vehicles
         self.current, self.held = np.zeros(size, dtype=int), np.zeros((size, 4))
         self.planar, self.weighted = np.zeros((size, 2)), np.zeros((size, 2, len(self.filter[0])))
 
@@ -182,19 +179,17 @@ def _pair_model(
     forces[:, :4] = model.strut_rows.T
     forces[THETA, 4], forces[PHI, 5] = -plant["pitch_moment"], plant["roll_moment"]
     B = np.concatenate([model.B, np.r_[np.zeros((n, 6)), forces / model.M[:, None]]], axis=1)
-    block = np.zeros((2 * n + 14, 2 * n + 14))
-    block[: 2 * n] = np.concatenate([model.A, B], axis=1)
-    discrete = scipy.linalg.expm(dt * block)[: 2 * n]
+    A_d, B_d, *_ = scipy.signal.cont2discrete((model.A, B, model.C, model.sensor_rows @ B[n:]), dt)
     to_seats = 0.5 * np.array([[1.0, 1.0], [1.0, -1.0]])  # their mean and half their difference
     C, D = to_seats @ model.C, to_seats @ model.sensor_rows @ B[n:]
     F, G, H, J = wk
     k, zero = len(F), np.zeros((len(F), len(F)))
     A = np.block([
-        [discrete[:, : 2 * n], np.zeros((2 * n, 2 * k))],
+        [A_d, np.zeros((2 * n, 2 * k))],
         [np.outer(G, C[0]), F, zero],
         [np.outer(G, C[1]), zero, F],
     ])  # fmt: skip
-    rows = np.concatenate([discrete[:, 2 * n :], np.outer(G, D[0]), np.outer(G, D[1])])
+    rows = np.concatenate([B_d, np.outer(G, D[0]), np.outer(G, D[1])])
     outputs = np.zeros((6, 2 * n + 2 * k))
     outputs[:2, : 2 * n], outputs[2:, :n] = J * C, model.strut_rows
     outputs[0, 2 * n : 2 * n + k] = outputs[1, 2 * n + k :] = H

@@ -144,10 +144,7 @@ def _validate_layers(
 
 @dataclass(kw_only=True)
 class NetworkPolicy(Settings):
-    """Policy that takes the action with the largest output of a network.
-
-    `file` is a path, or a name in the shipped folder of policies.
-    """
+    """Policy of the largest output of a network; `file`: a path, or a shipped policy's name."""
 
     file: str
     network: PolicyNetwork = field(init=False, repr=False, compare=False)

@@ -105,9 +105,7 @@ def iterate(
 def _examples(
     config: IterationConfig, drives: Drives, policy: Any, first: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return features (M, K) at instants of the drives under a `policy`, from interval `first` on,
-    and the costs (M, 16) [m²/s³] of all pairs of states.
-    """
+    """Return features (M, K) at instants of drives and costs (M, 16) [m²/s³] of all pairs there."""
     driven = drive_all(policy, drives, store_observations=True)
     costs = _pair_costs(config, drives, driven.actions, first)
     instants = first + config.every * np.arange(len(costs))

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from gymnasium.utils import seeding
 
-from road_envs.envs.fleet_arrays import StepOutput
 from road_envs.envs.instrumented_fleet import InstrumentedFleet
 from road_envs.envs.options import EnvSetup
 from road_envs.envs.safe4s4 import Safe4S4Setup
@@ -128,8 +127,8 @@ class Drives:
         if (copies, numbers) not in self._fleets:
             if len(self._fleets) >= KEPT_FLEETS:
                 self._fleets.pop(next(iter(self._fleets)))
-            number_of_vehicles = copies * len(numbers)
-            fleet = self.setup.make_fleet(number_of_vehicles, self.threads, distinct=len(numbers))
+            size, options = len(numbers), {"threads": self.threads}
+            fleet = self.setup.make_fleet(copies * size, distinct=size, **options)
             for i, number in enumerate(numbers):
                 start = self.starts[number]
                 fleet.start(copies * i, start.drive, start.logger, start.speed_kmh)
@@ -154,27 +153,6 @@ def training_drives(number: int = TRAINING_DRIVES) -> Drives:
     return Drives.mirrored(setup, range(TUNING_SEED, TUNING_SEED + number))
 
 
-class _Totals:
-    """Running totals of the drives of a fleet, each up to its own end."""
-
-    def __init__(self, fleet: InstrumentedFleet):
-        size, self.columns = fleet.n_vehicles, fleet.columns
-        self.values = np.zeros((len(self.columns), size))
-        self.running, self.intervals = np.ones(size, dtype=bool), np.zeros(size, dtype=int)
-        self.extremes = [self.columns.index(name) for name in EXTREMES if name in self.columns]
-
-    def add(self, output: StepOutput) -> np.ndarray:
-        """Add one interval; return which drives (N,) have failed in it."""
-        now = np.where(self.running, output.values.T, 0.0)
-        largest = np.maximum(self.values[self.extremes], now[self.extremes])
-        self.values += now
-        self.values[self.extremes] = largest
-        self.intervals += self.running
-        failed = self.running & output.failed
-        self.running &= ~(output.failed | output.end_of_road)
-        return failed
-
-
 def roll_out(
     policy: Policy,
     options: dict[str, Any],
@@ -182,10 +160,7 @@ def roll_out(
     *,
     store_observations: bool = True,
 ) -> Rollout:
-    """Run a policy on the roads of `seeds`, in `RoadRecon-v0` with `options`, to their ends.
-
-    Arguments and errors as of `drive_all`; raises ConfigError.
-    """
+    """Run `drive_all` on the roads of `seeds`, in `RoadRecon-v0` with `options`."""
     drives = Drives(EnvSetup({**options, "truth": False}), seeds)
     return drive_all(policy, drives, store_observations=store_observations)
 
@@ -202,24 +177,33 @@ def drive_all(
     invalid actions, and what the policy raises.
     """
     setup, fleet = drives.setup, drives.start()
-    context = PolicyContext.from_setup(setup, fleet.n_vehicles, POLICY_SEED)
+    size, columns = fleet.n_vehicles, fleet.columns
+    context = PolicyContext.from_setup(setup, size, POLICY_SEED)
     policy.reset(context)
-    output, totals = fleet.advance(drives.first_bytes()), _Totals(fleet)
-    reasons, actions, rewards = [""] * fleet.n_vehicles, [], []
+    output, totals = fleet.advance(drives.first_bytes()), np.zeros((len(columns), size))
+    extremes = [columns.index(name) for name in EXTREMES if name in columns]
+    running, intervals = np.ones(size, dtype=bool), np.zeros(size, dtype=int)
+    reasons, actions, rewards = [""] * size, [], []
     observations = [output.observation]
-    while totals.running.any():
+    while running.any():
         chosen = validate_actions(policy.act(output.observation), context)
         output = fleet.advance(setup.command_bytes[chosen])
-        for i in np.flatnonzero(totals.add(output)):
+        now = np.where(running, output.values.T, 0.0)
+        largest = np.maximum(totals[extremes], now[extremes])
+        totals += now
+        totals[extremes] = largest
+        intervals += running
+        for i in np.flatnonzero(running & output.failed):
             road = drives.starts[i].drive.surface.name
             reasons[i] = setup.failure_text(output, int(i), road)
+        running &= ~(output.failed | output.end_of_road)
         actions.append(chosen.copy())
         rewards.append(setup.rewards(output.values))
         if store_observations:
             observations.append(output.observation)
     arrays = np.array(actions), np.array(rewards), np.array(observations)
-    named = dict(zip(totals.columns, totals.values, strict=True))
-    return Rollout(*arrays, totals.intervals, named, tuple(reasons), setup.interval)
+    named = dict(zip(columns, totals, strict=True))
+    return Rollout(*arrays, intervals, named, tuple(reasons), setup.interval)
 
 
 @dataclass

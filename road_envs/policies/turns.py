@@ -41,10 +41,7 @@ class _FirmInTurns(Settings, abc.ABC):
 
 @dataclass(kw_only=True)
 class RunningRmsPolicy(_FirmInTurns):
-    """Policy that is firm while the lateral RMS exceeds `ratio` times the RMS of heave.
-
-    Both are RMS accelerations over `window`.
-    """
+    """Policy that is firm while the lateral RMS exceeds `ratio` times the RMS of heave."""
 
     window: Annotated[Positive, "s", "window of both RMS"] = 1.0
     ratio: Annotated[Positive, "", "lateral RMS over the RMS of heave"] = 1.0

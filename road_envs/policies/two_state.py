@@ -68,7 +68,6 @@ class Groundhook(_TwoStateDamper):
     """
 
     def law(self, v: np.ndarray, a: np.ndarray, e_dot: np.ndarray) -> np.ndarray:
-        """Return -(v - e') e', where v - e' is the velocity of the axle under the strut."""
         return (e_dot - v) * e_dot
 
 

@@ -7,7 +7,6 @@ import numpy as np
 from road_envs.rendering import style
 from road_envs.rendering.canvas import Canvas
 from road_envs.rendering.scene import Scene
-from road_envs.vehicle.force_curves import zero_force_range
 from road_envs.vehicle.struts import Modes
 from road_envs.vehicle.suspension import WHEELS, decode_commands
 
@@ -125,10 +124,7 @@ def accelerations(canvas: Canvas, scene: Scene) -> None:
 
 
 def _envelope(a: np.ndarray, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Return ages [s] and values of the minimum and the maximum of each group of samples.
-
-    `a` (N,) are the samples; the groups have the width of about one pixel.
-    """
+    """Return ages [s] and values of the extremes of the samples `a` (N,) in about each pixel."""
     size = max(round(scene.window * scene.fs / 500.0), 1)
     cells = a[a.size % size :].reshape(-1, size)
     age = np.arange(cells.shape[0])[::-1] * size / scene.fs
@@ -153,7 +149,7 @@ def _corner(canvas: Canvas, scene: Scene, wheel: int, x: float, y: float, width:
 
 def _extension(canvas, scene, wheel, x, y, width) -> None:
     e, stop = scene.extension[wheel], scene.stop_state(wheel)
-    low, high = zero_force_range(scene.car.bump_stops[wheel // 2])
+    low, high = scene.car.free_travel[wheel]
 
     def column(extension):
         return x + width * (0.5 + 0.5 * np.clip(extension / GAUGE_TRAVEL, -1.0, 1.0))

@@ -14,9 +14,7 @@ TUBE = 0.34  # length [m] of the lower tube of a strut
 COLLAR = 0.06  # length [m] of the stops of a strut
 
 OUTLINES = read_yaml(folder() / "rendering" / "defender_110.yaml")
-"""Parts of the body by view: `colour`, `points`, and the colour of an `edge`, the `radius` [m] of a
-disc, or `line`.
-"""
+"""Parts of the body by view: `colour`, `points`, and an `edge`, a `radius` [m] or `line`."""
 
 
 def draw_part(canvas: Canvas, part: dict[str, Any], points: np.ndarray, scale: float) -> None:
@@ -56,11 +54,9 @@ def strut(
 
 
 def _stop(canvas: Canvas, start: np.ndarray, end: np.ndarray, half: np.ndarray, lit: bool) -> None:
+    _bar(canvas, start, end, (1.9 if lit else 1.0) * half, style.DARK)
     if lit:
-        _bar(canvas, start, end, 1.9 * half, style.DARK)
         _bar(canvas, start, end, 1.6 * half, style.STOP_REACHED)
-    else:
-        _bar(canvas, start, end, half, style.DARK)
 
 
 def _bar(canvas: Canvas, start: np.ndarray, end: np.ndarray, half: np.ndarray, fill: str) -> None:

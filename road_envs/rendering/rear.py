@@ -65,15 +65,10 @@ class RearView:
     def _draw_wheel(self, wheel: int) -> None:
         scene = self.scene
         roll = scene.exaggeration * scene.q[AXLE + 3]
-        radius, half = scene.tyre_radius(wheel), 0.5 * TYRE
-        bevel = 0.05
-        y = np.array(
-            [half, half, half - bevel, bevel - half, -half, -half, bevel - half, half - bevel]
-        )
-        z = np.array(
-            [bevel - radius, radius - bevel, radius, radius, radius - bevel, bevel - radius]
-        )
-        z = np.append(z, [-radius, -radius])
+        radius, half, bevel = scene.tyre_radius(wheel), 0.5 * TYRE, 0.05
+        outer, inner = radius - bevel, half - bevel
+        y = np.array([half, half, inner, -inner, -half, -half, -inner, inner])
+        z = np.array([-outer, outer, radius, radius, outer, -outer, -radius, -radius])
         tread = self.project(
             scene.wheel_y(wheel) + y - roll * z, scene.hub_height(wheel) + z + roll * y
         )

@@ -14,7 +14,6 @@ from road_envs.records.record import SENSORS
 from road_envs.roads.surface import Surface
 from road_envs.simulation.drive import DriveSimulator, Trajectory
 from road_envs.vehicle.equations import AXLE, PHI, THETA, Z_B
-from road_envs.vehicle.force_curves import zero_force_range
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import DAMPING_HIGH, VALVE_OPEN
 
@@ -132,6 +131,6 @@ class Scene:
 
     def stop_state(self, wheel: int) -> int:
         """Return -1 if the strut is on its bump stop, 1 on its rebound stop, 0 between."""
-        low, high = zero_force_range(self.car.bump_stops[wheel // 2])
+        low, high = self.car.free_travel[wheel]
         e = self.extension[wheel]
         return int(e >= high) - int(e <= low)

@@ -181,17 +181,12 @@ class DriveSimulator:
 
     @property
     def steps_left(self) -> int:
-        """Number of steps until the drive is finished."""
+        """Number of steps until the rear axle has left the surface and its apron."""
         return max(self._total - self.steps, 0)
 
     def limit_duration(self, duration: float) -> None:
         """End the drive after `duration` [s], if it is not at the end of its road before."""
         self._total = min(self._total, round(duration / self.step))
-
-    @property
-    def is_finished(self) -> bool:
-        """True once the rear axle has left the surface and its apron."""
-        return self.steps_left == 0
 
     def delayed_commands(self, commands: np.ndarray) -> np.ndarray:
         """Return the bytes (n,) that reach the valves in n steps; queue `commands` (n,)."""
@@ -200,10 +195,7 @@ class DriveSimulator:
         return sent[: commands.size]
 
     def half_step_inputs(self, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return stations [m] and speeds [m/s] (2 n + 1,), and a_x, a_y [m/s²] (2 n + 1, 2).
-
-        They are those of the next `n` steps, at every half step.
-        """
+        """Return stations [m], speeds [m/s], (a_x, a_y) [m/s²] at half steps of the next `n`."""
         instants = 0.5 * self.step * (2 * self.steps + np.arange(2 * n + 1))
         distance, v, a_x = self.speed_profile.at(instants)
         a_xy = np.zeros((v.size, 2)) if self.manoeuvre is None else self.manoeuvre.at(instants)
@@ -245,9 +237,7 @@ def simulate(
     step: float = DEFAULT_STEP,
     manoeuvre: Manoeuvre | None = None,
 ) -> Trajectory:
-    """Simulate `car` over the whole `surface` in one mode, at a `speed` [m/s] or profile.
-
-    Without a `mode` it is the first of the car: ride, or passive.
+    """Simulate `car` over the whole `surface` in one mode; arguments as of DriveSimulator.
 
     Without a `manoeuvre` no horizontal acceleration acts on the body, not even that of the speed
     profile, as in the paper. Raises ConfigError on bad input, SimulationError if the motion

@@ -13,7 +13,7 @@ import numpy as np
 
 from road_envs.kernels._numba import kernel
 from road_envs.kernels.simd import LANES, broadcast
-from road_envs.kernels.simd_arrays import get, put, stack_array, stack_rows
+from road_envs.kernels.simd_arrays import get, put, stack_rows
 from road_envs.simulation.rosenbrock import (
     ACCELERATION,
     N_SIDE_SIGNALS,
@@ -21,7 +21,7 @@ from road_envs.simulation.rosenbrock import (
     TWIST,
     WORKSPACE_ROWS,
     StepInputs,
-    any_step,
+    step,
     step_workspace,
     update_valves,
 )
@@ -64,18 +64,8 @@ def transpose_constants(constants: np.ndarray) -> np.ndarray:
 @kernel(inline=False)
 def update_lane_valves(constants, strut_state, q, k, byte, alpha, h):
     """Advance the valves of lane `k`, vehicle `constants` (1,); return whether all are settled."""
-    # the valve law is written for the arrays of one vehicle: copy the lane out and back
-    own, own_q = stack_rows(4), stack_array(10)[: q.shape[0]]
-    for w in range(strut_state.shape[0]):
-        for j in range(strut_state.shape[1]):
-            own[w, j] = strut_state[w, j, k]
-    for j in range(own_q.size):
-        own_q[j] = q[j, k]
-    at_target = update_valves(constants[0], own, own_q, byte, alpha, h)
-    for w in range(strut_state.shape[0]):
-        for j in range(strut_state.shape[1]):
-            strut_state[w, j, k] = own[w, j]
-    return at_target
+    # the valve law is written for the arrays of one vehicle
+    return update_valves(constants[0], strut_state[:, :, k], q[:, k], byte, alpha, h)
 
 
 class LaneBuffers(NamedTuple):
@@ -106,10 +96,7 @@ def lane_buffers(
     lags: Sequence[float],
     h: float,
 ) -> LaneBuffers:
-    """Return LANES vehicles at their states (14,) and strut states (4, 3), for steps of `h` [s].
-
-    `lags` [s] are the time constants of their valves.
-    """
+    """Return LANES vehicles at states (14,) and strut states (4, 3), with valves of `lags` [s]."""
     constants = np.concatenate([plant.constants for plant in plants])
     distinct = list({id(plant): plant for plant in plants}.values())
     of_lane = [next(i for i, p in enumerate(distinct) if p is plant) for plant in plants]
@@ -160,7 +147,7 @@ def _integrate_on_road(lanes, road, speed, commands, h, out, flexible=None, side
                 here = update_lane_valves(own, lanes.strut_state, q, k, commands[n], alpha, h)
                 settled = settled and here
         step_inputs = StepInputs(inputs, no_manoeuvre, h, speed[n])
-        any_step(vehicle, motion, step_inputs, work, row, flexible, side)
+        step(vehicle, motion, step_inputs, work, row, flexible, side)
         if flexible is not None:
             put(out[n], N_DOF, get(row, TWIST + 2))
         if side is not None:
@@ -189,11 +176,9 @@ class SharedInputs(NamedTuple):
 def drive_variants(
     plants: Sequence[Plant], starts: Sequence[np.ndarray], inputs: SharedInputs
 ) -> list[np.ndarray]:
-    """Return the accelerations (N, 7) of the coordinates of each plant; (N, 8) if flexible, two
-    more with side motion.
+    """Return the accelerations (N, `n_dof`) of each plant from its first state in `starts`.
 
-    `starts` (14,) or (16,): the first state of each. All plants are flexible, or none, and so with
-    side motion. A motion that diverges is NaN.
+    All plants are flexible, or none, and so with side motion. A motion that diverges is NaN.
     """
     steps = inputs.commands.size
     road = np.ascontiguousarray(inputs.road.reshape(steps, 16))

@@ -1,10 +1,6 @@
-"""Drives on tape: simulate once, then apply the derivative of the drive.
-
-`linearize_drive` returns a Tape, one row of `sensitivity` for every step.
-"""
+"""Drives on tape: simulate once, then apply the derivative, a row of `sensitivity` per step."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -29,40 +25,27 @@ from road_envs.vehicle.equations import N_DOF, Motion, Plant
 from road_envs.vehicle.side_motion import n_side
 
 
-class _TapeInputs(NamedTuple):
-    """Inputs of N steps of `h` [s]: `road` (N, 16), `a_xy` (N, 4) and the speed `v` (N,) as in
-    `rosenbrock.StepInputs`.
+@kernel(count_references=False)
+def _integrate_with_derivative(
+    vehicle, y, inputs, commands, lag, out, rows, flexible=None, side=None
+):
+    """Take N steps; the state `y` (14,) and the strut state change in place.
 
-    `commands` (N,), or (0,) for a constant strut state, and `lag` as in `rosenbrock.integrate`.
+    `inputs`: StepInputs of all steps, which are the first axis. `commands` (N,), or (0,) for a
+    constant strut state, and `lag` as in `rosenbrock.integrate`. Signals go to `out` (N, 29), the
+    derivative to `rows` (N, TAPE_ROW_SIZE).
     """
-
-    road: np.ndarray
-    a_xy: np.ndarray
-    commands: np.ndarray
-    lag: float
-    h: float
-    v: np.ndarray
-
-
-@kernel
-def _integrate_with_derivative(vehicle, y, inputs, out, rows, flexible=None, side=None):
-    """Take the steps of _TapeInputs; the state `y` (14,) and the strut state change in place.
-
-    Signals go to `out` (N, 29), the derivative to `rows` (N, TAPE_ROW_SIZE).
-    """
-    n_dof, h = y.size // 2, inputs.h
+    p, n_dof, h = vehicle.constants[0], y.size // 2, inputs.h
     work, motion = step_workspace(stack_array(WORKSPACE_ROWS)), Motion(y[:n_dof], y[n_dof:])
-    alpha = 1.0 - np.exp(-h / inputs.lag)
+    alpha = 1.0 - np.exp(-h / lag)
     for n in range(rows.shape[0]):
-        if inputs.commands.size > 0:
-            update_valves(
-                vehicle.constants[0], vehicle.strut_state, motion.q, inputs.commands[n], alpha, h
-            )
+        if commands.size > 0:
+            update_valves(p, vehicle.strut_state, motion.q, commands[n], alpha, h)
         step_inputs = StepInputs(inputs.road[n], inputs.a_xy[n], h, inputs.v[n])
         step_with_derivative(vehicle, motion, step_inputs, work, out[n], rows[n], flexible, side)
 
 
-@kernel
+@kernel(count_references=False)
 def _propagate_tangent(constants, rows, y, road, h, v, a, flexible=None, side=None):
     """Apply `tangent_step` row by row; write changes of accelerations to `a` (N, 7)."""
     n_dof, p, work = y.size // 2, constants[0], step_workspace(stack_array(WORKSPACE_ROWS))
@@ -100,9 +83,7 @@ class Tape:
 
     @property
     def acceleration(self) -> np.ndarray:
-        """Accelerations (N, 7) of the degrees of freedom at the beginning of each step, then those
-        of a flexible frame's twist and of side motion.
-        """
+        """Accelerations (N, `n_dof`) of the coordinates at the beginning of each step."""
         found = self.signals[:, ACCELERATION : ACCELERATION + N_DOF]
         if self.plant.flexible:
             found = np.column_stack([found, self.signals[:, TWIST + 2]])
@@ -158,10 +139,9 @@ def linearize_drive(
     strut_state_end = _checked_copy("strut_state", strut_state, (4, 3))
     signals, rows = np.empty((steps, n_signals(plant))), np.empty((steps, TAPE_ROW_SIZE))
     bytes_ = np.zeros(0) if commands is None else _checked_copy("commands", commands, (steps,))
-    per_step = z.reshape(steps, 16), a_xy_steps.reshape(steps, 4)
-    inputs = _TapeInputs(*per_step, bytes_.astype(np.uint8), float(lag), float(h), speed)
-    buffers = plant.buffers(strut_state_end)
-    _integrate_with_derivative(buffers, y, inputs, signals, rows, *plant.kernel_flags)
+    inputs = StepInputs(z.reshape(steps, 16), a_xy_steps.reshape(steps, 4), float(h), speed)
+    buffers, valves = plant.buffers(strut_state_end), (bytes_.astype(np.uint8), float(lag))
+    _integrate_with_derivative(buffers, y, inputs, *valves, signals, rows, *plant.kernel_flags)
     if not np.isfinite(y).all():
         raise ArithmeticError("the motion diverged (no longer finite); check the road and start")
     return Tape(plant, float(h), signals, y, strut_state_end, rows, speed)

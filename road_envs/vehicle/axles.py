@@ -1,7 +1,4 @@
-"""Axles of a vehicle: solid ones, and pairs of independent wheels, as parameters.
-
-Axes after ISO 8855: x ahead, y left, z up.
-"""
+"""Axles of a vehicle as parameters: solid ones, and pairs of independent wheels."""
 
 from dataclasses import dataclass
 from typing import Annotated, Literal

@@ -109,16 +109,12 @@ class Plant:
 
     @property
     def n_dof(self) -> int:
-        """Half the number of states: 7, 1 more of a flexible frame, 2 more with side motion, 2 more
-        with joints of the axles that give way.
-        """
+        """Half the number of states: 7, 8 with a flexible frame, and those of `n_side`."""
         return N_DOF + self.flexible + n_side(self.constants[0])
 
     @property
     def kernel_flags(self) -> tuple[bool | None, ...]:
-        """Last arguments of kernels, `flexible` and `side`, so that those of a
-        vehicle without either compile without them.
-        """
+        """Last arguments of kernels, `flexible` and `side`: without either they compile without."""
         flexible = True if self.flexible else None
         return (flexible, True) if self.sideways else (True,) if flexible else ()
 
@@ -130,10 +126,8 @@ class Plant:
 
 
 class Motion(NamedTuple):
-    """Coordinates `q` (7,) and rates `v` (7,) of a vehicle; (8,) with a flexible frame, and two
-    more with side motion, which are those of `side_motion`.
-
-    With LANES vehicles the lanes are the last axis.
+    """Coordinates `q` and rates `v` of a vehicle: (7,), (8,) with a flexible frame, then those of
+    `side_motion`. With LANES vehicles the lanes are the last axis.
     """
 
     q: np.ndarray
@@ -169,15 +163,14 @@ def build_plant(car: VehicleParameters, manoeuvres: bool = False) -> Plant:
         **side_constants(car),
     }
     constants = np.zeros(1, dtype=PLANT_DTYPE)
-    for name in PLANT_DTYPE.names or ():
-        constants[name] = values[name]
+    for name, value in values.items():
+        constants[name] = value
     return Plant(constants, velocity, displacement)
 
 
 def _frame_constants(car: VehicleParameters) -> dict[str, object]:
     if (frame := car.variation.frame) is None:
-        none = dict.fromkeys(("frame_inertia", "frame_rate", "frame_damping"), 0.0)
-        return {**none, "twist_share": (0.0, 0.0)}
+        return {}
     inertia, omega = 0.25 * car.I_xx, 2.0 * np.pi * frame.f
     return {
         "frame_inertia": inertia,
@@ -188,11 +181,15 @@ def _frame_constants(car: VehicleParameters) -> dict[str, object]:
 
 
 @kernel
-def extension(p, q, w):
-    """Return the extension [m] of strut `w` for coordinates `q`, or its rate for their rates."""
+def extension(p, q, w, flexible=None):
+    """Return the extension [m] of strut `w` for coordinates `q`, or its rate for their rates.
+
+    With a `flexible` frame, if given, the eighth of them is its twist.
+    """
     a = AXLE + 2 * (w // 2)
     heave = get(q, Z_B) - get(p.x, w // 2) * get(q, THETA) - get(q, a)
-    return heave + get(p.y_s, w) * (get(q, PHI) - get(q, a + 1))
+    e = heave + get(p.y_s, w) * (get(q, PHI) - get(q, a + 1))
+    return e if flexible is None else e + twist_extension(p, get(q, N_DOF), w)
 
 
 @kernel
@@ -203,9 +200,10 @@ def wheel_height(p, q, w):
 
 
 @kernel
-def relative_roll(q, i):
-    """Return body roll minus roll of axle `i` [rad] for coordinates `q`, or its rate for rates."""
-    return get(q, PHI) - get(q, AXLE + 2 * i + 1)
+def relative_roll(p, q, i, flexible=None):
+    """Return body roll minus roll of axle `i` [rad], or its rate; arguments as of `extension`."""
+    roll = get(q, PHI) - get(q, AXLE + 2 * i + 1)
+    return roll if flexible is None else roll + get(p.twist_share, i) * get(q, N_DOF)
 
 
 @kernel
@@ -216,10 +214,7 @@ def twist_extension(p, psi, w):
 
 @kernel
 def _axle_roll_moment(p, F, i, roll):
-    """Return the roll moment [N m] of strut forces `F` (4,) and bushings on the body over axle `i`.
-
-    `roll` [rad] is the body's roll relative to the axle.
-    """
+    """Return the body's roll moment [N m] over axle `i`, at the relative `roll` [rad] to it."""
     # left minus right first: equal forces give a moment of exactly 0
     return get(p.y_s, 2 * i) * (get(F, 2 * i) - get(F, 2 * i + 1)) - get(p.k_roll, i) * roll
 
@@ -266,19 +261,14 @@ def add_tyres(p, T, out):
 
 @kernel
 def twist_moment(p, F, front, rear):
-    """Return the generalised force [N m] of struts and bushings on the twist of the frame.
-
-    Arguments as for `add_struts`.
-    """
+    """Return the generalised force [N m] on the frame's twist; arguments as of `add_struts`."""
     moment = get(p.twist_share, 0) * _axle_roll_moment(p, F, 0, front)
     return moment + get(p.twist_share, 1) * _axle_roll_moment(p, F, 1, rear)
 
 
 @kernel
 def roll_moments(p, F, T, front, rear):
-    """Return the generalised forces of strut forces `F` (4,), bushings and tyre loads `T` (4,) on
-    the roll of the body, the front and the rear axle, as `add_struts` and `add_tyres`.
-    """
+    """Return the roll moments of `add_struts` and `add_tyres` on body, front and rear axle."""
     f, r = _axle_roll_moment(p, F, 0, front), _axle_roll_moment(p, F, 1, rear)
     t_f = get(p.y_t, 0) * (get(T, 0) - get(T, 1))
     return f + r, t_f - f, get(p.y_t, 2) * (get(T, 2) - get(T, 3)) - r
@@ -315,8 +305,8 @@ def accelerations(vehicle, motion, z_r, w_r, out, a_x=0.0, a_y=0.0):
         F[w] = strut_force(vehicle, w, e, e_dot)[0]
         u, u_dot = z_r[w] - wheel_height(p, q, w), w_r[w] - wheel_height(p, v, w)
         T[w] = tyre_force(p, w, u, u_dot)[0]
-    front = relative_roll(q, 0) + p.twist_share[0] * psi
-    rear = relative_roll(q, 1) + p.twist_share[1] * psi
+    front = relative_roll(p, q, 0) + p.twist_share[0] * psi
+    rear = relative_roll(p, q, 1) + p.twist_share[1] * psi
     for j in range(N_DOF):
         out[j] = 0.0
     add_weight(p, out)
@@ -351,11 +341,10 @@ def stiffness_and_damping(vehicle, motion, z_r, w_r, K, C):
         unit[j] = 0.0
     for j in range(q.size):  # column j: forces of the linear elements under a unit coordinate
         unit[j] = 1.0
-        front = relative_roll(unit, 0) + p.twist_share[0] * unit[N_DOF]
-        rear = relative_roll(unit, 1) + p.twist_share[1] * unit[N_DOF]
+        front, rear = relative_roll(p, unit, 0, True), relative_roll(p, unit, 1, True)
         for rate in range(2):
             for w in range(4):
-                e = extension(p, unit, w) + twist_extension(p, unit[N_DOF], w)
+                e = extension(p, unit, w, True)
                 F[w], T[w] = struts[rate, w] * e, tyres[rate, w] * wheel_height(p, unit, w)
             if rate == 1:  # bushings do not damp
                 front = rear = 0.0

@@ -51,12 +51,6 @@ class Curve(Settings):
         return self if factor == 1.0 else Curve(x=self.x, F=tuple(factor * F for F in self.F))
 
 
-def zero_force_range(curve: Curve) -> tuple[float, float]:
-    """Return the extensions [m] between which a bump stop exerts no force; 0 if it always does."""
-    free = [x for x, F in zip(curve.x, curve.F, strict=True) if F == 0.0]
-    return min(free, default=0.0), max(free, default=0.0)
-
-
 def _pchip_coefficients(x: Sequence[float], y: Sequence[float]) -> np.ndarray:
     """Return coefficients (4, N - 1) of the cubics between `x` (N,), in powers of x - x_i.
 
@@ -105,10 +99,7 @@ def tabulate(curves: Sequence[Law], x_0: float, dx: float, cells: int) -> np.nda
 
 
 def _hermite(values: np.ndarray, rises: np.ndarray) -> np.ndarray:
-    """Return coefficients (..., cells + 2, 4) from values and rises per cell (..., cells + 1).
-
-    A cell at each end continues them linearly.
-    """
+    """Return coefficients as of `tabulate` from values and rises per cell (..., cells + 1)."""
     first, last = rises[..., :1], rises[..., -1:]
     values = np.concatenate([values[..., :1] - first, values, values[..., -1:] + last], axis=-1)
     rises = np.concatenate([first, rises, last], axis=-1)
@@ -143,10 +134,7 @@ def _locate(tables, k, x_0, dx, x):
 
 @kernel
 def interpolate_table(tables, k, x_0, dx, x):
-    """Return value and derivative of table `k` of `tables` (K, cells + 2, 4) at `x`.
-
-    Extrapolates linearly beyond the ends of the grid.
-    """
+    """Return value and derivative of table `k` of `tables` (K, cells + 2, 4) at `x`."""
     (a, b, c, d), t = _locate(tables, k, x_0, dx, x)
     slope = b + t * (2.0 * c + t * 3.0 * d)
     return a + t * (b + t * (c + t * d)), slope / dx

@@ -16,10 +16,8 @@ from road_envs.vehicle.tolerances import scale_parameters, stated_values
 CLASSES = ("compact", "saloon", "suv", "van")
 """Names of the generic cars, vehicle files as all others."""
 
-SCALES = {"mass": (0.6, 1.7), "wheelbase": (0.75, 1.35), "track": (0.85, 1.15)}
-"""Least and greatest ratio of a car's value to that of its class."""
-
-UNITS = {"mass": "kg", "wheelbase": "m", "track": "m"}
+SCALES = {"mass": (0.6, 1.7, "kg"), "wheelbase": (0.75, 1.35, "m"), "track": (0.85, 1.15, "m")}
+"""Least and greatest ratio of a car's value to that of its class, and the unit of the value."""
 
 KNOWN_MASS = Tolerance(relative=0.07, source="assumed; passengers and load")
 """Tolerance of the mass of a car whose mass is stated."""
@@ -38,11 +36,11 @@ def fitted_vehicle(
     base = load_vehicle(config.validate_choice("class of vehicle", car_class, list(CLASSES)))
     own = {"mass": mass, "wheelbase": wheelbase, "track": track}
     usual = _dimensions(base)
-    for key, (low, high) in SCALES.items():
+    for key, (low, high, unit) in SCALES.items():
         if not low <= own[key] / usual[key] <= high:
             raise ConfigError(
-                f"a {key} of {own[key]:g} {UNITS[key]} is that of no {car_class}: "
-                f"{low * usual[key]:.4g} to {high * usual[key]:.4g} {UNITS[key]} are plausible, "
+                f"a {key} of {own[key]:g} {unit} is that of no {car_class}: "
+                f"{low * usual[key]:.4g} to {high * usual[key]:.4g} {unit} are plausible, "
                 "or choose another class"
             )
     q, length, width = (own[key] / usual[key] for key in SCALES)

@@ -220,9 +220,8 @@ def strut_forces(
     e: np.ndarray,
     e_dot: np.ndarray,
 ) -> np.ndarray:
-    """Return the strut forces (4, K) [N] on the body, positive upwards, with settled valves.
-
-    `e` (4, K) [m]: extensions; `e_dot` (4, K) [m/s]: their rates.
+    """Return the upward forces (4, K) [N] of struts with settled valves on the body, at extensions
+    `e` [m] and their rates `e_dot` [m/s], both (4, K).
     """
     plant = car if isinstance(car, Plant) else build_plant(car)
     forces = np.empty(e.shape)
@@ -244,16 +243,14 @@ def _strut_forces(vehicle, e, e_dot, out):
 
 
 def _wheel_response(model: LinearModel, f: np.ndarray) -> np.ndarray:
-    """Return the sensors' complex responses (F, S, 4) [m/s² per m] to the road height under each
-    wheel, at `f` (F,) [Hz].
-    """
+    """Return the complex responses (F, S, 4) [m/s² per m] to the road height under each wheel."""
     s, q = _road_response(model, f)
     return s**2 * (model.sensor_rows @ q)
 
 
 def strut_rate_response(model: LinearModel, f: np.ndarray) -> np.ndarray:
-    """Return the complex responses (F, 4, 4) [m/s per m] of the struts' rates of extension to the
-    road height under each wheel, at `f` (F,) [Hz].
+    """Return the responses (F, 4, 4) [m/s per m] of the rates of extension to the road height under
+    each wheel, complex, at `f` (F,) [Hz].
     """
     s, q = _road_response(model, f)
     return s * (model.strut_rows @ q)
@@ -289,9 +286,7 @@ def _laplace_variable(f: np.ndarray) -> np.ndarray:
 
 
 def _coordinates(model: LinearModel, s: np.ndarray, accelerations: np.ndarray) -> np.ndarray:
-    """Return the coordinates (F, 7, I) under additional `accelerations` (7, I) or (F, 7, I) of them
-    at `s` (F, 1, 1).
-    """
+    """Return the coordinates (F, 7, I) under added `accelerations` (7, I) or (F, 7, I) at `s`."""
     n = len(model.A) // 2
     if model.speed is not None:
         return _states(model, s, accelerations)[:, :n]

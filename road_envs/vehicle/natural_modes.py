@@ -9,12 +9,9 @@ from road_envs.vehicle.linear_model import LinearModel
 
 NATURAL_MODE_NAMES = (
     *("bounce", "roll", "pitch"),
-    *("front axle hop", "front axle roll", "rear axle hop", "rear axle roll"),
+    *("front axle hop", "front axle roll", "rear axle hop", "rear axle roll", "frame torsion"),
 )
-"""Names of the modes, in the order of the dominant coordinates `equations.DOF`."""
-
-FRAME_TORSION_MODE = "frame torsion"
-"""Name of the mode dominated by the twist psi of a flexible frame, the eighth coordinate."""
+"""Names of the modes, in the order of the dominant coordinates: `equations.DOF`, and the twist."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +49,7 @@ def natural_modes(model: LinearModel) -> _NaturalModes:
         )
     _, assigned = scipy.optimize.linear_sum_assignment(M[:, None] * shapes**2, maximize=True)
     names = [""] * n
-    for name, column in zip((*NATURAL_MODE_NAMES, FRAME_TORSION_MODE)[:n], assigned, strict=True):
+    for name, column in zip(NATURAL_MODE_NAMES[:n], assigned, strict=True):
         names[column] = name
     shapes[:, assigned] *= np.sign(shapes[np.arange(n), assigned])
     omega = np.sqrt(square)

@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 import yaml
 from pydantic import Field
 
@@ -163,6 +164,13 @@ class VehicleParameters(Settings):
         return front.at_wheel(front.bump_stop), rear.at_wheel(rear.bump_stop)
 
     @property
+    def free_travel(self) -> np.ndarray:
+        """Extensions (4, 2) [m] of each strut between which its bump stop exerts no force, or 0."""
+        stops = [stop for stop in self.bump_stops for _ in range(2)]
+        free = [[x for x, F in zip(stop.x, stop.F, strict=True) if F == 0.0] for stop in stops]
+        return np.array([(min(x, default=0.0), max(x, default=0.0)) for x in free])
+
+    @property
     def rigid(self) -> "VehicleParameters":
         """The vehicle without a flexible frame; itself if it has none."""
         if self.variation.frame is None:
@@ -171,9 +179,7 @@ class VehicleParameters(Settings):
 
     @property
     def sliding(self) -> "VehicleParameters":
-        """The vehicle without side motion, as if its tyres could slide sideways; itself if it has
-        none.
-        """
+        """The vehicle without side motion, free to slide sideways; itself if it has none."""
         if self.side is None:
             return self
         rest = {k: t for k, t in self.tolerances.items() if k.partition(".")[0] != "side"}
@@ -199,9 +205,7 @@ class VehicleParameters(Settings):
 
     @property
     def pitch_inertia(self) -> float:
-        """Inertia [kg m²] that pitch accelerates: that of the body, and that of wheels and axles
-        which go fore and aft.
-        """
+        """Inertia [kg m²] that pitch accelerates: of the body, of axles that go fore and aft."""
         return self.I_yy + (self.front.m + self.rear.m) * self.pitch_lever**2
 
     @property
@@ -214,10 +218,7 @@ class VehicleParameters(Settings):
     def tyre_loads(self) -> tuple[float, float]:
         """Static load [N] of one front and of one rear tyre."""
         front, rear = self.strut_loads
-        return (
-            front + 0.5 * self.front.m * GRAVITY,
-            rear + 0.5 * self.rear.m * GRAVITY,
-        )
+        return front + 0.5 * self.front.m * GRAVITY, rear + 0.5 * self.rear.m * GRAVITY
 
     @property
     def tyre_deflections(self) -> tuple[float, float]:
@@ -276,13 +277,9 @@ def check_plausible(car: VehicleParameters, where: str) -> None:
 
 def write_vehicle(path: Path, car: VehicleParameters, comment: str = "") -> None:
     """Write a vehicle as YAML, with a `comment` of one or more lines at the head."""
-    data = json.loads(json.dumps(asdict(car)))
-    if car.is_passive:
-        del data["valve"]
-    if car.side is None:
-        del data["side"]
-    if not car.tolerances_of:
-        del data["tolerances_of"]
+    absent = {"valve": car.is_passive, "side": car.side is None}
+    absent["tolerances_of"] = not car.tolerances_of
+    data = {k: v for k, v in json.loads(json.dumps(asdict(car))).items() if not absent.get(k)}
     head = "".join(f"# {line}\n" for line in comment.splitlines())
     text = yaml.safe_dump(data, sort_keys=False, allow_unicode=True, default_flow_style=None)
     write_text(path, head + text)

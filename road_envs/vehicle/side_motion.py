@@ -79,9 +79,9 @@ RIGID_COORDINATES = 7  # coordinates of `equations`, without the twist of a fram
 
 
 def side_constants(car: VehicleParameters) -> dict[str, object]:
-    """Return the constants of a vehicle's side motion, all 0 if it has none."""
+    """Return the constants of a vehicle's side motion, which are 0 if it has none."""
     if car.side is None:
-        return {name: np.zeros(shape) for name, _, shape in SIDE_FIELDS}
+        return {}
     # wheels' centres move sideways with phi, phi_a, V and r, and add their mass to all four
     side, height = car.side, np.array(car.side.roll_centre)
     lever, x = car.h_cg - height, np.array([axle.x for axle in car.axles])
@@ -136,9 +136,7 @@ def side_size(q):
 
 @kernel
 def side_state(q, v):
-    """Return d_front, d_rear, y_front, y_rear, V, r, w_front, w_rear of coordinates `q` and rates
-    `v`, where they are the last.
-    """
+    """Return d_front, d_rear, y_front, y_rear, V, r, w_front, w_rear, the last of `q` and `v`."""
     n, zero = q.shape[0] - side_size(q), 0.0 * get(q, 0)
     y_f, y_r, w_f, w_r = zero, zero, zero, zero
     if side_size(q) > 2:
@@ -148,9 +146,7 @@ def side_state(q, v):
 
 @kernel
 def load_shares(p, T):
-    """Return the loads `T` (4,) [N] of the tyres of each axle, or their changes, over the static
-    ones.
-    """
+    """Return the tyre loads `T` (4,) [N] of each axle, or their changes, over the static ones."""
     front = get(p.load_share, 0) * (get(T, 0) + get(T, 1))
     return front, get(p.load_share, 1) * (get(T, 2) + get(T, 3))
 

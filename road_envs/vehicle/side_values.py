@@ -3,32 +3,20 @@
 from road_envs.vehicle.axles import IndependentWheels, SideMotion
 from road_envs.vehicle.parameters import VehicleParameters
 
-INDEPENDENT_ROLL_CENTRE, SOLID_ROLL_CENTRE = 0.05, 0.4
-"""Heights [m] of the roll centres of independent wheels (0 to 0.2 m) and solid axles (0.3 to
-0.6 m: about that of the springs or of the Panhard rod); Milliken & Milliken 1995, chapter 17."""
-
-CORNERING_PER_LOAD = 14.0
-"""Cornering stiffness over the static load of a tyre [1/rad]; 10 to 20 are usual."""
-
-RELAXATION_LENGTH = 0.4  # relaxation length [m]; 0.3 to 0.5 m are usual (Pacejka 2012, chapter 7)
-
-YAW_PER_PITCH_INERTIA = 1.0
-"""Yaw inertia of a body over its pitch inertia; 0.96 to 1.08 of the shipped cars."""
-
 
 def side_values(car: VehicleParameters) -> SideMotion:
     """Return the car's own numbers of side motion, or typical ones [assumed] if it has none."""
     if car.side is not None:
         return car.side
-    centres = [
-        INDEPENDENT_ROLL_CENTRE if isinstance(axle, IndependentWheels) else SOLID_ROLL_CENTRE
-        for axle in car.axles
-    ]
-    front, rear = (CORNERING_PER_LOAD * load for load in car.tyre_loads)
+    # roll centres of independent wheels are 0 to 0.2 m high, of solid axles 0.3 to 0.6 m, about
+    # that of the springs or of the Panhard rod: Milliken & Milliken 1995, chapter 17
+    centres = [0.05 if isinstance(axle, IndependentWheels) else 0.4 for axle in car.axles]
+    # cornering stiffness: 10 to 20 times the static load per radian are usual
+    front, rear = (14.0 * load for load in car.tyre_loads)
     return SideMotion(
-        I_zz=YAW_PER_PITCH_INERTIA * car.I_yy,
+        I_zz=car.I_yy,  # 0.96 to 1.08 of it, of the shipped cars
         wheel_radius=0.3 if isinstance(car.front, IndependentWheels) else 0.36,
         roll_centre=(centres[0], centres[1]),
         C_alpha=(front, rear),
-        relaxation=(RELAXATION_LENGTH, RELAXATION_LENGTH),
+        relaxation=(0.4, 0.4),  # 0.3 to 0.5 m are usual: Pacejka 2012, chapter 7
     )

@@ -1,7 +1,4 @@
-"""Struts of a vehicle as parameters: 4S4 struts with their valve, and passive ones.
-
-`suspension` has the force laws of both as kernels read them. Symbols as in the literature.
-"""
+"""Struts as parameters, 4S4 and passive ones; `suspension` has the laws that kernels read."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -127,10 +124,7 @@ class PassiveStrut(Settings):
     motion_ratio: Annotated[Positive, "", "travel of the strut per travel of the wheel"] = 1.0
 
     def spring_force(self, e: np.ndarray, load: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the spring's force [N] at the wheel and its derivative by `e` [m].
-
-        `load` [N] is the static load of the body on the wheel.
-        """
+        """Return the force [N] at the wheel, with the static one `load`, and its slope by `e`."""
         r = self.motion_ratio
         F, slope = self.spring.force(r * e, load / r)
         return r * F, r * r * slope

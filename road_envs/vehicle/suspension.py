@@ -80,8 +80,7 @@ class VehicleBuffers(NamedTuple):
 def encode_command(
     mode: str | Mapping[str, str] | None, car: VehicleParameters | None = None
 ) -> int:
-    """Return a mode of the struts as one byte: bit w: stiff spring, bit 4 + w: high damping, at
-    wheel w.
+    """Return a mode of the struts as a byte: bits w and 4 + w for stiff spring and high damping.
 
     `mode` is the name of a mode for the whole vehicle, or a mapping from "front" and "rear", or
     from all of FL, FR, RL, RR, to such names. With a `car` it must be one of its own, and None is
@@ -127,11 +126,8 @@ def check_modes(record: Record, car: VehicleParameters) -> None:
 
 def settled_strut_state(byte: int) -> np.ndarray:
     """Return the strut state (4, 3) at static length, with all valves settled at a command byte."""
-    strut_state = np.zeros((4, 3))
-    stiff, high = decode_commands(np.array([byte]))
-    strut_state[:, VALVE_OPEN] = ~stiff[0]
-    strut_state[:, DAMPING_HIGH] = high[0]
-    return strut_state
+    (stiff,), (high,) = decode_commands(np.array([byte]))
+    return np.stack([np.zeros(4), ~stiff, high], axis=1)
 
 
 def gas_constants(car: VehicleParameters) -> dict[str, object]:
@@ -158,17 +154,17 @@ def velocity_tables(car: VehicleParameters) -> tuple[np.ndarray, list[int]]:
     keys = [(w // 2 if car.is_passive else 0, *pair) for w, pair in enumerate(factors)]
     distinct = list(dict.fromkeys(keys))
     tables = [
-        _velocity_table(law, stribeck, d, f)
+        _table(((damper, d), (friction, f)), V_0, V_STEP, V_CELLS)
         for axle, d, f in distinct
-        for law, stribeck in _velocity_curves(car, axle)
+        for damper, friction in _velocity_curves(car, axle)
     ]
     return np.stack(tables), [2 * distinct.index(key) for key in keys]
 
 
-@lru_cache(maxsize=64)  # varied vehicles share most struts
-def _velocity_table(damper: Curve, friction: Curve, d: float, f: float) -> np.ndarray:
-    """Tabulate a damper scaled by `d` plus friction scaled by `f`."""
-    return tabulate((damper.scaled(d), friction.scaled(f)), V_0, V_STEP, V_CELLS)
+@lru_cache(maxsize=128)  # varied vehicles share most struts
+def _table(curves: tuple[tuple[Curve, float], ...], x_0: float, dx: float, cells: int):
+    """Tabulate the sum of curves, each scaled by its factor."""
+    return tabulate([curve.scaled(factor) for curve, factor in curves], x_0, dx, cells)
 
 
 def friction_peaks(car: VehicleParameters) -> np.ndarray:
@@ -199,7 +195,8 @@ def displacement_tables(car: VehicleParameters) -> tuple[np.ndarray, list[int]]:
         axle, gas, factor = key
         bump_stop = car.bump_stops[axle]
         if isinstance(car.strut, Strut):
-            return _displacement_table(car.strut.bushing, factor, bump_stop)
+            curves = (car.strut.bushing, factor), (bump_stop, 1.0)
+            return _table(curves, E_0, E_STEP, E_CELLS)
         strut = (car.strut.front, car.strut.rear)[axle]
         laws: list[Law] = [bump_stop, _spring_deficit(strut, car.strut_loads[axle], gas)]
         if strut.bushing is not None:
@@ -211,12 +208,6 @@ def displacement_tables(car: VehicleParameters) -> tuple[np.ndarray, list[int]]:
     keys = [(w // 2, *pair) for w, pair in enumerate(factors)]
     distinct = list(dict.fromkeys(keys))
     return np.stack([tabulated(key) for key in distinct]), [distinct.index(key) for key in keys]
-
-
-@lru_cache(maxsize=64)
-def _displacement_table(bushing: Curve, factor: float, bump_stop: Curve) -> np.ndarray:
-    """Tabulate a bushing scaled by `factor` plus a bump stop."""
-    return tabulate((bushing.scaled(factor), bump_stop), E_0, E_STEP, E_CELLS)
 
 
 def _spring_deficit(strut: PassiveStrut, load: float, factor: float) -> Law:

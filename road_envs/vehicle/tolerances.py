@@ -53,10 +53,7 @@ class ParameterSpace:
         return len(self.names)
 
     def from_vector(self, x: np.ndarray) -> VehicleParameters:
-        """Return the vehicle of a vector `x` (P,).
-
-        Raises ArithmeticError if it is none, since a value is beyond its range.
-        """
+        """Return the vehicle of a vector `x` (P,). Raises ArithmeticError if there is none."""
         factors = np.exp(self.std * x).tolist()
         return varied_car(self.car, dict(zip(self.names, factors, strict=True)))
 
@@ -197,18 +194,14 @@ def _components(car: VehicleParameters, path: str) -> list[str]:
 
 
 def _scale_at(owner: Any, path: list[str], factor: float) -> Any:
-    if not path:
-        return _scale(owner, factor)
-    if isinstance(owner, tuple):
+    if path and isinstance(owner, tuple):
         i = _index(path[0], len(owner))
         return (*owner[:i], _scale_at(owner[i], path[1:], factor), *owner[i + 1 :])
-    return replace(owner, **{path[0]: _scale_at(getattr(owner, path[0]), path[1:], factor)})
-
-
-def _scale(value: Any, factor: float) -> Any:
-    if isinstance(value, Curve):
-        return value.scaled(factor)
-    if is_dataclass(value) and not isinstance(value, type):
-        scaled = {f.name: getattr(value, f.name).scaled(factor) for f in fields(value)}
-        return replace(value, **scaled)
-    return tuple(factor * v for v in value) if isinstance(value, tuple) else factor * value
+    if path:
+        return replace(owner, **{path[0]: _scale_at(getattr(owner, path[0]), path[1:], factor)})
+    if isinstance(owner, Curve):
+        return owner.scaled(factor)
+    if is_dataclass(owner) and not isinstance(owner, type):
+        scaled = {f.name: getattr(owner, f.name).scaled(factor) for f in fields(owner)}
+        return replace(owner, **scaled)
+    return tuple(factor * v for v in owner) if isinstance(owner, tuple) else factor * owner

@@ -264,7 +264,7 @@ def switched():
     logger = DataLogger(PAPER, DEFENDER, step, np.random.default_rng(4))
     modes = [encode_command(mode) for mode in ("ride", "handling", "stiff_low", SPLIT, "soft_high")]
     parts, bytes_ = [], []
-    while not car.is_finished:
+    while car.steps_left:
         steps = min(3000, car.steps_left)
         commands = np.full(steps, modes[len(parts) % len(modes)], dtype=np.uint8)
         parts.append(logger.sample(car.advance(commands)))

@@ -189,7 +189,7 @@ def test_the_defender_has_the_tabulated_natural_modes(mode):
     np.testing.assert_allclose(actual.f, oracles.MODES_HZ[mode], atol=1.5e-3)
     kinds = ("roll", "bounce", "pitch", *("axle hop",) * 2, *("axle roll",) * 2)
     assert all(kind in name for kind, name in zip(kinds, actual.names, strict=True))
-    assert sorted(actual.names) == sorted(NATURAL_MODE_NAMES)
+    assert sorted(actual.names) == sorted(NATURAL_MODE_NAMES[:7])
 
 
 @every_car

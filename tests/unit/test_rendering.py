@@ -22,7 +22,6 @@ from road_envs.rendering import HEIGHT, WIDTH, Scene, panels, render_frame, styl
 from road_envs.roads import load_road
 from road_envs.simulation.drive import DriveSimulator
 from road_envs.vehicle.equations import AXLE, PHI, THETA, Z_B, build_plant
-from road_envs.vehicle.force_curves import zero_force_range
 from road_envs.vehicle.parameters import load_vehicle
 from road_envs.vehicle.suspension import MODES, encode_command
 
@@ -172,7 +171,7 @@ def test_strut_colours_show_their_state():
 
 @pytest.mark.parametrize("end", [0, 1])
 def test_a_stop_changes_colour_when_the_strut_reaches_it(end):
-    limit = zero_force_range(CAR.bump_stops[1])[end]
+    limit = CAR.free_travel[2][end]
     for share, lit in ((0.98, False), (1.02, True)):
         picture = render_frame(scene(extension=np.array([0.0, 0.0, share * limit, 0.0])))
         assert (where(picture, style.STOP_REACHED, REAR).sum() > 50) == lit

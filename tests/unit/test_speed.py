@@ -76,7 +76,7 @@ def test_a_drive_with_a_speed_profile_in_chunks_equals_the_whole_drive():
     whole = simulate(CAR, BELGIAN, speed_ramp(4.0, 15.0, 3.0, after=0.5))
     drive = DriveSimulator(build_plant(CAR), CAR, BELGIAN, speed_ramp(4.0, 15.0, 3.0, after=0.5))
     parts = []
-    while not drive.is_finished:
+    while drive.steps_left:
         n = min(333, drive.steps_left)
         parts.append(drive.advance(np.full(n, encode_command("ride"), dtype=np.uint8)).signals)
     np.testing.assert_array_equal(np.concatenate(parts), whole.signals)
