@@ -71,11 +71,6 @@ class DriveResult:
     facts: dict[str, Any]
     is_mean_path: bool = False
 
-    @property
-    def has_position(self) -> bool:
-        """True if latitude and longitude are known."""
-        return self.measured.position is not None
-
     def position(self, station: float) -> tuple[float | None, float | None]:
         """Return latitude and longitude [°] of the front axle at a station, None if unknown."""
         if self.measured.position is None:
@@ -123,7 +118,8 @@ def analyse(
         half, iri = None, posterior_iri(estimate, edges, factor=factor, relative_std=std)
     missing = (NO_INTERVAL_NOTE,) if np.isnan(iri.high).any() else ()
     if not is_mean_path and is_far_off(estimate, record, noise):
-        iri, missing = iri.without_interval(), (_HUGE_RESIDUAL_NOTE,)
+        unknown_limit = np.full_like(iri.median, np.nan)
+        iri, missing = iri._replace(low=unknown_limit, high=unknown_limit), (_HUGE_RESIDUAL_NOTE,)
     notes = in_order_of_weight((*estimate.notes, *measured.notes, *missing))
     place = measured.chainage
     result = DriveResult(name, measured, estimate, v, place, [], [], notes, {}, is_mean_path)

@@ -44,10 +44,6 @@ class IriPosterior(NamedTuple):
     median: np.ndarray
     high: np.ndarray
 
-    def without_interval(self) -> "IriPosterior":
-        """Return the same medians alone."""
-        return self._replace(low=self.low * np.nan, high=self.high * np.nan)
-
 
 def posterior_iri(
     estimate: Estimate,
@@ -63,7 +59,12 @@ def posterior_iri(
     """
     index = np.searchsorted(estimate.s, edges)
     roads = estimate.z[None] if estimate.draws is None else estimate.draws
-    log = np.log(factor * np.array([_path_indices(z, estimate.ds, index) for z in roads]))
+
+    def path_indices(z: np.ndarray) -> list[np.ndarray]:
+        left, right = segment_means(1e3 * np.abs(golden_car(z, estimate.ds)), index)
+        return [left, right, 0.5 * (left + right)]
+
+    log = np.log(factor * np.array([path_indices(z) for z in roads]))
     middle, std = log.mean(axis=0), np.hypot(log.std(axis=0), relative_std)
     if estimate.draws is not None:
         std = np.sqrt(std**2 + _MODEL_STD**2 + (_SMOOTH_STD / np.exp(middle)) ** 2)
@@ -71,13 +72,6 @@ def posterior_iri(
         std = np.full_like(std, np.nan)
     spread = _NORMAL_QUANTILE * std
     return IriPosterior(*(np.exp(middle + part) for part in (-spread, 0.0, spread)))
-
-
-def _path_indices(z: np.ndarray, ds: float, index: np.ndarray) -> np.ndarray:
-    """IRI (3, K) [mm/m] of left, right and their mean between the indices (K + 1,)."""
-    motion = 1e3 * np.abs(golden_car(np.asarray(z, dtype=float), ds))
-    left, right = segment_means(motion, index)
-    return np.array([left, right, 0.5 * (left + right)])
 
 
 def segment_means(x: np.ndarray, index: np.ndarray) -> np.ndarray:

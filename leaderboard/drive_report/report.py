@@ -10,9 +10,9 @@ import estimators
 from leaderboard.drive_report.analysis import SEGMENT_LENGTHS, DriveResult, KnownFactor, analyse
 from leaderboard.drive_report.conditions import Conditions
 from leaderboard.drive_report.drive_estimates import estimate_drive, make_drive_estimator
-from leaderboard.drive_report.export import parse_route, write_files
+from leaderboard.drive_report.export import write_files
 from leaderboard.drive_report.geopackage import write_geopackage
-from leaderboard.drive_report.known_iri import known_factor, read_known_iri
+from leaderboard.drive_report.known_iri import Stretch, known_factor
 from leaderboard.drive_report.mean_path import tells_vehicle
 from leaderboard.drive_report.page import write_page
 from leaderboard.drive_report.passes import ReportedPass, align_passes, compare, join
@@ -33,9 +33,9 @@ _Progress = Callable[[str, float], None]  # takes what is being done and the sha
 
 @dataclass(frozen=True, kw_only=True)
 class ReportSettings:
-    """Settings of a report: an estimator with its settings, categories, segments [m], the IRI of a
-    stretch if it is known, and the route on which the drives are for HPMS. A `fast` report fits no
-    vehicle to its drives.
+    """Settings of a report: an estimator with its settings, categories, segments [m], stretches of
+    known IRI if there are any, and for HPMS the route with the mile where the drives begin. A
+    `fast` report fits no vehicle to its drives.
     """
 
     conditions: Conditions
@@ -43,14 +43,10 @@ class ReportSettings:
     settings: dict[str, Any]
     fast: bool = False
     segment: float = 100.0
-    known_iri: str | None = None
-    route: str | None = None
+    known_iri: Sequence[Stretch] | None = None
+    route: tuple[str, float] | None = None
 
     def __post_init__(self):
-        if self.route is not None:
-            parse_route(self.route)
-        if self.known_iri is not None:
-            read_known_iri(self.known_iri)
         if self.segment not in SEGMENT_LENGTHS:
             allowed = ", ".join(f"{x:g}" for x in SEGMENT_LENGTHS)
             raise ConfigError(f"--segment must be one of {allowed} m, got {self.segment:g} m")
