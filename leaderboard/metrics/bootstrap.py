@@ -39,14 +39,6 @@ class Interval(NamedTuple):
     high: float
 
 
-class _PerformanceProfile(NamedTuple):
-    """Shares (T,) of runs at or below each threshold, with their bootstrap intervals."""
-
-    share: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-
-
 def interquartile_mean(x: np.ndarray, axis: int = -1) -> np.ndarray:
     """Return the mean of the middle half of `x`; values at the quartiles count in part.
 
@@ -123,8 +115,9 @@ def performance_profile(
     thresholds: np.ndarray,
     replicates: int = _REPLICATES,
     strata: Strata | None = None,
-) -> _PerformanceProfile:
-    """Return the share of `scores` (R, C, S) at or below each of `thresholds` (T,).
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the shares (T,) of `scores` (R, C, S) at or below each of `thresholds` (T,), and the
+    lower and upper ends (T,) of their bootstrap intervals.
 
     Lower scores are better. NaN marks a missing run, infinity a run above every threshold.
     """
@@ -134,10 +127,9 @@ def performance_profile(
         with np.errstate(invalid="ignore"):
             return np.stack([np.sum(x <= limit, axis=-1) / count for limit in thresholds], axis=-1)
 
-    reached = shares(scores.ravel())
     parts = [shares(x) for x in _replicate_scores(scores, 0, replicates, strata)]
     low, high = np.quantile(np.concatenate(parts), _QUANTILES, axis=0)
-    return _PerformanceProfile(reached, low, high)
+    return shares(scores.ravel()), low, high
 
 
 def _replicate_scores(

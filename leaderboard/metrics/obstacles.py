@@ -83,12 +83,13 @@ def match_obstacles(
     if not heights:
         return None
     threshold = min(heights) / 2
-    left, right = (_match_path(y[k], a[k], ds, threshold) for k in range(2))
+    left, right = (
+        _match(*(detect_obstacles(z[k], ds, threshold) for z in (y, a))) for k in range(2)
+    )
     return left, right
 
 
 def _obstacle_scores(y: np.ndarray, a: np.ndarray, ds: float) -> _ObstacleScores | None:
-    """Return the scores of `a` against `y`, both (2, M) [m]; None without a true obstacle."""
     paths = match_obstacles(y, a, ds)
     if paths is None:
         return None
@@ -113,30 +114,18 @@ def _obstacle_scores(y: np.ndarray, a: np.ndarray, ds: float) -> _ObstacleScores
     return _ObstacleScores(*shares, s, height, relative, float(wrong_side))
 
 
-def _match_path(y: np.ndarray, a: np.ndarray, ds: float, threshold: float) -> _ObstacleMatches:
-    true, detected = detect_obstacles(y, ds, threshold), detect_obstacles(a, ds, threshold)
-    pairs = _pair_nearest(true, detected)
-    return _ObstacleMatches(
-        pairs,
-        [obstacle for obstacle in true if not any(obstacle is t for t, _ in pairs)],
-        [obstacle for obstacle in detected if not any(obstacle is f for _, f in pairs)],
-    )
-
-
-def _pair_nearest(
-    true: list[Obstacle], detected: list[Obstacle]
-) -> list[tuple[Obstacle, Obstacle]]:
-    """Return pairs (true, estimated) that match, nearest first, each obstacle in one pair."""
+def _match(true: list[Obstacle], detected: list[Obstacle]) -> _ObstacleMatches:
+    """Match the obstacles of a wheel path, nearest first, each in one pair."""
     pairs: list[tuple[Obstacle, Obstacle]] = []
     for t, f in sorted(product(true, detected), key=lambda pair: abs(pair[0].s - pair[1].s)):
-        taken = any(t is t_ or f is f_ for t_, f_ in pairs)
-        if _is_match(t, f) and not taken:
+        if _is_match(t, f) and not any(t is t_ or f is f_ for t_, f_ in pairs):
             pairs.append((t, f))
-    return pairs
+    missed = [obstacle for obstacle in true if all(obstacle is not t for t, _ in pairs)]
+    false = [obstacle for obstacle in detected if all(obstacle is not f for _, f in pairs)]
+    return _ObstacleMatches(pairs, missed, false)
 
 
 def _is_match(a: Obstacle, b: Obstacle) -> bool:
-    """Return whether two obstacles have the same sign and lie within MATCH_DISTANCE."""
     return abs(a.s - b.s) <= MATCH_DISTANCE and (a.height > 0.0) == (b.height > 0.0)
 
 
