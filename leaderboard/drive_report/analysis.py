@@ -17,7 +17,7 @@ from leaderboard.drive_report.notes import (
     misfits,
     vehicle_in_words,
 )
-from leaderboard.drive_report.obstacles import CERTAIN, DetectedObstacle, detect
+from leaderboard.drive_report.obstacles import CERTAIN, HEIGHT_STD, DetectedObstacle, detect
 from leaderboard.drive_report.posterior_iri import NO_INTERVAL_NOTE, IriPosterior, posterior_iri
 from road_envs.drives.measured_record import MeasuredRecord
 from road_envs.records import roughness
@@ -118,8 +118,8 @@ def analyse(
         half, iri = None, posterior_iri(estimate, edges, factor=factor, relative_std=std)
     missing = (NO_INTERVAL_NOTE,) if np.isnan(iri.high).any() else ()
     if not is_mean_path and is_far_off(estimate, record, noise):
-        unknown_limit = np.full_like(iri.median, np.nan)
-        iri, missing = iri._replace(low=unknown_limit, high=unknown_limit), (_HUGE_RESIDUAL_NOTE,)
+        none = np.full_like(iri.median, np.nan)
+        iri, missing = iri._replace(low=none, high=none), (_HUGE_RESIDUAL_NOTE,)
     notes = in_order_of_weight((*estimate.notes, *measured.notes, *missing))
     place = measured.chainage
     result = DriveResult(name, measured, estimate, v, place, [], [], notes, {}, is_mean_path)
@@ -236,8 +236,8 @@ def _obstacle(result: DriveResult, found: DetectedObstacle, distance_std: float)
     is_certain = found.confidence >= CERTAIN and not misfits(result.estimate, result.is_mean_path)
     lat, lon = result.position(found.station)
     distance = distance_std * (found.station - result.measured.record.s[0])
-    found = found.in_an_estimate()
-    low, high = (found.height + 1.96 * way * found.height_std for way in (-1.0, 1.0))
+    height_std = float(np.hypot(found.height_std, HEIGHT_STD * found.height))
+    low, high = (found.height + 1.96 * way * height_std for way in (-1.0, 1.0))
     return {
         "kind": ("" if is_certain else "possible ") + ("bump" if found.height > 0.0 else "hole"),
         "station_m": result.chainage + found.station,

@@ -15,7 +15,6 @@ _MISFIT = r"does not reproduce|times the expected one|heights are reduced"
 """Notes of an estimator whose model does not give the measured motion."""
 
 ONE_ROAD = "one road from"  # words of the note of the road of all passes, which is no doubt
-
 _FITTED = r"was adapted|adapted to the drive"
 """Notes of a vehicle whose parameters or elements were found from the drive itself."""
 
@@ -127,7 +126,13 @@ def in_order_of_weight(notes: Iterable[str]) -> tuple[str, ...]:
     joined = [
         ", ".join(names) + what if what.startswith(_SLOW) else what for what, names in alike.items()
     ]
-    return tuple(sorted(joined, key=_weight))
+    matches = [(k, text) for k, text in enumerate(_WEIGHTS) if text]
+
+    def weight(note: str) -> int:
+        found = (k for k, text in matches if re.search(text, note))
+        return next(found, _WEIGHTS.index(""))
+
+    return tuple(sorted(joined, key=weight))
 
 
 def vehicle_in_words(notes: Iterable[str]) -> str:
@@ -137,9 +142,3 @@ def vehicle_in_words(notes: Iterable[str]) -> str:
         return "as described"
     is_bent = all("body bends" in note for note in found)
     return "as described, but for the bending of its body" if is_bent else "fitted to the drive"
-
-
-def _weight(note: str) -> int:
-    others = _WEIGHTS.index("")
-    matches = [k for k, text in enumerate(_WEIGHTS) if text and re.search(text, note)]
-    return min(matches, default=others)

@@ -78,11 +78,6 @@ class DetectedObstacle(NamedTuple):
     side: str
     confidence: float
 
-    def in_an_estimate(self) -> "DetectedObstacle":
-        """Return the obstacle with the standard deviation of a height from a drive's estimate."""
-        spread = float(np.hypot(self.height_std, HEIGHT_STD * self.height))
-        return self._replace(height_std=spread)
-
 
 def detect(estimate: Estimate) -> list[DetectedObstacle]:
     """Return the obstacles of both wheel paths by station; one in both paths is one obstacle."""
@@ -92,7 +87,8 @@ def detect(estimate: Estimate) -> list[DetectedObstacle]:
     )
     merged = []
     for one in left:
-        twin = next((o for o in right if _is_same(one, o)), None)
+        near = (o for o in right if abs(o.station - one.station) < MERGE_GAP)
+        twin = next((o for o in near if (o.height > 0.0) == (one.height > 0.0)), None)
         if twin is None:
             merged.append(one._replace(side="left"))
             continue
@@ -201,7 +197,3 @@ def _level(z: np.ndarray, foot: int, direction: int, ds: float, length: int) -> 
     size = max(round(_FOOT_WIDTH * length), round(_MIN_FOOT_WIDTH / ds), 1)
     part = z[foot : foot + size] if direction > 0 else z[max(0, foot - size + 1) : foot + 1]
     return float(np.median(part))
-
-
-def _is_same(a: DetectedObstacle, b: DetectedObstacle) -> bool:
-    return abs(a.station - b.station) < MERGE_GAP and (a.height > 0.0) == (b.height > 0.0)

@@ -2,7 +2,7 @@
 
 import base64
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup
@@ -43,38 +43,33 @@ def _drawn_paths(result: DriveResult) -> dict[str, str]:
     return {side: COLOURS[side] for side in SIDES}
 
 
-class _ShownProfile(NamedTuple):
-    """Heights that are shown, without long waves: chainage (M,) [m], each path, and their standard
+_Shown = tuple[np.ndarray, np.ndarray, np.ndarray | None]
+
+
+def _shown_heights(result: DriveResult) -> _Shown:
+    """Return chainage (M,) [m], heights without long waves by path (P, M) [mm], and their standard
     deviation (2, M) [mm], None where the method has none.
     """
-
-    s: np.ndarray
-    z: np.ndarray
-    std: np.ndarray | None
-
-    @classmethod
-    def of(cls, result: DriveResult) -> "_ShownProfile":
-        """Return those of a drive."""
-        estimate, ds = result.estimate, result.estimate.ds
-        band = (1.0 / _LONGEST_WAVE, scored_band(result.v)[1])
-        z = 1e3 * band_pass(estimate.z, ds, band)
-        trim = (estimate.s.size - z.shape[1]) // 2
-        s = result.chainage + estimate.s[trim : trim + z.shape[1]]
-        std = None
-        if estimate.draws is not None:
-            errors = (band_pass(road - estimate.z, ds, band) for road in estimate.draws)
-            std = 1e3 * np.sqrt(sum(error**2 for error in errors) / len(estimate.draws))
-        elif estimate.z_std is not None:
-            std = 1e3 * estimate.z_std[:, trim : trim + z.shape[1]]
-        return cls(s, z, std)
+    estimate, ds = result.estimate, result.estimate.ds
+    band = (1.0 / _LONGEST_WAVE, scored_band(result.v)[1])
+    z = 1e3 * band_pass(estimate.z, ds, band)
+    trim = (estimate.s.size - z.shape[1]) // 2
+    inside = slice(trim, trim + z.shape[1])
+    std = None
+    if estimate.draws is not None:
+        errors = (band_pass(road - estimate.z, ds, band) for road in estimate.draws)
+        std = 1e3 * np.sqrt(sum(error**2 for error in errors) / len(estimate.draws))
+    elif estimate.z_std is not None:
+        std = 1e3 * estimate.z_std[:, inside]
+    return result.chainage + estimate.s[inside], z, std
 
 
 def draw(result: DriveResult, conditions: Conditions, anchor: str) -> dict[str, Any]:
     """Return the pictures of a drive, and the heights that the page's script draws."""
-    shown = _ShownProfile.of(result)
+    shown = _shown_heights(result)
     return {
         "strip": Markup(_profile_strip(result, shown)),
-        "is_shaded": shown.std is not None,
+        "is_shaded": shown[2] is not None,
         "heights": _strip_data(result, shown),
         "iri": Markup(_iri_chart(result, conditions)),
         "density": Markup(_density_chart(result)),
@@ -82,11 +77,11 @@ def draw(result: DriveResult, conditions: Conditions, anchor: str) -> dict[str, 
     }
 
 
-def _strip_data(result: DriveResult, shown: _ShownProfile) -> dict[str, Any]:
+def _strip_data(result: DriveResult, shown: _Shown) -> dict[str, Any]:
     """Return what the page's script draws below the row of a segment: heights in _STRIP_UNIT as
     base64 of 16-bit integers every `step` [m] from `begin` [m], by path with its colour.
     """
-    stride = max(1, round(_STRIP_STEP / result.estimate.ds))
+    (s, heights, _), stride = shown, max(1, round(_STRIP_STEP / result.estimate.ds))
     paths = [
         {
             "name": name,
@@ -95,13 +90,13 @@ def _strip_data(result: DriveResult, shown: _ShownProfile) -> dict[str, Any]:
                 np.clip(np.round(z[::stride] / _STRIP_UNIT), -32768, 32767).astype("<i2").tobytes()
             ).decode(),
         }
-        for (name, shade), z in zip(_drawn_paths(result).items(), shown.z, strict=False)
+        for (name, shade), z in zip(_drawn_paths(result).items(), heights, strict=False)
     ]
     step = stride * result.estimate.ds
-    return {"begin": float(shown.s[0]), "step": step, "unit": _STRIP_UNIT, "paths": paths}
+    return {"begin": float(s[0]), "step": step, "unit": _STRIP_UNIT, "paths": paths}
 
 
-def _profile_strip(result: DriveResult, shown: _ShownProfile) -> str:
+def _profile_strip(result: DriveResult, shown: _Shown) -> str:
     """Return the heights of both wheel paths over the chainage, with their 95 % interval."""
     (s, z, std), ds = shown, result.estimate.ds
     rows = int(np.clip(np.ceil((s[-1] - s[0]) / _ROW_LENGTH), 1, _ROWS))

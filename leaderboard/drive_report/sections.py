@@ -15,6 +15,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -120,24 +121,20 @@ def join(parts: Sequence[Estimate], sections: Sequence[_DriveSection], length: f
     unsure = [np.zeros(x.s.size, bool) if x.unsure is None else x.unsure for x in parts]
     is_unsure = any(x.any() for x in unsure)
     residuals = [part.residual for part in parts if part.residual is not None]
+    distance, scales = None, [part.distance for part in parts if part.distance]
+    if scales:  # means weighted by inverse variance, as their errors have common causes
+        weights = [1.0 / one.std**2 for one in scales]
+        distance = DistanceScale(*(float(x) for x in np.average(scales, axis=0, weights=weights)))
     return Estimate(
         s,
         joined([part.z for part in parts], is_height=True),
         joined(stds, is_height=False) if stds else None,
         _joined_notes(parts, sections, length),
-        distance=_joined_distance([part.distance for part in parts if part.distance]),
+        distance=distance,
         unsure=joined(unsure, is_height=False) if is_unsure else None,
         draws=joined([x[:count] for x in draws], is_height=True) if draws else None,
         residual=max(residuals, default=None),
     )
-
-
-def _joined_distance(found: Sequence[DistanceScale]) -> DistanceScale | None:
-    """Return the mean weighted by inverse variance, whose errors have common causes."""
-    if not found:
-        return None
-    weights = [1.0 / one.std**2 for one in found]
-    return DistanceScale(*(float(x) for x in np.average(found, axis=0, weights=weights)))
 
 
 def _joined_notes(
@@ -174,11 +171,7 @@ class Sections:
 
     def estimator(self, one: Estimator) -> Estimator:
         """Return an estimator that estimates by sections, and is as `one` in all else."""
-
-        def estimate(record: Record, car: VehicleParameters) -> Estimate:
-            return self._estimate(one, record, car)
-
-        return copy_with(one, estimate=estimate)
+        return copy_with(one, estimate=partial(self._estimate, one))
 
     def clear(self) -> None:
         """Remove what was kept: the report is done."""
@@ -245,18 +238,11 @@ class Sections:
 
 def _plain(estimate: Estimate) -> dict[str, Any]:
     """Return what is kept of an estimate, as JSON types; arrays are their bytes in base 64."""
-    arrays = {name: getattr(estimate, name) for name in _ARRAYS}
-    return {
-        "residual": estimate.residual,
-        "s_std": estimate.s_std,
-        "distance": estimate.distance,
-        "notes": estimate.notes,
-        **{
-            name: [x.dtype.str, x.shape, base64.b64encode(x.tobytes()).decode()]
-            for name, x in arrays.items()
-            if x is not None
-        },
-    }
+    plain = {name: getattr(estimate, name) for name in ("residual", "s_std", "distance", "notes")}
+    for name in _ARRAYS:
+        if (x := getattr(estimate, name)) is not None:
+            plain[name] = [x.dtype.str, x.shape, base64.b64encode(x.tobytes()).decode()]
+    return plain
 
 
 def _from_plain(content: Mapping[str, Any], record: Record) -> Estimate:
@@ -264,7 +250,9 @@ def _from_plain(content: Mapping[str, Any], record: Record) -> Estimate:
     for name in content.keys() & set(_ARRAYS):
         kind, shape, text = content[name]
         arrays[name] = np.frombuffer(base64.b64decode(text), kind).reshape(shape)
-    distance, notes = content["distance"], tuple(content["notes"])
-    own = {name: content[name] for name in ("residual", "s_std")}
-    own["distance"] = distance and DistanceScale(*distance)
-    return Estimate(profile_stations(record.length), notes=notes, **own, **arrays)
+    distance = content["distance"]
+    return Estimate(
+        profile_stations(record.length), **arrays, notes=tuple(content["notes"]),
+        residual=content["residual"], s_std=content["s_std"],
+        distance=distance and DistanceScale(*distance),
+    )  # fmt: skip

@@ -138,9 +138,11 @@ def test_a_half_sine_has_its_height_and_the_deviation_of_an_estimate(length):
     s = np.arange(0.0, 60.0, PROFILE_SPACING)
     z = 0.05 * np.cos(np.pi * np.clip((s - 30.0) / length, -0.5, 0.5))
     (found,) = detect(Estimate(s, np.array([z, z])))
-    one = found.in_an_estimate()
-    assert one.height == found.height == pytest.approx(0.05, rel=0.02)
-    assert one.height_std == pytest.approx(np.hypot(found.height_std, HEIGHT_STD * 0.05), rel=0.02)
+    assert found.height == pytest.approx(0.05, rel=0.02)
+    measured = MeasuredRecord(drive(length=60.0))
+    (row,) = analyse("one", measured, Estimate(s, np.array([z, z])), HPMS).obstacles
+    half_width = 1.96e3 * np.hypot(found.height_std, HEIGHT_STD * 0.05)
+    assert row["height_high_mm"] - row["height_mm"] == pytest.approx(half_width, rel=0.02)
 
 
 def test_a_deep_hole_leaves_no_rims_as_bumps():
