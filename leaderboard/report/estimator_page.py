@@ -25,8 +25,7 @@ from leaderboard.running.board import Board
 _WORST_DRIVES = 3  # number of drives of a task with the largest errors that are listed
 _LABEL_LENGTH = 20  # length at which the name of a group is continued on a second line [characters]
 
-_NOMINAL_SHARES = np.linspace(0.05, 0.95, 19)
-"""Probabilities of the intervals of a calibration chart."""
+_NOMINAL_SHARES = np.linspace(0.05, 0.95, 19)  # probabilities of intervals that are calibrated
 
 _Evaluated = tuple[Task, Result, Row, Section, BoardDefinition]
 """One result with its task and its row on the board."""
@@ -94,13 +93,21 @@ def _result_provenance(board: Board, task: Task, result: Result) -> list[tuple[s
 
 def _charts(evaluated: Sequence[_Evaluated]) -> dict[str, fig.Chart]:
     """Return the charts of an estimator that are not empty, with a figure for each task."""
+    ranked = {
+        "margin": {"l": 8, "r": 12, "t": 34, "b": 44},
+        "showlegend": False,
+        "bargap": 0.3,
+        "yaxis": fig.axis("", autorange="reversed", showgrid=False, fixedrange=True),
+    }
+    shares = {
+        "xaxis": fig.axis("stated probability [%]", 0.0, 100.0),
+        "yaxis": fig.axis("errors inside [%]", 0.0, 100.0),
+    }
     made: dict[str, tuple[str, dict[str, Any], Callable[..., dict[str, Any] | None]]] = {
-        "errors": ("Error by condition and family", _ERROR_LAYOUT, _error_figure),
+        "errors": ("Error by condition and family", ranked, _error_figure),
         "spectrum": ("Error over spatial frequency", ERROR_AXES, _spectrum_figure),
-        "calibration": (
-            "Calibration of the stated intervals", _CALIBRATION_LAYOUT, _calibration_figure,
-        ),
-    }  # fmt: skip
+        "calibration": ("Calibration of the stated intervals", shares, _calibration_figure),
+    }
     return {
         name: fig.chart(title, figures, layout, by=("task",))
         for name, (title, layout, draw) in made.items()
@@ -132,18 +139,6 @@ def _paragraphs(documented: object) -> list[tuple[str, bool]]:
     ]
 
 
-_ERROR_LAYOUT = {
-    "margin": {"l": 8, "r": 12, "t": 34, "b": 44},
-    "showlegend": False,
-    "bargap": 0.3,
-    "yaxis": fig.axis("", autorange="reversed", showgrid=False, fixedrange=True),
-}
-_CALIBRATION_LAYOUT = {
-    "xaxis": fig.axis("stated probability [%]", 0.0, 100.0),
-    "yaxis": fig.axis("errors inside [%]", 0.0, 100.0),
-}
-
-
 def _error_figure(
     task: Task, result: Result, row: Row, section: Section, definition: BoardDefinition
 ) -> dict[str, Any] | None:
@@ -173,7 +168,6 @@ def _error_figure(
 
 
 def _spectrum_figure(task: Task, result: Result, row: Row, *_: Any) -> dict[str, Any]:
-    """Return the error over spatial frequency, with the bound under the first condition."""
     condition = task.conditions[0]
     bound = bound_line(task, condition) | {"name": f"bound, {condition.label}"}
     return {"data": [bound, *error_lines({row.name: row}, "")]}

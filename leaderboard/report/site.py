@@ -33,8 +33,6 @@ from road_envs.core.atomic_io import write_text
 _MAX_DRAWN = 8  # number of entries of a task that are drawn, best first
 _DIGITS = 5  # significant digits of a number, which sorts and draws; its text is what is read
 
-_PAGE_FOLDERS = ("tasks", "estimators")
-
 
 def write_site(board: Board, report: Report, out: Path) -> Path:
     """Write the site into `out`, each file atomically, and return its index."""
@@ -47,10 +45,9 @@ def write_site(board: Board, report: Report, out: Path) -> Path:
             export.write_exports(board, report.views, out)
         write_text(out / name, text)
         written.append(name)
-    for folder in _PAGE_FOLDERS:
-        for path in (out / folder).glob("*.html"):
-            if f"{folder}/{path.name}" not in written:
-                path.unlink()
+    for path in [*out.glob("tasks/*.html"), *out.glob("estimators/*.html")]:
+        if f"{path.parent.name}/{path.name}" not in written:
+            path.unlink()
     return index
 
 
@@ -173,19 +170,17 @@ def _task(board: Board, view: BoardView, section: Section, task: Task) -> dict[s
 
 
 def _board_provenance(board: Board) -> list[tuple[str, str]]:
-    """Return the provenance of a board: machines, versions, and tasks with their digests."""
-    machines: dict[str, None] = {}
+    """Return machines and versions, and the tasks with their digests."""
+    machines: dict[str, Any] = {}
     rows = []
     for task in board.tasks:
         scored = board.scored(task)
-        machines |= dict.fromkeys(_machine(result) for result in scored)
+        for result in scored:
+            versions = {"road-envs": result.package_version, "metrics": result.metric_version}
+            versions |= result.environment
+            machines[", ".join(f"{name} {value}" for name, value in versions.items())] = None
         rows.append((task.name, f"{_drive_counts(task, scored)}; digest {task.digest[:12]}"))
     return [*(("Made by", text) for text in machines), *rows]
-
-
-def _machine(result: Result) -> str:
-    versions = {"road-envs": result.package_version, "metrics": result.metric_version}
-    return ", ".join(f"{name} {value}" for name, value in (versions | result.environment).items())
 
 
 def _drive_counts(task: Task, results: Sequence[Result]) -> str:
