@@ -40,10 +40,7 @@ def _render_page(
     lines: Mapping[str, Timeline] = MappingProxyType({}),
     board: bool = False,
 ) -> str:
-    """Render the page from the data of a comparison and one drive of some policies.
-
-    It links to the leaderboard if there is a `board`.
-    """
+    """Render the page of a comparison; it links to the leaderboard if there is a `board`."""
     present = [group for group in GROUPS if any(group in r.get("groups", {}) for r in data["rows"])]
     return render(
         "site/policies.html",
@@ -83,5 +80,4 @@ def _score_chart(data: Mapping[str, Any]) -> Chart:
         }
         traces.append(trace | look)
     axes = {"xaxis": axis("drive", type="category"), "yaxis": axis("score [m²/s⁴]")}
-    layout = {"height": 420, **axes}
-    return chart("Score of each drive", {"": {"data": traces}}, layout)
+    return chart("Score of each drive", {"": {"data": traces}}, {"height": 420, **axes})

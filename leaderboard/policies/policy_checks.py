@@ -71,12 +71,17 @@ def check_policy(
             f"{reward['own']:.2f}, always ride {reward['fixed_ride']:.2f}, always handling "
             f"{reward['fixed_handling']:.2f}"
         )
+
+        def driven_twice() -> _Verdict:
+            with PolicyProcess(reference, settings, limits) as fresh:
+                return _again(fresh, first.actions, "driven twice")
+
         results = [
             CheckResult("runs", True, ran),
             _attempt("actions", lambda: _with_refusals(spaces), policy),
             _attempt("observations", lambda: _with_refusals(fewer), policy),
-            _attempt("repeat", lambda: _repeat(reference, settings, limits, first.actions), policy),
-            _attempt("reset", lambda: _reset(policy, first.actions), policy),
+            _attempt("repeat", driven_twice, policy),
+            _attempt("reset", lambda: _again(policy, first.actions, "after other drives"), policy),
             _attempt("vehicles", lambda: _alone(policy, first.actions), policy),
             _attempt("sensors", lambda: _damaged_sensors(policy, first.observations), policy),
         ]
@@ -113,14 +118,8 @@ def _short(policy: PolicyProcess, **changed: Any) -> Callable[[], object]:
     return lambda: roll_out(policy, options, SEEDS[:2], store_observations=False)
 
 
-def _repeat(reference, settings, limits, actions: np.ndarray) -> _Verdict:
-    with PolicyProcess(reference, settings, limits) as fresh:
-        return _compare(roll_out(fresh, dict(OPTIONS), SEEDS).actions, actions, "driven twice")
-
-
-def _reset(policy: PolicyProcess, actions: np.ndarray) -> _Verdict:
-    again = roll_out(policy, dict(OPTIONS), SEEDS).actions
-    return _compare(again, actions, "after other drives")
+def _again(policy: PolicyProcess, actions: np.ndarray, when: str) -> _Verdict:
+    return _compare(roll_out(policy, dict(OPTIONS), SEEDS).actions, actions, when)
 
 
 def _alone(policy: PolicyProcess, actions: np.ndarray) -> _Verdict:

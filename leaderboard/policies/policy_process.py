@@ -89,12 +89,10 @@ class PolicyProcess:
 
     def close(self) -> None:
         """Kill the process and its children."""
-        if self._guest is not None:
-            self._guest.close()
-            self._guest = None
-        if self._temp is not None:
-            self._temp.close()
-            self._temp = None
+        for each in (self._guest, self._temp):
+            if each is not None:
+                each.close()
+        self._guest = self._temp = None
 
     def _start(self) -> Guest:
         self._temp = self._temp or TempFolder()
