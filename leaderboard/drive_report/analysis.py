@@ -97,7 +97,7 @@ def analyse(
 
     `clipping` [m/s²], one or (k, 1), is the magnitude from which on a sample is clipped, `noise`
     [m/s²] the RMS of the sensors' noise; `tolerance_std` is the relative standard deviation of the
-    IRI by the tolerances of a vehicle that the sensors do not tell (`tolerance_error.py`), and
+    IRI by the tolerances of a vehicle that the sensors do not tell (`roughness_std`), and
     `distance_std` that of distances from the first sample. `modes` name the states of the struts;
     `known` is the factor of this car and mount by a stretch of known IRI.
     """

@@ -13,11 +13,10 @@ from leaderboard.drive_report.drive_estimates import estimate_drive, make_drive_
 from leaderboard.drive_report.export import write_files
 from leaderboard.drive_report.geopackage import write_geopackage
 from leaderboard.drive_report.known_iri import Stretch, known_factor
-from leaderboard.drive_report.mean_path import tells_vehicle
+from leaderboard.drive_report.mean_path import roughness_std, tells_vehicle
 from leaderboard.drive_report.page import write_page
 from leaderboard.drive_report.passes import ReportedPass, align_passes, compare, join
 from leaderboard.drive_report.sections import Sections
-from leaderboard.drive_report.tolerance_error import roughness_std
 from road_envs.core.config import ConfigError
 from road_envs.drives.logger_tables.description import DriveDescription
 from road_envs.drives.reading import DriveFile, same_instruments

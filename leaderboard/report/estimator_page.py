@@ -220,14 +220,10 @@ def _worst_drives(task: Task, result: Result, key: str) -> list[tuple[str, ...]]
 
 def _cost(task: Task, result: Result) -> tuple[str, ...]:
     """Return task, time per 100 m, time of a training, parameters and memory of an estimator."""
-    return (
-        task.name,
-        _text(result.estimate_ms_per_100m, "{:.0f} ms"),
-        _text(train_seconds(result), "{:.1f} s"),
-        _text(result.parameters or None, "{:d}"),
-        _text(result.peak_memory, "{:.2f} GiB"),
+    values = (
+        (result.estimate_ms_per_100m, "{:.0f} ms"),
+        (train_seconds(result), "{:.1f} s"),
+        (result.parameters or None, "{:d}"),
+        (result.peak_memory, "{:.2f} GiB"),
     )
-
-
-def _text(value: float | None, form: str) -> str:
-    return UNDEFINED if value is None else form.format(value)
+    return task.name, *(UNDEFINED if x is None else form.format(x) for x, form in values)

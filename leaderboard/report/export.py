@@ -10,7 +10,7 @@
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from leaderboard.evaluation.results import COLUMNS, scores_table
 from leaderboard.metrics.registry import SCORES
@@ -21,10 +21,6 @@ from leaderboard.running.board import Board
 from road_envs.core.atomic_io import atomic_write, write_text
 from road_envs.sensing.perturbed_vehicle import GRADES
 
-if TYPE_CHECKING:
-    import pandas as pd
-
-_FOLDER = "export"
 _ROW_FIELDS = ("board", "task", "group", "estimator", "state", "causal", "text")
 _NUMBER_FIELDS = (
     "rank", "rank_causal", "low", "high", *SCORES,
@@ -37,27 +33,23 @@ _FORMULA_SIGNS = ("=", "+", "-", "@", "\t", "\r")
 
 def write_exports(board: Board, views: Sequence[BoardView], out: Path) -> None:
     """Write all exports, each atomically."""
+    import pandas as pd
+
     boards = ", ".join(view.board.replace("_", " ") for view in views)
     texts = {"road_recon.bib": as_bibtex(f"results of board {boards}")}
-    (out / _FOLDER).mkdir(parents=True, exist_ok=True)
+    folder = out / "export"
+    folder.mkdir(parents=True, exist_ok=True)
+    scored = {task.name: board.scored(task) for task in board.tasks}
     for view in views:
         texts[f"{view.board}.csv"] = _as_csv(view)
         texts[f"{view.board}.json"] = json.dumps(as_json([view]), indent=1) + "\n"
         texts[f"{view.board}.tex"] = "\n".join(_as_latex(view, s) for s in view.sections)
-        with atomic_write(out / _FOLDER / f"{view.board}.parquet") as partial:
-            _long_table(board, view).to_parquet(partial, index=False)
+        names = [section.task for section in view.sections]
+        runs = pd.concat([scores_table(scored[name]).assign(task=name) for name in names])
+        with atomic_write(folder / f"{view.board}.parquet") as partial:
+            runs[["task", "estimator", *COLUMNS]].to_parquet(partial, index=False)
     for name, text in texts.items():
-        write_text(out / _FOLDER / name, text)
-
-
-def _long_table(board: Board, view: BoardView) -> "pd.DataFrame":
-    """Return the scores of all runs of a board by task, and in each by entry."""
-    import pandas as pd
-
-    scored = {task.name: board.scored(task) for task in board.tasks}
-    names = [section.task for section in view.sections]
-    parts = [scores_table(scored[name]).assign(task=name) for name in names]
-    return pd.concat(parts, ignore_index=True)[["task", "estimator", *COLUMNS]]
+        write_text(folder / name, text)
 
 
 def as_json(views: Sequence[BoardView]) -> list[dict[str, Any]]:

@@ -26,11 +26,10 @@ if TYPE_CHECKING:
 COLOURS = {"left": "#0072B2", "right": "#D55E00", "truth": "#222222", "sensor": "#009E73"}
 SIDES = ("left", "right")
 
-_SVG_STYLE: Any = {
+_SVG_STYLE: Any = {  # of the figures of a page
     "svg.fonttype": "none", "svg.hashsalt": "roadrecon", "font.size": 8.5, "axes.linewidth": 0.6,
     "axes.titlesize": 9.0, "axes.titlelocation": "left", "path.simplify_threshold": 0.5,
 }  # fmt: skip
-"""Matplotlib style of the figures of a page."""
 
 
 def draw_road(surface: Surface, path: Path) -> None:
@@ -54,9 +53,9 @@ def draw_road(surface: Surface, path: Path) -> None:
 def draw_classes(axes: Any) -> None:
     """Set up the axes of a density plot with the ISO 8608 classes as bands and letters."""
     n = np.array([0.02, 10.0])
-    for k, (letter, mean) in enumerate(CLASSES.items()):
+    for letter, mean in CLASSES.items():
         level = mean * (n / N_0) ** -2.0
-        if k % 2 == 0:
+        if letter in "ACEG":
             axes.fill_between(n, 0.5 * level, 2.0 * level, color="0.93", lw=0, zorder=0)
         look = {"textcoords": "offset points", "va": "center", "color": "0.4", "fontsize": 8}
         axes.annotate(letter, (n[1], level[1]), (3, 0), **look)

@@ -114,7 +114,7 @@ def headline(section: Section, definition: BoardDefinition) -> list[str]:
     best, *others = scored
     tied = [row.name for row in others if row.values.get("rank") == best.values.get("rank")]
     return [
-        _best_sentence(best, tied, section, definition),
+        _best_sentence(best, tied, definition),
         *([_others_sentence(best, others, definition)] if others else []),
         _certainty_sentence(best, tied, section) if others else "It is the only entry.",
     ]
@@ -159,9 +159,7 @@ def _memory(rows: Sequence[Row]) -> str:
     )
 
 
-def _best_sentence(
-    best: Row, tied: Sequence[str], section: Section, definition: BoardDefinition
-) -> str:
+def _best_sentence(best: Row, tied: Sequence[str], definition: BoardDefinition) -> str:
     key = definition.ranks_by
     low, high = best.values.get("low"), best.values.get("high")
     interval = tables.interval_text(low, high, key)

@@ -38,7 +38,6 @@ from leaderboard.running.board import Board
 from road_envs.sensing.perturbed_vehicle import GRADES
 
 _RowState = Literal["scored", "baseline", "claim", "failed", "stale"]
-_CLAIM_ROW = "paper's claim"
 _NO_TRAINING = 0.05  # time [s] up to which an entry without parameters has not trained
 TRAINING_STATES = ("near_optimal", "sub_optimal", "unstable")
 ALL_RUNS = ""  # name of the group of all runs
@@ -132,19 +131,18 @@ def _section(board: Board, task: Task, definition: BoardDefinition) -> Section:
     on_level = level_runs(scored, definition)
     tables = [_aggregate(result, task, definition, parts, on_level) for result in scored]
     _rank(tables, parts, task.test.strata)
-    rows = [
-        _scored_row(r, x, definition, board.card(r)) for r, x in zip(scored, tables, strict=True)
-    ] + _bound_rows(tables, definition)
+    pairs = zip(scored, tables, strict=True)
+    rows = [_scored_row(result, x, definition, board.card(result)) for result, x in pairs]
 
     def place(row: Row) -> tuple[bool, float, float]:
         rank, score = row.values.get("rank"), row.values[definition.ranks_by]
         return row.state != "scored", rank or np.inf, np.inf if score is None else score
 
-    rows.sort(key=place)
+    rows = sorted(rows + _bound_rows(tables, definition), key=place)
     claim = []
     if (level := task.claimed_level_error) is not None:
         text = SCORES[EQ_12_RAW].format_value(level)
-        claim = [Row(_CLAIM_ROW, "claim", {EQ_12_RAW: text}, {EQ_12_RAW: level})]
+        claim = [Row("paper's claim", "claim", {EQ_12_RAW: text}, {EQ_12_RAW: level})]
     failed = [Row(r.estimator, "failed", message=r.failure or "") for r in board.failed(task)]
     stale = [Row(r.estimator, "stale", message=why) for r, why in board.stale(task)]
     return Section(
@@ -195,10 +193,12 @@ def _aggregate(
         score = Interval(np.nan, np.nan, np.nan)
         if count_roads(own) >= MIN_ROADS:
             score = bootstrap.iqm_interval(own, strata=strata if group == ALL_RUNS else None)
+        error, bound = mine[_BOUNDED]
+        known = np.isfinite(error) & np.isfinite(bound)
+        below = np.mean(error[known] < bound[known]) if known.any() else None
         values[group] = _defined(
             {name: x for name, x in means.items() if group == ALL_RUNS or name in shown}
-            | {"low": score.low, "high": score.high, **_tail(own)}
-            | {BELOW_BOUND: _share_below(*mine[_BOUNDED])}
+            | {"low": score.low, "high": score.high, **_tail(own), BELOW_BOUND: below}
         )
     values[ALL_RUNS] |= {
         "train_seconds": train_seconds(result),
@@ -237,12 +237,6 @@ def _tail(ranked: np.ndarray) -> dict[str, float | None]:
     shares = {name: float(np.mean(runs > limit)) for name, limit in TAIL.items()}
     worst = float(runs.max()) if count_roads(ranked) >= MIN_ROADS else None
     return {WORST: worst, **shares}
-
-
-def _share_below(error: np.ndarray, bound: np.ndarray) -> float | None:
-    """Return the share of drives whose error is below their bound; None without a bound."""
-    known = np.isfinite(error) & np.isfinite(bound)
-    return float(np.mean(error[known] < bound[known])) if known.any() else None
 
 
 def _grade_scores(ranked: np.ndarray, parts: Mapping[str, ScoreSlice], strata: Strata) -> _Values:
@@ -302,15 +296,13 @@ def _bound_rows(tables: Sequence[_AggregatedScores], definition: BoardDefinition
     """Return the rows of bound and attainable error, as far as computed, if NRMSE ranks."""
     rows = []
     for name, key in zip(LIMIT_ROWS, _LIMITS, strict=True):
-        bounded = [
-            x.values for x in tables if any(y.get(key) is not None for y in x.values.values())
-        ]
-        if not bounded or definition.ranks_by != "nrmse":
-            continue
-        groups = {group: {"nrmse": x.get(key)} for group, x in bounded[0].items()}
-        mine = groups.pop(ALL_RUNS)
-        cells = {"nrmse": SCORES[key].format_value(mine["nrmse"])}
-        rows.append(Row(name, "baseline", cells, mine, groups=groups))
+        for values in (x.values for x in tables if definition.ranks_by == "nrmse"):
+            groups = {group: {"nrmse": x.get(key)} for group, x in values.items()}
+            if any(x["nrmse"] is not None for x in groups.values()):
+                mine = groups.pop(ALL_RUNS)
+                cells = {"nrmse": SCORES[key].format_value(mine["nrmse"])}
+                rows.append(Row(name, "baseline", cells, mine, groups=groups))
+                break
     return rows
 
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from leaderboard.drive_report.tolerance_error import roughness_std
+from leaderboard.drive_report.mean_path import roughness_std
 from road_envs.drives.logger_tables.description import PLACES
 from road_envs.drives.recording import simulate_record
 from road_envs.sensing.instruments import load_instruments
