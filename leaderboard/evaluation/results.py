@@ -12,6 +12,7 @@ import dataclasses
 import hashlib
 import json
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -57,10 +58,9 @@ COLUMNS = (*RUN, "score", "value")
 
 
 def _as_heights(values: Any) -> np.ndarray:
-    try:
+    array: np.ndarray = np.empty(0, dtype=np.int32)
+    with suppress(TypeError, ValueError, OverflowError):  # of lists of different lengths, too
         array = np.array(values, dtype=np.int32)
-    except (TypeError, ValueError, OverflowError):  # of lists of different lengths, too
-        array = np.empty(0, dtype=np.int32)
     if array.ndim != 2 or array.shape[0] != 2 or not 4 <= array.shape[1] <= _MAX_HEIGHTS:
         raise ValueError("left and right must have one number of heights, 4 to 10000 whole numbers")
     return _shared(array.tobytes())
@@ -290,9 +290,9 @@ def merge_parts(parts: Sequence[Result], identity: str) -> Result:
         failure=failure,
         notes=tuple(dict.fromkeys(note for part in parts for note in part.notes)),
         traces=tuple(trace for part in scored for trace in part.traces),
-        isolation=_join_distinct(part.isolation for part in scored),
+        isolation=" or ".join(dict.fromkeys(part.isolation for part in scored)),
         environment={
-            name: _join_distinct(part.environment.get(name, "none") for part in parts)
+            name: " or ".join(dict.fromkeys(part.environment.get(name, "none") for part in parts))
             for name in names
         },
     )
@@ -301,10 +301,6 @@ def merge_parts(parts: Sequence[Result], identity: str) -> Result:
 def quantize_heights(z: np.ndarray) -> np.ndarray:
     """Return heights (2, M) [m] as integers of _Z_UNIT, clipped to 1 km."""
     return np.rint(np.clip(z, -1e3, 1e3) / _Z_UNIT).astype(np.int32)
-
-
-def _join_distinct(texts: Iterable[str]) -> str:
-    return " or ".join(dict.fromkeys(texts))
 
 
 def _maximum(values: Iterable[float | None]) -> Any:

@@ -23,7 +23,7 @@ from leaderboard.metrics.bootstrap import (
     performance_profile,
     rank_entries,
 )
-from leaderboard.metrics.obstacles import _obstacle_scores, detect_obstacles, true_obstacles
+from leaderboard.metrics.obstacles import detect_obstacles, true_obstacles
 from leaderboard.metrics.registry import SCORES, compute_scores
 from road_envs.records.record import PROFILE_SPACING, Estimate, Profile, profile_stations
 from road_envs.records.roughness import displacement_psd
@@ -197,23 +197,28 @@ def level_road(*blocks):
     return z
 
 
+def obstacle_scores(y, a):
+    s = PROFILE_SPACING * np.arange(y.shape[1])
+    scored = ScoredEstimate(Profile(s, y), Estimate(s, a), 4.0, bumps=True)
+    return {key: x.compute(scored) for key, x in SCORES.items() if key.startswith("bump_")}
+
+
 def test_a_hole_does_not_match_a_bump():
     y = level_road((0, 20.0, 20.8, -0.06), (1, 30.0, 30.8, 0.1))
     (hole,), (bump,) = true_obstacles(y, PROFILE_SPACING)
     assert hole.height == -0.06 and bump.height == 0.1
     assert hole.s == pytest.approx(20.4, abs=PROFILE_SPACING)
-    assert _obstacle_scores(y, y, PROFILE_SPACING)[:3] == (1.0, 1.0, 1.0)
-    upside_down = _obstacle_scores(y, -y, PROFILE_SPACING)
-    assert upside_down.f1 == 0.0 and upside_down.wrong_side == 0
-    deep = _obstacle_scores(y, 0.9 * y, PROFILE_SPACING)
-    assert deep.height_error == pytest.approx(
-        0.008
-    ) and deep.height_error_relative == pytest.approx(0.1)
+    assert list(obstacle_scores(y, y).values())[:3] == [1.0, 1.0, 1.0]
+    upside_down = obstacle_scores(y, -y)
+    assert upside_down["bump_f1"] == upside_down["bump_wrong_side"] == 0.0
+    deep = obstacle_scores(y, 0.9 * y)
+    assert deep["bump_height_error"] == pytest.approx(0.008)
+    assert deep["bump_height_error_relative"] == pytest.approx(0.1)
 
 
 def test_an_uneven_road_has_no_obstacles():
     y = level_road((0, 20.0, 20.8, 0.1)) + case("late")[0][:, : profile_stations(60.0).size] * 4.0
-    assert _obstacle_scores(y, y, PROFILE_SPACING) is None
+    assert np.isnan(list(obstacle_scores(y, y).values())).all()
     assert detect_obstacles(y[0], PROFILE_SPACING, 0.02)
 
 
