@@ -25,14 +25,9 @@ from road_envs.drives.training_corpus import Corpus, drives_in_mode
 from road_envs.records.record import Record
 
 _Progress = Callable[[str, float], None]
-_SIMULATION_SHARE = 0.15
-"""Share of the run time that simulating the drives takes, for the progress bar."""
-
-_CALIBRATION_SHARE = 0.3
-"""Drives of the nominal vehicle for calibrating standard deviations, per training drive."""
-
-_N_DRIVES, _SPEED_MARGIN = 60, 1.5
-"""Number of drives of the regression on RMS, and factor around the speeds of the record."""
+_SIMULATION_SHARE = 0.15  # of the run time, for the progress bar
+_CALIBRATION_SHARE = 0.3  # drives of the nominal vehicle for deviations, per training drive
+_N_DRIVES, _SPEED_MARGIN = 60, 1.5  # of the regression on RMS; factor around the speeds of a record
 
 
 class _FileCheckpoint:

@@ -26,16 +26,10 @@ from road_envs.vehicle.struts import MODES, Modes
 
 SEGMENT_LENGTHS = (10.0, 20.0, 100.0)  # lengths [m] of segments
 
-_PLACE_STD = 0.15
-"""Standard deviation [m] of an obstacle's place in a drive whose distance is right; by
-`studies/report_trial.py` with seeds 201 to 203.
-"""
-
+_PLACE_STD = 0.15  # [m] of an obstacle's place where distance is right (studies/report_trial.py)
 _RUN_IN = 11.0  # length [m] of the golden car's run-in (Sayers 1995)
 
-_SLOW = 20.0 / 3.6
-"""Speed [m/s] below which long waves are flagged: at 0.5 Hz they are shorter than 11 m."""
-
+_SLOW = 20.0 / 3.6  # speed [m/s] below which waves longer than 11 m, of 0.5 Hz, are flagged
 _OCTAVES = (0.125, 0.25, 0.5, 1.0)  # centres [cycles/m] of the octaves of a class
 _WAVES_PER_SEGMENT = 2.0  # least number of waves of an octave in a segment
 

@@ -34,8 +34,7 @@ Individuals of grade S4 of the paper's vehicle, whose file has none, have 1.04 t
 have none, 1.0 to 1.25 without and 1.2 to 2.9 with it (seeds 8300 to 8314).
 """
 
-_SIDE_CLASS = "suv"
-"""Generic car whose tolerances of side motion are those of a vehicle whose file has none."""
+_SIDE_CLASS = "suv"  # generic car whose tolerances of side motion are those of a file without
 
 _SIDE_NOTE = (
     "tyres that hold the vehicle sideways, of which its file says nothing, explain the record "
@@ -43,8 +42,7 @@ _SIDE_NOTE = (
     "adapted: give its file a `side`"
 )
 
-_SIDE_DOUBT = "are not told apart as well"
-"""Words of the note of `side_notes`, which a vehicle with side motion answers."""
+_SIDE_DOUBT = "are not told apart as well"  # in a note that side motion answers
 
 _PAIRS_NOTE = (
     "The model with sensors on both sides does not reproduce the accelerations (residual {:.1f} "

@@ -21,7 +21,6 @@ OBSTACLE_COLUMNS = (
     "kind", "station_m", "station_std_m", "height_mm", "height_low_mm", "height_high_mm",
     "length_m", "wheel_path", "confidence", "lat", "lon",
 )  # fmt: skip
-"""Columns of the table of obstacles."""
 
 _MILE = 1609.344  # metres in a mile
 

@@ -62,9 +62,7 @@ _VEHICLES = 24  # vehicles that are drawn within their tolerances
 
 _FILLINGS = 32  # samples of a road where nothing was read
 
-_LEAST_APART = 0.4
-"""Least distance [m] to the left of one another at which sensors of the body tell its roll."""
-
+_LEAST_APART = 0.4  # least distance [m] to the left of one another at which sensors tell the roll
 _SAME_PLACE = 0.5  # most distance [m] along the body of two sensors that are a pair
 
 _MEAN_PATH_NOTE = (

@@ -41,9 +41,7 @@ the empty one is that of all others.
 """
 
 _NOTED_RESIDUAL = math.sqrt(NOISE_SCALE_WARNING)
-LARGE_RESIDUAL = 3.0
-"""Residual in times of the sensors' noise from which on obstacles are only possible ones."""
-
+LARGE_RESIDUAL = 3.0  # times the sensors' noise from which on obstacles are only possible ones
 _HUGE_RESIDUAL, _HUGE_SHARE = 8.0, 0.2
 """The same from which on the IRI has no interval, if it is also this share of the accelerations. A
 saloon whose frame twists has 40 to 120, a share of 0.5 to 0.75, with three or four phones, and an

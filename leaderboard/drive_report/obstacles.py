@@ -27,15 +27,11 @@ from scipy.ndimage import median_filter
 from leaderboard.metrics.obstacles import MERGE_GAP
 from road_envs.records.record import Estimate
 
-_SPANS = (0.6, 1.0, 1.6, 2.5, 4.0, 6.3)
-"""Spans [m] of the straightedge: from a pothole that swallows a tyre to a speed hump."""
-
+_SPANS = (0.6, 1.0, 1.6, 2.5, 4.0, 6.3)  # [m] of the straightedge: potholes to speed humps
 _SCATTER_LENGTH = 60.0  # window [m] of the scatter of the random road around an obstacle
 _MIN_HEIGHT = 0.015  # least height [m] of an obstacle
 
-_MIN_CONFIDENCE, CERTAIN = 0.95, 0.99
-"""Obstacles of a lower confidence than the first are left out, than the second called possible."""
-
+_MIN_CONFIDENCE, CERTAIN = 0.95, 0.99  # obstacles below are left out, called possible
 FALSE_ALARMS = {"C": (0.37, 0.03), "D": (1.5, 0.15)}
 """Obstacles per km that are listed on random roads of an ISO 8608 class, and those of them that are
 not called possible; a slow test of `tests/unit/test_drive_report.py` counts them on 60 km.
@@ -46,9 +42,7 @@ _FOOT, _FOOT_WIDTH, _MIN_FOOT_WIDTH = 0.25, 0.15, 0.2
 ends; its height is the median over this share of the length, and at least this length [m].
 """
 
-_TOP = 0.2
-"""The height is the mean of this share of the obstacle that is highest: not the waves upon it."""
-
+_TOP = 0.2  # highest share of an obstacle, whose mean is its height: not the waves upon it
 _READINGS = 3  # iterations that find feet and line, each by the line before
 
 HEIGHT_STD = 0.07
@@ -61,8 +55,7 @@ _GUMBEL_LOCATION, _GUMBEL_SCALE = 3.72, 0.30
 100 m of ISO 8608 roads (w = 2); a test counts the obstacles of random roads.
 """
 
-_MAD_TO_STD = 1.4826
-"""Standard deviation of a normal distribution over its median absolute deviation."""
+_MAD_TO_STD = 1.4826  # standard deviation over median absolute deviation, if normal
 
 
 class DetectedObstacle(NamedTuple):

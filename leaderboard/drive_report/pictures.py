@@ -22,11 +22,7 @@ _ROWS, _ROW_LENGTH, _OVERLAP = 6, 50.0, 3.0
 before the end of the last one and ends behind the begin of the next, so that no obstacle is cut.
 """
 
-_STRIP_STEP, _STRIP_UNIT = 0.15, 0.1
-"""Step [m] and unit [mm] of the heights that the page holds for its segments: 20 km of two paths
-have 0.7 MB.
-"""
-
+_STRIP_STEP, _STRIP_UNIT = 0.15, 0.1  # [m] and [mm] of heights in a page: 20 km have 0.7 MB
 _POINTS = 1500  # largest number of points of a line
 _LONGEST_WAVE = 20.0  # longest wave [m] of the profile strip
 

@@ -45,9 +45,7 @@ from road_envs.records.record import Estimate, Profile, Record
 from road_envs.simulation.drive import SimulationError
 from road_envs.vehicle.parameters import VehicleParameters
 
-SEEDS = (1, 2, 3)
-"""Default training seeds of a trainable estimator."""
-
+SEEDS = (1, 2, 3)  # default seeds of trainings
 _TRACE_LENGTH = 100.0  # length [m] of the part of the first test road that is stored for plots
 
 

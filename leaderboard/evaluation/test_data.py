@@ -29,9 +29,7 @@ class RecordedDrive:
     calibration: tuple[CalibrationDrive, ...] = ()
 
 
-_CALIBRATION = 1
-"""Random streams of the noise of calibration drives; those of test drives have no second number."""
-
+_CALIBRATION = 1  # stream of the noise of calibration drives; test drives have one number only
 DriveSimulation = Callable[[Task, DriveSet, Condition], Iterator[RecordedDrive]]
 """Function that simulates drives: `simulate_drives`, or a faster substitute in tests."""
 

@@ -21,9 +21,7 @@ from road_envs.records.roughness import golden_car, iri
 
 _SEGMENT_LENGTH = 100.0  # length [m] of the segments whose IRI is compared
 
-_SHORT_SEGMENT = 20.0
-"""Length [m] of the segments of limits of agreement and ICC, of which a drive needs several."""
-
+_SHORT_SEGMENT = 20.0  # [m] for limits of agreement and ICC, of which a drive needs several
 _LAG_MAX = 1.0  # largest lag [m] of the cross-correlation
 
 

@@ -19,9 +19,7 @@ from road_envs.records.record import Estimate, Profile, scored_band
 from road_envs.records.roughness import band_pass
 from road_envs.roads import Surface
 
-_LOCAL_WINDOW, _LOCAL_STEP = 20.0, 5.0
-"""Length [m] of the windows of a local alignment, and distance [m] from one to the next."""
-
+_LOCAL_WINDOW, _LOCAL_STEP = 20.0, 5.0  # length [m] of windows of a local alignment, and step
 _LOCAL_SEARCH, _LOCAL_STRETCH = 9.0, 0.06
 """Largest lag [m] of an estimate whose positions wander, three standard deviations of the worst
 receiver (`position_noise`), and its change over the distance.

@@ -13,15 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-_REPLICATES = 2000
-"""Replicates of an interval or a rank: its quantiles leave 50 of them on each side."""
-
-_QUANTILES = (0.5 - 0.95 / 2, 0.5 + 0.95 / 2)
-"""Shares of the replicates below the lower and the upper end of an interval, at a level of 95 %."""
-
-MIN_ROADS = 5
-"""Least number of roads for an interval or a rank: with two, the interval is their two scores."""
-
+_REPLICATES = 2000  # of an interval or a rank: 50 are beyond either end
+_QUANTILES = (0.5 - 0.95 / 2, 0.5 + 0.95 / 2)  # shares below the ends of an interval of 95 %
+MIN_ROADS = 5  # least number for an interval or a rank: with two, it is their two scores
 REPRODUCIBLE = 5e-3
 """Share of a score by which the same program differs on other processors or kernels in half of its
 runs: ten times the median that was measured (`evaluation.comparison`). Nobody leads by less.

@@ -13,8 +13,7 @@ from road_envs.core.atomic_io import write_text
 
 _SHOWN_DRIVE = 0  # number of the drive that is shown over time
 
-_SHOWN_POLICIES = 8
-"""Policies of the chart and of the drive over time: the best of the table, and the reference."""
+_SHOWN_POLICIES = 8  # of charts: the best of the table, and the reference
 
 
 def timelines(comparison: Comparison) -> dict[str, Timeline]:

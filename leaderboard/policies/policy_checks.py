@@ -44,8 +44,7 @@ SEEDS = range(4)  # seeds of the roads, one for each vehicle
 _REFUSALS = ("ConfigError", "ValueError", "NotImplementedError")
 """Errors by which a policy may refuse an action space or an observation on purpose."""
 
-_LONGEST_DRIVE = 30.0
-"""Duration [s] of the longest drive of a comparison, for which the run time is predicted."""
+_LONGEST_DRIVE = 30.0  # [s] of a comparison, for which the run time is predicted
 
 
 def check_policy(

@@ -16,8 +16,7 @@ from road_envs.core.atomic_io import atomic_write
 from road_envs.core.config import ConfigError
 from road_envs.core.extras import optional_import
 
-_EDGE_TOLERANCE = 40
-"""Largest error, of 255, of an edge pixel kept from the last frame of a GIF, to save space."""
+_EDGE_TOLERANCE = 40  # largest error, of 255, of an edge pixel kept from the last frame of a GIF
 
 
 def animate(

@@ -27,9 +27,7 @@ _HEIGHT_UNIT = 1e-4  # unit [m] of encoded heights
 _DRAWN_HEIGHT_LIMIT = 3.0  # drawn heights are clipped to +- this [m]
 _RAW_SPACING = 0.05  # least spacing [m] at which raw heights are drawn
 
-_IN_BAND_SPACING = 0.1
-"""Least spacing [m] at which band-passed heights are drawn: 5 points of the shortest wave."""
-
+_IN_BAND_SPACING = 0.1  # least spacing [m] of band-passed heights: 5 points of the shortest wave
 _KINDS = ("inside", "raw")
 """Drawn heights: inside the scored band, and about their median, as no sensor knows the datum."""
 
@@ -239,9 +237,7 @@ def error_lines(rows: Mapping[str, Row], group: str) -> list[dict[str, Any]]:
     return lines
 
 
-_BOUNDS: dict[tuple[str, str], list[float]] = {}
-"""Bounds by task and condition: every page of an estimator shows them."""
-
+_BOUNDS: dict[tuple[str, str], list[float]] = {}  # by task and condition, for every page
 _ERROR_HOVER = "%{y:.3f} at %{x:.2f} cycles/m"
 
 

@@ -27,8 +27,7 @@ _LABEL_LENGTH = 20  # length at which the name of a group is continued on a seco
 
 _NOMINAL_SHARES = np.linspace(0.05, 0.95, 19)  # probabilities of intervals that are calibrated
 
-_Evaluated = tuple[Task, Result, Row, Section, BoardDefinition]
-"""One result with its task and its row on the board."""
+_Evaluated = tuple[Task, Result, Row, Section, BoardDefinition]  # a row of a board
 
 
 def page_values(

@@ -27,8 +27,7 @@ _NUMBER_FIELDS = (
     WORST, *TAIL, *(f"grade_{grade}" for grade in GRADES), "slope", "slope_low", "slope_high",
     "train_seconds", "calibrate_seconds", "estimate_ms_per_100m", "parameters",
 )  # fmt: skip
-_FORMULA_SIGNS = ("=", "+", "-", "@", "\t", "\r")
-"""First characters by which a spreadsheet takes a text for a formula."""
+_FORMULA_SIGNS = ("=", "+", "-", "@", "\t", "\r")  # first of a formula in a spreadsheet
 
 
 def write_exports(board: Board, views: Sequence[BoardView], out: Path) -> None:
