@@ -108,11 +108,10 @@ def estimate_drive(
         ways = [drive, twisted] if is_fitted else [twisted, drive]
     found = []
     for way in ways:
-        found.append(_estimated(estimator, way, sections))
-        if residual_of(found[-1][1]) < LARGE_RESIDUAL:
+        found.append((way, _estimated(estimator, way, sections)))
+        if residual_of(found[-1][1][1]) < LARGE_RESIDUAL:
             break
-    pairs = zip(ways, found, strict=False)
-    likeliest = min(pairs, key=lambda pair: residual_of(pair[1][1]))
+    likeliest = min(found, key=lambda pair: residual_of(pair[1][1]))
     best = _held_sideways(estimator, *likeliest, sections)
     instruments = instruments_of(record, drive.sensors)
     is_rough = residual_of(best[1]) >= LARGE_RESIDUAL and not getattr(estimator, "adapt", True)

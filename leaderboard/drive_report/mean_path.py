@@ -172,7 +172,11 @@ def mean_path_indices(
     """
     rng = np.random.default_rng(0)
     motion = 1e3 * np.abs(golden_car(z, ds))
-    level, units = _difference_level(motion, ds), _unit_differences(motion.shape[1], ds, rng)
+    # of standard deviations on a road without obstacles: IRI² / HRI² = 1 + (D / M)²
+    ratio = np.sqrt(_path_ratio() * _MEASURED_RATIO)
+    share = float(np.sqrt(ratio**2 - 1.0))
+    level = share / _NORMAL_MEDIAN * running_median(motion, ds, _LEVEL_WINDOW, 0.5)
+    units = _unit_differences(motion.shape[1], ds, rng)
     half, iri = [], []
     for k in range(_SAMPLES):
         one, scale = motion[k % len(z)], float(np.exp(std * rng.standard_normal()))
@@ -184,14 +188,6 @@ def mean_path_indices(
     both = (np.quantile(factor * np.array(x), low_median_high, axis=0) for x in (half, iri))
     first, second = (IriPosterior(*quantiles[:, None]) for quantiles in both)
     return first, second
-
-
-def _difference_level(motion: np.ndarray, ds: float) -> np.ndarray:
-    """Return the standard deviation of D (L, N) along the road from |M| (L, N)."""
-    # IRI² / HRI² = 1 + (D / M)² of the standard deviations on a road without obstacles
-    ratio = np.sqrt(_path_ratio() * _MEASURED_RATIO)
-    share = float(np.sqrt(ratio**2 - 1.0))
-    return share / _NORMAL_MEDIAN * running_median(motion, ds, _LEVEL_WINDOW, 0.5)
 
 
 def _unit_differences(size: int, ds: float, rng: np.random.Generator) -> Iterator[np.ndarray]:

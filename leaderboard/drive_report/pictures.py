@@ -213,14 +213,10 @@ def _track_map(result: DriveResult, conditions: Conditions, anchor: str) -> str:
 
     drawn = inline_svg(paint, (4.6, 3.6))
     for k, row in enumerate(result.segments):
+        known = np.isfinite(row["iri_mean_high"])
+        interval = " ({iri_mean_low:.2f} to {iri_mean_high:.2f})" if known else ""
+        iri = "IRI {iri_mean:.2f}" + interval + " mm/m"
+        title = ("{begin_m:.0f} to {end_m:.0f} m: " + iri + ", {condition}").format_map(row)
         link = f'<a xlink:href="#{anchor}-{k}"'
-        drawn = drawn.replace(f'{link} target="_blank">', f"{link}><title>{_in_words(row)}</title>")
+        drawn = drawn.replace(f'{link} target="_blank">', f"{link}><title>{title}</title>")
     return drawn
-
-
-def _in_words(row: dict[str, Any]) -> str:
-    interval = ""
-    if np.isfinite(row["iri_mean_high"]):
-        interval = f" ({row['iri_mean_low']:.2f} to {row['iri_mean_high']:.2f})"
-    iri = f"IRI {row['iri_mean']:.2f}{interval} mm/m"
-    return f"{row['begin_m']:.0f} to {row['end_m']:.0f} m: {iri}, {row['condition']}"

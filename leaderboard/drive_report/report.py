@@ -100,7 +100,8 @@ def make_report(
     results = list(map(_analysed, passes, drives, repeat(chosen)))
     if chosen.known_iri is not None:
         known, note = known_factor(results[0], chosen.known_iri)
-        is_own = [_car_and_place(drive) == _car_and_place(drives[0]) for drive in drives]
+        mounts = [(drive.vehicle, drive.description.at, drive.sensors) for drive in drives]
+        is_own = [mount == mounts[0] for mount in mounts]
         drives = [
             _with_factor(d, known) if own else d for d, own in zip(drives, is_own, strict=True)
         ]
@@ -130,10 +131,6 @@ def _with_factor_told(each: ReportedPass, drive: DriveFile) -> ReportedPass:
         f"every IRI is multiplied by {factor:.3g}, the factor that the description has of this car "
         "and its mount"
     )
-
-
-def _car_and_place(drive: DriveFile) -> tuple[str, str | None, str]:
-    return drive.vehicle, drive.description.at, drive.sensors
 
 
 def _with_factor(drive: DriveFile, known: KnownFactor) -> DriveFile:

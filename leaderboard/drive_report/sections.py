@@ -107,29 +107,28 @@ def join(parts: Sequence[Estimate], sections: Sequence[_DriveSection], length: f
             )
         return whole
 
-    def field(name: str) -> list[Any] | None:
-        values = [getattr(part, name) for part in parts]
-        return None if any(x is None for x in values) else values
-
-    stds, draws = field("z_std"), field("draws")
-    count = min(len(x) for x in draws) if draws else 0
-    unsure = [np.zeros(x.s.size, bool) if x.unsure is None else x.unsure for x in parts]
-    is_unsure = any(x.any() for x in unsure)
+    count = min((len(part.draws) for part in parts if part.draws is not None), default=0)
+    rows: dict[str, list[Any]] = {
+        "z": [part.z for part in parts],
+        "z_std": [part.z_std for part in parts],
+        "draws": [part.draws if part.draws is None else part.draws[:count] for part in parts],
+    }
+    if any(part.unsure is not None and part.unsure.any() for part in parts):
+        rows["unsure"] = [np.zeros(x.s.size, bool) if x.unsure is None else x.unsure for x in parts]
+    arrays: dict[str, Any] = {
+        name: joined(values, is_height=name in ("z", "draws"))
+        for name, values in rows.items()
+        if all(x is not None for x in values)
+    }
     residuals = [part.residual for part in parts if part.residual is not None]
     distance, scales = None, [part.distance for part in parts if part.distance]
     if scales:  # means weighted by inverse variance, as their errors have common causes
         weights = [1.0 / one.std**2 for one in scales]
         distance = DistanceScale(*(float(x) for x in np.average(scales, axis=0, weights=weights)))
     return Estimate(
-        s,
-        joined([part.z for part in parts], is_height=True),
-        joined(stds, is_height=False) if stds else None,
-        _joined_notes(parts, sections, length),
-        distance=distance,
-        unsure=joined(unsure, is_height=False) if is_unsure else None,
-        draws=joined([x[:count] for x in draws], is_height=True) if draws else None,
+        s, **arrays, notes=_joined_notes(parts, sections, length), distance=distance,
         residual=max(residuals, default=None),
-    )
+    )  # fmt: skip
 
 
 def _joined_notes(

@@ -47,21 +47,17 @@ def animate(
             if terminated or truncated:
                 return
 
-    _save(frames(), path, rate)
-    progress("done", 1.0)
-
-
-def _save(frames: Iterator[np.ndarray], path: Path, rate: float) -> None:
     with optional_import("a picture"):
         from PIL import Image
 
     kind = path.suffix.upper().removeprefix(".")
-    images = _quantized(frames) if kind == "GIF" else map(Image.fromarray, frames)
+    images = _quantized(frames()) if kind == "GIF" else map(Image.fromarray, frames())
     first = next(images)
     options = {"save_all": True, "append_images": images, "duration": 1000.0 / rate, "loop": 0}
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path) as partial:
         first.save(partial, kind, optimize=True, **options)
+    progress("done", 1.0)
 
 
 def _quantized(frames: Iterator[np.ndarray]) -> Iterator[Any]:

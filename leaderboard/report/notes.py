@@ -34,11 +34,13 @@ def section_notes(
     scored = board.scored(task)
     drives = f"{level_drives} drive{'s' * (level_drives > 1)}"
     level = f"On {drives} nobody has a score, as on a level road."
+    results = [*scored, *board.failed(task)]  # of a file, they note what was changed on its surface
+    surface = dict.fromkeys(x for r in results for x in r.notes if x not in _own_notes(r))
     return (
         *([PUBLIC_ROADS] if task.is_public else []),
         *([level] if level_drives else []),
         *_protocol_notes(task, scored),
-        *_surface_notes(task, [*scored, *board.failed(task)]),
+        *([f"Surface: {'; '.join(surface)}."] if surface and task.board_name == "measured" else []),
         *(f"{note}." for row in scored for note in _own_notes(row)),
         *sanity_warnings(rows, task.is_public),
         *_kernel_notes(scored, _verified_for(task, board.verified)),
@@ -93,12 +95,6 @@ def _protocol_notes(task: Task, results: Sequence[Result]) -> list[str]:
             "stations."
         )
     return [*notes, task.note] if task.note else notes
-
-
-def _surface_notes(task: Task, results: list[Result]) -> list[str]:
-    """Return what was changed on a road surface that was read from a file."""
-    notes = dict.fromkeys(x for r in results for x in r.notes if x not in _own_notes(r))
-    return [f"Surface: {'; '.join(notes)}."] if notes and task.board_name == "measured" else []
 
 
 def _own_notes(result: Result) -> list[str]:

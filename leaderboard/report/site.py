@@ -92,7 +92,6 @@ def _index(board: Board, report: Report) -> dict[str, Any]:
         "strip": overview.strip_chart(section, board.scored(task), definition.ranks_by),
         "headline": headline(section, definition),
         "ranked_by": definition.ranks_by,
-        "causal": any(row.causal for row in section.rows),
         "notice": isolation_notice(scored),
         "public": PUBLIC_ROADS if any(task.is_public for task in board.tasks) else None,
         "findings": report.findings,
