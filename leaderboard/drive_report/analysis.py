@@ -173,9 +173,8 @@ def _segment(
     row: dict[str, Any] = {"begin_m": result.chainage + begin, "end_m": result.chainage + end}
     paths = ("mean",) if result.is_mean_path else ("left", "right", "mean")
     for j, path in enumerate(paths):
-        row[f"iri_{path}"] = float(iri.median[j, k])
-        row[f"iri_{path}_low"] = float(iri.low[j, k])
-        row[f"iri_{path}_high"] = float(iri.high[j, k])
+        for limit, x in (("", iri.median), ("_low", iri.low), ("_high", iri.high)):
+            row[f"iri_{path}{limit}"] = float(x[j, k])
     whole = np.exp(np.mean(np.log(list(levels.values())))) if levels else np.nan
     row["class"] = roughness.roughness_class(float(whole)) if levels else ""
     for n in _OCTAVES:

@@ -57,10 +57,8 @@ def known_factor(result: DriveResult, stretches: Sequence[Stretch]) -> tuple[Kno
     """
     known, found, length = 0.0, 0.0, 0.0
     for row in result.segments:
-        first, last = row["begin_m"], row["end_m"]
-        values = [x for begin, end, x in stretches if begin <= 0.5 * (first + last) < end]
-        if values:
-            part = last - first
+        middle, part = 0.5 * (row["begin_m"] + row["end_m"]), row["end_m"] - row["begin_m"]
+        if values := [x for begin, end, x in stretches if begin <= middle < end]:
             length += part
             known += part * values[0]
             found += part * row["iri_mean"]

@@ -68,7 +68,7 @@ def posterior_iri(
     middle, std = log.mean(axis=0), np.hypot(log.std(axis=0), relative_std)
     if estimate.draws is not None:
         std = np.sqrt(std**2 + _MODEL_STD**2 + (_SMOOTH_STD / np.exp(middle)) ** 2)
-    if estimate.draws is None and not np.any(relative_std):
+    elif not np.any(relative_std):
         std = np.full_like(std, np.nan)
     spread = _NORMAL_QUANTILE * std
     return IriPosterior(*(np.exp(middle + part) for part in (-spread, 0.0, spread)))

@@ -40,7 +40,6 @@ _JUDGE = ("leaderboard.evaluation.evaluate", "leaderboard.sandbox.client")
 """Modules that import, directly or not, all code that determines drives, notes and scores."""
 
 RESULT = Kind("result", 6, _JUDGE)
-_Role = Literal["entry", "baseline"]
 ISOLATED = ("bubblewrap",)
 """Values of `Result.isolation` of entries without access to files, network and other processes."""
 
@@ -130,7 +129,7 @@ class Result(Settings):
     task: str
     task_digest: str
     estimator: str
-    role: _Role
+    role: Literal["entry", "baseline"]
     settings: dict[str, Any]
     package_version: str
     metric_version: int

@@ -37,7 +37,7 @@ class _BlandAltman(NamedTuple):
 
 def bland_altman(x: np.ndarray, y: np.ndarray) -> _BlandAltman:
     """Return the limits of agreement of x - y, two measurements (N,) of the same segments."""
-    difference = np.asarray(x, dtype=float) - np.asarray(y, dtype=float)
+    difference = np.subtract(x, y, dtype=float)
     bias = float(difference.mean())
     spread = 1.96 * float(difference.std(ddof=1)) if difference.size > 1 else np.nan
     return _BlandAltman(bias, bias - spread, bias + spread)

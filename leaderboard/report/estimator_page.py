@@ -116,8 +116,7 @@ def _charts(evaluated: Sequence[_Evaluated]) -> dict[str, fig.Chart]:
 
 def _method(name: str) -> dict[str, Any] | None:
     """Paragraphs of the docstrings of an estimator's module and class; None of another package."""
-    cls = REGISTRY.get(name)
-    if cls is None:
+    if (cls := REGISTRY.get(name)) is None:
         return None
     return {
         "paragraphs": _paragraphs(inspect.getmodule(cls)),

@@ -7,6 +7,7 @@ import hashlib
 import io
 import re
 from collections.abc import Callable, Sequence
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -89,7 +90,6 @@ def estimate_figure(truth: Profile | None, estimate: Estimate, v: float) -> Any:
     if the estimate has a standard deviation.
     """
     band = scored_band(v)
-    titles = ("left", "left, in band", "right", "right, in band")
 
     def part(profile: Profile, z: np.ndarray, inside: bool) -> tuple[np.ndarray, np.ndarray]:
         """Stations and heights of a whole path, or of what the band-pass leaves of it."""
@@ -99,8 +99,8 @@ def estimate_figure(truth: Profile | None, estimate: Estimate, v: float) -> Any:
 
     def paint(figure: Any) -> None:
         panels = figure.subplots(4, 1, sharex=True)
-        for axes, title, side in zip(panels, titles, (0, 0, 1, 1), strict=True):
-            inside, colour = title.endswith("in band"), COLOURS[SIDES[side]]
+        for axes, (side, inside) in zip(panels, product((0, 1), (False, True)), strict=True):
+            colour = COLOURS[SIDES[side]]
             if truth is not None:
                 s, z = part(truth, truth.z[side], inside)
                 axes.plot(s, 1000 * z, color=COLOURS["truth"], lw=1.0, label="truth")
@@ -111,7 +111,7 @@ def estimate_figure(truth: Profile | None, estimate: Estimate, v: float) -> Any:
                 std = 1.645 * np.interp(s, estimate.s, estimate.z_std[side])
                 low, high = 1000 * (z - std), 1000 * (z + std)
                 axes.fill_between(s, low, high, color=colour, alpha=0.2, lw=0, label="90 %")
-            axes.set(ylabel=f"{title} [mm]")
+            axes.set(ylabel=f"{SIDES[side]}{', in band' if inside else ''} [mm]")
         for axes in panels[:2]:
             axes.legend(frameon=False, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 0.98))
         panels[-1].set(xlabel="distance [m]")
