@@ -94,9 +94,8 @@ def means_of_pairs(record: Record, layout: Mapping[str, Accelerometer]) -> Recor
     """Return a record of the means of sensors of the `layout` on both sides of the body, as sensors
     on its centre line, which feel neither roll nor twist; None if there are no such pairs.
     """
-    places, means = list(layout.items()), {}
-    for i, j in combinations(range(len(places)), 2):
-        (name, one), (_, other) = places[i], places[j]
+    means = {}
+    for (i, (name, one)), (j, (_, other)) in combinations(enumerate(layout.items()), 2):
         is_pair = one.mounted == other.mounted == "body" and one.axle == other.axle
         if is_pair and abs(one.ahead - other.ahead) <= _SAME_PLACE and one.y * other.y < 0.0:
             share = other.y / (other.y - one.y)

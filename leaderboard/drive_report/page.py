@@ -28,8 +28,9 @@ def write_page(
     """Write the page of one or more drives; `agreement` is that of several passes."""
     drives = [_drive(result, conditions, f"drive-{k}") for k, result in enumerate(results)]
     text = render(
-        "drive/page.html", drives=drives, conditions=conditions, colours=pictures.CONDITION_COLOURS,
-        settings=settings, agreement=agreement, false_alarms=FALSE_ALARMS, version=__version__,
+        "drive/page.html", drives=drives, conditions=conditions,
+        colours=pictures.condition_colours(conditions), settings=settings, agreement=agreement,
+        false_alarms=FALSE_ALARMS, version=__version__,
     )  # fmt: skip
     write_text(path, text)
 

@@ -14,7 +14,7 @@ from leaderboard.report.plots import COLOURS, SIDES, draw_classes, inline_svg
 from road_envs.records.record import scored_band
 from road_envs.records.roughness import displacement_psd, smooth_psd
 
-CONDITION_COLOURS = ("#009E73", "#F0C000", "#D55E00", "#7B2D26", "#3D1410")
+_CONDITION_COLOURS = ("#009E73", "#F0C000", "#D55E00", "#7B2D26", "#3D1410")
 """Colours of the categories, from the best: distinct by lightness, too."""
 
 _ROWS, _ROW_LENGTH, _OVERLAP = 6, 50.0, 3.0
@@ -27,9 +27,10 @@ _POINTS = 1500  # largest number of points of a line
 _LONGEST_WAVE = 20.0  # longest wave [m] of the profile strip
 
 
-def _colour(level: int) -> str:
-    """Return the colour of the category of this index; the worst ones share the last."""
-    return CONDITION_COLOURS[min(level, len(CONDITION_COLOURS) - 1)]
+def condition_colours(conditions: Conditions) -> list[str]:
+    """Return the colour of each category; the worst ones share the last."""
+    last = len(_CONDITION_COLOURS) - 1
+    return [_CONDITION_COLOURS[min(k, last)] for k in range(len(conditions.categories))]
 
 
 def _drawn_paths(result: DriveResult) -> dict[str, str]:
@@ -133,11 +134,12 @@ def _iri_chart(result: DriveResult, conditions: Conditions) -> str:
         keys = [f"iri_{path}{limit}" for path in shown for limit in ("", "_high")]
         top = 1.15 * np.nanmax([[row[key] for key in keys] for row in segments])
         limits = (0.0, *conditions.limits, max(top, 1.2 * conditions.limits[-1]))
-        for k, (low, high) in enumerate(pairwise(limits)):
-            axes.axhspan(low, high, color=_colour(k), alpha=0.10, lw=0)
+        categories = zip(conditions.categories, condition_colours(conditions), strict=True)
+        for (low, high), (name, shade) in zip(pairwise(limits), categories, strict=True):
+            axes.axhspan(low, high, color=shade, alpha=0.10, lw=0)
             if min(high, top) - low > 0.07 * top:  # there is room for its name
                 axes.annotate(
-                    conditions.categories[k], (edges[-1], low), (-3, 2), ha="right", va="bottom",
+                    name, (edges[-1], low), (-3, 2), ha="right", va="bottom",
                     textcoords="offset points", color="0.35", fontsize=8, zorder=5,
                     bbox={"facecolor": "white", "alpha": 0.7, "lw": 0, "pad": 1},
                 )  # fmt: skip
@@ -192,11 +194,12 @@ def _track_map(result: DriveResult, conditions: Conditions, anchor: str) -> str:
 
     def paint(figure: Any) -> None:
         axes = figure.subplots()
+        colours = condition_colours(conditions)
         axes.plot(east, north, color="0.8", lw=6, solid_capstyle="round", zorder=1)
         for k, row in enumerate(result.segments):
             part = np.flatnonzero((station >= row["begin_m"]) & (station <= row["end_m"]))
             part = part[:: max(1, part.size // 200)]
-            shade = _colour(conditions.level(row["iri_mean"]))
+            shade = colours[conditions.level(row["iri_mean"])]
             axes.plot(east[part], north[part], color=shade, lw=4.5, zorder=2, url=f"#{anchor}-{k}")
         for obstacle in result.obstacles:
             x, y = (np.interp(obstacle["station_m"], station, q) for q in (east, north))

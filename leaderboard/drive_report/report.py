@@ -22,11 +22,7 @@ from road_envs.drives.logger_tables.description import DriveDescription
 from road_envs.drives.reading import DriveFile, same_instruments
 from road_envs.sensing.instruments import instruments_of, load_instruments
 
-_DEFAULT_FACTOR_STD = 0.06
-"""Relative standard deviation of a factor whose own is not given: after calibration over 100 m of
-known IRI, reports of a passenger car from three sensors had an RMS error of 5.7 %.
-"""
-
+_DEFAULT_FACTOR_STD = 0.06  # of a factor whose own is not given, as measured in `known_iri`
 _Progress = Callable[[str, float], None]  # takes what is being done and the share done, 0 to 1
 
 
@@ -135,26 +131,24 @@ def _with_factor_told(each: ReportedPass, drive: DriveFile) -> ReportedPass:
 
 def _with_factor(drive: DriveFile, known: KnownFactor) -> DriveFile:
     """Return a drive whose description has the factor, times the one that it had."""
-    before = drive.description.iri_factor or 1.0
-    changes = {"iri_factor": before * known.factor, "iri_factor_std": known.std}
-    return drive._replace(description=drive.description.updated(**changes))
+    factor = (drive.description.iri_factor or 1.0) * known.factor
+    described = drive.description.updated(iri_factor=factor, iri_factor_std=known.std)
+    return drive._replace(description=described)
 
 
 def _analysed(each: ReportedPass, drive: DriveFile, chosen: ReportSettings) -> DriveResult:
-    distance = each.estimate.distance
-    speed_error = load_instruments(drive.sensors).speed_error
-    instruments = instruments_of(each.measured.record, drive.sensors)
-    told = drive.description
+    record, distance, told = each.measured.record, each.estimate.distance, drive.description
+    instruments = instruments_of(record, drive.sensors)
     known, tolerance_std = None, 0.0
-    if not tells_vehicle(each.measured.record.sensors):
-        tolerance_std = roughness_std(each.measured.record, drive.car, drive.sensors)
+    if not tells_vehicle(record.sensors):
+        tolerance_std = roughness_std(record, drive.car, drive.sensors)
     if told.iri_factor is not None:
         known = KnownFactor(told.iri_factor, told.iri_factor_std or _DEFAULT_FACTOR_STD)
     return analyse(
         each.name, each.measured, each.estimate, chosen.conditions, segment=chosen.segment,
         modes=drive.car.modes, clipping=instruments.ranges[:, None],
-        noise=instruments.noise_rms(each.measured.record.fs), tolerance_std=tolerance_std,
-        distance_std=distance.std if distance else speed_error, known=known,
+        noise=instruments.noise_rms(record.fs), tolerance_std=tolerance_std, known=known,
+        distance_std=distance.std if distance else load_instruments(drive.sensors).speed_error,
     )  # fmt: skip
 
 

@@ -1,7 +1,4 @@
-"""The paper's error measure, equation 12 of Ngwangwa et al., which compares two levels.
-
-eps = (rms(a) - rms(y)) / rms(y)       estimate a, truth y, whole profiles, no band
-"""
+"""The paper's error measure, equation 12 of Ngwangwa et al. (`heights`), which compares levels."""
 
 from typing import Any
 

@@ -10,8 +10,7 @@
     time, memory   the limits of a comparison
 
 The result of a check that does not apply or that is refused is neither passed nor failed. The
-policy runs in a process of its own that is given observations and nothing else: it cannot see the
-road ahead, later observations or its score.
+policy runs in a process of its own (`policy_process`).
 """
 
 from collections.abc import Callable, Mapping, Sequence

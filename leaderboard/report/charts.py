@@ -36,8 +36,6 @@ _CLASS_FREQUENCIES = (0.05, 10.0)  # range [cycles/m] of the chart of densities
 _THRESHOLDS = 41  # points of a performance profile, from 0 to the scale of the board
 _REPLICATES = 300  # bootstrap replicates of a performance profile: enough for a drawn line
 
-_SYMBOLS = {"detected": "circle-open", "missed": "x-thin-open", "false alarm": "diamond-open"}
-
 
 def _frequency_axis(low: float, high: float) -> Any:
     ticks = [n for n in (0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10) if low <= n <= high]
@@ -61,11 +59,11 @@ def task_charts(
     task: Task, definition: BoardDefinition, results: Mapping[str, Result], rows: Mapping[str, Row]
 ) -> dict[str, fig.Chart]:
     """Return the charts of a task by name, with the given results in their order, best first."""
-    traces = [
-        {name: r.traces[k] for name, r in results.items() if len(r.traces) > k}
-        for k in range(len(task.conditions))
-    ]
-    drawn = {c: t for c, t in zip(task.conditions, traces, strict=True) if t}
+    drawn = {
+        condition: traces
+        for k, condition in enumerate(task.conditions)
+        if (traces := {name: r.traces[k] for name, r in results.items() if len(r.traces) > k})
+    }
     charts = {
         "road": _road_chart(drawn),
         "density": _density_chart(drawn),
@@ -152,16 +150,17 @@ def _obstacle_marks(traces: Mapping[str, Trace], side: int) -> list[dict[str, An
     found = true_obstacles(reference.z_true, reference.ds)[side]
     marks = [_marks("truth", "true obstacle", found, "triangle-down", fig.INK)] if found else []
     for k, (name, trace) in enumerate(traces.items()):
-        matches = match_obstacles(trace.z_true, trace.z_estimated, trace.ds)
-        if matches is None:
+        if (matches := match_obstacles(trace.z_true, trace.z_estimated, trace.ds)) is None:
             continue
         pairs, missed, false = matches[side]
-        kinds = ([mine for _, mine in pairs], missed, false)
-        for obstacles, (kind, symbol) in zip(kinds, _SYMBOLS.items(), strict=True):
+        look = fig.colour(name)
+        for kind, symbol, obstacles in (
+            ("detected", "circle-open", [mine for _, mine in pairs]),
+            ("missed", "x-thin-open", missed),
+            ("false alarm", "diamond-open", false),
+        ):
             if obstacles:
-                marks.append(
-                    _marks(name, kind, obstacles, symbol, fig.colour(name)) | _visibility(k)
-                )
+                marks.append(_marks(name, kind, obstacles, symbol, look) | _visibility(k))
     return marks
 
 

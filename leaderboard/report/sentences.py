@@ -130,10 +130,8 @@ def _paper_protocol(sections: Sequence[Section], rows: Sequence[Row]) -> str:
     found = [row for row in rows if row.name == PAPER_NETWORK and row.values]
     if not found:
         return ""
-    near, total = (
-        sum(int(row.values.get(name) or 0) for row in found for name in names)
-        for names in (tables.TRAINING_STATES[:1], tables.TRAINING_STATES)
-    )
+    states = [int(row.values.get(name) or 0) for name in tables.TRAINING_STATES for row in found]
+    near, total = sum(states[: len(found)]), sum(states)
     counted = f" ({near} of {total} trainings below 15\u00a0%)" if total else ""
     labels = [label for section in sections for label in section.conditions]
     cars = sorted({car for label in labels if (car := label.partition(", car ")[2])})

@@ -103,14 +103,13 @@ def board_views(board: Board) -> list[BoardView]:
     """
     definitions = {task.board_name: task.board_definition for task in board.tasks}
     sealed = {task.board_name for task in board.tasks if not task.is_public}
-    views = []
-    for name, definition in sorted(
-        definitions.items(), key=lambda item: (item[0] not in sealed, item[1].order)
-    ):
-        tasks = [task for task in board.tasks if task.board_name == name]
-        sections = tuple(_section(board, task, definition) for task in tasks)
-        views.append(BoardView(name, definition, sections))
-    return views
+
+    def view(name: str, definition: BoardDefinition) -> BoardView:
+        tasks = (task for task in board.tasks if task.board_name == name)
+        return BoardView(name, definition, tuple(_section(board, x, definition) for x in tasks))
+
+    ordered = sorted(definitions.items(), key=lambda item: (item[0] not in sealed, item[1].order))
+    return [view(*item) for item in ordered]
 
 
 def nonempty_columns(view: BoardView, *sections: Section) -> list[Column]:

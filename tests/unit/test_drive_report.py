@@ -18,6 +18,7 @@ from leaderboard.drive_report.obstacles import (
     DetectedObstacle,
     detect,
 )
+from leaderboard.drive_report.page import write_page
 from leaderboard.drive_report.pictures import _iri_chart
 from leaderboard.drive_report.posterior_iri import posterior_iri
 from road_envs.core.config import ConfigError
@@ -216,6 +217,15 @@ def test_categories_change_at_95_and_170_inches_per_mile():
 def test_the_chart_names_the_categories_for_which_there_is_room(road, named):
     chart = _iri_chart(analyse("d", MeasuredRecord(drive()), estimate(road), HPMS), HPMS)
     assert {name for name in HPMS.categories if f">{name}<" in chart} == named
+
+
+def test_the_page_has_as_many_categories_as_there_are(tmp_path):
+    names, limits = tuple("abcdefg"), (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+    seven = Conditions(name="x", title="x", categories=names, limits=limits, source="")
+    result = analyse("d", MeasuredRecord(drive()), estimate("iso_d"), seven)
+    about = {"estimator": "x", "vehicle": "y", "sensors": "z"}
+    write_page([result], seven, about, None, tmp_path / "index.html")
+    assert "</span>g</span>" in (tmp_path / "index.html").read_text()
 
 
 def test_segments_end_at_multiples_of_their_length_in_the_chainage_of_the_user():
