@@ -16,9 +16,8 @@ for w of 1.8 to 2.3 and 1.3 to 1.8 m. HRI is 15 to 25 % below IRI on measured ro
 to 1.33. The level of D is that of the geometric mean of theory and the middle of these.
 
 The HRI is that of the profile. Of a vehicle as described it is 4 % low, as the estimate is smooth.
-Bodies bend at 15 to 40 Hz, which no description says and a device feels as short waves:
-`estimators.wiener.structure_search` finds it in the spectrum (phone on the dashboard, seeds 101 to
-127: without that the IRI of such drives is up to 112 % high).
+Bodies bend at 15 to 40 Hz, which no description says and a device feels as short waves, so that an
+IRI would be up to 112 % high: `estimators.wiener.structure_search` finds it in the spectrum.
 """
 
 from collections.abc import Iterator, Mapping

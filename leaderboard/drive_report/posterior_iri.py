@@ -18,15 +18,14 @@ _NORMAL_QUANTILE = 1.96  # half the width of an interval of 95 %, in standard de
 
 _MODEL_STD = 0.01
 """Relative standard deviation of what the samples do not contain: the model of a known vehicle is
-not the vehicle. On 16 drives of classes A to D at 54 km/h whose vehicle was known, the IRI had an
-RMS error of 0.2 to 2.2 %, the samples a deviation of 0.25 to 1 % (seeds 9700 to 9703).
+not the vehicle. On 16 drives over classes A to D the IRI had an RMS error of 0.2 to 2.2 %, the
+samples a deviation of 0.25 to 1 %.
 """
 
 _SMOOTH_STD = 0.05
-"""Standard deviation [mm/m] of the IRI by what hides smooth roads. Where dry friction holds the
-struts, the most probable road is flatter than the roads that are: on class A all its waves are 5 %
-low with the noise of the paper's sensors, 0.22 m/s², and 1 % with that of phones, 0.018 m/s²; the
-vehicle is known (seeds 9720 and 9721; IRI 2 to 5 and 0 to 2 % low).
+"""Standard deviation [mm/m] of the IRI by what hides smooth roads: where dry friction holds the
+struts, the most probable road is flatter than the roads that are (class A, known vehicle: IRI 2 to
+5 % low with the noise of the paper's sensors, 0.22 m/s², 0 to 2 % with that of phones, 0.018 m/s²).
 """
 
 NO_INTERVAL_NOTE = (

@@ -108,12 +108,10 @@ def _difference(scored: ScoredEstimate) -> tuple[float, ...]:
 
 
 @metrics(
-    Metric("iri_lower_limit", "lower limit of agreement of the IRI", unit="mm/m", better="zero",
-           head="IRI low", help="Bias of the IRI per 20 m less 1.96 standard deviations of the "
-           "differences (Bland-Altman)."),
-    Metric("iri_upper_limit", "upper limit of agreement of the IRI", unit="mm/m", better="zero",
-           head="IRI up", help="Bias of the IRI per 20 m plus 1.96 standard deviations of the "
-           "differences (Bland-Altman)."),
+    *(Metric(f"iri_{end}_limit", f"{end} limit of agreement of the IRI", unit="mm/m", better="zero",
+             head=head, help=f"Bias of the IRI per 20 m {sign} 1.96 standard deviations of the "
+             "differences (Bland-Altman).")
+      for end, head, sign in (("lower", "IRI low", "less"), ("upper", "IRI up", "plus"))),
     Metric("iri_icc", "intraclass correlation of the IRI", better="high", head="IRI ICC",
            help="ICC(2,1) of the true and the estimated IRI per 20 m of both wheel paths."),
 )  # fmt: skip
