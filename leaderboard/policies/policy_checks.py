@@ -59,15 +59,15 @@ def check_policy(
         except (PolicyError, ConfigError) as error:
             return [CheckResult("runs", False, str(error))]
         seconds = list(policy.act_seconds)
-        reward = {"own": first.returns.mean()}
-        for name in ("fixed_ride", "fixed_handling"):
-            reward[name] = roll_out(create(name), dict(OPTIONS), SEEDS).returns.mean()
+        ride, handling = (
+            roll_out(create(name), dict(OPTIONS), SEEDS).returns.mean()
+            for name in ("fixed_ride", "fixed_handling")
+        )
         spaces = {control: _short(policy, control=control) for control in ("vehicle", "axle")}
         fewer = {"accelerations alone": _short(policy, observe=["accelerations"])}
         ran = (
             f"{len(SEEDS)} lane changes on class D, in a process of its own: return "
-            f"{reward['own']:.2f}, always ride {reward['fixed_ride']:.2f}, always handling "
-            f"{reward['fixed_handling']:.2f}"
+            f"{first.returns.mean():.2f}, always ride {ride:.2f}, always handling {handling:.2f}"
         )
 
         def driven_twice() -> _Verdict:

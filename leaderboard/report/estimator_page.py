@@ -43,7 +43,7 @@ def page_values(
     ]
     by_task = {task.name: (task, result) for task, result in results}
     evaluated = [
-        (*by_task[section.task], row, section, view.definition)
+        (*by_task[section.task.name], row, section, view.definition)
         for view, section, row in rows
         if row.state in ("scored", "baseline")
     ]

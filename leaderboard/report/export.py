@@ -43,7 +43,7 @@ def write_exports(board: Board, views: Sequence[BoardView], out: Path) -> None:
         texts[f"{view.board}.csv"] = _as_csv(view)
         texts[f"{view.board}.json"] = json.dumps(as_json([view]), indent=1) + "\n"
         texts[f"{view.board}.tex"] = "\n".join(_as_latex(view, s) for s in view.sections)
-        names = [section.task for section in view.sections]
+        names = [section.task.name for section in view.sections]
         runs = pd.concat([scores_table(scored[name]).assign(task=name) for name in names])
         with atomic_write(folder / f"{view.board}.parquet") as partial:
             runs[["task", "estimator", *COLUMNS]].to_parquet(partial, index=False)
@@ -55,9 +55,9 @@ def as_json(views: Sequence[BoardView]) -> list[dict[str, Any]]:
     """Return the rows as plain data: boards, their tasks, and the numbers of each entry."""
     return [
         {
-            "task": section.task,
+            "task": section.task.name,
             "board": view.board,
-            "title": section.title,
+            "title": section.task.heading,
             "notes": list(section.notes),
             "entries": [
                 {"name": row.name, "state": row.state, "text": row.message, "causal": row.causal}
@@ -75,7 +75,7 @@ def _as_csv(view: BoardView) -> str:
     import pandas as pd
 
     lines: list[dict[str, Any]] = [
-        {"board": view.board, "task": section.task, "group": group, "estimator": row.name}
+        {"board": view.board, "task": section.task.name, "group": group, "estimator": row.name}
         | {"state": row.state, "causal": row.causal, "text": row.message, **values}
         for section in view.sections
         for row in section.rows
@@ -102,4 +102,4 @@ def _as_latex(view: BoardView, section: Section) -> str:
         lines.append([row.name, *cells])
     table = pd.DataFrame(lines, columns=["estimator", *heads]).map(lambda x: " ".join(x.split()))
     text = table.to_latex(index=False, escape=True, column_format="l" + "r" * len(heads))
-    return f"% {section.task}: {' '.join(section.title.split())}\n{text}"
+    return f"% {section.task.name}: {' '.join(section.task.heading.split())}\n{text}"

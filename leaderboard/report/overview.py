@@ -65,7 +65,7 @@ def ranking_chart(section: Section, definition: BoardDefinition) -> fig.Chart | 
             for level, (text, x) in enumerate(marks.items())
         ],
     }
-    title = f"{section.title}: error of every entry, with 95 % intervals"
+    title = f"{section.task.heading}: error of every entry, with 95 % intervals"
     return fig.chart(title, {"": {"data": [bars]}}, layout)
 
 

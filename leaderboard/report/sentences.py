@@ -102,7 +102,7 @@ def findings(views: Sequence[BoardView]) -> tuple[str, ...]:
         for section in view.sections:
             if view.definition.divisions and section not in claimed:
                 own = headline(section, view.definition)
-                found += [f"{section.task}: {sentence}" for sentence in own]
+                found += [f"{section.task.name}: {sentence}" for sentence in own]
     return tuple(sentence for sentence in found if sentence)
 
 
@@ -133,7 +133,7 @@ def _paper_protocol(sections: Sequence[Section], rows: Sequence[Row]) -> str:
     states = [int(row.values.get(name) or 0) for name in tables.TRAINING_STATES for row in found]
     near, total = sum(states[: len(found)]), sum(states)
     counted = f" ({near} of {total} trainings below 15\u00a0%)" if total else ""
-    labels = [label for section in sections for label in section.conditions]
+    labels = [x.label for section in sections for x in section.task.conditions]
     cars = sorted({car for label in labels if (car := label.partition(", car ")[2])})
     tested = f" and tested on another car ({', '.join(cars)})" if cars else ""
     return (
@@ -200,7 +200,7 @@ def _certainty_sentence(best: Row, tied: Sequence[str], section: Section) -> str
     return (
         "The first place is decided: resampling the roads leaves every other entry behind. Entries "
         "that the drives cannot tell from the best of them share its rank."
-        f"{doubt * section.is_public}"
+        f"{doubt * section.task.is_public}"
     )
 
 

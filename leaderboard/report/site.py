@@ -63,10 +63,10 @@ def _render_pages(
     results: dict[str, list[tuple[Task, Result]]] = {}
     for view in report.views:
         for section in view.sections:
-            task = next(task for task in board.tasks if task.name == section.task)
+            task = section.task
             for result in board.results[task.name]:
                 results.setdefault(result.estimator, []).append((task, result))
-            values = _task(board, view, section, task)
+            values = _task(board, view, section)
             yield f"tasks/{task.name}.html", render("site/task.html", **linked, **values)
     for name, own in results.items():
         values = estimator_page.page_values(board, report.views, name, own)
@@ -82,14 +82,13 @@ def _index(board: Board, report: Report) -> dict[str, Any]:
     explained = {(c.label, c.help): c for _, made in boards for t in made for c in t["columns"]}
     view = report.views[0]
     section, definition = view.sections[0], view.definition
-    task = next(task for task in board.tasks if task.name == section.task)
     scored = [result for task in board.tasks for result in board.scored(task)]
     scored.sort(key=lambda result: result.estimator)
     return {
         "root": "",
         "section": section,
         "ranking": overview.ranking_chart(section, definition),
-        "strip": overview.strip_chart(section, board.scored(task), definition.ranks_by),
+        "strip": overview.strip_chart(section, board.scored(section.task), definition.ranks_by),
         "headline": headline(section, definition),
         "ranked_by": definition.ranks_by,
         "notice": isolation_notice(scored),
@@ -110,7 +109,7 @@ def _table(view: BoardView, section: Section) -> dict[str, Any]:
     and over each group, each [number, text].
     """
     columns, ranks_by = tables.nonempty_columns(view, section), view.definition.ranks_by
-    groups = dict.fromkeys(section.conditions)
+    groups = dict.fromkeys(condition.label for condition in section.task.conditions)
     groups |= dict.fromkeys(name for names in section.groups.values() for name in names)
     keys = dict.fromkeys([*(column.key for column in columns), ranks_by, "rank_causal"])
     forms = {key: COLUMNS[key] for key in keys if key not in TEXT_COLUMNS}
@@ -146,8 +145,8 @@ def _row_data(row: Row, forms: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _task(board: Board, view: BoardView, section: Section, task: Task) -> dict[str, Any]:
-    rows = {row.name: row for row in section.rows}
+def _task(board: Board, view: BoardView, section: Section) -> dict[str, Any]:
+    task, rows = section.task, {row.name: row for row in section.rows}
     scored = board.scored(task)
     by_name = {result.estimator: result for result in scored}
     # without entries, the baselines are drawn

@@ -79,13 +79,10 @@ class Section:
     more than one of a kind.
     """
 
-    task: str
-    title: str
+    task: Task
     rows: tuple[Row, ...]
     notes: tuple[str, ...]
     groups: Mapping[str, tuple[str, ...]]
-    conditions: tuple[str, ...] = ()
-    is_public: bool = False  # test roads that anybody can draw
 
 
 @dataclass(frozen=True)
@@ -144,15 +141,9 @@ def _section(board: Board, task: Task, definition: BoardDefinition) -> Section:
         claim = [Row("paper's claim", "claim", {EQ_12_RAW: text}, {EQ_12_RAW: level})]
     failed = [Row(r.estimator, "failed", message=r.failure or "") for r in board.failed(task)]
     stale = [Row(r.estimator, "stale", message=why) for r, why in board.stale(task)]
-    return Section(
-        task.name,
-        task.heading,
-        (*claim, *rows, *failed, *stale),
-        section_notes(board, task, rows, int(np.sum(on_level) if scored else 0)),
-        {kind_of_group: tuple(named) for kind_of_group, named in groups.items()},
-        tuple(condition.label for condition in task.conditions),
-        task.is_public,
-    )
+    notes = section_notes(board, task, rows, int(np.sum(on_level) if scored else 0))
+    names = {kind: tuple(named) for kind, named in groups.items()}
+    return Section(task, (*claim, *rows, *failed, *stale), notes, names)
 
 
 class _AggregatedScores(NamedTuple):
