@@ -27,7 +27,7 @@ _LABEL_LENGTH = 20  # length at which the name of a group is continued on a seco
 
 _NOMINAL_SHARES = np.linspace(0.05, 0.95, 19)  # probabilities of intervals that are calibrated
 
-_Evaluated = tuple[Task, Result, Row, Section, BoardDefinition]  # a row of a board
+_Evaluated = tuple[Section, Result, Row, BoardDefinition]  # a row of a board
 
 
 def page_values(
@@ -41,9 +41,9 @@ def page_values(
         for row in section.rows
         if row.name == name
     ]
-    by_task = {task.name: (task, result) for task, result in results}
+    by_task = {task.name: result for task, result in results}
     evaluated = [
-        (*by_task[section.task.name], row, section, view.definition)
+        (section, by_task[section.task.name], row, view.definition)
         for view, section, row in rows
         if row.state in ("scored", "baseline")
     ]
@@ -65,12 +65,12 @@ def page_values(
         ),
         "rows": rows,
         "charts": _charts(evaluated),
-        "tasks": [task for task, *_ in evaluated],
-        "cost": [_cost(task, result) for task, result, *_ in evaluated],
+        "tasks": [section.task for section, *_ in evaluated],
+        "cost": [_cost(result) for _, result, *_ in evaluated],
         "worst": [
             drive
-            for task, result, _, _, definition in evaluated
-            for drive in _worst_drives(task, result, definition.ranks_by)
+            for _, result, _, definition in evaluated
+            for drive in _worst_drives(result, definition.ranks_by)
         ],
         "failures": [(task, result.failure) for task, result in results if result.failure],
         "results": [(task, one, _result_provenance(board, task, one)) for task, one in results],
@@ -110,7 +110,7 @@ def _charts(evaluated: Sequence[_Evaluated]) -> dict[str, fig.Chart]:
     return {
         name: fig.chart(title, figures, layout, by=("task",))
         for name, (title, layout, draw) in made.items()
-        if (figures := {one[0].name: figure for one in evaluated if (figure := draw(*one))})
+        if (figures := {one[0].task.name: figure for one in evaluated if (figure := draw(*one))})
     }
 
 
@@ -138,7 +138,7 @@ def _paragraphs(documented: object) -> list[tuple[str, bool]]:
 
 
 def _error_figure(
-    task: Task, result: Result, row: Row, section: Section, definition: BoardDefinition
+    section: Section, result: Result, row: Row, definition: BoardDefinition
 ) -> dict[str, Any] | None:
     """Return the ranking score over all runs and by condition and family, with intervals."""
     key, score = definition.ranks_by, COLUMNS[definition.ranks_by]
@@ -165,13 +165,13 @@ def _error_figure(
     return {"data": [bars], "layout": layout}
 
 
-def _spectrum_figure(task: Task, result: Result, row: Row, *_: Any) -> dict[str, Any]:
-    condition = task.conditions[0]
-    bound = bound_line(task, condition) | {"name": f"bound, {condition.label}"}
+def _spectrum_figure(section: Section, result: Result, row: Row, *_: Any) -> dict[str, Any]:
+    condition = section.task.conditions[0]
+    bound = bound_line(section.task, condition) | {"name": f"bound, {condition.label}"}
     return {"data": [bound, *error_lines({row.name: row}, "")]}
 
 
-def _calibration_figure(task: Task, result: Result, *_: Any) -> dict[str, Any] | None:
+def _calibration_figure(section: Section, result: Result, *_: Any) -> dict[str, Any] | None:
     """Return the share of errors inside intervals of every probability; None without intervals.
 
     The errors are those of the stored start of one drive under each condition, in the scored band.
@@ -203,20 +203,20 @@ def _standardized(trace: Trace) -> np.ndarray:
     return np.abs(errors[inside > 0.0]) / inside[inside > 0.0]
 
 
-def _worst_drives(task: Task, result: Result, key: str) -> list[tuple[str, ...]]:
+def _worst_drives(result: Result, key: str) -> list[tuple[str, ...]]:
     """Return task, road, condition, training seed and error of the worst of several drives."""
     runs = result.scores[result.scores["score"] == key]
     if len(runs) < 2:
         return []
     form = COLUMNS[key]
     return [
-        (task.name, f"{run.road}, seed {run.road_seed}", run.condition, f"{run.seed}",
+        (result.task, f"{run.road}, seed {run.road_seed}", run.condition, f"{run.seed}",
          form.text(run.value))
         for run in runs.nlargest(_WORST_DRIVES, "value").itertuples()
     ]  # fmt: skip
 
 
-def _cost(task: Task, result: Result) -> tuple[str, ...]:
+def _cost(result: Result) -> tuple[str, ...]:
     """Return task, time per 100 m, time of a training, parameters and memory of an estimator."""
     values = (
         (result.estimate_ms_per_100m, "{:.0f} ms"),
@@ -224,4 +224,4 @@ def _cost(task: Task, result: Result) -> tuple[str, ...]:
         (result.parameters or None, "{:d}"),
         (result.peak_memory, "{:.2f} GiB"),
     )
-    return task.name, *(UNDEFINED if x is None else form.format(x) for x, form in values)
+    return result.task, *(UNDEFINED if x is None else form.format(x) for x, form in values)

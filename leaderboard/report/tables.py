@@ -127,8 +127,7 @@ def _section(board: Board, task: Task, definition: BoardDefinition) -> Section:
     on_level = level_runs(scored, definition)
     tables = [_aggregate(result, task, definition, parts, on_level) for result in scored]
     _rank(tables, parts, task.test.strata)
-    pairs = zip(scored, tables, strict=True)
-    rows = [_scored_row(result, x, definition, board.card(result)) for result, x in pairs]
+    rows = [_scored_row(x, definition, board.card(x.result)) for x in tables]
 
     def place(row: Row) -> tuple[bool, float, float]:
         rank, score = row.values.get("rank"), row.values[definition.ranks_by]
@@ -149,10 +148,9 @@ def _section(board: Board, task: Task, definition: BoardDefinition) -> Section:
 class _AggregatedScores(NamedTuple):
     """Means of a result by group and score; `ranked` (R, C, S) holds the ranking score."""
 
-    name: str
+    result: Result
     values: dict[str, _Values]
     ranked: np.ndarray
-    division: tuple[bool, bool]  # ranked among all, among the causal
 
 
 def _aggregate(
@@ -198,9 +196,7 @@ def _aggregate(
         **_training_states(scores[[*SCORES].index(EQ_12_RAW)]),
         **_grade_scores(ranked, parts, strata),
     }
-    entry = result.role == "entry"
-    division = entry, entry and bool(result.causal)
-    return _AggregatedScores(result.estimator, values, ranked, division)
+    return _AggregatedScores(result, values, ranked)
 
 
 def level_runs(scored: Sequence[Result], definition: BoardDefinition) -> np.ndarray:
@@ -247,10 +243,11 @@ def _rank(
     tables: Sequence[_AggregatedScores], parts: Mapping[str, ScoreSlice], strata: Strata
 ) -> None:
     """Add the ranks in every group of MIN_ROADS roads, among all entries and the causal ones."""
-    by_name = {table.name: table for table in tables}
+    by_name = {x.result.estimator: x for x in tables if x.result.role == "entry"}
+    causal = {name: x for name, x in by_name.items() if x.result.causal}
     for group, part in parts.items():
-        for k, key in enumerate(RANK_COLUMNS.values()):
-            scores = {x.name: x.ranked[part] for x in tables if x.division[k]}
+        for key, entries in zip(RANK_COLUMNS.values(), (by_name, causal), strict=True):
+            scores = {name: x.ranked[part] for name, x in entries.items()}
             if not any(count_roads(x) >= MIN_ROADS for x in scores.values()):
                 continue
             within = strata if group == ALL_RUNS else None
@@ -259,12 +256,10 @@ def _rank(
 
 
 def _scored_row(
-    result: Result,
-    table: _AggregatedScores,
-    definition: BoardDefinition,
-    card: EstimatorCard | None,
+    table: _AggregatedScores, definition: BoardDefinition, card: EstimatorCard | None
 ) -> Row:
-    mine, entry = table.values[ALL_RUNS], result.role == "entry"
+    result, mine = table.result, table.values[ALL_RUNS]
+    entry = result.role == "entry"
     cells = {
         name: COLUMNS[name].format_value(x)
         for name, x in {**dict.fromkeys(RANK_COLUMNS.values()), **mine}.items()
