@@ -87,7 +87,7 @@ def make_report(
         )
         one = make_drive_estimator(chosen.estimator, drive, chosen.settings, chosen.fast)
         drive, found = estimate_drive(one, drive, part)
-        read.append((drive.name, drive.measured, found))
+        read.append(ReportedPass(drive.name, drive.measured, found))
     assert one is not None
     passes = align_passes(read)
     progress("joining the passes" if len(drives) > 1 else "writing the report", 0.95)
