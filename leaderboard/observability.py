@@ -17,15 +17,15 @@ from road_envs.core.config import ConfigError, validate_choice
 from road_envs.drives.recording import simulate_record
 from road_envs.records.record import F_C, scored_band
 from road_envs.roads.iso8608 import Iso8608
-from road_envs.sensing.instruments import Instruments, load_instruments
+from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import decode_commands, encode_command
 
 _Mode = str | dict[str, str]
 _PLOTTED_BAND = (0.05, 2.5)  # band [cycles/m] of a curve, cut at the low-pass of the sensors
 
-BANDWIDTHS, _ATTAINABLE_LENGTH = (25.0, 100.0, 333.0), 100.0
-"""Bandwidths [Hz] of the data and length [m] of the road for the attainable error."""
+BANDWIDTHS = (25.0, 100.0, 333.0)  # of the data [Hz] for the attainable error
+_ATTAINABLE_LENGTH = 100.0  # of its road [m]
 
 _Curve = tuple[str, float, Posterior, float]
 """Mode, speed [km/h], posterior of the road over spatial frequency, in-band NRMSE [-]."""
@@ -56,7 +56,12 @@ def bounds_by_state(
     for speed in speeds_kmh:
         if not (np.isfinite(speed) and speed > 0):
             raise ConfigError(f"the speed must be positive, got {speed} km/h")
-    instruments = _instruments_with(sensors, noise_density)
+    instruments = load_instruments(sensors)
+    if noise_density is not None:
+        try:
+            instruments = dataclasses.replace(instruments, noise_density=noise_density)
+        except ValueError as error:
+            raise ConfigError(str(error)) from None
     # fails before anything is computed
     chosen = [_damping_by_strut(dampers, mode, car) for mode in modes]
     rows: list[dict[str, Any]] = []
@@ -75,23 +80,21 @@ def bounds_by_state(
         if attainable:
             floor = bound(car, mode, v, instruments, prior, residual_as_noise=True, **settings)
             rows[-1]["linear_estimators"] = floor.pooled
-            rows[-1] |= _nonlinear(car, mode, speed, sensors, noise_density, prior)
+            road = Iso8608(G_d0=prior.G_d0, w=prior.w, track=prior.track, length=_ATTAINABLE_LENGTH)
+            drive: dict[str, Any] = {"speed_kmh": speed, "mode": mode, "instruments": sensors}
+            record, truth = simulate_record(road, vehicle=car, **drive)
+            given: dict[str, Any] = {"instruments": sensors, "noise_density": noise_density}
+            rows[-1]["attainable"] = {
+                f"{f:g}": attainable_error(record, truth, car, prior, bandwidth=f, **given)
+                for f in BANDWIDTHS
+            }
+            widest = van_trees_error(record, car, prior, bandwidth=BANDWIDTHS[-1], **given)
+            rows[-1]["van_trees"] = widest
         if with_curves:
             n = np.geomspace(_PLOTTED_BAND[0], min(_PLOTTED_BAND[1], F_C / v), 3000)
             drawn = bound(car, mode, v, instruments, prior, n=n, **settings)
             curves.append((name, speed, drawn, posterior.pooled))
     return rows, curves
-
-
-def _instruments_with(sensors: str, noise_density: float | None) -> Instruments:
-    """Load instruments, with another noise density if one is given. Raises ConfigError."""
-    instruments = load_instruments(sensors)
-    if noise_density is None:
-        return instruments
-    try:
-        return dataclasses.replace(instruments, noise_density=noise_density)
-    except ValueError as error:
-        raise ConfigError(str(error)) from None
 
 
 def _front_rear(mode: _Mode) -> str:
@@ -119,27 +122,3 @@ def _damping_by_strut(
     if missing := sorted(set(modes) - set(dampers)):
         raise ConfigError(f"dampings are given for {sorted(dampers)}, but not for {missing}")
     return np.array([dampers[name] for name in modes])
-
-
-def _nonlinear(
-    car: VehicleParameters,
-    mode: _Mode,
-    speed_kmh: float,
-    sensors: str,
-    noise_density: float | None,
-    prior: RoadPrior,
-) -> dict[str, Any]:
-    """Return the attainable NRMSE for each of BANDWIDTHS on a road of _ATTAINABLE_LENGTH, and the
-    bound of van Trees for the widest.
-    """
-    road = Iso8608(G_d0=prior.G_d0, w=prior.w, track=prior.track, length=_ATTAINABLE_LENGTH)
-    record, truth = simulate_record(
-        road, vehicle=car, speed_kmh=speed_kmh, mode=mode, instruments=sensors
-    )
-    options: dict[str, Any] = {"instruments": sensors, "noise_density": noise_density}
-    attainable = {
-        f"{f:g}": attainable_error(record, truth, car, prior, bandwidth=f, **options)
-        for f in BANDWIDTHS
-    }
-    van_trees = van_trees_error(record, car, prior, bandwidth=BANDWIDTHS[-1], **options)
-    return {"attainable": attainable, "van_trees": van_trees}

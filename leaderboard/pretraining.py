@@ -1,7 +1,5 @@
 """Training on a simulated corpus: pretrained estimators, and the regression on RMS.
 
-Weights have metadata, and their training has checkpoints.
-
 An interrupted run continues from the checkpoint beside the output file if corpus, settings, seed
 and version are the same. The drives are simulated again, which is the smaller part of the time.
 """
@@ -10,6 +8,7 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -25,14 +24,9 @@ from road_envs.drives.training_corpus import Corpus, drives_in_mode
 from road_envs.records.record import Record
 
 _Progress = Callable[[str, float], None]
-_SIMULATION_SHARE = 0.15
-"""Share of the run time that simulating the drives takes, for the progress bar."""
-
-_CALIBRATION_SHARE = 0.3
-"""Drives of the nominal vehicle for calibrating standard deviations, per training drive."""
-
-_N_DRIVES, _SPEED_MARGIN = 60, 1.5
-"""Number of drives of the regression on RMS, and factor around the speeds of the record."""
+_SIMULATION_SHARE = 0.15  # of the run time, for the progress bar
+_CALIBRATION_SHARE = 0.3  # drives of the nominal vehicle for deviations, per training drive
+_N_DRIVES, _SPEED_MARGIN = 60, 1.5  # of the regression on RMS; factor around the speeds of a record
 
 
 class _FileCheckpoint:
@@ -43,13 +37,11 @@ class _FileCheckpoint:
 
     def load(self) -> dict[str, np.ndarray] | None:
         """Return the stored state, or None if there is none of this run."""
-        if not self.path.exists():
-            return None
-        try:
+        with suppress(pretrained_weights.WeightsError):
             arrays, metadata = pretrained_weights.read_weights(self.path)
-        except pretrained_weights.WeightsError:
-            return None
-        return arrays if metadata.get("run") == self.digest else None
+            if metadata.get("run") == self.digest:
+                return arrays
+        return None
 
     def save(self, state: Mapping[str, np.ndarray]) -> None:
         """Store a state atomically."""
@@ -61,7 +53,6 @@ class _FileCheckpoint:
 
 
 def _run_digest(estimator: Pretrained, name: str, corpus: Corpus, seed: int) -> str:
-    """Return a digest of everything that determines the trained weights."""
     inputs = [name, get_settings(estimator), corpus.digest, seed, package_version()]
     return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()[:12]
 

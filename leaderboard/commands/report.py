@@ -10,6 +10,8 @@ from leaderboard.commands.options import Settings, argument, option
 from leaderboard.commands.output import Output
 from leaderboard.drive_report.analysis import DriveResult
 from leaderboard.drive_report.conditions import load_conditions
+from leaderboard.drive_report.export import parse_route
+from leaderboard.drive_report.known_iri import read_known_iri
 from leaderboard.drive_report.report import ReportSettings, make_report, write_report
 from leaderboard.drive_report.sections import KEPT, Sections
 from road_envs.drives.logger_tables.description import write_description
@@ -52,7 +54,9 @@ def report(
     commands.import_from_here([estimator])
     chosen = ReportSettings(
         conditions=load_conditions(conditions), settings=commands.parse_settings(settings),
-        estimator=estimator, fast=fast, segment=segment, known_iri=known_iri, route=route,
+        estimator=estimator, fast=fast, segment=segment,
+        known_iri=None if known_iri is None else read_known_iri(known_iri),
+        route=None if route is None else parse_route(route),
     )  # fmt: skip
     kept = f"finished sections are kept in {out}; the same command continues"
     with commands.on_interrupt(kept), commands.progress_bar() as progress:

@@ -17,7 +17,7 @@ from leaderboard.drive_report.notes import (
     misfits,
     vehicle_in_words,
 )
-from leaderboard.drive_report.obstacles import CERTAIN, DetectedObstacle, detect
+from leaderboard.drive_report.obstacles import CERTAIN, HEIGHT_STD, DetectedObstacle, detect
 from leaderboard.drive_report.posterior_iri import NO_INTERVAL_NOTE, IriPosterior, posterior_iri
 from road_envs.drives.measured_record import MeasuredRecord
 from road_envs.records import roughness
@@ -26,16 +26,10 @@ from road_envs.vehicle.struts import MODES, Modes
 
 SEGMENT_LENGTHS = (10.0, 20.0, 100.0)  # lengths [m] of segments
 
-_PLACE_STD = 0.15
-"""Standard deviation [m] of an obstacle's place in a drive whose distance is right; by
-`studies/report_trial.py` with seeds 201 to 203.
-"""
-
+_PLACE_STD = 0.15  # [m] of an obstacle's place where distance is right (studies/report_trial.py)
 _RUN_IN = 11.0  # length [m] of the golden car's run-in (Sayers 1995)
 
-_SLOW = 20.0 / 3.6
-"""Speed [m/s] below which long waves are flagged: at 0.5 Hz they are shorter than 11 m."""
-
+_SLOW = 20.0 / 3.6  # speed [m/s] below which waves longer than 11 m, of 0.5 Hz, are flagged
 _OCTAVES = (0.125, 0.25, 0.5, 1.0)  # centres [cycles/m] of the octaves of a class
 _WAVES_PER_SEGMENT = 2.0  # least number of waves of an octave in a segment
 
@@ -71,11 +65,6 @@ class DriveResult:
     facts: dict[str, Any]
     is_mean_path: bool = False
 
-    @property
-    def has_position(self) -> bool:
-        """True if latitude and longitude are known."""
-        return self.measured.position is not None
-
     def position(self, station: float) -> tuple[float | None, float | None]:
         """Return latitude and longitude [°] of the front axle at a station, None if unknown."""
         if self.measured.position is None:
@@ -102,7 +91,7 @@ def analyse(
 
     `clipping` [m/s²], one or (k, 1), is the magnitude from which on a sample is clipped, `noise`
     [m/s²] the RMS of the sensors' noise; `tolerance_std` is the relative standard deviation of the
-    IRI by the tolerances of a vehicle that the sensors do not tell (`tolerance_error.py`), and
+    IRI by the tolerances of a vehicle that the sensors do not tell (`roughness_std`), and
     `distance_std` that of distances from the first sample. `modes` name the states of the struts;
     `known` is the factor of this car and mount by a stretch of known IRI.
     """
@@ -123,7 +112,8 @@ def analyse(
         half, iri = None, posterior_iri(estimate, edges, factor=factor, relative_std=std)
     missing = (NO_INTERVAL_NOTE,) if np.isnan(iri.high).any() else ()
     if not is_mean_path and is_far_off(estimate, record, noise):
-        iri, missing = iri.without_interval(), (_HUGE_RESIDUAL_NOTE,)
+        none = np.full_like(iri.median, np.nan)
+        iri, missing = iri._replace(low=none, high=none), (_HUGE_RESIDUAL_NOTE,)
     notes = in_order_of_weight((*estimate.notes, *measured.notes, *missing))
     place = measured.chainage
     result = DriveResult(name, measured, estimate, v, place, [], [], notes, {}, is_mean_path)
@@ -183,9 +173,8 @@ def _segment(
     row: dict[str, Any] = {"begin_m": result.chainage + begin, "end_m": result.chainage + end}
     paths = ("mean",) if result.is_mean_path else ("left", "right", "mean")
     for j, path in enumerate(paths):
-        row[f"iri_{path}"] = float(iri.median[j, k])
-        row[f"iri_{path}_low"] = float(iri.low[j, k])
-        row[f"iri_{path}_high"] = float(iri.high[j, k])
+        for limit, x in (("", iri.median), ("_low", iri.low), ("_high", iri.high)):
+            row[f"iri_{path}{limit}"] = float(x[j, k])
     whole = np.exp(np.mean(np.log(list(levels.values())))) if levels else np.nan
     row["class"] = roughness.roughness_class(float(whole)) if levels else ""
     for n in _OCTAVES:
@@ -240,8 +229,8 @@ def _obstacle(result: DriveResult, found: DetectedObstacle, distance_std: float)
     is_certain = found.confidence >= CERTAIN and not misfits(result.estimate, result.is_mean_path)
     lat, lon = result.position(found.station)
     distance = distance_std * (found.station - result.measured.record.s[0])
-    found = found.in_an_estimate()
-    low, high = (found.height + 1.96 * way * found.height_std for way in (-1.0, 1.0))
+    height_std = float(np.hypot(found.height_std, HEIGHT_STD * found.height))
+    low, high = (found.height + 1.96 * way * height_std for way in (-1.0, 1.0))
     return {
         "kind": ("" if is_certain else "possible ") + ("bump" if found.height > 0.0 else "hole"),
         "station_m": result.chainage + found.station,

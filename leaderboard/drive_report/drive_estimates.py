@@ -28,14 +28,12 @@ from road_envs.vehicle.side_values import side_values
 _FRAME = "variation.frame.f"  # tolerance of a description that says of a frame that twists
 
 _UNEXPLAINED = 1.02
-"""Residual in times of the sensors' noise above which side motion is tried that a file leaves out.
-Individuals of grade S4 of the paper's vehicle, whose file has none, have 1.04 to 2.4 without it and
-1.0 to 1.2 with it, and an NRMSE of 0.39 to 0.50 and 0.07 to 0.15; individuals of S1 and S2, which
-have none, 1.0 to 1.25 without and 1.2 to 2.9 with it (seeds 8300 to 8314).
+"""Residual in times of the sensors' noise above which side motion is tried that a file leaves out:
+individuals that have some (S4 of the paper's vehicle) have 1.04 to 2.4 without it and 1.0 to 1.2
+with it, those that have none (S1, S2) 1.0 to 1.25 and 1.2 to 2.9.
 """
 
-_SIDE_CLASS = "suv"
-"""Generic car whose tolerances of side motion are those of a vehicle whose file has none."""
+_SIDE_CLASS = "suv"  # generic car whose tolerances of side motion are those of a file without
 
 _SIDE_NOTE = (
     "tyres that hold the vehicle sideways, of which its file says nothing, explain the record "
@@ -43,8 +41,7 @@ _SIDE_NOTE = (
     "adapted: give its file a `side`"
 )
 
-_SIDE_DOUBT = "are not told apart as well"
-"""Words of the note of `side_notes`, which a vehicle with side motion answers."""
+_SIDE_DOUBT = "are not told apart as well"  # in a note that side motion answers
 
 _PAIRS_NOTE = (
     "The model with sensors on both sides does not reproduce the accelerations (residual {:.1f} "
@@ -73,9 +70,8 @@ def make_drive_estimator(
     """Return an estimator by name, class or file for a drive; a `fast` one fits no vehicle to it.
 
     One that takes instruments has the drive's. One or two sensors, and those that tell no roll, do
-    not tell a road from a vehicle: fitted to them, a saloon over class C got a frame that it does
-    not have, and an IRI that was 20 to 40 % too low where the described one gave 10 % (seed 408 of
-    `studies/phone_reports.py`). They do not adapt it, unless `settings` say so.
+    not tell a road from a vehicle, and do not adapt it unless `settings` say so: fitted to them, a
+    saloon got a frame that it does not have, and an IRI that was 20 to 40 % too low.
     """
     if Path(name).suffix not in FILE_SUFFIXES and ":" not in name:
         known = getattr(estimators.find(name), "__dataclass_fields__", {})
@@ -110,11 +106,10 @@ def estimate_drive(
         ways = [drive, twisted] if is_fitted else [twisted, drive]
     found = []
     for way in ways:
-        found.append(_estimated(estimator, way, sections))
-        if residual_of(found[-1][1]) < LARGE_RESIDUAL:
+        found.append((way, _estimated(estimator, way, sections)))
+        if residual_of(found[-1][1][1]) < LARGE_RESIDUAL:
             break
-    pairs = zip(ways, found, strict=False)
-    likeliest = min(pairs, key=lambda pair: residual_of(pair[1][1]))
+    likeliest = min(found, key=lambda pair: residual_of(pair[1][1]))
     best = _held_sideways(estimator, *likeliest, sections)
     instruments = instruments_of(record, drive.sensors)
     is_rough = residual_of(best[1]) >= LARGE_RESIDUAL and not getattr(estimator, "adapt", True)

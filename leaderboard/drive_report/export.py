@@ -1,6 +1,7 @@
 """Files of a report for other programs: CSV, Parquet, GeoJSON, HPMS, and the road itself."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,18 +21,18 @@ OBSTACLE_COLUMNS = (
     "kind", "station_m", "station_std_m", "height_mm", "height_low_mm", "height_high_mm",
     "length_m", "wheel_path", "confidence", "lat", "lon",
 )  # fmt: skip
-"""Columns of the table of obstacles."""
 
 _MILE = 1609.344  # metres in a mile
 
 
-def write_files(result: DriveResult, folder: Path, route: str | None = None) -> list[Path]:
-    """Write tables, GeoJSON and, for a `route`, HPMS of a drive; return the files.
-
-    Raises ConfigError for a route that is none.
+def write_files(
+    result: DriveResult, folder: Path, route: tuple[str, float] | None = None
+) -> list[Path]:
+    """Write tables, GeoJSON and, for a `route` with the mile at chainage 0, HPMS of a drive; return
+    the files.
     """
     written = [*_write_tables(result, folder), *_write_geojson(result, folder)]
-    return written if route is None else [*written, _write_hpms(result, folder, route)]
+    return written if route is None else [*written, _write_hpms(result, folder, *route)]
 
 
 def _write_tables(result: DriveResult, folder: Path) -> list[Path]:
@@ -63,33 +64,29 @@ def _write_tables(result: DriveResult, folder: Path) -> list[Path]:
 
 def _write_geojson(result: DriveResult, folder: Path) -> list[Path]:
     """Write segments as lines and obstacles as points (RFC 7946); nothing without positions."""
-    if not result.has_position:
+    if result.measured.position is None:
         return []
     features = [
-        _feature("LineString", segment_line(result, row), {**row, "feature": "segment"})
-        for row in result.segments
+        {"type": "Feature", "geometry": {"type": kind, "coordinates": place}, "properties": values}
+        for kind, place, values in placed_rows(result)
     ]
-    for row in result.obstacles:
-        features.append(_feature("Point", [row["lon"], row["lat"]], {**row, "feature": "obstacle"}))
     path = folder / f"{result.name}.geojson"
     collection = {"type": "FeatureCollection", "name": result.name, "features": features}
     write_text(path, json.dumps(nan_to_none(collection), allow_nan=False))
     return [path]
 
 
-def _write_hpms(result: DriveResult, folder: Path, route: str) -> Path:
+def _write_hpms(result: DriveResult, folder: Path, route: str, mile: float) -> Path:
     """Write the segments with the columns of sections of the Highway Performance Monitoring System.
 
     Names and units are those of the HPMS Field Manual (FHWA 2016, chapter 3): points along the
-    `route` in miles, IRI in inches per mile. "ROUTE,BEGIN" gives the mile at chainage 0. Raises
-    ConfigError.
+    `route` in miles, IRI in inches per mile.
     """
-    name, mile = parse_route(route)
     lines = ["Route_ID,Begin_Point,End_Point,Section_Length,Data_Item,Value_Numeric,Value_Text"]
     for row in result.segments:
         begin, end = (mile + row[key] / _MILE for key in ("begin_m", "end_m"))
         place, flags = f"{begin:.4f},{end:.4f},{end - begin:.4f}", row["flags"].replace('"', "'")
-        lines.append(f'{name},{place},IRI,{row["iri_in_per_mi"]:.0f},"{flags}"')
+        lines.append(f'{route},{place},IRI,{row["iri_in_per_mi"]:.0f},"{flags}"')
     path = folder / f"{result.name}_hpms.csv"
     write_text(path, "\n".join(lines) + "\n")
     return path
@@ -133,18 +130,19 @@ def read_heights(path: Path) -> Surface:
         return Surface(z, float(s[1] - s[0]), float(s[0]), name=path.stem, notes=notes)
 
 
-def segment_line(result: DriveResult, row: dict[str, Any]) -> list[list[float]]:
-    """Return the points (longitude, latitude) of a segment, every _VERTEX_SPACING."""
-    begin, end = row["begin_m"] - result.chainage, row["end_m"] - result.chainage
-    stations = np.linspace(begin, end, max(2, round((end - begin) / _VERTEX_SPACING) + 1))
-    points = [result.position(float(x)) for x in stations]
-    return [[round(float(lon or 0.0), 7), round(float(lat or 0.0), 7)] for lat, lon in points]
+def placed_rows(result: DriveResult) -> Iterator[tuple[str, list[Any], dict[str, Any]]]:
+    """Yield the rows of a drive with positions: kind of geometry, coordinates (longitude, latitude)
+    of a point or of a line with vertices every _VERTEX_SPACING, and the other values.
+    """
+    for row in result.segments:
+        ends = row["begin_m"] - result.chainage, row["end_m"] - result.chainage
+        count = max(2, round((ends[1] - ends[0]) / _VERTEX_SPACING) + 1)
+        points = [result.position(float(x)) for x in np.linspace(*ends, count)]
+        line = [[round(float(lon or 0.0), 7), round(float(lat or 0.0), 7)] for lat, lon in points]
+        yield "LineString", line, _without_place(row) | {"feature": "segment"}
+    for row in result.obstacles:
+        yield "Point", [row["lon"], row["lat"]], _without_place(row) | {"feature": "obstacle"}
 
 
-def _feature(kind: str, coordinates: list[Any], row: dict[str, Any]) -> dict[str, Any]:
-    properties = {key: value for key, value in row.items() if key not in ("lat", "lon")}
-    return {
-        "type": "Feature",
-        "geometry": {"type": kind, "coordinates": coordinates},
-        "properties": properties,
-    }
+def _without_place(row: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in row.items() if key not in ("lat", "lon")}

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from leaderboard.drive_report.analysis import DriveResult
-from leaderboard.drive_report.export import OBSTACLE_COLUMNS, segment_line
+from leaderboard.drive_report.export import OBSTACLE_COLUMNS, placed_rows
 from road_envs.core.atomic_io import atomic_write
 
 _WGS_84 = 4326  # its number among the reference systems
@@ -23,19 +23,20 @@ _TABLES = Path(__file__).with_suffix(".sql")
 
 
 class _Layer(NamedTuple):
-    """A layer: its `name`, kind of geometry, the `columns` of its rows, and for each row the points
-    of its geometry and the values.
+    """A layer: its name, kind of geometry, the columns of its rows, and for each row the points of
+    its geometry and the values.
     """
 
     name: str
     kind: str
     columns: Sequence[str]
-    rows: list[tuple[list[list[float]], list[Any]]]
+    rows: list[tuple[list[list[float]], dict[str, Any]]]
 
 
 def write_geopackage(results: Iterable[DriveResult], path: Path) -> list[Path]:
     """Write the drives with positions as layers of one file; nothing without any."""
-    layers = [layer for result in results if result.has_position for layer in _layers(result)]
+    placed = [result for result in results if result.measured.position is not None]
+    layers = [layer for result in placed for layer in _layers(result)]
     if not layers:
         return []
     with atomic_write(path) as partial, closing(sqlite3.connect(partial)) as base:
@@ -47,35 +48,30 @@ def write_geopackage(results: Iterable[DriveResult], path: Path) -> list[Path]:
 
 
 def _layers(result: DriveResult) -> list[_Layer]:
-    columns = [key for key in result.segments[0] if key not in ("lat", "lon")]
-    segments = [
-        (segment_line(result, row), [row[key] for key in columns]) for row in result.segments
-    ]
-    told = [key for key in OBSTACLE_COLUMNS if key not in ("lat", "lon")]
-    obstacles = [
-        ([[row["lon"], row["lat"]]], [row[key] for key in told]) for row in result.obstacles
-    ]
+    rows = list(placed_rows(result))
+    segments = [(line, values) for kind, line, values in rows if kind == "LineString"]
+    obstacles = [([point], values) for kind, point, values in rows if kind == "Point"]
     points = [point for line, _ in segments for point in line]
     facts = {key: x for key, x in result.facts.items() if isinstance(x, int | float)}
     return [
-        _Layer(f"{result.name}_segments", "LINESTRING", columns, segments),
-        _Layer(f"{result.name}_obstacles", "POINT", told, obstacles),
-        _Layer(f"{result.name}_track", "LINESTRING", list(facts), [(points, list(facts.values()))]),
+        _Layer(f"{result.name}_segments", "LINESTRING", list(segments[0][1])[:-1], segments),
+        _Layer(f"{result.name}_obstacles", "POINT", OBSTACLE_COLUMNS[:-2], obstacles),
+        _Layer(f"{result.name}_track", "LINESTRING", list(facts), [(points, facts)]),
     ]
 
 
 def _write_layer(base: sqlite3.Connection, layer: _Layer) -> None:
     table = _quoted(layer.name)
-    example = layer.rows[0][1] if layer.rows else ["" for _ in layer.columns]
-    kinds = ["TEXT" if isinstance(x, str) else "DOUBLE" for x in example]
-    named = ", ".join(f"{_quoted(c)} {kind}" for c, kind in zip(layer.columns, kinds, strict=True))
+    example = layer.rows[0][1] if layer.rows else dict.fromkeys(layer.columns, "")
+    kinds = {name: "TEXT" if isinstance(example[name], str) else "DOUBLE" for name in layer.columns}
+    named = ", ".join(f"{_quoted(name)} {kind}" for name, kind in kinds.items())
     base.execute(
         f"CREATE TABLE {table} (fid INTEGER PRIMARY KEY AUTOINCREMENT, geom {layer.kind}, {named})"
     )
     marks = ", ".join("?" * (len(layer.columns) + 1))
     columns = ", ".join(["geom", *map(_quoted, layer.columns)])
-    rows = [
-        [_geometry(points, layer.kind), *values]  # a NaN is stored as NULL
+    rows = [  # a NaN is stored as NULL
+        [_geometry(points, layer.kind), *(values[name] for name in layer.columns)]
         for points, values in layer.rows
     ]
     base.executemany(f"INSERT INTO {table} ({columns}) VALUES ({marks})", rows)

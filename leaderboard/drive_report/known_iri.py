@@ -1,5 +1,6 @@
 """Calibration in the field: the factor of one car and mount from a stretch of known IRI."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,14 +16,15 @@ stretch of _STRETCH [m], which falls with the root of its length. Assumed; after
 reports of a passenger car from three sensors had an RMS error of 5.7 %.
 """
 
+Stretch = tuple[float, float, float]  # begin [m], end [m], IRI [mm/m]
+
 _LEAST_LENGTH = 50.0  # least length [m] of a stretch of known IRI
 _LARGEST = 2.0  # largest factor, and the inverse of the smallest, that a car and a mount explain
 
 
-def read_known_iri(text: str) -> list[tuple[float, float, float]]:
-    """Return stretches (begin [m], end [m], IRI [mm/m]) of "3.2" or a table; one of a drive.
-
-    The table has the columns begin_m, end_m and iri. Raises ConfigError.
+def read_known_iri(text: str) -> list[Stretch]:
+    """Return the stretches of a table with the columns begin_m, end_m and iri, or the whole drive
+    for an IRI as "3.2". Raises ConfigError.
     """
     try:
         value = float(text)
@@ -31,7 +33,7 @@ def read_known_iri(text: str) -> list[tuple[float, float, float]]:
     return [_checked(-np.inf, np.inf, value, "--known-iri")]
 
 
-def _read_table(path: Path) -> list[tuple[float, float, float]]:
+def _read_table(path: Path) -> list[Stretch]:
     pd = import_pandas()
     with parsing(path, ConfigError, "neither an IRI nor a table of segments (begin_m, end_m, iri)"):
         table = pd.read_csv(path)
@@ -39,7 +41,7 @@ def _read_table(path: Path) -> list[tuple[float, float, float]]:
         return [_checked(float(a), float(b), float(x), "iri") for a, b, x in rows]
 
 
-def _checked(begin: float, end: float, value: float, name: str) -> tuple[float, float, float]:
+def _checked(begin: float, end: float, value: float, name: str) -> Stretch:
     if not (0.1 <= value <= 30.0 and begin < end):
         raise ConfigError(
             f"{name} must be an IRI of 0.1 to 30 mm/m over a stretch that ends behind its begin, "
@@ -48,18 +50,15 @@ def _checked(begin: float, end: float, value: float, name: str) -> tuple[float, 
     return begin, end, value
 
 
-def known_factor(result: DriveResult, text: str) -> tuple[KnownFactor, str]:
-    """Return the factor that gives the known IRI of "3.2" or a table, and a note.
+def known_factor(result: DriveResult, stretches: Sequence[Stretch]) -> tuple[KnownFactor, str]:
+    """Return the factor that gives the IRI of the stretches, and a note.
 
     Raises ConfigError if less than _LEAST_LENGTH is covered, or if the factor is implausible.
     """
-    stretches = read_known_iri(text)
     known, found, length = 0.0, 0.0, 0.0
     for row in result.segments:
-        first, last = row["begin_m"], row["end_m"]
-        values = [x for begin, end, x in stretches if begin <= 0.5 * (first + last) < end]
-        if values:
-            part = last - first
+        middle, part = 0.5 * (row["begin_m"] + row["end_m"]), row["end_m"] - row["begin_m"]
+        if values := [x for begin, end, x in stretches if begin <= middle < end]:
             length += part
             known += part * values[0]
             found += part * row["iri_mean"]

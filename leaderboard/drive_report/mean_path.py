@@ -16,9 +16,8 @@ for w of 1.8 to 2.3 and 1.3 to 1.8 m. HRI is 15 to 25 % below IRI on measured ro
 to 1.33. The level of D is that of the geometric mean of theory and the middle of these.
 
 The HRI is that of the profile. Of a vehicle as described it is 4 % low, as the estimate is smooth.
-Bodies bend at 15 to 40 Hz, which no description says and a device feels as short waves:
-`estimators.wiener.structure_search` finds it in the spectrum (phone on the dashboard, seeds 101 to
-127: without that the IRI of such drives is up to 112 % high).
+Bodies bend at 15 to 40 Hz, which no description says and a device feels as short waves, so that an
+IRI would be up to 112 % high: `estimators.wiener.structure_search` finds it in the spectrum.
 """
 
 from collections.abc import Iterator, Mapping
@@ -40,8 +39,8 @@ _MEASURED_RATIO = 1.0 / 0.8  # middle of the published ratios: HRI 20 % below IR
 
 HRI_STD = 0.065
 """Relative standard deviation of the HRI of a drive by a vehicle whose structure is not the one
-described, and of kinds that were not simulated; that of the tolerances (`tolerance_error.py`) adds
-to it. On development seeds (above) the estimate's HRI errs by 0.07.
+described, and of kinds that were not simulated; that of the tolerances (`roughness_std`) adds to
+it. On development seeds (above) the estimate's HRI errs by 0.07.
 """
 
 MISFIT_STD = 0.12
@@ -52,14 +51,12 @@ HRI of such drives of the development seeds errs by 0.09, and 0.06 of the others
 _LEVEL_STD = 0.15  # standard deviation of the logarithm of D's level among roads: 0.06 of the ratio
 _LEVEL_WINDOW = 60.0  # window [m] of the median of |M|, by which the level of D follows the road
 _NORMAL_MEDIAN = 0.6745  # median magnitude of a standard normal number
-_QUANTILES = (0.025, 0.5, 0.975)  # the interval of 95 % and the median
 _SAMPLES = 64  # samples of D
+_VEHICLES = 24  # vehicles that are drawn within their tolerances
 
 _FILLINGS = 32  # samples of a road where nothing was read
 
-_LEAST_APART = 0.4
-"""Least distance [m] to the left of one another at which sensors of the body tell its roll."""
-
+_LEAST_APART = 0.4  # least distance [m] to the left of one another at which sensors tell the roll
 _SAME_PLACE = 0.5  # most distance [m] along the body of two sensors that are a pair
 
 _MEAN_PATH_NOTE = (
@@ -91,9 +88,8 @@ def means_of_pairs(record: Record, layout: Mapping[str, Accelerometer]) -> Recor
     """Return a record of the means of sensors of the `layout` on both sides of the body, as sensors
     on its centre line, which feel neither roll nor twist; None if there are no such pairs.
     """
-    places, means = list(layout.items()), {}
-    for i, j in combinations(range(len(places)), 2):
-        (name, one), (_, other) = places[i], places[j]
+    means = {}
+    for (i, (name, one)), (j, (_, other)) in combinations(enumerate(layout.items()), 2):
         is_pair = one.mounted == other.mounted == "body" and one.axle == other.axle
         if is_pair and abs(one.ahead - other.ahead) <= _SAME_PLACE and one.y * other.y < 0.0:
             share = other.y / (other.y - one.y)
@@ -107,7 +103,7 @@ def means_of_pairs(record: Record, layout: Mapping[str, Accelerometer]) -> Recor
 
 
 @cache
-def golden_power(ds: float, size: int) -> tuple[np.ndarray, np.ndarray]:
+def _golden_power(ds: float, size: int) -> tuple[np.ndarray, np.ndarray]:
     """Return `n` (K,) [cycles/m] and the power (K,) of the golden car over white slopes."""
     step = np.zeros((1, size))
     step[0, size // 3 :] = 1.0  # an impulse of the slope
@@ -120,7 +116,7 @@ def golden_power(ds: float, size: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _path_ratio(w: float = 2.0, track: float = TRACK) -> float:
     """Return the expected IRI over HRI of a road of waviness `w` with paths `track` [m] apart."""
-    n, power = golden_power(0.05, 6000)
+    n, power = _golden_power(0.05, 6000)
     power = power * np.maximum(n, n[1]) ** (2.0 - w)
     mean = 0.5 * (1.0 + root_coherence(n, w, track))
     return float(np.sqrt(power.sum() / (power * mean).sum()))
@@ -169,7 +165,11 @@ def mean_path_indices(
     """
     rng = np.random.default_rng(0)
     motion = 1e3 * np.abs(golden_car(z, ds))
-    level, units = _difference_level(motion, ds), _unit_differences(motion.shape[1], ds, rng)
+    # of standard deviations on a road without obstacles: IRI² / HRI² = 1 + (D / M)²
+    ratio = np.sqrt(_path_ratio() * _MEASURED_RATIO)
+    share = float(np.sqrt(ratio**2 - 1.0))
+    level = share / _NORMAL_MEDIAN * running_median(motion, ds, _LEVEL_WINDOW, 0.5)
+    units = _unit_differences(motion.shape[1], ds, rng)
     half, iri = [], []
     for k in range(_SAMPLES):
         one, scale = motion[k % len(z)], float(np.exp(std * rng.standard_normal()))
@@ -177,21 +177,16 @@ def mean_path_indices(
         unseen = np.abs(spread * next(units))
         half.append(scale * segment_means(one, index))
         iri.append(scale * segment_means(np.maximum(one, unseen), index))
-    return _quantiles(factor * np.array(half)), _quantiles(factor * np.array(iri))
-
-
-def _difference_level(motion: np.ndarray, ds: float) -> np.ndarray:
-    """Return the standard deviation of D (L, N) along the road from |M| (L, N)."""
-    # IRI² / HRI² = 1 + (D / M)² of the standard deviations on a road without obstacles
-    ratio = np.sqrt(_path_ratio() * _MEASURED_RATIO)
-    share = float(np.sqrt(ratio**2 - 1.0))
-    return share / _NORMAL_MEDIAN * running_median(motion, ds, _LEVEL_WINDOW, 0.5)
+    low_median_high = (0.025, 0.5, 0.975)
+    both = (np.quantile(factor * np.array(x), low_median_high, axis=0) for x in (half, iri))
+    first, second = (IriPosterior(*quantiles[:, None]) for quantiles in both)
+    return first, second
 
 
 def _unit_differences(size: int, ds: float, rng: np.random.Generator) -> Iterator[np.ndarray]:
     """Yield samples (N,) of D of variance 1: the golden car over unlike isotropic paths."""
     whole = next_fast_len(size + round(50.0 / ds), real=True)
-    n, power = golden_power(ds, round(300.0 / ds))
+    n, power = _golden_power(ds, round(300.0 / ds))
     # that of isotropic paths: half the density of a path, less what both have in common
     power = power * 0.5 * (1.0 - root_coherence(n, 2.0, TRACK))
     lines = np.interp(rfftfreq(whole, ds), n, power)
@@ -201,6 +196,8 @@ def _unit_differences(size: int, ds: float, rng: np.random.Generator) -> Iterato
         yield irfft(amplitude * (white[0] + 1j * white[1]), whole)[:size]
 
 
-def _quantiles(samples: np.ndarray) -> IriPosterior:
-    """Return the posterior of samples (D, K), of one path."""
-    return IriPosterior(*np.quantile(samples, _QUANTILES, axis=0)[:, None])
+def golden_weight(n: np.ndarray) -> np.ndarray:
+    """Return the share of each spatial frequency (F,) [cycles/m] in the square of the IRI of a road
+    of waviness 2, times a constant.
+    """
+    return np.interp(n, *_golden_power(0.05, 6000))

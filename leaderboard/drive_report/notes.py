@@ -15,7 +15,6 @@ _MISFIT = r"does not reproduce|times the expected one|heights are reduced"
 """Notes of an estimator whose model does not give the measured motion."""
 
 ONE_ROAD = "one road from"  # words of the note of the road of all passes, which is no doubt
-
 _FITTED = r"was adapted|adapted to the drive"
 """Notes of a vehicle whose parameters or elements were found from the drive itself."""
 
@@ -42,17 +41,13 @@ the empty one is that of all others.
 """
 
 _NOTED_RESIDUAL = math.sqrt(NOISE_SCALE_WARNING)
-LARGE_RESIDUAL = 3.0
-"""Residual in times of the sensors' noise from which on obstacles are only possible ones."""
-
+LARGE_RESIDUAL = 3.0  # times the sensors' noise from which on obstacles are only possible ones
 _HUGE_RESIDUAL, _HUGE_SHARE = 8.0, 0.2
 """The same from which on the IRI has no interval, if it is also this share of the accelerations. A
 saloon whose frame twists has 40 to 120, a share of 0.5 to 0.75, with three or four phones, and an
-IRI of 0.4 to 0.7 times the true one; with the frame that was found 3.6 to 18.5, a share of 0.04 to
-0.16, and an IRI that is right to 13 % (`studies/few_sensors.py`, seeds 1701 to 1706; one drive of
-six, of class A with bumps at 100 km/h, errs by more). Of two sensors both paths explain most of
-anything: LARGE_RESIDUAL is their limit. Without the frame they have 5 to 32, and an IRI of up to
-3.6 times the true one; with it up to 2.8, and one that is right to 12 %.
+IRI of 0.4 to 0.7 times the true one; with the frame 3.6 to 18.5, a share of 0.04 to 0.16, and one
+that is right to 13 % (`studies/few_sensors.py`). Of two sensors both paths explain most of
+anything: LARGE_RESIDUAL is their limit, with 5 to 32 without the frame and up to 2.8 with it.
 """
 
 
@@ -60,8 +55,7 @@ _LEAST_SURE, _SURE_LENGTH = 0.9, 100.0
 """Logarithm of the upper over the lower limit of an IRI over this length [m] above which sensors on
 both sides tell less than one sensor, which has 0.5 to 0.6. With three phones in a saloon of grade
 S2 over class B with bumps the last 50 m had an IRI of 9 to 97 mm/m where 4.2 is true; the other
-segments of such drives, of residuals of 4.6 and 5.3, 1.2 (`studies/few_sensors.py`, seeds 1702 and
-1704).
+segments of such drives have 1.2 (`studies/few_sensors.py`).
 """
 
 
@@ -127,7 +121,13 @@ def in_order_of_weight(notes: Iterable[str]) -> tuple[str, ...]:
     joined = [
         ", ".join(names) + what if what.startswith(_SLOW) else what for what, names in alike.items()
     ]
-    return tuple(sorted(joined, key=_weight))
+    matches = [(k, text) for k, text in enumerate(_WEIGHTS) if text]
+
+    def weight(note: str) -> int:
+        found = (k for k, text in matches if re.search(text, note))
+        return next(found, _WEIGHTS.index(""))
+
+    return tuple(sorted(joined, key=weight))
 
 
 def vehicle_in_words(notes: Iterable[str]) -> str:
@@ -137,9 +137,3 @@ def vehicle_in_words(notes: Iterable[str]) -> str:
         return "as described"
     is_bent = all("body bends" in note for note in found)
     return "as described, but for the bending of its body" if is_bent else "fitted to the drive"
-
-
-def _weight(note: str) -> int:
-    others = _WEIGHTS.index("")
-    matches = [k for k, text in enumerate(_WEIGHTS) if text and re.search(text, note)]
-    return min(matches, default=others)

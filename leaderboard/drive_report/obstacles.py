@@ -27,15 +27,11 @@ from scipy.ndimage import median_filter
 from leaderboard.metrics.obstacles import MERGE_GAP
 from road_envs.records.record import Estimate
 
-_SPANS = (0.6, 1.0, 1.6, 2.5, 4.0, 6.3)
-"""Spans [m] of the straightedge: from a pothole that swallows a tyre to a speed hump."""
-
+_SPANS = (0.6, 1.0, 1.6, 2.5, 4.0, 6.3)  # [m] of the straightedge: potholes to speed humps
 _SCATTER_LENGTH = 60.0  # window [m] of the scatter of the random road around an obstacle
 _MIN_HEIGHT = 0.015  # least height [m] of an obstacle
 
-_MIN_CONFIDENCE, CERTAIN = 0.95, 0.99
-"""Obstacles of a lower confidence than the first are left out, than the second called possible."""
-
+_MIN_CONFIDENCE, CERTAIN = 0.95, 0.99  # obstacles below are left out, called possible
 FALSE_ALARMS = {"C": (0.37, 0.03), "D": (1.5, 0.15)}
 """Obstacles per km that are listed on random roads of an ISO 8608 class, and those of them that are
 not called possible; a slow test of `tests/unit/test_drive_report.py` counts them on 60 km.
@@ -46,9 +42,7 @@ _FOOT, _FOOT_WIDTH, _MIN_FOOT_WIDTH = 0.25, 0.15, 0.2
 ends; its height is the median over this share of the length, and at least this length [m].
 """
 
-_TOP = 0.2
-"""The height is the mean of this share of the obstacle that is highest: not the waves upon it."""
-
+_TOP = 0.2  # highest share of an obstacle, whose mean is its height: not the waves upon it
 _READINGS = 3  # iterations that find feet and line, each by the line before
 
 HEIGHT_STD = 0.07
@@ -61,8 +55,7 @@ _GUMBEL_LOCATION, _GUMBEL_SCALE = 3.72, 0.30
 100 m of ISO 8608 roads (w = 2); a test counts the obstacles of random roads.
 """
 
-_MAD_TO_STD = 1.4826
-"""Standard deviation of a normal distribution over its median absolute deviation."""
+_MAD_TO_STD = 1.4826  # standard deviation over median absolute deviation, if normal
 
 
 class DetectedObstacle(NamedTuple):
@@ -78,11 +71,6 @@ class DetectedObstacle(NamedTuple):
     side: str
     confidence: float
 
-    def in_an_estimate(self) -> "DetectedObstacle":
-        """Return the obstacle with the standard deviation of a height from a drive's estimate."""
-        spread = float(np.hypot(self.height_std, HEIGHT_STD * self.height))
-        return self._replace(height_std=spread)
-
 
 def detect(estimate: Estimate) -> list[DetectedObstacle]:
     """Return the obstacles of both wheel paths by station; one in both paths is one obstacle."""
@@ -92,7 +80,8 @@ def detect(estimate: Estimate) -> list[DetectedObstacle]:
     )
     merged = []
     for one in left:
-        twin = next((o for o in right if _is_same(one, o)), None)
+        near = (o for o in right if abs(o.station - one.station) < MERGE_GAP)
+        twin = next((o for o in near if (o.height > 0.0) == (one.height > 0.0)), None)
         if twin is None:
             merged.append(one._replace(side="left"))
             continue
@@ -201,7 +190,3 @@ def _level(z: np.ndarray, foot: int, direction: int, ds: float, length: int) -> 
     size = max(round(_FOOT_WIDTH * length), round(_MIN_FOOT_WIDTH / ds), 1)
     part = z[foot : foot + size] if direction > 0 else z[max(0, foot - size + 1) : foot + 1]
     return float(np.median(part))
-
-
-def _is_same(a: DetectedObstacle, b: DetectedObstacle) -> bool:
-    return abs(a.station - b.station) < MERGE_GAP and (a.height > 0.0) == (b.height > 0.0)

@@ -28,8 +28,9 @@ def write_page(
     """Write the page of one or more drives; `agreement` is that of several passes."""
     drives = [_drive(result, conditions, f"drive-{k}") for k, result in enumerate(results)]
     text = render(
-        "drive/page.html", drives=drives, conditions=conditions, colours=pictures.CONDITION_COLOURS,
-        settings=settings, agreement=agreement, false_alarms=FALSE_ALARMS, version=__version__,
+        "drive/page.html", drives=drives, conditions=conditions,
+        colours=pictures.condition_colours(conditions), settings=settings, agreement=agreement,
+        false_alarms=FALSE_ALARMS, version=__version__,
     )  # fmt: skip
     write_text(path, text)
 
@@ -40,18 +41,13 @@ def _drive(result: DriveResult, conditions: Conditions, anchor: str) -> dict[str
     for row in result.segments:
         lengths[row["condition"]] += row["end_m"] - row["begin_m"]
     total = sum(lengths.values())
-    return {
-        "name": result.name,
+    return vars(result) | {
         "anchor": anchor,
         "paths": paths,
-        "is_mean_path": result.is_mean_path,
         "sensors": _sensors(result),
-        "facts": result.facts,
-        "notes": result.notes,
         "doubts": [note for note in result.notes if not note.startswith(ONE_ROAD)],
         "segments": result.segments[:_TABLE_ROWS],
         "hidden": max(0, len(result.segments) - _TABLE_ROWS),
-        "obstacles": result.obstacles,
         "possible": sum(row["kind"].startswith("possible") for row in result.obstacles),
         "shares": {name: length / total for name, length in lengths.items()},
         "band": scored_band(result.v),
@@ -63,9 +59,8 @@ def _drive(result: DriveResult, conditions: Conditions, anchor: str) -> dict[str
 
 def _sensors(result: DriveResult) -> str:
     """Return the number and the places of the accelerometers in words."""
-    layout = result.measured.record.sensors
+    layout, at = result.measured.record.sensors, result.measured.place
     count = len(result.measured.record.channels)
-    at = result.measured.place
     if at and count == 1:
         return f"one device ({at})"
     mounted = sorted({sensor.mounted for sensor in layout.values()}) if layout else ["body"]

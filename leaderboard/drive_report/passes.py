@@ -32,33 +32,31 @@ class ReportedPass(NamedTuple):
     name: str
     measured: MeasuredRecord
     estimate: Estimate
-    aligned: AlignedPass | None
+    aligned: AlignedPass | None = None
 
     def with_note(self, note: str) -> "ReportedPass":
         """The pass with a further note."""
         return self._replace(measured=self.measured._replace(notes=(*self.measured.notes, note)))
 
 
-def align_passes(passes: Sequence[tuple[str, MeasuredRecord, Estimate]]) -> list[ReportedPass]:
+def align_passes(passes: Sequence[ReportedPass]) -> list[ReportedPass]:
     """Return the passes in the stations of the first. One that matches nowhere keeps its own; a
     note says so.
     """
-    reference, measured, first = passes[0]
-    length = measured.record.length
-    unmoved = AlignedPass(reference, measured.record, first, identity_map(length))
-    found = [ReportedPass(*passes[0], unmoved)]
-    for name, other, estimate in passes[1:]:
-        records, names = (measured.record, other.record), (reference, name)
+    name, measured, first, _ = passes[0]
+    whole = identity_map(measured.record.length)
+    found = [passes[0]._replace(aligned=AlignedPass(name, measured.record, first, whole))]
+    for one in passes[1:]:
+        records, singles = (measured.record, one.measured.record), (first, one.estimate)
         try:
-            (_, aligned), notes = estimators.passes.align_passes(records, (first, estimate), names)
+            pair, notes = estimators.passes.align_passes(records, singles, (name, one.name))
         except ConfigError as error:
-            alone = ReportedPass(name, other, estimate, None)
-            found.append(alone.with_note(f"not compared with the first drive: {error}"))
+            found.append(one.with_note(f"not compared with the first drive: {error}"))
             continue
-        moved = other._replace(
-            record=aligned.record, chainage=measured.chainage, notes=(*other.notes, *notes)
+        moved = one.measured._replace(
+            record=pair[1].record, chainage=measured.chainage, notes=(*one.measured.notes, *notes)
         )
-        found.append(_cut(ReportedPass(name, moved, estimate, aligned), first))
+        found.append(_cut(one._replace(measured=moved, aligned=pair[1]), first))
     return found
 
 
@@ -102,7 +100,7 @@ def join(
     note = f"{ONE_ROAD} {names}; speed and states are those of {passes[0].name}"
     notes = (note, estimators.passes.WANDER_NOTE)
     road = replace(road, notes=(), distance=passes[0].estimate.distance)
-    return ReportedPass(_JOINED, first._replace(notes=notes), road, None)
+    return ReportedPass(_JOINED, first._replace(notes=notes), road)
 
 
 def compare(results: Sequence[DriveResult]) -> dict[str, Any] | None:

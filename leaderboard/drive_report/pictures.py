@@ -2,7 +2,7 @@
 
 import base64
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup
@@ -14,7 +14,7 @@ from leaderboard.report.plots import COLOURS, SIDES, draw_classes, inline_svg
 from road_envs.records.record import scored_band
 from road_envs.records.roughness import displacement_psd, smooth_psd
 
-CONDITION_COLOURS = ("#009E73", "#F0C000", "#D55E00", "#7B2D26", "#3D1410")
+_CONDITION_COLOURS = ("#009E73", "#F0C000", "#D55E00", "#7B2D26", "#3D1410")
 """Colours of the categories, from the best: distinct by lightness, too."""
 
 _ROWS, _ROW_LENGTH, _OVERLAP = 6, 50.0, 3.0
@@ -22,18 +22,15 @@ _ROWS, _ROW_LENGTH, _OVERLAP = 6, 50.0, 3.0
 before the end of the last one and ends behind the begin of the next, so that no obstacle is cut.
 """
 
-_STRIP_STEP, _STRIP_UNIT = 0.15, 0.1
-"""Step [m] and unit [mm] of the heights that the page holds for its segments: 20 km of two paths
-have 0.7 MB.
-"""
-
+_STRIP_STEP, _STRIP_UNIT = 0.15, 0.1  # [m] and [mm] of heights in a page: 20 km have 0.7 MB
 _POINTS = 1500  # largest number of points of a line
 _LONGEST_WAVE = 20.0  # longest wave [m] of the profile strip
 
 
-def _colour(level: int) -> str:
-    """Return the colour of the category of this index; the worst ones share the last."""
-    return CONDITION_COLOURS[min(level, len(CONDITION_COLOURS) - 1)]
+def condition_colours(conditions: Conditions) -> list[str]:
+    """Return the colour of each category; the worst ones share the last."""
+    last = len(_CONDITION_COLOURS) - 1
+    return [_CONDITION_COLOURS[min(k, last)] for k in range(len(conditions.categories))]
 
 
 def _drawn_paths(result: DriveResult) -> dict[str, str]:
@@ -43,38 +40,33 @@ def _drawn_paths(result: DriveResult) -> dict[str, str]:
     return {side: COLOURS[side] for side in SIDES}
 
 
-class _ShownProfile(NamedTuple):
-    """Heights that are shown, without long waves: chainage (M,) [m], each path, and their standard
+_Shown = tuple[np.ndarray, np.ndarray, np.ndarray | None]
+
+
+def _shown_heights(result: DriveResult) -> _Shown:
+    """Return chainage (M,) [m], heights without long waves by path (P, M) [mm], and their standard
     deviation (2, M) [mm], None where the method has none.
     """
-
-    s: np.ndarray
-    z: np.ndarray
-    std: np.ndarray | None
-
-    @classmethod
-    def of(cls, result: DriveResult) -> "_ShownProfile":
-        """Return those of a drive."""
-        estimate, ds = result.estimate, result.estimate.ds
-        band = (1.0 / _LONGEST_WAVE, scored_band(result.v)[1])
-        z = 1e3 * band_pass(estimate.z, ds, band)
-        trim = (estimate.s.size - z.shape[1]) // 2
-        s = result.chainage + estimate.s[trim : trim + z.shape[1]]
-        std = None
-        if estimate.draws is not None:
-            errors = (band_pass(road - estimate.z, ds, band) for road in estimate.draws)
-            std = 1e3 * np.sqrt(sum(error**2 for error in errors) / len(estimate.draws))
-        elif estimate.z_std is not None:
-            std = 1e3 * estimate.z_std[:, trim : trim + z.shape[1]]
-        return cls(s, z, std)
+    estimate, ds = result.estimate, result.estimate.ds
+    band = (1.0 / _LONGEST_WAVE, scored_band(result.v)[1])
+    z = 1e3 * band_pass(estimate.z, ds, band)
+    trim = (estimate.s.size - z.shape[1]) // 2
+    inside = slice(trim, trim + z.shape[1])
+    std = None
+    if estimate.draws is not None:
+        errors = (band_pass(road - estimate.z, ds, band) for road in estimate.draws)
+        std = 1e3 * np.sqrt(sum(error**2 for error in errors) / len(estimate.draws))
+    elif estimate.z_std is not None:
+        std = 1e3 * estimate.z_std[:, inside]
+    return result.chainage + estimate.s[inside], z, std
 
 
 def draw(result: DriveResult, conditions: Conditions, anchor: str) -> dict[str, Any]:
     """Return the pictures of a drive, and the heights that the page's script draws."""
-    shown = _ShownProfile.of(result)
+    shown = _shown_heights(result)
     return {
         "strip": Markup(_profile_strip(result, shown)),
-        "is_shaded": shown.std is not None,
+        "is_shaded": shown[2] is not None,
         "heights": _strip_data(result, shown),
         "iri": Markup(_iri_chart(result, conditions)),
         "density": Markup(_density_chart(result)),
@@ -82,11 +74,11 @@ def draw(result: DriveResult, conditions: Conditions, anchor: str) -> dict[str, 
     }
 
 
-def _strip_data(result: DriveResult, shown: _ShownProfile) -> dict[str, Any]:
+def _strip_data(result: DriveResult, shown: _Shown) -> dict[str, Any]:
     """Return what the page's script draws below the row of a segment: heights in _STRIP_UNIT as
     base64 of 16-bit integers every `step` [m] from `begin` [m], by path with its colour.
     """
-    stride = max(1, round(_STRIP_STEP / result.estimate.ds))
+    (s, heights, _), stride = shown, max(1, round(_STRIP_STEP / result.estimate.ds))
     paths = [
         {
             "name": name,
@@ -95,13 +87,13 @@ def _strip_data(result: DriveResult, shown: _ShownProfile) -> dict[str, Any]:
                 np.clip(np.round(z[::stride] / _STRIP_UNIT), -32768, 32767).astype("<i2").tobytes()
             ).decode(),
         }
-        for (name, shade), z in zip(_drawn_paths(result).items(), shown.z, strict=False)
+        for (name, shade), z in zip(_drawn_paths(result).items(), heights, strict=False)
     ]
     step = stride * result.estimate.ds
-    return {"begin": float(shown.s[0]), "step": step, "unit": _STRIP_UNIT, "paths": paths}
+    return {"begin": float(s[0]), "step": step, "unit": _STRIP_UNIT, "paths": paths}
 
 
-def _profile_strip(result: DriveResult, shown: _ShownProfile) -> str:
+def _profile_strip(result: DriveResult, shown: _Shown) -> str:
     """Return the heights of both wheel paths over the chainage, with their 95 % interval."""
     (s, z, std), ds = shown, result.estimate.ds
     rows = int(np.clip(np.ceil((s[-1] - s[0]) / _ROW_LENGTH), 1, _ROWS))
@@ -142,11 +134,12 @@ def _iri_chart(result: DriveResult, conditions: Conditions) -> str:
         keys = [f"iri_{path}{limit}" for path in shown for limit in ("", "_high")]
         top = 1.15 * np.nanmax([[row[key] for key in keys] for row in segments])
         limits = (0.0, *conditions.limits, max(top, 1.2 * conditions.limits[-1]))
-        for k, (low, high) in enumerate(pairwise(limits)):
-            axes.axhspan(low, high, color=_colour(k), alpha=0.10, lw=0)
+        categories = zip(conditions.categories, condition_colours(conditions), strict=True)
+        for (low, high), (name, shade) in zip(pairwise(limits), categories, strict=True):
+            axes.axhspan(low, high, color=shade, alpha=0.10, lw=0)
             if min(high, top) - low > 0.07 * top:  # there is room for its name
                 axes.annotate(
-                    conditions.categories[k], (edges[-1], low), (-3, 2), ha="right", va="bottom",
+                    name, (edges[-1], low), (-3, 2), ha="right", va="bottom",
                     textcoords="offset points", color="0.35", fontsize=8, zorder=5,
                     bbox={"facecolor": "white", "alpha": 0.7, "lw": 0, "pad": 1},
                 )  # fmt: skip
@@ -201,11 +194,12 @@ def _track_map(result: DriveResult, conditions: Conditions, anchor: str) -> str:
 
     def paint(figure: Any) -> None:
         axes = figure.subplots()
+        colours = condition_colours(conditions)
         axes.plot(east, north, color="0.8", lw=6, solid_capstyle="round", zorder=1)
         for k, row in enumerate(result.segments):
             part = np.flatnonzero((station >= row["begin_m"]) & (station <= row["end_m"]))
             part = part[:: max(1, part.size // 200)]
-            shade = _colour(conditions.level(row["iri_mean"]))
+            shade = colours[conditions.level(row["iri_mean"])]
             axes.plot(east[part], north[part], color=shade, lw=4.5, zorder=2, url=f"#{anchor}-{k}")
         for obstacle in result.obstacles:
             x, y = (np.interp(obstacle["station_m"], station, q) for q in (east, north))
@@ -222,14 +216,10 @@ def _track_map(result: DriveResult, conditions: Conditions, anchor: str) -> str:
 
     drawn = inline_svg(paint, (4.6, 3.6))
     for k, row in enumerate(result.segments):
+        known = np.isfinite(row["iri_mean_high"])
+        interval = " ({iri_mean_low:.2f} to {iri_mean_high:.2f})" if known else ""
+        iri = "IRI {iri_mean:.2f}" + interval + " mm/m"
+        title = ("{begin_m:.0f} to {end_m:.0f} m: " + iri + ", {condition}").format_map(row)
         link = f'<a xlink:href="#{anchor}-{k}"'
-        drawn = drawn.replace(f'{link} target="_blank">', f"{link}><title>{_in_words(row)}</title>")
+        drawn = drawn.replace(f'{link} target="_blank">', f"{link}><title>{title}</title>")
     return drawn
-
-
-def _in_words(row: dict[str, Any]) -> str:
-    interval = ""
-    if np.isfinite(row["iri_mean_high"]):
-        interval = f" ({row['iri_mean_low']:.2f} to {row['iri_mean_high']:.2f})"
-    iri = f"IRI {row['iri_mean']:.2f}{interval} mm/m"
-    return f"{row['begin_m']:.0f} to {row['end_m']:.0f} m: {iri}, {row['condition']}"

@@ -18,15 +18,14 @@ _NORMAL_QUANTILE = 1.96  # half the width of an interval of 95 %, in standard de
 
 _MODEL_STD = 0.01
 """Relative standard deviation of what the samples do not contain: the model of a known vehicle is
-not the vehicle. On 16 drives of classes A to D at 54 km/h whose vehicle was known, the IRI had an
-RMS error of 0.2 to 2.2 %, the samples a deviation of 0.25 to 1 % (seeds 9700 to 9703).
+not the vehicle. On 16 drives over classes A to D the IRI had an RMS error of 0.2 to 2.2 %, the
+samples a deviation of 0.25 to 1 %.
 """
 
 _SMOOTH_STD = 0.05
-"""Standard deviation [mm/m] of the IRI by what hides smooth roads. Where dry friction holds the
-struts, the most probable road is flatter than the roads that are: on class A all its waves are 5 %
-low with the noise of the paper's sensors, 0.22 m/s², and 1 % with that of phones, 0.018 m/s²; the
-vehicle is known (seeds 9720 and 9721; IRI 2 to 5 and 0 to 2 % low).
+"""Standard deviation [mm/m] of the IRI by what hides smooth roads: where dry friction holds the
+struts, the most probable road is flatter than the roads that are (class A, known vehicle: IRI 2 to
+5 % low with the noise of the paper's sensors, 0.22 m/s², 0 to 2 % with that of phones, 0.018 m/s²).
 """
 
 NO_INTERVAL_NOTE = (
@@ -44,10 +43,6 @@ class IriPosterior(NamedTuple):
     median: np.ndarray
     high: np.ndarray
 
-    def without_interval(self) -> "IriPosterior":
-        """Return the same medians alone."""
-        return self._replace(low=self.low * np.nan, high=self.high * np.nan)
-
 
 def posterior_iri(
     estimate: Estimate,
@@ -63,21 +58,19 @@ def posterior_iri(
     """
     index = np.searchsorted(estimate.s, edges)
     roads = estimate.z[None] if estimate.draws is None else estimate.draws
-    log = np.log(factor * np.array([_path_indices(z, estimate.ds, index) for z in roads]))
+
+    def path_indices(z: np.ndarray) -> list[np.ndarray]:
+        left, right = segment_means(1e3 * np.abs(golden_car(z, estimate.ds)), index)
+        return [left, right, 0.5 * (left + right)]
+
+    log = np.log(factor * np.array([path_indices(z) for z in roads]))
     middle, std = log.mean(axis=0), np.hypot(log.std(axis=0), relative_std)
     if estimate.draws is not None:
         std = np.sqrt(std**2 + _MODEL_STD**2 + (_SMOOTH_STD / np.exp(middle)) ** 2)
-    if estimate.draws is None and not np.any(relative_std):
+    elif not np.any(relative_std):
         std = np.full_like(std, np.nan)
     spread = _NORMAL_QUANTILE * std
     return IriPosterior(*(np.exp(middle + part) for part in (-spread, 0.0, spread)))
-
-
-def _path_indices(z: np.ndarray, ds: float, index: np.ndarray) -> np.ndarray:
-    """IRI (3, K) [mm/m] of left, right and their mean between the indices (K + 1,)."""
-    motion = 1e3 * np.abs(golden_car(np.asarray(z, dtype=float), ds))
-    left, right = segment_means(motion, index)
-    return np.array([left, right, 0.5 * (left + right)])
 
 
 def segment_means(x: np.ndarray, index: np.ndarray) -> np.ndarray:

@@ -6,17 +6,15 @@ from itertools import repeat
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 import estimators
 from estimators.roughness.tolerance_error import roughness_std
 from leaderboard.drive_report.analysis import SEGMENT_LENGTHS, DriveResult, KnownFactor, analyse
 from leaderboard.drive_report.conditions import Conditions
 from leaderboard.drive_report.drive_estimates import estimate_drive, make_drive_estimator
-from leaderboard.drive_report.export import parse_route, write_files
+from leaderboard.drive_report.export import write_files
 from leaderboard.drive_report.geopackage import write_geopackage
-from leaderboard.drive_report.known_iri import known_factor, read_known_iri
-from leaderboard.drive_report.mean_path import golden_power, tells_vehicle
+from leaderboard.drive_report.known_iri import Stretch, known_factor
+from leaderboard.drive_report.mean_path import golden_weight, tells_vehicle
 from leaderboard.drive_report.page import write_page
 from leaderboard.drive_report.passes import ReportedPass, align_passes, compare, join
 from leaderboard.drive_report.sections import Sections
@@ -25,19 +23,15 @@ from road_envs.drives.logger_tables.description import DriveDescription
 from road_envs.drives.reading import DriveFile, same_instruments
 from road_envs.sensing.instruments import instruments_of, load_instruments
 
-_DEFAULT_FACTOR_STD = 0.06
-"""Relative standard deviation of a factor whose own is not given: after calibration over 100 m of
-known IRI, reports of a passenger car from three sensors had an RMS error of 5.7 %.
-"""
-
+_DEFAULT_FACTOR_STD = 0.06  # of a factor whose own is not given, as measured in `known_iri`
 _Progress = Callable[[str, float], None]  # takes what is being done and the share done, 0 to 1
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReportSettings:
-    """Settings of a report: an estimator with its settings, categories, segments [m], the IRI of a
-    stretch if it is known, and the route on which the drives are for HPMS. A `fast` report fits no
-    vehicle to its drives.
+    """Settings of a report: an estimator with its settings, categories, segments [m], stretches of
+    known IRI if there are any, and for HPMS the route with the mile where the drives begin. A
+    `fast` report fits no vehicle to its drives.
     """
 
     conditions: Conditions
@@ -45,14 +39,10 @@ class ReportSettings:
     settings: dict[str, Any]
     fast: bool = False
     segment: float = 100.0
-    known_iri: str | None = None
-    route: str | None = None
+    known_iri: Sequence[Stretch] | None = None
+    route: tuple[str, float] | None = None
 
     def __post_init__(self):
-        if self.route is not None:
-            parse_route(self.route)
-        if self.known_iri is not None:
-            read_known_iri(self.known_iri)
         if self.segment not in SEGMENT_LENGTHS:
             allowed = ", ".join(f"{x:g}" for x in SEGMENT_LENGTHS)
             raise ConfigError(f"--segment must be one of {allowed} m, got {self.segment:g} m")
@@ -98,7 +88,7 @@ def make_report(
         )
         one = make_drive_estimator(chosen.estimator, drive, chosen.settings, chosen.fast)
         drive, found = estimate_drive(one, drive, part)
-        read.append((drive.name, drive.measured, found))
+        read.append(ReportedPass(drive.name, drive.measured, found))
     assert one is not None
     passes = align_passes(read)
     progress("joining the passes" if len(drives) > 1 else "writing the report", 0.95)
@@ -107,7 +97,8 @@ def make_report(
     results = list(map(_analysed, passes, drives, repeat(chosen)))
     if chosen.known_iri is not None:
         known, note = known_factor(results[0], chosen.known_iri)
-        is_own = [_car_and_place(drive) == _car_and_place(drives[0]) for drive in drives]
+        mounts = [(drive.vehicle, drive.description.at, drive.sensors) for drive in drives]
+        is_own = [mount == mounts[0] for mount in mounts]
         drives = [
             _with_factor(d, known) if own else d for d, own in zip(drives, is_own, strict=True)
         ]
@@ -139,35 +130,26 @@ def _with_factor_told(each: ReportedPass, drive: DriveFile) -> ReportedPass:
     )
 
 
-def _car_and_place(drive: DriveFile) -> tuple[str, str | None, str]:
-    return drive.vehicle, drive.description.at, drive.sensors
-
-
 def _with_factor(drive: DriveFile, known: KnownFactor) -> DriveFile:
     """Return a drive whose description has the factor, times the one that it had."""
-    before = drive.description.iri_factor or 1.0
-    changes = {"iri_factor": before * known.factor, "iri_factor_std": known.std}
-    return drive._replace(description=drive.description.updated(**changes))
+    factor = (drive.description.iri_factor or 1.0) * known.factor
+    described = drive.description.updated(iri_factor=factor, iri_factor_std=known.std)
+    return drive._replace(description=described)
 
 
 def _analysed(each: ReportedPass, drive: DriveFile, chosen: ReportSettings) -> DriveResult:
-    distance = each.estimate.distance
-    speed_error = load_instruments(drive.sensors).speed_error
-    instruments = instruments_of(each.measured.record, drive.sensors)
-    told = drive.description
+    record, distance, told = each.measured.record, each.estimate.distance, drive.description
+    instruments = instruments_of(record, drive.sensors)
     known, tolerance_std = None, 0.0
-    if not tells_vehicle(each.measured.record.sensors):
-        n, power = golden_power(0.05, 6000)
-        tolerance_std = roughness_std(
-            each.measured.record, drive.car, drive.sensors, lambda at: np.interp(at, n, power)
-        )
+    if not tells_vehicle(record.sensors):
+        tolerance_std = roughness_std(record, drive.car, drive.sensors, golden_weight)
     if told.iri_factor is not None:
         known = KnownFactor(told.iri_factor, told.iri_factor_std or _DEFAULT_FACTOR_STD)
     return analyse(
         each.name, each.measured, each.estimate, chosen.conditions, segment=chosen.segment,
         modes=drive.car.modes, clipping=instruments.ranges[:, None],
-        noise=instruments.noise_rms(each.measured.record.fs), tolerance_std=tolerance_std,
-        distance_std=distance.std if distance else speed_error, known=known,
+        noise=instruments.noise_rms(record.fs), tolerance_std=tolerance_std, known=known,
+        distance_std=distance.std if distance else load_instruments(drive.sensors).speed_error,
     )  # fmt: skip
 
 

@@ -15,6 +15,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -38,18 +39,13 @@ from road_envs.records.record import (
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import VehicleParameters
 
-_SECTION, _FITTED_SECTION = 2000.0, 10_000.0
-"""Length [m] of a section, about, and of one to which the vehicle is fitted."""
-
-_RUN_IN, _RUN_OUT = 150.0, 50.0
-"""Distances [m] before and behind a section that are estimated with it."""
-
+_SECTION, _FITTED_SECTION = 2000.0, 10_000.0  # lengths [m], about; the second with a fitted vehicle
+_RUN_IN, _RUN_OUT = 150.0, 50.0  # [m] before and behind a section that are estimated with it
 KEPT = "unfinished"  # folder of kept sections in that of a report
 
 _KIND = Kind("drive section", 2, ("leaderboard.drive_report.sections", "estimators.registry"))
 
-_ARRAYS = ("z", "z_std", "unsure", "draws")
-"""Fields of an estimate that are kept as arrays, by station in their last axis."""
+_ARRAYS = ("z", "z_std", "unsure", "draws")  # kept as arrays, by station in the last axis
 
 
 class _DriveSection(NamedTuple):
@@ -111,33 +107,28 @@ def join(parts: Sequence[Estimate], sections: Sequence[_DriveSection], length: f
             )
         return whole
 
-    def field(name: str) -> list[Any] | None:
-        values = [getattr(part, name) for part in parts]
-        return None if any(x is None for x in values) else values
-
-    stds, draws = field("z_std"), field("draws")
-    count = min(len(x) for x in draws) if draws else 0
-    unsure = [np.zeros(x.s.size, bool) if x.unsure is None else x.unsure for x in parts]
-    is_unsure = any(x.any() for x in unsure)
+    count = min((len(part.draws) for part in parts if part.draws is not None), default=0)
+    rows: dict[str, list[Any]] = {
+        "z": [part.z for part in parts],
+        "z_std": [part.z_std for part in parts],
+        "draws": [part.draws if part.draws is None else part.draws[:count] for part in parts],
+    }
+    if any(part.unsure is not None and part.unsure.any() for part in parts):
+        rows["unsure"] = [np.zeros(x.s.size, bool) if x.unsure is None else x.unsure for x in parts]
+    arrays: dict[str, Any] = {
+        name: joined(values, is_height=name in ("z", "draws"))
+        for name, values in rows.items()
+        if all(x is not None for x in values)
+    }
     residuals = [part.residual for part in parts if part.residual is not None]
+    distance, scales = None, [part.distance for part in parts if part.distance]
+    if scales:  # means weighted by inverse variance, as their errors have common causes
+        weights = [1.0 / one.std**2 for one in scales]
+        distance = DistanceScale(*(float(x) for x in np.average(scales, axis=0, weights=weights)))
     return Estimate(
-        s,
-        joined([part.z for part in parts], is_height=True),
-        joined(stds, is_height=False) if stds else None,
-        _joined_notes(parts, sections, length),
-        distance=_joined_distance([part.distance for part in parts if part.distance]),
-        unsure=joined(unsure, is_height=False) if is_unsure else None,
-        draws=joined([x[:count] for x in draws], is_height=True) if draws else None,
+        s, **arrays, notes=_joined_notes(parts, sections, length), distance=distance,
         residual=max(residuals, default=None),
-    )
-
-
-def _joined_distance(found: Sequence[DistanceScale]) -> DistanceScale | None:
-    """Return the mean weighted by inverse variance, whose errors have common causes."""
-    if not found:
-        return None
-    weights = [1.0 / one.std**2 for one in found]
-    return DistanceScale(*(float(x) for x in np.average(found, axis=0, weights=weights)))
+    )  # fmt: skip
 
 
 def _joined_notes(
@@ -174,11 +165,7 @@ class Sections:
 
     def estimator(self, one: Estimator) -> Estimator:
         """Return an estimator that estimates by sections, and is as `one` in all else."""
-
-        def estimate(record: Record, car: VehicleParameters) -> Estimate:
-            return self._estimate(one, record, car)
-
-        return copy_with(one, estimate=estimate)
+        return copy_with(one, estimate=partial(self._estimate, one))
 
     def clear(self) -> None:
         """Remove what was kept: the report is done."""
@@ -245,18 +232,11 @@ class Sections:
 
 def _plain(estimate: Estimate) -> dict[str, Any]:
     """Return what is kept of an estimate, as JSON types; arrays are their bytes in base 64."""
-    arrays = {name: getattr(estimate, name) for name in _ARRAYS}
-    return {
-        "residual": estimate.residual,
-        "s_std": estimate.s_std,
-        "distance": estimate.distance,
-        "notes": estimate.notes,
-        **{
-            name: [x.dtype.str, x.shape, base64.b64encode(x.tobytes()).decode()]
-            for name, x in arrays.items()
-            if x is not None
-        },
-    }
+    plain = {name: getattr(estimate, name) for name in ("residual", "s_std", "distance", "notes")}
+    for name in _ARRAYS:
+        if (x := getattr(estimate, name)) is not None:
+            plain[name] = [x.dtype.str, x.shape, base64.b64encode(x.tobytes()).decode()]
+    return plain
 
 
 def _from_plain(content: Mapping[str, Any], record: Record) -> Estimate:
@@ -264,7 +244,9 @@ def _from_plain(content: Mapping[str, Any], record: Record) -> Estimate:
     for name in content.keys() & set(_ARRAYS):
         kind, shape, text = content[name]
         arrays[name] = np.frombuffer(base64.b64decode(text), kind).reshape(shape)
-    distance, notes = content["distance"], tuple(content["notes"])
-    own = {name: content[name] for name in ("residual", "s_std")}
-    own["distance"] = distance and DistanceScale(*distance)
-    return Estimate(profile_stations(record.length), notes=notes, **own, **arrays)
+    distance = content["distance"]
+    return Estimate(
+        profile_stations(record.length), **arrays, notes=tuple(content["notes"]),
+        residual=content["residual"], s_std=content["s_std"],
+        distance=distance and DistanceScale(*distance),
+    )  # fmt: skip

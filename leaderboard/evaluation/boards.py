@@ -11,8 +11,6 @@ from leaderboard.metrics.registry import SCORES
 from road_envs.core import config
 from road_envs.core.config import Positive, Settings
 
-Division = Literal["offline", "causal"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class BoardDefinition(Settings):
@@ -29,7 +27,7 @@ class BoardDefinition(Settings):
     ranks_by: str = "nrmse"
     columns: tuple[str, ...] = ("nrmse", "interval", "worst", "r")
     on_request: tuple[str, ...] = ()
-    divisions: tuple[Division, ...] = ("offline", "causal")
+    divisions: tuple[Literal["offline", "causal"], ...] = ("offline", "causal")
     scale: Positive = 2.0
     order: int = 100
 

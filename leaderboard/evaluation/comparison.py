@@ -28,11 +28,7 @@ SAME_KERNELS = 1e-9
 OTHER_KERNELS = 0.1
 """Tolerance of two processors or kernels: twice the largest distance that was measured."""
 
-_PRINTED_STEPS = 100
-"""Steps of the last printed digit that a smaller score is taken relative to."""
-
-_LARGEST_DISTANCE = 2.0
-"""_Distance of a value from its negative; no two values are farther apart."""
+_PRINTED_STEPS = 100  # steps of the last printed digit that a smaller score is taken relative to
 
 
 class _Distance(NamedTuple):
@@ -43,9 +39,9 @@ class _Distance(NamedTuple):
 
 
 def distance(score: str, a: float | None, b: float | None) -> float:
-    """_Distance [-] of two values of a score, from 0 to 2; 2 if only one of them is defined."""
+    """Return the distance [-] of two values of a score: 0 to 2, and 2 if only one is defined."""
     if a is None or b is None:
-        return 0.0 if a is b else _LARGEST_DISTANCE
+        return 0.0 if a is b else 2.0
     form = SCORES[score]
     floor = _PRINTED_STEPS * 10.0**-form.digits / form.factor
     return abs(a - b) / max(abs(a), abs(b), floor)

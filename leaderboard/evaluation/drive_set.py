@@ -10,8 +10,7 @@ from road_envs.roads import Road, with_length
 from road_envs.roads.api import AnyRoad
 from road_envs.vehicle.parameters import DEFAULT_STEP, Step
 
-SEED_STRIDE = 10_000
-"""Offset between the seeds of one road of a list and those of the next."""
+SEED_STRIDE = 10_000  # offset between the seeds of one road of a list and those of the next
 
 
 @dataclass(frozen=True, kw_only=True)

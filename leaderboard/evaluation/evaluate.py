@@ -41,13 +41,11 @@ from leaderboard.metrics import heights
 from leaderboard.metrics.api import ScoredEstimate
 from leaderboard.metrics.baselines import MEMORY, memory, truth_plus_noise
 from leaderboard.metrics.registry import compute_scores
-from road_envs.records.record import Estimate, Record
+from road_envs.records.record import Estimate, Profile, Record
 from road_envs.simulation.drive import SimulationError
 from road_envs.vehicle.parameters import VehicleParameters
 
-SEEDS = (1, 2, 3)
-"""Default training seeds of a trainable estimator."""
-
+SEEDS = (1, 2, 3)  # default seeds of trainings
 _TRACE_LENGTH = 100.0  # length [m] of the part of the first test road that is stored for plots
 
 
@@ -91,7 +89,15 @@ def run_task(
 
     `report` is called with each step as it begins. Raises ConfigError for an invalid task.
     """
-    entries = [_local_entry(name, estimator) for name, estimator in estimators.items()]
+    entries = [  # for this process only: their references cannot be resolved elsewhere
+        Entry(
+            name=name,
+            reference=BUILTIN if estimator is None else type(estimator).__name__,
+            settings=get_settings(estimator),
+            causal=None if estimator is None else estimator.causal,
+        )
+        for name, estimator in estimators.items()
+    ]
     parts: dict[str, list[Result]] = {entry.name: [] for entry in entries}
     for condition in task.conditions:
         report(f"{task.name}: simulating, {condition.label}")
@@ -104,21 +110,13 @@ def run_task(
     return [merge_parts(results, "") for results in parts.values()]
 
 
-def _local_entry(name: str, estimator: Estimator | None) -> Entry:
-    """Return an entry for this process only: its reference cannot be resolved elsewhere."""
-    reference = BUILTIN if estimator is None else type(estimator).__name__
-    causal = None if estimator is None else estimator.causal
-    return Entry(name=name, reference=reference, settings=get_settings(estimator), causal=causal)
-
-
 def in_process(estimator: Estimator | None) -> EntryRunner:
     """Return a runner of an estimator in this process."""
 
     def run(entry: Entry, data: ConditionData, seeds: Sequence[int]) -> Iterable[TrainingRun]:
         assert estimator is not None
         training, records, car, drives = data.inputs
-        session = LocalSession(estimator, car)
-        return reconstruct_all(session, training, records, seeds, None, drives)
+        return reconstruct_all(LocalSession(estimator, car), training, records, seeds, None, drives)
 
     return run
 
@@ -156,8 +154,7 @@ def evaluate_entry(
     try:
         fields = _score_fields(data, entry, _training_runs(data, entry, seeds, run))
     except EntryError as error:
-        failure = f"{condition.label}, {error}"
-        return dataclasses.replace(empty, failure=failure, notes=notes)
+        return dataclasses.replace(empty, failure=f"{condition.label}, {error}", notes=notes)
     return dataclasses.replace(empty, **{**fields, "notes": (*notes, *fields["notes"])})
 
 
@@ -184,7 +181,8 @@ def _score_fields(
     train: list[float] = []
     seconds, last = 0.0, TrainingRun([], 0.0, 0.0, 0)
     for training_run in training_runs:
-        scores = [_score_drive(data, k, z) for k, z in enumerate(training_run.estimates)]
+        pairs = zip(data.tests, training_run.estimates, strict=True)
+        scores = [_score_drive(data, test.truth, estimate) for test, estimate in pairs]
         traces.append(_trace(data, training_run.estimates[0], scores[0], training_run.seed))
         for test, own in zip(data.tests, scores, strict=True):
             run = (data.condition.label, test.index, test.road, test.seed, training_run.seed)
@@ -210,9 +208,8 @@ def _score_fields(
     }
 
 
-def _score_drive(data: ConditionData, drive: int, estimate: Estimate) -> dict[str, float]:
+def _score_drive(data: ConditionData, truth: Profile, estimate: Estimate) -> dict[str, float]:
     """Return the defined scores of an estimate of a test drive."""
-    truth = data.tests[drive].truth
     bound = nrmse_bound(data.task, data.condition, truth) if data.task.bound else math.nan
     kinds = {"bumps": data.task.bumps, "wandering": data.task.position_noise}
     values = compute_scores(ScoredEstimate(truth, estimate, data.v, bound=bound, **kinds))
@@ -221,8 +218,7 @@ def _score_drive(data: ConditionData, drive: int, estimate: Estimate) -> dict[st
 
 def _trace(data: ConditionData, estimate: Estimate, scores: dict[str, float], seed: int) -> Trace:
     """Return the first _TRACE_LENGTH metres of the first test drive."""
-    test = data.tests[0]
-    truth = test.truth
+    test, truth = data.tests[0], data.tests[0].truth
     kept = truth.s < _TRACE_LENGTH
     return Trace(
         condition=data.condition.label, speed_kmh=data.condition.speed_kmh, road=test.road,

@@ -3,6 +3,7 @@
 import os
 import platform
 import subprocess
+from contextlib import suppress
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -10,8 +11,6 @@ from pathlib import Path
 import road_envs
 from road_envs.core import config
 from road_envs.core.code_digest import PACKAGES, ROOT, digest
-
-_LIBRARIES = ("numpy", "scipy", "numba", "torch")
 
 
 def package_version() -> str:
@@ -25,7 +24,10 @@ def describe_environment() -> dict[str, str]:
 
     `blas` is the kernel that BLAS has chosen for the processor, `threads` how many share a product.
     """
-    libraries = {name: release for name in _LIBRARIES if (release := _library(name))}
+    libraries = {}
+    for name in ("numpy", "scipy", "numba", "torch"):
+        with suppress(metadata.PackageNotFoundError):
+            libraries[name] = metadata.version(name)
     commit = _commit(ROOT)
     return {
         "python": platform.python_version(),
@@ -48,13 +50,6 @@ def package_code() -> str:
     configs = config.folder()
     shows = configs / "boards"  # they change no result
     return code + digest((x for x in configs.rglob("*.*") if x.parent != shows), configs.parent)
-
-
-def _library(name: str) -> str | None:
-    try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return None
 
 
 def _blas() -> dict[str, str]:
@@ -87,9 +82,8 @@ def _commit(folder: Path) -> str | None:
 
 
 def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        lines = []
-    models = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
-    return models[0] if models else platform.processor() or platform.machine()
+    with suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    return platform.processor() or platform.machine()

@@ -12,6 +12,7 @@ import dataclasses
 import hashlib
 import json
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -39,7 +40,6 @@ _JUDGE = ("leaderboard.evaluation.evaluate", "leaderboard.sandbox.client")
 """Modules that import, directly or not, all code that determines drives, notes and scores."""
 
 RESULT = Kind("result", 6, _JUDGE)
-_Role = Literal["entry", "baseline"]
 ISOLATED = ("bubblewrap",)
 """Values of `Result.isolation` of entries without access to files, network and other processes."""
 
@@ -57,10 +57,9 @@ COLUMNS = (*RUN, "score", "value")
 
 
 def _as_heights(values: Any) -> np.ndarray:
-    try:
+    array: np.ndarray = np.empty(0, dtype=np.int32)
+    with suppress(TypeError, ValueError, OverflowError):  # of lists of different lengths, too
         array = np.array(values, dtype=np.int32)
-    except (TypeError, ValueError, OverflowError):  # of lists of different lengths, too
-        array = np.empty(0, dtype=np.int32)
     if array.ndim != 2 or array.shape[0] != 2 or not 4 <= array.shape[1] <= _MAX_HEIGHTS:
         raise ValueError("left and right must have one number of heights, 4 to 10000 whole numbers")
     return _shared(array.tobytes())
@@ -130,7 +129,7 @@ class Result(Settings):
     task: str
     task_digest: str
     estimator: str
-    role: _Role
+    role: Literal["entry", "baseline"]
     settings: dict[str, Any]
     package_version: str
     metric_version: int
@@ -290,9 +289,9 @@ def merge_parts(parts: Sequence[Result], identity: str) -> Result:
         failure=failure,
         notes=tuple(dict.fromkeys(note for part in parts for note in part.notes)),
         traces=tuple(trace for part in scored for trace in part.traces),
-        isolation=_join_distinct(part.isolation for part in scored),
+        isolation=" or ".join(dict.fromkeys(part.isolation for part in scored)),
         environment={
-            name: _join_distinct(part.environment.get(name, "none") for part in parts)
+            name: " or ".join(dict.fromkeys(part.environment.get(name, "none") for part in parts))
             for name in names
         },
     )
@@ -301,10 +300,6 @@ def merge_parts(parts: Sequence[Result], identity: str) -> Result:
 def quantize_heights(z: np.ndarray) -> np.ndarray:
     """Return heights (2, M) [m] as integers of _Z_UNIT, clipped to 1 km."""
     return np.rint(np.clip(z, -1e3, 1e3) / _Z_UNIT).astype(np.int32)
-
-
-def _join_distinct(texts: Iterable[str]) -> str:
-    return " or ".join(dict.fromkeys(texts))
 
 
 def _maximum(values: Iterable[float | None]) -> Any:

@@ -84,16 +84,14 @@ def _check_name(path: Path, named: bool, what: str) -> None:
 
 def load_rows(out: Path, task: Task) -> list[Result]:
     """Return all rows of a task; an unreadable file becomes a row with a failure."""
-    paths = sorted((out / "results" / task.name).glob("[!.]*.json"))
-    return [_row_or_failure(path, task) for path in paths]
-
-
-def _row_or_failure(path: Path, task: Task) -> Result:
-    try:
-        return load(path)
-    except ConfigError as error:
-        failure = f"its result cannot be read: {error}"
-        return unscored_result(task, path.stem, settings={}, seeds=(), failure=failure)
+    rows = []
+    for path in sorted((out / "results" / task.name).glob("[!.]*.json")):
+        try:
+            rows.append(load(path))
+        except ConfigError as error:
+            failure = f"its result cannot be read: {error}"
+            rows.append(unscored_result(task, path.stem, settings={}, seeds=(), failure=failure))
+    return rows
 
 
 def read(path: Path) -> Result:

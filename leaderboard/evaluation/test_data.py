@@ -29,9 +29,7 @@ class RecordedDrive:
     calibration: tuple[CalibrationDrive, ...] = ()
 
 
-_CALIBRATION = 1
-"""Random streams of the noise of calibration drives; those of test drives have no second number."""
-
+_CALIBRATION = 1  # stream of the noise of calibration drives; test drives have one number only
 DriveSimulation = Callable[[Task, DriveSet, Condition], Iterator[RecordedDrive]]
 """Function that simulates drives: `simulate_drives`, or a faster substitute in tests."""
 
@@ -68,11 +66,10 @@ def calibration_drives(task: Task, condition: Condition, seed: int) -> tuple[Cal
     """Return the calibration drives of the vehicle that drives the test road of a `seed`."""
     made = []
     for k, run in enumerate(task.calibration, start=1):
-        own_seed = seed + run.seed_offset
-        rng = np.random.default_rng(own_seed)
+        rng = np.random.default_rng(seed + run.seed_offset)
         surface = run.driven_road.realise(rng)
         noise = np.random.SeedSequence(seed, spawn_key=(_CALIBRATION, run.seed_offset))
-        seeds = (seed, own_seed, noise)
+        seeds = (seed, seed + run.seed_offset, noise)
         record, truth = _driven(task, task.test, condition, run, surface, seeds)
         profile = None if run.survey_std is None else levelled(truth, run.survey_std, rng)
         std = run.survey_std or CalibrationDrive.survey_std
@@ -94,11 +91,10 @@ def _driven(
     road that varies is filtered white noise.
     """
     of_vehicle, of_surface, of_noise = seeds
-    if condition.plant and drives is task.test:
-        car = condition.car or task.car
-        where = (surface, run.speed_kmh, of_surface, task.sensors)
-        return drive_of_plant(condition.plant, car, *where)
     instruments = task.sensors
+    if condition.plant and drives is task.test:
+        car, where = condition.car or task.car, (surface, run.speed_kmh, of_surface, instruments)
+        return drive_of_plant(condition.plant, car, *where)
     if not drives.noise:
         instruments = dataclasses.replace(instruments, noise_density=0.0, speed_error=0.0)
     record, truth = simulate_record(
@@ -131,8 +127,7 @@ def _low_passed(record: Record, f_c: float | None) -> Record:
     lost, t = np.isnan(record.a), record.t
     pairs = zip(record.a, lost, strict=True)
     bridged = np.array([np.interp(t, t[~gap], x[~gap]) for x, gap in pairs])
-    filtered = preprocess_accelerations(bridged, record.fs, f_c)
-    a = np.where(lost, np.nan, filtered)
+    a = np.where(lost, np.nan, preprocess_accelerations(bridged, record.fs, f_c))
     return dataclasses.replace(record, a=a, low_pass=LowPass(f_c, LOW_PASS_ORDER))
 
 

@@ -21,9 +21,7 @@ from road_envs.records.roughness import golden_car, iri
 
 _SEGMENT_LENGTH = 100.0  # length [m] of the segments whose IRI is compared
 
-_SHORT_SEGMENT = 20.0
-"""Length [m] of the segments of limits of agreement and ICC, of which a drive needs several."""
-
+_SHORT_SEGMENT = 20.0  # [m] for limits of agreement and ICC, of which a drive needs several
 _LAG_MAX = 1.0  # largest lag [m] of the cross-correlation
 
 
@@ -39,7 +37,7 @@ class _BlandAltman(NamedTuple):
 
 def bland_altman(x: np.ndarray, y: np.ndarray) -> _BlandAltman:
     """Return the limits of agreement of x - y, two measurements (N,) of the same segments."""
-    difference = np.asarray(x, dtype=float) - np.asarray(y, dtype=float)
+    difference = np.subtract(x, y, dtype=float)
     bias = float(difference.mean())
     spread = 1.96 * float(difference.std(ddof=1)) if difference.size > 1 else np.nan
     return _BlandAltman(bias, bias - spread, bias + spread)
@@ -110,12 +108,10 @@ def _difference(scored: ScoredEstimate) -> tuple[float, ...]:
 
 
 @metrics(
-    Metric("iri_lower_limit", "lower limit of agreement of the IRI", unit="mm/m", better="zero",
-           head="IRI low", help="Bias of the IRI per 20 m less 1.96 standard deviations of the "
-           "differences (Bland-Altman)."),
-    Metric("iri_upper_limit", "upper limit of agreement of the IRI", unit="mm/m", better="zero",
-           head="IRI up", help="Bias of the IRI per 20 m plus 1.96 standard deviations of the "
-           "differences (Bland-Altman)."),
+    *(Metric(f"iri_{end}_limit", f"{end} limit of agreement of the IRI", unit="mm/m", better="zero",
+             head=head, help=f"Bias of the IRI per 20 m {sign} 1.96 standard deviations of the "
+             "differences (Bland-Altman).")
+      for end, head, sign in (("lower", "IRI low", "less"), ("upper", "IRI up", "plus"))),
     Metric("iri_icc", "intraclass correlation of the IRI", better="high", head="IRI ICC",
            help="ICC(2,1) of the true and the estimated IRI per 20 m of both wheel paths."),
 )  # fmt: skip

@@ -19,23 +19,18 @@ from road_envs.records.record import Estimate, Profile, scored_band
 from road_envs.records.roughness import band_pass
 from road_envs.roads import Surface
 
-LOCAL_WINDOW, LOCAL_STEP = 20.0, 5.0
-"""Length [m] of the windows of a local alignment, and distance [m] from one to the next."""
-
-LOCAL_SEARCH, LOCAL_STRETCH = 9.0, 0.06
+_LOCAL_WINDOW, _LOCAL_STEP = 20.0, 5.0  # length [m] of windows of a local alignment, and step
+_LOCAL_SEARCH, _LOCAL_STRETCH = 9.0, 0.06
 """Largest lag [m] of an estimate whose positions wander, three standard deviations of the worst
 receiver (`position_noise`), and its change over the distance.
 """
 
-MIN_LOCAL_CORRELATION = 0.5
+_MIN_LOCAL_CORRELATION = 0.5
 """Mean correlation of the windows below which an estimate does not match; that of unrelated roads,
 whose lags are free too, is 0.2.
 """
 
-BEYOND = 0.6
-"""Correlation that leads the search through windows beyond the ends of the truth; they are left
-out then.
-"""
+_BEYOND = 0.6  # leads the search through windows beyond the ends of the truth, which do not count
 
 
 class _Alignment(NamedTuple):
@@ -79,14 +74,11 @@ def align(road: Surface, estimate: Estimate, v: float, chainage: float = 0.0) ->
             f"{MIN_OVERLAP + 2 * trimmed * ds:.0f} m are needed"
         )
     grid = first + np.arange(size)
-    truth = np.gradient(band_pass(road.height(chainage + ds * grid), ds, band), axis=1)
+    slopes = np.gradient(band_pass(road.height(chainage + ds * grid), ds, band), axis=1)
     found = np.gradient(band_pass(estimate.z, ds, band), axis=1)
-    cut_truth, cut_found = (
-        (n - x.shape[1]) // 2 for n, x in ((size, truth), (estimate.s.size, found))
-    )
     # a lag of k: station i of the estimate is station i + k of the truth's grid
-    start = first + cut_truth - cut_found
-    lags, r = lag_correlations(truth, found, needed, start)
+    start = first + (size - slopes.shape[1]) // 2 - (estimate.s.size - found.shape[1]) // 2
+    lags, r = lag_correlations(slopes, found, needed, start)
     near = np.abs(lags) * ds <= SEARCHED
     if not near.any():
         raise ConfigError(
@@ -97,21 +89,19 @@ def align(road: Surface, estimate: Estimate, v: float, chainage: float = 0.0) ->
     best = int(np.argmax(np.where(near, r, -2.0)))
     lag, correlation = int(lags[best]), float(r[best])
     before = float(r[lags == 0][0]) if (lags == 0).any() else np.nan
-    begin = max(0, first - lag)
-    end = min(estimate.s.size, first + size - lag)
+    begin, end = max(0, first - lag), min(estimate.s.size, first + size - lag)
     if not is_match(correlation, ds * (end - begin), band):
         raise ConfigError(
             f"the estimate matches the truth at no lag within {SEARCHED:g} m: its best "
             f"correlation is {correlation:.2f}, at {ds * lag:+.2f} m; check the road, the vehicle "
             "and the chainage of the first sample (--offset)"
         )
-    inside = slice(begin, end)
-    s = ds * np.arange(end - begin)
+    k = np.arange(end - begin)
     fields = {name: getattr(estimate, name) for name in ("z", "z_std", "unsure")}
-    kept: Any = {name: x[..., inside] for name, x in fields.items() if x is not None}
-    part = dataclasses.replace(estimate, s=s, draws=None, **kept)
-    heights = road.height(chainage + ds * (begin + lag + np.arange(end - begin)))
-    return _Alignment(Profile(s, heights), part, ds * lag, correlation, before)
+    kept: Any = {name: x[..., begin:end] for name, x in fields.items() if x is not None}
+    part = dataclasses.replace(estimate, s=ds * k, draws=None, **kept)
+    truth = Profile(ds * k, road.height(chainage + ds * (begin + lag + k)))
+    return _Alignment(truth, part, ds * lag, correlation, before)
 
 
 def align_locally(
@@ -127,7 +117,7 @@ def align_locally(
     mapped, moved = s, a
     for _ in range(3):  # from the second time on with windows that are hardly stretched
         centres, lags, correlation = _local_lags(y, moved, ds, v)
-        if not correlation >= MIN_LOCAL_CORRELATION:
+        if not correlation >= _MIN_LOCAL_CORRELATION:
             return y, a, std
         mapped = mapped + np.interp(mapped, centres, lags)
         moved = CubicSpline(mapped, a, axis=1)(np.clip(s, mapped[0], mapped[-1]))
@@ -144,12 +134,12 @@ def _local_lags(
     towards larger stations against `y` (2, M), and the mean correlation of slopes there.
     """
     truth, found = np.gradient(band_pass(np.stack([y, a]), ds, scored_band(v)), axis=2)
-    trim, size = (y.shape[1] - truth.shape[1]) // 2, round(LOCAL_WINDOW / ds)
-    begins = np.arange(0, found.shape[1] - size + 1, round(LOCAL_STEP / ds))
+    trim, size = (y.shape[1] - truth.shape[1]) // 2, round(_LOCAL_WINDOW / ds)
+    begins = np.arange(0, found.shape[1] - size + 1, round(_LOCAL_STEP / ds))
     if not begins.size:
         return np.zeros(0), np.zeros(0), 0.0
-    scores = _window_correlations(truth, found, begins, size, round(LOCAL_SEARCH / ds))
-    path = _likeliest_path(scores, round(LOCAL_STRETCH * LOCAL_STEP / ds))
+    scores = _window_correlations(truth, found, begins, size, round(_LOCAL_SEARCH / ds))
+    path = _likeliest_path(scores, round(_LOCAL_STRETCH * _LOCAL_STEP / ds))
     # the vertex of a parabola through three lags
     inner = np.clip(path, 1, scores.shape[1] - 2)
     before, at, after = (scores[np.arange(begins.size), inner + j] for j in (-1, 0, 1))
@@ -157,7 +147,7 @@ def _local_lags(
     vertex = np.clip(0.5 * (before - after) / curvature, -0.5, 0.5)
     centres = ds * (trim + begins + 0.5 * (size - 1))
     lags = ds * (inner - scores.shape[1] // 2 + vertex)
-    seen = ~(np.stack([before, at, after]) == BEYOND).any(axis=0)
+    seen = ~(np.stack([before, at, after]) == _BEYOND).any(axis=0)
     correlation, centres, lags = float(np.mean(seen * at)), centres[seen], lags[seen]
     if centres.size > 2:  # beyond the middles of the outer windows the lag goes on as before
         ends = np.array([0.0, ds * y.shape[1]])
@@ -171,9 +161,9 @@ def _window_correlations(
     truth: np.ndarray, found: np.ndarray, begins: np.ndarray, size: int, reach: int
 ) -> np.ndarray:
     """Return the correlations (W, 2 `reach` + 1) of slopes (2, K) in windows of `size` stations
-    from `begins` (W,) on, at lags of -`reach` to `reach`; BEYOND where the truth ends.
+    from `begins` (W,) on, at lags of -`reach` to `reach`; _BEYOND where the truth ends.
     """
-    scores = np.full((begins.size, 2 * reach + 1), BEYOND)
+    scores = np.full((begins.size, 2 * reach + 1), _BEYOND)
     for row, begin in zip(scores, begins.tolist(), strict=True):
         low, high = max(begin - reach, 0), min(begin + size + reach, truth.shape[1])
         k, r = lag_correlations(

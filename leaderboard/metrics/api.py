@@ -30,8 +30,7 @@ UNDEFINED = "–"
 PERCENT: Any = {"unit": "%", "factor": 100.0, "digits": 0}
 """Format of a share."""
 
-_HEIGHT_LIMIT = 1e6
-"""Estimated heights are clipped to +- this [m], so that an absurd estimate still has a score."""
+_HEIGHT_LIMIT = 1e6  # [m] to which estimates are clipped: an absurd one still has a score
 
 
 class ScoredEstimate:

@@ -13,15 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-_REPLICATES = 2000
-"""Replicates of an interval or a rank: its quantiles leave 50 of them on each side."""
-
-_QUANTILES = (0.5 - 0.95 / 2, 0.5 + 0.95 / 2)
-"""Shares of the replicates below the lower and the upper end of an interval, at a level of 95 %."""
-
-MIN_ROADS = 5
-"""Least number of roads for an interval or a rank: with two, the interval is their two scores."""
-
+_REPLICATES = 2000  # of an interval or a rank: 50 are beyond either end
+_QUANTILES = (0.5 - 0.95 / 2, 0.5 + 0.95 / 2)  # shares below the ends of an interval of 95 %
+MIN_ROADS = 5  # least number for an interval or a rank: with two, it is their two scores
 REPRODUCIBLE = 5e-3
 """Share of a score by which the same program differs on other processors or kernels in half of its
 runs: ten times the median that was measured (`evaluation.comparison`). Nobody leads by less.
@@ -37,14 +31,6 @@ class Interval(NamedTuple):
     mean: float
     low: float
     high: float
-
-
-class _PerformanceProfile(NamedTuple):
-    """Shares (T,) of runs at or below each threshold, with their bootstrap intervals."""
-
-    share: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
 
 
 def interquartile_mean(x: np.ndarray, axis: int = -1) -> np.ndarray:
@@ -123,8 +109,9 @@ def performance_profile(
     thresholds: np.ndarray,
     replicates: int = _REPLICATES,
     strata: Strata | None = None,
-) -> _PerformanceProfile:
-    """Return the share of `scores` (R, C, S) at or below each of `thresholds` (T,).
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the shares (T,) of `scores` (R, C, S) at or below each of `thresholds` (T,), and the
+    lower and upper ends (T,) of their bootstrap intervals.
 
     Lower scores are better. NaN marks a missing run, infinity a run above every threshold.
     """
@@ -134,10 +121,9 @@ def performance_profile(
         with np.errstate(invalid="ignore"):
             return np.stack([np.sum(x <= limit, axis=-1) / count for limit in thresholds], axis=-1)
 
-    reached = shares(scores.ravel())
     parts = [shares(x) for x in _replicate_scores(scores, 0, replicates, strata)]
     low, high = np.quantile(np.concatenate(parts), _QUANTILES, axis=0)
-    return _PerformanceProfile(reached, low, high)
+    return shares(scores.ravel()), low, high
 
 
 def _replicate_scores(

@@ -37,9 +37,6 @@ VERSION = 5
 older results stale.
 """
 
-FULL_BAND: Band = (0.05, 3.0)
-"""Band [cycles/m] of `nrmse_full`: waves of 20 m to 0.33 m, at every speed."""
-
 _LAG_MAX = 0.5  # [m]
 _SEGMENT_LENGTH = 10.0  # [m] Welch segment of the coherence: resolution 0.1 cycles/m
 _NEGLIGIBLE = 1e-9  # an RMS below this share of the truth's is rounding error

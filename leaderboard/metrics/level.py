@@ -1,7 +1,4 @@
-"""The paper's error measure, equation 12 of Ngwangwa et al., which compares two levels.
-
-eps = (rms(a) - rms(y)) / rms(y)       estimate a, truth y, whole profiles, no band
-"""
+"""The paper's error measure, equation 12 of Ngwangwa et al. (`heights`), which compares levels."""
 
 from typing import Any
 
@@ -26,10 +23,9 @@ _FORM: Any = {"unit": "%", "factor": 100.0, "digits": 1}
            "alone. The longest waves dominate it, so an estimator that cuts them off, such as "
            "kalman_lag and kalman_rts, has a large one at a small in-band error, and an unrelated "
            "road of the same class a small one."),
-    Metric("level_error_left", "level error about the mean, left", **_FORM, head="left",
-           help="Level error about the mean of the left wheel path."),
-    Metric("level_error_right", "level error about the mean, right", **_FORM, head="right",
-           help="Level error about the mean of the right wheel path."),
+    *(Metric(f"level_error_{side}", f"level error about the mean, {side}", **_FORM, head=side,
+             help=f"Level error about the mean of the {side} wheel path.")
+      for side in ("left", "right")),
     Metric("level_bias", "signed level error about the mean", **_FORM, better="zero",
            head="signed level", help="Level error about the mean with its sign: negative where the "
            "estimate is too smooth."),

@@ -36,18 +36,6 @@ class _ObstacleMatches(NamedTuple):
     false: list[Obstacle]
 
 
-class _ObstacleScores(NamedTuple):
-    """Shares [-], mean absolute errors of matched obstacles (NaN if none), number of wrong ones."""
-
-    precision: float
-    recall: float
-    f1: float
-    location_error: float  # [m]
-    height_error: float  # [m]
-    height_error_relative: float  # of the true height
-    wrong_side: float  # estimated where only the other wheel path has one
-
-
 def detect_obstacles(z: np.ndarray, ds: float, threshold: float) -> list[Obstacle]:
     """Detect the sections of `z` (M,) that leave the median by more than `threshold` [m]."""
     z = z - np.median(z)
@@ -83,60 +71,24 @@ def match_obstacles(
     if not heights:
         return None
     threshold = min(heights) / 2
-    left, right = (_match_path(y[k], a[k], ds, threshold) for k in range(2))
+    left, right = (
+        _match(*(detect_obstacles(z[k], ds, threshold) for z in (y, a))) for k in range(2)
+    )
     return left, right
 
 
-def _obstacle_scores(y: np.ndarray, a: np.ndarray, ds: float) -> _ObstacleScores | None:
-    """Return the scores of `a` against `y`, both (2, M) [m]; None without a true obstacle."""
-    paths = match_obstacles(y, a, ds)
-    if paths is None:
-        return None
-    pairs = [pair for path in paths for pair in path.pairs]
-    true = [[*path.missed, *(t for t, _ in path.pairs)] for path in paths]
-    detected = [[*path.false, *(f for _, f in path.pairs)] for path in paths]
-    wrong_side = sum(
-        any(_is_match(obstacle, other) for other in true[1 - side])
-        and not any(_is_match(obstacle, own) for own in true[side])
-        for side in range(2)
-        for obstacle in detected[side]
-    )
-    n_true, n_detected = sum(map(len, true)), sum(map(len, detected))
-    errors = [
-        (abs(f.s - t.s), abs(f.height - t.height), abs(f.height - t.height) / abs(t.height))
-        for t, f in pairs
-    ]
-    s, height, relative = np.mean(errors, axis=0).tolist() if pairs else (np.nan,) * 3
-    precision = len(pairs) / n_detected if n_detected else 0.0
-    f1 = 2 * len(pairs) / (n_true + n_detected)
-    shares = precision, len(pairs) / n_true, f1
-    return _ObstacleScores(*shares, s, height, relative, float(wrong_side))
-
-
-def _match_path(y: np.ndarray, a: np.ndarray, ds: float, threshold: float) -> _ObstacleMatches:
-    true, detected = detect_obstacles(y, ds, threshold), detect_obstacles(a, ds, threshold)
-    pairs = _pair_nearest(true, detected)
-    return _ObstacleMatches(
-        pairs,
-        [obstacle for obstacle in true if not any(obstacle is t for t, _ in pairs)],
-        [obstacle for obstacle in detected if not any(obstacle is f for _, f in pairs)],
-    )
-
-
-def _pair_nearest(
-    true: list[Obstacle], detected: list[Obstacle]
-) -> list[tuple[Obstacle, Obstacle]]:
-    """Return pairs (true, estimated) that match, nearest first, each obstacle in one pair."""
+def _match(true: list[Obstacle], detected: list[Obstacle]) -> _ObstacleMatches:
+    """Match the obstacles of a wheel path, nearest first, each in one pair."""
     pairs: list[tuple[Obstacle, Obstacle]] = []
     for t, f in sorted(product(true, detected), key=lambda pair: abs(pair[0].s - pair[1].s)):
-        taken = any(t is t_ or f is f_ for t_, f_ in pairs)
-        if _is_match(t, f) and not taken:
+        if _is_match(t, f) and not any(t is t_ or f is f_ for t_, f_ in pairs):
             pairs.append((t, f))
-    return pairs
+    missed = [obstacle for obstacle in true if all(obstacle is not t for t, _ in pairs)]
+    false = [obstacle for obstacle in detected if all(obstacle is not f for _, f in pairs)]
+    return _ObstacleMatches(pairs, missed, false)
 
 
 def _is_match(a: Obstacle, b: Obstacle) -> bool:
-    """Return whether two obstacles have the same sign and lie within MATCH_DISTANCE."""
     return abs(a.s - b.s) <= MATCH_DISTANCE and (a.height > 0.0) == (b.height > 0.0)
 
 
@@ -158,5 +110,24 @@ def _is_match(a: Obstacle, b: Obstacle) -> bool:
            help="Number of detected obstacles that only the other wheel path has."),
 )  # fmt: skip
 def _obstacles(scored: ScoredEstimate) -> tuple[float, ...]:
-    found = _obstacle_scores(scored.y, scored.a, scored.ds) if scored.bumps else None
-    return found or (np.nan,) * len(_ObstacleScores._fields)
+    paths = match_obstacles(scored.y, scored.a, scored.ds) if scored.bumps else None
+    if paths is None:
+        return (np.nan,) * 7
+    pairs = [pair for path in paths for pair in path.pairs]
+    true = [[*path.missed, *(t for t, _ in path.pairs)] for path in paths]
+    detected = [[*path.false, *(f for _, f in path.pairs)] for path in paths]
+    wrong_side = sum(
+        any(_is_match(obstacle, other) for other in true[1 - side])
+        and not any(_is_match(obstacle, own) for own in true[side])
+        for side in range(2)
+        for obstacle in detected[side]
+    )
+    n_true, n_detected = sum(map(len, true)), sum(map(len, detected))
+    errors = [
+        (abs(f.s - t.s), abs(f.height - t.height), abs(f.height - t.height) / abs(t.height))
+        for t, f in pairs
+    ]
+    of_matched = np.mean(errors, axis=0).tolist() if pairs else (np.nan,) * 3
+    precision = len(pairs) / n_detected if n_detected else 0.0
+    f1 = 2 * len(pairs) / (n_true + n_detected)
+    return precision, len(pairs) / n_true, f1, *of_matched, float(wrong_side)

@@ -14,10 +14,8 @@ from leaderboard.metrics.api import PERCENT, Metric, ScoredEstimate, metric, met
            help="RMS of the error over RMS of the truth, both wheel paths, inside the scored "
            "band. The band is 0.2 to min(1.8, 22.5 Hz / speed) cycles/m, which the sensors can "
            "observe. A flat road has 1, an unrelated road of the same roughness 1.41."),
-    Metric("nrmse_left", "in-band NRMSE, left", head="NRMSE left",
-           help="In-band NRMSE of the left wheel path."),
-    Metric("nrmse_right", "in-band NRMSE, right", head="NRMSE right",
-           help="In-band NRMSE of the right wheel path."),
+    *(Metric(f"nrmse_{side}", f"in-band NRMSE, {side}", head=f"NRMSE {side}",
+             help=f"In-band NRMSE of the {side} wheel path.") for side in ("left", "right")),
     Metric("nrmse_at_lag", "in-band NRMSE at the best lag", digits=3, head="at lag",
            help="Least in-band NRMSE of the estimate shifted by up to 0.5 m to either side. "
            "Where it is far below the NRMSE at fixed stations, the road is right and its place "
@@ -66,7 +64,7 @@ _ATTAINABLE = (  # of boards alone: `report.attainable`
 @metric("NRMSE, 0.05-3 cycles/m", head="NRMSE 0.05-3")
 def nrmse_full(scored: ScoredEstimate) -> float:
     """RMS of the error over RMS of the truth from 0.05 to 3 cycles/m, at every speed."""
-    return heights.nrmse(scored.y, scored.a, scored.ds, heights.FULL_BAND).pooled
+    return heights.nrmse(scored.y, scored.a, scored.ds, (0.05, 3.0)).pooled
 
 
 @metrics(
@@ -90,12 +88,9 @@ def coherence(scored: ScoredEstimate) -> float:
 @metrics(
     Metric("crps", "CRPS in band", unit="mm", factor=1000.0, head="CRPS", help="Continuous ranked "
            "probability score of estimates with a standard deviation; 0 is perfect."),
-    Metric("coverage_50", "errors in the 50 % interval", **PERCENT, better="", head="in 50 %",
-           help="Share of errors inside the 50 % interval, for estimates with a standard "
-           "deviation."),
-    Metric("coverage_90", "errors in the 90 % interval", **PERCENT, better="", head="in 90 %",
-           help="Share of errors inside the 90 % interval, for estimates with a standard "
-           "deviation."),
+    *(Metric(f"coverage_{p}", f"errors in the {p} % interval", **PERCENT, better="",
+             head=f"in {p} %", help=f"Share of errors inside the {p} % interval, for estimates "
+             "with a standard deviation.") for p in (50, 90)),
 )  # fmt: skip
 def _uncertainty(scored: ScoredEstimate) -> tuple[float, ...]:
     return (np.nan,) * 3 if scored.std is None else heights.uncertainty(*scored.in_band, scored.std)

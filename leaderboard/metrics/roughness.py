@@ -25,7 +25,7 @@ THIRD_OCTAVES = 2.0 ** (np.arange(-9, 6) / 3.0)
 """Centres [cycles/m] of the third octaves of the error spectrum: 0.125 to 3.17."""
 
 _MAX_RATIO_DB = 60.0  # [dB]
-_IRI_SEGMENT_LENGTH = 100.0  # [m]
+_IRI_SEGMENT_LENGTH = 100.0  # [m] of the segments of an IRI, about
 _OCTAVE_CENTRES = (0.25, 0.5, 1.0, 2.0)  # [cycles/m] octaves in which classes are compared
 
 
@@ -89,7 +89,10 @@ def _fitted_line(scored: ScoredEstimate) -> tuple[float, ...]:
            "error of the international roughness index, relative to the true mean."),
 )  # fmt: skip
 def _iri_errors(scored: ScoredEstimate) -> tuple[float, ...]:
-    true, estimated = _iri(scored.y, scored.ds), _iri(scored.a, scored.ds)
+    motion = 1e3 * np.abs(golden_car(np.stack([scored.y, scored.a]), scored.ds))  # m/m to mm/m
+    count = max(1, round(scored.y.shape[-1] * scored.ds / _IRI_SEGMENT_LENGTH))
+    parts = [part.mean(axis=-1) for part in np.array_split(motion, count, axis=-1)]
+    true, estimated = np.transpose(parts, (1, 2, 0))
     error = float(np.mean(np.abs(estimated - true)))
     return error, error / float(true.mean()) if true.any() else np.nan
 
@@ -135,13 +138,6 @@ def _class_differences(n: np.ndarray, G_y: np.ndarray, G_a: np.ndarray, v: float
     index = np.vectorize(lambda G_d0: [*CLASSES].index(roughness_class(G_d0)), otypes=[int])
     true, estimated = index(levels)
     return estimated - true
-
-
-def _iri(z: np.ndarray, ds: float) -> np.ndarray:
-    """Return the IRI (2, segments) [mm/m] of whole segments of about 100 m."""
-    motion = 1e3 * np.abs(golden_car(z, ds))  # m/m to mm/m
-    segments = max(1, round(z.shape[-1] * ds / _IRI_SEGMENT_LENGTH))
-    return np.array([part.mean(axis=-1) for part in np.array_split(motion, segments, axis=-1)]).T
 
 
 def _fitted_G_d0(n: np.ndarray, G: np.ndarray, band: Band) -> float:

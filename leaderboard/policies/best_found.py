@@ -29,23 +29,15 @@ from road_envs.policies.rollout import VIOLATION_PRICE, Drives, Rollout, replay
 
 _HOLD_TIME = 0.2  # time [s] between choices of the beam
 
-_SWEEP_TIME, _HORIZON = 0.1, 2.4
-"""Time [s] between choices of a sweep, and over which they are compared."""
-
-_LONGEST_SECTION = 1.2
-"""Longest time [s] for which a choice of a sweep is held; times are uniform in their logarithm."""
-
+_SWEEP_TIME, _HORIZON = 0.1, 2.4  # [s] between choices of a sweep, and over which they are compared
+_LONGEST_SECTION = 1.2  # longest time [s] of a choice; times are uniform in their logarithm
 _SECTIONS = 3  # times for which each pair is tried at each choice
 
-_TRIAL_TIME, _FINALISTS = 0.4, LANES
-"""Time [s] after which only the best trials of a choice go on, and their number."""
-
+_TRIAL_TIME, _FINALISTS = 0.4, LANES  # time [s] after which only so many trials go on
 _WINDOW, _WINDOW_SWEEPS = 5.5, 5
 """Length [s] of the dearest window, and its sweeps after each one of the whole drive."""
 
-_HEAT, _COOLING = 0.02, 0.7
-"""Mean share by which the costs of trials are raised at first; share of the sweeps until none."""
-
+_HEAT, _COOLING = 0.02, 0.7  # mean rise of the costs of trials at first; share of sweeps until none
 SWEEPS = 6  # sweeps of the whole drive by default
 
 Progress = Callable[[str, float], None]

@@ -27,8 +27,7 @@ BEST_FOUND = "best found"  # name of the row of `best_found.search`
 REFERENCE = "rrms"  # policy that differences refer to by default
 PUBLIC_DRIVES = 8  # number of public drives; each is driven to both sides
 
-SHORTEST_SEAL = 16
-"""Number of characters of a seal: a policy can draw the drives of a thousand texts in a second."""
+_SHORTEST_SEAL = 16  # characters: a policy can draw the drives of a thousand texts in a second
 
 _SEARCH_SEEDS, _BOOTSTRAPS = (1, 2), 2000
 
@@ -68,9 +67,9 @@ def public_drives(number: int = PUBLIC_DRIVES, seal: str | None = None) -> Drive
 
     Raises ConfigError for a short `seal`.
     """
-    if seal is not None and len(seal) < SHORTEST_SEAL:
+    if seal is not None and len(seal) < _SHORTEST_SEAL:
         raise ConfigError(
-            f"the seal must have at least {SHORTEST_SEAL} characters, got {len(seal)}: a policy "
+            f"the seal must have at least {_SHORTEST_SEAL} characters, got {len(seal)}: a policy "
             "could guess it and draw the drives"
         )
     setup = Safe4S4Setup({"split": "test" if seal is None else "sealed", "seal": seal})

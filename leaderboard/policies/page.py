@@ -13,8 +13,7 @@ from road_envs.core.atomic_io import write_text
 
 _SHOWN_DRIVE = 0  # number of the drive that is shown over time
 
-_SHOWN_POLICIES = 8
-"""Policies of the chart and of the drive over time: the best of the table, and the reference."""
+_SHOWN_POLICIES = 8  # of charts: the best of the table, and the reference
 
 
 def timelines(comparison: Comparison) -> dict[str, Timeline]:
@@ -40,10 +39,7 @@ def _render_page(
     lines: Mapping[str, Timeline] = MappingProxyType({}),
     board: bool = False,
 ) -> str:
-    """Render the page from the data of a comparison and one drive of some policies.
-
-    It links to the leaderboard if there is a `board`.
-    """
+    """Render the page of a comparison; it links to the leaderboard if there is a `board`."""
     present = [group for group in GROUPS if any(group in r.get("groups", {}) for r in data["rows"])]
     return render(
         "site/policies.html",
@@ -83,5 +79,4 @@ def _score_chart(data: Mapping[str, Any]) -> Chart:
         }
         traces.append(trace | look)
     axes = {"xaxis": axis("drive", type="category"), "yaxis": axis("score [m²/s⁴]")}
-    layout = {"height": 420, **axes}
-    return chart("Score of each drive", {"": {"data": traces}}, layout)
+    return chart("Score of each drive", {"": {"data": traces}}, {"height": 420, **axes})

@@ -10,8 +10,7 @@
     time, memory   the limits of a comparison
 
 The result of a check that does not apply or that is refused is neither passed nor failed. The
-policy runs in a process of its own that is given observations and nothing else: it cannot see the
-road ahead, later observations or its score.
+policy runs in a process of its own (`policy_process`).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -44,8 +43,7 @@ SEEDS = range(4)  # seeds of the roads, one for each vehicle
 _REFUSALS = ("ConfigError", "ValueError", "NotImplementedError")
 """Errors by which a policy may refuse an action space or an observation on purpose."""
 
-_LONGEST_DRIVE = 30.0
-"""Duration [s] of the longest drive of a comparison, for which the run time is predicted."""
+_LONGEST_DRIVE = 30.0  # [s] of a comparison, for which the run time is predicted
 
 
 def check_policy(
@@ -61,22 +59,27 @@ def check_policy(
         except (PolicyError, ConfigError) as error:
             return [CheckResult("runs", False, str(error))]
         seconds = list(policy.act_seconds)
-        reward = {"own": first.returns.mean()}
-        for name in ("fixed_ride", "fixed_handling"):
-            reward[name] = roll_out(create(name), dict(OPTIONS), SEEDS).returns.mean()
+        ride, handling = (
+            roll_out(create(name), dict(OPTIONS), SEEDS).returns.mean()
+            for name in ("fixed_ride", "fixed_handling")
+        )
         spaces = {control: _short(policy, control=control) for control in ("vehicle", "axle")}
         fewer = {"accelerations alone": _short(policy, observe=["accelerations"])}
         ran = (
             f"{len(SEEDS)} lane changes on class D, in a process of its own: return "
-            f"{reward['own']:.2f}, always ride {reward['fixed_ride']:.2f}, always handling "
-            f"{reward['fixed_handling']:.2f}"
+            f"{first.returns.mean():.2f}, always ride {ride:.2f}, always handling {handling:.2f}"
         )
+
+        def driven_twice() -> _Verdict:
+            with PolicyProcess(reference, settings, limits) as fresh:
+                return _again(fresh, first.actions, "driven twice")
+
         results = [
             CheckResult("runs", True, ran),
             _attempt("actions", lambda: _with_refusals(spaces), policy),
             _attempt("observations", lambda: _with_refusals(fewer), policy),
-            _attempt("repeat", lambda: _repeat(reference, settings, limits, first.actions), policy),
-            _attempt("reset", lambda: _reset(policy, first.actions), policy),
+            _attempt("repeat", driven_twice, policy),
+            _attempt("reset", lambda: _again(policy, first.actions, "after other drives"), policy),
             _attempt("vehicles", lambda: _alone(policy, first.actions), policy),
             _attempt("sensors", lambda: _damaged_sensors(policy, first.observations), policy),
         ]
@@ -113,14 +116,8 @@ def _short(policy: PolicyProcess, **changed: Any) -> Callable[[], object]:
     return lambda: roll_out(policy, options, SEEDS[:2], store_observations=False)
 
 
-def _repeat(reference, settings, limits, actions: np.ndarray) -> _Verdict:
-    with PolicyProcess(reference, settings, limits) as fresh:
-        return _compare(roll_out(fresh, dict(OPTIONS), SEEDS).actions, actions, "driven twice")
-
-
-def _reset(policy: PolicyProcess, actions: np.ndarray) -> _Verdict:
-    again = roll_out(policy, dict(OPTIONS), SEEDS).actions
-    return _compare(again, actions, "after other drives")
+def _again(policy: PolicyProcess, actions: np.ndarray, when: str) -> _Verdict:
+    return _compare(roll_out(policy, dict(OPTIONS), SEEDS).actions, actions, when)
 
 
 def _alone(policy: PolicyProcess, actions: np.ndarray) -> _Verdict:

@@ -26,10 +26,8 @@ from road_envs.core.config import ConfigError
 from road_envs.policies import FILE_SUFFIXES, entry_point, runs_foreign_code
 from road_envs.policies.api import PolicyContext, PolicyError
 
-STARTUP_SECONDS = 60.0  # time [s] in which the process must have loaded the policy
-
-LONGEST_COMPARISON = 1e5
-"""Time [s] after which the kernel ends a process, which serves all cases of a comparison."""
+_STARTUP_SECONDS = 60.0  # time [s] in which the process must have loaded the policy
+_LONGEST_COMPARISON = 1e5  # time [s] of all its cases, after which the kernel ends a process
 
 POLICY_LIMITS = Limits(seconds=120.0, memory=2.0, isolation="process")
 """Limits of a policy: the time is that for all vehicles of a case. Only code from outside this
@@ -89,12 +87,10 @@ class PolicyProcess:
 
     def close(self) -> None:
         """Kill the process and its children."""
-        if self._guest is not None:
-            self._guest.close()
-            self._guest = None
-        if self._temp is not None:
-            self._temp.close()
-            self._temp = None
+        for each in (self._guest, self._temp):
+            if each is not None:
+                each.close()
+        self._guest = self._temp = None
 
     def _start(self) -> Guest:
         self._temp = self._temp or TempFolder()
@@ -104,7 +100,7 @@ class PolicyProcess:
             self._forget_others()
         self._count += 1
         home, module = self._temp.path / str(self._count), policy_handler.__name__
-        limits = replace(self.limits, seconds=LONGEST_COMPARISON)
+        limits = replace(self.limits, seconds=_LONGEST_COMPARISON)
         return start_guest(module, home, limits, isolated=code is not None, code=code)
 
     def _code(self, folder: Path) -> Path | None:
@@ -146,7 +142,7 @@ class PolicyProcess:
             if self._guest is None:
                 self._guest = self._start()
             if task == "reset":
-                self._guest.start_run(replace(self.limits, seconds=STARTUP_SECONDS))
+                self._guest.start_run(replace(self.limits, seconds=_STARTUP_SECONDS))
             named = {"reference": self.reference, "settings": self.settings}
             request = messages.encode({"do": task, **(named if task == "reset" else {})}, [data])
             head, actions = self._guest.call(request, size_of_actions)

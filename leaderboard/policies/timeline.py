@@ -14,20 +14,12 @@ from road_envs.vehicle.suspension import MODES, WHEELS, decode_commands
 _POINTS_PER_SECOND = 50.0  # sample rate [Hz] of the drawn curves
 
 MODE_NAMES = tuple(MODES)
-_MODE_COLOURS = {
+_MODE_COLOURS = {  # ride mode is drawn as a gap
     "handling": "var(--line-0)",
     "soft_high": "var(--line-1)",
     "stiff_low": "var(--line-3)",
 }
-"""Colours of the states; ride mode is drawn as a gap."""
-
-_LOAD_COLOURS = (INK, "var(--line-1)", "var(--line-2)", "var(--line-3)")
-"""Colours of the loads of WHEELS."""
-
-_AXLES = ("rear", "front")  # axles in the order of their strips, from below
-
-_DOMAINS = ((0.80, 1.0), (0.58, 0.72), (0.27, 0.50), (0.0, 0.19))
-"""Share of the height of each panel."""
+_LOAD_COLOURS = (INK, "var(--line-1)", "var(--line-2)", "var(--line-3)")  # of WHEELS
 
 
 class Timeline(NamedTuple):
@@ -70,8 +62,8 @@ class Timeline(NamedTuple):
         return cls(motion.t, motion.tyre_load.T, np.array(states), heave, roll)
 
     def curves(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return tyre loads (4, T) [kN], heave acceleration (1, T) [m/s²] and roll (1, T) [deg]."""
-        return 0.001 * self.loads, self.acceleration[None], np.degrees(self.roll)[None]
+        """Return tyre loads (4, T) [kN], heave acceleration (T,) [m/s²] and roll (T,) [deg]."""
+        return 0.001 * self.loads, self.acceleration, np.degrees(self.roll)
 
 
 def drive_chart(timelines: Mapping[str, Timeline]) -> Chart:
@@ -84,15 +76,18 @@ def drive_chart(timelines: Mapping[str, Timeline]) -> Chart:
     seconds = max(float(line.t[-1] - line.t[0]) for line in timelines.values())
     time = axis("time [s]", 0.0, rounded(seconds, 4), anchor="y4")
     layout = {"height": 480, "barmode": "overlay", "xaxis": time}
-    names = ("yaxis", "yaxis2", "yaxis3", "yaxis4")
-    axes = (
-        axis("tyre load [kN]", 0.0, load),
-        axis("", type="category", categoryorder="array", categoryarray=_AXLES, range=[-0.5, 1.5]),
-        axis("heave [m/s²]", -heave, heave),
-        axis("roll [deg]", -roll, roll),
-    )
-    for name, one, domain in zip(names, axes, _DOMAINS, strict=True):
-        layout[name] = {**one, "domain": domain, "nticks": 4}
+    strips: dict[str, Any] = {
+        "type": "category",
+        "categoryorder": "array",
+        "categoryarray": ("rear", "front"),
+    }
+    axes = {  # from above, each with its share of the height
+        "yaxis": (axis("tyre load [kN]", 0.0, load), (0.80, 1.0)),
+        "yaxis2": (axis("", **strips, range=[-0.5, 1.5]), (0.58, 0.72)),
+        "yaxis3": (axis("heave [m/s²]", -heave, heave), (0.27, 0.50)),
+        "yaxis4": (axis("roll [deg]", -roll, roll), (0.0, 0.19)),
+    }
+    layout |= {name: {**one, "domain": part, "nticks": 4} for name, (one, part) in axes.items()}
     figures = {name: {"data": _drive_data(line)} for name, line in timelines.items()}
     return chart("One drive over time", figures, layout, by=("policy",))
 
@@ -104,8 +99,8 @@ def _drive_data(line: Timeline) -> list[dict[str, Any]]:
             (f"load {wheel}", load, "y", colour, f"{wheel} %{{y:.1f}} kN")
             for wheel, load, colour in zip(WHEELS, loads, _LOAD_COLOURS, strict=True)
         ),
-        ("heave acceleration", heave[0], "y3", INK, "%{y:.2f} m/s²"),
-        ("roll", roll[0], "y4", INK, "%{y:.2f}°"),
+        ("heave acceleration", heave, "y3", INK, "%{y:.2f} m/s²"),
+        ("roll", roll, "y4", INK, "%{y:.2f}°"),
     )
     spacing = rounded(float(line.t[1] - line.t[0]), 6)
     data = [
@@ -127,24 +122,21 @@ def _drive_data(line: Timeline) -> list[dict[str, Any]]:
 
 def _state_bars(line: Timeline) -> list[dict[str, Any]]:
     """Return a bar for each time in which an axle is commanded to another state than ride."""
-    bars: dict[str, dict[str, list[Any]]] = {
-        mode: {"y": [], "base": [], "x": []} for mode in _MODE_COLOURS
-    }
+    bars: dict[str, list[tuple[str, float, float]]] = {mode: [] for mode in _MODE_COLOURS}
     t = line.t - line.t[0]
     for axle, states in zip(("front", "rear"), line.states, strict=True):
         changes = np.flatnonzero(np.diff(states)) + 1
         for first, end in zip([0, *changes], [*changes, t.size - 1], strict=True):
             mode = MODE_NAMES[states[first]]
             if mode in bars and end > first:
-                bars[mode]["y"].append(axle)
-                bars[mode]["base"].append(round(float(t[first]), 3))
-                bars[mode]["x"].append(round(float(t[end] - t[first]), 3))
+                begin, duration = (round(float(x), 3) for x in (t[first], t[end] - t[first]))
+                bars[mode].append((axle, begin, duration))
     return [
         {
             "type": "bar",
             "orientation": "h",
             "name": mode.replace("_", " "),
-            **bars[mode],
+            **{key: [bar[k] for bar in bars[mode]] for k, key in enumerate(("y", "base", "x"))},
             "yaxis": "y2",
             "width": 0.7,
             "marker": {"color": colour},

@@ -16,8 +16,7 @@ from road_envs.core.atomic_io import atomic_write
 from road_envs.core.config import ConfigError
 from road_envs.core.extras import optional_import
 
-_EDGE_TOLERANCE = 40
-"""Largest error, of 255, of an edge pixel kept from the last frame of a GIF, to save space."""
+_EDGE_TOLERANCE = 40  # largest error, of 255, of an edge pixel kept from the last frame of a GIF
 
 
 def animate(
@@ -48,21 +47,17 @@ def animate(
             if terminated or truncated:
                 return
 
-    _save(frames(), path, rate)
-    progress("done", 1.0)
-
-
-def _save(frames: Iterator[np.ndarray], path: Path, rate: float) -> None:
     with optional_import("a picture"):
         from PIL import Image
 
     kind = path.suffix.upper().removeprefix(".")
-    images = _quantized(frames) if kind == "GIF" else map(Image.fromarray, frames)
+    images = _quantized(frames()) if kind == "GIF" else map(Image.fromarray, frames())
     first = next(images)
     options = {"save_all": True, "append_images": images, "duration": 1000.0 / rate, "loop": 0}
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path) as partial:
         first.save(partial, kind, optimize=True, **options)
+    progress("done", 1.0)
 
 
 def _quantized(frames: Iterator[np.ndarray]) -> Iterator[Any]:

@@ -8,9 +8,7 @@ from leaderboard.metrics.registry import SCORES
 from road_envs.core.config import folder, read_yaml, validate_choice
 
 WORST = "worst"
-TAIL = {"above_0.3": 0.3, "above_1": 1.0}
-"""Thresholds of the ranking score by column; the column shows the share of drives above it."""
-
+TAIL = {"above_0.3": 0.3, "above_1": 1.0}  # columns of the share of drives above
 BELOW_BOUND = "below_bound"
 BOUND_NAME = "bound of a linear car without friction, from data below 25 Hz"
 """Name of the bound; estimators that use the nonlinear car and higher frequencies may be below."""

@@ -27,9 +27,7 @@ _HEIGHT_UNIT = 1e-4  # unit [m] of encoded heights
 _DRAWN_HEIGHT_LIMIT = 3.0  # drawn heights are clipped to +- this [m]
 _RAW_SPACING = 0.05  # least spacing [m] at which raw heights are drawn
 
-_IN_BAND_SPACING = 0.1
-"""Least spacing [m] at which band-passed heights are drawn: 5 points of the shortest wave."""
-
+_IN_BAND_SPACING = 0.1  # least spacing [m] of band-passed heights: 5 points of the shortest wave
 _KINDS = ("inside", "raw")
 """Drawn heights: inside the scored band, and about their median, as no sensor knows the datum."""
 
@@ -38,11 +36,8 @@ _CLASS_FREQUENCIES = (0.05, 10.0)  # range [cycles/m] of the chart of densities
 _THRESHOLDS = 41  # points of a performance profile, from 0 to the scale of the board
 _REPLICATES = 300  # bootstrap replicates of a performance profile: enough for a drawn line
 
-_SYMBOLS = {"detected": "circle-open", "missed": "x-thin-open", "false alarm": "diamond-open"}
-
 
 def _frequency_axis(low: float, high: float) -> Any:
-    """Return a logarithmic axis of spatial frequency between two frequencies [cycles/m]."""
     ticks = [n for n in (0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10) if low <= n <= high]
     label = "spatial frequency [cycles/m]"
     ends = (fig.rounded(math.log10(low)), fig.rounded(math.log10(high)))
@@ -64,11 +59,11 @@ def task_charts(
     task: Task, definition: BoardDefinition, results: Mapping[str, Result], rows: Mapping[str, Row]
 ) -> dict[str, fig.Chart]:
     """Return the charts of a task by name, with the given results in their order, best first."""
-    traces = [
-        {name: r.traces[k] for name, r in results.items() if len(r.traces) > k}
-        for k in range(len(task.conditions))
-    ]
-    drawn = {c: t for c, t in zip(task.conditions, traces, strict=True) if t}
+    drawn = {
+        condition: traces
+        for k, condition in enumerate(task.conditions)
+        if (traces := {name: r.traces[k] for name, r in results.items() if len(r.traces) > k})
+    }
     charts = {
         "road": _road_chart(drawn),
         "density": _density_chart(drawn),
@@ -98,6 +93,10 @@ def _visibility(k: int) -> dict[str, Any]:
     return {} if k < _N_SHOWN else {"visible": "legendonly"}
 
 
+def _look_of_entry(k: int, name: str) -> dict[str, Any]:
+    return {"line": fig.line_style(name), **_visibility(k)}
+
+
 def height_lines(traces: Mapping[str, Trace], side: int, kind: str) -> list[dict[str, Any]]:
     """Return the truth and the estimates of one wheel path, _N_SHOWN of them visible at first."""
     reference = next(iter(traces.values()))
@@ -108,8 +107,9 @@ def height_lines(traces: Mapping[str, Trace], side: int, kind: str) -> list[dict
         line = _height_line(name, trace, trace.z_estimated, side, kind)
         if kind == "inside" and trace.z_std is not None:
             first, stride = (round(line[key] / trace.ds) for key in ("x0", "dx"))
-            line["std"] = _encode_std(trace.z_std[side, first::stride][: len(line["dy"])])
-        lines.append(line | {"line": fig.line_style(name)} | _visibility(k))
+            std = np.minimum(trace.z_std[side, first::stride], _DRAWN_HEIGHT_LIMIT) / _HEIGHT_UNIT
+            line["std"] = np.rint(std).astype(int).tolist()[: len(line["dy"])]
+        lines.append(line | _look_of_entry(k, name))
     return lines
 
 
@@ -120,21 +120,11 @@ def _height_line(name: str, trace: Trace, z: np.ndarray, side: int, kind: str) -
         drawn = band_pass(z, trace.ds, scored_band(trace.speed_kmh / 3.6))
         spacing = _IN_BAND_SPACING
     first, stride = (z.shape[1] - drawn.shape[1]) // 2, max(1, round(spacing / trace.ds))
-    heights = _encode_heights(drawn[side, ::stride])
-    at = {"x0": fig.rounded(first * trace.ds), "dx": fig.rounded(stride * trace.ds), "dy": heights}
+    limited = np.clip(drawn[side, ::stride], -_DRAWN_HEIGHT_LIMIT, _DRAWN_HEIGHT_LIMIT)
+    steps = np.diff(np.rint(limited / _HEIGHT_UNIT).astype(int), prepend=0).tolist()
+    at = {"x0": fig.rounded(first * trace.ds), "dx": fig.rounded(stride * trace.ds), "dy": steps}
     look = {"legendgroup": name, "mode": "lines", "hovertemplate": "%{y:.1f} mm"}
     return {"name": name, **at, **look}
-
-
-def _encode_heights(z: np.ndarray) -> list[int]:
-    """Return the differences of heights (N,) [m], in units of _HEIGHT_UNIT."""
-    limited = np.clip(z, -_DRAWN_HEIGHT_LIMIT, _DRAWN_HEIGHT_LIMIT)
-    return np.diff(np.rint(limited / _HEIGHT_UNIT).astype(int), prepend=0).tolist()
-
-
-def _encode_std(std: np.ndarray) -> list[int]:
-    """Return standard deviations (N,) [m] in units of _HEIGHT_UNIT."""
-    return np.rint(np.minimum(std, _DRAWN_HEIGHT_LIMIT) / _HEIGHT_UNIT).astype(int).tolist()
 
 
 def _road_chart(drawn: Mapping[Condition, Mapping[str, Trace]]) -> fig.Chart:
@@ -160,16 +150,17 @@ def _obstacle_marks(traces: Mapping[str, Trace], side: int) -> list[dict[str, An
     found = true_obstacles(reference.z_true, reference.ds)[side]
     marks = [_marks("truth", "true obstacle", found, "triangle-down", fig.INK)] if found else []
     for k, (name, trace) in enumerate(traces.items()):
-        matches = match_obstacles(trace.z_true, trace.z_estimated, trace.ds)
-        if matches is None:
+        if (matches := match_obstacles(trace.z_true, trace.z_estimated, trace.ds)) is None:
             continue
         pairs, missed, false = matches[side]
-        kinds = ([mine for _, mine in pairs], missed, false)
-        for obstacles, (kind, symbol) in zip(kinds, _SYMBOLS.items(), strict=True):
+        look = fig.colour(name)
+        for kind, symbol, obstacles in (
+            ("detected", "circle-open", [mine for _, mine in pairs]),
+            ("missed", "x-thin-open", missed),
+            ("false alarm", "diamond-open", false),
+        ):
             if obstacles:
-                marks.append(
-                    _marks(name, kind, obstacles, symbol, fig.colour(name)) | _visibility(k)
-                )
+                marks.append(_marks(name, kind, obstacles, symbol, look) | _visibility(k))
     return marks
 
 
@@ -189,21 +180,32 @@ def _marks(
 
 
 def _density_chart(drawn: Mapping[Condition, Mapping[str, Trace]]) -> fig.Chart:
+    """Return densities over areas of every second class: half to twice its mean, of waviness 2."""
+    n = list(_CLASS_FREQUENCIES)
+    means = {x: [G * (m / N_0) ** -2.0 for m in n] for x, G in CLASSES.items() if x in "ACEG"}
+    look: dict[str, Any] = {"fillcolor": fig.BAND, "name": "class"}
+    areas = [
+        fig.area(n, [0.5 * G for G in mean], [2.0 * G for G in mean], **look)
+        for mean in means.values()
+    ]
+    look = {"showarrow": False, "xanchor": "right", "font": {"color": fig.QUIET}}
+    letters = [  # annotations take powers of ten
+        {"text": letter, "x": np.log10(n[1]), "y": fig.rounded(y, 4), **look}
+        for letter, mean in means.items()
+        if (y := np.log10(mean[1])) > -9
+    ]
     figures = {}
     for condition, traces in drawn.items():
         reference = next(iter(traces.values()))
         lines = [_density("truth", reference.z_true, reference.ds) | {"line": fig.TRUTH_LINE}]
         for k, (name, trace) in enumerate(traces.items()):
             line = _density(name, trace.z_estimated, trace.ds)
-            lines.append(line | {"line": fig.line_style(name)} | _visibility(k))
-        figures[condition.label] = {
-            "data": [*_class_areas(), *lines],
-            "layout": {"shapes": [fig.upright(n) for n in scored_band(condition.speed_kmh / 3.6)]},
-        }
+            lines.append(line | _look_of_entry(k, name))
+        figures[condition.label] = {"data": [*areas, *lines], "layout": _band_edges(condition)}
     layout = {
         "xaxis": _frequency_axis(*_CLASS_FREQUENCIES),
         "yaxis": fig.axis("density [m³]", -9, -1, type="log", exponentformat="power", dtick=2),
-        "annotations": _class_letters(),
+        "annotations": letters,
     }
     title = "Displacement spectral densities over the classes of ISO 8608"
     return fig.chart(title, figures, layout, by=("condition",))
@@ -217,31 +219,8 @@ def _density(name: str, z: np.ndarray, ds: float) -> dict[str, Any]:
     return fig.curve(name, [fig.rounded(x, 4) for x in n], y, hovertemplate=hover)
 
 
-def _class_areas() -> list[dict[str, Any]]:
-    """Return the areas of every second class; its densities are half to twice the mean."""
-    n = list(_CLASS_FREQUENCIES)
-    means = list(CLASSES.values())[::2]
-    return [
-        fig.area(n, _class_line(0.5 * G), _class_line(2.0 * G), fillcolor=fig.BAND, name="class")
-        for G in means
-    ]
-
-
-def _class_letters() -> list[dict[str, Any]]:
-    """Return letters of the shaded classes at the right edge; annotations take powers of ten."""
-    n = _CLASS_FREQUENCIES[1]
-    look = {"showarrow": False, "xanchor": "right", "font": {"color": fig.QUIET}}
-    at = {letter: np.log10(_class_line(G)[1]) for letter, G in CLASSES.items()}
-    return [
-        {"text": letter, "x": np.log10(n), "y": fig.rounded(y, 4), **look}
-        for letter, y in at.items()
-        if y > -9 and letter in "ACEG"
-    ]
-
-
-def _class_line(level: float) -> list[float]:
-    # ISO 8608 classes have waviness 2
-    return [level * (n / N_0) ** -2.0 for n in _CLASS_FREQUENCIES]
+def _band_edges(condition: Condition) -> dict[str, Any]:
+    return {"shapes": [fig.upright(n) for n in scored_band(condition.speed_kmh / 3.6)]}
 
 
 def error_lines(rows: Mapping[str, Row], group: str) -> list[dict[str, Any]]:
@@ -252,14 +231,12 @@ def error_lines(rows: Mapping[str, Row], group: str) -> list[dict[str, Any]]:
         y = [
             None if (x := values.get(key)) is None else fig.rounded(x, 4) for key in SPECTRUM_SCORES
         ]
-        look = {"line": fig.line_style(name), "hovertemplate": _ERROR_HOVER}
-        lines.append(fig.curve(name, THIRD_OCTAVES, y, **look, **_visibility(k)))
+        look = _look_of_entry(k, name) | {"hovertemplate": _ERROR_HOVER}
+        lines.append(fig.curve(name, THIRD_OCTAVES, y, **look))
     return lines
 
 
-_BOUNDS: dict[tuple[str, str], list[float]] = {}
-"""Bounds by task and condition: every page of an estimator shows them."""
-
+_BOUNDS: dict[tuple[str, str], list[float]] = {}  # by task and condition, for every page
 _ERROR_HOVER = "%{y:.3f} at %{x:.2f} cycles/m"
 
 
@@ -276,7 +253,7 @@ def _error_chart(task: Task, rows: Mapping[str, Row]) -> fig.Chart:
     figures = {
         condition.label: {
             "data": [bound_line(task, condition), *error_lines(rows, condition.label)],
-            "layout": {"shapes": [fig.upright(n) for n in scored_band(condition.speed_kmh / 3.6)]},
+            "layout": _band_edges(condition),
         }
         for condition in task.conditions
     }

@@ -35,11 +35,10 @@ def cite_entry(out: Path, name: str) -> str:
     validate_choice("entry", name, sorted({path.stem for path in paths}))
     rows = [load(path) for path in paths if path.stem == name]
     card = find_method_card(out, name)
-    authors = ""
+    authors, note = "", _what_ran(rows)
     if card is not None:
         authors = f"\n  author = {{{_escape(' and '.join(card.authors))}}},"
-    reference = "none" if card is None else card.citation
-    note = _what_ran(rows) + (f"; {reference}" if reference != "none" else "")
+        note += f"; {card.citation}" if card.citation != "none" else ""
     return _fill("entry.bib", name=name, authors=authors, note=_escape(note))
 
 

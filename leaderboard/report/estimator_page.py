@@ -25,11 +25,9 @@ from leaderboard.running.board import Board
 _WORST_DRIVES = 3  # number of drives of a task with the largest errors that are listed
 _LABEL_LENGTH = 20  # length at which the name of a group is continued on a second line [characters]
 
-_NOMINAL_SHARES = np.linspace(0.05, 0.95, 19)
-"""Probabilities of the intervals of a calibration chart."""
+_NOMINAL_SHARES = np.linspace(0.05, 0.95, 19)  # probabilities of intervals that are calibrated
 
-_Evaluated = tuple[Task, Result, Row, Section, BoardDefinition]
-"""One result with its task and its row on the board."""
+_Evaluated = tuple[Section, Result, Row, BoardDefinition]  # a row of a board
 
 
 def page_values(
@@ -43,9 +41,9 @@ def page_values(
         for row in section.rows
         if row.name == name
     ]
-    by_task = {task.name: (task, result) for task, result in results}
+    by_task = {task.name: result for task, result in results}
     evaluated = [
-        (*by_task[section.task], row, section, view.definition)
+        (section, by_task[section.task.name], row, view.definition)
         for view, section, row in rows
         if row.state in ("scored", "baseline")
     ]
@@ -67,12 +65,12 @@ def page_values(
         ),
         "rows": rows,
         "charts": _charts(evaluated),
-        "tasks": [task for task, *_ in evaluated],
-        "cost": [_cost(task, result) for task, result, *_ in evaluated],
+        "tasks": [section.task for section, *_ in evaluated],
+        "cost": [_cost(result) for _, result, *_ in evaluated],
         "worst": [
             drive
-            for task, result, _, _, definition in evaluated
-            for drive in _worst_drives(task, result, definition.ranks_by)
+            for _, result, _, definition in evaluated
+            for drive in _worst_drives(result, definition.ranks_by)
         ],
         "failures": [(task, result.failure) for task, result in results if result.failure],
         "results": [(task, one, _result_provenance(board, task, one)) for task, one in results],
@@ -94,24 +92,31 @@ def _result_provenance(board: Board, task: Task, result: Result) -> list[tuple[s
 
 def _charts(evaluated: Sequence[_Evaluated]) -> dict[str, fig.Chart]:
     """Return the charts of an estimator that are not empty, with a figure for each task."""
+    ranked = {
+        "margin": {"l": 8, "r": 12, "t": 34, "b": 44},
+        "showlegend": False,
+        "bargap": 0.3,
+        "yaxis": fig.axis("", autorange="reversed", showgrid=False, fixedrange=True),
+    }
+    shares = {
+        "xaxis": fig.axis("stated probability [%]", 0.0, 100.0),
+        "yaxis": fig.axis("errors inside [%]", 0.0, 100.0),
+    }
     made: dict[str, tuple[str, dict[str, Any], Callable[..., dict[str, Any] | None]]] = {
-        "errors": ("Error by condition and family", _ERROR_LAYOUT, _error_figure),
+        "errors": ("Error by condition and family", ranked, _error_figure),
         "spectrum": ("Error over spatial frequency", ERROR_AXES, _spectrum_figure),
-        "calibration": (
-            "Calibration of the stated intervals", _CALIBRATION_LAYOUT, _calibration_figure,
-        ),
-    }  # fmt: skip
+        "calibration": ("Calibration of the stated intervals", shares, _calibration_figure),
+    }
     return {
         name: fig.chart(title, figures, layout, by=("task",))
         for name, (title, layout, draw) in made.items()
-        if (figures := {one[0].name: figure for one in evaluated if (figure := draw(*one))})
+        if (figures := {one[0].task.name: figure for one in evaluated if (figure := draw(*one))})
     }
 
 
 def _method(name: str) -> dict[str, Any] | None:
     """Paragraphs of the docstrings of an estimator's module and class; None of another package."""
-    cls = REGISTRY.get(name)
-    if cls is None:
+    if (cls := REGISTRY.get(name)) is None:
         return None
     return {
         "paragraphs": _paragraphs(inspect.getmodule(cls)),
@@ -132,20 +137,8 @@ def _paragraphs(documented: object) -> list[tuple[str, bool]]:
     ]
 
 
-_ERROR_LAYOUT = {
-    "margin": {"l": 8, "r": 12, "t": 34, "b": 44},
-    "showlegend": False,
-    "bargap": 0.3,
-    "yaxis": fig.axis("", autorange="reversed", showgrid=False, fixedrange=True),
-}
-_CALIBRATION_LAYOUT = {
-    "xaxis": fig.axis("stated probability [%]", 0.0, 100.0),
-    "yaxis": fig.axis("errors inside [%]", 0.0, 100.0),
-}
-
-
 def _error_figure(
-    task: Task, result: Result, row: Row, section: Section, definition: BoardDefinition
+    section: Section, result: Result, row: Row, definition: BoardDefinition
 ) -> dict[str, Any] | None:
     """Return the ranking score over all runs and by condition and family, with intervals."""
     key, score = definition.ranks_by, COLUMNS[definition.ranks_by]
@@ -172,14 +165,13 @@ def _error_figure(
     return {"data": [bars], "layout": layout}
 
 
-def _spectrum_figure(task: Task, result: Result, row: Row, *_: Any) -> dict[str, Any]:
-    """Return the error over spatial frequency, with the bound under the first condition."""
-    condition = task.conditions[0]
-    bound = bound_line(task, condition) | {"name": f"bound, {condition.label}"}
+def _spectrum_figure(section: Section, result: Result, row: Row, *_: Any) -> dict[str, Any]:
+    condition = section.task.conditions[0]
+    bound = bound_line(section.task, condition) | {"name": f"bound, {condition.label}"}
     return {"data": [bound, *error_lines({row.name: row}, "")]}
 
 
-def _calibration_figure(task: Task, result: Result, *_: Any) -> dict[str, Any] | None:
+def _calibration_figure(section: Section, result: Result, *_: Any) -> dict[str, Any] | None:
     """Return the share of errors inside intervals of every probability; None without intervals.
 
     The errors are those of the stored start of one drive under each condition, in the scored band.
@@ -211,29 +203,25 @@ def _standardized(trace: Trace) -> np.ndarray:
     return np.abs(errors[inside > 0.0]) / inside[inside > 0.0]
 
 
-def _worst_drives(task: Task, result: Result, key: str) -> list[tuple[str, ...]]:
+def _worst_drives(result: Result, key: str) -> list[tuple[str, ...]]:
     """Return task, road, condition, training seed and error of the worst of several drives."""
     runs = result.scores[result.scores["score"] == key]
     if len(runs) < 2:
         return []
     form = COLUMNS[key]
     return [
-        (task.name, f"{run.road}, seed {run.road_seed}", run.condition, f"{run.seed}",
+        (result.task, f"{run.road}, seed {run.road_seed}", run.condition, f"{run.seed}",
          form.text(run.value))
         for run in runs.nlargest(_WORST_DRIVES, "value").itertuples()
     ]  # fmt: skip
 
 
-def _cost(task: Task, result: Result) -> tuple[str, ...]:
+def _cost(result: Result) -> tuple[str, ...]:
     """Return task, time per 100 m, time of a training, parameters and memory of an estimator."""
-    return (
-        task.name,
-        _text(result.estimate_ms_per_100m, "{:.0f} ms"),
-        _text(train_seconds(result), "{:.1f} s"),
-        _text(result.parameters or None, "{:d}"),
-        _text(result.peak_memory, "{:.2f} GiB"),
+    values = (
+        (result.estimate_ms_per_100m, "{:.0f} ms"),
+        (train_seconds(result), "{:.1f} s"),
+        (result.parameters or None, "{:d}"),
+        (result.peak_memory, "{:.2f} GiB"),
     )
-
-
-def _text(value: float | None, form: str) -> str:
-    return UNDEFINED if value is None else form.format(value)
+    return result.task, *(UNDEFINED if x is None else form.format(x) for x, form in values)

@@ -10,7 +10,7 @@
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from leaderboard.evaluation.results import COLUMNS, scores_table
 from leaderboard.metrics.registry import SCORES
@@ -21,52 +21,43 @@ from leaderboard.running.board import Board
 from road_envs.core.atomic_io import atomic_write, write_text
 from road_envs.sensing.perturbed_vehicle import GRADES
 
-if TYPE_CHECKING:
-    import pandas as pd
-
-_FOLDER = "export"
 _ROW_FIELDS = ("board", "task", "group", "estimator", "state", "causal", "text")
 _NUMBER_FIELDS = (
     "rank", "rank_causal", "low", "high", *SCORES,
     WORST, *TAIL, *(f"grade_{grade}" for grade in GRADES), "slope", "slope_low", "slope_high",
     "train_seconds", "calibrate_seconds", "estimate_ms_per_100m", "parameters",
 )  # fmt: skip
-_FORMULA_SIGNS = ("=", "+", "-", "@", "\t", "\r")
-"""First characters by which a spreadsheet takes a text for a formula."""
+_FORMULA_SIGNS = ("=", "+", "-", "@", "\t", "\r")  # first of a formula in a spreadsheet
 
 
 def write_exports(board: Board, views: Sequence[BoardView], out: Path) -> None:
     """Write all exports, each atomically."""
+    import pandas as pd
+
     boards = ", ".join(view.board.replace("_", " ") for view in views)
     texts = {"road_recon.bib": as_bibtex(f"results of board {boards}")}
-    (out / _FOLDER).mkdir(parents=True, exist_ok=True)
+    folder = out / "export"
+    folder.mkdir(parents=True, exist_ok=True)
+    scored = {task.name: board.scored(task) for task in board.tasks}
     for view in views:
         texts[f"{view.board}.csv"] = _as_csv(view)
         texts[f"{view.board}.json"] = json.dumps(as_json([view]), indent=1) + "\n"
         texts[f"{view.board}.tex"] = "\n".join(_as_latex(view, s) for s in view.sections)
-        with atomic_write(out / _FOLDER / f"{view.board}.parquet") as partial:
-            _long_table(board, view).to_parquet(partial, index=False)
+        names = [section.task.name for section in view.sections]
+        runs = pd.concat([scores_table(scored[name]).assign(task=name) for name in names])
+        with atomic_write(folder / f"{view.board}.parquet") as partial:
+            runs[["task", "estimator", *COLUMNS]].to_parquet(partial, index=False)
     for name, text in texts.items():
-        write_text(out / _FOLDER / name, text)
-
-
-def _long_table(board: Board, view: BoardView) -> "pd.DataFrame":
-    """Return the scores of all runs of a board by task, and in each by entry."""
-    import pandas as pd
-
-    scored = {task.name: board.scored(task) for task in board.tasks}
-    names = [section.task for section in view.sections]
-    parts = [scores_table(scored[name]).assign(task=name) for name in names]
-    return pd.concat(parts, ignore_index=True)[["task", "estimator", *COLUMNS]]
+        write_text(folder / name, text)
 
 
 def as_json(views: Sequence[BoardView]) -> list[dict[str, Any]]:
     """Return the rows as plain data: boards, their tasks, and the numbers of each entry."""
     return [
         {
-            "task": section.task,
+            "task": section.task.name,
             "board": view.board,
-            "title": section.title,
+            "title": section.task.heading,
             "notes": list(section.notes),
             "entries": [
                 {"name": row.name, "state": row.state, "text": row.message, "causal": row.causal}
@@ -84,7 +75,7 @@ def _as_csv(view: BoardView) -> str:
     import pandas as pd
 
     lines: list[dict[str, Any]] = [
-        {"board": view.board, "task": section.task, "group": group, "estimator": row.name}
+        {"board": view.board, "task": section.task.name, "group": group, "estimator": row.name}
         | {"state": row.state, "causal": row.causal, "text": row.message, **values}
         for section in view.sections
         for row in section.rows
@@ -111,4 +102,4 @@ def _as_latex(view: BoardView, section: Section) -> str:
         lines.append([row.name, *cells])
     table = pd.DataFrame(lines, columns=["estimator", *heads]).map(lambda x: " ".join(x.split()))
     text = table.to_latex(index=False, escape=True, column_format="l" + "r" * len(heads))
-    return f"% {section.task}: {' '.join(section.title.split())}\n{text}"
+    return f"% {section.task.name}: {' '.join(section.task.heading.split())}\n{text}"

@@ -34,11 +34,13 @@ def section_notes(
     scored = board.scored(task)
     drives = f"{level_drives} drive{'s' * (level_drives > 1)}"
     level = f"On {drives} nobody has a score, as on a level road."
+    results = [*scored, *board.failed(task)]  # of a file, they note what was changed on its surface
+    surface = dict.fromkeys(x for r in results for x in r.notes if x not in _own_notes(r))
     return (
         *([PUBLIC_ROADS] if task.is_public else []),
         *([level] if level_drives else []),
         *_protocol_notes(task, scored),
-        *_surface_notes(task, [*scored, *board.failed(task)]),
+        *([f"Surface: {'; '.join(surface)}."] if surface and task.board_name == "measured" else []),
         *(f"{note}." for row in scored for note in _own_notes(row)),
         *sanity_warnings(rows, task.is_public),
         *_kernel_notes(scored, _verified_for(task, board.verified)),
@@ -76,37 +78,23 @@ def sanity_warnings(rows: Sequence["Row"], is_public: bool = False) -> list[str]
 
 
 def _protocol_notes(task: Task, results: Sequence[Result]) -> list[str]:
-    trained, pretrained = "", [r.estimator for r in results if r.settings.get("shipped")]
+    notes, pretrained = [], ", ".join(r.estimator for r in results if r.settings.get("shipped"))
     if task.trains_on_test_road:
-        trained = "Trained on altered copies of the test road"
-        trained += f"; {', '.join(pretrained)} with pretrained weights." if pretrained else "."
-    elsewhere = ""
+        weights = f"; {pretrained} with pretrained weights" if pretrained else ""
+        notes.append(f"Trained on altered copies of the test road{weights}.")
     if pretrained and task.vehicle != load_vehicle(TRAINING_VEHICLE):
-        elsewhere = (
-            f"{', '.join(pretrained)}: trained on drives of {TRAINING_VEHICLE}, not of "
-            f"{task.vehicle.name}."
+        cars = f"{TRAINING_VEHICLE}, not of {task.vehicle.name}"
+        notes.append(f"{pretrained}: trained on drives of {cars}.")
+    if task.position_noise:
+        receiver = load_plant_mismatch().instruments
+        low, high = receiver.position_noise
+        notes.append(
+            f"Positions: fixes of a receiver that wander by {low:g} to {high:g} m, correlated over "
+            f"{receiver.position_correlation_time:g} s. Ranked by the "
+            f"{SCORES[task.board_definition.ranks_by].label}; the NRMSE beside it is that at fixed "
+            "stations."
         )
-    return [text for text in (trained, elsewhere, _position_note(task), task.note) if text]
-
-
-def _position_note(task: Task) -> str:
-    """Return what positions the test drives have, and which score ranks, if that matters."""
-    if not task.position_noise:
-        return ""
-    receiver = load_plant_mismatch().instruments
-    low, high = receiver.position_noise
-    return (
-        f"Positions: fixes of a receiver that wander by {low:g} to {high:g} m, correlated over "
-        f"{receiver.position_correlation_time:g} s. Ranked by the "
-        f"{SCORES[task.board_definition.ranks_by].label}; the NRMSE beside it is that at fixed "
-        "stations."
-    )
-
-
-def _surface_notes(task: Task, results: list[Result]) -> list[str]:
-    """Return what was changed on a road surface that was read from a file."""
-    notes = dict.fromkeys(x for r in results for x in r.notes if x not in _own_notes(r))
-    return [f"Surface: {'; '.join(notes)}."] if notes and task.board_name == "measured" else []
+    return [*notes, task.note] if task.note else notes
 
 
 def _own_notes(result: Result) -> list[str]:
@@ -150,26 +138,26 @@ def _kernel_notes(
     """
     made = {result.estimator: kernels_of(result.environment) for result in results}
     usual = max(set(made.values()), key=lambda x: (list(made.values()).count(x), x), default="")
-    notes: dict[str, list[str]] = {}
-    for result in results:
+
+    def doubt(result: Result) -> str | None:
         known = verified.get(content_digest(result), ())
         if false := [x.reason for x in known if x.is_false]:
-            text = f"is not what was found when it was run again: {false[0]}"
-            notes.setdefault(text, []).append(result.estimator)
-            continue
+            return f"is not what was found when it was run again: {false[0]}"
         again = [x for x in known if x.kernels == usual]
-        says_usual = made[result.estimator] == usual
         if any(x.agrees for x in again):
-            continue
+            return None
+        says_usual = made[result.estimator] == usual
         elsewhere = [x for x in known if x.runs and x.is_far and x.kernels != usual]
         if elsewhere and not again:
-            text = f"was run again on {elsewhere[0].kernels}: {elsewhere[0].distance:.1e} apart"
-            notes.setdefault(text, []).append(result.estimator)
-            continue
+            return f"was run again on {elsewhere[0].kernels}: {elsewhere[0].distance:.1e} apart"
         if says_usual and not again:
-            continue
-        text = f"ran on {made[result.estimator]}, the others on {usual}: "
-        text = f"says that it ran on {usual}: " if says_usual else text
-        text += f"{again[0].distance:.1e} apart there" if again else "not verified there"
-        notes.setdefault(text, []).append(result.estimator)
+            return None
+        own = f"ran on {made[result.estimator]}, the others on {usual}"
+        apart = f"{again[0].distance:.1e} apart there" if again else "not verified there"
+        return f"{f'says that it ran on {usual}' if says_usual else own}: {apart}"
+
+    notes: dict[str, list[str]] = {}
+    for result in results:
+        if text := doubt(result):
+            notes.setdefault(text, []).append(result.estimator)
     return [f"{', '.join(names)} {text}." for text, names in notes.items()]

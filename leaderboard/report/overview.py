@@ -1,7 +1,6 @@
 """Charts of the first screen of the index: the ranking as bars, one strip of road."""
 
 from collections.abc import Iterable, Sequence
-from typing import Any
 
 from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.results import Result
@@ -17,6 +16,11 @@ _BAR_HEIGHT = 19  # height of a bar with its gap [pixels]
 _LABEL_HEIGHT = 15  # height of the label of a line [pixels]
 _MODEBAR_HEIGHT = 34  # height of the buttons above a chart [pixels]
 _STRIP_LENGTH = 30.0  # length of road [m] that the strip shows at first
+
+_MARK_LABEL = {
+    "y": 1, "yref": "paper", "xanchor": "right", "xshift": -2, "showarrow": False,
+    "font": {"color": fig.QUIET, "size": 11}, "yanchor": "bottom",
+}  # fmt: skip
 
 
 def ranking_chart(section: Section, definition: BoardDefinition) -> fig.Chart | None:
@@ -56,11 +60,12 @@ def ranking_chart(section: Section, definition: BoardDefinition) -> fig.Chart | 
         "xaxis": fig.axis("error" if key == "nrmse" else score.heading, 0.0, fig.rounded(limit, 4)),
         "yaxis": fig.axis("", autorange="reversed", ticks="", showgrid=False, fixedrange=True),
         "shapes": [fig.upright(x, "dash") for x in marks.values()],
-        "annotations": [
-            _mark_label(text, x, level) for level, (text, x) in enumerate(marks.items())
+        "annotations": [  # left of its line, above the names, where there is room on any screen
+            {"text": text, "x": x, "yshift": _LABEL_HEIGHT * level, **_MARK_LABEL}
+            for level, (text, x) in enumerate(marks.items())
         ],
     }
-    title = f"{section.title}: error of every entry, with 95 % intervals"
+    title = f"{section.task.heading}: error of every entry, with 95 % intervals"
     return fig.chart(title, {"": {"data": [bars]}}, layout)
 
 
@@ -76,13 +81,6 @@ def _marked_values(section: Section, key: str) -> dict[str, float]:
         f"{', '.join(names)} {text}": fig.rounded(value) for text, (names, value) in found.items()
     }
     return dict(sorted(marks.items(), key=lambda item: item[1]))
-
-
-def _mark_label(text: str, x: float, level: int) -> dict[str, Any]:
-    """Return the label of a line, left of it: there is room above the names, on any screen."""
-    look = {"showarrow": False, "font": {"color": fig.QUIET, "size": 11}, "yanchor": "bottom"}
-    at = {"x": x, "y": 1, "yref": "paper", "yshift": _LABEL_HEIGHT * level}
-    return {"text": text, **at, "xanchor": "right", "xshift": -2, **look}
 
 
 def strip_chart(section: Section, results: Iterable[Result], ranks_by: str) -> fig.Chart | None:

@@ -7,6 +7,7 @@ import hashlib
 import io
 import re
 from collections.abc import Callable, Sequence
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,11 +27,10 @@ if TYPE_CHECKING:
 COLOURS = {"left": "#0072B2", "right": "#D55E00", "truth": "#222222", "sensor": "#009E73"}
 SIDES = ("left", "right")
 
-_SVG_STYLE: Any = {
+_SVG_STYLE: Any = {  # of the figures of a page
     "svg.fonttype": "none", "svg.hashsalt": "roadrecon", "font.size": 8.5, "axes.linewidth": 0.6,
     "axes.titlesize": 9.0, "axes.titlelocation": "left", "path.simplify_threshold": 0.5,
 }  # fmt: skip
-"""Matplotlib style of the figures of a page."""
 
 
 def draw_road(surface: Surface, path: Path) -> None:
@@ -54,9 +54,9 @@ def draw_road(surface: Surface, path: Path) -> None:
 def draw_classes(axes: Any) -> None:
     """Set up the axes of a density plot with the ISO 8608 classes as bands and letters."""
     n = np.array([0.02, 10.0])
-    for k, (letter, mean) in enumerate(CLASSES.items()):
+    for letter, mean in CLASSES.items():
         level = mean * (n / N_0) ** -2.0
-        if k % 2 == 0:
+        if letter in "ACEG":
             axes.fill_between(n, 0.5 * level, 2.0 * level, color="0.93", lw=0, zorder=0)
         look = {"textcoords": "offset points", "va": "center", "color": "0.4", "fontsize": 8}
         axes.annotate(letter, (n[1], level[1]), (3, 0), **look)
@@ -90,7 +90,6 @@ def estimate_figure(truth: Profile | None, estimate: Estimate, v: float) -> Any:
     if the estimate has a standard deviation.
     """
     band = scored_band(v)
-    titles = ("left", "left, in band", "right", "right, in band")
 
     def part(profile: Profile, z: np.ndarray, inside: bool) -> tuple[np.ndarray, np.ndarray]:
         """Stations and heights of a whole path, or of what the band-pass leaves of it."""
@@ -100,8 +99,8 @@ def estimate_figure(truth: Profile | None, estimate: Estimate, v: float) -> Any:
 
     def paint(figure: Any) -> None:
         panels = figure.subplots(4, 1, sharex=True)
-        for axes, title, side in zip(panels, titles, (0, 0, 1, 1), strict=True):
-            inside, colour = title.endswith("in band"), COLOURS[SIDES[side]]
+        for axes, (side, inside) in zip(panels, product((0, 1), (False, True)), strict=True):
+            colour = COLOURS[SIDES[side]]
             if truth is not None:
                 s, z = part(truth, truth.z[side], inside)
                 axes.plot(s, 1000 * z, color=COLOURS["truth"], lw=1.0, label="truth")
@@ -112,7 +111,7 @@ def estimate_figure(truth: Profile | None, estimate: Estimate, v: float) -> Any:
                 std = 1.645 * np.interp(s, estimate.s, estimate.z_std[side])
                 low, high = 1000 * (z - std), 1000 * (z + std)
                 axes.fill_between(s, low, high, color=colour, alpha=0.2, lw=0, label="90 %")
-            axes.set(ylabel=f"{title} [mm]")
+            axes.set(ylabel=f"{SIDES[side]}{', in band' if inside else ''} [mm]")
         for axes in panels[:2]:
             axes.legend(frameon=False, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 0.98))
         panels[-1].set(xlabel="distance [m]")

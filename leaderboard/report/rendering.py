@@ -9,14 +9,9 @@ from typing import Any
 from road_envs.core.atomic_io import copy_file, write_text
 from road_envs.core.extras import optional_import
 
-STATIC = Path(__file__).parent / "static"
-"""Style, scripts and pictures that all pages of a site share."""
-
-BOARD_PAGE = "index.html"
-"""Page of the board, which the comparison of policies links to if it is there."""
-
-POLICY_PAGE = "policies.html"
-"""Page of the comparison of policies, which all others link to if it is there."""
+STATIC = Path(__file__).parent / "static"  # style, scripts and pictures of all pages
+BOARD_PAGE = "index.html"  # the comparison of policies links to it if it is there
+POLICY_PAGE = "policies.html"  # all others link to it if it is there
 
 
 def file_name(estimator: str) -> str:

@@ -102,7 +102,7 @@ def findings(views: Sequence[BoardView]) -> tuple[str, ...]:
         for section in view.sections:
             if view.definition.divisions and section not in claimed:
                 own = headline(section, view.definition)
-                found += [f"{section.task}: {sentence}" for sentence in own]
+                found += [f"{section.task.name}: {sentence}" for sentence in own]
     return tuple(sentence for sentence in found if sentence)
 
 
@@ -114,7 +114,7 @@ def headline(section: Section, definition: BoardDefinition) -> list[str]:
     best, *others = scored
     tied = [row.name for row in others if row.values.get("rank") == best.values.get("rank")]
     return [
-        _best_sentence(best, tied, section, definition),
+        _best_sentence(best, tied, definition),
         *([_others_sentence(best, others, definition)] if others else []),
         _certainty_sentence(best, tied, section) if others else "It is the only entry.",
     ]
@@ -130,12 +130,10 @@ def _paper_protocol(sections: Sequence[Section], rows: Sequence[Row]) -> str:
     found = [row for row in rows if row.name == PAPER_NETWORK and row.values]
     if not found:
         return ""
-    near, total = (
-        sum(int(row.values.get(name) or 0) for row in found for name in names)
-        for names in (tables.TRAINING_STATES[:1], tables.TRAINING_STATES)
-    )
+    states = [int(row.values.get(name) or 0) for name in tables.TRAINING_STATES for row in found]
+    near, total = sum(states[: len(found)]), sum(states)
     counted = f" ({near} of {total} trainings below 15\u00a0%)" if total else ""
-    labels = [label for section in sections for label in section.conditions]
+    labels = [x.label for section in sections for x in section.task.conditions]
     cars = sorted({car for label in labels if (car := label.partition(", car ")[2])})
     tested = f" and tested on another car ({', '.join(cars)})" if cars else ""
     return (
@@ -159,9 +157,7 @@ def _memory(rows: Sequence[Row]) -> str:
     )
 
 
-def _best_sentence(
-    best: Row, tied: Sequence[str], section: Section, definition: BoardDefinition
-) -> str:
+def _best_sentence(best: Row, tied: Sequence[str], definition: BoardDefinition) -> str:
     key = definition.ranks_by
     low, high = best.values.get("low"), best.values.get("high")
     interval = tables.interval_text(low, high, key)
@@ -204,7 +200,7 @@ def _certainty_sentence(best: Row, tied: Sequence[str], section: Section) -> str
     return (
         "The first place is decided: resampling the roads leaves every other entry behind. Entries "
         "that the drives cannot tell from the best of them share its rank."
-        f"{doubt * section.is_public}"
+        f"{doubt * section.task.is_public}"
     )
 
 

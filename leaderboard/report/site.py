@@ -33,8 +33,6 @@ from road_envs.core.atomic_io import write_text
 _MAX_DRAWN = 8  # number of entries of a task that are drawn, best first
 _DIGITS = 5  # significant digits of a number, which sorts and draws; its text is what is read
 
-_PAGE_FOLDERS = ("tasks", "estimators")
-
 
 def write_site(board: Board, report: Report, out: Path) -> Path:
     """Write the site into `out`, each file atomically, and return its index."""
@@ -47,10 +45,9 @@ def write_site(board: Board, report: Report, out: Path) -> Path:
             export.write_exports(board, report.views, out)
         write_text(out / name, text)
         written.append(name)
-    for folder in _PAGE_FOLDERS:
-        for path in (out / folder).glob("*.html"):
-            if f"{folder}/{path.name}" not in written:
-                path.unlink()
+    for path in [*out.glob("tasks/*.html"), *out.glob("estimators/*.html")]:
+        if f"{path.parent.name}/{path.name}" not in written:
+            path.unlink()
     return index
 
 
@@ -66,10 +63,10 @@ def _render_pages(
     results: dict[str, list[tuple[Task, Result]]] = {}
     for view in report.views:
         for section in view.sections:
-            task = next(task for task in board.tasks if task.name == section.task)
+            task = section.task
             for result in board.results[task.name]:
                 results.setdefault(result.estimator, []).append((task, result))
-            values = _task(board, view, section, task)
+            values = _task(board, view, section)
             yield f"tasks/{task.name}.html", render("site/task.html", **linked, **values)
     for name, own in results.items():
         values = estimator_page.page_values(board, report.views, name, own)
@@ -85,17 +82,15 @@ def _index(board: Board, report: Report) -> dict[str, Any]:
     explained = {(c.label, c.help): c for _, made in boards for t in made for c in t["columns"]}
     view = report.views[0]
     section, definition = view.sections[0], view.definition
-    task = next(task for task in board.tasks if task.name == section.task)
     scored = [result for task in board.tasks for result in board.scored(task)]
     scored.sort(key=lambda result: result.estimator)
     return {
         "root": "",
         "section": section,
         "ranking": overview.ranking_chart(section, definition),
-        "strip": overview.strip_chart(section, board.scored(task), definition.ranks_by),
+        "strip": overview.strip_chart(section, board.scored(section.task), definition.ranks_by),
         "headline": headline(section, definition),
         "ranked_by": definition.ranks_by,
-        "causal": any(row.causal for row in section.rows),
         "notice": isolation_notice(scored),
         "public": PUBLIC_ROADS if any(task.is_public for task in board.tasks) else None,
         "findings": report.findings,
@@ -114,7 +109,7 @@ def _table(view: BoardView, section: Section) -> dict[str, Any]:
     and over each group, each [number, text].
     """
     columns, ranks_by = tables.nonempty_columns(view, section), view.definition.ranks_by
-    groups = dict.fromkeys(section.conditions)
+    groups = dict.fromkeys(condition.label for condition in section.task.conditions)
     groups |= dict.fromkeys(name for names in section.groups.values() for name in names)
     keys = dict.fromkeys([*(column.key for column in columns), ranks_by, "rank_causal"])
     forms = {key: COLUMNS[key] for key in keys if key not in TEXT_COLUMNS}
@@ -150,8 +145,8 @@ def _row_data(row: Row, forms: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _task(board: Board, view: BoardView, section: Section, task: Task) -> dict[str, Any]:
-    rows = {row.name: row for row in section.rows}
+def _task(board: Board, view: BoardView, section: Section) -> dict[str, Any]:
+    task, rows = section.task, {row.name: row for row in section.rows}
     scored = board.scored(task)
     by_name = {result.estimator: result for result in scored}
     # without entries, the baselines are drawn
@@ -173,19 +168,17 @@ def _task(board: Board, view: BoardView, section: Section, task: Task) -> dict[s
 
 
 def _board_provenance(board: Board) -> list[tuple[str, str]]:
-    """Return the provenance of a board: machines, versions, and tasks with their digests."""
-    machines: dict[str, None] = {}
+    """Return machines and versions, and the tasks with their digests."""
+    machines: dict[str, Any] = {}
     rows = []
     for task in board.tasks:
         scored = board.scored(task)
-        machines |= dict.fromkeys(_machine(result) for result in scored)
+        for result in scored:
+            versions = {"road-envs": result.package_version, "metrics": result.metric_version}
+            versions |= result.environment
+            machines[", ".join(f"{name} {value}" for name, value in versions.items())] = None
         rows.append((task.name, f"{_drive_counts(task, scored)}; digest {task.digest[:12]}"))
     return [*(("Made by", text) for text in machines), *rows]
-
-
-def _machine(result: Result) -> str:
-    versions = {"road-envs": result.package_version, "metrics": result.metric_version}
-    return ", ".join(f"{name} {value}" for name, value in (versions | result.environment).items())
 
 
 def _drive_counts(task: Task, results: Sequence[Result]) -> str:

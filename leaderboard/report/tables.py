@@ -38,7 +38,6 @@ from leaderboard.running.board import Board
 from road_envs.sensing.perturbed_vehicle import GRADES
 
 _RowState = Literal["scored", "baseline", "claim", "failed", "stale"]
-_CLAIM_ROW = "paper's claim"
 _NO_TRAINING = 0.05  # time [s] up to which an entry without parameters has not trained
 TRAINING_STATES = ("near_optimal", "sub_optimal", "unstable")
 ALL_RUNS = ""  # name of the group of all runs
@@ -80,13 +79,10 @@ class Section:
     more than one of a kind.
     """
 
-    task: str
-    title: str
+    task: Task
     rows: tuple[Row, ...]
     notes: tuple[str, ...]
     groups: Mapping[str, tuple[str, ...]]
-    conditions: tuple[str, ...] = ()
-    is_public: bool = False  # test roads that anybody can draw
 
 
 @dataclass(frozen=True)
@@ -104,14 +100,13 @@ def board_views(board: Board) -> list[BoardView]:
     """
     definitions = {task.board_name: task.board_definition for task in board.tasks}
     sealed = {task.board_name for task in board.tasks if not task.is_public}
-    views = []
-    for name, definition in sorted(
-        definitions.items(), key=lambda item: (item[0] not in sealed, item[1].order)
-    ):
-        tasks = [task for task in board.tasks if task.board_name == name]
-        sections = tuple(_section(board, task, definition) for task in tasks)
-        views.append(BoardView(name, definition, sections))
-    return views
+
+    def view(name: str, definition: BoardDefinition) -> BoardView:
+        tasks = (task for task in board.tasks if task.board_name == name)
+        return BoardView(name, definition, tuple(_section(board, x, definition) for x in tasks))
+
+    ordered = sorted(definitions.items(), key=lambda item: (item[0] not in sealed, item[1].order))
+    return [view(*item) for item in ordered]
 
 
 def nonempty_columns(view: BoardView, *sections: Section) -> list[Column]:
@@ -132,39 +127,30 @@ def _section(board: Board, task: Task, definition: BoardDefinition) -> Section:
     on_level = level_runs(scored, definition)
     tables = [_aggregate(result, task, definition, parts, on_level) for result in scored]
     _rank(tables, parts, task.test.strata)
-    rows = [
-        _scored_row(r, x, definition, board.card(r)) for r, x in zip(scored, tables, strict=True)
-    ] + _bound_rows(tables, definition)
+    rows = [_scored_row(x, definition, board.card(x.result)) for x in tables]
 
     def place(row: Row) -> tuple[bool, float, float]:
         rank, score = row.values.get("rank"), row.values[definition.ranks_by]
         return row.state != "scored", rank or np.inf, np.inf if score is None else score
 
-    rows.sort(key=place)
+    rows = sorted(rows + _bound_rows(tables, definition), key=place)
     claim = []
     if (level := task.claimed_level_error) is not None:
         text = SCORES[EQ_12_RAW].format_value(level)
-        claim = [Row(_CLAIM_ROW, "claim", {EQ_12_RAW: text}, {EQ_12_RAW: level})]
+        claim = [Row("paper's claim", "claim", {EQ_12_RAW: text}, {EQ_12_RAW: level})]
     failed = [Row(r.estimator, "failed", message=r.failure or "") for r in board.failed(task)]
     stale = [Row(r.estimator, "stale", message=why) for r, why in board.stale(task)]
-    return Section(
-        task.name,
-        task.heading,
-        (*claim, *rows, *failed, *stale),
-        section_notes(board, task, rows, int(np.sum(on_level) if scored else 0)),
-        {kind_of_group: tuple(named) for kind_of_group, named in groups.items()},
-        tuple(condition.label for condition in task.conditions),
-        task.is_public,
-    )
+    notes = section_notes(board, task, rows, int(np.sum(on_level) if scored else 0))
+    names = {kind: tuple(named) for kind, named in groups.items()}
+    return Section(task, (*claim, *rows, *failed, *stale), notes, names)
 
 
 class _AggregatedScores(NamedTuple):
     """Means of a result by group and score; `ranked` (R, C, S) holds the ranking score."""
 
-    name: str
+    result: Result
     values: dict[str, _Values]
     ranked: np.ndarray
-    division: tuple[bool, bool]  # ranked among all, among the causal
 
 
 def _aggregate(
@@ -195,10 +181,12 @@ def _aggregate(
         score = Interval(np.nan, np.nan, np.nan)
         if count_roads(own) >= MIN_ROADS:
             score = bootstrap.iqm_interval(own, strata=strata if group == ALL_RUNS else None)
+        error, bound = mine[_BOUNDED]
+        known = np.isfinite(error) & np.isfinite(bound)
+        below = np.mean(error[known] < bound[known]) if known.any() else None
         values[group] = _defined(
             {name: x for name, x in means.items() if group == ALL_RUNS or name in shown}
-            | {"low": score.low, "high": score.high, **_tail(own)}
-            | {BELOW_BOUND: _share_below(*mine[_BOUNDED])}
+            | {"low": score.low, "high": score.high, **_tail(own), BELOW_BOUND: below}
         )
     values[ALL_RUNS] |= {
         "train_seconds": train_seconds(result),
@@ -208,9 +196,7 @@ def _aggregate(
         **_training_states(scores[[*SCORES].index(EQ_12_RAW)]),
         **_grade_scores(ranked, parts, strata),
     }
-    entry = result.role == "entry"
-    division = entry, entry and bool(result.causal)
-    return _AggregatedScores(result.estimator, values, ranked, division)
+    return _AggregatedScores(result, values, ranked)
 
 
 def level_runs(scored: Sequence[Result], definition: BoardDefinition) -> np.ndarray:
@@ -239,12 +225,6 @@ def _tail(ranked: np.ndarray) -> dict[str, float | None]:
     return {WORST: worst, **shares}
 
 
-def _share_below(error: np.ndarray, bound: np.ndarray) -> float | None:
-    """Return the share of drives whose error is below their bound; None without a bound."""
-    known = np.isfinite(error) & np.isfinite(bound)
-    return float(np.mean(error[known] < bound[known])) if known.any() else None
-
-
 def _grade_scores(ranked: np.ndarray, parts: Mapping[str, ScoreSlice], strata: Strata) -> _Values:
     """Return the ranking score on each grade of car, and its slope over the grades."""
     by_grade = {grade: ranked[parts[f"car {grade}"]] for grade in GRADES if f"car {grade}" in parts}
@@ -263,10 +243,11 @@ def _rank(
     tables: Sequence[_AggregatedScores], parts: Mapping[str, ScoreSlice], strata: Strata
 ) -> None:
     """Add the ranks in every group of MIN_ROADS roads, among all entries and the causal ones."""
-    by_name = {table.name: table for table in tables}
+    by_name = {x.result.estimator: x for x in tables if x.result.role == "entry"}
+    causal = {name: x for name, x in by_name.items() if x.result.causal}
     for group, part in parts.items():
-        for k, key in enumerate(RANK_COLUMNS.values()):
-            scores = {x.name: x.ranked[part] for x in tables if x.division[k]}
+        for key, entries in zip(RANK_COLUMNS.values(), (by_name, causal), strict=True):
+            scores = {name: x.ranked[part] for name, x in entries.items()}
             if not any(count_roads(x) >= MIN_ROADS for x in scores.values()):
                 continue
             within = strata if group == ALL_RUNS else None
@@ -275,12 +256,10 @@ def _rank(
 
 
 def _scored_row(
-    result: Result,
-    table: _AggregatedScores,
-    definition: BoardDefinition,
-    card: EstimatorCard | None,
+    table: _AggregatedScores, definition: BoardDefinition, card: EstimatorCard | None
 ) -> Row:
-    mine, entry = table.values[ALL_RUNS], result.role == "entry"
+    result, mine = table.result, table.values[ALL_RUNS]
+    entry = result.role == "entry"
     cells = {
         name: COLUMNS[name].format_value(x)
         for name, x in {**dict.fromkeys(RANK_COLUMNS.values()), **mine}.items()
@@ -302,15 +281,13 @@ def _bound_rows(tables: Sequence[_AggregatedScores], definition: BoardDefinition
     """Return the rows of bound and attainable error, as far as computed, if NRMSE ranks."""
     rows = []
     for name, key in zip(LIMIT_ROWS, _LIMITS, strict=True):
-        bounded = [
-            x.values for x in tables if any(y.get(key) is not None for y in x.values.values())
-        ]
-        if not bounded or definition.ranks_by != "nrmse":
-            continue
-        groups = {group: {"nrmse": x.get(key)} for group, x in bounded[0].items()}
-        mine = groups.pop(ALL_RUNS)
-        cells = {"nrmse": SCORES[key].format_value(mine["nrmse"])}
-        rows.append(Row(name, "baseline", cells, mine, groups=groups))
+        for values in (x.values for x in tables if definition.ranks_by == "nrmse"):
+            groups = {group: {"nrmse": x.get(key)} for group, x in values.items()}
+            if any(x["nrmse"] is not None for x in groups.values()):
+                mine = groups.pop(ALL_RUNS)
+                cells = {"nrmse": SCORES[key].format_value(mine["nrmse"])}
+                rows.append(Row(name, "baseline", cells, mine, groups=groups))
+                break
     return rows
 
 

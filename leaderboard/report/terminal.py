@@ -50,15 +50,16 @@ def _table(view: BoardView, sections: tuple[Section, ...]) -> Table:
     """Return the table of one section with its title, or of several that share columns."""
     columns = [column for column in nonempty_columns(view, *sections) if not column.wide]
     grouped = len(sections) > 1
-    title = view.definition.title if grouped else f"{view.definition.title}: {sections[0].title}"
-    table = Table(title=title, **_LOOK)
+    of_task = "" if grouped else f": {sections[0].task.heading}"
+    table = Table(title=view.definition.title + of_task, **_LOOK)
     if grouped:
         table.add_column("case", width=_CASE_WIDTH)
     table.add_column("estimator", no_wrap=True)
     for column in columns:
         table.add_column(f"{column.label}\n{column.unit}".rstrip("\n"), justify="right")
     for section in sections:
-        case = textwrap.wrap(f"{section.task}: {section.title}", _CASE_WIDTH) if grouped else []
+        name = f"{section.task.name}: {section.task.heading}"
+        case = textwrap.wrap(name, _CASE_WIDTH) if grouped else []
         cells = [_cells(row, [column.key for column in columns]) for row in section.rows]
         blank = [""] * (len(columns) + 1)
         for text, row in zip_longest(case, cells, fillvalue=None):
@@ -107,11 +108,9 @@ def _remarks(view: BoardView, console: Console) -> None:
     """Print each note of the tasks once, and the message of each failed or stale result."""
     notes: dict[str, list[str]] = {}
     for section in view.sections:
-        for note in section.notes:
-            notes.setdefault(note, []).append(section.task)
-        for row in section.rows:
-            if row.message:
-                notes.setdefault(f"{row.name} {row.state}: {row.message}", []).append(section.task)
+        failed = [f"{x.name} {x.state}: {x.message}" for x in section.rows if x.message]
+        for note in (*section.notes, *failed):
+            notes.setdefault(note, []).append(section.task.name)
     for note, tasks in notes.items():
         console.print(Text.assemble((f"{', '.join(tasks)}:", "dim"), f" {note}"))
     console.print()

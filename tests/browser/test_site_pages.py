@@ -181,8 +181,8 @@ def test_texts_of_entries_are_no_commands_of_latex_and_no_formulas_of_a_spreadsh
     (view, *_) = board_views(board())
     (section,) = view.sections
     hostile = Row("=1+1", "failed", message="=HYPERLINK(1) \\input{/etc/passwd} ^^5cinput a~b")
-    title = "A title\n\\input{x}"
-    shown = dataclasses.replace(section, rows=(hostile,), title=title)
+    task = dataclasses.replace(section.task, title="A title\n\\input{x}")
+    shown = dataclasses.replace(section, rows=(hostile,), task=task)
     view = dataclasses.replace(view, sections=(shown,))
     tex = export._as_latex(view, shown)
     assert r"\textbackslash input\{" in tex and "^^" not in tex

@@ -163,7 +163,7 @@ YAML_USES = {
         "views = board_views(Board(tuple(tasks), {t.name: () for t in tasks}))\n"
         "view = views[-1]\n"
         "keys = [c.key for c in board_columns(view.board, view.definition) if not c.wide]\n"
-        "print(len(views), view.board, view.definition.title, *keys, view.sections[0].task)",
+        "print(len(views), view.board, view.definition.title, *keys, view.sections[0].task.name)",
         "2 my_board Mine rank crps worst r my_board",
     ),
 }

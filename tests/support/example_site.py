@@ -101,4 +101,4 @@ def text_of(html):
 @cache
 def lines_of(name="held_out"):
     sections = [s for view in board_views(board()) for s in view.sections]
-    return {line.name: line for s in sections if s.task == name for line in s.rows}
+    return {line.name: line for s in sections if s.task.name == name for line in s.rows}

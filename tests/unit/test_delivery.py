@@ -34,7 +34,7 @@ def reported(tmp_path_factory):
     (folder / "it's.zip").write_bytes(phyphox(one))
     drives = read_drives(folder / "it's.zip", vehicle="bmw_320i")
     chosen = ReportSettings(
-        conditions=load_conditions("hpms"), settings={}, estimator="wiener", route="I-80,12.5"
+        conditions=load_conditions("hpms"), settings={}, estimator="wiener", route=("I-80", 12.5)
     )
     made = make_report(drives, chosen, lambda *_: None)
     write_report(made, chosen, folder / "out")

@@ -18,6 +18,7 @@ from leaderboard.drive_report.obstacles import (
     DetectedObstacle,
     detect,
 )
+from leaderboard.drive_report.page import write_page
 from leaderboard.drive_report.pictures import _iri_chart
 from leaderboard.drive_report.posterior_iri import posterior_iri
 from road_envs.core.config import ConfigError
@@ -138,9 +139,11 @@ def test_a_half_sine_has_its_height_and_the_deviation_of_an_estimate(length):
     s = np.arange(0.0, 60.0, PROFILE_SPACING)
     z = 0.05 * np.cos(np.pi * np.clip((s - 30.0) / length, -0.5, 0.5))
     (found,) = detect(Estimate(s, np.array([z, z])))
-    one = found.in_an_estimate()
-    assert one.height == found.height == pytest.approx(0.05, rel=0.02)
-    assert one.height_std == pytest.approx(np.hypot(found.height_std, HEIGHT_STD * 0.05), rel=0.02)
+    assert found.height == pytest.approx(0.05, rel=0.02)
+    measured = MeasuredRecord(drive(length=60.0))
+    (row,) = analyse("one", measured, Estimate(s, np.array([z, z])), HPMS).obstacles
+    half_width = 1.96e3 * np.hypot(found.height_std, HEIGHT_STD * 0.05)
+    assert row["height_high_mm"] - row["height_mm"] == pytest.approx(half_width, rel=0.02)
 
 
 def test_a_deep_hole_leaves_no_rims_as_bumps():
@@ -214,6 +217,15 @@ def test_categories_change_at_95_and_170_inches_per_mile():
 def test_the_chart_names_the_categories_for_which_there_is_room(road, named):
     chart = _iri_chart(analyse("d", MeasuredRecord(drive()), estimate(road), HPMS), HPMS)
     assert {name for name in HPMS.categories if f">{name}<" in chart} == named
+
+
+def test_the_page_has_as_many_categories_as_there_are(tmp_path):
+    names, limits = tuple("abcdefg"), (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+    seven = Conditions(name="x", title="x", categories=names, limits=limits, source="")
+    result = analyse("d", MeasuredRecord(drive()), estimate("iso_d"), seven)
+    about = {"estimator": "x", "vehicle": "y", "sensors": "z"}
+    write_page([result], seven, about, None, tmp_path / "index.html")
+    assert "</span>g</span>" in (tmp_path / "index.html").read_text()
 
 
 def test_segments_end_at_multiples_of_their_length_in_the_chainage_of_the_user():

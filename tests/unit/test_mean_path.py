@@ -9,14 +9,15 @@ import pytest
 from phone_recordings import FOLDER
 
 from estimators.common.misfit import misfit_note
+from leaderboard.commands.report import report
 from leaderboard.drive_report.analysis import KnownFactor, analyse
 from leaderboard.drive_report.conditions import load_conditions
 from leaderboard.drive_report.drive_estimates import make_drive_estimator
-from leaderboard.drive_report.known_iri import known_factor
+from leaderboard.drive_report.known_iri import known_factor, read_known_iri
 from leaderboard.drive_report.mean_path import _path_ratio, path_level_ratio, tells_paths_apart
 from leaderboard.drive_report.notes import in_order_of_weight, vehicle_in_words
 from leaderboard.drive_report.passes import ReportedPass
-from leaderboard.drive_report.report import ReportSettings, _with_factor_told
+from leaderboard.drive_report.report import _with_factor_told
 from road_envs.core.config import ConfigError
 from road_envs.drives.logger_tables.description import PLACES, DriveDescription
 from road_envs.drives.measured_record import MeasuredRecord
@@ -159,12 +160,12 @@ def test_obstacles_are_possible_where_the_model_does_not_reproduce_the_record():
 def test_a_known_iri_gives_the_factor_of_car_and_mount(tmp_path):
     _, found = result()
     mean = found.facts["iri_mean"]
-    known, note = known_factor(found, f"{1.2 * mean}")
+    known, note = known_factor(found, read_known_iri(f"{1.2 * mean}"))
     assert known.factor == pytest.approx(1.2, rel=1e-6) and "300 m of known IRI" in note
     corrected = result(known=known)[1]
     assert corrected.facts["iri_mean"] == pytest.approx(1.2 * mean, rel=0.03)
     (tmp_path / "k.csv").write_text(f"begin_m,end_m,iri\n100,200,{found.segments[1]['iri_mean']}\n")
-    short, _ = known_factor(found, str(tmp_path / "k.csv"))
+    short, _ = known_factor(found, read_known_iri(str(tmp_path / "k.csv")))
     assert short.factor == pytest.approx(1.0) and short.std > known.std
     assert isinstance(short, KnownFactor)
 
@@ -189,7 +190,7 @@ def test_a_factor_of_the_description_is_told():
 )
 def test_a_known_iri_that_cannot_be_is_refused(text, message):
     with pytest.raises(ConfigError, match=message):
-        known_factor(result()[1], text)
+        known_factor(result()[1], read_known_iri(text))
 
 
 @pytest.mark.parametrize("text", ["100", "k.csv"])
@@ -197,7 +198,7 @@ def test_a_known_iri_is_read_before_the_estimate(text, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "k.csv").write_text("begin_m,end_m,iri\n0,100,3;2\n")
     with pytest.raises(ConfigError, match=r"must be an IRI of|k\.csv: neither an IRI nor a table"):
-        ReportSettings(conditions=HPMS, settings={}, known_iri=text)
+        report(drives=[tmp_path / "absent.csv"], known_iri=text, options=None)
 
 
 def test_notes_stand_in_the_order_of_their_weight():

@@ -11,7 +11,7 @@ from scipy.fft import next_fast_len
 
 from leaderboard.metrics import heights, roughness
 from leaderboard.metrics.api import ScoredEstimate
-from leaderboard.metrics.obstacles import _obstacle_scores, detect_obstacles
+from leaderboard.metrics.obstacles import detect_obstacles
 from leaderboard.metrics.registry import SCORES, compute_scores
 from road_envs.records.record import PROFILE_SPACING, Estimate, Profile, profile_stations
 from road_envs.records.roughness import displacement_psd
@@ -47,6 +47,12 @@ def scores(y, a):
     """Return all scores of heights at 4 m/s."""
     s = DS * np.arange(y.shape[1])
     return compute_scores(ScoredEstimate(Profile(s, y), Estimate(s, a), 4.0, bumps=False))
+
+
+def obstacle_scores(y, a):
+    s = DS * np.arange(y.shape[1])
+    scored = ScoredEstimate(Profile(s, y), Estimate(s, a), 4.0, bumps=True)
+    return {key: x.compute(scored) for key, x in SCORES.items() if key.startswith("bump_")}
 
 
 def rms(z):
@@ -265,32 +271,33 @@ def test_a_bump_is_detected_at_its_middle_with_its_height():
 def test_bumps_are_matched_on_their_own_wheel_path():
     y = np.stack([plate((20.0, 20.8, 0.15)), plate((30.4, 31.2, 0.10))])
     a = np.stack([plate((20.2, 21.0, 0.12)), plate((20.0, 20.8, 0.08))])
-    found = _obstacle_scores(y, a, DS)
-    assert (found.precision, found.recall, found.f1) == (0.5, 0.5, 0.5)
-    assert found.location_error == pytest.approx(0.2, abs=DS)
-    assert found.height_error == pytest.approx(0.03)
-    assert found.height_error_relative == pytest.approx(0.2)
-    assert found.wrong_side == 1  # right, where only the left wheel path has a bump
+    found = obstacle_scores(y, a)
+    assert [found[f"bump_{name}"] for name in ("precision", "recall", "f1")] == [0.5, 0.5, 0.5]
+    assert found["bump_location_error"] == pytest.approx(0.2, abs=DS)
+    assert found["bump_height_error"] == pytest.approx(0.03)
+    assert found["bump_height_error_relative"] == pytest.approx(0.2)
+    assert found["bump_wrong_side"] == 1  # right, where only the left wheel path has a bump
 
 
 def test_a_bump_beyond_the_match_distance_is_a_miss_and_a_false_alarm():
     y = np.stack([plate((20.0, 20.8, 0.1))] * 2)
     a = np.stack([plate((20.35, 21.15, 0.1)), plate((20.0, 20.8, 0.1))])
-    found = _obstacle_scores(y, a, DS)
-    assert (found.precision, found.recall, found.wrong_side) == (0.5, 0.5, 0)
+    found = obstacle_scores(y, a)
+    assert (found["bump_precision"], found["bump_recall"]) == (0.5, 0.5)
+    assert found["bump_wrong_side"] == 0
 
 
 def test_an_estimated_bump_matches_at_most_one_true_bump():
     y = np.stack([plate((20.0, 20.05, 0.1), (20.57, 20.62, 0.1))] * 2)
     a = np.stack([plate((20.28, 20.34, 0.1))] * 2)
-    assert _obstacle_scores(y, a, DS).recall == 0.5
+    assert obstacle_scores(y, a)["bump_recall"] == 0.5
 
 
 def test_a_flat_estimate_has_no_detections_and_a_flat_truth_no_obstacle_scores():
     y = np.stack([plate((20.0, 20.8, 0.1))] * 2)
-    found = _obstacle_scores(y, 0.0 * y, DS)
-    assert found.f1 == 0.0 and np.isnan(found.location_error)
-    assert _obstacle_scores(0.0 * y, y, DS) is None
+    found = obstacle_scores(y, 0.0 * y)
+    assert found["bump_f1"] == 0.0 and np.isnan(found["bump_location_error"])
+    assert np.isnan(list(obstacle_scores(0.0 * y, y).values())).all()
 
 
 def test_every_score_of_the_truth_is_perfect_and_in_the_table_of_scores():
