@@ -22,8 +22,13 @@ import numpy as np
 from scipy.linalg import solveh_banded
 
 from estimators.common.blas import single_blas_thread
-from estimators.common.spatial_signals import N_MOTIONS, SPACING, SpatialSignals, high_pass
-from estimators.common.training_data import SPEED_RANGE
+from estimators.common.pretrained import SPEED_RANGE
+from estimators.common.spatial_signals import (
+    N_MOTIONS,
+    SpatialSignals,
+    keep_short_waves,
+    motion_windows,
+)
 
 # Speeds [m/s] of the taps; outside, the taps of the first or last knot hold
 KNOTS = np.geomspace(*SPEED_RANGE, 9)
@@ -31,7 +36,6 @@ KNOTS = np.geomspace(*SPEED_RANGE, 9)
 _N_STATE_COMBINATIONS = 16
 RIDGE = 1e-4
 SMOOTHNESS = 1e-4
-_N_SHORT = 0.15  # spatial frequency [cycles/m] of the high-pass on the errors
 _LEVEL_MIN = 3e-4  # added to a drive's level [m], so that noise on a smooth road does not dominate
 _MM = 1e-3  # unit of the heights [m]: taps are stored as float16 for heights in mm
 
@@ -138,20 +142,6 @@ class _KnotNormalEquations(NamedTuple):
             bands[:, k * p : (k + 1) * p] = below[row, column]
         taps = solveh_banded(bands, self.XZ.ravel(), overwrite_ab=True, lower=True)
         return taps.reshape(knots, p)
-
-
-def keep_short_waves(x: np.ndarray, causal: bool = False) -> np.ndarray:
-    """Return rows at the stations, high-passed at _N_SHORT; without phase unless `causal`."""
-    return high_pass(x, _N_SHORT, 1.0 / SPACING, 100, causal)
-
-
-def motion_windows(
-    signals: SpatialSignals, behind: int, ahead: int, causal: bool = False
-) -> np.ndarray:
-    """Return short waves (3, M, behind + 1 + ahead) [m/s²] of the motions about each station."""
-    motions = keep_short_waves(signals.motions[:N_MOTIONS].astype(float), causal)
-    inside = motions[:, signals.margin - behind : signals.margin + signals.size + ahead]
-    return np.lib.stride_tricks.sliding_window_view(inside, behind + 1 + ahead, axis=1)
 
 
 def _add_drive(

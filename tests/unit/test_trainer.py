@@ -8,7 +8,8 @@ from test_estimator_contract import CAR, drive, fit
 
 from estimators import create, pretrained_weights
 from estimators.api import LAG, NotFittedError
-from estimators.networks.inputs import STATIONS_AHEAD, NetworkInputs
+from estimators.common.pretrained import STATIONS_AHEAD
+from estimators.networks.inputs import NetworkInputs
 from estimators.networks.tcn import Tcn
 from estimators.networks.trainer import (
     TrainerConfig,
