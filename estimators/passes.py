@@ -165,7 +165,15 @@ def align_passes(
             length=float(stations.apply(np.array([record.length]))[0]),
         )
         aligned.append(AlignedPass(name, moved, estimate, stations))
-        notes.append(_alignment_note(name, names[0], record, reference, stations))
+        note = (
+            f"{name}: stations moved by {stations.lag:+.2f} m and stretched by "
+            f"{100.0 * stations.stretch:+.2f} % onto {names[0]} (correlation of slopes "
+            f"{stations.correlation:.2f})"
+        )
+        begin, end = stations.apply(np.array([0.0, record.length])).clip(0.0, reference.length)
+        if end - begin < reference.length - _LEVEL_START:
+            note += f"; it covers {begin:.1f} to {end:.1f} m"
+        notes.append(note)
     return aligned, notes
 
 
@@ -189,21 +197,6 @@ def _match(
         f"{stations.correlation:.2f}, at {stations.lag:+.1f} m; check that both are of one road, "
         "and the vehicle, speed and strut states of each"
     )
-
-
-def _alignment_note(
-    name: str, first: str, record: Record, reference: Record, stations: StationMap
-) -> str:
-    begin, end = stations.apply(np.array([0.0, record.length]))
-    note = (
-        f"{name}: stations moved by {stations.lag:+.2f} m and stretched by "
-        f"{100.0 * stations.stretch:+.2f} % onto {first} (correlation of slopes "
-        f"{stations.correlation:.2f})"
-    )
-    begin, end = max(0.0, float(begin)), min(reference.length, float(end))
-    if end - begin < reference.length - _LEVEL_START:
-        note += f"; it covers {begin:.1f} to {end:.1f} m"
-    return note
 
 
 def _combine(passes: Sequence[AlignedPass]) -> Estimate:
