@@ -183,11 +183,6 @@ def declared_lag(estimator: object) -> float:
     return float(getattr(estimator, "lag", None) or 0.0)
 
 
-def refits_per_case(estimator: object) -> bool:
-    """Return whether a pretrained estimator can be fitted to one speed and mode in seconds."""
-    return isinstance(estimator, Pretrained) and estimator.refit_per_case
-
-
 def uses_seed(estimator: object) -> bool:
     """Return whether the seed of `fit` makes a difference: so unless `uses_seed` denies it."""
     return getattr(estimator, "uses_seed", True) is not False

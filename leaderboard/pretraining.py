@@ -47,7 +47,7 @@ class _FileCheckpoint:
             return None
         try:
             arrays, metadata = pretrained_weights.read_weights(self.path)
-        except pretrained_weights.WeightsError:
+        except pretrained_weights.StorageError:
             return None
         return arrays if metadata.get("run") == self.digest else None
 

@@ -180,9 +180,9 @@ def test_weights_survive_a_file_and_a_damaged_file_is_reported(tmp_path):
         assert (found[name].dtype, found[name].shape) == (x.dtype, x.shape)
         np.testing.assert_array_equal(found[name], x)
     path.write_bytes(path.read_bytes()[:-3])
-    with pytest.raises(pretrained_weights.WeightsError, match=r"w\.safetensors: damaged"):
+    with pytest.raises(pretrained_weights.StorageError, match=r"w\.safetensors: damaged"):
         pretrained_weights.read_weights(path)
-    with pytest.raises(pretrained_weights.WeightsError, match=r"no\.safetensors: cannot be read"):
+    with pytest.raises(pretrained_weights.StorageError, match=r"no\.safetensors: cannot be read"):
         pretrained_weights.read_weights(tmp_path / "no.safetensors")
 
 
