@@ -10,7 +10,7 @@ from estimators import create, pretrained_weights
 from estimators.api import LAG, NotFittedError
 from estimators.common.pretrained import STATIONS_AHEAD
 from estimators.networks.inputs import NetworkInputs
-from estimators.networks.tcn import Tcn
+from estimators.networks.sequence_estimator import Tcn
 from estimators.networks.trainer import (
     TrainerConfig,
     TrainingSequence,
