@@ -158,7 +158,8 @@ class _KalmanSettings(CalibratedByIdentification):
             )
             z = monitoring.reduce_uncertain(z, z_std, ahead, drifting=smooth)
             steps = run.state.jumps.square
-            z_std = np.hypot(z_std, monitoring.obstacle_std(steps, run.node_stations, s))
+            nodes = run.origin + TUNING.node_spacing * np.arange(len(steps))
+            z_std = np.hypot(z_std, monitoring.obstacle_std(steps, nodes, s))
         long = monitoring.long_waves(z) if smooth else np.zeros_like(z)
         z_std = monitoring.with_model_error(z_std, z - long, run.acceleration(output), car)
         share = emitted

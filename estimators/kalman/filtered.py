@@ -74,11 +74,6 @@ class FilterRun:
         """Blocks of measurements."""
         return int(self.inputs.y.shape[1])
 
-    @property
-    def node_stations(self) -> np.ndarray:
-        """Stations (N,) [m] of all nodes of the drive."""
-        return self.origin + TUNING.node_spacing * np.arange(self.state.jumps.square.shape[0])
-
     def known_front(self, sensor_latency: float) -> np.ndarray:
         """Return the front axle's station (J,) [m] `sensor_latency` [s] after each block."""
         h, node = self.model.h, self.inputs.front_node
@@ -149,10 +144,3 @@ class FilteredWindow:
     restarted: bool = False
     accepted: list[AcceptedStep] = field(default_factory=list)
     corrections: list[tuple[AcceptedStep, np.ndarray, np.ndarray]] = field(default_factory=list)
-
-    def error_derivative(self) -> np.ndarray:
-        """Return the derivative D (n, L) of the error by the local error at the start."""
-        D, vehicle = self.W.T @ -self.U, len(self.transition)
-        D[self.local, np.arange(self.local.size)] += 1.0
-        D[:vehicle] = self.transition
-        return D

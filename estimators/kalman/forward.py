@@ -134,7 +134,10 @@ class WindowFilter:
             end = min(end, int(self.output.emit_block[self._emitted]))
         state, schedule, road = self.run.state, self.run.windows, self.run.road
         n, N, jumps, x, P = road.n_states, road.n_vehicle, state.jumps, state.x, state.P
-        local = self._local_entries(i)
+        front = schedule.newest[i] - np.arange(schedule.n_front[i])
+        rear = schedule.rear_newest[i] - np.arange(schedule.n_rear[i])
+        nodes = road.node_entries(np.concatenate([front, rear]))
+        local = np.concatenate([np.arange(road.first_sum), nodes])
         size, P_local, blocks = local.size, P[local], end - first
         nodes_at = (schedule.newest[i], schedule.n_front[i] + schedule.rear_newest[i])
         own = LocalState(
@@ -227,10 +230,3 @@ class WindowFilter:
             output.variance[k] = np.sum(covariance * of_height, axis=1)
             emitted.append((int(k), covariance))
         return emitted
-
-    def _local_entries(self, i: int) -> np.ndarray:
-        schedule, road = self.run.windows, self.run.road
-        front = schedule.newest[i] - np.arange(schedule.n_front[i])
-        rear = schedule.rear_newest[i] - np.arange(schedule.n_rear[i])
-        nodes = road.node_entries(np.concatenate([front, rear]))
-        return np.concatenate([np.arange(road.first_sum), nodes])
