@@ -291,16 +291,12 @@ def _reconstruct(
         z[:, here] = (heights @ posterior.mean.reshape(-1, 2)).T[:, here]
         drawn = posterior.draw(_DRAWS, rng).reshape(nodes.size, 2, _DRAWS)
         for path in range(2):
-            power[path, here] = _in_band_power(heights @ drawn[:, path], v)[here]
+            x = band_pass((heights @ drawn[:, path]).T, PROFILE_SPACING, scored_band(v))
+            cut = (stations.size - x.shape[1]) // 2
+            ends = (cut, stations.size - x.shape[1] - cut)
+            power[path, here] = np.pad(np.mean(x**2, axis=0), ends, mode="edge")[here]
     width = _SMOOTHING / PROFILE_SPACING
     return z, np.sqrt(gaussian_filter1d(power, width, axis=1, mode="nearest"))
-
-
-def _in_band_power(deviations: np.ndarray, v: float) -> np.ndarray:
-    """Return the mean square (M,) [m²] inside the scored band of deviations (M, draws)."""
-    x = band_pass(deviations.T, PROFILE_SPACING, scored_band(v))
-    cut = (len(deviations) - x.shape[1]) // 2
-    return np.pad(np.mean(x**2, axis=0), (cut, len(deviations) - x.shape[1] - cut), mode="edge")
 
 
 def _state(record: Record) -> np.ndarray:
