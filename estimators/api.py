@@ -69,13 +69,6 @@ class HasInstruments(Protocol):
 
 
 @runtime_checkable
-class DeclaresLibraries(Protocol):
-    """An estimator, or its class, that names the `libraries` that are slow to import."""
-
-    libraries: tuple[str, ...]
-
-
-@runtime_checkable
 class Trainable(Estimator, Protocol):
     """An estimator that is fitted to drives over known roads."""
 

@@ -113,11 +113,6 @@ class Responses(NamedTuple):
         turn = np.exp(-2j * np.pi * F_BODY / RATE * np.arange(N_TAPS))
         return (self.taps.sum(axis=(1, 2)) @ turn).real
 
-    @property
-    def whitening(self) -> np.ndarray:
-        """Taps (AR_ORDER + 1,) of the filter that makes the residual white."""
-        return np.append(1.0, -self.ar)
-
 
 class IdentifiedResponses(NamedTuple):
     """`responses`; those without each segment, `held_out` (_SEGMENTS,); and the shares `explained`

@@ -86,6 +86,7 @@ class _SequenceEstimator(SpatialEstimator):
     lag: ClassVar[float | None] = None
     """Distance [m] from a station to the front axle when its height is known; None if offline."""
     libraries: ClassVar[tuple[str, ...]] = ("torch",)
+    """What is slow to import."""
 
     shipped: bool = True
     steps: Annotated[Count, "", "training steps"] = 2500
@@ -131,14 +132,15 @@ class _SequenceEstimator(SpatialEstimator):
         for drive in drives:
             inputs = network_inputs(drive.signals, bank, car.wheelbase, network, self.causal)
             residual = keep_short_waves(drive.target.astype(float) - inputs.first) / inputs.level
-            sequences.append(trainer.TrainingSequence(inputs, residual.astype(np.float32)))
+            whole = residual.astype(np.float32), 0, residual.shape[1]
+            sequences.append(trainer.TrainingSequence(inputs, *whole))
         config = trainer.TrainerConfig(self.steps)
         _, parts = trainer.train_network(network, sequences, config, seed, progress, checkpoint)
         # calibrated as stored, in half precision
         rounded = {name: x.astype(np.float16) for name, x in trainer.get_weights(network).items()}
         trainer.set_weights(network, rounded)
         ratios = []
-        for (inputs, target), start, stop in parts:
+        for inputs, target, start, stop in parts:
             residual, std, _ = _evaluate(network, inputs)
             error = wheel_paths(target - residual) / np.hypot(*std)
             ratios.append(error[:, start:stop].ravel())
