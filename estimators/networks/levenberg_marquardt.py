@@ -300,26 +300,18 @@ def _normal_equations(at: _Evaluation) -> tuple[np.ndarray, np.ndarray]:
     # an error falls by w_s D[r, s] with hidden weight (r, s), w_s the weight of unit s, and by unit
     # s with an output weight: J'e follows from the rows of the errors, hidden weights summed over
     # the outputs, each output's own weights behind
-    of_e, W2 = products[P + width :], output[:, :-1]
-    Je = np.sum(of_e[:, :P] * np.tile(W2, len(hidden)), axis=0), of_e[:, P : P + width].ravel()
-    return _assemble_JJ(products, at.network), np.concatenate(Je)
-
-
-def _assemble_JJ(products: np.ndarray, network: TwoLayerNetwork) -> np.ndarray:
-    """Return J'J (P, P) from `products` of derivatives and activations; both lower triangles."""
-    W2 = network.output[:, :-1]
-    R1, P, width = network.hidden.shape[0], network.hidden.size, network.output.shape[1]
+    middle, of_e, W2 = slice(P, P + width), products[P + width :], output[:, :-1]
+    Je = np.sum(of_e[:, :P] * np.tile(W2, len(hidden)), axis=0), of_e[:, middle].ravel()
     # hidden against hidden: D'D, each pair of units weighed by its product of output weights, which
-    # tiles over the R1 inputs. An output's own weights meet the hidden ones through its weights w,
+    # tiles over the inputs. An output's own weights meet the hidden ones through its weights w,
     # themselves as units'units, and those of other outputs not at all
-    units = slice(P, P + width)
-    JJ = np.zeros((P + network.output.size,) * 2, order="F")
-    JJ[:P, :P] = products[:P, :P] * np.tile(W2.T @ W2, (R1, R1))
+    JJ = np.zeros((P + output.size,) * 2, order="F")
+    JJ[:P, :P] = products[:P, :P] * np.tile(W2.T @ W2, (len(hidden), len(hidden)))
     for k, w in enumerate(W2):
         own = slice(P + k * width, P + (k + 1) * width)
-        JJ[own, :P] = products[units, :P] * np.tile(w, R1)
-        JJ[own, own] = products[units, units]
-    return JJ
+        JJ[own, :P] = products[middle, :P] * np.tile(w, len(hidden))
+        JJ[own, own] = products[middle, middle]
+    return JJ, np.concatenate(Je)
 
 
 def _chunks(size: int) -> Iterator[slice]:
