@@ -92,12 +92,6 @@ class FilterRun:
             ratio *= np.minimum(1.0, TUNING.early_nis / np.maximum(nis, 1e-300))
         return np.minimum(1.0, ratio[last]) ** 2
 
-    def acceleration(self, output: ProfileOutput) -> np.ndarray:
-        """Return the RMS (M,) [m/s²] of the latest accelerations when each height is emitted."""
-        block = np.clip(output.emit_block - 1, 0, None)
-        variance = self.model.noise_variance / max(float(self.inputs.sample_count.max()), 1.0)
-        return np.asarray(np.sqrt(variance * self.state.signal_power[block]))
-
     def lost_before_restarts(self, output: ProfileOutput) -> np.ndarray:
         """Return the stations (M,) that the front axle passed within `lost_reach` before a restart
         and that were emitted after it.

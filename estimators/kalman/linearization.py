@@ -203,8 +203,6 @@ def _tangent_columns(
             if part > 0:
                 column = local.nodes_at[part - 1] - 2 * (oldest[part - 1] + i // 2) + i % 2
             group, lane = direction // LANES, direction % LANES
-            for s in range(3):
-                block.factors[s, column] = sums[3 * group + s, lane] / samples
-            for j in range(n_vehicle):
-                block.factors[3 + j, column] = y[group, j, lane]
+            block.factors[:3, column] = sums[3 * group : 3 * group + 3, lane] / samples
+            block.factors[3:, column] = y[group, :, lane]
             direction += 1
