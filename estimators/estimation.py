@@ -60,7 +60,18 @@ def estimate(
     found = estimator.estimate(record, car)
     check_estimate(found, record)
     notes = (*found.notes, *training_notes(estimator, record, car))
-    notes = (*friction_note(record, car), *notes, *_notes_on_description(car))
+    notes = (*friction_note(record, car), *notes)
+    if car.is_passive and car.side is None:
+        notes += (
+            f"{car.name} has no side motion in its file: on cars of other simulators a model "
+            "without it took half of the difference between the wheel paths for another and IRI "
+            "7 to 13 % low (docs/plants.md); add `side` (road-recon new-vehicle writes one)",
+        )
+    if car.tolerances_of:
+        notes += (
+            f"{car.name} states no tolerances: those of the class {car.tolerances_of} are assumed; "
+            "state your own in its file, or identify it",
+        )
     speed = float(np.nanmedian(record.v))
     found = dataclasses.replace(found, notes=notes, speed=speed)
     if found.s_std is None:  # of an estimator that takes the stations as they are
@@ -89,20 +100,3 @@ def friction_note(record: Record, car: VehicleParameters) -> tuple[str, ...]:
         f"{passed:.2f} m/s², {driven:.2f} were measured): heights are uncertain; drive faster, or "
         "on a rougher road as well",
     )
-
-
-def _notes_on_description(car: VehicleParameters) -> list[str]:
-    """Return the notes on what a vehicle file leaves out."""
-    notes = []
-    if car.is_passive and car.side is None:
-        notes.append(
-            f"{car.name} has no side motion in its file: on cars of other simulators a model "
-            "without it took half of the difference between the wheel paths for another and IRI "
-            "7 to 13 % low (docs/plants.md); add `side` (road-recon new-vehicle writes one)"
-        )
-    if car.tolerances_of:
-        notes.append(
-            f"{car.name} states no tolerances: those of the class {car.tolerances_of} are assumed; "
-            "state your own in its file, or identify it"
-        )
-    return notes

@@ -223,19 +223,15 @@ def _combine(passes: Sequence[AlignedPass]) -> Estimate:
         speed = max(float(np.nanmedian(each.record.v)) for each in passes)
         ratio = _birge_ratio(heights - z, variance, everywhere, scored_band(speed))
         std = ratio * np.sqrt((weight**2 * variance).sum(axis=0))
-    return Estimate(s, z, std, _named_notes(passes))
-
-
-def _named_notes(passes: Sequence[AlignedPass]) -> tuple[str, ...]:
-    """Return the notes of the single estimates, with the names of those that have them."""
-    owners: dict[str, list[str]] = {}
+    owners: dict[str, list[str]] = {}  # names of the passes with each note
     for each in passes:
         for note in each.estimate.notes:
             owners.setdefault(note, []).append(each.name)
-    return tuple(
+    notes = tuple(
         note if len(names) == len(passes) else f"{', '.join(names)}: {note}"
         for note, names in owners.items()
     )
+    return Estimate(s, z, std, notes)
 
 
 def _on_stations(each: AlignedPass, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

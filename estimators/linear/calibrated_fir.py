@@ -111,10 +111,10 @@ class CalibratedFir(Settings):
         """Identify the responses from drives over known roads; `seed` is unused. Of `car` only the
         wheelbase is used, unless it is a setting. Raises RecordError, CalibrationError.
         """
-        names = [f"drive {i}" for i in range(1, len(records) + 1)]
-        names = names if len(records) > 1 else ["the drive"]
-        rows = zip(records, truths, names, strict=True)
-        return self._identify([CalibrationDrive(r, z, name=name) for r, z, name in rows], car)
+        drives = [CalibrationDrive(*pair) for pair in zip(records, truths, strict=True)]
+        if len(drives) > 1:
+            drives = [replace(drive, name=f"drive {i}") for i, drive in enumerate(drives, 1)]
+        return self._identify(drives, car)
 
     def calibrate(self, drives: Sequence[CalibrationDrive], car: VehicleParameters) -> Self:
         """Identify the responses from the drives over measured roads, starting from those of `fit`
@@ -146,7 +146,18 @@ class CalibratedFir(Settings):
                 "calibrate with the accelerometers of the record"
             )
         z, z_std = _reconstruct(chosen.responses, model.axles, record, self.seed)
-        notes, stations = (*notes, *_notes(chosen, state, record)), profile_stations(record.length)
+        if (chosen.state != state).any():
+            notes += (
+                "no calibration drive was in this state of the struts; the responses are those of "
+                "the nearest state",
+            )
+        v = float(record.v.mean())
+        if not chosen.speed / _FAR_SPEED < v < chosen.speed * _FAR_SPEED:
+            notes += (
+                f"calibrated at {3.6 * chosen.speed:.0f} km/h, driven at {3.6 * v:.0f} km/h: "
+                "friction acts otherwise there, and errors exceed the standard deviations",
+            )
+        stations = profile_stations(record.length)
         return odometer.describe(Estimate(stations, z, chosen.std_factor * z_std, notes))
 
     def summary(self) -> dict[str, Any]:
@@ -302,19 +313,3 @@ def _reconstruct(
 def _state(record: Record) -> np.ndarray:
     """Return the prevailing state (4,): stiff and high damping in front, then at the rear."""
     return axle_states(record).mean(axis=1).round()
-
-
-def _notes(chosen: _VehicleResponse, state: np.ndarray, record: Record) -> tuple[str, ...]:
-    """Return notes on a drive in another state or at another speed than the calibration's."""
-    notes, v = [], float(record.v.mean())
-    if (chosen.state != state).any():
-        notes.append(
-            "no calibration drive was in this state of the struts; the responses are those of the "
-            "nearest state"
-        )
-    if not chosen.speed / _FAR_SPEED < v < chosen.speed * _FAR_SPEED:
-        notes.append(
-            f"calibrated at {3.6 * chosen.speed:.0f} km/h, driven at {3.6 * v:.0f} km/h: friction "
-            "acts otherwise there, and errors exceed the standard deviations"
-        )
-    return tuple(notes)
