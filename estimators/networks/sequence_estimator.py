@@ -93,11 +93,6 @@ class _SequenceEstimator(SpatialEstimator):
     channels: Annotated[Count, "", "channels of each layer"] = 48
     kernel: _KernelSize = 5
 
-    @property
-    def _stations_ahead(self) -> int:
-        """Stations in the FIR window after the estimated one."""
-        return STATIONS_AHEAD if self.causal else STATIONS_BEHIND
-
     @abc.abstractmethod
     def network(self) -> Any:
         """Return the torch network with its initial weights."""
@@ -124,7 +119,8 @@ class _SequenceEstimator(SpatialEstimator):
         progress("fitting the FIR bank", 0.0)
         rigid = [(drive.signals, drive.target) for drive in drives if drive.rigid]
         all_signals, targets = zip(*rigid, strict=True)
-        bank = FirBank.fit(all_signals, targets, STATIONS_BEHIND, self._stations_ahead)
+        ahead = STATIONS_AHEAD if self.causal else STATIONS_BEHIND
+        bank = FirBank.fit(all_signals, targets, STATIONS_BEHIND, ahead)
         with torch.random.fork_rng():
             torch.manual_seed(seed)
             network = self.network()
@@ -196,7 +192,7 @@ class _SequenceEstimator(SpatialEstimator):
 
     def with_weights(self, weights: Mapping[str, np.ndarray]) -> Self:
         """Return a copy with these weights. Raises ValueError."""
-        ahead = self._stations_ahead
+        ahead = STATIONS_AHEAD if self.causal else STATIONS_BEHIND
         shapes: dict[str, tuple[int | None, ...]] = {
             "taps": FirBank.shape(STATIONS_BEHIND, ahead),
             "widths": (N_TERMS,),
