@@ -94,9 +94,7 @@ class WindowFilter:
         first = int(schedule.edges[i])
         since = first - (state.restarts[-1] if state.restarts else 0)
         newest, (low, high) = int(schedule.reached[first]), self.run.road.free_range
-        if (
-            since < TUNING.lost_blocks or not low < newest < high
-        ):  # innovations of a known level road
+        if since < TUNING.lost_blocks or not low < newest < high:  # on a known level road
             return False
         near = max(newest - round(TUNING.obstacle_length / TUNING.node_spacing), 0)
         if state.jumps.square[near : newest + 1].any():

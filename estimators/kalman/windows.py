@@ -54,12 +54,10 @@ class WindowSchedule:
             far = end[now : now + TUNING.max_blocks] > start[now] + max_advance
             edges.append(now + max(int(np.argmax(np.append(far, True))), 1))
         first = np.array(edges[:-1])
-        low = np.floor(np.minimum.reduceat(node.min(axis=1), first)).astype(int)
+        lowest = np.minimum.reduceat(node.min(axis=1), first)
         high = np.maximum.reduceat(node.max(axis=1), first)
+        low, rear_low = (np.floor(lowest - x).astype(int) for x in (0.0, wheelbase_nodes))
         newest = np.maximum.accumulate(np.floor(high).astype(int) + 2)
-        rear_low = np.floor(np.minimum.reduceat(node.min(axis=1), first) - wheelbase_nodes).astype(
-            int
-        )
         rear_newest = np.floor(high - wheelbase_nodes).astype(int) + 2
         rear = np.floor(start[first] - wheelbase_nodes).astype(int) - 1
         initial = int(front_node[0]) + 2
