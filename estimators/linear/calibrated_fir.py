@@ -208,15 +208,13 @@ class CalibratedFir(Settings):
     @single_blas_thread()
     def _identify(self, drives: Sequence[CalibrationDrive], car: VehicleParameters) -> Self:
         axles = np.array([0.0, self.wheelbase or car.wheelbase])
-        before = self.fitted_state
-        if before is not None and before.axles.tolist() != axles.tolist():
-            before = None
-        kept = {x.state.tobytes(): x for x in before.by_state} if before else {}
+        kept, before = dict[bytes, _VehicleResponse](), self.fitted_state
+        if before is not None and np.array_equal(before.axles, axles):
+            kept = {x.state.tobytes(): x for x in before.by_state}
         groups: dict[bytes, list[CalibrationDrive]] = {}
         for drive in drives:
             record = calibrate_odometer(clean_record(drive.record, None)[0]).record
-            cleaned = replace(drive, record=record)
-            groups.setdefault(_state(cleaned.record).tobytes(), []).append(cleaned)
+            groups.setdefault(_state(record).tobytes(), []).append(replace(drive, record=record))
         for key, group in groups.items():
             prior = kept[key].responses.taps if key in kept else None
             if prior is not None and len(prior) != len(group[0].record.a):
