@@ -69,13 +69,6 @@ class HasInstruments(Protocol):
 
 
 @runtime_checkable
-class DeclaresLibraries(Protocol):
-    """An estimator, or its class, that names the `libraries` that are slow to import."""
-
-    libraries: tuple[str, ...]
-
-
-@runtime_checkable
 class Trainable(Estimator, Protocol):
     """An estimator that is fitted to drives over known roads."""
 
@@ -181,11 +174,6 @@ class Calibratable(Estimator, Protocol):
 def declared_lag(estimator: object) -> float:
     """Return the `lag` [m] behind the front axle that an estimator declares, 0 if it has none."""
     return float(getattr(estimator, "lag", None) or 0.0)
-
-
-def refits_per_case(estimator: object) -> bool:
-    """Return whether a pretrained estimator can be fitted to one speed and mode in seconds."""
-    return isinstance(estimator, Pretrained) and estimator.refit_per_case
 
 
 def uses_seed(estimator: object) -> bool:

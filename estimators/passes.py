@@ -165,7 +165,15 @@ def align_passes(
             length=float(stations.apply(np.array([record.length]))[0]),
         )
         aligned.append(AlignedPass(name, moved, estimate, stations))
-        notes.append(_alignment_note(name, names[0], record, reference, stations))
+        note = (
+            f"{name}: stations moved by {stations.lag:+.2f} m and stretched by "
+            f"{100.0 * stations.stretch:+.2f} % onto {names[0]} (correlation of slopes "
+            f"{stations.correlation:.2f})"
+        )
+        begin, end = stations.apply(np.array([0.0, record.length])).clip(0.0, reference.length)
+        if end - begin < reference.length - _LEVEL_START:
+            note += f"; it covers {begin:.1f} to {end:.1f} m"
+        notes.append(note)
     return aligned, notes
 
 
@@ -189,21 +197,6 @@ def _match(
         f"{stations.correlation:.2f}, at {stations.lag:+.1f} m; check that both are of one road, "
         "and the vehicle, speed and strut states of each"
     )
-
-
-def _alignment_note(
-    name: str, first: str, record: Record, reference: Record, stations: StationMap
-) -> str:
-    begin, end = stations.apply(np.array([0.0, record.length]))
-    note = (
-        f"{name}: stations moved by {stations.lag:+.2f} m and stretched by "
-        f"{100.0 * stations.stretch:+.2f} % onto {first} (correlation of slopes "
-        f"{stations.correlation:.2f})"
-    )
-    begin, end = max(0.0, float(begin)), min(reference.length, float(end))
-    if end - begin < reference.length - _LEVEL_START:
-        note += f"; it covers {begin:.1f} to {end:.1f} m"
-    return note
 
 
 def _combine(passes: Sequence[AlignedPass]) -> Estimate:
@@ -230,19 +223,15 @@ def _combine(passes: Sequence[AlignedPass]) -> Estimate:
         speed = max(float(np.nanmedian(each.record.v)) for each in passes)
         ratio = _birge_ratio(heights - z, variance, everywhere, scored_band(speed))
         std = ratio * np.sqrt((weight**2 * variance).sum(axis=0))
-    return Estimate(s, z, std, _named_notes(passes))
-
-
-def _named_notes(passes: Sequence[AlignedPass]) -> tuple[str, ...]:
-    """Return the notes of the single estimates, with the names of those that have them."""
-    owners: dict[str, list[str]] = {}
+    owners: dict[str, list[str]] = {}  # names of the passes with each note
     for each in passes:
         for note in each.estimate.notes:
             owners.setdefault(note, []).append(each.name)
-    return tuple(
+    notes = tuple(
         note if len(names) == len(passes) else f"{', '.join(names)}: {note}"
         for note, names in owners.items()
     )
+    return Estimate(s, z, std, notes)
 
 
 def _on_stations(each: AlignedPass, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

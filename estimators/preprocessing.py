@@ -155,29 +155,23 @@ def clean_record(
     `mask_record` does, if a channel is missing, and if too many of its samples are.
     """
     if channels is not None and record.channels != channels:
-        record = _select_channels(record, channels)
+        sensors = record.sensors or {}
+        # a sensor on an axle is no substitute
+        known = [name for name, sensor in sensors.items() if sensor.mounted == "body"]
+        if not set(channels) <= set(known):
+            raise RecordError(
+                f"this estimator needs the accelerometers {', '.join(channels)} on the body; the "
+                f"record has {', '.join(record.channels)}: map_smoother and wiener take any"
+            )
+        rows = [record.channels.index(name) for name in channels]
+        layout = {name: sensors[name] for name in channels}
+        record = dataclasses.replace(record, a=record.a[rows], sensors=layout)
     record, _, notes = mask_record(record)
     if np.isfinite(record.a).all():
         return record, notes
     named = zip(record.channels, record.a, strict=True)
     a = np.array([_fill_gaps(name, record.t, x) for name, x in named])
     return dataclasses.replace(record, a=a), notes
-
-
-def _select_channels(record: Record, channels: tuple[str, ...]) -> Record:
-    """Return `record` with these channels alone, in this order. Raises RecordError. They are on
-    the body; a sensor on an axle is no substitute.
-    """
-    sensors = record.sensors or {}
-    known = [name for name, sensor in sensors.items() if sensor.mounted == "body"]
-    if not set(channels) <= set(known):
-        raise RecordError(
-            f"this estimator needs the accelerometers {', '.join(channels)} on the body; the "
-            f"record has {', '.join(record.channels)}: map_smoother and wiener take any"
-        )
-    rows = [record.channels.index(name) for name in channels]
-    layout = {name: sensors[name] for name in channels}
-    return dataclasses.replace(record, a=record.a[rows], sensors=layout)
 
 
 def spatial_accelerations(record: Record, margin: int = 0) -> np.ndarray:

@@ -22,8 +22,8 @@ SUFFIX = ".safetensors"
 _METADATA_KEY = "about"  # key of the single metadata entry; its value is JSON
 
 
-class WeightsError(ValueError):
-    """A weights file that cannot be used; the message says why."""
+class StorageError(ValueError):
+    """A file without usable weights or estimator, or an estimator that cannot be stored."""
 
 
 def write_weights(
@@ -42,17 +42,17 @@ def write_weights(
 
 
 def read_weights(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """Return the arrays and metadata that `write_weights` stored. Raises WeightsError."""
+    """Return the arrays and metadata that `write_weights` stored. Raises StorageError."""
     with optional_import("a file of weights"):
         from safetensors import safe_open
 
-    with parsing(path, WeightsError, "damaged or not a safetensors file"):
+    with parsing(path, StorageError, "damaged or not a safetensors file"):
         Path(path).open("rb").close()  # its own error of a missing file has no reason
         with safe_open(path, framework="numpy") as file:
             arrays = {name: file.get_tensor(name) for name in file.keys()}
             metadata = json.loads((file.metadata() or {}).get(_METADATA_KEY, "{}"))
         if not isinstance(metadata, dict):
-            raise WeightsError(f"its metadata {_METADATA_KEY!r} are not a mapping")
+            raise StorageError(f"its metadata {_METADATA_KEY!r} are not a mapping")
         return arrays, metadata
 
 

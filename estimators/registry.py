@@ -19,10 +19,9 @@ from estimators.linear.calibrated_fir import CalibratedFir
 from estimators.linear.fir_ridge import FirRidge
 from estimators.linear.inverse_quarter_car import InverseQuarterCar
 from estimators.map_smoother.estimator import MapSmoother
-from estimators.networks.gru import Gru, GruCausal
 from estimators.networks.narx import Narx
+from estimators.networks.sequence_estimator import Gru, GruCausal, Tcn, TcnCausal
 from estimators.networks.static_lm import StaticLm
-from estimators.networks.tcn import Tcn, TcnCausal
 from estimators.pretrained_weights import load_pretrained
 from estimators.wiener.wiener import IteratedWiener, Wiener
 from road_envs.core.registry import PluginWarning as PluginWarning  # part of `estimators`

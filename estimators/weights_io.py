@@ -13,8 +13,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from estimators import pretrained_weights
 from estimators.api import Estimator, Trainable
+from estimators.pretrained_weights import SUFFIX, StorageError, read_weights, write_weights
 from estimators.registry import available, create
 from road_envs._version import __version__
 from road_envs.core.atomic_io import atomic_write
@@ -23,10 +23,6 @@ from road_envs.core.reading import parsing, read_npz
 _FORMAT = "roadrecon estimator 1"
 # Prefix of the weights' names in an `.npz` file; keeps them apart from the header
 _WEIGHT_PREFIX = "weights."
-
-
-class StorageError(ValueError):
-    """A file without a usable estimator, or an estimator that cannot be stored."""
 
 
 def save(estimator: Estimator, path: str | Path, metadata: Mapping[str, str] | None = None) -> None:
@@ -47,10 +43,8 @@ def save(estimator: Estimator, path: str | Path, metadata: Mapping[str, str] | N
         "settings": {f.name: getattr(estimator, f.name) for f in fields(kind) if f.init},
     }
     weights = estimator.weights() if isinstance(estimator, Trainable) else {}
-    if path.suffix == pretrained_weights.SUFFIX:
-        pretrained_weights.write_weights(
-            path, weights, {**(metadata or {}), "header": json.dumps(header)}
-        )
+    if path.suffix == SUFFIX:
+        write_weights(path, weights, {**(metadata or {}), "header": json.dumps(header)})
         return
     arrays: dict[str, Any] = {_WEIGHT_PREFIX + key: value for key, value in weights.items()}
     with atomic_write(path, durable=True) as partial, partial.open("wb") as file:
@@ -59,7 +53,14 @@ def save(estimator: Estimator, path: str | Path, metadata: Mapping[str, str] | N
 
 def load(path: str | Path) -> Estimator:
     """Return the estimator stored by `save`. Raises StorageError."""
-    weights, metadata = _read(Path(path))
+    path = Path(path)
+    if path.suffix == SUFFIX:
+        weights, metadata = read_weights(path)
+    else:
+        with parsing(path, StorageError, "damaged or not an .npz file of RoadRecon"):
+            arrays = read_npz(path)
+        metadata = {"header": str(arrays.pop("header"))} if "header" in arrays else {}
+        weights = {name.removeprefix(_WEIGHT_PREFIX): x for name, x in arrays.items()}
     with parsing(path, StorageError, "not a usable RoadRecon estimator"):
         header = json.loads(metadata["header"])
         if header["format"] != _FORMAT:
@@ -69,16 +70,3 @@ def load(path: str | Path) -> Estimator:
             )
         estimator = create(header["name"], **header["settings"])
         return estimator.with_weights(weights) if isinstance(estimator, Trainable) else estimator
-
-
-def _read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """Return weights and metadata of a file. Raises StorageError."""
-    if path.suffix == pretrained_weights.SUFFIX:
-        try:
-            return pretrained_weights.read_weights(path)
-        except pretrained_weights.WeightsError as error:
-            raise StorageError(str(error)) from None
-    with parsing(path, StorageError, "damaged or not an .npz file of RoadRecon"):
-        arrays = {name.removeprefix(_WEIGHT_PREFIX): x for name, x in read_npz(path).items()}
-    header = arrays.pop("header", None)
-    return arrays, {} if header is None else {"header": str(header)}

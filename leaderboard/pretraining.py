@@ -37,7 +37,7 @@ class _FileCheckpoint:
 
     def load(self) -> dict[str, np.ndarray] | None:
         """Return the stored state, or None if there is none of this run."""
-        with suppress(pretrained_weights.WeightsError):
+        with suppress(pretrained_weights.StorageError):
             arrays, metadata = pretrained_weights.read_weights(self.path)
             if metadata.get("run") == self.digest:
                 return arrays

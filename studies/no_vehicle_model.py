@@ -19,7 +19,7 @@ from typing import Any
 from estimators.api import CalibrationDrive, CalibrationError, Estimator
 from estimators.linear.calibrated_fir import CalibratedFir
 from estimators.linear.fir_ridge import FirRidge
-from estimators.networks.tcn import Tcn
+from estimators.networks.sequence_estimator import Tcn
 from leaderboard.scoring import score
 from road_envs.drives.recording import simulate_record
 from road_envs.records.record import Profile, Record

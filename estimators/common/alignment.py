@@ -7,9 +7,11 @@ of the stations follows the lag of each window along the road.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy
+from scipy.interpolate import BSpline, make_interp_spline
 
 from road_envs.records.roughness import Band, band_pass
 
@@ -58,24 +60,19 @@ class StationMap:
 
     def apply(self, s: np.ndarray) -> np.ndarray:
         """Return the reference stations (N,) [m] of the stations `s` (N,) [m]."""
-        piece = self._piece(s)
-        return self.reference[piece] + self._slopes[piece] * (s - self.stations[piece])
+        return self._line(s)
 
     def scale(self, s: np.ndarray) -> np.ndarray:
         """Return the derivative (N,) of the map at the stations `s` (N,) [m]."""
-        return self._slopes[self._piece(s)]
+        return self._line(s, nu=1)
 
     def inverse(self) -> "StationMap":
         """Return the map from the reference to these stations."""
         return StationMap(self.reference, self.stations, self.correlation)
 
-    @property
-    def _slopes(self) -> np.ndarray:
-        return np.diff(self.reference) / np.diff(self.stations)
-
-    def _piece(self, s: np.ndarray) -> np.ndarray:
-        found = np.searchsorted(self.stations, s, side="right") - 1
-        return np.clip(found, 0, self.stations.size - 2)
+    @cached_property
+    def _line(self) -> BSpline:
+        return make_interp_spline(self.stations, self.reference, k=1)
 
 
 def identity_map(length: float) -> StationMap:
@@ -91,19 +88,13 @@ def is_match(correlation: float, overlap: float, band: Band) -> bool:
 
 
 def map_stations(
-    reference: np.ndarray,
-    other: np.ndarray,
-    ds: float,
-    band: Band,
-    searched: float = SEARCHED,
-    max_stretch: float = _MAX_STRETCH,
+    reference: np.ndarray, other: np.ndarray, ds: float, band: Band
 ) -> tuple[StationMap, bool]:
     """Map stations of the profile `other` (2, M) [m] to those of `reference` (2, N) [m].
 
     Both begin at station 0, with points `ds` [m] apart, and are compared inside `band`
-    [cycles/m]. Return the map of largest correlation, and whether the profiles match. Lags of at
-    most `searched` [m] and scales of 1 ± `max_stretch` are tried. Raises ValueError if less than
-    MIN_OVERLAP would be common.
+    [cycles/m]. Return the map of largest correlation, and whether the profiles match. Raises
+    ValueError if less than MIN_OVERLAP would be common.
     """
     first, second = (_slopes(z, ds, band) for z in (reference, other))
     shortest = min(np.ptp(x[0]) for x in (first, second))
@@ -115,7 +106,7 @@ def map_stations(
         )
     head = second[0] <= second[0][0] + _SEARCH_LENGTH
     begin = second[0][head], second[1][:, head]
-    lag, stretch, correlation, overlap = _search(first, begin, searched, max_stretch)
+    lag, stretch, correlation, overlap = _search(first, begin)
     ends = second[0][[0, -1]]
     whole = StationMap(ends, lag + (1.0 + stretch) * ends, correlation)
     if not is_match(correlation, overlap, band):
@@ -132,21 +123,19 @@ def _slopes(z: np.ndarray, ds: float, band: Band) -> _Slopes:
     return ds * (cut + np.arange(slope.shape[1])), slope
 
 
-def _search(
-    first: _Slopes, second: _Slopes, searched: float, max_stretch: float
-) -> tuple[float, float, float, float]:
+def _search(first: _Slopes, second: _Slopes) -> tuple[float, float, float, float]:
     """Return lag [m], stretch, correlation and overlap [m] of the largest correlation."""
     (s, x), (r, y) = first, second
     x, begin = _resample(s, x, 1.0)
     step = 2.0 * _MISPLACEMENT / max(min(np.ptp(s), np.ptp(r)), 1.0)
-    count = int(np.ceil(max_stretch / step))
+    count = int(np.ceil(_MAX_STRETCH / step))
     best = (0.0, 0.0, -2.0, 0.0)
-    for stretch in np.linspace(-max_stretch, max_stretch, 2 * count + 1) if count else [0.0]:
+    for stretch in np.linspace(-_MAX_STRETCH, _MAX_STRETCH, 2 * count + 1):
         scaled, start = _resample(r, y, 1.0 + stretch)
         needed = int(np.floor(min(MIN_OVERLAP / _SEARCH_SPACING, x.shape[1], scaled.shape[1])))
         k, correlation = lag_correlations(x, scaled, needed, 0)
         lags = _SEARCH_SPACING * k + begin - start
-        near = np.abs(lags) <= searched
+        near = np.abs(lags) <= SEARCHED
         if near.any() and (top := float(correlation[near].max())) > best[2]:
             i = int(np.flatnonzero(near)[np.argmax(correlation[near])])
             overlap = min(k[i] + scaled.shape[1], x.shape[1]) - max(k[i], 0)

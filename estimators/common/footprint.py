@@ -28,10 +28,10 @@ class Footprint:
             return cls(np.ones(1))
 
         def excess(half: float) -> float:
-            weights = _overlaps(half)
-            return float(weights @ _cells(weights.size) ** 2) - variance
+            cell, weights = _overlaps(half)
+            return float(weights @ cell**2) - variance
 
-        return cls(_overlaps(brentq(excess, 0.5, contact_length / ds + 1.0)))
+        return cls(_overlaps(brentq(excess, 0.5, contact_length / ds + 1.0))[1])
 
     def apply(self, c: np.ndarray) -> np.ndarray:
         """Return the enveloped coefficients."""
@@ -51,12 +51,9 @@ class Footprint:
         return out
 
 
-def _cells(size: int) -> np.ndarray:
-    return np.arange(size) - size // 2
-
-
-def _overlaps(half: float) -> np.ndarray:
-    """Return the shares (2 m + 1,) of a contact from -`half` to `half` [nodes] in each cell."""
-    cell = _cells(2 * int(np.ceil(half - 0.5)) + 1)
+def _overlaps(half: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return cells (2 m + 1,) and their shares of a contact from -`half` to `half` [nodes]."""
+    m = int(np.ceil(half - 0.5))
+    cell = np.arange(-m, m + 1)
     overlap = np.minimum(cell + 0.5, half) - np.maximum(cell - 0.5, -half)
-    return overlap / (2.0 * half)
+    return cell, overlap / (2.0 * half)

@@ -62,7 +62,12 @@ def mark_manoeuvres(estimate: Estimate, record: Record, wheelbase: float) -> Est
             s = record.s[runs == k]
             marked |= (estimate.s >= s.min() - wheelbase) & (estimate.s <= s.max())
         unsure |= marked
-        notes += _notes(marked, what)
+        edges = np.flatnonzero(np.diff(np.pad(marked, 1).astype(int)))
+        notes += [
+            f"between {PROFILE_SPACING * begin:.0f} and {PROFILE_SPACING * end:.0f} m the vehicle "
+            f"{what}: heights there are not known"
+            for begin, end in edges.reshape(-1, 2)
+        ]
     return mark_unsure(estimate, unsure, *notes) if unsure.any() else estimate
 
 
@@ -119,13 +124,3 @@ def _roll_and_heave(record: Record) -> np.ndarray | None:
     if not np.isfinite(motion).any():
         return None
     return np.nan_to_num(motion - np.nanmedian(motion, axis=1, keepdims=True))
-
-
-def _notes(marked: np.ndarray, what: str) -> list[str]:
-    """Return a note for each run of `marked` stations (M,)."""
-    edges = np.flatnonzero(np.diff(np.pad(marked, 1).astype(int)))
-    return [
-        f"between {PROFILE_SPACING * begin:.0f} and {PROFILE_SPACING * end:.0f} m the vehicle "
-        f"{what}: heights there are not known"
-        for begin, end in edges.reshape(-1, 2)
-    ]

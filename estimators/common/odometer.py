@@ -115,26 +115,22 @@ def _calibrate(record: Record) -> Odometer:
     )
     error, displacement, left = fit(found.x)
     greatest = float(np.abs(displacement).max())
-    if _goes_on(record.s) and wanders(record.t, left):
-        wander = fit_wander(record.t, travelled, record.s - record.s[0])
-        if abs(wander.excess) > _MAX_SPEED_ERROR:
+    forward = np.maximum.accumulate(record.s)
+    back, jump = (forward - record.s).max(), np.diff(forward).max()
+    # records whose stations go back or jump are refused
+    if back <= BACKWARD_MAX and jump <= JUMP_MAX and wanders(record.t, left):
+        offset, excess, excess_std, std = fit_wander(record.t, travelled, record.s - record.s[0])
+        if abs(excess) > _MAX_SPEED_ERROR:
             return unchanged
-        s = record.s[0] + wander.offset + (1.0 + wander.excess) * travelled
-        followed = replace(record, s=s, v=(1.0 + wander.excess) * record.v)
-        std = wander.station_std
-        return Odometer(followed, (WANDER_NOTE.format(std),), std, wander.excess_std)
+        s = record.s[0] + offset + (1.0 + excess) * travelled
+        followed = replace(record, s=s, v=(1.0 + excess) * record.v)
+        return Odometer(followed, (WANDER_NOTE.format(std),), std, excess_std)
     if abs(error) > _MAX_SPEED_ERROR or greatest < _MIN_DISPLACEMENT:
         return unchanged
     if greatest < _CLEARNESS * float(np.sqrt(np.mean(left**2))):
         return unchanged
     corrected = replace(record, s=record.s - displacement, v=record.v / (1.0 + error))
     return Odometer(corrected, (_describe(error, displacement),))
-
-
-def _goes_on(s: np.ndarray) -> bool:
-    """Return whether stations (N,) [m] neither go back nor jump, for which records are refused."""
-    forward = np.maximum.accumulate(s)
-    return bool((forward - s).max() <= BACKWARD_MAX and np.diff(forward).max() <= JUMP_MAX)
 
 
 def _describe(error: float, displacement: np.ndarray) -> str:

@@ -16,8 +16,6 @@ Machine Learning", 2006, section 2.7), averaged over sigma and l by their margin
 assumed: drives are too short to tell it.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
@@ -31,17 +29,6 @@ _SIGMAS, _LATENCIES = np.geomspace(0.2, 12.0, 14), np.geomspace(0.1, 5.0, 8)  # 
 # Medians of both beforehand, and the standard deviation of their logarithms
 _SIGMA, _LATENCY, _LOG_STD = 2.0, 0.7, 0.7
 _BLOCK, _MAX_BLOCKS = 0.25, 150  # time [s] over which positions are averaged; most of them
-
-
-class _WanderFit(NamedTuple):
-    """Offset [m] and relative excess of the true distance over that of the speed signal, with its
-    standard deviation, and that of the stations [m], root mean square along the drive.
-    """
-
-    offset: float
-    excess: float
-    excess_std: float
-    station_std: float
 
 
 def _block_means(t: np.ndarray, *signals: np.ndarray) -> np.ndarray:
@@ -60,8 +47,14 @@ def wanders(t: np.ndarray, left: np.ndarray) -> bool:
     return _WANDER < float(_block_means(t, left)[1].std()) < _MAX_WANDER
 
 
-def fit_wander(t: np.ndarray, travelled: np.ndarray, s: np.ndarray) -> _WanderFit:
-    """Fit stations `s` (N,) [m], less the first, to the integral of the speed `travelled` (N,)."""
+def fit_wander(
+    t: np.ndarray, travelled: np.ndarray, s: np.ndarray
+) -> tuple[float, float, float, float]:
+    """Fit stations `s` (N,) [m], less the first, to the integral of the speed `travelled` (N,).
+
+    Return offset [m] and relative excess of the true distance over that of the speed signal, with
+    its standard deviation, and that of the stations [m], root mean square along the drive.
+    """
     times, x, y = _block_means(t, travelled, s - travelled)
     basis = np.stack([np.ones_like(x), x], axis=1)
     prior = np.diag([_OFFSET_STD**-2, SPEED_STD**-2])
@@ -87,5 +80,5 @@ def fit_wander(t: np.ndarray, travelled: np.ndarray, s: np.ndarray) -> _WanderFi
     found = weights @ np.array(means)
     covariance = np.tensordot(weights, np.array(covariances), 1) - np.outer(found, found)
     variance = np.einsum("ni,ij,nj->n", basis, covariance, basis)
-    stds = np.sqrt([covariance[1, 1], variance.mean()])
-    return _WanderFit(*map(float, (*found, *stds)))
+    excess_std, station_std = np.sqrt([covariance[1, 1], variance.mean()])
+    return float(found[0]), float(found[1]), float(excess_std), float(station_std)

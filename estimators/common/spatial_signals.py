@@ -52,6 +52,7 @@ BANDS = np.geomspace(5.0, SCORED_F_MAX, 6)
 # 20 s. Ratios are 1 where nothing has been measured.
 _NOISE_ENERGY = 0.05
 N_HIGH_PASS = 0.05  # high-pass of the target heights [cycles/m]: accelerations fall with n² v²
+_N_SHORT = 0.15  # spatial frequency [cycles/m] above which waves are short
 N_MOTIONS = 3  # front, rear and roll
 N_RATIOS = 2 * (BANDS.size - 1)  # front over rear, then roll over rear, in each of the bands
 
@@ -162,6 +163,20 @@ def without_long_waves(z: np.ndarray) -> np.ndarray:
     """Return heights (2, M) [m] at profile stations without waves longer than 20 m."""
     wave = int(1.0 / (N_HIGH_PASS * PROFILE_SPACING))
     return high_pass(z, N_HIGH_PASS, 1.0 / PROFILE_SPACING, wave)
+
+
+def keep_short_waves(x: np.ndarray, causal: bool = False) -> np.ndarray:
+    """Return rows at the stations, high-passed at _N_SHORT; without phase unless `causal`."""
+    return high_pass(x, _N_SHORT, 1.0 / SPACING, 100, causal)
+
+
+def motion_windows(
+    signals: SpatialSignals, behind: int, ahead: int, causal: bool = False
+) -> np.ndarray:
+    """Return short waves (3, M, behind + 1 + ahead) [m/s²] of the motions about each station."""
+    motions = keep_short_waves(signals.motions[:N_MOTIONS].astype(float), causal)
+    inside = motions[:, signals.margin - behind : signals.margin + signals.size + ahead]
+    return np.lib.stride_tricks.sliding_window_view(inside, behind + 1 + ahead, axis=1)
 
 
 def _decimate(x: np.ndarray) -> np.ndarray:

@@ -158,9 +158,13 @@ class _KalmanSettings(CalibratedByIdentification):
             )
             z = monitoring.reduce_uncertain(z, z_std, ahead, drifting=smooth)
             steps = run.state.jumps.square
-            z_std = np.hypot(z_std, monitoring.obstacle_std(steps, run.node_stations, s))
+            nodes = run.origin + TUNING.node_spacing * np.arange(len(steps))
+            z_std = np.hypot(z_std, monitoring.obstacle_std(steps, nodes, s))
         long = monitoring.long_waves(z) if smooth else np.zeros_like(z)
-        z_std = monitoring.with_model_error(z_std, z - long, run.acceleration(output), car)
+        # RMS of the latest accelerations when each height is emitted
+        power = run.state.signal_power[np.clip(output.emit_block - 1, 0, None)]
+        driven = np.sqrt(noise / max(float(measurements.sample_count.max()), 1.0) * power)
+        z_std = monitoring.with_model_error(z_std, z - long, driven, car)
         share = emitted
         if smooth:
             explained = trusted_share(record, valid, car, instruments, z)

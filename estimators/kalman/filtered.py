@@ -74,11 +74,6 @@ class FilterRun:
         """Blocks of measurements."""
         return int(self.inputs.y.shape[1])
 
-    @property
-    def node_stations(self) -> np.ndarray:
-        """Stations (N,) [m] of all nodes of the drive."""
-        return self.origin + TUNING.node_spacing * np.arange(self.state.jumps.square.shape[0])
-
     def known_front(self, sensor_latency: float) -> np.ndarray:
         """Return the front axle's station (J,) [m] `sensor_latency` [s] after each block."""
         h, node = self.model.h, self.inputs.front_node
@@ -96,12 +91,6 @@ class FilterRun:
             ratio = np.minimum(1.0, TUNING.early_noise_scale / state.noise_scale)
             ratio *= np.minimum(1.0, TUNING.early_nis / np.maximum(nis, 1e-300))
         return np.minimum(1.0, ratio[last]) ** 2
-
-    def acceleration(self, output: ProfileOutput) -> np.ndarray:
-        """Return the RMS (M,) [m/s²] of the latest accelerations when each height is emitted."""
-        block = np.clip(output.emit_block - 1, 0, None)
-        variance = self.model.noise_variance / max(float(self.inputs.sample_count.max()), 1.0)
-        return np.asarray(np.sqrt(variance * self.state.signal_power[block]))
 
     def lost_before_restarts(self, output: ProfileOutput) -> np.ndarray:
         """Return the stations (M,) that the front axle passed within `lost_reach` before a restart
@@ -149,10 +138,3 @@ class FilteredWindow:
     restarted: bool = False
     accepted: list[AcceptedStep] = field(default_factory=list)
     corrections: list[tuple[AcceptedStep, np.ndarray, np.ndarray]] = field(default_factory=list)
-
-    def error_derivative(self) -> np.ndarray:
-        """Return the derivative D (n, L) of the error by the local error at the start."""
-        D, vehicle = self.W.T @ -self.U, len(self.transition)
-        D[self.local, np.arange(self.local.size)] += 1.0
-        D[:vehicle] = self.transition
-        return D

@@ -94,9 +94,7 @@ class WindowFilter:
         first = int(schedule.edges[i])
         since = first - (state.restarts[-1] if state.restarts else 0)
         newest, (low, high) = int(schedule.reached[first]), self.run.road.free_range
-        if (
-            since < TUNING.lost_blocks or not low < newest < high
-        ):  # innovations of a known level road
+        if since < TUNING.lost_blocks or not low < newest < high:  # on a known level road
             return False
         near = max(newest - round(TUNING.obstacle_length / TUNING.node_spacing), 0)
         if state.jumps.square[near : newest + 1].any():
@@ -134,7 +132,10 @@ class WindowFilter:
             end = min(end, int(self.output.emit_block[self._emitted]))
         state, schedule, road = self.run.state, self.run.windows, self.run.road
         n, N, jumps, x, P = road.n_states, road.n_vehicle, state.jumps, state.x, state.P
-        local = self._local_entries(i)
+        front = schedule.newest[i] - np.arange(schedule.n_front[i])
+        rear = schedule.rear_newest[i] - np.arange(schedule.n_rear[i])
+        nodes = road.node_entries(np.concatenate([front, rear]))
+        local = np.concatenate([np.arange(road.first_sum), nodes])
         size, P_local, blocks = local.size, P[local], end - first
         nodes_at = (schedule.newest[i], schedule.n_front[i] + schedule.rear_newest[i])
         own = LocalState(
@@ -227,10 +228,3 @@ class WindowFilter:
             output.variance[k] = np.sum(covariance * of_height, axis=1)
             emitted.append((int(k), covariance))
         return emitted
-
-    def _local_entries(self, i: int) -> np.ndarray:
-        schedule, road = self.run.windows, self.run.road
-        front = schedule.newest[i] - np.arange(schedule.n_front[i])
-        rear = schedule.rear_newest[i] - np.arange(schedule.n_rear[i])
-        nodes = road.node_entries(np.concatenate([front, rear]))
-        return np.concatenate([np.arange(road.first_sum), nodes])

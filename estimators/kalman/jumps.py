@@ -62,12 +62,8 @@ def _add_information(score, information, response, innovation):
     """Update `score` (m,) and `information` (m, m) of the candidates by a whitened `innovation`
     (R,), whose mean is `response` (R, m) per unit step.
     """
-    for s in range(innovation.size):
-        for c in range(score.size):
-            share = response[s, c]
-            score[c] += innovation[s] * share
-            for d in range(score.size):
-                information[c, d] += share * response[s, d]
+    score += np.dot(innovation, response)
+    information += np.dot(response.T, response)
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,8 +6,6 @@ measurement above that of the transition: every column is the exact tangent of t
 (`road_envs.simulation.sensitivity`).
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from estimators.common.spline import height_weights, slope_weights
@@ -34,22 +32,15 @@ from road_envs.vehicle.suspension import VehicleBuffers
 _NODE_SPACING = TUNING.node_spacing
 
 
-class _AxleWeights(NamedTuple):
-    """Spline weights of both axles at both half steps of the steps of a block. `node` (steps, 2,
-    2): the first of the four nodes that carry an axle; `height` and `slope` [1/s] (steps, 2, 2,
-    4): their weights in the height under the axle and in the rate of that height.
-    """
-
-    node: np.ndarray
-    height: np.ndarray
-    slope: np.ndarray
-
-
 @kernel(inline=False)
-def _axle_spline_weights(inputs: FilterInputs, wheelbase_nodes, first, weights: _AxleWeights):
-    """Fill the spline weights of a block's steps, from the step `first` on."""
-    node, height, slope = weights
-    for k in range(node.shape[0]):
+def _axle_spline_weights(inputs: FilterInputs, wheelbase_nodes, first, steps):
+    """Return the spline weights of both axles at both half steps of `steps` from the `first` on:
+    the first of the four nodes that carry an axle (steps, 2, 2), and their weights in the height
+    under the axle and in the rate [1/s] of that height (steps, 2, 2, 4).
+    """
+    node = np.empty((steps, 2, 2), dtype=np.int64)
+    height, slope = np.empty((steps, 2, 2, 4)), np.empty((steps, 2, 2, 4))
+    for k in range(steps):
         for half in range(2):
             now = 2 * (first + k) + half
             front, rate = inputs.front_node[now], inputs.node_rate[now]
@@ -61,6 +52,7 @@ def _axle_spline_weights(inputs: FilterInputs, wheelbase_nodes, first, weights: 
                 for m in range(4):
                     height[k, half, axle, m] = a[m]
                     slope[k, half, axle, m] = b[m] * rate
+    return node, height, slope
 
 
 @kernel(inline=False)
@@ -70,12 +62,9 @@ def linearize_block(
     """Fill the block `j`: factors and prediction. `local.strut_state` is advanced to the block's
     end; the vehicle part of `local.x` is not.
     """
-    steps_per_block = model.steps_per_block
-    first = j * steps_per_block
-    node, shape = np.empty((steps_per_block, 2, 2), dtype=np.int64), (steps_per_block, 2, 2, 4)
-    weights = _AxleWeights(node, np.empty(shape), np.empty(shape))
-    _axle_spline_weights(inputs, model.wheelbase_nodes, first, weights)
-    rows = np.empty((steps_per_block, TAPE_ROW_SIZE))
+    steps = model.steps_per_block
+    first, rows = j * steps, np.empty((steps, TAPE_ROW_SIZE))
+    weights = _axle_spline_weights(inputs, model.wheelbase_nodes, first, steps)
     _simulate_block(model, inputs, local, first, weights, rows, block)
     block.factors[:] = 0.0
     for s in range(3):
@@ -92,14 +81,12 @@ def _simulate_block(
     out = stack_array(N_SIDE_SIGNALS)
     n_dof = model.strut_rows.shape[1]
     end = block.end_state
-    for i in range(end.size):
-        end[i] = local.x[i]
+    end[:] = local.x[: end.size]
     vehicle = VehicleBuffers(model.constants, model.velocity, model.displacement, local.strut_state)
     motion, bending = Motion(end[:n_dof], end[n_dof : 2 * n_dof]), end[2 * n_dof :]
     road, x, (node, height, slope) = np.empty(16), local.x, weights
     acceleration = np.empty(n_dof)
-    no_manoeuvre, sensor_rows = np.zeros(4), model.sensor_rows
-    predicted = np.zeros(3)
+    no_manoeuvre, predicted = np.zeros(4), np.zeros(3)
     alpha = 1.0 - np.exp(-model.h / model.valve_lag)
     samples = 0
     for k in range(rows.shape[0]):
@@ -121,22 +108,16 @@ def _simulate_block(
         step_with_derivative(vehicle, motion, step_inputs, work, out, rows[k], *flags)
         if (first + k) % model.decimation == 0:
             samples += 1
-            for i in range(N_DOF):
-                acceleration[i] = out[ACCELERATION + i]
+            acceleration[:N_DOF] = out[ACCELERATION : ACCELERATION + N_DOF]
             if model.flexible is not None:
                 acceleration[N_DOF] = out[TWIST + 2]
             if model.side is not None:
-                for j in range(side_size(motion.q)):
-                    acceleration[n_dof - side_size(motion.q) + j] = out[SIDE_ACCELERATION + j]
-            bent = 0.0
+                size = side_size(motion.q)
+                acceleration[n_dof - size :] = out[SIDE_ACCELERATION : SIDE_ACCELERATION + size]
+            predicted += np.dot(model.sensor_rows, acceleration)
             if bending.size > 0:
-                bent = _bend(model, acceleration, bending)
-            for s in range(3):
-                predicted[s] += model.bending_shape[s] * bent
-                for i in range(n_dof):
-                    predicted[s] += sensor_rows[s, i] * acceleration[i]
-    for s in range(3):
-        block.predicted[s] = predicted[s] / samples + x[end.size + s]
+                predicted += model.bending_shape * _bend(model, acceleration, bending)
+    block.predicted[:] = predicted / samples + x[end.size : end.size + 3]
 
 
 @kernel
@@ -156,7 +137,7 @@ def _bend(model: FilterModel, acceleration, bending):
 
 
 @kernel(inline=False)
-def _node_derivatives(weights: _AxleWeights, i, direction, road):
+def _node_derivatives(weights, i, direction, road):
     """Write the derivatives of heights and rates under the wheels at the step `i` by the block's
     nodes to `road` (G, 16, LANES), in the layout of `rosenbrock.step`. A lane of a group is a
     direction: from `direction` on, behind the vehicle states, mean and half difference of the
@@ -186,7 +167,7 @@ def _tangent_columns(
     model: FilterModel, inputs: FilterInputs, local: LocalState, first, rows, weights, block
 ):
     """Write the tangents along the vehicle states and the nodes to `block.factors`."""
-    n_dof, n_vehicle, node = model.strut_rows.shape[1], block.end_state.size, weights.node
+    n_dof, n_vehicle, node = model.strut_rows.shape[1], block.end_state.size, weights[0]
     oldest, end = node[0, 0], node[-1, 1] + 4  # of the nodes under each axle
     directions = n_vehicle + 2 * (end[0] - oldest[0] + end[1] - oldest[1])
     groups, samples = (directions + LANES - 1) // LANES, 0
@@ -222,8 +203,6 @@ def _tangent_columns(
             if part > 0:
                 column = local.nodes_at[part - 1] - 2 * (oldest[part - 1] + i // 2) + i % 2
             group, lane = direction // LANES, direction % LANES
-            for s in range(3):
-                block.factors[s, column] = sums[3 * group + s, lane] / samples
-            for j in range(n_vehicle):
-                block.factors[3 + j, column] = y[group, j, lane]
+            block.factors[:3, column] = sums[3 * group : 3 * group + 3, lane] / samples
+            block.factors[3:, column] = y[group, :, lane]
             direction += 1

@@ -46,7 +46,9 @@ def smooth_backward(
         r[local] += moved + U.T @ (window.innovation[:, None] - window.W @ r)
         for step, change, _ in window.corrections:
             r[local, 0] -= change * sizes[step]
-        D = window.error_derivative()
+        D = window.W.T @ -U
+        D[local, np.arange(local.size)] += 1.0
+        D[:vehicle] = window.transition
         moved = N @ D
         inner = D.T @ moved + U.T @ U
         N[:, local], N[local] = moved, moved.T

@@ -54,12 +54,10 @@ class WindowSchedule:
             far = end[now : now + TUNING.max_blocks] > start[now] + max_advance
             edges.append(now + max(int(np.argmax(np.append(far, True))), 1))
         first = np.array(edges[:-1])
-        low = np.floor(np.minimum.reduceat(node.min(axis=1), first)).astype(int)
+        lowest = np.minimum.reduceat(node.min(axis=1), first)
         high = np.maximum.reduceat(node.max(axis=1), first)
+        low, rear_low = (np.floor(lowest - x).astype(int) for x in (0.0, wheelbase_nodes))
         newest = np.maximum.accumulate(np.floor(high).astype(int) + 2)
-        rear_low = np.floor(np.minimum.reduceat(node.min(axis=1), first) - wheelbase_nodes).astype(
-            int
-        )
         rear_newest = np.floor(high - wheelbase_nodes).astype(int) + 2
         rear = np.floor(start[first] - wheelbase_nodes).astype(int) - 1
         initial = int(front_node[0]) + 2
@@ -85,8 +83,3 @@ class WindowSchedule:
         the window i, `oldest[i + 1]` in it.
         """
         return np.append(self.initial, self.newest) - self.n_nodes + 1
-
-    def last_edge(self, block: np.ndarray) -> np.ndarray:
-        """Return the last edge of a window before each `block` (M,); the drive's end is kept."""
-        rounded = self.edges[np.searchsorted(self.edges, block, side="right") - 1]
-        return np.where(block >= self.edges[-1], self.edges[-1], rounded)

@@ -111,10 +111,10 @@ class CalibratedFir(Settings):
         """Identify the responses from drives over known roads; `seed` is unused. Of `car` only the
         wheelbase is used, unless it is a setting. Raises RecordError, CalibrationError.
         """
-        names = [f"drive {i}" for i in range(1, len(records) + 1)]
-        names = names if len(records) > 1 else ["the drive"]
-        rows = zip(records, truths, names, strict=True)
-        return self._identify([CalibrationDrive(r, z, name=name) for r, z, name in rows], car)
+        drives = [CalibrationDrive(*pair) for pair in zip(records, truths, strict=True)]
+        if len(drives) > 1:
+            drives = [replace(drive, name=f"drive {i}") for i, drive in enumerate(drives, 1)]
+        return self._identify(drives, car)
 
     def calibrate(self, drives: Sequence[CalibrationDrive], car: VehicleParameters) -> Self:
         """Identify the responses from the drives over measured roads, starting from those of `fit`
@@ -146,7 +146,18 @@ class CalibratedFir(Settings):
                 "calibrate with the accelerometers of the record"
             )
         z, z_std = _reconstruct(chosen.responses, model.axles, record, self.seed)
-        notes, stations = (*notes, *_notes(chosen, state, record)), profile_stations(record.length)
+        if (chosen.state != state).any():
+            notes += (
+                "no calibration drive was in this state of the struts; the responses are those of "
+                "the nearest state",
+            )
+        v = float(record.v.mean())
+        if not chosen.speed / _FAR_SPEED < v < chosen.speed * _FAR_SPEED:
+            notes += (
+                f"calibrated at {3.6 * chosen.speed:.0f} km/h, driven at {3.6 * v:.0f} km/h: "
+                "friction acts otherwise there, and errors exceed the standard deviations",
+            )
+        stations = profile_stations(record.length)
         return odometer.describe(Estimate(stations, z, chosen.std_factor * z_std, notes))
 
     def summary(self) -> dict[str, Any]:
@@ -197,15 +208,13 @@ class CalibratedFir(Settings):
     @single_blas_thread()
     def _identify(self, drives: Sequence[CalibrationDrive], car: VehicleParameters) -> Self:
         axles = np.array([0.0, self.wheelbase or car.wheelbase])
-        before = self.fitted_state
-        if before is not None and before.axles.tolist() != axles.tolist():
-            before = None
-        kept = {x.state.tobytes(): x for x in before.by_state} if before else {}
+        kept, before = dict[bytes, _VehicleResponse](), self.fitted_state
+        if before is not None and np.array_equal(before.axles, axles):
+            kept = {x.state.tobytes(): x for x in before.by_state}
         groups: dict[bytes, list[CalibrationDrive]] = {}
         for drive in drives:
             record = calibrate_odometer(clean_record(drive.record, None)[0]).record
-            cleaned = replace(drive, record=record)
-            groups.setdefault(_state(cleaned.record).tobytes(), []).append(cleaned)
+            groups.setdefault(_state(record).tobytes(), []).append(replace(drive, record=record))
         for key, group in groups.items():
             prior = kept[key].responses.taps if key in kept else None
             if prior is not None and len(prior) != len(group[0].record.a):
@@ -291,34 +300,14 @@ def _reconstruct(
         z[:, here] = (heights @ posterior.mean.reshape(-1, 2)).T[:, here]
         drawn = posterior.draw(_DRAWS, rng).reshape(nodes.size, 2, _DRAWS)
         for path in range(2):
-            power[path, here] = _in_band_power(heights @ drawn[:, path], v)[here]
+            x = band_pass((heights @ drawn[:, path]).T, PROFILE_SPACING, scored_band(v))
+            cut = (stations.size - x.shape[1]) // 2
+            ends = (cut, stations.size - x.shape[1] - cut)
+            power[path, here] = np.pad(np.mean(x**2, axis=0), ends, mode="edge")[here]
     width = _SMOOTHING / PROFILE_SPACING
     return z, np.sqrt(gaussian_filter1d(power, width, axis=1, mode="nearest"))
-
-
-def _in_band_power(deviations: np.ndarray, v: float) -> np.ndarray:
-    """Return the mean square (M,) [m²] inside the scored band of deviations (M, draws)."""
-    x = band_pass(deviations.T, PROFILE_SPACING, scored_band(v))
-    cut = (len(deviations) - x.shape[1]) // 2
-    return np.pad(np.mean(x**2, axis=0), (cut, len(deviations) - x.shape[1] - cut), mode="edge")
 
 
 def _state(record: Record) -> np.ndarray:
     """Return the prevailing state (4,): stiff and high damping in front, then at the rear."""
     return axle_states(record).mean(axis=1).round()
-
-
-def _notes(chosen: _VehicleResponse, state: np.ndarray, record: Record) -> tuple[str, ...]:
-    """Return notes on a drive in another state or at another speed than the calibration's."""
-    notes, v = [], float(record.v.mean())
-    if (chosen.state != state).any():
-        notes.append(
-            "no calibration drive was in this state of the struts; the responses are those of the "
-            "nearest state"
-        )
-    if not chosen.speed / _FAR_SPEED < v < chosen.speed * _FAR_SPEED:
-        notes.append(
-            f"calibrated at {3.6 * chosen.speed:.0f} km/h, driven at {3.6 * v:.0f} km/h: friction "
-            "acts otherwise there, and errors exceed the standard deviations"
-        )
-    return tuple(notes)

@@ -5,13 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from estimators.api import CalibrationDrive, CalibrationError
-from estimators.linear.impulse_responses import (
-    F_BODY,
-    RATE,
-    IdentifiedResponses,
-    RoadDrive,
-    sample_times,
-)
+from estimators.linear.impulse_responses import F_BODY, RATE, IdentifiedResponses, RoadDrive
 from road_envs.records.record import F_C, Profile
 
 # Shortest distance [m] that is of use, of all drives in one state together: five of the longest
@@ -34,10 +28,8 @@ def check_drives(drives: Sequence[CalibrationDrive], data: Sequence[RoadDrive]) 
     """Raise CalibrationError if drives are too short or their roads have too few frequencies."""
     used = [each.segment >= 0 for each in data]
     names = drives[0].name if len(drives) == 1 else f"the {len(drives)} drives in this state"
-    length = 0.0
-    for drive, here in zip(drives, used, strict=True):
-        s = np.interp(sample_times(drive.record), drive.record.t, drive.record.s)
-        length += float(np.ptp(s[here])) if here.any() else 0.0
+    pairs = zip(data, used, strict=True)
+    length = sum(float(np.ptp(each.s[here])) for each, here in pairs if here.any())
     if length < _LENGTH_MIN:
         raise CalibrationError(
             f"{names}: all axles are on the profile over {length:.0f} m; at least "

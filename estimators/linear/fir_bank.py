@@ -15,15 +15,20 @@ The smoothness term regularises knots with few drives. A high-pass suppresses er
 without a drive takes the taps of the one that differs in the fewest states.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solveh_banded
 
 from estimators.common.blas import single_blas_thread
-from estimators.common.spatial_signals import N_MOTIONS, SPACING, SpatialSignals, high_pass
-from estimators.common.training_data import SPEED_RANGE
+from estimators.common.pretrained import SPEED_RANGE
+from estimators.common.spatial_signals import (
+    N_MOTIONS,
+    SpatialSignals,
+    keep_short_waves,
+    motion_windows,
+)
 
 # Speeds [m/s] of the taps; outside, the taps of the first or last knot hold
 KNOTS = np.geomspace(*SPEED_RANGE, 9)
@@ -31,7 +36,6 @@ KNOTS = np.geomspace(*SPEED_RANGE, 9)
 _N_STATE_COMBINATIONS = 16
 RIDGE = 1e-4
 SMOOTHNESS = 1e-4
-_N_SHORT = 0.15  # spatial frequency [cycles/m] of the high-pass on the errors
 _LEVEL_MIN = 3e-4  # added to a drive's level [m], so that noise on a smooth road does not dominate
 _MM = 1e-3  # unit of the heights [m]: taps are stored as float16 for heights in mm
 
@@ -67,7 +71,13 @@ class FirBank(NamedTuple):
         for combination, indices in drives.items():
             sums = [_KnotNormalEquations.zeros(k * taps.shape[-1]) for k in (2, 1)]
             for i in indices:
-                _add_drive(sums, all_signals[i], targets[i], behind, ahead)
+                signals = all_signals[i]
+                front, rear, roll = motion_windows(signals, behind, ahead)
+                z = keep_short_waves(targets[i])
+                scale = 1.0 / (_LEVEL_MIN + np.sqrt(np.mean(z**2)))
+                centre_line = np.concatenate([front, rear], axis=1)
+                for part, X, target in zip(sums, (centre_line, roll), z, strict=True):
+                    part.add(scale * X, scale * target, signals.speed)
             solution = np.concatenate([part.solve() for part in sums], axis=1)
             taps[combination] = (solution / _MM).reshape(taps.shape[1:])
         for combination in set(range(_N_STATE_COMBINATIONS)) - drives.keys():
@@ -86,12 +96,19 @@ class FirBank(NamedTuple):
         size = signals.size + 2 * extra
         inside = slice(first, first + size)
         motions = signals.motions[:N_MOTIONS, first - self.behind : first + size + self.ahead]
-        z = np.zeros((2, size))
-        for combination, knot, share in _knot_shares(signals.v[inside], signals.states[inside]):
-            taps = self.taps[combination, knot].astype(float)
-            pairs = zip(motions, taps, strict=True)
-            front, rear, roll = (np.correlate(x, h, "valid") for x, h in pairs)
-            z += share * np.array([front + rear, roll])
+        z, states = np.zeros((2, size)), signals.states[inside]
+        k, above = _locate_knots(signals.v[inside])
+        for combination in range(_N_STATE_COMBINATIONS):
+            # bit by bit the states of the combination: its weight is the product of their shares
+            on = (combination >> np.arange(3, -1, -1)) & 1
+            here = np.prod(np.where(on, states, 1.0 - states), axis=1)
+            for knot in range(KNOTS.size) if here.any() else ():
+                share = here * ((k == knot) * (1.0 - above) + (k + 1 == knot) * above)
+                if share.any():
+                    taps = self.taps[combination, knot].astype(float)
+                    pairs = zip(motions, taps, strict=True)
+                    front, rear, roll = (np.correlate(x, h, "valid") for x, h in pairs)
+                    z += share * np.array([front + rear, roll])
         return _MM * z
 
 
@@ -140,54 +157,8 @@ class _KnotNormalEquations(NamedTuple):
         return taps.reshape(knots, p)
 
 
-def keep_short_waves(x: np.ndarray, causal: bool = False) -> np.ndarray:
-    """Return rows at the stations, high-passed at _N_SHORT; without phase unless `causal`."""
-    return high_pass(x, _N_SHORT, 1.0 / SPACING, 100, causal)
-
-
-def motion_windows(
-    signals: SpatialSignals, behind: int, ahead: int, causal: bool = False
-) -> np.ndarray:
-    """Return short waves (3, M, behind + 1 + ahead) [m/s²] of the motions about each station."""
-    motions = keep_short_waves(signals.motions[:N_MOTIONS].astype(float), causal)
-    inside = motions[:, signals.margin - behind : signals.margin + signals.size + ahead]
-    return np.lib.stride_tricks.sliding_window_view(inside, behind + 1 + ahead, axis=1)
-
-
-def _add_drive(
-    sums: list[_KnotNormalEquations],
-    signals: SpatialSignals,
-    target: np.ndarray,
-    behind: int,
-    ahead: int,
-) -> None:
-    """Add a drive to the `sums` of (front, rear) and of roll."""
-    windows = motion_windows(signals, behind, ahead)
-    z = keep_short_waves(target)
-    scale = 1.0 / (_LEVEL_MIN + np.sqrt(np.mean(z**2)))
-    sums[0].add(
-        scale * np.concatenate([windows[0], windows[1]], axis=1), scale * z[0], signals.speed
-    )
-    sums[1].add(scale * windows[2], scale * z[1], signals.speed)
-
-
 def _locate_knots(v: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
     """Return the indices of the knots below speeds of any shape, and the weights of those above."""
     x = np.interp(np.log(np.maximum(v, KNOTS[0])), np.log(KNOTS), np.arange(KNOTS.size))
     k = np.minimum(x.astype(int), KNOTS.size - 2)
     return k, x - k
-
-
-def _knot_shares(v: np.ndarray, states: np.ndarray) -> Iterator[tuple[int, int, np.ndarray]]:
-    """Yield combination, knot and weight (M,) of each set of taps in use."""
-    k, above = _locate_knots(v)
-    for combination in range(_N_STATE_COMBINATIONS):
-        # bit by bit the states of the combination: its weight is the product of their shares
-        on = (combination >> np.arange(3, -1, -1)) & 1
-        here = np.prod(np.where(on, states, 1.0 - states), axis=1)
-        if not here.any():
-            continue
-        for knot in range(KNOTS.size):
-            share = here * ((k == knot) * (1.0 - above) + (k + 1 == knot) * above)
-            if share.any():
-                yield combination, knot, share

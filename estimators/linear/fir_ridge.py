@@ -27,38 +27,25 @@ contains too little of the body's motion and of the rear axle's passage.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Annotated, ClassVar, NamedTuple, Self
 
 import numpy as np
 from pydantic import Field
 
-from estimators.api import (
-    CalibrationDrive,
-    Profiles,
-    Records,
-    copy_with,
-    validate_weights,
-)
+from estimators.api import CalibrationDrive, Profiles, Records, copy_with, validate_weights
 from estimators.common.blas import single_blas_thread
 from estimators.common.least_squares import LeastSquaresSums, cross_validate
 from estimators.common.odometer import calibrate_odometer
-from estimators.common.pretrained import SpatialEstimator
-from estimators.common.spatial_signals import (
-    SpatialSignals,
-    upsample,
-    wheel_paths,
-    without_long_waves,
-)
-from estimators.common.training_data import (
+from estimators.common.pretrained import (
     LONG_WAVE_NOTE,
-    STATION_MARGIN,
     STATIONS_BEHIND,
+    Prediction,
+    Predictor,
+    SpatialEstimator,
     TrainingExample,
-    validity_notes,
 )
-from estimators.common.vehicle_correction import CORRECTION_REACH, Prediction, fit_corrections
-from estimators.linear.fir_bank import FirBank, keep_short_waves, motion_windows
+from estimators.common.spatial_signals import SpatialSignals, without_long_waves
+from estimators.linear.fir_bank import FirBank
 from estimators.preprocessing import clean_record, sample_profile, spatial_accelerations
 from road_envs.records.record import (
     F_C,
@@ -131,37 +118,40 @@ class FirRidge(SpatialEstimator):
         bank = FirBank.fit(all_signals, targets, STATIONS_BEHIND, STATIONS_BEHIND)
         return copy_with(self, fitted_state=bank)
 
+    def predictor(self, car: VehicleParameters) -> Predictor:
+        """Return what estimates a drive by the bank. Raises NotFittedError."""
+        bank = self._fitted_or_pretrained()
+
+        def predict(signals: SpatialSignals) -> Prediction:
+            no_layer = np.empty((2, 0, signals.size))
+            return Prediction(bank(signals), np.ones(signals.size), 1.0, no_layer)
+
+        return predict
+
     def calibrate(self, drives: Sequence[CalibrationDrive], car: VehicleParameters) -> Self:
-        """Return a copy whose bank is corrected for the vehicle of the drives over measured roads
-        (`vehicle_correction.py`); others are ignored. Fitted taps stay. Raises RecordError.
+        """Return a copy with a correction of the bank for the vehicle of the drives over measured
+        roads; fitted taps stay. Raises RecordError, CalibrationError, NotFittedError.
         """
-        model = self._fitted_or_pretrained()
-        if not isinstance(model, FirBank):
-            return self
-        predict = partial(_prediction, model)
-        corrections = fit_corrections(drives, self.causal, predict, keep_short_waves)
-        return copy_with(self, corrections=corrections)
+        is_bank = isinstance(self._fitted_or_pretrained(), FirBank)
+        return super().calibrate(drives, car) if is_bank else self
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Return the weighted sums. Raises RecordError, NotFittedError."""
+        model = self._fitted_or_pretrained()
+        if isinstance(model, FirBank):
+            return super().estimate(record, car)
         record, notes = clean_record(record)
         odometer = calibrate_odometer(record)
         record = odometer.record
-        model, stations = self._fitted_or_pretrained(), profile_stations(record.length)
-        if isinstance(model, FirBank):
-            signals = SpatialSignals.of(record, STATION_MARGIN)
-            predict = partial(_prediction, model, signals)
-            z, corrected = self._corrected(model(signals), signals, predict)
-            notes = (*notes, *corrected, LONG_WAVE_NOTE, *validity_notes(signals))
-            z = wheel_paths(upsample(z, stations.size))
-            return odometer.describe(Estimate(stations, z, notes=notes))
         taps, stride, speed, _ = model
-        half = taps.shape[2] // 2
+        stations, half = profile_stations(record.length), taps.shape[2] // 2
         a = spatial_accelerations(record, half * stride)
         z = np.zeros((2, stations.size))
         for i in range(taps.shape[2]):
             z += taps[:, :, i] @ a[:, i * stride : i * stride + stations.size]
-        notes = (*notes, LONG_WAVE_NOTE, *_speed_note(speed, record))
+        notes, driven = (*notes, LONG_WAVE_NOTE), float(record.v.mean())
+        if abs(driven - speed) > 0.1 * speed:
+            notes += (f"fitted at {speed:.1f} m/s, driven at {driven:.1f} m/s",)
         return odometer.describe(Estimate(stations, z, notes=notes))
 
     def weights(self) -> dict[str, np.ndarray]:
@@ -190,23 +180,8 @@ class FirRidge(SpatialEstimator):
         return int(self.reach / (stride * PROFILE_SPACING))
 
 
-def _prediction(bank: FirBank, signals: SpatialSignals) -> Prediction:
-    """Return the bank's estimate, with the accelerations in the window of a correction."""
-    windows = motion_windows(signals, CORRECTION_REACH, CORRECTION_REACH)
-    x, z = np.concatenate(list(windows), axis=1).T, bank(signals)
-    return Prediction(z, keep_short_waves(z), np.array([x, x]), np.ones(signals.size))
-
-
 def _sliding_windows(record: Record, stride: int, half: int) -> np.ndarray:
     """Return the regressors (N, 3 (2 half + 1)) [m/s²] at every `stride`-th station."""
     a = spatial_accelerations(record, half * stride)
     windows = np.lib.stride_tricks.sliding_window_view(a, 2 * half * stride + 1, axis=1)
     return np.concatenate(list(windows[:, ::stride, ::stride]), axis=1)
-
-
-def _speed_note(speed: float, record: Record) -> tuple[str, ...]:
-    """Return a note if the record's mean speed is more than 10 % off that of the training."""
-    driven = float(record.v.mean())
-    if abs(driven - speed) <= 0.1 * speed:
-        return ()
-    return (f"fitted at {speed:.1f} m/s, driven at {driven:.1f} m/s",)

@@ -47,12 +47,14 @@ _START = (np.log(0.01), np.log(13.0), np.log(0.1))
 
 
 class RoadDrive(NamedTuple):
-    """Sensors `a` (k, N) [m/s²] and road accelerations `u` (axles, 2, N) [m/s²] of a drive, and the
-    `segment` (N,) of each sample, -1 where it is not used.
+    """Sensors `a` (k, N) [m/s²], road accelerations `u` (axles, 2, N) [m/s²] and stations `s` (N,)
+    [m] of the first axle in a drive, and the `segment` (N,) of each sample, -1 where it is not
+    used.
     """
 
     a: np.ndarray
     u: np.ndarray
+    s: np.ndarray
     segment: np.ndarray
 
     @classmethod
@@ -70,7 +72,7 @@ class RoadDrive(NamedTuple):
             ]
             for axle in axles
         ]
-        return cls(sensed(record, t), np.array(u), cls.segment_of(s, profile, axles))
+        return cls(sensed(record, t), np.array(u), s, cls.segment_of(s, profile, axles))
 
     @staticmethod
     def segment_of(s: np.ndarray, profile: Profile, axles: np.ndarray) -> np.ndarray:
@@ -112,11 +114,6 @@ class Responses(NamedTuple):
         """
         turn = np.exp(-2j * np.pi * F_BODY / RATE * np.arange(N_TAPS))
         return (self.taps.sum(axis=(1, 2)) @ turn).real
-
-    @property
-    def whitening(self) -> np.ndarray:
-        """Taps (AR_ORDER + 1,) of the filter that makes the residual white."""
-        return np.append(1.0, -self.ar)
 
 
 class IdentifiedResponses(NamedTuple):

@@ -114,7 +114,7 @@ class NormalEquations(NamedTuple):
         # `mix` makes the innovations of the sensors independent and of variance 1, `white` makes
         # those of each independent over time: both act on readings and taps, which the filter makes
         # longer
-        size, white = roads[0].shape[1], responses.whitening
+        size, white = roads[0].shape[1], np.append(1.0, -responses.ar)
         mix = np.linalg.inv(np.linalg.cholesky(responses.innovation))
         taps = np.pad(responses.taps, ((0, 0), (0, 0), (0, 0), (0, white.size - 1)))
         taps = np.einsum("ij,jxpt->xpti", mix, signal.lfilter(white, 1.0, taps, axis=3))

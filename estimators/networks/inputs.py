@@ -21,19 +21,17 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from scipy import signal
 
-from estimators.api import LAG
+from estimators.common.pretrained import STATIONS_AHEAD
 from estimators.common.spatial_signals import (
     EDGE_STATIONS,
-    FILTER_REACH,
     N_MOTIONS,
     N_RATIOS,
     SPACING,
     SpatialSignals,
+    keep_short_waves,
 )
-from estimators.linear.fir_bank import FirBank, keep_short_waves
+from estimators.linear.fir_bank import FirBank
 
-# Stations ahead of the estimated one in a causal window; the filters use the rest of LAG
-STATIONS_AHEAD = int((LAG - 2.0 * FILTER_REACH) / SPACING)
 _LEVEL_DECAY_LENGTH = 30.0  # decay length [m] of the causal level
 _LEVEL_MIN = 3e-4  # added to the level [m], so that noise on a level road is not amplified
 N_INPUTS, N_CONDITIONS = 10, 8 + N_RATIOS

@@ -23,6 +23,7 @@ pages of trainlm, initnw, mapminmax, dividerand, divideblock and mse.
 """
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -190,19 +191,6 @@ class _Evaluation(NamedTuple):
         return float(np.vdot(self.e, self.e)) / self.e.size if self.e.size else float("nan")
 
 
-class _NormalEquations(NamedTuple):
-    """Lower triangle of J'J (P, P), and J'e (P,), means over all errors; the mean squared error."""
-
-    JJ: np.ndarray
-    Je: np.ndarray
-    mse: float
-
-    @property
-    def gradient(self) -> float:
-        """Norm of the gradient of the mean squared error."""
-        return 2.0 * float(np.linalg.norm(self.Je))
-
-
 def nguyen_widrow(
     inputs: int, hidden: int, outputs: int, rng: np.random.Generator
 ) -> TwoLayerNetwork:
@@ -240,56 +228,48 @@ def train(
     mu, stop = options.mu, None
     history: list[tuple[float, ...]] = []
     while stop is None:
-        epoch, normal = len(history), _normal_equations(at)
-        errors = [_evaluate(at.network, *part).mse for part in (validation, test)]
-        history.append((normal.mse, *errors, mu, normal.gradient))
-        if errors[0] < best_error or not split.validation.size:
-            best, best_error, best_epoch = at.network, errors[0], epoch
-        stop = _stop_reason(options, epoch, normal, mu, failures=epoch - best_epoch)
+        epoch, (JJ, Je) = len(history), _normal_equations(at)
+        gradient = 2.0 * float(np.linalg.norm(Je))
+        errors = [at.mse, *(_evaluate(at.network, *part).mse for part in (validation, test))]
+        history.append((*errors, mu, gradient))
+        if errors[1] < best_error or not split.validation.size:
+            best, best_error, best_epoch = at.network, errors[1], epoch
+        reasons: dict[_StopReason, bool] = {
+            "goal": errors[0] <= options.goal,
+            "epochs": epoch >= options.max_epochs,
+            "gradient": gradient <= options.min_grad,
+            "mu": mu > options.mu_max,
+            "validation": epoch - best_epoch >= options.max_fail,
+        }
+        stop = next((name for name, holds in reasons.items() if holds), None)
         if stop is None:
-            at, mu = _take_step(at, normal, training[1], mu, options)
+            at, mu = _take_step(at, JJ, Je, training[1], mu, options)
     return LmResult(best, stop, best_epoch, *np.array(history).T)
 
 
-def _stop_reason(
-    options: TrainlmOptions, epoch: int, normal: _NormalEquations, mu: float, failures: int
-) -> _StopReason | None:
-    """Return the first stop criterion that holds, or None."""
-    reasons: dict[_StopReason, bool] = {
-        "goal": normal.mse <= options.goal,
-        "epochs": epoch >= options.max_epochs,
-        "gradient": normal.gradient <= options.min_grad,
-        "mu": mu > options.mu_max,
-        "validation": failures >= options.max_fail,
-    }
-    return next((name for name, holds in reasons.items() if holds), None)
-
-
 def _take_step(
-    at: _Evaluation, normal: _NormalEquations, t: np.ndarray, mu: float, options: TrainlmOptions
+    at: _Evaluation,
+    JJ: np.ndarray,
+    Je: np.ndarray,
+    t: np.ndarray,
+    mu: float,
+    options: TrainlmOptions,
 ) -> tuple[_Evaluation, float]:
     """Return the network after the first step that lowers the error, and the next mu; the same
     network if mu exceeds its limit first.
     """
+    error = at.mse
     while mu <= options.mu_max:
-        step = _damped_step(normal, mu)
-        if step is not None:
+        damped = JJ.copy(order="F")  # as LAPACK takes it
+        damped[np.diag_indices_from(damped)] += mu
+        with suppress(np.linalg.LinAlgError):  # singular: a failed step
+            factor = cho_factor(damped, lower=True, overwrite_a=True, check_finite=False)
+            step = cho_solve(factor, Je, check_finite=False)
             trial = _evaluate(at.network.add_step(step), at.inputs, t)
-            if trial.mse < normal.mse:
+            if trial.mse < error:
                 return trial, max(mu * options.mu_decrease, _MU_FLOOR)
         mu *= options.mu_increase
     return at, mu
-
-
-def _damped_step(normal: _NormalEquations, mu: float) -> np.ndarray | None:
-    """Return the solution (P,) of the damped normal equations, or None if they are singular."""
-    damped = normal.JJ.copy(order="F")  # as LAPACK takes it
-    damped[np.diag_indices_from(damped)] += mu
-    try:
-        factor = cho_factor(damped, lower=True, overwrite_a=True, check_finite=False)
-    except np.linalg.LinAlgError:
-        return None
-    return cho_solve(factor, normal.Je, check_finite=False)
 
 
 def _evaluate(network: TwoLayerNetwork, inputs: np.ndarray, t: np.ndarray) -> _Evaluation:
@@ -303,8 +283,8 @@ def _evaluate(network: TwoLayerNetwork, inputs: np.ndarray, t: np.ndarray) -> _E
     return _Evaluation(network, inputs, units, e)
 
 
-def _normal_equations(at: _Evaluation) -> _NormalEquations:
-    """Return J'J, J'e and the mean squared error of a network at its samples."""
+def _normal_equations(at: _Evaluation) -> tuple[np.ndarray, np.ndarray]:
+    """Return J'J (P, P), the lower triangle alone, and J'e (P,): means over all errors."""
     (hidden, output), (K, N) = (at.network.hidden, at.network.output), at.e.shape
     P, width = hidden.size, output.shape[1]
     # hidden derivatives, activations and errors: their products with each other are all that counts
@@ -320,26 +300,18 @@ def _normal_equations(at: _Evaluation) -> _NormalEquations:
     # an error falls by w_s D[r, s] with hidden weight (r, s), w_s the weight of unit s, and by unit
     # s with an output weight: J'e follows from the rows of the errors, hidden weights summed over
     # the outputs, each output's own weights behind
-    of_e, W2 = products[P + width :], output[:, :-1]
-    Je = np.sum(of_e[:, :P] * np.tile(W2, len(hidden)), axis=0), of_e[:, P : P + width].ravel()
-    return _NormalEquations(_assemble_JJ(products, at.network), np.concatenate(Je), at.mse)
-
-
-def _assemble_JJ(products: np.ndarray, network: TwoLayerNetwork) -> np.ndarray:
-    """Return J'J (P, P) from `products` of derivatives and activations; both lower triangles."""
-    W2 = network.output[:, :-1]
-    R1, P, width = network.hidden.shape[0], network.hidden.size, network.output.shape[1]
+    middle, of_e, W2 = slice(P, P + width), products[P + width :], output[:, :-1]
+    Je = np.sum(of_e[:, :P] * np.tile(W2, len(hidden)), axis=0), of_e[:, middle].ravel()
     # hidden against hidden: D'D, each pair of units weighed by its product of output weights, which
-    # tiles over the R1 inputs. An output's own weights meet the hidden ones through its weights w,
+    # tiles over the inputs. An output's own weights meet the hidden ones through its weights w,
     # themselves as units'units, and those of other outputs not at all
-    units = slice(P, P + width)
-    JJ = np.zeros((P + network.output.size,) * 2, order="F")
-    JJ[:P, :P] = products[:P, :P] * np.tile(W2.T @ W2, (R1, R1))
+    JJ = np.zeros((P + output.size,) * 2, order="F")
+    JJ[:P, :P] = products[:P, :P] * np.tile(W2.T @ W2, (len(hidden), len(hidden)))
     for k, w in enumerate(W2):
         own = slice(P + k * width, P + (k + 1) * width)
-        JJ[own, :P] = products[units, :P] * np.tile(w, R1)
-        JJ[own, own] = products[units, units]
-    return JJ
+        JJ[own, :P] = products[middle, :P] * np.tile(w, len(hidden))
+        JJ[own, own] = products[middle, middle]
+    return JJ, np.concatenate(Je)
 
 
 def _chunks(size: int) -> Iterator[slice]:

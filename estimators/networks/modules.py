@@ -74,13 +74,7 @@ class _ResidualBlock(nn.Module):
 class TemporalConvNet(nn.Module):
     """A temporal convolutional network over distance."""
 
-    def __init__(
-        self,
-        channels: int,
-        kernel: int,
-        dilations: Sequence[int],
-        causal: bool,
-    ):
+    def __init__(self, channels: int, kernel: int, dilations: Sequence[int], causal: bool):
         super().__init__()
         self.embed = _embed_conditions()
         self.enter = nn.Conv1d(N_INPUTS, channels, kernel)

@@ -30,10 +30,24 @@ LOG_STD_RANGE = (-6.0, 3.0)  # range of the logarithms of standard deviations, i
 
 
 class TrainingSequence(NamedTuple):
-    """Network inputs of a drive, and the residual (2, M) to be predicted, in levels."""
+    """Network inputs of a drive, and the residual (2, M) to be predicted, in levels; of its
+    stations those from `start` up to `stop` are used.
+    """
 
     inputs: NetworkInputs
     residual: np.ndarray
+    start: int
+    stop: int
+
+    def crop(self, at: int, size: int, context: Any, flip: bool = False) -> tuple[np.ndarray, ...]:
+        """Return inputs, conditions and residual of `size` stations, mirrored if `flip`."""
+        read = slice(at, at + context.behind + size + context.ahead)
+        x, conditions = self.inputs.x[:, read], self.inputs.conditions
+        conditions = conditions if conditions.shape[1] == 1 else conditions[:, read]
+        residual = self.residual[:, at : at + size]
+        if flip:
+            x, residual = x * MIRROR_SIGNS, residual * MIRROR_SIGNS[6:8]
+        return x, conditions, residual
 
 
 class TrainerConfig(NamedTuple):
@@ -54,25 +68,6 @@ class Checkpoint(Protocol):
     def save(self, state: Mapping[str, np.ndarray]) -> None: ...
 
 
-class _SequencePart(NamedTuple):
-    """The stations from `start` up to `stop` of a sequence."""
-
-    sequence: TrainingSequence
-    start: int
-    stop: int
-
-    def crop(self, at: int, size: int, context: Any, flip: bool = False) -> tuple[np.ndarray, ...]:
-        """Return inputs, conditions and residual of `size` stations, mirrored if `flip`."""
-        x, conditions = self.sequence.inputs.x, self.sequence.inputs.conditions
-        read = slice(at, at + context.behind + size + context.ahead)
-        x = x[:, read]
-        conditions = conditions if conditions.shape[1] == 1 else conditions[:, read]
-        residual = self.sequence.residual[:, at : at + size]
-        if flip:
-            x, residual = x * MIRROR_SIGNS, residual * MIRROR_SIGNS[6:8]
-        return x, conditions, residual
-
-
 def train_network(
     network: Any,
     sequences: Sequence[TrainingSequence],
@@ -80,7 +75,7 @@ def train_network(
     seed: int,
     progress: Callable[[str, float], None] = lambda text, share: None,
     checkpoint: Checkpoint | None = None,
-) -> tuple[float, list[_SequencePart]]:
+) -> tuple[float, list[TrainingSequence]]:
     """Train a torch `network` in place; return its validation error and the validation parts."""
     torch = require_torch()
     training, validation = _split_validation(sequences)
@@ -113,9 +108,9 @@ def train_network(
 
 def _split_validation(
     sequences: Sequence[TrainingSequence],
-) -> tuple[list[_SequencePart], list[_SequencePart]]:
+) -> tuple[list[TrainingSequence], list[TrainingSequence]]:
     """Return the training parts and the validation parts."""
-    whole = [_SequencePart(each, 0, each.residual.shape[1]) for each in sequences]
+    whole = list(sequences)
     if len(whole) >= _VALIDATION_INTERVAL:
         validation = whole[_VALIDATION_INTERVAL - 1 :: _VALIDATION_INTERVAL]
         del whole[_VALIDATION_INTERVAL - 1 :: _VALIDATION_INTERVAL]
@@ -124,7 +119,7 @@ def _split_validation(
     return cut, [each._replace(start=each.stop - each.stop // 5) for each in whole]
 
 
-def _validation_error(network: Any, parts: Sequence[_SequencePart], size: int) -> float:
+def _validation_error(network: Any, parts: Sequence[TrainingSequence], size: int) -> float:
     """Return the mean clamped loss over crops of `size` that cover the validation parts."""
     torch = require_torch()
     total, count = 0.0, 0
@@ -215,7 +210,7 @@ def single_thread() -> Iterator[None]:
 def _train_step(
     network: Any,
     optimiser: Any,
-    training: Sequence[_SequencePart],
+    training: Sequence[TrainingSequence],
     config: TrainerConfig,
     size: int,
     rng: np.random.Generator,

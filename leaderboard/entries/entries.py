@@ -18,7 +18,7 @@ import numpy as np
 
 import estimators
 from estimators import pretrained_weights
-from estimators.api import Estimator, Pretrained, Trainable, refits_per_case
+from estimators.api import Estimator, Pretrained, Trainable
 from leaderboard.entries import entry_files
 from leaderboard.entries.entry import (
     BUILTIN,
@@ -139,7 +139,8 @@ def entry_refit_per_case(entry: Entry) -> Entry:
     """
     if entry.failure is not None or entry.reference not in estimators.REGISTRY:
         return entry
-    if not refits_per_case(estimators.create(entry.reference, **entry.settings)):
+    own = estimators.create(entry.reference, **entry.settings)
+    if not (isinstance(own, Pretrained) and own.refit_per_case):
         return entry
     settings = {**entry.settings, "shipped": False}
     return make_entry(entry.name, estimators.create(entry.reference, **settings))

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 import estimators
-from estimators.api import CalibrationDrive, DeclaresLibraries, check_estimate
+from estimators.api import CalibrationDrive, check_estimate
 from leaderboard.entries import entry_files
 from leaderboard.entries.entries import is_ours
 from leaderboard.entries.entry import (
@@ -208,8 +208,7 @@ class SandboxClient:
 
     def _start(self, reference: str) -> Guest:
         if is_ours(reference):
-            kind = estimators.REGISTRY.get(reference)
-            libraries = kind.libraries if isinstance(kind, DeclaresLibraries) else ()
+            libraries = getattr(estimators.REGISTRY.get(reference), "libraries", ())
             loaded = ("estimators.registry", *libraries)
             guest = self._ours.get(libraries) or self._new_guest(None, loaded)
             self._ours[libraries] = guest

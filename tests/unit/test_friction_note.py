@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimators.common.friction import friction_note
-from estimators.estimation import estimate
+from estimators.estimation import estimate, friction_note
 from road_envs.drives.recording import simulate_record
 from road_envs.vehicle.parameters import load_vehicle
 from road_envs.vehicle.suspension import friction_peaks

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from estimators import create, pretrained_weights
-from estimators.common.training_data import STATIONS_BEHIND, TrainingExample
+from estimators.common.pretrained import STATIONS_AHEAD, STATIONS_BEHIND, TrainingExample
 from estimators.linear.fir_bank import FirBank
-from estimators.networks.inputs import STATIONS_AHEAD
 from road_envs.drives.training_corpus import Corpus
 
 RARE = (

@@ -8,13 +8,13 @@ from test_estimator_contract import CAR, drive, fit
 
 from estimators import create, pretrained_weights
 from estimators.api import LAG, NotFittedError
-from estimators.networks.inputs import STATIONS_AHEAD, NetworkInputs
-from estimators.networks.tcn import Tcn
+from estimators.common.pretrained import STATIONS_AHEAD
+from estimators.networks.inputs import NetworkInputs
+from estimators.networks.sequence_estimator import Tcn
 from estimators.networks.trainer import (
     TrainerConfig,
     TrainingSequence,
     _learning_rate_factor,
-    _SequencePart,
     _split_validation,
     get_weights,
     set_weights,
@@ -45,7 +45,7 @@ def sequence(seed: int, noise: float, size: int = 400) -> TrainingSequence:
     residual = np.array([0.7 * x[0, 2:] - 0.3 * x[1, :-2], 0.5 * x[2, 1:-1]])
     residual = residual + noise * rng.standard_normal(residual.shape)
     inputs = NetworkInputs(x, np.zeros((8, 1), np.float32), np.ones(size), np.zeros((2, size)))
-    return TrainingSequence(inputs, residual.astype(np.float32))
+    return TrainingSequence(inputs, residual.astype(np.float32), 0, size)
 
 
 CONFIG = TrainerConfig(steps=300, batch=8, crop_length=40, learning_rate=3e-2, weight_decay=0.0)
@@ -112,7 +112,7 @@ def test_the_weights_of_the_smallest_validation_error_are_kept():
 def test_validation_takes_whole_drives_of_many_and_ends_of_few():
     many, few = ([sequence(k, 0.0, 100) for k in range(n)] for n in (25, 3))
     training, validation = _split_validation(many)
-    assert [part.sequence for part in validation] == [many[9], many[19]]
+    assert validation == [many[9], many[19]]
     assert len(training) == 23
     training, validation = _split_validation(few)
     assert [(p.start, p.stop) for p in training] == 3 * [(0, 80)]
@@ -121,9 +121,8 @@ def test_validation_takes_whole_drives_of_many_and_ends_of_few():
 
 def test_a_mirrored_crop_has_roll_and_half_difference_negated():
     part = sequence(0, 0.1)
-    piece = _SequencePart(part, 0, 400)
-    x, _, residual = piece.crop(10, 5, Shallow, False)
-    turned_x, _, turned = piece.crop(10, 5, Shallow, True)
+    x, _, residual = part.crop(10, 5, Shallow, False)
+    turned_x, _, turned = part.crop(10, 5, Shallow, True)
     np.testing.assert_array_equal(residual, part.residual[:, 10:15])
     np.testing.assert_array_equal(turned, [residual[0], -residual[1]])
     roll = [2, 5, 7, 9]
@@ -179,9 +178,9 @@ def test_weights_survive_a_file_and_a_damaged_file_is_reported(tmp_path):
         assert (found[name].dtype, found[name].shape) == (x.dtype, x.shape)
         np.testing.assert_array_equal(found[name], x)
     path.write_bytes(path.read_bytes()[:-3])
-    with pytest.raises(pretrained_weights.WeightsError, match=r"w\.safetensors: damaged"):
+    with pytest.raises(pretrained_weights.StorageError, match=r"w\.safetensors: damaged"):
         pretrained_weights.read_weights(path)
-    with pytest.raises(pretrained_weights.WeightsError, match=r"no\.safetensors: cannot be read"):
+    with pytest.raises(pretrained_weights.StorageError, match=r"no\.safetensors: cannot be read"):
         pretrained_weights.read_weights(tmp_path / "no.safetensors")
 
 

@@ -7,9 +7,9 @@ import pytest
 
 from estimators import create
 from estimators.api import Calibratable, CalibrationDrive, CalibrationError, check_estimate
+from estimators.common import pretrained
+from estimators.common.pretrained import NOTE, Prediction, TrainingExample, fit_corrections
 from estimators.common.spatial_signals import SpatialSignals
-from estimators.common.training_data import TrainingExample
-from estimators.common.vehicle_correction import NOTE, Prediction, fit_corrections
 from leaderboard.metrics.heights import nrmse
 from road_envs.drives.recording import simulate_record
 from road_envs.records.record import Profile, Record, scored_band
@@ -63,8 +63,9 @@ def test_unmeasured_roads_correct_nothing_and_wrong_profiles_are_refused():
             create("fir_ridge").calibrate([CalibrationDrive(record, wrong, name="a.csv")], CAR)
 
 
-def test_known_coefficients_are_found():
+def test_known_coefficients_are_found(monkeypatch):
     """Of three features, from an error that is their weighted sum, in the unit of each station."""
+    monkeypatch.setattr(pretrained, "keep_short_waves", lambda x, causal: x)
     record, truth = drive(41)
     example = TrainingExample.of(record, truth, False)
     rng = np.random.default_rng(0)
@@ -74,12 +75,13 @@ def test_known_coefficients_are_found():
 
     def predict(signals: SpatialSignals) -> Prediction:
         estimate = example.target - unit * np.array([m @ x[0], q @ x[1]])
-        return Prediction(estimate, 0.0 * estimate, x, unit)
+        return Prediction(estimate, unit, 1e9, x)
 
     drives = [CalibrationDrive(record, truth)]
-    (found,) = fit_corrections(drives, False, predict, lambda error: error)
+    (found,) = fit_corrections(drives, False, predict)
     np.testing.assert_allclose(found.coefficients[:, :3], [m, q], atol=2e-3)
-    np.testing.assert_allclose(found.correct(predict(example.signals)), example.target, atol=1e-4)
+    corrected = found.correct(predict(example.signals), example.signals, False)
+    np.testing.assert_allclose(corrected, example.target, atol=1e-4)
     assert found.speed == pytest.approx(15.0, rel=0.03)
     np.testing.assert_array_equal(found.state, np.ones(4))
 
