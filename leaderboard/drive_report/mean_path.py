@@ -52,7 +52,6 @@ _LEVEL_STD = 0.15  # standard deviation of the logarithm of D's level among road
 _LEVEL_WINDOW = 60.0  # window [m] of the median of |M|, by which the level of D follows the road
 _NORMAL_MEDIAN = 0.6745  # median magnitude of a standard normal number
 _SAMPLES = 64  # samples of D
-_VEHICLES = 24  # vehicles that are drawn within their tolerances
 
 _FILLINGS = 32  # samples of a road where nothing was read
 

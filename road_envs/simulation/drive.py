@@ -211,11 +211,9 @@ class DriveSimulator:
         commands = np.asarray(commands, dtype=np.uint8)
         n = commands.size
         s, v, a_xy = self.half_step_inputs(n)
-        signals = np.empty((n, rosenbrock.n_signals(self.plant)))
+        signals = np.zeros((n, rosenbrock.n_signals(self.plant)))
         delayed = self.delayed_commands(commands)
         inputs = DriveInputs(s, v, a_xy.ravel(), delayed, self.step)
-        if signals.shape[1] > rosenbrock.N_FLEXIBLE_SIGNALS:
-            signals[:, rosenbrock.TWIST : rosenbrock.SIDE] = 0.0
         road, lag, flags = self.surface.buffers, self.car.valve.lag, self.plant.kernel_flags
         rosenbrock.integrate(self._vehicle, self.state, road, inputs, lag, signals, *flags)
         t = self.step * (self.steps + np.arange(n))

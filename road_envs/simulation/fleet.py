@@ -128,7 +128,7 @@ class LaneScratch(NamedTuple):
     """Scratch of `take_step`, on the stack of its caller: all but `work` are rows of lanes.
 
     `road` (16,); `front` (2,): heights under the front wheels at the beginning of the last step;
-    `steep` (2,): which lanes are, and zeros; `motions` (40,): two Motions; `unused` (38,): signals.
+    `steep` (2,): which lanes are, and zeros; `motions` (40,): two Motions; `unused` (44,): signals.
     """
 
     work: StepWorkspace
@@ -143,7 +143,7 @@ class LaneScratch(NamedTuple):
 def take_step(lanes, roads, inputs, n, scratch, signals, flexible, side):
     """Take step `n` of the DriveInputs of LaneBuffers over RoadBuffers; `a_xy` may be NO_MANOEUVRE.
 
-    Its signals go to `signals` (29, 32 or 38, LANES). `flexible` is None for rigid frames, and
+    Its signals go to `signals` (29, 32 or 44, LANES). `flexible` is None for rigid frames, and
     `side` without side motion.
     """
     p, q, strut_state = lanes.lane_constants[0], lanes.q, lanes.strut_state

@@ -137,7 +137,7 @@ def linearize_drive(
     a_xy = np.zeros((2 * steps, 2)) if a_xy is None else a_xy
     a_xy_steps = _checked_copy("a_xy", a_xy, (2 * steps, 2))
     strut_state_end = _checked_copy("strut_state", strut_state, (4, 3))
-    signals, rows = np.empty((steps, n_signals(plant))), np.empty((steps, TAPE_ROW_SIZE))
+    signals, rows = np.zeros((steps, n_signals(plant))), np.empty((steps, TAPE_ROW_SIZE))
     bytes_ = np.zeros(0) if commands is None else _checked_copy("commands", commands, (steps,))
     inputs = StepInputs(z.reshape(steps, 16), a_xy_steps.reshape(steps, 4), float(h), speed)
     buffers, valves = plant.buffers(strut_state_end), (bytes_.astype(np.uint8), float(lag))
