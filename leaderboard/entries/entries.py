@@ -64,6 +64,16 @@ def is_ours(reference: str) -> bool:
     )
 
 
+def is_by_others(entry: Entry) -> bool:
+    """Return whether an entry is not of this package, also if it could not be described."""
+    return entry.reference != BUILTIN and not is_ours(entry.reference)
+
+
+def is_from_outside(entry: Entry) -> bool:
+    """Return whether code of an entry is run that is none of this package."""
+    return entry.failure is None and is_by_others(entry)
+
+
 def find_reference(name: str) -> str:
     """Return the reference of what a user has named: a path, "module:Class" or an installed name.
 

@@ -13,9 +13,9 @@ from typing import Protocol
 
 import numpy as np
 
+from leaderboard.entries.entries import is_from_outside
 from leaderboard.entries.entry import EntryError
 from leaderboard.running import jobs
-from leaderboard.running.job_files import is_from_outside
 from leaderboard.running.jobs import Job, JobDone
 from leaderboard.sandbox import messages, processes
 from leaderboard.sandbox.launch import start_host_process
@@ -100,13 +100,10 @@ class ProcessExecutor:
         for lane in lanes:
             lane.start()
         try:
-            while count:
-                item = queue.get()
-                if isinstance(item, BaseException):
-                    raise item
-                if item is None:  # the end of a lane
-                    count -= 1
-                else:
+            for _ in lanes:
+                while (item := queue.get()) is not None:  # the end of a lane
+                    if isinstance(item, BaseException):
+                        raise item
                     yield item
         finally:
             for lane in lanes:

@@ -8,12 +8,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from leaderboard.entries.entries import fold
+from leaderboard.entries.entries import fold, is_by_others
 from leaderboard.entries.entry import Entry
 from leaderboard.evaluation import store
 from leaderboard.evaluation.results import Result, content_digest, merge_parts
 from leaderboard.evaluation.tasks import Task
-from leaderboard.running import job_files
 from leaderboard.running.jobs import Job, JobDone, result_identity
 from leaderboard.sandbox.limits import Limits
 from road_envs.core.artifacts import NewerFormatError
@@ -61,7 +60,7 @@ def check_owners(rows: Sequence[PlannedRow], out: Path, replace: Collection[str]
     for row in rows:
         name = row.entry.name
         path = store.row_path(out, row.task.name, name)
-        others = path.parent.glob("*.json") if job_files.is_by_others(row.entry) else ()
+        others = path.parent.glob("*.json") if is_by_others(row.entry) else ()
         for other in (x for x in others if fold(x.stem) == fold(name)):
             if other.stem != name:
                 raise ConfigError(f"{other}: {name} looks the same; rename the entry")

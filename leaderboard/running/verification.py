@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from leaderboard.entries.entries import registered_entry
+from leaderboard.entries.entries import is_by_others, registered_entry
 from leaderboard.entries.entry import Entry
 from leaderboard.evaluation import comparison, evaluate, store
 from leaderboard.evaluation.provenance import describe_environment
@@ -31,7 +31,6 @@ from leaderboard.evaluation.test_data import RecordedDrive, simulate_drives
 from leaderboard.json_values import to_json_types
 from leaderboard.metrics.bootstrap import REPRODUCIBLE, interquartile_mean
 from leaderboard.metrics.registry import SCORES
-from leaderboard.running import job_files
 from leaderboard.sandbox.client import ONE_TRAINING
 from leaderboard.sandbox.retest import NOT_CAUSAL, NOT_RETESTED, REMEMBERS
 from road_envs.core.artifacts import Kind
@@ -265,7 +264,7 @@ def _verify_row(
     for condition, drives in data.items():
         made = evaluate.evaluate_entry(task, condition, drives, entry, row.seeds, run)
         if made.failure is not None:
-            others = job_files.is_by_others(entry)  # ours may lack a library here
+            others = is_by_others(entry)  # ours may lack a library here
             return dataclasses.replace(found, reason=made.failure, is_false=others)
         busy = busy or "".join(_not_retested(made)[: not _not_retested(row)])
         if reason := _other_claim(row, made):
@@ -372,15 +371,10 @@ def _not_retested(row: Result) -> list[str]:
 
 
 def _without_runs(task: Task, row: Result, reason: str = "") -> Verified:
-    return Verified(
-        task=task.name, estimator=row.estimator, content=content_digest(row), reason=reason,
-        ranks_by=task.board_definition.ranks_by, kernels=kernels_of(describe_environment()),
-        tolerance=_tolerance(row),
-    )  # fmt: skip
-
-
-def _tolerance(row: Result) -> float:
-    """Return the tolerance for what was made with the kernels of `row` and is made again here."""
     here = describe_environment()
     same = all(row.environment.get(name) == here.get(name) for name in _DECIDE_DIGITS)
-    return comparison.SAME_KERNELS if same else comparison.OTHER_KERNELS
+    return Verified(
+        task=task.name, estimator=row.estimator, content=content_digest(row), reason=reason,
+        ranks_by=task.board_definition.ranks_by, kernels=kernels_of(here),
+        tolerance=comparison.SAME_KERNELS if same else comparison.OTHER_KERNELS,
+    )  # fmt: skip
