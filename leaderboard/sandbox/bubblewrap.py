@@ -22,6 +22,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
+from threading import Timer
 from types import MappingProxyType
 
 from leaderboard.sandbox import seccomp
@@ -156,11 +157,18 @@ def alone() -> Iterator[None]:
     """Wait until no other process of this machine is in this context, and stay in it.
 
     A guest that runs beside two others keeps what the first has told it for the second: files that
-    it has mapped are not dropped. Where the file system has no locks, nothing is waited for.
+    it has mapped are not dropped. Where the file system has no locks, nothing is waited for. A wait
+    of more than a second is told on standard error.
     """
+    words = "waiting for the guest of another run on this machine, beside which none is started"
+    told = Timer(1.0, print, [words], {"file": sys.stderr, "flush": True})
     with open(shutil.which("bwrap") or os.devnull, "rb") as file:
-        with suppress(OSError):
-            fcntl.flock(file, fcntl.LOCK_EX)
+        told.start()
+        try:
+            with suppress(OSError):
+                fcntl.flock(file, fcntl.LOCK_EX)
+        finally:
+            told.cancel()
         yield
 
 

@@ -31,6 +31,7 @@ from leaderboard.entries.entry import (
     Entry,
     EntryError,
     TrainingRun,
+    are_equal,
     reconstruct_all,
 )
 from leaderboard.sandbox import bubblewrap, estimator_handler, messages, processes
@@ -183,8 +184,9 @@ class SandboxClient:
         if again:
             first = next((one for one in runs if one.seed == seed), runs[0])
             tested = compare_answers(questions, first, again, entry.lag)
-        if not ours and trains and len(runs) > 1 and _are_equal(runs):
-            runs, tested = runs[:1], [ONE_TRAINING, *tested]
+        if not ours and trains and len(runs) > 1:
+            if all(are_equal(runs[0].estimates, one.estimates) for one in runs):
+                runs, tested = runs[:1], [ONE_TRAINING, *tested]
         looks_ahead = unasked or not set(NOT_CAUSAL).isdisjoint(tested)
         found = {"peak_memory": peak_memory, "isolation": self.isolation, "notes": tuple(tested)}
         return [dataclasses.replace(one, **found, looks_ahead=looks_ahead) for one in runs]
@@ -258,18 +260,9 @@ class SandboxClient:
             self._ours.popitem()[1].close()
 
 
-def _are_equal(runs: Sequence[TrainingRun]) -> bool:
-    """Return whether all trainings have led to the same heights and deviations."""
-    return all(
-        np.array_equal(a.z, b.z) and np.array_equal(a.z_std, b.z_std)  # type: ignore[arg-type]
-        for run in runs
-        for a, b in zip(runs[0].estimates, run.estimates, strict=True)
-    )
-
-
 @dataclasses.dataclass
 class _RemoteSession:
-    """A session with an estimator in a guest."""
+    """A session with an estimator in a guest; raises EntryError, and `estimate` EstimateError."""
 
     _guest: Guest
     needs_training: bool
@@ -277,20 +270,17 @@ class _RemoteSession:
     uses_seed: bool = True
 
     def fit(self, training: Sequence[tuple[Record, Profile]], seed: int) -> tuple[int, float]:
-        """Train the estimator if it needs training. Raises EntryError."""
         sent, seed = (training, seed) if self.needs_training else ([], 0)  # which tells nothing
         head, _, seconds = self._timed(messages.encode_drives("fit", sent, seed=seed))
         return int(messages.number(head, "parameters", LARGEST_COUNT)), seconds
 
     def calibrate(self, drives: Sequence[CalibrationDrive]) -> float:
-        """Calibrate the estimator to the vehicle of these drives. Raises EntryError."""
         sent = [(drive.record, drive.profile) for drive in drives]
         survey, names = [drive.survey_std for drive in drives], [drive.name for drive in drives]
         request = messages.encode_drives("calibrate", sent, survey=survey, names=names)
         return self._timed(request)[2]
 
     def estimate(self, record: Record) -> tuple[Estimate, float]:
-        """Return the estimate of a record. Raises EntryError, EstimateError."""
         stations = profile_stations(record.length)
         size = 2 * stations.size
 

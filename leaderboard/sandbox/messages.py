@@ -156,11 +156,8 @@ def _check_settings(value: Any) -> None:
 
 
 def _is_deeper(value: Any, depth: int) -> bool:
-    """Return whether lists and objects are nested more than `depth` deep, level by level."""
-    level = [value]
-    for _ in range(depth):
-        below = [
-            x.values() if isinstance(x, dict) else x for x in level if isinstance(x, dict | list)
-        ]
-        level = [item for items in below for item in items]
-    return any(isinstance(x, dict | list) for x in level)
+    """Return whether lists and objects are nested more than `depth` deep."""
+    if not isinstance(value, dict | list):
+        return False
+    items = value.values() if isinstance(value, dict) else value
+    return depth == 0 or any(_is_deeper(item, depth - 1) for item in items)
