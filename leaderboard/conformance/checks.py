@@ -168,27 +168,21 @@ def _check_damaged_records(
     sandbox: SandboxClient, entry: Entry, drives: _CheckDrives
 ) -> list[CheckResult]:
     """Run all damaged records at once, and one by one only if that fails."""
-    failures: dict[str, str] = {}
+    results = [CheckResult(name, True, f"{what}: estimated") for name, what in _DAMAGES.items()]
     try:
         _run(sandbox, entry, list(drives.damaged.values()))
     except EntryError:
-        for name, record in drives.damaged.items():
+        for k, (name, record) in enumerate(drives.damaged.items()):
             try:
                 _run(sandbox, entry, [record])
             except EntryError as error:
-                failures[name] = str(error)
-    return [_check_damaged_record(name, failures.get(name)) for name in drives.damaged]
-
-
-def _check_damaged_record(name: str, failure: str | None) -> CheckResult:
-    if failure is None:
-        return CheckResult(name, True, f"{_DAMAGES[name]}: estimated")
-    found = re.match(r"estimating test drive [^:]*: (\w+): (.+)", failure)
-    meant = found and found[1] not in UNINTENDED_ERRORS and found[2] != "no message"
-    refused = meant and name in _REFUSAL_ALLOWED
-    reason = re.sub(r"^estimating test drive [^:]*: ", "", failure)
-    message = f"{_DAMAGES[name]}: {'refused' if refused else 'failed'}: {reason}"
-    return CheckResult(name, None if refused else False, message)
+                reason = re.sub(r"^estimating test drive [^:]*: ", "", str(error))
+                found = re.match(r"(\w+): (.+)", reason) if reason != str(error) else None
+                meant = found and found[1] not in UNINTENDED_ERRORS and found[2] != "no message"
+                refused = meant and name in _REFUSAL_ALLOWED
+                message = f"{_DAMAGES[name]}: {'refused' if refused else 'failed'}: {reason}"
+                results[k] = CheckResult(name, None if refused else False, message)
+    return results
 
 
 def _evaluate_probes(

@@ -5,7 +5,10 @@ import re
 import sys
 import zipfile
 from collections.abc import Iterator
+from contextlib import suppress
 from importlib import metadata
+from importlib.util import resolve_name
+from itertools import accumulate
 from pathlib import Path
 
 from estimators import ENTRY_POINT_GROUP
@@ -42,16 +45,11 @@ def missing_packages(code: Path) -> dict[str, str]:
         text = path.read_text(encoding="utf-8", errors="replace")
         for other in _imports(text, name, path.name == "__init__.py"):
             # a name of a package is a module only if there is such a file
-            new = {x for x in _with_packages(other) if "." not in x or _file_of(x, files)} - seen
+            parts = accumulate(other.split("."), "{}.{}".format)
+            new = {x for x in parts if "." not in x or _file_of(x, files)} - seen
             seen |= new
             left += sorted(new)
     return found
-
-
-def _with_packages(module: str) -> list[str]:
-    """Names of a module and of the packages that it is in."""
-    parts = module.split(".")
-    return [".".join(parts[: k + 1]) for k in range(len(parts))]
 
 
 def _file_of(module: str, files: Path | zipfile.Path) -> Path | zipfile.Path | None:
@@ -67,7 +65,7 @@ def _entry_modules(code: Path) -> list[str]:
         name
         for distribution in metadata.distributions(path=[str(code)])
         for entry in distribution.entry_points.select(group=ENTRY_POINT_GROUP)
-        for name in _with_packages(entry.module)
+        for name in accumulate(entry.module.split("."), "{}.{}".format)
     ]
 
 
@@ -87,11 +85,10 @@ def _imports(text: str, module: str, is_package: bool) -> Iterator[str]:
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            package = module.split(".")[: None if is_package else -1]
-            base = package[: len(package) - node.level + 1] if node.level else []
-            name = ".".join([*base, *([node.module] if node.module else [])])
-            yield name
-            yield from (f"{name}.{alias.name}" for alias in node.names)
+            package = module if is_package else module.rpartition(".")[0]
+            with suppress(ImportError):  # from above all packages: it fails where it is run
+                name = resolve_name("." * node.level + (node.module or ""), package)
+                yield from (name, *(f"{name}.{alias.name}" for alias in node.names))
 
 
 def _installed_by_boards() -> set[str]:
