@@ -8,7 +8,7 @@ For methods in MATLAB, Julia or JAX that know nothing of the classes of this pac
 a dictionary of NumPy arrays; the truth of test drives is kept back and used by `score_arrays`.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -86,12 +86,13 @@ def score_arrays(
     `std`: standard deviations of the same shapes. Returns the row of a board: interquartile means
     over roads and conditions. Raises ConfigError for another number or shape of arrays.
     """
-    for what, given in (("heights", heights), ("standard deviations", std)):
-        if given is not None and len(given) != len(task.test):
+    given = {"heights": heights, **({} if std is None else {"standard deviations": std})}
+    for what, arrays in given.items():
+        if len(arrays) != len(task.test):
             raise ConfigError(
-                f"{task.name} has {len(task.test)} test drives, got {len(given)} {what}"
+                f"{task.name} has {len(task.test)} test drives, got {len(arrays)} {what}"
             )
-    left = _estimates(task, heights, std)
+    left = _estimates(task, given)
 
     def run(entry: Entry, data: ConditionData, seeds: Sequence[int]) -> list[TrainingRun]:
         return [TrainingRun([next(left) for _ in data.tests], 0.0, 0.0, 0, seeds[0])]
@@ -106,11 +107,10 @@ def score_arrays(
 def _arrays(data: ConditionData, drive: RecordedDrive, has_truth: bool) -> dict[str, Any]:
     car = asdict(data.task.vehicle_of(data.condition))
     label = data.condition.label
-    earlier = [
-        _of_record(label, x.record, car, x.profile) for x in drive.calibration if not has_truth
-    ]
-    own = _of_record(label, drive.record, car, drive.truth if has_truth else None)
-    return own if has_truth else {**own, "calibration": earlier}
+    if has_truth:
+        return _of_record(label, drive.record, car, drive.truth)
+    earlier = [_of_record(label, x.record, car, x.profile) for x in drive.calibration]
+    return {**_of_record(label, drive.record, car, None), "calibration": earlier}
 
 
 def _of_record(
@@ -127,23 +127,18 @@ def _of_record(
     }
 
 
-def _estimates(
-    task: TaskArrays, heights: Sequence[Any], std: Sequence[Any] | None
-) -> Iterator[Estimate]:
+def _estimates(task: TaskArrays, given: Mapping[str, Sequence[Any]]) -> Iterator[Estimate]:
     """Yield the estimates of all test drives. Raises ConfigError for arrays of another shape."""
     for k, drive in enumerate(task.test):
         shape = (2, drive["stations"].size)
-        arrays: list[Any] = []
-        for what, given in (("heights", heights), ("standard deviations", std)):
-            array = None if given is None else _real(given[k])
-            if array is not None and (array.shape != shape or not np.isfinite(array).all()):
+        arrays = [_real(values[k]) for values in given.values()]
+        for what, array in zip(given, arrays, strict=True):
+            if array.shape != shape or not np.isfinite(array).all():
                 wanted = f"test drive {k + 1} needs finite {what} of the shape {shape}"
                 raise ConfigError(f"{wanted}, got {array.shape}")
-            if array is not None and given is std and (array < 0.0).any():
+            if what != "heights" and (array < 0.0).any():
                 raise ConfigError(f"test drive {k + 1} has negative {what}")
-            arrays.append(array)
-        z, deviation = arrays
-        yield Estimate(drive["stations"], z, deviation)
+        yield Estimate(drive["stations"], arrays[0], arrays[1] if len(arrays) > 1 else None)
 
 
 def _real(values: Any) -> np.ndarray:

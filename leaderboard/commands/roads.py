@@ -3,8 +3,6 @@
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
-
 from leaderboard.commands import PICTURES, check_output_path, make_table
 from leaderboard.commands.options import Length, Seed, argument, option
 from leaderboard.commands.output import Output
@@ -13,7 +11,7 @@ from leaderboard.report import plots
 from road_envs.core import config
 from road_envs.core.config import ConfigError
 from road_envs.records import roughness
-from road_envs.roads import Surface, load_road, realise_road
+from road_envs.roads import Surface, realise_road
 from road_envs.roads.formats.write import WRITERS, write, write_crg
 
 _Which = Annotated[str, argument("Shipped name, YAML path or surface file.")]
@@ -21,8 +19,7 @@ _Which = Annotated[str, argument("Shipped name, YAML path or surface file.")]
 
 def list_roads() -> Output:
     """List the shipped roads, each realised with seed 1."""
-    roads = {name: load_road(name) for name in config.names("roads")}
-    rows = [_facts(name, x.realise(np.random.default_rng(1))) for name, x in roads.items()]
+    rows = [_facts(name, realise_road(name, 1)) for name in config.names("roads")]
     pair, keys = "{:.1f}, {:.1f}".format, ("rms_mm", "iri_mm_per_m")
     cells = [
         (x["road"], f"{x['length_m']:.1f}", *(pair(*x[key]) for key in keys), x["class"])

@@ -18,7 +18,7 @@ import dataclasses
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 
@@ -31,7 +31,6 @@ from leaderboard.sandbox.limits import Limits
 from leaderboard.scoring import score
 from road_envs.drives.recording import simulate_record
 from road_envs.records.record import Profile, Record
-from road_envs.roads import load_road
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 
@@ -96,15 +95,18 @@ class _CheckDrives:
 @cache
 def check_drives() -> _CheckDrives:
     """Simulate the drives of the checks, always the same."""
-    training = tuple(_drive(seed) for seed in _TRAINING_SEEDS)
-    record, truth = _drive(_TEST_SEED)
+    drive = partial(
+        simulate_record, _ROAD, speed_kmh=_SPEED_KMH, vehicle=_CAR, instruments=_INSTRUMENTS
+    )
+    training = tuple(drive(seed=seed, mode=_MODE) for seed in _TRAINING_SEEDS)
+    record, truth = drive(seed=_TEST_SEED, mode=_MODE)
     half = 0.5 * np.abs(record.a).max()
     damaged = {
         "gaps": dataclasses.replace(record, a=_with_dropouts(record.a)),
         "clipped": dataclasses.replace(record, a=np.clip(record.a, -half, half)),
-        "field": _drive(_TEST_SEED, grade="S3")[0],
-        "short": _drive(_TEST_SEED, length=SHORT_LENGTH)[0],
-        "mode": _drive(_TEST_SEED, mode=_UNTRAINED_MODES)[0],
+        "field": drive(seed=_TEST_SEED, mode=_MODE, grade="S3")[0],
+        "short": drive(seed=_TEST_SEED, mode=_MODE, length=SHORT_LENGTH)[0],
+        "mode": drive(seed=_TEST_SEED, mode=_UNTRAINED_MODES)[0],
     }
     description = (
         f"{record.length:g} m of class {_ROAD['road_class']}, {_MODE}, {_SPEED_KMH:g} km/h"
@@ -229,21 +231,6 @@ def _check_costs(
 def _format_number(x: float) -> str:
     """Return a positive number with two or more digits, never in exponential notation."""
     return f"{x:.0f}" if x >= 10.0 else f"{x:.2g}"
-
-
-def _drive(
-    seed: int, mode: object = _MODE, grade: str = "S0", length: float = 60.0
-) -> tuple[Record, Profile]:
-    road = load_road({**_ROAD, "length": length})
-    return simulate_record(
-        road.realise(np.random.default_rng(seed)),
-        vehicle=load_vehicle(_CAR),
-        speed_kmh=_SPEED_KMH,
-        mode=mode,  # type: ignore[arg-type]
-        instruments=load_instruments(_INSTRUMENTS),
-        seed=seed,
-        grade=grade,
-    )
 
 
 def _with_dropouts(a: np.ndarray) -> np.ndarray:

@@ -67,11 +67,11 @@ def list_files(reference: str) -> Iterator[tuple[Path, str]]:
     top = reference.partition(":")[0].partition(".")[0]
     spec = _find_module(top)
     folders = [Path(x) for x in (spec.submodule_search_locations or ())] if spec else []
-    if not folders and (spec is None or spec.origin is None or not Path(spec.origin).is_file()):
+    file = Path(spec.origin or "") if spec else Path()
+    if not folders and not file.is_file():
         raise EntryError(f"cannot be constructed: there is no module {top!r}")
     if not folders:
-        assert spec is not None and spec.origin is not None
-        yield Path(spec.origin), Path(spec.origin).name
+        yield file, file.name
     for folder in folders:
         yield from _walk(folder, f"{top}/")
 

@@ -67,13 +67,13 @@ class SandboxClient:
 
     def __init__(
         self,
-        limits: Limits | None = None,
+        limits: Limits,
         *,
         owns_all_children: bool = False,
         code: Mapping[str, Path] = MappingProxyType({}),
     ):
         """Raises ConfigError if bubblewrap is requested and cannot be used."""
-        self.limits = limits or Limits()
+        self.limits = limits
         self._bubblewrap = bubblewrap.is_used(self.limits.isolation)
         self.guest: Guest | None = None  # of the last run
         self._owns_all_children, self._code = owns_all_children, code
