@@ -11,6 +11,7 @@ if they are known `left_std` and `right_std` [m].
 """
 
 import json
+from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
@@ -43,21 +44,16 @@ def write_task(task: TaskArrays, folder: Path, form: str, roads: int | None = No
             f"{task.name}: tables hold neither calibration drives nor a vehicle for each "
             "condition; leaderboard.load_task has them"
         )
-    tables: dict[str, list[Any]] = {"drives": []}
+    tables = defaultdict[str, list[Any]](list)
     for split, drives in (("training", task.training), ("test", task.test)):
         for k, drive in enumerate(drives, start=1):
-            tables["drives"].append(
-                pd.DataFrame([{"drive": k, "split": split, "condition": drive["condition"]}])
-            )
-            tables.setdefault(f"{split}_records", []).append(
-                pd.DataFrame({"drive": k, **_record_columns(drive)})
-            )
+            about = {"drive": [k], "split": split, "condition": drive["condition"]}
             z = drive.get("z", np.full((2, drive["stations"].size), np.nan))
-            heights = dict(zip(_SIDES, z, strict=True))
+            heights = {"station": drive["stations"], **dict(zip(_SIDES, z, strict=True))}
             own = {"task": task.identity} if split == "test" else {}
-            tables.setdefault(f"{split}_profiles", []).append(
-                pd.DataFrame({"drive": k, "station": drive["stations"], **heights, **own})
-            )
+            tables["drives"].append(pd.DataFrame(about))
+            tables[f"{split}_records"].append(pd.DataFrame({"drive": k, **_record_columns(drive)}))
+            tables[f"{split}_profiles"].append(pd.DataFrame({"drive": k, **heights, **own}))
     written = []
     for name, parts in tables.items():
         path = folder / f"{name}.{form}"

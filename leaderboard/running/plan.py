@@ -11,7 +11,7 @@ from pathlib import Path
 from leaderboard.entries.entries import fold, is_by_others
 from leaderboard.entries.entry import Entry
 from leaderboard.evaluation import store
-from leaderboard.evaluation.results import Result, content_digest, merge_parts
+from leaderboard.evaluation.results import content_digest, merge_parts
 from leaderboard.evaluation.tasks import Task
 from leaderboard.running.jobs import Job, JobDone, result_identity
 from leaderboard.sandbox.limits import Limits
@@ -89,7 +89,9 @@ class Plan:
             for path, part in zip(self._parts(row), row.parts, strict=True):
                 with suppress(ConfigError):  # missing or damaged
                     result = store.load_part(path)
-                    if result.failure is None and _is_of(result, row, part):
+                    named = result.identity, result.task_digest, result.estimator, result.seeds
+                    is_of_row = named == (part, row.task.digest, row.entry.name, row.seeds)
+                    if result.failure is None and is_of_row:  # not from another machine
                         self._digests[path] = content_digest(result)
 
     def missing(self) -> list[tuple[PlannedRow, int]]:
@@ -146,12 +148,6 @@ class Plan:
 
     def _parts(self, row: PlannedRow) -> list[Path]:
         return [store.part_path(self.out, part) for part in row.parts]
-
-
-def _is_of(result: Result, row: PlannedRow, part: str) -> bool:
-    """Whether a stored part is that of a row: it may come from another machine."""
-    named = result.identity, result.task_digest, result.estimator, result.seeds
-    return named == (part, row.task.digest, row.entry.name, row.seeds)
 
 
 def _is_unchanged(path: Path, digest: str) -> bool:

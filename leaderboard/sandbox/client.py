@@ -43,11 +43,8 @@ from road_envs.core.atomic_io import TempFolder
 from road_envs.records.record import Estimate, Profile, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
-LARGEST_HEIGHT = 1e6
-"""Largest height and standard deviation [m] of an estimate."""
-
-LARGEST_COUNT = 1e12
-"""Largest number of parameters."""
+LARGEST_HEIGHT = 1e6  # largest height and standard deviation [m] of an estimate
+LARGEST_COUNT = 1e12  # largest number of parameters
 
 UNSEEN_TIME = 0.05
 """Time [s] of one request beyond the reported time that is not charged to an entry: messages."""
@@ -103,7 +100,8 @@ class SandboxClient:
         code, _ = self._snapshot(reference)
         guest = self._start(reference)
         try:
-            head = self._begin(guest, reference, {}, None)
+            start = {"do": "start", "reference": reference, "settings": {}, "car": None}
+            head, _ = call(guest, messages.encode(start))
         finally:
             self._end(guest)
         causal, lag = head.get("causal"), head.get("lag")
@@ -231,14 +229,9 @@ class SandboxClient:
             libraries=libraries,
         )  # fmt: skip
 
-    def _begin(
-        self, guest: Guest, reference: str, settings: Mapping[str, Any], car: Any
-    ) -> dict[str, Any]:
-        start = {"do": "start", "reference": reference, "settings": dict(settings), "car": car}
-        return call(guest, messages.encode(start))[0]
-
     def _session(self, guest: Guest, entry: Entry, car: VehicleParameters) -> "_RemoteSession":
-        head = self._begin(guest, entry.reference, entry.settings, dataclasses.asdict(car))
+        start = {"do": "start", "reference": entry.reference, "settings": entry.settings}
+        head, _ = call(guest, messages.encode({**start, "car": dataclasses.asdict(car)}))
         trains, calibrates = (head.get(name) is True for name in ("needs_training", "calibrates"))
         # of others the host finds out whether the seed makes a difference
         uses_seed = head.get("uses_seed") is True or not is_ours(entry.reference)

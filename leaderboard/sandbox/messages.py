@@ -24,17 +24,12 @@ from road_envs.records.accelerometers import from_plain, to_plain
 from road_envs.records.record import LowPass, Profile, Record
 
 HEAD_SIZE = struct.Struct(">I")
-MAX_HEAD = 1 << 16
-"""Largest size [bytes] of the JSON text of a message."""
-
-MAX_TEXT = 300
-"""Largest number of characters of a text of a guest; the rest is cut off."""
-
+MAX_HEAD = 1 << 16  # largest size [bytes] of the JSON text of a message
+MAX_TEXT = 300  # largest number of characters of a text of a guest; the rest is cut off
 MAX_SETTINGS, MAX_DEPTH = 4000, 5
 """Largest size [characters] of the settings of an estimator as JSON text, and depth of a reply."""
 
-LARGEST_NUMBER = 1e100
-"""Largest absolute value of a number in the settings of an estimator."""
+LARGEST_NUMBER = 1e100  # largest absolute value of a number in the settings of an estimator
 
 Reply = tuple[dict[str, Any], Sequence[np.ndarray]]
 """Object and arrays of a reply."""

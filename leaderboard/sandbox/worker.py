@@ -26,11 +26,8 @@ from typing import Any, NoReturn
 from leaderboard.sandbox import processes
 from road_envs.core.config import Settings, build
 
-SERVED = 64
-"""Exit status of a child that has served its requests until the end."""
-
-LONGEST_FAILURE = 10_000
-"""Largest number of characters of a failure; the host shows fewer."""
+SERVED = 64  # exit status of a child that has served its requests until the end
+LONGEST_FAILURE = 10_000  # largest number of characters of a failure; the host shows fewer
 
 
 @dataclass(frozen=True, kw_only=True)
