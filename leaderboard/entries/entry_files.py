@@ -9,9 +9,11 @@ import importlib.util
 import os
 import re
 from collections.abc import Iterator
+from importlib import metadata
 from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 
+from estimators.api import ENTRY_POINT_GROUP
 from leaderboard.entries.entry import EntryError
 from road_envs.core.code_digest import DIGITS
 
@@ -74,6 +76,12 @@ def list_files(reference: str) -> Iterator[tuple[Path, str]]:
         yield file, file.name
     for folder in folders:
         yield from _walk(folder, f"{top}/")
+
+
+def entry_points(code: Path) -> list[metadata.EntryPoint]:
+    """Return the entry points of estimators in a wheel or a folder of installed packages."""
+    found = metadata.distributions(path=[str(code)])
+    return [x for one in found for x in one.entry_points.select(group=ENTRY_POINT_GROUP)]
 
 
 def _find_module(name: str) -> ModuleSpec | None:

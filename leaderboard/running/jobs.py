@@ -25,9 +25,8 @@ from leaderboard.entries.entry import Entry, EntryError, TrainingRun
 from leaderboard.evaluation import evaluate, store
 from leaderboard.evaluation.provenance import package_code, package_version
 from leaderboard.evaluation.results import RESULT, content_digest, evaluation_version
-from leaderboard.evaluation.task_files import digest_of, files_of, with_paths
+from leaderboard.evaluation.task_files import digest_of, files_of, to_json_types, with_paths
 from leaderboard.evaluation.tasks import Task
-from leaderboard.json_values import to_json_types
 from leaderboard.metrics import heights
 from leaderboard.sandbox import messages
 from leaderboard.sandbox.client import SandboxClient

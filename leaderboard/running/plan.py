@@ -91,7 +91,7 @@ class Plan:
                     result = store.load_part(path)
                     named = result.identity, result.task_digest, result.estimator, result.seeds
                     is_of_row = named == (part, row.task.digest, row.entry.name, row.seeds)
-                    if result.failure is None and is_of_row:  # not from another machine
+                    if result.failure is None and is_of_row:  # it may come from elsewhere
                         self._digests[path] = content_digest(result)
 
     def missing(self) -> list[tuple[PlannedRow, int]]:

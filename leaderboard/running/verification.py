@@ -25,10 +25,9 @@ from leaderboard.entries.entry import Entry
 from leaderboard.evaluation import comparison, evaluate, store
 from leaderboard.evaluation.provenance import describe_environment
 from leaderboard.evaluation.results import RUN, Result, content_digest
-from leaderboard.evaluation.task_files import with_paths
+from leaderboard.evaluation.task_files import to_json_types, with_paths
 from leaderboard.evaluation.tasks import Condition, Task, load_task
 from leaderboard.evaluation.test_data import RecordedDrive, simulate_drives
-from leaderboard.json_values import to_json_types
 from leaderboard.metrics.bootstrap import REPRODUCIBLE, interquartile_mean
 from leaderboard.metrics.registry import SCORES
 from leaderboard.sandbox.client import ONE_TRAINING

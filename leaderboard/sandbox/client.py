@@ -100,8 +100,8 @@ class SandboxClient:
         code, _ = self._snapshot(reference)
         guest = self._start(reference)
         try:
-            start = {"do": "start", "reference": reference, "settings": {}, "car": None}
-            head, _ = call(guest, messages.encode(start))
+            about = {"reference": reference, "settings": dict[str, Any](), "car": None}
+            head, _ = call(guest, messages.encode({"do": "start", **about}))
         finally:
             self._end(guest)
         causal, lag = head.get("causal"), head.get("lag")

@@ -11,7 +11,7 @@ from importlib.util import resolve_name
 from itertools import accumulate
 from pathlib import Path
 
-from estimators import ENTRY_POINT_GROUP
+from leaderboard.entries.entry_files import entry_points
 
 PROJECT, EXTRAS = "road-envs", ("all", "sign")
 """What boards install."""
@@ -28,7 +28,8 @@ def missing_packages(code: Path) -> dict[str, str]:
     can be (`try`), or for types alone, does not count.
     """
     wheel = code if code.is_file() else next(code.glob("*.whl"), None)
-    found, left = dict[str, str](), _entry_modules(wheel or code)
+    found, modules = dict[str, str](), [x.module for x in entry_points(wheel or code)]
+    left = [name for x in modules for name in accumulate(x.split("."), "{}.{}".format)]
     if not left:  # weights of an entry of this package, or what the judge refuses
         return found
     files = code if wheel is None else zipfile.Path(wheel)
@@ -57,16 +58,6 @@ def _file_of(module: str, files: Path | zipfile.Path) -> Path | zipfile.Path | N
     path = module.replace(".", "/")
     found = (files / place for place in (f"{path}.py", f"{path}/__init__.py"))
     return next((file for file in found if file.is_file()), None)
-
-
-def _entry_modules(code: Path) -> list[str]:
-    """Modules, and their packages, that the entry points of estimators name."""
-    return [
-        name
-        for distribution in metadata.distributions(path=[str(code)])
-        for entry in distribution.entry_points.select(group=ENTRY_POINT_GROUP)
-        for name in accumulate(entry.module.split("."), "{}.{}".format)
-    ]
 
 
 def _imports(text: str, module: str, is_package: bool) -> Iterator[str]:
