@@ -1,20 +1,42 @@
-"""Command `dataset`: simulated drives with their true roads, for training without the simulator."""
+"""Command `dataset`: simulated drives with their true roads, for training without the simulator,
+and episodes of a switching policy as a Minari data set, for offline reinforcement learning.
+"""
 
+import os
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
+
+import gymnasium
+import numpy as np
 
 from leaderboard.arrays import load_task
 from leaderboard.commands import command_line, progress_bar
 from leaderboard.commands.options import Sensors, option
 from leaderboard.commands.output import Output, facts_table
-from leaderboard.episode_tables import DATASETS_PATH, write_episodes
 from leaderboard.task_tables import write_task
+from road_envs import __version__
 from road_envs.core.atomic_io import new_folder
 from road_envs.core.config import ConfigError
+from road_envs.core.extras import optional_import
 from road_envs.drives.dataset import write_dataset
 from road_envs.drives.training_corpus import Corpus
+from road_envs.policies import make_policy
+from road_envs.policies.rollout import roll_out
 
 _DRIVES, _SEED, _SENSORS = 200, 2, "paper"  # defaults of the drives that are not those of a task
+
+_ENVIRONMENT = "RoadRecon-v0"
+_NAMESPACE = "roadrecon"
+
+_OPTIONS = {"observe": ("accelerations", "planar", "struts"), "control": "states"}
+"""Options of the environment: all that a policy may use, and all states of both axles."""
+
+_BATCH = 16  # episodes that are driven at once
+
+_DATASETS_PATH = "MINARI_DATASETS_PATH"  # environment variable of Minari's folder of data sets
 
 
 def dataset(
@@ -49,7 +71,7 @@ def dataset(
     facts: dict[str, Any]
     with new_folder(out) as folder, progress_bar() as progress:
         if episodes is not None:
-            facts = write_episodes(episodes, drives, seed, folder, progress, sensors=sensors)
+            facts = _write_episodes(episodes, drives, seed, folder, progress, sensors=sensors)
         elif task is not None:
             arrays = load_task(task, roads=roads)
             facts = {"training": len(arrays.training), "test": len(arrays.test)}
@@ -60,5 +82,67 @@ def dataset(
     facts["written"] = [str(out)]
     if episodes is None:
         return Output(facts=facts)
-    load = f"to load it: {DATASETS_PATH}={out} and minari.load_dataset({facts['data_set']!r})"
+    load = f"to load it: {_DATASETS_PATH}={out} and minari.load_dataset({facts['data_set']!r})"
     return Output(facts=facts, shows=[*facts_table(facts), load])
+
+
+def _write_episodes(
+    reference: str,
+    number: int,
+    seed: int,
+    folder: Path,
+    progress: Callable[[str, float], None],
+    **options: Any,
+) -> dict[str, Any]:
+    """Write `number` episodes of a policy, one of each seed from `seed` on; return the facts.
+
+    The data set lies in `folder`, Minari's folder of data sets, under the name in the facts;
+    `options` are those of the environment. Raises ConfigError, and what the policy raises.
+    """
+    options = {**_OPTIONS, **options}
+    policy, name = make_policy(reference), reference.rpartition(":")[2].lower()
+    with optional_import("a data set of episodes"):
+        import minari
+        from minari.data_collector import EpisodeBuffer
+
+    buffers, returns = [], []
+    for first in range(0, number, _BATCH):
+        seeds = range(seed + first, seed + min(first + _BATCH, number))
+        progress(f"driving seeds {seeds[0]} to {seeds[-1]}", first / number)
+        rollout = roll_out(policy, options, seeds)
+        for k, n in enumerate(rollout.intervals):
+            ended = np.arange(1, n + 1) == n
+            failed = bool(rollout.reasons[k])
+            episode = EpisodeBuffer(
+                id=first + k, seed=seeds[k], observations=list(rollout.observations[: n + 1, k]),
+                actions=list(rollout.actions[:n, k]), rewards=list(rollout.rewards[:n, k]),
+                terminations=list(ended & failed), truncations=list(ended & (not failed)),
+            )  # fmt: skip
+            buffers.append(episode)
+            returns.append(float(rollout.returns[k]))
+    identifier = f"{_NAMESPACE}/{name}-v0"
+    env = gymnasium.make(_ENVIRONMENT, **options)
+    with _datasets_in(folder), warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of an address and links that are left out
+        minari.create_dataset_from_buffers(
+            identifier, buffers, env=env, algorithm_name=name, author="RoadRecon",
+            description=f"Episodes of the policy {name} in {_ENVIRONMENT}, seeds {seed} to "
+            f"{seed + number - 1}, road-envs {__version__}; licence CC-BY-4.0.",
+            data_format="arrow", requirements=[f"road-envs=={__version__}"],
+        )  # fmt: skip
+    steps = int(sum(len(buffer.rewards) for buffer in buffers))
+    facts = {"data_set": identifier, "episodes": number, "steps": steps}
+    return {**facts, "mean_return": float(np.mean(returns))}
+
+
+@contextmanager
+def _datasets_in(folder: Path) -> Iterator[None]:
+    """Let Minari write into `folder`."""
+    before = os.environ.get(_DATASETS_PATH)
+    os.environ[_DATASETS_PATH] = str(folder.resolve())
+    try:
+        yield
+    finally:
+        os.environ.pop(_DATASETS_PATH)
+        if before is not None:
+            os.environ[_DATASETS_PATH] = before

@@ -40,9 +40,7 @@ _SPEED_KMH, _MODE = 30.0, "handling"
 _TRAINING_SEEDS, _TEST_SEED = (101, 102), 1
 _SEED = 1  # training seed
 
-SHORT_LENGTH = 5.0
-"""Length [m] of a road that an estimator may refuse."""
-
+SHORT_LENGTH = 5.0  # length [m] of a road that an estimator may refuse
 _UNTRAINED_MODES = {"front": "soft_high", "rear": "stiff_low"}
 """Strut modes that do not occur in the training drives."""
 

@@ -33,9 +33,7 @@ BUILTIN = "builtin"
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,39}")
 """Pattern of the name of a row. It is part of the names of files and of addresses of pages."""
 
-MAX_LAG = 10.0
-"""Largest lag [m] of an estimator that counts as causal."""
-
+MAX_LAG = 10.0  # largest lag [m] of an estimator that counts as causal
 Calibrations = Sequence[Sequence[CalibrationDrive]]
 """Drives of the vehicle of each test record, empty without calibration."""
 

@@ -65,8 +65,7 @@ class RunRequest:
         return rows
 
 
-ATTEMPTS = 3
-"""Number of attempts to make results while another process changes them."""
+ATTEMPTS = 3  # to make results while another process changes them
 
 
 @dataclass(frozen=True)

@@ -22,8 +22,7 @@ from road_envs.core.extras import optional_import
 LOCAL = "local"
 """In place of an address: a cluster of processes of this machine, for the time of a run."""
 
-SCHEDULER_TIMEOUT = 4.0
-"""Timeout [s] for connecting to the scheduler, and for its first worker."""
+SCHEDULER_TIMEOUT = 4.0  # timeout [s] for connecting to the scheduler, and for its first worker
 
 
 class DaskExecutor:

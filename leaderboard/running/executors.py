@@ -23,8 +23,7 @@ from leaderboard.sandbox.launch import start_host_process
 from road_envs.core.atomic_io import TempFolder
 from road_envs.core.config import ConfigError, build
 
-_ATTEMPTS = 2
-"""Number of times that an entry is run whose evaluation process ends meanwhile."""
+_ATTEMPTS = 2  # to run an entry whose evaluation process ends meanwhile
 
 
 class Executor(Protocol):

@@ -26,7 +26,7 @@ from leaderboard.evaluation import comparison, evaluate, store
 from leaderboard.evaluation.provenance import describe_environment
 from leaderboard.evaluation.results import RUN, Result, content_digest
 from leaderboard.evaluation.task_files import to_json_types, with_paths
-from leaderboard.evaluation.tasks import Condition, Task, load_task
+from leaderboard.evaluation.tasks import Task, load_task
 from leaderboard.evaluation.test_data import RecordedDrive, simulate_drives
 from leaderboard.metrics.bootstrap import REPRODUCIBLE, interquartile_mean
 from leaderboard.metrics.registry import SCORES
@@ -38,9 +38,7 @@ from road_envs.core.config import ConfigError, Settings, build
 _DEFINITION = Kind("task", 1)
 _VERIFICATION = Kind("verification", 2)
 
-SHARE = 0.1
-"""Share of the drives of a task that are run again."""
-
+SHARE = 0.1  # share of the drives of a task that are run again
 _BY_CHANCE = (*NOT_CAUSAL, REMEMBERS, ONE_TRAINING)
 """What a judge may find out about an entry by chance, and not again."""
 
@@ -232,19 +230,18 @@ def verify_folder(
             elif reason := entry.failure or row.stale_reason(task, entry):
                 found.append(_without_runs(task, row, reason))
             else:
-                check = _verify_row if row.failure is None else _verify_failure
-                now = check(task, row, entry, data, run)
+                again = (
+                    evaluate.evaluate_entry(task, *x, entry, row.seeds, run) for x in data.items()
+                )
+                if row.failure is None:
+                    now = _verify_row(task, row, entry, again)
+                else:
+                    now = _verify_failure(task, row, again, count)
                 found.append(dataclasses.replace(now, share=count / len(drives)))
     return found
 
 
-def _verify_row(
-    task: Task,
-    row: Result,
-    entry: Entry,
-    data: Mapping[Condition, evaluate.ConditionData | str],
-    run: evaluate.EntryRunner,
-) -> Verified:
+def _verify_row(task: Task, row: Result, entry: Entry, again: Iterable[Result]) -> Verified:
     """Run an entry again on the drives of each condition and compare with its row."""
     found = _without_runs(task, row)
     if reason := other_drives(row, task) or _other_seeds(row):
@@ -257,8 +254,7 @@ def _verify_row(
     ranked: list[tuple[float, float]] = []
     notes, busy = {f"{row.estimator}: {note}" for note in _BY_CHANCE}, ""
     notes.update(_not_retested(row))
-    for condition, drives in data.items():
-        made = evaluate.evaluate_entry(task, condition, drives, entry, row.seeds, run)
+    for made in again:
         if made.failure is not None:
             others = is_by_others(entry)  # ours may lack a library here
             return dataclasses.replace(found, reason=made.failure, is_false=others)
@@ -291,22 +287,13 @@ def _verify_row(
     return dataclasses.replace(found, reason=busy) if busy and found.agrees else found
 
 
-def _verify_failure(
-    task: Task,
-    row: Result,
-    entry: Entry,
-    data: Mapping[Condition, evaluate.ConditionData | str],
-    run: evaluate.EntryRunner,
-) -> Verified:
-    """Run an entry whose row says that it failed; on other drives than these it may have."""
+def _verify_failure(task: Task, row: Result, again: Iterable[Result], count: int) -> Verified:
+    """Run an entry on `count` drives whose row says that it failed; on others it may have."""
     found = _without_runs(task, row, f"failed: {row.failure}")
-    made = (evaluate.evaluate_entry(task, *x, entry, row.seeds, run) for x in data.items())
-    if not data or any(one.failure is not None for one in made):
+    if not count or any(made.failure is not None for made in again):
         return found
     reason = f"it does not fail on these drives; its row says: {row.failure}"
-    drives = [x.tests for x in data.values() if not isinstance(x, str)]
-    is_whole = sum(map(len, drives)) == len(_drives(task))
-    return dataclasses.replace(found, reason=reason, is_false=is_whole)
+    return dataclasses.replace(found, reason=reason, is_false=count == len(_drives(task)))
 
 
 def _drives(task: Task) -> set[tuple[str, int, int]]:

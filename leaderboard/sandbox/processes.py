@@ -19,9 +19,7 @@ PAGE, TICKS = os.sysconf("SC_PAGE_SIZE"), os.sysconf("SC_CLK_TCK")
 LINUX = sys.platform == "linux"
 PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36
 
-INODE = 1024
-"""Memory [bytes] that an empty file takes up."""
-
+INODE = 1024  # memory [bytes] that an empty file takes up
 libc = ctypes.CDLL(None, use_errno=True)
 
 

@@ -13,9 +13,7 @@ from pathlib import Path
 
 from leaderboard.entries.entry_files import entry_points
 
-PROJECT, EXTRAS = "road-envs", ("all", "sign")
-"""What boards install."""
-
+PROJECT, EXTRAS = "road-envs", ("all", "sign")  # what boards install
 _REQUIREMENT = re.compile(r"\s*([\w.-]+)\s*(?:\[([^]]*)\])?[^;]*(?:;(.*))?")
 _EXTRA = re.compile(r"""extra\s*==\s*["']([\w.-]+)["']""")
 
