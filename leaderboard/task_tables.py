@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from leaderboard.arrays import TaskArrays, score_arrays
+from leaderboard.api import TaskArrays, score_arrays
 from leaderboard.scoring import ScoreTable
 from road_envs._version import __version__
 from road_envs.core.atomic_io import write_text

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import gymnasium
 import numpy as np
 
-from leaderboard.arrays import load_task
+from leaderboard.api import load_task
 from leaderboard.commands import command_line, progress_bar
 from leaderboard.commands.options import Sensors, option
 from leaderboard.commands.output import Output, facts_table

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from leaderboard import commands
-from leaderboard.arrays import load_task as load_arrays
+from leaderboard.api import load_task as load_arrays
 from leaderboard.commands.options import Json, LimitOptions, ResultsFolder, Share, argument, option
 from leaderboard.commands.output import Output
 from leaderboard.entries.entries import resolve_entries
