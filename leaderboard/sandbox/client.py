@@ -14,7 +14,7 @@ import shutil
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext
+from contextlib import ExitStack, nullcontext
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -52,7 +52,7 @@ UNSEEN_TIME = 0.05
 ONE_TRAINING = "its training does not depend on the seed"
 
 
-class SandboxClient:
+class SandboxClient(ExitStack):
     """Runs entries in guests, one at a time; a context manager.
 
     Estimators of this package that use the same libraries share a guest with a child for each run;
@@ -70,28 +70,22 @@ class SandboxClient:
         code: Mapping[str, Path] = MappingProxyType({}),
     ):
         """Raises ConfigError if bubblewrap is requested and cannot be used."""
+        super().__init__()
         self.limits = limits
         self._bubblewrap = bubblewrap.is_used(self.limits.isolation)
         self.guest: Guest | None = None  # of the last run
-        self._owns_all_children, self._code = owns_all_children, code
-        self._temp = TempFolder()
-        self._temp.path.chmod(0o755)  # a guest has another user
+        self._code = code
+        self._folder = self.enter_context(TempFolder())
+        self._folder.chmod(0o755)  # a guest has another user
         self._snapshots: dict[str, tuple[str, Path]] = {}
         self._ours: dict[tuple[str, ...], Guest] = {}  # by the libraries that they have loaded
-        self._home = self._temp.path  # of the last guest
+        self._home = self._folder  # of the last guest
         self._pipes = bubblewrap.count_pipes() if self._bubblewrap else 0
         self.isolation = "bubblewrap" if self._bubblewrap else "process"
         if owns_all_children:
             processes.become_subreaper()
-
-    def __enter__(self) -> "SandboxClient":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._close_guests()
-        if self._owns_all_children:
-            processes.kill_descendants()
-        self._temp.close()
+            self.callback(processes.kill_descendants)
+        self.callback(self._close_guests)
 
     def describe(self, reference: str) -> dict[str, Any]:
         """Return settings, causality, lag [m], version and, of a package, the name of its entry
@@ -199,7 +193,7 @@ class SandboxClient:
                     f"not run: {bubblewrap.obstacle()}; an estimator from outside this package "
                     "would have the rights of the user; if you trust it: --isolation process"
                 )
-            folder = self._temp.path / f"entry-{len(self._snapshots)}"
+            folder = self._folder / f"entry-{len(self._snapshots)}"
             source = str(self._code.get(reference, reference))
             self._snapshots[reference] = entry_files.snapshot(source, folder), folder
             for path in folder.rglob("*"):  # a time would tell each guest how long the run lasts
@@ -221,7 +215,7 @@ class SandboxClient:
 
     def _new_guest(self, code: Path | None, libraries: Sequence[str] = ()) -> Guest:
         # it sees the name of its code's folder, which must not tell how many were before it
-        self._home = home = self._temp.path / secrets.token_hex(8)
+        self._home = home = self._folder / secrets.token_hex(8)
         if code is not None:  # a copy of its own: how fast a file is read says nothing of others
             code = Path(shutil.copytree(code, home.with_suffix(".code")))
         return start_guest(
