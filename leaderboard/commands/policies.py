@@ -74,8 +74,7 @@ def policies(
         entries |= _entries([reference], limits.parse())
     if out:
         write_pending(out / POLICY_PAGE, "Switching policies", f"policies --out {out}")
-    processes = contextlib.ExitStack()
-    with processes, commands.on_interrupt(""), commands.progress_bar() as progress:
+    with contextlib.ExitStack() as processes, commands.progress_bar() as progress:
         for entry in entries.values():
             if isinstance(entry, PolicyProcess):
                 processes.enter_context(entry)
@@ -153,7 +152,7 @@ def train_policy(
 ) -> None:
     """Train a policy on training drives, and compare it with laws on public ones."""
     commands.check_output_path(out, ".npz")
-    with commands.on_interrupt(""), commands.progress_bar() as progress:
+    with commands.progress_bar() as progress:
         network, curve = iterate(IterationConfig(steps=steps), seed, progress)
         name, laws = f"seed {seed}", {law: create(law) for law in RIVALS}
         entries: dict[str, Any] = {name: NetworkPolicy.from_network(network)} | laws

@@ -55,7 +55,7 @@ def report(
         estimator=estimator, fast=fast, segment=segment, known_iri=known_iri, route=route,
     )  # fmt: skip
     kept = f"finished sections are kept in {out}; the same command continues"
-    with commands.on_interrupt(kept), commands.progress_bar() as progress:
+    with commands.progress_bar(kept) as progress:
         progress("reading", 0.0)
         read = read_passes(drives, options)
         sections = Sections(out / KEPT, said=commands.notices.print)

@@ -15,6 +15,7 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Literal
 
@@ -141,12 +142,8 @@ def _is_drawn(path: Path, salt: str, hidden: _HiddenSeeds, public: Task) -> bool
         return seeds == drawn and len(seeds) == hidden.roads.get(name)
     # another package may describe it in other words
     today = build(Task, _hidden_task(salt, hidden, name), name)
-    return _what_ranks(found) == _what_ranks(today)
-
-
-def _what_ranks(task: Task) -> tuple[object, ...]:
-    """Return the parts of a task that decide scores and ranks; its other words may differ."""
-    return task.digest, task.board, task.test.families, task.claimed_level_error
+    ranks = attrgetter("digest", "board", "test.families", "claimed_level_error")
+    return bool(ranks(found) == ranks(today))
 
 
 def _hidden_task(salt: str, hidden: _HiddenSeeds, name: str) -> dict[str, Any]:
