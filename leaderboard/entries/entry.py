@@ -158,40 +158,28 @@ def reconstruct_all(
     """
     first: list[Estimate] = []
     for seed in seeds if session.needs_training and session.uses_seed else seeds[:1]:
-        run = _run(session, training, records, seed, order or range(len(records)), calibrations)
-        if first and are_equal(run.estimates, first):
+        step, seconds = f"training with seed {seed}", 0.0
+        calibrate_seconds: float | None = 0.0 if calibrations and session.calibrates else None
+        estimates: dict[int, Estimate] = {}
+        try:
+            parameters, train_seconds = session.fit(training, seed)
+            for k in order or range(len(records)):
+                if calibrate_seconds is not None:
+                    step = f"calibrating to the vehicle of test drive {k + 1}, seed {seed}"
+                    calibrate_seconds += session.calibrate(calibrations[k])
+                step = f"estimating test drive {k + 1} of {len(records)}, seed {seed}"
+                estimates[k], duration = session.estimate(records[k])
+                seconds += duration
+        except (Exception, SystemExit) as error:
+            reason = str(error) if isinstance(error, EntryError) else describe_error(error)
+            raise EntryError(f"{step}: {reason}") from error
+        ordered = [estimates[k] for k in range(len(records))]
+        if first and are_equal(ordered, first):
             return
-        yield run
-        first = first or run.estimates
-
-
-def _run(
-    session: _Session,
-    training: Sequence[tuple[Record, Profile]],
-    records: Sequence[Record],
-    seed: int,
-    order: Sequence[int],
-    calibrations: Calibrations,
-) -> TrainingRun:
-    step, seconds = f"training with seed {seed}", 0.0
-    calibrate_seconds: float | None = 0.0 if calibrations and session.calibrates else None
-    estimates: dict[int, Estimate] = {}
-    try:
-        parameters, train_seconds = session.fit(training, seed)
-        for k in order:
-            if calibrate_seconds is not None:
-                step = f"calibrating to the vehicle of test drive {k + 1}, seed {seed}"
-                calibrate_seconds += session.calibrate(calibrations[k])
-            step = f"estimating test drive {k + 1} of {len(records)}, seed {seed}"
-            estimates[k], duration = session.estimate(records[k])
-            seconds += duration
-    except (Exception, SystemExit) as error:
-        reason = str(error) if isinstance(error, EntryError) else describe_error(error)
-        raise EntryError(f"{step}: {reason}") from error
-    ordered = [estimates[k] for k in range(len(records))]
-    return TrainingRun(
-        ordered, train_seconds, seconds, parameters, seed, calibrate_seconds=calibrate_seconds
-    )
+        yield TrainingRun(
+            ordered, train_seconds, seconds, parameters, seed, calibrate_seconds=calibrate_seconds
+        )
+        first = first or ordered
 
 
 def get_settings(estimator: Estimator | None) -> dict[str, Any]:
