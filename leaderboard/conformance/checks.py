@@ -126,15 +126,21 @@ def check_entry(entry: Entry, sandbox: SandboxClient, limits: Limits) -> list[Ch
     drives = check_drives()
     try:
         single = _run(sandbox, entry, [drives.record])
-    except EntryError as error:
-        message = f"on {drives.description}: {error}"
-        return [contract, CheckResult("runs", False, message)]
-    results = [contract, _check_run(drives, single)]
+    except EntryError as failure:
+        return [contract, CheckResult("runs", False, f"on {drives.description}: {failure}")]
+    error = score(single.estimates[0], drives.truth, speed_kmh=_SPEED_KMH)["nrmse"]
+    message = (
+        f"{drives.description}, in a separate process (isolation: {single.isolation}): "
+        f"in-band error {error:.2f}, a flat estimate has 1"
+    )
+    if error > _MAX_ERROR:
+        message += "; heights must be in metres, upwards: are these in millimetres?"
+    results = [contract, CheckResult("runs", not error > _MAX_ERROR, message)]
     results += _check_damaged_records(sandbox, entry, drives)
     try:
         probed = _run(sandbox, entry, list(drives.perturbed.values()))
-    except EntryError as error:
-        return [*results, CheckResult("probes", False, str(error))]
+    except EntryError as failure:
+        return [*results, CheckResult("probes", False, str(failure))]
     results += _evaluate_probes(entry, drives, single, probed)
     return results + _check_costs(limits, drives, probed)
 
@@ -151,17 +157,6 @@ def _run(sandbox: SandboxClient, entry: Entry, records: Sequence[Record]) -> Tra
     drives = check_drives()
     (training_run,) = sandbox.reconstruct(entry, drives.training, records, drives.car, [_SEED])
     return training_run
-
-
-def _check_run(drives: _CheckDrives, training_run: TrainingRun) -> CheckResult:
-    error = score(training_run.estimates[0], drives.truth, speed_kmh=_SPEED_KMH)["nrmse"]
-    message = (
-        f"{drives.description}, in a separate process (isolation: {training_run.isolation}): "
-        f"in-band error {error:.2f}, a flat estimate has 1"
-    )
-    if error > _MAX_ERROR:
-        message += "; heights must be in metres, upwards: are these in millimetres?"
-    return CheckResult("runs", not error > _MAX_ERROR, message)
 
 
 def _check_damaged_records(
