@@ -48,11 +48,18 @@ def write_task(task: TaskArrays, folder: Path, form: str, roads: int | None = No
     for split, drives in (("training", task.training), ("test", task.test)):
         for k, drive in enumerate(drives, start=1):
             about = {"drive": [k], "split": split, "condition": drive["condition"]}
+            sensors = dict(zip(drive["channels"], drive["a"], strict=True))
+            states = {
+                f"{name}_{wheel}": drive[name][:, column].astype(int)
+                for name in ("spring_stiff", "damper_high")
+                for column, wheel in enumerate(WHEELS)
+            }
+            signals = {"t": drive["t"], **sensors, "v": drive["v"], "s": drive["s"], **states}
             z = drive.get("z", np.full((2, drive["stations"].size), np.nan))
             heights = {"station": drive["stations"], **dict(zip(_SIDES, z, strict=True))}
             own = {"task": task.identity} if split == "test" else {}
             tables["drives"].append(pd.DataFrame(about))
-            tables[f"{split}_records"].append(pd.DataFrame({"drive": k, **_record_columns(drive)}))
+            tables[f"{split}_records"].append(pd.DataFrame({"drive": k, **signals}))
             tables[f"{split}_profiles"].append(pd.DataFrame({"drive": k, **heights, **own}))
     written = []
     for name, parts in tables.items():
@@ -114,13 +121,3 @@ def score_file(task: TaskArrays, path: Path) -> ScoreTable:
         heights.append(np.stack([values[name][rows] for name in _SIDES]))
         std.append(np.stack([values[name][rows] for name in deviations]) if deviations else None)
     return score_arrays(task, heights, std if deviations else None)
-
-
-def _record_columns(drive: dict[str, Any]) -> dict[str, np.ndarray]:
-    sensors = dict(zip(drive["channels"], drive["a"], strict=True))
-    states = {
-        f"{name}_{wheel}": drive[name][:, k].astype(int)
-        for name in ("spring_stiff", "damper_high")
-        for k, wheel in enumerate(WHEELS)
-    }
-    return {"t": drive["t"], **sensors, "v": drive["v"], "s": drive["s"], **states}
