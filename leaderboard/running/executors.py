@@ -33,7 +33,6 @@ class Executor(Protocol):
 
     def run(self, jobs: Sequence[Job], out: Path) -> Iterator[JobDone]:
         """Run jobs, store results under `out` and yield each summary in completion order."""
-        ...
 
 
 class EvaluatorError(Exception):
