@@ -12,6 +12,7 @@ is published, beside the tasks, anyone can draw the same seeds and compare.
 
 import dataclasses
 import hashlib
+import itertools
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -180,16 +181,11 @@ def _seeds(salt: str, hidden: _HiddenSeeds, task: Task, digest: str, count: int)
     public = task.training.all_seeds | task.test.all_seeds
     text = "\0".join([hidden.commitment, task.name, digest])
     key = _slow_hash(salt.encode(*_AS_GIVEN), text.encode())
-    drawn: list[int] = []
-    k = 0
-    while len(drawn) < count:
-        word = hashlib.sha256(key + str(k).encode()).digest()
-        seed = int.from_bytes(word[:8], "big") >> 2
-        roads = {seed + i * SEED_STRIDE for i in range(len(task.test.roads))}
-        if not roads & public:
-            drawn.append(seed)
-        k += 1
-    return drawn
+    words = (hashlib.sha256(key + str(k).encode()).digest() for k in itertools.count())
+    seeds = (int.from_bytes(word[:8], "big") >> 2 for word in words)
+    of_roads = [i * SEED_STRIDE for i in range(len(task.test.roads))]
+    drawn = (seed for seed in seeds if public.isdisjoint(seed + offset for offset in of_roads))
+    return list(itertools.islice(drawn, count))
 
 
 def _commitment(salt: str, hidden: _HiddenSeeds) -> str:
