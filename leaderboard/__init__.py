@@ -7,8 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from leaderboard.api import ScoreTable, plot, run_task, score
-    from leaderboard.arrays import load_task, score_arrays
+    from leaderboard.api import ScoreTable, load_task, plot, run_task, score, score_arrays
 
 __all__ = ["ScoreTable", "load_task", "plot", "run_task", "score", "score_arrays"]
 
@@ -17,5 +16,4 @@ def __getattr__(name: str) -> Any:
     """Import the Python interface when it is first used: the command line needs little of it."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module = "arrays" if name in ("load_task", "score_arrays") else "api"
-    return getattr(import_module(f"leaderboard.{module}"), name)
+    return getattr(import_module("leaderboard.api"), name)

@@ -1,4 +1,4 @@
-"""The leaderboard from Python: score an estimate, plot it, run a task.
+"""The leaderboard from Python: score an estimate, plot it, run a task, also as plain arrays.
 
     record, truth = simulate_record("iso_d", speed_kmh=36, mode="handling", seed=1)
     result = estimate("wiener", record)
@@ -6,23 +6,37 @@
     plot(result, truth).savefig("estimate.png")
     table = run_task("new_road", ["wiener", "my_package:Mine"], roads=1)
 
-`simulate_record` is in `road_envs`, `estimate` in `estimators`.
+`simulate_record` is in `road_envs`, `estimate` in `estimators`. For methods in MATLAB, Julia or JAX
+that know nothing of the classes of this package, every drive is a dictionary of NumPy arrays; the
+truth of test drives is kept back and used by `score_arrays`:
+
+    task = load_task("new_road")
+    heights = [my_method(drive, task.training) for drive in task.test]
+    print(score_arrays(task, heights))
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import estimators
 from estimators.api import Estimator
-from leaderboard.evaluation import evaluate
-from leaderboard.evaluation.tasks import Task, load_task
+from leaderboard.entries.entry import Entry, TrainingRun
+from leaderboard.evaluation import evaluate, results, tasks
+from leaderboard.evaluation.evaluate import ConditionData
+from leaderboard.evaluation.tasks import Task
+from leaderboard.evaluation.test_data import DriveSimulation, RecordedDrive, simulate_drives
+from leaderboard.metrics.bootstrap import interquartile_mean
 from leaderboard.metrics.registry import SCORES
 from leaderboard.scoring import ScoreTable, band_speed, check_stations, score
+from road_envs.core.config import ConfigError
 from road_envs.core.extras import optional_import
-from road_envs.records.record import Estimate, Profile
+from road_envs.records.record import Estimate, Profile, Record, profile_stations
 
-__all__ = ["ScoreTable", "plot", "run_task", "score"]
+__all__ = ["ScoreTable", "load_task", "plot", "run_task", "score", "score_arrays"]
 
 
 def plot(
@@ -60,23 +74,145 @@ def run_task(
     with optional_import("a DataFrame"):
         import pandas
 
-        from leaderboard.evaluation.results import RUN, scores_table
-
-    chosen = task if isinstance(task, Task) else load_task(task)
-    if roads is not None:
-        chosen = chosen.with_test_drives(roads)
+    chosen = _sized(task, roads)
     named = entries if isinstance(entries, Mapping) else {name: name for name in entries}
     made = {
         name: estimators.make_estimator(entry) if isinstance(entry, str) else entry
         for name, entry in named.items()
     }
-    results = evaluate.run_task(chosen, made, seeds, report=report)
-    failed = [(result.estimator, result.failure) for result in results if result.failure]
+    found = evaluate.run_task(chosen, made, seeds, report=report)
+    failed = [(result.estimator, result.failure) for result in found if result.failure]
     failures = pandas.DataFrame(failed, columns=["estimator", "failure"])
-    scores, runs = scores_table(results), ["estimator", *RUN]
+    scores, runs = results.scores_table(found), ["estimator", *results.RUN]
     wide = scores.pivot(index=runs, columns="score", values="value")
     in_order = pandas.MultiIndex.from_frame(scores[runs].drop_duplicates())
     drives = wide.reindex(index=in_order, columns=list(SCORES)).reset_index()
     table = pandas.concat([drives, failures], ignore_index=True)
     table.attrs["labels"] = {key: form.label for key, form in SCORES.items()}
     return table
+
+
+@dataclass(frozen=True, eq=False)
+class TaskArrays:
+    """The drives of a task. Each is a dictionary with
+
+    `condition` (str), times `t` (N,) [s], accelerations `a` (C, N) [m/s²] of the sensors
+    `channels`, speed `v` (N,) [m/s], station `s` (N,) [m] of the front axle, `spring_stiff` and
+    `damper_high` (N, 4) of the wheels FL, FR, RL, RR, `stations` (M,) [m], and `vehicle`, the
+    parameters of the one that an estimator is told under this condition. Those of `training` also
+    have the true heights `z` (2, M) [m] of the left and the right wheel path. A training drive
+    serves the test drives of its condition. Those have a list `calibration` of earlier drives of
+    the same vehicle, with `z` where their road was surveyed. The field `vehicle` below has the
+    parameters of the task's nominal vehicle.
+    """
+
+    name: str
+    training: tuple[dict[str, Any], ...]
+    test: tuple[dict[str, Any], ...]
+    vehicle: dict[str, Any]
+    _data: tuple[ConditionData, ...] = field(repr=False)
+
+    @property
+    def identity(self) -> str:
+        """Name and digest of the task with these test drives, which tables name."""
+        return f"{self.name}-{self._data[0].task.digest[:12]}"
+
+
+def load_task(
+    task: str | Path | Task,
+    *,
+    roads: int | None = None,
+    simulate: DriveSimulation = simulate_drives,
+) -> TaskArrays:
+    """Simulate the drives of a task, of `roads` test drives per condition if that is given.
+
+    Raises ConfigError.
+    """
+    chosen, data = _sized(task, roads), []
+    for condition in chosen.conditions:
+        made = evaluate.simulate_condition(chosen, condition, simulate)
+        if isinstance(made, str):
+            raise ConfigError(f"{chosen.name}: {made}")
+        data.append(made)
+    training = tuple(_arrays(part, drive, True) for part in data for drive in part.training)
+    test = tuple(_arrays(part, drive, False) for part in data for drive in part.tests)
+    return TaskArrays(chosen.name, training, test, asdict(chosen.vehicle), tuple(data))
+
+
+def score_arrays(
+    task: TaskArrays, heights: Sequence[Any], std: Sequence[Any] | None = None
+) -> ScoreTable:
+    """Score heights (2, M) [m] of every test drive, in the order of `task.test`.
+
+    `std`: standard deviations of the same shapes. Returns the row of a board: interquartile means
+    over roads and conditions. Raises ConfigError for another number or shape of arrays.
+    """
+    given = {"heights": heights, **({} if std is None else {"standard deviations": std})}
+    for what, arrays in given.items():
+        if len(arrays) != len(task.test):
+            raise ConfigError(
+                f"{task.name} has {len(task.test)} test drives, got {len(arrays)} {what}"
+            )
+    left = _estimates(task, given)
+
+    def run(entry: Entry, data: ConditionData, seeds: Sequence[int]) -> list[TrainingRun]:
+        return [TrainingRun([next(left) for _ in data.tests], 0.0, 0.0, 0, seeds[0])]
+
+    entry = Entry(name="arrays", reference="arrays")
+    parts = [evaluate.evaluate_entry(x.task, x.condition, x, entry, (1,), run) for x in task._data]
+    scores = results.score_arrays(results.merge_parts(parts, "").scores)
+    means = interquartile_mean(scores.reshape(len(SCORES), -1))
+    return ScoreTable(dict(zip(SCORES, means.tolist(), strict=True)))
+
+
+def _sized(task: str | Path | Task, roads: int | None) -> Task:
+    chosen = task if isinstance(task, Task) else tasks.load_task(task)
+    return chosen if roads is None else chosen.with_test_drives(roads)
+
+
+def _arrays(data: ConditionData, drive: RecordedDrive, has_truth: bool) -> dict[str, Any]:
+    car = asdict(data.task.vehicle_of(data.condition))
+    label = data.condition.label
+    if has_truth:
+        return _of_record(label, drive.record, car, drive.truth)
+    earlier = [_of_record(label, x.record, car, x.profile) for x in drive.calibration]
+    return {**_of_record(label, drive.record, car, None), "calibration": earlier}
+
+
+def _of_record(
+    condition: str, record: Record, car: dict[str, Any], profile: Profile | None
+) -> dict[str, Any]:
+    names = ("t", "a", "v", "s", "spring_stiff", "damper_high")
+    return {
+        "condition": condition,
+        "channels": record.channels,
+        **{name: getattr(record, name) for name in names},
+        "stations": profile_stations(record.length),
+        "vehicle": car,
+        **({"z": profile.z} if profile is not None else {}),
+    }
+
+
+def _estimates(task: TaskArrays, given: Mapping[str, Sequence[Any]]) -> Iterator[Estimate]:
+    """Yield the estimates of all test drives. Raises ConfigError for arrays of another shape."""
+    for k, drive in enumerate(task.test):
+        shape = (2, drive["stations"].size)
+        arrays = [_real(values[k]) for values in given.values()]
+        for what, array in zip(given, arrays, strict=True):
+            if array.shape != shape or not np.isfinite(array).all():
+                wanted = f"test drive {k + 1} needs finite {what} of the shape {shape}"
+                raise ConfigError(f"{wanted}, got {array.shape}")
+            if what != "heights" and (array < 0.0).any():
+                raise ConfigError(f"test drive {k + 1} has negative {what}")
+        yield Estimate(drive["stations"], arrays[0], arrays[1] if len(arrays) > 1 else None)
+
+
+def _real(values: Any) -> np.ndarray:
+    """Return real numbers as an array; an empty one of anything else, and of masked numbers."""
+    try:
+        array = np.asarray(values)
+        array = array.astype(float) if array.dtype == object else array
+    except (TypeError, ValueError, RuntimeError):  # ragged lists; tensors with gradients
+        return np.empty(0)
+    is_real = array.dtype.kind in "iuf" and not np.ma.is_masked(values)
+    return array.astype(float) if is_real else np.empty(0)

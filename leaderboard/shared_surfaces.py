@@ -25,13 +25,11 @@ def shared_seeds(training: DriveSet, test: DriveSet) -> list[int]:
     """Return the seeds by which roads of both sets are drawn, those of fixed pieces of one alone as
     well: those of both are their `fixed_surfaces`.
     """
-    (of_training, fixed_there), (of_test, fixed_here) = (
-        (
-            one.all_seeds,
-            {x.seed for road in one.roads for x in _parts(road) if isinstance(x, FixedSeed)},
-        )
-        for one in (training, test)
+    fixed_there, fixed_here = (
+        {part.seed for road in drives.roads for part in _parts(road) if isinstance(part, FixedSeed)}
+        for drives in (training, test)
     )
+    of_training, of_test = training.all_seeds, test.all_seeds
     return sorted(of_training & (of_test | fixed_here) | fixed_there & of_test)
 
 

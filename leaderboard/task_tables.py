@@ -11,12 +11,13 @@ if they are known `left_std` and `right_std` [m].
 """
 
 import json
+from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from leaderboard.arrays import TaskArrays, score_arrays
+from leaderboard.api import TaskArrays, score_arrays
 from leaderboard.scoring import ScoreTable
 from road_envs._version import __version__
 from road_envs.core.atomic_io import write_text
@@ -43,21 +44,23 @@ def write_task(task: TaskArrays, folder: Path, form: str, roads: int | None = No
             f"{task.name}: tables hold neither calibration drives nor a vehicle for each "
             "condition; leaderboard.load_task has them"
         )
-    tables: dict[str, list[Any]] = {"drives": []}
+    tables = defaultdict[str, list[Any]](list)
     for split, drives in (("training", task.training), ("test", task.test)):
         for k, drive in enumerate(drives, start=1):
-            tables["drives"].append(
-                pd.DataFrame([{"drive": k, "split": split, "condition": drive["condition"]}])
-            )
-            tables.setdefault(f"{split}_records", []).append(
-                pd.DataFrame({"drive": k, **_record_columns(drive)})
-            )
+            about = {"drive": [k], "split": split, "condition": drive["condition"]}
+            sensors = dict(zip(drive["channels"], drive["a"], strict=True))
+            states = {
+                f"{name}_{wheel}": drive[name][:, column].astype(int)
+                for name in ("spring_stiff", "damper_high")
+                for column, wheel in enumerate(WHEELS)
+            }
+            signals = {"t": drive["t"], **sensors, "v": drive["v"], "s": drive["s"], **states}
             z = drive.get("z", np.full((2, drive["stations"].size), np.nan))
-            heights = dict(zip(_SIDES, z, strict=True))
+            heights = {"station": drive["stations"], **dict(zip(_SIDES, z, strict=True))}
             own = {"task": task.identity} if split == "test" else {}
-            tables.setdefault(f"{split}_profiles", []).append(
-                pd.DataFrame({"drive": k, "station": drive["stations"], **heights, **own})
-            )
+            tables["drives"].append(pd.DataFrame(about))
+            tables[f"{split}_records"].append(pd.DataFrame({"drive": k, **signals}))
+            tables[f"{split}_profiles"].append(pd.DataFrame({"drive": k, **heights, **own}))
     written = []
     for name, parts in tables.items():
         path = folder / f"{name}.{form}"
@@ -118,13 +121,3 @@ def score_file(task: TaskArrays, path: Path) -> ScoreTable:
         heights.append(np.stack([values[name][rows] for name in _SIDES]))
         std.append(np.stack([values[name][rows] for name in deviations]) if deviations else None)
     return score_arrays(task, heights, std if deviations else None)
-
-
-def _record_columns(drive: dict[str, Any]) -> dict[str, np.ndarray]:
-    sensors = dict(zip(drive["channels"], drive["a"], strict=True))
-    states = {
-        f"{name}_{wheel}": drive[name][:, k].astype(int)
-        for name in ("spring_stiff", "damper_high")
-        for k, wheel in enumerate(WHEELS)
-    }
-    return {"t": drive["t"], **sensors, "v": drive["v"], "s": drive["s"], **states}

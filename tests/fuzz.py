@@ -42,7 +42,7 @@ from oracles_roads import crg_file, erd_file  # noqa: E402
 from phone_recordings import SAMPLES, sample  # noqa: E402
 from ros_recordings import write_mcap  # noqa: E402
 
-from leaderboard.arrays import load_task as load_arrays  # noqa: E402
+from leaderboard.api import load_task as load_arrays  # noqa: E402
 from leaderboard.conformance.method_card import load_method_card  # noqa: E402
 from leaderboard.drive_report.export import read_heights  # noqa: E402
 from leaderboard.entries import entry_files  # noqa: E402

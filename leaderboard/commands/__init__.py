@@ -105,31 +105,24 @@ def print_json(data: object) -> None:
 
 
 @contextlib.contextmanager
-def on_interrupt(kept: str) -> Iterator[None]:
-    """Let SIGINT end the command with a sentence on what is `kept` and how to continue."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt(kept) from None
-
-
-@contextlib.contextmanager
-def progress_bar() -> Iterator[Callable[[str, float], None]]:
+def progress_bar(kept: str = "") -> Iterator[Callable[[str, float], None]]:
     """Show progress on standard error; yield its update(description, share of 0 to 1).
 
     A terminal shows a bar; a file or pipe gets a line every LINE_INTERVAL with the time left.
+    SIGINT ends the command with a sentence on what is `kept` and how to continue, if anything is.
     """
-    if not notices.is_terminal:
-        yield _progress_lines(partial(notices.print, soft_wrap=True, highlight=False))
-        return
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=notices, transient=True) as bar:
-        task, left = bar.add_task("starting", total=1.0), _time_left()
-
-        def update(text: str, share: float) -> None:
-            bar.update(task, description=text + left(share), completed=share)
-
-        yield update
+    try:
+        if not notices.is_terminal:
+            yield _progress_lines(partial(notices.print, soft_wrap=True, highlight=False))
+            return
+        with Progress(*columns, console=notices, transient=True) as bar:
+            task, left = bar.add_task("starting", total=1.0), _time_left()
+            yield lambda text, share: bar.update(
+                task, description=text + left(share), completed=share
+            )
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(kept) from None
 
 
 LINE_INTERVAL = 10.0  # time [s] between two lines of progress without a terminal

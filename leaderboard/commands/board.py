@@ -128,7 +128,7 @@ def leaderboard(
     made = DaskExecutor(dask, workers) if dask else contextlib.nullcontext(ProcessExecutor(workers))
     write_pending(out / BOARD_PAGE, "Estimators", f"leaderboard --out {out}")
     kept = f"results of finished jobs are kept in {out}; the same command continues"
-    with made as executor, commands.on_interrupt(kept), commands.progress_bar() as progress:
+    with made as executor, commands.progress_bar(kept) as progress:
         evaluated = run_board(request, out, executor, progress)
         if attainable:
             evaluated = with_attainable(evaluated, lambda text: progress(text, 1.0))

@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from rich.table import Table
 from rich.text import Text
@@ -11,7 +11,7 @@ from rich.text import Text
 from leaderboard.commands import import_from_here, parse_settings
 from leaderboard.commands.options import LimitOptions, Settings, argument
 from leaderboard.commands.output import Output
-from leaderboard.commands.policies import POLICY_OPTIONS, chosen_isolation, policy_reference
+from leaderboard.commands.policies import POLICY_OPTIONS, policy_isolation
 from leaderboard.conformance.checks import RUN_TIME_LIMIT, check_entry
 from leaderboard.conformance.probes import PROBES, CheckResult
 from leaderboard.entries.entries import resolve_entries
@@ -42,18 +42,12 @@ def check_estimator(
     with SandboxClient(own) as sandbox:
         (entry,) = resolve_entries([estimator], sandbox.describe)
         results = list(check_entry(entry, sandbox, of_board))
-    if entry.failure is None:
-        results = [*_check_packages(Path(estimator)), *results]
-    return _checks_output("estimator", entry.name, results, _summarize(results))
-
-
-def _check_packages(code: Path) -> list[CheckResult]:
-    """Return a failed check for each package that a wheel or folder needs and boards lack."""
-    missing = missing_packages(code) if code.exists() else {}
-    return [
-        CheckResult("packages", False, f"{module} is of the package {package}, which boards lack")
-        for module, package in missing.items()
+    missing = missing_packages(Path(estimator)) if entry.failure is None else {}
+    lacking = [
+        f"{module} is of the package {x}, which boards lack" for module, x in missing.items()
     ]
+    results = [*(CheckResult("packages", False, sentence) for sentence in lacking), *results]
+    return _checks_output("estimator", entry.name, results, _summarize(results))
 
 
 def check_policy(
@@ -68,11 +62,9 @@ def check_policy(
     It drives a few lane changes in a process of its own: actions, repetition, reset, damaged
     sensors, cost.
     """
-    reference = policy_reference(policy, limits.isolation)
-    # a policy of this package needs no bubblewrap
-    isolation: Any = chosen_isolation(limits.isolation) or "process"
+    isolation = policy_isolation(policy, limits.isolation)
     own = dataclasses.replace(limits.parse(), isolation=isolation)
-    results = run_policy_checks(reference, parse_settings(settings), own)
+    results = run_policy_checks(policy, parse_settings(settings), own)
     failed = ", ".join(result.name for result in results if result.passed is False)
     verdict = f"not ready for a comparison: {failed}" if failed else "ready"
     return _checks_output("policy", policy, results, verdict)

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-from leaderboard.arrays import load_task
+from leaderboard.api import load_task
 from leaderboard.commands import command_line, progress_bar
 from leaderboard.commands.options import Sensors, option
 from leaderboard.commands.output import Output, facts_table

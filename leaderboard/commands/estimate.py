@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from rich.table import Table
 
 import estimators
 from estimators.roughness import spectral
@@ -25,7 +24,6 @@ from road_envs.records.record import Profile
 from road_envs.roads import Surface, load_road, realise_road, write_csv
 from road_envs.roads.measured import Measured
 
-_METHODS = ["spectral", "rms"]
 _DB_PER_LOG = 4.34  # 10 / ln 10: decibels per unit of the natural logarithm of a PSD
 
 
@@ -62,8 +60,7 @@ def estimate(
     else:
         same_instruments(drives)
         names = [each.label for each in drives]
-        pairs = zip(names, drives, strict=True)
-        notes = [f"{name}: {note}" for name, each in pairs for note in each.measured.notes]
+        notes = [f"{each.label}: {note}" for each in drives for note in each.measured.notes]
         measured, cars = [each.measured.record for each in drives], [each.car for each in drives]
         result = estimators.estimate_passes(chosen, measured, cars, names=names)
     facts: dict[str, Any] = {
@@ -107,7 +104,7 @@ def classify(
     Method spectral uses the acceleration spectra by octaves; method rms uses a regression on the
     RMS of drives that are simulated in the modes and at the speeds of the record.
     """
-    validate_choice("method", method, _METHODS)
+    validate_choice("method", method, ["spectral", "rms"])
     drive = drive_files.read_drive(record, options)
     measured, notes = drive.measured.record, [*drive.measured.notes]
     result: Any
@@ -124,15 +121,11 @@ def classify(
         f"± {_DB_PER_LOG * result.log_std:.1f} dB"
     ]
     if method == "spectral":
-        shows.append(_octaves_table(result))
+        levels = zip(result.octaves, result.levels, result.level_stds, strict=True)
+        numbers = [(f"{n:g}", f"{1e6 * G:.0f}", f"{_DB_PER_LOG * std:.1f}") for n, G, std in levels]
+        pairs = zip(numbers, result.octave_classes, strict=True)
+        heads = ("octave [cycles/m]", "Gd(n0) [1e-6 m³]", "± [dB]", "class")
+        cells = [(*each, letter) for each, letter in pairs]
+        shows.append(commands.make_table(heads, cells, texts=("class",)))
     shows += [f"- {note}" for note in notes]
     return Output(facts={"class": result.letter, **facts, "notes": notes}, shows=shows)
-
-
-def _octaves_table(posterior: spectral.ClassPosterior) -> Table:
-    levels = zip(posterior.levels, posterior.level_stds, strict=True)
-    numbers = [(f"{1e6 * level:.0f}", f"{_DB_PER_LOG * std:.1f}") for level, std in levels]
-    octaves = zip(posterior.octaves, numbers, posterior.octave_classes, strict=True)
-    cells = [(f"{centre:g}", *level, letter) for centre, level, letter in octaves]
-    heads = ("octave [cycles/m]", "Gd(n0) [1e-6 m³]", "± [dB]", "class")
-    return commands.make_table(heads, cells, texts=("class",))

@@ -20,22 +20,20 @@ from road_envs.vehicle.suspension import ALL_MODES, PASSIVE_MODES
 _Lines = dict[str, str]  # what a name stands for, by name
 
 
-def _vehicles() -> _Lines:
-    lines = {}
-    for name in config.names("vehicles"):
-        car = load_vehicle(name)
-        axles = "independent wheels" if car.front.kind == "independent" else "solid axles"
-        lines[name] = f"{car.m_b:.0f} kg on {axles}; modes {', '.join(car.modes)}"
-    return lines
+def _shipped(kind: str, describe: Callable[[str], str]) -> _Lines:
+    return {name: describe(name) for name in config.names(kind)}
 
 
-def _sensors() -> _Lines:
-    loaded = {name: load_instruments(name) for name in config.names("sensors")}
-    return {
-        name: f"{', '.join(each.accelerometers)}; {each.fs:g} Hz, noise {each.noise_density:g} "
-        "(m/s²)/sqrt(Hz)"
-        for name, each in loaded.items()
-    }
+def _vehicle(name: str) -> str:
+    car = load_vehicle(name)
+    axles = "independent wheels" if car.front.kind == "independent" else "solid axles"
+    return f"{car.m_b:.0f} kg on {axles}; modes {', '.join(car.modes)}"
+
+
+def _sensors(name: str) -> str:
+    each = load_instruments(name)
+    noise = f"noise {each.noise_density:g} (m/s²)/sqrt(Hz)"
+    return f"{', '.join(each.accelerometers)}; {each.fs:g} Hz, {noise}"
 
 
 def _first_sentence(text: str) -> str:
@@ -66,11 +64,11 @@ def _tasks() -> _Lines:
     return {task.name: task.title for task in shipped_tasks()}
 
 
-def _conditions() -> _Lines:
+def _conditions(name: str) -> str:
     from leaderboard.drive_report.conditions import load_conditions
 
-    loaded = {name: load_conditions(name) for name in config.names("conditions")}
-    return {name: f"{each.title}: {', '.join(each.categories)}" for name, each in loaded.items()}
+    each = load_conditions(name)
+    return f"{each.title}: {', '.join(each.categories)}"
 
 
 def _modes() -> _Lines:
@@ -85,26 +83,23 @@ def _modes() -> _Lines:
     return lines
 
 
-def _roads() -> _Lines:
-    """Return the first sentence of the comment at the head of each file."""
-    lines = {}
-    for name in config.names("roads"):
-        text = config.find("roads", name).read_text(encoding="utf-8")
-        head = itertools.takewhile(lambda line: line.startswith("#"), text.splitlines())
-        lines[name] = _first_sentence(" ".join(line.lstrip("# ") for line in head))
-    return lines
+def _road(name: str) -> str:
+    """Return the first sentence of the comment at the head of a file."""
+    text = config.find("roads", name).read_text(encoding="utf-8")
+    head = itertools.takewhile(lambda line: line.startswith("#"), text.splitlines())
+    return _first_sentence(" ".join(line.lstrip("# ") for line in head))
 
 
 KINDS: dict[str, Callable[[], _Lines]] = {
-    "vehicles": _vehicles,
-    "sensors": _sensors,
+    "vehicles": partial(_shipped, "vehicles", _vehicle),
+    "sensors": partial(_shipped, "sensors", _sensors),
     "estimators": partial(_registered, "estimators.registry"),
     "policies": partial(_registered, "road_envs.policies"),
     "boards": _boards,
     "tasks": _tasks,
-    "conditions": _conditions,
+    "conditions": partial(_shipped, "conditions", _conditions),
     "modes": _modes,
-    "roads": _roads,
+    "roads": partial(_shipped, "roads", _road),
 }
 
 

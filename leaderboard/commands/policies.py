@@ -14,7 +14,7 @@ from leaderboard.policies import page as policy_page
 from leaderboard.policies.policy_process import POLICY_LIMITS, PolicyProcess
 from leaderboard.report.rendering import POLICY_PAGE, write_pending
 from leaderboard.sandbox import bubblewrap
-from leaderboard.sandbox.limits import Limits
+from leaderboard.sandbox.limits import Isolation, Limits
 from road_envs.core.atomic_io import atomic_write, write_text
 from road_envs.core.config import ConfigError, validate_choice
 from road_envs.policies import (
@@ -74,8 +74,7 @@ def policies(
         entries |= _entries([reference], limits.parse())
     if out:
         write_pending(out / POLICY_PAGE, "Switching policies", f"policies --out {out}")
-    processes = contextlib.ExitStack()
-    with processes, commands.on_interrupt(""), commands.progress_bar() as progress:
+    with contextlib.ExitStack() as processes, commands.progress_bar() as progress:
         for entry in entries.values():
             if isinstance(entry, PolicyProcess):
                 processes.enter_context(entry)
@@ -96,46 +95,39 @@ def policies(
         raise ConfigError(f"failed policies: {', '.join(failed)}; the other results are valid")
 
 
-def chosen_isolation(isolation: str) -> Any:
-    """Return "bubblewrap" or "process" by the option; None if neither may be used.
+def policy_isolation(reference: str, isolation: str) -> Isolation:
+    """Return how a policy is run, of this package always in a process without bubblewrap.
 
-    Raises ConfigError.
+    Raises ConfigError for one that may not be run by the option `isolation`, or is none.
     """
-    if bubblewrap.is_used(isolation):
-        return "bubblewrap"
-    return isolation if isolation == "process" else None
-
-
-def policy_reference(reference: str, isolation: str) -> str:
-    """Return a reference to a policy that may be run. Raises ConfigError."""
     commands.import_from_here([reference], isolation)
     if ":" not in reference and not reference.endswith(FILE_SUFFIXES):
         validate_choice("policy", reference, names())
-    foreign = runs_foreign_code(reference)
-    if foreign and chosen_isolation(isolation) is None:
+    if isolation == "process" or not runs_foreign_code(reference):
+        return "process"
+    if not bubblewrap.is_used(isolation):
         raise ConfigError(
             f"the policy {reference} is not part of this package, and {bubblewrap.obstacle()}: "
             "install it, or give --isolation process if you trust its code with your rights"
         )
-    return reference
+    return "bubblewrap"
 
 
 def _entries(references: list[str] | None, limits: Limits) -> dict[str, Any]:
     """Return the policies by name, those of other packages in processes. Raises ConfigError."""
     if references is None:
-        isolated = chosen_isolation(limits.isolation)
-        references = list(names() if isolated else REGISTRY)
+        may_be_foreign = limits.isolation == "process" or bubblewrap.is_used(limits.isolation)
+        references = list(names() if may_be_foreign else REGISTRY)
     entries: dict[str, Any] = {}
     for reference in references:
-        policy_reference(reference, limits.isolation)
+        own = dataclasses.replace(limits, isolation=policy_isolation(reference, limits.isolation))
         name = _row_name(reference)
         if name in entries:
             raise ConfigError(f"two policies have the name {name!r}: give each of them once")
-        if runs_foreign_code(reference):
-            own = dataclasses.replace(limits, isolation=chosen_isolation(limits.isolation))
-            entries[name] = PolicyProcess(reference, limits=own)
-        else:
-            entries[name] = make_policy(reference)
+        is_foreign = runs_foreign_code(reference)
+        entries[name] = (
+            PolicyProcess(reference, limits=own) if is_foreign else make_policy(reference)
+        )
     return entries
 
 
@@ -160,7 +152,7 @@ def train_policy(
 ) -> None:
     """Train a policy on training drives, and compare it with laws on public ones."""
     commands.check_output_path(out, ".npz")
-    with commands.on_interrupt(""), commands.progress_bar() as progress:
+    with commands.progress_bar() as progress:
         network, curve = iterate(IterationConfig(steps=steps), seed, progress)
         name, laws = f"seed {seed}", {law: create(law) for law in RIVALS}
         entries: dict[str, Any] = {name: NetworkPolicy.from_network(network)} | laws

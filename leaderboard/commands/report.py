@@ -59,7 +59,7 @@ def report(
         route=None if route is None else parse_route(route),
     )  # fmt: skip
     kept = f"finished sections are kept in {out}; the same command continues"
-    with commands.on_interrupt(kept), commands.progress_bar() as progress:
+    with commands.progress_bar(kept) as progress:
         progress("reading", 0.0)
         read = read_passes(drives, options)
         sections = Sections(out / KEPT, said=commands.notices.print)
@@ -76,21 +76,17 @@ def report(
     }
     shows = [part for result in made.results for part in _shown(result)]
     if made.agreement:
-        shows += _agreement_lines(made.agreement)
+        shows.append(
+            "{} passes: standard deviation of the IRI within segments {repeatability:.2f} mm/m, "
+            "ICC {icc:.2f}".format(len(made.agreement["names"]), **made.agreement)
+        )
+        shows += [
+            f"{row['name']} less {made.agreement['first']}: IRI bias {row['bias']:+.2f} mm/m, "
+            f"RMSE {row['rmse']:.2f}, cross-correlation (R 56-style) {row['correlation']:.2f}"
+            for row in made.agreement["passes"]
+        ]
     shows.append(f"written: {page} and {len(written)} files beside it")
     return Output(facts=facts, shows=shows)
-
-
-def _agreement_lines(agreement: dict[str, Any]) -> list[str]:
-    first = (
-        f"{len(agreement['names'])} passes: standard deviation of the IRI within segments "
-        f"{agreement['repeatability']:.2f} mm/m, ICC {agreement['icc']:.2f}"
-    )
-    return [first] + [
-        f"{row['name']} less {agreement['first']}: IRI bias {row['bias']:+.2f} mm/m, "
-        f"RMSE {row['rmse']:.2f}, cross-correlation (R 56-style) {row['correlation']:.2f}"
-        for row in agreement["passes"]
-    ]
 
 
 def _facts(result: DriveResult) -> dict[str, Any]:

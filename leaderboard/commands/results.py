@@ -5,12 +5,12 @@ import re
 import secrets
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from leaderboard import commands
-from leaderboard.arrays import load_task as load_arrays
+from leaderboard.api import load_task as load_arrays
 from leaderboard.commands.options import Json, LimitOptions, ResultsFolder, Share, argument, option
 from leaderboard.commands.output import Output
 from leaderboard.entries.entries import resolve_entries
@@ -132,7 +132,6 @@ def season(
     ] = False,
 ) -> Output:
     """Publish the hash of a hidden test set, and later, with --reveal, its seeds."""
-    facts: dict[str, Any]
     if not _SEASON_NAME.fullmatch(name := out.resolve().name):
         raise ConfigError(
             "--out: the name of the folder may have the letters A to Z and a to z, digits, ., _ "
@@ -144,22 +143,17 @@ def season(
         if task:
             raise ConfigError("--reveal uses the tasks of the hidden test set; leave out --task")
         paths = [str(path) for path in hidden_seeds.reveal(salt, out)]
-        facts = {"commitment": hidden_seeds.load(out).commitment, "salt": salt, "tasks": paths}
-    else:
-        if salt is not None:
-            raise ConfigError("--salt is for --reveal: each season has a salt of its own, drawn")
-        chosen = [load_task(name) for name in task or ()] or [
-            each for each in shipped_tasks() if each.board_name in _RANDOM_ROAD_BOARDS
-        ]
-        salt = secrets.token_urlsafe(24)
-        hidden = hidden_seeds.commit(salt, chosen)
-        path = hidden_seeds.save(hidden, out)
-        facts = {
-            "commitment": hidden.commitment,
-            "publish": str(path),
-            "salt, to be kept secret": salt,
-        }
-    return Output(facts=facts)
+        commitment = hidden_seeds.load(out).commitment
+        return Output(facts={"commitment": commitment, "salt": salt, "tasks": paths})
+    if salt is not None:
+        raise ConfigError("--salt is for --reveal: each season has a salt of its own, drawn")
+    chosen = [load_task(name) for name in task or ()] or [
+        each for each in shipped_tasks() if each.board_name in _RANDOM_ROAD_BOARDS
+    ]
+    salt = secrets.token_urlsafe(24)
+    hidden = hidden_seeds.commit(salt, chosen)
+    facts = {"commitment": hidden.commitment, "publish": str(hidden_seeds.save(hidden, out))}
+    return Output(facts={**facts, "salt, to be kept secret": salt})
 
 
 def cite(

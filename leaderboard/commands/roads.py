@@ -1,9 +1,7 @@
 """Commands `roads list`, `roads plot`, `roads export`, `export` of a report's road, and `iri`."""
 
 from pathlib import Path
-from typing import Annotated
-
-import numpy as np
+from typing import Annotated, Any
 
 from leaderboard.commands import PICTURES, check_output_path, make_table
 from leaderboard.commands.options import Length, Seed, argument, option
@@ -13,7 +11,7 @@ from leaderboard.report import plots
 from road_envs.core import config
 from road_envs.core.config import ConfigError
 from road_envs.records import roughness
-from road_envs.roads import Surface, load_road, realise_road
+from road_envs.roads import Surface, realise_road
 from road_envs.roads.formats.write import WRITERS, write, write_crg
 
 _Which = Annotated[str, argument("Shipped name, YAML path or surface file.")]
@@ -21,8 +19,21 @@ _Which = Annotated[str, argument("Shipped name, YAML path or surface file.")]
 
 def list_roads() -> Output:
     """List the shipped roads, each realised with seed 1."""
-    roads = {name: load_road(name) for name in config.names("roads")}
-    rows = [_facts(name, x.realise(np.random.default_rng(1))) for name, x in roads.items()]
+    rows: list[dict[str, Any]] = []
+    for name in config.names("roads"):
+        surface = realise_road(name, 1)
+        n, G_d = roughness.smooth_psd(*roughness.displacement_psd(surface.z, surface.ds))
+        letters = {
+            roughness.roughness_class(roughness.fit_line(n, G, w=2.0)[0]) if G.max() > 0 else "-"
+            for G in G_d
+        }
+        facts = {
+            "road": name, "length_m": surface.length,
+            "rms_mm": [1000.0 * float(z.std()) for z in surface.z],
+            "iri_mm_per_m": [float(roughness.iri(z, surface.ds)) for z in surface.z],
+            "class": "".join(sorted(letters)), "notes": list(surface.notes),
+        }  # fmt: skip
+        rows.append(facts)
     pair, keys = "{:.1f}, {:.1f}".format, ("rms_mm", "iri_mm_per_m")
     cells = [
         (x["road"], f"{x['length_m']:.1f}", *(pair(*x[key]) for key in keys), x["class"])
@@ -100,19 +111,3 @@ def _written(surface: Surface, out: Path, form: str | None = None) -> Output:
     """Write a road, of which a .crg file can have a `form`, and return what was written."""
     write_crg(surface, out, form) if form else write(surface, out)
     return Output(facts={"written": str(out), "length_m": surface.length, "spacing_m": surface.ds})
-
-
-def _facts(name: str, surface: Surface) -> dict:
-    n, G_d = roughness.smooth_psd(*roughness.displacement_psd(surface.z, surface.ds))
-    letters = [
-        roughness.roughness_class(roughness.fit_line(n, G, w=2.0)[0]) if G.max() > 0 else "-"
-        for G in G_d
-    ]
-    return {
-        "road": name,
-        "length_m": surface.length,
-        "rms_mm": [1000.0 * float(z.std()) for z in surface.z],
-        "iri_mm_per_m": [float(roughness.iri(z, surface.ds)) for z in surface.z],
-        "class": "".join(sorted(set(letters))),
-        "notes": list(surface.notes),
-    }

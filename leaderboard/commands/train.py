@@ -93,7 +93,7 @@ def train(
         corpus = Corpus(car=vehicle) if drives is None else Corpus(car=vehicle, number=drives)
         begin = time.process_time()
         kept = f"the last stored state of the training is beside {out}; the same command continues"
-        with commands.on_interrupt(kept), commands.progress_bar() as progress:
+        with commands.progress_bar(kept) as progress:
             command = commands.command_line()
             pretraining.train(chosen, estimator, corpus, seed, out, command, progress)
         seconds = time.process_time() - begin

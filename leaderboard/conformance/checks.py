@@ -18,7 +18,7 @@ import dataclasses
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 
@@ -31,7 +31,6 @@ from leaderboard.sandbox.limits import Limits
 from leaderboard.scoring import score
 from road_envs.drives.recording import simulate_record
 from road_envs.records.record import Profile, Record
-from road_envs.roads import load_road
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 
@@ -41,9 +40,7 @@ _SPEED_KMH, _MODE = 30.0, "handling"
 _TRAINING_SEEDS, _TEST_SEED = (101, 102), 1
 _SEED = 1  # training seed
 
-SHORT_LENGTH = 5.0
-"""Length [m] of a road that an estimator may refuse."""
-
+SHORT_LENGTH = 5.0  # length [m] of a road that an estimator may refuse
 _UNTRAINED_MODES = {"front": "soft_high", "rear": "stiff_low"}
 """Strut modes that do not occur in the training drives."""
 
@@ -96,15 +93,18 @@ class _CheckDrives:
 @cache
 def check_drives() -> _CheckDrives:
     """Simulate the drives of the checks, always the same."""
-    training = tuple(_drive(seed) for seed in _TRAINING_SEEDS)
-    record, truth = _drive(_TEST_SEED)
+    drive = partial(
+        simulate_record, _ROAD, speed_kmh=_SPEED_KMH, vehicle=_CAR, instruments=_INSTRUMENTS
+    )
+    training = tuple(drive(seed=seed, mode=_MODE) for seed in _TRAINING_SEEDS)
+    record, truth = drive(seed=_TEST_SEED, mode=_MODE)
     half = 0.5 * np.abs(record.a).max()
     damaged = {
         "gaps": dataclasses.replace(record, a=_with_dropouts(record.a)),
         "clipped": dataclasses.replace(record, a=np.clip(record.a, -half, half)),
-        "field": _drive(_TEST_SEED, grade="S3")[0],
-        "short": _drive(_TEST_SEED, length=SHORT_LENGTH)[0],
-        "mode": _drive(_TEST_SEED, mode=_UNTRAINED_MODES)[0],
+        "field": drive(seed=_TEST_SEED, mode=_MODE, grade="S3")[0],
+        "short": drive(seed=_TEST_SEED, mode=_MODE, length=SHORT_LENGTH)[0],
+        "mode": drive(seed=_TEST_SEED, mode=_UNTRAINED_MODES)[0],
     }
     description = (
         f"{record.length:g} m of class {_ROAD['road_class']}, {_MODE}, {_SPEED_KMH:g} km/h"
@@ -126,15 +126,21 @@ def check_entry(entry: Entry, sandbox: SandboxClient, limits: Limits) -> list[Ch
     drives = check_drives()
     try:
         single = _run(sandbox, entry, [drives.record])
-    except EntryError as error:
-        message = f"on {drives.description}: {error}"
-        return [contract, CheckResult("runs", False, message)]
-    results = [contract, _check_run(drives, single)]
+    except EntryError as failure:
+        return [contract, CheckResult("runs", False, f"on {drives.description}: {failure}")]
+    error = score(single.estimates[0], drives.truth, speed_kmh=_SPEED_KMH)["nrmse"]
+    message = (
+        f"{drives.description}, in a separate process (isolation: {single.isolation}): "
+        f"in-band error {error:.2f}, a flat estimate has 1"
+    )
+    if error > _MAX_ERROR:
+        message += "; heights must be in metres, upwards: are these in millimetres?"
+    results = [contract, CheckResult("runs", not error > _MAX_ERROR, message)]
     results += _check_damaged_records(sandbox, entry, drives)
     try:
         probed = _run(sandbox, entry, list(drives.perturbed.values()))
-    except EntryError as error:
-        return [*results, CheckResult("probes", False, str(error))]
+    except EntryError as failure:
+        return [*results, CheckResult("probes", False, str(failure))]
     results += _evaluate_probes(entry, drives, single, probed)
     return results + _check_costs(limits, drives, probed)
 
@@ -153,42 +159,25 @@ def _run(sandbox: SandboxClient, entry: Entry, records: Sequence[Record]) -> Tra
     return training_run
 
 
-def _check_run(drives: _CheckDrives, training_run: TrainingRun) -> CheckResult:
-    error = score(training_run.estimates[0], drives.truth, speed_kmh=_SPEED_KMH)["nrmse"]
-    message = (
-        f"{drives.description}, in a separate process (isolation: {training_run.isolation}): "
-        f"in-band error {error:.2f}, a flat estimate has 1"
-    )
-    if error > _MAX_ERROR:
-        message += "; heights must be in metres, upwards: are these in millimetres?"
-    return CheckResult("runs", not error > _MAX_ERROR, message)
-
-
 def _check_damaged_records(
     sandbox: SandboxClient, entry: Entry, drives: _CheckDrives
 ) -> list[CheckResult]:
     """Run all damaged records at once, and one by one only if that fails."""
-    failures: dict[str, str] = {}
+    results = [CheckResult(name, True, f"{what}: estimated") for name, what in _DAMAGES.items()]
     try:
         _run(sandbox, entry, list(drives.damaged.values()))
     except EntryError:
-        for name, record in drives.damaged.items():
+        for k, (name, record) in enumerate(drives.damaged.items()):
             try:
                 _run(sandbox, entry, [record])
             except EntryError as error:
-                failures[name] = str(error)
-    return [_check_damaged_record(name, failures.get(name)) for name in drives.damaged]
-
-
-def _check_damaged_record(name: str, failure: str | None) -> CheckResult:
-    if failure is None:
-        return CheckResult(name, True, f"{_DAMAGES[name]}: estimated")
-    found = re.match(r"estimating test drive [^:]*: (\w+): (.+)", failure)
-    meant = found and found[1] not in UNINTENDED_ERRORS and found[2] != "no message"
-    refused = meant and name in _REFUSAL_ALLOWED
-    reason = re.sub(r"^estimating test drive [^:]*: ", "", failure)
-    message = f"{_DAMAGES[name]}: {'refused' if refused else 'failed'}: {reason}"
-    return CheckResult(name, None if refused else False, message)
+                reason = re.sub(r"^estimating test drive [^:]*: ", "", str(error))
+                found = re.match(r"(\w+): (.+)", reason) if reason != str(error) else None
+                meant = found and found[1] not in UNINTENDED_ERRORS and found[2] != "no message"
+                refused = meant and name in _REFUSAL_ALLOWED
+                message = f"{_DAMAGES[name]}: {'refused' if refused else 'failed'}: {reason}"
+                results[k] = CheckResult(name, None if refused else False, message)
+    return results
 
 
 def _evaluate_probes(
@@ -235,21 +224,6 @@ def _check_costs(
 def _format_number(x: float) -> str:
     """Return a positive number with two or more digits, never in exponential notation."""
     return f"{x:.0f}" if x >= 10.0 else f"{x:.2g}"
-
-
-def _drive(
-    seed: int, mode: object = _MODE, grade: str = "S0", length: float = 60.0
-) -> tuple[Record, Profile]:
-    road = load_road({**_ROAD, "length": length})
-    return simulate_record(
-        road.realise(np.random.default_rng(seed)),
-        vehicle=load_vehicle(_CAR),
-        speed_kmh=_SPEED_KMH,
-        mode=mode,  # type: ignore[arg-type]
-        instruments=load_instruments(_INSTRUMENTS),
-        seed=seed,
-        grade=grade,
-    )
 
 
 def _with_dropouts(a: np.ndarray) -> np.ndarray:

@@ -1,8 +1,8 @@
 """Card of a method, written by its authors: what it is, what it was made from, who may use it."""
 
-import unicodedata
 from dataclasses import dataclass
 from pathlib import Path
+from unicodedata import category
 
 from road_envs.core.config import ConfigError, Settings, build, read_yaml
 
@@ -34,14 +34,10 @@ class MethodCard(Settings):
         for name, text in (x for x in texts if isinstance(x[1], str)):
             if text.strip() in ("", _UNWRITTEN):
                 raise ValueError(f"{name} is not filled in")
-            if not all(map(_is_shown, text)):  # a terminal or a page would obey it
+            # a terminal or a page would obey others; two join letters in Persian and Hindi
+            blanks = "\n\t\u200c\u200d"
+            if not all(x.isprintable() or x in blanks or category(x) == "Zs" for x in text):
                 raise ValueError(f"{name} has characters that cannot be printed")
-
-
-def _is_shown(character: str) -> bool:
-    """Return whether a character is printed, or is a blank or the end of a line."""
-    is_blank = character in "\n\t\u200c\u200d" or unicodedata.category(character) == "Zs"
-    return is_blank or character.isprintable()  # two of these join letters in Persian and Hindi
 
 
 def load_method_card(path: Path) -> MethodCard:

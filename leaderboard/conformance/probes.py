@@ -96,24 +96,19 @@ def evaluate_probes(
     def similarity(name: str, expected: np.ndarray) -> float:
         return float(np.nan_to_num(correlation(expected, shapes[name], ds).r)) + 0.0
 
-    r = {
-        "sign": similarity("sign", -original),
-        "scale": similarity("scale", original),
-        "shuffle": similarity("shuffle", original),
-        "swap": similarity("swap", original[::-1]),
-    }
+    sign, swap = similarity("sign", -original), similarity("swap", original[::-1])
+    scale, shuffle = similarity("scale", original), similarity("shuffle", original)
     level = float(np.sqrt(np.mean(shapes["scale"] ** 2) / max(np.mean(original**2), 1e-30)))
-    passed = {name: x > MIN_CORRELATION for name, x in r.items()}
-    passed["scale"] &= SCALE_FACTOR**2 < level < SCALE_FACTOR**0.5
-    passed["shuffle"] = bool(original.any()) and abs(r["shuffle"]) < MIN_CORRELATION
-    messages = {
-        "sign": f"accelerations negated: r = {r['sign']:.2f} with the negated estimate",
-        "scale": f"accelerations halved: {level:.2f} of the height, r = {r['scale']:.2f}",
-        "shuffle": f"samples shuffled: r = {r['shuffle']:.2f} with the estimate",
-        "swap": f"left and right exchanged: r = {r['swap']:.2f} with exchanged wheel paths",
-    }
+    is_lower = SCALE_FACTOR**2 < level < SCALE_FACTOR**0.5
+    negated = f"accelerations negated: r = {sign:.2f} with the negated estimate"
+    halved = f"accelerations halved: {level:.2f} of the height, r = {scale:.2f}"
+    shuffled = f"samples shuffled: r = {shuffle:.2f} with the estimate"
+    swapped = f"left and right exchanged: r = {swap:.2f} with exchanged wheel paths"
     return [
-        *(CheckResult(name, passed[name], message) for name, message in messages.items()),
+        CheckResult("sign", sign > MIN_CORRELATION, negated),
+        CheckResult("scale", scale > MIN_CORRELATION and is_lower, halved),
+        CheckResult("shuffle", bool(original.any()) and abs(shuffle) < MIN_CORRELATION, shuffled),
+        CheckResult("swap", swap > MIN_CORRELATION, swapped),
         _evaluate_future(estimates, record, causal, lag),
         _evaluate_repeat(estimates, record),
     ]

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from leaderboard.conformance.checks import check_drives, probe_entry
 from leaderboard.conformance.probes import CheckResult
 from leaderboard.entries.entry import BUILTIN, Entry, EntryError
 from leaderboard.sandbox.client import SandboxClient
@@ -67,8 +68,6 @@ def probe_entries(
     }
     if not missing:
         return 0
-    from leaderboard.conformance.checks import check_drives, probe_entry
-
     with SandboxClient(limits) as sandbox:
         for identity, entry in missing.items():
             report(f"probing {entry.name}")

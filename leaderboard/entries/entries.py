@@ -49,19 +49,22 @@ _Describe = Callable[[str], dict[str, Any]]
 """Description of an estimator that this process does not load: `SandboxClient.describe`."""
 
 
-def _code_of(reference: str, estimator: Estimator) -> str:
-    if not is_ours(reference):
-        return entry_files.snapshot(reference, None)
-    code, weights = code_version(type(estimator).__module__), _included_weights(estimator)
-    return code if weights is None else f"{code}+{_arrays_digest(weights)}"
-
-
 def is_ours(reference: str) -> bool:
     """Return whether a reference names an estimator of this package."""
     return reference in estimators.REGISTRY or (
         entry_files.CLASS_REFERENCE.fullmatch(reference) is not None
         and reference.partition(":")[0].partition(".")[0] in PACKAGES
     )
+
+
+def is_by_others(entry: Entry) -> bool:
+    """Return whether an entry is not of this package, also if it could not be described."""
+    return entry.reference != BUILTIN and not is_ours(entry.reference)
+
+
+def is_from_outside(entry: Entry) -> bool:
+    """Return whether code of an entry is run that is none of this package."""
+    return entry.failure is None and is_by_others(entry)
 
 
 def find_reference(name: str) -> str:
@@ -91,8 +94,12 @@ def make_entry(name: str, estimator: Estimator | None) -> Entry:
     cls: Any = type(estimator)
     registered = next((key for key, known in estimators.REGISTRY.items() if known is cls), None)
     reference = registered or f"{cls.__module__}:{cls.__qualname__}"
-    known = {**describe_estimator(estimator), "code": _code_of(reference, estimator)}
-    return Entry(name=name, reference=reference, **known)
+    if is_ours(reference):
+        code, weights = code_version(cls.__module__), _included_weights(estimator)
+        code = code if weights is None else f"{code}+{_arrays_digest(weights)}"
+    else:
+        code = entry_files.snapshot(reference, None)
+    return Entry(name=name, reference=reference, code=code, **describe_estimator(estimator))
 
 
 def resolve_entries(names: Sequence[str], describer: _Describe | None) -> list[Entry]:

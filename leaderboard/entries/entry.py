@@ -33,9 +33,7 @@ BUILTIN = "builtin"
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,39}")
 """Pattern of the name of a row. It is part of the names of files and of addresses of pages."""
 
-MAX_LAG = 10.0
-"""Largest lag [m] of an estimator that counts as causal."""
-
+MAX_LAG = 10.0  # largest lag [m] of an estimator that counts as causal
 Calibrations = Sequence[Sequence[CalibrationDrive]]
 """Drives of the vehicle of each test record, empty without calibration."""
 
@@ -104,20 +102,17 @@ class _Session(Protocol):
     uses_seed: bool
 
     def fit(self, training: Sequence[tuple[Record, Profile]], seed: int) -> tuple[int, float]:
-        """Train anew; return the number of fitted parameters and the time [s] it took."""
-        ...
+        """Train anew if needed; return the number of fitted parameters and the time [s]."""
 
     def calibrate(self, drives: Sequence[CalibrationDrive]) -> float:
         """Calibrate what was trained to the vehicle of `drives`; return the time [s] it took."""
-        ...
 
     def estimate(self, record: Record) -> tuple[Estimate, float]:
         """Return a valid estimate and the time [s] it took."""
-        ...
 
 
 class LocalSession:
-    """A session with an estimator in this process."""
+    """A session with an estimator in this process; raises what that raises, and EstimateError."""
 
     def __init__(self, estimator: Estimator, car: VehicleParameters):
         self.needs_training = needs_training(estimator)
@@ -127,7 +122,6 @@ class LocalSession:
         self._calibrated = estimator
 
     def fit(self, training: Sequence[tuple[Record, Profile]], seed: int) -> tuple[int, float]:
-        """Train the estimator if it needs training; count its parameters."""
         start = time.perf_counter()
         if self.needs_training:
             records, truths = [list(part) for part in zip(*training, strict=True)]
@@ -138,13 +132,11 @@ class LocalSession:
         return sum(map(np.size, weights.values())), seconds
 
     def calibrate(self, drives: Sequence[CalibrationDrive]) -> float:
-        """Calibrate what was trained. Raises what the estimator raises."""
         start = time.perf_counter()
         self._calibrated = self._trained.calibrate(drives, self._car)  # type: ignore[attr-defined]
         return time.perf_counter() - start
 
     def estimate(self, record: Record) -> tuple[Estimate, float]:
-        """Estimate a record. Raises EstimateError and what the estimator raises."""
         start = time.perf_counter()
         estimate = self._calibrated.estimate(record, self._car)
         check_estimate(estimate, record)
@@ -166,40 +158,28 @@ def reconstruct_all(
     """
     first: list[Estimate] = []
     for seed in seeds if session.needs_training and session.uses_seed else seeds[:1]:
-        run = _run(session, training, records, seed, order or range(len(records)), calibrations)
-        if first and _equal_estimates(run.estimates, first):
+        step, seconds = f"training with seed {seed}", 0.0
+        calibrate_seconds: float | None = 0.0 if calibrations and session.calibrates else None
+        estimates: dict[int, Estimate] = {}
+        try:
+            parameters, train_seconds = session.fit(training, seed)
+            for k in order or range(len(records)):
+                if calibrate_seconds is not None:
+                    step = f"calibrating to the vehicle of test drive {k + 1}, seed {seed}"
+                    calibrate_seconds += session.calibrate(calibrations[k])
+                step = f"estimating test drive {k + 1} of {len(records)}, seed {seed}"
+                estimates[k], duration = session.estimate(records[k])
+                seconds += duration
+        except (Exception, SystemExit) as error:
+            reason = str(error) if isinstance(error, EntryError) else describe_error(error)
+            raise EntryError(f"{step}: {reason}") from error
+        ordered = [estimates[k] for k in range(len(records))]
+        if first and are_equal(ordered, first):
             return
-        yield run
-        first = first or run.estimates
-
-
-def _run(
-    session: _Session,
-    training: Sequence[tuple[Record, Profile]],
-    records: Sequence[Record],
-    seed: int,
-    order: Sequence[int],
-    calibrations: Calibrations = (),
-) -> TrainingRun:
-    step, seconds = f"training with seed {seed}", 0.0
-    calibrate_seconds: float | None = 0.0 if calibrations and session.calibrates else None
-    estimates: dict[int, Estimate] = {}
-    try:
-        parameters, train_seconds = session.fit(training, seed)
-        for k in order:
-            if calibrate_seconds is not None:
-                step = f"calibrating to the vehicle of test drive {k + 1}, seed {seed}"
-                calibrate_seconds += session.calibrate(calibrations[k])
-            step = f"estimating test drive {k + 1} of {len(records)}, seed {seed}"
-            estimates[k], duration = session.estimate(records[k])
-            seconds += duration
-    except (Exception, SystemExit) as error:
-        reason = str(error) if isinstance(error, EntryError) else describe_error(error)
-        raise EntryError(f"{step}: {reason}") from error
-    ordered = [estimates[k] for k in range(len(records))]
-    return TrainingRun(
-        ordered, train_seconds, seconds, parameters, seed, calibrate_seconds=calibrate_seconds
-    )
+        yield TrainingRun(
+            ordered, train_seconds, seconds, parameters, seed, calibrate_seconds=calibrate_seconds
+        )
+        first = first or ordered
 
 
 def get_settings(estimator: Estimator | None) -> dict[str, Any]:
@@ -220,7 +200,9 @@ def describe_error(error: BaseException) -> str:
     return f"{type(error).__name__}: {' '.join(str(error).split()) or 'no message'}"
 
 
-def _equal_estimates(first: Sequence[Estimate], second: Sequence[Estimate]) -> bool:
-    return len(first) == len(second) and all(
-        np.array_equal(a.z, b.z) for a, b in zip(first, second, strict=True)
+def are_equal(first: Sequence[Estimate], second: Sequence[Estimate]) -> bool:
+    """Return whether all heights and deviations are equal."""
+    return all(
+        np.array_equal(a.z, b.z) and np.array_equal(a.z_std, b.z_std)  # type: ignore[arg-type]
+        for a, b in zip(first, second, strict=True)
     )

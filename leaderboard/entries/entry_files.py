@@ -9,9 +9,11 @@ import importlib.util
 import os
 import re
 from collections.abc import Iterator
-from importlib.machinery import ModuleSpec, PathFinder
+from importlib import metadata
+from importlib.machinery import PathFinder
 from pathlib import Path
 
+from estimators.api import ENTRY_POINT_GROUP
 from leaderboard.entries.entry import EntryError
 from road_envs.core.code_digest import DIGITS
 
@@ -65,24 +67,24 @@ def list_files(reference: str) -> Iterator[tuple[Path, str]]:
         yield from _walk(path, "") if path.is_dir() else [(path, path.name)]
         return
     top = reference.partition(":")[0].partition(".")[0]
-    spec = _find_module(top)
+    folder = os.environ.get(CLASS_FOLDER)
+    here = PathFinder.find_spec(top, [folder]) if folder else None
+    # a folder without __init__.py comes last; none of the module runs
+    spec = here if here and here.origin else importlib.util.find_spec(top) or here
     folders = [Path(x) for x in (spec.submodule_search_locations or ())] if spec else []
-    if not folders and (spec is None or spec.origin is None or not Path(spec.origin).is_file()):
+    file = Path(spec.origin or "") if spec else Path()
+    if not folders and not file.is_file():
         raise EntryError(f"cannot be constructed: there is no module {top!r}")
     if not folders:
-        assert spec is not None and spec.origin is not None
-        yield Path(spec.origin), Path(spec.origin).name
-    for folder in folders:
-        yield from _walk(folder, f"{top}/")
+        yield file, file.name
+    for each in folders:
+        yield from _walk(each, f"{top}/")
 
 
-def _find_module(name: str) -> ModuleSpec | None:
-    """Find a module in CLASS_FOLDER or among the installed ones; none of it runs."""
-    folder = os.environ.get(CLASS_FOLDER)
-    here = PathFinder.find_spec(name, [folder]) if folder else None
-    if here is None or here.origin is None:  # a folder without __init__.py comes last
-        return importlib.util.find_spec(name) or here
-    return here
+def entry_points(code: Path) -> list[metadata.EntryPoint]:
+    """Return the entry points of estimators in a wheel or a folder of installed packages."""
+    found = metadata.distributions(path=[str(code)])
+    return [x for one in found for x in one.entry_points.select(group=ENTRY_POINT_GROUP)]
 
 
 def _walk(root: Path, prefix: str) -> Iterator[tuple[Path, str]]:

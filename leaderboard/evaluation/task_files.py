@@ -1,10 +1,12 @@
-"""Files that a task names: surfaces, roads, vehicles, instruments."""
+"""A task as JSON types, and the files that it names: surfaces, roads, vehicles, instruments."""
 
+import dataclasses
 import hashlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from road_envs.roads import KINDS
 from road_envs.roads.measured import SURFACE_SUFFIXES
 
 DESCRIPTIVE_FIELDS = frozenset(
@@ -36,3 +38,23 @@ def with_paths(value: Any, change: Callable[[str], str]) -> Any:
         return {k: x if k in texts else with_paths(x, change) for k, x in value.items()}
     is_path = isinstance(value, str) and Path(value).suffix.lower() in _SUFFIXES
     return change(value) if is_path else value
+
+
+def _fields(value: Any) -> dict[str, Any]:
+    return {f.name: getattr(value, f.name) for f in dataclasses.fields(value) if f.init}
+
+
+def to_json_types(value: Any, fields: Callable[[Any], dict[str, Any]] = _fields) -> Any:
+    """Return `value` as JSON types that `config.build` parses; roads have a key `kind`.
+
+    `fields` returns the fields of a dataclass that are kept.
+    """
+    if dataclasses.is_dataclass(value):
+        kept = {name: to_json_types(item, fields) for name, item in fields(value).items()}
+        kind = next((kind for kind, cls in KINDS.items() if type(value) is cls), None)
+        return kept if kind is None else {"kind": kind, **kept}
+    if isinstance(value, tuple | list):
+        return [to_json_types(item, fields) for item in value]
+    if isinstance(value, dict):
+        return {str(key): to_json_types(item, fields) for key, item in value.items()}
+    return value

@@ -21,8 +21,12 @@ from pydantic import Field
 
 from leaderboard.evaluation.boards import BoardDefinition, shipped_boards
 from leaderboard.evaluation.drive_set import DriveSet, at_length
-from leaderboard.evaluation.task_files import DESCRIPTIVE_FIELDS, digest_of, with_paths
-from leaderboard.json_values import to_json_types
+from leaderboard.evaluation.task_files import (
+    DESCRIPTIVE_FIELDS,
+    digest_of,
+    to_json_types,
+    with_paths,
+)
 from leaderboard.kept_drives import kept_digest
 from leaderboard.shared_surfaces import fixed_surfaces, repeated_road, shared_seeds
 from road_envs.core import config

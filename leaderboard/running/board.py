@@ -5,17 +5,15 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
-from estimators import create
-from estimators.api import Estimator
 from leaderboard.conformance.method_card import MethodCard, find_method_card
 from leaderboard.conformance.results import EstimatorCard, card_identity, find_card, probe_entries
-from leaderboard.entries.entries import entry_refit_per_case, make_entry, registered_entry
+from leaderboard.entries.entries import entry_refit_per_case, registered_entry
 from leaderboard.entries.entry import Entry
 from leaderboard.evaluation.evaluate import SEEDS
 from leaderboard.evaluation.results import Result
 from leaderboard.evaluation.store import load_rows
 from leaderboard.evaluation.tasks import Task
-from leaderboard.metrics.baselines import ALL_BASELINES, BASELINES, MEMORY, TRUTH_PLUS_NOISE
+from leaderboard.metrics.baselines import ALL_BASELINES, BASELINES
 from leaderboard.running.executors import Executor
 from leaderboard.running.jobs import to_packed_text
 from leaderboard.running.plan import Plan, PlannedRow, check_owners, make_jobs
@@ -58,17 +56,16 @@ class RunRequest:
 
     def rows(self) -> list[PlannedRow]:
         """Return the rows of every entry on every task. Raises ConfigError."""
-        baselines = {name: make_entry(name, x) for name, x in create_baselines().items()}
-        return [
-            PlannedRow(task, entry_refit_per_case(x) if task.trains_on_test_road else x, seeds)
-            for seeds in [tuple(self.seeds)]
-            for task in self.sized_tasks()
-            for x in [*self.entries, *(baselines[name] for name in baseline_names(task))]
-        ]
+        rows = []
+        for task in self.sized_tasks():
+            refits = task.trains_on_test_road
+            entries = [entry_refit_per_case(x) if refits else x for x in self.entries]
+            baselines = [registered_entry(name, refits) for name in baseline_names(task)]
+            rows += [PlannedRow(task, x, tuple(self.seeds)) for x in [*entries, *baselines] if x]
+        return rows
 
 
-ATTEMPTS = 3
-"""Number of attempts to make results while another process changes them."""
+ATTEMPTS = 3  # to make results while another process changes them
 
 
 @dataclass(frozen=True)
@@ -107,10 +104,10 @@ class Board:
     @cached_property
     def _other_drives(self) -> dict[tuple[str, str], str | None]:
         """Why the drives of a result are not those of its task, by task and estimator."""
-        rows = [(task, row) for task in self.tasks for row in self.results[task.name]]
         return {
             (task.name, row.estimator): other_drives(row, task) if row.failure is None else None
-            for task, row in rows
+            for task in self.tasks
+            for row in self.results[task.name]
         }
 
     def card(self, result: Result) -> EstimatorCard | None:
@@ -128,16 +125,15 @@ def load_board(tasks: Sequence[Task], out: Path, rows: Sequence[PlannedRow] = ()
     """
     results = {task.name: load_rows(out, task) for task in tasks}
     entries = {(row.task.name, row.entry.name): row.entry for row in rows}
-    for task in tasks:
-        refits = task.trains_on_test_road
-        for name in {result.estimator for result in results[task.name]}:
-            entry = entries.get((task.name, name)) or registered_entry(name, refits)
-            if entry is not None:
-                entries[task.name, name] = entry
-    versions = {(r.estimator, str(r.settings), r.code): r for rs in results.values() for r in rs}
+    stored = [(task, result) for task in tasks for result in results[task.name]]
+    for task, result in stored:
+        key = task.name, result.estimator
+        if key not in entries and (entry := registered_entry(key[1], task.trains_on_test_road)):
+            entries[key] = entry
+    versions = {(r.estimator, str(r.settings), r.code): r for _, r in stored}
     cards = [find_card(out, r.estimator, r.settings, r.code) for r in versions.values()]
     by_identity = {card.identity: card for card in cards if card is not None}
-    names = {result.estimator for rows in results.values() for result in rows}
+    names = {result.estimator for _, result in stored}
     methods = {name: card for name in names if (card := find_method_card(out, name))}
     return Board(tuple(tasks), results, entries, by_identity, load_verified(out), methods)
 
@@ -196,12 +192,6 @@ def write_jobs(request: RunRequest, out: Path, folder: Path) -> int:
                 copy_file(source, folder / name)
         write_text(folder / f"{k}.json", text)
     return len(missing)
-
-
-def create_baselines() -> dict[str, Estimator | None]:
-    """Return all baselines by name; None is one that the evaluation makes from the truth."""
-    made = (TRUTH_PLUS_NOISE, MEMORY)
-    return {name: None if name in made else create(name) for name in ALL_BASELINES}
 
 
 def baseline_names(task: Task) -> tuple[str, ...]:

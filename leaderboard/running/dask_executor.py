@@ -6,6 +6,7 @@ whose worker dies.
 """
 
 import asyncio
+import contextlib
 import dataclasses
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -22,11 +23,10 @@ from road_envs.core.extras import optional_import
 LOCAL = "local"
 """In place of an address: a cluster of processes of this machine, for the time of a run."""
 
-SCHEDULER_TIMEOUT = 4.0
-"""Timeout [s] for connecting to the scheduler, and for its first worker."""
+SCHEDULER_TIMEOUT = 4.0  # timeout [s] for connecting to the scheduler, and for its first worker
 
 
-class DaskExecutor:
+class DaskExecutor(contextlib.ExitStack):
     """Runs jobs on the cluster whose scheduler has `address`, such as "tcp://host:8786".
 
     With LOCAL it starts `workers` processes of this machine, which end with it.
@@ -37,17 +37,18 @@ class DaskExecutor:
 
         Raises MissingExtraError without Dask.
         """
+        super().__init__()
         with optional_import("running on a cluster"):
             from distributed import Client, LocalCluster
-        self._cluster: Any = None
         if address == LOCAL:
-            self._cluster = LocalCluster(
+            cluster = self.enter_context(LocalCluster(
                 n_workers=workers, threads_per_worker=1, memory_limit=None, dashboard_address=None
-            )  # fmt: skip
-            self._client = Client(self._cluster, set_as_default=False)
+            ))  # fmt: skip
+            client = Client(cluster, set_as_default=False)
         else:
             _check_address(address)
-            self._client = Client(address, timeout=SCHEDULER_TIMEOUT, set_as_default=False)
+            client = Client(address, timeout=SCHEDULER_TIMEOUT, set_as_default=False)
+        self._client = self.enter_context(client)
         try:
             self._client.wait_for_workers(1, timeout=SCHEDULER_TIMEOUT)
         except TimeoutError:
@@ -56,14 +57,6 @@ class DaskExecutor:
             ) from None
         self.workers = sum(self._client.nthreads().values())
         self._sent: dict[str, Any] = {}
-
-    def __enter__(self) -> "DaskExecutor":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._client.close()
-        if self._cluster is not None:
-            self._cluster.close()
 
     def run(self, jobs_: Sequence[Job], out: Path) -> Iterator[JobDone]:
         """Run all jobs and store their results. Raises ConfigError, EvaluatorError of a job."""

@@ -13,17 +13,17 @@ from typing import Protocol
 
 import numpy as np
 
+from leaderboard.entries.entries import is_from_outside
 from leaderboard.entries.entry import EntryError
 from leaderboard.running import jobs
-from leaderboard.running.job_files import is_from_outside
 from leaderboard.running.jobs import Job, JobDone
 from leaderboard.sandbox import messages, processes
+from leaderboard.sandbox.guest import Guest
 from leaderboard.sandbox.launch import start_host_process
 from road_envs.core.atomic_io import TempFolder
 from road_envs.core.config import ConfigError, build
 
-_ATTEMPTS = 2
-"""Number of times that an entry is run whose evaluation process ends meanwhile."""
+_ATTEMPTS = 2  # to run an entry whose evaluation process ends meanwhile
 
 
 class Executor(Protocol):
@@ -33,49 +33,10 @@ class Executor(Protocol):
 
     def run(self, jobs: Sequence[Job], out: Path) -> Iterator[JobDone]:
         """Run jobs, store results under `out` and yield each summary in completion order."""
-        ...
 
 
 class EvaluatorError(Exception):
     """The evaluation code has failed, independently of the entry."""
-
-
-class JobProcess:
-    """A process of this machine that runs one job after the other and stores results in `out`."""
-
-    def __init__(self, out: Path) -> None:
-        """Raises EvaluatorError if it cannot be started."""
-        self._folder = TempFolder()
-        try:
-            self._guest = start_host_process(jobs.__name__, self._folder.path / "home", out)
-        except EntryError as error:
-            self._folder.close()
-            raise EvaluatorError(str(error)) from None
-
-    def run(self, job: Job) -> JobDone:
-        """Run a job of one entry.
-
-        Raises EntryError if the process ends, ConfigError, EvaluatorError.
-        """
-        text = np.frombuffer(jobs.to_text(job).encode(), np.uint8)
-        head, _ = self._guest.call(messages.encode({"do": "run"}, [text]))
-        if "error" in head:
-            raise ConfigError(head["error"])
-        if "failure" in head:
-            raise EvaluatorError(head["failure"])
-        return build(JobDone, head["done"], "a job")
-
-    def kill(self) -> None:
-        """Kill the process, which may be running a job in another thread."""
-        processes.kill(self._guest.pid)
-
-    def close(self, *, ended: bool = False) -> None:
-        """End the process, and what is left of an `ended` one."""
-        if not ended:
-            with suppress(EntryError):
-                self._guest.call(messages.encode({"do": "close"}))
-        self._guest.close()
-        self._folder.close()
 
 
 class ProcessExecutor:
@@ -100,13 +61,10 @@ class ProcessExecutor:
         for lane in lanes:
             lane.start()
         try:
-            while count:
-                item = queue.get()
-                if isinstance(item, BaseException):
-                    raise item
-                if item is None:  # the end of a lane
-                    count -= 1
-                else:
+            for _ in lanes:
+                while (item := queue.get()) is not None:  # the end of a lane
+                    if isinstance(item, BaseException):
+                        raise item
                     yield item
         finally:
             for lane in lanes:
@@ -118,7 +76,8 @@ class ProcessExecutor:
 class _Lane(Thread):
     """Runs `waiting` jobs one after the other and puts each summary, then None or an exception.
 
-    Entries that have `failed`, by task and name, are skipped.
+    A process of this machine runs them and stores their results in `out`. Entries that have
+    `failed`, by task and name, are skipped.
     """
 
     def __init__(
@@ -130,7 +89,8 @@ class _Lane(Thread):
     ):
         super().__init__()
         self._waiting, self._failed, self._out, self._put = waiting, failed, out, put
-        self._process: JobProcess | None = None
+        self._process: Guest | None = None
+        self._folder: TempFolder | None = None  # of the process
         self._stopped = False
 
     def run(self) -> None:
@@ -152,28 +112,47 @@ class _Lane(Thread):
         """Let the lane end soon, whatever it does; called by another thread."""
         self._stopped = True
         if (process := self._process) is not None:
-            process.kill()
+            processes.kill(process.pid)
 
     def _run_entry(self, job: Job) -> JobDone:
-        """Run a job of one entry. Raises what `JobProcess.run` raises, but EntryError."""
+        """Run a job of one entry. Raises ConfigError, EvaluatorError."""
+        text = np.frombuffer(jobs.to_text(job).encode(), np.uint8)
         for _ in range(_ATTEMPTS):
             if self._process is None and not self._stopped:
-                self._process = JobProcess(self._out)
+                self._process = self._start()
             if self._process is None or self._stopped:
                 raise EvaluatorError("the run was stopped")
             try:
-                done = self._process.run(job)
+                head, _ = self._process.call(messages.encode({"do": "run"}, [text]))
                 break
             except EntryError as error:
                 reason = str(error)
                 self._close(ended=True)
         else:
-            done = jobs.record_crash(job, reason, self._out)
+            head = {"done": dataclasses.asdict(jobs.record_crash(job, reason, self._out))}
+        if "error" in head:
+            raise ConfigError(head["error"])
+        if "failure" in head:
+            raise EvaluatorError(head["failure"])
+        done = build(JobDone, head["done"], "a job")
         if done.failure is not None:
             self._failed.add((done.task, done.entry))
         return done
 
+    def _start(self) -> Guest:
+        self._folder = TempFolder()
+        try:
+            return start_host_process(jobs.__name__, self._folder.path / "home", self._out)
+        except EntryError as error:
+            raise EvaluatorError(str(error)) from None
+
     def _close(self, *, ended: bool = False) -> None:
+        """End the process, and what is left of an `ended` one."""
         process, self._process = self._process, None
         if process is not None:
-            process.close(ended=ended)
+            if not ended:
+                with suppress(EntryError):
+                    process.call(messages.encode({"do": "close"}))
+            process.close()
+        if self._folder is not None:
+            self._folder.close()

@@ -19,19 +19,23 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from leaderboard.entries.entry import Entry, TrainingRun
+from leaderboard.entries import entry_files
+from leaderboard.entries.entries import is_by_others, is_from_outside
+from leaderboard.entries.entry import Entry, EntryError, TrainingRun
 from leaderboard.evaluation import evaluate, store
 from leaderboard.evaluation.provenance import package_code, package_version
 from leaderboard.evaluation.results import RESULT, content_digest, evaluation_version
+from leaderboard.evaluation.task_files import digest_of, files_of, to_json_types, with_paths
 from leaderboard.evaluation.tasks import Task
-from leaderboard.json_values import to_json_types
 from leaderboard.metrics import heights
-from leaderboard.running import job_files
 from leaderboard.sandbox import messages
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
 from road_envs.core.atomic_io import remove_stale_temp
 from road_envs.core.config import ConfigError, Settings, build
+
+_FOLDER = "files"
+"""Folder of copies of the files that a job needs besides its text, beside the file of the job."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +70,7 @@ def result_identity(task: Task, condition: int | None, entry: Entry, seeds: Sequ
         task.digest,
         None if condition is None else task.conditions[condition].label,
         [entry.name, entry.reference, entry.settings, entry.code, evaluation_version()],
-        package_code() if job_files.is_by_others(entry) else "",
+        package_code() if is_by_others(entry) else "",
         list(seeds),
         package_version(),
         heights.VERSION,
@@ -81,11 +85,25 @@ def to_text(job: Job) -> str:
 def to_packed_text(job: Job) -> tuple[str, dict[str, Path]]:
     """Return the content of a file of a job that needs no file of this machine.
 
-    Also returns the files to be copied, by the path of the copy relative to that of the job. Raises
-    ConfigError.
+    It names copies, by the digest of their content. Also returns the files to be copied, by the
+    path of the copy relative to that of the job. Raises ConfigError if one cannot be read.
     """
-    spec, sources = job_files.pack(_to_spec(job), job.entries)
-    return json.dumps(spec, indent=1) + "\n", sources
+    spec = _to_spec(job)
+    sources: dict[str, Path] = {}
+
+    def copy(path: str) -> str:
+        folder = f"{_FOLDER}/{digest_of(path)}"
+        sources.update({f"{folder}/{file.name}": file for file in files_of(path)})
+        return f"{folder}/{Path(path).name}"
+
+    try:
+        packed = {**spec, "task": with_paths(spec["task"], copy), "files": _FOLDER}
+        for entry in filter(is_from_outside, job.entries):
+            for source, name in entry_files.list_files(entry.reference):
+                sources[f"{_FOLDER}/{entry.code}/{name}"] = source
+    except (OSError, EntryError) as error:
+        raise ConfigError(f"a file of the job cannot be read: {error}") from None
+    return json.dumps(packed, indent=1) + "\n", sources
 
 
 def _code_here() -> str:
@@ -95,7 +113,13 @@ def _code_here() -> str:
 def _to_spec(job: Job) -> dict[str, Any]:
     planned = dataclasses.replace(job, task_digest=job.task.digest, evaluation_code=_code_here())
     spec = to_json_types(planned)
-    return job_files.locate(spec, Path())  # the process that runs it has another working folder
+    return _locate(spec, Path())  # the process that runs it has another working folder
+
+
+def _locate(spec: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return the JSON object of a job whose paths begin in `folder`, with absolute ones."""
+    task = with_paths(spec.get("task"), lambda path: str(folder.resolve() / path))
+    return {**spec, "task": task, "files": spec["files"] and str(folder.resolve() / spec["files"])}
 
 
 def from_text(text: str, where: str, folder: Path = Path()) -> Job:
@@ -110,7 +134,7 @@ def from_text(text: str, where: str, folder: Path = Path()) -> Job:
     if not isinstance(data, dict):
         raise ConfigError(f"{where}: not a job")
     if data.get("files") and isinstance(data["files"], str):
-        data = job_files.locate(data, folder)
+        data = _locate(data, folder)
     job = build(Job, data, where)
     if not 0 <= job.condition < len(job.task.conditions):
         raise ConfigError(f"{where}: {job.task.name} has no condition {job.condition}")
@@ -175,6 +199,12 @@ def run_job_file(spec: Path, out: Path) -> Iterator[JobDone]:
         yield from runner.run(job)
 
 
+def code_folders(job: Job) -> dict[str, Path]:
+    """Return the folder with the copied code, if any, of each entry from outside, by reference."""
+    others = filter(is_from_outside, job.entries if job.files else ())
+    return {entry.reference: Path(job.files, entry.code) for entry in others}
+
+
 class _JobRunner(contextlib.ExitStack):
     """Runs jobs one after the other and stores their results in `out`; a context manager.
 
@@ -189,7 +219,7 @@ class _JobRunner(contextlib.ExitStack):
 
     def run(self, job: Job) -> Iterator[JobDone]:
         """Run a job. Raises ConfigError, OSError."""
-        self._code |= job_files.code_folders(job.files, job.entries)
+        self._code |= code_folders(job)
         if self._sandbox is None:
             client = SandboxClient(job.limits, owns_all_children=True, code=self._code)
             self._sandbox = self.enter_context(client)

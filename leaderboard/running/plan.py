@@ -8,12 +8,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from leaderboard.entries.entries import fold
+from leaderboard.entries.entries import fold, is_by_others
 from leaderboard.entries.entry import Entry
 from leaderboard.evaluation import store
-from leaderboard.evaluation.results import Result, content_digest, merge_parts
+from leaderboard.evaluation.results import content_digest, merge_parts
 from leaderboard.evaluation.tasks import Task
-from leaderboard.running import job_files
 from leaderboard.running.jobs import Job, JobDone, result_identity
 from leaderboard.sandbox.limits import Limits
 from road_envs.core.artifacts import NewerFormatError
@@ -61,7 +60,7 @@ def check_owners(rows: Sequence[PlannedRow], out: Path, replace: Collection[str]
     for row in rows:
         name = row.entry.name
         path = store.row_path(out, row.task.name, name)
-        others = path.parent.glob("*.json") if job_files.is_by_others(row.entry) else ()
+        others = path.parent.glob("*.json") if is_by_others(row.entry) else ()
         for other in (x for x in others if fold(x.stem) == fold(name)):
             if other.stem != name:
                 raise ConfigError(f"{other}: {name} looks the same; rename the entry")
@@ -90,7 +89,9 @@ class Plan:
             for path, part in zip(self._parts(row), row.parts, strict=True):
                 with suppress(ConfigError):  # missing or damaged
                     result = store.load_part(path)
-                    if result.failure is None and _is_of(result, row, part):
+                    named = result.identity, result.task_digest, result.estimator, result.seeds
+                    is_of_row = named == (part, row.task.digest, row.entry.name, row.seeds)
+                    if result.failure is None and is_of_row:  # it may come from elsewhere
                         self._digests[path] = content_digest(result)
 
     def missing(self) -> list[tuple[PlannedRow, int]]:
@@ -147,12 +148,6 @@ class Plan:
 
     def _parts(self, row: PlannedRow) -> list[Path]:
         return [store.part_path(self.out, part) for part in row.parts]
-
-
-def _is_of(result: Result, row: PlannedRow, part: str) -> bool:
-    """Whether a stored part is that of a row: it may come from another machine."""
-    named = result.identity, result.task_digest, result.estimator, result.seeds
-    return named == (part, row.task.digest, row.entry.name, row.seeds)
 
 
 def _is_unchanged(path: Path, digest: str) -> bool:

@@ -20,18 +20,16 @@ from typing import Any
 
 import numpy as np
 
-from leaderboard.entries.entries import registered_entry
+from leaderboard.entries.entries import is_by_others, registered_entry
 from leaderboard.entries.entry import Entry
 from leaderboard.evaluation import comparison, evaluate, store
 from leaderboard.evaluation.provenance import describe_environment
 from leaderboard.evaluation.results import RUN, Result, content_digest
-from leaderboard.evaluation.task_files import with_paths
-from leaderboard.evaluation.tasks import Condition, Task, load_task
+from leaderboard.evaluation.task_files import to_json_types, with_paths
+from leaderboard.evaluation.tasks import Task, load_task
 from leaderboard.evaluation.test_data import RecordedDrive, simulate_drives
-from leaderboard.json_values import to_json_types
 from leaderboard.metrics.bootstrap import REPRODUCIBLE, interquartile_mean
 from leaderboard.metrics.registry import SCORES
-from leaderboard.running import job_files
 from leaderboard.sandbox.client import ONE_TRAINING
 from leaderboard.sandbox.retest import NOT_CAUSAL, NOT_RETESTED, REMEMBERS
 from road_envs.core.artifacts import Kind
@@ -40,9 +38,7 @@ from road_envs.core.config import ConfigError, Settings, build
 _DEFINITION = Kind("task", 1)
 _VERIFICATION = Kind("verification", 2)
 
-SHARE = 0.1
-"""Share of the drives of a task that are run again."""
-
+SHARE = 0.1  # share of the drives of a task that are run again
 _BY_CHANCE = (*NOT_CAUSAL, REMEMBERS, ONE_TRAINING)
 """What a judge may find out about an entry by chance, and not again."""
 
@@ -128,20 +124,17 @@ def _load_definitions(out: Path) -> tuple[list[Task], list[ConfigError]]:
                     f"{path}: the task {task.name}, or a file that it names, is not the one that "
                     "was run; verify where it is"
                 )
-            if task.is_public and task.digest != _as_shipped(task).digest:
-                raise ConfigError(f"{path}: its {task.name} is not that of this package")
+            if task.is_public:
+                shipped = load_task(task.name)
+                own = {name: getattr(task.test, name) for name in ("number", "design", "length")}
+                driven = dataclasses.replace(shipped.test, **own)
+                if task.digest != dataclasses.replace(shipped, test=driven).digest:
+                    raise ConfigError(f"{path}: its {task.name} is not that of this package")
         except ConfigError as error:
             errors.append(error)
         else:
             tasks.append(task)
     return sorted(tasks, key=lambda task: (task.name, task.digest)), errors
-
-
-def _as_shipped(task: Task) -> Task:
-    """Return the task of this name in this package, on the drives of `task`."""
-    shipped = load_task(task.name)
-    drives = {name: getattr(task.test, name) for name in ("number", "design", "length")}
-    return dataclasses.replace(shipped, test=dataclasses.replace(shipped.test, **drives))
 
 
 def load_verified(out: Path) -> dict[str, list[Verified]]:
@@ -237,19 +230,18 @@ def verify_folder(
             elif reason := entry.failure or row.stale_reason(task, entry):
                 found.append(_without_runs(task, row, reason))
             else:
-                check = _verify_row if row.failure is None else _verify_failure
-                now = check(task, row, entry, data, run)
+                again = (
+                    evaluate.evaluate_entry(task, *x, entry, row.seeds, run) for x in data.items()
+                )
+                if row.failure is None:
+                    now = _verify_row(task, row, entry, again)
+                else:
+                    now = _verify_failure(task, row, again, count)
                 found.append(dataclasses.replace(now, share=count / len(drives)))
     return found
 
 
-def _verify_row(
-    task: Task,
-    row: Result,
-    entry: Entry,
-    data: Mapping[Condition, evaluate.ConditionData | str],
-    run: evaluate.EntryRunner,
-) -> Verified:
+def _verify_row(task: Task, row: Result, entry: Entry, again: Iterable[Result]) -> Verified:
     """Run an entry again on the drives of each condition and compare with its row."""
     found = _without_runs(task, row)
     if reason := other_drives(row, task) or _other_seeds(row):
@@ -262,10 +254,9 @@ def _verify_row(
     ranked: list[tuple[float, float]] = []
     notes, busy = {f"{row.estimator}: {note}" for note in _BY_CHANCE}, ""
     notes.update(_not_retested(row))
-    for condition, drives in data.items():
-        made = evaluate.evaluate_entry(task, condition, drives, entry, row.seeds, run)
+    for made in again:
         if made.failure is not None:
-            others = job_files.is_by_others(entry)  # ours may lack a library here
+            others = is_by_others(entry)  # ours may lack a library here
             return dataclasses.replace(found, reason=made.failure, is_false=others)
         busy = busy or "".join(_not_retested(made)[: not _not_retested(row)])
         if reason := _other_claim(row, made):
@@ -296,22 +287,13 @@ def _verify_row(
     return dataclasses.replace(found, reason=busy) if busy and found.agrees else found
 
 
-def _verify_failure(
-    task: Task,
-    row: Result,
-    entry: Entry,
-    data: Mapping[Condition, evaluate.ConditionData | str],
-    run: evaluate.EntryRunner,
-) -> Verified:
-    """Run an entry whose row says that it failed; on other drives than these it may have."""
+def _verify_failure(task: Task, row: Result, again: Iterable[Result], count: int) -> Verified:
+    """Run an entry on `count` drives whose row says that it failed; on others it may have."""
     found = _without_runs(task, row, f"failed: {row.failure}")
-    made = (evaluate.evaluate_entry(task, *x, entry, row.seeds, run) for x in data.items())
-    if not data or any(one.failure is not None for one in made):
+    if not count or any(made.failure is not None for made in again):
         return found
     reason = f"it does not fail on these drives; its row says: {row.failure}"
-    drives = [x.tests for x in data.values() if not isinstance(x, str)]
-    is_whole = sum(map(len, drives)) == len(_drives(task))
-    return dataclasses.replace(found, reason=reason, is_false=is_whole)
+    return dataclasses.replace(found, reason=reason, is_false=count == len(_drives(task)))
 
 
 def _drives(task: Task) -> set[tuple[str, int, int]]:
@@ -372,15 +354,10 @@ def _not_retested(row: Result) -> list[str]:
 
 
 def _without_runs(task: Task, row: Result, reason: str = "") -> Verified:
-    return Verified(
-        task=task.name, estimator=row.estimator, content=content_digest(row), reason=reason,
-        ranks_by=task.board_definition.ranks_by, kernels=kernels_of(describe_environment()),
-        tolerance=_tolerance(row),
-    )  # fmt: skip
-
-
-def _tolerance(row: Result) -> float:
-    """Return the tolerance for what was made with the kernels of `row` and is made again here."""
     here = describe_environment()
     same = all(row.environment.get(name) == here.get(name) for name in _DECIDE_DIGITS)
-    return comparison.SAME_KERNELS if same else comparison.OTHER_KERNELS
+    return Verified(
+        task=task.name, estimator=row.estimator, content=content_digest(row), reason=reason,
+        ranks_by=task.board_definition.ranks_by, kernels=kernels_of(here),
+        tolerance=comparison.SAME_KERNELS if same else comparison.OTHER_KERNELS,
+    )  # fmt: skip

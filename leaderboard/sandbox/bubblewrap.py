@@ -22,6 +22,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
+from threading import Timer
 from types import MappingProxyType
 
 from leaderboard.sandbox import seccomp
@@ -29,20 +30,11 @@ from leaderboard.sandbox.limits import GIB, Limits
 from road_envs.core.code_digest import PACKAGES, ROOT, cache_home
 from road_envs.core.config import ConfigError
 
-HOME = Path("/tmp/guest")
-"""Working folder of a guest."""
-
-IN_MEMORY = (HOME, Path("/dev/shm"))
-"""Folders that a guest can write to."""
-
-ENTRY = Path("/entry")
-"""Folder with the code of the entry."""
-
-SHARED_CACHE = Path("/shared-cache")
-"""Folder with the compiled kernels of this package, for a guest that must not write there."""
-
-NOBODY = 65534
-"""User and group of a guest in a user namespace."""
+HOME = Path("/tmp/guest")  # working folder of a guest
+IN_MEMORY = (HOME, Path("/dev/shm"))  # folders that a guest can write to
+ENTRY = Path("/entry")  # folder with the code of the entry
+SHARED_CACHE = Path("/shared-cache")  # compiled kernels, for a guest that must not write there
+NOBODY = 65534  # user and group of a guest in a user namespace
 
 GUEST_USERS = ((0x70000000, 2**28), (61184, 4335))
 """First number and count of users that nobody has, of whom a host that is root chooses one for a
@@ -68,8 +60,7 @@ guest could tell another a number: empty. A shared mapping of /dev/zero is memor
 BATCH, FEWEST, MOST = 2**10, 2**17, 2**24
 """Numbers of pipes that a processor takes at once; the fewest and most that hide others."""
 
-SHARED_MEMORY = 2**28
-"""Size [bytes] of a guest's /dev/shm."""
+SHARED_MEMORY = 2**28  # size [bytes] of a guest's /dev/shm
 
 
 @contextmanager
@@ -156,11 +147,18 @@ def alone() -> Iterator[None]:
     """Wait until no other process of this machine is in this context, and stay in it.
 
     A guest that runs beside two others keeps what the first has told it for the second: files that
-    it has mapped are not dropped. Where the file system has no locks, nothing is waited for.
+    it has mapped are not dropped. Where the file system has no locks, nothing is waited for. A wait
+    of more than a second is told on standard error.
     """
+    words = "waiting for the guest of another run on this machine, beside which none is started"
+    told = Timer(1.0, print, [words], {"file": sys.stderr, "flush": True})
     with open(shutil.which("bwrap") or os.devnull, "rb") as file:
-        with suppress(OSError):
-            fcntl.flock(file, fcntl.LOCK_EX)
+        told.start()
+        try:
+            with suppress(OSError):
+                fcntl.flock(file, fcntl.LOCK_EX)
+        finally:
+            told.cancel()
         yield
 
 

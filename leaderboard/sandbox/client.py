@@ -14,7 +14,7 @@ import shutil
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext
+from contextlib import ExitStack, nullcontext
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -31,6 +31,7 @@ from leaderboard.entries.entry import (
     Entry,
     EntryError,
     TrainingRun,
+    are_equal,
     reconstruct_all,
 )
 from leaderboard.sandbox import bubblewrap, estimator_handler, messages, processes
@@ -42,11 +43,8 @@ from road_envs.core.atomic_io import TempFolder
 from road_envs.records.record import Estimate, Profile, Record, profile_stations
 from road_envs.vehicle.parameters import VehicleParameters
 
-LARGEST_HEIGHT = 1e6
-"""Largest height and standard deviation [m] of an estimate."""
-
-LARGEST_COUNT = 1e12
-"""Largest number of parameters."""
+LARGEST_HEIGHT = 1e6  # largest height and standard deviation [m] of an estimate
+LARGEST_COUNT = 1e12  # largest number of parameters
 
 UNSEEN_TIME = 0.05
 """Time [s] of one request beyond the reported time that is not charged to an entry: messages."""
@@ -54,7 +52,7 @@ UNSEEN_TIME = 0.05
 ONE_TRAINING = "its training does not depend on the seed"
 
 
-class SandboxClient:
+class SandboxClient(ExitStack):
     """Runs entries in guests, one at a time; a context manager.
 
     Estimators of this package that use the same libraries share a guest with a child for each run;
@@ -66,34 +64,28 @@ class SandboxClient:
 
     def __init__(
         self,
-        limits: Limits | None = None,
+        limits: Limits,
         *,
         owns_all_children: bool = False,
         code: Mapping[str, Path] = MappingProxyType({}),
     ):
         """Raises ConfigError if bubblewrap is requested and cannot be used."""
-        self.limits = limits or Limits()
+        super().__init__()
+        self.limits = limits
         self._bubblewrap = bubblewrap.is_used(self.limits.isolation)
         self.guest: Guest | None = None  # of the last run
-        self._owns_all_children, self._code = owns_all_children, code
-        self._temp = TempFolder()
-        self._temp.path.chmod(0o755)  # a guest has another user
+        self._code = code
+        self._folder = self.enter_context(TempFolder())
+        self._folder.chmod(0o755)  # a guest has another user
         self._snapshots: dict[str, tuple[str, Path]] = {}
         self._ours: dict[tuple[str, ...], Guest] = {}  # by the libraries that they have loaded
-        self._home = self._temp.path  # of the last guest
+        self._home = self._folder  # of the last guest
         self._pipes = bubblewrap.count_pipes() if self._bubblewrap else 0
         self.isolation = "bubblewrap" if self._bubblewrap else "process"
         if owns_all_children:
             processes.become_subreaper()
-
-    def __enter__(self) -> "SandboxClient":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._close_guests()
-        if self._owns_all_children:
-            processes.kill_descendants()
-        self._temp.close()
+            self.callback(processes.kill_descendants)
+        self.callback(self._close_guests)
 
     def describe(self, reference: str) -> dict[str, Any]:
         """Return settings, causality, lag [m], version and, of a package, the name of its entry
@@ -102,7 +94,8 @@ class SandboxClient:
         code, _ = self._snapshot(reference)
         guest = self._start(reference)
         try:
-            head = self._begin(guest, reference, {}, None)
+            about = {"reference": reference, "settings": dict[str, Any](), "car": None}
+            head, _ = call(guest, messages.encode({"do": "start", **about}))
         finally:
             self._end(guest)
         causal, lag = head.get("causal"), head.get("lag")
@@ -183,8 +176,9 @@ class SandboxClient:
         if again:
             first = next((one for one in runs if one.seed == seed), runs[0])
             tested = compare_answers(questions, first, again, entry.lag)
-        if not ours and trains and len(runs) > 1 and _are_equal(runs):
-            runs, tested = runs[:1], [ONE_TRAINING, *tested]
+        if not ours and trains and len(runs) > 1:
+            if all(are_equal(runs[0].estimates, one.estimates) for one in runs):
+                runs, tested = runs[:1], [ONE_TRAINING, *tested]
         looks_ahead = unasked or not set(NOT_CAUSAL).isdisjoint(tested)
         found = {"peak_memory": peak_memory, "isolation": self.isolation, "notes": tuple(tested)}
         return [dataclasses.replace(one, **found, looks_ahead=looks_ahead) for one in runs]
@@ -199,7 +193,7 @@ class SandboxClient:
                     f"not run: {bubblewrap.obstacle()}; an estimator from outside this package "
                     "would have the rights of the user; if you trust it: --isolation process"
                 )
-            folder = self._temp.path / f"entry-{len(self._snapshots)}"
+            folder = self._folder / f"entry-{len(self._snapshots)}"
             source = str(self._code.get(reference, reference))
             self._snapshots[reference] = entry_files.snapshot(source, folder), folder
             for path in folder.rglob("*"):  # a time would tell each guest how long the run lasts
@@ -220,7 +214,7 @@ class SandboxClient:
 
     def _new_guest(self, code: Path | None, libraries: Sequence[str] = ()) -> Guest:
         # it sees the name of its code's folder, which must not tell how many were before it
-        self._home = home = self._temp.path / secrets.token_hex(8)
+        self._home = home = self._folder / secrets.token_hex(8)
         if code is not None:  # a copy of its own: how fast a file is read says nothing of others
             code = Path(shutil.copytree(code, home.with_suffix(".code")))
         return start_guest(
@@ -228,14 +222,9 @@ class SandboxClient:
             libraries=libraries,
         )  # fmt: skip
 
-    def _begin(
-        self, guest: Guest, reference: str, settings: Mapping[str, Any], car: Any
-    ) -> dict[str, Any]:
-        start = {"do": "start", "reference": reference, "settings": dict(settings), "car": car}
-        return call(guest, messages.encode(start))[0]
-
     def _session(self, guest: Guest, entry: Entry, car: VehicleParameters) -> "_RemoteSession":
-        head = self._begin(guest, entry.reference, entry.settings, dataclasses.asdict(car))
+        start = {"do": "start", "reference": entry.reference, "settings": entry.settings}
+        head, _ = call(guest, messages.encode({**start, "car": dataclasses.asdict(car)}))
         trains, calibrates = (head.get(name) is True for name in ("needs_training", "calibrates"))
         # of others the host finds out whether the seed makes a difference
         uses_seed = head.get("uses_seed") is True or not is_ours(entry.reference)
@@ -257,18 +246,9 @@ class SandboxClient:
             self._ours.popitem()[1].close()
 
 
-def _are_equal(runs: Sequence[TrainingRun]) -> bool:
-    """Return whether all trainings have led to the same heights and deviations."""
-    return all(
-        np.array_equal(a.z, b.z) and np.array_equal(a.z_std, b.z_std)  # type: ignore[arg-type]
-        for run in runs
-        for a, b in zip(runs[0].estimates, run.estimates, strict=True)
-    )
-
-
 @dataclasses.dataclass
 class _RemoteSession:
-    """A session with an estimator in a guest."""
+    """A session with an estimator in a guest; raises EntryError, and `estimate` EstimateError."""
 
     _guest: Guest
     needs_training: bool
@@ -276,20 +256,17 @@ class _RemoteSession:
     uses_seed: bool = True
 
     def fit(self, training: Sequence[tuple[Record, Profile]], seed: int) -> tuple[int, float]:
-        """Train the estimator if it needs training. Raises EntryError."""
         sent, seed = (training, seed) if self.needs_training else ([], 0)  # which tells nothing
         head, _, seconds = self._timed(messages.encode_drives("fit", sent, seed=seed))
         return int(messages.number(head, "parameters", LARGEST_COUNT)), seconds
 
     def calibrate(self, drives: Sequence[CalibrationDrive]) -> float:
-        """Calibrate the estimator to the vehicle of these drives. Raises EntryError."""
         sent = [(drive.record, drive.profile) for drive in drives]
         survey, names = [drive.survey_std for drive in drives], [drive.name for drive in drives]
         request = messages.encode_drives("calibrate", sent, survey=survey, names=names)
         return self._timed(request)[2]
 
     def estimate(self, record: Record) -> tuple[Estimate, float]:
-        """Return the estimate of a record. Raises EntryError, EstimateError."""
         stations = profile_stations(record.length)
         size = 2 * stations.size
 

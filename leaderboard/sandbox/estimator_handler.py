@@ -13,7 +13,6 @@ import json
 import os
 import sys
 import zipfile
-from importlib import metadata
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -28,7 +27,7 @@ from leaderboard.entries.entry import (
     describe_estimator,
     get_settings,
 )
-from leaderboard.entries.entry_files import CLASS_REFERENCE, WEIGHTS_SUFFIXES
+from leaderboard.entries.entry_files import CLASS_REFERENCE, WEIGHTS_SUFFIXES, entry_points
 from leaderboard.sandbox import messages
 from road_envs.core.config import build
 from road_envs.vehicle.parameters import VehicleParameters
@@ -128,12 +127,7 @@ def _load_package(folder: Path, settings: dict[str, Any]) -> tuple[str, Any]:
         with zipfile.ZipFile(wheel) as archive:
             archive.extractall(folder)
     sys.path.append(str(folder))
-    found = [
-        entry
-        for distribution in metadata.distributions(path=[str(folder)])
-        for entry in distribution.entry_points
-        if entry.group == ENTRY_POINT_GROUP
-    ]
+    found = entry_points(folder)
     if len(found) != 1:
         names = sorted(entry.name for entry in found)
         raise EntryError(

@@ -19,19 +19,12 @@ from leaderboard.entries.entry import EntryError
 from leaderboard.sandbox import messages, processes
 from leaderboard.sandbox.limits import GIB, UNLIMITED, Limits
 
-POLL_INTERVAL = 0.1
-"""Interval [s] of the checks of memory and number of processes."""
-
-OUTPUT_TAIL_SIZE = 4000
-"""Number of last bytes of the output that are kept; the rest is only counted."""
-
-STARTUP_TIMEOUT = 300.0
-"""Time [s] within which a guest must have loaded its libraries."""
-
+POLL_INTERVAL = 0.1  # interval [s] of the checks of memory and number of processes
+OUTPUT_TAIL_SIZE = 4000  # number of last bytes of the output that are kept; the rest is counted
+STARTUP_TIMEOUT = 300.0  # time [s] within which a guest must have loaded its libraries
 CHUNK = 1 << 20
 
-SIGNAL_STATUS = 128
-"""Added to the number of the signal that ended a guest in its exit status, as in a shell."""
+SIGNAL_STATUS = 128  # added to the number of the signal that ended a guest, as in a shell
 
 
 class Guest:
@@ -85,25 +78,21 @@ class Guest:
         `size_of_arrays` returns the expected number of bytes of the arrays.
         """
         end = time.monotonic() + self._seconds_left
-        unsent = memoryview(request)
-        received, wanted = bytearray(), messages.HEAD_SIZE.size
-        size: int | None = None
-        head: dict[str, Any] | None = None
-        while True:
-            while len(received) >= wanted:
-                if head is not None:
-                    if (now := time.monotonic()) >= self._next_check:
-                        self._measure()
-                    self._seconds_left = end - now
-                    return head, bytes(received)
-                if size is None:
-                    (size,) = messages.HEAD_SIZE.unpack(received)
-                    if size > messages.MAX_HEAD:
-                        raise EntryError(f"its reply is invalid: a head of {size} bytes")
-                    wanted += size
-                else:
-                    head = messages.parse_head(bytes(received[messages.HEAD_SIZE.size :]))
-                    received, wanted = bytearray(), size_of_arrays(head)
+        self._unsent = memoryview(request)
+        (size,) = messages.HEAD_SIZE.unpack(self._receive(messages.HEAD_SIZE.size, end))
+        if size > messages.MAX_HEAD:
+            raise EntryError(f"its reply is invalid: a head of {size} bytes")
+        head = messages.parse_head(self._receive(size, end))
+        arrays = self._receive(size_of_arrays(head), end)
+        if (now := time.monotonic()) >= self._next_check:
+            self._measure()
+        self._seconds_left = end - now
+        return head, arrays
+
+    def _receive(self, size: int, end: float) -> bytes:
+        """Return the next `size` bytes of a reply; meanwhile send what is left of the request."""
+        received = bytearray()
+        while len(received) < size:
             now = time.monotonic()
             if now > end:
                 raise EntryError(f"stopped after {self.limits.seconds:g} s, the time limit")
@@ -111,19 +100,21 @@ class Guest:
                 self._measure()
             wait = max(0.0, min(self._next_check, end) - now)
             outputs = [self._replies] + ([] if self._end_of_output else [self._output])
-            ready, free, _ = select.select(outputs, [self._requests] if unsent else [], [], wait)
+            requests = [self._requests] if self._unsent else []
+            ready, free, _ = select.select(outputs, requests, [], wait)
             if self._output in ready:
                 self._read_output()
             if free:
-                unsent = self._send(unsent)
+                self._send()
             if self._replies in ready:
-                part = os.read(self._replies, min(wanted - len(received), CHUNK))
+                part = os.read(self._replies, min(size - len(received), CHUNK))
                 if not part:
                     raise EntryError(self._describe_end())
                 received += part
-            elif self._process.poll() is not None and self._replies not in ready:
+            elif self._process.poll() is not None:
                 if not select.select([self._replies], [], [], 0.0)[0]:
                     raise EntryError(self._describe_end())
+        return bytes(received)
 
     def send_end(self) -> None:
         """Let the guest end its child and wait for the next estimator."""
@@ -161,13 +152,13 @@ class Guest:
         if len(running) > (limit := self.limits.processes):
             raise EntryError(f"stopped for having more than {limit} processes, the limit")
 
-    def _send(self, unsent: memoryview) -> memoryview:
+    def _send(self) -> None:
         try:
-            return unsent[os.write(self._requests, unsent[:CHUNK]) :]
+            self._unsent = self._unsent[os.write(self._requests, self._unsent[:CHUNK]) :]
         except BlockingIOError:
-            return unsent
+            pass
         except BrokenPipeError:  # it does not read any more; it may still have replied
-            return unsent[:0]
+            self._unsent = self._unsent[:0]
 
     def _read_output(self) -> None:
         part = os.read(self._output, CHUNK)

@@ -17,11 +17,8 @@ from leaderboard.sandbox.limits import GIB, SET_FOR_ALL, UNLIMITED, Limits, gues
 from road_envs.core.code_digest import cache_home
 from road_envs.kernels import _numba
 
-OPEN_FILES = 256
-"""Largest number of open files of a process: what pipes and sockets hold counts as no memory."""
-
-START_ATTEMPTS = 2
-"""Number of times that a guest which ends while it starts is started."""
+OPEN_FILES = 256  # of a process: what pipes and sockets hold counts as no memory
+START_ATTEMPTS = 2  # of a guest which ends while it starts
 
 
 def start_guest(

@@ -24,17 +24,12 @@ from road_envs.records.accelerometers import from_plain, to_plain
 from road_envs.records.record import LowPass, Profile, Record
 
 HEAD_SIZE = struct.Struct(">I")
-MAX_HEAD = 1 << 16
-"""Largest size [bytes] of the JSON text of a message."""
-
-MAX_TEXT = 300
-"""Largest number of characters of a text of a guest; the rest is cut off."""
-
+MAX_HEAD = 1 << 16  # largest size [bytes] of the JSON text of a message
+MAX_TEXT = 300  # largest number of characters of a text of a guest; the rest is cut off
 MAX_SETTINGS, MAX_DEPTH = 4000, 5
 """Largest size [characters] of the settings of an estimator as JSON text, and depth of a reply."""
 
-LARGEST_NUMBER = 1e100
-"""Largest absolute value of a number in the settings of an estimator."""
+LARGEST_NUMBER = 1e100  # largest absolute value of a number in the settings of an estimator
 
 Reply = tuple[dict[str, Any], Sequence[np.ndarray]]
 """Object and arrays of a reply."""
@@ -156,11 +151,8 @@ def _check_settings(value: Any) -> None:
 
 
 def _is_deeper(value: Any, depth: int) -> bool:
-    """Return whether lists and objects are nested more than `depth` deep, level by level."""
-    level = [value]
-    for _ in range(depth):
-        below = [
-            x.values() if isinstance(x, dict) else x for x in level if isinstance(x, dict | list)
-        ]
-        level = [item for items in below for item in items]
-    return any(isinstance(x, dict | list) for x in level)
+    """Return whether lists and objects are nested more than `depth` deep."""
+    if not isinstance(value, dict | list):
+        return False
+    items = value.values() if isinstance(value, dict) else value
+    return depth == 0 or any(_is_deeper(item, depth - 1) for item in items)

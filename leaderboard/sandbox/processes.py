@@ -19,9 +19,7 @@ PAGE, TICKS = os.sysconf("SC_PAGE_SIZE"), os.sysconf("SC_CLK_TCK")
 LINUX = sys.platform == "linux"
 PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36
 
-INODE = 1024
-"""Memory [bytes] that an empty file takes up."""
-
+INODE = 1024  # memory [bytes] that an empty file takes up
 libc = ctypes.CDLL(None, use_errno=True)
 
 
@@ -56,9 +54,14 @@ def tree(root: int) -> list[_Process]:
     children: dict[int, list[_Process]] = {}
     result: list[_Process] = []
     for entry in os.scandir(PROC):
-        if entry.name.isdigit() and (process := _read_process(int(entry.name))) is not None:
-            children.setdefault(process.parent, []).append(process)
-            result += [process] if process.pid == root else []
+        with suppress(OSError):  # it may have ended
+            if entry.name.isdigit():
+                text = (PROC / entry.name / "stat").read_bytes()
+                fields = text.rpartition(b")")[2].split()  # the name in brackets may be any bytes
+                cpu, memory = sum(map(int, fields[11:15])) / TICKS, PAGE * int(fields[21])
+                process = _Process(int(entry.name), int(fields[1]), memory, cpu)
+                children.setdefault(process.parent, []).append(process)
+                result += [process] if process.pid == root else []
     level = [root]
     while level:
         below = [child for pid in level for child in children.get(pid, ())]
@@ -120,14 +123,3 @@ def kill(pid: int) -> None:
     """Kill a process if it exists, or with a negative number the process group of its leader."""
     with suppress(ProcessLookupError, PermissionError):
         os.kill(pid, signal.SIGKILL)
-
-
-def _read_process(pid: int) -> _Process | None:
-    """Read a process from /proc; None if it no longer exists."""
-    try:
-        text = (PROC / str(pid) / "stat").read_bytes()
-    except OSError:
-        return None
-    fields = text.rpartition(b")")[2].split()  # the name in brackets may be any bytes
-    cpu = sum(map(int, fields[11:15])) / TICKS
-    return _Process(pid, int(fields[1]), PAGE * int(fields[21]), cpu)

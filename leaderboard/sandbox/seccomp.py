@@ -20,8 +20,7 @@ NEW_NAMESPACES, PIDFD = 0x7E020000, 0x1000
 COOKIE, PASSPIDFD, PEERPIDFD = 57, 76, 77
 """Options of sockets: its number among all of the machine, handles of processes."""
 
-TERMINAL = 0x5400
-"""Requests of `ioctl` to terminals and pipes (FIONREAD, FIONBIO), up to 0x54FF."""
+TERMINAL = 0x5400  # requests of `ioctl` to terminals and pipes (FIONREAD, FIONBIO), to 0x54FF
 
 SHARED_ANONYMOUS = 0x21
 """Flags of `mmap`, MAP_SHARED | MAP_ANONYMOUS: its pages stay when no process has them mapped."""
@@ -110,11 +109,8 @@ RULES = (
 LOAD, AND, RETURN = 0x20, 0x54, 0x06
 JUMP_EQUAL, JUMP_GREATER_EQUAL = 0x15, 0x35
 ALLOW, ERROR, KILL = 0x7FFF0000, 0x00050000, 0x80000000
-NUMBER, ARCHITECTURE, ARGUMENTS = 0, 4, 16
-"""Offsets in the kernel's `struct seccomp_data`."""
-
-X32_BIT = 0x40000000
-"""Set in the numbers of the calls of a second table of x86_64."""
+NUMBER, ARCHITECTURE, ARGUMENTS = 0, 4, 16  # offsets in the kernel's `struct seccomp_data`
+X32_BIT = 0x40000000  # set in the numbers of the calls of a second table of x86_64
 
 
 def program(machine: str | None = None) -> bytes | None:

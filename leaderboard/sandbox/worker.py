@@ -9,6 +9,7 @@ that run jobs, only the handler of requests differs: `estimator_handler`, `polic
 the limits of the kernel before, and checks every reply.
 """
 
+import gc
 import importlib
 import json
 import os
@@ -25,11 +26,8 @@ from typing import Any, NoReturn
 from leaderboard.sandbox import processes
 from road_envs.core.config import Settings, build
 
-SERVED = 64
-"""Exit status of a child that has served its requests until the end."""
-
-LONGEST_FAILURE = 10_000
-"""Largest number of characters of a failure; the host shows fewer."""
+SERVED = 64  # exit status of a child that has served its requests until the end
+LONGEST_FAILURE = 10_000  # largest number of characters of a failure; the host shows fewer
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +60,12 @@ def main() -> None:
     os.umask(0)  # the child may be another user
     if setup.cache is not None:
         _link_cache(Path(setup.cache[0]), setup.cache[1])
-    _preload(setup)
+    importlib.import_module(setup.handler)
+    for library in setup.libraries:
+        with suppress(ImportError):  # what is not installed is left out
+            importlib.import_module(library)
+    gc.collect()
+    gc.freeze()
     _reply(replies, {})
     while True:
         try:
@@ -76,18 +79,6 @@ def main() -> None:
         code = os.waitstatus_to_exitcode(status)
         if code != SERVED or not setup.serves_many:
             os._exit(128 - code if code < 0 else code)
-
-
-def _preload(setup: Setup) -> None:
-    """Import the handler and the libraries; those that are not installed are left out."""
-    import gc
-
-    importlib.import_module(setup.handler)
-    for library in setup.libraries:
-        with suppress(ImportError):
-            importlib.import_module(library)
-    gc.collect()
-    gc.freeze()
 
 
 def _link_cache(source: Path, name: str) -> None:

@@ -5,14 +5,15 @@ import re
 import sys
 import zipfile
 from collections.abc import Iterator
+from contextlib import suppress
 from importlib import metadata
+from importlib.util import resolve_name
+from itertools import accumulate
 from pathlib import Path
 
-from estimators import ENTRY_POINT_GROUP
+from leaderboard.entries.entry_files import entry_points
 
-PROJECT, EXTRAS = "road-envs", ("all", "sign")
-"""What boards install."""
-
+PROJECT, EXTRAS = "road-envs", ("all", "sign")  # what boards install
 _REQUIREMENT = re.compile(r"\s*([\w.-]+)\s*(?:\[([^]]*)\])?[^;]*(?:;(.*))?")
 _EXTRA = re.compile(r"""extra\s*==\s*["']([\w.-]+)["']""")
 
@@ -25,7 +26,8 @@ def missing_packages(code: Path) -> dict[str, str]:
     can be (`try`), or for types alone, does not count.
     """
     wheel = code if code.is_file() else next(code.glob("*.whl"), None)
-    found, left = dict[str, str](), _entry_modules(wheel or code)
+    found, modules = dict[str, str](), [x.module for x in entry_points(wheel or code)]
+    left = [name for x in modules for name in accumulate(x.split("."), "{}.{}".format)]
     if not left:  # weights of an entry of this package, or what the judge refuses
         return found
     files = code if wheel is None else zipfile.Path(wheel)
@@ -42,16 +44,11 @@ def missing_packages(code: Path) -> dict[str, str]:
         text = path.read_text(encoding="utf-8", errors="replace")
         for other in _imports(text, name, path.name == "__init__.py"):
             # a name of a package is a module only if there is such a file
-            new = {x for x in _with_packages(other) if "." not in x or _file_of(x, files)} - seen
+            parts = accumulate(other.split("."), "{}.{}".format)
+            new = {x for x in parts if "." not in x or _file_of(x, files)} - seen
             seen |= new
             left += sorted(new)
     return found
-
-
-def _with_packages(module: str) -> list[str]:
-    """Names of a module and of the packages that it is in."""
-    parts = module.split(".")
-    return [".".join(parts[: k + 1]) for k in range(len(parts))]
 
 
 def _file_of(module: str, files: Path | zipfile.Path) -> Path | zipfile.Path | None:
@@ -59,16 +56,6 @@ def _file_of(module: str, files: Path | zipfile.Path) -> Path | zipfile.Path | N
     path = module.replace(".", "/")
     found = (files / place for place in (f"{path}.py", f"{path}/__init__.py"))
     return next((file for file in found if file.is_file()), None)
-
-
-def _entry_modules(code: Path) -> list[str]:
-    """Modules, and their packages, that the entry points of estimators name."""
-    return [
-        name
-        for distribution in metadata.distributions(path=[str(code)])
-        for entry in distribution.entry_points.select(group=ENTRY_POINT_GROUP)
-        for name in _with_packages(entry.module)
-    ]
 
 
 def _imports(text: str, module: str, is_package: bool) -> Iterator[str]:
@@ -87,11 +74,10 @@ def _imports(text: str, module: str, is_package: bool) -> Iterator[str]:
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            package = module.split(".")[: None if is_package else -1]
-            base = package[: len(package) - node.level + 1] if node.level else []
-            name = ".".join([*base, *([node.module] if node.module else [])])
-            yield name
-            yield from (f"{name}.{alias.name}" for alias in node.names)
+            package = module if is_package else module.rpartition(".")[0]
+            with suppress(ImportError):  # from above all packages: it fails where it is run
+                name = resolve_name("." * node.level + (node.module or ""), package)
+                yield from (name, *(f"{name}.{alias.name}" for alias in node.names))
 
 
 def _installed_by_boards() -> set[str]:

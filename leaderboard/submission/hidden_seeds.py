@@ -12,9 +12,11 @@ is published, beside the tasks, anyone can draw the same seeds and compare.
 
 import dataclasses
 import hashlib
+import itertools
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Literal
 
@@ -141,12 +143,8 @@ def _is_drawn(path: Path, salt: str, hidden: _HiddenSeeds, public: Task) -> bool
         return seeds == drawn and len(seeds) == hidden.roads.get(name)
     # another package may describe it in other words
     today = build(Task, _hidden_task(salt, hidden, name), name)
-    return _what_ranks(found) == _what_ranks(today)
-
-
-def _what_ranks(task: Task) -> tuple[object, ...]:
-    """Return the parts of a task that decide scores and ranks; its other words may differ."""
-    return task.digest, task.board, task.test.families, task.claimed_level_error
+    ranks = attrgetter("digest", "board", "test.families", "claimed_level_error")
+    return bool(ranks(found) == ranks(today))
 
 
 def _hidden_task(salt: str, hidden: _HiddenSeeds, name: str) -> dict[str, Any]:
@@ -183,16 +181,11 @@ def _seeds(salt: str, hidden: _HiddenSeeds, task: Task, digest: str, count: int)
     public = task.training.all_seeds | task.test.all_seeds
     text = "\0".join([hidden.commitment, task.name, digest])
     key = _slow_hash(salt.encode(*_AS_GIVEN), text.encode())
-    drawn: list[int] = []
-    k = 0
-    while len(drawn) < count:
-        word = hashlib.sha256(key + str(k).encode()).digest()
-        seed = int.from_bytes(word[:8], "big") >> 2
-        roads = {seed + i * SEED_STRIDE for i in range(len(task.test.roads))}
-        if not roads & public:
-            drawn.append(seed)
-        k += 1
-    return drawn
+    words = (hashlib.sha256(key + str(k).encode()).digest() for k in itertools.count())
+    seeds = (int.from_bytes(word[:8], "big") >> 2 for word in words)
+    of_roads = [i * SEED_STRIDE for i in range(len(task.test.roads))]
+    drawn = (seed for seed in seeds if public.isdisjoint(seed + offset for offset in of_roads))
+    return list(itertools.islice(drawn, count))
 
 
 def _commitment(salt: str, hidden: _HiddenSeeds) -> str:

@@ -8,7 +8,6 @@ submission.json   name, version of the code, what it cost, and the SHA-256 of ev
 
 import hashlib
 import os
-import resource
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -89,8 +88,15 @@ def make_submission(
             if folder.resolve().name != entry.name:  # before all is run
                 raise ConfigError(f"{folder}: it must have the name of its entry, {entry.name}")
             progress(f"checking {entry.name}", 0.0)
-            _refuse_missing_packages(entry, partial / "code")
-            _refuse_failed_checks(entry, sandbox, limits)
+            for module, package in missing_packages(partial / "code").items():
+                raise ConfigError(
+                    f"{entry.name} imports {module} of the package {package}, which boards lack: "
+                    "submit a folder that has it, too (pip install --target FOLDER), or do without "
+                    "it"
+                )
+            for check in check_entry(entry, sandbox, limits):
+                if check.passed is False and check.name not in PROBES:  # shown beside its name
+                    raise ConfigError(f"{entry.name} fails the check {check.name}: {check.message}")
         request = make_run_request(*rules, [entry], limits)
         board = run_board(request, partial, ProcessExecutor(workers), progress)
         for failed in (row for task in board.tasks for row in board.failed(task)):
@@ -217,14 +223,6 @@ def _working_entry(folder: Path, sandbox: SandboxClient) -> Entry:
     return entry
 
 
-def _refuse_missing_packages(entry: Entry, code: Path) -> None:
-    for module, package in missing_packages(code).items():
-        raise ConfigError(
-            f"{entry.name} imports {module} of the package {package}, which boards lack: submit a "
-            "folder that has it, too (pip install --target FOLDER), or do without it"
-        )
-
-
 def _code(environment: Mapping[str, str]) -> str:
     return environment.get("code", "unknown")[:8]
 
@@ -249,31 +247,19 @@ def _keeping_parts(folder: Path, parts: Path) -> Iterator[Callable[[], float]]:
         raise
 
 
-def _refuse_failed_checks(entry: Entry, sandbox: SandboxClient, limits: Limits) -> None:
-    for check in check_entry(entry, sandbox, limits):
-        if check.passed is False and check.name not in PROBES:  # these are shown beside its name
-            raise ConfigError(f"{entry.name} fails the check {check.name}: {check.message}")
-
-
 def _digests(folder: Path) -> dict[str, str]:
     """SHA-256 of every file of a submission but its record, by its path in the folder."""
-    return {
-        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in _files(folder)
-    }
-
-
-def _files(folder: Path) -> Iterator[Path]:
+    digests = {}
     for top, folders, names in os.walk(folder):
         for path in [Path(top), *(Path(top, name) for name in (*folders, *names))]:
             if path.is_symlink():
                 raise ConfigError(f"{path}: a submission has no links")
         for path in (Path(top, name) for name in names):
-            if path.relative_to(folder).as_posix() not in _UNSEALED:
-                yield path
+            if (place := path.relative_to(folder).as_posix()) not in _UNSEALED:
+                digests[place] = hashlib.sha256(path.read_bytes()).hexdigest()
+    return digests
 
 
 def _cpu_seconds() -> float:
     """Processor time [s] of this process and of all ended processes that it has waited for."""
-    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(x.ru_utime + x.ru_stime for x in used)
+    return sum(os.times()[:4])

@@ -5,13 +5,7 @@ from typing import Annotated
 
 import typer
 
-from leaderboard.commands import (
-    check_output_folder,
-    console,
-    on_interrupt,
-    print_json,
-    progress_bar,
-)
+from leaderboard.commands import check_output_folder, console, print_json, progress_bar
 from leaderboard.commands.options import Json
 from studies.paper import claims, report, study
 
@@ -24,7 +18,7 @@ def paper(
     """Reproduce the paper: a page with its figures, and all numbers as JSON."""
     command = f"python -m studies.paper --trainings {trainings}"
     check_output_folder(out)
-    with on_interrupt("nothing is kept"), progress_bar() as progress:
+    with progress_bar("nothing is kept") as progress:
         result = study.run_study(trainings, progress=progress)
         progress("writing the report", 1.0)
         written = report.write_report(

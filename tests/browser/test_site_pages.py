@@ -15,13 +15,14 @@ from fake_results import run_scores, runs_of
 from html_checker import HtmlChecker
 
 from leaderboard.evaluation.store import row_path, save
+from leaderboard.metrics.baselines import ALL_BASELINES
 from leaderboard.policies.page import _render_page
 from leaderboard.report import export
 from leaderboard.report.rendering import write_pending
 from leaderboard.report.sentences import build_report, findings, unrelated_level_errors
 from leaderboard.report.site import _render_pages, file_name
 from leaderboard.report.tables import Row, board_views
-from leaderboard.running.board import Board, create_baselines, load_board
+from leaderboard.running.board import Board, load_board
 from road_envs.core.atomic_io import write_text
 
 
@@ -43,7 +44,7 @@ def test_every_page_is_well_formed_and_all_its_links_resolve(written):
 
 def test_there_is_a_page_for_each_task_and_each_entry():
     names = {f"tasks/{t.name}.html" for t in tasks()}
-    names |= {f"estimators/{name}.html" for name in [*ENTRIES, *create_baselines()]}
+    names |= {f"estimators/{name}.html" for name in [*ENTRIES, *ALL_BASELINES]}
     assert set(site()) == names | {"index.html"}
 
 

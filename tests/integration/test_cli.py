@@ -16,7 +16,6 @@ from leaderboard import cli
 from leaderboard.commands.listing import KINDS
 from leaderboard.commands.output import facts_table
 from leaderboard.entries.entry_files import CLASS_FOLDER
-from leaderboard.lazy_commands import OPTION_SECTIONS, _help_line
 from road_envs.core import config
 from road_envs.core.config import ConfigError
 from road_envs.drives.recording import read_record
@@ -40,7 +39,7 @@ def test_every_command_has_a_help_text_that_opens_with_its_line_in_the_list(road
     code, out, _ = road_recon(*command, "--help")
     assert code == 0 and f"Usage: road-recon {' '.join(command)}" in out
     text = " ".join(out.split("\n\n")[1].split())
-    assert text.startswith(_help_line(target).removesuffix("."))
+    assert text.startswith(cli._help_line(target).removesuffix("."))
 
 
 def test_the_help_lists_every_command_whole(road_recon):
@@ -50,7 +49,7 @@ def test_the_help_lists_every_command_whole(road_recon):
         shown = " ".join(out.split())
         for section, entries in commands.sections.items():
             assert f"{section}:" in shown
-            lines = {name: _help_line(target) for name, target in entries.items()}
+            lines = {name: cli._help_line(target) for name, target in entries.items()}
             assert all(len(x) > 20 and f" {name} {x}" in shown for name, x in lines.items())
 
 
@@ -66,7 +65,7 @@ def test_every_option_of_a_section_is_an_option_of_a_command():
     group = typer.main.get_command(cli.app)
     commands = [group.get_command(None, name) for name in group.list_commands(None)]
     known = {parameter.name for command in commands for parameter in command.params}
-    assert {name for names in OPTION_SECTIONS.values() for name in names} <= known
+    assert {name for names in cli.OPTION_SECTIONS.values() for name in names} <= known
 
 
 def test_the_help_imports_neither_the_commands_nor_the_libraries_they_need():

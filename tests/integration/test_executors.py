@@ -205,9 +205,9 @@ def test_a_process_of_jobs_that_something_else_ends_as_it_starts_is_started_once
 @pytest.mark.costly
 def test_jobs_with_entries_of_this_package_share_a_process_and_its_guest(tmp_path, monkeypatch):
     started = []
-    start = executors.JobProcess.__init__
+    start = executors.start_host_process
     monkeypatch.setattr(
-        executors.JobProcess, "__init__", lambda self, out: started.append(1) or start(self, out)
+        executors, "start_host_process", lambda *words: started.append(1) or start(*words)
     )
     request = make_request({"flat": create("flat")}, conditions=2)
     board = run_board(request, tmp_path / "processes", ProcessExecutor(1))

@@ -24,7 +24,7 @@ from leaderboard.evaluation.results import content_digest
 from leaderboard.evaluation.store import part_path
 from leaderboard.evaluation.tasks import shipped_tasks
 from leaderboard.metrics.baselines import BASELINES
-from leaderboard.running import job_files, jobs, plan, verification
+from leaderboard.running import jobs, plan, verification
 from leaderboard.running.board import RunRequest, write_jobs
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
@@ -129,7 +129,7 @@ def test_planned_jobs_need_no_other_file(tmp_path):
         assert job.task.digest == t.digest
         again = jobs.from_text(jobs.to_text(job), "on a worker", tmp_path / "elsewhere")
         assert again == dataclasses.replace(job, task_digest=t.digest)
-        code_folders = job_files.code_folders(again.files, again.entries)
+        code_folders = jobs.code_folders(again)
         if again.entries == (entry,):
             with SandboxClient(Limits(isolation="process"), code=code_folders) as sandbox:
                 assert sandbox._snapshot(str(given))[0] == code

@@ -1,6 +1,7 @@
 """Sandbox: results, limits, isolation and cleanup of entries that misbehave."""
 
 import dataclasses
+import fcntl
 import os
 import random
 import re
@@ -396,3 +397,16 @@ def count_threads(pid):
 
 def is_worker(pid):
     return Path(f"/proc/{pid}/cmdline").read_bytes().startswith(sys.executable.encode())
+
+
+def test_a_wait_for_a_guest_of_another_run_is_told(tmp_path, monkeypatch, capsys):
+    (tmp_path / "bwrap").touch()
+    monkeypatch.setattr(bubblewrap.shutil, "which", lambda name: str(tmp_path / name))
+    with bubblewrap.alone():
+        pass
+    assert not capsys.readouterr().err
+    other = open(tmp_path / "bwrap")  # closed by the timer, with its lock
+    fcntl.flock(other, fcntl.LOCK_EX)
+    threading.Timer(1.3, other.close).start()
+    with bubblewrap.alone():
+        assert capsys.readouterr().err.startswith("waiting for the guest of another run")

@@ -12,8 +12,8 @@ from fakes import SHORT_TASK
 from typer.testing import CliRunner
 
 from leaderboard.cli import app
+from leaderboard.commands.new import write_package
 from leaderboard.evaluation.store import load
-from leaderboard.scaffold import write_package
 from road_envs.core.config import ConfigError
 
 ROOT = Path(__file__).parents[2]

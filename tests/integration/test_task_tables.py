@@ -6,7 +6,7 @@ import pyarrow.parquet
 import pytest
 from fakes import fake_drives, task
 
-from leaderboard.arrays import load_task, score_arrays
+from leaderboard.api import load_task, score_arrays
 from leaderboard.task_tables import score_file, write_task
 from road_envs.core.config import ConfigError
 from road_envs.vehicle.parameters import load_vehicle

@@ -12,7 +12,7 @@ import pytest
 from board_runs import ESTIMATORS, NAMES, copy_of_run, make_request, run
 from fake_estimators import Picky
 from fake_results import runs_of, with_last_run, with_runs
-from fakes import SHORT_TASK, fake_drives
+from fakes import SHORT_TASK, baselines, fake_drives
 
 from leaderboard.commands.results import verified_output
 from leaderboard.entries.entries import make_entry
@@ -24,7 +24,7 @@ from leaderboard.evaluation.results import content_digest
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.metrics.baselines import BASELINES
 from leaderboard.report.notes import _kernel_notes, _verified_for
-from leaderboard.running.board import create_baselines, load_board
+from leaderboard.running.board import load_board
 from leaderboard.running.verification import (
     _load_definitions,
     _other_claim,
@@ -46,7 +46,7 @@ def chosen_fakes(task, drives, condition, chosen):
 
 
 def run_here(entry, data, seeds):
-    estimators = ESTIMATORS | create_baselines()
+    estimators = ESTIMATORS | baselines()
     yield from evaluate.in_process(estimators[entry.name])(entry, data, seeds)
 
 
@@ -85,7 +85,7 @@ def test_a_row_whose_training_depends_on_the_seed_under_one_condition_agrees(tmp
     run(tmp_path, made)
 
     def run_it(entry, data, seeds):
-        return evaluate.in_process((made | create_baselines())[entry.name])(entry, data, seeds)
+        return evaluate.in_process((made | baselines())[entry.name])(entry, data, seeds)
 
     entries = [make_entry("picky", Picky())]
     found = verify_folder(tmp_path, run_it, entries, simulate=chosen_fakes, share=1.0)
@@ -111,7 +111,7 @@ def test_a_training_that_changes_nothing_of_the_drives_that_are_run_again_agrees
     assert not store.load(store.row_path(tmp_path, "small", "picky")).notes
 
     def run_it(entry, data, seeds):
-        runs = [*evaluate.in_process((made | create_baselines())[entry.name])(entry, data, seeds)]
+        runs = [*evaluate.in_process((made | baselines())[entry.name])(entry, data, seeds)]
         equal = entry.name == "picky" and len(runs) == 1
         return [dataclasses.replace(runs[0], notes=(ONE_TRAINING,))] if equal else runs
 

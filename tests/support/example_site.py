@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 from fake_estimators import Broken, Learner, Reader
-from fakes import fake_drives, task
+from fakes import baselines, fake_drives, task
 
 from leaderboard.evaluation.evaluate import run_task
 from leaderboard.report.sentences import build_report
 from leaderboard.report.site import _render_pages, write_site
 from leaderboard.report.tables import board_views
-from leaderboard.running.board import Board, create_baselines
+from leaderboard.running.board import Board
 from road_envs.records.record import Estimate
 
 POLICIES = Path(__file__).parents[2] / "docs" / "policies"
@@ -67,9 +67,7 @@ def results():
         zip(ENTRIES, (Learner(), Reader(), Online(gain=0.7), Broken(how="raises")), strict=True)
     )
     return {
-        t.name: tuple(
-            run_task(t, {**entries, **create_baselines()}, (1, 2, 3), simulate=fake_drives)
-        )
+        t.name: tuple(run_task(t, {**entries, **baselines()}, (1, 2, 3), simulate=fake_drives))
         for t in tasks()
     }
 

@@ -6,9 +6,12 @@ estimator can be chosen and a drive takes a millisecond.
 
 import numpy as np
 
+from estimators import create
+from estimators.api import Estimator
 from leaderboard.evaluation.drive_set import DriveSet
 from leaderboard.evaluation.tasks import Condition, Task
 from leaderboard.evaluation.test_data import RecordedDrive
+from leaderboard.metrics.baselines import ALL_BASELINES, MEMORY, TRUTH_PLUS_NOISE
 from road_envs.core.config import build
 from road_envs.records.record import Profile, Record, profile_stations
 
@@ -61,3 +64,9 @@ def fake_drives(task: Task, drives: DriveSet, condition: Condition):
         stations = profile_stations(surface.length)
         truth = Profile(stations, surface.height(stations))
         yield RecordedDrive(index, surface.name, seed, record, truth, surface.notes)
+
+
+def baselines() -> dict[str, Estimator | None]:
+    """All baselines by name; None is one that the evaluation makes from the truth."""
+    made = (TRUTH_PLUS_NOISE, MEMORY)
+    return {name: None if name in made else create(name) for name in ALL_BASELINES}

@@ -11,7 +11,7 @@ from leaderboard.commands import (
     _describe_duration,
     _progress_lines,
     _time_left,
-    on_interrupt,
+    progress_bar,
 )
 
 
@@ -82,5 +82,5 @@ def test_durations_are_written_in_whole_units(seconds, text):
 
 
 def test_an_interruption_says_what_is_kept():
-    with pytest.raises(KeyboardInterrupt, match="all is kept"), on_interrupt("all is kept"):
+    with pytest.raises(KeyboardInterrupt, match="all is kept"), progress_bar("all is kept"):
         raise KeyboardInterrupt
