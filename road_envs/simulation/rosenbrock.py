@@ -178,7 +178,8 @@ def _stage_1_at_wheel(vehicle, motion, inputs, work, out, flexible, w):
     hd, p = h * D, vehicle.constants[0]
     (q, v), (F, T, dF, dT) = motion, (work.F, work.T, work.dF, work.dT)
     e, rate = extension(p, q, w, flexible), extension(p, v, w)
-    force, k, c = strut_force(vehicle, w, e, extension(p, v, w, flexible))
+    e_dot = rate if flexible is None else extension(p, v, w, flexible)
+    force, k, c = strut_force(vehicle, w, e, e_dot)
     u = get(road, w) - wheel_height(p, q, w)
     u_dot = get(road, 4 + w) - wheel_height(p, v, w)
     load, k_t, c_t = tyre_force(p, w, u, u_dot)
