@@ -1,6 +1,7 @@
 """Roughness class and level from accelerations, against the simulated roads."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -81,3 +82,12 @@ def test_a_road_with_many_potholes_has_a_note_and_an_interval_with_its_level():
     assert any("shaken by obstacles" in note for note in found.notes)
     assert np.log(level / found.G_d0) > 0.5  # spectra tell too little
     assert np.log(level / found.G_d0) < 2.0 * found.log_std
+
+
+@pytest.mark.costly
+def test_what_tolerances_leave_open_of_a_level_is_in_its_interval():
+    record, _ = drive("defender", "iso_b", "ride", 54.0, length=150.0)
+    described = classify_record(record, DEFENDER)
+    known = classify_record(record, replace(DEFENDER, tolerances={}))
+    assert described.G_d0 == pytest.approx(known.G_d0, rel=0.01)
+    assert described.log_std > 1.15 * known.log_std
