@@ -7,11 +7,9 @@ of the stations follows the lag of each window along the road.
 """
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import scipy
-from scipy.interpolate import BSpline, make_interp_spline
 
 from road_envs.records.roughness import Band, band_pass
 
@@ -60,19 +58,24 @@ class StationMap:
 
     def apply(self, s: np.ndarray) -> np.ndarray:
         """Return the reference stations (N,) [m] of the stations `s` (N,) [m]."""
-        return self._line(s)
+        piece = self._piece(s)
+        return self.reference[piece] + self._slopes[piece] * (s - self.stations[piece])
 
     def scale(self, s: np.ndarray) -> np.ndarray:
         """Return the derivative (N,) of the map at the stations `s` (N,) [m]."""
-        return self._line(s, nu=1)
+        return self._slopes[self._piece(s)]
 
     def inverse(self) -> "StationMap":
         """Return the map from the reference to these stations."""
         return StationMap(self.reference, self.stations, self.correlation)
 
-    @cached_property
-    def _line(self) -> BSpline:
-        return make_interp_spline(self.stations, self.reference, k=1)
+    @property
+    def _slopes(self) -> np.ndarray:
+        return np.diff(self.reference) / np.diff(self.stations)
+
+    def _piece(self, s: np.ndarray) -> np.ndarray:
+        found = np.searchsorted(self.stations, s, side="right") - 1
+        return np.clip(found, 0, self.stations.size - 2)
 
 
 def identity_map(length: float) -> StationMap:

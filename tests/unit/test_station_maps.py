@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from estimators.common.alignment import StationMap, map_stations
+from estimators.common.alignment import StationMap, identity_map, map_stations
 from road_envs.records.record import PROFILE_SPACING, profile_stations
 from road_envs.roads import realise_road
 
@@ -71,3 +71,9 @@ def test_profiles_that_are_too_short_are_refused():
     s = profile_stations(20.0)
     with pytest.raises(ValueError, match=r"20.0 m are too short to be aligned: at least 30 m"):
         map_stations(ROAD.height(s), ROAD.height(s), PROFILE_SPACING, BAND)
+
+
+@pytest.mark.parametrize("length", np.random.default_rng(0).uniform(50.0, 400.0, 8))
+def test_the_ends_of_a_road_are_mapped_to_themselves_to_the_last_bit(length):
+    s = np.append(np.arange(0.0, length, 0.05), length)
+    np.testing.assert_array_equal(identity_map(length).inverse().apply(s), s)
