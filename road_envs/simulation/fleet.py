@@ -25,7 +25,7 @@ from road_envs.kernels.simd import (
 from road_envs.kernels.simd_arrays import get, load_four, put
 from road_envs.roads.surface import PAD, catmull_rom
 from road_envs.simulation.lanes import aligned_zeros, update_lane_valves
-from road_envs.simulation.rosenbrock import StepInputs, StepWorkspace, step
+from road_envs.simulation.rosenbrock import StepInputs, StepWorkspace, any_step
 from road_envs.simulation.substeps import SUBSTEPS, interpolate, mark_steep
 from road_envs.vehicle.equations import Motion
 from road_envs.vehicle.suspension import VehicleBuffers
@@ -183,6 +183,6 @@ def take_step(lanes, roads, inputs, n, scratch, signals, flexible, side):
         a_xy, v = inputs.a_xy[first : first + 4], get(speed, 2 * n + 1)
         step_inputs = StepInputs(road, a_xy, length, v)
         row = signals if i == begin else scratch.unused
-        step(vehicle, motion, step_inputs, scratch.work, row, flexible, side)
+        any_step(vehicle, motion, step_inputs, scratch.work, row, flexible, side)
     if end > 1 and begin == 0:
         _copy_lanes(whole, motion, steep[0])

@@ -21,7 +21,7 @@ from road_envs.simulation.rosenbrock import (
     TWIST,
     WORKSPACE_ROWS,
     StepInputs,
-    step,
+    any_step,
     step_workspace,
     update_valves,
 )
@@ -147,7 +147,7 @@ def _integrate_on_road(lanes, road, speed, commands, h, out, flexible=None, side
                 here = update_lane_valves(own, lanes.strut_state, q, k, commands[n], alpha, h)
                 settled = settled and here
         step_inputs = StepInputs(inputs, no_manoeuvre, h, speed[n])
-        step(vehicle, motion, step_inputs, work, row, flexible, side)
+        any_step(vehicle, motion, step_inputs, work, row, flexible, side)
         if flexible is not None:
             put(out[n], N_DOF, get(row, TWIST + 2))
         if side is not None:

@@ -39,6 +39,7 @@ from road_envs.vehicle.equations import (
     extension,
     relative_roll,
     roll_moments,
+    twist_extension,
     twist_moment,
     wheel_height,
 )
@@ -79,10 +80,7 @@ def n_signals(plant: Plant) -> int:
 
 
 class StepWorkspace(NamedTuple):
-    """Scratch of `step`: right-hand sides and stage values (7,), wheel values (4,), factors.
-
-    `q` and `v` (8,) have room for the twist of a flexible frame.
-    """
+    """Scratch of `step`: right-hand sides and stage values (7,), wheel values (4,), factors."""
 
     f: np.ndarray
     g: np.ndarray
@@ -102,7 +100,7 @@ class StepWorkspace(NamedTuple):
     body: np.ndarray
 
 
-WORKSPACE_ROWS = 6 * N_DOF + 2 + 8 * 4 + 12 + 6
+WORKSPACE_ROWS = 6 * N_DOF + 8 * 4 + 12 + 6
 """Rows of the buffer behind a StepWorkspace."""
 
 
@@ -112,10 +110,10 @@ def step_workspace(buffer):
 
     It is fastest on the stack: `stack_array(WORKSPACE_ROWS)` or `stack_rows(WORKSPACE_ROWS)`.
     """
-    n, w = N_DOF, 6 * N_DOF + 2
+    n, w = N_DOF, 6 * N_DOF
     return StepWorkspace(
         buffer[:n], buffer[n : 2 * n], buffer[2 * n : 3 * n],
-        buffer[3 * n : 4 * n], buffer[4 * n : 5 * n + 1], buffer[5 * n + 1 : w],
+        buffer[3 * n : 4 * n], buffer[4 * n : 5 * n], buffer[5 * n : w],
         buffer[w : w + 4], buffer[w + 4 : w + 8], buffer[w + 8 : w + 12], buffer[w + 12 : w + 16],
         buffer[w + 16 : w + 20], buffer[w + 20 : w + 24], buffer[w + 24 : w + 28],
         buffer[w + 28 : w + 32], buffer[w + 32 : w + 44], buffer[w + 44 : WORKSPACE_ROWS],
@@ -137,48 +135,15 @@ class StepInputs(NamedTuple):
 
 
 @kernel
-def _inverse_frame(p, hd):
-    # W omits the coupling of the frame's twist and the other coordinates, which is not stiff: the
-    # formula keeps order 2 with any matrix in place of the Jacobian
-    return 1.0 / (get(p.frame_inertia) + hd * (get(p.frame_damping) + hd * get(p.frame_rate)))
-
-
-@kernel
-def begin_twist(p, moment, motion, work, h):
-    """Write a frame's twist and its rate at t + h/2 to `work`; return their slopes at stage 1.
-
-    `moment` [N m] is the generalised force on the twist.
-    """
-    psi, psi_dot, hd = get(motion.q, N_DOF), get(motion.v, N_DOF), h * D
-    k_v = (moment - hd * get(p.frame_rate) * psi_dot) * _inverse_frame(p, hd)
-    k_q = psi_dot + hd * k_v
-    put(work.q, N_DOF, psi + 0.5 * h * k_q)
-    put(work.v, N_DOF, psi_dot + 0.5 * h * k_v)
-    return k_q, k_v
-
-
-@kernel
-def advance_twist(p, moment, motion, work, slopes, h):
-    """Add the step to the twist of a `motion`, after `begin_twist`, which returned the `slopes`.
-
-    `moment` [N m]: generalised force on the twist at t + h/2, without the frame's own.
-    """
-    psi, psi_dot, (k_q, k_v), hd = get(work.q, N_DOF), get(work.v, N_DOF), slopes, h * D
-    r = psi_dot - k_q
-    spring = get(p.frame_rate) * (psi + hd * r) + get(p.frame_damping) * psi_dot
-    m_v = (moment - spring - get(p.frame_inertia) * k_v) * _inverse_frame(p, hd)
-    add(motion.q, N_DOF, h * (k_q + r + hd * m_v))
-    add(motion.v, N_DOF, h * (k_v + m_v))
-
-
-@kernel
-def _stage_1_at_wheel(vehicle, motion, inputs, work, out, flexible, w):
+def _stage_1_at_wheel(vehicle, motion, inputs, work, out, twist, w):
     """Write the forces of strut and tyre `w` at t, their stiffness and their part of h d df/dt."""
     road, h = inputs.road, inputs.h
     hd, p = h * D, vehicle.constants[0]
     (q, v), (F, T, dF, dT) = motion, (work.F, work.T, work.dF, work.dT)
-    e, rate = extension(p, q, w, flexible), extension(p, v, w)
-    e_dot = rate if flexible is None else extension(p, v, w, flexible)
+    e, rate = extension(p, q, w), extension(p, v, w)
+    e_dot = rate
+    if twist is not None:
+        e, e_dot = e + twist_extension(p, twist[0], w), e_dot + twist_extension(p, twist[1], w)
     force, k, c = strut_force(vehicle, w, e, e_dot)
     u = get(road, w) - wheel_height(p, q, w)
     u_dot = get(road, 4 + w) - wheel_height(p, v, w)
@@ -198,20 +163,22 @@ def _stage_1_at_wheel(vehicle, motion, inputs, work, out, flexible, w):
 
 
 @kernel
-def _stage_2_at_wheel(vehicle, inputs, work, flexible, side, w):
-    """Write the forces of strut and tyre `w` in the right-hand side of stage 2; with a flexible
-    frame or side motion the forces themselves as well, to `work.dF` and `work.dT`.
+def _stage_2_at_wheel(vehicle, inputs, work, twist, side, w):
+    """Write the forces of strut and tyre `w` in the right-hand side of stage 2; with side motion
+    the forces themselves as well, to `work.dF` and `work.dT`.
     """
     road, hd = inputs.road, inputs.h * D
     p, r, F, T = vehicle.constants[0], work.r, work.F, work.T
-    e, e_dot = extension(p, work.q, w, flexible), extension(p, work.v, w, flexible)
+    e, e_dot = extension(p, work.q, w), extension(p, work.v, w)
+    if twist is not None:
+        e, e_dot = e + twist_extension(p, twist[2], w), e_dot + twist_extension(p, twist[3], w)
     force, _, _ = strut_force(vehicle, w, e, e_dot)
     put(F, w, force - hd * get(work.k, w) * extension(p, r, w))
     u = get(road, 8 + w) - wheel_height(p, work.q, w)
     u_dot = get(road, 12 + w) - wheel_height(p, work.v, w)
     load, _, _ = tyre_force(p, w, u, u_dot)
     put(T, w, load - hd * get(work.k_t, w) * wheel_height(p, r, w))
-    if flexible is not None or side is not None:
+    if side is not None:
         put(work.dF, w, force)
         put(work.dT, w, load)
 
@@ -224,12 +191,12 @@ def _loaded_slip(p, roll_rates, state, T):
 
 
 @kernel
-def step(vehicle, motion, inputs, work, out, flexible=None, side=None):
+def step(vehicle, motion, inputs, work, out, twist=None, side=None):
     """Advance the `motion` of one or LANES vehicles by one step of StepInputs, in place.
 
-    The signals at t go to `out` (29,). `flexible`, if given: the eighth coordinate is the twist of
-    the frame. `side`, if given: the vehicle has side motion, whose state is the last of `motion`.
-    With LANES vehicles every array has the lanes as its last axis.
+    The signals at t go to `out` (29,). `twist`, if given: the frame's twist [rad] and its rate at
+    t and at t + h/2 (4 numbers). `side`, if given: the vehicle has side motion, whose state is the
+    last of `motion`. With LANES vehicles every array has the lanes as its last axis.
     """
     (q, v), a_xy, h = motion, inputs.a_xy, inputs.h
     hd, p = h * D, vehicle.constants[0]
@@ -237,27 +204,22 @@ def step(vehicle, motion, inputs, work, out, flexible=None, side=None):
     F, T, dF, dT = work.F, work.T, work.dF, work.dT
     # one call for each wheel, since loops are not unrolled and their arrays stay in memory;
     # stage 1: F, T are the forces at t; dF, dT their part of h d (df/dt - K v)
-    _stage_1_at_wheel(vehicle, motion, inputs, work, out, flexible, 0)
-    _stage_1_at_wheel(vehicle, motion, inputs, work, out, flexible, 1)
-    _stage_1_at_wheel(vehicle, motion, inputs, work, out, flexible, 2)
-    _stage_1_at_wheel(vehicle, motion, inputs, work, out, flexible, 3)
+    _stage_1_at_wheel(vehicle, motion, inputs, work, out, twist, 0)
+    _stage_1_at_wheel(vehicle, motion, inputs, work, out, twist, 1)
+    _stage_1_at_wheel(vehicle, motion, inputs, work, out, twist, 2)
+    _stage_1_at_wheel(vehicle, motion, inputs, work, out, twist, 3)
     for j in range(N_DOF):
         put(f, j, 0.0)
     # bushings act on the roll of the body relative to each axle, which the frame's twist changes
-    front, rear = relative_roll(p, q, 0, flexible), relative_roll(p, q, 1, flexible)
+    front, rear = relative_roll(q, 0), relative_roll(q, 1)
+    if twist is not None:
+        front += get(p.twist_share, 0) * twist[0]
+        rear += get(p.twist_share, 1) * twist[0]
     add_weight(p, f)
     add_struts(p, F, front, rear, f)
     add_tyres(p, T, f)
     a_x, a_y = get(a_xy, 0), get(a_xy, 1)
     add_manoeuvre_moments(p, get(q, PHI), get(q, THETA), a_x, a_y, f)
-    if flexible is not None:
-        psi, psi_dot = get(q, N_DOF), get(v, N_DOF)
-        own = get(p.frame_rate) * psi + get(p.frame_damping) * psi_dot
-        moment = twist_moment(p, F, front, rear) - own
-        twist_slopes = begin_twist(p, moment, motion, work, h)
-        put(out, TWIST, psi)
-        put(out, TWIST + 1, psi_dot)
-        put(out, TWIST + 2, moment / get(p.frame_inertia))
     if side is not None:
         state = side_state(q, v)
         slip = _loaded_slip(p, rolls(v), state, T)
@@ -271,7 +233,7 @@ def step(vehicle, motion, inputs, work, out, flexible=None, side=None):
         put(out, STATE + j, get(q, j))
         put(out, STATE + N_DOF + j, get(v, j))
         put(out, ACCELERATION + j, get(f, j) / get(p.M, j))
-    add_struts(p, dF, hd * relative_roll(p, v, 0), hd * relative_roll(p, v, 1), g)
+    add_struts(p, dF, hd * relative_roll(v, 0), hd * relative_roll(v, 1), g)
     add_tyres(p, dT, g)
     x_dot, y_dot = 2.0 * D * (get(a_xy, 2) - a_x), 2.0 * D * (get(a_xy, 3) - a_y)
     add_manoeuvre_moments(p, hd * get(v, PHI), hd * get(v, THETA), x_dot, y_dot, g)
@@ -288,20 +250,25 @@ def step(vehicle, motion, inputs, work, out, flexible=None, side=None):
         put(work.v, j, v_mid)
         put(r, j, v_mid - kq)
         put(f, j, -get(p.M, j) * kv)
-    _stage_2_at_wheel(vehicle, inputs, work, flexible, side, 0)
-    _stage_2_at_wheel(vehicle, inputs, work, flexible, side, 1)
-    _stage_2_at_wheel(vehicle, inputs, work, flexible, side, 2)
-    _stage_2_at_wheel(vehicle, inputs, work, flexible, side, 3)
-    front, rear = relative_roll(p, work.q, 0, flexible), relative_roll(p, work.q, 1, flexible)
-    if flexible is not None:
-        advance_twist(p, twist_moment(p, dF, front, rear), motion, work, twist_slopes, h)
+    _stage_2_at_wheel(vehicle, inputs, work, twist, side, 0)
+    _stage_2_at_wheel(vehicle, inputs, work, twist, side, 1)
+    _stage_2_at_wheel(vehicle, inputs, work, twist, side, 2)
+    _stage_2_at_wheel(vehicle, inputs, work, twist, side, 3)
+    front = relative_roll(work.q, 0) + hd * relative_roll(r, 0)
+    rear = relative_roll(work.q, 1) + hd * relative_roll(r, 1)
     if side is not None:
-        moments = roll_moments(p, dF, dT, front, rear)
-        slip = _loaded_slip(p, rolls(work.v), middle, dT)
+        own_f, own_r = relative_roll(work.q, 0), relative_roll(work.q, 1)
+        if twist is not None:
+            own_f += get(p.twist_share, 0) * twist[2]
+            own_r += get(p.twist_share, 1) * twist[2]
+        moments = roll_moments(p, work.dF, work.dT, own_f, own_r)
+        slip = _loaded_slip(p, rolls(work.v), middle, work.dT)
         rates = side_rates(p, rolls(work.q), moments, middle, slip, inputs.v, get(a_xy, 3))
         add_rolls(f, rates)
         advance_side(p, motion, slopes, rates, inputs.v, h, hd)
-    front, rear = front + hd * relative_roll(p, r, 0), rear + hd * relative_roll(p, r, 1)
+    if twist is not None:
+        front += get(p.twist_share, 0) * twist[2]
+        rear += get(p.twist_share, 1) * twist[2]
     add_weight(p, f)
     add_struts(p, F, front, rear, f)
     add_tyres(p, T, f)
@@ -314,12 +281,71 @@ def step(vehicle, motion, inputs, work, out, flexible=None, side=None):
 
 
 @kernel
+def _flexible_step(vehicle, motion, inputs, work, out, side=None):
+    """`step` of a vehicle with a flexible frame: the twist follows the seven coordinates.
+
+    The matrix W is block diagonal here: it omits the coupling of the seven rigid coordinates and
+    the twist. The formula keeps order 2 with any matrix in place of the Jacobian, since
+    k_2 = F(t + h/2, y + h k_1 / 2) + O(h²) still holds, and the omitted coupling is not stiff.
+    """
+    (q, v), h = motion, inputs.h
+    hd, p = h * D, vehicle.constants[0]
+    inertia, rate, damping = get(p.frame_inertia), get(p.frame_rate), get(p.frame_damping)
+    inverse = 1.0 / (inertia + hd * (damping + hd * rate))
+    psi, psi_dot = get(q, N_DOF), get(v, N_DOF)
+    for w in range(4):
+        e = extension(p, q, w) + twist_extension(p, psi, w)
+        e_dot = extension(p, v, w) + twist_extension(p, psi_dot, w)
+        put(work.F, w, strut_force(vehicle, w, e, e_dot)[0])
+    front = relative_roll(q, 0) + get(p.twist_share, 0) * psi
+    rear = relative_roll(q, 1) + get(p.twist_share, 1) * psi
+    moment = twist_moment(p, work.F, front, rear) - rate * psi - damping * psi_dot
+    put(out, TWIST, psi)
+    put(out, TWIST + 1, psi_dot)
+    put(out, TWIST + 2, moment / inertia)
+    k_v = (moment - hd * rate * psi_dot) * inverse
+    k_q = psi_dot + hd * k_v
+    psi_mid, psi_mid_dot = psi + 0.5 * h * k_q, psi_dot + 0.5 * h * k_v
+    step(vehicle, motion, inputs, work, out, (psi, psi_dot, psi_mid, psi_mid_dot), side)
+    for w in range(4):
+        e = extension(p, work.q, w) + twist_extension(p, psi_mid, w)
+        e_dot = extension(p, work.v, w) + twist_extension(p, psi_mid_dot, w)
+        put(work.F, w, strut_force(vehicle, w, e, e_dot)[0])
+    front = relative_roll(work.q, 0) + get(p.twist_share, 0) * psi_mid
+    rear = relative_roll(work.q, 1) + get(p.twist_share, 1) * psi_mid
+    r = psi_mid_dot - k_q
+    moment = (
+        twist_moment(p, work.F, front, rear) - rate * (psi_mid + hd * r) - damping * psi_mid_dot
+    )
+    m_v = (moment - inertia * k_v) * inverse
+    put(q, N_DOF, psi + h * (k_q + r + hd * m_v))
+    put(v, N_DOF, psi_dot + h * (k_v + m_v))
+
+
+@kernel
+def any_step(vehicle, motion, inputs, work, out, flexible, side):
+    """Take the step of a `flexible` frame or of a rigid one, with side motion or without."""
+    if flexible is None:
+        step(vehicle, motion, inputs, work, out, None, side)
+    else:
+        _flexible_step(vehicle, motion, inputs, work, out, side)
+
+
+@kernel
 def sample_road(p, surface, s, v, road):
     """Write heights [m] and rates [m/s] under the wheels to `road` (8,), front axle at `s` [m]."""
     for w in range(4):
         behind = p.x[0] - p.x[w // 2]
         z, slope = height_and_slope(surface, w % 2, s - behind)
         road[w], road[4 + w] = z, slope * v
+
+
+@kernel
+def _has_twist(q):
+    """Return whether coordinates `q` have the twist of a flexible frame, behind the seven others:
+    side motion has two more.
+    """
+    return (q.shape[0] - N_DOF) % 2 == 1
 
 
 @kernel
@@ -330,11 +356,12 @@ def update_valves(p, strut_state, q, command, alpha, h):
     valves had settled before.
     """
     settled = True
-    flexible = (q.shape[0] - N_DOF) % 2 == 1  # side motion has an even number of coordinates
     for w in range(4):
         setting = (command >> w) & 1, (command >> (4 + w)) & 1
         if not valves_settled(strut_state, w, setting):
-            e = extension(p, q, w, True) if flexible else extension(p, q, w)
+            e = extension(p, q, w)
+            if _has_twist(q):
+                e += twist_extension(p, q[N_DOF], w)
             advance_valve(p, strut_state, w, e, setting, alpha, h)
             settled = False
     return settled
@@ -366,4 +393,4 @@ def integrate(vehicle, y, surface, inputs, lag, out, flexible=None, side=None):
             first = 4 * n + 2 * (2 * i // parts)  # a manoeuvre hardly changes in half a step
             step_inputs = StepInputs(road, a_xy[first : first + 4], h / parts, v[2 * n + 1])
             row = out[n] if i == 0 else unused
-            step(vehicle, motion, step_inputs, work, row, flexible, side)
+            any_step(vehicle, motion, step_inputs, work, row, flexible, side)

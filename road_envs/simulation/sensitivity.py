@@ -40,9 +40,7 @@ from road_envs.simulation.rosenbrock import (
     SIDE_ACCELERATION,
     TWIST,
     D,
-    advance_twist,
-    begin_twist,
-    step,
+    any_step,
 )
 from road_envs.vehicle.equations import (
     N_DOF,
@@ -80,23 +78,30 @@ SHARE, SLIP, TAPE_ROW_SIZE = 74, 78, 82
 
 @kernel
 def step_with_derivative(vehicle, motion, inputs, work, out, row, flexible=None, side=None):
-    """Take `rosenbrock.step`; write its derivative to `row` (TAPE_ROW_SIZE,)."""
+    """Take `rosenbrock.any_step`; write its derivative to `row` (TAPE_ROW_SIZE,)."""
     road, h = inputs.road, inputs.h
     p, hd, before = vehicle.constants[0], h * D, out[N_DOF : 2 * N_DOF]
-    step(vehicle, motion, inputs, work, out, flexible, side)
+    psi_dot = psi_mid = psi_mid_dot = 0.0
+    any_step(vehicle, motion, inputs, work, out, flexible, side)
+    if flexible is not None:
+        psi_dot, moment = out[TWIST + 1], p.frame_inertia * out[TWIST + 2]
+        k_v = (moment - hd * p.frame_rate * psi_dot) * _inverse_frame(p, hd)
+        psi_mid = out[TWIST] + 0.5 * h * (psi_dot + hd * k_v)
+        psi_mid_dot = psi_dot + 0.5 * h * k_v
     for w in range(4):
         e, e_dot = out[EXTENSION + w], extension(p, before, w)
-        rate = e_dot if flexible is None else e_dot + twist_extension(p, out[TWIST + 1], w)
+        twist_rate = twist_extension(p, psi_dot, w)
         # `step` leaves k and s = h d c + (h d)² k in its scratch: no second call of strut_force
         k, c = work.k[w], work.s[w] / hd - hd * work.k[w]
-        k_slope, c_slope = strut_curvature(vehicle, w, e, rate)
+        k_slope, c_slope = strut_curvature(vehicle, w, e, e_dot + twist_rate)
         first, second = extension(p, work.g, w), extension(p, work.f, w)
         row[K_1 + w], row[C_1 + w] = k, c
         row[G_K + w] = k + hd * k_slope * (e_dot + hd * first)
         row[G_C + w] = c + hd * k + hd * c_slope * first
         row[F_K + w] = hd * k_slope * (extension(p, work.r, w) + hd * second)
         row[F_C + w] = hd * c_slope * second
-        e, e_dot = extension(p, work.q, w, flexible), extension(p, work.v, w, flexible)
+        e = extension(p, work.q, w) + twist_extension(p, psi_mid, w)
+        e_dot = extension(p, work.v, w) + twist_extension(p, psi_mid_dot, w)
         _, row[K_2 + w], row[C_2 + w] = strut_force(vehicle, w, e, e_dot)
         u, u_dot = road[w] - wheel_height(p, out, w), road[4 + w] - wheel_height(p, before, w)
         _, k, c = tyre_force(p, w, u, u_dot)
@@ -133,6 +138,12 @@ def _slip_change(p, row, stage, roll_rates, state, T):
 
 
 @kernel
+def _inverse_frame(p, hd):
+    """Return the inverse of the frame's share of W."""
+    return 1.0 / (p.frame_inertia + hd * (p.frame_damping + hd * p.frame_rate))
+
+
+@kernel
 def tangent_step(p, row, motion, inputs, work, a, flexible=None, side=None):
     """Propagate changes `motion` of coordinates and rates through one step, in place.
 
@@ -147,10 +158,12 @@ def tangent_step(p, row, motion, inputs, work, a, flexible=None, side=None):
     blocks, body = row[BLOCKS:BODY], row[BODY:SHARE]
     # stage 1: F, T give f'; dF, dT give g' - W' k; s, t keep what stage 2 needs of the state at t
     for w in range(4):
-        e, e_dot = extension(p, q, w, flexible), extension(p, v, w, flexible)
+        e, e_dot = extension(p, q, w), extension(p, v, w)
         held = 0.0 * e
-        if flexible is not None:  # W leaves out the twist
-            held = hd * row[K_1 + w] * (e_dot - extension(p, v, w))
+        if flexible is not None:
+            twist_rate = twist_extension(p, get(v, N_DOF), w)
+            e, e_dot = e + twist_extension(p, get(q, N_DOF), w), e_dot + twist_rate
+            held = hd * row[K_1 + w] * twist_rate  # W leaves out the twist
         put(F, w, -row[K_1 + w] * e - row[C_1 + w] * e_dot)
         put(dF, w, held - row[G_K + w] * e - row[G_C + w] * e_dot)
         put(work.s, w, row[F_K + w] * e + row[F_C + w] * e_dot)
@@ -164,17 +177,19 @@ def tangent_step(p, row, motion, inputs, work, a, flexible=None, side=None):
     for j in range(N_DOF):
         put(f, j, 0.0)
         put(g, j, 0.0)
-    front, rear = relative_roll(p, q, 0, flexible), relative_roll(p, q, 1, flexible)
+    front, rear = relative_roll(q, 0), relative_roll(q, 1)
     if flexible is not None:
-        own = p.frame_rate * get(q, N_DOF) + p.frame_damping * get(v, N_DOF)
-        moment = twist_moment(p, F, front, rear) - own
+        psi, psi_dot = get(q, N_DOF), get(v, N_DOF)
+        front, rear = front + p.twist_share[0] * psi, rear + p.twist_share[1] * psi
+        moment = twist_moment(p, F, front, rear) - p.frame_rate * psi - p.frame_damping * psi_dot
         put(a, N_DOF, moment / p.frame_inertia)
-        twist_slopes = begin_twist(p, moment, motion, work, h)
+        t_v = (moment - hd * p.frame_rate * psi_dot) * _inverse_frame(p, hd)
+        t_q = psi_dot + hd * t_v
+        psi_mid, psi_mid_dot = psi + 0.5 * h * t_q, psi_dot + 0.5 * h * t_v
     add_struts(p, F, front, rear, f)
     add_tyres(p, T, f)
     add_manoeuvre_moments(p, get(q, PHI), get(q, THETA), 0.0, 0.0, f)
-    front, rear = front + hd * relative_roll(p, v, 0), rear + hd * relative_roll(p, v, 1)
-    add_struts(p, dF, front, rear, g)
+    add_struts(p, dF, front + hd * relative_roll(v, 0), rear + hd * relative_roll(v, 1), g)
     add_tyres(p, dT, g)
     phi, theta = get(q, PHI) + hd * get(v, PHI), get(q, THETA) + hd * get(v, THETA)
     add_manoeuvre_moments(p, phi, theta, 0.0, 0.0, g)
@@ -202,7 +217,10 @@ def tangent_step(p, row, motion, inputs, work, a, flexible=None, side=None):
         put(r, j, get(work.v, j) - get(k_q, j))
         put(f, j, -get(p.M, j) * k_v)
     for w in range(4):
-        e, e_dot = extension(p, work.q, w, flexible), extension(p, work.v, w, flexible)
+        e, e_dot = extension(p, work.q, w), extension(p, work.v, w)
+        if flexible is not None:
+            e = e + twist_extension(p, psi_mid, w)
+            e_dot = e_dot + twist_extension(p, psi_mid_dot, w)
         force = -row[K_2 + w] * e - row[C_2 + w] * e_dot
         put(dF, w, force)
         put(F, w, force - hd * row[K_1 + w] * extension(p, r, w) - get(work.s, w))
@@ -212,16 +230,22 @@ def tangent_step(p, row, motion, inputs, work, a, flexible=None, side=None):
         put(T, w, load - hd * row[TK_1 + w] * wheel_height(p, r, w) - get(work.t, w))
         if side is not None:
             put(dT, w, load)
-    front, rear = relative_roll(p, work.q, 0, flexible), relative_roll(p, work.q, 1, flexible)
+    front, rear = relative_roll(work.q, 0), relative_roll(work.q, 1)
     if flexible is not None:
-        advance_twist(p, twist_moment(p, dF, front, rear), motion, work, twist_slopes, h)
+        front, rear = front + p.twist_share[0] * psi_mid, rear + p.twist_share[1] * psi_mid
+        t_r = psi_mid_dot - t_q
+        spring = p.frame_rate * (psi_mid + hd * t_r) + p.frame_damping * psi_mid_dot
+        t_m = twist_moment(p, dF, front, rear) - spring - p.frame_inertia * t_v
+        t_m = t_m * _inverse_frame(p, hd)
+        add(q, N_DOF, h * (t_q + t_r + hd * t_m))
+        add(v, N_DOF, h * (t_v + t_m))
     if side is not None:
         moments = roll_moments(p, dF, dT, front, rear)
         slip = _slip_change(p, row, 1, rolls(work.v), middle, dT)
         rates = side_rates(p, rolls(work.q), moments, middle, slip, inputs.v, 0.0)
         add_rolls(f, rates)
         advance_side(p, motion, slopes, rates, inputs.v, h, hd)
-    front, rear = front + hd * relative_roll(p, r, 0), rear + hd * relative_roll(p, r, 1)
+    front, rear = front + hd * relative_roll(r, 0), rear + hd * relative_roll(r, 1)
     add_struts(p, F, front, rear, f)
     add_tyres(p, T, f)
     phi, theta = get(work.q, PHI) + hd * get(r, PHI), get(work.q, THETA) + hd * get(r, THETA)

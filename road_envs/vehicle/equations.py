@@ -181,15 +181,11 @@ def _frame_constants(car: VehicleParameters) -> dict[str, object]:
 
 
 @kernel
-def extension(p, q, w, flexible=None):
-    """Return the extension [m] of strut `w` for coordinates `q`, or its rate for their rates.
-
-    With a `flexible` frame, if given, the eighth of them is its twist.
-    """
+def extension(p, q, w):
+    """Return the extension [m] of strut `w` for coordinates `q`, or its rate for their rates."""
     a = AXLE + 2 * (w // 2)
     heave = get(q, Z_B) - get(p.x, w // 2) * get(q, THETA) - get(q, a)
-    e = heave + get(p.y_s, w) * (get(q, PHI) - get(q, a + 1))
-    return e if flexible is None else e + twist_extension(p, get(q, N_DOF), w)
+    return heave + get(p.y_s, w) * (get(q, PHI) - get(q, a + 1))
 
 
 @kernel
@@ -200,10 +196,9 @@ def wheel_height(p, q, w):
 
 
 @kernel
-def relative_roll(p, q, i, flexible=None):
-    """Return body roll minus roll of axle `i` [rad], or its rate; arguments as of `extension`."""
-    roll = get(q, PHI) - get(q, AXLE + 2 * i + 1)
-    return roll if flexible is None else roll + get(p.twist_share, i) * get(q, N_DOF)
+def relative_roll(q, i):
+    """Return body roll minus roll of axle `i` [rad] for coordinates `q`, or its rate for rates."""
+    return get(q, PHI) - get(q, AXLE + 2 * i + 1)
 
 
 @kernel
@@ -305,8 +300,8 @@ def accelerations(vehicle, motion, z_r, w_r, out, a_x=0.0, a_y=0.0):
         F[w] = strut_force(vehicle, w, e, e_dot)[0]
         u, u_dot = z_r[w] - wheel_height(p, q, w), w_r[w] - wheel_height(p, v, w)
         T[w] = tyre_force(p, w, u, u_dot)[0]
-    front = relative_roll(p, q, 0) + p.twist_share[0] * psi
-    rear = relative_roll(p, q, 1) + p.twist_share[1] * psi
+    front = relative_roll(q, 0) + p.twist_share[0] * psi
+    rear = relative_roll(q, 1) + p.twist_share[1] * psi
     for j in range(N_DOF):
         out[j] = 0.0
     add_weight(p, out)
@@ -341,10 +336,11 @@ def stiffness_and_damping(vehicle, motion, z_r, w_r, K, C):
         unit[j] = 0.0
     for j in range(q.size):  # column j: forces of the linear elements under a unit coordinate
         unit[j] = 1.0
-        front, rear = relative_roll(p, unit, 0, True), relative_roll(p, unit, 1, True)
+        front = relative_roll(unit, 0) + p.twist_share[0] * unit[N_DOF]
+        rear = relative_roll(unit, 1) + p.twist_share[1] * unit[N_DOF]
         for rate in range(2):
             for w in range(4):
-                e = extension(p, unit, w, True)
+                e = extension(p, unit, w) + twist_extension(p, unit[N_DOF], w)
                 F[w], T[w] = struts[rate, w] * e, tyres[rate, w] * wheel_height(p, unit, w)
             if rate == 1:  # bushings do not damp
                 front = rear = 0.0

@@ -116,7 +116,7 @@ def step_error(vehicle, signals_0, y, road, h, work, k_3):
         # dT of `step` is due to the road and the wheel; df/dt has the road's part only
         work.T[w] = work.dT[w] + hd * work.k_t[w] * wheel_height(p, signals_0[N_DOF:], w)
         work.T[w] -= hd * work.k_t[w] * wheel_height(p, R_q, w)
-    add_struts(p, work.F, hd * relative_roll(p, R_q, 0), hd * relative_roll(p, R_q, 1), R_v)
+    add_struts(p, work.F, hd * relative_roll(R_q, 0), hd * relative_roll(R_q, 1), R_v)
     add_tyres(p, work.T, R_v)
     solve_factored(p, work.blocks, work.body, R_v)
     for j in range(N_DOF):
