@@ -17,7 +17,13 @@ from leaderboard.entries.entries import resolve_entries
 from leaderboard.evaluation.tasks import load_task, shipped_tasks
 from leaderboard.report.citation import as_bibtex, cite_entry
 from leaderboard.running import jobs
-from leaderboard.running.verification import SHARE, Verified, save_verified, verify_folder
+from leaderboard.running.verification import (
+    SHARE,
+    Verified,
+    load_verified,
+    save_verified,
+    verify_folder,
+)
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.submission import hidden_seeds
 from leaderboard.task_tables import score_file
@@ -72,6 +78,7 @@ def verify(
     """
     if not folder.is_dir():
         raise ConfigError(f"{folder}: no such folder")
+    load_verified(folder)  # what cannot be added to is told before the run
     commands.import_from_here(estimator or (), "auto")
     with SandboxClient(limits.parse()) as sandbox, commands.progress_bar() as progress:
         entries = resolve_entries(estimator or (), sandbox.describe)

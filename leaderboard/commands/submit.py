@@ -10,6 +10,7 @@ from leaderboard.commands.options import CORES, LimitOptions, Share, Workers, ar
 from leaderboard.commands.output import Output, facts_table
 from leaderboard.commands.results import verified_output
 from leaderboard.conformance.method_card import TEMPLATE
+from leaderboard.evaluation.test_data import check_plants
 from leaderboard.submission import repository, signature
 from leaderboard.submission.rules import RULES, load_rules, make_run_request
 from leaderboard.submission.submission import SUBMISSION_SHARE, make_submission, verify_submission
@@ -122,6 +123,8 @@ def results_site(
     if check:
         rules, tasks = load_rules(folder / RULES)
         sized = make_run_request(rules, tasks, [], limits.parse()).sized_tasks()
+        for task in sized:
+            check_plants(task)
         return Output(facts={"tasks": {task.name: task.digest for task in sized}})
     check_output_folder(out)
     with progress_bar() as progress:

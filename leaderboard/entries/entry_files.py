@@ -1,7 +1,7 @@
 """Code of entries from outside this package: found, copied and hashed, never imported.
 
 An entry is run from a snapshot, and its version is the digest of that snapshot, so what was hashed
-is what runs. Links are not followed, and only regular files count.
+is what runs. Only regular files count, and links below its folder are refused.
 """
 
 import hashlib
@@ -88,13 +88,16 @@ def entry_points(code: Path) -> list[metadata.EntryPoint]:
 
 
 def _walk(root: Path, prefix: str) -> Iterator[tuple[Path, str]]:
-    """Yield the regular files below a folder, without bytecode; links are left out."""
+    """Yield the regular files below a folder, without bytecode. Raises EntryError for a link."""
     left = [(root, prefix, 0)]
     while left:
         folder, prefix, depth = left.pop()
         if depth > _MAX_DEPTH:
             raise EntryError(f"its folders are nested more than {_MAX_DEPTH} deep")
         for entry in sorted(os.scandir(folder), key=lambda entry: entry.name):
+            if entry.is_symlink():  # left out, its file would be missing where the entry runs
+                where = repr(prefix + entry.name)[:200]
+                raise EntryError(f"its code has a link, put there what it leads to: {where}")
             if entry.is_dir(follow_symlinks=False) and entry.name != "__pycache__":
                 left.append((Path(entry.path), f"{prefix}{entry.name}/", depth + 1))
             elif entry.is_file(follow_symlinks=False):

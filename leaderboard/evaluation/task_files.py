@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from road_envs.roads import KINDS
-from road_envs.roads.measured import SURFACE_SUFFIXES
+from road_envs.roads.api import map_paths
 
 DESCRIPTIVE_FIELDS = frozenset(
     {"title", "board", "source", "sources", "note", "claimed_level_error", "families"}
@@ -26,18 +26,9 @@ def digest_of(path: str) -> str:
     return hashlib.sha256(b"".join(file.read_bytes() for file in files_of(path))).hexdigest()
 
 
-_SUFFIXES = (".yaml", ".yml", *SURFACE_SUFFIXES)
-
-
 def with_paths(value: Any, change: Callable[[str], str]) -> Any:
     """Return the YAML or JSON types of a task with every path of a file changed."""
-    if isinstance(value, list):
-        return [with_paths(item, change) for item in value]
-    if isinstance(value, dict):
-        texts = {"name", *DESCRIPTIVE_FIELDS}
-        return {k: x if k in texts else with_paths(x, change) for k, x in value.items()}
-    is_path = isinstance(value, str) and Path(value).suffix.lower() in _SUFFIXES
-    return change(value) if is_path else value
+    return map_paths(value, change, DESCRIPTIVE_FIELDS)
 
 
 def _fields(value: Any) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Callable, Container, Iterator
 from dataclasses import dataclass
+from importlib.util import find_spec
 
 import numpy as np
 
@@ -10,6 +11,8 @@ from estimators.api import CalibrationDrive
 from leaderboard.evaluation.drive_set import DriveSet
 from leaderboard.evaluation.tasks import Condition, ModeAndSpeed, Task
 from leaderboard.kept_drives import drive_of_plant
+from road_envs.core.config import ConfigError
+from road_envs.core.extras import EXTRAS
 from road_envs.drives.recording import simulate_record
 from road_envs.kernels.filters import LOW_PASS_ORDER, preprocess_accelerations
 from road_envs.records.record import LowPass, Profile, Record
@@ -50,6 +53,18 @@ def simulate_drives(
         drive = simulate_drive(task, drives, condition, road, seed)
         calibration = calibration_drives(task, condition, seed) if drives is task.test else ()
         yield dataclasses.replace(drive, index=index, calibration=calibration)
+
+
+def check_plants(task: Task) -> None:
+    """Raise ConfigError if a test drive on a plant is not kept, and its program not installed."""
+    if all(map(find_spec, EXTRAS["plants"])):
+        return
+    try:
+        for condition in task.conditions:
+            for _ in simulate_drives(task, task.test, condition) if condition.plant else ():
+                pass
+    except ConfigError as error:
+        raise ConfigError(f"{task.name}: {error}") from None
 
 
 def simulate_drive(

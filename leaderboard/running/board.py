@@ -121,7 +121,8 @@ class Board:
 def load_board(tasks: Sequence[Task], out: Path, rows: Sequence[PlannedRow] = ()) -> Board:
     """Load the board stored under `out`; an unreadable file becomes a failed row.
 
-    Results are compared with the current entries in `rows` and with those of this package.
+    Results are compared with the current entries in `rows` and with those of this package. Raises
+    ConfigError if what was verified cannot be read.
     """
     results = {task.name: load_rows(out, task) for task in tasks}
     entries = {(row.task.name, row.entry.name): row.entry for row in rows}

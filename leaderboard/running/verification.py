@@ -16,7 +16,6 @@ import statistics
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -32,7 +31,7 @@ from leaderboard.metrics.bootstrap import REPRODUCIBLE, interquartile_mean
 from leaderboard.metrics.registry import SCORES
 from leaderboard.sandbox.client import ONE_TRAINING
 from leaderboard.sandbox.retest import NOT_CAUSAL, NOT_RETESTED, REMEMBERS
-from road_envs.core.artifacts import Kind
+from road_envs.core.artifacts import Kind, NewerFormatError
 from road_envs.core.config import ConfigError, Settings, build
 
 _DEFINITION = Kind("task", 1)
@@ -138,13 +137,25 @@ def _load_definitions(out: Path) -> tuple[list[Task], list[ConfigError]]:
 
 
 def load_verified(out: Path) -> dict[str, list[Verified]]:
-    """Verified rows of a folder, by the digest of their content; nothing if it is damaged."""
+    """Verified rows of a folder, by the digest of their content; none if nothing was verified.
 
-    def parse(data: Mapping[str, Any]) -> list[Verified]:
-        return [build(Verified, row, "verified.json") for row in data["rows"]]
-
+    Raises NewerFormatError, and ConfigError if its file is damaged: what was found false stays so.
+    """
+    path = out / "verified.json"
     by_row: dict[str, list[Verified]] = {}
-    for row in _VERIFICATION.find(out / "verified.json", "", parse) or []:
+    if not path.exists():
+        return by_row
+    try:
+        data, _ = _VERIFICATION.read(path)
+        rows = [build(Verified, row, str(path)) for row in data["rows"]]
+    except NewerFormatError:
+        raise
+    except (ConfigError, LookupError, TypeError) as error:
+        raise ConfigError(
+            f"what `verify` found cannot be read, and is not overwritten: {error}; restore "
+            f"{path}, or remove it to verify all rows anew"
+        ) from None
+    for row in rows:
         by_row.setdefault(row.content, []).append(row)
     return by_row
 
@@ -152,7 +163,8 @@ def load_verified(out: Path) -> dict[str, list[Verified]]:
 def save_verified(found: Iterable[Verified], out: Path) -> list[Verified]:
     """Add to what was verified in a folder, and return what is known of the `found` rows.
 
-    What differed once on the same kernels does so for good: a part of the drives may agree.
+    What differed once on the same kernels does so for good: a part of the drives may agree. Raises
+    ConfigError as `load_verified`, and then writes nothing.
     """
     rows = {(x.content, x.kernels): x for known in load_verified(out).values() for x in known}
     known = []

@@ -24,7 +24,7 @@ from road_envs.records.accelerometers import from_plain, to_plain
 from road_envs.records.record import LowPass, Profile, Record
 
 HEAD_SIZE = struct.Struct(">I")
-MAX_HEAD = 1 << 16  # largest size [bytes] of the JSON text of a message
+MAX_HEAD = 1 << 16  # largest size [bytes] of the JSON text of a reply
 MAX_TEXT = 300  # largest number of characters of a text of a guest; the rest is cut off
 MAX_SETTINGS, MAX_DEPTH = 4000, 5
 """Largest size [characters] of the settings of an estimator as JSON text, and depth of a reply."""
@@ -42,13 +42,15 @@ RECORD_ARRAYS = tuple(
 )
 
 
-def encode(head: Mapping[str, Any], arrays: Sequence[np.ndarray] = ()) -> bytes:
-    """Return a message. Raises ValueError if its JSON text is too long."""
+def encode(
+    head: Mapping[str, Any], arrays: Sequence[np.ndarray] = (), limit: float = math.inf
+) -> bytes:
+    """Return a message. Raises ValueError if its JSON text has more than `limit` [bytes]."""
     solid = [np.ascontiguousarray(array) for array in arrays]
     shapes = {"arrays": [[a.dtype.str, *a.shape] for a in solid]} if solid else {}
     text = json.dumps({**head, **shapes}).encode()
-    if len(text) > MAX_HEAD:
-        raise ValueError(f"a message of {len(text)} bytes, the limit is {MAX_HEAD}")
+    if len(text) > limit:
+        raise ValueError(f"a message of {len(text)} bytes, the limit is {limit}")
     return b"".join([HEAD_SIZE.pack(len(text)), text, *(a.tobytes() for a in solid)])
 
 
@@ -67,7 +69,7 @@ def encode_drives(
 ) -> bytes:
     """Return the request `do` with drives, with or without their road, of one layout of sensors.
 
-    The object has `more`. Raises ValueError if it is too long.
+    The object has `more`. A guest believes its host: unlike a reply, a request may have any size.
     """
     arrays: list[np.ndarray] = []
     for record, road in drives:

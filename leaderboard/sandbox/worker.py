@@ -118,7 +118,7 @@ def _reply(handle: int, head: dict[str, Any], arrays: Sequence[Any] = ()) -> Non
     from leaderboard.sandbox import messages
 
     try:
-        message = messages.encode(head, arrays)
+        message = messages.encode(head, arrays, messages.MAX_HEAD)
     except (ValueError, TypeError, OverflowError) as error:
         message = messages.encode({"failure": f"cannot be reported: {error}"[:1000]})
     unsent = memoryview(message)

@@ -15,6 +15,9 @@ from leaderboard.entries.entry_files import entry_points
 
 PROJECT, EXTRAS = "road-envs", ("all", "sign")  # what boards install
 _REQUIREMENT = re.compile(r"\s*([\w.-]+)\s*(?:\[([^]]*)\])?[^;]*(?:;(.*))?")
+_MAX_SOURCE = 1 << 20  # largest number of characters of a module that is parsed
+_OPTIONAL = (ast.Try, ast.TryStar, ast.FunctionDef, ast.AsyncFunctionDef)
+_OPTIONAL_IF = {"TYPE_CHECKING", "ImportError", "ModuleNotFoundError"}  # `suppress(ImportError)`
 _EXTRA = re.compile(r"""extra\s*==\s*["']([\w.-]+)["']""")
 
 
@@ -23,7 +26,8 @@ def missing_packages(code: Path) -> dict[str, str]:
     none of its own, of Python, or of what boards install.
 
     `code` is a wheel, or a folder with one or with installed packages. What is imported only if it
-    can be (`try`), or for types alone, does not count.
+    can be (`try`, `suppress`), by a function, for types alone, or by a module whose source is
+    longer than 1 MiB, does not count.
     """
     wheel = code if code.is_file() else next(code.glob("*.whl"), None)
     found, modules = dict[str, str](), [x.module for x in entry_points(wheel or code)]
@@ -41,7 +45,10 @@ def missing_packages(code: Path) -> dict[str, str]:
             if top not in sys.stdlib_module_names and packages and not boards & {*packages}:
                 found[top] = packages[0]
             continue
-        text = path.read_text(encoding="utf-8", errors="replace")
+        with path.open(encoding="utf-8", errors="replace") as file:
+            text = file.read(_MAX_SOURCE + 1)
+        if len(text) > _MAX_SOURCE:
+            continue
         for other in _imports(text, name, path.name == "__init__.py"):
             # a name of a package is a module only if there is such a file
             parts = accumulate(other.split("."), "{}.{}".format)
@@ -62,13 +69,11 @@ def _imports(text: str, module: str, is_package: bool) -> Iterator[str]:
     """Yield what a module imports in any case, with a name each of what it takes from a package."""
     try:
         left: list[ast.AST] = [ast.parse(text)]
-    except (SyntaxError, ValueError):  # it fails where it is run
+    except (SyntaxError, ValueError, RecursionError, MemoryError):  # it fails where it is run
         return
     while left:
         node = left.pop()
-        if isinstance(node, ast.Try) or (
-            isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test)
-        ):
+        if _is_optional(node):
             continue
         left += ast.iter_child_nodes(node)
         if isinstance(node, ast.Import):
@@ -78,6 +83,14 @@ def _imports(text: str, module: str, is_package: bool) -> Iterator[str]:
             with suppress(ImportError):  # from above all packages: it fails where it is run
                 name = resolve_name("." * node.level + (node.module or ""), package)
                 yield from (name, *(f"{name}.{alias.name}" for alias in node.names))
+
+
+def _is_optional(node: ast.AST) -> bool:
+    """Whether what a statement imports is imported only if it can be, when called, or for types."""
+    heads = [node.test] if isinstance(node, ast.If) else []
+    heads += [item.context_expr for item in node.items] if isinstance(node, ast.With) else []
+    names = {getattr(x, "id", getattr(x, "attr", "")) for head in heads for x in ast.walk(head)}
+    return isinstance(node, _OPTIONAL) or not names.isdisjoint(_OPTIONAL_IF)
 
 
 def _installed_by_boards() -> set[str]:

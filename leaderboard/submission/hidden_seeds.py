@@ -25,6 +25,7 @@ import yaml
 from leaderboard.evaluation.drive_set import SEED_STRIDE
 from leaderboard.evaluation.provenance import package_version
 from leaderboard.evaluation.tasks import Task, load_task
+from leaderboard.evaluation.test_data import check_plants
 from road_envs.core.atomic_io import atomic_write, write_text
 from road_envs.core.config import ConfigError, Settings, build, find, read_yaml
 from road_envs.core.reading import parsing
@@ -57,7 +58,7 @@ class _HiddenSeeds(Settings):
 def commit(salt: str, tasks: Sequence[Task]) -> _HiddenSeeds:
     """Return the hidden test set of a secret `salt`, after a trial of revealing it.
 
-    Raises ConfigError for a short salt and for a task that could not be revealed.
+    Raises ConfigError for a short salt and for a task that could not be revealed, or driven here.
     """
     hidden = _HiddenSeeds(
         package_version=package_version(),
@@ -66,7 +67,8 @@ def commit(salt: str, tasks: Sequence[Task]) -> _HiddenSeeds:
     )
     hidden = dataclasses.replace(hidden, commitment=_commitment(salt, hidden))
     for name in hidden.tasks:
-        build(Task, _hidden_task(salt, hidden, name), f"{name}: it cannot have a season")
+        trial = build(Task, _hidden_task(salt, hidden, name), f"{name}: it cannot have a season")
+        check_plants(trial)  # whose hidden drives are not kept
     return hidden
 
 

@@ -1,7 +1,7 @@
 """The road interface, and loading of roads by name, path or mapping."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Protocol, runtime_checkable
 
@@ -19,6 +19,7 @@ KINDS: dict[str, type] = {}
 It is empty here because composite roads load other roads: their module imports this one.
 """
 
+_SUFFIXES = (".yaml", ".yml", *SURFACE_SUFFIXES)
 MAX_SLOPE = 1.0  # largest RMS slope [m/m] of a road; that of Belgian paving is 0.1
 
 
@@ -38,7 +39,8 @@ def load_road(source: str | Path | Mapping[str, Any] | Road) -> Road:
     """Load a road from a shipped name ("iso_d"), a YAML path, a surface file or a mapping.
 
     A mapping has the key `kind` and the settings of that kind, or `name`, a shipped road, and
-    optionally `length`. A road is returned as it is. Raises ConfigError.
+    optionally `length`. Paths in a YAML file are relative to it. A road is returned as it is.
+    Raises ConfigError.
     """
     if isinstance(source, Mapping):
         return _from_mapping(source)
@@ -49,7 +51,7 @@ def load_road(source: str | Path | Mapping[str, Any] | Road) -> Road:
     if Path(source).suffix.lower() in SURFACE_SUFFIXES:
         return Measured(path=str(source))
     path = find("roads", source)
-    data = _resolve_paths(read_yaml(path), path.parent)
+    data = map_paths(read_yaml(path), lambda file: str(path.parent / file))
     try:
         return _from_mapping(data)
     except ConfigError as error:
@@ -121,16 +123,18 @@ def _from_mapping(data: Mapping[str, Any]) -> Road:
     return build(KINDS[kind], settings, kind)
 
 
-def _resolve_paths(data: Any, folder: Path) -> Any:
-    """Return settings in which relative paths of surface files are joined to `folder`."""
-    if isinstance(data, list):
-        return [_resolve_paths(value, folder) for value in data]
-    if not isinstance(data, dict):
-        return data
-    inner = {key: _resolve_paths(value, folder) for key, value in data.items()}
-    if data.get("kind") == "measured" and isinstance(data.get("path"), str):
-        inner["path"] = str(folder / data["path"])
-    return inner
+def map_paths(value: Any, change: Callable[[str], str], texts: Collection[str] = ()) -> Any:
+    """Return YAML or JSON types with every path of a file changed, but not under keys in `texts`.
+
+    A `name` is one only where it names a road: alone, or beside a `length`.
+    """
+    if isinstance(value, list):
+        return [map_paths(item, change, texts) for item in value]
+    if isinstance(value, dict):
+        kept = texts if value.keys() <= {"name", "length"} else {"name", *texts}
+        return {k: x if k in kept else map_paths(x, change, texts) for k, x in value.items()}
+    is_path = isinstance(value, str) and Path(value).suffix.lower() in _SUFFIXES
+    return change(value) if is_path else value
 
 
 AnyRoad = Annotated[Road, PlainValidator(load_road), "", "a road: shipped name, path or mapping"]

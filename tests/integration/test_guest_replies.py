@@ -1,6 +1,7 @@
 """Whatever bytes a guest sends, a call ends in a valid estimate or in an EntryError."""
 
 import json
+import os
 import sys
 
 import numpy as np
@@ -12,7 +13,8 @@ from leaderboard.sandbox import messages
 from leaderboard.sandbox.client import _RemoteSession, call
 from leaderboard.sandbox.guest import Guest
 from leaderboard.sandbox.limits import Limits
-from road_envs.records.record import Record, profile_stations
+from leaderboard.sandbox.worker import _reply
+from road_envs.records.record import Profile, Record, profile_stations
 
 READY = messages.encode({})
 ECHO = """
@@ -151,6 +153,23 @@ def test_no_seed_tells_an_entry_that_is_not_trained_which_guest_it_is_in():
     assert len(set(asked)) == 1
     _RemoteSession(Answering(), True, False).fit([(a_record(), None)], 2)
     assert b'"seed": 2' in asked[-1]
+
+
+def test_a_learner_is_sent_as_many_training_drives_as_its_task_has():
+    drives = [(a_record(), Profile(np.arange(3.0), np.zeros((2, 3))))] * 1000
+    request = messages.encode_drives("fit", drives, seed=1)
+    (size,) = messages.HEAD_SIZE.unpack(request[: messages.HEAD_SIZE.size])
+    told = json.loads(request[messages.HEAD_SIZE.size :][:size])
+    assert size > messages.MAX_HEAD and len(told["lengths"]) == 1000
+
+
+def test_a_reply_that_is_too_long_becomes_a_failure():
+    receives, sends = os.pipe()
+    _reply(sends, {"settings": "x" * messages.MAX_HEAD})
+    told = messages.parse_head(os.read(receives, messages.MAX_HEAD)[messages.HEAD_SIZE.size :])
+    assert told["failure"].startswith("cannot be reported: a message of 655")
+    os.close(receives)
+    os.close(sends)
 
 
 def test_a_guest_that_does_not_read_cannot_block_the_host(tmp_path):

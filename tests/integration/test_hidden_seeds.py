@@ -4,7 +4,9 @@ import dataclasses
 import hashlib
 import html
 import json
+import re
 import shutil
+import sys
 from pathlib import Path
 
 import pytest
@@ -14,6 +16,8 @@ from fake_estimators import Reader
 from typer.testing import CliRunner
 
 from leaderboard.cli import app
+from leaderboard.commands.options import LimitOptions
+from leaderboard.commands.submit import results_site
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.evaluation.test_data import simulate_drives
 from leaderboard.report.notes import PUBLIC_ROADS
@@ -26,6 +30,7 @@ from leaderboard.submission.rules import load_rules, make_run_request
 from road_envs.core import config
 from road_envs.core.atomic_io import write_text
 from road_envs.core.config import ConfigError, find, read_yaml
+from road_envs.core.extras import EXTRAS
 
 SALT = "correct horse battery"
 
@@ -61,6 +66,8 @@ def test_revealed_tasks_differ_from_the_public_ones_only_in_their_seeds(publishe
 def revealed(name, folder):
     """Return a shipped task and the one that is committed and revealed for it in a folder."""
     public = load_task(name)
+    for module in EXTRAS["plants"] if any(x.plant for x in public.conditions) else ():
+        pytest.importorskip(module, reason="the extra `plants` is not installed")
     hidden_seeds.save(hidden_seeds.commit(SALT, [public]), folder)
     (path,) = hidden_seeds.reveal(SALT, folder)
     return public, load_task(path)
@@ -133,6 +140,34 @@ def test_a_season_of_the_plants_is_driven_by_them(tmp_path):
         (drive,) = simulate_drives(hidden, hidden.test, condition)
         assert drive.seed in hidden.test.seeds and drive.record.length == 20.0
         assert len(drive.calibration) == len(hidden.calibration) > 0
+
+
+@pytest.fixture
+def without_plants(monkeypatch):
+    for module in EXTRAS["plants"]:
+        monkeypatch.setitem(sys.modules, module, None)
+
+
+NO_PLANT = r"the drive mujoco_.* is not kept: .*pip install 'road-envs\[plants\]'"
+
+
+def test_a_season_of_the_plants_is_not_published_without_their_programs(tmp_path, without_plants):
+    error = run("--out", tmp_path / "autumn", "--task", "plants_blind").exception
+    assert isinstance(error, ConfigError) and re.match(
+        f"plants_blind_.{{8}}: {NO_PLANT}", str(error)
+    )
+    assert not (tmp_path / "autumn").exists()
+
+
+def test_rules_with_drives_of_plants_that_cannot_be_made_are_refused(tmp_path, without_plants):
+    rules = tmp_path / "rules.yaml"
+    rules.write_text("tasks: [plants_blind]\n")  # whose drives are kept
+    assert list(results_site(tmp_path, check=True, limits=LimitOptions()).facts["tasks"])
+    text = find("tasks", "plants_blind").read_text().replace("seeds: [7101]", "seeds: [7102]")
+    (tmp_path / "mine.yaml").write_text(text.replace("name: plants_blind", "name: mine"))
+    rules.write_text("tasks: [mine.yaml]\n")
+    with pytest.raises(ConfigError, match=f"^mine: {NO_PLANT}"):
+        results_site(tmp_path, check=True, limits=LimitOptions())
 
 
 def test_the_design_of_the_public_drives_is_repeated_over_the_hidden_ones(tmp_path):

@@ -89,6 +89,19 @@ def test_a_module_beside_an_entry_takes_the_place_of_none_of_the_leaderboard(tmp
     assert sys.path.index(str(tmp_path)) == len(sys.path) - 1
 
 
+@pytest.mark.parametrize("link", ["weights.npz", "data"])
+def test_a_link_in_the_code_of_an_entry_is_refused_and_named(tmp_path, link):
+    """As DVC and Hugging Face keep weights: left out, they would be missing in the guest."""
+    code = tmp_path / "code" / "mine"
+    code.mkdir(parents=True)
+    (code / "__init__.py").touch()
+    (tmp_path / "data").mkdir()
+    assert [name for _, name in list_files(str(tmp_path / "code"))] == ["mine/__init__.py"]
+    (code / link).symlink_to(tmp_path / link)
+    with pytest.raises(EntryError, match=f"its code has a link, .* leads to: 'mine/{link}'"):
+        list(list_files(str(tmp_path / "code")))
+
+
 def test_limits_must_be_positive():
     for name in ("seconds", "memory", "file"):
         with pytest.raises(ValueError, match=f"{name}: must be positive, got 0"):

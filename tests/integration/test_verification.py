@@ -14,7 +14,9 @@ from fake_estimators import Picky
 from fake_results import runs_of, with_last_run, with_runs
 from fakes import SHORT_TASK, baselines, fake_drives
 
+from leaderboard.commands.options import LimitOptions
 from leaderboard.commands.results import verified_output
+from leaderboard.commands.results import verify as verify_command
 from leaderboard.entries.entries import make_entry
 from leaderboard.entries.entry import EntryError
 from leaderboard.evaluation import evaluate, store
@@ -26,6 +28,8 @@ from leaderboard.metrics.baselines import BASELINES
 from leaderboard.report.notes import _kernel_notes, _verified_for
 from leaderboard.running.board import load_board
 from leaderboard.running.verification import (
+    _VERIFICATION,
+    Verified,
     _load_definitions,
     _other_claim,
     kernels_of,
@@ -519,8 +523,42 @@ def test_what_was_verified_is_kept_by_row_and_kernels_and_shown(tmp_path):
     assert load_board(board.tasks, tmp_path, make_request().rows()).verified == {
         found.content: rows
     }
-    (tmp_path / "verified.json").write_text("{}")
-    assert load_verified(tmp_path) == {}
+
+
+FALSE = Verified(task="small", estimator="rival", content="abc", is_false=True, share=1.0)
+
+
+def spoilt(content, **changes):
+    return dataclasses.replace(_VERIFICATION, **changes).to_text(content)
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        (
+            spoilt({"rows": [dataclasses.asdict(FALSE)]}, format=99),
+            "written in format 99 by a newer",
+        ),
+        (spoilt({"rows": [{"task": "small", "verdict": 1}]}), "verdict: unknown key"),
+        (spoilt({"rows": None}), "not iterable"),
+        (spoilt({}), "cannot be read, and is not overwritten: 'rows'"),
+        ("{}", "it has no format"),
+        ("", "cannot be read, and is not overwritten: .*damaged"),
+        (spoilt({"rows": []}).replace("[]", "[1]"), "modified since it was written"),
+    ],
+)
+def test_what_was_found_false_is_not_forgotten_with_a_file_that_cannot_be_read(tmp_path, text, why):
+    assert load_verified(tmp_path) == {} and save_verified([FALSE], tmp_path) == [FALSE]
+    path = tmp_path / "verified.json"
+    assert load_verified(tmp_path) == {"abc": [FALSE]}
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=why):
+        load_verified(tmp_path)
+    with pytest.raises(ConfigError, match=r"verified\.json"):
+        save_verified([dataclasses.replace(FALSE, content="def")], tmp_path)
+    with pytest.raises(ConfigError, match=r"verified\.json"):
+        verify_command(tmp_path, limits=LimitOptions())
+    assert path.read_text() == text
 
 
 @pytest.mark.processes

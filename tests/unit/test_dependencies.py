@@ -28,7 +28,12 @@ def write(folder, helper, **more):
     ("helper", "missing"),
     [
         ("import pytest", {"pytest": "pytest"}),
-        ("def f():\n    from _pytest.mark import Mark", {"_pytest": "pytest"}),
+        ("if 1:\n    from _pytest.mark import Mark", {"_pytest": "pytest"}),
+        ("def f():\n    import pytest", {}),
+        ("class A:\n    async def f(self):\n        import pytest", {}),
+        ("import os\nwith os.scandir():\n    import pytest", {"pytest": "pytest"}),
+        ("from contextlib import suppress\nwith suppress(ImportError):\n    import pytest", {}),
+        ("import contextlib as c\nwith c.suppress(ImportError, OSError):\n    import pytest", {}),
         ("class A:\n    import xdist.plugin", {"xdist": "pytest-xdist"}),
         ("try:\n    import pytest\nexcept ImportError:\n    pass", {}),
         ("from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import pytest", {}),
@@ -47,6 +52,20 @@ def test_modules_that_boards_lack_are_named_with_their_package(tmp_path, helper,
         wheel = write_wheel(code, "my_road", "", "mine = mine.entry:Mine", files)
         assert missing_packages(wheel) == missing
     assert missing_packages(code) == missing
+
+
+@pytest.mark.parametrize(
+    "helper",
+    [
+        "x = " + "+".join(["1"] * 20_000),
+        "if " + "+".join(["1"] * 1200) + ":\n    pass",
+        "x = " + "-" * 20_000 + "1",
+        "import pytest\n" + "#" * (1 << 20),
+    ],
+)
+def test_code_that_is_too_deep_or_too_long_to_be_parsed_is_not_read(tmp_path, helper):
+    assert missing_packages(write(tmp_path, helper)) == {}
+    assert missing_packages(write(tmp_path, "import pytest\n" + "#" * 100_000)) != {}
 
 
 def test_packages_that_come_along_and_modules_that_are_not_run_are_not_missing(tmp_path):

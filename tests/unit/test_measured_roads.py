@@ -170,6 +170,24 @@ def test_a_path_in_a_yaml_file_is_relative_to_it(tmp_path):
     assert load_road(tmp_path / "road.yaml").length == 15.0
 
 
+@pytest.mark.parametrize("inner", ["road.yaml", "{name: road.yaml, length: 9.0}"])
+def test_a_road_in_a_yaml_file_is_looked_for_beside_it(tmp_path, monkeypatch, inner):
+    for folder, road in (("there", "C"), ("here", "A")):
+        (tmp_path / folder).mkdir()
+        text = f"kind: iso8608\nroad_class: {road}\nlength: 9.0\n"
+        (tmp_path / folder / "road.yaml").write_text(text)
+    monkeypatch.chdir(tmp_path / "here")
+    (tmp_path / "there" / "outer.yaml").write_text(f"kind: scaled\nroad: {inner}\n")
+    (tmp_path / "there" / "named.yaml").write_text("name: road.yaml\n")
+    assert load_road("../there/outer.yaml").road == load_road("../there/road.yaml")
+    assert load_road("../there/named.yaml") == load_road("../there/road.yaml")
+
+
+def test_the_name_of_a_surface_is_no_path(tmp_path):
+    (tmp_path / "holes.yaml").write_text("kind: defects\nname: street.csv\ndefects: []\n")
+    assert load_road(tmp_path / "holes.yaml").name == "street.csv"
+
+
 # tables
 
 

@@ -392,6 +392,7 @@ def test_files_are_named_relative_to_the_file_of_their_task(tmp_path, monkeypatc
     heights += "".join(f"{0.1 * k:.1f},{k % 7},{k % 5}\n" for k in range(400))
     (there / "files" / "street.csv").write_text(heights)
     (there / "patched.yaml").write_text("kind: measured\npath: files/street.csv\n")
+    (tmp_path / "patched.yaml").write_text("kind: flat\nlength: 40.0\n")  # of the same name
     bent = {"kind": "noisy_copy", "road": "patched.yaml", "noise": 0.1}
     changed = {
         "car": "files/land_rover_defender_110.yaml",
@@ -400,7 +401,12 @@ def test_files_are_named_relative_to_the_file_of_their_task(tmp_path, monkeypatc
             {"mode": "ride", "speed_kmh": 14.5, "car": "files/land_rover_defender_110.yaml"}
         ],
         "test": {
-            "roads": ["files/street.csv", {"kind": "measured", "path": "files/street.csv"}, bent],
+            "roads": [
+                "files/street.csv",
+                {"kind": "measured", "path": "files/street.csv"},
+                bent,
+                {"name": "patched.yaml"},
+            ],
             "seeds": [3],
         },
         "note": "as in files/paper.yaml",
@@ -412,8 +418,8 @@ def test_files_are_named_relative_to_the_file_of_their_task(tmp_path, monkeypatc
         mine = load_task(name)
         assert mine.vehicle_of(mine.conditions[0]) == load_vehicle("land_rover_defender_110")
         assert mine.sensors == load_instruments("paper") and mine.note == "as in files/paper.yaml"
-        first, second, third = (road for road, _ in mine.test.roads_and_seeds)
-        assert first == second == third.road and Path(first.path).samefile(
+        first, second, third, fourth = (road for road, _ in mine.test.roads_and_seeds)
+        assert first == second == third.road == fourth and Path(first.path).samefile(
             there / "files" / "street.csv"
         )
         found.append((mine.digest, mine.conditions[0].label))
