@@ -269,17 +269,18 @@ class Task(Settings):
 
     def _check_calibration(self, fixed: set[str]) -> None:
         """Raise ValueError if a calibration drive shares a seed or a `fixed` road of the test."""
-        used = self.training.all_seeds | self.test.all_seeds
+        others = [self.training, self.test]
         for run in self.calibration:
-            seeds = {seed + run.seed_offset for seed in self.test.all_seeds}
-            if shared := sorted(seeds & used):
+            seeds = tuple(seed + run.seed_offset for seed in sorted(self.test.all_seeds))
+            drives = DriveSet(roads=(run.road,), seeds=seeds)
+            if shared := sorted({x for other in others for x in shared_seeds(drives, other)}):
                 raise ValueError(f"a calibration drive shares the seeds {shared} with other drives")
             if fixed & fixed_surfaces([run.road]):
                 raise ValueError(
                     "a calibration drive and a test drive share a surface; choose another road for "
                     "the calibration"
                 )
-            used |= seeds
+            others.append(drives)
 
 
 def load_task(name: str | Path) -> Task:
