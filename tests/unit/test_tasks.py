@@ -514,8 +514,16 @@ def test_the_noise_of_a_drive_is_drawn_by_no_other_seed_of_its_task(monkeypatch)
     assert len({tuple(sequence.generate_state(4)) for sequence in drawn}) == 5
 
 
-def test_noise_is_simulated_only_if_the_task_has_it():
-    t = task(test={"roads": ["flat"], "seeds": [11], "length": 20.0, "noise": False})
+@pytest.mark.parametrize("own_densities", [False, True])
+def test_noise_is_simulated_only_if_the_task_has_it(own_densities, tmp_path):
+    instruments = yaml.safe_load(config.find("sensors", "paper").read_text())
+    if own_densities:
+        density, instruments["noise_density"] = instruments["noise_density"], 0.0
+        for sensor in instruments["accelerometers"].values():
+            sensor["noise_density"] = density
+    (tmp_path / "mine.yaml").write_text(yaml.safe_dump(instruments, sort_keys=False))
+    t = task(instruments=str(tmp_path / "mine.yaml"),
+             test={"roads": ["flat"], "seeds": [11], "length": 20.0, "noise": False})  # fmt: skip
     quiet = next(simulate_drives(t, t.test, t.conditions[0])).record
     assert np.abs(quiet.a).max() < 1e-6
     noisy = dataclasses.replace(t.test, noise=True)
