@@ -75,7 +75,7 @@ def _digested_fields(value: Any) -> dict[str, Any]:
     left out, so that a new option leaves the digests of all tasks as they are; code that changes a
     default changes the version of the evaluation code.
     """
-    kept = {
+    kept: dict[str, Any] = {
         f.name: list(x.items()) if isinstance(x, dict) else x
         for f in dataclasses.fields(value)
         if f.name not in DESCRIPTIVE_FIELDS and not _is_default(f, x := getattr(value, f.name))
