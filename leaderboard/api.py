@@ -114,8 +114,10 @@ class TaskArrays:
 
     @property
     def identity(self) -> str:
-        """Name and digest of the task with these test drives, which tables name."""
-        return f"{self.name}-{self._data[0].task.digest[:12]}"
+        """Name and digest of the task with these test drives, and the version of the code that made
+        them: tables name all.
+        """
+        return f"{self.name}-{self._data[0].task.digest[:12]}-{results.evaluation_version()}"
 
 
 def load_task(

@@ -2,18 +2,20 @@
 
 `configs/plants` holds one Parquet file for each drive, which `python -m studies.plant_records`
 writes, and a card. The true profile follows from the road and its seed. Drives of a season, whose
-seeds nobody knew, are not kept: the plant drives them, as it does other roads of the same name.
+seeds nobody knew, are not kept: the plant drives them, as it does other roads of the same name and
+vehicles that have changed since.
 """
 
 import hashlib
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
+from leaderboard.evaluation.task_files import settings_digest
 from road_envs.core import config
 from road_envs.core.config import ConfigError
 from road_envs.core.extras import MissingExtraError
@@ -22,6 +24,7 @@ from road_envs.plants.driving import simulate_on_plant
 from road_envs.records.record import Profile, Record
 from road_envs.roads import Surface
 from road_envs.sensing.instruments import Instruments
+from road_envs.vehicle.parameters import load_vehicle
 
 SAME_HEIGHT = 1e-5
 """Largest difference [m] of the heights of one road, which machines round in their own ways."""
@@ -33,11 +36,25 @@ def kept_path(plant: str, car: str, road: str, speed_kmh: float, seed: int) -> P
     return config.folder() / "plants" / f"{stem}.parquet"
 
 
-def facts(surface: Surface, instruments: Instruments) -> dict[str, Any]:
-    """Return what the file of a kept drive says of its road, some heights [m], and instruments."""
+def facts(surface: Surface, car: str, instruments: Instruments) -> dict[str, Any]:
+    """Return what the file of a kept drive says of its road, some heights [m], car and instruments.
+
+    The car by the digest of what is driven, so without its tolerances. Raises ConfigError.
+    """
     heights = surface.height(np.linspace(0.0, surface.length, 8)).round(6).tolist()
+    driven = settings_digest(replace(load_vehicle(car), tolerances={}, tolerances_of=""))
     about = {"length": surface.length, "heights": heights, "instruments": asdict(instruments)}
-    return cast(dict[str, Any], json.loads(json.dumps(about)))
+    return cast(dict[str, Any], json.loads(json.dumps({**about, "vehicle_digest": driven})))
+
+
+def kept_record(path: Path, wanted: dict[str, Any]) -> Record | None:
+    """Return the record of a kept drive; None if there is none of the `wanted` facts."""
+    if not path.exists():
+        return None
+    record, about = read_record(path)
+    rest, kept = dict(wanted), cast(dict[str, Any], about)
+    apart = np.abs(np.subtract(kept.pop("heights", np.inf), rest.pop("heights"))).max()
+    return record if apart < SAME_HEIGHT and rest.items() <= kept.items() else None
 
 
 def drive_of_plant(
@@ -48,12 +65,8 @@ def drive_of_plant(
     `seed` is that of the surface. Raises ConfigError if it is not kept nor can be made.
     """
     path = kept_path(plant, car, surface.name, speed_kmh, seed)
-    if path.exists():
-        record, about = read_record(path)
-        wanted, kept = facts(surface, instruments), cast(dict[str, Any], about)
-        apart = np.abs(np.subtract(kept.pop("heights", np.inf), wanted.pop("heights"))).max()
-        if apart < SAME_HEIGHT and wanted.items() <= kept.items():
-            return record, true_profile(surface)
+    if (record := kept_record(path, facts(surface, car, instruments))) is not None:
+        return record, true_profile(surface)
     given: dict[str, Any] = {"speed_kmh": speed_kmh, "seed": seed, "instruments": instruments}
     try:
         return simulate_on_plant(plant, surface, vehicle=car, **given)

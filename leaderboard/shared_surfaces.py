@@ -21,16 +21,16 @@ def fixed_surfaces(roads: Iterable[Road]) -> set[str]:
     return {_described(part) for road in roads for part in _parts(road) if not _is_random(part)}
 
 
-def shared_seeds(training: DriveSet, test: DriveSet) -> list[int]:
+def shared_seeds(one: DriveSet, other: DriveSet) -> list[int]:
     """Return the seeds by which roads of both sets are drawn, those of fixed pieces of one alone as
     well: those of both are their `fixed_surfaces`.
     """
     fixed_there, fixed_here = (
         {part.seed for road in drives.roads for part in _parts(road) if isinstance(part, FixedSeed)}
-        for drives in (training, test)
+        for drives in (one, other)
     )
-    of_training, of_test = training.all_seeds, test.all_seeds
-    return sorted(of_training & (of_test | fixed_here) | fixed_there & of_test)
+    of_one, of_other = one.all_seeds, other.all_seeds
+    return sorted(of_one & (of_other | fixed_here) | fixed_there & of_other)
 
 
 def repeated_road(drives: DriveSet) -> str | None:

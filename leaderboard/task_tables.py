@@ -4,7 +4,7 @@
     SPLIT_records     drive, t [s], a column of each sensor [m/s²], v [m/s], s [m] of the front
                       axle, spring_stiff_WHEEL and damper_high_WHEEL (0 or 1)
     SPLIT_profiles    drive, station [m], left and right [m], which are empty for test drives, and
-                      for these task, the drives that they are of
+                      for these task, the drives that they are of and what made them
 
 Each is CSV or Parquet. Heights are returned as test_profiles with `left` and `right` filled in, and
 if they are known `left_std` and `right_std` [m].
@@ -80,7 +80,8 @@ def write_task(task: TaskArrays, folder: Path, form: str, roads: int | None = No
 def score_file(task: TaskArrays, path: Path) -> ScoreTable:
     """Score the heights of a CSV or Parquet file in the order of test_profiles.
 
-    Raises ConfigError for a missing column, and for a task, drives or stations that are others.
+    Raises ConfigError for a missing column, and for a task, drives or stations that are others or
+    drives that other code made.
     """
     pd = import_pandas()
     with parsing(path, ConfigError, "damaged, or not a table of numbers"):
@@ -95,9 +96,11 @@ def score_file(task: TaskArrays, path: Path) -> ScoreTable:
         if twice := heads[heads.duplicated()].tolist():
             raise ConfigError(f"it has two columns {twice[0]!r}")
         if other := set(table["task"].astype(str)) - {task.identity}:
+            remedy = "give --task and --roads as for the tables"
+            if min(other).startswith(task.identity.rpartition("-")[0]):
+                remedy = "another version of this program made those drives, so write them again"
             raise ConfigError(
-                f"its heights are of {min(other)[:80]}, not of {task.identity}: give --task and "
-                "--roads as for the tables"
+                f"its heights are of {min(other)[:80]}, not of {task.identity}: {remedy}"
             )
         deviations = [name for name in ("left_std", "right_std") if name in table]
         if len(deviations) == 1:

@@ -2,7 +2,8 @@
 
     python -m studies.plant_records [--again]
 
-Drives that are kept are not driven again without `--again`. Needs the extra `plants`.
+Drives that are kept, with the road, vehicle and instruments of today, are not driven again without
+`--again`. Needs the extra `plants`.
 """
 
 import argparse
@@ -13,7 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from leaderboard.evaluation.tasks import Condition, load_task
-from leaderboard.kept_drives import facts, kept_path
+from leaderboard.kept_drives import facts, kept_path, kept_record
 from road_envs.core import config
 from road_envs.drives.recording import write_record
 from road_envs.plants.driving import simulate_on_plant
@@ -50,13 +51,14 @@ def main() -> None:
         assert car is not None
         surface = road.realise(np.random.default_rng(seed))
         path = kept_path(plant, car, surface.name, speed, seed)
-        if path.exists() and not again:
+        known = facts(surface, car, load_instruments(instruments))
+        if kept_record(path, known) is not None and not again:
             continue
         record, _ = simulate_on_plant(
             plant, surface, speed_kmh=speed, seed=seed, vehicle=car, instruments=instruments
         )
         about = {"plant": plant, "vehicle": car, "road": surface.name, "seed": seed}
-        about |= {"speed_kmh": speed, **facts(surface, load_instruments(instruments))}
+        about |= {"speed_kmh": speed, **known}
         write_record(path, record, about)
         pack(path)
         print(path.name, flush=True)

@@ -26,12 +26,12 @@ _WAVINESS_LIMITS = (1.0, 4.0)  # limits of the waviness fitted to a density
 
 
 def nrmse_bound(task: Task, condition: Condition, truth: Profile) -> float:
-    """Return the least in-band NRMSE [-] on a road like `truth`; NaN on a level road, and of
-    instruments without noise.
+    """Return the least in-band NRMSE [-] on a road like `truth`; NaN on a level road, of
+    instruments without noise, and of test drives without it.
     """
     v = condition.speed_kmh / 3.6
     road = fit_spectrum(truth, scored_band(v))
-    if road is None:
+    if road is None or not task.test.noise:
         return np.nan
     mode = json.dumps(condition.simulator_mode)
     car, options = condition.car or task.car, {"is_linear": condition.plant == "commonroad"}

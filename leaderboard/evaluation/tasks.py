@@ -8,8 +8,6 @@ prints.
 """
 
 import dataclasses
-import hashlib
-import json
 import re
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,12 +19,7 @@ from pydantic import Field
 
 from leaderboard.evaluation.boards import BoardDefinition, shipped_boards
 from leaderboard.evaluation.drive_set import DriveSet, at_length
-from leaderboard.evaluation.task_files import (
-    DESCRIPTIVE_FIELDS,
-    digest_of,
-    to_json_types,
-    with_paths,
-)
+from leaderboard.evaluation.task_files import settings_digest, with_paths
 from leaderboard.kept_drives import kept_digest
 from leaderboard.shared_surfaces import fixed_surfaces, repeated_road, shared_seeds
 from road_envs.core import config
@@ -36,7 +29,6 @@ from road_envs.plants.commonroad_car import as_driven
 from road_envs.roads import Road
 from road_envs.roads.api import AnyRoad
 from road_envs.roads.composite import NoisyCopy
-from road_envs.roads.measured import Measured
 from road_envs.sensing.data_logger import Instruments, load_instruments
 from road_envs.sensing.perturbed_vehicle import (
     PerturbedVehicle,
@@ -207,8 +199,7 @@ class Task(Settings):
         parts += [kept_digest(condition.plant) for condition in self.conditions if condition.plant]
         if any(condition.grade != "S0" for condition in self.conditions):
             parts.append(load_plant_mismatch())
-        text = json.dumps(to_json_types(parts, _digested_fields), sort_keys=True, default=repr)
-        return hashlib.sha256(text.encode()).hexdigest()
+        return settings_digest(parts)
 
     def seed_stream(self, condition: Condition) -> int:
         """Return the random stream of the sensor noise under a condition, the same for conditions
@@ -278,17 +269,18 @@ class Task(Settings):
 
     def _check_calibration(self, fixed: set[str]) -> None:
         """Raise ValueError if a calibration drive shares a seed or a `fixed` road of the test."""
-        used = self.training.all_seeds | self.test.all_seeds
+        others = [self.training, self.test]
         for run in self.calibration:
-            seeds = {seed + run.seed_offset for seed in self.test.all_seeds}
-            if shared := sorted(seeds & used):
+            seeds = tuple(seed + run.seed_offset for seed in sorted(self.test.all_seeds))
+            drives = DriveSet(roads=(run.road,), seeds=seeds)
+            if shared := sorted({x for other in others for x in shared_seeds(drives, other)}):
                 raise ValueError(f"a calibration drive shares the seeds {shared} with other drives")
             if fixed & fixed_surfaces([run.road]):
                 raise ValueError(
                     "a calibration drive and a test drive share a surface; choose another road for "
                     "the calibration"
                 )
-            used |= seeds
+            others.append(drives)
 
 
 def load_task(name: str | Path) -> Task:
@@ -326,27 +318,3 @@ def training_delays(task: Task) -> list[float]:
     """Return the delay [m] of the road of each training drive, 0 if it is no delayed copy."""
     roads = [road for road, _ in task.training.roads_and_seeds]
     return [road.delay if isinstance(road, NoisyCopy) else 0.0 for road in roads]
-
-
-def _digested_fields(value: Any) -> dict[str, Any]:
-    """Return the fields of a dataclass that its digest covers; a surface file by its content.
-
-    So are vehicle and instruments, without the folder of their file. Fields at their defaults are
-    left out, so that a new option leaves the digests of all tasks as they are; code that changes a
-    default changes the version of the evaluation code.
-    """
-    kept = {
-        f.name: x
-        for f in dataclasses.fields(value)
-        if f.name not in DESCRIPTIVE_FIELDS and not _is_default(f, x := getattr(value, f.name))
-    }
-    if isinstance(value, Task | Condition):
-        kept |= {name: Path(kept[name]).name for name in ("car", "instruments") if name in kept}
-    if isinstance(value, Measured):
-        kept["path"] = digest_of(value.path)
-    return kept
-
-
-def _is_default(f: dataclasses.Field[Any], value: Any) -> bool:
-    made = f.default_factory() if f.default_factory is not dataclasses.MISSING else f.default
-    return made is not dataclasses.MISSING and type(made) is type(value) and bool(made == value)

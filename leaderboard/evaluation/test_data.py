@@ -106,12 +106,10 @@ def _driven(
     road that varies is filtered white noise.
     """
     of_vehicle, of_surface, of_noise = seeds
-    instruments = task.sensors
+    instruments = task.sensors if drives.noise else task.sensors.noiseless
     if condition.plant and drives is task.test:
         car, where = condition.car or task.car, (surface, run.speed_kmh, of_surface, instruments)
         return drive_of_plant(condition.plant, car, *where)
-    if not drives.noise:
-        instruments = dataclasses.replace(instruments, noise_density=0.0, speed_error=0.0)
     record, truth = simulate_record(
         surface,
         speed_kmh=run.speed_kmh,

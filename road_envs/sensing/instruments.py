@@ -56,6 +56,12 @@ class Instruments(Settings):
         return {name: _location(sensor, car) for name, sensor in self.accelerometers.items()}
 
     @property
+    def noiseless(self) -> "Instruments":
+        """The instruments without any noise, of each sensor as well, and without error of speed."""
+        sensors = {name: replace(x, noise_density=None) for name, x in self.accelerometers.items()}
+        return replace(self, accelerometers=sensors, noise_density=0.0, speed_error=0.0)
+
+    @property
     def layout(self) -> dict[str, Accelerometer]:
         """The accelerometers, each with its range, as a record carries them."""
         sensors = zip(self.accelerometers.items(), self.ranges.tolist(), strict=True)

@@ -7,6 +7,7 @@ import pytest
 from fakes import fake_drives, task
 
 from leaderboard.api import load_task, score_arrays
+from leaderboard.evaluation import results
 from leaderboard.task_tables import score_file, write_task
 from road_envs.core.config import ConfigError
 from road_envs.vehicle.parameters import load_vehicle
@@ -108,6 +109,20 @@ def test_a_file_of_other_drives_is_refused_by_a_sentence(arrays, tmp_path):
     path.write_bytes(b"\x00\xff")
     with pytest.raises(ConfigError, match="not a table of numbers"):
         score_file(arrays, path)
+
+
+def test_heights_of_drives_that_other_code_made_are_refused(arrays, tmp_path, monkeypatch):
+    path = tmp_path / "test_profiles.csv"
+    with monkeypatch.context() as earlier:
+        earlier.setattr(results, "evaluation_version", lambda: "0123+4567")
+        write_task(arrays, tmp_path, "csv")
+    table = filled(pandas.read_csv(path), guesses(arrays))
+    for told in (table, table.assign(task=table.task.str.removesuffix("-0123+4567"))):
+        told.to_csv(path, index=False)
+        with pytest.raises(ConfigError, match=r"another version of this program made those drives"):
+            score_file(arrays, path)
+    table.assign(task=arrays.identity).to_csv(path, index=False)
+    assert score_file(arrays, path).values["nrmse"] > 0.0
 
 
 def test_each_drive_has_the_vehicle_of_its_condition_and_earlier_drives_of_it(tmp_path):

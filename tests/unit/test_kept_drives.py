@@ -7,6 +7,7 @@ import sys
 import numpy as np
 import pytest
 
+from leaderboard import kept_drives
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.evaluation.test_data import simulate_drives
 from leaderboard.kept_drives import drive_of_plant, kept_digest, kept_path
@@ -80,6 +81,22 @@ def test_another_road_of_the_same_name_or_other_instruments_are_not_those_of_a_k
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(ConfigError, match="is not kept"):
         drive_of_plant("mujoco", "bmw_320i", surface, 90.0, given.seed, sensors)
+
+
+def test_a_kept_drive_of_a_car_that_has_changed_is_not_taken_but_for_its_tolerances(monkeypatch):
+    (given,) = simulate_drives(BOARD[0], BOARD[0].test, BOARD[0].conditions[0])
+    surface, car = realise_road("iso_b", given.seed, 100.0), load_vehicle("bmw_320i")
+    drive = ("mujoco", "bmw_320i", surface, 90.0, given.seed, load_instruments("paper"))
+    kept, _ = drive_of_plant(*drive)
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    for change, is_kept in (({"tolerances": {}}, True), ({"m_b": 1.05 * car.m_b}, False)):
+        now = dataclasses.replace(car, **change)
+        monkeypatch.setattr(kept_drives, "load_vehicle", lambda name, now=now: now)
+        if is_kept:
+            np.testing.assert_array_equal(drive_of_plant(*drive)[0].a, kept.a)
+        else:
+            with pytest.raises(ConfigError, match="is not kept"):
+                drive_of_plant(*drive)
 
 
 def test_the_described_car_is_that_of_the_condition():

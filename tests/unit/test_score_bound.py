@@ -74,9 +74,10 @@ def test_the_bound_of_a_plant_is_that_of_the_car_that_it_drives():
     assert found[0] == pytest.approx(expected.pooled, rel=1e-3) and found[1] > 1.1 * found[0]
 
 
-def test_instruments_without_noise_have_no_bound():
-    t = task(instruments="ideal")
-    assert np.isnan(nrmse_bound(t, t.conditions[0], realised(road_class="C")))
+def test_instruments_or_drives_without_noise_have_no_bound():
+    quiet = {"roads": ["iso_d"], "seeds": [11], "noise": False}
+    for t in (task(instruments="ideal"), task(test=quiet)):
+        assert np.isnan(nrmse_bound(t, t.conditions[0], realised(road_class="C")))
 
 
 def test_level_and_waviness_are_fitted_inside_the_band():

@@ -88,3 +88,19 @@ def test_the_digest_depends_on_the_content_of_vehicle_and_instrument_files(
         path.write_text(yaml.safe_dump({**settings, number: share * settings[number]}))
         digests.add(task(**{field: str(path)}).digest)
     assert len(digests) == 2
+
+
+def test_the_digest_depends_on_the_order_of_the_accelerometers_but_not_of_other_settings(tmp_path):
+    """Rows of a record, and the noise and the faults of each, follow the file of instruments."""
+    settings = yaml.safe_load((folder() / "sensors" / "paper.yaml").read_text())
+    sensors = settings["accelerometers"]
+    orders = [
+        settings,
+        dict(reversed(settings.items())),
+        {**settings, "accelerometers": dict(reversed(sensors.items()))},
+    ]
+    found = []
+    for order in orders:
+        (tmp_path / "paper.yaml").write_text(yaml.safe_dump(order, sort_keys=False))
+        found.append(task(instruments=str(tmp_path / "paper.yaml")).digest)
+    assert found[0] == found[1] != found[2]

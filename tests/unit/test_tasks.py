@@ -203,6 +203,32 @@ def test_a_calibration_drive_over_the_test_road_is_refused():
              calibration=[{**CALIBRATION[0], "road": "belgian", "length": None}])  # fmt: skip
 
 
+@pytest.mark.parametrize(
+    ("own_seed", "offset", "test", "shared"),
+    [
+        (None, 76, {"roads": [77], "seeds": [1]}, 77),
+        (None, 77, {"roads": ["iso_d", 10_078], "seeds": [1]}, 10_078),
+        (11, 500, {"roads": ["iso_c"], "seeds": [11]}, 11),
+    ],
+)
+def test_no_calibration_drive_is_over_the_test_road_that_a_seed_of_its_own_draws(
+    own_seed, offset, test, shared
+):
+    """Of the numbers, each is the seed of a road that is drawn by that one alone."""
+
+    def road(x):
+        return {"kind": "fixed_seed", "seed": x, "road": "iso_c"} if isinstance(x, int) else x
+
+    run = {**CALIBRATION[0], "road": road(own_seed or "iso_c"), "seed_offset": offset}
+    drives = {
+        "training": DRIVES | {"seeds": [5]},
+        "test": {**test, "roads": [*map(road, test["roads"])]},
+    }
+    with pytest.raises(ConfigError, match=rf"a calibration drive shares the seeds \[{shared}\]"):
+        task(**drives, calibration=[run])
+    task(**drives, calibration=[{**run, "seed_offset": offset + 1, "road": "iso_c"}])
+
+
 def test_a_low_pass_leaves_the_accelerations_below_it_and_keeps_samples_lost():
     options = {"conditions": CARS[2:], "test": {"roads": ["iso_b"], "seeds": [11], "length": 60.0}}
     plain, low = task(**options), task(**options, low_pass=25.0)
@@ -494,8 +520,16 @@ def test_the_noise_of_a_drive_is_drawn_by_no_other_seed_of_its_task(monkeypatch)
     assert len({tuple(sequence.generate_state(4)) for sequence in drawn}) == 5
 
 
-def test_noise_is_simulated_only_if_the_task_has_it():
-    t = task(test={"roads": ["flat"], "seeds": [11], "length": 20.0, "noise": False})
+@pytest.mark.parametrize("own_densities", [False, True])
+def test_noise_is_simulated_only_if_the_task_has_it(own_densities, tmp_path):
+    instruments = yaml.safe_load(config.find("sensors", "paper").read_text())
+    if own_densities:
+        density, instruments["noise_density"] = instruments["noise_density"], 0.0
+        for sensor in instruments["accelerometers"].values():
+            sensor["noise_density"] = density
+    (tmp_path / "mine.yaml").write_text(yaml.safe_dump(instruments, sort_keys=False))
+    t = task(instruments=str(tmp_path / "mine.yaml"),
+             test={"roads": ["flat"], "seeds": [11], "length": 20.0, "noise": False})  # fmt: skip
     quiet = next(simulate_drives(t, t.test, t.conditions[0])).record
     assert np.abs(quiet.a).max() < 1e-6
     noisy = dataclasses.replace(t.test, noise=True)
