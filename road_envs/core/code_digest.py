@@ -1,8 +1,8 @@
 """Digests of source code that change when the code does, and not with its comments or docstrings.
 
-A file counts by its syntax tree without docstrings. Which files belong together is found by
-following import statements. Both are remembered by the content of the file, so that a process
-that finds nothing changed parses nothing.
+A file counts by its syntax tree without docstrings, which is the same in every version of Python.
+Which files belong together is found by following import statements. Both are remembered by the
+content of the file, so that a process that finds nothing changed parses nothing.
 """
 
 import ast
@@ -15,7 +15,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from road_envs.core.atomic_io import write_text
 
@@ -132,19 +132,44 @@ def _parse(text: bytes) -> _Source:
         body = getattr(node, "body", None)
         if isinstance(body, list):
             node.body = [s for s in body if not _is_text(s)] or [ast.Pass()]  # type: ignore[attr-defined]
+        if isinstance(node, ast.JoinedStr):  # Python 3.12 ends some with an empty text
+            node.values = [x for x in node.values if getattr(x, "value", None) != ""]
         if isinstance(node, ast.Import):
             names.update(dict.fromkeys(alias.name for alias in node.names))
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
             names.update(dict.fromkeys(f"{node.module}:{alias.name}" for alias in node.names))
     own = (name for name in names if name.partition(":")[0].partition(".")[0] in DIGESTED)
-    return _Source(hashlib.sha256(ast.dump(tree).encode()).hexdigest()[:DIGITS], tuple(own))
+    return _Source(hashlib.sha256(_dump(tree).encode()).hexdigest()[:DIGITS], tuple(own))
+
+
+def _dump(tree: ast.AST) -> str:
+    """Return the text of a syntax tree, alike in all versions of Python, unlike that of `ast.dump`.
+
+    New versions add fields, which are None or empty in old code; `kind` is the u of u"text".
+    """
+    lines, front = list[str](), list[Any]([tree])
+    while front:  # no recursion: its limit is another one in each version
+        match front.pop():
+            case ast.AST() as node:
+                fields = {k: x for k, x in ast.iter_fields(node) if x not in (None, [])}
+                fields.pop("kind", None)
+                lines.append(" ".join([type(node).__name__, *fields]))
+                front += fields.values()
+            case list() as nodes:
+                lines.append(f"{len(nodes)} of")
+                front += nodes
+            case value:
+                lines.append(ascii(value))
+    return "\n".join(lines)
 
 
 _parsed: list[str] = []  # contents that this process has parsed and not saved
 
 
 def _memory_file() -> Path:
-    return cache_home() / f"sources-{sys.version_info[0]}{sys.version_info[1]}.json"
+    """File of this digest: of another one, or of what another Python can parse, it is no memory."""
+    own = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()[:8]
+    return cache_home() / f"sources-{own}-{sys.version_info[0]}{sys.version_info[1]}.json"
 
 
 @cache

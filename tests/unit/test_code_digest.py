@@ -1,14 +1,17 @@
 """Digests of code change with the code and with nothing else; kernels are cached by them."""
 
 import os
+import shutil
 import subprocess
 import sys
 import textwrap
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from road_envs.core import code_digest
 from road_envs.core.code_digest import ROOT, _find_source, _parse, closure, digest, importers
 
 CODE = b'''"""A module."""
@@ -54,6 +57,40 @@ def test_any_change_of_the_code_changes_the_digest(old, new):
 @given(st.lists(st.integers(-9, 9), min_size=1, unique=True))
 def test_different_constants_have_different_digests(numbers):
     assert len({_parse(f"x = {n}".encode()).digest for n in numbers}) == len(numbers)
+
+
+TEXTS = rb"""
+def law(x, *, width=8, **more):
+    text = u"one" f"{x:>{width}}" f"{x!r:{width}.{width}}{{" "two" f"{x=:}" "\u1c8a\ud800"
+    return text, (), f"", f"{x:{width}}{x:%H:%M}", {**more, None: None}, x[1:], -1.5e300j, ...
+"""
+OF_A_VERSION = """
+import sys
+from pathlib import Path
+from types import ModuleType
+for name in ("road_envs", "road_envs.core", "road_envs.core.atomic_io"):
+    sys.modules[name] = ModuleType(name)
+sys.modules["road_envs.core"].__path__ = [{folder!r}]
+sys.modules["road_envs.core.atomic_io"].write_text = print  # the digest itself needs no package
+from road_envs.core.code_digest import _parse
+print([_parse(Path(path).read_bytes()).digest for path in {paths!r}])
+"""
+
+
+@pytest.mark.parametrize("version", ["3.11", "3.12", "3.13", "3.14"])
+def test_the_digest_is_the_same_in_every_version_of_python(tmp_path, version):
+    beside = Path(sys.base_prefix).parent.glob(f"*{version}.*/bin/python3")  # as pyenv and uv do
+    found = [path for path in (shutil.which(f"python{version}"), *beside) if path]
+    usable = (x for x in found if not subprocess.run([x, "-c", ""], capture_output=True).returncode)
+    if (python := next(usable, None)) is None:
+        pytest.skip(f"no Python {version} here")
+    texts = tmp_path / "texts.py"
+    texts.write_bytes(TEXTS)
+    paths = [texts, *map(Path, (__file__, code_digest.__file__))]
+    folder = str(Path(code_digest.__file__).parent)
+    code = OF_A_VERSION.format(folder=folder, paths=[*map(str, paths)])
+    done = subprocess.run([python, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == f"{[_parse(path.read_bytes()).digest for path in paths]}\n"
 
 
 def test_the_digest_of_files_depends_on_names_and_contents_and_not_on_their_order(tmp_path):
