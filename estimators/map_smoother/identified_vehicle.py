@@ -11,7 +11,6 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import partial
-from pathlib import Path
 from typing import Self
 
 import numpy as np
@@ -25,6 +24,7 @@ from road_envs.core.code_digest import cache_home
 from road_envs.core.config import Settings, build
 from road_envs.records.accelerometers import to_plain
 from road_envs.records.record import Record
+from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import VehicleParameters
 
 KIND = Kind("identified vehicle", 1, ("estimators.map_smoother.identification",))
@@ -87,8 +87,8 @@ def _identify_once(
 
     Raises CalibrationError, ConfigError.
     """
-    files = [path for path in [Path(instruments)] if path.is_file()]
-    identity = KIND.identity(asdict(car), instruments, _drives_digest(drives), files=files)
+    sensors = load_instruments(instruments)  # by content: `str` names every field in its order
+    identity = KIND.identity(asdict(car), sensors, _drives_digest(drives))
     return KIND.find_or_make(
         cache_home(),
         identity,

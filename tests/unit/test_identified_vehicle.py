@@ -1,5 +1,7 @@
 """Calibration by identification: what is remembered, and how records are corrected."""
 
+import re
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +12,7 @@ from estimators import create
 from estimators.api import Calibratable, CalibrationDrive, CalibrationError
 from estimators.map_smoother import identification, identified_vehicle
 from estimators.map_smoother.identified_vehicle import IdentifiedVehicle, _identify_once
+from road_envs.core import config
 from road_envs.drives.recording import simulate_record
 
 OTHER = replace(DEFENDER, m_b=1.1 * DEFENDER.m_b)
@@ -50,6 +53,23 @@ def test_a_vehicle_is_identified_once_for_the_same_drives(identified, tmp_path):
     for path in (tmp_path / "identified_vehicle").iterdir():
         path.write_text("{", encoding="utf-8")
     assert _identify_once([first], DEFENDER, "paper") == FOUND and len(identified) == 7
+
+
+def test_a_vehicle_is_identified_again_when_shipped_instruments_change(
+    identified, tmp_path, monkeypatch
+):
+    shutil.copytree(config.folder(), tmp_path / "configs")
+    monkeypatch.setattr(config, "folder", lambda: tmp_path / "configs")
+    paper, one = tmp_path / "configs" / "sensors" / "paper.yaml", [drive()]
+    text = paper.read_text()
+    noise = text.replace("noise_density: 0.01", "noise_density: 0.02")
+    first, last = re.findall(r"^  [RL][RF]: .*$", text, re.MULTILINE)[::2]
+    order = text.replace(first, "?").replace(last, first).replace("?", last)
+    for changed in (text, noise, order):
+        paper.write_text(changed)
+        for instruments in ("paper", "paper", str(paper)):
+            _identify_once(one, DEFENDER, instruments)
+    assert len({text, noise, order}) == len(identified) == 3
 
 
 @pytest.mark.parametrize("name", WITH_A_MODEL)
