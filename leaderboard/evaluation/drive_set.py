@@ -63,15 +63,8 @@ class DriveSet(Settings):
 
     @property
     def strata(self) -> list[list[int]]:
-        """Indices in `roads_and_seeds` by family, in which a bootstrap resamples them.
-
-        All are one stratum where a family has a single road, of which nothing could be drawn.
-        """
-        by_family = [self.indices_of_family(name) for name in dict.fromkeys(self.families)]
-        strata = [indices for indices in by_family if indices]
-        if not strata or min(map(len, strata)) < 2:
-            return [list(range(len(self.roads_and_seeds)))]
-        return strata
+        """Indices in `roads_and_seeds` by family, in which a bootstrap resamples them."""
+        return [self.indices_of_family(name) for name in dict.fromkeys(self.families)]
 
     def indices_of_family(self, family: str) -> list[int]:
         """Return the indices in `roads_and_seeds` of the roads of a family."""

@@ -63,10 +63,11 @@ def bootstrap(
 ) -> np.ndarray:
     """Return the interquartile means (B,) of resamples of `scores` (R, C, S): roads, then seeds.
 
-    Roads are resampled within each of `strata`, lists of their indices; by default there is one. The
-    resampled roads depend on `seed`, `strata`, B and which roads have runs alone, so entries with
-    one `seed` and runs on the same roads are paired. NaNs mark missing runs and are ignored; a road
-    without runs is not drawn.
+    Roads are resampled within each of `strata`, lists of their indices; there is one by default,
+    and where one has a single road with runs, of which nothing could be drawn. The resampled roads
+    depend on `seed`, `strata`, B and which roads have runs alone, so entries with one `seed` and
+    runs on the same roads are paired. NaNs mark missing runs and are ignored; a road without runs
+    is not drawn.
     """
     batches = _replicate_scores(scores, seed, replicates, strata)
     return np.concatenate([interquartile_mean(x, weights=weights) for x, weights in batches])
@@ -146,6 +147,8 @@ def _replicate_scores(
     has_runs |= not has_runs.any()
     drawable = [[k for k in part if has_runs[k]] for part in strata or [range(R)]]
     drawable = [part for part in drawable if part]
+    if min(map(len, drawable)) < 2:
+        drawable = [np.flatnonzero(has_runs).tolist()]
     numbers = [_number_drawn(len(part)) for part in drawable]
     road_rng, seed_rng = np.random.default_rng(seed).spawn(2)
     drawn = [

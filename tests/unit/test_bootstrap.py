@@ -88,6 +88,16 @@ def test_replicates_vary_as_the_mean_of_few_roads_and_of_few_trainings_does():
         assert share == pytest.approx([0.25, 0.5])
 
 
+def test_roads_are_one_stratum_where_a_family_has_a_single_road_that_is_not_level():
+    scores = np.random.default_rng(10).lognormal(size=(10, 1, 1))
+    scores[1::2] = np.nan
+    pairs = [[k, k + 1] for k in range(0, 10, 2)]
+    assert iqm_interval(scores, pairs) == iqm_interval(scores)
+    assert np.ptp(iqm_interval(scores, pairs)) > 0.1
+    assert iqm_interval(scores, [[0, 2], [4], [6, 8]]) == iqm_interval(scores)
+    assert iqm_interval(scores, [[0, 2], [1, 3], [4, 6, 8]]) != iqm_interval(scores)
+
+
 def test_more_seeds_do_not_replace_more_roads():
     road = np.random.default_rng(1).standard_normal((10, 1, 1))
     few, many = (np.std(bootstrap(road + np.zeros((1, 1, S)), 0)) for S in (1, 50))
