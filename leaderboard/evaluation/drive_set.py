@@ -33,9 +33,12 @@ class DriveSet(Settings):
                 f"families must name one family for each of the {len(self.roads)} roads, "
                 f"got {len(self.families)}"
             )
-        if len(set(self.seeds)) < len(self.seeds):
-            raise ValueError(f"seeds must differ, got {list(self.seeds)}")
         total = len(self.roads) * len(self.seeds)
+        if len(self.all_seeds) < total:
+            raise ValueError(
+                "seeds must differ, also from those of another road of the list, which are higher "
+                f"by multiples of {SEED_STRIDE}; got {list(self.seeds)}"
+            )
         if self.number is not None and not 1 <= self.number <= total:
             raise ValueError(f"number of drives must be 1 to {total}, got {self.number}")
         drives = set(range(total if self.number is None else self.number))

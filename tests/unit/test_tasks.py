@@ -233,7 +233,28 @@ def test_a_road_drawn_by_a_seed_of_its_own_is_that_of_the_seed():
             task(training=training, test=test)
     with pytest.raises(ConfigError, match=r"no seed varies the road FixedSeed, so the test needs"):
         task(training=DRIVES, test={**alone, "seeds": [11, 12]})
+    assert task(training=DRIVES, test={"roads": [fixed, {**fixed, "seed": 6}], "seeds": [11]})
     assert task(training=DRIVES, test={"roads": ["iso_d", "flat"], "seeds": [11, 12]})
+
+
+FIXED = {"kind": "fixed_seed", "seed": 77, "road": "iso_d"}
+
+
+@pytest.mark.parametrize(
+    ("roads", "seeds", "message"),
+    [
+        (["iso_d"] * 5, [1001, 11001, 21001], "by multiples of 10000; got [1001, 11001, 21001]"),
+        (["iso_d", "iso_e"], [10011, 11], "seeds must differ, also from those of another road"),
+        (["belgian", "iso_d", "belgian"], [1001], "no seed varies the road FixedSeed"),
+        ([FIXED, "flat", FIXED], [1001], "no seed varies the road FixedSeed"),
+        ([FIXED, {"kind": "scaled", "road": FIXED}], [1001], "may list each surface once"),
+    ],
+)
+def test_a_road_counts_once_at_whatever_place_of_the_list(roads, seeds, message):
+    with pytest.raises(ConfigError) as error:
+        task(test={"roads": roads, "seeds": seeds})
+    assert message in str(error.value)
+    assert task(test={"roads": ["iso_d"] * 5, "seeds": [1001, 1002]})  # by seeds of their own
 
 
 @pytest.mark.parametrize("training", ["belgian", "belgian_training"])
@@ -397,10 +418,9 @@ def test_files_are_named_relative_to_the_file_of_their_task(tmp_path, monkeypatc
         "conditions": [
             {"mode": "ride", "speed_kmh": 14.5, "car": "files/land_rover_defender_110.yaml"}
         ],
-        "test": {
-            "roads": ["files/street.csv", {"kind": "measured", "path": "files/street.csv"}, bent],
-            "seeds": [3],
-        },
+        "training": {"roads": ["files/street.csv"], "seeds": [1]},
+        "test": {"roads": [{"kind": "measured", "path": "files/street.csv"}, bent], "seeds": [3]},
+        "trains_on_test_road": True,
         "note": "as in files/paper.yaml",
     }
     (there / "mine.yaml").write_text(yaml.safe_dump({**as_settings(), **changed}))
@@ -410,7 +430,7 @@ def test_files_are_named_relative_to_the_file_of_their_task(tmp_path, monkeypatc
         mine = load_task(name)
         assert mine.vehicle_of(mine.conditions[0]) == load_vehicle("land_rover_defender_110")
         assert mine.sensors == load_instruments("paper") and mine.note == "as in files/paper.yaml"
-        first, second, third = (road for road, _ in mine.test.roads_and_seeds)
+        first, second, third = mine.training.roads + mine.test.roads
         assert first == second == third.road and Path(first.path).samefile(
             there / "files" / "street.csv"
         )
