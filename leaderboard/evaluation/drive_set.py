@@ -42,10 +42,11 @@ class DriveSet(Settings):
         if self.number is not None and not 1 <= self.number <= total:
             raise ValueError(f"number of drives must be 1 to {total}, got {self.number}")
         drives = set(range(total if self.number is None else self.number))
-        if self.design and set().union(*self.design) != drives:
+        repeats = any(len(set(indices)) < len(indices) for indices in self.design)
+        if self.design and (repeats or set().union(*self.design) != drives):
             raise ValueError(
-                f"design must use each of the drives 0 to {max(drives)} under some condition, "
-                f"got {[list(indices) for indices in self.design]}"
+                f"design must use each of the drives 0 to {max(drives)} under some condition, and "
+                f"none twice under one, got {[list(indices) for indices in self.design]}"
             )
 
     @property

@@ -81,6 +81,7 @@ def test_the_default_design_drives_every_family_road_and_condition_in_fourteen_d
     [
         ([[0, 1], [1]], "each of the drives 0 to 2"),
         ([[0, 1, 2], [3]], "each of the drives 0 to 2"),
+        ([[0, 0, 1, 2], [1]], "none twice under one, got"),
         ([[0, 1, 2]], "2 lists, none for training"),
     ],
 )
