@@ -149,14 +149,14 @@ def _replicate_scores(
     drawable = [part for part in drawable if part]
     if min(map(len, drawable)) < 2:
         drawable = [np.flatnonzero(has_runs).tolist()]
-    numbers = [_number_drawn(len(part)) for part in drawable]
+    numbers = [number_drawn(len(part)) for part in drawable]
     road_rng, seed_rng = np.random.default_rng(seed).spawn(2)
     drawn = [
         np.asarray(part)[road_rng.integers(len(part), size=(replicates, n))]
         for part, n in zip(drawable, numbers, strict=True)
     ]
     roads = np.concatenate(drawn, axis=1)
-    seeds = seed_rng.integers(S, size=(replicates, _number_drawn(S)))
+    seeds = seed_rng.integers(S, size=(replicates, number_drawn(S)))
     whole = math.lcm(*numbers)  # makes the weights whole numbers, whose sums are exact
     of_roads = [whole * len(part) // n for part, n in zip(drawable, numbers, strict=True)]
     weights = np.repeat(np.repeat(of_roads, numbers), seeds.shape[1] * C).astype(float)
@@ -169,7 +169,7 @@ def _replicate_scores(
         yield resampled.reshape(len(resampled), -1), weights
 
 
-def _number_drawn(n: int) -> int:
+def number_drawn(n: int) -> int:
     """Return how many of `n` roads or seeds are drawn: n - 1, and the only one."""
     return max(1, n - 1)
 
