@@ -34,10 +34,16 @@ def shared_seeds(one: DriveSet, other: DriveSet) -> list[int]:
 
 
 def repeated_road(drives: DriveSet) -> str | None:
-    """Return the kind of an uneven road that several seeds realise alike; None if there is none."""
-    for road in drives.roads if len(drives.seeds) > 1 else ():
-        if fixed_surfaces([road]) and not _is_random(road):
-            return type(road).__name__
+    """Return the kind of an uneven road that no seed varies and that is driven twice: at several
+    seeds, or as another of the list is made of the same surfaces. None if there is none.
+    """
+    found: list[set[str]] = []
+    for road in drives.roads:
+        surfaces = fixed_surfaces([road])
+        if surfaces and not _is_random(road):
+            if len(drives.seeds) > 1 or surfaces in found:
+                return type(road).__name__
+            found.append(surfaces)
     return None
 
 

@@ -136,7 +136,7 @@ class Results:
 
     def missed(self, policy: str) -> list[str]:
         """Return the clauses of the bar that a policy misses."""
-        parts = [part for part in self.parts if self.hardest(policy, part)[1]["low"] <= 0.0]
+        parts = [part for part in self.parts if not self.hardest(policy, part)[1]["low"] > 0.0]
         found = [f"not above every law: {', '.join(parts)}"] * bool(parts)
         groups = self.groups_of(policy).items()
         below = [name for name, (_, ride, *_) in groups if ride < -TIE]
@@ -147,7 +147,9 @@ class Results:
 
 
 def signed(gain: dict[str, float]) -> str:
-    """Return a gain with its interval."""
+    """Return a gain with its interval, if it has one."""
+    if np.isnan(gain["low"]):
+        return f"{gain['mean']:+.3f} (few drives)"
     return f"{gain['mean']:+.3f} ({gain['low']:+.3f} to {gain['high']:+.3f})"
 
 

@@ -33,16 +33,20 @@ class DriveSet(Settings):
                 f"families must name one family for each of the {len(self.roads)} roads, "
                 f"got {len(self.families)}"
             )
-        if len(set(self.seeds)) < len(self.seeds):
-            raise ValueError(f"seeds must differ, got {list(self.seeds)}")
         total = len(self.roads) * len(self.seeds)
+        if len(self.all_seeds) < total:
+            raise ValueError(
+                "seeds must differ, also from those of another road of the list, which are higher "
+                f"by multiples of {SEED_STRIDE}; got {list(self.seeds)}"
+            )
         if self.number is not None and not 1 <= self.number <= total:
             raise ValueError(f"number of drives must be 1 to {total}, got {self.number}")
         drives = set(range(total if self.number is None else self.number))
-        if self.design and set().union(*self.design) != drives:
+        repeats = any(len(set(indices)) < len(indices) for indices in self.design)
+        if self.design and (repeats or set().union(*self.design) != drives):
             raise ValueError(
-                f"design must use each of the drives 0 to {max(drives)} under some condition, "
-                f"got {[list(indices) for indices in self.design]}"
+                f"design must use each of the drives 0 to {max(drives)} under some condition, and "
+                f"none twice under one, got {[list(indices) for indices in self.design]}"
             )
 
     @property
@@ -63,15 +67,8 @@ class DriveSet(Settings):
 
     @property
     def strata(self) -> list[list[int]]:
-        """Indices in `roads_and_seeds` by family, in which a bootstrap resamples them.
-
-        All are one stratum where a family has a single road, of which nothing could be drawn.
-        """
-        by_family = [self.indices_of_family(name) for name in dict.fromkeys(self.families)]
-        strata = [indices for indices in by_family if indices]
-        if not strata or min(map(len, strata)) < 2:
-            return [list(range(len(self.roads_and_seeds)))]
-        return strata
+        """Indices in `roads_and_seeds` by family, in which a bootstrap resamples them."""
+        return [self.indices_of_family(name) for name in dict.fromkeys(self.families)]
 
     def indices_of_family(self, family: str) -> list[int]:
         """Return the indices in `roads_and_seeds` of the roads of a family."""

@@ -144,7 +144,10 @@ class Task(Settings):
         if shared := shared_seeds(self.training, self.test):
             raise ValueError(f"training and test share the seeds {shared}")
         if kind := repeated_road(self.test):
-            raise ValueError(f"no seed varies the road {kind}, so the test needs a single seed")
+            raise ValueError(
+                f"no seed varies the road {kind}, so the test needs a single seed and may list "
+                "each surface once"
+            )
         fixed = fixed_surfaces(self.test.roads)
         self._check_calibration(fixed)
         if fixed and not self.trains_on_test_road and fixed & fixed_surfaces(self.training.roads):

@@ -5,9 +5,12 @@ it resamples roads, then seeds, and never parts of one road (Agarwal et al., Neu
 interquartile mean and stratified intervals). One trained estimator is tested on every road, so a
 resample of seeds holds for all roads of a replicate. Entries are paired: each replicate uses the
 same roads for all of them. Roads are resampled within their family, so that the differences
-between families do not widen the intervals.
+between families do not widen the intervals. Of n roads n - 1 are drawn, each with the weight
+n / (n - 1): drawing n would give (n - 1) / n of the variance of a mean, half of it with two roads
+(Rao and Wu, J. Am. Stat. Assoc. 83, 231-241, 1988, with m = n - 1). So are seeds.
 """
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
@@ -33,17 +36,23 @@ class Interval(NamedTuple):
     high: float
 
 
-def interquartile_mean(x: np.ndarray, axis: int = -1) -> np.ndarray:
+def interquartile_mean(
+    x: np.ndarray, axis: int = -1, weights: np.ndarray | None = None
+) -> np.ndarray:
     """Return the mean of the middle half of `x`; values at the quartiles count in part.
 
-    NaNs are ignored; the mean of no values is NaN.
+    NaNs are ignored; the mean of no values is NaN. Each value counts once, or as often as its
+    `weights` (n,) say, whole numbers for the values along the axis.
     """
-    x = np.moveaxis(np.sort(x, axis=axis), axis, -1)  # NaNs are sorted to the end
-    count = np.sum(~np.isnan(x), axis=-1, keepdims=True)
-    # the k-th smallest value covers the ranks k to k + 1: it counts with the part of that interval
-    # that lies between the quartiles, at 1/4 and 3/4 of the count
-    rank = np.arange(x.shape[-1])
-    weight = np.clip(np.minimum(rank + 1, 0.75 * count) - np.maximum(rank, 0.25 * count), 0.0, 1.0)
+    x = np.moveaxis(x, axis, -1)
+    order = np.argsort(x, axis=-1)
+    x = np.take_along_axis(x, order, axis=-1)
+    count = np.where(np.isnan(x), 0.0, 1.0 if weights is None else weights[order])
+    # a value covers as many ranks as it counts: it has the weight of those of them that lie between
+    # the quartiles, at 1/4 and 3/4 of all
+    end = np.cumsum(count, axis=-1)
+    low, high = 0.25 * end[..., -1:], 0.75 * end[..., -1:]
+    weight = np.maximum(np.minimum(end, high) - np.maximum(end - count, low), 0.0)
     total = weight.sum(axis=-1)
     with np.errstate(invalid="ignore"):
         return np.sum(np.where(weight > 0.0, weight * x, 0.0), axis=-1) / total
@@ -54,13 +63,14 @@ def bootstrap(
 ) -> np.ndarray:
     """Return the interquartile means (B,) of resamples of `scores` (R, C, S): roads, then seeds.
 
-    Roads are resampled within each of `strata`, lists of their indices; by default there is one.
-    The resampled roads depend on `seed`, `strata`, B and which roads have runs alone, so entries
-    with one `seed` and runs on the same roads are paired. NaNs mark missing runs and are ignored; a
-    road without runs is not drawn.
+    Roads are resampled within each of `strata`, lists of their indices; there is one by default,
+    and where one has a single road with runs, of which nothing could be drawn. The resampled roads
+    depend on `seed`, `strata`, B and which roads have runs alone, so entries with one `seed` and
+    runs on the same roads are paired. NaNs mark missing runs and are ignored; a road without runs
+    is not drawn.
     """
     batches = _replicate_scores(scores, seed, replicates, strata)
-    return np.concatenate([interquartile_mean(x) for x in batches])
+    return np.concatenate([interquartile_mean(x, weights=weights) for x, weights in batches])
 
 
 class Resampled(NamedTuple):
@@ -116,41 +126,52 @@ def performance_profile(
     Lower scores are better. NaN marks a missing run, infinity a run above every threshold.
     """
 
-    def shares(x: np.ndarray) -> np.ndarray:
-        count = np.sum(~np.isnan(x), axis=-1)
+    def shares(x: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        count = ~np.isnan(x) @ weights
         with np.errstate(invalid="ignore"):
-            return np.stack([np.sum(x <= limit, axis=-1) / count for limit in thresholds], axis=-1)
+            return np.stack([(x <= limit) @ weights / count for limit in thresholds], axis=-1)
 
-    parts = [shares(x) for x in _replicate_scores(scores, 0, replicates, strata)]
+    parts = [shares(*batch) for batch in _replicate_scores(scores, 0, replicates, strata)]
     low, high = np.quantile(np.concatenate(parts), _QUANTILES, axis=0)
-    return shares(scores.ravel()), low, high
+    return shares(scores.ravel(), np.ones(scores.size)), low, high
 
 
 def _replicate_scores(
     scores: np.ndarray, seed: int, replicates: int, strata: Strata | None
-) -> Iterator[np.ndarray]:
-    """Yield the resampled scores (b, R C S) in batches of replicates."""
-    # indices of the roads (B, R), drawn stratum by stratum, and of the seeds (B, S): the streams of
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield resampled scores (b, N) and their weights (N,) in batches of replicates."""
+    # indices of the roads (B, r), drawn stratum by stratum, and of the seeds (B, s): the streams of
     # both are apart, so that entries with other numbers of seeds still share their roads
-    R, _, S = scores.shape
+    R, C, S = scores.shape
     has_runs = ~np.isnan(scores).all(axis=(1, 2))
     has_runs |= not has_runs.any()
     drawable = [[k for k in part if has_runs[k]] for part in strata or [range(R)]]
+    drawable = [part for part in drawable if part]
+    if min(map(len, drawable)) < 2:
+        drawable = [np.flatnonzero(has_runs).tolist()]
+    numbers = [number_drawn(len(part)) for part in drawable]
     road_rng, seed_rng = np.random.default_rng(seed).spawn(2)
     drawn = [
-        np.asarray(roads)[road_rng.integers(len(roads), size=(replicates, len(roads)))]
-        for roads in drawable
-        if roads
+        np.asarray(part)[road_rng.integers(len(part), size=(replicates, n))]
+        for part, n in zip(drawable, numbers, strict=True)
     ]
     roads = np.concatenate(drawn, axis=1)
-    seeds = seed_rng.integers(S, size=(replicates, S))
+    seeds = seed_rng.integers(S, size=(replicates, number_drawn(S)))
+    whole = math.lcm(*numbers)  # makes the weights whole numbers, whose sums are exact
+    of_roads = [whole * len(part) // n for part, n in zip(drawable, numbers, strict=True)]
+    weights = np.repeat(np.repeat(of_roads, numbers), seeds.shape[1] * C).astype(float)
     size = max(1, MAX_BATCH_SCORES // scores.size)
     for k in range(0, replicates, size):
-        # scores (b, R, S, C): each road of a replicate with each of its seeds; a seed is a trained
+        # scores (b, r, s, C): each road of a replicate with each of its seeds; a seed is a trained
         # estimator, which is drawn for all roads at once
         part = slice(k, k + size)
         resampled = scores[roads[part, :, None], :, seeds[part, None, :]]
-        yield resampled.reshape(len(resampled), -1)
+        yield resampled.reshape(len(resampled), -1), weights
+
+
+def number_drawn(n: int) -> int:
+    """Return how many of `n` roads or seeds are drawn: n - 1, and the only one."""
+    return max(1, n - 1)
 
 
 def iqm_interval(scores: np.ndarray, strata: Strata | None = None) -> Interval:

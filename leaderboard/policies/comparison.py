@@ -2,7 +2,8 @@
 
 Each public drive is driven to both sides. All policies drive the same roads, cars and faults, and
 the best switching found on the known road stands beside them as a line. Intervals are 95 %
-bootstraps over the drives, a drive and its mirror image together.
+bootstraps over the drives, a drive and its mirror image together, as of roads in
+`leaderboard.metrics.bootstrap`: from MIN_ROADS pairs on, and one less than all are drawn.
 """
 
 from collections.abc import Mapping
@@ -13,6 +14,8 @@ from typing import Any
 import numpy as np
 
 from leaderboard.entries.entry import describe_error
+from leaderboard.metrics.api import UNDEFINED
+from leaderboard.metrics.bootstrap import MIN_ROADS, number_drawn
 from leaderboard.policies import best_found
 from leaderboard.policies.best_found import Progress
 from leaderboard.policies.policy_process import PolicyProcess
@@ -173,15 +176,25 @@ def _row(name: str, rollout: Rollout, base: Rollout | None, drives: Drives) -> d
 def interval(x: np.ndarray, mirrored: bool = True) -> dict[str, float]:
     """Return the mean of `x` (N,) or (S, N), and its 95 % interval over S seeds and N drives.
 
-    Drives are drawn in pairs if they are `mirrored`.
+    Drives are drawn in pairs if they are `mirrored`. Of fewer than MIN_ROADS drives or pairs the
+    interval is NaN.
     """
     pairs = np.atleast_2d(x)
     pairs = pairs.reshape(len(pairs), -1, 1 + mirrored).mean(axis=2)
     rng, (seeds, drives) = np.random.default_rng(0), pairs.shape
-    drawn = rng.integers(0, drives, (_BOOTSTRAPS, 1, drives))
-    means = pairs[rng.integers(0, seeds, (_BOOTSTRAPS, seeds, 1)), drawn].mean(axis=(1, 2))
-    low, high = np.quantile(means, [0.025, 0.975])
+    drawn = rng.integers(0, drives, (_BOOTSTRAPS, 1, number_drawn(drives)))
+    trained = rng.integers(0, seeds, (_BOOTSTRAPS, number_drawn(seeds), 1))
+    low, high = np.quantile(pairs[trained, drawn].mean(axis=(1, 2)), [0.025, 0.975])
+    if drives < MIN_ROADS:
+        low = high = np.nan
     return {"mean": _round(pairs.mean()), "low": _round(low), "high": _round(high)}
+
+
+def interval_text(found: Mapping[str, float]) -> str:
+    """Return the text of the interval of a mean, a dash if it has none."""
+    if not np.isfinite(found["low"]):
+        return UNDEFINED
+    return f"{found['low']:.3f} to {found['high']:6.3f}"
 
 
 def table_lines(data: Mapping[str, Any]) -> list[str]:
@@ -202,7 +215,7 @@ def table_lines(data: Mapping[str, Any]) -> list[str]:
             for name in ("left", "right", "unseen", "S3")
         )
         lines.append(
-            f"{row['policy']:20s} {s['mean']:6.3f} {s['low']:7.3f} to {s['high']:6.3f} "
+            f"{row['policy']:20s} {s['mean']:6.3f} {interval_text(s):>17s} "
             f"{row['comfort']['mean']:6.3f} {row['violations']:5.0%} {left} {right} {unseen} {s3} "
             f"{row['worst']:6.2f} {row['load_transfer']:5.2f} {row['roll']:6.1f}  "
             + (f"{row['wins']}/{row['ties']}/{row['losses']}" if "wins" in row else "")

@@ -5,7 +5,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from leaderboard.policies.comparison import BEST_FOUND, GROUPS, Comparison
+from leaderboard.policies.comparison import BEST_FOUND, GROUPS, Comparison, interval_text
 from leaderboard.policies.timeline import Timeline, drive_chart
 from leaderboard.report.figures import QUIET, Chart, axis, chart
 from leaderboard.report.rendering import BOARD_PAGE, POLICY_PAGE, render, write_static
@@ -46,6 +46,7 @@ def _render_page(
         root="",
         data=data,
         best_found=BEST_FOUND,
+        interval_text=interval_text,
         groups=present,
         scores=_score_chart(data) if _shown_policies(data) else None,
         shown=data["drives"][_SHOWN_DRIVE],

@@ -13,6 +13,7 @@ from leaderboard.policies.comparison import (
     _label,
     _row,
     compare,
+    interval,
     public_drives,
     table_lines,
 )
@@ -181,6 +182,20 @@ def test_a_row_counts_wins_ties_and_losses(rollouts, drives):
     assert rows["rrms"]["ties"] == len(drives)
 
 
+def test_an_interval_needs_five_pairs_and_varies_as_their_mean():
+    rng = np.random.default_rng(0)
+    ratios = []
+    for pairs in rng.standard_normal((100, 8)):
+        of_trainings = np.outer(pairs, np.ones(10))
+        found = [interval(np.repeat(pairs, 2)), interval(of_trainings)]
+        error = pairs.std(ddof=1) / np.sqrt(8)
+        ratios.append([(x["high"] - x["low"]) / (2 * 1.96 * error) for x in found])
+    assert np.mean(ratios, axis=0) == pytest.approx(1.0, abs=0.03)  # 0.93 if all eight are drawn
+    few = interval(np.repeat(pairs[:4], 2))
+    assert np.isnan(few["low"]) and few["mean"] == pytest.approx(pairs[:4].mean(), rel=1e-4)
+    assert np.isfinite(interval(pairs[:5], mirrored=False)["low"])
+
+
 def test_switches_are_counted_until_the_end_of_each_drive(rollouts, drives):
     rollout, found = rollouts["rrms"], []
     after = np.arange(len(rollout.actions))[:, None] >= rollout.intervals
@@ -213,6 +228,9 @@ def test_the_page_shows_every_row_and_the_best_found_as_a_line(searched):
     assert f"<option selected>{BEST_FOUND}</option>" in page
     lines = [t["name"] for t in _score_chart(data)["figures"][""]["data"] if t["mode"] == "lines"]
     assert lines == [BEST_FOUND]
+    mean = data["rows"][0]["score"]["mean"]  # of one pair of drives: without an interval
+    assert f"<td>{mean:.3f}</td><td>–</td>" in page
+    assert f"{BEST_FOUND:20s} {mean:6.3f} {'–':>17s} " in table_lines(data)[2]
     assert _label(searched.drives.starts[0].description) == data["drives"][0]
 
 

@@ -208,12 +208,12 @@ def interquartile_mean(x):
 
 
 def hierarchical(scores, draws, rng):
-    """Return interquartile means of resamples of scores (R, C, S): roads first, then seeds."""
+    """Return interquartile means of resamples of scores (R, C, S): R - 1 roads, S - 1 seeds."""
     R, C, S = scores.shape
     found = []
     for _ in range(draws):
-        roads = [rng.integers(R) for _ in range(R)]
-        seeds = [rng.integers(S) for _ in range(S)]
+        roads = [rng.integers(R) for _ in range(R - 1)]
+        seeds = [rng.integers(S) for _ in range(S - 1)]
         found.append(
             interquartile_mean([scores[r, c, s] for r in roads for c in range(C) for s in seeds])
         )

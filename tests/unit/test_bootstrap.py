@@ -5,7 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from leaderboard.metrics.bootstrap import bootstrap, interquartile_mean, iqm_interval, rank_entries
+from leaderboard.metrics.bootstrap import (
+    bootstrap,
+    interquartile_mean,
+    iqm_interval,
+    performance_profile,
+    rank_entries,
+)
 
 
 def test_the_interquartile_mean_is_the_mean_of_the_middle_half():
@@ -34,6 +40,62 @@ def test_bootstrap_intervals_have_their_nominal_coverage():
         inside += low <= 0.0 <= high
     # 95 % of 200, three standard errors; a bootstrap of 30 roads is a little narrow
     assert 0.87 <= inside / 200 <= 0.99
+
+
+OF_NEW_ROAD = [[0, 6], [1, 7], [2, 3, 8, 9], [4, 5, 10, 11]]
+OF_FIELD = [[0, 2, 4], [1, 3, 5]]
+
+
+@pytest.mark.parametrize("strata", [OF_NEW_ROAD, OF_FIELD])
+def test_equal_entries_share_ranks_and_intervals_cover_in_families_of_a_few_roads(strata):
+    """Of n roads, n draws have (n - 1) / n of the variance: 10 % and 87 % of these boards."""
+    rng = np.random.default_rng(14)
+    level = np.zeros(sum(map(len, strata)))
+    for k, family in enumerate(strata):
+        level[family] = 0.3 * k  # log of the score
+
+    def scores(road):
+        noise = 0.15 * rng.standard_normal(road.shape)
+        return np.exp(level + road + noise)[..., None, None]
+
+    many = scores(0.3 * rng.standard_normal((50_000, len(level))))
+    expected = interquartile_mean(many[..., 0, 0]).mean()
+    ranked, inside = [], []
+    for road in 0.3 * rng.standard_normal((500, len(level))):
+        one, other = scores(road), scores(road)
+        ranks = rank_entries({"one": one, "other": other}, strata=strata)
+        ranked.append(ranks["one"] != ranks["other"])
+        mean, low, high = iqm_interval(one, strata)
+        assert low <= mean <= high  # families keep their shares of a replicate
+        inside.append(low <= expected <= high)
+    # 5 % and 95 %; of few roads, percentiles of a bootstrap are a little narrow
+    assert np.mean(ranked) < 0.08
+    assert np.mean(inside) > 0.89
+
+
+def test_replicates_vary_as_the_mean_of_few_roads_and_of_few_trainings_does():
+    """The standard error of a mean is s / sqrt(n), with s² over n - 1; the middle half of two
+    values is both of them.
+    """
+    pair = np.array([1.0, 2.0])
+    for scores in (pair[:, None, None], pair[None, None, :]):
+        assert np.std(bootstrap(scores, 0)) == pytest.approx(0.5, rel=0.01)
+    families = np.array([1.0, 2.0, 10.0, 10.0, 20.0, 20.0, 20.0, 20.0])[:, None, None]
+    # the quartiles cut the families as those of all roads do: they keep their weights
+    strata = [[0, 1], [2, 3], [4, 5, 6, 7]]
+    assert bootstrap(families, 0, strata=strata) == pytest.approx(15.0)
+    for share in performance_profile(families, np.array([5.0, 15.0]), strata=strata):
+        assert share == pytest.approx([0.25, 0.5])
+
+
+def test_roads_are_one_stratum_where_a_family_has_a_single_road_that_is_not_level():
+    scores = np.random.default_rng(10).lognormal(size=(10, 1, 1))
+    scores[1::2] = np.nan
+    pairs = [[k, k + 1] for k in range(0, 10, 2)]
+    assert iqm_interval(scores, pairs) == iqm_interval(scores)
+    assert np.ptp(iqm_interval(scores, pairs)) > 0.1
+    assert iqm_interval(scores, [[0, 2], [4], [6, 8]]) == iqm_interval(scores)
+    assert iqm_interval(scores, [[0, 2], [1, 3], [4, 6, 8]]) != iqm_interval(scores)
 
 
 def test_more_seeds_do_not_replace_more_roads():

@@ -70,9 +70,7 @@ def test_the_default_design_drives_every_family_road_and_condition_in_fourteen_d
     assert {k for part in driven for k, _, _ in part} == set(range(12))
     families = [t.test.families[k % 6] for part in driven for k, _, _ in part]
     assert all(families.count(name) >= 2 for name in t.test.families)
-    assert sorted(k for part in t.test.strata for k in part) == list(range(12))
-    few = t.with_test_drives(7).test  # a family has two: nothing could be drawn of the others
-    assert few.strata == [list(range(7))]
+    assert t.test.strata == [[0, 6], [1, 7], [2, 3, 8, 9], [4, 5, 10, 11]]
     dense = t.with_test_drives(12)
     assert all(len(dense.drives_of(dense.test, c)) == 12 for c in dense.conditions)
     assert [k for k, _, _ in t.drives_of(t.training, t.conditions[0])] == list(range(10))
@@ -83,6 +81,7 @@ def test_the_default_design_drives_every_family_road_and_condition_in_fourteen_d
     [
         ([[0, 1], [1]], "each of the drives 0 to 2"),
         ([[0, 1, 2], [3]], "each of the drives 0 to 2"),
+        ([[0, 0, 1, 2], [1]], "none twice under one, got"),
         ([[0, 1, 2]], "2 lists, none for training"),
     ],
 )
@@ -261,7 +260,28 @@ def test_a_road_drawn_by_a_seed_of_its_own_is_that_of_the_seed():
             task(training=training, test=test)
     with pytest.raises(ConfigError, match=r"no seed varies the road FixedSeed, so the test needs"):
         task(training=DRIVES, test={**alone, "seeds": [11, 12]})
+    assert task(training=DRIVES, test={"roads": [fixed, {**fixed, "seed": 6}], "seeds": [11]})
     assert task(training=DRIVES, test={"roads": ["iso_d", "flat"], "seeds": [11, 12]})
+
+
+FIXED = {"kind": "fixed_seed", "seed": 77, "road": "iso_d"}
+
+
+@pytest.mark.parametrize(
+    ("roads", "seeds", "message"),
+    [
+        (["iso_d"] * 5, [1001, 11001, 21001], "by multiples of 10000; got [1001, 11001, 21001]"),
+        (["iso_d", "iso_e"], [10011, 11], "seeds must differ, also from those of another road"),
+        (["belgian", "iso_d", "belgian"], [1001], "no seed varies the road FixedSeed"),
+        ([FIXED, "flat", FIXED], [1001], "no seed varies the road FixedSeed"),
+        ([FIXED, {"kind": "scaled", "road": FIXED}], [1001], "may list each surface once"),
+    ],
+)
+def test_a_road_counts_once_at_whatever_place_of_the_list(roads, seeds, message):
+    with pytest.raises(ConfigError) as error:
+        task(test={"roads": roads, "seeds": seeds})
+    assert message in str(error.value)
+    assert task(test={"roads": ["iso_d"] * 5, "seeds": [1001, 1002]})  # by seeds of their own
 
 
 @pytest.mark.parametrize("training", ["belgian", "belgian_training"])
@@ -426,15 +446,9 @@ def test_files_are_named_relative_to_the_file_of_their_task(tmp_path, monkeypatc
         "conditions": [
             {"mode": "ride", "speed_kmh": 14.5, "car": "files/land_rover_defender_110.yaml"}
         ],
-        "test": {
-            "roads": [
-                "files/street.csv",
-                {"kind": "measured", "path": "files/street.csv"},
-                bent,
-                {"name": "patched.yaml"},
-            ],
-            "seeds": [3],
-        },
+        "training": {"roads": ["files/street.csv", {"name": "patched.yaml"}], "seeds": [1]},
+        "test": {"roads": [{"kind": "measured", "path": "files/street.csv"}, bent], "seeds": [3]},
+        "trains_on_test_road": True,
         "note": "as in files/paper.yaml",
     }
     (there / "mine.yaml").write_text(yaml.safe_dump({**as_settings(), **changed}))
@@ -444,8 +458,8 @@ def test_files_are_named_relative_to_the_file_of_their_task(tmp_path, monkeypatc
         mine = load_task(name)
         assert mine.vehicle_of(mine.conditions[0]) == load_vehicle("land_rover_defender_110")
         assert mine.sensors == load_instruments("paper") and mine.note == "as in files/paper.yaml"
-        first, second, third, fourth = (road for road, _ in mine.test.roads_and_seeds)
-        assert first == second == third.road == fourth and Path(first.path).samefile(
+        first, second, third, fourth = mine.training.roads + mine.test.roads
+        assert first == second == third == fourth.road and Path(first.path).samefile(
             there / "files" / "street.csv"
         )
         found.append((mine.digest, mine.conditions[0].label))
