@@ -23,7 +23,7 @@ from leaderboard.evaluation.evaluate import run_task
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.metrics.bootstrap import interquartile_mean, iqm_interval
 from leaderboard.report.charts import _counted_runs
-from leaderboard.report.export import as_json
+from leaderboard.report.export import as_json, write_exports
 from leaderboard.report.sentences import build_report
 from leaderboard.report.tables import board_views, level_runs, train_seconds
 from leaderboard.report.terminal import print_tables
@@ -224,6 +224,19 @@ def test_the_json_output_has_the_rows_of_the_table():
     assert 0.02 < entries["bound"]["nrmse"] < entries["reader"]["nrmse"] + 0.1
     assert entries["reader"]["nrmse"] == pytest.approx(0.1, abs=0.005)
     assert entries["broken"]["state"] == "failed" and "finite" in entries["broken"]["text"]
+
+
+def test_exports_of_a_board_that_is_no_longer_there_go_and_other_files_stay(tmp_path):
+    made = board()
+    views = board_views(made)
+    write_exports(made, views, tmp_path)
+    folder = tmp_path / "export"
+    current = {path.name for path in folder.iterdir()}
+    for suffix in ("parquet", "csv", "json", "tex"):
+        (folder / f"gone.{suffix}").write_text("old numbers")
+    (folder / "mine.csv").write_text("of the user")
+    write_exports(made, views, tmp_path)
+    assert {path.name for path in folder.iterdir()} == current | {"mine.csv"}
 
 
 def test_notes_of_a_surface_are_printed():
