@@ -194,8 +194,8 @@ class SandboxClient(ExitStack):
                     "would have the rights of the user; if you trust it: --isolation process"
                 )
             folder = self._folder / f"entry-{len(self._snapshots)}"
-            source = str(self._code.get(reference, reference))
-            self._snapshots[reference] = entry_files.snapshot(source, folder), folder
+            code = entry_files.snapshot(reference, folder, self._code.get(reference))
+            self._snapshots[reference] = code, folder
             for path in folder.rglob("*"):  # a time would tell each guest how long the run lasts
                 os.utime(path, (0, 0))
         return self._snapshots[reference]

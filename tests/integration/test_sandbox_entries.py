@@ -10,7 +10,7 @@ from test_sandbox import MODES
 from leaderboard.commands import import_from_here
 from leaderboard.entries import entries
 from leaderboard.entries.entry import EntryError
-from leaderboard.entries.entry_files import CLASS_FOLDER, list_files
+from leaderboard.entries.entry_files import CLASS_FOLDER, list_files, snapshot
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.guest import describe_exit
 from leaderboard.sandbox.limits import Limits
@@ -51,6 +51,27 @@ def test_a_plug_in_is_described_without_being_loaded_in_this_process(tmp_path, m
             fresh.reconstruct(slope, *drives(), (1,))
         (slope,) = entries.resolve_entries(["slope"], fresh.describe)
     assert slope.code != before and slope.settings == {"steep": 0.6}
+
+
+def test_two_classes_of_one_name_in_one_module_are_two_entries(tmp_path, monkeypatch):
+    text = (
+        "class {}:\n"
+        "    @dataclass(frozen=True)\n"
+        "    class Est:\n"
+        "        causal: ClassVar[bool] = False\n"
+        "        def estimate(self, record, car): ...\n"
+    )
+    head = "from dataclasses import dataclass\nfrom typing import ClassVar\n"
+    (tmp_path / "twins.py").write_text(head + text.format("A") + text.format("B"))
+    monkeypatch.syspath_prepend(tmp_path)
+    references = "twins:A.Est", "twins:B.Est"
+    with SandboxClient(replace(LIMITS, isolation=MODES[0])) as fresh:
+        (a,), (b,) = (entries.resolve_entries([one], fresh.describe) for one in references)
+    assert a.name == b.name == "Est" and a.code != b.code
+    for entry in (a, b):
+        copy = tmp_path / entry.code
+        assert snapshot(entry.reference, copy) == entry.code
+        assert snapshot(entry.reference, None, copy) == entry.code  # also on a worker
 
 
 def test_what_cannot_be_described_takes_no_name_of_an_entry_that_works(tmp_path):
