@@ -1,17 +1,14 @@
 """Modules that an entry imports and boards lack: packages beside it where its authors tried it."""
 
-import ast
 import re
 import sys
 import zipfile
-from collections.abc import Iterator
-from contextlib import suppress
 from importlib import metadata
-from importlib.util import resolve_name
 from itertools import accumulate
 from pathlib import Path
 
 from leaderboard.entries.entry_files import entry_points
+from leaderboard.entries.imports import imports_of
 
 PROJECT, EXTRAS = "road-envs", ("all", "sign")  # what boards install
 _REQUIREMENT = re.compile(r"\s*([\w.-]+)\s*(?:\[([^]]*)\])?[^;]*(?:;(.*))?")
@@ -42,7 +39,7 @@ def missing_packages(code: Path) -> dict[str, str]:
                 found[top] = packages[0]
             continue
         text = path.read_text(encoding="utf-8", errors="replace")
-        for other in _imports(text, name, path.name == "__init__.py"):
+        for other in imports_of(text, name, path.name == "__init__.py", in_any_case=True):
             # a name of a package is a module only if there is such a file
             parts = accumulate(other.split("."), "{}.{}".format)
             new = {x for x in parts if "." not in x or _file_of(x, files)} - seen
@@ -56,28 +53,6 @@ def _file_of(module: str, files: Path | zipfile.Path) -> Path | zipfile.Path | N
     path = module.replace(".", "/")
     found = (files / place for place in (f"{path}.py", f"{path}/__init__.py"))
     return next((file for file in found if file.is_file()), None)
-
-
-def _imports(text: str, module: str, is_package: bool) -> Iterator[str]:
-    """Yield what a module imports in any case, with a name each of what it takes from a package."""
-    try:
-        left: list[ast.AST] = [ast.parse(text)]
-    except (SyntaxError, ValueError):  # it fails where it is run
-        return
-    while left:
-        node = left.pop()
-        if isinstance(node, ast.Try) or (
-            isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test)
-        ):
-            continue
-        left += ast.iter_child_nodes(node)
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            package = module if is_package else module.rpartition(".")[0]
-            with suppress(ImportError):  # from above all packages: it fails where it is run
-                name = resolve_name("." * node.level + (node.module or ""), package)
-                yield from (name, *(f"{name}.{alias.name}" for alias in node.names))
 
 
 def _installed_by_boards() -> set[str]:

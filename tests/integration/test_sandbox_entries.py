@@ -3,6 +3,7 @@
 import sys
 from dataclasses import replace
 
+import numpy
 import pytest
 from guests import LIMITS, drives
 from test_sandbox import MODES
@@ -19,7 +20,7 @@ from leaderboard.sandbox.limits import Limits
 def test_a_plug_in_is_described_without_being_loaded_in_this_process(tmp_path, monkeypatch):
     limits = replace(LIMITS, isolation=MODES[0])
     (tmp_path / "external_slope.py").write_text(
-        "import sys\n"
+        "import numpy, sys\n"
         "from dataclasses import dataclass\n"
         "from typing import ClassVar\n"
         "@dataclass(frozen=True, kw_only=True)\n"
@@ -39,6 +40,7 @@ def test_a_plug_in_is_described_without_being_loaded_in_this_process(tmp_path, m
         slope, sunken, flat = entries.resolve_entries(["slope", "sunken", "flat"], fresh.describe)
     assert (slope.settings, slope.causal, slope.failure) == ({"steep": 0.5}, True, None)
     assert (slope.name, slope.reference) == ("slope", "external_slope:Slope")
+    assert slope.imports == (f"numpy {numpy.__version__}",)
     assert len(slope.code) == 16 and "external_slope" not in sys.modules
     assert sunken.failure == "cannot be constructed: there is no module 'no_such_module'"
     assert flat.reference == "flat" and flat.failure is None

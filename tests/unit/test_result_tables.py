@@ -24,6 +24,7 @@ from leaderboard.evaluation.tasks import load_task
 from leaderboard.metrics.bootstrap import interquartile_mean, iqm_interval
 from leaderboard.report.charts import _counted_runs
 from leaderboard.report.export import as_json, write_exports
+from leaderboard.report.notes import _version_notes
 from leaderboard.report.sentences import build_report
 from leaderboard.report.tables import board_views, level_runs, train_seconds
 from leaderboard.report.terminal import print_tables
@@ -249,6 +250,21 @@ def test_notes_of_a_surface_are_printed():
     (view,) = board_views(Board((t,), {"small": noted}))
     assert f"Surface: {tiled}." in view.sections[0].notes
     assert "reader: remembers." in view.sections[0].notes
+
+
+def test_rows_made_with_another_version_of_a_library_are_noted():
+    results = results_by_fakes()
+    usual = {"numpy": "2.4", "scipy": "1.17", "numba": "0.68", "torch": "2.9"}
+    first, second, *others = (dataclasses.replace(r, environment=usual) for r in results)
+    assert _version_notes([first, second, *others]) == []
+    for name in usual:
+        moved = [dataclasses.replace(r, environment=usual | {name: "0.1"}) for r in (first, second)]
+        assert _version_notes([*moved, *others]) == [
+            f"{first.estimator}, {second.estimator} ran with {name} 0.1, "
+            f"the others with {usual[name]}."
+        ]
+    del usual["torch"]  # where it isn't installed, it has made no row
+    assert _version_notes([dataclasses.replace(first, environment=usual), second, *others]) == []
 
 
 def test_a_training_that_leaves_no_parameters_is_shown():
