@@ -9,7 +9,7 @@
 
 Each page contains its data. Without scripts the tables are still there; filters and charts need
 them. The index is written last, so an interrupted build leaves the old one; pages of removed tasks
-and entries are deleted.
+and entries are deleted, and exports of removed boards.
 """
 
 from collections.abc import Iterator, Sequence
