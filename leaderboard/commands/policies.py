@@ -69,7 +69,7 @@ def policies(
     entries, base = _entries(policy, limits.parse()), _row_name(reference)
     if policy is None:
         pairs = {f"{f}/{r}": FixedPair(front=f, rear=r) for r in MODES for f in MODES}  # type: ignore[arg-type]
-        entries = {n: p for n, p in entries.items() if not n.startswith("fixed")} | pairs
+        entries |= pairs
     elif base not in entries:
         entries |= _entries([reference], limits.parse())
     if out:
@@ -117,7 +117,9 @@ def _entries(references: list[str] | None, limits: Limits) -> dict[str, Any]:
     """Return the policies by name, those of other packages in processes. Raises ConfigError."""
     if references is None:
         may_be_foreign = limits.isolation == "process" or bubblewrap.is_used(limits.isolation)
-        references = list(names() if may_be_foreign else REGISTRY)
+        known = names() if may_be_foreign else REGISTRY
+        # constant pairs of this package have rows of their own
+        references = [n for n in known if n not in REGISTRY or not n.startswith("fixed")]
     entries: dict[str, Any] = {}
     for reference in references:
         own = dataclasses.replace(limits, isolation=policy_isolation(reference, limits.isolation))

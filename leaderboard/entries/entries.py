@@ -28,6 +28,7 @@ from leaderboard.entries.entry import (
     describe_estimator,
     needs_training,
 )
+from leaderboard.entries.imports import imported_versions
 from road_envs.core.artifacts import code_version
 from road_envs.core.code_digest import PACKAGES
 from road_envs.core.config import ConfigError, validate_choice
@@ -99,7 +100,9 @@ def make_entry(name: str, estimator: Estimator | None) -> Entry:
         code = code if weights is None else f"{code}+{_arrays_digest(weights)}"
     else:
         code = entry_files.snapshot(reference, None)
-    return Entry(name=name, reference=reference, code=code, **describe_estimator(estimator))
+    known = describe_estimator(estimator)
+    imports = () if is_ours(reference) else imported_versions(reference)
+    return Entry(name=name, reference=reference, code=code, imports=imports, **known)
 
 
 def resolve_entries(names: Sequence[str], describer: _Describe | None) -> list[Entry]:

@@ -44,8 +44,9 @@ class Entry(Settings):
 
     `reference` is a registered name, "module:Class", or a path: a wheel, a folder with an installed
     package, or a file of weights. `lag` [m] is the distance of a causal estimate behind the front
-    axle, at most MAX_LAG; `code` is the version of its sources and weights; `failure` is the reason
-    why it cannot be constructed.
+    axle, at most MAX_LAG; `code` is the version of its sources and weights; `imports` has those of
+    what an entry from outside imports, where the run is planned; `failure` is the reason why it
+    cannot be constructed.
     """
 
     name: str
@@ -54,6 +55,7 @@ class Entry(Settings):
     causal: bool | None = None
     lag: float = 0.0
     code: str = ""
+    imports: tuple[str, ...] = ()
     failure: str | None = None
 
 

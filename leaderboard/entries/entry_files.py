@@ -31,15 +31,17 @@ who run an entry import nothing from there.
 """
 
 
-def snapshot(reference: str, folder: Path | None) -> str:
+def snapshot(reference: str, folder: Path | None, copied: Path | None = None) -> str:
     """Copy the code of an entry into the new `folder`, if any, and return its digest.
 
-    Raises EntryError.
+    The code is read from where it was `copied`, if it was. Raises EntryError.
     """
     total = hashlib.sha256()
+    if CLASS_REFERENCE.fullmatch(reference):  # the files may have other classes
+        total.update(f"{reference}\n".encode())
     count = size = 0
     try:
-        for source, name in list_files(reference):
+        for source, name in list_files(str(copied or reference)):
             if not name.isprintable():  # a line break would give two snapshots one digest
                 raise EntryError(f"the name of a file must be printable, got {name!r}"[:300])
             count, size = count + 1, size + source.stat().st_size

@@ -18,6 +18,10 @@ def package_version() -> str:
     return road_envs.__version__
 
 
+LIBRARIES = ("numpy", "scipy", "numba", "torch")
+"""Distributions whose versions stand in the environment of every result."""
+
+
 @cache
 def describe_environment() -> dict[str, str]:
     """Return what may decide the digits of a result: versions, commit (in a checkout), machine.
@@ -25,7 +29,7 @@ def describe_environment() -> dict[str, str]:
     `blas` is the kernel that BLAS has chosen for the processor, `threads` how many share a product.
     """
     libraries = {}
-    for name in ("numpy", "scipy", "numba", "torch"):
+    for name in LIBRARIES:
         with suppress(metadata.PackageNotFoundError):
             libraries[name] = metadata.version(name)
     commit = _commit(ROOT)

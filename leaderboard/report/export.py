@@ -31,7 +31,7 @@ _FORMULA_SIGNS = ("=", "+", "-", "@", "\t", "\r")  # first of a formula in a spr
 
 
 def write_exports(board: Board, views: Sequence[BoardView], out: Path) -> None:
-    """Write all exports, each atomically."""
+    """Write all exports, each atomically, and delete those of boards that are no longer there."""
     import pandas as pd
 
     boards = ", ".join(view.board.replace("_", " ") for view in views)
@@ -49,6 +49,11 @@ def write_exports(board: Board, views: Sequence[BoardView], out: Path) -> None:
             runs[["task", "estimator", *COLUMNS]].to_parquet(partial, index=False)
     for name, text in texts.items():
         write_text(folder / name, text)
+    for name in {path.stem for path in folder.iterdir()} - {view.board for view in views}:
+        files = [folder / f"{name}.{suffix}" for suffix in ("parquet", "csv", "tex", "json")]
+        if all(file.is_file() for file in files):  # a single one is somebody else's
+            for file in files:
+                file.unlink()
 
 
 def as_json(views: Sequence[BoardView]) -> list[dict[str, Any]]:

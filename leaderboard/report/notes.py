@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from estimators.lookup import TRAINING_VEHICLE
+from leaderboard.evaluation.provenance import LIBRARIES
 from leaderboard.evaluation.results import ISOLATED, Result, content_digest
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics.baselines import NOISE_LEVEL, TRUTH_PLUS_NOISE
@@ -44,6 +45,7 @@ def section_notes(
         *(f"{note}." for row in scored for note in _own_notes(row)),
         *sanity_warnings(rows, task.is_public),
         *_kernel_notes(scored, _verified_for(task, board.verified)),
+        *_version_notes(scored),
     )
 
 
@@ -137,7 +139,7 @@ def _kernel_notes(
     them and was not run there again: what it says of its machine is taken on trust.
     """
     made = {result.estimator: kernels_of(result.environment) for result in results}
-    usual = max(set(made.values()), key=lambda x: (list(made.values()).count(x), x), default="")
+    usual = _most_frequent(made)
 
     def doubt(result: Result) -> str | None:
         known = verified.get(content_digest(result), ())
@@ -161,3 +163,23 @@ def _kernel_notes(
         if text := doubt(result):
             notes.setdefault(text, []).append(result.estimator)
     return [f"{', '.join(names)} {text}." for text, names in notes.items()]
+
+
+def _version_notes(results: Sequence[Result]) -> list[str]:
+    """Return a note on the rows of a task that were made with another version of a library than
+    most.
+    """
+    notes: dict[str, list[str]] = {}
+    for name in LIBRARIES:
+        made = {r.estimator: r.environment[name] for r in results if name in r.environment}
+        usual = _most_frequent(made)
+        for estimator, version in made.items():
+            if version != usual:
+                text = f"ran with {name} {version}, the others with {usual}"
+                notes.setdefault(text, []).append(estimator)
+    return [f"{', '.join(names)} {text}." for text, names in notes.items()]
+
+
+def _most_frequent(values: Mapping[str, str]) -> str:
+    known = list(values.values())
+    return max(set(known), key=lambda x: (known.count(x), x), default="")

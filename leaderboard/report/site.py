@@ -9,7 +9,7 @@
 
 Each page contains its data. Without scripts the tables are still there; filters and charts need
 them. The index is written last, so an interrupted build leaves the old one; pages of removed tasks
-and entries are deleted.
+and entries are deleted, and exports of removed boards.
 """
 
 from collections.abc import Iterator, Sequence
@@ -183,8 +183,9 @@ def _board_provenance(board: Board) -> list[tuple[str, str]]:
 
 def _drive_counts(task: Task, results: Sequence[Result]) -> str:
     seeds = max((len(r.seeds) for r in results), default=0)
+    tests = [len(task.drives_of(task.test, condition)) for condition in task.conditions]
     return (
-        f"version {task.version}; conditions: {len(task.conditions)}, each with "
+        f"version {task.version}; conditions: {len(tests)}, each with "
         f"{len(task.training.roads_and_seeds)} training and "
-        f"{len(task.test.roads_and_seeds)} test drives; trainings: {seeds}"
+        f"{' to '.join(map(str, sorted({min(tests), max(tests)})))} test drives; trainings: {seeds}"
     )

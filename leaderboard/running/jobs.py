@@ -70,6 +70,7 @@ def result_identity(task: Task, condition: int | None, entry: Entry, seeds: Sequ
         task.digest,
         None if condition is None else task.conditions[condition].label,
         [entry.name, entry.reference, entry.settings, entry.code, evaluation_version()],
+        list(entry.imports),
         package_code() if is_by_others(entry) else "",
         list(seeds),
         package_version(),

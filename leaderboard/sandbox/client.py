@@ -34,6 +34,7 @@ from leaderboard.entries.entry import (
     are_equal,
     reconstruct_all,
 )
+from leaderboard.entries.imports import imported_versions
 from leaderboard.sandbox import bubblewrap, estimator_handler, messages, processes
 from leaderboard.sandbox.guest import Guest
 from leaderboard.sandbox.launch import START_ATTEMPTS, start_guest
@@ -88,10 +89,10 @@ class SandboxClient(ExitStack):
         self.callback(self._close_guests)
 
     def describe(self, reference: str) -> dict[str, Any]:
-        """Return settings, causality, lag [m], version and, of a package, the name of its entry
-        point, without loading the code here. Raises EntryError.
+        """Return settings, causality, lag [m], version, imports and, of a package, the name of its
+        entry point, without loading the code here. Raises EntryError.
         """
-        code, _ = self._snapshot(reference)
+        code, folder = self._snapshot(reference)
         guest = self._start(reference)
         try:
             about = {"reference": reference, "settings": dict[str, Any](), "car": None}
@@ -109,7 +110,8 @@ class SandboxClient(ExitStack):
             )
         known = {"settings": messages.settings(head.get("settings")), "causal": causal, "lag": lag}
         name = head.get("name")
-        return {**known, "code": code, **({"name": name} if isinstance(name, str) else {})}
+        known |= {"code": code, "imports": imported_versions(str(folder))}
+        return {**known, **({"name": name} if isinstance(name, str) else {})}
 
     def reconstruct(
         self,
@@ -194,8 +196,8 @@ class SandboxClient(ExitStack):
                     "would have the rights of the user; if you trust it: --isolation process"
                 )
             folder = self._folder / f"entry-{len(self._snapshots)}"
-            source = str(self._code.get(reference, reference))
-            self._snapshots[reference] = entry_files.snapshot(source, folder), folder
+            code = entry_files.snapshot(reference, folder, self._code.get(reference))
+            self._snapshots[reference] = code, folder
             for path in folder.rglob("*"):  # a time would tell each guest how long the run lasts
                 os.utime(path, (0, 0))
         return self._snapshots[reference]

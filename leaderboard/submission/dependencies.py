@@ -1,23 +1,17 @@
 """Modules that an entry imports and boards lack: packages beside it where its authors tried it."""
 
-import ast
 import re
 import sys
 import zipfile
-from collections.abc import Iterator
-from contextlib import suppress
 from importlib import metadata
-from importlib.util import resolve_name
 from itertools import accumulate
 from pathlib import Path
 
 from leaderboard.entries.entry_files import entry_points
+from leaderboard.entries.imports import LARGEST_SOURCE, imports_of
 
 PROJECT, EXTRAS = "road-envs", ("all", "sign")  # what boards install
 _REQUIREMENT = re.compile(r"\s*([\w.-]+)\s*(?:\[([^]]*)\])?[^;]*(?:;(.*))?")
-_MAX_SOURCE = 1 << 20  # largest number of characters of a module that is parsed
-_OPTIONAL = (ast.Try, ast.TryStar, ast.FunctionDef, ast.AsyncFunctionDef)
-_OPTIONAL_IF = {"TYPE_CHECKING", "ImportError", "ModuleNotFoundError"}  # `suppress(ImportError)`
 _EXTRA = re.compile(r"""extra\s*==\s*["']([\w.-]+)["']""")
 
 
@@ -46,10 +40,10 @@ def missing_packages(code: Path) -> dict[str, str]:
                 found[top] = packages[0]
             continue
         with path.open(encoding="utf-8", errors="replace") as file:
-            text = file.read(_MAX_SOURCE + 1)
-        if len(text) > _MAX_SOURCE:
+            text = file.read(LARGEST_SOURCE + 1)
+        if len(text) > LARGEST_SOURCE:
             continue
-        for other in _imports(text, name, path.name == "__init__.py"):
+        for other in imports_of(text, name, path.name == "__init__.py", in_any_case=True):
             # a name of a package is a module only if there is such a file
             parts = accumulate(other.split("."), "{}.{}".format)
             new = {x for x in parts if "." not in x or _file_of(x, files)} - seen
@@ -63,34 +57,6 @@ def _file_of(module: str, files: Path | zipfile.Path) -> Path | zipfile.Path | N
     path = module.replace(".", "/")
     found = (files / place for place in (f"{path}.py", f"{path}/__init__.py"))
     return next((file for file in found if file.is_file()), None)
-
-
-def _imports(text: str, module: str, is_package: bool) -> Iterator[str]:
-    """Yield what a module imports in any case, with a name each of what it takes from a package."""
-    try:
-        left: list[ast.AST] = [ast.parse(text)]
-    except (SyntaxError, ValueError, RecursionError, MemoryError):  # it fails where it is run
-        return
-    while left:
-        node = left.pop()
-        if _is_optional(node):
-            continue
-        left += ast.iter_child_nodes(node)
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            package = module if is_package else module.rpartition(".")[0]
-            with suppress(ImportError):  # from above all packages: it fails where it is run
-                name = resolve_name("." * node.level + (node.module or ""), package)
-                yield from (name, *(f"{name}.{alias.name}" for alias in node.names))
-
-
-def _is_optional(node: ast.AST) -> bool:
-    """Whether what a statement imports is imported only if it can be, when called, or for types."""
-    heads = [node.test] if isinstance(node, ast.If) else []
-    heads += [item.context_expr for item in node.items] if isinstance(node, ast.With) else []
-    names = {getattr(x, "id", getattr(x, "attr", "")) for head in heads for x in ast.walk(head)}
-    return isinstance(node, _OPTIONAL) or not names.isdisjoint(_OPTIONAL_IF)
 
 
 def _installed_by_boards() -> set[str]:

@@ -397,6 +397,15 @@ def test_the_row_of_another_wheel_is_replaced_only_on_request(tmp_path):
     assert store.load(path).code == "1" * 16
 
 
+def test_an_entry_that_imports_another_version_is_run_again_and_says_so(tmp_path):
+    old = dataclasses.replace(outside("rival", "0" * 16), imports=("numpy 1.0", "zz_helper 1.0"))
+    new = dataclasses.replace(old, imports=("numpy 1.0", "zz_helper 1.1"))
+    path = store.row_path(tmp_path, small().name, "rival")
+    for entry in (old, new):  # of the same code, so nothing has to be replaced
+        run_entry(tmp_path, entry)
+        assert store.load(path).environment["imports"] == entry.imports[1]
+
+
 def test_an_entry_that_cannot_be_described_replaces_no_row_of_another(tmp_path):
     run_entry(tmp_path, outside("rival", "0" * 16))
     path = store.row_path(tmp_path, small().name, "rival")

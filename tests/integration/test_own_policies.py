@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from bad_policies import Lateral
 
+from leaderboard.commands import policies
 from leaderboard.policies import policy_checks
 from leaderboard.policies.policy_checks import OPTIONS, SEEDS, check_policy
 from leaderboard.policies.policy_process import POLICY_LIMITS, PolicyProcess
@@ -169,6 +170,19 @@ def test_policies_compares_a_class_and_a_file_beside_shipped_ones(
     assert all(row["failure"] is None for row in rows.values())
     page = (tmp_path / "out/policies.html").read_text()
     assert all(name in page for name in rows)
+
+
+def test_of_all_policies_only_constant_pairs_of_this_package_are_left_out(road_recon, monkeypatch):
+    def compare(entries, *_, **__):
+        raise ConfigError(f"compared: {' '.join(entries)}")
+
+    known = policies.names()
+    monkeypatch.setattr(policies, "names", lambda: (*known, "fixed_gain"))
+    monkeypatch.setattr(policies, "runs_foreign_code", lambda reference: False)
+    monkeypatch.setattr(policies, "make_policy", lambda reference: reference)
+    monkeypatch.setattr(policies.comparison, "compare", compare)
+    code, _, err = road_recon("policies", "--quick", "--isolation", "process")
+    assert code and "fixed_gain" in err and "rrms" in err and "fixed_ride" not in err
 
 
 @pytest.mark.skipif(bubblewrap.obstacle() is not None, reason="bubblewrap cannot be used here")

@@ -3,6 +3,7 @@
 import sys
 from dataclasses import replace
 
+import numpy
 import pytest
 from guests import LIMITS, drives
 from test_sandbox import MODES
@@ -10,7 +11,7 @@ from test_sandbox import MODES
 from leaderboard.commands import import_from_here
 from leaderboard.entries import entries
 from leaderboard.entries.entry import EntryError
-from leaderboard.entries.entry_files import CLASS_FOLDER, list_files
+from leaderboard.entries.entry_files import CLASS_FOLDER, list_files, snapshot
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.guest import describe_exit
 from leaderboard.sandbox.limits import Limits
@@ -19,7 +20,7 @@ from leaderboard.sandbox.limits import Limits
 def test_a_plug_in_is_described_without_being_loaded_in_this_process(tmp_path, monkeypatch):
     limits = replace(LIMITS, isolation=MODES[0])
     (tmp_path / "external_slope.py").write_text(
-        "import sys\n"
+        "import numpy, sys\n"
         "from dataclasses import dataclass\n"
         "from typing import ClassVar\n"
         "@dataclass(frozen=True, kw_only=True)\n"
@@ -39,6 +40,7 @@ def test_a_plug_in_is_described_without_being_loaded_in_this_process(tmp_path, m
         slope, sunken, flat = entries.resolve_entries(["slope", "sunken", "flat"], fresh.describe)
     assert (slope.settings, slope.causal, slope.failure) == ({"steep": 0.5}, True, None)
     assert (slope.name, slope.reference) == ("slope", "external_slope:Slope")
+    assert slope.imports == (f"numpy {numpy.__version__}",)
     assert len(slope.code) == 16 and "external_slope" not in sys.modules
     assert sunken.failure == "cannot be constructed: there is no module 'no_such_module'"
     assert flat.reference == "flat" and flat.failure is None
@@ -51,6 +53,27 @@ def test_a_plug_in_is_described_without_being_loaded_in_this_process(tmp_path, m
             fresh.reconstruct(slope, *drives(), (1,))
         (slope,) = entries.resolve_entries(["slope"], fresh.describe)
     assert slope.code != before and slope.settings == {"steep": 0.6}
+
+
+def test_two_classes_of_one_name_in_one_module_are_two_entries(tmp_path, monkeypatch):
+    text = (
+        "class {}:\n"
+        "    @dataclass(frozen=True)\n"
+        "    class Est:\n"
+        "        causal: ClassVar[bool] = False\n"
+        "        def estimate(self, record, car): ...\n"
+    )
+    head = "from dataclasses import dataclass\nfrom typing import ClassVar\n"
+    (tmp_path / "twins.py").write_text(head + text.format("A") + text.format("B"))
+    monkeypatch.syspath_prepend(tmp_path)
+    references = "twins:A.Est", "twins:B.Est"
+    with SandboxClient(replace(LIMITS, isolation=MODES[0])) as fresh:
+        (a,), (b,) = (entries.resolve_entries([one], fresh.describe) for one in references)
+    assert a.name == b.name == "Est" and a.code != b.code
+    for entry in (a, b):
+        copy = tmp_path / entry.code
+        assert snapshot(entry.reference, copy) == entry.code
+        assert snapshot(entry.reference, None, copy) == entry.code  # also on a worker
 
 
 def test_what_cannot_be_described_takes_no_name_of_an_entry_that_works(tmp_path):

@@ -3,12 +3,15 @@
 from contextlib import nullcontext
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from wheels import write_wheel
 
 from leaderboard.commands import check
 from leaderboard.commands.options import LimitOptions
 from leaderboard.conformance.probes import CheckResult
+from leaderboard.entries.entry import EntryError
+from leaderboard.entries.imports import imported_versions
 from leaderboard.submission.dependencies import missing_packages
 
 POINTS = "[road_envs.estimators]\nmine = mine.entry:Mine\n"
@@ -71,6 +74,70 @@ def test_code_that_is_too_deep_or_too_long_to_be_parsed_is_not_read(tmp_path, he
 def test_packages_that_come_along_and_modules_that_are_not_run_are_not_missing(tmp_path):
     along = {"pytest/__init__.py": "", "mine/test_helper.py": "import xdist"}
     assert missing_packages(write(tmp_path, "import pytest", **along)) == {}
+
+
+@pytest.mark.parametrize("as_wheel", [False, True])
+def test_what_is_installed_beside_an_entry_is_told_by_version_or_by_content(
+    tmp_path, monkeypatch, as_wheel
+):
+    def write_distribution(name, version, record):
+        about = site / f"{name}-{version}.dist-info"
+        about.mkdir()
+        (about / "METADATA").write_text(
+            f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n"
+        )
+        (about / "RECORD").write_text(record)
+        (about / "top_level.txt").write_text(name)
+
+    site, project = tmp_path / "site", tmp_path / "project"
+    for folder in (site, project):
+        folder.mkdir()
+        monkeypatch.syspath_prepend(folder)
+    (site / "zz_loose.py").write_text("import zz_deeper, json\nfrom leaderboard import api")
+    (site / "zz_deeper.py").write_text("A = 1")
+    (site / "zz_wheel.py").write_text("import zz_not_followed")
+    write_distribution("zz_wheel", "1.0", "zz_wheel.py,,")
+    (project / "zz_editable.py").write_text("")
+    write_distribution("zz_editable", "2.0", "zz_editable.pth,,")
+    (project / "zz_develop.py").write_text("")  # which an older installer leaves in its folder
+    (project / "zz_develop.egg-info").mkdir()
+    (project / "zz_develop.egg-info/PKG-INFO").write_text("Name: zz_develop\nVersion: 3.0\n")
+    (project / "zz_develop.egg-info/top_level.txt").write_text("zz_develop")
+    optional = "try:\n    import zz_gone, zz_editable, zz_develop\nexcept ImportError:\n    pass"
+    helper = f"import zz_loose, zz_wheel\n{optional}\nfrom .entry import np"
+    code = write(tmp_path / "code", helper)
+    if as_wheel:
+        files = [(f"mine/{path.name}", path.read_text()) for path in (code / "mine").iterdir()]
+        code = write_wheel(tmp_path, "my_road", "", "mine = mine.entry:Mine", files)
+
+    def told():
+        versions = imported_versions(str(code))
+        assert all(f"{name} {version}" in versions for name, version in installed.items())
+        return {x.partition(" ")[0]: x for x in versions if x not in fixed}
+
+    installed = {
+        "numpy": np.__version__,
+        "zz_wheel": "1.0",
+        "zz_editable": "2.0",
+        "zz_develop": "3.0",
+        "zz_gone": "none",
+    }
+    fixed = {f"{name} {version}" for name, version in installed.items()}
+    before = told()
+    assert list(before) == ["zz_deeper", "zz_develop", "zz_editable", "zz_loose"]
+    (site / "zz_deeper.py").write_text("A = 2")
+    (project / "zz_editable.py").write_text("B = 1")
+    after = told()
+    changed = [name for name in before if before[name] != after[name]]
+    assert changed == ["zz_deeper", "zz_editable"] and list(after) == list(before)
+    (site / "zz_wheel-1.0.dist-info/METADATA").write_text("Name: zz_wheel\nVersion: 1.1\n")
+    assert "zz_wheel 1.1" in imported_versions(str(code))
+
+
+def test_a_wheel_whose_imports_cannot_be_read_is_one_sentence(tmp_path):
+    (tmp_path / "cut.whl").write_bytes(b"PK")
+    with pytest.raises(EntryError, match="its imports cannot be read: File is not a zip file"):
+        imported_versions(str(tmp_path / "cut.whl"))
 
 
 def test_what_is_no_wheel_and_broken_entry_points_are_left_to_others(tmp_path):

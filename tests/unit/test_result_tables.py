@@ -23,7 +23,8 @@ from leaderboard.evaluation.evaluate import run_task
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.metrics.bootstrap import interquartile_mean, iqm_interval
 from leaderboard.report.charts import _counted_runs
-from leaderboard.report.export import as_json
+from leaderboard.report.export import as_json, write_exports
+from leaderboard.report.notes import _version_notes
 from leaderboard.report.sentences import build_report
 from leaderboard.report.tables import board_views, level_runs, train_seconds
 from leaderboard.report.terminal import print_tables
@@ -226,6 +227,19 @@ def test_the_json_output_has_the_rows_of_the_table():
     assert entries["broken"]["state"] == "failed" and "finite" in entries["broken"]["text"]
 
 
+def test_exports_of_a_board_that_is_no_longer_there_go_and_other_files_stay(tmp_path):
+    made = board()
+    views = board_views(made)
+    write_exports(made, views, tmp_path)
+    folder = tmp_path / "export"
+    current = {path.name for path in folder.iterdir()}
+    for suffix in ("parquet", "csv", "json", "tex"):
+        (folder / f"gone.{suffix}").write_text("old numbers")
+    (folder / "mine.csv").write_text("of the user")
+    write_exports(made, views, tmp_path)
+    assert {path.name for path in folder.iterdir()} == current | {"mine.csv"}
+
+
 def test_notes_of_a_surface_are_printed():
     t = task(board="measured")
     tiled = "10 m tile mirrored 10 times"
@@ -236,6 +250,21 @@ def test_notes_of_a_surface_are_printed():
     (view,) = board_views(Board((t,), {"small": noted}))
     assert f"Surface: {tiled}." in view.sections[0].notes
     assert "reader: remembers." in view.sections[0].notes
+
+
+def test_rows_made_with_another_version_of_a_library_are_noted():
+    results = results_by_fakes()
+    usual = {"numpy": "2.4", "scipy": "1.17", "numba": "0.68", "torch": "2.9"}
+    first, second, *others = (dataclasses.replace(r, environment=usual) for r in results)
+    assert _version_notes([first, second, *others]) == []
+    for name in usual:
+        moved = [dataclasses.replace(r, environment=usual | {name: "0.1"}) for r in (first, second)]
+        assert _version_notes([*moved, *others]) == [
+            f"{first.estimator}, {second.estimator} ran with {name} 0.1, "
+            f"the others with {usual[name]}."
+        ]
+    del usual["torch"]  # where it isn't installed, it has made no row
+    assert _version_notes([dataclasses.replace(first, environment=usual), second, *others]) == []
 
 
 def test_a_training_that_leaves_no_parameters_is_shown():

@@ -1,11 +1,13 @@
 """Groups of the runs of a task."""
 
+import dataclasses
 from itertools import pairwise
 
 import numpy as np
 
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.report.run_groups import FRAME_BANDS, run_groups
+from leaderboard.report.site import _drive_counts
 from road_envs.sensing.perturbed_vehicle import perturb_vehicle
 
 
@@ -43,3 +45,15 @@ def test_a_group_of_a_condition_has_the_roads_that_are_driven_under_it():
     for k, part in enumerate(run_groups(task)["condition"].values()):
         members = scores[part]
         assert members.shape == (len(task.test.design[k]), 1, 1) and (members == k).all()
+
+
+def test_a_page_tells_how_many_drives_a_condition_has():
+    task = load_task("new_road")
+    assert "conditions: 7, each with 10 training and 2 test drives;" in _drive_counts(task, [])
+    design = (task.test.design[0][:1], *task.test.design[1:], task.test.design[0][1:])
+    test = dataclasses.replace(task.test, design=design)
+    conditions = (*task.conditions, dataclasses.replace(task.conditions[0], speed_kmh=33.0))
+    uneven = dataclasses.replace(task, test=test, conditions=conditions)
+    assert "conditions: 8, each with 10 training and 1 to 2 test drives;" in (
+        _drive_counts(uneven, [])
+    )

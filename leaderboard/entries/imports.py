@@ -1,0 +1,130 @@
+"""What the code of an entry imports: read from its syntax, nothing of it is imported here."""
+
+import ast
+import sys
+import zipfile
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from functools import cache, partial
+from importlib import metadata
+from importlib.util import resolve_name
+from pathlib import Path
+
+from leaderboard.entries.entry import EntryError
+from leaderboard.entries.entry_files import list_files, snapshot
+from road_envs.core.code_digest import PACKAGES
+
+LARGEST_SOURCE = (
+    2**20
+)  # largest size of a module that is parsed: its tree takes a hundred times that
+_MAX_SOURCE = 2**26  # largest size [bytes] of the Python files of an entry together
+_MAX_MODULES = 1000  # largest number of modules, without those inside, that it imports
+_OPTIONAL = (ast.Try, ast.TryStar, ast.FunctionDef, ast.AsyncFunctionDef)
+_OPTIONAL_IF = {"TYPE_CHECKING", "ImportError", "ModuleNotFoundError"}  # `suppress(ImportError)`
+
+
+def imports_of(
+    text: str | bytes, module: str, is_package: bool, in_any_case: bool = False
+) -> Iterator[str]:
+    """Yield what a module imports, with a name each of what it takes from a package.
+
+    With `in_any_case`, not what it imports only if it can (`try`, `suppress`), when a function is
+    called, or for types alone.
+    """
+    try:
+        left: list[ast.AST] = [ast.parse(text)]
+    except (SyntaxError, ValueError, RecursionError, MemoryError):  # it fails where it is run
+        return
+    while left:
+        node = left.pop()
+        if in_any_case and _is_optional(node):
+            continue
+        left += ast.iter_child_nodes(node)
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            package = module if is_package else module.rpartition(".")[0]
+            with suppress(ImportError):  # from above all packages: it fails where it is run
+                name = resolve_name("." * node.level + (node.module or ""), package)
+                yield from (name, *(f"{name}.{alias.name}" for alias in node.names))
+
+
+def _is_optional(node: ast.AST) -> bool:
+    heads = [node.test] if isinstance(node, ast.If) else []
+    heads += [item.context_expr for item in node.items] if isinstance(node, ast.With) else []
+    names = {getattr(x, "id", getattr(x, "attr", "")) for head in heads for x in ast.walk(head)}
+    return isinstance(node, _OPTIONAL) or not names.isdisjoint(_OPTIONAL_IF)
+
+
+def imported_versions(reference: str) -> tuple[str, ...]:
+    """Return name and version of whatever the code of an entry imports that is none of Python, of
+    this project or of its own: of a module that is installed, those of its distribution.
+
+    Of a module that is installed editable or belongs to none, the digest of its files, and what
+    these import counts too; "none" if there is no such module. What is imported by a name that is
+    made at run time, or by a module of more than 1 MiB, is not seen. Raises EntryError.
+    """
+    front, seen, found = _imported(reference), set[str](), set[str]()
+    while left := front - seen - sys.stdlib_module_names - {*PACKAGES}:
+        if len(seen) == _MAX_MODULES:
+            raise EntryError(f"its code imports more than {_MAX_MODULES} modules")
+        top = min(left)
+        seen.add(top)
+        owners = [metadata.distribution(x) for x in _owners(tuple(sys.path)).get(top, ())]
+        found |= {f"{one.metadata['Name']} {one.version}" for one in owners}
+        files = f"{top}:_"
+        try:
+            path, name = next(list_files(files))
+            place = path.parents[name.count("/")]
+            if not any(x.read_text("RECORD") and _lies_in(place, x) for x in owners):
+                found.add(f"{top} {snapshot(files, None)}")
+                front |= _imported(files)
+        except (EntryError, ValueError, StopIteration):  # there is none, or no file of it
+            found |= set() if owners else {f"{top} none"}
+    return tuple(sorted(found))
+
+
+def _lies_in(place: Path, distribution: metadata.Distribution) -> bool:
+    return Path(str(distribution.locate_file(""))).resolve() == place.resolve()
+
+
+@cache
+def _owners(path: tuple[str, ...]) -> dict[str, list[str]]:
+    """Names of the distributions of each module that `sys.path` has."""
+    return {x: sorted(set(names)) for x, names in metadata.packages_distributions().items()}
+
+
+def _imported(reference: str) -> set[str]:
+    """Return the modules, without those inside, that code imports and that are not its own.
+
+    Raises EntryError.
+    """
+    own, found, size = set[str](), set[str](), 0
+    try:
+        for name, n_bytes, read in _files(reference):
+            own.add(name.partition("/")[0].partition(".")[0])
+            if not name.endswith(".py"):
+                continue
+            size += n_bytes
+            if size > _MAX_SOURCE:
+                raise EntryError(f"its Python files have more than {_MAX_SOURCE >> 20} MiB")
+            if n_bytes > LARGEST_SOURCE:
+                continue
+            names = imports_of(read(), name.removesuffix(".py").replace("/", "."), False)
+            found |= {x.partition(".")[0] for x in names}
+    except EntryError:
+        raise
+    except Exception as error:  # whatever a damaged wheel raises
+        raise EntryError(f"its imports cannot be read: {error}"[:300]) from None
+    return found - own
+
+
+def _files(reference: str) -> Iterator[tuple[str, int, Callable[[], bytes]]]:
+    """Yield name, size [bytes] and reader of the files of an entry, in place of a wheel of its."""
+    for path, name in list_files(reference):
+        if path.suffix != ".whl":
+            yield name, path.stat().st_size, path.read_bytes
+            continue
+        with zipfile.ZipFile(path) as wheel:
+            for one in wheel.infolist():
+                yield one.filename, one.file_size, partial(wheel.read, one)
