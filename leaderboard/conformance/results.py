@@ -2,8 +2,9 @@
 
     <out>/cards/<identity>.json
 
-The identity is the digest of the estimator (name, settings, code and weights) and of the code of
-the probes, so a card is never modified. A damaged card is ignored. The name follows "model cards".
+The identity is the digest of the estimator (name, settings, code and weights) and of this package
+with its configurations, by which the probes drive, so a card is never modified. A damaged card is
+ignored. The name follows "model cards".
 """
 
 import dataclasses
@@ -15,6 +16,7 @@ from typing import Any
 from leaderboard.conformance.checks import check_drives, probe_entry
 from leaderboard.conformance.probes import CheckResult
 from leaderboard.entries.entry import BUILTIN, Entry, EntryError
+from leaderboard.evaluation.provenance import package_code
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
 from road_envs.core.artifacts import Kind
@@ -37,8 +39,8 @@ class EstimatorCard(Settings):
 
 
 def card_identity(estimator: str, settings: Mapping[str, Any], code: str) -> str:
-    """Return the digest of all inputs of a card."""
-    return CARD.identity(estimator, dict(settings), code)
+    """Return the digest of all inputs of a card: entries by others may build on all of ours."""
+    return CARD.identity(estimator, dict(settings), code, package_code())
 
 
 def find_card(

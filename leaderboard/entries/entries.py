@@ -110,9 +110,13 @@ def resolve_entries(names: Sequence[str], describer: _Describe | None) -> list[E
 
     Entries from outside this package need a `describer`. One that cannot be constructed, or whose
     name is not allowed or taken, gives an entry with a failure, so that every entry has its row.
-    Raises ConfigError for an unknown name.
+    Raises ConfigError for an unknown name, and for a class of this package.
     """
     references = [find_reference(name) for name in names]
+    for reference in references:
+        if is_ours(reference) and reference not in estimators.REGISTRY:
+            known = ", ".join(estimators.REGISTRY)
+            raise ConfigError(f"{reference} is a class of this package: name it, one of {known}")
     entries: dict[int, Entry] = {}
     failures: dict[int, str] = {}
     for k, (name, reference) in enumerate(zip(names, references, strict=True)):

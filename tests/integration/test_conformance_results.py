@@ -85,6 +85,10 @@ def test_a_card_is_valid_only_for_its_code_settings_and_probe_version(probed, mo
     assert find_card(out, "Valid", {}, code + "x") is None
     assert find_card(out, "Valid", {"gain": 2}, code) is None
     assert find_card(out, "Dicey", {}, code) is None
+    with monkeypatch.context() as other_version:
+        other_version.setattr(conformance_results, "package_code", lambda: "other weights")
+        assert find_card(out, "Valid", {}, code) is None
+    assert find_card(out, "Valid", {}, code) is not None
     monkeypatch.setattr(conformance_results, "CARD", dataclasses.replace(CARD, modules=()))
     assert find_card(out, "Valid", {}, code) is None
 

@@ -15,6 +15,7 @@ from leaderboard.entries.entry_files import CLASS_FOLDER, list_files, snapshot
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.guest import describe_exit
 from leaderboard.sandbox.limits import Limits
+from road_envs.core.config import ConfigError
 
 
 def test_a_plug_in_is_described_without_being_loaded_in_this_process(tmp_path, monkeypatch):
@@ -137,3 +138,11 @@ def test_an_exit_is_described_by_its_signal_or_status():
     assert [describe_exit(x) for x in (0, 3, -9, 128 + 11)] == [
         "exit status 0", "exit status 3", "SIGKILL", "SIGSEGV",
     ]  # fmt: skip
+
+
+def test_a_class_of_this_package_is_named_as_the_registry_does():
+    """By its path it would have no code of its own, and so a row that is never made again."""
+    with pytest.raises(
+        ConfigError, match=r"estimators\.baselines\.flat:Flat is a class of this pa"
+    ):
+        entries.resolve_entries(["estimators.baselines.flat:Flat"], None)
