@@ -1,0 +1,3 @@
+"""Scores of estimates."""
+
+UNDEFINED = "–"  # how a number that is not defined is shown

@@ -19,13 +19,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from leaderboard.metrics import heights
+from leaderboard.metrics import UNDEFINED, heights
 from leaderboard.metrics.alignment import align_locally
 from road_envs.records.record import Estimate, Profile
 from road_envs.records.roughness import displacement_psd
-
-UNDEFINED = "–"
-"""Text of a score that is not defined."""
 
 PERCENT: Any = {"unit": "%", "factor": 100.0, "digits": 0}
 """Format of a share."""

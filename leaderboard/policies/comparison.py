@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from leaderboard.entries.entry import describe_error
-from leaderboard.metrics.api import UNDEFINED
+from leaderboard.metrics import UNDEFINED
 from leaderboard.metrics.bootstrap import MIN_ROADS, number_drawn
 from leaderboard.policies import best_found
 from leaderboard.policies.best_found import Progress

@@ -14,7 +14,7 @@ from estimators.registry import REGISTRY
 from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.results import Result, Trace
 from leaderboard.evaluation.tasks import Task
-from leaderboard.metrics.api import UNDEFINED
+from leaderboard.metrics import UNDEFINED
 from leaderboard.metrics.heights import band_pass, scored_band
 from leaderboard.report import figures as fig
 from leaderboard.report.board_definitions import COLUMNS

@@ -17,8 +17,7 @@ from leaderboard.conformance.results import EstimatorCard
 from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.results import Result, score_arrays
 from leaderboard.evaluation.tasks import Task
-from leaderboard.metrics import bootstrap
-from leaderboard.metrics.api import UNDEFINED
+from leaderboard.metrics import UNDEFINED, bootstrap
 from leaderboard.metrics.bootstrap import MIN_ROADS, Interval, Strata, count_roads
 from leaderboard.metrics.level import EQ_12_RAW, STATE_LIMITS
 from leaderboard.metrics.registry import SCORES

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from leaderboard.metrics.api import UNDEFINED
+from leaderboard.metrics import UNDEFINED
 from leaderboard.report.board_definitions import BOUND_NAME, WORST
 from leaderboard.report.sentences import Report
 from leaderboard.report.tables import BoardView, Row, Section, nonempty_columns

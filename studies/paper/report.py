@@ -10,7 +10,7 @@ import numpy as np
 
 from leaderboard.evaluation.bound import nrmse_bound
 from leaderboard.evaluation.provenance import describe_environment, package_version
-from leaderboard.metrics.api import UNDEFINED
+from leaderboard.metrics import UNDEFINED
 from leaderboard.metrics.level import EQ_12_RAW
 from leaderboard.report.plots import inline_svg
 from leaderboard.report.rendering import render
