@@ -75,8 +75,11 @@ def _update_block(
     moved = np.dot(block.factors, rows)
     # of the means and of the vehicle's next state, with the residual forces
     covariance = np.dot(np.ascontiguousarray(moved[:, :size]), block.factors.T)
-    effect = model.force_effect
-    covariance += np.dot(effect.T * block.force_variance, effect)
+    for w in range(4):
+        for r in range(3 + n_vehicle):
+            effect = block.force_variance[w] * model.force_effect[w, r]
+            for c in range(3 + n_vehicle):
+                covariance[r, c] += effect * model.force_effect[w, c]
     T, innovation = _whiten(model, inputs, local, block.predicted, covariance, j, i)
     # covariance of the whitened innovations with the local state, and beside it their derivative
     V = np.dot(T, moved[:3])

@@ -23,8 +23,7 @@ from road_envs.vehicle.suspension import DAMPING_HIGH, V_0, V_STEP
 
 # Standard deviations of a rate [m/s] for which tables are computed in advance
 RATE_STDS = np.array([0.0, 0.01, 0.02, 0.03, 0.05, 0.08, 0.12, 0.2, 0.3])
-# Standard deviations between which a table is chosen
-_BOUNDS = 0.5 * (RATE_STDS[:-1] + RATE_STDS[1:]) / TUNING.std_inflation
+_CHOSEN_STDS = RATE_STDS / TUNING.std_inflation
 
 
 def smoothed_tables(velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -64,13 +63,20 @@ def choose_linearization(model: FilterModel, local: LocalState, force_variance):
     """
     p, strut_rows = model.constants[0], model.strut_rows
     n_dof, n_tables = strut_rows.shape[1], model.force_variance.shape[1]
-    rates = slice(n_dof, 2 * n_dof)
-    rate = np.dot(strut_rows, local.x[rates])
-    variance = np.sum(np.dot(strut_rows, local.rows[rates, rates].copy()) * strut_rows, axis=1)
     for w in range(4):
-        index = np.searchsorted(_BOUNDS, np.sqrt(max(variance[w], 0.0)))
+        rate, variance = 0.0, 0.0
+        for i in range(n_dof):
+            rate += strut_rows[w, i] * local.x[n_dof + i]
+            for k in range(n_dof):
+                cross = strut_rows[w, i] * strut_rows[w, k]
+                variance += cross * local.rows[n_dof + i, n_dof + k]
+        std, index = np.sqrt(max(variance, 0.0)), 0
+        while index < _CHOSEN_STDS.size - 1 and (
+            std > 0.5 * (_CHOSEN_STDS[index] + _CHOSEN_STDS[index + 1])
+        ):
+            index += 1
         p.velocity_table[w] = model.first_table[w] + n_tables * index
-        u = min(max((rate[w] - V_0) / V_STEP, 0.0), model.force_variance.shape[2] - 1.001)
+        u = min(max((rate - V_0) / V_STEP, 0.0), model.force_variance.shape[2] - 1.001)
         i, low, high = int(u), int(model.first_table[w]), local.strut_state[w, DAMPING_HIGH]
         t = u - i
         table = model.force_variance[index]  # high damping is next to low damping

@@ -81,12 +81,14 @@ def _simulate_block(
     out = stack_array(N_SIDE_SIGNALS)
     n_dof = model.strut_rows.shape[1]
     end = block.end_state
-    end[:] = local.x[: end.size]
+    for i in range(end.size):
+        end[i] = local.x[i]
     vehicle = VehicleBuffers(model.constants, model.velocity, model.displacement, local.strut_state)
     motion, bending = Motion(end[:n_dof], end[n_dof : 2 * n_dof]), end[2 * n_dof :]
     road, x, (node, height, slope) = np.empty(16), local.x, weights
     acceleration = np.empty(n_dof)
-    no_manoeuvre, predicted = np.zeros(4), np.zeros(3)
+    no_manoeuvre, sensor_rows = np.zeros(4), model.sensor_rows
+    predicted = np.zeros(3)
     alpha = 1.0 - np.exp(-model.h / model.valve_lag)
     samples = 0
     for k in range(rows.shape[0]):
@@ -108,16 +110,22 @@ def _simulate_block(
         step_with_derivative(vehicle, motion, step_inputs, work, out, rows[k], *flags)
         if (first + k) % model.decimation == 0:
             samples += 1
-            acceleration[:N_DOF] = out[ACCELERATION : ACCELERATION + N_DOF]
+            for i in range(N_DOF):
+                acceleration[i] = out[ACCELERATION + i]
             if model.flexible is not None:
                 acceleration[N_DOF] = out[TWIST + 2]
             if model.side is not None:
-                size = side_size(motion.q)
-                acceleration[n_dof - size :] = out[SIDE_ACCELERATION : SIDE_ACCELERATION + size]
-            predicted += np.dot(model.sensor_rows, acceleration)
+                for j in range(side_size(motion.q)):
+                    acceleration[n_dof - side_size(motion.q) + j] = out[SIDE_ACCELERATION + j]
+            bent = 0.0
             if bending.size > 0:
-                predicted += model.bending_shape * _bend(model, acceleration, bending)
-    block.predicted[:] = predicted / samples + x[end.size : end.size + 3]
+                bent = _bend(model, acceleration, bending)
+            for s in range(3):
+                predicted[s] += model.bending_shape[s] * bent
+                for i in range(n_dof):
+                    predicted[s] += sensor_rows[s, i] * acceleration[i]
+    for s in range(3):
+        block.predicted[s] = predicted[s] / samples + x[end.size + s]
 
 
 @kernel
