@@ -82,16 +82,33 @@ def _update_block(
                 covariance[r, c] += effect * model.force_effect[w, c]
     T, innovation = _whiten(model, inputs, local, block.predicted, covariance, j, i)
     # covariance of the whitened innovations with the local state, and beside it their derivative
-    V = np.dot(T, moved[:3])
-    local.U[3 * i : 3 * i + 3] = V[:, size:]
-    gain = V[:, :size].T.copy()
-    gain[:n_vehicle] = np.dot(covariance[3:, :3].copy(), T.T)
-    x[:n_vehicle], rows[:n_vehicle] = block.end_state, moved[3:]
-    x += np.dot(gain, innovation)
-    rows -= np.dot(gain, V)
-    rows[n_vehicle:, :n_vehicle] = rows[:n_vehicle, n_vehicle:size].T
-    known = np.dot(gain[:n_vehicle], gain[:n_vehicle].T)
-    rows[:n_vehicle, :n_vehicle] = covariance[3:, 3:] - known
+    V, gain = np.empty((3, 2 * size)), np.empty((size, 3))
+    for k in range(2 * size):
+        V[0, k] = T[0, 0] * moved[0, k]
+        V[1, k] = T[1, 0] * moved[0, k] + T[1, 1] * moved[1, k]
+        V[2, k] = T[2, 0] * moved[0, k] + T[2, 1] * moved[1, k] + T[2, 2] * moved[2, k]
+    for s in range(3):
+        for a in range(size):
+            local.U[3 * i + s, a], gain[a, s] = V[s, size + a], V[s, a]
+        for a in range(n_vehicle):
+            gain[a, s] = 0.0
+            for t in range(s + 1):
+                gain[a, s] += T[s, t] * covariance[3 + a, t]
+    for a in range(n_vehicle):
+        x[a] = block.end_state[a]
+        for k in range(2 * size):
+            rows[a, k] = moved[3 + a, k]
+    for a in range(size):
+        first, second, third = gain[a, 0], gain[a, 1], gain[a, 2]
+        x[a] += first * innovation[0] + second * innovation[1] + third * innovation[2]
+        for k in range(2 * size):
+            rows[a, k] -= first * V[0, k] + second * V[1, k] + third * V[2, k]
+    for a in range(n_vehicle):
+        for b in range(n_vehicle, size):
+            rows[b, a] = rows[a, b]
+        for b in range(n_vehicle):
+            known = gain[a, 0] * gain[b, 0] + gain[a, 1] * gain[b, 1] + gain[a, 2] * gain[b, 2]
+            rows[a, b] = covariance[3 + a, 3 + b] - known
 
 
 @kernel(inline=False)

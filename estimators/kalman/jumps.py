@@ -62,8 +62,12 @@ def _add_information(score, information, response, innovation):
     """Update `score` (m,) and `information` (m, m) of the candidates by a whitened `innovation`
     (R,), whose mean is `response` (R, m) per unit step.
     """
-    score += np.dot(innovation, response)
-    information += np.dot(response.T, response)
+    for s in range(innovation.size):
+        for c in range(score.size):
+            share = response[s, c]
+            score[c] += innovation[s] * share
+            for d in range(score.size):
+                information[c, d] += share * response[s, d]
 
 
 @dataclass(frozen=True, eq=False)

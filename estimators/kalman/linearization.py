@@ -6,6 +6,8 @@ measurement above that of the transition: every column is the exact tangent of t
 (`road_envs.simulation.sensitivity`).
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from estimators.common.spline import height_weights, slope_weights
@@ -32,15 +34,22 @@ from road_envs.vehicle.suspension import VehicleBuffers
 _NODE_SPACING = TUNING.node_spacing
 
 
-@kernel(inline=False)
-def _axle_spline_weights(inputs: FilterInputs, wheelbase_nodes, first, steps):
-    """Return the spline weights of both axles at both half steps of `steps` from the `first` on:
-    the first of the four nodes that carry an axle (steps, 2, 2), and their weights in the height
-    under the axle and in the rate [1/s] of that height (steps, 2, 2, 4).
+class _AxleWeights(NamedTuple):
+    """Spline weights of both axles at both half steps of the steps of a block. `node` (steps, 2,
+    2): the first of the four nodes that carry an axle; `height` and `slope` [1/s] (steps, 2, 2,
+    4): their weights in the height under the axle and in the rate of that height.
     """
-    node = np.empty((steps, 2, 2), dtype=np.int64)
-    height, slope = np.empty((steps, 2, 2, 4)), np.empty((steps, 2, 2, 4))
-    for k in range(steps):
+
+    node: np.ndarray
+    height: np.ndarray
+    slope: np.ndarray
+
+
+@kernel(inline=False)
+def _axle_spline_weights(inputs: FilterInputs, wheelbase_nodes, first, weights: _AxleWeights):
+    """Fill the spline weights of a block's steps, from the step `first` on."""
+    node, height, slope = weights
+    for k in range(node.shape[0]):
         for half in range(2):
             now = 2 * (first + k) + half
             front, rate = inputs.front_node[now], inputs.node_rate[now]
@@ -52,7 +61,6 @@ def _axle_spline_weights(inputs: FilterInputs, wheelbase_nodes, first, steps):
                 for m in range(4):
                     height[k, half, axle, m] = a[m]
                     slope[k, half, axle, m] = b[m] * rate
-    return node, height, slope
 
 
 @kernel(inline=False)
@@ -62,9 +70,12 @@ def linearize_block(
     """Fill the block `j`: factors and prediction. `local.strut_state` is advanced to the block's
     end; the vehicle part of `local.x` is not.
     """
-    steps = model.steps_per_block
-    first, rows = j * steps, np.empty((steps, TAPE_ROW_SIZE))
-    weights = _axle_spline_weights(inputs, model.wheelbase_nodes, first, steps)
+    steps_per_block = model.steps_per_block
+    first = j * steps_per_block
+    node, shape = np.empty((steps_per_block, 2, 2), dtype=np.int64), (steps_per_block, 2, 2, 4)
+    weights = _AxleWeights(node, np.empty(shape), np.empty(shape))
+    _axle_spline_weights(inputs, model.wheelbase_nodes, first, weights)
+    rows = np.empty((steps_per_block, TAPE_ROW_SIZE))
     _simulate_block(model, inputs, local, first, weights, rows, block)
     block.factors[:] = 0.0
     for s in range(3):
@@ -145,7 +156,7 @@ def _bend(model: FilterModel, acceleration, bending):
 
 
 @kernel(inline=False)
-def _node_derivatives(weights, i, direction, road):
+def _node_derivatives(weights: _AxleWeights, i, direction, road):
     """Write the derivatives of heights and rates under the wheels at the step `i` by the block's
     nodes to `road` (G, 16, LANES), in the layout of `rosenbrock.step`. A lane of a group is a
     direction: from `direction` on, behind the vehicle states, mean and half difference of the
@@ -175,7 +186,7 @@ def _tangent_columns(
     model: FilterModel, inputs: FilterInputs, local: LocalState, first, rows, weights, block
 ):
     """Write the tangents along the vehicle states and the nodes to `block.factors`."""
-    n_dof, n_vehicle, node = model.strut_rows.shape[1], block.end_state.size, weights[0]
+    n_dof, n_vehicle, node = model.strut_rows.shape[1], block.end_state.size, weights.node
     oldest, end = node[0, 0], node[-1, 1] + 4  # of the nodes under each axle
     directions = n_vehicle + 2 * (end[0] - oldest[0] + end[1] - oldest[1])
     groups, samples = (directions + LANES - 1) // LANES, 0

@@ -174,11 +174,10 @@ def setup_output(
     else:  # the kernel would need road ahead that no wheel has passed: no low-pass
         cutoff = np.full((2, s.size), 0.5)
     both_axles = lag >= TUNING.node_spacing * run.model.wheelbase_nodes - 1e-9
-    block, edges = np.searchsorted(run.known_front(sensor_latency), s + lag), run.windows.edges
-    last_edge = edges[np.searchsorted(edges, block, side="right") - 1]
+    block = np.searchsorted(run.known_front(sensor_latency), s + lag)
     return ProfileOutput(
         node=node,
-        emit_block=last_edge if both_axles else block,
+        emit_block=run.windows.last_edge(block) if both_axles else block,
         cutoff=cutoff,
         detrended=detrended,
         both_axles=both_axles,

@@ -83,3 +83,8 @@ class WindowSchedule:
         the window i, `oldest[i + 1]` in it.
         """
         return np.append(self.initial, self.newest) - self.n_nodes + 1
+
+    def last_edge(self, block: np.ndarray) -> np.ndarray:
+        """Return the last edge of a window before each `block` (M,); the drive's end is kept."""
+        rounded = self.edges[np.searchsorted(self.edges, block, side="right") - 1]
+        return np.where(block >= self.edges[-1], self.edges[-1], rounded)
