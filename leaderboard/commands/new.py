@@ -44,7 +44,7 @@ def new_policy(name: _Name, out: _Folder = None) -> Output:
 
 def _write(name: str, out: Path | None, example: _Example, check: str) -> Output:
     folder = out or Path(f"road-recon-{name.replace('_', '-')}")
-    written = [str(path) for path in write_package(name, folder, example)]
+    written = [str(path) for path in _write_package(name, folder, example)]
     target = folder if folder.is_absolute() else f"./{folder}"
     install, test = f'pip install --editable "{target}[test]"', f"python -m pytest {target}"
     following = [install, test, f"road-recon {check}"]
@@ -75,7 +75,7 @@ def new_vehicle(
     return Output(facts=facts, shows=[str(out), f"next: {following}"])
 
 
-def write_package(name: str, folder: Path, example: _Example = "estimator") -> list[Path]:
+def _write_package(name: str, folder: Path, example: _Example = "estimator") -> list[Path]:
     """Write a package with the estimator or policy `name` into a new or empty `folder`.
 
     Returns its files. Raises ConfigError, before anything is written, for an invalid name or a

@@ -12,7 +12,7 @@ from fakes import SHORT_TASK
 from typer.testing import CliRunner
 
 from leaderboard.cli import app
-from leaderboard.commands.new import write_package
+from leaderboard.commands.new import _write_package
 from leaderboard.evaluation.store import load
 from road_envs.core.config import ConfigError
 
@@ -41,7 +41,7 @@ def packages(tmp_path_factory):
     """Folder with a package of each example, by its name."""
     folder = tmp_path_factory.mktemp("packages")
     for example, name in EXAMPLES.items():
-        write_package(name, folder / example, example)
+        _write_package(name, folder / example, example)
     return folder
 
 
@@ -110,20 +110,20 @@ def test_the_templates_of_a_learner_and_of_a_policy_pass_the_checks(
 )
 def test_an_invalid_name_is_refused_and_nothing_is_written(tmp_path, name, sentence):
     with pytest.raises(ConfigError, match=sentence):
-        write_package(name, tmp_path / "new")
+        _write_package(name, tmp_path / "new")
     assert not (tmp_path / "new").exists()
 
 
 def test_a_name_is_taken_by_its_own_kind_only(tmp_path):
     with pytest.raises(ConfigError, match="the name 'skyhook' is taken by an installed policy"):
-        write_package("skyhook", tmp_path / "new", "policy")
-    assert write_package("flat", tmp_path / "new", "policy")
+        _write_package("skyhook", tmp_path / "new", "policy")
+    assert _write_package("flat", tmp_path / "new", "policy")
 
 
 def test_a_folder_with_files_is_refused_and_unchanged(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(ConfigError, match="is not empty; choose a new or empty folder"):
-        write_package("my_road", tmp_path)
+        _write_package("my_road", tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
 
