@@ -16,7 +16,6 @@ and the interval is wide); roads too short to have a level.
 
 import math
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -85,9 +84,10 @@ def classify_record(
     masked = mask_record(record, sensors)
     octaves = scored_octaves(float(np.median(masked.record.v)))
     segments = list(split_segments(masked, TUNING.segment_length, TUNING.segment_margin))
-    fit, model_std, notes = _model_of_drive(masked.record, segments, car, sensors)
-    model_std = np.hypot(model_std, 2.0 * roughness_std(record, car, instruments, _even(octaves)))
-    own, weights = np.swapaxes([_levels(fit(each), each, octaves) for each in segments], 0, 1)
+    models, model_std, notes = _models_of_drive(masked.record, segments, car, sensors)
+    model_std = math.hypot(model_std, 2.0 * roughness_std(record, car, instruments, _even(octaves)))
+    pieces = zip(models, segments, strict=True)
+    own, weights = np.swapaxes([_levels(*each, octaves) for each in pieces], 0, 1)
     total = np.maximum(weights.sum(axis=0), 1e-9)
     levels = (weights * own).sum(axis=0) / total
     stds = np.sqrt(1.0 / np.maximum(total, 1.0) + model_std**2)
@@ -102,19 +102,18 @@ def classify_record(
     return ClassPosterior(G_d0, log_std, octaves, levels, stds, probability, classes, notes)
 
 
-def _model_of_drive(
+def _models_of_drive(
     record: Record, segments: Sequence[Segment], car: VehicleParameters, sensors: Instruments
-) -> tuple[Callable[[Segment], SpectralModel], float, tuple[str, ...]]:
-    """Return the model of a segment, of the vehicle adapted to the drive, the standard deviation
-    of log levels by what is wrong with it, and notes.
+) -> tuple[list[SpectralModel], float, tuple[str, ...]]:
+    """Return the models of the segments, of the vehicle adapted to the drive, the standard
+    deviation of log levels by what is wrong with them, and notes.
     """
     vehicle, middle = SensedVehicle.of(car, sensors), segments[len(segments) // 2]
-    fit: Callable[[Segment], SpectralModel] = partial(fit_hyperparameters, vehicle)
-    model = fit(middle)
+    model, adapted = fit_hyperparameters(vehicle, middle), None
     unexplained, std, notes = float(np.mean(model.noise_scale)), _MODEL_ERROR, list[str]()
     found = adapt_vehicle(record, middle, model, car, sensors, 1)
     if found is not None and found.notes:
-        fit, unexplained, notes = found.model, found.unexplained, [*found.notes]
+        adapted, unexplained, notes = found.model, found.unexplained, [*found.notes]
     if unexplained > NOISE_SCALE_WARNING:
         std = math.hypot(std, _MISFIT_ERROR)
         notes.append(misfit_note(unexplained))
@@ -125,7 +124,11 @@ def _model_of_drive(
             f"{obstacles:.0%} of the drive is shaken by obstacles, which spectra tell in part: the "
             "level may be some dB too low"
         )
-    return fit, std, tuple(notes)
+    if adapted:
+        models = [adapted(each) for each in segments]
+    else:
+        models = [model if x is middle else fit_hyperparameters(vehicle, x) for x in segments]
+    return models, std, tuple(notes)
 
 
 def _even(octaves: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:

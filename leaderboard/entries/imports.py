@@ -1,4 +1,4 @@
-"""What the code of an entry imports: read from its syntax, nothing of it is imported here."""
+"""Imports of the code of an entry, read from its syntax: nothing of it is imported here."""
 
 import ast
 import sys
