@@ -25,7 +25,7 @@ _INTERRUPTED = 130  # exit status after SIGINT: 128 and the number of the signal
 _PACKAGE = "leaderboard.commands"
 
 Sections = Mapping[str, Mapping[str, str | type]]
-"""Commands by name, by heading of the help: "module:function" of _PACKAGE, or a LazyGroup."""
+"""Commands by name, by heading of the help: "module:function" of _PACKAGE, or a _LazyGroup."""
 
 
 OPTION_SECTIONS = {
@@ -63,7 +63,7 @@ class _SectionedCommand(TyperCommand):
                     formatter.write_dl(records)
 
 
-class LazyGroup(TyperGroup):
+class _LazyGroup(TyperGroup):
     """A group of commands; a subclass sets its `sections`, and its docstring is the help."""
 
     sections: ClassVar[Sections] = {}
@@ -127,7 +127,7 @@ def new_app(**settings: Any) -> typer.Typer:
     )
 
 
-class Roads(LazyGroup):
+class Roads(_LazyGroup):
     """List, plot and export roads."""
 
     sections: ClassVar[Sections] = {
@@ -139,7 +139,7 @@ class Roads(LazyGroup):
     }
 
 
-class RoadRecon(LazyGroup):
+class RoadRecon(_LazyGroup):
     """All subcommands."""
 
     sections: ClassVar[Sections] = {

@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtri
 
-from estimators.roughness.rms_regression import RmsRoughness
-from estimators.roughness.spectral import classify_record, scored_octaves
+from estimators.roughness.rms_regression import RmsRoughness, roughness_level
+from estimators.roughness.spectral import classify_record
 from road_envs.drives.recording import simulate_record
 from road_envs.drives.training_corpus import Corpus, drives_in_mode
 from road_envs.records.record import Profile, Record
-from road_envs.records.roughness import CLASSES, displacement_psd, octave_levels, roughness_class
+from road_envs.records.roughness import CLASSES, roughness_class
 from road_envs.roads import Iso8608, Potholes, Road, Superposed
 from road_envs.vehicle.parameters import load_vehicle
 
@@ -60,13 +60,6 @@ def drives(state: str, grade: str, number: int) -> Iterator[tuple[Record, Profil
         )
 
 
-def road_level(truth: Profile, v: float) -> float:
-    """Gd(n0) [m³]: geometric mean over the octaves that `v` [m/s] scores, of both wheel paths."""
-    octaves = scored_octaves(v)
-    _, levels = octave_levels(*displacement_psd(truth.z, truth.ds), (octaves[0], octaves[-1]))
-    return float(np.exp(np.log(levels.mean(axis=0)).mean()))
-
-
 @cache
 def regression(state: str) -> RmsRoughness:
     """Regression on RMS of the drives of the training corpus in this state."""
@@ -86,7 +79,7 @@ def main() -> None:
         for grade in GRADES:
             found: dict[str, list[tuple[float, bool, bool]]] = {"spectra": [], "RMS": []}
             for record, truth in drives(state, grade, number):
-                level = road_level(truth, float(np.nanmedian(record.v)))
+                level = roughness_level(truth, float(np.nanmedian(record.v)))
                 estimates: dict[str, Any] = {
                     "spectra": classify_record(record, car),
                     "RMS": regression(state).predict(record),

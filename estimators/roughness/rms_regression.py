@@ -74,7 +74,7 @@ class RmsRoughness:
         """Fit to drives over known roads. Raises RecordError."""
         X = np.array([_features(record) for record in records])
         pairs = zip(records, truths, strict=True)
-        levels = [_roughness_level(truth, float(np.nanmedian(x.v))) for x, truth in pairs]
+        levels = [roughness_level(truth, float(np.nanmedian(x.v))) for x, truth in pairs]
         table = np.column_stack([X, np.log(levels)])
         mean, std = table.mean(axis=0), table.std(axis=0)
         std = np.where(std > 1e-9, std, 1.0)  # of a constant column 1
@@ -104,7 +104,7 @@ def _features(record: Record) -> np.ndarray:
     return np.log(np.maximum([np.median(record.v[on_road]), *rms], 1e-6))
 
 
-def _roughness_level(truth: Profile, v: float) -> float:
+def roughness_level(truth: Profile, v: float) -> float:
     """Return G_d(n0) [m³] of both paths: geometric mean over the octaves scored at `v` [m/s]."""
     centres = scored_octaves(v)
     _, levels = octave_levels(*displacement_psd(truth.z, truth.ds), (centres[0], centres[-1]))

@@ -16,7 +16,7 @@ from estimators.roughness.rms_regression import (
     _features,
     _neg_log_marginal_likelihood,
     _predict_gp,
-    _roughness_level,
+    roughness_level,
 )
 from road_envs.drives.training_corpus import Corpus, drives_in_mode
 from road_envs.records.record import Profile, profile_stations
@@ -72,7 +72,7 @@ def test_the_road_level_is_the_geometric_mean_of_its_scored_octaves():
         width = n * (2.0**0.5 - 2.0**-0.5)
         z += np.sqrt(2.0 * G_d0 * (n / 0.1) ** -2.0 * width) * np.cos(2.0 * np.pi * n * stations)
     truth = Profile(stations, np.array([z, z]))
-    assert _roughness_level(truth, 15.0) == pytest.approx((4e-4 * 1e-4 * 4e-4) ** (1 / 3), rel=0.05)
+    assert roughness_level(truth, 15.0) == pytest.approx((4e-4 * 1e-4 * 4e-4) ** (1 / 3), rel=0.05)
 
 
 @cache
@@ -84,7 +84,7 @@ def regression(mode: str):
 @pytest.mark.parametrize("road", ["iso_b", "iso_c", "iso_d"])
 def test_roads_are_classified_correctly(road):
     record, truth = drive("defender", road, "handling", 54.0, length=150.0)
-    found, true = regression("handling").predict(record), _roughness_level(truth, 15.0)
+    found, true = regression("handling").predict(record), roughness_level(truth, 15.0)
     off = np.log(found.G_d0 / true)
     assert abs(off) < np.log(10.0**0.2) and abs(off) < 4.0 * found.log_std
     assert found.log_std < 0.4
@@ -98,7 +98,7 @@ def test_the_estimate_does_not_depend_on_the_speed():
     difference = _features(fast[0])[1:] - _features(slow[0])[1:]
     assert difference.mean() > 0.3  # as if its density were almost twice as high
     for record, truth in (slow, fast):
-        true = _roughness_level(truth, float(np.median(record.v)))
+        true = roughness_level(truth, float(np.median(record.v)))
         assert abs(np.log(regression("handling").predict(record).G_d0 / true)) < 0.46
 
 
