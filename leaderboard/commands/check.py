@@ -42,11 +42,8 @@ def check_estimator(
     with SandboxClient(own) as sandbox:
         (entry,) = resolve_entries([estimator], sandbox.describe)
         results = list(check_entry(entry, sandbox, of_board))
-    missing = missing_packages(Path(estimator)) if entry.failure is None else {}
-    lacking = [
-        f"{module} is of the package {x}, which boards lack" for module, x in missing.items()
-    ]
-    results = [*(CheckResult("packages", False, sentence) for sentence in lacking), *results]
+    missing = missing_packages(Path(estimator)) if entry.failure is None else []
+    results = [*(CheckResult("packages", False, sentence) for sentence in missing), *results]
     return _checks_output("estimator", entry.name, results, _summarize(results))
 
 

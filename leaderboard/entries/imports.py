@@ -1,6 +1,7 @@
 """Imports of the code of an entry, read from its syntax: nothing of it is imported here."""
 
 import ast
+import io
 import sys
 import zipfile
 from collections.abc import Callable, Iterator
@@ -9,14 +10,13 @@ from functools import cache, partial
 from importlib import metadata
 from importlib.util import resolve_name
 from pathlib import Path
+from typing import IO
 
 from leaderboard.entries.entry import EntryError
 from leaderboard.entries.entry_files import list_files, snapshot
 from road_envs.core.code_digest import PACKAGES
 
-LARGEST_SOURCE = (
-    2**20
-)  # largest size of a module that is parsed: its tree takes a hundred times that
+_LARGEST_SOURCE = 2**20  # size [bytes] of a module that is parsed: its tree takes a hundred times
 _MAX_SOURCE = 2**26  # largest size [bytes] of the Python files of an entry together
 _MAX_MODULES = 1000  # largest number of modules, without those inside, that it imports
 _OPTIONAL = (ast.Try, ast.TryStar, ast.FunctionDef, ast.AsyncFunctionDef)
@@ -24,13 +24,16 @@ _OPTIONAL_IF = {"TYPE_CHECKING", "ImportError", "ModuleNotFoundError"}  # `suppr
 
 
 def imports_of(
-    text: str | bytes, module: str, is_package: bool, in_any_case: bool = False
+    file: IO[bytes], module: str, is_package: bool, in_any_case: bool = False
 ) -> Iterator[str]:
-    """Yield what a module imports, with a name each of what it takes from a package.
+    """Yield what a module imports, with a name each of what it takes from a package; nothing of one
+    of more than 1 MiB.
 
     With `in_any_case`, not what it imports only if it can (`try`, `suppress`), when a function is
     called, or for types alone.
     """
+    if len(text := file.read(_LARGEST_SOURCE + 1)) > _LARGEST_SOURCE:
+        return
     try:
         left: list[ast.AST] = [ast.parse(text)]
     except (SyntaxError, ValueError, RecursionError, MemoryError):  # it fails where it is run
@@ -101,17 +104,16 @@ def _imported(reference: str) -> set[str]:
     """
     own, found, size = set[str](), set[str](), 0
     try:
-        for name, n_bytes, read in _files(reference):
+        for name, n_bytes, opened in _files(reference):
             own.add(name.partition("/")[0].partition(".")[0])
             if not name.endswith(".py"):
                 continue
             size += n_bytes
             if size > _MAX_SOURCE:
                 raise EntryError(f"its Python files have more than {_MAX_SOURCE >> 20} MiB")
-            if n_bytes > LARGEST_SOURCE:
-                continue
-            names = imports_of(read(), name.removesuffix(".py").replace("/", "."), False)
-            found |= {x.partition(".")[0] for x in names}
+            with opened() as file:
+                names = imports_of(file, name.removesuffix(".py").replace("/", "."), False)
+                found |= {x.partition(".")[0] for x in names}
     except EntryError:
         raise
     except Exception as error:  # whatever a damaged wheel raises
@@ -119,12 +121,12 @@ def _imported(reference: str) -> set[str]:
     return found - own
 
 
-def _files(reference: str) -> Iterator[tuple[str, int, Callable[[], bytes]]]:
-    """Yield name, size [bytes] and reader of the files of an entry, in place of a wheel of its."""
+def _files(reference: str) -> Iterator[tuple[str, int, Callable[[], IO[bytes]]]]:
+    """Yield name, size [bytes] and opener of the files of an entry, in place of a wheel of its."""
     for path, name in list_files(reference):
         if path.suffix != ".whl":
-            yield name, path.stat().st_size, path.read_bytes
+            yield name, path.stat().st_size, partial(io.FileIO, path)
             continue
         with zipfile.ZipFile(path) as wheel:
             for one in wheel.infolist():
-                yield one.filename, one.file_size, partial(wheel.read, one)
+                yield one.filename, one.file_size, partial(wheel.open, one)

@@ -3,7 +3,8 @@
 An estimator that knows the described vehicle, its instruments and the spectrum of the road attains
 it to first order from data below BANDWIDTH (`estimators.map_smoother.attainable`). A drive takes
 some seconds, so the errors of a condition are kept in the cache folder, by task and code. Test
-drives of perturbed vehicles have none: what they leave unexplained is not noise.
+drives of perturbed vehicles have none, as what they leave unexplained is not noise, nor have those
+without noise.
 """
 
 import dataclasses
@@ -37,7 +38,7 @@ def with_attainable(board: Board, report: Callable[[str], None] = lambda text: N
     for task in board.tasks:
         found: dict[tuple[str, int], float] = {}
         for condition in task.conditions:
-            if condition.grade == "S0" and task.bound:
+            if condition.grade == "S0" and task.bound and task.test.noise:
                 report(f"{task.name}: attainable error, {condition.label}")
                 errors = _attainable_errors(task, condition)
                 found |= {(condition.label, k): error for k, error in errors.items()}

@@ -8,23 +8,23 @@ from itertools import accumulate
 from pathlib import Path
 
 from leaderboard.entries.entry_files import entry_points
-from leaderboard.entries.imports import LARGEST_SOURCE, imports_of
+from leaderboard.entries.imports import imports_of
 
 PROJECT, EXTRAS = "road-envs", ("all", "sign")  # what boards install
 _REQUIREMENT = re.compile(r"\s*([\w.-]+)\s*(?:\[([^]]*)\])?[^;]*(?:;(.*))?")
 _EXTRA = re.compile(r"""extra\s*==\s*["']([\w.-]+)["']""")
 
 
-def missing_packages(code: Path) -> dict[str, str]:
-    """Return the packages of modules that the code of an entry imports, by module, where they are
-    none of its own, of Python, or of what boards install.
+def missing_packages(code: Path) -> list[str]:
+    """Return a sentence for each module that the code of an entry imports, and that is none of its
+    own, of Python, or of what boards install.
 
     `code` is a wheel, or a folder with one or with installed packages. What is imported only if it
     can be (`try`, `suppress`), by a function, for types alone, or by a module whose source is
     longer than 1 MiB, does not count.
     """
     wheel = code if code.is_file() else next(code.glob("*.whl"), None)
-    found, modules = dict[str, str](), [x.module for x in entry_points(wheel or code)]
+    found, modules = list[str](), [x.module for x in entry_points(wheel or code)]
     left = [name for x in modules for name in accumulate(x.split("."), "{}.{}".format)]
     if not left:  # weights of an entry of this package, or what the judge refuses
         return found
@@ -37,13 +37,14 @@ def missing_packages(code: Path) -> dict[str, str]:
         if path is None:
             packages = [_normal(x) for x in places.get(top, ())]
             if top not in sys.stdlib_module_names and packages and not boards & {*packages}:
-                found[top] = packages[0]
+                found.append(
+                    f"it imports {top} of the package {packages[0]}, which boards lack: give a "
+                    "folder that has it, too (pip install --target FOLDER), or do without it"
+                )
             continue
-        with path.open(encoding="utf-8", errors="replace") as file:
-            text = file.read(LARGEST_SOURCE + 1)
-        if len(text) > LARGEST_SOURCE:
-            continue
-        for other in imports_of(text, name, path.name == "__init__.py", in_any_case=True):
+        with path.open("rb") as file:
+            imports = [*imports_of(file, name, path.name == "__init__.py", in_any_case=True)]
+        for other in imports:
             # a name of a package is a module only if there is such a file
             parts = accumulate(other.split("."), "{}.{}".format)
             new = {x for x in parts if "." not in x or _file_of(x, files)} - seen

@@ -88,12 +88,8 @@ def make_submission(
             if folder.resolve().name != entry.name:  # before all is run
                 raise ConfigError(f"{folder}: it must have the name of its entry, {entry.name}")
             progress(f"checking {entry.name}", 0.0)
-            for module, package in missing_packages(partial / "code").items():
-                raise ConfigError(
-                    f"{entry.name} imports {module} of the package {package}, which boards lack: "
-                    "submit a folder that has it, too (pip install --target FOLDER), or do without "
-                    "it"
-                )
+            for missing in missing_packages(partial / "code"):
+                raise ConfigError(f"{entry.name}: {missing}")
             for check in check_entry(entry, sandbox, limits):
                 if check.passed is False and check.name not in PROBES:  # shown beside its name
                     raise ConfigError(f"{entry.name} fails the check {check.name}: {check.message}")

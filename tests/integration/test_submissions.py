@@ -531,12 +531,12 @@ def test_a_folder_by_another_name_than_its_entry_is_refused_before_anything_is_r
 
 def test_a_package_that_boards_lack_is_refused_before_anything_is_run(submit, monkeypatch):
     monkeypatch.setattr(submission_module, "check_entry", lambda *_: pytest.fail("it was checked"))
-    with pytest.raises(ConfigError, match="reader imports pytest of the package pytest, which"):
+    with pytest.raises(ConfigError, match="reader: it imports pytest of the package pytest, which"):
         submit("reader")
 
 
 def test_what_was_driven_before_a_submission_was_stopped_is_not_lost(submit, tmp_path, monkeypatch):
-    monkeypatch.setattr(submission_module, "missing_packages", lambda code: {})
+    monkeypatch.setattr(submission_module, "missing_packages", lambda code: [])
     times = iter([0.0, 5.0, 100.0, 103.0])  # of two processes
     monkeypatch.setattr(submission_module, "_cpu_seconds", lambda: next(times))
     found = []

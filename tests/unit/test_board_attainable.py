@@ -65,10 +65,13 @@ def test_what_was_verified_of_a_row_holds_with_its_attainable_errors(computed):
     assert board.verified[content_digest(more)] == [found]
 
 
-def test_drives_of_perturbed_vehicles_and_tasks_without_a_bound_have_none(computed):
+def test_drives_of_perturbed_vehicles_or_without_noise_and_tasks_without_a_bound_have_none(
+    computed,
+):
     t = task()
     field = replace(t, conditions=tuple(replace(c, grade="S2") for c in t.conditions))
-    for other in (field, replace(t, bound=False)):
+    quiet = replace(t, test=replace(t.test, noise=False))
+    for other in (field, quiet, replace(t, bound=False)):
         rows = run_task(other, {"reader": Reader()}, (1,), simulate=fake_drives)
         board = attainable.with_attainable(Board((other,), {other.name: rows}))
         assert "attainable_nrmse" not in set(board.results[other.name][0].scores["score"])
