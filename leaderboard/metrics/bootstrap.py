@@ -7,7 +7,10 @@ resample of seeds holds for all roads of a replicate. Entries are paired: each r
 same roads for all of them. Roads are resampled within their family, so that the differences
 between families do not widen the intervals. Of n roads n - 1 are drawn, each with the weight
 n / (n - 1): drawing n would give (n - 1) / n of the variance of a mean, half of it with two roads
-(Rao and Wu, J. Am. Stat. Assoc. 83, 231-241, 1988, with m = n - 1). So are seeds.
+(Rao and Wu, J. Am. Stat. Assoc. 83, 231-241, 1988, with m = n - 1). So are seeds. An interval is
+the standard deviation of the replicates times a quantile of Student's t, with as many degrees of
+freedom as roads are drawn (Efron and Tibshirani, An Introduction to the Bootstrap, 1993, chapter
+12): percentiles of the replicates of few roads are too narrow.
 """
 
 import math
@@ -15,8 +18,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import t
 
-_REPLICATES = 2000  # of an interval or a rank: 50 are beyond either end
+_REPLICATES = 2000  # of an interval or a rank: its width varies by 1.6 %
 _QUANTILES = (0.5 - 0.95 / 2, 0.5 + 0.95 / 2)  # shares below the ends of an interval of 95 %
 MIN_ROADS = 5  # least number for an interval or a rank: with two, it is their two scores
 REPRODUCIBLE = 5e-3
@@ -74,21 +79,33 @@ def bootstrap(
 
 
 class Resampled(NamedTuple):
-    """A weighted sum of interquartile means, and its replicates (B,)."""
+    """A weighted sum of interquartile means, its replicates (B,), and the roads drawn in each."""
 
     mean: float
     replicates: np.ndarray
+    n_drawn: int
 
     def interval(self) -> Interval:
         """Return the sum with its 95 % interval; NaNs if a replicate is undefined."""
         if not np.isfinite(self.replicates).all():
             return Interval(np.nan, np.nan, np.nan)
-        low, high = np.quantile(self.replicates, _QUANTILES)
-        return Interval(float(self.mean), float(low), float(high))
+        half = float(half_width(self.replicates.std(), self.n_drawn))
+        return Interval(self.mean, self.mean - half, self.mean + half)
 
     def minus(self, other: "Resampled") -> "Resampled":
         """Return the paired difference: both were resampled on the same roads and seeds."""
-        return Resampled(self.mean - other.mean, self.replicates - other.replicates)
+        return Resampled(
+            self.mean - other.mean,
+            self.replicates - other.replicates,
+            min(self.n_drawn, other.n_drawn),
+        )
+
+
+def half_width(std: ArrayLike, n_drawn: ArrayLike) -> np.ndarray:
+    """Return half the width of a 95 % interval, from the standard deviation of the replicates and
+    the number of roads drawn in each.
+    """
+    return np.asarray(std * t.ppf(_QUANTILES[1], n_drawn))
 
 
 def resample(
@@ -102,7 +119,8 @@ def resample(
     """
     made = [bootstrap(part, 0, strata=strata) for part in parts]
     means = [float(interquartile_mean(part.ravel())) for part in parts]
-    return Resampled(float(np.dot(weights, means)), np.tensordot(weights, made, axes=1))
+    drawn = min(sum(map(number_drawn, map(len, _drawable(part, strata)))) for part in parts)
+    return Resampled(float(np.dot(weights, means)), np.tensordot(weights, made, axes=1), drawn)
 
 
 def iqm_slope(parts: Mapping[int, np.ndarray], strata: Strata | None = None) -> Interval:
@@ -142,13 +160,8 @@ def _replicate_scores(
     """Yield resampled scores (b, N) and their weights (N,) in batches of replicates."""
     # indices of the roads (B, r), drawn stratum by stratum, and of the seeds (B, s): the streams of
     # both are apart, so that entries with other numbers of seeds still share their roads
-    R, C, S = scores.shape
-    has_runs = ~np.isnan(scores).all(axis=(1, 2))
-    has_runs |= not has_runs.any()
-    drawable = [[k for k in part if has_runs[k]] for part in strata or [range(R)]]
-    drawable = [part for part in drawable if part]
-    if min(map(len, drawable)) < 2:
-        drawable = [np.flatnonzero(has_runs).tolist()]
+    _, C, S = scores.shape
+    drawable = _drawable(scores, strata)
     numbers = [number_drawn(len(part)) for part in drawable]
     road_rng, seed_rng = np.random.default_rng(seed).spawn(2)
     drawn = [
@@ -167,6 +180,15 @@ def _replicate_scores(
         part = slice(k, k + size)
         resampled = scores[roads[part, :, None], :, seeds[part, None, :]]
         yield resampled.reshape(len(resampled), -1), weights
+
+
+def _drawable(scores: np.ndarray, strata: Strata | None) -> list[list[int]]:
+    """Return the indices of the roads that are drawn in each stratum: those with runs."""
+    has_runs = ~np.isnan(scores).all(axis=(1, 2))
+    has_runs |= not has_runs.any()
+    drawable = [[k for k in part if has_runs[k]] for part in strata or [range(len(scores))]]
+    drawable = [part for part in drawable if part]
+    return [np.flatnonzero(has_runs).tolist()] if min(map(len, drawable)) < 2 else drawable
 
 
 def number_drawn(n: int) -> int:
@@ -190,22 +212,23 @@ def rank_entries(scores: Mapping[str, np.ndarray], strata: Strata | None = None)
     They are in the order of how many others are significantly better, so that one of uncertain
     scores stands between no two others; entries with equally many share a rank, the place of the
     first of them, as in 1 2 2 2 5, and are in the order of their interquartile means. An entry is
-    significantly better if it is ahead by more than `REPRODUCIBLE` in 97.5 % of the replicates, as
-    of two that err alike one is always ahead, by rounding. These draw roads alone, each with all
-    its runs: of three seeds, one of luck alone would be drawn in more than 2.5 %. A score that is
-    NaN comes last.
+    significantly better if the 95 % interval of the paired difference is beyond `REPRODUCIBLE`, as
+    of two that err alike one is always ahead, by rounding. Roads alone are drawn, each with all its
+    runs: of three seeds, one of luck alone would be drawn too often. A score that is NaN comes
+    last.
     """
     made = {name: resample([x.reshape(len(x), -1, 1)], strata=strata) for name, x in scores.items()}
-    means = {name: np.nan_to_num(x.interval().mean, nan=np.inf) for name, x in made.items()}
-    drawn = {  # an undefined score loses every comparison
-        name: np.full(x.replicates.size, np.inf) if np.isnan(x.replicates).any() else x.replicates
-        for name, x in made.items()
-    }
-    worse = {name: x + REPRODUCIBLE * np.abs(x) for name, x in drawn.items()}  # than each
-    better = {
-        name: sum(bool(np.mean(mine > x) > _QUANTILES[1]) for x in worse.values())
-        for name, mine in drawn.items()
-    }
-    order = sorted(better, key=lambda name: (better[name], means[name]))
+    known = {name: x for name, x in made.items() if np.isfinite(x.replicates).all()}
+    better = dict.fromkeys(scores, len(known))
+    if known:
+        mean, drawn = (np.array([x[k] for x in known.values()]) for k in (0, 2))
+        cov = np.atleast_2d(np.cov([x.replicates for x in known.values()]))
+        var = np.maximum(np.diag(cov)[:, None] + np.diag(cov) - 2.0 * cov, 0.0)  # of differences
+        half = half_width(np.sqrt(var), np.minimum.outer(drawn, drawn))
+        ahead = mean[:, None] - mean - half > REPRODUCIBLE * np.abs(mean)  # who is ahead of whom
+        better |= dict(zip(known, ahead.sum(axis=1).tolist(), strict=True))
+    order = sorted(
+        better, key=lambda name: (better[name], np.nan_to_num(made[name].mean, nan=np.inf))
+    )
     counts = [better[name] for name in order]
     return {name: 1 + counts.index(better[name]) for name in order}

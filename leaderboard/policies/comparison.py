@@ -3,7 +3,7 @@
 Each public drive is driven to both sides. All policies drive the same roads, cars and faults, and
 the best switching found on the known road stands beside them as a line. Intervals are 95 %
 bootstraps over the drives, a drive and its mirror image together, as of roads in
-`leaderboard.metrics.bootstrap`: from MIN_ROADS pairs on, and one less than all are drawn.
+`leaderboard.metrics.bootstrap`: from MIN_ROADS pairs on.
 """
 
 from collections.abc import Mapping
@@ -15,7 +15,7 @@ import numpy as np
 
 from leaderboard.entries.entry import describe_error
 from leaderboard.metrics import UNDEFINED
-from leaderboard.metrics.bootstrap import MIN_ROADS, number_drawn
+from leaderboard.metrics.bootstrap import MIN_ROADS, half_width, number_drawn
 from leaderboard.policies import best_found
 from leaderboard.policies.best_found import Progress
 from leaderboard.policies.policy_process import PolicyProcess
@@ -184,10 +184,9 @@ def interval(x: np.ndarray, mirrored: bool = True) -> dict[str, float]:
     rng, (seeds, drives) = np.random.default_rng(0), pairs.shape
     drawn = rng.integers(0, drives, (_BOOTSTRAPS, 1, number_drawn(drives)))
     trained = rng.integers(0, seeds, (_BOOTSTRAPS, number_drawn(seeds), 1))
-    low, high = np.quantile(pairs[trained, drawn].mean(axis=(1, 2)), [0.025, 0.975])
-    if drives < MIN_ROADS:
-        low = high = np.nan
-    return {"mean": _round(pairs.mean()), "low": _round(low), "high": _round(high)}
+    mean, std = pairs.mean(), pairs[trained, drawn].mean(axis=(1, 2)).std()
+    half = half_width(std, drawn.shape[-1]) if drives >= MIN_ROADS else np.nan
+    return {"mean": _round(mean), "low": _round(mean - half), "high": _round(mean + half)}
 
 
 def interval_text(found: Mapping[str, float]) -> str:

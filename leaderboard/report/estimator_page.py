@@ -56,6 +56,7 @@ def page_values(
         "causal": all(result.causal for _, result in results),
         "lag": first.lag,
         "settings": ", ".join(settings),
+        "programs": len({(x.code, json.dumps(x.settings, sort_keys=True)) for _, x in results}),
         "method": _method(name),
         "method_card": {**vars(about), "authors": ", ".join(about.authors)}.items()
         if about
@@ -81,6 +82,7 @@ def _result_provenance(board: Board, task: Task, result: Result) -> list[tuple[s
     facts = {
         "file": f"results/{result.task}/{result.estimator}.json",
         "task": f"version {task.version}, digest {result.task_digest}",
+        "code": result.code,
         "state": board.stale_reason(task, result) or "fresh",
         "package": f"road-envs {result.package_version}, metrics {result.metric_version}",
         "isolation": result.isolation,

@@ -69,6 +69,18 @@ def test_the_page_of_an_entry_gives_the_provenance_of_every_result():
     assert "gain 0.9" in text and "training seeds 1, 2, 3" in text
 
 
+def test_the_page_of_two_programs_of_one_name_says_so():
+    rows = {
+        name: [dataclasses.replace(r, code=r.code + name[:4]) for r in found]
+        for name, found in results().items()
+    }
+    made = Board(tuple(tasks()), rows)
+    page = text_of(dict(_render_pages(made, build_report(made)))["estimators/reader.html"])
+    said = f"These rows are of {len(rows)} programs or settings of that name"
+    assert said in page and all(r.code in page for r in rows["held_out"] if r.estimator == "reader")
+    assert "programs or settings of that name" not in text_of(site()["estimators/reader.html"])
+
+
 def test_an_entry_of_any_name_has_a_page_of_its_own():
     assert file_name("my entry/../x") == "my_entry_.._x.html"
 

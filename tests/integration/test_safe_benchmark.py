@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from leaderboard.commands import policies as policies_command
 from leaderboard.policies import best_found
@@ -188,8 +189,9 @@ def test_an_interval_needs_five_pairs_and_varies_as_their_mean():
     for pairs in rng.standard_normal((100, 8)):
         of_trainings = np.outer(pairs, np.ones(10))
         found = [interval(np.repeat(pairs, 2)), interval(of_trainings)]
-        error = pairs.std(ddof=1) / np.sqrt(8)
-        ratios.append([(x["high"] - x["low"]) / (2 * 1.96 * error) for x in found])
+        error = pairs.std(ddof=1) / np.sqrt(8)  # of 8 pairs; of 8 trainings on 5 pairs
+        expected = 2.0 * error * stats.t.ppf(0.975, [7, 4])
+        ratios.append([x["high"] - x["low"] for x in found] / expected)
     assert np.mean(ratios, axis=0) == pytest.approx(1.0, abs=0.03)  # 0.93 if all eight are drawn
     few = interval(np.repeat(pairs[:4], 2))
     assert np.isnan(few["low"]) and few["mean"] == pytest.approx(pairs[:4].mean(), rel=1e-4)
