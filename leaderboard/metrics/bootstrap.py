@@ -85,10 +85,15 @@ class Resampled(NamedTuple):
     replicates: np.ndarray
     n_drawn: int
 
-    def interval(self) -> Interval:
-        """Return the sum with its 95 % interval; NaNs if a replicate is undefined."""
+    def interval(self, is_positive: bool = False) -> Interval:
+        """Return the sum with its 95 % interval, on a logarithmic scale if it `is_positive` whatever
+        is drawn; NaNs if a replicate is undefined.
+        """
         if not np.isfinite(self.replicates).all():
             return Interval(np.nan, np.nan, np.nan)
+        if is_positive:
+            factor = math.exp(half_width(np.log(self.replicates).std(), self.n_drawn))
+            return Interval(self.mean, self.mean / factor, self.mean * factor)
         half = float(half_width(self.replicates.std(), self.n_drawn))
         return Interval(self.mean, self.mean - half, self.mean + half)
 
@@ -197,8 +202,10 @@ def number_drawn(n: int) -> int:
 
 
 def iqm_interval(scores: np.ndarray, strata: Strata | None = None) -> Interval:
-    """Return the interquartile mean of `scores` (R, C, S) with its 95 % interval, or NaNs."""
-    return resample([scores], strata=strata).interval()
+    """Return the interquartile mean of `scores` (R, C, S) with its 95 % interval, or NaNs; that of
+    scores that are positive is positive.
+    """
+    return resample([scores], strata=strata).interval(is_positive=not (scores <= 0.0).any())
 
 
 def count_roads(scores: np.ndarray) -> int:

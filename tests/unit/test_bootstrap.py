@@ -72,7 +72,15 @@ def test_equal_entries_share_ranks_and_intervals_cover_in_families_of_a_few_road
         assert low <= mean <= high  # families keep their shares of a replicate
         inside.append(low <= expected <= high)
     assert np.mean(ranked) < 0.055
-    assert np.mean(inside) > 0.91
+    assert np.mean(inside) > 0.92
+
+
+def test_the_interval_of_positive_scores_is_positive_and_that_of_others_is_symmetric():
+    scores = np.random.default_rng(15).lognormal(sigma=1.5, size=(6, 1, 1))
+    mean, low, high = iqm_interval(scores)
+    assert low > 0.0 and low * high == pytest.approx(mean**2)
+    mean, low, high = iqm_interval(np.where(scores == scores.max(), 0.0, scores))
+    assert low < 0.0 and 0.5 * (low + high) == pytest.approx(mean)
 
 
 def test_replicates_vary_as_the_mean_of_few_roads_and_of_few_trainings_does():
