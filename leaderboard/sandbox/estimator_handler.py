@@ -107,11 +107,14 @@ def load(reference: str, settings: dict[str, Any], folder: str | None) -> tuple[
     if folder is not None and not reference.endswith(WEIGHTS_SUFFIXES):
         return _load_package(Path(folder), settings)
     # not above: it imports all estimators of this package, which code from outside may not use
-    from estimators import make_estimator
+    from estimators import REGISTRY, make_estimator
 
     if folder is None:
         return None, make_estimator(reference, **settings)
-    return None, make_estimator(Path(folder) / Path(reference).name)  # a file has its own settings
+    estimator = make_estimator(Path(folder) / Path(reference).name)  # a file has its own settings
+    if type(estimator) not in REGISTRY.values():
+        raise EntryError("a file of weights lacks the code of a plug-in: give that, weights inside")
+    return None, estimator
 
 
 def _load_package(folder: Path, settings: dict[str, Any]) -> tuple[str, Any]:
