@@ -16,6 +16,7 @@ import numpy as np
 from estimators.api import (
     Calibratable,
     CalibrationDrive,
+    EstimateError,
     Estimator,
     NotFittedError,
     Trainable,
@@ -142,6 +143,8 @@ class LocalSession:
         start = time.perf_counter()
         estimate = self._calibrated.estimate(record, self._car)
         check_estimate(estimate, record)
+        if any(map(np.ma.is_masked, vars(estimate).values())):
+            raise EstimateError("some of its numbers are masked: fill them by estimated ones")
         return estimate, time.perf_counter() - start
 
 

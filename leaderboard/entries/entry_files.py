@@ -10,7 +10,7 @@ import os
 import re
 from collections.abc import Iterator
 from importlib import metadata
-from importlib.machinery import PathFinder
+from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 
 from estimators.api import ENTRY_POINT_GROUP
@@ -73,14 +73,16 @@ def list_files(reference: str) -> Iterator[tuple[Path, str]]:
     here = PathFinder.find_spec(top, [folder]) if folder else None
     # a folder without __init__.py comes last; none of the module runs
     spec = here if here and here.origin else importlib.util.find_spec(top) or here
-    folders = [Path(x) for x in (spec.submodule_search_locations or ())] if spec else []
-    file = Path(spec.origin or "") if spec else Path()
-    if not folders and not file.is_file():
+    if not (places := places_of(spec)):
         raise EntryError(f"cannot be constructed: there is no module {top!r}")
-    if not folders:
-        yield file, file.name
-    for each in folders:
-        yield from _walk(each, f"{top}/")
+    for place in places:
+        yield from _walk(place, f"{top}/") if place.is_dir() else [(place, place.name)]
+
+
+def places_of(spec: ModuleSpec | None) -> list[Path]:
+    """Return the file or folder of a module, or the folders of all portions of a package."""
+    places = (spec.submodule_search_locations or [spec.origin or ""]) if spec else []
+    return [Path(place) for place in places if os.path.exists(place)]
 
 
 def entry_points(code: Path) -> list[metadata.EntryPoint]:

@@ -8,12 +8,12 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cache, partial
 from importlib import metadata
-from importlib.util import resolve_name
+from importlib.util import find_spec, resolve_name
 from pathlib import Path
 from typing import IO
 
 from leaderboard.entries.entry import EntryError
-from leaderboard.entries.entry_files import list_files, snapshot
+from leaderboard.entries.entry_files import list_files, places_of, snapshot
 from road_envs.core.code_digest import PACKAGES
 
 _LARGEST_SOURCE = 2**20  # size [bytes] of a module that is parsed: its tree takes a hundred times
@@ -75,20 +75,16 @@ def imported_versions(reference: str) -> tuple[str, ...]:
         seen.add(top)
         owners = [metadata.distribution(x) for x in _owners(tuple(sys.path)).get(top, ())]
         found |= {f"{one.metadata['Name']} {one.version}" for one in owners}
-        files = f"{top}:_"
-        try:
-            path, name = next(list_files(files))
-            place = path.parents[name.count("/")]
-            if not any(x.read_text("RECORD") and _lies_in(place, x) for x in owners):
-                found.add(f"{top} {snapshot(files, None)}")
-                front |= _imported(files)
-        except (EntryError, ValueError, StopIteration):  # there is none, or no file of it
-            found |= set() if owners else {f"{top} none"}
+        sites = {Path(str(x.locate_file(""))).resolve() for x in owners if x.read_text("RECORD")}
+        places = list[Path]()
+        with suppress(ValueError):  # `__main__`, and what a program has put among the modules
+            places = places_of(find_spec(top))
+        found |= set() if owners or places else {f"{top} none"}
+        for place in (x for x in places if x.parent.resolve() not in sites):
+            with suppress(EntryError):
+                found.add(f"{top} {snapshot(str(place), None)}")
+                front |= _imported(str(place), f"{top}/" if place.is_dir() else "")
     return tuple(sorted(found))
-
-
-def _lies_in(place: Path, distribution: metadata.Distribution) -> bool:
-    return Path(str(distribution.locate_file(""))).resolve() == place.resolve()
 
 
 @cache
@@ -97,14 +93,16 @@ def _owners(path: tuple[str, ...]) -> dict[str, list[str]]:
     return {x: sorted(set(names)) for x, names in metadata.packages_distributions().items()}
 
 
-def _imported(reference: str) -> set[str]:
+def _imported(reference: str, prefix: str = "") -> set[str]:
     """Return the modules, without those inside, that code imports and that are not its own.
 
+    `prefix` is that of the names of its files, "package/" if the reference is of such a folder.
     Raises EntryError.
     """
     own, found, size = set[str](), set[str](), 0
     try:
         for name, n_bytes, opened in _files(reference):
+            name = prefix + name
             own.add(name.partition("/")[0].partition(".")[0])
             if not name.endswith(".py"):
                 continue

@@ -130,8 +130,12 @@ class SandboxClient(ExitStack):
         half of the cases: does it look ahead or remember?
         """
         ours = is_ours(entry.reference)
-        if not ours and self._snapshot(entry.reference)[0] != entry.code and entry.code:
-            raise EntryError("its files have changed since the run was planned")
+        if not ours and entry.code:
+            code, folder = self._snapshot(entry.reference)
+            other = {x.split()[0] for x in {*imported_versions(str(folder))} ^ {*entry.imports}}
+            if code != entry.code or other:
+                what = "files" if code != entry.code else f"imports ({', '.join(sorted(other))})"
+                raise EntryError(f"its {what} have changed since the run was planned")
         order, secret = list(range(len(records))), random.SystemRandom()
         if not ours:
             secret.shuffle(order)

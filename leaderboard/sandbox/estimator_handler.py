@@ -29,7 +29,7 @@ from leaderboard.entries.entry import (
 )
 from leaderboard.entries.entry_files import CLASS_REFERENCE, WEIGHTS_SUFFIXES, entry_points
 from leaderboard.sandbox import messages
-from road_envs.core.config import build
+from road_envs.core.config import build, shown
 from road_envs.vehicle.parameters import VehicleParameters
 
 
@@ -66,6 +66,13 @@ def _start(request: dict[str, Any], code: str | None) -> tuple[dict[str, Any], L
         # another type would come back as a text, and the entry run with that
         json.dumps(get_settings(estimator), default=_refuse_setting, allow_nan=False)
         known = describe_estimator(estimator)
+        again = get_settings(build(type(estimator), known["settings"], "its settings"))
+        for key, value in get_settings(estimator).items():
+            if _typed(value) != _typed(again[key]):
+                raise EntryError(
+                    f"JSON turns its setting {key} from {shown(value)} into {shown(again[key])}: "
+                    "annotate its type, and convert none in __post_init__"
+                )
     except BaseException as error:
         reason = str(error) if isinstance(error, EntryError) else describe_error(error)
         raise EntryError(f"cannot be constructed: {reason}") from error
@@ -81,6 +88,14 @@ def _refuse_setting(value: object) -> str:
     if isinstance(value, Path):
         return str(value)
     raise EntryError(f"a setting has the type {type(value).__name__}, which is none of JSON")
+
+
+def _typed(value: Any) -> Any:
+    """Return a setting with its types at every depth; those of plain numbers are one."""
+    if type(value) in (int, float, np.float64):
+        return value
+    parts = [*value.items()] if isinstance(value, dict) else value
+    return type(value), [*map(_typed, parts)] if isinstance(parts, list | tuple) else value
 
 
 def _preload_scipy() -> None:
@@ -107,11 +122,14 @@ def load(reference: str, settings: dict[str, Any], folder: str | None) -> tuple[
     if folder is not None and not reference.endswith(WEIGHTS_SUFFIXES):
         return _load_package(Path(folder), settings)
     # not above: it imports all estimators of this package, which code from outside may not use
-    from estimators import make_estimator
+    from estimators import REGISTRY, make_estimator
 
     if folder is None:
         return None, make_estimator(reference, **settings)
-    return None, make_estimator(Path(folder) / Path(reference).name)  # a file has its own settings
+    estimator = make_estimator(Path(folder) / Path(reference).name)  # a file has its own settings
+    if type(estimator) not in REGISTRY.values():
+        raise EntryError("a file of weights lacks the code of a plug-in: give that, weights inside")
+    return None, estimator
 
 
 def _load_package(folder: Path, settings: dict[str, Any]) -> tuple[str, Any]:

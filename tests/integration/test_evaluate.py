@@ -73,6 +73,7 @@ def test_the_same_seeds_give_the_same_scores():
         ("raises", "RuntimeError: no idea"),
         ("exits", "SystemExit: 3"),
         ("nan", "must be finite"),
+        ("masked", "some of its numbers are masked"),
         ("short", "shape"),
         ("one path", "shape"),
         ("text", "expected an Estimate, got str"),

@@ -3,13 +3,19 @@
 import json
 import os
 import sys
+from dataclasses import dataclass, field
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from estimators import REGISTRY
 from estimators.api import EstimateError
+from estimators.baselines.flat import FlatEstimator
 from leaderboard.entries.entry import EntryError
-from leaderboard.sandbox import messages
+from leaderboard.sandbox import estimator_handler, messages
 from leaderboard.sandbox.client import _RemoteSession, call
 from leaderboard.sandbox.guest import Guest
 from leaderboard.sandbox.limits import Limits
@@ -212,6 +218,70 @@ def test_settings_are_run_as_they_are_or_refused(word, where):
         messages.settings({"a": where(word)})
     plain = {"a": where("one word"), "b": "", "n": [1, 2.5, None, True]}
     assert messages.settings(plain) == plain
+
+
+class Mode(StrEnum):
+    A = "a"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Carried(FlatEstimator):
+    """Settings that JSON carries, or that their annotations bring back."""
+
+    whole: float = 1
+    level: float = np.sqrt(2.0)
+    bands: tuple[tuple[float, float], ...] = ((1, 2.5), (3.0, 4))
+    modes: dict[str, list] = field(default_factory=lambda: {"b": [1, None, True], "a": ["x", []]})
+    gains: dict[int, float] = field(default_factory=lambda: {1: 1.0})
+    mode: Mode = Mode.A
+    file: Path | None = Path("weights.npz")
+    free: Any = field(default_factory=lambda: {"n": [1, 2.5, {"c": False}]})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Free(FlatEstimator):
+    """A setting that may have any type."""
+
+    free: Any = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Converting(FlatEstimator):
+    """A setting that is converted by its own class."""
+
+    gain_db: float = -6.0
+
+    def __post_init__(self):
+        object.__setattr__(self, "gain_db", 10 ** (self.gain_db / 20))
+
+
+def described(reference, **settings):
+    request = {"do": "start", "reference": reference, "settings": settings, "car": None}
+    return estimator_handler.make_handler(None)(request, [])[0]
+
+
+@pytest.mark.parametrize("reference", [*REGISTRY, f"{__name__}:Carried"])
+def test_settings_that_come_back_from_json_as_they_are_are_accepted(reference):
+    known = described(reference)["settings"]
+    assert described(reference, **json.loads(json.dumps(known)))["settings"] == known
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        {1: 1.0}, {"a": {None: 1}}, [{True: 1}], (1, 2), [{"a": (1,)}], Path("a"),
+        Mode.A, [Mode.A], {"a": Mode.A}, {Mode.A: 1},
+    ],
+)  # fmt: skip
+def test_settings_that_json_would_change_are_refused_and_named(value, monkeypatch):
+    monkeypatch.setattr(estimator_handler, "load", lambda *_: (None, Free(free=value)))
+    with pytest.raises(EntryError, match=r"JSON turns its setting free from .* into .*: annotate"):
+        described("free")
+
+
+def test_settings_that_are_converted_twice_are_refused_and_named():
+    with pytest.raises(EntryError, match=r"setting gain_db from 0\.501.* into 1\.059.*: annotate"):
+        described(f"{__name__}:Converting")
 
 
 @pytest.mark.parametrize("depth", [5, 900, 100_000])

@@ -12,6 +12,7 @@ from leaderboard.commands import import_from_here
 from leaderboard.entries import entries
 from leaderboard.entries.entry import EntryError
 from leaderboard.entries.entry_files import CLASS_FOLDER, list_files, snapshot
+from leaderboard.entries.imports import imported_versions
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.guest import describe_exit
 from leaderboard.sandbox.limits import Limits
@@ -54,6 +55,20 @@ def test_a_plug_in_is_described_without_being_loaded_in_this_process(tmp_path, m
             fresh.reconstruct(slope, *drives(), (1,))
         (slope,) = entries.resolve_entries(["slope"], fresh.describe)
     assert slope.code != before and slope.settings == {"steep": 0.6}
+
+
+def test_an_entry_is_not_run_with_other_imports_than_it_was_planned_with(tmp_path, monkeypatch):
+    (tmp_path / "zz_gain.py").write_text("GAIN = 1.0")
+    (tmp_path / "code").mkdir()
+    (tmp_path / "code/zz_mine.py").write_text("import zz_gain\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    reference = str(tmp_path / "code")
+    known = {"code": snapshot(reference, None), "imports": imported_versions(reference)}
+    entry = entries.Entry(name="mine", reference=reference, **known)
+    (tmp_path / "zz_gain.py").write_text("GAIN = -3.0")
+    with SandboxClient(replace(LIMITS, isolation=MODES[0])) as fresh:
+        with pytest.raises(EntryError, match=r"imports \(zz_gain\) have changed since the run was"):
+            fresh.reconstruct(entry, *drives(), (1,))
 
 
 def test_two_classes_of_one_name_in_one_module_are_two_entries(tmp_path, monkeypatch):

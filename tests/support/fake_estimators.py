@@ -114,6 +114,9 @@ class Broken:
                 raise SystemExit(3)
             case "nan":
                 z[1, 5] = np.nan
+            case "masked":
+                z = np.ma.array(z, mask=False)
+                z[:, ::3] = np.ma.masked
             case "short":
                 stations, z = stations[:-1], z[:, :-1]
             case "one path":

@@ -11,6 +11,7 @@ from leaderboard.commands import check
 from leaderboard.commands.options import LimitOptions
 from leaderboard.conformance.probes import CheckResult
 from leaderboard.entries.entry import EntryError
+from leaderboard.entries.entry_files import CLASS_FOLDER
 from leaderboard.entries.imports import imported_versions
 from leaderboard.submission.dependencies import missing_packages
 
@@ -134,6 +135,45 @@ def test_what_is_installed_beside_an_entry_is_told_by_version_or_by_content(
     assert changed == ["zz_deeper", "zz_editable"] and list(after) == list(before)
     (site / "zz_wheel-1.0.dist-info/METADATA").write_text("Name: zz_wheel\nVersion: 1.1\n")
     assert "zz_wheel 1.1" in imported_versions(str(code))
+
+
+def test_a_module_in_the_working_folder_is_not_taken_for_what_is_imported(tmp_path, monkeypatch):
+    site, here = tmp_path / "site", tmp_path / "here"
+    for folder in (site, here):
+        folder.mkdir()
+        (folder / "zz_gain.py").write_text(f"GAIN = '{folder.name}'")
+    monkeypatch.syspath_prepend(site)
+    code = write(tmp_path / "code", "import zz_gain")
+    (known,) = (x for x in imported_versions(str(code)) if x.startswith("zz_gain"))
+    monkeypatch.setenv(CLASS_FOLDER, str(here))
+    assert known in imported_versions(str(code))
+    (site / "zz_gain.py").unlink()
+    assert "zz_gain none" in imported_versions(str(code))
+
+
+def test_each_loose_part_of_a_package_without_init_is_told_by_its_content(tmp_path, monkeypatch):
+    first, second = tmp_path / "first", tmp_path / "second"
+    for folder in (second, first):
+        (folder / "zz_acme").mkdir(parents=True)
+        monkeypatch.syspath_prepend(folder)
+    (first / "zz_acme/core.py").write_text("")
+    about = first / "zz_acme_core-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: zz_acme_core\nVersion: 1.0\n")
+    (about / "RECORD").write_text("zz_acme/core.py,,")
+    loose = second / "zz_acme/zz_far.py"
+    loose.write_text("import zz_far\nfrom .near import GAIN")
+    code = write(tmp_path / "code", "from zz_acme.zz_far import GAIN")
+
+    def told():
+        return [x for x in imported_versions(str(code)) if x.startswith("zz_")]
+
+    digest, owner, far = told()
+    assert digest.startswith("zz_acme ") and (owner, far) == ("zz_acme_core 1.0", "zz_far none")
+    (first / "zz_acme/core.py").write_text("A = 1")
+    assert told() == [digest, owner, far]
+    loose.write_text("import zz_far\nGAIN = 2.0")
+    assert told()[0] != digest and told()[1:] == [owner, far]
 
 
 def test_a_wheel_whose_imports_cannot_be_read_is_one_sentence(tmp_path):

@@ -23,7 +23,7 @@ from estimators.api import NotFittedError
 from estimators.baselines.flat import FlatEstimator
 from estimators.baselines.mean import Mean
 from estimators.weights_io import StorageError, load, save
-from leaderboard.entries.entry import get_settings
+from leaderboard.entries.entry import EntryError, get_settings
 from leaderboard.sandbox import estimator_handler
 from road_envs.core.config import ConfigError
 from road_envs.records.record import Estimate, Profile, profile_stations
@@ -167,6 +167,16 @@ def test_a_stored_file_is_an_entry_of_a_board_with_its_own_settings(tmp_path):
     known = get_settings(load(tmp_path / "window.npz"))
     _, found = estimator_handler.load("/elsewhere/window.npz", known, str(tmp_path))
     assert known["reach"] == found.reach == 2.5
+
+
+def test_a_stored_file_of_a_plug_in_is_no_entry_because_its_code_is_not_in_the_file(
+    tmp_path, monkeypatch
+):
+    offer(monkeypatch, plateau=f"{__name__}:Plateau")
+    save(Plateau(height=2.0), tmp_path / "mine.npz")
+    assert load(tmp_path / "mine.npz") == Plateau(height=2.0)
+    with pytest.raises(EntryError, match="lacks the code of a plug-in"):
+        estimator_handler.load("/elsewhere/mine.npz", {}, str(tmp_path))
 
 
 def test_a_stored_file_holds_format_name_settings_and_version(tmp_path):
