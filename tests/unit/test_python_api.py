@@ -119,6 +119,12 @@ def test_a_registered_name_is_trained_on_the_test_road_as_on_a_board():
     assert elsewhere.nrmse.tolist() == found["as it is"]
 
 
+def test_no_name_of_a_class_makes_its_estimates_from_the_truth():
+    builtin = type("builtin", (Reader,), {})
+    short = task(test={"roads": ["iso_d"], "seeds": [11], "length": 40.0})
+    assert run_task(short, {"own": builtin(gain=0.0)}).nrmse.tolist() == pytest.approx([1.0] * 2)
+
+
 def test_importing_the_packages_loads_neither_kernels_nor_plots():
     code = (
         "import sys, road_envs, leaderboard\n"
