@@ -24,6 +24,7 @@ import numpy as np
 
 import estimators
 from estimators.api import Estimator
+from leaderboard.entries.entries import entry_refit_per_case
 from leaderboard.entries.entry import Entry, TrainingRun
 from leaderboard.evaluation import evaluate, results, tasks
 from leaderboard.evaluation.evaluate import ConditionData
@@ -64,12 +65,12 @@ def run_task(
     """Evaluate estimators on a task in this process; return a DataFrame, a row per estimated drive.
 
     `entries` are registered names, files of `train` or "module:Class", or a mapping from the names
-    of the rows to these or to estimators; `roads` is the number of test
-    drives per condition, `seeds` are those of trainings. `report` is called with each step as it
-    begins. An estimator that fails has one row with the reason under `failure`. Columns are keys of
-    SCORES, which has their units; their labels are in `table.attrs["labels"]`. For estimators of
-    other people use `road-recon leaderboard`, which runs each in a process of its own. Raises
-    ConfigError, and MissingExtraError without pandas.
+    of the rows to these or to estimators; registered names are trained as on a board. `roads` is
+    the number of test drives per condition, `seeds` are those of trainings. `report` is called with
+    each step as it begins. An estimator that fails has one row with the reason under `failure`.
+    Columns are keys of SCORES, which has their units; their labels are in `table.attrs["labels"]`.
+    For estimators of other people use `road-recon leaderboard`, which runs each in a process of its
+    own. Raises ConfigError, and MissingExtraError without pandas.
     """
     with optional_import("a DataFrame"):
         import pandas
@@ -77,7 +78,7 @@ def run_task(
     chosen = _sized(task, roads)
     named = entries if isinstance(entries, Mapping) else {name: name for name in entries}
     made = {
-        name: estimators.make_estimator(entry) if isinstance(entry, str) else entry
+        name: _make(entry, chosen.trains_on_test_road) if isinstance(entry, str) else entry
         for name, entry in named.items()
     }
     found = evaluate.run_task(chosen, made, seeds, report=report)
@@ -165,6 +166,12 @@ def score_arrays(
     scores = results.score_arrays(results.merge_parts(parts, "").scores)
     means = interquartile_mean(scores.reshape(len(SCORES), -1))
     return ScoreTable(dict(zip(SCORES, means.tolist(), strict=True)))
+
+
+def _make(reference: str, each_case: bool) -> Estimator:
+    entry = Entry(name=reference, reference=reference)
+    settings = entry_refit_per_case(entry).settings if each_case else {}
+    return estimators.make_estimator(reference, **settings)
 
 
 def _sized(task: str | Path | Task, roads: int | None) -> Task:

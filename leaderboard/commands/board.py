@@ -108,6 +108,11 @@ def leaderboard(
     """
     if full and roads:
         raise ConfigError("give either --roads or --full, not both")
+    if again and plan:
+        raise ConfigError(
+            "--plan writes jobs of missing results only: give --again without it, or choose "
+            "another --out"
+        )
     chosen = _tasks(task, board, road)
     for each in chosen:
         board_columns(each.board_name, each.board_definition)  # refuses unknown ones

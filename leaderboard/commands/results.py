@@ -99,7 +99,8 @@ def verified_output(found: Sequence[Verified]) -> Output:
         verdict = "agrees" if row.agrees else f"DIFFERS: {row.is_far or 'no run'}"
         if row.reason:
             verdict = f"DIFFERS: {row.reason}" if row.is_false else row.reason
-        cells.append([row.estimator, row.task, *numbers, str(row.score), verdict])
+        task = f"{row.task}: {row.drives}" if row.drives else row.task
+        cells.append([row.estimator, task, *numbers, str(row.score), verdict])
     heads = ("estimator", "task", "runs", "apart", "tolerance", "score", "result")
     table = commands.make_table(heads, cells, texts=("task", *heads[5:]), box=None)
     summary = (

@@ -92,7 +92,7 @@ def run_task(
     entries = [  # for this process only: their references cannot be resolved elsewhere
         Entry(
             name=name,
-            reference=BUILTIN if estimator is None else type(estimator).__name__,
+            reference=BUILTIN if estimator is None else "in this process",
             settings=get_settings(estimator),
             causal=None if estimator is None else estimator.causal,
         )

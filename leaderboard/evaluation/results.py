@@ -151,6 +151,7 @@ class Result(Settings):
     traces: tuple[Trace, ...] = ()
     peak_memory: _Cost | None = None  # [GiB] of the entry's processes, libraries included
     isolation: str = "none"  # of the entry: none, process, bubblewrap
+    limits: tuple[float, float] = (0.0, 0.0)  # [s], [GiB] of a run of the entry; 0: unknown
     environment: dict[str, str] = dataclasses.field(default_factory=dict)
 
     def stale_reason(self, task: Task, entry: Entry | None = None) -> str | None:
@@ -191,7 +192,7 @@ def unscored_result(task: Task, estimator: str, **fields: Any) -> Result:
 
 RUN_DEPENDENT = frozenset({
     "train_seconds", "calibrate_seconds", "estimate_ms_per_100m", "peak_memory", "isolation",
-    "environment",
+    "limits", "environment",
 })  # fmt: skip
 """Fields that differ from run to run and machine to machine."""
 
@@ -286,6 +287,7 @@ def merge_parts(parts: Sequence[Result], identity: str) -> Result:
         causal=first.causal if all(part.causal == first.causal for part in parts) else False,
         parameters=_maximum(part.parameters for part in parts),
         peak_memory=_maximum(part.peak_memory for part in parts),
+        limits=(max(part.limits[0] for part in parts), max(part.limits[1] for part in parts)),
         failure=failure,
         notes=tuple(dict.fromkeys(note for part in parts for note in part.notes)),
         traces=tuple(trace for part in scored for trace in part.traces),

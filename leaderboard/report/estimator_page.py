@@ -86,6 +86,7 @@ def _result_provenance(board: Board, task: Task, result: Result) -> list[tuple[s
         "state": board.stale_reason(task, result) or "fresh",
         "package": f"road-envs {result.package_version}, metrics {result.metric_version}",
         "isolation": result.isolation,
+        "limits": "{:g} s, {:g} GiB".format(*result.limits) if any(result.limits) else "unknown",
         "training seeds": ", ".join(map(str, result.seeds)),
         "settings": json.dumps(result.settings) if result.settings else "none",
     }

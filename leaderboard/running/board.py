@@ -1,7 +1,7 @@
 """Boards: tasks with their stored results; runs missing results and loads stored ones."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -15,10 +15,10 @@ from leaderboard.evaluation.store import load_rows
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics.baselines import ALL_BASELINES, BASELINES
 from leaderboard.running.executors import Executor
-from leaderboard.running.jobs import to_packed_text
+from leaderboard.running.jobs import to_packed_text, wider_limits
 from leaderboard.running.plan import Plan, PlannedRow, check_owners, make_jobs
 from leaderboard.running.verification import Verified, load_verified, other_drives, save_definition
-from leaderboard.sandbox.limits import Limits
+from leaderboard.sandbox.limits import UNLIMITED, Limits
 from road_envs.core.atomic_io import copy_file, remove_stale_partials, remove_stale_temp, write_text
 from road_envs.core.config import ConfigError
 
@@ -82,6 +82,7 @@ class Board:
     cards: Mapping[str, EstimatorCard] = field(default_factory=dict)
     verified: Mapping[str, Sequence[Verified]] = field(default_factory=dict)
     methods: Mapping[str, MethodCard] = field(default_factory=dict)
+    limits: Limits = UNLIMITED  # rows made with wider ones are stale
 
     def scored(self, task: Task) -> list[Result]:
         """Return the current results of a task that have scores."""
@@ -98,8 +99,9 @@ class Board:
 
     def stale_reason(self, task: Task, result: Result) -> str | None:
         """Return why a result cannot be compared with current ones; None if it can."""
-        entry = self.entries.get((task.name, result.estimator))
-        return result.stale_reason(task, entry) or self._other_drives[task.name, result.estimator]
+        key = task.name, result.estimator
+        reason = result.stale_reason(task, self.entries.get(key)) or self._other_drives[key]
+        return reason or wider_limits(result, self.limits)
 
     @cached_property
     def _other_drives(self) -> dict[tuple[str, str], str | None]:
@@ -156,7 +158,7 @@ def run_board(
     remove_stale_temp()
     rows = request.rows()
     check_owners(rows, out, request.replace)
-    plan = Plan(rows, out, request.resume)
+    plan = Plan(rows, out, request.resume, request.limits)
     for task in request.sized_tasks():
         save_definition(task, out)
     for _ in range(ATTEMPTS):
@@ -170,7 +172,7 @@ def run_board(
             if request.probes:
                 entries = [row.entry for row in rows]
                 probe_entries(entries, out, request.limits, lambda text: progress(text, 1.0))
-            return load_board(request.sized_tasks(), out, rows)
+            return replace(load_board(request.sized_tasks(), out, rows), limits=request.limits)
     raise ConfigError(
         f"{out}: another process changed the files of this run in {ATTEMPTS} attempts; "
         "use a folder of its own"
@@ -184,7 +186,7 @@ def write_jobs(request: RunRequest, out: Path, folder: Path) -> int:
     """
     rows = request.rows()
     check_owners(rows, out, request.replace)
-    plan = Plan(rows, out, request.resume)
+    plan = Plan(rows, out, request.resume, request.limits)
     missing = plan.missing()
     for k, job in enumerate(make_jobs(missing, len(missing) ** 2, request.limits)):
         text, sources = to_packed_text(job)

@@ -24,7 +24,7 @@ from leaderboard.entries.entries import is_by_others, is_from_outside
 from leaderboard.entries.entry import Entry, EntryError, TrainingRun
 from leaderboard.evaluation import evaluate, store
 from leaderboard.evaluation.provenance import package_code, package_version
-from leaderboard.evaluation.results import RESULT, content_digest, evaluation_version
+from leaderboard.evaluation.results import RESULT, Result, content_digest, evaluation_version
 from leaderboard.evaluation.task_files import digest_of, files_of, to_json_types, with_paths
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics import heights
@@ -76,6 +76,13 @@ def result_identity(task: Task, condition: int | None, entry: Entry, seeds: Sequ
         package_version(),
         heights.VERSION,
     )
+
+
+def wider_limits(result: Result, limits: Limits) -> str | None:
+    """Return why a result cannot stand beside those of runs with `limits`; None if it can."""
+    seconds, memory = result.limits
+    is_wider = seconds > limits.seconds or memory > limits.memory
+    return f"made with wider limits: {seconds:g} s, {memory:g} GiB" if is_wider else None
 
 
 def to_text(job: Job) -> str:
@@ -156,10 +163,11 @@ def run_job(
     `data` may be the reason why there are none.
     """
     condition = job.task.conditions[job.condition]
+    limits = job.limits.seconds, job.limits.memory
     for entry in job.entries:
         identity = result_identity(job.task, job.condition, entry, job.seeds)
         result = evaluate.evaluate_entry(job.task, condition, data, entry, job.seeds, run)
-        result = dataclasses.replace(result, identity=identity)
+        result = dataclasses.replace(result, identity=identity, limits=limits)
         store.save_part(store.to_text(result), out, identity)
         yield JobDone(
             identity=identity, task=job.task.name, entry=entry.name, condition=condition.label,

@@ -11,9 +11,9 @@ from pathlib import Path
 from leaderboard.entries.entries import fold, is_by_others
 from leaderboard.entries.entry import Entry
 from leaderboard.evaluation import store
-from leaderboard.evaluation.results import content_digest, merge_parts
+from leaderboard.evaluation.results import Result, content_digest, merge_parts
 from leaderboard.evaluation.tasks import Task
-from leaderboard.running.jobs import Job, JobDone, result_identity
+from leaderboard.running.jobs import Job, JobDone, result_identity, wider_limits
 from leaderboard.sandbox.limits import Limits
 from road_envs.core.artifacts import NewerFormatError
 from road_envs.core.config import ConfigError
@@ -73,15 +73,15 @@ def check_owners(rows: Sequence[PlannedRow], out: Path, replace: Collection[str]
 
 
 class Plan:
-    """State of a run: current rows, stored parts, and missing results.
+    """State of a run: current rows, stored parts, and missing results, also of wider `limits`.
 
     An entry that runs without isolation could change stored files. The plan therefore records a
     digest of each file that it has read or that a job has reported, and verifies it before use.
     """
 
-    def __init__(self, rows: Sequence[PlannedRow], out: Path, resume: bool):
+    def __init__(self, rows: Sequence[PlannedRow], out: Path, resume: bool, limits: Limits):
         """Raises NewerFormatError if a row would replace a file in a newer format."""
-        self.rows, self.out = rows, out
+        self.rows, self.out, self._limits = rows, out, limits
         self._digests: dict[Path, str] = {}  # of the content, by path
         self._failed: set[Path] = set()  # parts that hold a failure
         self._pending = [row for row in rows if not self._is_current(row, resume)]
@@ -91,7 +91,7 @@ class Plan:
                     result = store.load_part(path)
                     named = result.identity, result.task_digest, result.estimator, result.seeds
                     is_of_row = named == (part, row.task.digest, row.entry.name, row.seeds)
-                    if result.failure is None and is_of_row:  # it may come from elsewhere
+                    if self._is_valid(result) and is_of_row:  # it may come from elsewhere
                         self._digests[path] = content_digest(result)
 
     def missing(self) -> list[tuple[PlannedRow, int]]:
@@ -128,10 +128,13 @@ class Plan:
             raise
         except ConfigError:  # missing or damaged
             return False
-        if not resume or result.identity != row.identity or result.failure is not None:
+        if not resume or result.identity != row.identity or not self._is_valid(result):
             return False
         self._digests[self._path(row)] = content_digest(result)
         return True
+
+    def _is_valid(self, result: Result) -> bool:
+        return result.failure is None and wider_limits(result, self._limits) is None
 
     def _assemble(self, row: PlannedRow) -> bool:
         """Write a row if all parts are stored; return whether it was written."""

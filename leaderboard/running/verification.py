@@ -70,6 +70,7 @@ class Verified(Settings):
     reason: str = ""
     is_false: bool = False
     share: float = 0.0
+    drives: str = ""  # words on number, length and design that the shipped task has otherwise
 
     @property
     def compares_all(self) -> bool:
@@ -124,10 +125,11 @@ def _load_definitions(out: Path) -> tuple[list[Task], list[ConfigError]]:
                     "was run; verify where it is"
                 )
             if task.is_public:
-                shipped = load_task(task.name)
-                own = {name: getattr(task.test, name) for name in ("number", "design", "length")}
-                driven = dataclasses.replace(shipped.test, **own)
-                if task.digest != dataclasses.replace(shipped, test=driven).digest:
+                made, own = load_task(task.name), task.test  # as commands can make it
+                if made.has_several_test_drives:
+                    made = made if own.design else made.with_test_drives(own.number)
+                    made = made.with_test_length(own.length) if own.length else made
+                if task.digest != made.digest:
                     raise ConfigError(f"{path}: its {task.name} is not that of this package")
         except ConfigError as error:
             errors.append(error)
@@ -365,6 +367,13 @@ def _not_retested(row: Result) -> list[str]:
     return [note for note in notes if note.startswith(begins) and ";" not in note]
 
 
+def _unlike_shipped(task: Task) -> str:
+    """Return in words what differs from the shipped task of this name; "" if nothing does."""
+    own, names = vars(task.test), ("number", "length", "design")
+    shipped = vars(load_task(task.name).test) if task.is_public else own
+    return ", ".join(f"{x} {own[x] or 'not given'}" for x in names if own[x] != shipped[x])
+
+
 def _without_runs(task: Task, row: Result, reason: str = "") -> Verified:
     here = describe_environment()
     same = all(row.environment.get(name) == here.get(name) for name in _DECIDE_DIGITS)
@@ -372,4 +381,5 @@ def _without_runs(task: Task, row: Result, reason: str = "") -> Verified:
         task=task.name, estimator=row.estimator, content=content_digest(row), reason=reason,
         ranks_by=task.board_definition.ranks_by, kernels=kernels_of(here),
         tolerance=comparison.SAME_KERNELS if same else comparison.OTHER_KERNELS,
+        drives=_unlike_shipped(task),
     )  # fmt: skip

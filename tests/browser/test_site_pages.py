@@ -67,6 +67,12 @@ def test_the_page_of_an_entry_gives_the_provenance_of_every_result():
         assert f"results/{result.task}/reader.json" in text and result.task_digest in text
         assert str(result.environment["numpy"]) in text
     assert "gain 0.9" in text and "training seeds 1, 2, 3" in text
+    assert "limits unknown" in text
+    rows = {name: [dataclasses.replace(r, limits=(60.0, 4.0)) for r in results()[name]]
+            for name in results()}  # fmt: skip
+    made = Board(tuple(tasks()), rows)
+    page = dict(_render_pages(made, build_report(made)))["estimators/reader.html"]
+    assert "limits 60 s, 4 GiB" in text_of(page)
 
 
 def test_the_page_of_two_programs_of_one_name_says_so():

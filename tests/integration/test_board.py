@@ -26,11 +26,12 @@ from in_process import InProcessExecutor
 
 from leaderboard.entries.entry import BUILTIN, Entry
 from leaderboard.evaluation import evaluate, provenance, store
-from leaderboard.evaluation.results import RESULT
+from leaderboard.evaluation.results import RESULT, content_digest
 from leaderboard.evaluation.store import part_path, row_path
 from leaderboard.running import board as board_module
 from leaderboard.running import jobs
 from leaderboard.running.board import RunRequest, load_board, run_board, write_jobs
+from leaderboard.sandbox.limits import Limits
 from road_envs.core.artifacts import _text_checksum
 from road_envs.core.code_digest import closure
 from road_envs.core.config import ConfigError
@@ -121,6 +122,33 @@ def test_failures_are_run_again_and_end_the_other_conditions_of_the_entry(tmp_pa
     (failed,) = board.failed(board.tasks[0])
     assert failed.failure.startswith("ride, 14.5 km/h, estimating test drive 1 of 3")
     assert run(tmp_path, estimators)[1] == [("broken", small().conditions[0].label)]
+
+
+def test_a_row_made_with_wider_limits_is_run_again_and_stale_beside_narrower_ones(tmp_path):
+    """Else an entry beyond the limit of time would have a rank among those that it refused."""
+    own, wide = Limits(seconds=4.0, memory=2.0), Limits(seconds=60.0)
+    assert len(run(tmp_path, limits=wide)[1]) == PARTS
+    row = store.load(row_path(tmp_path, "small", "reader"))
+    assert row.limits == (60.0, wide.memory)
+    only = {"reader": ESTIMATORS["reader"]}
+    board, ran = run(tmp_path, only, limits=own)
+    assert len(ran) == PARTS - 2  # not the learner, which is none of this run
+    ((stale, reason),) = board.stale(small())
+    assert (stale.estimator, reason) == ("learner", "made with wider limits: 60 s, 4 GiB")
+    narrow = store.load(row_path(tmp_path, "small", "reader"))
+    assert narrow.limits == (4.0, 2.0) and content_digest(narrow) == content_digest(row)
+    for limits in (own, wide):
+        assert run(tmp_path, only, limits=limits)[1] == []
+    for planned in make_request(only).rows():  # as before rows named their limits
+        old = dataclasses.replace(
+            store.load_part(part_path(tmp_path, planned.parts[0])), limits=(0, 0)
+        )
+        store.save_part(store.to_text(old), tmp_path, old.identity)
+    shutil.rmtree(tmp_path / "results")
+    board, ran = run(tmp_path, only, limits=own)
+    assert ran == [] and not board.stale(small())
+    assert store.load(row_path(tmp_path, "small", "reader")).limits == (4.0, 2.0)  # the widest
+    assert run(tmp_path, only, limits=Limits(seconds=4.0, memory=1.0))[1]
 
 
 def test_stored_rows_of_other_entries_stay_on_the_board(tmp_path):

@@ -69,11 +69,11 @@ def test_a_job_is_not_run_where_the_weights_differ(tmp_path, monkeypatch):
 
 
 def test_entries_are_split_into_jobs_only_if_workers_would_be_idle(tmp_path):
-    missing = plan.Plan(make_request().rows(), tmp_path, True).missing()
+    request = make_request()
+    missing = plan.Plan(request.rows(), tmp_path, True, request.limits).missing()
     assert len(missing) == PARTS
-    limits = make_request().limits
     for workers, count in ((1, 2), (2, 2), (4, 4), (99, PARTS)):
-        planned = plan.make_jobs(missing, workers, limits)
+        planned = plan.make_jobs(missing, workers, request.limits)
         assert len(planned) == count
         done = [(entry.name, job.condition) for job in planned for entry in job.entries]
         assert sorted(done) == sorted((row.entry.name, k) for row, k in missing)
@@ -136,9 +136,9 @@ def test_planned_jobs_need_no_other_file(tmp_path):
 
 
 def test_the_summary_of_a_result_is_equal_after_json(tmp_path):
-    (job, *_) = plan.make_jobs(
-        plan.Plan(make_request().rows(), tmp_path, True).missing(), 1, make_request().limits
-    )
+    request = make_request()
+    missing = plan.Plan(request.rows(), tmp_path, True, request.limits).missing()
+    (job, *_) = plan.make_jobs(missing, 1, request.limits)
     for done in InProcessExecutor(fake_drives, ESTIMATORS).run([job], tmp_path):
         assert build(jobs.JobDone, json.loads(json.dumps(dataclasses.asdict(done))), "done") == done
         assert (

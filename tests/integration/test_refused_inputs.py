@@ -59,6 +59,21 @@ def test_two_tasks_of_one_name_are_refused_before_anything_runs(road_recon, tmp_
     assert not (tmp_path / "out").exists()
 
 
+def test_a_plan_runs_nothing_again(road_recon, tmp_path):
+    words = (
+        "--task",
+        "paper_1",
+        "--estimator",
+        "flat",
+        "--again",
+        "--plan",
+        str(tmp_path / "jobs"),
+    )
+    code, _, err = road_recon("leaderboard", *words, "--out", str(tmp_path / "out"))
+    assert code == 2 and err.startswith("error: --plan writes jobs of missing results only"), err
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_vehicle_that_cannot_stand_still_is_one_sentence(tmp_path):
     data = read_yaml(find("vehicles", "land_rover_defender_110"))
     data["strut"]["bushing"]["F"][5] = 2147483648

@@ -32,6 +32,7 @@ from leaderboard.running.verification import (
     Verified,
     _load_definitions,
     _other_claim,
+    _without_runs,
     kernels_of,
     load_verified,
     save_definition,
@@ -388,6 +389,35 @@ def test_a_definition_of_another_task_than_the_shipped_one_of_its_name_is_named(
     tasks, unread = _load_definitions(tmp_path)
     assert [task.name for task in tasks] == ["class", "class", "small"]
     assert [str(x).partition(": ")[2] for x in unread] == ["its class is not that of this package"]
+
+
+def test_chosen_drives_of_a_shipped_task_are_named_or_refused(tmp_path):
+    copy_of_run(tmp_path)
+    row, shipped = store.load(store.row_path(tmp_path, "small", "reader")), load_task("new_road")
+    cases = {
+        "": shipped,
+        "number 6, design not given": shipped.with_test_drives(6),
+        "number not given, design not given": shipped.with_test_drives(None),
+        "length 60.0": shipped.with_test_length(60.0),
+    }
+    for made in cases.values():
+        save_definition(made, tmp_path)
+    others = [shipped.with_test_drives(6), load_task("paper_1"), shipped]
+    changes = [
+        {"design": ((0, 1, 2, 3, 4, 5), *[(0,)] * (len(shipped.conditions) - 1))},
+        {"length": 60.0},
+        {"design": shipped.test.design[::-1]},
+    ]
+    for task, change in zip(others, changes, strict=True):
+        test = dataclasses.replace(task.test, **change)
+        save_definition(dataclasses.replace(task, test=test), tmp_path)
+    tasks, unread = _load_definitions(tmp_path)
+    assert len(unread) == 3 and all("is not that of this package" in str(x) for x in unread)
+    found = {task.digest: _without_runs(task, row) for task in tasks if task.name == "new_road"}
+    drives = {digest: verified.drives for digest, verified in found.items()}
+    assert drives == {task.digest: words for words, task in cases.items()}
+    table = verified_output(list(found.values())).shows[0]
+    assert set(table.columns[1].cells) == {"new_road" + f": {x}" * bool(x) for x in cases}
 
 
 def test_a_row_of_chosen_training_seeds_does_not_agree(tmp_path):

@@ -1,5 +1,6 @@
 """The Python interface: simulate, estimate, score, plot and run a task in a few lines."""
 
+import dataclasses
 import subprocess
 import sys
 
@@ -106,6 +107,22 @@ def test_a_task_gives_a_row_for_each_drive_and_one_for_a_failure():
     assert set(SCORES) & set(table.columns) and table.attrs["labels"]["nrmse"] == "in-band NRMSE"
     with pytest.raises(ConfigError, match="number of drives must be 1 to 2, got 3"):
         run_task(short, ["flat"], roads=3)
+
+
+def test_a_registered_name_is_trained_on_the_test_road_as_on_a_board():
+    short = task(trains_on_test_road=True, test={"roads": ["iso_d"], "seeds": [11], "length": 40.0})
+    entries = {"board": "fir_ridge", "refit": create("fir_ridge", shipped=False)}
+    table = run_task(short, entries | {"as it is": create("fir_ridge")})
+    found = {name: rows.nrmse.tolist() for name, rows in table.groupby("estimator")}
+    assert found["board"] == found["refit"] != found["as it is"]
+    elsewhere = run_task(dataclasses.replace(short, trains_on_test_road=False), ["fir_ridge"])
+    assert elsewhere.nrmse.tolist() == found["as it is"]
+
+
+def test_no_name_of_a_class_makes_its_estimates_from_the_truth():
+    builtin = type("builtin", (Reader,), {})
+    short = task(test={"roads": ["iso_d"], "seeds": [11], "length": 40.0})
+    assert run_task(short, {"own": builtin(gain=0.0)}).nrmse.tolist() == pytest.approx([1.0] * 2)
 
 
 def test_importing_the_packages_loads_neither_kernels_nor_plots():

@@ -150,6 +150,7 @@ def test_the_content_digest_ignores_only_timings_and_environment():
     result = result_of("learner")
     digest = content_digest(result)
     rerun = {"train_seconds": (9.0,), "environment": {}, "peak_memory": 9.0, "isolation": "x"}
+    rerun["limits"] = (60.0, 4.0)
     assert content_digest(dataclasses.replace(result, **rerun)) == digest
     worse = with_last_run(result, lambda scores: scores | {"nrmse": 0.0})
     for change in ({"scores": worse.scores}, {"parameters": 2}, {"failure": "it failed"}):
