@@ -227,6 +227,16 @@ def test_the_json_output_has_the_rows_of_the_table():
     assert entries["broken"]["state"] == "failed" and "finite" in entries["broken"]["text"]
 
 
+def test_a_board_none_of_whose_columns_has_a_value_is_exported(tmp_path):
+    mine = {"title": "Mine", "ranks_by": "bump_wrong_side", "columns": ["bump_wrong_side"]}
+    t = task(board=mine)
+    made = Board((t,), {"small": [dataclasses.replace(r, task_digest=t.digest)
+                                  for r in results_by_fakes()]})  # fmt: skip
+    write_exports(made, board_views(made), tmp_path)
+    text = (tmp_path / "export" / "small.tex").read_text()
+    assert "reader" in text and "failed: ride" in text
+
+
 def test_exports_of_a_board_that_is_no_longer_there_go_and_other_files_stay(tmp_path):
     made = board()
     views = board_views(made)
