@@ -24,7 +24,7 @@ from leaderboard.evaluation.tasks import load_task
 from leaderboard.metrics.bootstrap import interquartile_mean, iqm_interval
 from leaderboard.report.charts import _counted_runs
 from leaderboard.report.export import as_json, write_exports
-from leaderboard.report.notes import _version_notes
+from leaderboard.report.notes import _protocol_notes, _version_notes
 from leaderboard.report.sentences import build_report
 from leaderboard.report.tables import board_views, level_runs, train_seconds
 from leaderboard.report.terminal import print_tables
@@ -260,6 +260,17 @@ def test_notes_of_a_surface_are_printed():
     (view,) = board_views(Board((t,), {"small": noted}))
     assert f"Surface: {tiled}." in view.sections[0].notes
     assert "reader: remembers." in view.sections[0].notes
+
+
+def test_shipped_weights_are_noted_on_every_car_that_they_do_not_know():
+    """Of all conditions, also where the car of the task is that of their training."""
+    shipped = dataclasses.replace(result_of("reader"), settings={"shipped": True})
+    cars = (None, "volkswagen_vanagon", "bmw_320i")
+    driven = [{"mode": "passive", "speed_kmh": 50.0, "car": car} for car in cars]
+    for conditions, others in ((driven[:1], ""), (driven, "volkswagen_vanagon, bmw_320i")):
+        text = f"reader: trained on drives of land_rover_defender_110, not of {others}."
+        notes = _protocol_notes(task(conditions=conditions), [shipped])
+        assert notes == ([text] if others else [])
 
 
 def test_rows_made_with_another_version_of_a_library_are_noted():
