@@ -13,6 +13,7 @@ import yaml
 from fakes import SHORT_TASK
 
 from leaderboard import cli
+from leaderboard.entries.entries import resolve_entries
 from road_envs.core.config import ConfigError, find, read_yaml
 from road_envs.drives.logger_tables.description import read_description
 from road_envs.drives.recording import simulate_record
@@ -56,6 +57,15 @@ def test_two_tasks_of_one_name_are_refused_before_anything_runs(road_recon, tmp_
     words = [word for path in paths for word in ("--road", str(path))]
     code, _, err = road_recon("leaderboard", *words, "--estimator", "flat", "--out", "out")
     assert code == 2 and re.match("error: two tasks are named .*street.*: name one diff", err), err
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_estimator_given_twice_is_refused_before_anything_runs(road_recon, tmp_path):
+    """Its second row would stay in the folder, failed, on every later board."""
+    with pytest.raises(ConfigError, match=r"the estimator slow:Slow is given twice: give it once"):
+        resolve_entries(["slow:Slow", "flat", "slow:Slow"], None)
+    code, _, err = road_recon("leaderboard", *("--estimator", "flat") * 2, "--out", "out")
+    assert code == 2 and err == "error: the estimator flat is given twice: give it once\n", err
     assert not (tmp_path / "out").exists()
 
 
