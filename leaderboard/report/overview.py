@@ -46,7 +46,7 @@ def ranking_chart(section: Section, definition: BoardDefinition) -> fig.Chart | 
         "marker": {"color": [fig.colour(row.name) for row in rows], "pattern": pattern},
         "hovertext": [
             f"{row.name}: {score.text(x)}"
-            + ("" if low is None else f", 95 %: {interval_text(low, high, key)}")
+            + ("" if low is None else f", 95 %: {interval_text(low, high, score)}")
             for row, x, (low, high) in zip(rows, values, ends, strict=True)
         ],
         "hovertemplate": "%{hovertext}<extra></extra>",

@@ -11,7 +11,7 @@ from leaderboard.metrics import heights
 from leaderboard.metrics.baselines import MEMORY
 from leaderboard.metrics.level import EQ_12_RAW, STATE_LIMITS
 from leaderboard.report import tables
-from leaderboard.report.board_definitions import COLUMNS, WORST
+from leaderboard.report.board_definitions import COLUMNS, WORST, column_forms
 from leaderboard.report.tables import BoardView, Row, Section
 from leaderboard.running.board import Board
 from road_envs.records.record import PROFILE_SPACING, profile_stations
@@ -158,14 +158,14 @@ def _memory(rows: Sequence[Row]) -> str:
 
 
 def _best_sentence(best: Row, tied: Sequence[str], definition: BoardDefinition) -> str:
-    key = definition.ranks_by
+    key, forms = definition.ranks_by, column_forms(definition)
     low, high = best.values.get("low"), best.values.get("high")
-    interval = tables.interval_text(low, high, key)
+    interval = tables.interval_text(low, high, forms[key])
     sure = "" if low is None else f", with 95\u00a0% confidence {interval}"
     scale = ", where an exact estimate has 0 and a flat road 1" if key == "nrmse" else ""
     worst = best.values.get(WORST)
-    tail = "" if worst is None else f" On its worst drive it is {COLUMNS[WORST].text(worst)}."
-    error = COLUMNS[key].text(best.values[key])
+    tail = "" if worst is None else f" On its worst drive it is {forms[WORST].text(worst)}."
+    error = forms[key].text(best.values[key])
     is_best = "has the lowest error:" if tied else "is best: its error is"
     return f"{best.name} {is_best} {error}{scale}{sure}.{tail}"
 

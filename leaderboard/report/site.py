@@ -20,7 +20,7 @@ from leaderboard.evaluation.results import Result
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics.baselines import NOISE_LEVEL
 from leaderboard.report import estimator_page, export, overview, tables
-from leaderboard.report.board_definitions import COLUMNS, LIMIT_ROWS, TEXT_COLUMNS
+from leaderboard.report.board_definitions import LIMIT_ROWS, TEXT_COLUMNS, column_forms
 from leaderboard.report.charts import task_charts
 from leaderboard.report.figures import rounded
 from leaderboard.report.notes import PUBLIC_ROADS, isolation_notice
@@ -112,8 +112,9 @@ def _table(view: BoardView, section: Section) -> dict[str, Any]:
     groups = dict.fromkeys(condition.label for condition in section.task.conditions)
     groups |= dict.fromkeys(name for names in section.groups.values() for name in names)
     keys = dict.fromkeys([*(column.key for column in columns), ranks_by, "rank_causal"])
-    forms = {key: COLUMNS[key] for key in keys if key not in TEXT_COLUMNS}
-    numeric = {**forms, "low": COLUMNS[ranks_by], "high": COLUMNS[ranks_by]}
+    known = column_forms(view.definition)
+    forms = {key: known[key] for key in keys if key not in TEXT_COLUMNS}
+    numeric = {**forms, "low": known[ranks_by], "high": known[ranks_by]}
     data = {
         "ranks_by": ranks_by,
         "scale": view.definition.scale,

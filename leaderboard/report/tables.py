@@ -18,18 +18,19 @@ from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.results import Result, score_arrays
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics import UNDEFINED, bootstrap
+from leaderboard.metrics.api import Metric
 from leaderboard.metrics.bootstrap import MIN_ROADS, Interval, Strata, count_roads
 from leaderboard.metrics.level import EQ_12_RAW, STATE_LIMITS
 from leaderboard.metrics.registry import SCORES
 from leaderboard.report.board_definitions import (
     BELOW_BOUND,
-    COLUMNS,
     LIMIT_ROWS,
     RANK_COLUMNS,
     TAIL,
     WORST,
     Column,
     board_columns,
+    column_forms,
 )
 from leaderboard.report.notes import section_notes
 from leaderboard.report.run_groups import ScoreSlice, run_groups
@@ -258,15 +259,17 @@ def _scored_row(
     table: _AggregatedScores, definition: BoardDefinition, card: EstimatorCard | None
 ) -> Row:
     result, mine = table.result, table.values[ALL_RUNS]
-    entry = result.role == "entry"
+    entry, forms = result.role == "entry", column_forms(definition)
     cells = {
-        name: COLUMNS[name].format_value(x)
+        name: forms[name].format_value(x)
         for name, x in {**dict.fromkeys(RANK_COLUMNS.values()), **mine}.items()
-        if name in COLUMNS
+        if name in forms
     }
     cells |= {
-        "slope_interval": interval_text(mine.get("slope_low"), mine.get("slope_high"), "slope"),
-        "interval": interval_text(mine["low"], mine["high"], definition.ranks_by),
+        "slope_interval": interval_text(
+            mine.get("slope_low"), mine.get("slope_high"), forms["slope"]
+        ),
+        "interval": interval_text(mine["low"], mine["high"], forms[definition.ranks_by]),
         "states": "/".join(f"{mine[x]:.0f}" for x in TRAINING_STATES if x in mine),
         "probes": count_passed(card.probes) if card else "",
         "calibrates": {True: "yes", False: "no", None: ""}[result.calibrates if entry else None],
@@ -314,11 +317,11 @@ def _training_states(error: np.ndarray) -> _Values:
     return dict(zip(TRAINING_STATES, map(float, counts), strict=True))
 
 
-def interval_text(low: float | None, high: float | None, score: str) -> str:
+def interval_text(low: float | None, high: float | None, score: Metric) -> str:
     """Return the text of an interval of a score."""
     if low is None or high is None:
         return UNDEFINED
-    return "–".join(COLUMNS[score].format_value(x) for x in (low, high))
+    return "–".join(score.format_value(x) for x in (low, high))
 
 
 def _defined(numbers: Mapping[str, float | None]) -> _Values:

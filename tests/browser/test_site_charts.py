@@ -4,11 +4,11 @@ import dataclasses
 import json
 import re
 
+import fakes
 import numpy as np
 import pytest
 from example_site import board, lines_of, results, site, tasks, text_of
 from fake_results import run_scores, runs_of
-from fakes import task
 
 from estimators.registry import REGISTRY
 from leaderboard.metrics.baselines import BASELINES
@@ -119,7 +119,7 @@ def test_densities_errors_and_performance_profiles_equal_the_scores():
 
 def test_a_task_without_a_bound_has_no_line_of_one():
     for changes, expected in (({}, ["bound"]), ({"bound": False}, [])):
-        t = task(**changes)
+        t = fakes.task(**changes)
         names = [line["name"] for c in t.conditions for line in bound_lines(t, c)]
         assert names == expected * len(t.conditions)
 

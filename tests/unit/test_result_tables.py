@@ -22,10 +22,12 @@ from rich.console import Console
 from leaderboard.evaluation.evaluate import run_task
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.metrics.bootstrap import interquartile_mean, iqm_interval
+from leaderboard.report.board_definitions import board_columns
 from leaderboard.report.charts import _counted_runs
 from leaderboard.report.export import as_json, write_exports
 from leaderboard.report.notes import _protocol_notes, _version_notes
 from leaderboard.report.sentences import build_report
+from leaderboard.report.site import _table
 from leaderboard.report.tables import board_views, level_runs, train_seconds
 from leaderboard.report.terminal import print_tables
 from leaderboard.running.board import Board
@@ -127,6 +129,35 @@ def test_the_slope_of_the_error_over_grades_is_shown():
     assert (line.values["slope_low"], line.values["slope_high"]) == pytest.approx((0.1, 0.1))
     assert line.cells["slope"] == "+0.100" and line.cells["grade_S1"] == "0.220"
     assert view.sections[0].groups["car"] == ("car S0", "car S1", "car S2")
+
+
+@pytest.mark.parametrize(
+    ("score", "unit", "worst", "graded", "slope"),
+    [("iri_error_relative", "%", "32", "22", "+10"), ("nrmse", "", "0.32", "0.220", "+0.100"),
+     ("crps", "mm", "320.00", "220.00", "+100.00")],
+)  # fmt: skip
+def test_worst_drive_grades_and_slope_are_shown_in_the_unit_of_the_score_that_ranks(
+    score, unit, worst, graded, slope, tmp_path
+):
+    cars = [{"mode": "ride", "speed_kmh": 30.0, "grade": grade} for grade in ("S0", "S1", "S2")]
+    columns = [score, "worst", "grade_S1", "slope"]
+    t = task(board={"title": "Mine", "ranks_by": score, "columns": columns}, conditions=cars)
+    (result,) = run_task(t, {"reader": Reader()}, (1,), simulate=fake_drives)
+    error = {c.label: 0.12 + 0.1 * k for k, c in enumerate(t.conditions)}
+    runs = {run: scores | {score: error[run[0]]} for run, scores in runs_of(result).items()}
+    made = Board((t,), {"small": [with_runs(result, runs)]})
+    report = build_report(made)
+    (view,) = report.views
+    expected, units = (worst, graded, slope), (unit, unit, f"{unit} per grade".strip())
+    row = view.sections[0].rows[0]
+    assert tuple(row.cells[key] for key in columns[1:]) == expected
+    forms = {column.key: column for column in board_columns("small", view.definition)}
+    assert tuple(forms[key].unit for key in columns[1:]) == units
+    assert f" On its worst drive it is {f'{worst} {unit}'.strip()}." in str(report.findings)
+    cells = _table(view, view.sections[0])["data"]["rows"][0]["groups"][""]
+    assert tuple(cells[key][1] for key in columns[1:]) == expected
+    write_exports(made, report.views, tmp_path)
+    assert all(text in (tmp_path / "export" / "small.tex").read_text() for text in expected)
 
 
 def test_grades_that_are_driven_on_some_of_the_roads_have_a_slope():
