@@ -50,6 +50,16 @@ def column_forms(definition: BoardDefinition) -> dict[str, Metric]:
     return forms
 
 
+def rank_column(definition: BoardDefinition) -> str:
+    """Return the column of the ranks that order a board: of its first division, else of all."""
+    return RANK_COLUMNS[next(iter(definition.divisions), "offline")]
+
+
+def ranked_kind(definition: BoardDefinition) -> str:
+    """Return what a board orders: each "entry", or each "causal entry"."""
+    return "entry" if rank_column(definition) == RANK_COLUMNS["offline"] else "causal entry"
+
+
 def board_columns(name: str, definition: BoardDefinition) -> tuple[Column, ...]:
     """Return the columns of a board in their order. Raises ConfigError for an unknown one."""
     ranks = [RANK_COLUMNS[division] for division in definition.divisions]

@@ -17,7 +17,7 @@ from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics import UNDEFINED
 from leaderboard.metrics.heights import band_pass, scored_band
 from leaderboard.report import figures as fig
-from leaderboard.report.board_definitions import COLUMNS
+from leaderboard.report.board_definitions import COLUMNS, rank_column
 from leaderboard.report.charts import ERROR_AXES, bound_lines, error_lines
 from leaderboard.report.tables import BoardView, Row, Section, train_seconds
 from leaderboard.running.board import Board
@@ -65,6 +65,7 @@ def page_values(
             {card.identity: card for _, result in results if (card := board.card(result))}.values()
         ),
         "rows": rows,
+        "rank_column": rank_column,
         "charts": _charts(evaluated),
         "tasks": [section.task for section, *_ in evaluated],
         "cost": [_cost(result) for _, result, *_ in evaluated],

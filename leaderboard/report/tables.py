@@ -31,6 +31,8 @@ from leaderboard.report.board_definitions import (
     Column,
     board_columns,
     column_forms,
+    rank_column,
+    ranked_kind,
 )
 from leaderboard.report.notes import section_notes
 from leaderboard.report.run_groups import ScoreSlice, run_groups
@@ -126,12 +128,13 @@ def _section(board: Board, task: Task, definition: BoardDefinition) -> Section:
     scored = board.scored(task)
     on_level = level_runs(scored, definition)
     tables = [_aggregate(result, task, definition, parts, on_level) for result in scored]
-    _rank(tables, parts, task.test.strata)
+    _rank(tables, parts, task.test.strata, definition)
     rows = [_scored_row(x, definition, board.card(x.result)) for x in tables]
 
-    def place(row: Row) -> tuple[bool, float, float]:
-        rank, score = row.values.get("rank"), row.values[definition.ranks_by]
-        return row.state != "scored", rank or np.inf, np.inf if score is None else score
+    def place(row: Row) -> tuple[bool, bool, float, float]:
+        rank, score = row.values.get(rank_column(definition)), row.values[definition.ranks_by]
+        outside = row.state != "scored", not is_ranked(row, definition)
+        return *outside, rank or np.inf, np.inf if score is None else score
 
     rows = sorted(rows + _bound_rows(tables, definition), key=place)
     claim = []
@@ -143,6 +146,11 @@ def _section(board: Board, task: Task, definition: BoardDefinition) -> Section:
     notes = section_notes(board, task, rows, int(np.sum(on_level) if scored else 0))
     names = {kind: tuple(named) for kind, named in groups.items()}
     return Section(task, (*claim, *rows, *failed, *stale), notes, names)
+
+
+def is_ranked(row: Row, definition: BoardDefinition) -> bool:
+    """Return whether a row is of an entry that its board orders."""
+    return row.state == "scored" and (bool(row.causal) or ranked_kind(definition) == "entry")
 
 
 class _AggregatedScores(NamedTuple):
@@ -240,19 +248,27 @@ def _grade_scores(ranked: np.ndarray, parts: Mapping[str, ScoreSlice], strata: S
 
 
 def _rank(
-    tables: Sequence[_AggregatedScores], parts: Mapping[str, ScoreSlice], strata: Strata
+    tables: Sequence[_AggregatedScores],
+    parts: Mapping[str, ScoreSlice],
+    strata: Strata,
+    definition: BoardDefinition,
 ) -> None:
-    """Add the ranks in every group of MIN_ROADS roads, among all entries and the causal ones."""
+    """Add the ranks in every group of MIN_ROADS roads, among all entries and the causal ones, or
+    among these alone if the board has no other division.
+    """
     by_name = {x.result.estimator: x for x in tables if x.result.role == "entry"}
     causal = {name: x for name, x in by_name.items() if x.result.causal}
+    divisions = {"offline": by_name, "causal": causal}
+    if {*definition.divisions} == {"causal"}:
+        del divisions["offline"]
     for group, part in parts.items():
-        for key, entries in zip(RANK_COLUMNS.values(), (by_name, causal), strict=True):
+        for division, entries in divisions.items():
             scores = {name: x.ranked[part] for name, x in entries.items()}
             if not any(count_roads(x) >= MIN_ROADS for x in scores.values()):
                 continue
             within = strata if group == ALL_RUNS else None
             for name, rank in bootstrap.rank_entries(scores, strata=within).items():
-                by_name[name].values[group][key] = rank
+                by_name[name].values[group][RANK_COLUMNS[division]] = rank
 
 
 def _scored_row(

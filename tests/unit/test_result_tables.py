@@ -26,7 +26,8 @@ from leaderboard.report.board_definitions import board_columns
 from leaderboard.report.charts import _counted_runs
 from leaderboard.report.export import as_json, write_exports
 from leaderboard.report.notes import _protocol_notes, _version_notes
-from leaderboard.report.sentences import build_report
+from leaderboard.report.overview import ranking_chart
+from leaderboard.report.sentences import build_report, headline
 from leaderboard.report.site import _table
 from leaderboard.report.tables import board_views, level_runs, train_seconds
 from leaderboard.report.terminal import print_tables
@@ -189,6 +190,40 @@ def test_causal_entries_also_have_a_rank_among_causal_entries():
     }
     assert ranks["learner"][1] == 1 and ranks["reader"][1] is None
     assert ranks["learner"][0] is not None
+
+
+@pytest.mark.parametrize("roads", [5, 2])
+def test_a_board_of_causal_entries_alone_gives_others_no_place(roads):
+    """Neither a rank nor a place before causal entries, nor a sentence or a bar of the ranking."""
+    seeds = [*range(11, 11 + roads)]
+    test = {"roads": ["iso_d"], "seeds": seeds, "length": 40.0}
+    t = task(board={"title": "Mine", "divisions": ["causal"]}, test=test)
+    entries = {"offline": Reader(), "online": Reader(gain=0.7), "slow": Reader(gain=0.2)}
+    made = [
+        dataclasses.replace(r, causal=r.estimator != "offline")
+        for r in run_task(t, entries, (1,), simulate=fake_drives)
+    ]
+    report = build_report(Board((t,), {"small": made}))
+    (view,), ((section,),) = report.views, [view.sections for view in report.views]
+    rows = {row.name: row for row in section.rows if row.state == "scored"}
+    assert [*rows] == ["online", "slow", "offline"]
+    assert rows["offline"].values["nrmse"] < rows["online"].values["nrmse"]
+    ranks = [rows[name].values.get("rank_causal") for name in rows]
+    assert ranks == ([1, 2, None] if roads == 5 else [None] * 3)
+    (exported,) = as_json(report.views)
+    assert not any("rank" in entry for entry in exported["entries"])
+    first, _, last = headline(section, view.definition)
+    assert first.startswith("online is best of the causal entries: its error is") == (roads == 5)
+    assert last.startswith(
+        "The first place is decided: resampling the roads leaves every other causal entry behind."
+        if roads == 5
+        else "Too few roads"
+    )
+    assert "offline" not in str(report.findings)
+    bars = ranking_chart(section, view.definition)
+    assert "online" in str(bars) and "slow" in str(bars) and "offline" not in str(bars)
+    alone = dataclasses.replace(section, rows=(rows["online"], rows["offline"]))
+    assert headline(alone, view.definition)[1] == "It is the only causal entry."
 
 
 def printed(width):
