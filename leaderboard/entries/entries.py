@@ -110,11 +110,9 @@ def resolve_entries(names: Sequence[str], describer: _Describe | None) -> list[E
 
     Entries from outside this package need a `describer`. One that cannot be constructed, or whose
     name is not allowed or taken, gives an entry with a failure, so that every entry has its row.
-    Raises ConfigError for an unknown name, one given twice, and a class of this package.
+    Raises ConfigError for an unknown name, and for a class of this package.
     """
     references = [find_reference(name) for name in names]
-    if twice := [n for n, x in zip(names, references, strict=True) if references.count(x) > 1]:
-        raise ConfigError(f"the estimator {twice[0]} is given twice: give it once")
     for reference in references:
         if is_ours(reference) and reference not in estimators.REGISTRY:
             known = ", ".join(estimators.REGISTRY)
