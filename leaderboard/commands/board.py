@@ -12,7 +12,7 @@ import typer
 import estimators
 from leaderboard import commands
 from leaderboard.commands.options import CORES, Json, LimitOptions, Workers, option
-from leaderboard.entries.entries import resolve_entries
+from leaderboard.entries.entries import find_reference, resolve_entries
 from leaderboard.entries.entry import Entry
 from leaderboard.evaluation.evaluate import SEEDS
 from leaderboard.evaluation.tasks import Task, load_task, shipped_tasks
@@ -187,6 +187,9 @@ def _entries(names: Sequence[str] | None, without: Sequence[str], limits: Limits
     unavailable = estimators.without_weights()
     excluded = {*ALL_BASELINES, *unavailable, *without}
     chosen = names or [name for name in estimators.names() if name not in excluded]
+    references = [find_reference(name) for name in chosen]
+    if twice := [n for n, x in zip(chosen, references, strict=True) if references.count(x) > 1]:
+        raise ConfigError(f"the estimator {twice[0]} is given twice: give it once")
     if unavailable and not names:
         commands.notices.print(f"excluded, no weights in this package: {', '.join(unavailable)}")
     if all(name in estimators.REGISTRY for name in chosen):

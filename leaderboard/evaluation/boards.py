@@ -17,9 +17,9 @@ class BoardDefinition(Settings):
     """Title, ranking score and columns of a board.
 
     `columns` and, on request, `on_request` are keys of `report.board_definitions.COLUMNS`. Entries
-    are ranked in each of `divisions`: all of them (offline), and the causal ones among themselves.
-    Boards with a lower `order` come first. `scale` is the value of the ranking score at the right
-    end of bars and profiles.
+    are ranked in each of `divisions`: all of them (offline), and the causal ones among themselves;
+    the first orders the rows. Boards with a lower `order` come first. `scale` is the value of the
+    ranking score at the right end of bars and profiles.
     """
 
     title: str

@@ -1,6 +1,6 @@
 """Columns of the boards: every metric, and what a board derives from the scores and the runs."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.metrics.api import Metric
@@ -34,6 +34,31 @@ _DERIVED = read_yaml(folder() / "report" / "derived_columns.yaml")
 COLUMNS: dict[str, Metric] = SCORES | {key: Metric(key, **form) for key, form in _DERIVED.items()}
 """Every column by key: the scores, and what is derived from them."""
 
+_OF_RANKING = (WORST, "slope", *(key for key in _DERIVED if key.startswith("grade_")))
+"""Columns of values of the ranking score."""
+
+
+def column_forms(definition: BoardDefinition) -> dict[str, Metric]:
+    """Return COLUMNS as a board shows them: _OF_RANKING in the unit of its ranking score, with no
+    more decimals.
+    """
+    score, forms = COLUMNS[definition.ranks_by], dict(COLUMNS)
+    for key in _OF_RANKING:
+        unit = f"{score.unit} {forms[key].unit}".strip()
+        digits = min(score.digits, forms[key].digits)
+        forms[key] = replace(forms[key], unit=unit, factor=score.factor, digits=digits)
+    return forms
+
+
+def rank_column(definition: BoardDefinition) -> str:
+    """Return the column of the ranks that order a board: of its first division, else of all."""
+    return RANK_COLUMNS[next(iter(definition.divisions), "offline")]
+
+
+def ranked_kind(definition: BoardDefinition) -> str:
+    """Return what a board orders: each "entry", or each "causal entry"."""
+    return "entry" if rank_column(definition) == RANK_COLUMNS["offline"] else "causal entry"
+
 
 def board_columns(name: str, definition: BoardDefinition) -> tuple[Column, ...]:
     """Return the columns of a board in their order. Raises ConfigError for an unknown one."""
@@ -45,5 +70,5 @@ def board_columns(name: str, definition: BoardDefinition) -> tuple[Column, ...]:
     keys = dict.fromkeys([*shown, *ranks, *definition.on_request, *declared])
     return tuple(
         Column(**vars(form) | {"label": form.head or form.label, "wide": form.key not in shown})
-        for form in map(COLUMNS.__getitem__, keys)
+        for form in map(column_forms(definition).__getitem__, keys)
     )

@@ -240,25 +240,25 @@ _BOUNDS: dict[tuple[str, str], list[float]] = {}  # by task and condition, for e
 _ERROR_HOVER = "%{y:.3f} at %{x:.2f} cycles/m"
 
 
-def bound_line(task: Task, condition: Condition) -> dict[str, Any]:
-    """Return the bound in third octaves under a condition, on a class-D road."""
+def bound_lines(task: Task, condition: Condition, name: str = "bound") -> list[dict[str, Any]]:
+    """Return the bound in third octaves under a condition, on a class-D road, if there is one."""
     key = (task.digest, condition.label)
-    if key not in _BOUNDS:
+    if task.bound and key not in _BOUNDS:
         _BOUNDS[key] = [fig.rounded(x, 4) for x in third_octave_bound(task, condition)]
-    look = {"color": fig.INK, "dash": "dot", "width": 1.6}
-    return fig.curve("bound", THIRD_OCTAVES, _BOUNDS[key], line=look, hovertemplate=_ERROR_HOVER)
+    look: Any = {"line": {"color": fig.INK, "dash": "dot", "width": 1.6}}
+    y = _BOUNDS.get(key)
+    return [fig.curve(name, THIRD_OCTAVES, y, hovertemplate=_ERROR_HOVER, **look)] if y else []
 
 
 def _error_chart(task: Task, rows: Mapping[str, Row]) -> fig.Chart:
     figures = {
         condition.label: {
-            "data": [bound_line(task, condition), *error_lines(rows, condition.label)],
+            "data": [*bound_lines(task, condition), *error_lines(rows, condition.label)],
             "layout": _band_edges(condition),
         }
         for condition in task.conditions
     }
-    title = "Error over spatial frequency, with the bound"
-    return fig.chart(title, figures, ERROR_AXES, by=("condition",))
+    return fig.chart("Error over spatial frequency", figures, ERROR_AXES, by=("condition",))
 
 
 def _runs_chart(

@@ -17,8 +17,8 @@ from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics import UNDEFINED
 from leaderboard.metrics.heights import band_pass, scored_band
 from leaderboard.report import figures as fig
-from leaderboard.report.board_definitions import COLUMNS
-from leaderboard.report.charts import ERROR_AXES, bound_line, error_lines
+from leaderboard.report.board_definitions import COLUMNS, rank_column
+from leaderboard.report.charts import ERROR_AXES, bound_lines, error_lines
 from leaderboard.report.tables import BoardView, Row, Section, train_seconds
 from leaderboard.running.board import Board
 
@@ -65,6 +65,7 @@ def page_values(
             {card.identity: card for _, result in results if (card := board.card(result))}.values()
         ),
         "rows": rows,
+        "rank_column": rank_column,
         "charts": _charts(evaluated),
         "tasks": [section.task for section, *_ in evaluated],
         "cost": [_cost(result) for _, result, *_ in evaluated],
@@ -170,8 +171,8 @@ def _error_figure(
 
 def _spectrum_figure(section: Section, result: Result, row: Row, *_: Any) -> dict[str, Any]:
     condition = section.task.conditions[0]
-    bound = bound_line(section.task, condition) | {"name": f"bound, {condition.label}"}
-    return {"data": [bound, *error_lines({row.name: row}, "")]}
+    bound = bound_lines(section.task, condition, f"bound, {condition.label}")
+    return {"data": [*bound, *error_lines({row.name: row}, "")]}
 
 
 def _calibration_figure(section: Section, result: Result, *_: Any) -> dict[str, Any] | None:

@@ -101,7 +101,7 @@ def _as_latex(view: BoardView, section: Section) -> str:
     heads = [column.heading for column in columns] or [""]
     lines = []
     for row in section.rows:
-        cells = [row.cells.get(column.key, "") for column in columns]
+        cells = [row.cells.get(column.key, "") for column in columns] or [""]
         if row.message:
             cells = [f"{row.state}: {row.message}", *cells[1:]]
         lines.append([row.name, *cells])

@@ -84,9 +84,11 @@ def _protocol_notes(task: Task, results: Sequence[Result]) -> list[str]:
     if task.trains_on_test_road:
         weights = f"; {pretrained} with pretrained weights" if pretrained else ""
         notes.append(f"Trained on altered copies of the test road{weights}.")
-    if pretrained and task.vehicle != load_vehicle(TRAINING_VEHICLE):
-        cars = f"{TRAINING_VEHICLE}, not of {task.vehicle.name}"
-        notes.append(f"{pretrained}: trained on drives of {cars}.")
+    cars = (load_vehicle(condition.car or task.car) for condition in task.conditions)
+    others = dict.fromkeys(x.name for x in cars if x != load_vehicle(TRAINING_VEHICLE))
+    if pretrained and others:
+        known = f"{TRAINING_VEHICLE}, not of {', '.join(others)}"
+        notes.append(f"{pretrained}: trained on drives of {known}.")
     if task.position_noise:
         receiver = load_plant_mismatch().instruments
         low, high = receiver.position_noise

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.results import Result
 from leaderboard.report import figures as fig
-from leaderboard.report.board_definitions import BOUND_ROW, COLUMNS
+from leaderboard.report.board_definitions import BOUND_ROW, COLUMNS, ranked_kind
 from leaderboard.report.charts import HEIGHT_AXES, height_lines
 from leaderboard.report.rendering import file_name
 from leaderboard.report.sentences import PAPER_NETWORK, scored_rows, unrelated_level_errors
@@ -26,7 +26,7 @@ _MARK_LABEL = {
 def ranking_chart(section: Section, definition: BoardDefinition) -> fig.Chart | None:
     """Return the ranking as bars with intervals; bound and baselines are lines. None if empty."""
     key = definition.ranks_by
-    rows = scored_rows(section, key)[:_MAX_BARS]
+    rows = scored_rows(section, definition)[:_MAX_BARS]
     if not rows:
         return None
     score = COLUMNS[key]
@@ -46,7 +46,7 @@ def ranking_chart(section: Section, definition: BoardDefinition) -> fig.Chart | 
         "marker": {"color": [fig.colour(row.name) for row in rows], "pattern": pattern},
         "hovertext": [
             f"{row.name}: {score.text(x)}"
-            + ("" if low is None else f", 95 %: {interval_text(low, high, key)}")
+            + ("" if low is None else f", 95 %: {interval_text(low, high, score)}")
             for row, x, (low, high) in zip(rows, values, ends, strict=True)
         ],
         "hovertemplate": "%{hovertext}<extra></extra>",
@@ -65,7 +65,7 @@ def ranking_chart(section: Section, definition: BoardDefinition) -> fig.Chart | 
             for level, (text, x) in enumerate(marks.items())
         ],
     }
-    title = f"{section.task.heading}: error of every entry, with 95 % intervals"
+    title = f"{section.task.heading}: error of every {ranked_kind(definition)}, with 95 % intervals"
     return fig.chart(title, {"": {"data": [bars]}}, layout)
 
 
@@ -83,10 +83,12 @@ def _marked_values(section: Section, key: str) -> dict[str, float]:
     return dict(sorted(marks.items(), key=lambda item: item[1]))
 
 
-def strip_chart(section: Section, results: Iterable[Result], ranks_by: str) -> fig.Chart | None:
+def strip_chart(
+    section: Section, results: Iterable[Result], definition: BoardDefinition
+) -> fig.Chart | None:
     """Return the truth against the best estimate and the paper's network; None without traces."""
     by_name = {result.estimator: result for result in results if result.traces}
-    order = [row.name for row in scored_rows(section, ranks_by) if row.name in by_name]
+    order = [row.name for row in scored_rows(section, definition) if row.name in by_name]
     chosen = dict.fromkeys([*order[:1], *(n for n in order if n == PAPER_NETWORK), *order[1:2]])
     traces = {name: by_name[name].traces[0] for name in list(chosen)[:2]}
     if not traces:

@@ -11,7 +11,13 @@ from leaderboard.metrics import heights
 from leaderboard.metrics.baselines import MEMORY
 from leaderboard.metrics.level import EQ_12_RAW, STATE_LIMITS
 from leaderboard.report import tables
-from leaderboard.report.board_definitions import COLUMNS, WORST
+from leaderboard.report.board_definitions import (
+    COLUMNS,
+    WORST,
+    column_forms,
+    rank_column,
+    ranked_kind,
+)
 from leaderboard.report.tables import BoardView, Row, Section
 from leaderboard.running.board import Board
 from road_envs.records.record import PROFILE_SPACING, profile_stations
@@ -108,21 +114,24 @@ def findings(views: Sequence[BoardView]) -> tuple[str, ...]:
 
 def headline(section: Section, definition: BoardDefinition) -> list[str]:
     """Sentence on the best entry, the next ones and how sure that is, in plain words."""
-    scored = scored_rows(section, definition.ranks_by)
+    scored, rank = scored_rows(section, definition), rank_column(definition)
     if not scored:
         return []
     best, *others = scored
-    tied = [row.name for row in others if row.values.get("rank") == best.values.get("rank")]
+    tied = [row.name for row in others if row.values.get(rank) == best.values.get(rank)]
     return [
         _best_sentence(best, tied, definition),
         *([_others_sentence(best, others, definition)] if others else []),
-        _certainty_sentence(best, tied, section) if others else "It is the only entry.",
+        _certainty_sentence(best, tied, section, definition)
+        if others
+        else f"It is the only {ranked_kind(definition)}.",
     ]
 
 
-def scored_rows(section: Section, key: str) -> list[Row]:
-    """Rows of entries that have the score `key`, best first."""
-    return [r for r in section.rows if r.state == "scored" and r.values.get(key) is not None]
+def scored_rows(section: Section, definition: BoardDefinition) -> list[Row]:
+    """Rows of entries that the board orders, with its ranking score, best first."""
+    rows = (row for row in section.rows if tables.is_ranked(row, definition))
+    return [row for row in rows if row.values.get(definition.ranks_by) is not None]
 
 
 def _paper_protocol(sections: Sequence[Section], rows: Sequence[Row]) -> str:
@@ -158,15 +167,16 @@ def _memory(rows: Sequence[Row]) -> str:
 
 
 def _best_sentence(best: Row, tied: Sequence[str], definition: BoardDefinition) -> str:
-    key = definition.ranks_by
+    key, forms = definition.ranks_by, column_forms(definition)
     low, high = best.values.get("low"), best.values.get("high")
-    interval = tables.interval_text(low, high, key)
+    interval = tables.interval_text(low, high, forms[key])
     sure = "" if low is None else f", with 95\u00a0% confidence {interval}"
     scale = ", where an exact estimate has 0 and a flat road 1" if key == "nrmse" else ""
     worst = best.values.get(WORST)
-    tail = "" if worst is None else f" On its worst drive it is {COLUMNS[WORST].text(worst)}."
-    error = COLUMNS[key].text(best.values[key])
-    is_best = "has the lowest error:" if tied else "is best: its error is"
+    tail = "" if worst is None else f" On its worst drive it is {forms[WORST].text(worst)}."
+    error = forms[key].text(best.values[key])
+    among = " of the causal entries" * (ranked_kind(definition) != "entry")
+    is_best = f"has the lowest error{among}:" if tied else f"is best{among}: its error is"
     return f"{best.name} {is_best} {error}{scale}{sure}.{tail}"
 
 
@@ -190,16 +200,19 @@ def _others_sentence(best: Row, others: Sequence[Row], definition: BoardDefiniti
     return f"{text}; the paper's network has {score(paper)}, {verdict} than a flat road."
 
 
-def _certainty_sentence(best: Row, tied: Sequence[str], section: Section) -> str:
-    if best.values.get("rank") is None:
+def _certainty_sentence(
+    best: Row, tied: Sequence[str], section: Section, definition: BoardDefinition
+) -> str:
+    if best.values.get(rank_column(definition)) is None:
         return "Too few roads for a rank or an interval: another road may give another order."
     if tied:
         names = ", ".join(tied)
         return f"The first place is not decided: these drives cannot tell {names} from it."
     doubt = " Nothing of this holds of an entry that has drawn these public roads again."
     return (
-        "The first place is decided: resampling the roads leaves every other entry behind. Entries "
-        "that the drives cannot tell from the best of them share its rank."
+        "The first place is decided: resampling the roads leaves every other "
+        f"{ranked_kind(definition)} behind. Entries that the drives cannot tell from the best of "
+        "them share its rank."
         f"{doubt * section.task.is_public}"
     )
 

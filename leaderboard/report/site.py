@@ -20,7 +20,7 @@ from leaderboard.evaluation.results import Result
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics.baselines import NOISE_LEVEL
 from leaderboard.report import estimator_page, export, overview, tables
-from leaderboard.report.board_definitions import COLUMNS, LIMIT_ROWS, TEXT_COLUMNS
+from leaderboard.report.board_definitions import LIMIT_ROWS, TEXT_COLUMNS, column_forms, rank_column
 from leaderboard.report.charts import task_charts
 from leaderboard.report.figures import rounded
 from leaderboard.report.notes import PUBLIC_ROADS, isolation_notice
@@ -88,7 +88,7 @@ def _index(board: Board, report: Report) -> dict[str, Any]:
         "root": "",
         "section": section,
         "ranking": overview.ranking_chart(section, definition),
-        "strip": overview.strip_chart(section, board.scored(section.task), definition.ranks_by),
+        "strip": overview.strip_chart(section, board.scored(section.task), definition),
         "headline": headline(section, definition),
         "ranked_by": definition.ranks_by,
         "notice": isolation_notice(scored),
@@ -112,10 +112,12 @@ def _table(view: BoardView, section: Section) -> dict[str, Any]:
     groups = dict.fromkeys(condition.label for condition in section.task.conditions)
     groups |= dict.fromkeys(name for names in section.groups.values() for name in names)
     keys = dict.fromkeys([*(column.key for column in columns), ranks_by, "rank_causal"])
-    forms = {key: COLUMNS[key] for key in keys if key not in TEXT_COLUMNS}
-    numeric = {**forms, "low": COLUMNS[ranks_by], "high": COLUMNS[ranks_by]}
+    known = column_forms(view.definition)
+    forms = {key: known[key] for key in keys if key not in TEXT_COLUMNS}
+    numeric = {**forms, "low": known[ranks_by], "high": known[ranks_by]}
     data = {
         "ranks_by": ranks_by,
+        "rank": rank_column(view.definition),
         "scale": view.definition.scale,
         "flat": 1.0 if ranks_by == "nrmse" else None,
         "groups": {kind: list(names) for kind, names in section.groups.items()},

@@ -18,18 +18,21 @@ from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.results import Result, score_arrays
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics import UNDEFINED, bootstrap
+from leaderboard.metrics.api import Metric
 from leaderboard.metrics.bootstrap import MIN_ROADS, Interval, Strata, count_roads
 from leaderboard.metrics.level import EQ_12_RAW, STATE_LIMITS
 from leaderboard.metrics.registry import SCORES
 from leaderboard.report.board_definitions import (
     BELOW_BOUND,
-    COLUMNS,
     LIMIT_ROWS,
     RANK_COLUMNS,
     TAIL,
     WORST,
     Column,
     board_columns,
+    column_forms,
+    rank_column,
+    ranked_kind,
 )
 from leaderboard.report.notes import section_notes
 from leaderboard.report.run_groups import ScoreSlice, run_groups
@@ -125,12 +128,13 @@ def _section(board: Board, task: Task, definition: BoardDefinition) -> Section:
     scored = board.scored(task)
     on_level = level_runs(scored, definition)
     tables = [_aggregate(result, task, definition, parts, on_level) for result in scored]
-    _rank(tables, parts, task.test.strata)
+    _rank(tables, parts, task.test.strata, definition)
     rows = [_scored_row(x, definition, board.card(x.result)) for x in tables]
 
-    def place(row: Row) -> tuple[bool, float, float]:
-        rank, score = row.values.get("rank"), row.values[definition.ranks_by]
-        return row.state != "scored", rank or np.inf, np.inf if score is None else score
+    def place(row: Row) -> tuple[bool, bool, float, float]:
+        rank, score = row.values.get(rank_column(definition)), row.values[definition.ranks_by]
+        outside = row.state != "scored", not is_ranked(row, definition)
+        return *outside, rank or np.inf, np.inf if score is None else score
 
     rows = sorted(rows + _bound_rows(tables, definition), key=place)
     claim = []
@@ -142,6 +146,11 @@ def _section(board: Board, task: Task, definition: BoardDefinition) -> Section:
     notes = section_notes(board, task, rows, int(np.sum(on_level) if scored else 0))
     names = {kind: tuple(named) for kind, named in groups.items()}
     return Section(task, (*claim, *rows, *failed, *stale), notes, names)
+
+
+def is_ranked(row: Row, definition: BoardDefinition) -> bool:
+    """Return whether a row is of an entry that its board orders."""
+    return row.state == "scored" and (bool(row.causal) or ranked_kind(definition) == "entry")
 
 
 class _AggregatedScores(NamedTuple):
@@ -239,34 +248,44 @@ def _grade_scores(ranked: np.ndarray, parts: Mapping[str, ScoreSlice], strata: S
 
 
 def _rank(
-    tables: Sequence[_AggregatedScores], parts: Mapping[str, ScoreSlice], strata: Strata
+    tables: Sequence[_AggregatedScores],
+    parts: Mapping[str, ScoreSlice],
+    strata: Strata,
+    definition: BoardDefinition,
 ) -> None:
-    """Add the ranks in every group of MIN_ROADS roads, among all entries and the causal ones."""
+    """Add the ranks in every group of MIN_ROADS roads, among all entries and the causal ones, or
+    among these alone if the board has no other division.
+    """
     by_name = {x.result.estimator: x for x in tables if x.result.role == "entry"}
     causal = {name: x for name, x in by_name.items() if x.result.causal}
+    divisions = {"offline": by_name, "causal": causal}
+    if {*definition.divisions} == {"causal"}:
+        del divisions["offline"]
     for group, part in parts.items():
-        for key, entries in zip(RANK_COLUMNS.values(), (by_name, causal), strict=True):
+        for division, entries in divisions.items():
             scores = {name: x.ranked[part] for name, x in entries.items()}
             if not any(count_roads(x) >= MIN_ROADS for x in scores.values()):
                 continue
             within = strata if group == ALL_RUNS else None
             for name, rank in bootstrap.rank_entries(scores, strata=within).items():
-                by_name[name].values[group][key] = rank
+                by_name[name].values[group][RANK_COLUMNS[division]] = rank
 
 
 def _scored_row(
     table: _AggregatedScores, definition: BoardDefinition, card: EstimatorCard | None
 ) -> Row:
     result, mine = table.result, table.values[ALL_RUNS]
-    entry = result.role == "entry"
+    entry, forms = result.role == "entry", column_forms(definition)
     cells = {
-        name: COLUMNS[name].format_value(x)
+        name: forms[name].format_value(x)
         for name, x in {**dict.fromkeys(RANK_COLUMNS.values()), **mine}.items()
-        if name in COLUMNS
+        if name in forms
     }
     cells |= {
-        "slope_interval": interval_text(mine.get("slope_low"), mine.get("slope_high"), "slope"),
-        "interval": interval_text(mine["low"], mine["high"], definition.ranks_by),
+        "slope_interval": interval_text(
+            mine.get("slope_low"), mine.get("slope_high"), forms["slope"]
+        ),
+        "interval": interval_text(mine["low"], mine["high"], forms[definition.ranks_by]),
         "states": "/".join(f"{mine[x]:.0f}" for x in TRAINING_STATES if x in mine),
         "probes": count_passed(card.probes) if card else "",
         "calibrates": {True: "yes", False: "no", None: ""}[result.calibrates if entry else None],
@@ -314,11 +333,11 @@ def _training_states(error: np.ndarray) -> _Values:
     return dict(zip(TRAINING_STATES, map(float, counts), strict=True))
 
 
-def interval_text(low: float | None, high: float | None, score: str) -> str:
+def interval_text(low: float | None, high: float | None, score: Metric) -> str:
     """Return the text of an interval of a score."""
     if low is None or high is None:
         return UNDEFINED
-    return "–".join(COLUMNS[score].format_value(x) for x in (low, high))
+    return "–".join(score.format_value(x) for x in (low, high))
 
 
 def _defined(numbers: Mapping[str, float | None]) -> _Values:

@@ -4,6 +4,7 @@ import dataclasses
 import json
 import re
 
+import fakes
 import numpy as np
 import pytest
 from example_site import board, lines_of, results, site, tasks, text_of
@@ -14,7 +15,7 @@ from leaderboard.metrics.baselines import BASELINES
 from leaderboard.metrics.heights import band_pass, scored_band
 from leaderboard.metrics.registry import SCORES
 from leaderboard.report.board_definitions import BELOW_BOUND, BOUND_ROW
-from leaderboard.report.charts import task_charts
+from leaderboard.report.charts import bound_lines, task_charts
 from leaderboard.report.figures import line_style
 from leaderboard.report.notes import sanity_warnings
 from leaderboard.report.overview import ranking_chart
@@ -114,6 +115,13 @@ def test_densities_errors_and_performance_profiles_equal_the_scores():
     np.testing.assert_allclose((mine / truth)[below], 0.81, rtol=0.02)
     letters = [note["text"] for note in density["layout"]["annotations"]]
     assert "".join(letters) == "ACEG"  # of the shaded classes
+
+
+def test_a_task_without_a_bound_has_no_line_of_one():
+    for changes, expected in (({}, ["bound"]), ({"bound": False}, [])):
+        t = fakes.task(**changes)
+        names = [line["name"] for c in t.conditions for line in bound_lines(t, c)]
+        assert names == expected * len(t.conditions)
 
 
 def test_the_ranking_chart_shows_every_entry_with_its_interval():

@@ -1,5 +1,6 @@
 """The site in a browser: numbers, filters, keyboard, contrast."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from example_site import POLICIES, lines_of, results, site, tasks
 from html_checker import HtmlChecker
 
+from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.metrics.registry import SCORES
 from leaderboard.policies.page import _shown_policies, write_page
 from leaderboard.report.figures import rounded
@@ -68,6 +70,24 @@ def test_filters_select_divisions_boards_names_and_baselines(browser, written):
     browser.open(written / "index.html", after="#board=paper")
     assert browser.value("document.getElementById('new_road').hidden")
     assert browser.value("document.getElementById('count').textContent").endswith(" rows")
+
+
+def test_a_board_of_causal_entries_alone_orders_them_before_others(browser, tmp_path):
+    board = {**vars(tasks()[0].board_definition), "divisions": ("causal",)}
+    task = dataclasses.replace(tasks()[0], board=BoardDefinition(**board))
+    for number in (5, 2):  # with ranks, and with too few roads
+        driven = task.with_test_drives(number)
+        rows = [
+            dataclasses.replace(
+                r, task_digest=driven.digest, scores=r.scores[r.scores["drive"] < k]
+            )
+            for r, k in ((r, number) for r in results()["held_out"] if r.failure is None)
+        ]
+        made = Board((driven,), {"held_out": rows})
+        write_site(made, build_report(made), tmp_path)
+        browser.open(tmp_path / "index.html")
+        shown = browser.value(ROWS % "held_out")
+        assert shown[:3] == ["online", "reader", "static_lm"]
 
 
 def test_settings_without_a_field_on_the_page_change_nothing(browser, written):

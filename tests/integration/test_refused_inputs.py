@@ -74,6 +74,15 @@ def test_a_plan_runs_nothing_again(road_recon, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_an_estimator_given_twice_is_refused_before_anything_runs(road_recon, tmp_path):
+    """Its second row would stay in the folder, failed, on every later board."""
+    (tmp_path / "short.yaml").write_text(SHORT_TASK)
+    words = ("leaderboard", "--task", "short.yaml", *("--estimator", "flat") * 2)
+    code, _, err = road_recon(*words, "--out", "out")
+    assert code == 2 and err == "error: the estimator flat is given twice: give it once\n", err
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_vehicle_that_cannot_stand_still_is_one_sentence(tmp_path):
     data = read_yaml(find("vehicles", "land_rover_defender_110"))
     data["strut"]["bushing"]["F"][5] = 2147483648

@@ -22,10 +22,13 @@ from rich.console import Console
 from leaderboard.evaluation.evaluate import run_task
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.metrics.bootstrap import interquartile_mean, iqm_interval
+from leaderboard.report.board_definitions import board_columns
 from leaderboard.report.charts import _counted_runs
 from leaderboard.report.export import as_json, write_exports
-from leaderboard.report.notes import _version_notes
-from leaderboard.report.sentences import build_report
+from leaderboard.report.notes import _protocol_notes, _version_notes
+from leaderboard.report.overview import ranking_chart
+from leaderboard.report.sentences import build_report, headline
+from leaderboard.report.site import _table
 from leaderboard.report.tables import board_views, level_runs, train_seconds
 from leaderboard.report.terminal import print_tables
 from leaderboard.running.board import Board
@@ -129,6 +132,35 @@ def test_the_slope_of_the_error_over_grades_is_shown():
     assert view.sections[0].groups["car"] == ("car S0", "car S1", "car S2")
 
 
+@pytest.mark.parametrize(
+    ("score", "unit", "worst", "graded", "slope"),
+    [("iri_error_relative", "%", "32", "22", "+10"), ("nrmse", "", "0.32", "0.220", "+0.100"),
+     ("crps", "mm", "320.00", "220.00", "+100.00")],
+)  # fmt: skip
+def test_worst_drive_grades_and_slope_are_shown_in_the_unit_of_the_score_that_ranks(
+    score, unit, worst, graded, slope, tmp_path
+):
+    cars = [{"mode": "ride", "speed_kmh": 30.0, "grade": grade} for grade in ("S0", "S1", "S2")]
+    columns = [score, "worst", "grade_S1", "slope"]
+    t = task(board={"title": "Mine", "ranks_by": score, "columns": columns}, conditions=cars)
+    (result,) = run_task(t, {"reader": Reader()}, (1,), simulate=fake_drives)
+    error = {c.label: 0.12 + 0.1 * k for k, c in enumerate(t.conditions)}
+    runs = {run: scores | {score: error[run[0]]} for run, scores in runs_of(result).items()}
+    made = Board((t,), {"small": [with_runs(result, runs)]})
+    report = build_report(made)
+    (view,) = report.views
+    expected, units = (worst, graded, slope), (unit, unit, f"{unit} per grade".strip())
+    row = view.sections[0].rows[0]
+    assert tuple(row.cells[key] for key in columns[1:]) == expected
+    forms = {column.key: column for column in board_columns("small", view.definition)}
+    assert tuple(forms[key].unit for key in columns[1:]) == units
+    assert f" On its worst drive it is {f'{worst} {unit}'.strip()}." in str(report.findings)
+    cells = _table(view, view.sections[0])["data"]["rows"][0]["groups"][""]
+    assert tuple(cells[key][1] for key in columns[1:]) == expected
+    write_exports(made, report.views, tmp_path)
+    assert all(text in (tmp_path / "export" / "small.tex").read_text() for text in expected)
+
+
 def test_grades_that_are_driven_on_some_of_the_roads_have_a_slope():
     cars = [{"mode": "ride", "speed_kmh": 30.0, "grade": grade} for grade in ("S0", "S1")]
     test = {"roads": ["iso_d"], "seeds": [*range(11, 18)], "length": 40.0}
@@ -158,6 +190,40 @@ def test_causal_entries_also_have_a_rank_among_causal_entries():
     }
     assert ranks["learner"][1] == 1 and ranks["reader"][1] is None
     assert ranks["learner"][0] is not None
+
+
+@pytest.mark.parametrize("roads", [5, 2])
+def test_a_board_of_causal_entries_alone_gives_others_no_place(roads):
+    """Neither a rank nor a place before causal entries, nor a sentence or a bar of the ranking."""
+    seeds = [*range(11, 11 + roads)]
+    test = {"roads": ["iso_d"], "seeds": seeds, "length": 40.0}
+    t = task(board={"title": "Mine", "divisions": ["causal"]}, test=test)
+    entries = {"offline": Reader(), "online": Reader(gain=0.7), "slow": Reader(gain=0.2)}
+    made = [
+        dataclasses.replace(r, causal=r.estimator != "offline")
+        for r in run_task(t, entries, (1,), simulate=fake_drives)
+    ]
+    report = build_report(Board((t,), {"small": made}))
+    (view,), ((section,),) = report.views, [view.sections for view in report.views]
+    rows = {row.name: row for row in section.rows if row.state == "scored"}
+    assert [*rows] == ["online", "slow", "offline"]
+    assert rows["offline"].values["nrmse"] < rows["online"].values["nrmse"]
+    ranks = [rows[name].values.get("rank_causal") for name in rows]
+    assert ranks == ([1, 2, None] if roads == 5 else [None] * 3)
+    (exported,) = as_json(report.views)
+    assert not any("rank" in entry for entry in exported["entries"])
+    first, _, last = headline(section, view.definition)
+    assert first.startswith("online is best of the causal entries: its error is") == (roads == 5)
+    assert last.startswith(
+        "The first place is decided: resampling the roads leaves every other causal entry behind."
+        if roads == 5
+        else "Too few roads"
+    )
+    assert "offline" not in str(report.findings)
+    bars = ranking_chart(section, view.definition)
+    assert "online" in str(bars) and "slow" in str(bars) and "offline" not in str(bars)
+    alone = dataclasses.replace(section, rows=(rows["online"], rows["offline"]))
+    assert headline(alone, view.definition)[1] == "It is the only causal entry."
 
 
 def printed(width):
@@ -227,6 +293,16 @@ def test_the_json_output_has_the_rows_of_the_table():
     assert entries["broken"]["state"] == "failed" and "finite" in entries["broken"]["text"]
 
 
+def test_a_board_none_of_whose_columns_has_a_value_is_exported(tmp_path):
+    mine = {"title": "Mine", "ranks_by": "bump_wrong_side", "columns": ["bump_wrong_side"]}
+    t = task(board=mine)
+    made = Board((t,), {"small": [dataclasses.replace(r, task_digest=t.digest)
+                                  for r in results_by_fakes()]})  # fmt: skip
+    write_exports(made, board_views(made), tmp_path)
+    text = (tmp_path / "export" / "small.tex").read_text()
+    assert "reader" in text and "failed: ride" in text
+
+
 def test_exports_of_a_board_that_is_no_longer_there_go_and_other_files_stay(tmp_path):
     made = board()
     views = board_views(made)
@@ -250,6 +326,17 @@ def test_notes_of_a_surface_are_printed():
     (view,) = board_views(Board((t,), {"small": noted}))
     assert f"Surface: {tiled}." in view.sections[0].notes
     assert "reader: remembers." in view.sections[0].notes
+
+
+def test_shipped_weights_are_noted_on_every_car_that_they_do_not_know():
+    """Of all conditions, also where the car of the task is that of their training."""
+    shipped = dataclasses.replace(result_of("reader"), settings={"shipped": True})
+    cars = (None, "volkswagen_vanagon", "bmw_320i")
+    driven = [{"mode": "passive", "speed_kmh": 50.0, "car": car} for car in cars]
+    for conditions, others in ((driven[:1], ""), (driven, "volkswagen_vanagon, bmw_320i")):
+        text = f"reader: trained on drives of land_rover_defender_110, not of {others}."
+        notes = _protocol_notes(task(conditions=conditions), [shipped])
+        assert notes == ([text] if others else [])
 
 
 def test_rows_made_with_another_version_of_a_library_are_noted():

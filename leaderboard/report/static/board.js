@@ -84,9 +84,11 @@ class BoardTable {
     const place = (row) => {
       const line = this.rowData.get(row.dataset.name);
       const value = key === "name" ? line.name : line.message ? null : this.cell(line, by)[0];
-      // by default in the order of the ranks, where there are any
-      const rank = key || line.state !== "scored" ? 0 : this.cell(line, "rank")[0] ?? Infinity;
-      return { group: groupOf[line.state], rank, value };
+      // by default in the order of the ranks, where there are any, and who can have none last
+      const ranked = !key && line.state === "scored";
+      const rank = ranked ? this.cell(line, this.data.rank)[0] ?? Infinity : 0;
+      const outside = ranked && this.data.rank === "rank_causal" && !line.causal;
+      return { group: groupOf[line.state] + (outside ? 0.5 : 0), rank, value };
     };
     const sign = down ? -1 : 1;
     this.rows.sort((a, b) => {
