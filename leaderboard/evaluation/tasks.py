@@ -21,7 +21,13 @@ from leaderboard.evaluation.boards import BoardDefinition, shipped_boards
 from leaderboard.evaluation.drive_set import DriveSet, at_length
 from leaderboard.evaluation.task_files import settings_digest, with_paths
 from leaderboard.kept_drives import kept_digest
-from leaderboard.shared_surfaces import fixed_surfaces, repeated_road, shared_seeds
+from leaderboard.shared_surfaces import (
+    FixedSurface,
+    are_on_any,
+    fixed_surfaces,
+    repeated_road,
+    shared_seeds,
+)
 from road_envs.core import config
 from road_envs.core.config import ConfigError, Count, Positive, Settings
 from road_envs.core.reading import parsing
@@ -150,7 +156,7 @@ class Task(Settings):
             )
         fixed = fixed_surfaces(self.test.roads)
         self._check_calibration(fixed)
-        if fixed and not self.trains_on_test_road and fixed & fixed_surfaces(self.training.roads):
+        if not self.trains_on_test_road and are_on_any(self.training.roads, fixed):
             raise ValueError(
                 "training and test share a surface; choose other roads, or set "
                 "trains_on_test_road: true"
@@ -270,7 +276,7 @@ class Task(Settings):
         if asked := [name for name, is_asked in absent.items() if is_asked]:
             raise ValueError(f"conditions on a plant cannot have {asked[0]}")
 
-    def _check_calibration(self, fixed: set[str]) -> None:
+    def _check_calibration(self, fixed: list[FixedSurface]) -> None:
         """Raise ValueError if a calibration drive shares a seed or a `fixed` road of the test."""
         others = [self.training, self.test]
         for run in self.calibration:
@@ -278,7 +284,7 @@ class Task(Settings):
             drives = DriveSet(roads=(run.road,), seeds=seeds)
             if shared := sorted({x for other in others for x in shared_seeds(drives, other)}):
                 raise ValueError(f"a calibration drive shares the seeds {shared} with other drives")
-            if fixed & fixed_surfaces([run.road]):
+            if are_on_any([run.road], fixed):
                 raise ValueError(
                     "a calibration drive and a test drive share a surface; choose another road for "
                     "the calibration"
