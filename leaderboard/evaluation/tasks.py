@@ -147,6 +147,11 @@ class Task(Settings):
             )
         if self.position_noise and any(c.grade not in ("S3", "S4") for c in self.conditions):
             raise ValueError("position_noise needs the position fixes of S3 or S4 everywhere")
+        if self.low_pass and self.low_pass >= 0.5 * self.sensors.fs:
+            raise ValueError(
+                f"low_pass must be below {0.5 * self.sensors.fs:g} Hz, half the sampling rate of "
+                f"{self.instruments}, got {self.low_pass:g} Hz"
+            )
         if shared := shared_seeds(self.training, self.test):
             raise ValueError(f"training and test share the seeds {shared}")
         if kind := repeated_road(self.test):

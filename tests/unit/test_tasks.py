@@ -462,6 +462,13 @@ def test_measured_roads_are_one_in_another_unit_or_cut_and_two_on_one_hill(tmp_p
             )
             for family in ("", "ride, 14.5 km/h", "car S1", "frame 7 to 9 Hz")
         ],
+        *[
+            (
+                {"instruments": "phone", "low_pass": f_c},
+                f"low_pass must be below 50 Hz, half the sampling rate of phone, got {f_c:g} Hz",
+            )
+            for f_c in (50.0, 60.0)
+        ],
         ({"name": "../up"}, "letters, digits"),
         ({"name": ".."}, "letters, digits"),
     ],
