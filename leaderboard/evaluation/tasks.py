@@ -47,6 +47,8 @@ from road_envs.vehicle.suspension import encode_command
 Grade = Literal["S0", "S1", "S2", "S3", "S4"]
 StrutMode = Literal["ride", "handling", "soft_high", "stiff_low", "passive"]
 
+ALL_DRIVES = "all drives"  # name of the group of all drives on a page
+
 
 @dataclass(frozen=True, kw_only=True)
 class _AxleModes(Settings):
@@ -260,9 +262,10 @@ class Task(Settings):
     def _check_groups(self, labels: list[str]) -> None:
         """Raise ValueError if a name stands for other drives as well."""
         for family in self.test.families:  # as `report.run_groups` names conditions and cars
-            if not family or family in labels or family.startswith(("car ", "frame ")):
+            if family in ("", ALL_DRIVES, *labels) or family.startswith(("car ", "frame ")):
                 raise ValueError(
-                    f"families need names that are no condition, car or frame, got {family!r}"
+                    "families need names that are no condition, car or frame, nor "
+                    f"{ALL_DRIVES!r}, got {family!r}"
                 )
         if not isinstance(self.board, str) and self.name in shipped_boards():
             raise ValueError(

@@ -458,9 +458,10 @@ def test_measured_roads_are_one_in_another_unit_or_cut_and_two_on_one_hill(tmp_p
         *[
             (
                 {"test": {"roads": ["iso_d"], "seeds": [9], "families": [family]}},
-                f"families need names that are no condition, car or frame, got {family!r}",
+                "families need names that are no condition, car or frame, nor 'all drives', "
+                f"got {family!r}",
             )
-            for family in ("", "ride, 14.5 km/h", "car S1", "frame 7 to 9 Hz")
+            for family in ("", "all drives", "ride, 14.5 km/h", "car S1", "frame 7 to 9 Hz")
         ],
         *[
             (
