@@ -419,6 +419,8 @@ def test_measured_roads_are_one_in_another_unit_or_cut_and_two_on_one_hill(tmp_p
         ({"test": {"roads": ["iso_x"], "seeds": [9]}}, "unknown road 'iso_x'"),
         ({"test": {"roads": [], "seeds": [9]}}, "roads: must have at least 1 element, got"),
         ({"test": {"roads": ["iso_d"], "seeds": [9, 9]}}, "seeds must differ"),
+        # tables of scores hold whole numbers of 63 bits
+        ({"test": {"roads": ["iso_d"], "seeds": [2**62]}}, "must be below 4.61169e+18, got"),
         (
             {"test": {"roads": ["iso_d"], "seeds": [9], "step": 0.0}},
             "step: must be positive",
