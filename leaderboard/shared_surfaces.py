@@ -57,9 +57,10 @@ def fixed_surfaces(roads: Iterable[Road]) -> list[FixedSurface]:
     return found
 
 
-def are_on_any(roads: Iterable[Road], surfaces: list[FixedSurface]) -> bool:
-    """Return whether some of `roads` are made of some of these surfaces."""
-    return bool(surfaces) and any(part in surfaces for part in fixed_surfaces(roads))
+def share_a_surface(some: Iterable[Road], others: Iterable[Road]) -> bool:
+    """Return whether some roads are made of surfaces of which others are."""
+    found = fixed_surfaces(some)
+    return bool(found) and any(surface in found for surface in fixed_surfaces(others))
 
 
 def shared_seeds(one: DriveSet, other: DriveSet) -> list[int]:

@@ -21,13 +21,7 @@ from leaderboard.evaluation.boards import BoardDefinition, shipped_boards
 from leaderboard.evaluation.drive_set import DriveSet, at_length
 from leaderboard.evaluation.task_files import settings_digest, with_paths
 from leaderboard.kept_drives import kept_digest
-from leaderboard.shared_surfaces import (
-    FixedSurface,
-    are_on_any,
-    fixed_surfaces,
-    repeated_road,
-    shared_seeds,
-)
+from leaderboard.shared_surfaces import repeated_road, share_a_surface, shared_seeds
 from road_envs.core import config
 from road_envs.core.config import ConfigError, Count, Positive, Settings
 from road_envs.core.reading import parsing
@@ -161,9 +155,9 @@ class Task(Settings):
                 f"no seed varies the road {kind}, so the test needs a single seed and may list "
                 "each surface once"
             )
-        fixed = fixed_surfaces(self.test.roads)
-        self._check_calibration(fixed)
-        if not self.trains_on_test_road and are_on_any(self.training.roads, fixed):
+        self._check_calibration()
+        apart = not self.trains_on_test_road
+        if apart and share_a_surface(self.test.roads, self.training.roads):
             raise ValueError(
                 "training and test share a surface; choose other roads, or set "
                 "trains_on_test_road: true"
@@ -284,15 +278,15 @@ class Task(Settings):
         if asked := [name for name, is_asked in absent.items() if is_asked]:
             raise ValueError(f"conditions on a plant cannot have {asked[0]}")
 
-    def _check_calibration(self, fixed: list[FixedSurface]) -> None:
-        """Raise ValueError if a calibration drive shares a seed or a `fixed` road of the test."""
+    def _check_calibration(self) -> None:
+        """Raise ValueError if a calibration drive shares a seed, or a surface of the test."""
         others = [self.training, self.test]
         for run in self.calibration:
             seeds = tuple(seed + run.seed_offset for seed in sorted(self.test.all_seeds))
             drives = DriveSet(roads=(run.road,), seeds=seeds)
             if shared := sorted({x for other in others for x in shared_seeds(drives, other)}):
                 raise ValueError(f"a calibration drive shares the seeds {shared} with other drives")
-            if are_on_any([run.road], fixed):
+            if share_a_surface([run.road], self.test.roads):
                 raise ValueError(
                     "a calibration drive and a test drive share a surface; choose another road for "
                     "the calibration"
