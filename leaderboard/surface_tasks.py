@@ -8,6 +8,7 @@ import numpy as np
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics.heights import scored_band
 from road_envs.core.config import ConfigError, build
+from road_envs.core.reading import parsing
 from road_envs.records.record import PROFILE_SPACING, profile_stations
 from road_envs.records.roughness import (
     detrend_linear,
@@ -49,10 +50,11 @@ def surface_tasks(path: Path) -> list[Task]:
     road = {"kind": "measured", "path": str(path), "length": length}
     if native < length:
         road["repeat"] = "mirror"
-    surface = realise_road(road, 0)
-    if np.ptp(detrend_linear(surface.z)) < _LEVEL_RANGE:
-        raise ConfigError(f"{path}: a level surface, on which no estimate can be scored")
-    letter = _surface_class(surface)
+    with parsing(path, ConfigError, "of no use as a test road"):
+        surface = realise_road(road, 0)
+        if not _uneven_paths(surface).any():
+            raise ConfigError("a level surface, on which no estimate can be scored")
+        letter = _surface_class(surface)
     try:
         speed, lifted = _choose_speed(surface)
     except SimulationError as error:
@@ -124,9 +126,17 @@ def _describe_drive(native: float, length: float, speed: float, lifted: float) -
     return f"{part} at {speed:g} km/h{end}"
 
 
+def _uneven_paths(surface: Surface) -> np.ndarray:
+    """Return whether each wheel path (2,) is not level."""
+    return np.ptp(detrend_linear(surface.z), axis=1) >= _LEVEL_RANGE
+
+
 def _surface_class(surface: Surface) -> str:
-    """Return the ISO 8608 class of the rougher wheel path in the scored band of 1 m/s, w = 2."""
-    s = profile_stations(surface.length)
-    n, G = smooth_psd(*displacement_psd(surface.height(s), PROFILE_SPACING))
+    """Return the ISO 8608 class of the rougher wheel path in the scored band of 1 m/s, w = 2.
+
+    Raises ValueError if the surface is too short or too coarse for one.
+    """
+    z = surface.height(profile_stations(surface.length))[_uneven_paths(surface)]
+    n, G = smooth_psd(*displacement_psd(z, PROFILE_SPACING))
     band = scored_band(1.0)
     return roughness_class(max(fit_line(n, path, w=2.0, band=band)[0] for path in G))

@@ -18,7 +18,7 @@ class DriveSet(Settings):
     """Every road at every seed, seed by seed; only the first `number` if it is given."""
 
     roads: Annotated[tuple[AnyRoad, ...], Field(min_length=1)]
-    seeds: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1)]
+    seeds: Annotated[tuple[Annotated[int, Field(ge=0, lt=2**62)], ...], Field(min_length=1)]
     number: int | None = None
     length: float | None = None  # [m]; else each road's own
     step: Step = DEFAULT_STEP

@@ -274,7 +274,6 @@ def merge_parts(parts: Sequence[Result], identity: str) -> Result:
     first = parts[0]
     failure = next((part.failure for part in parts if part.failure is not None), None)
     scored = () if failure else parts
-    costs = [part.estimate_ms_per_100m for part in parts if part.estimate_ms_per_100m is not None]
     names = dict.fromkeys(name for part in parts for name in part.environment)
     return dataclasses.replace(
         first,
@@ -282,8 +281,9 @@ def merge_parts(parts: Sequence[Result], identity: str) -> Result:
         conditions=tuple(label for part in parts for label in part.conditions),
         scores=make_table(scores_table(scored)[list(COLUMNS)]) if scored else None,
         train_seconds=tuple(seconds for part in scored for seconds in part.train_seconds),
-        calibrate_seconds=_maximum(part.calibrate_seconds for part in parts),
-        estimate_ms_per_100m=float(np.mean(costs)) if costs else None,
+        calibrates=_maximum(part.calibrates for part in parts),  # under some condition
+        calibrate_seconds=_mean(part.calibrate_seconds for part in parts),
+        estimate_ms_per_100m=_mean(part.estimate_ms_per_100m for part in parts),
         causal=first.causal if all(part.causal == first.causal for part in parts) else False,
         parameters=_maximum(part.parameters for part in parts),
         peak_memory=_maximum(part.peak_memory for part in parts),
@@ -302,6 +302,11 @@ def merge_parts(parts: Sequence[Result], identity: str) -> Result:
 def quantize_heights(z: np.ndarray) -> np.ndarray:
     """Return heights (2, M) [m] as integers of _Z_UNIT, clipped to 1 km."""
     return np.rint(np.clip(z, -1e3, 1e3) / _Z_UNIT).astype(np.int32)
+
+
+def _mean(values: Iterable[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None
 
 
 def _maximum(values: Iterable[float | None]) -> Any:

@@ -21,7 +21,7 @@ from leaderboard.evaluation.boards import BoardDefinition, shipped_boards
 from leaderboard.evaluation.drive_set import DriveSet, at_length
 from leaderboard.evaluation.task_files import settings_digest, with_paths
 from leaderboard.kept_drives import kept_digest
-from leaderboard.shared_surfaces import fixed_surfaces, repeated_road, shared_seeds
+from leaderboard.shared_surfaces import repeated_road, share_a_surface, shared_seeds
 from road_envs.core import config
 from road_envs.core.config import ConfigError, Count, Positive, Settings
 from road_envs.core.reading import parsing
@@ -40,6 +40,8 @@ from road_envs.vehicle.suspension import encode_command
 
 Grade = Literal["S0", "S1", "S2", "S3", "S4"]
 StrutMode = Literal["ride", "handling", "soft_high", "stiff_low", "passive"]
+
+ALL_DRIVES = "all drives"  # name of the group of all drives on a page
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,6 +143,11 @@ class Task(Settings):
             )
         if self.position_noise and any(c.grade not in ("S3", "S4") for c in self.conditions):
             raise ValueError("position_noise needs the position fixes of S3 or S4 everywhere")
+        if self.low_pass and self.low_pass >= 0.5 * self.sensors.fs:
+            raise ValueError(
+                f"low_pass must be below {0.5 * self.sensors.fs:g} Hz, half the sampling rate of "
+                f"{self.instruments}, got {self.low_pass:g} Hz"
+            )
         if shared := shared_seeds(self.training, self.test):
             raise ValueError(f"training and test share the seeds {shared}")
         if kind := repeated_road(self.test):
@@ -148,9 +155,9 @@ class Task(Settings):
                 f"no seed varies the road {kind}, so the test needs a single seed and may list "
                 "each surface once"
             )
-        fixed = fixed_surfaces(self.test.roads)
-        self._check_calibration(fixed)
-        if fixed and not self.trains_on_test_road and fixed & fixed_surfaces(self.training.roads):
+        self._check_calibration()
+        apart = not self.trains_on_test_road
+        if apart and share_a_surface(self.test.roads, self.training.roads):
             raise ValueError(
                 "training and test share a surface; choose other roads, or set "
                 "trains_on_test_road: true"
@@ -249,9 +256,10 @@ class Task(Settings):
     def _check_groups(self, labels: list[str]) -> None:
         """Raise ValueError if a name stands for other drives as well."""
         for family in self.test.families:  # as `report.run_groups` names conditions and cars
-            if not family or family in labels or family.startswith(("car ", "frame ")):
+            if family in ("", ALL_DRIVES, *labels) or family.startswith(("car ", "frame ")):
                 raise ValueError(
-                    f"families need names that are no condition, car or frame, got {family!r}"
+                    "families need names that are no condition, car or frame, nor "
+                    f"{ALL_DRIVES!r}, got {family!r}"
                 )
         if not isinstance(self.board, str) and self.name in shipped_boards():
             raise ValueError(
@@ -270,15 +278,15 @@ class Task(Settings):
         if asked := [name for name, is_asked in absent.items() if is_asked]:
             raise ValueError(f"conditions on a plant cannot have {asked[0]}")
 
-    def _check_calibration(self, fixed: set[str]) -> None:
-        """Raise ValueError if a calibration drive shares a seed or a `fixed` road of the test."""
+    def _check_calibration(self) -> None:
+        """Raise ValueError if a calibration drive shares a seed, or a surface of the test."""
         others = [self.training, self.test]
         for run in self.calibration:
             seeds = tuple(seed + run.seed_offset for seed in sorted(self.test.all_seeds))
             drives = DriveSet(roads=(run.road,), seeds=seeds)
             if shared := sorted({x for other in others for x in shared_seeds(drives, other)}):
                 raise ValueError(f"a calibration drive shares the seeds {shared} with other drives")
-            if fixed & fixed_surfaces([run.road]):
+            if share_a_surface([run.road], self.test.roads):
                 raise ValueError(
                     "a calibration drive and a test drive share a surface; choose another road for "
                     "the calibration"

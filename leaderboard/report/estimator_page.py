@@ -13,7 +13,7 @@ from scipy.stats import norm
 from estimators.registry import REGISTRY
 from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.results import Result, Trace
-from leaderboard.evaluation.tasks import Task
+from leaderboard.evaluation.tasks import ALL_DRIVES, Task
 from leaderboard.metrics import UNDEFINED
 from leaderboard.metrics.heights import band_pass, scored_band
 from leaderboard.report import figures as fig
@@ -147,7 +147,7 @@ def _error_figure(
     """Return the ranking score over all runs and by condition and family, with intervals."""
     key, score = definition.ranks_by, COLUMNS[definition.ranks_by]
     names = [group for groups in section.groups.values() for group in groups]
-    groups = {"all drives": row.values, **{name: row.groups.get(name, {}) for name in names}}
+    groups = {ALL_DRIVES: row.values, **{name: row.groups.get(name, {}) for name in names}}
     found = {name: x for name, values in groups.items() if (x := values.get(key)) is not None}
     if len(found) < 2:
         return None

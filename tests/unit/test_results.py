@@ -157,6 +157,20 @@ def test_the_content_digest_ignores_only_timings_and_environment():
         assert content_digest(dataclasses.replace(result, **change)) != digest
 
 
+@pytest.mark.parametrize("given", [(None, 1.0, 3.0), (1.0, None, 3.0)])
+def test_a_row_calibrates_if_it_does_so_under_some_condition_and_takes_the_mean_time(given):
+    one = result_of("reader")
+    parts = [
+        dataclasses.replace(one, calibrates=seconds is not None, calibrate_seconds=seconds)
+        for seconds in given
+    ]
+    merged = results.merge_parts(parts, "")
+    assert merged.calibrates is True and merged.calibrate_seconds == 2.0
+    never = results.merge_parts([parts[given.index(None)]] * 2, "")
+    assert never.calibrates is False and never.calibrate_seconds is None
+    assert results.merge_parts([one, one], "").calibrates is None
+
+
 def test_rows_that_ran_without_isolation_are_named():
     flat, reader = result_of("flat"), result_of("reader")
     isolated = dataclasses.replace(reader, isolation="bubblewrap")

@@ -80,6 +80,23 @@ def test_the_class_of_a_surface_is_that_of_its_rougher_path():
     assert _surface_class(dataclasses.replace(surface, z=surface.z * [[1.0], [4.0]])) == "E"
 
 
+@pytest.mark.parametrize("level", [0, 1])
+def test_a_surface_with_one_level_path_has_the_class_of_the_other(tmp_path, level):
+    road = load_road({"kind": "iso8608", "road_class": "C", "length": 120.0})
+    surface = road.realise(np.random.default_rng(1))
+    z = surface.z.copy()
+    z[level] = 0.0
+    write_csv(dataclasses.replace(surface, z=z), tmp_path / "one_sided.csv")
+    assert "class C, the class of this file" in surface_tasks(tmp_path / "one_sided.csv")[1].title
+
+
+def test_a_surface_too_coarse_to_be_driven_is_refused_by_the_name_of_its_file(tmp_path):
+    rows = "".join(f"{500.0 * k:.1f},{k % 2:.1f},{k % 3:.1f}\n" for k in range(5))
+    (tmp_path / "coarse.csv").write_text(f"distance [m],left [m],right [m]\n{rows}")
+    with pytest.raises(ConfigError, match=r"coarse\.csv: of no use as a test road: .* N >= 4"):
+        surface_tasks(tmp_path / "coarse.csv")
+
+
 def test_a_file_that_is_no_surface_is_refused(tmp_path):
     path = tmp_path / "bad.csv"
     path.write_text("0 zero\n")

@@ -333,6 +333,68 @@ def test_a_file_is_the_same_surface_under_another_name_and_a_seed_draws_another(
     assert len(fixed_surfaces(drawn)) == 2
 
 
+def defects(*made, **settings):
+    rows = [{"shape": "half_sine", "at": 20.0, "length": 2.0, "height": 0.05} | one for one in made]
+    return {"kind": "defects", "length": 60.0, "defects": rows, **settings}
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "is_same"),
+    [
+        (FIXED, {**FIXED, "road": "iso_c"}, True),
+        (FIXED, {**FIXED, "road": {"name": "iso_d", "length": 60.0}}, True),
+        (FIXED, {**FIXED, "road": {"kind": "iso8608", "road_class": "D", "w": 2.5}}, True),
+        (FIXED, {**FIXED, "seed": 78}, False),
+        ({**FIXED, "road": WAVES}, {**FIXED, "road": WAVES, "seed": 78}, True),
+        (defects({}, name="mine"), defects({}, name="other"), True),
+        (defects({}), defects({"height": 0.03, "at": 30.0}), True),
+        (defects({}, {"at": 40.0, "length": 4.0}), defects({"at": 40.0, "length": 4.0}, {}), True),
+        (defects({}), defects({"length": 2.2}), False),
+        (defects({}), defects({"side": "left"}), False),
+        (defects({}), {"kind": "bumps", "layout": "small"}, False),
+        ({"kind": "bumps", "layout": "small"}, "bump_large_small", False),
+        ({"kind": "bumps", "layout": "small"}, {"kind": "bumps", "layout": "small",
+                                                "height_factor": 1.001}, True),
+        (WAVES, {**WAVES, "amplitude": 0.02, "amplitude_end": 0.02}, True),
+        (WAVES, {**WAVES, "paths": "left"}, False),
+        (WAVES, {**WAVES, "n_start": 2.0, "n_end": 2.0}, False),
+    ],
+)  # fmt: skip
+def test_a_surface_is_told_from_another_by_its_heights_whatever_its_settings(one, other, is_same):
+    first, second = (fixed_surfaces([load_road(road)]) for road in (one, other))
+    assert (first == second) is is_same
+    test = {"roads": [one], "seeds": [1001]}
+    calibration = [{**CALIBRATION[0], "road": other, "length": None}]
+    tasks = [
+        {"training": {"roads": [other], "seeds": [1]}, "test": test},
+        {"training": {"roads": ["flat"], "seeds": [1]}, "test": test, "calibration": calibration},
+        {"test": {**test, "roads": [one, "flat", other]}},
+    ]
+    for settings in tasks:
+        if is_same:
+            with pytest.raises(ConfigError, match=r"share a surface|list each surface once"):
+                task(**settings)
+        else:
+            task(**settings)
+
+
+def test_measured_roads_are_one_in_another_unit_or_cut_and_two_on_one_hill(tmp_path):
+    rng = np.random.default_rng(0)
+
+    def measured(name, z, factor=1.0):
+        rows = "".join(f"{0.1 * k:.1f},{a:.7f},{b:.7f}\n" for k, (a, b) in enumerate(factor * z))
+        unit = {1.0: "m", 1e3: "mm"}[factor]
+        (tmp_path / name).write_text(f"distance [m],left [{unit}],right [{unit}]\n{rows}")
+        return fixed_surfaces([load_road(tmp_path / name)])
+
+    hill = 0.1 * 0.1 * np.arange(400)[:, None]
+    z, other = (hill + 0.001 * rng.standard_normal((400, 2)) for _ in range(2))
+    road = measured("a.csv", z)
+    assert len(road) == 1 and road == measured("mm.csv", z, 1e3) == measured("cut.csv", z[50:300])
+    assert road != measured("other.csv", other)
+    assert measured("plane.csv", np.zeros((400, 2))) == []
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -357,6 +419,8 @@ def test_a_file_is_the_same_surface_under_another_name_and_a_seed_draws_another(
         ({"test": {"roads": ["iso_x"], "seeds": [9]}}, "unknown road 'iso_x'"),
         ({"test": {"roads": [], "seeds": [9]}}, "roads: must have at least 1 element, got"),
         ({"test": {"roads": ["iso_d"], "seeds": [9, 9]}}, "seeds must differ"),
+        # tables of scores hold whole numbers of 63 bits
+        ({"test": {"roads": ["iso_d"], "seeds": [2**62]}}, "must be below 4.61169e+18, got"),
         (
             {"test": {"roads": ["iso_d"], "seeds": [9], "step": 0.0}},
             "step: must be positive",
@@ -396,9 +460,17 @@ def test_a_file_is_the_same_surface_under_another_name_and_a_seed_draws_another(
         *[
             (
                 {"test": {"roads": ["iso_d"], "seeds": [9], "families": [family]}},
-                f"families need names that are no condition, car or frame, got {family!r}",
+                "families need names that are no condition, car or frame, nor 'all drives', "
+                f"got {family!r}",
             )
-            for family in ("", "ride, 14.5 km/h", "car S1", "frame 7 to 9 Hz")
+            for family in ("", "all drives", "ride, 14.5 km/h", "car S1", "frame 7 to 9 Hz")
+        ],
+        *[
+            (
+                {"instruments": "phone", "low_pass": f_c},
+                f"low_pass must be below 50 Hz, half the sampling rate of phone, got {f_c:g} Hz",
+            )
+            for f_c in (50.0, 60.0)
         ],
         ({"name": "../up"}, "letters, digits"),
         ({"name": ".."}, "letters, digits"),
