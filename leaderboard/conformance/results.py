@@ -3,8 +3,7 @@
     <out>/cards/<identity>.json
 
 The identity is the digest of the estimator (name, settings, code and weights) and of this package
-with its configurations, by which the probes drive, so a card is never modified. A damaged card is
-ignored. The name follows "model cards".
+with its configurations, by which the probes drive, so a card is never modified.
 """
 
 import dataclasses

@@ -196,7 +196,7 @@ def get_settings(estimator: Estimator | None) -> dict[str, Any]:
 
 def describe_estimator(estimator: Estimator) -> dict[str, Any]:
     """Return settings, causality and lag [m] of an estimator, as JSON types."""
-    settings = json.loads(json.dumps(get_settings(estimator), default=str))
+    settings = json.loads(json.dumps(get_settings(estimator), default=str, allow_nan=False))
     return {"settings": settings, "causal": estimator.causal, "lag": declared_lag(estimator)}
 
 

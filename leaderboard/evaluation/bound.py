@@ -43,10 +43,8 @@ def nrmse_bound(task: Task, condition: Condition, truth: Profile) -> float:
 
 def third_octave_bound(task: Task, condition: Condition) -> list[float]:
     """Return the least NRMSE [-] in each of THIRD_OCTAVES on an ISO road (w = 2) of class D; none
-    of instruments without noise, and of test drives without it.
+    of instruments without noise.
     """
-    if not task.test.noise:
-        return []
     v, edge = condition.speed_kmh / 3.6, 2.0 ** (1 / 6)  # half a third octave
     car, instruments = task.vehicle_of(condition), load_instruments(task.instruments)
     n = np.geomspace(THIRD_OCTAVES[0] / edge, THIRD_OCTAVES[-1] * edge, 15 * 60)

@@ -1,8 +1,7 @@
 """Results: all scores of one estimator on one task, and merging the parts of several conditions.
 
-Every score of every drive and training seed is stored, not only a mean: as a long table with the
-columns of COLUMNS, a row for each defined score of a run. A run is one estimate, of a drive under a
-condition after one training. Runs stand in the order in which they were made.
+Scores are a long table with the columns of COLUMNS, a row for each defined score of a run: of one
+estimate, of a drive under a condition after one training. Runs are in the order of their making.
 
 A result names the versions of the task (by digest), code, package and metrics that it was made
 with. A result of other versions is stale: it is reported as such and not compared with the rest.

@@ -4,8 +4,7 @@
     <out>/jobs/<identity>.json              a part of a row: the result under one condition
 
 The file name of a part is the digest of all its inputs, so parts are written but never modified,
-and two runs in one folder write the same files. A row is assembled from its parts and can be
-assembled again. Each file begins with a checksum of the rest.
+and two runs in one folder write the same files. Each file begins with a checksum of the rest.
 """
 
 import dataclasses

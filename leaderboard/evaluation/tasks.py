@@ -2,9 +2,8 @@
 
 Tasks come from `configs/tasks/*.yaml` or are generated for a surface file. An estimator is trained
 once per condition (mode and speed) on the drives of that condition, as the paper trains one network
-for each scenario. Training and test share neither a seed nor a surface. A task that follows the
-paper and trains on altered copies of the test road sets `trains_on_test_road`, which the board
-prints.
+for each scenario. Training and test share neither a seed nor a surface, but in tasks that follow
+the paper (`trains_on_test_road`, which the board prints).
 """
 
 import dataclasses

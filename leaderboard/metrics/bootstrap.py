@@ -86,8 +86,8 @@ class Resampled(NamedTuple):
     n_drawn: int
 
     def interval(self, is_positive: bool = False) -> Interval:
-        """Return the sum with its 95 % interval, on a logarithmic scale if it `is_positive` whatever
-        is drawn; NaNs if a replicate is undefined.
+        """Return the sum with its 95 % interval, on a logarithmic scale if it `is_positive`; NaNs
+        if a replicate is undefined.
         """
         if not np.isfinite(self.replicates).all():
             return Interval(np.nan, np.nan, np.nan)

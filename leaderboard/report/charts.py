@@ -243,7 +243,7 @@ _ERROR_HOVER = "%{y:.3f} at %{x:.2f} cycles/m"
 def bound_lines(task: Task, condition: Condition, name: str = "bound") -> list[dict[str, Any]]:
     """Return the bound in third octaves under a condition, on a class-D road, if there is one."""
     key = (task.digest, condition.label)
-    if task.bound and key not in _BOUNDS:
+    if task.bound and task.test.noise and key not in _BOUNDS:
         _BOUNDS[key] = [fig.rounded(x, 4) for x in third_octave_bound(task, condition)]
     look: Any = {"line": {"color": fig.INK, "dash": "dot", "width": 1.6}}
     y = _BOUNDS.get(key)

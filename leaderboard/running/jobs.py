@@ -1,6 +1,5 @@
-"""Jobs: some entries on one condition of one task, run from a self-contained file.
-
-Jobs can be run on any machine, any number of times, in any order.
+"""Jobs: some entries on one condition of one task, run from a self-contained file: on any machine,
+any number of times, in any order.
 
     road-recon run-job spec.json --out FOLDER
 

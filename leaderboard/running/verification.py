@@ -3,10 +3,9 @@
     <out>/definitions/<digest>.json   each task that was run, by the digest that its results name
     <out>/verified.json               how far rows are from what was found here
 
-A drive is simulated, estimated and scored again with what a row names: task, entry,
-settings, training seeds. All rows of a task are run on the same drives. A row whose code or task
-is not the present one, or whose drives are not those of its task, cannot be run again, which is
-said instead.
+A drive is simulated, estimated and scored again with what a row names: task, entry, settings,
+training seeds; all rows of a task on the same drives. A row of other code, or of another task,
+cannot be run again, which is said instead.
 """
 
 import dataclasses

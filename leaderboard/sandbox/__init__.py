@@ -3,6 +3,6 @@
 `client` and `retest` are of the host, `worker` and `estimator_handler` of a guest, `launch`,
 `bubblewrap` and `guest` its start, container and end, `messages` what they say to each other.
 
-The host is the process that evaluates. It holds the truth of the test drives, their roads and their
-seeds, and never sends them. `docs/isolation.md` says what is guaranteed, and what is not.
+The host holds the truth of the test drives, their roads and their seeds, and never sends them.
+`docs/isolation.md` says what is guaranteed, and what is not.
 """

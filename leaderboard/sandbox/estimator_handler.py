@@ -9,7 +9,6 @@ Request, and after the arrow the reply, which the host checks.
 """
 
 import importlib
-import json
 import os
 import sys
 import zipfile
@@ -63,15 +62,13 @@ def _start(request: dict[str, Any], code: str | None) -> tuple[dict[str, Any], L
     """Load an estimator; return what it says about itself, or with a car its session and needs."""
     try:
         name, estimator = load(request["reference"], request["settings"], code)
-        # another type would come back as a text, and the entry run with that
-        json.dumps(get_settings(estimator), default=_refuse_setting, allow_nan=False)
         known = describe_estimator(estimator)
         again = get_settings(build(type(estimator), known["settings"], "its settings"))
         for key, value in get_settings(estimator).items():
             if _typed(value) != _typed(again[key]):
                 raise EntryError(
                     f"JSON turns its setting {key} from {shown(value)} into {shown(again[key])}: "
-                    "annotate its type, and convert none in __post_init__"
+                    "annotate its type, one of JSON, and convert none in __post_init__"
                 )
     except BaseException as error:
         reason = str(error) if isinstance(error, EntryError) else describe_error(error)
@@ -82,12 +79,6 @@ def _start(request: dict[str, Any], code: str | None) -> tuple[dict[str, Any], L
     session = LocalSession(estimator, build(VehicleParameters, request["car"], "car"))
     needs = ("needs_training", "calibrates", "uses_seed")
     return {name: getattr(session, name) for name in needs}, session
-
-
-def _refuse_setting(value: object) -> str:
-    if isinstance(value, Path):
-        return str(value)
-    raise EntryError(f"a setting has the type {type(value).__name__}, which is none of JSON")
 
 
 def _typed(value: Any) -> Any:

@@ -5,8 +5,7 @@
 Requests come on standard input, replies go to what was standard output; whatever foreign code
 prints goes to standard error. Of all guests (estimators, switching policies), and of the processes
 that run jobs, only the handler of requests differs: `estimator_handler`, `policies.policy_handler`,
-`running.jobs`. It loads foreign code in the child, after all privileges are dropped. The host sets
-the limits of the kernel before, and checks every reply.
+`running.jobs`. It loads foreign code in the child, after all privileges are dropped.
 """
 
 import gc

@@ -100,7 +100,10 @@ def test_a_deliberate_refusal_is_accepted_and_an_unintended_error_fails(sandbox)
             "NegativeLag",
             "its lag must be a distance >= 0 in metres behind the front axle, got -1.0",
         ),
-        ("ArraySetting", "a setting has the type ndarray, which is none of JSON"),
+        (
+            "ArraySetting",
+            "JSON turns its setting taps from array([1., 1., 1.]) into '[1. 1. 1.]': annotate",
+        ),
         ("InfiniteSetting", "Out of range float values are not JSON compliant"),
         ("TabSetting", "a text in its settings is not one printable line of up to 300"),
         ("Nowhere", "AttributeError: module 'bad_estimators' has no attribute 'Nowhere'"),
