@@ -21,7 +21,6 @@ from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import load_vehicle
 
 _N_FREQUENCIES = 1001  # frequencies over the scored band: enough for three digits of the bound
-
 _WAVINESS_LIMITS = (1.0, 4.0)  # limits of the waviness fitted to a density
 
 

@@ -55,8 +55,7 @@ class Limits(Settings):
     isolation: Isolation = "auto"
 
 
-UNLIMITED = Limits(seconds=1e9, memory=1e6, processes=10**6, file=1e6)
-"""Limits of a process of this package."""
+UNLIMITED = Limits(seconds=1e9, memory=1e6, processes=10**6, file=1e6)  # of this package
 
 
 def guest_environment(home: Path, *, whole_path: bool) -> dict[str, str]:
