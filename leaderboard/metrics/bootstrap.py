@@ -219,8 +219,9 @@ def rank_entries(scores: Mapping[str, np.ndarray], strata: Strata | None = None)
     They are in the order of how many others are significantly better, so that one of uncertain
     scores stands between no two others; entries with equally many share a rank, the place of the
     first of them, as in 1 2 2 2 5, and are in the order of their interquartile means. An entry is
-    significantly better if the 95 % interval of the paired difference is beyond `REPRODUCIBLE`, as
-    of two that err alike one is always ahead, by rounding. Roads alone are drawn, each with all its
+    significantly better if the 95 % interval of the paired difference, of the logarithms if all
+    scores are positive, is beyond `REPRODUCIBLE`, as of two that err alike one is always ahead, by
+    rounding. Roads alone are drawn, each with all its
     runs: of three seeds, one of luck alone would be drawn too often. A score that is NaN comes
     last.
     """
@@ -228,11 +229,14 @@ def rank_entries(scores: Mapping[str, np.ndarray], strata: Strata | None = None)
     known = {name: x for name, x in made.items() if np.isfinite(x.replicates).all()}
     better = dict.fromkeys(scores, len(known))
     if known:
-        mean, drawn = (np.array([x[k] for x in known.values()]) for k in (0, 2))
-        cov = np.atleast_2d(np.cov([x.replicates for x in known.values()]))
+        mean, draws, drawn = (np.array([x[k] for x in known.values()]) for k in range(3))
+        least = REPRODUCIBLE * np.abs(mean)
+        if not any((x <= 0.0).any() for x in scores.values()):
+            mean, draws, least = np.log(mean), np.log(draws), np.log1p(REPRODUCIBLE)
+        cov = np.atleast_2d(np.cov(draws))
         var = np.maximum(np.diag(cov)[:, None] + np.diag(cov) - 2.0 * cov, 0.0)  # of differences
         half = half_width(np.sqrt(var), np.minimum.outer(drawn, drawn))
-        ahead = mean[:, None] - mean - half > REPRODUCIBLE * np.abs(mean)  # who is ahead of whom
+        ahead = mean[:, None] - mean - half > least  # who is ahead of whom
         better |= dict(zip(known, ahead.sum(axis=1).tolist(), strict=True))
     order = sorted(
         better, key=lambda name: (better[name], np.nan_to_num(made[name].mean, nan=np.inf))

@@ -147,6 +147,13 @@ def test_a_small_difference_on_every_road_is_significant_since_roads_are_paired(
     assert iqm_interval(road + 0.1).low < iqm_interval(road).high
 
 
+def test_an_entry_that_errs_much_and_unevenly_is_behind_one_that_is_better_on_every_road():
+    """Where few scores are eight times the others, a difference is as uncertain as it is large."""
+    good = 0.05 + 0.01 * np.random.default_rng(16).random((6, 1, 1))
+    bad = np.array([1.2, 1.1, 9.0, 1.3, 8.0, 1.2]).reshape(6, 1, 1)
+    assert rank_entries({"bad": bad, "good": good}) == {"good": 1, "bad": 2}
+
+
 def test_one_lucky_training_of_three_is_not_the_rank_of_an_entry():
     """All draws of three seeds are that one in 1 of 27 replicates: more than the 2.5 % allowed."""
     rng = np.random.default_rng(8)
