@@ -15,6 +15,7 @@ freedom as roads are drawn (Efron and Tibshirani, An Introduction to the Bootstr
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
@@ -216,9 +217,8 @@ def count_roads(scores: np.ndarray) -> int:
 def rank_entries(scores: Mapping[str, np.ndarray], strata: Strata | None = None) -> dict[str, int]:
     """Rank the entries by their `scores` (R, C, S), lower is better; best first.
 
-    They are in the order of how many others are significantly better, so that one of uncertain
-    scores stands between no two others; entries with equally many share a rank, the place of the
-    first of them, as in 1 2 2 2 5, and are in the order of their interquartile means. An entry is
+    They are in the order of their interquartile means, and share the rank of the one before, as in
+    1 2 2 2 5, unless more others are significantly better than were of any before. An entry is
     significantly better if the 95 % interval of the paired difference, of the logarithms if all
     scores are positive, is beyond `REPRODUCIBLE`, as of two that err alike one is always ahead, by
     rounding. Roads alone are drawn, each with all its
@@ -238,8 +238,6 @@ def rank_entries(scores: Mapping[str, np.ndarray], strata: Strata | None = None)
         half = half_width(np.sqrt(var), np.minimum.outer(drawn, drawn))
         ahead = mean[:, None] - mean - half > least  # who is ahead of whom
         better |= dict(zip(known, ahead.sum(axis=1).tolist(), strict=True))
-    order = sorted(
-        better, key=lambda name: (better[name], np.nan_to_num(made[name].mean, nan=np.inf))
-    )
-    counts = [better[name] for name in order]
-    return {name: 1 + counts.index(better[name]) for name in order}
+    order = sorted(scores, key=lambda name: np.nan_to_num(made[name].mean, nan=np.inf))
+    counts = [*accumulate((better[name] for name in order), max)]
+    return {name: 1 + counts.index(n) for name, n in zip(order, counts, strict=True)}

@@ -24,7 +24,7 @@ _LEGEND = (
     f"drives above. The row bound is the {BOUND_NAME}. "
     "eq. 12: error of the RMS level alone, as printed, and about the mean; it is that of the "
     "longest waves, which kalman_lag for one cuts off. "
-    "Rank: the place by how many entries are significantly better; equally many share it. No rank, "
+    "Rank: the place by score, shared unless more entries are significantly better. No rank, "
     "interval or worst drive from fewer than 5 roads. Dim rows: baselines. 5/5 beside a name: "
     "probes passed, of those that apply (--probes)."
 )

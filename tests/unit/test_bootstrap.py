@@ -154,6 +154,15 @@ def test_an_entry_that_errs_much_and_unevenly_is_behind_one_that_is_better_on_ev
     assert rank_entries({"bad": bad, "good": good}) == {"good": 1, "bad": 2}
 
 
+def test_an_entry_of_uncertain_scores_has_no_better_rank_than_those_ahead_of_it():
+    road = 1.0 + 0.05 * np.random.default_rng(17).random((6, 1, 1))
+    uncertain = np.array([0.05, 1.0, 0.06, 1.1, 0.9, 0.05]).reshape(6, 1, 1)
+    entries = {"third": 0.2 * road, "best": 0.1 * road, "next": 0.15 * road}
+    assert list(rank_entries({"best": entries["best"], "uncertain": uncertain}).values()) == [1, 1]
+    expected = {"best": 1, "next": 2, "third": 3, "uncertain": 3}
+    assert rank_entries({"uncertain": uncertain, **entries}) == expected
+
+
 def test_one_lucky_training_of_three_is_not_the_rank_of_an_entry():
     """All draws of three seeds are that one in 1 of 27 replicates: more than the 2.5 % allowed."""
     rng = np.random.default_rng(8)
