@@ -122,7 +122,7 @@ def headline(section: Section, definition: BoardDefinition) -> list[str]:
     return [
         _best_sentence(best, tied, definition),
         *([_others_sentence(best, others, definition)] if others else []),
-        _certainty_sentence(best, tied, section, definition)
+        _certainty_sentence(best, tied, others[0], section, definition)
         if others
         else f"It is the only {ranked_kind(definition)}.",
     ]
@@ -201,8 +201,9 @@ def _others_sentence(best: Row, others: Sequence[Row], definition: BoardDefiniti
 
 
 def _certainty_sentence(
-    best: Row, tied: Sequence[str], section: Section, definition: BoardDefinition
+    best: Row, tied: Sequence[str], second: Row, section: Section, definition: BoardDefinition
 ) -> str:
+    """Sentence on the first place: of those further down, the first may leave none behind."""
     if best.values.get(rank_column(definition)) is None:
         return "Too few roads for a rank or an interval: another road may give another order."
     if tied:
@@ -210,10 +211,9 @@ def _certainty_sentence(
         return f"The first place is not decided: these drives cannot tell {names} from it."
     doubt = " Nothing of this holds of an entry that has drawn these public roads again."
     return (
-        "The first place is decided: resampling the roads leaves every other "
-        f"{ranked_kind(definition)} behind. Entries that the drives cannot tell from the best of "
-        "them share its rank."
-        f"{doubt * section.task.is_public}"
+        f"The first place is decided: resampling the roads leaves {second.name}, which is next, "
+        "behind. An entry shares the rank of the one before it unless more others are surely "
+        f"better than it.{doubt * section.task.is_public}"
     )
 
 

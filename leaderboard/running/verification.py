@@ -13,7 +13,7 @@ import math
 import os
 import statistics
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -265,8 +265,7 @@ def _verify_row(task: Task, row: Result, entry: Entry, again: Iterable[Result]) 
     compared = SCORES if found.compares_all else some
     pairs: list[tuple[dict[str, float], dict[str, float]]] = []
     ranked: list[tuple[float, float]] = []
-    notes, busy = {f"{row.estimator}: {note}" for note in _BY_CHANCE}, ""
-    notes.update(_not_retested(row))
+    notes, busy = {*_not_retested(row), *(f"{row.estimator}: {x}" for x in _BY_CHANCE)}, ""
     for made in again:
         if made.failure is not None:
             others = is_by_others(entry)  # ours may lack a library here
@@ -366,6 +365,7 @@ def _not_retested(row: Result) -> list[str]:
     return [note for note in notes if note.startswith(begins) and ";" not in note]
 
 
+@lru_cache(maxsize=1)
 def _unlike_shipped(task: Task) -> str:
     """Return in words what differs from the shipped task of this name; "" if nothing does."""
     own, names = vars(task.test), ("number", "length", "design")
