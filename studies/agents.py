@@ -107,7 +107,8 @@ class Results:
         """Return the gain over a rival on a part of the bar, with its interval."""
         drives, inside = self.parts[part]
         gain = self.of(policy, "scores", drives) - self.of(rival, "scores", drives)
-        return interval(gain[:, inside], mirrored=part != "mirrored")
+        families = self.groups["known"][inside]
+        return interval(gain[:, inside], families, mirrored=part != "mirrored")
 
     def hardest(self, policy: str, part: str) -> tuple[str, dict[str, float]]:
         """Return the law over which a policy gains least, by the lower end, and the gain."""
@@ -123,9 +124,10 @@ class Results:
         own = self.of(policy, "scores")
         law, ride = (own - self.of(name, "scores") for name in (BEST_LAW, RIDE))
         violated, base = (self.of(name, "violated") for name in (policy, REFERENCE))
+        known = self.groups["known"]
         return {
             name: (
-                interval(law[:, inside], mirrored=name not in ("left", "right")),
+                interval(law[:, inside], known[inside], mirrored=name not in ("left", "right")),
                 float(ride[:, inside].mean()),
                 float(violated[:, inside].mean()),
                 float(base[:, inside].mean()),

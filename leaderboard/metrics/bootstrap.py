@@ -129,6 +129,14 @@ def resample(
     return Resampled(float(np.dot(weights, means)), np.tensordot(weights, made, axes=1), drawn)
 
 
+def mean_interval(scores: np.ndarray, strata: Strata | None = None) -> Interval:
+    """Return the mean of `scores` (R, C, S), without NaNs, with its 95 % interval."""
+    batches = _replicate_scores(scores, 0, _REPLICATES, strata)
+    means = [np.average(x, axis=1, weights=weights) for x, weights in batches]
+    drawn = sum(map(number_drawn, map(len, _drawable(scores, strata))))
+    return Resampled(float(scores.mean()), np.concatenate(means), drawn).interval()
+
+
 def iqm_slope(parts: Mapping[int, np.ndarray], strata: Strata | None = None) -> Interval:
     """Return the least-squares slope of the interquartile mean of `parts` (R, C, S) over their
     keys, with its 95 % interval; the parts are paired road by road and seed by seed.

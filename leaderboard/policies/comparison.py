@@ -15,7 +15,7 @@ import numpy as np
 
 from leaderboard.entries.entry import describe_error
 from leaderboard.metrics import UNDEFINED
-from leaderboard.metrics.bootstrap import MIN_ROADS, half_width, number_drawn
+from leaderboard.metrics.bootstrap import MIN_ROADS, mean_interval
 from leaderboard.policies import best_found
 from leaderboard.policies.best_found import Progress
 from leaderboard.policies.policy_process import PolicyProcess
@@ -32,7 +32,7 @@ PUBLIC_DRIVES = 8  # number of public drives; each is driven to both sides
 
 _SHORTEST_SEAL = 16  # characters: a policy can draw the drives of a thousand texts in a second
 
-_SEARCH_SEEDS, _BOOTSTRAPS = (1, 2), 2000
+_SEARCH_SEEDS = (1, 2)
 
 TIE = 0.01  # difference of scores [m²/s⁴] within which two policies are even on a drive
 
@@ -147,8 +147,8 @@ def _row(name: str, rollout: Rollout, base: Rollout | None, drives: Drives) -> d
     row: dict[str, Any] = {
         "policy": name,
         "failure": None,
-        "score": interval(score),
-        "comfort": interval(rollout.comfort),
+        "score": interval(score, groups["known"]),
+        "comfort": interval(rollout.comfort, groups["known"]),
         "violations": float(violated.mean()),
         "worst": _round(score.min()),
         **{
@@ -166,27 +166,28 @@ def _row(name: str, rollout: Rollout, base: Rollout | None, drives: Drives) -> d
     }
     if base is not None:
         more = score - base.score
-        row["more_than_reference"] = interval(more)
+        row["more_than_reference"] = interval(more, groups["known"])
         row["wins"], row["losses"] = int((more > TIE).sum()), int((more < -TIE).sum())
         row["ties"] = len(more) - row["wins"] - row["losses"]
         row["worst_loss"] = _round(more.min())
     return row
 
 
-def interval(x: np.ndarray, mirrored: bool = True) -> dict[str, float]:
+def interval(
+    x: np.ndarray, families: np.ndarray | None = None, mirrored: bool = True
+) -> dict[str, float]:
     """Return the mean of `x` (N,) or (S, N), and its 95 % interval over S seeds and N drives.
 
-    Drives are drawn in pairs if they are `mirrored`. Of fewer than MIN_ROADS drives or pairs the
-    interval is NaN.
+    Drives are drawn in pairs if they are `mirrored`, and within each of their `families` (N,). Of
+    fewer than MIN_ROADS drives or pairs the interval is NaN.
     """
     pairs = np.atleast_2d(x)
-    pairs = pairs.reshape(len(pairs), -1, 1 + mirrored).mean(axis=2)
-    rng, (seeds, drives) = np.random.default_rng(0), pairs.shape
-    drawn = rng.integers(0, drives, (_BOOTSTRAPS, 1, number_drawn(drives)))
-    trained = rng.integers(0, seeds, (_BOOTSTRAPS, number_drawn(seeds), 1))
-    mean, std = pairs.mean(), pairs[trained, drawn].mean(axis=(1, 2)).std()
-    half = half_width(std, drawn.shape[-1]) if drives >= MIN_ROADS else np.nan
-    return {"mean": _round(mean), "low": _round(mean - half), "high": _round(mean + half)}
+    pairs = pairs.reshape(len(pairs), -1, 1 + mirrored).mean(axis=2).T[:, None, :]
+    of_pairs = np.zeros(len(pairs)) if families is None else families[:: 1 + mirrored]
+    mean, low, high = mean_interval(pairs, [np.flatnonzero(of_pairs == k) for k in set(of_pairs)])
+    if len(pairs) < MIN_ROADS:
+        low = high = np.nan
+    return {"mean": _round(mean), "low": _round(low), "high": _round(high)}
 
 
 def interval_text(found: Mapping[str, float]) -> str:

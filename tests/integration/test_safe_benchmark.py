@@ -183,6 +183,17 @@ def test_a_row_counts_wins_ties_and_losses(rollouts, drives):
     assert rows["rrms"]["ties"] == len(drives)
 
 
+def test_an_interval_is_not_widened_by_what_sets_families_of_drives_apart():
+    rng, family = np.random.default_rng(0), np.arange(8) % 2
+    ratios = []
+    for pairs in rng.standard_normal((100, 8)):
+        found = interval(np.repeat(pairs + 5.0 * family, 2), np.repeat(family, 2))
+        error = np.hypot(*(pairs[family == k].std(ddof=1) for k in (0, 1))) / np.sqrt(4) / 2.0
+        assert found["mean"] == pytest.approx((pairs + 5.0 * family).mean(), abs=1e-4)
+        ratios.append((found["high"] - found["low"]) / (2.0 * error * stats.t.ppf(0.975, 6)))
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.03)
+
+
 def test_an_interval_needs_five_pairs_and_varies_as_their_mean():
     rng = np.random.default_rng(0)
     ratios = []

@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import stats
 
 from leaderboard.metrics.bootstrap import (
     bootstrap,
     interquartile_mean,
     iqm_interval,
+    mean_interval,
     performance_profile,
     rank_entries,
 )
@@ -96,6 +98,14 @@ def test_replicates_vary_as_the_mean_of_few_roads_and_of_few_trainings_does():
     assert bootstrap(families, 0, strata=strata) == pytest.approx(15.0)
     for share in performance_profile(families, np.array([5.0, 15.0]), strata=strata):
         assert share == pytest.approx([0.25, 0.5])
+
+
+def test_the_mean_of_families_of_other_sizes_weighs_each_road_alike():
+    scores = np.array([1.0, 2.0, *[4.0] * 6])[:, None, None]
+    mean, low, high = mean_interval(scores, [[0, 1], range(2, 8)])
+    error = 2 / 8 * 0.5  # of the mean of two roads, which are a quarter of all
+    assert mean == scores.mean()
+    assert high - low == pytest.approx(2.0 * error * stats.t.ppf(0.975, 6), rel=0.02)
 
 
 def test_roads_are_one_stratum_where_a_family_has_a_single_road_that_is_not_level():
