@@ -184,7 +184,8 @@ def interval(
     pairs = np.atleast_2d(x)
     pairs = pairs.reshape(len(pairs), -1, 1 + mirrored).mean(axis=2).T[:, None, :]
     of_pairs = np.zeros(len(pairs)) if families is None else families[:: 1 + mirrored]
-    mean, low, high = mean_interval(pairs, [np.flatnonzero(of_pairs == k) for k in set(of_pairs)])
+    strata = [np.flatnonzero(of_pairs == k).tolist() for k in set(of_pairs)]
+    mean, low, high = mean_interval(pairs, strata)
     if len(pairs) < MIN_ROADS:
         low = high = np.nan
     return {"mean": _round(mean), "low": _round(low), "high": _round(high)}
