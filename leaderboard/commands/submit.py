@@ -10,7 +10,9 @@ from leaderboard.commands.options import CORES, LimitOptions, Share, Workers, ar
 from leaderboard.commands.output import Output, facts_table
 from leaderboard.commands.results import verified_output
 from leaderboard.conformance.method_card import TEMPLATE
+from leaderboard.evaluation import store
 from leaderboard.evaluation.test_data import check_plants
+from leaderboard.metrics.bootstrap import interquartile_mean
 from leaderboard.submission import repository, signature
 from leaderboard.submission.rules import RULES, load_rules, make_run_request
 from leaderboard.submission.submission import SUBMISSION_SHARE, make_submission, verify_submission
@@ -26,7 +28,7 @@ _RulesFile = Annotated[
 def submit(
     wheel: Annotated[Path, argument("Wheel, or folder of installed packages.")],
     *,
-    out: Annotated[Path, option("Folder of the submission; it must not exist.")],
+    out: Annotated[Path, option("New folder of the submission, named as its entry.")],
     card: Annotated[
         Path, option("Card of the method (YAML); written to be filled in if missing.")
     ] = Path("card.yaml"),
@@ -50,15 +52,18 @@ def submit(
         )
     if not card.exists():
         write_text(card, TEMPLATE)
-        again = shlex.join(["road-recon", "submit", str(wheel), "--card", str(card), "..."])
-        raise ConfigError(
-            f"{card} has been written: fill it in, then give the command again: {again}"
-        )
+        raise ConfigError(f"{card} has been written: fill it in, then give the same command again")
     own, code = load_rules(rules), wheel.absolute()
     signer = None if sign is None else signature.signer(sign)
     with progress_bar() as progress:
         record = make_submission(code, card, own, out, limits.parse(), workers, progress)
-    facts = dataclasses.asdict(record)
+    facts = dataclasses.asdict(record) | {"scores": dict[str, str]()}
+    for task in own[1]:  # as on a board, over all its runs
+        scores = store.load(store.row_path(out, task.name, record.name)).scores
+        ranks_by = task.board_definition.ranks_by
+        found = scores["value"][scores["score"] == ranks_by].to_numpy()
+        text = f"{ranks_by} {interquartile_mean(found):.3g}, {found.max():.3g} on the worst drive"
+        facts["scores"][task.name] = text
     if signer is not None:
         facts["signed by"] = signer(out)
     shown = {key: x for key, x in facts.items() if key != "cpu_seconds"}
@@ -87,7 +92,7 @@ def verify_one(
             folder, load_rules(rules), limits.parse(),
             share=share, replaces=replaces, progress=progress,
         )  # fmt: skip
-    return verified_output(found)
+    return verified_output([dataclasses.replace(row, drives="") for row in found])  # by the rules
 
 
 def new_results_repo(

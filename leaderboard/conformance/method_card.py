@@ -14,7 +14,7 @@ method: {_UNWRITTEN}      # what the estimator does, in a sentence or more
 data: {_UNWRITTEN}        # what it was trained and tuned on; none, if on nothing
 licence: {_UNWRITTEN}     # of code and weights, such as MIT
 authors: [{_UNWRITTEN}]
-citation: {_UNWRITTEN}    # how to cite it, or BibTeX (after |, indented); none, if nothing yet
+citation: {_UNWRITTEN}    # how to cite it, as plain text; none, if nothing yet
 """
 
 

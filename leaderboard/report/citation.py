@@ -31,7 +31,10 @@ def cite_entry(out: Path, name: str) -> str:
     """
     paths = sorted((out / "results").glob("*/*.json"))
     if not paths:
-        raise ConfigError(f"{out}: no results; `road-recon leaderboard --out {out}` makes them")
+        raise ConfigError(
+            f"{out}: no results; `road-recon leaderboard --out {out}` makes them, and in a results "
+            "repository `road-recon results-site .`"
+        )
     validate_choice("entry", name, sorted({path.stem for path in paths}))
     rows = [load(path) for path in paths if path.stem == name]
     card = find_method_card(out, name)

@@ -178,7 +178,8 @@ def test_a_question_without_an_answer_and_a_folder_without_results_end_in_a_sent
     )
     code, _, err = road_recon("cite", "mine", "--out", "nowhere")
     assert code == 2 and err == (
-        "error: nowhere: no results; `road-recon leaderboard --out nowhere` makes them\n"
+        "error: nowhere: no results; `road-recon leaderboard --out nowhere` makes them, and in a "
+        "results repository `road-recon results-site .`\n"
     )
 
 
