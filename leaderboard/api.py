@@ -206,7 +206,7 @@ def _estimates(task: TaskArrays, given: Mapping[str, Sequence[Any]]) -> Iterator
     """Yield the estimates of all test drives. Raises ConfigError for arrays of another shape."""
     for k, drive in enumerate(task.test):
         shape = (2, drive["stations"].size)
-        arrays = [_real(values[k]) for values in given.values()]
+        arrays = [real_numbers(values[k]) for values in given.values()]
         for what, array in zip(given, arrays, strict=True):
             if array.shape != shape or not np.isfinite(array).all():
                 wanted = f"test drive {k + 1} needs finite {what} of the shape {shape}"
@@ -216,12 +216,14 @@ def _estimates(task: TaskArrays, given: Mapping[str, Sequence[Any]]) -> Iterator
         yield Estimate(drive["stations"], arrays[0], arrays[1] if len(arrays) > 1 else None)
 
 
-def _real(values: Any) -> np.ndarray:
+def real_numbers(values: Any) -> np.ndarray:
     """Return real numbers as an array; an empty one of anything else, and of masked numbers."""
+    rows = values if isinstance(values, list | tuple) else [values]
     try:
         array = np.asarray(values)
-        array = array.astype(float) if array.dtype == object else array
+        if array.dtype == object and not any(isinstance(x, bool | np.bool) for x in array.flat):
+            array = array.astype(float)
     except (TypeError, ValueError, RuntimeError):  # ragged lists; tensors with gradients
         return np.empty(0)
-    is_real = array.dtype.kind in "iuf" and not np.ma.is_masked(values)
+    is_real = array.dtype.kind in "iuf" and not any(np.ma.is_masked(row) for row in rows)
     return array.astype(float) if is_real else np.empty(0)

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from leaderboard.api import TaskArrays, score_arrays
+from leaderboard.api import TaskArrays, real_numbers, score_arrays
 from leaderboard.scoring import ScoreTable
 from road_envs._version import __version__
 from road_envs.core.atomic_io import write_text
@@ -105,7 +105,9 @@ def score_file(task: TaskArrays, path: Path) -> ScoreTable:
         deviations = [name for name in ("left_std", "right_std") if name in table]
         if len(deviations) == 1:
             raise ConfigError(f"{deviations[0]} is there alone; give left_std and right_std")
-        values = {name: table[name].to_numpy(float) for name in (*columns, *deviations)}
+        values = {name: real_numbers(table[name]) for name in (*columns, *deviations)}
+        if others := [name for name, x in values.items() if len(x) < len(table)]:
+            raise ConfigError(f"column {others[0]!r} is not one of numbers")
         if not np.isin(values["drive"], np.arange(1, len(task.test) + 1)).all():
             raise ConfigError(f"a row is of no test drive; those are 1 to {len(task.test)}")
     heights, std = [], []

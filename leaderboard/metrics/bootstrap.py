@@ -93,9 +93,9 @@ class Resampled(NamedTuple):
         if not np.isfinite(self.replicates).all():
             return Interval(np.nan, np.nan, np.nan)
         if is_positive:
-            factor = math.exp(half_width(np.log(self.replicates).std(), self.n_drawn))
+            factor = math.exp(_half_width(np.log(self.replicates).std(), self.n_drawn))
             return Interval(self.mean, self.mean / factor, self.mean * factor)
-        half = float(half_width(self.replicates.std(), self.n_drawn))
+        half = float(_half_width(self.replicates.std(), self.n_drawn))
         return Interval(self.mean, self.mean - half, self.mean + half)
 
     def minus(self, other: "Resampled") -> "Resampled":
@@ -107,7 +107,7 @@ class Resampled(NamedTuple):
         )
 
 
-def half_width(std: ArrayLike, n_drawn: ArrayLike) -> np.ndarray:
+def _half_width(std: ArrayLike, n_drawn: ArrayLike) -> np.ndarray:
     """Return half the width of a 95 % interval, from the standard deviation of the replicates and
     the number of roads drawn in each.
     """
@@ -125,7 +125,7 @@ def resample(
     """
     made = [bootstrap(part, 0, strata=strata) for part in parts]
     means = [float(interquartile_mean(part.ravel())) for part in parts]
-    drawn = min(sum(map(number_drawn, map(len, _drawable(part, strata)))) for part in parts)
+    drawn = min(sum(map(_number_drawn, map(len, _drawable(part, strata)))) for part in parts)
     return Resampled(float(np.dot(weights, means)), np.tensordot(weights, made, axes=1), drawn)
 
 
@@ -133,7 +133,7 @@ def mean_interval(scores: np.ndarray, strata: Strata | None = None) -> Interval:
     """Return the mean of `scores` (R, C, S), without NaNs, with its 95 % interval."""
     batches = _replicate_scores(scores, 0, _REPLICATES, strata)
     means = [np.average(x, axis=1, weights=weights) for x, weights in batches]
-    drawn = sum(map(number_drawn, map(len, _drawable(scores, strata))))
+    drawn = sum(map(_number_drawn, map(len, _drawable(scores, strata))))
     return Resampled(float(scores.mean()), np.concatenate(means), drawn).interval()
 
 
@@ -176,14 +176,14 @@ def _replicate_scores(
     # both are apart, so that entries with other numbers of seeds still share their roads
     _, C, S = scores.shape
     drawable = _drawable(scores, strata)
-    numbers = [number_drawn(len(part)) for part in drawable]
+    numbers = [_number_drawn(len(part)) for part in drawable]
     road_rng, seed_rng = np.random.default_rng(seed).spawn(2)
     drawn = [
         np.asarray(part)[road_rng.integers(len(part), size=(replicates, n))]
         for part, n in zip(drawable, numbers, strict=True)
     ]
     roads = np.concatenate(drawn, axis=1)
-    seeds = seed_rng.integers(S, size=(replicates, number_drawn(S)))
+    seeds = seed_rng.integers(S, size=(replicates, _number_drawn(S)))
     whole = math.lcm(*numbers)  # makes the weights whole numbers, whose sums are exact
     of_roads = [whole * len(part) // n for part, n in zip(drawable, numbers, strict=True)]
     weights = np.repeat(np.repeat(of_roads, numbers), seeds.shape[1] * C).astype(float)
@@ -205,7 +205,7 @@ def _drawable(scores: np.ndarray, strata: Strata | None) -> list[list[int]]:
     return [np.flatnonzero(has_runs).tolist()] if min(map(len, drawable)) < 2 else drawable
 
 
-def number_drawn(n: int) -> int:
+def _number_drawn(n: int) -> int:
     """Return how many of `n` roads or seeds are drawn: n - 1, and the only one."""
     return max(1, n - 1)
 
@@ -242,7 +242,7 @@ def rank_entries(scores: Mapping[str, np.ndarray], strata: Strata | None = None)
             mean, draws, least = np.log(mean), np.log(draws), np.log1p(REPRODUCIBLE)
         cov = np.atleast_2d(np.cov(draws))
         var = np.maximum(np.diag(cov)[:, None] + np.diag(cov) - 2.0 * cov, 0.0)  # of differences
-        half = half_width(np.sqrt(var), np.minimum.outer(drawn, drawn))
+        half = _half_width(np.sqrt(var), np.minimum.outer(drawn, drawn))
         ahead = mean[:, None] - mean - half > least  # who is ahead of whom
         better |= dict(zip(known, ahead.sum(axis=1).tolist(), strict=True))
     order = sorted(scores, key=lambda name: np.nan_to_num(made[name].mean, nan=np.inf))

@@ -79,7 +79,8 @@ def make_submission(
     folder that exists.
     """
     load_method_card(card)
-    with new_folder(folder) as partial, _keeping_parts(folder, partial / _PARTS) as spent:
+    kept = _kept_parts(folder)
+    with new_folder(folder) as partial, _keeping_parts(kept, partial / _PARTS) as spent:
         (partial / "code").mkdir()
         entry_files.snapshot(find_reference(str(wheel)), partial / "code")
         shutil.copyfile(card, partial / CARD)
@@ -223,13 +224,24 @@ def _code(environment: Mapping[str, str]) -> str:
     return environment.get("code", "unknown")[:8]
 
 
-@contextmanager
-def _keeping_parts(folder: Path, parts: Path) -> Iterator[Callable[[], float]]:
-    """Take the parts of rows over that a stopped run has left beside `folder`, and leave them there
-    if this one ends early: they are found by what they were made from. Yields a function that
-    returns the processor time [s] of all these runs.
+def _kept_parts(folder: Path) -> Path:
+    """Folder beside a submission where a stopped run keeps its parts; of a killed one they are
+    moved there, without its processor time.
     """
-    kept, cost = folder.with_name(f".{folder.name}.{_PARTS}{PARTIAL_SUFFIX}"), parts / "cpu_seconds"
+    killed = folder.with_name(f".{folder.name}{PARTIAL_SUFFIX}") / _PARTS
+    kept = folder.with_name(f".{folder.name}.{_PARTS}{PARTIAL_SUFFIX}")
+    if killed.is_dir() and not kept.exists():
+        killed.rename(kept)
+    return kept
+
+
+@contextmanager
+def _keeping_parts(kept: Path, parts: Path) -> Iterator[Callable[[], float]]:
+    """Take the `parts` of rows over that a stopped run has `kept`, and keep them if this one ends
+    early: they are found by what they were made from. Yields a function that returns the processor
+    time [s] of all these runs.
+    """
+    cost = parts / "cpu_seconds"
     if kept.is_dir():
         kept.rename(parts)
     before = float(cost.read_text(encoding="utf-8")) if cost.is_file() else 0.0

@@ -559,6 +559,21 @@ def test_what_was_driven_before_a_submission_was_stopped_is_not_lost(submit, tmp
     assert not list(tmp_path.glob(".*")) and load_submission(tmp_path / "reader") == record
 
 
+def test_what_was_driven_before_a_submission_was_killed_is_not_lost(submit, tmp_path, monkeypatch):
+    monkeypatch.setattr(submission_module, "missing_packages", lambda code: [])
+    (tmp_path / ".reader.partial" / "jobs").mkdir(parents=True)
+    (tmp_path / ".reader.partial" / "jobs" / "1.json").write_text("{}")
+    found = []
+
+    def run(request, out, executor, progress):
+        found.extend(path.name for path in (out / "jobs").glob("*"))
+        return SimpleNamespace(tasks=[])
+
+    monkeypatch.setattr(submission_module, "run_board", run)
+    submit("reader")
+    assert found == ["1.json"] and not list(tmp_path.glob(".*"))
+
+
 @pytest.mark.parametrize(
     ("field", "value"),
     [

@@ -60,6 +60,20 @@ def test_heights_in_a_file_score_as_in_arrays(arrays, form, tmp_path):
     np.testing.assert_equal(found, expected)
 
 
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+@pytest.mark.parametrize(
+    "change", [lambda z: z > 0.0, lambda z: pandas.to_timedelta(z, unit="s"), pandas.to_datetime]
+)
+def test_columns_that_are_no_numbers_are_not_scored(arrays, form, change, tmp_path):
+    write_task(arrays, tmp_path, "parquet")
+    table = filled(pandas.read_parquet(tmp_path / "test_profiles.parquet"), guesses(arrays))
+    table["left"] = change(table["left"])
+    path = tmp_path / f"heights.{form}"
+    table.to_csv(path, index=False) if form == "csv" else table.to_parquet(path)
+    with pytest.raises(ConfigError, match=r"heights\.\w+: column 'left' is not one of numbers"):
+        score_file(arrays, path)
+
+
 def test_deviations_below_0_and_columns_that_are_there_twice_are_refused(arrays, tmp_path):
     write_task(arrays, tmp_path, "csv")
     table = filled(pandas.read_csv(tmp_path / "test_profiles.csv"), guesses(arrays))
@@ -153,6 +167,8 @@ def test_each_drive_has_the_vehicle_of_its_condition_and_earlier_drives_of_it(tm
         lambda z: z > 0.0,
         lambda z: (1e9 * z).astype("timedelta64[ns]"),
         lambda z: np.ma.masked_array(z, mask=z > 0.0),
+        lambda z: [np.ma.masked_array(row, mask=row > 0.0) for row in z],
+        lambda z: (z > 0.0).astype(object),
         lambda z: [[1.0, 2.0], [1.0]],
         lambda z: z.astype(str),
     ],
