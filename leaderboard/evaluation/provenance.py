@@ -44,16 +44,19 @@ def describe_environment() -> dict[str, str]:
     }
 
 
-@cache
-def package_code() -> str:
-    """Return a digest of the code, weights and configurations of this project: an entry by others
-    can build on any of them.
+def read_package_code() -> str:
+    """Return a digest of the code, weights and configurations of this project, as they are now: an
+    entry by others can build on any of them.
     """
     own = [path for name in PACKAGES for path in (ROOT / name).rglob("*.*")]
     code = digest(path for path in own if path.suffix in (".py", ".safetensors"))
     configs = config.folder()
     shows = configs / "boards"  # they change no result
     return code + digest((x for x in configs.rglob("*.*") if x.parent != shows), configs.parent)
+
+
+package_code = cache(read_package_code)
+"""That digest as it was when this process asked first."""
 
 
 def _blas() -> dict[str, str]:

@@ -16,7 +16,7 @@ from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics.baselines import ALL_BASELINES, BASELINES
 from leaderboard.running.executors import Executor
 from leaderboard.running.jobs import to_packed_text, wider_limits
-from leaderboard.running.plan import Plan, PlannedRow, check_owners, make_jobs
+from leaderboard.running.plan import Plan, PlannedRow, make_jobs
 from leaderboard.running.verification import Verified, load_verified, other_drives, save_definition
 from leaderboard.sandbox.limits import UNLIMITED, Limits
 from road_envs.core.atomic_io import copy_file, remove_stale_partials, remove_stale_temp, write_text
@@ -157,8 +157,7 @@ def run_board(
     remove_stale_partials(out)
     remove_stale_temp()
     rows = request.rows()
-    check_owners(rows, out, request.replace)
-    plan = Plan(rows, out, request.resume, request.limits)
+    plan = Plan(rows, out, request.limits, request.resume, request.replace)
     for task in request.sized_tasks():
         save_definition(task, out)
     for _ in range(ATTEMPTS):
@@ -185,8 +184,7 @@ def write_jobs(request: RunRequest, out: Path, folder: Path) -> int:
     Return the number of jobs.
     """
     rows = request.rows()
-    check_owners(rows, out, request.replace)
-    plan = Plan(rows, out, request.resume, request.limits)
+    plan = Plan(rows, out, request.limits, request.resume, request.replace)
     missing = plan.missing()
     for k, job in enumerate(make_jobs(missing, len(missing) ** 2, request.limits)):
         text, sources = to_packed_text(job)

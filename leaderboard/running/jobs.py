@@ -22,7 +22,7 @@ from leaderboard.entries import entry_files
 from leaderboard.entries.entries import is_by_others, is_from_outside
 from leaderboard.entries.entry import Entry, EntryError, TrainingRun
 from leaderboard.evaluation import evaluate, store
-from leaderboard.evaluation.provenance import package_code, package_version
+from leaderboard.evaluation.provenance import package_code, package_version, read_package_code
 from leaderboard.evaluation.results import RESULT, Result, content_digest, evaluation_version
 from leaderboard.evaluation.task_files import digest_of, files_of, to_json_types, with_paths
 from leaderboard.evaluation.tasks import Task
@@ -114,7 +114,7 @@ def to_packed_text(job: Job) -> tuple[str, dict[str, Path]]:
 
 
 def _code_here() -> str:
-    return f"{evaluation_version()}+{package_code()}"  # of which no file of weights is a part
+    return f"{evaluation_version()}+{read_package_code()}"  # of which no file of weights is a part
 
 
 def _to_spec(job: Job) -> dict[str, Any]:
@@ -159,13 +159,16 @@ def run_job(
 ) -> Iterator[JobDone]:
     """Evaluate the entries of a job on the drives `data` one by one and store each result.
 
-    `data` may be the reason why there are none.
+    `data` may be the reason why there are none. Raises ConfigError if the code or weights of this
+    program are no longer those that the job was planned with: guests read them when they start.
     """
     condition = job.task.conditions[job.condition]
     limits = job.limits.seconds, job.limits.memory
     for entry in job.entries:
         identity = result_identity(job.task, job.condition, entry, job.seeds)
         result = evaluate.evaluate_entry(job.task, condition, data, entry, job.seeds, run)
+        if job.evaluation_code not in ("", _code_here()):
+            raise ConfigError(f"{entry.name}: code or weights changed while it ran; run it again")
         result = dataclasses.replace(result, identity=identity, limits=limits)
         store.save_part(store.to_text(result), out, identity)
         yield JobDone(

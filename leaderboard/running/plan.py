@@ -79,9 +79,13 @@ class Plan:
     digest of each file that it has read or that a job has reported, and verifies it before use.
     """
 
-    def __init__(self, rows: Sequence[PlannedRow], out: Path, resume: bool, limits: Limits):
-        """Raises NewerFormatError if a row would replace a file in a newer format."""
-        self.rows, self.out, self._limits = rows, out, limits
+    def __init__(
+        self, rows: Sequence[PlannedRow], out: Path, limits: Limits, resume: bool = True,
+        replace: Collection[str] = (),
+    ):  # fmt: skip
+        """Raises as `check_owners`; NewerFormatError if a file in a newer format is replaced."""
+        check_owners(rows, out, replace)
+        self.rows, self.out, self._limits, self._replace = rows, out, limits, replace
         self._digests: dict[Path, str] = {}  # of the content, by path
         self._failed: set[Path] = set()  # parts that hold a failure
         self._pending = [row for row in rows if not self._is_current(row, resume)]
@@ -142,6 +146,7 @@ class Plan:
         # one failed part fails the row: the other conditions are not run then
         if len(stored) < len(row.parts) and not self._failed.intersection(stored):
             return False
+        check_owners([row], self.out, self._replace)  # another run may have written it meanwhile
         merged = merge_parts([store.load_part(path) for path in stored], row.identity)
         self._digests[store.save(merged, self.out)] = content_digest(merged)
         return True

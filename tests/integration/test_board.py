@@ -425,6 +425,20 @@ def test_the_row_of_another_wheel_is_replaced_only_on_request(tmp_path):
     assert store.load(path).code == "1" * 16
 
 
+def test_the_row_of_another_wheel_that_is_written_during_a_run_is_not_replaced(tmp_path):
+    slow, fast = outside("rival", "0" * 16), outside("rival", "1" * 16)
+
+    class Slow(Counting):
+        def run(self, jobs_, out):
+            yield from super().run(jobs_, out)
+            run_entry(tmp_path, fast)
+
+    request = RunRequest([small()], [slow], (1,))
+    with pytest.raises(ConfigError, match=r"rows of rival .* other code"):
+        run_board(request, tmp_path, Slow({"rival": Reader(gain=0.7)}))
+    assert store.load(store.row_path(tmp_path, small().name, "rival")).code == "1" * 16
+
+
 def test_an_entry_that_imports_another_version_is_run_again_and_says_so(tmp_path):
     old = dataclasses.replace(outside("rival", "0" * 16), imports=("numpy 1.0", "zz_helper 1.0"))
     new = dataclasses.replace(old, imports=("numpy 1.0", "zz_helper 1.1"))

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import shutil
+from functools import partial
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from oracles_roads import erd_file
 
 from leaderboard.entries import entry_files
 from leaderboard.entries.entry import Entry
-from leaderboard.evaluation import store
+from leaderboard.evaluation import evaluate, store
 from leaderboard.evaluation.results import content_digest
 from leaderboard.evaluation.store import part_path
 from leaderboard.evaluation.tasks import shipped_tasks
@@ -63,14 +64,26 @@ def test_an_invalid_job_file_is_rejected_with_the_reason(change, message):
 def test_a_job_is_not_run_where_the_weights_differ(tmp_path, monkeypatch):
     job = jobs.Job(task=small(), condition=0, entries=(), seeds=(1,))
     text = jobs.to_text(job)
-    monkeypatch.setattr(jobs, "package_code", lambda: "of other weights")
+    monkeypatch.setattr(jobs, "read_package_code", lambda: "of other weights")
     with pytest.raises(ConfigError, match="a job: planned by other code or weights; plan it again"):
         jobs.from_text(text, "a job")
 
 
+def test_what_was_run_while_the_weights_changed_is_not_stored(tmp_path, monkeypatch):
+    planned = jobs.Job(task=small(), condition=0, entries=make_request().entries, seeds=(1,))
+    job = jobs.from_text(jobs.to_text(planned), "a job")
+    run = partial(jobs.run_job, job, "no drives", run=evaluate.in_process(None))
+    first, *_ = run(out=tmp_path)
+    monkeypatch.setattr(jobs, "read_package_code", lambda: "of other weights")
+    with pytest.raises(ConfigError, match=r"code or weights changed while it ran; run it again"):
+        next(run(out=tmp_path / "later"))
+    assert store.part_path(tmp_path, first.identity).exists()
+    assert not (tmp_path / "later").exists()
+
+
 def test_entries_are_split_into_jobs_only_if_workers_would_be_idle(tmp_path):
     request = make_request()
-    missing = plan.Plan(request.rows(), tmp_path, True, request.limits).missing()
+    missing = plan.Plan(request.rows(), tmp_path, request.limits).missing()
     assert len(missing) == PARTS
     for workers, count in ((1, 2), (2, 2), (4, 4), (99, PARTS)):
         planned = plan.make_jobs(missing, workers, request.limits)
@@ -137,7 +150,7 @@ def test_planned_jobs_need_no_other_file(tmp_path):
 
 def test_the_summary_of_a_result_is_equal_after_json(tmp_path):
     request = make_request()
-    missing = plan.Plan(request.rows(), tmp_path, True, request.limits).missing()
+    missing = plan.Plan(request.rows(), tmp_path, request.limits).missing()
     (job, *_) = plan.make_jobs(missing, 1, request.limits)
     for done in InProcessExecutor(fake_drives, ESTIMATORS).run([job], tmp_path):
         assert build(jobs.JobDone, json.loads(json.dumps(dataclasses.asdict(done))), "done") == done
