@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from road_envs.core.config import ConfigError, Settings, folder, validate_choice
+from road_envs.core.config import ConfigError, Settings, folder, shown, validate_choice
 from road_envs.core.extras import optional_import
 from road_envs.core.reading import parsing, read_npz, read_zip
 from road_envs.envs.options import ACTIONS
@@ -29,9 +29,15 @@ SB3_SUFFIX = ".zip"
 FILE_SUFFIXES = (".npz", SB3_SUFFIX)  # suffixes of the files that hold a network
 
 SB3_ACTORS = (
-    "mlp_extractor.policy_net.", "action_net.", "q_net.q_net.", "quantile_net.quantile_net.",
+    "mlp_extractor.policy_net.", "action_net.weight", "action_net.bias",
+    "q_net.q_net.", "quantile_net.quantile_net.",
 )  # fmt: skip
 """Beginnings of the names of the parameters of a Stable-Baselines3 policy that choose actions."""
+
+SB3_CRITICS = ("mlp_extractor.value_net.", "value_net.", "q_net_target.", "quantile_net_target.")
+"""Beginnings of the names of those that only learning needs."""
+
+SB3_FLATTEN = "stable_baselines3.common.torch_layers.FlattenExtractor"  # changes no observation
 
 FORMAT = "roadrecon policy 3"
 ACTIVATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
@@ -68,8 +74,10 @@ def sb3_layers(
     parameters: Mapping[str, Any], actions: int
 ) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
     """Return the layers that choose one of the `actions`, from a `state_dict` of a policy of
-    Stable-Baselines3. Raises ValueError if it has none.
+    Stable-Baselines3. Raises ValueError if it has none, or others that may change its actions.
     """
+    if foreign := [name for name in parameters if not name.startswith(SB3_ACTORS + SB3_CRITICS)]:
+        raise ValueError(f"{shown(foreign[0])} is no parameter of an MlpPolicy of PPO, DQN, QR-DQN")
     names = [name for name in parameters if name.startswith(SB3_ACTORS)]
     tensors = [parameters[name].detach().cpu() for name in names]
     for tensor in tensors:  # a few bytes can stand for any number of values
@@ -95,6 +103,8 @@ def _read_sb3(path: Path) -> PolicyNetwork:
     with parsing(path, ConfigError, "not a saved model of Stable-Baselines3"):
         files = read_zip(path)
         about = json.loads(files["data"])
+        extractor = _class_name(about["policy_kwargs"].get("features_extractor_class", SB3_FLATTEN))
+        validate_choice("features extractor", extractor, [SB3_FLATTEN])
         parameters = torch.load(io.BytesIO(files["policy.pth"]), weights_only=True)
         actions = int(about["action_space"]["n"])
         control = {len(table): name for name, table in ACTIONS.items()}[actions]
@@ -107,6 +117,11 @@ def _read_sb3(path: Path) -> PolicyNetwork:
             raise ValueError(f"its activation must be one of {list(ACTIVATIONS)}, got {activation}")
         _validate_layers(layers, size, actions)
         return PolicyNetwork(layers, {"activation": known[0], "control": control, "held": 1})
+
+
+def _class_name(text: object) -> str:
+    """Return module and name of a class, from the text that Stable-Baselines3 writes of it."""
+    return str(text).removeprefix("<class '").removesuffix("'>")
 
 
 def _read_network(path: Path) -> PolicyNetwork:

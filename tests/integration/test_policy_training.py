@@ -277,6 +277,36 @@ def test_a_model_saved_by_stable_baselines_acts_as_it_predicts(algorithm, featur
         observations = envs.step(actions)[0]
 
 
+def test_a_model_whose_observations_pass_through_layers_of_its_own_is_refused(tmp_path):
+    library = pytest.importorskip("stable_baselines3")
+    from stable_baselines3.common.torch_layers import FlattenExtractor
+    from torch import nn
+
+    class Bare(FlattenExtractor):
+        """Extractor without parameters."""
+
+    class Scaled(FlattenExtractor):
+        def __init__(self, space):
+            super().__init__(space)
+            self.scale = nn.Linear(self.features_dim, self.features_dim)
+
+    envs, path = RoadReconVecEnv(1, vector_class=Safe4S4VectorEnv), str(tmp_path / "model.zip")
+    for algorithm in (library.PPO, library.DQN):
+        for extractor in (FlattenExtractor, Bare, Scaled):
+            kwargs = {"features_extractor_class": extractor}
+            model = algorithm("MlpPolicy", envs, policy_kwargs=kwargs, device="cpu")
+            model.save(path)
+            if extractor is FlattenExtractor:
+                make_policy(path)
+                continue
+            with pytest.raises(
+                ConfigError, match=r"model\.zip: unknown features extractor .*known"
+            ):
+                make_policy(path)
+        with pytest.raises(ValueError, match=r"features_extractor\.scale\.weight' is no parameter"):
+            sb3_layers(model.policy.state_dict(), 16)
+
+
 def test_a_saved_model_gets_its_row_and_its_place_on_the_page(tmp_path):
     library = pytest.importorskip("stable_baselines3")
     envs = RoadReconVecEnv(1, vector_class=Safe4S4VectorEnv)
