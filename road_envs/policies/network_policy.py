@@ -4,8 +4,8 @@
 
 A file is a .npz of arrays `W_i`, `b_i` and a JSON text `about` with the metadata: format,
 activation, control, `held` (control intervals per action), and how it was trained. The zip that
-Stable-Baselines3 saves of a PPO, DQN or QR-DQN with an MlpPolicy is read, too; such a network
-observes features if it has as many inputs, else the observations as they are. Both are read without
+Stable-Baselines3 saves of a PPO, DQN or QR-DQN with an MlpPolicy is read, too, if it does no more
+than the formula; such a network observes features if it has as many inputs, else the observations as they are. Both are read without
 pickle, so an untrusted file cannot execute code.
 """
 
@@ -37,6 +37,13 @@ SB3_ACTORS = (
 SB3_CRITICS = ("mlp_extractor.value_net.", "value_net.", "q_net_target.", "quantile_net_target.")
 """Beginnings of the names of those that only learning needs."""
 
+SB3_DEFAULTS = {
+    "stable_baselines3.common.policies": "tanh", "sb3_contrib.common.maskable.policies": "tanh",
+    "stable_baselines3.dqn.policies": "relu", "sb3_contrib.qrdqn.policies": "relu",
+}  # fmt: skip
+"""Activation by default, by the module of the policy class: `activation_fn` of its arguments."""
+
+SB3_ACTIVATIONS = {f"torch.nn.modules.activation.{x}": x.lower() for x in ("Tanh", "ReLU")}
 SB3_FLATTEN = "stable_baselines3.common.torch_layers.FlattenExtractor"  # changes no observation
 
 FORMAT = "roadrecon policy 3"
@@ -103,20 +110,20 @@ def _read_sb3(path: Path) -> PolicyNetwork:
     with parsing(path, ConfigError, "not a saved model of Stable-Baselines3"):
         files = read_zip(path)
         about = json.loads(files["data"])
-        extractor = _class_name(about["policy_kwargs"].get("features_extractor_class", SB3_FLATTEN))
+        module, given = about["policy_class"]["__module__"], about["policy_kwargs"]
+        activation = SB3_DEFAULTS[validate_choice("module of its policy", module, SB3_DEFAULTS)]
+        if "activation_fn" in given:
+            name = _class_name(given["activation_fn"])
+            activation = SB3_ACTIVATIONS[validate_choice("activation", name, SB3_ACTIVATIONS)]
+        extractor = _class_name(given.get("features_extractor_class", SB3_FLATTEN))
         validate_choice("features extractor", extractor, [SB3_FLATTEN])
         parameters = torch.load(io.BytesIO(files["policy.pth"]), weights_only=True)
         actions = int(about["action_space"]["n"])
         control = {len(table): name for name, table in ACTIONS.items()}[actions]
         layers = sb3_layers(parameters, actions)
         size = layers[0][0].shape[1]
-        default = "Tanh" if any(name.startswith("action_net") for name in parameters) else "ReLU"
-        activation = str(about["policy_kwargs"].get("activation_fn", default))
-        known = [name for name in ACTIVATIONS if name in activation.lower()]
-        if not known:
-            raise ValueError(f"its activation must be one of {list(ACTIVATIONS)}, got {activation}")
         _validate_layers(layers, size, actions)
-        return PolicyNetwork(layers, {"activation": known[0], "control": control, "held": 1})
+        return PolicyNetwork(layers, {"activation": activation, "control": control, "held": 1})
 
 
 def _class_name(text: object) -> str:

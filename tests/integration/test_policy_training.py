@@ -252,17 +252,24 @@ def test_training_is_reproducible_and_its_network_can_drive(tmp_path):
     assert NetworkPolicy(file=str(path)).network.metadata["held"] == 2
 
 
+def sb3_library(algorithm):
+    own = algorithm in ("PPO", "A2C", "DQN")
+    return pytest.importorskip("stable_baselines3" if own else "sb3_contrib")
+
+
 @pytest.mark.parametrize("features", [True, False])
-@pytest.mark.parametrize("algorithm", ["PPO", "DQN", "QRDQN"])
+@pytest.mark.parametrize("algorithm", ["PPO", "A2C", "TRPO", "MaskablePPO", "DQN", "QRDQN"])
 def test_a_model_saved_by_stable_baselines_acts_as_it_predicts(algorithm, features, tmp_path):
-    """Its own `predict` is the oracle, on observations of a drive."""
+    """Its own `predict` is the oracle, on observations of a drive; its activation is the default
+    or given.
+    """
     import torch
 
-    library = pytest.importorskip("sb3_contrib" if algorithm == "QRDQN" else "stable_baselines3")
+    library = sb3_library(algorithm)
     envs = RoadReconVecEnv(3, vector_class=Safe4S4VectorEnv)
     context = PolicyContext.from_setup(envs.env.setup, 3, 0)
     seen = FeatureVecEnv(envs, 5) if features else envs
-    kwargs = {"net_arch": [8], "activation_fn": torch.nn.ReLU}
+    kwargs = {"net_arch": [8]} | ({"activation_fn": torch.nn.ReLU} if features else {})
     model = getattr(library, algorithm)("MlpPolicy", seen, seed=1, policy_kwargs=kwargs)
     model.save(tmp_path / "model")
     policy = make_policy(str(tmp_path / "model.zip"))
@@ -299,12 +306,24 @@ def test_a_model_whose_observations_pass_through_layers_of_its_own_is_refused(tm
             if extractor is FlattenExtractor:
                 make_policy(path)
                 continue
-            with pytest.raises(
-                ConfigError, match=r"model\.zip: unknown features extractor .*known"
-            ):
+            with pytest.raises(ConfigError, match=r"l\.zip: unknown features extractor .*known"):
                 make_policy(path)
         with pytest.raises(ValueError, match=r"features_extractor\.scale\.weight' is no parameter"):
             sb3_layers(model.policy.state_dict(), 16)
+
+
+@pytest.mark.parametrize(
+    "name", ["LeakyReLU", "PReLU", "RReLU", "ReLU6", "Hardtanh", "Tanhshrink", "ARS"]
+)
+def test_a_model_that_cannot_be_run_as_it_predicts_is_refused(name, tmp_path):
+    from torch import nn
+
+    learner = getattr(sb3_library(name), name) if name == "ARS" else sb3_library("PPO").PPO
+    kwargs = {} if name == "ARS" else {"activation_fn": getattr(nn, name)}
+    envs, path = RoadReconVecEnv(1, vector_class=Safe4S4VectorEnv), tmp_path / "model.zip"
+    learner("MlpPolicy", envs, policy_kwargs=kwargs, device="cpu").save(path)
+    with pytest.raises(ConfigError, match=rf"unknown (activation|module) .*(ars|{name}).*known:"):
+        make_policy(str(path))
 
 
 def test_a_saved_model_gets_its_row_and_its_place_on_the_page(tmp_path):
