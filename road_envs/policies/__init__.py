@@ -108,7 +108,10 @@ def _tuned_settings(name: str) -> dict[str, Any]:
     """Return the shipped settings of a policy; empty if there are none."""
     if name not in config.names("policies"):
         return {}
-    return dict(config.load(_PolicySettings, "policies", name).settings)
+    settings = dict(config.load(_PolicySettings, "policies", name).settings)
+    if "file" in settings:  # beside its settings, whatever the working folder has of this name
+        settings["file"] = str(config.folder() / "policies" / settings["file"])
+    return settings
 
 
 def _validate_policy_class(cls: Any) -> Any:

@@ -5,8 +5,8 @@
 A file is a .npz of arrays `W_i`, `b_i` and a JSON text `about` with the metadata: format,
 activation, control, `held` (control intervals per action), and how it was trained. The zip that
 Stable-Baselines3 saves of a PPO, DQN or QR-DQN with an MlpPolicy is read, too, if it does no more
-than the formula; such a network observes features if it has as many inputs, else the observations as they are. Both are read without
-pickle, so an untrusted file cannot execute code.
+than the formula; such a network observes features if it has as many inputs, else the observations
+as they are. Both are read without pickle, so an untrusted file cannot execute code.
 """
 
 import io
@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from road_envs.core.config import ConfigError, Settings, folder, shown, validate_choice
+from road_envs.core.config import ConfigError, Settings, shown, validate_choice
 from road_envs.core.extras import optional_import
 from road_envs.core.reading import parsing, read_npz, read_zip
 from road_envs.envs.options import ACTIONS
@@ -166,15 +166,14 @@ def _validate_layers(
 
 @dataclass(kw_only=True)
 class NetworkPolicy(Settings):
-    """Policy of the largest output of a network; `file`: a path, or a shipped policy's name."""
+    """Policy of the largest output of a network; `file`: its path. Raises ConfigError."""
 
     file: str
     network: PolicyNetwork = field(init=False, repr=False, compare=False)
 
     def __post_init__(self):
         super().__post_init__()
-        path, shipped = Path(self.file), folder() / "policies" / self.file
-        self.network = _read_network(path if path.exists() else shipped)
+        self.network = _read_network(Path(self.file))
 
     @classmethod
     def from_network(cls, network: PolicyNetwork) -> "NetworkPolicy":

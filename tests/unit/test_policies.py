@@ -323,6 +323,18 @@ def test_a_stored_network_round_trips_and_computes_the_formula(tmp_path):
     assert driven.actions.shape[1] == 1
 
 
+def test_a_shipped_policy_is_its_shipped_file_whatever_lies_in_the_working_folder(
+    tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    shipped = create("learned").network
+    with pytest.raises(ConfigError, match=r"^learned\.npz: cannot be read: No such file"):
+        NetworkPolicy(file="learned.npz")
+    (tmp_path / "learned.npz").write_bytes(network().to_bytes())
+    assert create("learned").network.to_bytes() == shipped.to_bytes()
+    assert NetworkPolicy(file="learned.npz").network.to_bytes() == network().to_bytes()
+
+
 def test_an_untrusted_file_is_never_unpickled(tmp_path):
     ran = tmp_path / "ran"
 
