@@ -115,6 +115,7 @@ def policy_isolation(reference: str, isolation: str) -> Isolation:
 
 def _entries(references: list[str] | None, limits: Limits) -> dict[str, Any]:
     """Return the policies by name, those of other packages in processes. Raises ConfigError."""
+    are_chosen = references is not None
     if references is None:
         may_be_foreign = limits.isolation == "process" or bubblewrap.is_used(limits.isolation)
         known = names() if may_be_foreign else REGISTRY
@@ -122,8 +123,14 @@ def _entries(references: list[str] | None, limits: Limits) -> dict[str, Any]:
         references = [n for n in known if n not in REGISTRY or not n.startswith("fixed")]
     entries: dict[str, Any] = {}
     for reference in references:
+        try:
+            name = _row_name(reference, are_chosen)
+        except ConfigError as error:
+            if are_chosen:
+                raise
+            commands.notices.print(f"left out: {error}", soft_wrap=True)  # others have their rows
+            continue
         own = dataclasses.replace(limits, isolation=policy_isolation(reference, limits.isolation))
-        name = _row_name(reference)
         if name in entries:
             raise ConfigError(f"two policies have the name {name!r}: give each of them once")
         is_foreign = runs_foreign_code(reference)
@@ -133,12 +140,17 @@ def _entries(references: list[str] | None, limits: Limits) -> dict[str, Any]:
     return entries
 
 
-def _row_name(reference: str) -> str:
-    """Return the name of the row of a policy. Raises ConfigError for one that is another's."""
-    is_file = reference.endswith(FILE_SUFFIXES)
-    name = Path(reference).stem if is_file else reference.rpartition(":")[2].rpartition(".")[2]
+def _row_name(reference: str, may_be_path: bool = True) -> str:
+    """Return the name of the row of a policy. Raises ConfigError for one that is another's.
+
+    A `reference` that is no name may be that of a file or a class, if it `may_be_path`.
+    """
+    name = reference
+    if may_be_path:
+        is_file = reference.endswith(FILE_SUFFIXES)
+        name = Path(reference).stem if is_file else reference.rpartition(":")[2].rpartition(".")[2]
     is_taken = name.lower().replace("-", "_") in (*REGISTRY, "best_found")
-    if name != reference and (not NAME.fullmatch(name) or is_taken):
+    if reference not in REGISTRY and (not NAME.fullmatch(name) or is_taken):
         raise ConfigError(
             f"the row of {reference!a} would have the name {name!a}: it must be a letter and at "
             "most 39 letters, digits, - or _, and not that of a policy of this package; rename it"

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 from wheels import write_policies
 
 from leaderboard.cli import app
-from leaderboard.policies import policy_process
+from leaderboard.policies import comparison, policy_process
 from leaderboard.policies.comparison import compare, public_drives
 from leaderboard.policies.policy_checks import OPTIONS
 from leaderboard.policies.policy_process import POLICY_LIMITS, PolicyProcess
@@ -104,6 +104,26 @@ def test_what_a_policy_has_read_is_dropped_before_the_next_one(monkeypatch):
             roll_out(attacker, dict(SHORT), SEEDS)
     forgotten = ["pipes", "reads"]  # before the first, too: of the commands before, with its seal
     assert steps == [*forgotten, "guest", "guest", *forgotten, "guest"]
+
+
+ODD = ["ride/ride", "best found", "a\x1b[2J", "r\u202ems", "x" * 50, "foo.npz", "os:path"]
+
+
+def test_an_installed_policy_of_an_odd_name_or_one_of_ours_ends_no_comparison(
+    monkeypatch, tmp_path
+):
+    alike = ["RRMS", "best_found", "Best-found"]
+    write_policies(tmp_path, **dict.fromkeys(["mine", *alike, *ODD], "hostile.policies:Ride"))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    rows = set()
+    monkeypatch.setattr(comparison, "compare", lambda entries, *_, **__: rows.update(entries))
+    result = CliRunner().invoke(app, ["policies", "--quick", "--isolation", "process"])
+    assert rows >= {"mine", "rrms"} and not rows & {*alike, *ODD[1:], "foo", "path"}
+    assert result.output.count("left out: the row of") == len(alike) + len(ODD)
+    for name in alike:
+        words = ["policies", "--quick", "--policy", name, "--isolation", "process"]
+        result = CliRunner().invoke(app, words)
+        assert isinstance(result.exception, ConfigError) and name in str(result.exception)
 
 
 @pytest.mark.parametrize("name", ["best found", "ride/ride", "a\x1b[2J", "r\u202ems", "x" * 50])
