@@ -12,11 +12,10 @@ from functools import lru_cache
 import numpy as np
 
 from leaderboard.evaluation.tasks import Condition, Task
-from leaderboard.metrics.roughness import THIRD_OCTAVES
 from road_envs.analysis.information_bound import RoadPrior, bound
 from road_envs.plants.commonroad_car import as_driven
 from road_envs.records.record import Profile, scored_band
-from road_envs.records.roughness import CLASSES, displacement_psd, fit_line, smooth_psd
+from road_envs.records.roughness import displacement_psd, fit_line, smooth_psd
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle.parameters import load_vehicle
 
@@ -25,9 +24,7 @@ _WAVINESS_LIMITS = (1.0, 4.0)  # limits of the waviness fitted to a density
 
 
 def nrmse_bound(task: Task, condition: Condition, truth: Profile) -> float:
-    """Return the least in-band NRMSE [-] on a road like `truth`; NaN on a level road, of
-    instruments without noise, and of test drives without it.
-    """
+    """Return the least in-band NRMSE [-] on a road like `truth`; NaN if level or without noise."""
     v = condition.speed_kmh / 3.6
     road = fit_spectrum(truth, scored_band(v))
     if road is None or not task.test.noise:
@@ -38,27 +35,6 @@ def nrmse_bound(task: Task, condition: Condition, truth: Profile) -> float:
         return pooled_bound(car, task.instruments, mode, v, *road, content=task.digest, **options)
     except np.linalg.LinAlgError:  # instruments without noise
         return np.nan
-
-
-def third_octave_bound(task: Task, condition: Condition) -> list[float]:
-    """Return the least NRMSE [-] in each of THIRD_OCTAVES on an ISO road (w = 2) of class D; none
-    of instruments without noise.
-    """
-    v, edge = condition.speed_kmh / 3.6, 2.0 ** (1 / 6)  # half a third octave
-    car, instruments = task.vehicle_of(condition), load_instruments(task.instruments)
-    n = np.geomspace(THIRD_OCTAVES[0] / edge, THIRD_OCTAVES[-1] * edge, 15 * 60)
-    prior = RoadPrior(G_d0=CLASSES["D"])
-    try:
-        posterior = bound(car, condition.simulator_mode, v, instruments, prior, n=n)
-    except np.linalg.LinAlgError:  # instruments without noise
-        return []
-    errors = []
-    for centre in THIRD_OCTAVES:
-        inside = (n >= centre / edge) & (n < centre * edge)
-        wrong = np.trapezoid(posterior.path_psd[inside].sum(axis=1), n[inside])
-        road = np.real(np.trace(posterior.prior[inside], axis1=1, axis2=2))
-        errors.append(float(np.sqrt(wrong / np.trapezoid(road, n[inside]))))
-    return errors
 
 
 def fit_spectrum(truth: Profile, band: tuple[float, float]) -> tuple[float, float] | None:

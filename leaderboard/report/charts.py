@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from leaderboard.evaluation.boards import BoardDefinition
-from leaderboard.evaluation.bound import third_octave_bound
 from leaderboard.evaluation.results import Result, Trace, score_arrays
 from leaderboard.evaluation.tasks import Condition, Task
 from leaderboard.metrics.bootstrap import MIN_ROADS, Strata, count_roads, performance_profile
@@ -21,7 +20,9 @@ from leaderboard.metrics.registry import SCORES
 from leaderboard.metrics.roughness import THIRD_OCTAVES
 from leaderboard.report import figures as fig
 from leaderboard.report.tables import SPECTRUM_SCORES, Row, level_runs
+from road_envs.analysis.information_bound import RoadPrior, bound
 from road_envs.records.roughness import CLASSES, N_0, displacement_psd, smooth_psd
+from road_envs.sensing.instruments import load_instruments
 
 _HEIGHT_UNIT = 1e-4  # unit [m] of encoded heights
 _DRAWN_HEIGHT_LIMIT = 3.0  # drawn heights are clipped to +- this [m]
@@ -234,6 +235,27 @@ def error_lines(rows: Mapping[str, Row], group: str) -> list[dict[str, Any]]:
         look = _look_of_entry(k, name) | {"hovertemplate": _ERROR_HOVER}
         lines.append(fig.curve(name, THIRD_OCTAVES, y, **look))
     return lines
+
+
+def third_octave_bound(task: Task, condition: Condition) -> list[float]:
+    """Return the least NRMSE [-] in each of THIRD_OCTAVES on an ISO road (w = 2) of class D; none
+    of instruments without noise.
+    """
+    v, edge = condition.speed_kmh / 3.6, 2.0 ** (1 / 6)  # half a third octave
+    car, instruments = task.vehicle_of(condition), load_instruments(task.instruments)
+    n = np.geomspace(THIRD_OCTAVES[0] / edge, THIRD_OCTAVES[-1] * edge, 15 * 60)
+    prior = RoadPrior(G_d0=CLASSES["D"])
+    try:
+        posterior = bound(car, condition.simulator_mode, v, instruments, prior, n=n)
+    except np.linalg.LinAlgError:  # instruments without noise
+        return []
+    errors = []
+    for centre in THIRD_OCTAVES:
+        inside = (n >= centre / edge) & (n < centre * edge)
+        wrong = np.trapezoid(posterior.path_psd[inside].sum(axis=1), n[inside])
+        road = np.real(np.trace(posterior.prior[inside], axis1=1, axis2=2))
+        errors.append(float(np.sqrt(wrong / np.trapezoid(road, n[inside]))))
+    return errors
 
 
 _BOUNDS: dict[tuple[str, str], list[float]] = {}  # by task and condition, for every page

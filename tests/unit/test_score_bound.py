@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from fakes import task
 
-from leaderboard.evaluation.bound import fit_spectrum, nrmse_bound, third_octave_bound
+from leaderboard.evaluation.bound import fit_spectrum, nrmse_bound
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.metrics.api import ScoredEstimate
 from leaderboard.metrics.registry import compute_scores
 from leaderboard.metrics.roughness import THIRD_OCTAVES
+from leaderboard.report.charts import third_octave_bound
 from road_envs.analysis.information_bound import RoadPrior, bound
 from road_envs.core import config
 from road_envs.records.record import Estimate, Profile, profile_stations, scored_band
