@@ -9,6 +9,7 @@ cannot be run again, which is said instead.
 """
 
 import dataclasses
+import fcntl
 import math
 import os
 import statistics
@@ -132,7 +133,6 @@ def _load_definitions(out: Path) -> tuple[list[Task], list[ConfigError]]:
                     raise ConfigError(f"{path}: its {task.name} is not that of this package")
         except ConfigError as error:
             errors.append(error)
-        else:
             tasks.append(task)
     return sorted(tasks, key=lambda task: (task.name, task.digest)), errors
 
@@ -167,17 +167,17 @@ def save_verified(found: Iterable[Verified], out: Path) -> list[Verified]:
     What differed once on the same kernels does so for good: a part of the drives may agree. Raises
     ConfigError as `load_verified`, and then writes nothing.
     """
-    rows = {(x.content, x.kernels): x for known in load_verified(out).values() for x in known}
     known = []
-    for row in found:
-        key = row.content, row.kernels
-        if row.reason and not row.is_false:
-            known.append(row)
-            continue
-        if key not in rows or not _outweighs(rows[key], row):
-            rows[key] = row
-        known.append(row if row.is_false or rows[key].agrees else rows[key])
-    _VERIFICATION.write(out / "verified.json", {"rows": [*map(dataclasses.asdict, rows.values())]})
+    with open(out / ".verified.lock", "ab") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # until it is closed: another command may end now
+        rows = {(x.content, x.kernels): x for old in load_verified(out).values() for x in old}
+        for row in found:
+            key, was_run = (row.content, row.kernels), row.is_false or not row.reason
+            if was_run and not (key in rows and _outweighs(rows[key], row)):
+                rows[key] = row
+            known.append(row if row.reason or row.is_false or rows[key].agrees else rows[key])
+        content = {"rows": [dataclasses.asdict(row) for row in rows.values()]}
+        _VERIFICATION.write(out / "verified.json", content)
     return known
 
 

@@ -6,6 +6,8 @@ import os
 import shutil
 import subprocess
 import sys
+import threading
+import time
 
 import pandas as pd
 import pytest
@@ -26,6 +28,7 @@ from leaderboard.evaluation.results import content_digest
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.metrics.baselines import BASELINES
 from leaderboard.report.notes import _kernel_notes, _verified_for
+from leaderboard.running import verification
 from leaderboard.running.board import load_board
 from leaderboard.running.verification import (
     _VERIFICATION,
@@ -620,6 +623,23 @@ def test_a_folder_made_with_one_blas_kernel_is_verified_with_another(tmp_path):
 
     row = store.load(store.row_path(out, "short", "wiener"))
     factor = 1.0 - 1.2 * OTHER_KERNELS
+def test_what_two_commands_find_at_once_is_all_kept(tmp_path, monkeypatch):
+    def slow(out):
+        known = load_verified(out)
+        time.sleep(0.3)
+        return known
+
+    monkeypatch.setattr(verification, "load_verified", slow)
+    contents = ("abc", "def")
+    found = [[dataclasses.replace(FALSE, content=content)] for content in contents]
+    threads = [threading.Thread(target=save_verified, args=(rows, tmp_path)) for rows in found]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert load_verified(tmp_path).keys() == set(contents)
+
+
     store.save(with_last_run(row, lambda own: own | {"nrmse": factor * own["nrmse"]}), out)
     verified = call("Sandybridge", *verify_words)
     assert verified.returncode == 1, verified.stderr
