@@ -78,7 +78,7 @@ def find_reference(name: str) -> str:
         if not (path.is_file() or path.is_dir()):  # pipes and devices have no end
             choices = "a wheel, a folder of an installed package, or a file from `train`"
             raise ConfigError(f"{name}: no such file; give {choices}")
-        return str(path.resolve())
+        return str(path.parent.resolve() / path.name)  # a link may lead to a file without suffix
     if entry_files.CLASS_REFERENCE.fullmatch(name):
         return name
     validate_choice("estimator", name, estimators.names())

@@ -64,6 +64,10 @@ class EntryError(Exception):
     """An estimator that cannot be evaluated; the message is one sentence."""
 
 
+class MachineError(EntryError):
+    """An estimator that this machine could not run, which says nothing of the estimator."""
+
+
 @dataclass(frozen=True)
 class TrainingRun:
     """Estimates of all test records after one training, with their cost."""

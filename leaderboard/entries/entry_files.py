@@ -4,6 +4,7 @@ An entry is run from a snapshot, and its version is the digest of that snapshot,
 is what runs. Only regular files count, and links below its folder are refused.
 """
 
+import errno
 import hashlib
 import importlib.util
 import os
@@ -14,7 +15,7 @@ from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 
 from estimators.api import ENTRY_POINT_GROUP
-from leaderboard.entries.entry import EntryError
+from leaderboard.entries.entry import EntryError, MachineError
 from road_envs.core.code_digest import DIGITS
 
 WEIGHTS_SUFFIXES = (".npz", ".safetensors")
@@ -26,9 +27,7 @@ CLASS_REFERENCE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
 
 
 CLASS_FOLDER = "ROADRECON_CLASS_FOLDER"
-"""Variable of the environment: a further folder where modules of such references are found. Those
-who run an entry import nothing from there.
-"""
+"""Variable of the environment: a folder of more such modules; who runs an entry imports none."""
 
 
 def snapshot(reference: str, folder: Path | None, copied: Path | None = None) -> str:
@@ -58,8 +57,16 @@ def snapshot(reference: str, folder: Path | None, copied: Path | None = None) ->
             for path in [folder, *folder.rglob("*")]:
                 path.chmod(0o755 if path.is_dir() else 0o644)
     except (OSError, ValueError) as error:
-        raise EntryError(f"its code cannot be read: {error}"[:300]) from None
+        raise copy_error(error, EntryError(f"its code cannot be read: {error}")) from None
     return total.hexdigest()[:DIGITS]
+
+
+def copy_error(error: Exception, otherwise: EntryError) -> EntryError:
+    """Return the error of a copy of code that failed: that it did not fit, or `otherwise`."""
+    # a `shutil.Error` has what the operating system said in its text alone
+    if any(os.strerror(code) in str(error) for code in (errno.ENOSPC, errno.EDQUOT)):
+        return MachineError("this machine has no space left for its code: set TMPDIR elsewhere")
+    return type(otherwise)(str(otherwise)[:300])
 
 
 def list_files(reference: str) -> Iterator[tuple[Path, str]]:

@@ -30,6 +30,7 @@ from leaderboard.entries.entry import (
     Calibrations,
     Entry,
     EntryError,
+    MachineError,
     TrainingRun,
     are_equal,
     reconstruct_all,
@@ -200,7 +201,11 @@ class SandboxClient(ExitStack):
                     "would have the rights of the user; if you trust it: --isolation process"
                 )
             folder = self._folder / f"entry-{len(self._snapshots)}"
-            code = entry_files.snapshot(reference, folder, self._code.get(reference))
+            try:
+                code = entry_files.snapshot(reference, folder, self._code.get(reference))
+            except EntryError:  # what was copied is no part of the next one
+                shutil.rmtree(folder, ignore_errors=True)
+                raise
             self._snapshots[reference] = code, folder
             for path in folder.rglob("*"):  # a time would tell each guest how long the run lasts
                 os.utime(path, (0, 0))
@@ -221,12 +226,17 @@ class SandboxClient(ExitStack):
     def _new_guest(self, code: Path | None, libraries: Sequence[str] = ()) -> Guest:
         # it sees the name of its code's folder, which must not tell how many were before it
         self._home = home = self._folder / secrets.token_hex(8)
-        if code is not None:  # a copy of its own: how fast a file is read says nothing of others
-            code = Path(shutil.copytree(code, home.with_suffix(".code")))
-        return start_guest(
-            estimator_handler.__name__, home, self.limits, isolated=self._bubblewrap, code=code,
-            libraries=libraries,
-        )  # fmt: skip
+        try:
+            if code is not None:  # of its own: how fast a file is read says nothing of others
+                code = Path(shutil.copytree(code, home.with_suffix(".code")))
+            return start_guest(
+                estimator_handler.__name__, home, self.limits, isolated=self._bubblewrap,
+                code=code, libraries=libraries,
+            )  # fmt: skip
+        except OSError as error:
+            shutil.rmtree(home.with_suffix(".code"), ignore_errors=True)
+            failure = MachineError(f"this machine did not start its guest: {error}")
+            raise entry_files.copy_error(error, failure) from None
 
     def _session(self, guest: Guest, entry: Entry, car: VehicleParameters) -> "_RemoteSession":
         start = {"do": "start", "reference": entry.reference, "settings": entry.settings}
