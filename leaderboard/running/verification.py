@@ -16,11 +16,12 @@ import statistics
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from leaderboard.entries.entries import is_by_others, registered_entry
-from leaderboard.entries.entry import Entry
+from leaderboard.entries.entry import Entry, MachineError, TrainingRun
 from leaderboard.evaluation import comparison, evaluate, store
 from leaderboard.evaluation.provenance import describe_environment
 from leaderboard.evaluation.results import RUN, Result, content_digest
@@ -30,6 +31,7 @@ from leaderboard.evaluation.test_data import RecordedDrive, simulate_drives
 from leaderboard.metrics.bootstrap import REPRODUCIBLE, interquartile_mean
 from leaderboard.metrics.registry import SCORES
 from leaderboard.sandbox.client import ONE_TRAINING
+from leaderboard.sandbox.launch import twice
 from leaderboard.sandbox.retest import NOT_CAUSAL, NOT_RETESTED, REMEMBERS
 from road_envs.core.artifacts import Kind, NewerFormatError
 from road_envs.core.config import ConfigError, Settings, build
@@ -131,9 +133,9 @@ def _load_definitions(out: Path) -> tuple[list[Task], list[ConfigError]]:
                     made = made.with_test_length(own.length) if own.length else made
                 if task.digest != made.digest:
                     raise ConfigError(f"{path}: its {task.name} is not that of this package")
+            tasks.append(task)
         except ConfigError as error:
             errors.append(error)
-            tasks.append(task)
     return sorted(tasks, key=lambda task: (task.name, task.digest)), errors
 
 
@@ -243,15 +245,27 @@ def verify_folder(
             elif reason := entry.failure or row.stale_reason(task, entry):
                 found.append(_without_runs(task, row, reason))
             else:
+                how = run if row.failure else partial(_run_twice, run)
                 again = (
-                    evaluate.evaluate_entry(task, *x, entry, row.seeds, run) for x in data.items()
+                    evaluate.evaluate_entry(task, *x, entry, row.seeds, how) for x in data.items()
                 )
-                if row.failure is None:
-                    now = _verify_row(task, row, entry, again)
-                else:
-                    now = _verify_failure(task, row, again, count)
+                try:
+                    if row.failure is None:
+                        now = _verify_row(task, row, entry, again)
+                    else:
+                        now = _verify_failure(task, row, again, count)
+                except ConfigError as error:
+                    now = _without_runs(task, row, str(error))
                 found.append(dataclasses.replace(now, share=count / len(drives)))
     return found
+
+
+def _run_twice(run: evaluate.EntryRunner, *asked: Any) -> list[TrainingRun]:
+    """Run an entry, once more if it fails. Raises EntryError; ConfigError if this machine did."""
+    try:
+        return twice(lambda: [*run(*asked)])
+    except MachineError as error:
+        raise ConfigError(str(error)) from None
 
 
 def _verify_row(task: Task, row: Result, entry: Entry, again: Iterable[Result]) -> Verified:

@@ -20,7 +20,7 @@ from leaderboard.commands.options import LimitOptions
 from leaderboard.commands.results import verified_output
 from leaderboard.commands.results import verify as verify_command
 from leaderboard.entries.entries import make_entry
-from leaderboard.entries.entry import EntryError
+from leaderboard.entries.entry import EntryError, MachineError
 from leaderboard.evaluation import evaluate, store
 from leaderboard.evaluation.comparison import OTHER_KERNELS, SAME_KERNELS
 from leaderboard.evaluation.provenance import describe_environment
@@ -476,6 +476,35 @@ def test_a_scored_row_whose_entry_fails_here_does_not_agree(tmp_path):
     assert verified_output(found).status == 1
 
 
+@pytest.mark.parametrize(
+    ("failures", "reason", "is_false"),
+    [
+        ([EntryError("ended")], "", False),
+        ([EntryError("ended"), EntryError("and again")], "and again", True),
+        ([MachineError("no space")], "no space", False),
+        ([EntryError("ended"), MachineError("no space")], "no space", False),
+    ],
+)
+def test_a_scored_row_is_false_only_if_its_entry_fails_twice_by_itself(
+    tmp_path, failures, reason, is_false
+):
+    """Once may have been the machine, which was stopped or had no memory left."""
+    copy_of_run(tmp_path)
+    left = failures[::-1]
+
+    def fails(entry, data, seeds):
+        if entry.name == "reader" and left:
+            raise left.pop()
+        return run_here(entry, data, seeds)
+
+    made = {name: make_entry(name, estimator) for name, estimator in ESTIMATORS.items()}
+    made["reader"] = dataclasses.replace(made["reader"], reference="elsewhere:Reader")
+    found = verify_folder(tmp_path, fails, made.values(), simulate=chosen_fakes, seed=1)
+    (reader,) = (row for row in found if row.estimator == "reader")
+    assert reader.reason.endswith(reason) and reader.agrees == (not reason)
+    assert reader.is_false == is_false and not left
+
+
 def test_rows_of_a_task_that_a_folder_does_not_define_are_named(tmp_path):
     copy_of_run(tmp_path)
     path = store.row_path(tmp_path, "small", "reader")
@@ -594,6 +623,23 @@ def test_what_was_found_false_is_not_forgotten_with_a_file_that_cannot_be_read(t
     assert path.read_text() == text
 
 
+def test_what_two_commands_find_at_once_is_all_kept(tmp_path, monkeypatch):
+    def slow(out):
+        known = load_verified(out)
+        time.sleep(0.3)
+        return known
+
+    monkeypatch.setattr(verification, "load_verified", slow)
+    contents = ("abc", "def")
+    found = [[dataclasses.replace(FALSE, content=content)] for content in contents]
+    threads = [threading.Thread(target=save_verified, args=(rows, tmp_path)) for rows in found]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert load_verified(tmp_path).keys() == set(contents)
+
+
 @pytest.mark.processes
 def test_a_folder_made_with_one_blas_kernel_is_verified_with_another(tmp_path):
     (tmp_path / "short.yaml").write_text(SHORT_TASK)
@@ -623,23 +669,6 @@ def test_a_folder_made_with_one_blas_kernel_is_verified_with_another(tmp_path):
 
     row = store.load(store.row_path(out, "short", "wiener"))
     factor = 1.0 - 1.2 * OTHER_KERNELS
-def test_what_two_commands_find_at_once_is_all_kept(tmp_path, monkeypatch):
-    def slow(out):
-        known = load_verified(out)
-        time.sleep(0.3)
-        return known
-
-    monkeypatch.setattr(verification, "load_verified", slow)
-    contents = ("abc", "def")
-    found = [[dataclasses.replace(FALSE, content=content)] for content in contents]
-    threads = [threading.Thread(target=save_verified, args=(rows, tmp_path)) for rows in found]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert load_verified(tmp_path).keys() == set(contents)
-
-
     store.save(with_last_run(row, lambda own: own | {"nrmse": factor * own["nrmse"]}), out)
     verified = call("Sandybridge", *verify_words)
     assert verified.returncode == 1, verified.stderr
