@@ -43,11 +43,11 @@ from phone_recordings import SAMPLES, sample  # noqa: E402
 from ros_recordings import write_mcap  # noqa: E402
 
 from leaderboard.api import load_task as load_arrays  # noqa: E402
-from leaderboard.conformance.method_card import load_method_card  # noqa: E402
 from leaderboard.drive_report.export import read_heights  # noqa: E402
 from leaderboard.entries import entry_files  # noqa: E402
 from leaderboard.entries.entry import Entry, EntryError  # noqa: E402
 from leaderboard.evaluation import store  # noqa: E402
+from leaderboard.method_card import load_method_card  # noqa: E402
 from leaderboard.report.tables import board_views  # noqa: E402
 from leaderboard.running import jobs  # noqa: E402
 from leaderboard.running.board import load_board  # noqa: E402

@@ -11,9 +11,9 @@ from leaderboard.commands import check_output_folder, progress_bar
 from leaderboard.commands.options import CORES, LimitOptions, Share, Workers, argument, option
 from leaderboard.commands.output import Output, facts_table
 from leaderboard.commands.results import verified_output
-from leaderboard.conformance.method_card import TEMPLATE
 from leaderboard.evaluation import store
 from leaderboard.evaluation.test_data import check_plants
+from leaderboard.method_card import TEMPLATE
 from leaderboard.metrics.bootstrap import interquartile_mean
 from leaderboard.submission import repository, signature
 from leaderboard.submission.rules import RULES, load_rules, make_run_request

@@ -77,9 +77,7 @@ _COST_TASK = "new_road"  # task for which the run time is predicted
 
 @dataclass(frozen=True)
 class _CheckDrives:
-    """Drives of the checks: training drives, one test drive with its truth, and records of it that
-    are damaged and perturbed (`probes`).
-    """
+    """Drives of the checks, and damaged and perturbed records (`probes`) of the test drive."""
 
     car: VehicleParameters
     training: tuple[tuple[Record, Profile], ...]

@@ -57,9 +57,7 @@ def probe_entries(
     limits: Limits,
     report: Callable[[str], None] = lambda text: None,
 ) -> int:
-    """Probe every entry without a card, or whose probes could not be run, in separate processes;
-    return the number of new cards.
-    """
+    """Probe entries without a card or whose probes could not run; return the number of cards."""
     missing = {
         card_identity(e.name, e.settings, e.code): e
         for e in entries

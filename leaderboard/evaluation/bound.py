@@ -24,9 +24,7 @@ _WAVINESS_LIMITS = (1.0, 4.0)  # limits of the waviness fitted to a density
 
 
 def nrmse_bound(task: Task, condition: Condition, truth: Profile) -> float:
-    """Return the least in-band NRMSE [-] on a road like `truth`; NaN on a level road, of
-    instruments without noise, and of test drives without it.
-    """
+    """Return the least in-band NRMSE [-] on a road like `truth`; NaN if level or without noise."""
     v = condition.speed_kmh / 3.6
     road = fit_spectrum(truth, scored_band(v))
     if road is None or not task.test.noise:

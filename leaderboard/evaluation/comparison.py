@@ -9,11 +9,9 @@ apart: relative to the larger one, and absolute where both are small. A printed 
 last digit of the score's column, 0.001 for an NRMSE. A digest of rounded values would do no better
 than one of all bits: of many values, one always lies at a boundary.
 
-Measured on the 14 drives of `new_road` with the kernels Haswell and SkylakeX of OpenBLAS: the
-NRMSE of `map_smoother` is up to 5.0e-2 apart, on potholes at 54 km/h, where wheels leave the
-ground, and 4.4e-4 in the median; that of `iterated_wiener` 7.5e-5, of `wiener` 4.1e-7; on two
-drives all scores of the others are below 1e-8. Scores of waves that no sensor sees, such as the
-level error, differ more, and counts jump, so with other kernels the ranking score alone counts.
+With the kernels Haswell and SkylakeX of OpenBLAS, NRMSEs are up to 5.0e-2 apart (`docs/cost.md`).
+Scores of waves that no sensor sees, such as the level error, differ more, and counts jump, so with
+other kernels the ranking score alone counts.
 """
 
 from collections.abc import Iterable, Mapping

@@ -47,9 +47,7 @@ _Z_UNIT = 1e-5  # unit [m] of the heights of a trace, which are stored as intege
 _MAX_HEIGHTS = 10_000  # of a trace: 100 m at the least spacing; the shortest road has 4
 
 RUN = ("condition", "drive", "road", "road_seed", "seed")
-"""Columns that tell a run among those of its entry: the road is that of `road_seed`, the training
-that of `seed`.
-"""
+"""Columns that tell a run of an entry: `road_seed` is that of the road, `seed` of the training."""
 
 COLUMNS = (*RUN, "score", "value")
 """Columns of a table of scores. Values are as computed, not scaled for printing."""

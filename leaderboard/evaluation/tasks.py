@@ -211,9 +211,7 @@ class Task(Settings):
         return settings_digest(parts)
 
     def seed_stream(self, condition: Condition) -> int:
-        """Return the random stream of the sensor noise under a condition, the same for conditions
-        that differ in grade only.
-        """
+        """Return the stream of the sensor noise under a condition, one for those of any grade."""
         driven = [(c.mode, c.speed_kmh) for c in self.conditions]
         return driven.index((condition.mode, condition.speed_kmh))
 

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from string import Template
 
-from leaderboard.conformance.method_card import find_method_card
 from leaderboard.evaluation.provenance import package_version
 from leaderboard.evaluation.results import Result
 from leaderboard.evaluation.store import load
+from leaderboard.method_card import find_method_card
 from road_envs.core.config import ConfigError, validate_choice
 
 _TEMPLATES = Path(__file__).parents[1] / "templates"

@@ -5,7 +5,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
-from leaderboard.conformance.method_card import MethodCard, find_method_card
 from leaderboard.conformance.results import EstimatorCard, card_identity, find_card, probe_entries
 from leaderboard.entries.entries import entry_refit_per_case, registered_entry
 from leaderboard.entries.entry import Entry
@@ -13,6 +12,7 @@ from leaderboard.evaluation.evaluate import SEEDS
 from leaderboard.evaluation.results import Result
 from leaderboard.evaluation.store import load_rows
 from leaderboard.evaluation.tasks import Task
+from leaderboard.method_card import MethodCard, find_method_card
 from leaderboard.metrics.baselines import ALL_BASELINES, BASELINES
 from leaderboard.running.executors import Executor
 from leaderboard.running.jobs import to_packed_text, wider_limits

@@ -9,17 +9,19 @@ cannot be run again, which is said instead.
 """
 
 import dataclasses
+import fcntl
 import math
 import os
 import statistics
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from leaderboard.entries.entries import is_by_others, registered_entry
-from leaderboard.entries.entry import Entry
+from leaderboard.entries.entry import Entry, TrainingRun
 from leaderboard.evaluation import comparison, evaluate, store
 from leaderboard.evaluation.provenance import describe_environment
 from leaderboard.evaluation.results import RUN, Result, content_digest
@@ -29,6 +31,8 @@ from leaderboard.evaluation.test_data import RecordedDrive, simulate_drives
 from leaderboard.metrics.bootstrap import REPRODUCIBLE, interquartile_mean
 from leaderboard.metrics.registry import SCORES
 from leaderboard.sandbox.client import ONE_TRAINING
+from leaderboard.sandbox.guest import MachineError
+from leaderboard.sandbox.launch import twice
 from leaderboard.sandbox.retest import NOT_CAUSAL, NOT_RETESTED, REMEMBERS
 from road_envs.core.artifacts import Kind, NewerFormatError
 from road_envs.core.config import ConfigError, Settings, build
@@ -130,10 +134,9 @@ def _load_definitions(out: Path) -> tuple[list[Task], list[ConfigError]]:
                     made = made.with_test_length(own.length) if own.length else made
                 if task.digest != made.digest:
                     raise ConfigError(f"{path}: its {task.name} is not that of this package")
+            tasks.append(task)
         except ConfigError as error:
             errors.append(error)
-        else:
-            tasks.append(task)
     return sorted(tasks, key=lambda task: (task.name, task.digest)), errors
 
 
@@ -167,17 +170,17 @@ def save_verified(found: Iterable[Verified], out: Path) -> list[Verified]:
     What differed once on the same kernels does so for good: a part of the drives may agree. Raises
     ConfigError as `load_verified`, and then writes nothing.
     """
-    rows = {(x.content, x.kernels): x for known in load_verified(out).values() for x in known}
     known = []
-    for row in found:
-        key = row.content, row.kernels
-        if row.reason and not row.is_false:
-            known.append(row)
-            continue
-        if key not in rows or not _outweighs(rows[key], row):
-            rows[key] = row
-        known.append(row if row.is_false or rows[key].agrees else rows[key])
-    _VERIFICATION.write(out / "verified.json", {"rows": [*map(dataclasses.asdict, rows.values())]})
+    with open(out / ".verified.lock", "ab") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # until it is closed: another command may end now
+        rows = {(x.content, x.kernels): x for old in load_verified(out).values() for x in old}
+        for row in found:
+            key, was_run = (row.content, row.kernels), row.is_false or not row.reason
+            if was_run and not (key in rows and _outweighs(rows[key], row)):
+                rows[key] = row
+            known.append(row if row.reason or row.is_false or rows[key].agrees else rows[key])
+        content = {"rows": [dataclasses.asdict(row) for row in rows.values()]}
+        _VERIFICATION.write(out / "verified.json", content)
     return known
 
 
@@ -243,15 +246,27 @@ def verify_folder(
             elif reason := entry.failure or row.stale_reason(task, entry):
                 found.append(_without_runs(task, row, reason))
             else:
+                how = run if row.failure else partial(_run_twice, run)
                 again = (
-                    evaluate.evaluate_entry(task, *x, entry, row.seeds, run) for x in data.items()
+                    evaluate.evaluate_entry(task, *x, entry, row.seeds, how) for x in data.items()
                 )
-                if row.failure is None:
-                    now = _verify_row(task, row, entry, again)
-                else:
-                    now = _verify_failure(task, row, again, count)
+                try:
+                    if row.failure is None:
+                        now = _verify_row(task, row, entry, again)
+                    else:
+                        now = _verify_failure(task, row, again, count)
+                except ConfigError as error:
+                    now = _without_runs(task, row, str(error))
                 found.append(dataclasses.replace(now, share=count / len(drives)))
     return found
+
+
+def _run_twice(run: evaluate.EntryRunner, *asked: Any) -> list[TrainingRun]:
+    """Run an entry, once more if it fails. Raises EntryError; ConfigError if this machine did."""
+    try:
+        return twice(lambda: [*run(*asked)])
+    except MachineError as error:
+        raise ConfigError(str(error)) from None
 
 
 def _verify_row(task: Task, row: Result, entry: Entry, again: Iterable[Result]) -> Verified:

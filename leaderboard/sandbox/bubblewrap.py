@@ -253,18 +253,15 @@ def _privileges(becomes_another: bool) -> list[str]:
 
 def _system_mounts() -> dict[Path, Path]:
     """Return what every guest sees: system libraries, interpreter, packages, this project."""
-    project = [ROOT / name for name in (*PACKAGES, "configs")]
     words = os.environ.get("LD_LIBRARY_PATH", "").split(os.pathsep)
-    libraries = [Path(word) for word in words if word.startswith("/")]
-    executable = Path(sys.executable)
     prefixes = (sys.base_prefix, sys.base_exec_prefix, sys.prefix, sys.exec_prefix)
     wanted = [
         *map(Path, SYSTEM),
         *(Path(x, part) for x in ("/usr", "/usr/local", *prefixes) for part in PARTS),
         *(Path(p) for p in sys.path if Path(p).name in ("site-packages", "dist-packages")),
-        *project,
-        *libraries,
-        *([executable] if executable.exists() else []),
+        *(ROOT / name for name in (*PACKAGES, "configs")),
+        *(Path(word) for word in words if word.startswith("/")),
+        Path(sys.executable),
     ]
     mounts: list[Path] = []
     paths = [Path(os.path.abspath(path)) for path in wanted]

@@ -7,6 +7,7 @@ whether it is causal and forgets the drives before.
 """
 
 import dataclasses
+import errno
 import os
 import random
 import secrets
@@ -36,9 +37,9 @@ from leaderboard.entries.entry import (
 )
 from leaderboard.entries.imports import imported_versions
 from leaderboard.sandbox import bubblewrap, estimator_handler, messages, processes
-from leaderboard.sandbox.guest import Guest
-from leaderboard.sandbox.launch import START_ATTEMPTS, start_guest
-from leaderboard.sandbox.limits import Limits
+from leaderboard.sandbox.guest import Guest, MachineError
+from leaderboard.sandbox.launch import start_guest, twice
+from leaderboard.sandbox.limits import UNLIMITED, Limits
 from leaderboard.sandbox.retest import NOT_CAUSAL, NOT_RETESTED, compare_answers, draw_questions
 from road_envs.core.atomic_io import TempFolder
 from road_envs.records.record import Estimate, Profile, Record, profile_stations
@@ -109,9 +110,8 @@ class SandboxClient(ExitStack):
                 f"front axle, its lag is {lag:g} m; declare causal = False"
             )
         known = {"settings": messages.settings(head.get("settings")), "causal": causal, "lag": lag}
-        name = head.get("name")
         known |= {"code": code, "imports": imported_versions(str(folder))}
-        return {**known, **({"name": name} if isinstance(name, str) else {})}
+        return known | {k: x for k, x in head.items() if k == "name" and isinstance(x, str)}
 
     def reconstruct(
         self,
@@ -161,13 +161,11 @@ class SandboxClient(ExitStack):
         def run_again() -> tuple[list[Estimate], str]:
             known = [calibrations[q.drive] for q in questions] if calibrations else ()
             asked = [q.record for q in questions]
-            reason = ""
-            for _ in range(START_ATTEMPTS):  # something else may have ended the guest
-                try:
-                    return run(asked, [seed], range(len(asked)), known)[0][0].estimates, ""
-                except EntryError as error:
-                    reason = str(error).replace(";", ",")  # which parts notes
-            return [], reason
+            try:
+                runs, *_ = twice(lambda: run(asked, [seed], range(len(asked)), known))
+            except EntryError as error:
+                return [], str(error).replace(";", ",")  # which parts notes
+            return runs[0].estimates, ""
 
         seed, causal = secret.choice(seeds), bool(entry.causal)
         questions = draw_questions(records, order, causal, secret) if retest and not ours else []
@@ -200,7 +198,11 @@ class SandboxClient(ExitStack):
                     "would have the rights of the user; if you trust it: --isolation process"
                 )
             folder = self._folder / f"entry-{len(self._snapshots)}"
-            code = entry_files.snapshot(reference, folder, self._code.get(reference))
+            try:
+                code = entry_files.snapshot(reference, folder, self._code.get(reference))
+            except EntryError as error:  # what was copied is no part of the next one
+                shutil.rmtree(folder, ignore_errors=True)
+                raise _copy_error(error, error) from None
             self._snapshots[reference] = code, folder
             for path in folder.rglob("*"):  # a time would tell each guest how long the run lasts
                 os.utime(path, (0, 0))
@@ -221,12 +223,17 @@ class SandboxClient(ExitStack):
     def _new_guest(self, code: Path | None, libraries: Sequence[str] = ()) -> Guest:
         # it sees the name of its code's folder, which must not tell how many were before it
         self._home = home = self._folder / secrets.token_hex(8)
-        if code is not None:  # a copy of its own: how fast a file is read says nothing of others
-            code = Path(shutil.copytree(code, home.with_suffix(".code")))
-        return start_guest(
-            estimator_handler.__name__, home, self.limits, isolated=self._bubblewrap, code=code,
-            libraries=libraries,
-        )  # fmt: skip
+        try:
+            if code is not None:  # of its own: how fast a file is read says nothing of others
+                code = Path(shutil.copytree(code, home.with_suffix(".code")))
+            return start_guest(
+                estimator_handler.__name__, home, self.limits, isolated=self._bubblewrap,
+                code=code, libraries=libraries,
+            )  # fmt: skip
+        except OSError as error:
+            shutil.rmtree(home.with_suffix(".code"), ignore_errors=True)
+            failure = MachineError(f"this machine did not start its guest: {error}")
+            raise _copy_error(error, failure) from None
 
     def _session(self, guest: Guest, entry: Entry, car: VehicleParameters) -> "_RemoteSession":
         start = {"do": "start", "reference": entry.reference, "settings": entry.settings}
@@ -279,7 +286,7 @@ class _RemoteSession:
         def size_of_arrays(head: dict[str, Any]) -> int:
             if "failure" in head:
                 return 0
-            messages.number(head, "seconds", self._guest.limits.seconds)
+            messages.number(head, "seconds", UNLIMITED.seconds)  # a stop of both counts there
             return 8 * size * (2 if head.get("std") is True else 1)
 
         request = messages.encode_drives("estimate", [(record, None)])
@@ -301,8 +308,16 @@ class _RemoteSession:
         head, data = call(self._guest, request, *size)
         passed = time.perf_counter() - start
         used = max(passed, self._guest.cpu_seconds() - before)
-        reported = messages.number(head, "seconds", self._guest.limits.seconds)
+        reported = messages.number(head, "seconds", UNLIMITED.seconds)
         return head, data, reported if used < reported + UNSEEN_TIME else used
+
+
+def _copy_error(error: Exception, otherwise: EntryError) -> EntryError:
+    """Return the error of a copy of code that failed: that it did not fit, or `otherwise`."""
+    # a `shutil.Error` has what the operating system said in its text alone
+    if any(os.strerror(code) in str(error) for code in (errno.ENOSPC, errno.EDQUOT)):
+        return MachineError("this machine has no space left for its code: set TMPDIR elsewhere")
+    return type(otherwise)(str(otherwise)[:300])
 
 
 def call(guest: Guest, request: bytes, *size: Callable) -> tuple[dict[str, Any], bytes]:

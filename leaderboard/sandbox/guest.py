@@ -20,11 +20,16 @@ from leaderboard.sandbox import messages, processes
 from leaderboard.sandbox.limits import GIB, UNLIMITED, Limits
 
 POLL_INTERVAL = 0.1  # interval [s] of the checks of memory and number of processes
+LONGEST_DELAY = 10 * POLL_INTERVAL  # [s]; a host that goes on later was stopped: no time of a guest
 OUTPUT_TAIL_SIZE = 4000  # number of last bytes of the output that are kept; the rest is counted
 STARTUP_TIMEOUT = 300.0  # time [s] within which a guest must have loaded its libraries
 CHUNK = 1 << 20
 
 SIGNAL_STATUS = 128  # added to the number of the signal that ended a guest, as in a shell
+
+
+class MachineError(EntryError):
+    """An estimator that this machine could not run, which says nothing of the estimator."""
 
 
 class Guest:
@@ -57,9 +62,9 @@ class Guest:
         self.start_run(Limits(seconds=STARTUP_TIMEOUT))
         try:
             self.call(b"")
-        except EntryError:
+        except EntryError as error:
             self.close()
-            raise
+            raise EntryError(f"its guest ended as it started: {error}") from None
 
     def start_run(self, limits: Limits) -> None:
         """Apply these limits to all calls from now on together; time between calls is free."""
@@ -77,31 +82,31 @@ class Guest:
 
         `size_of_arrays` returns the expected number of bytes of the arrays.
         """
-        end = time.monotonic() + self._seconds_left
+        self._end = time.monotonic() + self._seconds_left
         self._unsent = memoryview(request)
-        (size,) = messages.HEAD_SIZE.unpack(self._receive(messages.HEAD_SIZE.size, end))
+        (size,) = messages.HEAD_SIZE.unpack(self._receive(messages.HEAD_SIZE.size))
         if size > messages.MAX_HEAD:
             raise EntryError(f"its reply is invalid: a head of {size} bytes")
-        head = messages.parse_head(self._receive(size, end))
-        arrays = self._receive(size_of_arrays(head), end)
+        head = messages.parse_head(self._receive(size))
+        arrays = self._receive(size_of_arrays(head))
         if (now := time.monotonic()) >= self._next_check:
             self._measure()
-        self._seconds_left = end - now
+        self._seconds_left = self._end - now
         return head, arrays
 
-    def _receive(self, size: int, end: float) -> bytes:
+    def _receive(self, size: int) -> bytes:
         """Return the next `size` bytes of a reply; meanwhile send what is left of the request."""
         received = bytearray()
         while len(received) < size:
-            now = time.monotonic()
-            if now > end:
-                raise EntryError(f"stopped after {self.limits.seconds:g} s, the time limit")
-            if now >= self._next_check:
+            if time.monotonic() >= self._next_check:
                 self._measure()
-            wait = max(0.0, min(self._next_check, end) - now)
+            now = time.monotonic()  # not that before: an entry can make the check slow
+            wait = max(0.0, min(self._next_check, self._end) - now)
             outputs = [self._replies] + ([] if self._end_of_output else [self._output])
             requests = [self._requests] if self._unsent else []
             ready, free, _ = select.select(outputs, requests, [], wait)
+            if (delay := time.monotonic() - now - wait) > LONGEST_DELAY:
+                self._end += delay
             if self._output in ready:
                 self._read_output()
             if free:
@@ -114,6 +119,8 @@ class Guest:
             elif self._process.poll() is not None:
                 if not select.select([self._replies], [], [], 0.0)[0]:
                     raise EntryError(self._describe_end())
+            if now > self._end and len(received) < size:  # of what had arrived
+                raise EntryError(f"stopped after {self.limits.seconds:g} s, the time limit")
         return bytes(received)
 
     def send_end(self) -> None:

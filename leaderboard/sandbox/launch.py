@@ -9,16 +9,17 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import TypeVar
 
 from leaderboard.entries.entry import EntryError
 from leaderboard.sandbox import bubblewrap, processes, worker
-from leaderboard.sandbox.guest import Guest
+from leaderboard.sandbox.guest import Guest, MachineError
 from leaderboard.sandbox.limits import GIB, SET_FOR_ALL, UNLIMITED, Limits, guest_environment
 from road_envs.core.code_digest import cache_home
 from road_envs.kernels import _numba
 
 OPEN_FILES = 256  # of a process: what pipes and sockets hold counts as no memory
-START_ATTEMPTS = 2  # of a guest which ends while it starts
+_T = TypeVar("_T")
 
 
 def start_guest(
@@ -75,7 +76,7 @@ def start_guest(
         guest.counted = bubblewrap.IN_MEMORY
         return guest
 
-    guest = _with_retry(start)
+    guest = twice(start)
     values = {
         "RLIMIT_CORE": 0,
         "RLIMIT_NOFILE": OPEN_FILES,
@@ -99,19 +100,21 @@ def start_host_process(handler: str, home: Path, folder: Path) -> Guest:
     known = guest_environment(home, whole_path=True)
     environment = known | os.environ | {name: known[name] for name in SET_FOR_ALL}
     setup = worker.Setup(handler=handler, folder=str(folder.absolute()), serves_many=True)
-    guest = _with_retry(lambda: Guest(_words(setup), environment, home))
+    guest = twice(lambda: Guest(_words(setup), environment, home))
     guest.start_run(UNLIMITED)
     return guest
 
 
-def _with_retry(start: Callable[[], Guest]) -> Guest:
-    """Return a guest; something else may end one as it starts. Raises EntryError."""
-    for _ in range(START_ATTEMPTS):
-        try:
-            return start()
-        except EntryError as error:
-            failure = error
-    raise EntryError(f"its guest ended {START_ATTEMPTS} times as it started: {failure}")
+def twice(run: Callable[[], _T]) -> _T:
+    """Return what `run` does, at a second attempt if a guest fails: something else may have ended
+    it. Raises EntryError, and the first MachineError.
+    """
+    try:
+        return run()
+    except MachineError:
+        raise
+    except EntryError:
+        return run()
 
 
 def _words(setup: worker.Setup) -> list[str]:

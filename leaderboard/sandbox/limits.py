@@ -15,9 +15,7 @@ THREAD_VARIABLES = (
     "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS",
     "NUMEXPR_NUM_THREADS", "VECLIB_MAXIMUM_THREADS", "NUMBA_NUM_THREADS",
 )  # fmt: skip
-"""Set to 1 in the processes of jobs and in guests, so that sums have the same order in both and
-times can be compared.
-"""
+"""Set to 1 in processes of jobs and in guests: sums have one order and times can be compared."""
 
 KERNEL_VARIABLES = (
     "OPENBLAS_CORETYPE", "MKL_CBWR", "MKL_ENABLE_INSTRUCTIONS", "BLIS_ARCH_TYPE",

@@ -12,10 +12,10 @@ from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
-from leaderboard.conformance.method_card import method_card_path
 from leaderboard.entries.entries import RESERVED, fold
 from leaderboard.entries.entry import Entry
 from leaderboard.evaluation.provenance import package_version
+from leaderboard.method_card import method_card_path
 from leaderboard.report.sentences import build_report
 from leaderboard.report.site import write_site
 from leaderboard.running.board import run_board

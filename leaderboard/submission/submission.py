@@ -15,7 +15,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from leaderboard.conformance.checks import check_entry
-from leaderboard.conformance.method_card import load_method_card
 from leaderboard.conformance.probes import PROBES
 from leaderboard.conformance.results import find_card, probe_entries
 from leaderboard.entries import entry_files
@@ -24,6 +23,7 @@ from leaderboard.entries.entry import NAME, Entry
 from leaderboard.evaluation import store
 from leaderboard.evaluation.provenance import describe_environment, package_version
 from leaderboard.evaluation.tasks import Task
+from leaderboard.method_card import load_method_card
 from leaderboard.running.board import baseline_names, run_board
 from leaderboard.running.executors import ProcessExecutor
 from leaderboard.running.jobs import in_sandbox

@@ -2,10 +2,13 @@
 
 import json
 import os
+import select
 import sys
+import time
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,6 +19,7 @@ from estimators.api import EstimateError
 from estimators.baselines.flat import FlatEstimator
 from leaderboard.entries.entry import EntryError
 from leaderboard.sandbox import estimator_handler, messages
+from leaderboard.sandbox import guest as guest_module
 from leaderboard.sandbox.client import _RemoteSession, call
 from leaderboard.sandbox.guest import Guest
 from leaderboard.sandbox.limits import Limits
@@ -185,6 +189,84 @@ def test_a_guest_that_does_not_read_cannot_block_the_host(tmp_path):
     with pytest.raises(EntryError, match="the time limit"):
         call(guest, bytes(10**7))
     guest.close()
+
+
+def stop_host(monkeypatch, seconds, *, waiting):
+    """Let each wait for a guest, or else each later check of its memory, end `seconds` later."""
+    stopped = [0.0]
+
+    def check(self):
+        measure(self)
+        if not self._unsent:
+            select.select([self._replies], [], [], 1.0)
+            stopped[0] += seconds
+
+    def wait(*args):
+        result = select.select(*args)
+        stopped[0] += seconds
+        return result
+
+    measure, clock = Guest._measure, lambda: time.monotonic() + stopped[0]
+    monkeypatch.setattr(guest_module, "time", SimpleNamespace(monotonic=clock))
+    if waiting:
+        monkeypatch.setattr(guest_module, "select", SimpleNamespace(select=wait))
+    else:
+        monkeypatch.setattr(Guest, "_measure", check)
+
+
+def guest_that_runs(code, tmp_path):
+    code = f"import os, time; os.write(1, {READY}); os.read(0, 9); {code}; time.sleep(20)"
+    guest = Guest([sys.executable, "-I", "-S", "-c", code], {}, tmp_path)
+    guest.start_run(Limits(seconds=20.0))
+    return guest
+
+
+@pytest.mark.parametrize("waiting", [True, False])
+def test_time_in_which_the_host_was_stopped_is_not_that_of_an_entry(tmp_path, monkeypatch, waiting):
+    """As by Ctrl-Z: the reply that lies there is read, and a later one is waited for."""
+    reply = head(FINE)
+    guest = guest_that_runs(
+        f"time.sleep(0.3); os.write(1, {reply[:20]}); time.sleep({0.3 * waiting}); "
+        f"os.write(1, {reply[20:]})", tmp_path,
+    )  # fmt: skip
+    stop_host(monkeypatch, 30.0, waiting=waiting)
+    try:
+        assert guest.call(b"x")[0]["seconds"] == 0.0
+        assert not waiting or 15.0 < guest._seconds_left < 20.0
+    finally:
+        guest.close()
+
+
+def test_the_time_that_a_guest_reports_may_have_been_one_of_a_stopped_machine(tmp_path):
+    """Its own clock goes on: that time costs an entry, and is no invalid reply."""
+    data = head(json.dumps({"seconds": 30.0, "std": False})) + HEIGHTS
+    guest = guest_that_sends(data, tmp_path)
+    guest.start_run(Limits(seconds=20.0))
+    assert _RemoteSession(guest, False, False).estimate(a_record())[1] == 30.0
+    guest.close()
+
+
+def test_a_reply_that_comes_byte_by_byte_ends_at_the_limit_of_time(tmp_path):
+    drops = "[(os.write(1, b'x'), time.sleep(0.05)) for _ in range(200)]"
+    guest = guest_that_runs(f"os.write(1, {messages.HEAD_SIZE.pack(1000)}); {drops}", tmp_path)
+    guest.start_run(Limits(seconds=1.0))
+    begin = time.monotonic()
+    with pytest.raises(EntryError, match="the time limit"):
+        call(guest, b"x")
+    guest.close()
+    assert time.monotonic() - begin < 5.0
+
+
+@pytest.mark.parametrize("waiting", [True, False])
+def test_an_entry_that_slows_its_host_gains_no_time(tmp_path, monkeypatch, waiting):
+    """Neither by a little in each wait nor by much in the checks of its memory."""
+    guest = guest_that_runs("pass", tmp_path)
+    stop_host(monkeypatch, 0.9 if waiting else 30.0, waiting=waiting)
+    begin = time.monotonic()
+    with pytest.raises(EntryError, match="the time limit"):
+        call(guest, b"x")
+    guest.close()
+    assert time.monotonic() - begin < 10.0
 
 
 @pytest.mark.parametrize(

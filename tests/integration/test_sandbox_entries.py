@@ -1,7 +1,11 @@
 """Sandbox: entries that are described and not yet run, limits, and words for an exit."""
 
+import errno
+import os
+import shutil
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy
 import pytest
@@ -14,7 +18,7 @@ from leaderboard.entries.entry import EntryError
 from leaderboard.entries.entry_files import CLASS_FOLDER, list_files, snapshot
 from leaderboard.entries.imports import imported_versions
 from leaderboard.sandbox.client import SandboxClient
-from leaderboard.sandbox.guest import describe_exit
+from leaderboard.sandbox.guest import MachineError, describe_exit
 from leaderboard.sandbox.limits import Limits
 from road_envs.core.config import ConfigError
 
@@ -109,6 +113,41 @@ def test_what_cannot_be_described_takes_no_name_of_an_entry_that_works(tmp_path)
     assert [(entry.name, entry.failure is None) for entry in found] == [
         ("rival_2", False), ("rival_3", False), ("rival", True),
     ]  # fmt: skip
+
+
+NO_SPACE = "this machine has no space left for its code: set TMPDIR elsewhere"
+NO_GUEST = "this machine did not start its guest: "
+
+
+@pytest.mark.parametrize(
+    ("writes", "code", "sentence"),
+    [
+        ((Path, "write_bytes"), errno.ENOSPC, NO_SPACE),
+        ((shutil, "copyfile"), errno.ENOSPC, NO_SPACE),
+        ((shutil, "copyfile"), errno.EDQUOT, NO_SPACE),
+        ((shutil, "copyfile"), errno.EIO, NO_GUEST),
+    ],
+)
+def test_an_entry_that_a_machine_has_no_space_for_is_not_blamed_and_ends_no_others(
+    tmp_path, monkeypatch, writes, code, sentence
+):
+    """Nor is what was copied of it left for others, which would see it and lack the space."""
+
+    def refuse(*args, **options):
+        raise OSError(code, os.strerror(code), "a file")
+
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "code.py").touch()
+    monkeypatch.setattr(*writes, refuse)
+    with SandboxClient(replace(LIMITS, isolation=MODES[0])) as fresh:
+        given = str(tmp_path / "mine")
+        mine, flat = entries.resolve_entries([given, "flat"], fresh.describe)
+        with pytest.raises(MachineError):
+            fresh.describe(given)
+        assert not [*fresh._folder.glob("*.code")]
+        assert len([*fresh._folder.glob("entry-*")]) == (writes[0] is shutil)
+    assert mine.failure.startswith(sentence) and flat.failure is None
+    assert len(mine.failure) <= 300
 
 
 def test_a_module_beside_an_entry_takes_the_place_of_none_of_the_leaderboard(tmp_path, monkeypatch):

@@ -17,7 +17,6 @@ from test_verification import chosen_fakes, run_here
 from wheels import write_wheel
 
 from leaderboard.conformance import results as conformance_results
-from leaderboard.conformance.method_card import TEMPLATE, load_method_card
 from leaderboard.conformance.probes import CheckResult
 from leaderboard.conformance.results import EstimatorCard, card_identity, card_path
 from leaderboard.entries.entries import make_entry
@@ -25,6 +24,7 @@ from leaderboard.entries.entry import Entry
 from leaderboard.evaluation import store
 from leaderboard.evaluation.provenance import describe_environment
 from leaderboard.evaluation.results import RESULT
+from leaderboard.method_card import TEMPLATE, load_method_card
 from leaderboard.metrics.baselines import BASELINES
 from leaderboard.report.citation import cite_entry
 from leaderboard.running.board import load_board, run_board

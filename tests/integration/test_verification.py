@@ -6,6 +6,8 @@ import os
 import shutil
 import subprocess
 import sys
+import threading
+import time
 
 import pandas as pd
 import pytest
@@ -26,6 +28,7 @@ from leaderboard.evaluation.results import content_digest
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.metrics.baselines import BASELINES
 from leaderboard.report.notes import _kernel_notes, _verified_for
+from leaderboard.running import verification
 from leaderboard.running.board import load_board
 from leaderboard.running.verification import (
     _VERIFICATION,
@@ -40,6 +43,7 @@ from leaderboard.running.verification import (
     verify_folder,
 )
 from leaderboard.sandbox.client import ONE_TRAINING
+from leaderboard.sandbox.guest import MachineError
 from leaderboard.sandbox.retest import LOOKS_AHEAD, NOT_RETESTED
 from road_envs.core.config import ConfigError
 
@@ -473,6 +477,35 @@ def test_a_scored_row_whose_entry_fails_here_does_not_agree(tmp_path):
     assert verified_output(found).status == 1
 
 
+@pytest.mark.parametrize(
+    ("failures", "reason", "is_false"),
+    [
+        ([EntryError("ended")], "", False),
+        ([EntryError("ended"), EntryError("and again")], "and again", True),
+        ([MachineError("no space")], "no space", False),
+        ([EntryError("ended"), MachineError("no space")], "no space", False),
+    ],
+)
+def test_a_scored_row_is_false_only_if_its_entry_fails_twice_by_itself(
+    tmp_path, failures, reason, is_false
+):
+    """Once may have been the machine, which was stopped or had no memory left."""
+    copy_of_run(tmp_path)
+    left = failures[::-1]
+
+    def fails(entry, data, seeds):
+        if entry.name == "reader" and left:
+            raise left.pop()
+        return run_here(entry, data, seeds)
+
+    made = {name: make_entry(name, estimator) for name, estimator in ESTIMATORS.items()}
+    made["reader"] = dataclasses.replace(made["reader"], reference="elsewhere:Reader")
+    found = verify_folder(tmp_path, fails, made.values(), simulate=chosen_fakes, seed=1)
+    (reader,) = (row for row in found if row.estimator == "reader")
+    assert reader.reason.endswith(reason) and reader.agrees == (not reason)
+    assert reader.is_false == is_false and not left
+
+
 def test_rows_of_a_task_that_a_folder_does_not_define_are_named(tmp_path):
     copy_of_run(tmp_path)
     path = store.row_path(tmp_path, "small", "reader")
@@ -589,6 +622,23 @@ def test_what_was_found_false_is_not_forgotten_with_a_file_that_cannot_be_read(t
     with pytest.raises(ConfigError, match=r"verified\.json"):
         verify_command(tmp_path, limits=LimitOptions())
     assert path.read_text() == text
+
+
+def test_what_two_commands_find_at_once_is_all_kept(tmp_path, monkeypatch):
+    def slow(out):
+        known = load_verified(out)
+        time.sleep(0.3)
+        return known
+
+    monkeypatch.setattr(verification, "load_verified", slow)
+    contents = ("abc", "def")
+    found = [[dataclasses.replace(FALSE, content=content)] for content in contents]
+    threads = [threading.Thread(target=save_verified, args=(rows, tmp_path)) for rows in found]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert load_verified(tmp_path).keys() == set(contents)
 
 
 @pytest.mark.processes
