@@ -9,6 +9,7 @@ stripped headers to columns.
 import gc
 import io
 import itertools
+import logging
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -209,6 +210,7 @@ def _read_mdf(path: Path) -> Any:
 
     channels: dict[str, Any] = {}
     failure = ""
+    logging.getLogger("asammdf").setLevel(logging.CRITICAL)  # its errors are in the sentence below
     # it prints what is damaged; an object of a damaged file prints a traceback when it is freed, so
     # no exception may hold it until the streams are back, as one that `parsing` turns would
     with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
