@@ -1,8 +1,6 @@
 """Tables as data loggers and phones write them: names, units, clocks, slow sensors."""
 
-import gc
 import re
-import sys
 
 import numpy as np
 import pandas as pd
@@ -11,6 +9,7 @@ from measured import read_measured_record
 from vehicle_fixtures import DEFENDER
 
 from road_envs.core.config import ConfigError
+from road_envs.drives.logger_tables import mdf
 from road_envs.drives.logger_tables.description import (
     DriveDescription,
     read_description,
@@ -273,55 +272,74 @@ def test_spellings_of_a_unit_are_one_unit(unit):
 
 
 def test_an_mdf_file_with_channels_of_two_rates_is_read(tmp_path):
-    mdf = pytest.importorskip("asammdf")
+    asammdf = pytest.importorskip("asammdf")
     path = tmp_path / "d.mf4"
-    with mdf.MDF(version="4.10") as file:
-        file.append([mdf.Signal(x, T, name=k, unit="m/s²") for k, x in ACCELERATION.items()])
+    with asammdf.MDF(version="4.10") as file:
+        file.append([asammdf.Signal(x, T, name=k, unit="m/s²") for k, x in ACCELERATION.items()])
         slow = slice(None, None, 100)
-        file.append(mdf.Signal(3.6 * SPEED[slow], T[slow], name="speed", unit="km/h"))
+        file.append(asammdf.Signal(3.6 * SPEED[slow], T[slow], name="speed", unit="km/h"))
         file.save(path)
     record = read(path).record
     np.testing.assert_allclose(record.a, list(ACCELERATION.values()), atol=1e-9)
     np.testing.assert_allclose(record.v[:5900], SPEED[:5900], atol=0.01)
 
 
-def test_what_a_parser_says_of_a_damaged_mdf_file_is_cut_to_one_line(tmp_path, monkeypatch):
-    mdf = pytest.importorskip("asammdf")
+def write_mdf(path, *channels):
+    asammdf = pytest.importorskip("asammdf")
+    with asammdf.MDF(version="4.10") as file:
+        for name, x, t in channels:
+            file.append(asammdf.Signal(x, t, name=name, unit="m/s²"))
+        file.save(path)
+    return path.read_bytes()
 
+
+def test_two_samples_of_a_channel_at_one_time_are_refused_by_its_name(tmp_path):
+    path, twice = tmp_path / "d.mf4", np.repeat(T[::2], 2)
+    write_mdf(path, ("a_lf", SPEED, T), ("a_rf", SPEED[: twice.size], twice))
+    with pytest.raises(ConfigError, match=r"'a_rf \[m/s²\]' have one time"):
+        read(path)
+
+
+def test_what_a_parser_says_of_a_damaged_mdf_file_is_cut_to_one_line(tmp_path, monkeypatch):
     def refuse(path):
         raise ValueError("samples=array([36.  ,\n 36.01]) " + "x" * 9000)
 
-    monkeypatch.setattr(mdf, "MDF", refuse)
-    (tmp_path / "d.mf4").write_bytes(b"")
-    with pytest.raises(
-        ConfigError, match=r"MDF file: samples=array\(\[36\. , 36\.01\]\) x"
-    ) as said:
-        read(tmp_path / "d.mf4")
-    assert len(str(said.value)) < 600
+    monkeypatch.setattr(mdf, "read_channels", refuse)
+    mdf._main("d.mf4", tmp_path / "channels", tmp_path / "failure")
+    said = (tmp_path / "failure").read_text()
+    assert said.startswith("samples=array([36. , 36.01]) x") and len(said) < 600
+
+
+@pytest.mark.parametrize(
+    "program, said",
+    [
+        ("os.kill(os.getpid(), 11)", "its parser failed (-11)"),
+        ("open(sys.argv[3], 'w').write('no block')", "no block"),
+        ("time.sleep(8)", "no MDF file that is read within 2 s"),
+    ],
+)
+def test_a_parser_that_is_killed_or_stays_busy_ends_in_a_sentence(
+    tmp_path, monkeypatch, program, said
+):
+    pytest.importorskip("asammdf")
+    (tmp_path / "parser_of_mdf.py").write_text(f"import os, sys, time\n{program}\n")
+    monkeypatch.setattr(mdf, "__name__", "parser_of_mdf")
+    monkeypatch.setattr(mdf, "MAX_SECONDS", 2.0)
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ConfigError, match=re.escape(said)):
+        mdf.read_mdf(tmp_path / "d.mf4")
 
 
 @pytest.mark.costly
-def test_a_damaged_mdf_file_is_refused_in_one_sentence_without_a_word_after_it(
-    tmp_path, capsys, caplog, monkeypatch
-):
-    mdf = pytest.importorskip("asammdf")
-    monkeypatch.setattr(sys, "unraisablehook", sys.__unraisablehook__)  # prints, as in a command
+def test_a_damaged_mdf_file_is_refused_in_one_sentence_without_a_word_beside_it(tmp_path, capfd):
     path = tmp_path / "d.mf4"
-    with mdf.MDF(version="4.10") as file:
-        file.append(mdf.Signal(SPEED, T, name="speed", unit="km/h"))
-        file.save(path)
-    whole = path.read_bytes()
-    contents = (
-        whole[:300],
-        whole[:64] + b"\xff" * 100 + whole[164:],
-        whole.replace(b"##FH", b"@@FH"),
-    )
-    for content in (b"not a measurement", *contents):
+    whole = write_mdf(path, ("speed", SPEED, T))
+    changed = whole[:64] + b"\xff" * 100 + whole[164:], whole.replace(b"##FH", b"@@FH")
+    for content in (b"not a measurement", whole[:300], *changed):
         path.write_bytes(content)
         with pytest.raises(ConfigError) as refused:
             read(path)
-        gc.collect()
         said = str(refused.value)
         assert said.startswith(f"{path}: no readable MDF file"), said
         assert said.count(str(path)) == 1 and "mmap" not in said and "\n" not in said
-    assert capsys.readouterr() == ("", "") and caplog.messages == []
+    assert capfd.readouterr() == ("", "")

@@ -6,22 +6,20 @@ are skipped, and a row of units below it is joined to it. A table that is read i
 stripped headers to columns.
 """
 
-import gc
 import io
 import itertools
-import logging
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from road_envs.core.config import ConfigError, shown
-from road_envs.core.extras import import_pyarrow, optional_import
-from road_envs.core.reading import MAX_MESSAGE, parsing, read_parquet
+from road_envs.core.extras import import_pyarrow
+from road_envs.core.reading import parsing, read_parquet
+from road_envs.drives.logger_tables.mdf import read_mdf
 from road_envs.records import units
 
 SNIFFED_CHARACTERS = 10_000  # number of characters that are searched for a decimal comma
@@ -47,14 +45,14 @@ Table = Mapping[str, Any]  # columns of a table by header, as pyarrow arrays
 
 def read_table(path: Path) -> Table:
     """Read the columns of a table by header. Raises ConfigError."""
-    pa, _ = import_pyarrow()
+    import_pyarrow()  # says what is missing
     suffix = path.suffix.lower()
     with parsing(path, ConfigError, "no readable table"):
         if suffix == ".parquet":
             table = read_parquet(path)
             table.validate(full=True)  # texts that are no UTF-8 are found when they are asked for
         elif suffix in (".mf4", ".mdf"):
-            table = pa.Table.from_pandas(_read_mdf(path), preserve_index=False)
+            table = read_mdf(path)
         else:
             if (size := path.stat().st_size) > MAX_BYTES:
                 raise ConfigError(
@@ -196,42 +194,3 @@ def decode(data: bytes) -> str:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
         return data.decode("cp1252")
-
-
-def _read_mdf(path: Path) -> Any:
-    """Return the channels of an MDF file as a data frame with the column `t` [s].
-
-    Channels of other rates have empty cells at times at which they were not sampled.
-    """
-    with optional_import("a measurement file (MDF)"):
-        from asammdf import MDF
-
-    import pandas as pd
-
-    channels: dict[str, Any] = {}
-    failure = ""
-    logging.getLogger("asammdf").setLevel(logging.CRITICAL)  # its errors are in the sentence below
-    # it prints what is damaged; an object of a damaged file prints a traceback when it is freed, so
-    # no exception may hold it until the streams are back, as one that `parsing` turns would
-    with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
-        try:
-            with MDF(path) as file:
-                for signal in file.iter_channels():
-                    samples = np.asarray(signal.samples)
-                    if samples.ndim > 1 or samples.dtype.names:
-                        continue
-                    if samples.dtype.kind == "S":
-                        samples = np.char.decode(samples, "utf-8", "replace")
-                    name = f"{signal.name} [{signal.unit}]" if signal.unit else signal.name
-                    channels.setdefault(name, pd.Series(samples, signal.timestamps))
-        except Exception as error:
-            said = re.sub(r"^['\"](<mmap|/).*['\"] is not", "not", str(error))
-            said = " ".join(said.split())[:MAX_MESSAGE] or type(error).__name__
-            failure = f"no readable MDF file: {said}"
-        if failure:
-            gc.collect()
-            raise ConfigError(failure)
-    frame = pd.DataFrame(channels)
-    if "t" not in map(str.lower, frame.columns):
-        frame.insert(0, "t", frame.index.to_numpy(dtype=float))
-    return frame
