@@ -91,7 +91,7 @@ kills: $(READY)
 
 docs: $(READY)
 	$(VENV)/bin/pip install --quiet --constraint constraints.txt --editable '.[docs]'
-	$(VENV)/bin/mkdocs build --strict
+	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict
 
 # the import writes the bytecode of what estimators import: in their sandbox they cannot
 $(READY): pyproject.toml constraints.txt
