@@ -63,18 +63,25 @@ def copy_file(source: Path, target: Path) -> None:
 def new_folder(path: Path) -> Iterator[Path]:
     """Yield an empty folder beside `path`, which gets that name when the block ends.
 
-    If the block raises, the folder is removed. Raises ConfigError if `path` exists.
+    If the block raises, the folder is removed. Raises ConfigError if `path` exists, and while
+    another process makes it.
     """
-    if path.exists():
-        raise ConfigError(f"{path} exists; give a folder that does not")
     partial = path.with_name(f".{path.name}{PARTIAL_SUFFIX}")
-    shutil.rmtree(partial, ignore_errors=True)
-    partial.mkdir(parents=True)
-    try:
-        yield partial
-        partial.rename(path)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+    lock = partial.with_suffix(f".lock{PARTIAL_SUFFIX}")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with exclusive_lock(lock, 0.0) as is_alone:
+        if not is_alone:
+            raise ConfigError(f"{path}: another process makes it; wait, or give another folder")
+        try:
+            if path.exists():
+                raise ConfigError(f"{path} exists; give a folder that does not")
+            shutil.rmtree(partial, ignore_errors=True)
+            partial.mkdir()
+            yield partial
+            partial.rename(path)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+            lock.unlink(missing_ok=True)
 
 
 def remove_stale_partials(folder: Path) -> None:
@@ -148,21 +155,21 @@ def _remove_if_orphaned(folder: Path) -> bool:
 
 
 @contextmanager
-def exclusive_lock(path: Path, longest_wait: float) -> Iterator[None]:
-    """Hold the lock of a file, which other processes wait for.
+def exclusive_lock(path: Path, longest_wait: float) -> Iterator[bool]:
+    """Hold the lock of a file, which other processes wait for; yield False if one of them has it.
 
     After `longest_wait` [s], or where no lock can be had, the block runs without it.
     """
     try:
-        handle = os.open(path, os.O_RDONLY | os.O_CREAT, 0o600)
+        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)  # NFS locks what can be written
     except OSError:
-        yield
+        yield True
         return
     try:
         end = time.monotonic() + longest_wait
-        while not _try_lock(handle) and time.monotonic() < end:
+        while not (is_held := _try_lock(handle)) and time.monotonic() < end:
             time.sleep(LOCK_INTERVAL)
-        yield
+        yield is_held
     finally:
         os.close(handle)
 

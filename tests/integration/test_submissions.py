@@ -561,8 +561,9 @@ def test_what_was_driven_before_a_submission_was_stopped_is_not_lost(submit, tmp
 
 def test_what_was_driven_before_a_submission_was_killed_is_not_lost(submit, tmp_path, monkeypatch):
     monkeypatch.setattr(submission_module, "missing_packages", lambda code: [])
-    (tmp_path / ".reader.partial" / "jobs").mkdir(parents=True)
-    (tmp_path / ".reader.partial" / "jobs" / "1.json").write_text("{}")
+    for left in (".reader.partial", ".reader.jobs.partial"):
+        (tmp_path / left).mkdir()
+        (tmp_path / left / "1.json").write_text("{}")
     found = []
 
     def run(request, out, executor, progress):
@@ -572,6 +573,24 @@ def test_what_was_driven_before_a_submission_was_killed_is_not_lost(submit, tmp_
     monkeypatch.setattr(submission_module, "run_board", run)
     submit("reader")
     assert found == ["1.json"] and not list(tmp_path.glob(".*"))
+    assert not (tmp_path / "reader" / "1.json").exists()
+
+
+def test_of_two_submissions_into_one_folder_at_once_the_second_is_refused(
+    submit, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(submission_module, "missing_packages", lambda code: [])
+
+    def run(request, out, executor, progress):
+        (out / "jobs" / "1.json").write_text("{}")
+        with pytest.raises(ConfigError, match="reader: another process makes it; wait, or give"):
+            submit("reader")
+        assert (out / "jobs" / "1.json").exists() and (out / "code").exists()
+        return SimpleNamespace(tasks=[])
+
+    monkeypatch.setattr(submission_module, "run_board", run)
+    record = submit("reader")
+    assert not list(tmp_path.glob(".*")) and load_submission(tmp_path / "reader") == record
 
 
 @pytest.mark.parametrize(

@@ -92,6 +92,27 @@ def test_partial_files_are_removed_a_day_after_their_last_change_whoever_writes_
     assert (tmp_path / ".c.txt.folder-1-1-0.partial").is_dir()
 
 
+KILLED = """
+import os, sys
+from pathlib import Path
+from road_envs.core.atomic_io import new_folder
+with new_folder(Path(sys.argv[1])) as folder:
+    (folder / "half").touch()
+    os.kill(os.getpid(), 9)
+"""
+
+
+def test_two_do_not_make_one_folder_at_once_and_a_killed_one_blocks_none(tmp_path):
+    path = tmp_path / "deep" / "found"
+    assert subprocess.run([sys.executable, "-c", KILLED, str(path)]).returncode == -9
+    with new_folder(path) as folder:
+        (folder / "a").touch()
+        with pytest.raises(ConfigError, match="found: another process makes it"), new_folder(path):
+            pass
+        assert os.listdir(folder) == ["a"]
+    assert os.listdir(path) == ["a"] and list(path.parent.iterdir()) == [path]
+
+
 HOLDS = """
 import sys, time
 from road_envs.core.atomic_io import TempFolder
