@@ -32,6 +32,7 @@ from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
 from road_envs.core.atomic_io import remove_stale_temp
 from road_envs.core.config import ConfigError, Settings, build
+from road_envs.core.reading import regular
 
 _FOLDER = "files"
 """Folder of copies of the files that a job needs besides its text, beside the file of the job."""
@@ -205,7 +206,7 @@ def run_job_file(spec: Path, out: Path) -> Iterator[JobDone]:
     Raises ConfigError, OSError.
     """
     remove_stale_temp()
-    job = from_text(spec.read_text(encoding="utf-8"), str(spec), spec.parent)
+    job = from_text(regular(spec).read_text(encoding="utf-8"), str(spec), spec.parent)
     with _JobRunner(out) as runner:
         yield from runner.run(job)
 

@@ -251,8 +251,8 @@ def _digests(folder: Path) -> dict[str, str]:
     digests = {}
     for top, folders, names in os.walk(folder):
         for path in [Path(top), *(Path(top, name) for name in (*folders, *names))]:
-            if path.is_symlink():
-                raise ConfigError(f"{path}: a submission has no links")
+            if path.is_symlink() or not (path.is_file() or path.is_dir()):
+                raise ConfigError(f"{path}: a submission has no links, pipes and devices")
         for path in (Path(top, name) for name in names):
             if (place := path.relative_to(folder).as_posix()) not in _UNSEALED:
                 digests[place] = hashlib.sha256(path.read_bytes()).hexdigest()

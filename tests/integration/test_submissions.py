@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import json
 import shutil
+import socket
 from functools import partial
 from types import SimpleNamespace
 
@@ -50,7 +51,7 @@ def test_a_submission_that_was_not_touched_is_read(submission):
     assert load_submission(submission).name == "reader"
 
 
-def test_a_changed_a_missing_and_a_further_file_are_refused(submission):
+def test_a_changed_a_missing_and_a_further_file_are_refused(submission, monkeypatch):
     row = store.row_path(submission, "small", "reader")
     text = row.read_text()
     row.write_text(text + " ")
@@ -67,6 +68,12 @@ def test_a_changed_a_missing_and_a_further_file_are_refused(submission):
     (submission / "code" / "more.py").unlink()
     (submission / "code" / "link").symlink_to("/etc/passwd")
     with pytest.raises(ConfigError, match="a submission has no links"):
+        load_submission(submission)
+    (submission / "code" / "link").unlink()
+    monkeypatch.chdir(submission / "code")
+    with socket.socket(socket.AF_UNIX) as endless:
+        endless.bind("socket")
+    with pytest.raises(ConfigError, match="socket: a submission has no links, pipes and devices"):
         load_submission(submission)
 
 
