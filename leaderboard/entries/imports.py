@@ -65,7 +65,8 @@ def imported_versions(reference: str) -> tuple[str, ...]:
 
     Of a module that is installed editable or belongs to none, the digest of its files, and what
     these import counts too; "none" if there is no such module. What is imported by a name that is
-    made at run time, or by a module of more than 1 MiB, is not seen. Raises EntryError.
+    made at run time, or by a module of more than 1 MiB, is not seen. Raises EntryError, also for
+    what has neither version nor digest.
     """
     front, seen, found = _imported(reference), set[str](), set[str]()
     while left := front - seen - sys.stdlib_module_names - {*PACKAGES}:
@@ -81,9 +82,12 @@ def imported_versions(reference: str) -> tuple[str, ...]:
             places = places_of(find_spec(top))
         found |= set() if owners or places else {f"{top} none"}
         for place in (x for x in places if x.parent.resolve() not in sites):
-            with suppress(EntryError):
+            try:
                 found.add(f"{top} {snapshot(str(place), None)}")
                 front |= _imported(str(place), f"{top}/" if place.is_dir() else "")
+            except EntryError as error:
+                if not owners:  # nothing would tell that it has changed
+                    raise EntryError(f"of {top} beside it, which it imports, {error}") from None
     return tuple(sorted(found))
 
 
