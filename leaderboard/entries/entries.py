@@ -79,10 +79,8 @@ def find_reference(name: str) -> str:
         if not (path.is_file() or path.is_dir()):  # pipes and devices have no end
             choices = "a wheel, a folder of an installed package, or a file from `train`"
             raise ConfigError(f"{name}: no such file; give {choices}")
-        file = path.resolve()
-        if path.suffix in suffixes and file.suffix not in suffixes:  # a link into a store
-            file = path.absolute()
-        return str(file)
+        is_stored = path.suffix in suffixes and path.resolve().suffix not in suffixes  # by digest
+        return str(path.absolute() if is_stored else path.resolve())
     if entry_files.CLASS_REFERENCE.fullmatch(name):
         return name
     validate_choice("estimator", name, estimators.names())

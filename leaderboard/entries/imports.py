@@ -65,8 +65,7 @@ def imported_versions(reference: str) -> tuple[str, ...]:
 
     Of a module that is installed editable or belongs to none, the digest of its files, and what
     these import counts too; "none" if there is no such module. What is imported by a name that is
-    made at run time, or by a module of more than 1 MiB, is not seen. Raises EntryError, also for
-    what has neither version nor digest.
+    made at run time, or by a module of more than 1 MiB, is not seen. Raises EntryError.
     """
     front, seen, found = _imported(reference), set[str](), set[str]()
     while left := front - seen - sys.stdlib_module_names - {*PACKAGES}:
