@@ -184,6 +184,8 @@ def check(name: str, kills: int, expected: dict, folder: Path, rng: random.Rando
     while done < kills and runs < ATTEMPTS:
         out, runs = folder / f"{name} {runs}", runs + 1
         done += sum(STAGES[name](out, kills - done, rng))
+        for left in out.rglob("*.partial"):
+            os.utime(left, (0.0, 0.0))  # a day later
         for _ in range(ATTEMPTS):  # an entry whose guest or job was killed has failed: run again
             board = run_board(make_request(VALID, CONDITIONS), out, ProcessExecutor(1))
             failed += len(board.failed(board.tasks[0]))

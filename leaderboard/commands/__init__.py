@@ -50,18 +50,23 @@ def parse_settings(pairs: list[str] | None) -> dict[str, Any]:
     return settings
 
 
-def import_from_here(references: Iterable[str], isolation: str = "process") -> None:
-    """Find the modules of `references` "module:Class" also in this folder.
-
-    Only code that has the rights of the user may import from it, after all that is installed: else
-    a file beside an entry could take the place of a module of this program.
-    """
+def find_from_here(references: Iterable[str]) -> None:
+    """Find the modules of `references` "module:Class" also in this folder, and import none."""
     from leaderboard.entries.entry_files import CLASS_FOLDER
 
     if any(":" in reference for reference in references):
         os.environ[CLASS_FOLDER] = os.getcwd()
-        if isolation == "process" and os.getcwd() not in sys.path:
-            sys.path.append(os.getcwd())
+
+
+def import_from_here(reference: str) -> None:
+    """Import the module of a `reference` "module:Class" also from this folder, in this process.
+
+    After all that is installed: else a file beside an entry could take the place of a module of
+    this program.
+    """
+    find_from_here([reference])
+    if ":" in reference and os.getcwd() not in sys.path:
+        sys.path.append(os.getcwd())
 
 
 def check_output_path(path: Path | None, *suffixes: str) -> Path | None:

@@ -181,7 +181,7 @@ def _tasks(
 def _entries(names: Sequence[str] | None, without: Sequence[str], limits: Limits) -> list[Entry]:
     if names and without:
         raise ConfigError("give either --estimator or --without, not both")
-    commands.import_from_here(names or (), "auto")
+    commands.find_from_here(names or ())
     for name in without:
         validate_choice("estimator", name, estimators.names())
     unavailable = estimators.without_weights()

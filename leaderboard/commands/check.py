@@ -8,7 +8,7 @@ from typing import Annotated
 from rich.table import Table
 from rich.text import Text
 
-from leaderboard.commands import import_from_here, parse_settings
+from leaderboard.commands import find_from_here, parse_settings
 from leaderboard.commands.options import LimitOptions, Settings, argument
 from leaderboard.commands.output import Output
 from leaderboard.commands.policies import POLICY_OPTIONS, policy_isolation
@@ -36,7 +36,7 @@ def check_estimator(
 
     It runs in separate processes on a few short drives: contract, damaged records, probes, cost.
     """
-    import_from_here([estimator], "auto")
+    find_from_here([estimator])
     of_board = limits.parse()
     own = dataclasses.replace(of_board, seconds=min(RUN_TIME_LIMIT, of_board.seconds))
     with SandboxClient(own) as sandbox:

@@ -49,7 +49,7 @@ def estimate(
     commands.check_output_path(out, ".csv")
     commands.check_output_path(plot, *commands.PICTURES)
     given = commands.parse_settings(settings)
-    commands.import_from_here([estimator])
+    commands.import_from_here(estimator)
     estimators.make_estimator(estimator, **given)  # a wrong name ends it before a file is read
     drives = drive_files.read_passes(records, options)
     drive = drives[0]

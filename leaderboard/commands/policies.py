@@ -100,7 +100,7 @@ def policy_isolation(reference: str, isolation: str) -> Isolation:
 
     Raises ConfigError for one that may not be run by the option `isolation`, or is none.
     """
-    commands.import_from_here([reference], isolation)
+    commands.find_from_here([reference])
     if ":" not in reference and not reference.endswith(FILE_SUFFIXES):
         validate_choice("policy", reference, names())
     if isolation == "process" or not runs_foreign_code(reference):

@@ -51,7 +51,7 @@ def report(
     it) and, if the drive has positions, NAME.geojson and report.gpkg.
     """
     commands.check_output_folder(out)
-    commands.import_from_here([estimator])
+    commands.import_from_here(estimator)
     chosen = ReportSettings(
         conditions=load_conditions(conditions), settings=commands.parse_settings(settings),
         estimator=estimator, fast=fast, segment=segment,

@@ -81,7 +81,7 @@ def verify(
     if not folder.is_dir():
         raise ConfigError(f"{folder}: no such folder")
     load_verified(folder)  # what cannot be added to is told before the run
-    commands.import_from_here(estimator or (), "auto")
+    commands.find_from_here(estimator or ())
     with SandboxClient(limits.parse()) as sandbox, commands.progress_bar() as progress:
         entries = resolve_entries(estimator or (), sandbox.describe)
         run = jobs.in_sandbox(sandbox)

@@ -74,11 +74,13 @@ def find_reference(name: str) -> str:
     Raises ConfigError for a file that does not exist and for an unknown name.
     """
     path = Path(name)
-    if path.suffix in (*entry_files.WEIGHTS_SUFFIXES, ".whl") or os.sep in name:
+    suffixes = (*entry_files.WEIGHTS_SUFFIXES, ".whl")
+    if path.suffix in suffixes or os.sep in name:
         if not (path.is_file() or path.is_dir()):  # pipes and devices have no end
             choices = "a wheel, a folder of an installed package, or a file from `train`"
             raise ConfigError(f"{name}: no such file; give {choices}")
-        return str(path.resolve())
+        is_stored = path.suffix in suffixes and path.resolve().suffix not in suffixes  # by digest
+        return str(path.absolute() if is_stored else path.resolve())
     if entry_files.CLASS_REFERENCE.fullmatch(name):
         return name
     validate_choice("estimator", name, estimators.names())

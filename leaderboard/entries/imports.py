@@ -81,9 +81,12 @@ def imported_versions(reference: str) -> tuple[str, ...]:
             places = places_of(find_spec(top))
         found |= set() if owners or places else {f"{top} none"}
         for place in (x for x in places if x.parent.resolve() not in sites):
-            with suppress(EntryError):
+            try:
                 found.add(f"{top} {snapshot(str(place), None)}")
                 front |= _imported(str(place), f"{top}/" if place.is_dir() else "")
+            except EntryError as error:
+                if not owners:  # nothing would tell that it has changed
+                    raise EntryError(f"of {top} beside it, which it imports, {error}") from None
     return tuple(sorted(found))
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from road_envs.core.reading import regular
 from road_envs.roads import KINDS
 from road_envs.roads.api import map_paths
 from road_envs.roads.measured import Measured
@@ -25,7 +26,8 @@ def files_of(path: str) -> list[Path]:
 
 def digest_of(path: str) -> str:
     """Return the SHA-256 of a file with that beside it."""
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files_of(path))).hexdigest()
+    content = b"".join(regular(file).read_bytes() for file in files_of(path))
+    return hashlib.sha256(content).hexdigest()
 
 
 def with_paths(value: Any, change: Callable[[str], str]) -> Any:

@@ -1,8 +1,9 @@
 """A policy in a process of its own, with limits of time and memory.
 
 The process sees observations and a PolicyContext, never the road, the seeds or the scores, which
-stay here. Inside bubblewrap it also has no network, no files but the libraries and a copy of its
-code, and no rights; otherwise it has those of the user, which protects from mistakes only.
+stay here, and runs a copy of the code of a policy from outside: its package or its module. Inside
+bubblewrap it also has no network, no files but the libraries and that copy, and no rights;
+otherwise it has those of the user, which protects from mistakes only.
 """
 
 import pickle
@@ -96,20 +97,20 @@ class PolicyProcess:
         self._temp = self._temp or TempFolder()
         self._temp.path.chmod(0o755)  # the process has another user
         code = self._code(self._temp.path / "code")
-        if code is not None:
+        isolated = code is not None and self.limits.isolation == "bubblewrap"
+        if isolated:
             self._forget_others()
         self._count += 1
         home, module = self._temp.path / str(self._count), policy_handler.__name__
         limits = replace(self.limits, seconds=_LONGEST_COMPARISON)
-        return start_guest(module, home, limits, isolated=code is not None, code=code)
+        return start_guest(module, home, limits, isolated=isolated, code=code)
 
     def _code(self, folder: Path) -> Path | None:
         """Return `folder` with a copy of the code, which is not imported here.
 
-        None for a policy of this package and for one that has the rights of the user. Raises
-        PolicyError.
+        None for a policy of this package. Raises EntryError, and ConfigError for an unknown name.
         """
-        if self.limits.isolation != "bubblewrap" or not runs_foreign_code(self.reference):
+        if not runs_foreign_code(self.reference):
             return None
         if ":" not in self.reference:
             self.reference = entry_point(self.reference)

@@ -15,10 +15,10 @@ from leaderboard.evaluation.tasks import Task
 from leaderboard.method_card import MethodCard, find_method_card
 from leaderboard.metrics.baselines import ALL_BASELINES, BASELINES
 from leaderboard.running.executors import Executor
-from leaderboard.running.jobs import to_packed_text, wider_limits
+from leaderboard.running.jobs import to_packed_text
 from leaderboard.running.plan import Plan, PlannedRow, make_jobs
 from leaderboard.running.verification import Verified, load_verified, other_drives, save_definition
-from leaderboard.sandbox.limits import UNLIMITED, Limits
+from leaderboard.sandbox.limits import Limits
 from road_envs.core.atomic_io import copy_file, remove_stale_partials, remove_stale_temp, write_text
 from road_envs.core.config import ConfigError
 
@@ -82,7 +82,7 @@ class Board:
     cards: Mapping[str, EstimatorCard] = field(default_factory=dict)
     verified: Mapping[str, Sequence[Verified]] = field(default_factory=dict)
     methods: Mapping[str, MethodCard] = field(default_factory=dict)
-    limits: Limits = UNLIMITED  # rows made with wider ones are stale
+    limits: Limits = field(default_factory=Limits)  # of a run; what failed within less is stale
 
     def scored(self, task: Task) -> list[Result]:
         """Return the current results of a task that have scores."""
@@ -101,7 +101,11 @@ class Board:
         """Return why a result cannot be compared with current ones; None if it can."""
         key = task.name, result.estimator
         reason = result.stale_reason(task, self.entries.get(key)) or self._other_drives[key]
-        return reason or wider_limits(result, self.limits)
+        seconds, memory = result.limits
+        is_narrower = 0 < seconds < self.limits.seconds or 0 < memory < self.limits.memory
+        if reason is None and result.failure is not None and is_narrower:
+            return f"failed within narrower limits: {seconds:g} s, {memory:g} GiB"
+        return reason
 
     @cached_property
     def _other_drives(self) -> dict[tuple[str, str], str | None]:

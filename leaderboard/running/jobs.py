@@ -23,7 +23,7 @@ from leaderboard.entries.entries import is_by_others, is_from_outside
 from leaderboard.entries.entry import Entry, EntryError, TrainingRun
 from leaderboard.evaluation import evaluate, store
 from leaderboard.evaluation.provenance import package_code, package_version, read_package_code
-from leaderboard.evaluation.results import RESULT, Result, content_digest, evaluation_version
+from leaderboard.evaluation.results import RESULT, content_digest, evaluation_version
 from leaderboard.evaluation.task_files import digest_of, files_of, to_json_types, with_paths
 from leaderboard.evaluation.tasks import Task
 from leaderboard.metrics import heights
@@ -32,6 +32,7 @@ from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
 from road_envs.core.atomic_io import remove_stale_temp
 from road_envs.core.config import ConfigError, Settings, build
+from road_envs.core.reading import regular
 
 _FOLDER = "files"
 """Folder of copies of the files that a job needs besides its text, beside the file of the job."""
@@ -75,13 +76,6 @@ def result_identity(task: Task, condition: int | None, entry: Entry, seeds: Sequ
         package_version(),
         heights.VERSION,
     )
-
-
-def wider_limits(result: Result, limits: Limits) -> str | None:
-    """Return why a result cannot stand beside those of runs with `limits`; None if it can."""
-    seconds, memory = result.limits
-    is_wider = seconds > limits.seconds or memory > limits.memory
-    return f"made with wider limits: {seconds:g} s, {memory:g} GiB" if is_wider else None
 
 
 def to_text(job: Job) -> str:
@@ -205,7 +199,7 @@ def run_job_file(spec: Path, out: Path) -> Iterator[JobDone]:
     Raises ConfigError, OSError.
     """
     remove_stale_temp()
-    job = from_text(spec.read_text(encoding="utf-8"), str(spec), spec.parent)
+    job = from_text(regular(spec).read_text(encoding="utf-8"), str(spec), spec.parent)
     with _JobRunner(out) as runner:
         yield from runner.run(job)
 

@@ -13,7 +13,7 @@ from leaderboard.entries.entry import Entry
 from leaderboard.evaluation import store
 from leaderboard.evaluation.results import Result, content_digest, merge_parts
 from leaderboard.evaluation.tasks import Task
-from leaderboard.running.jobs import Job, JobDone, result_identity, wider_limits
+from leaderboard.running.jobs import Job, JobDone, result_identity
 from leaderboard.sandbox.limits import Limits
 from road_envs.core.artifacts import NewerFormatError
 from road_envs.core.config import ConfigError
@@ -138,7 +138,9 @@ class Plan:
         return True
 
     def _is_valid(self, result: Result) -> bool:
-        return result.failure is None and wider_limits(result, self._limits) is None
+        seconds, memory = result.limits
+        is_wider = seconds > self._limits.seconds or memory > self._limits.memory
+        return result.failure is None and not is_wider
 
     def _assemble(self, row: PlannedRow) -> bool:
         """Write a row if all parts are stored; return whether it was written."""

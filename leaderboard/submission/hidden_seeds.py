@@ -28,7 +28,7 @@ from leaderboard.evaluation.tasks import Task, load_task
 from leaderboard.evaluation.test_data import check_plants
 from road_envs.core.atomic_io import atomic_write, write_text
 from road_envs.core.config import ConfigError, Settings, build, find, read_yaml
-from road_envs.core.reading import parsing
+from road_envs.core.reading import parsing, regular
 
 COMMITMENT, SALT = "commitment.json", "salt.txt"
 _AS_GIVEN = ("utf-8", "surrogateescape")  # a salt may be any bytes
@@ -85,7 +85,7 @@ def load(folder: Path) -> _HiddenSeeds:
     """Return the published hidden test set of a folder. Raises ConfigError."""
     path = folder / COMMITMENT
     with parsing(path, ConfigError, "damaged, not valid JSON"):
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = json.loads(regular(path).read_text(encoding="utf-8"))
     return build(_HiddenSeeds, data, str(path))
 
 
@@ -124,7 +124,7 @@ def check_revealed(path: Path, root: Path) -> str:
         return ""
     hidden = load(folder)
     with parsing(folder / SALT, ConfigError, "damaged"):
-        salt = (folder / SALT).read_bytes().decode(*_AS_GIVEN)
+        salt = regular(folder / SALT).read_bytes().decode(*_AS_GIVEN)
     if _commitment(salt, hidden) != hidden.commitment:
         raise ConfigError(f"{folder / SALT}: the salt does not match the commitment")
     name = {_season_name(task, hidden): task for task in hidden.tasks}.get(path.stem)

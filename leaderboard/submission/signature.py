@@ -15,7 +15,7 @@ from typing import Any
 from road_envs.core.atomic_io import write_text
 from road_envs.core.config import ConfigError
 from road_envs.core.extras import optional_import
-from road_envs.core.reading import parsing
+from road_envs.core.reading import parsing, regular
 
 FILE = "signature.json"
 RECORD = "submission.json"
@@ -60,7 +60,7 @@ def verify(folder: Path) -> str | None:
         return None
     ed25519, _ = _library()
     with parsing(path, ConfigError, "damaged, not a signature"):
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = json.loads(regular(path).read_text(encoding="utf-8"))
         public = ed25519.Ed25519PublicKey.from_public_bytes(bytes.fromhex(data["key"]))
         signature = bytes.fromhex(data["signature"])
     from cryptography.exceptions import InvalidSignature

@@ -76,11 +76,10 @@ def make_submission(
 
     What was driven before it was stopped or failed is not driven again. Raises ConfigError for a
     card that is not filled in, packages that boards lack, a failed check, a failed row, and a
-    folder that exists.
+    folder that exists or that another process makes.
     """
     load_method_card(card)
-    kept = _kept_parts(folder)
-    with new_folder(folder) as partial, _keeping_parts(kept, partial / _PARTS) as spent:
+    with new_folder(folder) as partial, _keeping_parts(folder, partial / _PARTS) as spent:
         (partial / "code").mkdir()
         entry_files.snapshot(find_reference(str(wheel)), partial / "code")
         shutil.copyfile(card, partial / CARD)
@@ -99,7 +98,7 @@ def make_submission(
         for failed in (row for task in board.tasks for row in board.failed(task)):
             raise ConfigError(f"{failed.estimator} failed on {failed.task}: {failed.failure}")
         cost = round(spent(), 1)
-        shutil.rmtree(partial / _PARTS, ignore_errors=True)
+        (partial / _PARTS).unlink()
         record = _Submission(
             name=entry.name, code=entry.code, package_version=package_version(),
             hardware=describe_environment(), cpu_seconds=cost, files=_digests(partial),
@@ -224,35 +223,27 @@ def _code(environment: Mapping[str, str]) -> str:
     return environment.get("code", "unknown")[:8]
 
 
-def _kept_parts(folder: Path) -> Path:
-    """Folder beside a submission where a stopped run keeps its parts; of a killed one they are
-    moved there, without its processor time.
-    """
-    killed = folder.with_name(f".{folder.name}{PARTIAL_SUFFIX}") / _PARTS
-    kept = folder.with_name(f".{folder.name}.{_PARTS}{PARTIAL_SUFFIX}")
-    if killed.is_dir() and not kept.exists():
-        killed.rename(kept)
-    return kept
-
-
 @contextmanager
-def _keeping_parts(kept: Path, parts: Path) -> Iterator[Callable[[], float]]:
-    """Take the `parts` of rows over that a stopped run has `kept`, and keep them if this one ends
-    early: they are found by what they were made from. Yields a function that returns the processor
-    time [s] of all these runs.
+def _keeping_parts(folder: Path, parts: Path) -> Iterator[Callable[[], float]]:
+    """Keep the `parts` of rows beside the `folder` of a submission until it is made: in a run after
+    one that was stopped they are found by what they were made from. Yields a function that returns
+    the processor time [s] of all these runs, without that of killed ones.
     """
-    cost = parts / "cpu_seconds"
-    if kept.is_dir():
-        kept.rename(parts)
+    kept = folder.with_name(f".{folder.name}.{_PARTS}{PARTIAL_SUFFIX}")
+    cost = kept / "cpu_seconds"
+    kept.mkdir(exist_ok=True)
+    parts.symlink_to(kept.resolve())
     before = float(cost.read_text(encoding="utf-8")) if cost.is_file() else 0.0
     began = _cpu_seconds()
     try:
         yield lambda: before + _cpu_seconds() - began
     except BaseException:
-        if parts.is_dir():
+        if any(kept.iterdir()):
             write_text(cost, f"{before + _cpu_seconds() - began:.1f}\n")
-            parts.rename(kept)
+        else:
+            kept.rmdir()
         raise
+    shutil.rmtree(kept)
 
 
 def _digests(folder: Path) -> dict[str, str]:
@@ -260,8 +251,8 @@ def _digests(folder: Path) -> dict[str, str]:
     digests = {}
     for top, folders, names in os.walk(folder):
         for path in [Path(top), *(Path(top, name) for name in (*folders, *names))]:
-            if path.is_symlink():
-                raise ConfigError(f"{path}: a submission has no links")
+            if path.is_symlink() or not (path.is_file() or path.is_dir()):
+                raise ConfigError(f"{path}: a submission has no links, pipes and devices")
         for path in (Path(top, name) for name in names):
             if (place := path.relative_to(folder).as_posix()) not in _UNSEALED:
                 digests[place] = hashlib.sha256(path.read_bytes()).hexdigest()

@@ -29,6 +29,7 @@ from typing import Any, TypeVar
 from road_envs.core.atomic_io import write_text
 from road_envs.core.code_digest import closure, digest
 from road_envs.core.config import ConfigError
+from road_envs.core.reading import regular
 
 T = TypeVar("T")
 
@@ -90,7 +91,7 @@ class Kind:
         """
         what = f"{'an' if self.name[0] in 'aeiou' else 'a'} {self.name}"
         try:
-            text = path.read_text(encoding="utf-8")
+            text = regular(path).read_text(encoding="utf-8")
             data = json.loads(text)
         except OSError as error:
             raise ConfigError(f"{path}: {error.strerror}") from None
@@ -177,7 +178,7 @@ def clean(folder: Path, delete: bool = True) -> list[Path]:
     found = []
     for path in sorted(folder.rglob("*.json")):
         try:
-            text = path.read_text(encoding="utf-8")
+            text = regular(path).read_text(encoding="utf-8")
         except (OSError, ValueError):
             continue
         if text.startswith(f"{CHECKSUM_PREFIX}{_text_checksum(text)}"):

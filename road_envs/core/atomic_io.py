@@ -9,13 +9,14 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from road_envs.core.config import ConfigError
 
 PARTIAL_SUFFIX = ".partial"  # suffix of a file that is still being written
 TEMP_PREFIX = "roadrecon-scratch-"  # prefix of the name of a temporary folder
+STALE_AGE = 86400.0  # time [s] after which a partial file is no longer being written
 LOCK_INTERVAL = 0.02  # time [s] between two attempts to take a lock
 
 _counter = itertools.count()
@@ -29,7 +30,9 @@ def atomic_write(path: str | Path, *, durable: bool = False) -> Iterator[Path]:
     flushed to disk before the replacement, so that it survives a power failure.
     """
     path = Path(path)
-    partial = path.with_name(f".{path.name}.{_writer_id()}-{next(_counter)}{PARTIAL_SUFFIX}")
+    host = "".join(c for c in platform.node() if c.isalnum()) or "localhost"
+    writer = f"{host}-{os.getpid()}-{threading.get_ident()}-{next(_counter)}"
+    partial = path.with_name(f".{path.name}.{writer}{PARTIAL_SUFFIX}")
     try:
         yield partial
         if durable:
@@ -60,44 +63,33 @@ def copy_file(source: Path, target: Path) -> None:
 def new_folder(path: Path) -> Iterator[Path]:
     """Yield an empty folder beside `path`, which gets that name when the block ends.
 
-    If the block raises, the folder is removed. Raises ConfigError if `path` exists.
+    If the block raises, the folder is removed. Raises ConfigError if `path` exists, and while
+    another process makes it.
     """
-    if path.exists():
-        raise ConfigError(f"{path} exists; give a folder that does not")
     partial = path.with_name(f".{path.name}{PARTIAL_SUFFIX}")
-    shutil.rmtree(partial, ignore_errors=True)
-    partial.mkdir(parents=True)
-    try:
-        yield partial
-        partial.rename(path)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+    lock = partial.with_suffix(f".lock{PARTIAL_SUFFIX}")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with exclusive_lock(lock, 0.0) as is_alone:
+        if not is_alone:
+            raise ConfigError(f"{path}: another process makes it; wait, or give another folder")
+        try:
+            if path.exists():
+                raise ConfigError(f"{path} exists; give a folder that does not")
+            shutil.rmtree(partial, ignore_errors=True)
+            partial.mkdir()
+            yield partial
+            partial.rename(path)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+            lock.unlink(missing_ok=True)
 
 
 def remove_stale_partials(folder: Path) -> None:
-    """Remove partial files in `folder` that killed writers on this machine have left behind."""
-    mine, _, _ = _writer_id().partition("-")
-    for partial in folder.rglob(f".*{PARTIAL_SUFFIX}"):
-        host, _, rest = partial.name.removesuffix(PARTIAL_SUFFIX).rpartition(".")[2].partition("-")
-        pid = rest.partition("-")[0]
-        if host == mine and pid.isdigit() and not _is_alive(int(pid)):
-            partial.unlink(missing_ok=True)
-
-
-def _writer_id() -> str:
-    """Return an id of host, process and thread, which no two concurrent writers share."""
-    host = "".join(c for c in platform.node() if c.isalnum()) or "localhost"
-    return f"{host}-{os.getpid()}-{threading.get_ident()}"
-
-
-def _is_alive(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)  # signal 0 only checks that the process exists
-    except ProcessLookupError:
-        return False
-    except PermissionError:  # a process of another user
-        pass
-    return True
+    """Remove partial files in `folder` that nobody has changed for STALE_AGE: of killed writers."""
+    for partial in folder.rglob(f".*.*-*-*-*{PARTIAL_SUFFIX}"):
+        with suppress(OSError):  # another process may remove it meanwhile
+            if time.time() - partial.lstat().st_mtime > STALE_AGE:
+                partial.unlink()
 
 
 def _fsync(path: Path) -> None:
@@ -163,21 +155,21 @@ def _remove_if_orphaned(folder: Path) -> bool:
 
 
 @contextmanager
-def exclusive_lock(path: Path, longest_wait: float) -> Iterator[None]:
-    """Hold the lock of a file, which other processes wait for.
+def exclusive_lock(path: Path, longest_wait: float) -> Iterator[bool]:
+    """Hold the lock of a file, which other processes wait for; yield False if one of them has it.
 
     After `longest_wait` [s], or where no lock can be had, the block runs without it.
     """
     try:
-        handle = os.open(path, os.O_RDONLY | os.O_CREAT, 0o600)
+        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)  # NFS locks what can be written
     except OSError:
-        yield
+        yield True
         return
     try:
         end = time.monotonic() + longest_wait
-        while not _try_lock(handle) and time.monotonic() < end:
+        while not (is_held := _try_lock(handle)) and time.monotonic() < end:
             time.sleep(LOCK_INTERVAL)
-        yield
+        yield is_held
     finally:
         os.close(handle)
 

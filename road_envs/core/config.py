@@ -24,7 +24,7 @@ from typing import Annotated, Any, TypeVar, Union, cast, get_args, get_origin
 import yaml
 from pydantic import AfterValidator, Discriminator, Field, Tag, TypeAdapter, ValidationError
 
-from road_envs.core.reading import parsing
+from road_envs.core.reading import parsing, regular
 
 T = TypeVar("T")
 
@@ -169,7 +169,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
         if (size := path.stat().st_size) > MAX_FILE_SIZE:
             raise ConfigError(f"{size} bytes; at most {MAX_FILE_SIZE} are read")
         shipped = path.is_relative_to(folder())
-        data = pickle.loads(_parse(path.read_text(encoding="utf-8"), shipped))
+        data = pickle.loads(_parse(regular(path).read_text(encoding="utf-8"), shipped))
     if not isinstance(data, dict):
         raise ConfigError(f"{path}: expected a mapping of keys to values, got {_type_name(data)}")
     return data

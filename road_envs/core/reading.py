@@ -1,7 +1,9 @@
 """Reading of files that may be damaged or hostile: one kind of error, sizes known beforehand."""
 
+import errno
 import io
 import math
+import stat
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -50,6 +52,14 @@ def parsing(path: str | Path, error: type[Exception], reason: str) -> Iterator[N
         raise error(f"{path}: {reason}: {said[:MAX_MESSAGE]}") from None
 
 
+def regular(path: str | Path) -> Path:
+    """Return the path of a file or a folder. Raises OSError: a pipe and a device have no end."""
+    mode = Path(path).stat().st_mode
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        raise OSError(errno.EINVAL, "not a regular file", str(path))
+    return Path(path)
+
+
 def read_npz(path: Path) -> dict[str, np.ndarray]:
     """Return the arrays of numbers or text in an .npz file, without pickle.
 
@@ -64,7 +74,7 @@ def read_zip(path: Path) -> dict[str, bytes]:
     The sizes that the archive states are compared with its bytes before anything is unpacked.
     Raises an exception of any class if it is damaged: call it inside `parsing`.
     """
-    with zipfile.ZipFile(io.BytesIO(data := path.read_bytes())) as archive:
+    with zipfile.ZipFile(io.BytesIO(data := regular(path).read_bytes())) as archive:
         members = archive.infolist()
         # other methods than these two are unpacked without a limit
         if any(m.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for m in members):

@@ -16,10 +16,10 @@ from typing import Annotated, Literal
 import numpy as np
 
 from road_envs.core.config import Finite, NonNegative, Positive, Settings
-from road_envs.core.reading import parsing
+from road_envs.core.reading import parsing, regular
 from road_envs.records.roughness import TRACK, TrackWidth
 from road_envs.roads.formats import erd, opencrg, table
-from road_envs.roads.formats.opencrg import CurvedGrid, SurfaceFileError, read_bytes
+from road_envs.roads.formats.opencrg import CurvedGrid, SurfaceFileError
 from road_envs.roads.formats.table import WheelPaths
 from road_envs.roads.surface import Surface, check_size
 
@@ -86,14 +86,14 @@ class Measured(Settings):
     def _contents(self) -> WheelPaths:
         match Path(self.path).suffix.lower():
             case ".crg":
-                grid = opencrg.parse(read_bytes(self.path))
+                grid = opencrg.parse(regular(self.path).read_bytes())
                 return _wheel_paths(grid, self.centre, self.track)
             case ".erd":
                 return erd.read(self.path)
             case ".parquet":
-                return table.parse_parquet(read_bytes(self.path))
+                return table.parse_parquet(regular(self.path).read_bytes())
             case ".csv" | ".txt" | ".dat":
-                return table.parse_text(read_bytes(self.path))
+                return table.parse_text(regular(self.path).read_bytes())
         raise SurfaceFileError(
             f"the name of a surface file must end in {', '.join(SURFACE_SUFFIXES)}"
         )

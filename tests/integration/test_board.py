@@ -124,8 +124,8 @@ def test_failures_are_run_again_and_end_the_other_conditions_of_the_entry(tmp_pa
     assert run(tmp_path, estimators)[1] == [("broken", small().conditions[0].label)]
 
 
-def test_a_row_made_with_wider_limits_is_run_again_and_stale_beside_narrower_ones(tmp_path):
-    """Else an entry beyond the limit of time would have a rank among those that it refused."""
+def test_a_row_made_with_wider_limits_is_run_again_by_a_narrower_run_of_its_entry_alone(tmp_path):
+    """A row of another entry stays valid: nothing has shown that it needs more."""
     own, wide = Limits(seconds=4.0, memory=2.0), Limits(seconds=60.0)
     assert len(run(tmp_path, limits=wide)[1]) == PARTS
     row = store.load(row_path(tmp_path, "small", "reader"))
@@ -133,8 +133,9 @@ def test_a_row_made_with_wider_limits_is_run_again_and_stale_beside_narrower_one
     only = {"reader": ESTIMATORS["reader"]}
     board, ran = run(tmp_path, only, limits=own)
     assert len(ran) == PARTS - 2  # not the learner, which is none of this run
-    ((stale, reason),) = board.stale(small())
-    assert (stale.estimator, reason) == ("learner", "made with wider limits: 60 s, 4 GiB")
+    for seen in (board, load_board([small()], tmp_path)):
+        assert not seen.stale(small()) and len(seen.scored(small())) == len(NAMES)
+    assert store.load(row_path(tmp_path, "small", "learner")).limits == (60.0, 4.0)
     narrow = store.load(row_path(tmp_path, "small", "reader"))
     assert narrow.limits == (4.0, 2.0) and content_digest(narrow) == content_digest(row)
     for limits in (own, wide):
@@ -149,6 +150,21 @@ def test_a_row_made_with_wider_limits_is_run_again_and_stale_beside_narrower_one
     assert ran == [] and not board.stale(small())
     assert store.load(row_path(tmp_path, "small", "reader")).limits == (4.0, 2.0)  # the widest
     assert run(tmp_path, only, limits=Limits(seconds=4.0, memory=1.0))[1]
+
+
+@pytest.mark.parametrize("narrow", [Limits(seconds=4.0), Limits(memory=1.0)])
+def test_what_failed_within_narrow_limits_is_stale_for_those_who_have_wider_ones(tmp_path, narrow):
+    estimators = {**ESTIMATORS, "broken": Broken(how="raises")}
+    board, _ = run(tmp_path, estimators, limits=narrow)
+    assert [row.estimator for row in board.failed(small())] == ["broken"]
+    read = load_board([small()], tmp_path)
+    ((stale, reason),) = read.stale(small())
+    told = f"failed within narrower limits: {narrow.seconds:g} s, {narrow.memory:g} GiB"
+    assert (stale.estimator, reason, read.failed(small())) == ("broken", told, [])
+    for limits in (Limits(), Limits(seconds=1e4)):
+        board, _ = run(tmp_path, estimators, limits=limits)
+        (failed,) = load_board([small()], tmp_path).failed(small())
+        assert failed.estimator == "broken" and not board.stale(small())
 
 
 def test_stored_rows_of_other_entries_stay_on_the_board(tmp_path):
@@ -278,6 +294,8 @@ def test_a_run_killed_at_any_time_and_resumed_gives_the_same_board(tmp_path, exp
         kills += ended[0][1] == signal.SIGKILL
         if rng.random() < 0.2:
             finished += 1
+            for partial in out.rglob("*.partial"):
+                os.utime(partial, (0.0, 0.0))  # a day later
             board, _ = run(out)
             assert rows(board) == expected
             assert not list(out.rglob("*.partial"))

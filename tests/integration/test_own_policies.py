@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import socket
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from bad_policies import Lateral
 
 from leaderboard.commands import policies
+from leaderboard.entries.entry_files import CLASS_FOLDER
 from leaderboard.policies import policy_checks
 from leaderboard.policies.policy_checks import OPTIONS, SEEDS, check_policy
 from leaderboard.policies.policy_process import POLICY_LIMITS, PolicyProcess
@@ -203,6 +205,32 @@ def test_a_policy_inside_bubblewrap_sees_its_code_and_nothing_else(tmp_path, mon
     with PolicyProcess("bad_policies:Lateral", limits=limits) as policy:
         actions = roll_out(policy, dict(SHORT), SEEDS).actions
     np.testing.assert_array_equal(actions, roll_out(Lateral(), dict(SHORT), SEEDS).actions)
+
+
+@pytest.mark.parametrize("isolation", ["process", "bubblewrap"])
+def test_a_policy_is_the_same_program_in_both_isolations(tmp_path, monkeypatch, isolation):
+    """A copy of its package, or of its module: what lies beside that is missing in both."""
+    if isolation == "bubblewrap" and (reason := bubblewrap.obstacle()):
+        pytest.skip(reason)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.path", [*sys.path])
+    monkeypatch.setenv(CLASS_FOLDER, "")
+    (tmp_path / "zz_policies").mkdir()
+    for place in ("zz_gain.py", "zz_policies/gain.py"):
+        (tmp_path / place).write_text("GAIN = 2.0")
+    constant = "from road_envs.policies.fixed import FixedPair"
+    (tmp_path / "zz_alone.py").write_text(f"import zz_gain\n{constant}")
+    (tmp_path / "zz_policies" / "__init__.py").write_text(f"from .gain import GAIN\n{constant}")
+    limits = dataclasses.replace(LIMITS, seconds=30.0, isolation=isolation)
+
+    def driven(reference):
+        assert policies.policy_isolation(reference, isolation) == isolation
+        with PolicyProcess(reference, limits=limits) as policy:
+            return roll_out(policy, dict(SHORT), SEEDS[:1]).actions
+
+    assert driven("zz_policies:FixedPair").size
+    with pytest.raises(PolicyError, match="zz_alone:FixedPair cannot be used: No module named 'zz"):
+        driven("zz_alone:FixedPair")
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import pytest
 from guests import LIMITS, drives
 from test_sandbox import MODES
 
-from leaderboard.commands import import_from_here
+from leaderboard.commands import find_from_here, import_from_here
 from leaderboard.entries import entries
 from leaderboard.entries.entry import EntryError
 from leaderboard.entries.entry_files import CLASS_FOLDER, list_files, snapshot
@@ -157,13 +157,13 @@ def test_a_module_beside_an_entry_takes_the_place_of_none_of_the_leaderboard(tmp
     for name in ("beside_it.py", "colorsys.py"):
         (tmp_path / name).write_text("raise RuntimeError('it was imported')\n")
     (tmp_path / "wave").mkdir()
-    import_from_here(["beside_it:Mine"], "auto")
+    find_from_here(["beside_it:Mine"])
     assert str(tmp_path) not in sys.path
     for name in ("beside_it", "colorsys"):
         assert list(list_files(f"{name}:Mine")) == [(tmp_path / f"{name}.py", f"{name}.py")]
     (installed,) = list_files("wave:Wave_read")  # a folder without __init__.py is no package
     assert tmp_path not in installed[0].parents
-    import_from_here(["beside_it:Mine"], "process")
+    import_from_here("beside_it:Mine")
     assert sys.path.index(str(tmp_path)) == len(sys.path) - 1
 
 

@@ -387,6 +387,20 @@ def test_a_line_break_in_the_name_of_a_file_cannot_imitate_a_second_file(tmp_pat
         entry_files.snapshot(str(tmp_path / "one"), None)
 
 
+def test_a_wheel_by_a_link_is_a_wheel_whatever_the_name_of_its_file(tmp_path):
+    """Stores of files (git-annex, Bazel) keep them by digest, and link to them by name."""
+    (tmp_path / "store").mkdir()
+    for name, target in (("mine-1.0.whl", "5d41402a"), ("mine.npz", "7d793037")):
+        (tmp_path / "store" / target).touch()
+        (tmp_path / name).symlink_to(tmp_path / "store" / target)
+        assert entries.find_reference(str(tmp_path / name)) == str(tmp_path / name)
+    (tmp_path / "store" / "rival-1.0.whl").touch()
+    for link in ("latest", "latest.whl"):
+        (tmp_path / link).symlink_to(tmp_path / "store" / "rival-1.0.whl")
+        found = entries.find_reference(str(tmp_path / link))
+        assert found == str((tmp_path / "store" / "rival-1.0.whl").resolve())
+
+
 def test_what_has_no_end_is_no_entry(tmp_path):
     os.mkfifo(tmp_path / "pipe.whl")
     (tmp_path / "device.npz").symlink_to("/dev/zero")

@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import json
 import shutil
+import socket
 from functools import partial
 from types import SimpleNamespace
 
@@ -50,7 +51,7 @@ def test_a_submission_that_was_not_touched_is_read(submission):
     assert load_submission(submission).name == "reader"
 
 
-def test_a_changed_a_missing_and_a_further_file_are_refused(submission):
+def test_a_changed_a_missing_and_a_further_file_are_refused(submission, monkeypatch):
     row = store.row_path(submission, "small", "reader")
     text = row.read_text()
     row.write_text(text + " ")
@@ -67,6 +68,12 @@ def test_a_changed_a_missing_and_a_further_file_are_refused(submission):
     (submission / "code" / "more.py").unlink()
     (submission / "code" / "link").symlink_to("/etc/passwd")
     with pytest.raises(ConfigError, match="a submission has no links"):
+        load_submission(submission)
+    (submission / "code" / "link").unlink()
+    monkeypatch.chdir(submission / "code")
+    with socket.socket(socket.AF_UNIX) as endless:
+        endless.bind("socket")
+    with pytest.raises(ConfigError, match="socket: a submission has no links, pipes and devices"):
         load_submission(submission)
 
 
@@ -561,8 +568,9 @@ def test_what_was_driven_before_a_submission_was_stopped_is_not_lost(submit, tmp
 
 def test_what_was_driven_before_a_submission_was_killed_is_not_lost(submit, tmp_path, monkeypatch):
     monkeypatch.setattr(submission_module, "missing_packages", lambda code: [])
-    (tmp_path / ".reader.partial" / "jobs").mkdir(parents=True)
-    (tmp_path / ".reader.partial" / "jobs" / "1.json").write_text("{}")
+    for left in (".reader.partial", ".reader.jobs.partial"):
+        (tmp_path / left).mkdir()
+        (tmp_path / left / "1.json").write_text("{}")
     found = []
 
     def run(request, out, executor, progress):
@@ -572,6 +580,24 @@ def test_what_was_driven_before_a_submission_was_killed_is_not_lost(submit, tmp_
     monkeypatch.setattr(submission_module, "run_board", run)
     submit("reader")
     assert found == ["1.json"] and not list(tmp_path.glob(".*"))
+    assert not (tmp_path / "reader" / "1.json").exists()
+
+
+def test_of_two_submissions_into_one_folder_at_once_the_second_is_refused(
+    submit, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(submission_module, "missing_packages", lambda code: [])
+
+    def run(request, out, executor, progress):
+        (out / "jobs" / "1.json").write_text("{}")
+        with pytest.raises(ConfigError, match="reader: another process makes it; wait, or give"):
+            submit("reader")
+        assert (out / "jobs" / "1.json").exists() and (out / "code").exists()
+        return SimpleNamespace(tasks=[])
+
+    monkeypatch.setattr(submission_module, "run_board", run)
+    record = submit("reader")
+    assert not list(tmp_path.glob(".*")) and load_submission(tmp_path / "reader") == record
 
 
 @pytest.mark.parametrize(

@@ -1,12 +1,18 @@
 """Artifacts: identity, header, reading and refusing; caches that are made again."""
 
 import json
+import os
 
 import pytest
 
+from leaderboard.evaluation.task_files import digest_of
+from leaderboard.running.jobs import run_job_file
+from leaderboard.submission import hidden_seeds, signature
 from road_envs.core import artifacts
 from road_envs.core.artifacts import Kind, NewerFormatError
-from road_envs.core.config import ConfigError
+from road_envs.core.config import ConfigError, read_yaml
+from road_envs.core.reading import read_npz
+from road_envs.roads.measured import Measured
 
 KIND = Kind("weighing", 2)
 
@@ -58,6 +64,33 @@ def test_an_invalid_file_is_refused_with_its_name_and_found_by_nobody(tmp_path, 
         KIND.read(path)
     assert str(path) in str(error.value) and message in str(error.value)
     assert KIND.find(path, "me", dict) is None
+
+
+def read_signature(path):
+    pytest.importorskip("cryptography")
+    return signature.verify(path.parent)
+
+
+@pytest.mark.parametrize(
+    ("name", "read"),
+    [
+        ("kept.json", KIND.read),
+        ("job.json", lambda path: list(run_job_file(path, path.parent))),
+        (signature.FILE, read_signature),
+        (hidden_seeds.COMMITMENT, lambda path: hidden_seeds.load(path.parent)),
+        ("road.yaml", read_yaml),
+        ("road.csv", lambda path: digest_of(str(path))),
+        ("road.erd", lambda path: Measured(path=str(path)).realise(None)),
+        ("weights.npz", read_npz),
+    ],
+)
+def test_of_what_has_no_end_nothing_is_read(tmp_path, name, read):
+    """A pipe in the place of a row would let a page wait for ever; this device has an end."""
+    (tmp_path / name).symlink_to(os.devnull)
+    with pytest.raises((ConfigError, OSError), match="not a regular file"):
+        read(tmp_path / name)
+    os.mkfifo(tmp_path / "pipe.json")
+    assert artifacts.clean(tmp_path) == []
 
 
 def test_a_newer_format_is_an_error_of_its_own(tmp_path):

@@ -1,9 +1,11 @@
 """Atomic writes, and removal of the files of killed processes."""
 
 import os
+import platform
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -70,27 +72,45 @@ def test_concurrent_writers_of_one_file_do_not_mix(tmp_path):
     assert text == text[0] * 100_000 and os.listdir(tmp_path) == ["name.txt"]
 
 
+def test_partial_files_are_removed_a_day_after_their_last_change_whoever_writes_them(tmp_path):
+    """A host name and a process id do not tell writers in containers with a shared folder apart."""
+    host = "".join(c for c in platform.node() if c.isalnum())
+    old, new = ".a.txt.elsewhere-999999-1-0.partial", f".b.txt.{host}-999999-1-0.partial"
+    (tmp_path / "deep").mkdir()
+    for place in (old, new, ".kept.partial"):
+        (tmp_path / "deep" / place).write_text("half")
+    (tmp_path / ".c.txt.folder-1-1-0.partial").mkdir()
+    day_ago = time.time() - atomic_io.STALE_AGE
+    os.utime(tmp_path / "deep" / old, (day_ago - 60.0,) * 2)
+    os.utime(tmp_path / "deep" / new, (day_ago + 60.0,) * 2)
+    for place in ("deep/.kept.partial", ".c.txt.folder-1-1-0.partial"):
+        os.utime(tmp_path / place, (0.0, 0.0))  # none that `atomic_write` makes
+    with atomic_write(tmp_path / "deep" / "mine.txt") as partial:
+        partial.write_text("being written")
+        remove_stale_partials(tmp_path)
+    assert sorted(os.listdir(tmp_path / "deep")) == sorted([new, ".kept.partial", "mine.txt"])
+    assert (tmp_path / ".c.txt.folder-1-1-0.partial").is_dir()
+
+
 KILLED = """
 import os, sys
-from road_envs.core.atomic_io import atomic_write
-with atomic_write(sys.argv[1]) as partial:
-    partial.write_text("half")
+from pathlib import Path
+from road_envs.core.atomic_io import new_folder
+with new_folder(Path(sys.argv[1])) as folder:
+    (folder / "half").touch()
     os.kill(os.getpid(), 9)
 """
 
 
-def test_only_partial_files_of_dead_writers_are_removed(tmp_path):
-    folder = tmp_path / "deep"
-    folder.mkdir()
-    done = subprocess.run([sys.executable, "-c", KILLED, str(folder / "name.txt")])
-    assert done.returncode == -9
-    (left,) = folder.iterdir()
-    (folder / ".other.txt.elsewhere-999999-1-0.partial").write_text("of another machine")
-    with atomic_write(folder / "mine.txt") as partial:
-        partial.write_text("being written")
-        remove_stale_partials(tmp_path)
-        assert partial.exists() and not left.exists()
-    assert sorted(os.listdir(folder)) == [".other.txt.elsewhere-999999-1-0.partial", "mine.txt"]
+def test_two_do_not_make_one_folder_at_once_and_a_killed_one_blocks_none(tmp_path):
+    path = tmp_path / "deep" / "found"
+    assert subprocess.run([sys.executable, "-c", KILLED, str(path)]).returncode == -9
+    with new_folder(path) as folder:
+        (folder / "a").touch()
+        with pytest.raises(ConfigError, match="found: another process makes it"), new_folder(path):
+            pass
+        assert os.listdir(folder) == ["a"]
+    assert os.listdir(path) == ["a"] and list(path.parent.iterdir()) == [path]
 
 
 HOLDS = """

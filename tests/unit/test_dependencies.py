@@ -1,5 +1,6 @@
 """What an entry imports and boards lack is told before it is submitted."""
 
+import sys
 from contextlib import nullcontext
 from types import SimpleNamespace
 
@@ -10,6 +11,7 @@ from wheels import write_wheel
 from leaderboard.commands import check
 from leaderboard.commands.options import LimitOptions
 from leaderboard.conformance.probes import CheckResult
+from leaderboard.entries import entry_files
 from leaderboard.entries.entry import EntryError
 from leaderboard.entries.entry_files import CLASS_FOLDER
 from leaderboard.entries.imports import imported_versions
@@ -174,6 +176,23 @@ def test_each_loose_part_of_a_package_without_init_is_told_by_its_content(tmp_pa
     assert told() == [digest, owner, far]
     loose.write_text("import zz_far\nGAIN = 2.0")
     assert told()[0] != digest and told()[1:] == [owner, far]
+
+
+def test_an_entry_is_refused_beside_a_loose_module_of_which_nothing_tells_a_change(
+    tmp_path, monkeypatch
+):
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(entry_files, "_MAX_SIZE", 1000)
+    (tmp_path / "zz_large.py").write_text("A = 1" + " " * 1000)
+    code = write(tmp_path / "code", "import zz_large")
+    with pytest.raises(EntryError, match="of zz_large beside it, which it imports, its code has"):
+        imported_versions(str(code))
+    about = tmp_path / "zz_large-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: zz_large\nVersion: 1.0\n")
+    (about / "top_level.txt").write_text("zz_large")
+    monkeypatch.setattr("sys.path", [*sys.path, str(tmp_path / "other")])  # looked up anew
+    assert "zz_large 1.0" in imported_versions(str(code))  # installed without a list of its files
 
 
 def test_a_wheel_whose_imports_cannot_be_read_is_one_sentence(tmp_path):

@@ -23,13 +23,13 @@ from pathlib import Path
 
 import numpy as np
 
+from road_envs.core.reading import regular
 from road_envs.records.units import FACTORS, normalise
 from road_envs.roads.formats.opencrg import (
     MAX_LENGTH,
     SurfaceFileError,
     checked_heights,
     number,
-    read_bytes,
 )
 from road_envs.roads.formats.table import WheelPaths, metres, parse_number_rows
 
@@ -49,9 +49,9 @@ def read(path: str | Path) -> WheelPaths:
     def read_binary() -> bytes:
         if not beside.is_file():
             raise SurfaceFileError(f"its numbers should be in {beside.name}, which is missing")
-        return read_bytes(beside)
+        return beside.read_bytes()
 
-    return _parse(read_bytes(path), read_binary)
+    return _parse(regular(path).read_bytes(), read_binary)
 
 
 def _parse(data: bytes, read_binary: Callable[[], bytes]) -> WheelPaths:

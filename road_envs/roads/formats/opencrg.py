@@ -17,7 +17,6 @@ before anything is allocated, so that a damaged header cannot exhaust memory.
 import math
 import re
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -46,13 +45,6 @@ class CurvedGrid:
     du: float
     v: np.ndarray
     notes: tuple[str, ...] = ()
-
-
-def read_bytes(path: str | Path) -> bytes:
-    """Return the bytes of a regular file. Raises SurfaceFileError if there is none."""
-    if not Path(path).is_file():
-        raise SurfaceFileError("no such file")
-    return Path(path).read_bytes()
 
 
 def parse(data: bytes) -> CurvedGrid:
