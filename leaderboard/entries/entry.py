@@ -3,6 +3,7 @@
 All code of an entry runs in a `_Session`, which never receives the truth of a test drive.
 """
 
+import copy
 import dataclasses
 import json
 import re
@@ -141,7 +142,8 @@ class LocalSession:
 
     def estimate(self, record: Record) -> tuple[Estimate, float]:
         start = time.perf_counter()
-        estimate = self._calibrated.estimate(record, self._car)
+        # a copy: an estimator may use its arrays again
+        estimate = copy.deepcopy(self._calibrated.estimate(record, self._car))
         check_estimate(estimate, record)
         if any(map(np.ma.is_masked, vars(estimate).values())):
             raise EstimateError("some of its numbers are masked: fill them by estimated ones")

@@ -86,17 +86,20 @@ class Resampled(NamedTuple):
     replicates: np.ndarray
     n_drawn: int
 
-    def interval(self, is_positive: bool = False) -> Interval:
-        """Return the sum with its 95 % interval, on a logarithmic scale if it `is_positive`; NaNs
-        if a replicate is undefined.
-        """
+    def interval(self) -> Interval:
+        """Return the sum with its 95 % interval, NaNs if a replicate is undefined."""
         if not np.isfinite(self.replicates).all():
             return Interval(np.nan, np.nan, np.nan)
-        if is_positive:
-            factor = math.exp(_half_width(np.log(self.replicates).std(), self.n_drawn))
-            return Interval(self.mean, self.mean / factor, self.mean * factor)
         half = float(_half_width(self.replicates.std(), self.n_drawn))
         return Interval(self.mean, self.mean - half, self.mean + half)
+
+    def logarithm(self) -> "Resampled":
+        """Return the logarithms of a mean that is not negative and of its replicates; those below
+        `REPRODUCIBLE` of the mean, such as 0, count as this.
+        """
+        least = max(REPRODUCIBLE * self.mean, np.finfo(float).tiny)
+        logs = np.log(np.maximum(self.replicates, least))
+        return Resampled(math.log(max(self.mean, least)), logs, self.n_drawn)
 
     def minus(self, other: "Resampled") -> "Resampled":
         """Return the paired difference: both were resampled on the same roads and seeds."""
@@ -211,10 +214,15 @@ def _number_drawn(n: int) -> int:
 
 
 def iqm_interval(scores: np.ndarray, strata: Strata | None = None) -> Interval:
-    """Return the interquartile mean of `scores` (R, C, S) with its 95 % interval, or NaNs; that of
-    scores that are positive is positive.
+    """Return the interquartile mean of `scores` (R, C, S) with its 95 % interval, or NaNs; it is
+    one of the logarithm if all replicates are positive.
     """
-    return resample([scores], strata=strata).interval(is_positive=not (scores <= 0.0).any())
+    made = resample([scores], strata=strata)
+    if not (made.replicates > 0.0).all():
+        return made.interval()
+    mean, _, high = made.logarithm().interval()
+    factor = math.exp(high - mean)
+    return Interval(made.mean, made.mean / factor, made.mean * factor)
 
 
 def count_roads(scores: np.ndarray) -> int:
@@ -227,8 +235,8 @@ def rank_entries(scores: Mapping[str, np.ndarray], strata: Strata | None = None)
 
     They are in the order of their interquartile means, and share the rank of the one before, as in
     1 2 2 2 5, unless more others are significantly better than were of any before. An entry is
-    significantly better if the 95 % interval of the paired difference, of the logarithms if all
-    scores are positive, is beyond `REPRODUCIBLE`, as of two that err alike one is always ahead, by
+    significantly better if the 95 % interval of the paired difference, of the logarithms if no
+    score is negative, is beyond `REPRODUCIBLE`, as of two that err alike one is always ahead, by
     rounding. Roads alone are drawn, each with all its runs: of three seeds, one of luck alone would
     be drawn too often. A score that is NaN comes last.
     """
@@ -236,10 +244,10 @@ def rank_entries(scores: Mapping[str, np.ndarray], strata: Strata | None = None)
     known = {name: x for name, x in made.items() if np.isfinite(x.replicates).all()}
     better = dict.fromkeys(scores, len(known))
     if known:
-        mean, draws, drawn = (np.array([x[k] for x in known.values()]) for k in range(3))
-        least = REPRODUCIBLE * np.abs(mean)
-        if not any((x <= 0.0).any() for x in scores.values()):
-            mean, draws, least = np.log(mean), np.log(draws), np.log1p(REPRODUCIBLE)
+        in_logs = not any((x < 0.0).any() for x in scores.values())
+        compared = [x.logarithm() if in_logs else x for x in known.values()]
+        mean, draws, drawn = (np.array(x) for x in zip(*compared, strict=True))
+        least = np.log1p(REPRODUCIBLE) if in_logs else REPRODUCIBLE * np.abs(mean)
         cov = np.atleast_2d(np.cov(draws))
         var = np.maximum(np.diag(cov)[:, None] + np.diag(cov) - 2.0 * cov, 0.0)  # of differences
         half = _half_width(np.sqrt(var), np.minimum.outer(drawn, drawn))

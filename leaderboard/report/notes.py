@@ -43,31 +43,31 @@ def section_notes(
         *_protocol_notes(task, scored),
         *([f"Surface: {'; '.join(surface)}."] if surface and task.board_name == "measured" else []),
         *(f"{note}." for row in scored for note in _own_notes(row)),
-        *sanity_warnings(rows, task.is_public),
+        *sanity_warnings(rows, task.board_definition.ranks_by, task.is_public),
         *_kernel_notes(scored, _verified_for(task, board.verified)),
         *_version_notes(scored),
     )
 
 
-def sanity_warnings(rows: Sequence["Row"], is_public: bool = False) -> list[str]:
-    """Return remarks on scores better than the truth or the bound, and on faulty baselines.
+def sanity_warnings(rows: Sequence["Row"], ranks_by: str, is_public: bool = False) -> list[str]:
+    """Return remarks on entries whose NRMSE or ranking score is better than that of the truth with
+    noise, or whose NRMSE is better than the bound, and on faulty baselines.
 
     On roads that are public, an entry below the bound may have drawn them again.
     """
     doubt = ": it knows more than the sensors tell, or has drawn these public roads again"
     error = {row.name: row.values.get("nrmse") for row in rows}
-    warnings = []
-    best, bound = error.get(TRUTH_PLUS_NOISE), error.get(BOUND_ROW)
-    for row in rows:
+    best = next((row.values for row in rows if row.name == TRUTH_PLUS_NOISE), {})
+    warnings, bound = [], error.get(BOUND_ROW)
+    for row in (row for row in rows if row.state == "scored"):
         mine, below = error[row.name], row.values.get(BELOW_BOUND) or 0.0
-        if row.state != "scored" or mine is None:
-            continue
-        if best is not None and mine < best:
+        pairs = [(row.values.get(key), best.get(key)) for key in ("nrmse", ranks_by)]
+        if any(x is not None and y is not None and x < y for x, y in pairs):
             warnings.append(
                 f"{row.name} scores better than the truth with {100 * NOISE_LEVEL:g} % noise: "
                 "it has used the truth, or the evaluation is faulty"
             )
-        elif bound is not None and mine < bound:
+        elif mine is not None and bound is not None and mine < bound:
             share = f"on {below:.0%} of its drives{doubt * is_public}"
             warnings.append(f"{row.name} is below the {BOUND_NAME}, {share}")
     for name, expected in (("flat", 1.0), (TRUTH_PLUS_NOISE, NOISE_LEVEL)):

@@ -187,8 +187,9 @@ def _others_sentence(best: Row, others: Sequence[Row], definition: BoardDefiniti
     def score(row: Row) -> str:
         return COLUMNS[key].text(row.values[key])
 
-    times = (second.values[key] or 0.0) / (best.values[key] or 1.0)
-    text = f"{second.name} follows with {score(second)}, {times:.1f} times as much"
+    text = f"{second.name} follows with {score(second)}"
+    if (error := best.values[key]) and (behind := second.values[key]):
+        text += f", {behind / error:.1f} times as much"
     causal = next((row for row in others if row.causal), None)
     if causal is not None and not best.causal:
         own = "it is" if causal is second else f"{causal.name} with {score(causal)},"

@@ -174,6 +174,19 @@ def test_the_first_place_is_not_decided_where_another_entry_shares_it():
         assert last == tied if rank else last.startswith("Too few roads")
 
 
+def test_nothing_is_a_multiple_of_an_exact_estimate():
+    (section, *_), definition = board_views(board())[0].sections, board_views(board())[0].definition
+    assert "times as much" in headline(section, definition)[1]
+    rows = [
+        dataclasses.replace(row, values=row.values | {"nrmse": 0.0})
+        if row.name == "reader"
+        else row
+        for row in section.rows
+    ]
+    _, others, *_ = headline(dataclasses.replace(section, rows=rows), definition)
+    assert "static_lm follows with" in others and "times as much" not in others
+
+
 def test_calibration_counts_the_errors_inside_the_stated_intervals():
     figure = chart("estimators/online.html", "calibration")["figures"]["held_out"]
     line = lines_by_name(figure)["online"]
@@ -267,7 +280,7 @@ def test_the_sentence_on_an_entry_below_the_bound_does_not_comfort_on_public_roa
         Row("redrawn", "scored", values={"nrmse": 0.055, BELOW_BOUND: 1.0}),
         Row(BOUND_ROW, "baseline", values={"nrmse": 0.24}),
     ]
-    (public,), (sealed,) = sanity_warnings(rows, True), sanity_warnings(rows, False)
+    (public,), (sealed,) = (sanity_warnings(rows, "nrmse", public) for public in (True, False))
     assert (
         public
         == f"{sealed}: it knows more than the sensors tell, or has drawn these public roads again"

@@ -164,6 +164,16 @@ def test_an_entry_that_errs_much_and_unevenly_is_behind_one_that_is_better_on_ev
     assert rank_entries({"bad": bad, "good": good}) == {"good": 1, "bad": 2}
 
 
+def test_an_exact_drive_of_one_entry_moves_no_rank_of_the_others():
+    good = 0.05 + 0.01 * np.random.default_rng(16).random((6, 1, 1))
+    bad = np.array([1.2, 1.1, 9.0, 1.3, 8.0, 1.2]).reshape(6, 1, 1)
+    behind = np.array([0.0, 91.0, 95.0, 99.0, 92.0, 94.0]).reshape(6, 1, 1)
+    ranks = {"good": 1, "bad": 2, "behind": 3}
+    assert rank_entries({"bad": bad, "good": good, "behind": behind}) == ranks
+    ranks = {"exact": 1, "good": 2, "bad": 3}
+    assert rank_entries({"bad": bad, "good": good, "exact": 0.0 * good}) == ranks
+
+
 def test_an_entry_of_uncertain_scores_has_no_better_rank_than_those_ahead_of_it():
     road = 1.0 + 0.05 * np.random.default_rng(17).random((6, 1, 1))
     uncertain = np.array([0.05, 1.0, 0.06, 1.1, 0.9, 0.05]).reshape(6, 1, 1)

@@ -25,11 +25,11 @@ from leaderboard.metrics.bootstrap import interquartile_mean, iqm_interval
 from leaderboard.report.board_definitions import board_columns
 from leaderboard.report.charts import _counted_runs
 from leaderboard.report.export import as_json, write_exports
-from leaderboard.report.notes import _protocol_notes, _version_notes
+from leaderboard.report.notes import _protocol_notes, _version_notes, sanity_warnings
 from leaderboard.report.overview import ranking_chart
 from leaderboard.report.sentences import build_report, headline
 from leaderboard.report.site import _table
-from leaderboard.report.tables import board_views, level_runs, train_seconds
+from leaderboard.report.tables import Row, board_views, level_runs, train_seconds
 from leaderboard.report.terminal import print_tables
 from leaderboard.running.board import Board
 
@@ -277,6 +277,14 @@ def test_entries_better_than_truth_plus_noise_and_inconsistent_baselines_are_fla
     )
     (note,) = flagged(dataclasses.replace(result_of("reader"), estimator="flat", role="baseline"))
     assert note.startswith("the evaluation is faulty: flat scores 0.1")
+
+
+@pytest.mark.parametrize("key", ["nrmse", "dsd_distance_db"])
+def test_an_entry_is_flagged_by_the_score_that_ranks_and_by_the_nrmse(key):
+    noisy = Row("truth_plus_noise", "baseline", values={"nrmse": 0.02, "dsd_distance_db": 0.01})
+    mirror = {"nrmse": 2.0, "dsd_distance_db": 0.9} | {key: 0.0}
+    (note,) = sanity_warnings([noisy, Row("mirror", "scored", values=mirror)], "dsd_distance_db")
+    assert note.startswith("mirror scores better than the truth with 2 % noise")
 
 
 def flagged(*results):
