@@ -5,8 +5,6 @@ import shlex
 from pathlib import Path
 from typing import Annotated
 
-from threadpoolctl import threadpool_limits
-
 from leaderboard.commands import check_output_folder, progress_bar
 from leaderboard.commands.options import CORES, LimitOptions, Share, Workers, argument, option
 from leaderboard.commands.output import Output, facts_table
@@ -89,7 +87,7 @@ def verify_one(
     Files, card, signature and code are compared with its record, its rows with the rules, and its
     drives are run again.
     """
-    with progress_bar() as progress, threadpool_limits(1, user_api="blas"):
+    with progress_bar() as progress:
         found = verify_submission(
             folder, load_rules(rules), limits.parse(),
             share=share, replaces=replaces, progress=progress,

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from estimators.api import Estimator
+from estimators.common.blas import single_blas_thread
 from leaderboard.entries.entry import (
     BUILTIN,
     Calibrations,
@@ -121,6 +122,7 @@ def in_process(estimator: Estimator | None) -> EntryRunner:
     return run
 
 
+@single_blas_thread()  # as in the processes of a board: digits depend on their number
 def simulate_condition(
     task: Task, condition: Condition, simulate: DriveSimulation = simulate_drives
 ) -> ConditionData | str:
@@ -133,6 +135,7 @@ def simulate_condition(
     return ConditionData(task, condition, training, tests)
 
 
+@single_blas_thread()
 def evaluate_entry(
     task: Task,
     condition: Condition,
