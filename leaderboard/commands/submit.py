@@ -2,6 +2,7 @@
 
 import dataclasses
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -9,10 +10,12 @@ from leaderboard.commands import check_output_folder, progress_bar
 from leaderboard.commands.options import CORES, LimitOptions, Share, Workers, argument, option
 from leaderboard.commands.output import Output, facts_table
 from leaderboard.commands.results import verified_output
-from leaderboard.evaluation import store
+from leaderboard.evaluation.tasks import Task
 from leaderboard.evaluation.test_data import check_plants
 from leaderboard.method_card import TEMPLATE
-from leaderboard.metrics.bootstrap import interquartile_mean
+from leaderboard.report.board_definitions import WORST, column_forms
+from leaderboard.report.tables import board_views
+from leaderboard.running.board import load_board
 from leaderboard.submission import repository, signature
 from leaderboard.submission.rules import RULES, load_rules, make_run_request
 from leaderboard.submission.submission import SUBMISSION_SHARE, make_submission, verify_submission
@@ -53,23 +56,30 @@ def submit(
     if not card.exists():
         write_text(card, TEMPLATE)
         raise ConfigError(f"{card} has been written: fill it in, then give the same command again")
-    own, code = load_rules(rules), wheel.absolute()
+    own, code, bounds = load_rules(rules), wheel.absolute(), limits.parse()
     signer = None if sign is None else signature.signer(sign)
     with progress_bar() as progress:
-        record = make_submission(code, card, own, out, limits.parse(), workers, progress)
-    facts = dataclasses.asdict(record) | {"scores": dict[str, str]()}
-    for task in own[1]:  # as on a board, over all its runs
-        scores = store.load(store.row_path(out, task.name, record.name)).scores
-        ranks_by = task.board_definition.ranks_by
-        found = scores["value"][scores["score"] == ranks_by].to_numpy()
-        text = f"{ranks_by} {interquartile_mean(found):.3g}, {found.max():.3g} on the worst drive"
-        facts["scores"][task.name] = text
+        record = make_submission(code, card, own, out, bounds, workers, progress)
+    tasks = make_run_request(*own, [], bounds).sized_tasks()
+    facts = dataclasses.asdict(record) | {"scores": _scores(record.name, out, tasks)}
     if signer is not None:
         facts["signed by"] = signer(out)
     shown = {key: x for key, x in facts.items() if key != "cpu_seconds"}
     shown["files"] = f"{len(record.files)} below {out}"
     shown["hardware"] = f"{record.hardware['processor']}, {record.cpu_seconds:g} s of its time"
     return Output(facts=facts, shows=facts_table(shown))
+
+
+def _scores(name: str, folder: Path, tasks: Sequence[Task]) -> dict[str, str]:
+    """Return ranking score and worst drive of an entry by task, as a board of `folder` has them."""
+    found = {}
+    for view in board_views(load_board(tasks, folder)):
+        forms = column_forms(view.definition)
+        for section in view.sections:
+            values = next(row.values for row in section.rows if row.name == name)
+            shown = ((forms[key], values.get(key)) for key in (view.definition.ranks_by, WORST))
+            found[section.task.name] = ", ".join(f"{x.label} {x.text(value)}" for x, value in shown)
+    return found
 
 
 def verify_one(

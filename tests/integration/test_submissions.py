@@ -9,13 +9,16 @@ from types import SimpleNamespace
 
 import pytest
 import submissions
-from board_runs import ESTIMATORS, Counting, small
+from board_runs import ESTIMATORS, SHORT, Counting, run, small
 from fake_results import runs_of, with_runs
+from fakes import task
 from results_repositories import call
 from submissions import CARD, write_record
 from test_verification import chosen_fakes, run_here
 from wheels import write_wheel
 
+from leaderboard.commands import submit as submit_command
+from leaderboard.commands.options import LimitOptions
 from leaderboard.conformance import results as conformance_results
 from leaderboard.conformance.probes import CheckResult
 from leaderboard.conformance.results import EstimatorCard, card_identity, card_path
@@ -25,8 +28,11 @@ from leaderboard.evaluation import store
 from leaderboard.evaluation.provenance import describe_environment
 from leaderboard.evaluation.results import RESULT
 from leaderboard.method_card import TEMPLATE, load_method_card
+from leaderboard.metrics import UNDEFINED
 from leaderboard.metrics.baselines import BASELINES
+from leaderboard.metrics.bootstrap import MIN_ROADS
 from leaderboard.report.citation import cite_entry
+from leaderboard.report.sentences import build_report
 from leaderboard.running.board import load_board, run_board
 from leaderboard.running.verification import save_definition, verify_folder
 from leaderboard.sandbox.limits import Limits
@@ -121,6 +127,26 @@ def test_a_clone_is_no_code_of_a_submission(tmp_path):
     (tmp_path / "mine" / "src" / ".git").mkdir(parents=True)
     said = call("road-recon", "submit", "mine", "--out", "out", cwd=tmp_path, status=2)
     assert "mine/src/.git: give packages" in " ".join(said.split())
+
+
+@pytest.mark.parametrize("roads", [3, 5])
+def test_what_submit_prints_is_what_a_board_shows_of_the_same_rows(tmp_path, monkeypatch, roads):
+    seeds = [*range(11, 11 + roads)]
+    t = task(**SHORT | {"test": SHORT["test"] | {"seeds": seeds}})
+    board, _ = run(tmp_path / "reader", t=t)
+    (view,) = build_report(board).views
+    (row,) = (row for row in view.sections[0].rows if row.name == "reader")
+    record = submissions.write_record(tmp_path / "reader")
+    monkeypatch.setattr(submit_command, "make_submission", lambda *_: record)
+    rules = Rules(tasks=("small",), seeds=2), [t]
+    monkeypatch.setattr(submit_command, "load_rules", lambda path: rules)
+    for name in ("a.whl", "card.yaml"):
+        (tmp_path / name).touch()
+    options = {"out": tmp_path / "reader", "card": tmp_path / "card.yaml"}
+    output = submit_command.submit(tmp_path / "a.whl", **options, limits=LimitOptions())
+    expected = f"in-band NRMSE {row.cells['nrmse']}, worst drive {row.cells['worst']}"
+    assert output.facts["scores"] == {"small": expected}
+    assert (row.cells["worst"] == UNDEFINED) == (roads < MIN_ROADS)
 
 
 def test_names_may_have_joined_letters_and_texts_three_dots(tmp_path):
