@@ -145,12 +145,10 @@ def evaluate_entry(
     run: EntryRunner,
 ) -> Result:
     """Run an entry under a condition with every training seed and score its estimates."""
-    here = describe_environment()
-    more = ", ".join(x for x in entry.imports if x.partition(" ")[0] not in here)
     empty = unscored_result(
         task, entry.name, settings=entry.settings, seeds=tuple(seeds), code=entry.code,
         conditions=(condition.label,), causal=entry.causal, lag=entry.lag,
-        environment=here | ({"imports": more} if more else {}),
+        environment=describe_environment() | ({"imports": entry.imported} if entry.imports else {}),
     )  # fmt: skip
     failure = entry.failure or (data if isinstance(data, str) else None)
     if failure is not None or isinstance(data, str):

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from leaderboard.conformance.checks import check_entry
 from leaderboard.conformance.probes import PROBES
-from leaderboard.conformance.results import find_card, probe_entries
+from leaderboard.conformance.results import card_identity, find_card, probe_entries
 from leaderboard.entries import entry_files
 from leaderboard.entries.entries import find_reference, fold, resolve_entries
 from leaderboard.entries.entry import NAME, Entry
@@ -180,7 +180,7 @@ def verify_submission(
                     )
         for path in sorted(stored):
             raise ConfigError(f"{path}: neither a row of its entry nor a baseline of the rules")
-        _verify_probes(entry, folder, limits)
+        _verify_probes(entry, folder, tasks[0], limits)
         found = verify_folder(
             folder, in_sandbox(sandbox), [entry],
             tasks=tasks, share=share, seed=seed, report=progress,
@@ -190,11 +190,14 @@ def verify_submission(
     return found
 
 
-def _verify_probes(entry: Entry, folder: Path, limits: Limits) -> None:
-    """Raise ConfigError if the card of an entry is not the one of its probes here."""
+def _verify_probes(entry: Entry, folder: Path, task: Task, limits: Limits) -> None:
+    """Raise ConfigError if the card of the row of a task is not the one of the probes here, where
+    what the entry imports may have another version.
+    """
+    row = store.load(store.row_path(folder, task.name, entry.name))
     with TempFolder() as here:
         probe_entries([entry], here, limits)
-        cards = [find_card(x, entry.name, entry.settings, entry.code) for x in (folder, here)]
+        cards = [find_card(x, card_identity(of)) for x, of in ((folder, row), (here, entry))]
     outcomes = [card and [(p.name, p.passed) for p in card.probes] for card in cards]
     if outcomes[0] != outcomes[1]:
         raise ConfigError(f"{folder}: its card is not what the probes of {entry.name} find here")

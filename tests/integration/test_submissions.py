@@ -205,7 +205,7 @@ def verified(made, tmp_path, monkeypatch):
     """Return a function that alters a submission with its record and verifies it, undisturbed."""
     entry = make_entry("reader", ESTIMATORS["reader"])
     probed = EstimatorCard(
-        identity=card_identity(entry.name, entry.settings, entry.code), estimator=entry.name,
+        identity=card_identity(entry), estimator=entry.name,
         settings=entry.settings, code=entry.code, drive="a drive",
         probes=(CheckResult("causality", True, "so it is"),),
     )  # fmt: skip
@@ -326,6 +326,17 @@ def test_the_conditions_of_a_row_are_in_the_order_of_its_task(verified):
 
     with pytest.raises(ConfigError, match="its conditions are not in the order of its task"):
         verified(swap)
+
+
+def test_an_entry_that_was_probed_with_other_versions_of_its_imports_agrees(verified):
+    def move(folder):
+        shutil.rmtree(folder / "cards")
+        change_row(folder, environment=describe_environment() | {"imports": "numpy 1.0"})
+        row = store.load(store.row_path(folder, "small", "reader"))
+        elsewhere = dataclasses.replace(verified.card, identity=card_identity(row))
+        verified.write_card(folder, elsewhere)
+
+    assert all(row.agrees for row in verified(move))
 
 
 def test_a_card_that_the_probes_do_not_give_is_refused(verified):
