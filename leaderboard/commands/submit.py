@@ -121,9 +121,9 @@ def new_results_repo(
     steps = [f"cd {shlex.quote(str(folder))}", "git init --initial-branch main", "git add ."]
     steps += ["git commit --message rules", "git remote add origin ADDRESS"]
     following = " && ".join([*steps, "git push --set-upstream origin main"])
-    return Output(
-        facts={"written": written, "next": following}, shows=[*written, "", f"next: {following}"]
-    )
+    facts = {"written": written, "next": following, "site": repository.PUBLISH}
+    shows = [*written, "", f"next: {following}", "", f"site: {repository.PUBLISH}"]
+    return Output(facts=facts, shows=shows)
 
 
 def results_site(
@@ -144,4 +144,5 @@ def results_site(
     check_output_folder(out)
     with progress_bar() as progress:
         page = repository.build_site(folder, out, limits.parse(), workers, progress)
-    return Output(facts={"page": str(page)})
+    publish = f"the folder {out}, whole, on any server; of the main branch {repository.PUBLISH}"
+    return Output(facts={"page": str(page), "publish": publish})

@@ -28,6 +28,10 @@ from leaderboard.submission.submission import CARD, load_submission, submitted_e
 from road_envs.core.atomic_io import copy_file, write_text
 from road_envs.core.config import ConfigError
 
+PUBLISH = (
+    "its address is https://OWNER.github.io/REPOSITORY/ once a maintainer has chosen, on GitHub, "
+    "Settings, Pages, Source: GitHub Actions; the workflow publishes it there from then on"
+)
 _SUBMISSIONS = "submissions"
 _TEMPLATE = {
     "README.md": "readme.txt",
@@ -57,7 +61,8 @@ def write_repository(folder: Path, package: str | None = None) -> list[Path]:
     templates = resources.files("leaderboard.submission") / "templates"
     for path, name in _TEMPLATE.items():
         text = (templates / name).read_text(encoding="utf-8")
-        write_text(folder / path, text.replace("{package}", package))
+        text = text.replace("{package}", package).replace("{publish}", PUBLISH)
+        write_text(folder / path, text)
     (folder / "ci/verify.sh").chmod(0o755)
     return [folder / path for path in _TEMPLATE]
 
