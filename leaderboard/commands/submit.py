@@ -2,7 +2,6 @@
 
 import dataclasses
 import shlex
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -10,12 +9,11 @@ from leaderboard.commands import check_output_folder, progress_bar
 from leaderboard.commands.options import CORES, LimitOptions, Share, Workers, argument, option
 from leaderboard.commands.output import Output, facts_table
 from leaderboard.commands.results import verified_output
-from leaderboard.evaluation.tasks import Task
 from leaderboard.evaluation.test_data import check_plants
 from leaderboard.method_card import TEMPLATE
 from leaderboard.report.board_definitions import WORST, column_forms
 from leaderboard.report.tables import board_views
-from leaderboard.running.board import load_board
+from leaderboard.running.board import Board
 from leaderboard.submission import repository, signature
 from leaderboard.submission.rules import RULES, load_rules, make_run_request
 from leaderboard.submission.submission import SUBMISSION_SHARE, make_submission, verify_submission
@@ -56,12 +54,11 @@ def submit(
     if not card.exists():
         write_text(card, TEMPLATE)
         raise ConfigError(f"{card} has been written: fill it in, then give the same command again")
-    own, code, bounds = load_rules(rules), wheel.absolute(), limits.parse()
+    own, code = load_rules(rules), wheel.absolute()
     signer = None if sign is None else signature.signer(sign)
     with progress_bar() as progress:
-        record = make_submission(code, card, own, out, bounds, workers, progress)
-    tasks = make_run_request(*own, [], bounds).sized_tasks()
-    facts = dataclasses.asdict(record) | {"scores": _scores(record.name, out, tasks)}
+        record, board = make_submission(code, card, own, out, limits.parse(), workers, progress)
+    facts = dataclasses.asdict(record) | {"scores": _scores(record.name, board)}
     if signer is not None:
         facts["signed by"] = signer(out)
     shown = {key: x for key, x in facts.items() if key != "cpu_seconds"}
@@ -70,15 +67,14 @@ def submit(
     return Output(facts=facts, shows=facts_table(shown))
 
 
-def _scores(name: str, folder: Path, tasks: Sequence[Task]) -> dict[str, str]:
-    """Return ranking score and worst drive of an entry by task, as a board of `folder` has them."""
+def _scores(name: str, board: Board) -> dict[str, str]:
+    """Return ranking score and worst drive of an entry by task, as its board shows them."""
     found = {}
-    for view in board_views(load_board(tasks, folder)):
-        forms = column_forms(view.definition)
-        for section in view.sections:
-            values = next(row.values for row in section.rows if row.name == name)
-            shown = ((forms[key], values.get(key)) for key in (view.definition.ranks_by, WORST))
-            found[section.task.name] = ", ".join(f"{x.label} {x.text(value)}" for x, value in shown)
+    for view in board_views(board):
+        shown = [column_forms(view.definition)[key] for key in (view.definition.ranks_by, WORST)]
+        for task, rows in ((section.task, section.rows) for section in view.sections):
+            values = next(row.values for row in rows if row.name == name)
+            found[task.name] = ", ".join(f"{x.label} {x.text(values.get(x.key))}" for x in shown)
     return found
 
 
@@ -122,7 +118,7 @@ def new_results_repo(
     steps += ["git commit --message rules", "git remote add origin ADDRESS"]
     following = " && ".join([*steps, "git push --set-upstream origin main"])
     facts = {"written": written, "next": following, "site": repository.PUBLISH}
-    shows = [*written, "", f"next: {following}", "", f"site: {repository.PUBLISH}"]
+    shows = [*written, *(f"\n{key}: {facts[key]}" for key in ("next", "site"))]
     return Output(facts=facts, shows=shows)
 
 
@@ -144,5 +140,4 @@ def results_site(
     check_output_folder(out)
     with progress_bar() as progress:
         page = repository.build_site(folder, out, limits.parse(), workers, progress)
-    publish = f"the folder {out}, whole, on any server; of the main branch {repository.PUBLISH}"
-    return Output(facts={"page": str(page), "publish": publish})
+    return Output(facts={"page": str(page), "site of the main branch": repository.PUBLISH})

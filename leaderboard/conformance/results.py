@@ -2,9 +2,8 @@
 
     <out>/cards/<identity>.json
 
-The identity is the digest of the estimator (name, settings, code, weights and imports, as of its
-row) and of this package with its configurations, by which the probes drive, so a card is never
-modified.
+The identity is the digest of the estimator (name, settings, code, weights, imports) and of this
+package with its configurations, by which the probes drive, so a card is never modified.
 """
 
 import dataclasses
@@ -40,13 +39,9 @@ class EstimatorCard(Settings):
 
 
 def card_identity(of: Entry | Result) -> str:
-    """Return the digest of all inputs of the card of an entry, or of the one that made a result:
-    entries by others may build on all of ours.
-    """
-    if isinstance(of, Result):
-        name, imported = of.estimator, of.environment.get("imports", "")
-    else:
-        name, imported = of.name, of.imported
+    """Return the digest of all inputs of a card: entries by others may build on all of ours."""
+    name = of.estimator if isinstance(of, Result) else of.name
+    imported = of.environment.get("imports", "") if isinstance(of, Result) else of.imported
     return CARD.identity(name, of.settings, of.code, imported, package_code())
 
 

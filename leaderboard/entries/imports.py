@@ -24,9 +24,7 @@ _MAX_MODULES = 1000  # largest number of modules, without those inside, that it 
 _OPTIONAL = (ast.Try, ast.TryStar, ast.FunctionDef, ast.AsyncFunctionDef)
 _OPTIONAL_IF = {"TYPE_CHECKING", "ImportError", "ModuleNotFoundError"}  # `suppress(ImportError)`
 _RECORDED = re.compile(r'^(?!"?(?:/|\.\.|__editable__)|.*/__config__).*\.py"?,sha256=[^,]+', re.M)
-"""Python file in the RECORD of a wheel that is equal on every machine: no script, no finder of an
-editable installation, not the compiler that NumPy and SciPy name.
-"""
+"""A Python file of a wheel, alike on all machines: no script, no finder, no name of a compiler."""
 
 
 def imports_of(

@@ -136,11 +136,6 @@ def resample(
     return Resampled(float(np.dot(weights, means)), np.tensordot(weights, made, axes=1), drawn)
 
 
-def mean_interval(scores: np.ndarray, strata: Strata | None = None) -> Interval:
-    """Return the mean of `scores` (R, C, S), without NaNs, with its 95 % interval."""
-    return resample([scores], strata=strata, mean=np.average).interval()
-
-
 def iqm_slope(parts: Mapping[int, np.ndarray], strata: Strata | None = None) -> Interval:
     """Return the least-squares slope of the interquartile mean of `parts` (R, C, S) over their
     keys, with its 95 % interval; the parts are paired road by road and seed by seed.

@@ -55,8 +55,8 @@ def test_the_output_and_the_readme_say_where_the_site_is_published(tmp_path, mon
     address, step = "https://OWNER.github.io/REPOSITORY/", "Settings, Pages, Source: GitHub Actions"
     monkeypatch.setattr(repository, "build_site", lambda *_: tmp_path / "site" / "index.html")
     site = submit.results_site(tmp_path / "repo", out=tmp_path / "site", limits=LimitOptions())
-    said = site.facts["publish"]
-    assert f"the folder {tmp_path / 'site'}, whole" in said
+    said = site.facts["site of the main branch"]
+    assert site.facts["page"] == str(tmp_path / "site" / "index.html")
     for text in (
         made.shows[-1],
         made.facts["site"],

@@ -136,8 +136,8 @@ def test_what_submit_prints_is_what_a_board_shows_of_the_same_rows(tmp_path, mon
     board, _ = run(tmp_path / "reader", t=t)
     (view,) = build_report(board).views
     (row,) = (row for row in view.sections[0].rows if row.name == "reader")
-    record = submissions.write_record(tmp_path / "reader")
-    monkeypatch.setattr(submit_command, "make_submission", lambda *_: record)
+    made = submissions.write_record(tmp_path / "reader"), board
+    monkeypatch.setattr(submit_command, "make_submission", lambda *_: made)
     rules = Rules(tasks=("small",), seeds=2), [t]
     monkeypatch.setattr(submit_command, "load_rules", lambda path: rules)
     for name in ("a.whl", "card.yaml"):
@@ -509,10 +509,10 @@ def test_runs_of_a_training_seed_that_is_not_run_again_do_not_agree(verified):
 
 def test_the_bound_of_the_drives_is_verified_whatever_machine_a_row_names(verified):
     """The first row of a board says the bound, below which the rows of others are doubted."""
-    elsewhere = describe_environment() | {"blas": "openblas Z80"}
 
     def raise_bound(folder):
         row = store.load(store.row_path(folder, "small", "reader"))
+        elsewhere = row.environment | {"blas": "openblas Z80"}
         runs = {run: own | {"bound_nrmse": 0.9} for run, own in runs_of(row).items()}
         change_row(folder, scores=with_runs(row, runs).scores, environment=elsewhere)
 
@@ -591,7 +591,7 @@ def test_what_was_driven_before_a_submission_was_stopped_is_not_lost(submit, tmp
     with pytest.raises(KeyboardInterrupt):
         submit("reader")
     assert [path.name for path in tmp_path.glob(".*")] == [".reader.jobs.partial"]
-    record = submit("reader")
+    record, _ = submit("reader")
     assert found == [[], ["1.json"]] and record.cpu_seconds == 8.0
     assert not list(tmp_path.glob(".*")) and load_submission(tmp_path / "reader") == record
 
