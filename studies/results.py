@@ -357,7 +357,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("action", choices=("check", "make", "renew"))
     parser.add_argument("names", nargs="*", metavar="NAME", help="default: all")
-    parser.add_argument("--jobs", type=int, default=1, help="cores to use; by default one")
+    parser.add_argument(
+        "--jobs", type=int, default=1, help="results side by side; one that takes two cores is two"
+    )
     parser.add_argument(
         "--anew", action="append", default=[], metavar="KEY=VALUE", help="rows that have changed"
     )

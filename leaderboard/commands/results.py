@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from threadpoolctl import threadpool_limits
 
 from leaderboard import commands
 from leaderboard.api import load_task as load_arrays
@@ -50,13 +49,12 @@ def run_job(
     Jobs can be run any number of times and in parallel.
     """
     commands.check_output_folder(out)
-    with threadpool_limits(1, user_api="blas"):  # as in the processes of a board
-        for done in jobs.run_job_file(spec, out):
-            if json:
-                commands.print_json(dataclasses.asdict(done))
-            else:
-                state = done.failure or "done"
-                commands.console.print(f"{done.task}: {done.entry}, {done.condition}: {state}")
+    for done in jobs.run_job_file(spec, out):
+        if json:
+            commands.print_json(dataclasses.asdict(done))
+        else:
+            state = done.failure or "done"
+            commands.console.print(f"{done.task}: {done.entry}, {done.condition}: {state}")
 
 
 def verify(
@@ -85,8 +83,7 @@ def verify(
     with SandboxClient(limits.parse()) as sandbox, commands.progress_bar() as progress:
         entries = resolve_entries(estimator or (), sandbox.describe)
         run = jobs.in_sandbox(sandbox)
-        with threadpool_limits(1, user_api="blas"):
-            found = verify_folder(folder, run, entries, share=share, seed=seed, report=progress)
+        found = verify_folder(folder, run, entries, share=share, seed=seed, report=progress)
     return verified_output(save_verified(found, folder))
 
 

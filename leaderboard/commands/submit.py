@@ -5,16 +5,15 @@ import shlex
 from pathlib import Path
 from typing import Annotated
 
-from threadpoolctl import threadpool_limits
-
 from leaderboard.commands import check_output_folder, progress_bar
 from leaderboard.commands.options import CORES, LimitOptions, Share, Workers, argument, option
 from leaderboard.commands.output import Output, facts_table
 from leaderboard.commands.results import verified_output
-from leaderboard.evaluation import store
 from leaderboard.evaluation.test_data import check_plants
 from leaderboard.method_card import TEMPLATE
-from leaderboard.metrics.bootstrap import interquartile_mean
+from leaderboard.report.board_definitions import WORST, column_forms
+from leaderboard.report.tables import board_views
+from leaderboard.running.board import Board
 from leaderboard.submission import repository, signature
 from leaderboard.submission.rules import RULES, load_rules, make_run_request
 from leaderboard.submission.submission import SUBMISSION_SHARE, make_submission, verify_submission
@@ -58,20 +57,25 @@ def submit(
     own, code = load_rules(rules), wheel.absolute()
     signer = None if sign is None else signature.signer(sign)
     with progress_bar() as progress:
-        record = make_submission(code, card, own, out, limits.parse(), workers, progress)
-    facts = dataclasses.asdict(record) | {"scores": dict[str, str]()}
-    for task in own[1]:  # as on a board, over all its runs
-        scores = store.load(store.row_path(out, task.name, record.name)).scores
-        ranks_by = task.board_definition.ranks_by
-        found = scores["value"][scores["score"] == ranks_by].to_numpy()
-        text = f"{ranks_by} {interquartile_mean(found):.3g}, {found.max():.3g} on the worst drive"
-        facts["scores"][task.name] = text
+        record, board = make_submission(code, card, own, out, limits.parse(), workers, progress)
+    facts = dataclasses.asdict(record) | {"scores": _scores(record.name, board)}
     if signer is not None:
         facts["signed by"] = signer(out)
     shown = {key: x for key, x in facts.items() if key != "cpu_seconds"}
     shown["files"] = f"{len(record.files)} below {out}"
     shown["hardware"] = f"{record.hardware['processor']}, {record.cpu_seconds:g} s of its time"
     return Output(facts=facts, shows=facts_table(shown))
+
+
+def _scores(name: str, board: Board) -> dict[str, str]:
+    """Return ranking score and worst drive of an entry by task, as its board shows them."""
+    found = {}
+    for view in board_views(board):
+        shown = [column_forms(view.definition)[key] for key in (view.definition.ranks_by, WORST)]
+        for task, rows in ((section.task, section.rows) for section in view.sections):
+            values = next(row.values for row in rows if row.name == name)
+            found[task.name] = ", ".join(f"{x.label} {x.text(values.get(x.key))}" for x in shown)
+    return found
 
 
 def verify_one(
@@ -89,7 +93,7 @@ def verify_one(
     Files, card, signature and code are compared with its record, its rows with the rules, and its
     drives are run again.
     """
-    with progress_bar() as progress, threadpool_limits(1, user_api="blas"):
+    with progress_bar() as progress:
         found = verify_submission(
             folder, load_rules(rules), limits.parse(),
             share=share, replaces=replaces, progress=progress,
@@ -113,9 +117,9 @@ def new_results_repo(
     steps = [f"cd {shlex.quote(str(folder))}", "git init --initial-branch main", "git add ."]
     steps += ["git commit --message rules", "git remote add origin ADDRESS"]
     following = " && ".join([*steps, "git push --set-upstream origin main"])
-    return Output(
-        facts={"written": written, "next": following}, shows=[*written, "", f"next: {following}"]
-    )
+    facts = {"written": written, "next": following, "site": repository.PUBLISH}
+    shows = [*written, *(f"\n{key}: {facts[key]}" for key in ("next", "site"))]
+    return Output(facts=facts, shows=shows)
 
 
 def results_site(
@@ -136,4 +140,4 @@ def results_site(
     check_output_folder(out)
     with progress_bar() as progress:
         page = repository.build_site(folder, out, limits.parse(), workers, progress)
-    return Output(facts={"page": str(page)})
+    return Output(facts={"page": str(page), "site of the main branch": repository.PUBLISH})

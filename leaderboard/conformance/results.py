@@ -2,12 +2,12 @@
 
     <out>/cards/<identity>.json
 
-The identity is the digest of the estimator (name, settings, code and weights) and of this package
-with its configurations, by which the probes drive, so a card is never modified.
+The identity is the digest of the estimator (name, settings, code, weights, imports) and of this
+package with its configurations, by which the probes drive, so a card is never modified.
 """
 
 import dataclasses
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from leaderboard.conformance.checks import check_drives, probe_entry
 from leaderboard.conformance.probes import CheckResult
 from leaderboard.entries.entry import BUILTIN, Entry, EntryError
 from leaderboard.evaluation.provenance import package_code
+from leaderboard.evaluation.results import Result
 from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
 from road_envs.core.artifacts import Kind
@@ -37,16 +38,15 @@ class EstimatorCard(Settings):
     failure: str | None = None
 
 
-def card_identity(estimator: str, settings: Mapping[str, Any], code: str) -> str:
+def card_identity(of: Entry | Result) -> str:
     """Return the digest of all inputs of a card: entries by others may build on all of ours."""
-    return CARD.identity(estimator, dict(settings), code, package_code())
+    name = of.estimator if isinstance(of, Result) else of.name
+    imported = of.environment.get("imports", "") if isinstance(of, Result) else of.imported
+    return CARD.identity(name, of.settings, of.code, imported, package_code())
 
 
-def find_card(
-    out: Path, estimator: str, settings: Mapping[str, Any], code: str
-) -> EstimatorCard | None:
-    """Return the card of this version of an estimator; None if it is missing or damaged."""
-    identity = card_identity(estimator, settings, code)
+def find_card(out: Path, identity: str) -> EstimatorCard | None:
+    """Return the card of that identity; None if it is missing or damaged."""
     more, path = {"identity": identity}, card_path(out, identity)
     return CARD.find(path, identity, lambda x: build(EstimatorCard, x | more, "card"))
 
@@ -59,11 +59,11 @@ def probe_entries(
 ) -> int:
     """Probe entries without a card or whose probes could not run; return the number of cards."""
     missing = {
-        card_identity(e.name, e.settings, e.code): e
+        identity: e
         for e in entries
         if e.reference != BUILTIN
         and e.failure is None
-        and ((card := find_card(out, e.name, e.settings, e.code)) is None or card.failure)
+        and ((card := find_card(out, identity := card_identity(e))) is None or card.failure)
     }
     if not missing:
         return 0

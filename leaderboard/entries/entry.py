@@ -60,6 +60,11 @@ class Entry(Settings):
     imports: tuple[str, ...] = ()
     failure: str | None = None
 
+    @property
+    def imported(self) -> str:
+        """The text of its `imports`, as rows name them."""
+        return ", ".join(self.imports)
+
 
 class EntryError(Exception):
     """An estimator that cannot be evaluated; the message is one sentence."""

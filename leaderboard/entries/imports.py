@@ -1,7 +1,9 @@
 """Imports of the code of an entry, read from its syntax: nothing of it is imported here."""
 
 import ast
+import hashlib
 import io
+import re
 import sys
 import zipfile
 from collections.abc import Callable, Iterator
@@ -14,13 +16,15 @@ from typing import IO
 
 from leaderboard.entries.entry import EntryError
 from leaderboard.entries.entry_files import list_files, places_of, snapshot
-from road_envs.core.code_digest import PACKAGES
+from road_envs.core.code_digest import DIGITS, PACKAGES
 
 _LARGEST_SOURCE = 2**20  # size [bytes] of a module that is parsed: its tree takes a hundred times
 _MAX_SOURCE = 2**26  # largest size [bytes] of the Python files of an entry together
 _MAX_MODULES = 1000  # largest number of modules, without those inside, that it imports
 _OPTIONAL = (ast.Try, ast.TryStar, ast.FunctionDef, ast.AsyncFunctionDef)
 _OPTIONAL_IF = {"TYPE_CHECKING", "ImportError", "ModuleNotFoundError"}  # `suppress(ImportError)`
+_RECORDED = re.compile(r'^(?!"?(?:/|\.\.|__editable__)|.*/__config__).*\.py"?,sha256=[^,]+', re.M)
+"""A Python file of a wheel, alike on all machines: no script, no finder, no name of a compiler."""
 
 
 def imports_of(
@@ -61,7 +65,8 @@ def _is_optional(node: ast.AST) -> bool:
 
 def imported_versions(reference: str) -> tuple[str, ...]:
     """Return name and version of whatever the code of an entry imports that is none of Python, of
-    this project or of its own: of a module that is installed, those of its distribution.
+    this project or of its own: of a module that is installed, those of its distribution, with a
+    digest of the Python files of its wheel, which may be built again under the same version.
 
     Of a module that is installed editable or belongs to none, the digest of its files, and what
     these import counts too; "none" if there is no such module. What is imported by a name that is
@@ -74,7 +79,7 @@ def imported_versions(reference: str) -> tuple[str, ...]:
         top = min(left)
         seen.add(top)
         owners = [metadata.distribution(x) for x in _owners(tuple(sys.path)).get(top, ())]
-        found |= {f"{one.metadata['Name']} {one.version}" for one in owners}
+        found |= {f"{x.metadata['Name']} {x.version}{_digest_of(x)}" for x in owners}
         sites = {Path(str(x.locate_file(""))).resolve() for x in owners if x.read_text("RECORD")}
         places = list[Path]()
         with suppress(ValueError):  # `__main__`, and what a program has put among the modules
@@ -88,6 +93,12 @@ def imported_versions(reference: str) -> tuple[str, ...]:
                 if not owners:  # nothing would tell that it has changed
                     raise EntryError(f"of {top} beside it, which it imports, {error}") from None
     return tuple(sorted(found))
+
+
+def _digest_of(distribution: metadata.Distribution) -> str:
+    """Return " " and a digest of the Python files of its wheel, by its RECORD; "" of no wheel."""
+    files = sorted(_RECORDED.findall(distribution.read_text("RECORD") or ""))
+    return f" {hashlib.sha256(repr(files).encode()).hexdigest()[:DIGITS]}" if files else ""
 
 
 @cache

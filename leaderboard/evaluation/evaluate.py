@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from estimators.api import Estimator
+from estimators.common.blas import single_blas_thread
 from leaderboard.entries.entry import (
     BUILTIN,
     Calibrations,
@@ -121,6 +122,7 @@ def in_process(estimator: Estimator | None) -> EntryRunner:
     return run
 
 
+@single_blas_thread()  # as in the processes of a board: digits depend on their number
 def simulate_condition(
     task: Task, condition: Condition, simulate: DriveSimulation = simulate_drives
 ) -> ConditionData | str:
@@ -133,6 +135,7 @@ def simulate_condition(
     return ConditionData(task, condition, training, tests)
 
 
+@single_blas_thread()
 def evaluate_entry(
     task: Task,
     condition: Condition,
@@ -142,12 +145,10 @@ def evaluate_entry(
     run: EntryRunner,
 ) -> Result:
     """Run an entry under a condition with every training seed and score its estimates."""
-    here = describe_environment()
-    more = ", ".join(x for x in entry.imports if x.partition(" ")[0] not in here)
     empty = unscored_result(
         task, entry.name, settings=entry.settings, seeds=tuple(seeds), code=entry.code,
         conditions=(condition.label,), causal=entry.causal, lag=entry.lag,
-        environment=here | ({"imports": more} if more else {}),
+        environment=describe_environment() | ({"imports": entry.imported} if entry.imports else {}),
     )  # fmt: skip
     failure = entry.failure or (data if isinstance(data, str) else None)
     if failure is not None or isinstance(data, str):

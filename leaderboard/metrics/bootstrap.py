@@ -14,7 +14,7 @@ freedom as roads are drawn (Efron and Tibshirani, An Introduction to the Bootstr
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import accumulate
 from typing import NamedTuple
 
@@ -32,6 +32,7 @@ runs: ten times the median that was measured (`evaluation.comparison`). Nobody l
 
 MAX_BATCH_SCORES = 2_000_000  # scores held in memory at once while resampling: 16 MB
 Strata = Sequence[Sequence[int]]  # indices of the roads of each stratum (family of roads)
+_Mean = Callable[..., np.ndarray]
 
 
 class Interval(NamedTuple):
@@ -65,9 +66,14 @@ def interquartile_mean(
 
 
 def bootstrap(
-    scores: np.ndarray, seed: int, replicates: int = _REPLICATES, strata: Strata | None = None
+    scores: np.ndarray,
+    seed: int,
+    replicates: int = _REPLICATES,
+    strata: Strata | None = None,
+    mean: _Mean = interquartile_mean,
 ) -> np.ndarray:
-    """Return the interquartile means (B,) of resamples of `scores` (R, C, S): roads, then seeds.
+    """Return the means (B,) of resamples of `scores` (R, C, S): roads, then seeds; interquartile
+    ones, or what `mean` gives with its `axis` and `weights`.
 
     Roads are resampled within each of `strata`, lists of their indices; there is one by default,
     and where one has a single road with runs, of which nothing could be drawn. The resampled roads
@@ -76,11 +82,11 @@ def bootstrap(
     is not drawn.
     """
     batches = _replicate_scores(scores, seed, replicates, strata)
-    return np.concatenate([interquartile_mean(x, weights=weights) for x, weights in batches])
+    return np.concatenate([mean(x, axis=-1, weights=weights) for x, weights in batches])
 
 
 class Resampled(NamedTuple):
-    """A weighted sum of interquartile means, its replicates (B,), and the roads drawn in each."""
+    """A weighted sum of means, its replicates (B,), and the roads drawn in each."""
 
     mean: float
     replicates: np.ndarray
@@ -121,23 +127,16 @@ def resample(
     parts: Sequence[np.ndarray],
     weights: Sequence[float] = (1.0,),
     strata: Strata | None = None,
+    mean: _Mean = interquartile_mean,
 ) -> Resampled:
-    """Return the sum of the interquartile means of `parts`, each (R, C, S), with `weights`.
+    """Return the sum of the means of `parts`, each (R, C, S), with `weights`; see `bootstrap`.
 
     All parts have the same roads and seeds in each replicate.
     """
-    made = [bootstrap(part, 0, strata=strata) for part in parts]
-    means = [float(interquartile_mean(part.ravel())) for part in parts]
+    made = [bootstrap(part, 0, strata=strata, mean=mean) for part in parts]
+    means = [float(mean(part.ravel())) for part in parts]
     drawn = min(sum(map(_number_drawn, map(len, _drawable(part, strata)))) for part in parts)
     return Resampled(float(np.dot(weights, means)), np.tensordot(weights, made, axes=1), drawn)
-
-
-def mean_interval(scores: np.ndarray, strata: Strata | None = None) -> Interval:
-    """Return the mean of `scores` (R, C, S), without NaNs, with its 95 % interval."""
-    batches = _replicate_scores(scores, 0, _REPLICATES, strata)
-    means = [np.average(x, axis=1, weights=weights) for x, weights in batches]
-    drawn = sum(map(_number_drawn, map(len, _drawable(scores, strata))))
-    return Resampled(float(scores.mean()), np.concatenate(means), drawn).interval()
 
 
 def iqm_slope(parts: Mapping[int, np.ndarray], strata: Strata | None = None) -> Interval:

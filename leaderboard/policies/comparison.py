@@ -15,7 +15,7 @@ import numpy as np
 
 from leaderboard.entries.entry import describe_error
 from leaderboard.metrics import UNDEFINED
-from leaderboard.metrics.bootstrap import MIN_ROADS, mean_interval
+from leaderboard.metrics.bootstrap import MIN_ROADS, resample
 from leaderboard.policies import best_found
 from leaderboard.policies.best_found import Progress
 from leaderboard.policies.policy_process import PolicyProcess
@@ -185,7 +185,7 @@ def interval(
     pairs = pairs.reshape(len(pairs), -1, 1 + mirrored).mean(axis=2).T[:, None, :]
     of_pairs = np.zeros(len(pairs)) if families is None else families[:: 1 + mirrored]
     strata = [np.flatnonzero(of_pairs == k).tolist() for k in set(of_pairs)]
-    mean, low, high = mean_interval(pairs, strata)
+    mean, low, high = resample([pairs], strata=strata, mean=np.average).interval()
     if len(pairs) < MIN_ROADS:
         low = high = np.nan
     return {"mean": _round(mean), "low": _round(low), "high": _round(high)}

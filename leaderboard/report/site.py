@@ -177,7 +177,7 @@ def _board_provenance(board: Board) -> list[tuple[str, str]]:
         scored = board.scored(task)
         for result in scored:
             versions = {"road-envs": result.package_version, "metrics": result.metric_version}
-            versions |= result.environment
+            versions |= {k: x for k, x in result.environment.items() if k != "imports"}
             machines[", ".join(f"{name} {value}" for name, value in versions.items())] = None
         rows.append((task.name, f"{_drive_counts(task, scored)}; digest {task.digest[:12]}"))
     return [*(("Made by", text) for text in machines), *rows]

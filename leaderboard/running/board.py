@@ -118,7 +118,7 @@ class Board:
 
     def card(self, result: Result) -> EstimatorCard | None:
         """Return the card of the estimator of a result, if it was probed."""
-        return self.cards.get(card_identity(result.estimator, result.settings, result.code))
+        return self.cards.get(card_identity(result))
 
     def _fresh(self, task: Task) -> list[Result]:
         return [r for r in self.results[task.name] if self.stale_reason(task, r) is None]
@@ -137,12 +137,11 @@ def load_board(tasks: Sequence[Task], out: Path, rows: Sequence[PlannedRow] = ()
         key = task.name, result.estimator
         if key not in entries and (entry := registered_entry(key[1], task.trains_on_test_road)):
             entries[key] = entry
-    versions = {(r.estimator, str(r.settings), r.code): r for _, r in stored}
-    cards = [find_card(out, r.estimator, r.settings, r.code) for r in versions.values()]
-    by_identity = {card.identity: card for card in cards if card is not None}
+    identities = {card_identity(result) for _, result in stored}
+    cards = {x: found for x in identities if (found := find_card(out, x))}
     names = {result.estimator for _, result in stored}
     methods = {name: card for name in names if (card := find_method_card(out, name))}
-    return Board(tuple(tasks), results, entries, by_identity, load_verified(out), methods)
+    return Board(tuple(tasks), results, entries, cards, load_verified(out), methods)
 
 
 def run_board(

@@ -28,6 +28,7 @@ from leaderboard.submission.submission import CARD, load_submission, submitted_e
 from road_envs.core.atomic_io import copy_file, write_text
 from road_envs.core.config import ConfigError
 
+PUBLISH = "https://OWNER.github.io/REPOSITORY/ (once: Settings, Pages, Source: GitHub Actions)"
 _SUBMISSIONS = "submissions"
 _TEMPLATE = {
     "README.md": "readme.txt",
@@ -56,7 +57,7 @@ def write_repository(folder: Path, package: str | None = None) -> list[Path]:
         raise ConfigError(f"{folder} is not empty; choose a new or empty folder")
     templates = resources.files("leaderboard.submission") / "templates"
     for path, name in _TEMPLATE.items():
-        text = (templates / name).read_text(encoding="utf-8")
+        text = (templates / name).read_text(encoding="utf-8").replace("{publish}", PUBLISH)
         write_text(folder / path, text.replace("{package}", package))
     (folder / "ci/verify.sh").chmod(0o755)
     return [folder / path for path in _TEMPLATE]

@@ -9,14 +9,14 @@ submission.json   name, version of the code, what it cost, and the SHA-256 of ev
 import hashlib
 import os
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from leaderboard.conformance.checks import check_entry
 from leaderboard.conformance.probes import PROBES
-from leaderboard.conformance.results import find_card, probe_entries
+from leaderboard.conformance.results import card_identity, find_card, probe_entries
 from leaderboard.entries import entry_files
 from leaderboard.entries.entries import find_reference, fold, resolve_entries
 from leaderboard.entries.entry import NAME, Entry
@@ -24,7 +24,7 @@ from leaderboard.evaluation import store
 from leaderboard.evaluation.provenance import describe_environment, package_version
 from leaderboard.evaluation.tasks import Task
 from leaderboard.method_card import load_method_card
-from leaderboard.running.board import baseline_names, run_board
+from leaderboard.running.board import Board, baseline_names, run_board
 from leaderboard.running.executors import ProcessExecutor
 from leaderboard.running.jobs import in_sandbox
 from leaderboard.running.verification import Verified, verify_folder
@@ -71,8 +71,8 @@ def make_submission(
     limits: Limits,
     workers: int = 1,
     progress: _Progress = lambda text, share: None,
-) -> _Submission:
-    """Check an entry, run it by the `rules` and write the folder of its submission.
+) -> tuple[_Submission, Board]:
+    """Check an entry, run it by the `rules` and write the folder of its submission; with its board.
 
     What was driven before it was stopped or failed is not driven again. Raises ConfigError for a
     card that is not filled in, packages that boards lack, a failed check, a failed row, and a
@@ -104,7 +104,7 @@ def make_submission(
             hardware=describe_environment(), cpu_seconds=cost, files=_digests(partial),
         )  # fmt: skip
         SUBMISSION.write(partial / RECORD, asdict(record))
-    return record
+    return record, board
 
 
 def load_submission(folder: Path) -> _Submission:
@@ -171,15 +171,15 @@ def verify_submission(
                 if row.failure:
                     raise ConfigError(f"{reason}: {row.failure}")
                 if stale := row.stale_reason(task):
-                    made = f"{record.package_version}, code {_code(row.environment)}"
-                    here = f"{package_version()}, code {_code(describe_environment())}"
+                    made = f"{record.package_version}, code {row.environment.get('code', '?')[:8]}"
+                    here = f"{package_version()}, code {describe_environment()['code'][:8]}"
                     raise ConfigError(
                         f"{reason}: {stale} (road-envs {made}; here {here}): install what verifies "
                         "it, and submit again"
                     )
         for path in sorted(stored):
             raise ConfigError(f"{path}: neither a row of its entry nor a baseline of the rules")
-        _verify_probes(entry, folder, limits)
+        _verify_probes(entry, folder, tasks[0], limits)
         found = verify_folder(
             folder, in_sandbox(sandbox), [entry],
             tasks=tasks, share=share, seed=seed, report=progress,
@@ -189,11 +189,12 @@ def verify_submission(
     return found
 
 
-def _verify_probes(entry: Entry, folder: Path, limits: Limits) -> None:
-    """Raise ConfigError if the card of an entry is not the one of its probes here."""
+def _verify_probes(entry: Entry, folder: Path, task: Task, limits: Limits) -> None:
+    """Raise ConfigError if the card of the row of a task is not the one of the probes here."""
+    row = store.load(store.row_path(folder, task.name, entry.name))
     with TempFolder() as here:
         probe_entries([entry], here, limits)
-        cards = [find_card(x, entry.name, entry.settings, entry.code) for x in (folder, here)]
+        cards = [find_card(x, card_identity(of)) for x, of in ((folder, row), (here, entry))]
     outcomes = [card and [(p.name, p.passed) for p in card.probes] for card in cards]
     if outcomes[0] != outcomes[1]:
         raise ConfigError(f"{folder}: its card is not what the probes of {entry.name} find here")
@@ -217,10 +218,6 @@ def _working_entry(folder: Path, sandbox: SandboxClient) -> Entry:
     if entry.failure is not None:
         raise ConfigError(f"{entry.name}: {entry.failure}")
     return entry
-
-
-def _code(environment: Mapping[str, str]) -> str:
-    return environment.get("code", "unknown")[:8]
 
 
 @contextmanager

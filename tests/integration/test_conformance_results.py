@@ -15,7 +15,13 @@ import estimators
 from estimators import pretrained_weights
 from leaderboard.conformance import results as conformance_results
 from leaderboard.conformance.probes import PROBES, count_passed
-from leaderboard.conformance.results import CARD, EstimatorCard, find_card, probe_entries
+from leaderboard.conformance.results import (
+    CARD,
+    EstimatorCard,
+    card_identity,
+    find_card,
+    probe_entries,
+)
 from leaderboard.entries.entries import (
     entry_refit_per_case,
     make_entry,
@@ -62,7 +68,7 @@ def probed(tmp_path_factory):
 
 def card_of(probed, name):
     out, entries = probed
-    return find_card(out, name, entries[name].settings, entries[name].code)
+    return find_card(out, card_identity(entries[name]))
 
 
 @pytest.mark.costly
@@ -81,22 +87,27 @@ def test_every_entry_gets_one_card(probed):
 
 def test_a_card_is_valid_only_for_its_code_settings_and_probe_version(probed, monkeypatch):
     out, entries = probed
-    code = entries["Valid"].code
-    assert find_card(out, "Valid", {}, code + "x") is None
-    assert find_card(out, "Valid", {"gain": 2}, code) is None
-    assert find_card(out, "Dicey", {}, code) is None
+
+    def found(**changes):
+        changed = dataclasses.replace(entries["Valid"], **changes)
+        return find_card(out, card_identity(changed)) is not None
+
+    assert not found(code=entries["Valid"].code + "x")
+    assert not found(settings={"gain": 2})
+    assert not found(name="Dicey")
     with monkeypatch.context() as other_version:
         other_version.setattr(conformance_results, "package_code", lambda: "other weights")
-        assert find_card(out, "Valid", {}, code) is None
-    assert find_card(out, "Valid", {}, code) is not None
+        assert not found()
+    assert found()
     monkeypatch.setattr(conformance_results, "CARD", dataclasses.replace(CARD, modules=()))
-    assert find_card(out, "Valid", {}, code) is None
+    assert not found()
 
 
 def test_a_damaged_card_is_ignored_and_made_again(probed):
     out, entries = probed
     valid = entries["Valid"]
-    path = out / "cards" / f"{conformance_results.card_identity('Valid', {}, valid.code)}.json"
+    mine = card_identity(valid)
+    path = out / "cards" / f"{mine}.json"
     text = path.read_text()
     content, _ = CARD.read(path)
     identity = content.pop("identity")
@@ -104,12 +115,12 @@ def test_a_damaged_card_is_ignored_and_made_again(probed):
     damaged_texts = (text.replace('"passed": true', '"passed": null', 1), text[:200], "{}", "")
     for damaged in (*damaged_texts, other):
         path.write_text(damaged)
-        assert find_card(out, "Valid", {}, valid.code) is None
+        assert find_card(out, mine) is None
     assert probe_entries([valid], out, LIMITS) == 1 and path.read_text() == text
     path.write_text(text.replace('"format": 1', '"format": 2'))
     with pytest.raises(NewerFormatError):
         CARD.read(path)
-    assert find_card(out, "Valid", {}, valid.code) is None
+    assert find_card(out, mine) is None
     path.write_text(text)
 
 
@@ -127,7 +138,7 @@ def board_of(tmp_path, **options):
 
 def with_card(board, probes, name="reader"):
     (result,) = [r for r in board.results["small"] if r.estimator == name]
-    identity = conformance_results.card_identity(result.estimator, result.settings, result.code)
+    identity = card_identity(result)
     card = EstimatorCard(
         identity=identity, estimator=name, settings={}, code="", drive="a road", probes=probes
     )
@@ -190,7 +201,7 @@ def test_cards_are_made_only_on_request_and_loaded_if_they_exist(tmp_path, monke
     assert not requested
     board, entry = board_of(tmp_path, probes=True)
     assert "reader" in requested and not board.cards
-    identity = conformance_results.card_identity("reader", entry.settings, entry.code)
+    identity = card_identity(entry)
     card = EstimatorCard(
         identity=identity,
         estimator="reader",
@@ -201,6 +212,30 @@ def test_cards_are_made_only_on_request_and_loaded_if_they_exist(tmp_path, monke
     content = dataclasses.asdict(card)
     CARD.write(conformance_results.card_path(tmp_path, identity), content, content.pop("identity"))
     assert load_board([task()], tmp_path).cards == {identity: card}
+
+
+def test_a_card_of_other_imports_is_shown_beside_no_row(tmp_path):
+    """What an entry imports from beside it, or has installed, is a part of what was probed."""
+    imports = ("numpy 2.0", "zz_helper 1.0 0123456789abcdef")
+    mine = dataclasses.replace(make_entry("reader", Reader()), imports=imports)
+    request = RunRequest([task()], [mine], seeds=(1,))
+    run_board(request, tmp_path, InProcessExecutor(fake_drives, {"reader": Reader()}))
+
+    def write_card(entry):
+        identity = card_identity(entry)
+        about = dict(estimator="reader", settings=entry.settings, code=entry.code, drive="a road")
+        content = dataclasses.asdict(EstimatorCard(identity=identity, **about))
+        path = conformance_results.card_path(tmp_path, identity)
+        CARD.write(path, content, content.pop("identity"))
+        board = load_board([task()], tmp_path)
+        (row,) = (x for x in board.results["small"] if x.estimator == "reader")
+        return board.card(row) is not None
+
+    assert not write_card(dataclasses.replace(mine, imports=()))
+    for k, other in enumerate(("numpy 2.1", "zz_helper 1.0 fedcba9876543210")):
+        changed = [other if at == k else x for at, x in enumerate(imports)]
+        assert not write_card(dataclasses.replace(mine, imports=tuple(changed)))
+    assert write_card(mine)
 
 
 # stale rows

@@ -14,6 +14,8 @@ from results_repositories import ROOT, call, committed, merge_ref
 from submissions import CARD
 from wheels import module, write_wheel
 
+from leaderboard.commands import submit
+from leaderboard.commands.options import LimitOptions
 from leaderboard.entries.entries import fold
 from leaderboard.entries.entry import NAME
 from leaderboard.evaluation import store
@@ -23,7 +25,7 @@ from leaderboard.sandbox.limits import Limits
 from leaderboard.submission import repository, signature
 from leaderboard.submission.rules import load_rules
 from leaderboard.submission.submission import RECORD, SUBMISSION, _digests
-from road_envs.core.config import ConfigError
+from road_envs.core.config import ConfigError, read_yaml
 
 made, submission = submissions.made, submissions.submission
 verifies = results_repositories.verifies
@@ -46,6 +48,29 @@ def test_a_results_repository_is_not_written_over_files(tmp_path):
         load_rules(tmp_path / "more.yaml")
     with pytest.raises(ConfigError, match="has no submission"):
         repository.build_site(tmp_path, tmp_path / "site", Limits())
+
+
+def test_the_output_and_the_readme_say_where_the_site_is_published(tmp_path, monkeypatch):
+    made = submit.new_results_repo(tmp_path / "repo")
+    address, step = "https://OWNER.github.io/REPOSITORY/", "Settings, Pages, Source: GitHub Actions"
+    monkeypatch.setattr(repository, "build_site", lambda *_: tmp_path / "site" / "index.html")
+    site = submit.results_site(tmp_path / "repo", out=tmp_path / "site", limits=LimitOptions())
+    said = site.facts["site of the main branch"]
+    assert site.facts["page"] == str(tmp_path / "site" / "index.html")
+    for text in (
+        made.shows[-1],
+        made.facts["site"],
+        (tmp_path / "repo/README.md").read_text(),
+        said,
+    ):
+        assert address in text and step in text
+    jobs = read_yaml(tmp_path / "repo/.github/workflows/verify.yml")["jobs"]
+    kept, *_ = (x for x in jobs["verify"]["steps"] if "upload-pages" in x.get("uses", ""))
+    assert jobs["verify"]["outputs"] == {"site": "${{ steps.site.outputs.artifact_id }}"}
+    assert (kept["id"], kept["with"]) == ("site", {"path": "site"})
+    publish = jobs["publish"]
+    assert publish["needs"] == "verify" and publish["if"] == "needs.verify.outputs.site != ''"
+    assert [x["uses"] for x in publish["steps"]] == ["actions/deploy-pages@v4"]
 
 
 ESTIMATE = "a = np.nan_to_num(record.a[0])\nz[:] = 1e-3 * np.interp(stations, record.s, a)"

@@ -10,13 +10,16 @@ from types import SimpleNamespace
 
 import pytest
 import submissions
-from board_runs import ESTIMATORS, Counting, small
+from board_runs import ESTIMATORS, SHORT, Counting, run, small
 from fake_results import runs_of, with_runs
+from fakes import task
 from results_repositories import call
 from submissions import CARD, write_record
 from test_verification import chosen_fakes, run_here
 from wheels import write_wheel
 
+from leaderboard.commands import submit as submit_command
+from leaderboard.commands.options import LimitOptions
 from leaderboard.conformance import results as conformance_results
 from leaderboard.conformance.probes import CheckResult
 from leaderboard.conformance.results import EstimatorCard, card_identity, card_path
@@ -26,8 +29,11 @@ from leaderboard.evaluation import store
 from leaderboard.evaluation.provenance import describe_environment
 from leaderboard.evaluation.results import RESULT
 from leaderboard.method_card import TEMPLATE, load_method_card
+from leaderboard.metrics import UNDEFINED
 from leaderboard.metrics.baselines import BASELINES
+from leaderboard.metrics.bootstrap import MIN_ROADS
 from leaderboard.report.citation import cite_entry
+from leaderboard.report.sentences import build_report
 from leaderboard.running.board import load_board, run_board
 from leaderboard.running.verification import save_definition, verify_folder
 from leaderboard.sandbox.limits import Limits
@@ -130,6 +136,26 @@ def test_a_clone_is_no_code_of_a_submission(tmp_path):
     assert "mine/src/.git: give packages" in " ".join(said.split())
 
 
+@pytest.mark.parametrize("roads", [3, 5])
+def test_what_submit_prints_is_what_a_board_shows_of_the_same_rows(tmp_path, monkeypatch, roads):
+    seeds = [*range(11, 11 + roads)]
+    t = task(**SHORT | {"test": SHORT["test"] | {"seeds": seeds}})
+    board, _ = run(tmp_path / "reader", t=t)
+    (view,) = build_report(board).views
+    (row,) = (row for row in view.sections[0].rows if row.name == "reader")
+    made = submissions.write_record(tmp_path / "reader"), board
+    monkeypatch.setattr(submit_command, "make_submission", lambda *_: made)
+    rules = Rules(tasks=("small",), seeds=2), [t]
+    monkeypatch.setattr(submit_command, "load_rules", lambda path: rules)
+    for name in ("a.whl", "card.yaml"):
+        (tmp_path / name).touch()
+    options = {"out": tmp_path / "reader", "card": tmp_path / "card.yaml"}
+    output = submit_command.submit(tmp_path / "a.whl", **options, limits=LimitOptions())
+    expected = f"in-band NRMSE {row.cells['nrmse']}, worst drive {row.cells['worst']}"
+    assert output.facts["scores"] == {"small": expected}
+    assert (row.cells["worst"] == UNDEFINED) == (roads < MIN_ROADS)
+
+
 def test_names_may_have_joined_letters_and_texts_three_dots(tmp_path):
     text = CARD.replace("Ada Author", "\u0646\u06cc\u200c\u0644").replace(
         "data: none", "data: 1 ... 9"
@@ -186,7 +212,7 @@ def verified(made, tmp_path, monkeypatch):
     """Return a function that alters a submission with its record and verifies it, undisturbed."""
     entry = make_entry("reader", ESTIMATORS["reader"])
     probed = EstimatorCard(
-        identity=card_identity(entry.name, entry.settings, entry.code), estimator=entry.name,
+        identity=card_identity(entry), estimator=entry.name,
         settings=entry.settings, code=entry.code, drive="a drive",
         probes=(CheckResult("causality", True, "so it is"),),
     )  # fmt: skip
@@ -307,6 +333,17 @@ def test_the_conditions_of_a_row_are_in_the_order_of_its_task(verified):
 
     with pytest.raises(ConfigError, match="its conditions are not in the order of its task"):
         verified(swap)
+
+
+def test_an_entry_that_was_probed_with_other_versions_of_its_imports_agrees(verified):
+    def move(folder):
+        shutil.rmtree(folder / "cards")
+        change_row(folder, environment=describe_environment() | {"imports": "numpy 1.0"})
+        row = store.load(store.row_path(folder, "small", "reader"))
+        elsewhere = dataclasses.replace(verified.card, identity=card_identity(row))
+        verified.write_card(folder, elsewhere)
+
+    assert all(row.agrees for row in verified(move))
 
 
 def test_a_card_that_the_probes_do_not_give_is_refused(verified):
@@ -479,10 +516,10 @@ def test_runs_of_a_training_seed_that_is_not_run_again_do_not_agree(verified):
 
 def test_the_bound_of_the_drives_is_verified_whatever_machine_a_row_names(verified):
     """The first row of a board says the bound, below which the rows of others are doubted."""
-    elsewhere = describe_environment() | {"blas": "openblas Z80"}
 
     def raise_bound(folder):
         row = store.load(store.row_path(folder, "small", "reader"))
+        elsewhere = row.environment | {"blas": "openblas Z80"}
         runs = {run: own | {"bound_nrmse": 0.9} for run, own in runs_of(row).items()}
         change_row(folder, scores=with_runs(row, runs).scores, environment=elsewhere)
 
@@ -561,7 +598,7 @@ def test_what_was_driven_before_a_submission_was_stopped_is_not_lost(submit, tmp
     with pytest.raises(KeyboardInterrupt):
         submit("reader")
     assert [path.name for path in tmp_path.glob(".*")] == [".reader.jobs.partial"]
-    record = submit("reader")
+    record, _ = submit("reader")
     assert found == [[], ["1.json"]] and record.cpu_seconds == 8.0
     assert not list(tmp_path.glob(".*")) and load_submission(tmp_path / "reader") == record
 

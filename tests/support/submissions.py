@@ -23,6 +23,7 @@ def write_record(folder, code=""):
         cpu_seconds=1.0, files=_digests(folder),
     )  # fmt: skip
     SUBMISSION.write(folder / RECORD, dataclasses.asdict(record))
+    return record
 
 
 @pytest.fixture(scope="module")

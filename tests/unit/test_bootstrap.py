@@ -10,9 +10,9 @@ from leaderboard.metrics.bootstrap import (
     bootstrap,
     interquartile_mean,
     iqm_interval,
-    mean_interval,
     performance_profile,
     rank_entries,
+    resample,
 )
 
 
@@ -102,7 +102,8 @@ def test_replicates_vary_as_the_mean_of_few_roads_and_of_few_trainings_does():
 
 def test_the_mean_of_families_of_other_sizes_weighs_each_road_alike():
     scores = np.array([1.0, 2.0, *[4.0] * 6])[:, None, None]
-    mean, low, high = mean_interval(scores, [[0, 1], range(2, 8)])
+    made = resample([scores], strata=[[0, 1], range(2, 8)], mean=np.average)
+    mean, low, high = made.interval()
     error = 2 / 8 * 0.5  # of the mean of two roads, which are a quarter of all
     assert mean == scores.mean()
     assert high - low == pytest.approx(2.0 * error * stats.t.ppf(0.975, 6), rel=0.02)

@@ -101,7 +101,7 @@ def test_what_is_installed_beside_an_entry_is_told_by_version_or_by_content(
     (site / "zz_loose.py").write_text("import zz_deeper, json\nfrom leaderboard import api")
     (site / "zz_deeper.py").write_text("A = 1")
     (site / "zz_wheel.py").write_text("import zz_not_followed")
-    write_distribution("zz_wheel", "1.0", "zz_wheel.py,,")
+    write_distribution("zz_wheel", "1.0", "zz_wheel.py,sha256=a,9\n../bin/zz.py,sha256=b,9\n")
     (project / "zz_editable.py").write_text("")
     write_distribution("zz_editable", "2.0", "zz_editable.pth,,")
     (project / "zz_develop.py").write_text("")  # which an older installer leaves in its folder
@@ -117,8 +117,8 @@ def test_what_is_installed_beside_an_entry_is_told_by_version_or_by_content(
 
     def told():
         versions = imported_versions(str(code))
-        assert all(f"{name} {version}" in versions for name, version in installed.items())
-        return {x.partition(" ")[0]: x for x in versions if x not in fixed}
+        assert {*installed.items()} <= {tuple(x.split()[:2]) for x in versions}
+        return {x.partition(" ")[0]: x for x in versions if tuple(x.split()[:2]) not in fixed}
 
     installed = {
         "numpy": np.__version__,
@@ -127,7 +127,7 @@ def test_what_is_installed_beside_an_entry_is_told_by_version_or_by_content(
         "zz_develop": "3.0",
         "zz_gone": "none",
     }
-    fixed = {f"{name} {version}" for name, version in installed.items()}
+    fixed = installed.items()
     before = told()
     assert list(before) == ["zz_deeper", "zz_develop", "zz_editable", "zz_loose"]
     (site / "zz_deeper.py").write_text("A = 2")
@@ -136,7 +136,34 @@ def test_what_is_installed_beside_an_entry_is_told_by_version_or_by_content(
     changed = [name for name in before if before[name] != after[name]]
     assert changed == ["zz_deeper", "zz_editable"] and list(after) == list(before)
     (site / "zz_wheel-1.0.dist-info/METADATA").write_text("Name: zz_wheel\nVersion: 1.1\n")
-    assert "zz_wheel 1.1" in imported_versions(str(code))
+    assert [x for x in imported_versions(str(code)) if x.startswith("zz_wheel 1.1 ")]
+
+
+def test_a_wheel_that_is_built_again_under_its_version_is_another_one_on_every_machine(
+    tmp_path, monkeypatch
+):
+    about = tmp_path / "site" / "zz_gain-1.0.dist-info"
+    about.mkdir(parents=True)
+    monkeypatch.syspath_prepend(tmp_path / "site")
+    (tmp_path / "site" / "zz_gain.py").write_text("GAIN = 1.0")
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: zz_gain\nVersion: 1.0\n")
+    (about / "top_level.txt").write_text("zz_gain")
+    code = write(tmp_path / "code", "import zz_gain")
+
+    def told(*lines):
+        (about / "RECORD").write_text("".join(f"{line},9\n" for line in lines))
+        (found,) = (x for x in imported_versions(str(code)) if x.startswith("zz_gain"))
+        return found
+
+    mine = ("zz_gain.py,sha256=a", '"zz_gain/a,b.py",sha256=a')
+    of_machine = (
+        "../../bin/zz.py", "/bin/zz.py", "__editable___zz_finder.py", "zz_gain/__config__.py",
+        "__pycache__/zz_gain.pyc", "zz_gain-1.0.dist-info/direct_url.json",
+    )  # fmt: skip
+    known = told(*mine)
+    assert known == told(*reversed(mine), *(f"{name},sha256=b" for name in of_machine))
+    for rebuilt in (mine[:1], [mine[0], mine[1].replace("=a", "=b")]):
+        assert told(*rebuilt) != known and told(*rebuilt).startswith("zz_gain 1.0 ")
 
 
 def test_a_module_in_the_working_folder_is_not_taken_for_what_is_imported(tmp_path, monkeypatch):
