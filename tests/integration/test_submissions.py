@@ -633,7 +633,7 @@ def test_of_two_submissions_into_one_folder_at_once_the_second_is_refused(
         return SimpleNamespace(tasks=[])
 
     monkeypatch.setattr(submission_module, "run_board", run)
-    record = submit("reader")
+    record, _ = submit("reader")
     assert not list(tmp_path.glob(".*")) and load_submission(tmp_path / "reader") == record
 
 
