@@ -32,7 +32,7 @@ from leaderboard.sandbox.client import SandboxClient
 from leaderboard.sandbox.limits import Limits
 from road_envs.core.atomic_io import remove_stale_temp
 from road_envs.core.config import ConfigError, Settings, build
-from road_envs.core.reading import regular
+from road_envs.core.reading import parsing, regular
 
 _FOLDER = "files"
 """Folder of copies of the files that a job needs besides its text, beside the file of the job."""
@@ -128,14 +128,12 @@ def from_text(text: str, where: str, folder: Path = Path()) -> Job:
 
     Raises ConfigError, also if the job was planned by another version.
     """
-    try:
+    with parsing(where, ConfigError, "damaged, not valid JSON"):
         data = json.loads(text)
-    except ValueError as error:
-        raise ConfigError(f"{where}: damaged, not valid JSON: {error}") from None
-    if not isinstance(data, dict):
-        raise ConfigError(f"{where}: not a job")
-    if data.get("files") and isinstance(data["files"], str):
-        data = _locate(data, folder)
+        if not isinstance(data, dict):
+            raise ConfigError("not a job")
+        if data.get("files") and isinstance(data["files"], str):
+            data = _locate(data, folder)
     job = build(Job, data, where)
     if not 0 <= job.condition < len(job.task.conditions):
         raise ConfigError(f"{where}: {job.task.name} has no condition {job.condition}")

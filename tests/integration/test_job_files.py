@@ -48,6 +48,12 @@ def test_a_job_is_equal_after_writing_and_reading_its_file(t):
     [
         (lambda data: "{", "a job: damaged, not valid JSON"),
         (lambda data: [], "a job: not a job"),
+        (
+            lambda data: json.dumps({**data, "files": "kept", "task": "deep"}).replace(
+                '"deep"', "[" * 600 + "]" * 600
+            ),
+            "a job: damaged, not valid JSON: nested too deeply",
+        ),
         (lambda data: {**data, "colour": 1}, "colour: unknown key"),
         (lambda data: {**data, "condition": 7}, "small has no condition 7"),
         (lambda data: {**data, "evaluation_code": "0"}, "planned by other code or weights"),
