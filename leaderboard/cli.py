@@ -106,18 +106,18 @@ def _help_line(target: str | type) -> str:
 
 def _build(name: str, target: str | type) -> Any:
     if isinstance(target, type):
-        group = new_app(name=name, cls=target, help=target.__doc__, no_args_is_help=True)
+        group = _new_app(name=name, cls=target, help=target.__doc__, no_args_is_help=True)
         group.callback()(lambda: None)
         return typer.main.get_command(group)
     module, _, function = target.partition(":")
     from leaderboard.commands.output import as_command
 
-    app, found = new_app(), getattr(import_module(f"{_PACKAGE}.{module}"), function)
+    app, found = _new_app(), getattr(import_module(f"{_PACKAGE}.{module}"), function)
     app.command(name, cls=_SectionedCommand)(as_command(found))
     return typer.main.get_command(app)
 
 
-def new_app(**settings: Any) -> typer.Typer:
+def _new_app(**settings: Any) -> typer.Typer:
     """Return a Typer app without completion, markup and decorated tracebacks.
 
     Help texts have brackets, as in units [m] and extras road-envs[dask], which markup would eat.
@@ -127,7 +127,7 @@ def new_app(**settings: Any) -> typer.Typer:
     )
 
 
-class Roads(_LazyGroup):
+class _Roads(_LazyGroup):
     """List, plot and export roads."""
 
     sections: ClassVar[Sections] = {
@@ -139,14 +139,14 @@ class Roads(_LazyGroup):
     }
 
 
-class RoadRecon(_LazyGroup):
+class _RoadRecon(_LazyGroup):
     """All subcommands."""
 
     sections: ClassVar[Sections] = {
         "Drives and roads": {
             "simulate": "simulate:simulate",
             "dataset": "dataset:dataset",
-            "roads": Roads,
+            "roads": _Roads,
             "animate": "animate:animate",
         },
         "Names": {"list": "listing:list_names"},
@@ -188,7 +188,7 @@ class RoadRecon(_LazyGroup):
 
 
 _HELP = "Road profile reconstruction from vehicle responses: simulate, train, estimate, evaluate."
-app = new_app(cls=RoadRecon, help=_HELP, no_args_is_help=True)
+app = _new_app(cls=_RoadRecon, help=_HELP, no_args_is_help=True)
 
 
 def _print_version(wanted: bool) -> None:

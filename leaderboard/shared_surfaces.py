@@ -23,7 +23,7 @@ longer, and of 0.95 with the nearest raised cosine.
 
 
 @dataclass(frozen=True, eq=False)
-class FixedSurface:
+class _FixedSurface:
     """A surface that no seed varies: the `rises` (2, N) [m] of its wheel paths within _SPACING, and
     the `seed` of a draw.
 
@@ -35,23 +35,23 @@ class FixedSurface:
     seed: int | None = None
 
     def __eq__(self, other: object) -> bool:
-        if not isinstance(other, FixedSurface):
+        if not isinstance(other, _FixedSurface):
             return NotImplemented
         if None not in (self.seed, other.seed):
             return self.seed == other.seed
         return _largest_correlation(self.rises, other.rises) >= _LEAST_CORRELATION
 
 
-def fixed_surfaces(roads: Iterable[Road]) -> list[FixedSurface]:
+def fixed_surfaces(roads: Iterable[Road]) -> list[_FixedSurface]:
     """Return the uneven surfaces of `roads` that no seed varies, each once."""
-    found: list[FixedSurface] = []
+    found: list[_FixedSurface] = []
     for part in (part for road in roads for part in _parts(road)):
         seed = part.seed if isinstance(part, FixedSeed) else None
         if seed is None and _is_random(part):
             continue
         surface = part.realise(np.random.default_rng(0))
         s = np.arange(surface.start, surface.end + _SPACING, _SPACING)
-        one = FixedSurface(np.diff([np.interp(s, surface.s, path) for path in surface.z]), seed)
+        one = _FixedSurface(np.diff([np.interp(s, surface.s, path) for path in surface.z]), seed)
         if np.ptp(one.rises, axis=1).any() and one not in found:
             found.append(one)
     return found
@@ -79,7 +79,7 @@ def repeated_road(drives: DriveSet) -> str | None:
     """Return the kind of an uneven road that no seed varies and that is driven twice: at several
     seeds, or as another of the list is made of the same surfaces. None if there is none.
     """
-    found: list[list[FixedSurface]] = []
+    found: list[list[_FixedSurface]] = []
     for road in drives.roads:
         surfaces = fixed_surfaces([road])
         if surfaces and not _is_random(road):

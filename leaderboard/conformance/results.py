@@ -47,7 +47,7 @@ def card_identity(of: Entry | Result) -> str:
 
 def find_card(out: Path, identity: str) -> EstimatorCard | None:
     """Return the card of that identity; None if it is missing or damaged."""
-    more, path = {"identity": identity}, card_path(out, identity)
+    more, path = {"identity": identity}, _card_path(out, identity)
     return CARD.find(path, identity, lambda x: build(EstimatorCard, x | more, "card"))
 
 
@@ -79,10 +79,10 @@ def probe_entries(
             except EntryError as error:
                 card = dataclasses.replace(card, failure=str(error))
             content = dataclasses.asdict(card)
-            CARD.write(card_path(out, identity), content, content.pop("identity"))
+            CARD.write(_card_path(out, identity), content, content.pop("identity"))
     return len(missing)
 
 
-def card_path(out: Path, identity: str) -> Path:
+def _card_path(out: Path, identity: str) -> Path:
     """File of the card of that identity in a folder of results."""
     return out / "cards" / f"{identity}.json"

@@ -241,7 +241,7 @@ _BOUNDS: dict[tuple[str, str], list[float]] = {}  # by task and condition, for e
 _ERROR_HOVER = "%{y:.3f} at %{x:.2f} cycles/m"
 
 
-def third_octave_bound(task: Task, condition: Condition) -> list[float]:
+def _third_octave_bound(task: Task, condition: Condition) -> list[float]:
     """Return the least NRMSE [-] in each of THIRD_OCTAVES on an ISO road (w = 2) of class D; none
     of instruments without noise.
     """
@@ -266,7 +266,7 @@ def bound_lines(task: Task, condition: Condition, name: str = "bound") -> list[d
     """Return the bound in third octaves under a condition, on a class-D road, if there is one."""
     key = (task.digest, condition.label)
     if task.bound and task.test.noise and key not in _BOUNDS:
-        _BOUNDS[key] = [fig.rounded(x, 4) for x in third_octave_bound(task, condition)]
+        _BOUNDS[key] = [fig.rounded(x, 4) for x in _third_octave_bound(task, condition)]
     look: Any = {"line": {"color": fig.INK, "dash": "dot", "width": 1.6}}
     y = _BOUNDS.get(key)
     return [fig.curve(name, THIRD_OCTAVES, y, hovertemplate=_ERROR_HOVER, **look)] if y else []

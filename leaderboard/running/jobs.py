@@ -202,7 +202,7 @@ def run_job_file(spec: Path, out: Path) -> Iterator[JobDone]:
         yield from runner.run(job)
 
 
-def code_folders(job: Job) -> dict[str, Path]:
+def _code_folders(job: Job) -> dict[str, Path]:
     """Return the folder with the copied code, if any, of each entry from outside, by reference."""
     others = filter(is_from_outside, job.entries if job.files else ())
     return {entry.reference: Path(job.files, entry.code) for entry in others}
@@ -222,7 +222,7 @@ class _JobRunner(contextlib.ExitStack):
 
     def run(self, job: Job) -> Iterator[JobDone]:
         """Run a job. Raises ConfigError, OSError."""
-        self._code |= code_folders(job)
+        self._code |= _code_folders(job)
         if self._sandbox is None:
             client = SandboxClient(job.limits, owns_all_children=True, code=self._code)
             self._sandbox = self.enter_context(client)

@@ -24,7 +24,7 @@ from road_envs.roads import load_road
 DRIVE = ("--road", "iso_c", "--length", "30", "--speed-kmh", "36")
 
 
-GROUPS = {"": cli.RoadRecon, "roads": cli.Roads}
+GROUPS = {"": cli._RoadRecon, "roads": cli._Roads}
 COMMANDS = [
     (*group.split(), name, target)
     for group, commands in GROUPS.items()

@@ -210,7 +210,7 @@ def test_cards_are_made_only_on_request_and_loaded_if_they_exist(tmp_path, monke
         drive="a road",
     )
     content = dataclasses.asdict(card)
-    CARD.write(conformance_results.card_path(tmp_path, identity), content, content.pop("identity"))
+    CARD.write(conformance_results._card_path(tmp_path, identity), content, content.pop("identity"))
     assert load_board([task()], tmp_path).cards == {identity: card}
 
 
@@ -225,7 +225,7 @@ def test_a_card_of_other_imports_is_shown_beside_no_row(tmp_path):
         identity = card_identity(entry)
         about = dict(estimator="reader", settings=entry.settings, code=entry.code, drive="a road")
         content = dataclasses.asdict(EstimatorCard(identity=identity, **about))
-        path = conformance_results.card_path(tmp_path, identity)
+        path = conformance_results._card_path(tmp_path, identity)
         CARD.write(path, content, content.pop("identity"))
         board = load_board([task()], tmp_path)
         (row,) = (x for x in board.results["small"] if x.estimator == "reader")

@@ -148,7 +148,7 @@ def test_planned_jobs_need_no_other_file(tmp_path):
         assert job.task.digest == t.digest
         again = jobs.from_text(jobs.to_text(job), "on a worker", tmp_path / "elsewhere")
         assert again == dataclasses.replace(job, task_digest=t.digest)
-        code_folders = jobs.code_folders(again)
+        code_folders = jobs._code_folders(again)
         if again.entries == (entry,):
             with SandboxClient(Limits(isolation="process"), code=code_folders) as sandbox:
                 assert sandbox._snapshot(str(given))[0] == code

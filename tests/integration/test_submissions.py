@@ -22,7 +22,7 @@ from leaderboard.commands import submit as submit_command
 from leaderboard.commands.options import LimitOptions
 from leaderboard.conformance import results as conformance_results
 from leaderboard.conformance.probes import CheckResult
-from leaderboard.conformance.results import EstimatorCard, card_identity, card_path
+from leaderboard.conformance.results import EstimatorCard, _card_path, card_identity
 from leaderboard.entries.entries import make_entry
 from leaderboard.entries.entry import Entry
 from leaderboard.evaluation import store
@@ -220,7 +220,7 @@ def verified(made, tmp_path, monkeypatch):
     def write_card(folder, card=probed):
         content = dataclasses.asdict(card)
         conformance_results.CARD.write(
-            card_path(folder, card.identity), content, content.pop("identity")
+            _card_path(folder, card.identity), content, content.pop("identity")
         )
 
     def altered_and_verified(alter, **options):

@@ -11,7 +11,7 @@ from leaderboard.evaluation.tasks import load_task
 from leaderboard.metrics.api import ScoredEstimate
 from leaderboard.metrics.registry import compute_scores
 from leaderboard.metrics.roughness import THIRD_OCTAVES
-from leaderboard.report.charts import third_octave_bound
+from leaderboard.report.charts import _third_octave_bound
 from road_envs.analysis.information_bound import RoadPrior, bound
 from road_envs.core import config
 from road_envs.records.record import Estimate, Profile, profile_stations, scored_band
@@ -46,7 +46,7 @@ def test_the_bound_is_that_of_the_car_of_the_condition():
     given = task(car="bmw_320i", conditions=[{**condition, "car": "van"}])
     of_road, of_octaves = (
         [find(t, t.conditions[0], *more) for t in (own, given, other)]
-        for find, more in ((nrmse_bound, [realised(road_class="C")]), (third_octave_bound, []))
+        for find, more in ((nrmse_bound, [realised(road_class="C")]), (_third_octave_bound, []))
     )
     assert of_road[0] == of_road[1] > 1.3 * of_road[2]
     assert of_octaves[0] == of_octaves[1] != of_octaves[2]
@@ -79,7 +79,7 @@ def test_instruments_or_drives_without_noise_have_no_bound():
     quiet = {"roads": ["iso_d"], "seeds": [11], "noise": False}
     for t in (task(instruments="ideal"), task(test=quiet)):
         assert np.isnan(nrmse_bound(t, t.conditions[0], realised(road_class="C")))
-    assert third_octave_bound(task(instruments="ideal"), t.conditions[0]) == []
+    assert _third_octave_bound(task(instruments="ideal"), t.conditions[0]) == []
 
 
 def test_level_and_waviness_are_fitted_inside_the_band():
@@ -100,7 +100,7 @@ def test_the_third_octave_bounds_add_up_to_the_bound_of_the_band():
     """Weighted with the road's n^-2, the third octaves that tile 0.2 to 1.6 give the whole band."""
     t = load_task("new_road")
     for condition in (t.conditions[0], t.conditions[2]):
-        shares = np.array(third_octave_bound(t, condition))
+        shares = np.array(_third_octave_bound(t, condition))
         inside = (THIRD_OCTAVES > 0.24) & (THIRD_OCTAVES < 1.45)
         weight = THIRD_OCTAVES[inside] ** -1.0
         over = np.sqrt(np.sum(weight * shares[inside] ** 2) / weight.sum())
