@@ -151,7 +151,7 @@ class Results:
 def signed(gain: dict[str, float]) -> str:
     """Return a gain with its interval, if it has one."""
     if np.isnan(gain["low"]):
-        return f"{gain['mean']:+.3f} (few drives)"
+        return f"{gain['mean']:+.3f} (few drives)".ljust(25)  # as wide as with an interval
     return f"{gain['mean']:+.3f} ({gain['low']:+.3f} to {gain['high']:+.3f})"
 
 
