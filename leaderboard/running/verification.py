@@ -9,7 +9,6 @@ cannot be run again, which is said instead.
 """
 
 import dataclasses
-import fcntl
 import math
 import os
 import statistics
@@ -35,6 +34,7 @@ from leaderboard.sandbox.guest import MachineError
 from leaderboard.sandbox.launch import twice
 from leaderboard.sandbox.retest import NOT_CAUSAL, NOT_RETESTED, REMEMBERS
 from road_envs.core.artifacts import Kind, NewerFormatError
+from road_envs.core.atomic_io import exclusive_lock
 from road_envs.core.config import ConfigError, Settings, build
 
 _DEFINITION = Kind("task", 1)
@@ -171,8 +171,7 @@ def save_verified(found: Iterable[Verified], out: Path) -> list[Verified]:
     ConfigError as `load_verified`, and then writes nothing.
     """
     known = []
-    with open(out / ".verified.lock", "ab") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)  # until it is closed: another command may end now
+    with exclusive_lock(out / ".verified.lock", math.inf):  # another command may end now
         rows = {(x.content, x.kernels): x for old in load_verified(out).values() for x in old}
         for row in found:
             key, was_run = (row.content, row.kernels), row.is_false or not row.reason

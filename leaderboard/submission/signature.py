@@ -36,7 +36,7 @@ def signer(key: Path) -> Callable[[Path], str]:
         with os.fdopen(os.open(key, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
             file.write(text)
     with parsing(key, ConfigError, "not a private key in PEM format"):
-        private = serialization.load_pem_private_key(key.read_bytes(), None)
+        private = serialization.load_pem_private_key(regular(key).read_bytes(), None)
     if not isinstance(private, ed25519.Ed25519PrivateKey):
         raise ConfigError(f"{key}: not an Ed25519 key")
     public = private.public_key().public_bytes_raw().hex()

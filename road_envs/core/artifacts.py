@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from road_envs.core.atomic_io import write_text
-from road_envs.core.code_digest import closure, digest
+from road_envs.core.code_digest import ROOT, closure, digest
 from road_envs.core.config import ConfigError
 from road_envs.core.reading import regular
 
@@ -38,6 +38,9 @@ CHECKSUM_PREFIX = '{\n "sha256": "'
 CHECKSUM_SUFFIX = '",\n'
 HEADER = ("sha256", "kind", "format", "made_by", "identity")
 
+KEEPERS = {ROOT / "road_envs" / "core" / name for name in ("atomic_io.py", "code_digest.py")}
+"""Files that write, lock and recognise what is kept, and decide nothing that is in it."""
+
 
 class NewerFormatError(ConfigError):
     """A file in a newer format: this version can neither read nor overwrite it."""
@@ -45,8 +48,8 @@ class NewerFormatError(ConfigError):
 
 @cache
 def code_version(*modules: str) -> str:
-    """Digest of the code of `modules` and of everything of this project that they import."""
-    return digest(closure(*modules)) if modules else ""
+    """Digest of the code of `modules` and of all of this project that they import, less KEEPERS."""
+    return digest(set(closure(*modules)) - KEEPERS) if modules else ""
 
 
 @dataclass(frozen=True)

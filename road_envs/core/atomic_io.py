@@ -64,7 +64,7 @@ def new_folder(path: Path) -> Iterator[Path]:
     """Yield an empty folder beside `path`, which gets that name when the block ends.
 
     If the block raises, the folder is removed. Raises ConfigError if `path` exists, and while
-    another process makes it.
+    another process makes it, which cannot be told where the file system has no locks.
     """
     partial = path.with_name(f".{path.name}{PARTIAL_SUFFIX}")
     lock = partial.with_suffix(f".lock{PARTIAL_SUFFIX}")
@@ -158,7 +158,8 @@ def _remove_if_orphaned(folder: Path) -> bool:
 def exclusive_lock(path: Path, longest_wait: float) -> Iterator[bool]:
     """Hold the lock of a file, which other processes wait for; yield False if one of them has it.
 
-    After `longest_wait` [s], or where no lock can be had, the block runs without it.
+    After `longest_wait` [s] the block runs without it, and where no lock can be had: Lustre and
+    FUSE may have none, which no other process can hold.
     """
     try:
         handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)  # NFS locks what can be written
@@ -167,17 +168,19 @@ def exclusive_lock(path: Path, longest_wait: float) -> Iterator[bool]:
         return
     try:
         end = time.monotonic() + longest_wait
-        while not (is_held := _try_lock(handle)) and time.monotonic() < end:
+        while not (is_alone := _try_lock(handle) is not False) and time.monotonic() < end:
             time.sleep(LOCK_INTERVAL)
-        yield is_held
+        yield is_alone
     finally:
         os.close(handle)
 
 
-def _try_lock(handle: int) -> bool:
-    """Lock an open file. Returns False if another process holds the lock."""
+def _try_lock(handle: int) -> bool | None:
+    """Lock an open file. Returns False if another process holds the lock, None if there is none."""
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
+    except BlockingIOError:
         return False
+    except OSError:
+        return None
     return True

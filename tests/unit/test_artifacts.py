@@ -8,8 +8,9 @@ import pytest
 from leaderboard.evaluation.task_files import digest_of
 from leaderboard.running.jobs import run_job_file
 from leaderboard.submission import hidden_seeds, signature
-from road_envs.core import artifacts
+from road_envs.core import artifacts, code_digest
 from road_envs.core.artifacts import Kind, NewerFormatError
+from road_envs.core.code_digest import ROOT
 from road_envs.core.config import ConfigError, read_yaml
 from road_envs.core.reading import read_npz
 from road_envs.roads.measured import Measured
@@ -71,12 +72,18 @@ def read_signature(path):
     return signature.verify(path.parent)
 
 
+def read_key(path):
+    pytest.importorskip("cryptography")
+    return signature.signer(path)
+
+
 @pytest.mark.parametrize(
     ("name", "read"),
     [
         ("kept.json", KIND.read),
         ("job.json", lambda path: list(run_job_file(path, path.parent))),
         (signature.FILE, read_signature),
+        ("key.pem", read_key),
         (hidden_seeds.COMMITMENT, lambda path: hidden_seeds.load(path.parent)),
         ("road.yaml", read_yaml),
         ("road.csv", lambda path: digest_of(str(path))),
@@ -144,6 +151,23 @@ def test_clean_deletes_what_other_code_has_made_and_nothing_else(tmp_path, monke
     assert artifacts.clean(tmp_path) == [stale] and not stale.exists()
     left = {path.name for path in tmp_path.rglob("*.json")}
     assert left == {"today.json", "without_code.json", "foreign.json", "damaged.json"}
+
+
+@pytest.mark.parametrize(
+    ("name", "decides"),
+    [("atomic_io", False), ("code_digest", False), ("artifacts", True), ("reading", True)],
+)
+def test_a_change_of_what_writes_and_recognises_files_makes_nothing_stale(
+    name, decides, monkeypatch
+):
+    version, parse = artifacts.code_version.__wrapped__, code_digest._source
+    before, changed = version("road_envs.core.artifacts"), ROOT / f"road_envs/core/{name}.py"
+    assert changed in code_digest.closure("road_envs.core.artifacts")
+    other = code_digest._Source("0" * 16, ())
+    monkeypatch.setattr(
+        code_digest, "_source", lambda path: other if path == changed else parse(path)
+    )
+    assert (version("road_envs.core.artifacts") != before) is decides
 
 
 def test_a_file_of_somebody_else_is_no_artifact(tmp_path):

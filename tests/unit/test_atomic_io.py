@@ -1,5 +1,6 @@
 """Atomic writes, and removal of the files of killed processes."""
 
+import errno
 import os
 import platform
 import subprocess
@@ -111,6 +112,21 @@ def test_two_do_not_make_one_folder_at_once_and_a_killed_one_blocks_none(tmp_pat
             pass
         assert os.listdir(folder) == ["a"]
     assert os.listdir(path) == ["a"] and list(path.parent.iterdir()) == [path]
+
+
+def test_without_locks_a_folder_is_made_and_none_is_removed(tmp_path, monkeypatch):
+    """As on some mounts of Lustre and of FUSE, where the call is not supported."""
+
+    def flock(handle, operation):
+        raise OSError(errno.ENOSYS, "Function not implemented")
+
+    monkeypatch.setattr(atomic_io.tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(atomic_io.fcntl, "flock", flock)
+    with new_folder(tmp_path / "found") as folder:
+        (folder / "a").touch()
+    assert [x.name for x in (tmp_path / "found").iterdir()] == ["a"]
+    with TempFolder() as mine:
+        assert remove_stale_temp() == [] and mine.exists()
 
 
 HOLDS = """
