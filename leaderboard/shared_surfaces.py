@@ -91,13 +91,18 @@ def repeated_road(drives: DriveSet) -> str | None:
 
 
 def _parts(road: Road) -> list[Road]:
-    """Return the roads that a road is made of: itself, if of no other or a draw of one."""
+    """Return the roads that a road is made of: itself, if of no other; of a draw of one, the draw
+    and what of it no seed varies.
+    """
     if isinstance(road, Flat):
         return []
     inner = getattr(road, "roads", ()) or ([road.road] if hasattr(road, "road") else [])
-    if not inner or (isinstance(road, FixedSeed) and _is_random(road.road)):
+    if not inner:
         return [road]
-    return [part for one in inner for part in _parts(one)]
+    parts = [part for one in inner for part in _parts(one)]
+    if isinstance(road, FixedSeed) and _is_random(road.road):
+        return [road, *(x for x in parts if isinstance(x, FixedSeed) or not _is_random(x))]
+    return parts
 
 
 def _is_random(road: Road) -> bool:

@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import os
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -26,12 +27,20 @@ from road_envs.policies import (
     runs_foreign_code,
 )
 from road_envs.policies.fixed import FixedPair
-from road_envs.policies.network_policy import NetworkPolicy
+from road_envs.policies.network_policy import SB3_SUFFIX, NetworkPolicy
 from road_envs.policies.policy_iteration import IterationConfig, iterate
 from road_envs.vehicle.suspension import MODES
 
 POLICY_OPTIONS = LimitOptions(time_limit=POLICY_LIMITS.seconds, memory_limit=POLICY_LIMITS.memory)
 _QUICK_DRIVES = 2  # public drives of `--quick`, each to both sides
+_PUBLIC = (
+    "These drives are public: {} can play back what was found for them beforehand, and a place "
+    "then says nothing. Compare policies of others on drives that a text seals which their authors "
+    "do not know (--seal)."
+)
+_WITHOUT_STATISTICS = (
+    "{}: the file holds no statistics of VecNormalize; the network gets the features as they are."
+)
 RIVALS = ("rrms", "rrms_lateral", "lateral", "mpc")
 """Laws beside which a newly trained policy is shown."""
 
@@ -66,22 +75,24 @@ def policies(
     commands.check_output_folder(out)
     if quick:
         drives, sweeps = _QUICK_DRIVES, 0
-    entries, base = _entries(policy, limits.parse()), _row_name(reference)
+    chosen = policy if policy is None or reference in policy else [*policy, reference]
+    entries, base = _entries(chosen, limits.parse()), _row_name(reference)
     if policy is None:
         pairs = {f"{f}/{r}": FixedPair(front=f, rear=r) for r in MODES for f in MODES}  # type: ignore[arg-type]
         entries |= pairs
-    elif base not in entries:
-        entries |= _entries([reference], limits.parse())
+        if base not in entries:
+            entries |= _entries([reference], limits.parse())
     if out:
         write_pending(out / POLICY_PAGE, "Switching policies", f"policies --out {out}")
     with contextlib.ExitStack() as processes, commands.progress_bar() as progress:
         for entry in entries.values():
             if isinstance(entry, PolicyProcess):
                 processes.enter_context(entry)
-        chosen = comparison.public_drives(drives, seal)
-        chosen.threads = min(2, os.cpu_count() or 1)
-        found = comparison.compare(entries, chosen, base, sweeps=sweeps, progress=progress)
-    lines = comparison.table_lines(found.data)
+        setup = comparison.public_drives(drives, seal)
+        setup.threads = min(2, os.cpu_count() or 1)
+        found = comparison.compare(entries, setup, base, sweeps=sweeps, progress=progress)
+    found.data["notes"] = _notes(entries, chosen or [reference], seal)
+    lines = [*comparison.table_lines(found.data), *found.data["notes"]]
     if out:
         write_text(out / "benchmark.json", commands.to_json(found.data))
         write_text(out / "benchmark.txt", "\n".join(lines) + "\n")
@@ -93,6 +104,14 @@ def policies(
         commands.console.print(line, soft_wrap=True, highlight=False)
     if failed := [row["policy"] for row in found.data["rows"] if row["failure"]]:
         raise ConfigError(f"failed policies: {', '.join(failed)}; the other results are valid")
+
+
+def _notes(entries: Iterable[str], references: Iterable[str], seal: str | None) -> list[str]:
+    """Return what a reader has to know of the policies of others among the names of `entries`."""
+    others = [name for name in entries if name not in REGISTRY and NAME.fullmatch(name)]
+    public = [_PUBLIC.format(", ".join(others))] if others and seal is None else []
+    networks = (_row_name(x) for x in references if x.endswith(SB3_SUFFIX))
+    return public + [_WITHOUT_STATISTICS.format(name) for name in networks]
 
 
 def policy_isolation(reference: str, isolation: str) -> Isolation:

@@ -75,8 +75,12 @@ def list_files(reference: str) -> Iterator[tuple[Path, str]]:
     spec = here if here and here.origin else importlib.util.find_spec(top) or here
     if not (places := places_of(spec)):
         raise EntryError(f"cannot be constructed: there is no module {top!r}")
-    for place in places:
-        yield from _walk(place, f"{top}/") if place.is_dir() else [(place, place.name)]
+    seen = set[str]()
+    for place in places:  # of a file in two portions of a package, the first is imported
+        for path, name in _walk(place, f"{top}/") if place.is_dir() else [(place, place.name)]:
+            if name not in seen:
+                seen.add(name)
+                yield path, name
 
 
 def places_of(spec: ModuleSpec | None) -> list[Path]:

@@ -19,24 +19,34 @@ from leaderboard.entries.entry_files import list_files, places_of, snapshot
 from road_envs.core.code_digest import DIGITS, PACKAGES
 
 _LARGEST_SOURCE = 2**20  # size [bytes] of a module that is parsed: its tree takes a hundred times
-_MAX_SOURCE = 2**26  # largest size [bytes] of the Python files of an entry together
+_MOST_WORK = (
+    2**33
+)  # of a text, size [bytes] by braces: each in an f-string is looked up from its start
+_MAX_SOURCE = 2**24  # largest size [bytes] of the Python files of an entry together
 _MAX_MODULES = 1000  # largest number of modules, without those inside, that it imports
 _OPTIONAL = (ast.Try, ast.TryStar, ast.FunctionDef, ast.AsyncFunctionDef)
 _OPTIONAL_IF = {"TYPE_CHECKING", "ImportError", "ModuleNotFoundError"}  # `suppress(ImportError)`
-_RECORDED = re.compile(r'^(?!"?(?:/|\.\.|__editable__)|.*/__config__).*\.py"?,sha256=[^,]+', re.M)
-"""A Python file of a wheel, alike on all machines: no script, no finder, no name of a compiler."""
+_RECORDED = re.compile(
+    r'^(?!"?(?:/|\.\.|__editable__)|.*(?:/__config__|\.dist-info/)).*'
+    r'\.(?:py|np[yz]|pth?|pkl|joblib|safetensors|onnx|h5|hdf5|mat|parquet|csv|txt|json|toml|ya?ml)"?'
+    r",sha256=[^,]+",
+    re.M | re.I,
+)
+"""Code, weights or tables of a wheel, alike on all machines: no script, finder, compiler's name."""
 
 
 def imports_of(
     file: IO[bytes], module: str, is_package: bool, in_any_case: bool = False
 ) -> Iterator[str]:
     """Yield what a module imports, with a name each of what it takes from a package; nothing of one
-    of more than 1 MiB.
+    of more than 1 MiB, or with so many braces that f-strings of them take minutes to parse.
 
     With `in_any_case`, not what it imports only if it can (`try`, `suppress`), when a function is
     called, or for types alone.
     """
     if len(text := file.read(_LARGEST_SOURCE + 1)) > _LARGEST_SOURCE:
+        return
+    if len(text) * text.count(b"{") > _MOST_WORK:
         return
     try:
         left: list[ast.AST] = [ast.parse(text)]
@@ -66,7 +76,8 @@ def _is_optional(node: ast.AST) -> bool:
 def imported_versions(reference: str) -> tuple[str, ...]:
     """Return name and version of whatever the code of an entry imports that is none of Python, of
     this project or of its own: of a module that is installed, those of its distribution, with a
-    digest of the Python files of its wheel, which may be built again under the same version.
+    digest of the code, weights and tables that its wheel has listed, which may be built again under
+    the same version.
 
     Of a module that is installed editable or belongs to none, the digest of its files, and what
     these import counts too; "none" if there is no such module. What is imported by a name that is
@@ -96,7 +107,7 @@ def imported_versions(reference: str) -> tuple[str, ...]:
 
 
 def _digest_of(distribution: metadata.Distribution) -> str:
-    """Return " " and a digest of the Python files of its wheel, by its RECORD; "" of no wheel."""
+    """Return " " and a digest of the files of its wheel, by its RECORD; "" of no wheel."""
     files = sorted(_RECORDED.findall(distribution.read_text("RECORD") or ""))
     return f" {hashlib.sha256(repr(files).encode()).hexdigest()[:DIGITS]}" if files else ""
 

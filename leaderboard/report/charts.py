@@ -84,9 +84,10 @@ def _counted_runs(result: Result, key: str, on_level: np.ndarray) -> np.ndarray:
     `on_level` (R, C) roads.
     """
     every = score_arrays(result.scores)
-    driven = np.isfinite(every).any(axis=0) & ~on_level[:, :, None]
     own = every[[*SCORES].index(key)]
-    return np.where(driven & np.isnan(own), np.inf, own)
+    own[np.isfinite(every).any(axis=0) & np.isnan(own)] = np.inf
+    own[on_level] = np.nan
+    return own
 
 
 def _visibility(k: int) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from leaderboard.metrics.heights import band_pass, scored_band
 from leaderboard.report import figures as fig
 from leaderboard.report.board_definitions import COLUMNS, rank_column
 from leaderboard.report.charts import ERROR_AXES, bound_lines, error_lines
+from leaderboard.report.overview import scaled
 from leaderboard.report.tables import BoardView, Row, Section, train_seconds
 from leaderboard.running.board import Board
 
@@ -152,12 +153,14 @@ def _error_figure(
     if len(found) < 2:
         return None
     labels = {
-        f"{'<br>'.join(textwrap.wrap(name, _LABEL_LENGTH))}  <b>{score.format_value(x)}</b>": x
+        f"{'<br>'.join(textwrap.wrap(name, _LABEL_LENGTH))}  <b>{score.format_value(x)}</b>": (
+            score.factor * x
+        )
         for name, x in found.items()
     }
     ends = [(groups[name].get("low"), groups[name].get("high")) for name in found]
     bars = {
-        **fig.interval_bars(row.name, labels, ends),
+        **fig.interval_bars(row.name, labels, scaled(ends, score.factor)),
         "marker": {"color": fig.colour(row.name)},
         "hovertemplate": "%{y}<extra></extra>",
     }

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
+from estimators import REGISTRY
 from estimators.lookup import TRAINING_VEHICLE
 from leaderboard.evaluation.provenance import LIBRARIES
 from leaderboard.evaluation.results import ISOLATED, Result, content_digest
@@ -25,6 +26,16 @@ PUBLIC_ROADS = (
     "revealed after the entries are in."
 )
 
+FOUND_SEEDS = (
+    "A seed of these roads is so small that an entry can find it from the noise of a record, and "
+    "draw road and noise again. Where its author may have done so, a rank counts only in a sealed "
+    "season."
+)
+
+_SEARCHED = 2**40
+"""Seeds below are found by trial, 100 000 in a second, in 130 days of a core; of 62 bits in none.
+"""
+
 
 def section_notes(
     board: Board, task: Task, rows: Sequence["Row"], level_drives: int
@@ -33,20 +44,33 @@ def section_notes(
     which have no ranking score.
     """
     scored = board.scored(task)
-    drives = f"{level_drives} drive{'s' * (level_drives > 1)}"
+    drives, ranks_by = (
+        f"{level_drives} drive{'s' * (level_drives > 1)}",
+        task.board_definition.ranks_by,
+    )
     level = f"On {drives} nobody has a score, as on a level road."
+    unranked = [x.name for x in rows if x.state == "scored" and x.values.get(ranks_by) is None]
+    lacking = f"No {SCORES[ranks_by].label} on some drives, and so no rank: {', '.join(unranked)}."
     results = [*scored, *board.failed(task)]  # of a file, they note what was changed on its surface
     surface = dict.fromkeys(x for r in results for x in r.notes if x not in _own_notes(r))
     return (
         *([PUBLIC_ROADS] if task.is_public else []),
+        *([FOUND_SEEDS] if _can_find_seeds(task, scored) else []),
         *([level] if level_drives else []),
+        *([lacking] if unranked else []),
         *_protocol_notes(task, scored),
         *([f"Surface: {'; '.join(surface)}."] if surface and task.board_name == "measured" else []),
         *(f"{note}." for row in scored for note in _own_notes(row)),
-        *sanity_warnings(rows, task.board_definition.ranks_by, task.is_public),
+        *sanity_warnings(rows, ranks_by, task.is_public),
         *_kernel_notes(scored, _verified_for(task, board.verified)),
         *_version_notes(scored),
     )
+
+
+def _can_find_seeds(task: Task, scored: Iterable[Result]) -> bool:
+    """Return whether entries by others could have drawn roads that nobody has told them."""
+    others = (x for x in scored if x.role == "entry" and x.estimator not in REGISTRY)
+    return not task.is_public and min(task.test.all_seeds) < _SEARCHED and any(others)
 
 
 def sanity_warnings(rows: Sequence["Row"], ranks_by: str, is_public: bool = False) -> list[str]:

@@ -1,6 +1,7 @@
 """Charts of the first screen of the index: the ranking as bars, one strip of road."""
 
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.results import Result
@@ -37,12 +38,12 @@ def ranking_chart(section: Section, definition: BoardDefinition) -> fig.Chart | 
     ends = [(row.values.get("low"), row.values.get("high")) for row in rows]
     labels = {
         f'<a href="estimators/{file_name(row.name)}">{row.name}</a>  '
-        f"<b>{score.format_value(x)}</b>": x
+        f"<b>{score.format_value(x)}</b>": score.factor * x
         for row, x in zip(rows, values, strict=True)
     }
     pattern = {"shape": ["/" if row.causal else "" for row in rows], "fillmode": "replace"}
     bars = {
-        **fig.interval_bars("entries", labels, ends),
+        **fig.interval_bars("entries", labels, scaled(ends, score.factor)),
         "marker": {"color": [fig.colour(row.name) for row in rows], "pattern": pattern},
         "hovertext": [
             f"{row.name}: {score.text(x)}"
@@ -57,16 +58,23 @@ def ranking_chart(section: Section, definition: BoardDefinition) -> fig.Chart | 
         "margin": {"l": 8, "r": 12, "t": top, "b": 44},
         "showlegend": False,
         "bargap": 0.25,
-        "xaxis": fig.axis("error" if key == "nrmse" else score.heading, 0.0, fig.rounded(limit, 4)),
+        "xaxis": fig.axis(
+            "error" if key == "nrmse" else score.heading, 0.0, fig.rounded(score.factor * limit, 4)
+        ),
         "yaxis": fig.axis("", autorange="reversed", ticks="", showgrid=False, fixedrange=True),
-        "shapes": [fig.upright(x, "dash") for x in marks.values()],
+        "shapes": [fig.upright(score.factor * x, "dash") for x in marks.values()],
         "annotations": [  # left of its line, above the names, where there is room on any screen
-            {"text": text, "x": x, "yshift": _LABEL_HEIGHT * level, **_MARK_LABEL}
+            {"text": text, "x": score.factor * x, "yshift": _LABEL_HEIGHT * level, **_MARK_LABEL}
             for level, (text, x) in enumerate(marks.items())
         ],
     }
     title = f"{section.task.heading}: error of every {ranked_kind(definition)}, with 95 % intervals"
     return fig.chart(title, {"": {"data": [bars]}}, layout)
+
+
+def scaled(ends: Iterable[tuple[float | None, float | None]], factor: float) -> list[Any]:
+    """Return intervals in the unit in which a score is printed."""
+    return [(None, None) if None in pair else tuple(factor * x for x in pair) for pair in ends]  # type: ignore[operator]
 
 
 def _marked_values(section: Section, key: str) -> dict[str, float]:

@@ -143,7 +143,7 @@ def _section(board: Board, task: Task, definition: BoardDefinition) -> Section:
         claim = [Row("paper's claim", "claim", {EQ_12_RAW: text}, {EQ_12_RAW: level})]
     failed = [Row(r.estimator, "failed", message=r.failure or "") for r in board.failed(task)]
     stale = [Row(r.estimator, "stale", message=why) for r, why in board.stale(task)]
-    notes = section_notes(board, task, rows, int(np.sum(on_level) if scored else 0))
+    notes = section_notes(board, task, rows, int(np.sum(on_level)))
     names = {kind: tuple(named) for kind, named in groups.items()}
     return Section(task, (*claim, *rows, *failed, *stale), notes, names)
 
@@ -170,17 +170,18 @@ def _aggregate(
 ) -> _AggregatedScores:
     """Average the scores of a result over all runs and over each group.
 
-    Runs `on_level` (R, C) roads have no ranking score, which counts against no entry.
+    Runs `on_level` (R, C) roads have no ranking score, which counts against no entry; one that
+    lacks it on another run has none at all.
     """
     scores, strata = score_arrays(result.scores), task.test.strata
     shown = (
         {*definition.columns, *definition.on_request, *SPECTRUM_SCORES}
         | {definition.ranks_by, *_LIMITS}
     )  # fmt: skip
-    ranked = scores[[*SCORES].index(definition.ranks_by)].copy()
+    ranked = scores[[*SCORES].index(definition.ranks_by)]
     missing = np.isnan(scores) & np.isfinite(scores).any(axis=0) & ~on_level[:, :, None]
-    if missing[[*SCORES].index(definition.ranks_by)].any():
-        ranked[:] = np.nan  # undefined on a road: the entry ranks last
+    is_unranked = missing[[*SCORES].index(definition.ranks_by)].any()
+    ranked[on_level | is_unranked] = np.nan  # a mean of other drives than those of its neighbours
     scores[_OF_DEVIATIONS & missing.any(axis=(1, 2, 3))] = np.nan  # else given where they fit
     values: dict[str, _Values] = {}
     for group, part in parts.items():
@@ -208,13 +209,15 @@ def _aggregate(
 
 
 def level_runs(scored: Sequence[Result], definition: BoardDefinition) -> np.ndarray:
-    """Return which runs (R, C) have other scores alone in each row: of roads that are uneven in the
-    band, even a flat estimate has a ranking score.
+    """Return which runs (R, C) of all rows have no ranking score, or no NRMSE and that score in
+    some rows alone: over a level road ratios are defined for an estimate that is wrong.
     """
-    rank = [*SCORES].index(definition.ranks_by)
-    scores = [np.isfinite(score_arrays(one.scores)) for one in scored]
-    others = [~x[rank].any(axis=-1) & x.any(axis=(0, 3)) for x in scores]
-    return np.all(others, axis=0)
+    if not scored:
+        return np.zeros((0, 0), dtype=bool)
+    defined = np.array([np.isfinite(score_arrays(x.scores)).any(axis=-1) for x in scored])
+    ranked, error = (defined[:, [*SCORES].index(key)] for key in (definition.ranks_by, "nrmse"))
+    counts = ranked.all(axis=0) | ranked.any(axis=0) & error.any(axis=0)
+    return np.logical_and(defined.any(axis=1).all(axis=0), ~counts)
 
 
 def train_seconds(result: Result) -> float | None:

@@ -38,7 +38,12 @@ CHECKSUM_PREFIX = '{\n "sha256": "'
 CHECKSUM_SUFFIX = '",\n'
 HEADER = ("sha256", "kind", "format", "made_by", "identity")
 
-KEEPERS = {ROOT / "road_envs" / "core" / name for name in ("atomic_io.py", "code_digest.py")}
+KEEPERS = {
+    ROOT / "road_envs" / "core" / "atomic_io.py",
+    ROOT / "road_envs" / "core" / "code_digest.py",
+    ROOT / "leaderboard" / "entries" / "entry_files.py",
+    ROOT / "leaderboard" / "entries" / "imports.py",
+}
 """Files that write, lock and recognise what is kept, and decide nothing that is in it."""
 
 

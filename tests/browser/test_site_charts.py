@@ -140,6 +140,20 @@ def test_the_ranking_chart_shows_every_entry_with_its_interval():
     assert "linear bound" in marked and "flat" in marked and "unrelated road" in marked
 
 
+def test_a_score_in_percent_is_drawn_in_percent():
+    (view,) = [v for v in board_views(board()) if v.board == "new_road"]
+    values = {"level_error": 0.2, "low": 0.1, "high": 0.5}
+    rows = (Row("mine", "scored", {}, values), Row("flat", "baseline", {}, {"level_error": 0.4}))
+    section = dataclasses.replace(view.sections[0], rows=rows)
+    drawn = ranking_chart(section, dataclasses.replace(view.definition, ranks_by="level_error"))
+    (bars,), layout = drawn["figures"][""]["data"], drawn["layout"]
+    assert bars["x"] == [20.0] and ">20.0<" in bars["y"][0]
+    assert (bars["error_x"]["arrayminus"], bars["error_x"]["array"]) == ([10.0], [30.0])
+    assert layout["xaxis"]["title"]["text"].endswith("[%]")
+    assert layout["annotations"][0]["x"] == layout["shapes"][0]["x0"] == 40.0
+    assert layout["xaxis"]["range"] == [0.0, 43.2]
+
+
 def test_a_ranking_of_bad_entries_only_is_drawn_too():
     row = Row("bad", "scored", {}, {"nrmse": 70.0})
     (view,) = [v for v in board_views(board()) if v.board == "new_road"]
@@ -220,7 +234,7 @@ def test_rows_without_isolation_are_named_above_the_ranking():
     }
     made = Board(tuple(tasks()), safe)
     text = text_of(dict(_render_pages(made, build_report(made)))["index.html"])
-    assert "without isolation" not in text and "sealed season" not in text
+    assert "without isolation" not in text and "roads of this board are public" not in text
 
 
 def test_the_page_of_a_public_board_says_in_its_head_that_ranks_come_from_seasons():

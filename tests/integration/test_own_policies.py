@@ -22,6 +22,7 @@ from road_envs.policies.api import PolicyError
 from road_envs.policies.rollout import roll_out
 
 SUPPORT = Path(__file__).parents[1] / "support"
+LEARNED = Path(__file__).parents[2] / "configs/policies/learned.npz"
 SPY = """
 import os, socket
 from dataclasses import dataclass
@@ -161,8 +162,7 @@ def test_policies_compares_a_class_and_a_file_beside_shipped_ones(
     road_recon, tmp_path, monkeypatch
 ):
     monkeypatch.syspath_prepend(str(SUPPORT))
-    network = Path(__file__).parents[2] / "configs/policies/learned.npz"
-    (tmp_path / "mine.npz").write_bytes(network.read_bytes())
+    (tmp_path / "mine.npz").write_bytes(LEARNED.read_bytes())
     words = ("--policy", "fixed_ride", "--policy", "mine.npz", "--policy", "bad_policies:Chance")
     code, out, _ = road_recon(
         "policies", *words, "--quick", "--isolation", "process", "--json", "--out", "out"
@@ -172,6 +172,27 @@ def test_policies_compares_a_class_and_a_file_beside_shipped_ones(
     assert all(row["failure"] is None for row in rows.values())
     page = (tmp_path / "out/policies.html").read_text()
     assert all(name in page for name in rows)
+    (note,) = json.loads(out)["notes"]
+    assert note.startswith("These drives are public: mine, Chance can play back") and note in page
+    assert (tmp_path / "out/benchmark.txt").read_text().endswith(f"{note}\n")
+
+
+def test_a_reader_is_told_what_policies_of_others_may_know_and_what_a_file_lacks():
+    notes = policies._notes
+    assert notes(["rrms", "ride/handling"], ["rrms"], None) == []
+    assert notes(["rrms", "installed"], [], None) == [policies._PUBLIC.format("installed")]
+    assert notes(["rrms", "mine"], ["rrms", "a/mine.npz"], "a text of 16 letters") == []
+    (note,) = notes(["mine"], ["a/mine.zip"], "a text of 16 letters")
+    assert note.startswith("mine: the file holds no statistics of VecNormalize")
+
+
+def test_a_reference_of_another_file_is_not_taken_for_a_policy_of_its_name(road_recon, tmp_path):
+    for folder in "ab":
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "mine.npz").write_bytes(LEARNED.read_bytes())
+    said = "two policies have the name 'mine': give each of them once"
+    code, _, err = road_recon("policies", "--policy", "a/mine.npz", "--reference", "b/mine.npz")
+    assert code == 2 and said in " ".join(err.split())
 
 
 def test_of_all_policies_only_constant_pairs_of_this_package_are_left_out(road_recon, monkeypatch):

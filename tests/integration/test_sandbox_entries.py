@@ -167,6 +167,18 @@ def test_a_module_beside_an_entry_takes_the_place_of_none_of_the_leaderboard(tmp
     assert sys.path.index(str(tmp_path)) == len(sys.path) - 1
 
 
+def test_of_a_file_in_two_portions_of_a_package_the_one_is_listed_that_is_imported(
+    tmp_path, monkeypatch
+):
+    for folder in ("second", "first"):
+        (tmp_path / folder / "zz_parts").mkdir(parents=True)
+        (tmp_path / folder / "zz_parts/mine.py").touch()
+        monkeypatch.syspath_prepend(tmp_path / folder)
+    (tmp_path / "second/zz_parts/other.py").touch()
+    listed = {name: path.parents[1].name for path, name in list_files("zz_parts.mine:Mine")}
+    assert listed == {"zz_parts/mine.py": "first", "zz_parts/other.py": "second"}
+
+
 @pytest.mark.parametrize("link", ["weights.npz", "data"])
 def test_a_link_in_the_code_of_an_entry_is_refused_and_named(tmp_path, link):
     """As DVC and Hugging Face keep weights: left out, they would be missing in the guest."""

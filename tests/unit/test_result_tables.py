@@ -22,10 +22,16 @@ from rich.console import Console
 from leaderboard.evaluation.evaluate import run_task
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.metrics.bootstrap import interquartile_mean, iqm_interval
+from leaderboard.metrics.registry import SCORES
 from leaderboard.report.board_definitions import board_columns
 from leaderboard.report.charts import _counted_runs
 from leaderboard.report.export import as_json, write_exports
-from leaderboard.report.notes import _protocol_notes, _version_notes, sanity_warnings
+from leaderboard.report.notes import (
+    FOUND_SEEDS,
+    _protocol_notes,
+    _version_notes,
+    sanity_warnings,
+)
 from leaderboard.report.overview import ranking_chart
 from leaderboard.report.sentences import build_report, headline
 from leaderboard.report.site import _table
@@ -73,7 +79,7 @@ def test_a_drive_over_a_level_road_takes_no_rank_from_anybody():
     (section,) = view.sections
     ranks = {row.name: row.values["rank"] for row in section.rows if row.state == "scored"}
     assert ranks == {"reader": 1, "learner": 2}
-    assert section.notes[0] == "On 1 drive nobody has a score, as on a level road."
+    assert section.notes[1] == "On 1 drive nobody has a score, as on a level road."
     scored = [r for r in level if not r.failure]
     on_level = level_runs(scored, view.definition)
     assert not any(np.isinf(_counted_runs(r, "nrmse", on_level)).any() for r in scored)
@@ -83,6 +89,62 @@ def test_a_drive_over_a_level_road_takes_no_rank_from_anybody():
     rows = {row.name: row.values for row in view.sections[0].rows}
     assert rows["reader"]["low"] is None and rows["learner"]["rank"] == 1
     assert "nobody has a score" not in str(view.sections[0].notes)
+
+
+def test_who_is_exact_on_a_level_road_is_ranked_beside_who_is_not():
+    """A ratio of densities is undefined there for the exact one alone, the NRMSE for everybody."""
+    results = results_by_fakes()
+    (first, *_) = {run[:2] for run in runs_of(result_of("reader"))}
+
+    def scored_by_distance(result):
+        exact = result.estimator in ("reader", "truth_plus_noise")
+        level = {"nrmse": None, "dsd_distance_db": None if exact else 60.0}
+        runs = runs_of(result)
+        return with_runs(
+            result,
+            {k: x | (level if k[:2] == first else {"dsd_distance_db": x["nrmse"]})
+             for k, x in runs.items()},
+        )  # fmt: skip
+
+    level = [r if r.failure else scored_by_distance(r) for r in results]
+    t = task(board={"title": "Mine", "ranks_by": "dsd_distance_db", "columns": ["interval"]})
+    (view,) = board_views(Board((t,), {"small": level}))
+    rows = {row.name: row.values for row in view.sections[0].rows if row.state == "scored"}
+    assert {name: row["rank"] for name, row in rows.items()} == {"reader": 1, "learner": 2}
+    assert rows["learner"]["dsd_distance_db"] < 10.0
+    scored = [r for r in level if not r.failure]
+    on_level = level_runs(scored, view.definition)
+    assert all(
+        np.isnan(_counted_runs(r, "dsd_distance_db", on_level)[on_level]).all() for r in scored
+    )
+
+
+def test_who_lacks_the_ranking_score_on_some_drives_has_no_error_to_be_ordered_by():
+    """A mean of the drives on which an entry has found something would be that of others."""
+    results = results_by_fakes()
+    runs = runs_of(result_of("reader"))
+    (first, *_) = runs
+    some = with_runs(result_of("reader"), runs | {first: runs[first] | {"nrmse": None}})
+    made = [some if r.estimator == "reader" else r for r in results]
+    (section,) = board_views(Board((task(),), {"small": made}))[0].sections
+    names = [row.name for row in section.rows if row.state == "scored"]
+    assert names == ["learner", "reader"] and section.rows[1].values["nrmse"] is None
+    label = SCORES["nrmse"].label
+    assert section.notes[1] == f"No {label} on some drives, and so no rank: reader."
+    assert not any("nobody has a score" in note for note in section.notes)
+
+
+def test_roads_whose_seeds_are_found_by_trial_are_noted_on_boards_with_entries_of_others():
+    def noted(results, **changes):
+        t = task(**changes)
+        (view,) = board_views(Board((t,), {t.name: results}))
+        return FOUND_SEEDS in view.sections[0].notes
+
+    mine = [r for r in results_by_fakes() if not r.failure]
+    assert noted(mine)
+    ours = [dataclasses.replace(r, estimator="wiener") for r in mine if r.estimator == "reader"]
+    assert not noted(ours)
+    assert not noted(mine, test={"roads": ["iso_d"], "seeds": [2**61, 2**60 + 3], "length": 40.0})
 
 
 def test_boards_whose_roads_are_not_public_come_first():
@@ -260,7 +322,7 @@ def test_the_claimed_score_of_the_paper_is_a_row_of_its_own():
 
 def test_entries_better_than_truth_plus_noise_and_inconsistent_baselines_are_flagged():
     (view,) = board_views(board())
-    assert view.sections[0].notes == ()
+    assert view.sections[0].notes == (FOUND_SEEDS,)
     row = next(row for row in view.sections[0].rows if row.name == "reader")
     reader = result_of("reader")
     below = np.mean(run_scores(reader, "nrmse") < run_scores(reader, "bound_nrmse"))
@@ -289,7 +351,7 @@ def test_an_entry_is_flagged_by_the_score_that_ranks_and_by_the_nrmse(key):
 
 def flagged(*results):
     (view,) = board_views(Board((task(),), {"small": results}))
-    return view.sections[0].notes
+    return [note for note in view.sections[0].notes if note != FOUND_SEEDS]
 
 
 def test_the_json_output_has_the_rows_of_the_table():

@@ -304,6 +304,7 @@ WAVES = {"kind": "sine_sweep", "length": 40.0, "n_start": 1.0, "n_end": 1.0, "am
         ({"kind": "with_aprons", "road": WAVES}, True),
         ({"kind": "scaled", "road": WAVES, "height_factor": 2.0}, True),
         ({"kind": "concatenated", "roads": ["iso_c", {"kind": "noisy_copy", "road": WAVES}]}, True),
+        ({"kind": "fixed_seed", "seed": 3, "road": {"kind": "noisy_copy", "road": WAVES}}, True),
         ({"kind": "fixed_seed", "road": "iso_c", "seed": 3}, False),
         ({"kind": "concatenated", "roads": ["iso_c", {"kind": "flat"}]}, False),
     ],
