@@ -191,7 +191,8 @@ def test_a_reference_of_another_file_is_not_taken_for_a_policy_of_its_name(road_
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "mine.npz").write_bytes(LEARNED.read_bytes())
     said = "two policies have the name 'mine': give each of them once"
-    code, _, err = road_recon("policies", "--policy", "a/mine.npz", "--reference", "b/mine.npz")
+    words = ("--policy", "a/mine.npz", "--reference", "b/mine.npz")
+    code, _, err = road_recon("policies", *words, "--quick")
     assert code == 2 and said in " ".join(err.split())
 
 
