@@ -60,11 +60,20 @@ def _kept_caches():
     """Between guests, files stay in the memory of the machine, which other tests share, and no
     pipes are opened, which takes seconds. Tests of these functions import them before this.
     """
-    from leaderboard.sandbox import bubblewrap
+    import jobs_with_kept_caches
+
+    from leaderboard.running import executors
+
+    started = executors.start_host_process
+
+    def start(handler, *folders):
+        with pytest.MonkeyPatch.context() as of_process:
+            support = str(Path(jobs_with_kept_caches.__file__).parent)
+            of_process.setenv("PYTHONPATH", support, prepend=os.pathsep)
+            return started(jobs_with_kept_caches.__name__, *folders)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(bubblewrap, "forget_reads", lambda more=(): None)
-        patch.setattr(bubblewrap, "forget_pipes", lambda before: None)
+        patch.setattr(executors, "start_host_process", start)
         yield
 
 
