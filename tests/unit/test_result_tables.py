@@ -225,8 +225,9 @@ def test_worst_drive_grades_and_slope_are_shown_in_the_unit_of_the_score_that_ra
 
 def test_grades_that_are_driven_on_some_of_the_roads_have_a_slope():
     cars = [{"mode": "ride", "speed_kmh": 30.0, "grade": grade} for grade in ("S0", "S1")]
-    test = {"roads": ["iso_d"], "seeds": [*range(11, 18)], "length": 40.0}
-    t = task(board="field", conditions=cars, test=test | {"design": [[*range(5)], [*range(2, 7)]]})
+    test = FAMILIES | {"seeds": [*range(11, 15)], "families": ["level", "rough"]}
+    t = task(board="field", conditions=cars, test=test | {"design": [[*range(6)], [*range(2, 8)]]})
+    assert len(t.test.strata) == 2
     (result,) = run_task(t, {"reader": Reader()}, (1,), simulate=fake_drives)
     (view,) = board_views(Board((t,), {"small": [result]}))
     values = view.sections[0].rows[0].values
