@@ -60,7 +60,7 @@ def _kept_caches():
     """Between guests, files stay in the memory of the machine, which other tests share, and no
     pipes are opened, which takes seconds. Tests of these functions import them before this.
     """
-    import jobs_with_kept_caches
+    import jobs_with_kept_caches  # which spares this process, too
 
     from leaderboard.running import executors
 

@@ -19,9 +19,7 @@ from leaderboard.entries.entry_files import list_files, places_of, snapshot
 from road_envs.core.code_digest import DIGITS, PACKAGES
 
 _LARGEST_SOURCE = 2**20  # size [bytes] of a module that is parsed: its tree takes a hundred times
-_MOST_WORK = (
-    2**33
-)  # of a text, size [bytes] by braces: each in an f-string is looked up from its start
+_MOST_WORK = 2**33  # size [bytes] of a text by its braces: f-strings are parsed in quadratic time
 _MAX_SOURCE = 2**24  # largest size [bytes] of the Python files of an entry together
 _MAX_MODULES = 1000  # largest number of modules, without those inside, that it imports
 _OPTIONAL = (ast.Try, ast.TryStar, ast.FunctionDef, ast.AsyncFunctionDef)

@@ -168,6 +168,7 @@ def test_a_change_of_what_writes_and_recognises_files_makes_nothing_stale(
         code_digest, "_source", lambda path: other if path == changed else parse(path)
     )
     assert (version("road_envs.core.artifacts") != before) is decides
+    assert all(path.is_file() for path in artifacts.KEEPERS)
 
 
 def test_a_file_of_somebody_else_is_no_artifact(tmp_path):
