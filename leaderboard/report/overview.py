@@ -1,7 +1,6 @@
 """Charts of the first screen of the index: the ranking as bars, one strip of road."""
 
 from collections.abc import Iterable, Sequence
-from typing import Any
 
 from leaderboard.evaluation.boards import BoardDefinition
 from leaderboard.evaluation.results import Result
@@ -72,9 +71,14 @@ def ranking_chart(section: Section, definition: BoardDefinition) -> fig.Chart | 
     return fig.chart(title, {"": {"data": [bars]}}, layout)
 
 
-def scaled(ends: Iterable[tuple[float | None, float | None]], factor: float) -> list[Any]:
+def scaled(
+    ends: Iterable[tuple[float | None, float | None]], factor: float
+) -> list[tuple[float | None, float | None]]:
     """Return intervals in the unit in which a score is printed."""
-    return [(None, None) if None in pair else tuple(factor * x for x in pair) for pair in ends]  # type: ignore[operator]
+    return [
+        (None, None) if low is None or high is None else (factor * low, factor * high)
+        for low, high in ends
+    ]
 
 
 def _marked_values(section: Section, key: str) -> dict[str, float]:
