@@ -39,6 +39,7 @@ def lines_by_name(figure):
 RIDE = tasks()[0].conditions[0].label
 
 
+@pytest.mark.costly
 def test_encoded_heights_are_decoded_to_the_stored_ones():
     figures = chart("tasks/held_out.html", "road")["figures"]
     trace = next(r for r in results()["held_out"] if r.estimator == "reader").traces[0]

@@ -124,6 +124,7 @@ def test_failures_are_run_again_and_end_the_other_conditions_of_the_entry(tmp_pa
     assert run(tmp_path, estimators)[1] == [("broken", small().conditions[0].label)]
 
 
+@pytest.mark.costly
 def test_a_row_made_with_wider_limits_is_run_again_by_a_narrower_run_of_its_entry_alone(tmp_path):
     """A row of another entry stays valid: nothing has shown that it needs more."""
     own, wide = Limits(seconds=4.0, memory=2.0), Limits(seconds=60.0)
@@ -276,6 +277,7 @@ def forked(work):
             os.waitpid(pid, 0)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "wanted",
     [5, pytest.param(30, marks=pytest.mark.slow)],

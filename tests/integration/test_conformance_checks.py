@@ -116,6 +116,7 @@ def test_an_estimator_that_cannot_be_constructed_fails_only_the_contract(sandbox
     assert sentence in results["contract"].message
 
 
+@pytest.mark.costly
 def test_no_further_check_runs_after_an_estimator_fails_to_run(sandbox):
     results = check_results(sandbox, "Broken")
     assert list(results) == ["contract", "runs"]

@@ -103,6 +103,7 @@ def test_a_card_is_valid_only_for_its_code_settings_and_probe_version(probed, mo
     assert not found()
 
 
+@pytest.mark.costly
 def test_a_damaged_card_is_ignored_and_made_again(probed):
     out, entries = probed
     valid = entries["Valid"]
@@ -145,6 +146,7 @@ def with_card(board, probes, name="reader"):
     return dataclasses.replace(board, cards={identity: card})
 
 
+@pytest.mark.costly
 def test_table_and_pages_show_the_number_of_passed_probes(tmp_path, probed):
     board, _ = board_of(tmp_path)
     marked = with_card(board, card_of(probed, "NonDeterministic").probes)
@@ -190,6 +192,7 @@ def test_every_board_fits_a_terminal_of_80_columns(kind, probed):
     assert f"{name} 4/5" in text
 
 
+@pytest.mark.costly
 def test_cards_are_made_only_on_request_and_loaded_if_they_exist(tmp_path, monkeypatch):
     requested = []
 
@@ -214,6 +217,7 @@ def test_cards_are_made_only_on_request_and_loaded_if_they_exist(tmp_path, monke
     assert load_board([task()], tmp_path).cards == {identity: card}
 
 
+@pytest.mark.costly
 def test_a_card_of_other_imports_is_shown_beside_no_row(tmp_path):
     """What an entry imports from beside it, or has installed, is a part of what was probed."""
     imports = ("numpy 2.0", "zz_helper 1.0 0123456789abcdef")
@@ -241,6 +245,7 @@ def test_a_card_of_other_imports_is_shown_beside_no_row(tmp_path):
 # stale rows
 
 
+@pytest.mark.costly
 def test_a_row_of_other_code_weights_or_settings_is_stale(tmp_path):
     board, entry = board_of(tmp_path)
     (t,) = board.tasks
@@ -261,6 +266,7 @@ def test_a_row_of_other_code_weights_or_settings_is_stale(tmp_path):
     assert not Board(board.tasks, board.results).stale(t)  # no current entries to compare with
 
 
+@pytest.mark.costly
 def test_a_row_is_stale_after_a_change_of_shipped_weights(tmp_path, monkeypatch):
     """Changing one weight of a shipped estimator makes its row stale."""
     row = registered_entry("fir_ridge", each_case=False)

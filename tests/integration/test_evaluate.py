@@ -224,6 +224,7 @@ def test_progress_is_reported_step_by_step():
     assert message[-1] == "small: broken, ride front, handling rear, 54 km/h"
 
 
+@pytest.mark.costly
 def test_every_board_has_the_baselines(tmp_path):
     result = board(tmp_path, {"reader": Reader()}, seeds=(1,))
     (t,) = result.tasks
@@ -232,6 +233,7 @@ def test_every_board_has_the_baselines(tmp_path):
     assert roles["reader"] == "entry" and roles["flat"] == "baseline"
 
 
+@pytest.mark.costly
 def test_progress_of_a_board_counts_up_to_its_end(tmp_path):
     steps_seen = []
     board(tmp_path, {"reader": Reader()}, seeds=(1,), progress=lambda *a: steps_seen.append(a))
@@ -239,6 +241,7 @@ def test_progress_of_a_board_counts_up_to_its_end(tmp_path):
     assert steps_seen[1][0].startswith("small: ") and steps_seen[1][0].endswith("km/h")
 
 
+@pytest.mark.costly
 def test_the_number_of_test_roads_can_be_reduced(tmp_path):
     result = board(tmp_path, {"reader": Reader()}, seeds=(1,), roads=2)
     assert run_scores(result.scored(result.tasks[0])[0], "r").shape[0] == 2
@@ -275,6 +278,7 @@ def test_a_simulated_drive_is_evaluated(tmp_path):
     assert np.isfinite(run_scores(results["learner"], "nrmse")).all()
 
 
+@pytest.mark.costly
 def test_roads_with_and_without_obstacles_are_stored_in_one_part(tmp_path):
     roads = [
         "iso_d",

@@ -200,6 +200,7 @@ def test_the_estimator_of_the_tutorial_learns_and_passes_the_probes(page_values)
     assert values["probes"] == "5/5"
 
 
+@pytest.mark.costly
 def test_the_policy_of_the_tutorial_beats_constant_states(page_values):
     _, values = page_values("own_policy.md")
     assert values["own"] > max(values["ride"], values["handling"])

@@ -257,6 +257,7 @@ def test_a_reply_that_comes_byte_by_byte_ends_at_the_limit_of_time(tmp_path):
     assert time.monotonic() - begin < 5.0
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("waiting", [True, False])
 def test_an_entry_that_slows_its_host_gains_no_time(tmp_path, monkeypatch, waiting):
     """Neither by a little in each wait nor by much in the checks of its memory."""

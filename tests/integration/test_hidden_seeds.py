@@ -291,6 +291,7 @@ def refused(published):
     return is_refused
 
 
+@pytest.mark.costly
 def test_a_later_package_may_describe_a_task_in_other_words(refused, monkeypatch):
     assert not refused() and refused(title="Roads")
     monkeypatch.setattr(hidden_seeds, "package_version", lambda: "99.0")
@@ -300,6 +301,7 @@ def test_a_later_package_may_describe_a_task_in_other_words(refused, monkeypatch
     assert refused(families) and refused(claimed_level_error=0.1)
 
 
+@pytest.mark.costly
 def test_the_seeds_of_a_season_are_those_of_its_salt_in_any_later_package(
     refused, published, monkeypatch
 ):

@@ -88,6 +88,7 @@ def test_nothing_of_a_policy_runs_beside_the_next_one():
     assert not any(watches.alive)
 
 
+@pytest.mark.costly
 @isolated
 def test_what_a_policy_has_read_is_dropped_before_the_next_one(monkeypatch):
     steps, start = [], policy_process.start_guest

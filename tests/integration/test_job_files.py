@@ -123,6 +123,7 @@ def test_files_of_a_task_are_found_from_another_folder(tmp_path, monkeypatch):
     assert jobs.from_text(text, "a job").task.vehicle == load_vehicle(tmp_path / "given/car.yaml")
 
 
+@pytest.mark.costly
 def test_planned_jobs_need_no_other_file(tmp_path):
     given = tmp_path / "given"
     write_files(given)

@@ -131,6 +131,7 @@ def test_a_sound_policy_passes_and_what_it_refuses_is_noted():
     assert verdicts("Crowd")["vehicles"] is None
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "name",
     [
@@ -209,6 +210,7 @@ def test_of_all_policies_only_constant_pairs_of_this_package_are_left_out(road_r
     assert code and "fixed_gain" in err and "rrms" in err and "fixed_ride" not in err
 
 
+@pytest.mark.costly
 @pytest.mark.skipif(bubblewrap.obstacle() is not None, reason="bubblewrap cannot be used here")
 def test_a_policy_inside_bubblewrap_sees_its_code_and_nothing_else(tmp_path, monkeypatch):
     (tmp_path / "secret.txt").write_text("seeds")
@@ -229,6 +231,7 @@ def test_a_policy_inside_bubblewrap_sees_its_code_and_nothing_else(tmp_path, mon
     np.testing.assert_array_equal(actions, roll_out(Lateral(), dict(SHORT), SEEDS).actions)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("isolation", ["process", "bubblewrap"])
 def test_a_policy_is_the_same_program_in_both_isolations(tmp_path, monkeypatch, isolation):
     """A copy of its package, or of its module: what lies beside that is missing in both."""

@@ -102,6 +102,7 @@ def test_naive_baselines_are_scored_with_the_network():
     )
 
 
+@pytest.mark.costly
 def test_new_roads_are_driven_under_the_conditions_of_the_scenarios():
     assert set(made().new_road) == {case.drive_label for case in made().scenarios}
     for case in made().scenarios:

@@ -180,6 +180,7 @@ INCOMPLETE: dict[str, tuple[Callable[[Record], Record], str]] = {
 """Records that only estimators take which can leave samples out."""
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "thorough", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["quick", "thorough"]
 )

@@ -68,6 +68,7 @@ def only_once(sandbox):
         pytest.skip("the same in every mode")
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "estimator",
     [pytest.param(Reader(gain=0.7), marks=pytest.mark.slow), Learner(), Learner(spread=0.0)],
@@ -107,6 +108,7 @@ def calibration_drives(number, known):
     ]
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("known", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_each_estimate_follows_the_calibration_to_its_own_vehicle(sandbox, known):
     """In this process and in a guest, which asks for the estimates in any order."""
@@ -131,6 +133,7 @@ def test_each_estimate_follows_the_calibration_to_its_own_vehicle(sandbox, known
     assert there.notes == () and nothing_left()
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("second_first", [True, False])
 @pytest.mark.parametrize("causal", [True, False])
 def test_the_page_cache_is_dropped_before_each_guest_of_an_entry(
@@ -159,6 +162,7 @@ def test_the_page_cache_is_dropped_before_each_guest_of_an_entry(
     assert steps == ["dropped", "guest", "dropped", "guest"]
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(("kills", "notes"), [(1, ()), (2, (NOT_RETESTED,))])
 def test_a_second_guest_that_something_else_ended_is_asked_once_more(
     sandbox, monkeypatch, kills, notes
@@ -384,6 +388,7 @@ def test_without_bubblewrap_only_the_estimators_of_this_package_run(monkeypatch)
         SandboxClient(dataclasses.replace(LIMITS, isolation="bubblewrap"))
 
 
+@pytest.mark.costly
 def test_a_guest_starts_its_children_from_one_thread(sandbox):
     run(sandbox, "flat")
     (worker,) = [p for p in marked_processes() if count_threads(p) and is_worker(p)][:1]

@@ -23,6 +23,7 @@ from leaderboard.sandbox.limits import Limits
 from road_envs.core.config import ConfigError
 
 
+@pytest.mark.costly
 def test_a_plug_in_is_described_without_being_loaded_in_this_process(tmp_path, monkeypatch):
     limits = replace(LIMITS, isolation=MODES[0])
     (tmp_path / "external_slope.py").write_text(

@@ -85,11 +85,13 @@ def test_the_filter_refuses_the_same_calls_on_each_machine():
         assert len(set(numbers)) == len(numbers)
 
 
+@pytest.mark.costly
 def test_what_one_guest_has_seen_of_the_future_is_not_kept_for_the_next(sandbox, identity):
     found = run(sandbox, "keep_the_future", causal=True, retest=True)
     assert found.looks_ahead and found.notes[-1] == LOOKS_AHEAD
 
 
+@pytest.mark.costly
 def test_the_end_of_the_odometer_counts_as_a_later_sample(sandbox):
     found = run(sandbox, "end_the_odometer", causal=True, retest=True)
     assert found.looks_ahead and LOOKS_AHEAD in found.notes
@@ -136,6 +138,7 @@ def test_no_time_of_a_file_tells_a_guest_how_long_its_run_has_lasted(sandbox):
         run(sandbox, "tell_when_its_code_was_written")
 
 
+@pytest.mark.costly
 def test_no_guest_reads_the_files_of_code_that_another_has_read(sandbox):
     """Whether a page of a file is in memory can be timed: each guest has files of its own, in a
     folder whose name does not tell how many were before it.
@@ -239,10 +242,12 @@ def test_no_guest_reads_counts_of_the_machine(sandbox, identity):
         run(sandbox, "read_counters")
 
 
+@pytest.mark.costly
 def test_work_in_a_process_that_nobody_waits_for_takes_time(sandbox):
     assert run(sandbox, "work_unseen").estimate_seconds > 0.8
 
 
+@pytest.mark.costly
 def test_samples_of_the_last_tenth_are_tested_for_causality(sandbox, monkeypatch):
     secret = random.Random(1)  # a point at the very beginning of the tenth would not show it
     monkeypatch.setattr(client.random, "SystemRandom", lambda: secret)
@@ -250,6 +255,7 @@ def test_samples_of_the_last_tenth_are_tested_for_causality(sandbox, monkeypatch
     assert found.notes == (LOOKS_AHEAD,)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("how", ["deviate_by_the_end", "hasten_by_the_end"])
 def test_deviations_and_the_use_of_speed_are_tested_for_causality(sandbox, how):
     found = run(sandbox, how, causal=True, retest=True)
@@ -292,6 +298,7 @@ def test_an_honest_causal_entry_does_not_look_ahead(
     assert len(found) == (3 if cls == "Learner" and not notes else 1)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("place", [2, 3])
 def test_memory_is_tested_on_any_drive_but_the_first(sandbox, place):
     found = run(sandbox, "remember_one", where=str(place), retest=True, number=3)
@@ -342,6 +349,7 @@ def test_a_guest_that_is_killed_as_it_starts_is_started_again(sandbox, monkeypat
         run(sandbox, "nothing")
 
 
+@pytest.mark.costly
 def test_no_module_of_a_wheel_stands_before_those_of_the_judge(sandbox, tmp_path):
     code = "raise SystemExit('loaded')\n"
     names = ("numpy/__init__", "leaderboard/__init__", "sitecustomize", "usercustomize", "colorsys")

@@ -136,6 +136,7 @@ def test_a_clone_is_no_code_of_a_submission(tmp_path):
     assert "mine/src/.git: give packages" in " ".join(said.split())
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("roads", [3, 5])
 def test_what_submit_prints_is_what_a_board_shows_of_the_same_rows(tmp_path, monkeypatch, roads):
     seeds = [*range(11, 11 + roads)]

@@ -130,6 +130,7 @@ def test_a_training_that_changes_nothing_of_the_drives_that_are_run_again_agrees
     assert picky.agrees and picky.runs == 9, picky
 
 
+@pytest.mark.costly
 def test_an_altered_score_is_found_by_its_distance(tmp_path):
     copy_of_run(tmp_path)
     row = store.load(store.row_path(tmp_path, "small", "reader"))
@@ -167,6 +168,7 @@ def test_of_a_row_of_other_kernels_the_ranking_score_is_compared_at_a_wider_tole
         assert found.distance == pytest.approx(share * OTHER_KERNELS)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("factors", [(0.95, 0.95), (0.95, 1.05)])
 def test_a_row_of_other_kernels_that_is_another_on_most_drives_does_not_agree(tmp_path, factors):
     copy_of_run(tmp_path)
@@ -346,6 +348,7 @@ def test_what_differed_once_stands_against_a_part_of_the_drives_that_agrees(tmp_
     assert save_verified([agrees], tmp_path) == [agrees] == load_verified(tmp_path)[other.content]
 
 
+@pytest.mark.costly
 def test_a_row_that_was_found_false_is_noted_on_its_board(tmp_path):
     board, _ = run(tmp_path)
     (reader,) = (r for r in board.results["small"] if r.estimator == "reader")
@@ -355,6 +358,7 @@ def test_a_row_that_was_found_false_is_noted_on_its_board(tmp_path):
     assert note == "reader is not what was found when it was run again: its lag is 1."
 
 
+@pytest.mark.costly
 def test_what_agrees_in_another_score_than_the_board_ranks_by_counts_for_nothing(tmp_path):
     """The board of a stored definition is no part of its digest."""
     board, _ = run(tmp_path)
@@ -395,6 +399,7 @@ def test_a_definition_of_another_task_than_the_shipped_one_of_its_name_is_named(
     assert [str(x).partition(": ")[2] for x in unread] == ["its class is not that of this package"]
 
 
+@pytest.mark.costly
 def test_chosen_drives_of_a_shipped_task_are_named_or_refused(tmp_path):
     copy_of_run(tmp_path)
     row, shipped = store.load(store.row_path(tmp_path, "small", "reader")), load_task("new_road")

@@ -59,6 +59,7 @@ def test_samples_have_the_covariance_of_the_dense_posterior():
     assert np.mean(np.sum(np.square(drawn), axis=1)) == pytest.approx(expected, rel=0.25)
 
 
+@pytest.mark.costly
 def test_more_bandwidth_and_less_noise_attain_less_error():
     record, truth = drive(60.0, "ride", 14.5)
     wide, narrow = (

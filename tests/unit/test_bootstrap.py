@@ -49,6 +49,7 @@ OF_FIELD = [[0, 2, 4], [1, 3, 5]]
 IN_PAIRS = [[0, 1], [2, 3], [4, 5]]
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("strata", [OF_NEW_ROAD, OF_FIELD, IN_PAIRS])
 def test_equal_entries_share_ranks_and_intervals_cover_in_families_of_a_few_roads(strata):
     """Of n roads, n draws have (n - 1) / n of the variance, and percentiles are those of a normal

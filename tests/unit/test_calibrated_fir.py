@@ -129,6 +129,7 @@ def test_another_road_is_found_at_any_speed(v):
     assert error(estimate, profile, v) < 0.12
 
 
+@pytest.mark.costly
 def test_standard_deviations_cover_the_errors():
     profile = road(4, 200.0)
     estimate = calibrated().estimate(drive(profile, 10.0, seed=5), CAR)

@@ -284,6 +284,7 @@ def test_invalid_arguments_are_rejected():
         bound(DEFENDER, "ride", 200.0, PAPER, RoadPrior())
 
 
+@pytest.mark.costly
 def test_the_command_prints_and_draws_the_bound(road_recon, tmp_path):
     words = ("observability", "--speed-kmh", 54, "--mismatch", 0.05, "--noise", 0.02)
     code, out, _ = road_recon(*words, "--mode", "front=ride,rear=handling", "--json")

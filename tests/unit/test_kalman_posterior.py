@@ -284,6 +284,7 @@ def test_smoothing_in_chunks_is_nearly_smoothing_at_once():
     assert (once[1] <= 1.001 * chunks[1]).all()
 
 
+@pytest.mark.costly
 def test_innovations_on_the_filters_own_model_are_white_with_unit_variance():
     run, record, _ = run_of(drawn_samples())
     one = WindowFilter(run, setup_output(run, record, 0.004, detrended=True))

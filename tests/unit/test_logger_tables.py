@@ -271,6 +271,7 @@ def test_spellings_of_a_unit_are_one_unit(unit):
     assert factor("acceleration", unit) == 1.0
 
 
+@pytest.mark.costly
 def test_an_mdf_file_with_channels_of_two_rates_is_read(tmp_path):
     asammdf = pytest.importorskip("asammdf")
     path = tmp_path / "d.mf4"
@@ -293,6 +294,7 @@ def write_mdf(path, *channels):
     return path.read_bytes()
 
 
+@pytest.mark.costly
 def test_two_samples_of_a_channel_at_one_time_are_refused_by_its_name(tmp_path):
     path, twice = tmp_path / "d.mf4", np.repeat(T[::2], 2)
     write_mdf(path, ("a_lf", SPEED, T), ("a_rf", SPEED[: twice.size], twice))

@@ -109,6 +109,7 @@ def test_a_task_gives_a_row_for_each_drive_and_one_for_a_failure():
         run_task(short, ["flat"], roads=3)
 
 
+@pytest.mark.costly
 def test_a_registered_name_is_trained_on_the_test_road_as_on_a_board():
     short = task(trains_on_test_road=True, test={"roads": ["iso_d"], "seeds": [11], "length": 40.0})
     entries = {"board": "fir_ridge", "refit": create("fir_ridge", shipped=False)}

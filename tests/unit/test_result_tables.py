@@ -154,6 +154,7 @@ def test_boards_whose_roads_are_not_public_come_first():
     assert [view.board for view in board_views(board)] == ["class", "new_road"]
 
 
+@pytest.mark.costly
 def test_the_only_entry_has_won_nothing():
     only = [r for r in results_by_fakes() if r.estimator in ("reader", "truth_plus_noise")]
     text = str(build_report(Board((task(),), {"small": only})).findings)

@@ -102,6 +102,7 @@ def test_the_estimate_does_not_depend_on_the_speed():
         assert abs(np.log(regression("handling").predict(record).G_d0 / true)) < 0.46
 
 
+@pytest.mark.costly
 def test_the_command_reports_the_class_by_either_method(road_recon):
     simulate = ("simulate", "--road", "iso_c", "--length", "100", "--speed-kmh", "36")
     assert road_recon(*simulate, "--out", "d.parquet")[0] == 0

@@ -128,6 +128,7 @@ def test_a_nominal_drive_differs_from_its_twin_by_the_vehicle_only():
     assert np.abs(record.a - plain.a).max() > 0.1
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     "name",
     [
