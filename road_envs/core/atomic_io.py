@@ -1,5 +1,6 @@
 """Atomic file writes: a reader sees the old content or the new one, never a partial file."""
 
+import errno
 import fcntl
 import itertools
 import os
@@ -27,7 +28,8 @@ def atomic_write(path: str | Path, *, durable: bool = False) -> Iterator[Path]:
     """Yield a temporary path beside `path`, which replaces `path` when the block ends.
 
     If the block raises, the temporary file is removed and `path` is unchanged. A `durable` file is
-    flushed to disk before the replacement, so that it survives a power failure.
+    flushed to disk before the replacement, so that it survives a power failure. An OSError without
+    a file names `path`, and so does one of a full disk, of which a copy names its source.
     """
     path = Path(path)
     host = "".join(c for c in platform.node() if c.isalnum()) or "localhost"
@@ -40,6 +42,10 @@ def atomic_write(path: str | Path, *, durable: bool = False) -> Iterator[Path]:
         os.replace(partial, path)
         if durable:
             _fsync(path.parent)
+    except OSError as error:
+        if error.filename is None or error.errno in (errno.ENOSPC, errno.EDQUOT):
+            error.filename = str(path)
+        raise
     finally:
         partial.unlink(missing_ok=True)
 

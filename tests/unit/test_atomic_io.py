@@ -3,6 +3,7 @@
 import errno
 import os
 import platform
+import shutil
 import subprocess
 import sys
 import threading
@@ -43,6 +44,22 @@ def test_a_failed_write_leaves_only_the_old_file(tmp_path, error, durable):
         partial.write_text("half")
         raise error
     assert path.read_text() == "old" and os.listdir(tmp_path) == ["name.txt"]
+
+
+def test_a_full_disk_is_that_of_the_file_that_is_written(tmp_path, monkeypatch):
+    source, target = tmp_path / "source", tmp_path / "target"
+    source.write_text("text")
+
+    def full(source, _):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), source)
+
+    monkeypatch.setattr(shutil, "copyfile", full)
+    with pytest.raises(OSError, match="No space left on device: '.*target'$"):
+        copy_file(source, target)
+    with pytest.raises(OSError, match="No space left on device: '.*target'$"), atomic_write(target):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    with pytest.raises(FileNotFoundError, match="'.*absent'$"), atomic_write(target):
+        (tmp_path / "absent").read_text()
 
 
 def test_a_durable_file_is_flushed_before_the_replacement(tmp_path, monkeypatch):
