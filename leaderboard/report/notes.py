@@ -192,13 +192,20 @@ def _kernel_notes(
 
 def _version_notes(results: Sequence[Result]) -> list[str]:
     """Return a note on the rows of a task that were made with another version of a library than
-    most.
+    most, or of Python but for its last number.
     """
     notes = []
-    for name in LIBRARIES:
+    for name in ("python", *LIBRARIES):
         made = {r.estimator: r.environment[name] for r in results if name in r.environment}
+        if name == "python":
+            made = {k: " or ".join(_minor_versions(versions)) for k, versions in made.items()}
         notes += _notes_on_others(made, f"ran with {name} {{}}, the others with {{}}")
     return notes
+
+
+def _minor_versions(versions: str) -> Iterable[str]:
+    """Return 3.11 and 3.12 of "3.11.4 or 3.11.5 or 3.12.0", the versions of the parts of a row."""
+    return dict.fromkeys(version.rpartition(".")[0] for version in versions.split(" or "))
 
 
 def _seed_notes(trainings: Mapping[str, int]) -> list[str]:

@@ -426,6 +426,19 @@ def test_rows_made_with_another_version_of_a_library_are_noted():
     assert _version_notes([dataclasses.replace(first, environment=usual), second, *others]) == []
 
 
+def test_rows_made_under_another_python_are_noted_but_for_its_last_number():
+    first, *others = (
+        dataclasses.replace(r, environment={"python": "3.11.4"}) for r in results_by_fakes()
+    )
+    for version in ("3.11.9", "3.11.4 or 3.11.9"):
+        same = dataclasses.replace(first, environment={"python": version})
+        assert _version_notes([same, *others]) == []
+    for version, name in (("3.12.4", "3.12"), ("3.11.4 or 3.12.4", "3.11 or 3.12")):
+        moved = dataclasses.replace(first, environment={"python": version})
+        text = f"{first.estimator} ran with python {name}, the others with 3.11."
+        assert _version_notes([moved, *others]) == [text]
+
+
 def test_rows_of_another_number_of_training_seeds_are_noted():
     def notes(*rows):
         (view,) = board_views(Board((task(),), {"small": rows}))
