@@ -38,16 +38,14 @@ _SEARCHED = 2**40
 
 
 def section_notes(
-    board: Board, task: Task, rows: Sequence["Row"], level_drives: int
+    board: Board, task: Task, rows: Sequence["Row"], level_drives: int, trainings: Mapping[str, int]
 ) -> tuple[str, ...]:
-    """Return all notes on a task, on the `rows` of its scored entries and on its `level_drives`,
-    which have no ranking score.
+    """Return all notes on a task, on the `rows` of its scored entries, on its `level_drives`, which
+    have no ranking score, and on the `trainings` of those that depend on the seed.
     """
     scored = board.scored(task)
-    drives, ranks_by = (
-        f"{level_drives} drive{'s' * (level_drives > 1)}",
-        task.board_definition.ranks_by,
-    )
+    ranks_by = task.board_definition.ranks_by
+    drives = f"{level_drives} drive{'s' * (level_drives > 1)}"
     level = f"On {drives} nobody has a score, as on a level road."
     unranked = [x.name for x in rows if x.state == "scored" and x.values.get(ranks_by) is None]
     lacking = f"No {SCORES[ranks_by].label} on some drives, and so no rank: {', '.join(unranked)}."
@@ -64,6 +62,7 @@ def section_notes(
         *sanity_warnings(rows, ranks_by, task.is_public),
         *_kernel_notes(scored, _verified_for(task, board.verified)),
         *_version_notes(scored),
+        *_seed_notes(trainings),
     )
 
 
@@ -193,17 +192,36 @@ def _kernel_notes(
 
 def _version_notes(results: Sequence[Result]) -> list[str]:
     """Return a note on the rows of a task that were made with another version of a library than
-    most.
+    most, or of Python but for its last number.
     """
-    notes: dict[str, list[str]] = {}
-    for name in LIBRARIES:
+    notes = []
+    for name in ("python", *LIBRARIES):
         made = {r.estimator: r.environment[name] for r in results if name in r.environment}
-        usual = _most_frequent(made)
-        for estimator, version in made.items():
-            if version != usual:
-                text = f"ran with {name} {version}, the others with {usual}"
-                notes.setdefault(text, []).append(estimator)
-    return [f"{', '.join(names)} {text}." for text, names in notes.items()]
+        if name == "python":
+            made = {k: " or ".join(_minor_versions(versions)) for k, versions in made.items()}
+        notes += _notes_on_others(made, f"ran with {name} {{}}, the others with {{}}")
+    return notes
+
+
+def _minor_versions(versions: str) -> Iterable[str]:
+    """Return 3.11 and 3.12 of "3.11.4 or 3.11.5 or 3.12.0", the versions of the parts of a row."""
+    return dict.fromkeys(version.rpartition(".")[0] for version in versions.split(" or "))
+
+
+def _seed_notes(trainings: Mapping[str, int]) -> list[str]:
+    """Return a note on the rows that were trained with another number of seeds than most."""
+    made = {name: f"{n} training seed{'s' * (n > 1)}" for name, n in trainings.items()}
+    return _notes_on_others(made, "ran with {}, the others with {}")
+
+
+def _notes_on_others(made: Mapping[str, str], text: str) -> list[str]:
+    """Return `text` of each value of `made` (by name) that is not the usual one, and of that."""
+    usual = _most_frequent(made)
+    notes: dict[str, list[str]] = {}
+    for name, value in made.items():
+        if value != usual:
+            notes.setdefault(text.format(value, usual), []).append(name)
+    return [f"{', '.join(names)} {note}." for note, names in notes.items()]
 
 
 def _most_frequent(values: Mapping[str, str]) -> str:

@@ -184,10 +184,15 @@ def _board_provenance(board: Board) -> list[tuple[str, str]]:
 
 
 def _drive_counts(task: Task, results: Sequence[Result]) -> str:
-    seeds = max((len(r.seeds) for r in results), default=0)
+    seeds = [*tables.training_counts(results).values()]
+    asked = max((len(r.seeds) for r in results), default=0)
     tests = [len(task.drives_of(task.test, condition)) for condition in task.conditions]
     return (
         f"version {task.version}; conditions: {len(tests)}, each with "
         f"{len(task.training.roads_and_seeds)} training and "
-        f"{' to '.join(map(str, sorted({min(tests), max(tests)})))} test drives; trainings: {seeds}"
+        f"{_range(tests)} test drives; trainings: {_range(seeds or [asked])}"
     )
+
+
+def _range(counts: Sequence[int]) -> str:
+    return " to ".join(map(str, sorted({min(counts), max(counts)})))

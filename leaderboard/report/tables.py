@@ -143,7 +143,7 @@ def _section(board: Board, task: Task, definition: BoardDefinition) -> Section:
         claim = [Row("paper's claim", "claim", {EQ_12_RAW: text}, {EQ_12_RAW: level})]
     failed = [Row(r.estimator, "failed", message=r.failure or "") for r in board.failed(task)]
     stale = [Row(r.estimator, "stale", message=why) for r, why in board.stale(task)]
-    notes = section_notes(board, task, rows, int(np.sum(on_level)))
+    notes = section_notes(board, task, rows, int(np.sum(on_level)), training_counts(scored))
     names = {kind: tuple(named) for kind, named in groups.items()}
     return Section(task, (*claim, *rows, *failed, *stale), notes, names)
 
@@ -224,6 +224,20 @@ def train_seconds(result: Result) -> float | None:
     """Return the mean time [s] of a training; None if it took none and left no parameters."""
     seconds = float(np.mean(result.train_seconds)) if result.train_seconds else 0.0
     return seconds if result.parameters or seconds > _NO_TRAINING else None
+
+
+def training_counts(results: Sequence[Result]) -> dict[str, int]:
+    """Return the number of training seeds by estimator, of those whose training depends on them.
+
+    One that was asked for several and has the runs of one depends on none.
+    """
+    return {
+        result.estimator: len(result.seeds)
+        for result in results
+        if train_seconds(result) is not None
+        and not result.settings.get("shipped")
+        and (len(result.seeds) == 1 or result.scores["seed"].nunique() > 1)
+    }
 
 
 def _tail(ranked: np.ndarray) -> dict[str, float | None]:

@@ -170,11 +170,14 @@ def run_board(
         for k, done in enumerate(executor.run(jobs, out), start=1):
             plan.record_part(done)
             progress(f"{done.task}: {done.entry}, {done.condition}", k / total)
+        if request.probes:
+            entries = [row.entry for row in rows]
+            probe_entries(entries, out, request.limits, lambda text: progress(text, 1.0))
         if plan.assemble_rows():
-            if request.probes:
-                entries = [row.entry for row in rows]
-                probe_entries(entries, out, request.limits, lambda text: progress(text, 1.0))
-            return replace(load_board(request.sized_tasks(), out, rows), limits=request.limits)
+            board = load_board(request.sized_tasks(), out, rows)
+            stored = {result.identity for own in board.results.values() for result in own}
+            if all(row.identity in stored for row in rows):  # else another run has replaced one
+                return replace(board, limits=request.limits)
     raise ConfigError(
         f"{out}: another process changed the files of this run in {ATTEMPTS} attempts; "
         "use a folder of its own"

@@ -409,6 +409,39 @@ def test_files_altered_in_every_attempt_raise_an_error_that_says_so(tmp_path):
     assert board_module.ATTEMPTS < 99
 
 
+def disturb(monkeypatch, out, step, times):
+    """Let a run with other seeds into the same folder end before each of the first calls of a step
+    of `run_board`.
+    """
+    monkeypatch.setattr(board_module, "probe_entries", lambda *arguments: 0)
+    original, left = getattr(board_module, step), [None] * times
+
+    def disturbed(*arguments):
+        if left:
+            left.pop()
+            with monkeypatch.context() as patch:
+                patch.setattr(board_module, step, original)
+                run(out, seeds=(3,))
+        return original(*arguments)
+
+    monkeypatch.setattr(board_module, step, disturbed)
+
+
+@pytest.mark.parametrize("step", ["probe_entries", "load_board"])
+def test_a_run_returns_its_own_rows_whatever_another_has_stored(
+    tmp_path, expected, step, monkeypatch
+):
+    disturb(monkeypatch, tmp_path, step, 1)
+    assert rows(run(tmp_path, probes=True)[0]) == expected
+
+
+@pytest.mark.costly
+def test_a_run_whose_rows_another_always_replaces_returns_none(tmp_path, monkeypatch):
+    disturb(monkeypatch, tmp_path, "load_board", 99)
+    with pytest.raises(ConfigError, match="changed the files of this run in 3 attempts"):
+        run(tmp_path)
+
+
 def test_planned_jobs_give_the_results_of_a_run(tmp_path, expected):
     assert write_jobs(make_request(), tmp_path / "out", tmp_path / "jobs") == PARTS
     files = sorted((tmp_path / "jobs").glob("*.json"))

@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from fake_estimators import Picky, Reader
+from fake_estimators import Learner, Picky, Reader
 from fake_results import (
     ENTRIES,
     board,
@@ -34,7 +34,7 @@ from leaderboard.report.notes import (
 )
 from leaderboard.report.overview import ranking_chart
 from leaderboard.report.sentences import build_report, headline
-from leaderboard.report.site import _table
+from leaderboard.report.site import _drive_counts, _table
 from leaderboard.report.tables import Row, board_views, level_runs, train_seconds
 from leaderboard.report.terminal import print_tables
 from leaderboard.running.board import Board
@@ -424,6 +424,41 @@ def test_rows_made_with_another_version_of_a_library_are_noted():
         ]
     del usual["torch"]  # where it isn't installed, it has made no row
     assert _version_notes([dataclasses.replace(first, environment=usual), second, *others]) == []
+
+
+def test_rows_made_under_another_python_are_noted_but_for_its_last_number():
+    first, *others = (
+        dataclasses.replace(r, environment={"python": "3.11.4"}) for r in results_by_fakes()
+    )
+    for version in ("3.11.9", "3.11.4 or 3.11.9"):
+        same = dataclasses.replace(first, environment={"python": version})
+        assert _version_notes([same, *others]) == []
+    for version, name in (("3.12.4", "3.12"), ("3.11.4 or 3.12.4", "3.11 or 3.12")):
+        moved = dataclasses.replace(first, environment={"python": version})
+        text = f"{first.estimator} ran with python {name}, the others with 3.11."
+        assert _version_notes([moved, *others]) == [text]
+
+
+def test_rows_of_another_number_of_training_seeds_are_noted():
+    def notes(*rows):
+        (view,) = board_views(Board((task(),), {"small": rows}))
+        return [note for note in view.sections[0].notes if "training seed" in note]
+
+    steady = dataclasses.replace(result_of("learner"), estimator="steady")
+    (lucky,) = run_task(task(), {"lucky": Learner()}, (1,), simulate=fake_drives)
+    text = "lucky ran with 1 training seed, the others with 3 training seeds."
+    assert notes(steady, lucky) == [text]
+    made = Board((task(),), {"small": [steady, lucky]})
+    assert text in as_json(board_views(made))[0]["notes"]
+    assert "; trainings: 1 to 3" in _drive_counts(task(), [steady, lucky])
+    assert _drive_counts(task(), [steady]).endswith("; trainings: 3")
+    # without a training, or with one that ignores the seed, no number of seeds is another's
+    (alone,) = run_task(task(), {"alone": Reader()}, (1,), simulate=fake_drives)
+    same = dataclasses.replace(lucky, seeds=(1, 2))
+    shipped = dataclasses.replace(lucky, settings={"shipped": True})
+    for other in (alone, same, shipped, result_of("reader")):
+        assert notes(steady, other) == []
+    assert _drive_counts(task(), [alone, result_of("reader")]).endswith("; trainings: 3")
 
 
 def test_a_training_that_leaves_no_parameters_is_shown():
