@@ -16,6 +16,7 @@ from leaderboard.metrics.heights import band_pass, scored_band
 from leaderboard.metrics.registry import SCORES
 from leaderboard.report.board_definitions import BELOW_BOUND, BOUND_ROW
 from leaderboard.report.charts import bound_lines, task_charts
+from leaderboard.report.estimator_page import _calibration_figure
 from leaderboard.report.figures import line_style
 from leaderboard.report.notes import sanity_warnings
 from leaderboard.report.overview import ranking_chart
@@ -214,6 +215,24 @@ def test_calibration_counts_the_errors_inside_the_stated_intervals():
     half = 100.0 * np.mean(np.concatenate(errors) <= 0.67449 * 0.003)
     assert line["y"][line["x"].index(50.0)] == pytest.approx(half, abs=0.2)
     assert "calibration" not in site()["estimators/reader.html"]
+
+
+def test_errors_without_a_deviation_are_inside_no_interval_unless_they_are_0():
+    """Left out, an entry without deviations where it errs would look calibrated on its page."""
+    (online,) = [r for r in results()["held_out"] if r.estimator == "online"]
+
+    def inside(share, **changes):
+        odd = np.arange(online.traces[0].s.size) % 2
+        traces = tuple(
+            dataclasses.replace(x, deviation=share * odd * x.deviation, **changes)
+            for x in online.traces
+        )
+        drawn = _calibration_figure(None, dataclasses.replace(online, traces=traces))
+        return drawn["data"][1]["y"][-1]
+
+    truth = online.traces[0].truth
+    assert 45.0 < inside(1) < 55.0 and inside(0) < 5.0
+    assert inside(0, truth=truth, estimate=truth) == 100.0
 
 
 def test_the_page_of_an_estimator_has_method_worst_drives_and_cost():
