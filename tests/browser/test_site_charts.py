@@ -325,7 +325,7 @@ def test_a_flat_estimate_can_be_drawn():
     flat = {"flat": next(r for r in results()["paving"] if r.estimator == "flat")}
     (view,) = [v for v in board_views(board()) if v.board == "paper"]
     rows = {row.name: row for row in view.sections[0].rows}
-    made = task_charts(tasks()[1], view.definition, flat, rows)["density"]
+    made = task_charts(tasks()[1], view.definition, flat, rows, np.zeros((1, 1), bool))["density"]
     (figure,) = made["figures"].values()
     assert set(lines_by_name(figure)["flat"]["y"]) == {None}
 
