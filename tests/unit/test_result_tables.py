@@ -65,7 +65,7 @@ def test_each_road_family_has_its_own_scores():
 
 
 def test_a_drive_over_a_level_road_takes_no_rank_from_anybody():
-    """Nobody has a score there; who has none where others have one is ranked last."""
+    """Nobody has a score there; who has none where others have one has no rank."""
     results = results_by_fakes()
 
     def on_level(result):
@@ -141,11 +141,16 @@ def test_who_lacks_the_ranking_score_on_some_drives_has_no_error_to_be_ordered_b
     (first, *_) = runs
     some = with_runs(result_of("reader"), runs | {first: runs[first] | {"nrmse": None}})
     made = [some if r.estimator == "reader" else r for r in results]
-    (section,) = board_views(Board((task(),), {"small": made}))[0].sections
+    (view,) = board_views(Board((task(),), {"small": made}))
+    (section,) = view.sections
     names = [row.name for row in section.rows if row.state == "scored"]
     assert names == ["learner", "reader"] and section.rows[1].values["nrmse"] is None
+    groups = section.rows[1].groups.values()
     label = SCORES["nrmse"].label
     assert section.notes[1] == f"No {label} on some drives, and so no rank: reader."
+    assert not any("rank" in values for values in (section.rows[1].values, *groups))
+    ranks = {entry["name"]: entry.get("rank") for entry in as_json([view])[0]["entries"]}
+    assert (ranks["learner"], ranks["reader"]) == (1, None)
     assert not any("nobody has a score" in note for note in section.notes)
 
 
