@@ -22,7 +22,7 @@ from road_envs.core.extras import MissingExtraError
 from road_envs.drives.recording import read_record, true_profile
 from road_envs.plants.driving import simulate_on_plant
 from road_envs.records.record import Profile, Record
-from road_envs.roads import Surface
+from road_envs.roads import Surface, realise_road
 from road_envs.sensing.instruments import Instruments
 from road_envs.vehicle.parameters import load_vehicle
 
@@ -47,14 +47,22 @@ def facts(surface: Surface, car: str, instruments: Instruments) -> dict[str, Any
     return cast(dict[str, Any], json.loads(json.dumps({**about, "vehicle_digest": driven})))
 
 
-def kept_record(path: Path, wanted: dict[str, Any]) -> Record | None:
-    """Return the record of a kept drive; None if there is none of the `wanted` facts."""
+def kept_record(path: Path, surface: Surface, wanted: dict[str, Any]) -> Record | None:
+    """Return the record of a kept drive over a surface; None if there is none of the `wanted`
+    facts or its road is another one, of equal heights at some stations.
+    """
     if not path.exists():
         return None
     record, about = read_record(path)
     rest, kept = dict(wanted), cast(dict[str, Any], about)
     apart = np.abs(np.subtract(kept.pop("heights", np.inf), rest.pop("heights"))).max()
-    return record if apart < SAME_HEIGHT and rest.items() <= kept.items() else None
+    if not (apart < SAME_HEIGHT and rest.items() <= kept.items()):
+        return None
+    kind, road_class = kept["road"].split()  # "iso8608 B": drives over other kinds are not kept
+    road = {"kind": kind, "road_class": road_class, "length": kept["length"]}
+    driven = realise_road(road, kept["seed"])
+    s = np.union1d(driven.s, surface.s)
+    return record if np.abs(driven.height(s) - surface.height(s)).max() < SAME_HEIGHT else None
 
 
 def drive_of_plant(
@@ -65,7 +73,7 @@ def drive_of_plant(
     `seed` is that of the surface. Raises ConfigError if it is not kept nor can be made.
     """
     path = kept_path(plant, car, surface.name, speed_kmh, seed)
-    if (record := kept_record(path, facts(surface, car, instruments))) is not None:
+    if (record := kept_record(path, surface, facts(surface, car, instruments))) is not None:
         return record, true_profile(surface)
     given: dict[str, Any] = {"speed_kmh": speed_kmh, "seed": seed, "instruments": instruments}
     try:

@@ -48,7 +48,7 @@ def bounds_by_state(
     """Return a row of bounds and, `with_curves`, the curve over frequency of each mode at each
     speed [km/h].
 
-    `sensors` name the instruments, whose noise `noise_density` [(m/s²)/sqrt(Hz)] replaces;
+    `sensors` name the instruments; `noise_density` [(m/s²)/sqrt(Hz)] replaces that of each sensor;
     `dampers` [N s/m] by name of a mode replace the equivalent ones; `model_error` is relative to
     the signal of each sensor. With `attainable`, a row has the attainable NRMSE by BANDWIDTHS, the
     bound of van Trees and that of linear estimators, too. Raises ConfigError.
@@ -59,7 +59,7 @@ def bounds_by_state(
     instruments = load_instruments(sensors)
     if noise_density is not None:
         try:
-            instruments = dataclasses.replace(instruments, noise_density=noise_density)
+            instruments = dataclasses.replace(instruments.noiseless, noise_density=noise_density)
         except ValueError as error:
             raise ConfigError(str(error)) from None
     # fails before anything is computed

@@ -52,7 +52,7 @@ def main() -> None:
         surface = road.realise(np.random.default_rng(seed))
         path = kept_path(plant, car, surface.name, speed, seed)
         known = facts(surface, car, load_instruments(instruments))
-        if kept_record(path, known) is not None and not again:
+        if kept_record(path, surface, known) is not None and not again:
             continue
         record, _ = simulate_on_plant(
             plant, surface, speed_kmh=speed, seed=seed, vehicle=car, instruments=instruments

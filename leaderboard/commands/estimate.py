@@ -17,10 +17,10 @@ from leaderboard.metrics.alignment import align
 from leaderboard.pretraining import rms_roughness
 from leaderboard.report import plots
 from leaderboard.scoring import score
-from road_envs.core.config import validate_choice
+from road_envs.core.config import ConfigError, validate_choice
 from road_envs.drives.reading import same_instruments
 from road_envs.drives.training_corpus import Corpus
-from road_envs.records.record import Profile
+from road_envs.records.record import PROFILE_SPACING, Profile
 from road_envs.roads import Surface, load_road, realise_road, write_csv
 from road_envs.roads.measured import Measured
 
@@ -52,7 +52,13 @@ def estimate(
     commands.import_from_here(estimator)
     estimators.make_estimator(estimator, **given)  # a wrong name ends it before a file is read
     drives = drive_files.read_passes(records, options)
-    drive = drives[0]
+    drive, surface = drives[0], realise_road(truth, 0) if truth else None
+    needed = 0.0 if drive.is_table else drive.measured.record.length  # of a table, what overlaps
+    if surface and surface.end < needed - 2.0 * PROFILE_SPACING:  # it would go on as a level road
+        raise ConfigError(
+            f"{truth}: the true profile is {surface.length:.2f} m long; of the road of the record "
+            f"all {needed:.2f} m are needed"
+        )
     chosen = make_drive_estimator(estimator, drive, given)
     if len(drives) == 1:
         drive, result = estimate_drive(chosen, drive)
@@ -69,8 +75,7 @@ def estimate(
         "notes": [*notes, *result.notes], "written": [str(p) for p in (out, plot) if p],
     }  # fmt: skip
     profile, scored, v, scores = None, result, result.speed or 0.0, None
-    if truth:
-        surface = realise_road(truth, 0)
+    if truth and surface:
         profile, scored = Profile(result.s, surface.height(result.s)), result
         if drive.is_table:
             road = load_road(truth)

@@ -29,7 +29,7 @@ def observability(
     ] = None,
     road_class: Annotated[str, option("ISO 8608 class of the road, A to H.")] = "D",
     noise: Annotated[
-        float | None, option("Noise density in (m/s²)/sqrt(Hz); default: that of the instruments.")
+        float | None, option("Noise density of each sensor in (m/s²)/sqrt(Hz); default: its own.")
     ] = None,
     mismatch: Annotated[
         float, option("Model error relative to the signal of each sensor.", min=0.0)
@@ -68,10 +68,11 @@ def observability(
             model_error=mismatch, attainable=attainable, with_curves=out is not None,
             progress=progress,
         )  # fmt: skip
-    density = load_instruments(sensors).noise_density if noise is None else noise
+    densities = load_instruments(sensors).noise_densities.tolist() if noise is None else [noise]
+    ends = sorted({min(densities), max(densities)})  # one number, unless sensors have their own
     facts: dict[str, Any] = {"vehicle": vehicle, "sensors": sensors, "road_class": road_class}
-    facts |= {"noise_density": density, "mismatch": mismatch}
-    title = f"class {road_class}, noise {density:g} (m/s²)/√Hz"
+    facts |= {"noise_density": ends if len(ends) > 1 else ends[0], "mismatch": mismatch}
+    title = f"class {road_class}, noise {' to '.join(f'{x:g}' for x in ends)} (m/s²)/√Hz"
     title += f", {100 * mismatch:g} % mismatch" if mismatch else ""
     if out is not None:
         plots.draw_observability(curves, title, out)

@@ -19,7 +19,7 @@ from leaderboard.metrics.obstacles import Obstacle, match_obstacles, true_obstac
 from leaderboard.metrics.registry import SCORES
 from leaderboard.metrics.roughness import THIRD_OCTAVES
 from leaderboard.report import figures as fig
-from leaderboard.report.tables import SPECTRUM_SCORES, Row, level_runs
+from leaderboard.report.tables import SPECTRUM_SCORES, Row
 from road_envs.analysis.information_bound import RoadPrior, bound
 from road_envs.records.roughness import CLASSES, N_0, displacement_psd, smooth_psd
 from road_envs.sensing.instruments import load_instruments
@@ -57,9 +57,16 @@ ERROR_AXES: dict[str, Any] = {
 
 
 def task_charts(
-    task: Task, definition: BoardDefinition, results: Mapping[str, Result], rows: Mapping[str, Row]
+    task: Task,
+    definition: BoardDefinition,
+    results: Mapping[str, Result],
+    rows: Mapping[str, Row],
+    on_level: np.ndarray,
 ) -> dict[str, fig.Chart]:
-    """Return the charts of a task by name, with the given results in their order, best first."""
+    """Return the charts of a task by name, with the given results in their order, best first.
+
+    Runs `on_level` (R, C) roads, by `level_runs` of all results of the task, count for nobody.
+    """
     drawn = {
         condition: traces
         for k, condition in enumerate(task.conditions)
@@ -70,7 +77,6 @@ def task_charts(
         "density": _density_chart(drawn),
         "error": _error_chart(task, {name: rows[name] for name in results}),
     }
-    on_level = level_runs([*results.values()], definition)
     key = definition.ranks_by
     arrays = {name: _counted_runs(r, key, on_level) for name, r in results.items()}
     scores = {name: x for name, x in arrays.items() if count_roads(x) >= MIN_ROADS}

@@ -183,10 +183,10 @@ def _calibration_figure(section: Section, result: Result, *_: Any) -> dict[str, 
 
     The errors are those of the stored start of one drive under each condition, in the scored band.
     """
-    ratios = [_standardized(trace) for trace in result.traces if trace.z_std is not None]
-    errors = np.concatenate([*ratios, ()])
-    if not errors.size:  # of deviations that are 0 in a trace, too
+    ratios = [_standardized(trace).ravel() for trace in result.traces if trace.z_std is not None]
+    if not ratios:
         return None
+    errors = np.concatenate(ratios)
     inside = [np.mean(errors <= norm.ppf(0.5 + share / 2.0)) for share in _NOMINAL_SHARES]
     exact = {"color": fig.QUIET, "dash": "dot", "width": 1.2}
     x, y = ([fig.rounded(100.0 * s, 4) for s in shares] for shares in (_NOMINAL_SHARES, inside))
@@ -201,13 +201,13 @@ def _calibration_figure(section: Section, result: Result, *_: Any) -> dict[str, 
 
 
 def _standardized(trace: Trace) -> np.ndarray:
-    """Return in-band errors over their stated standard deviations, without signs."""
-    band = scored_band(trace.speed_kmh / 3.6)
-    errors = band_pass(trace.z_estimated, trace.ds, band) - band_pass(trace.z_true, trace.ds, band)
+    """Return in-band errors (2, K) over their stated standard deviations, without signs."""
+    band = scored_band(trace.speed_kmh / 3.6)  # in units of the trace, as the deviations are
+    errors = band_pass(trace.estimate, trace.ds, band) - band_pass(trace.truth, trace.ds, band)
     first = (trace.s.size - errors.shape[1]) // 2
-    assert trace.z_std is not None
-    inside = trace.z_std[:, first : first + errors.shape[1]]
-    return np.abs(errors[inside > 0.0]) / inside[inside > 0.0]
+    assert trace.deviation is not None
+    # a deviation that is rounded to 0 is half a unit at most: any larger error is far outside
+    return np.abs(errors) / np.maximum(trace.deviation[:, first : first + errors.shape[1]], 0.5)
 
 
 def _worst_drives(result: Result, key: str) -> list[tuple[str, ...]]:

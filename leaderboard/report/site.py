@@ -156,12 +156,13 @@ def _task(board: Board, view: BoardView, section: Section) -> dict[str, Any]:
         name for name, row in rows.items() if row.state == "baseline" and name not in LIMIT_ROWS
     ]
     drawn = {name: by_name[name] for name in order[:_MAX_DRAWN]}
+    on_level = tables.level_runs(scored, view.definition)
     return {
         "root": "../",
         "view": view,
         "score_table": _table(view, section),
         "task": task,
-        "charts": task_charts(task, view.definition, drawn, rows) if drawn else {},
+        "charts": task_charts(task, view.definition, drawn, rows, on_level) if drawn else {},
         "notice": isolation_notice(scored),
         "public": PUBLIC_ROADS if task.is_public else None,
         "left_out": order[_MAX_DRAWN:],

@@ -271,7 +271,7 @@ def _rank(
     definition: BoardDefinition,
 ) -> None:
     """Add the ranks in every group of MIN_ROADS roads, among all entries and the causal ones, or
-    among these alone if the board has no other division.
+    among these alone if the board has no other division; none to an entry without the score there.
     """
     by_name = {x.result.estimator: x for x in tables if x.result.role == "entry"}
     causal = {name: x for name, x in by_name.items() if x.result.causal}
@@ -280,9 +280,8 @@ def _rank(
         del divisions["offline"]
     for group, part in parts.items():
         for division, entries in divisions.items():
-            scores = {name: x.ranked[part] for name, x in entries.items()}
-            if not any(count_roads(x) >= MIN_ROADS for x in scores.values()):
-                continue
+            every = {name: x.ranked[part] for name, x in entries.items()}
+            scores = {name: x for name, x in every.items() if count_roads(x) >= MIN_ROADS}
             within = strata if group == ALL_RUNS else None
             for name, rank in bootstrap.rank_entries(scores, strata=within).items():
                 by_name[name].values[group][RANK_COLUMNS[division]] = rank

@@ -16,6 +16,7 @@ from leaderboard.metrics.heights import band_pass, scored_band
 from leaderboard.metrics.registry import SCORES
 from leaderboard.report.board_definitions import BELOW_BOUND, BOUND_ROW
 from leaderboard.report.charts import bound_lines, task_charts
+from leaderboard.report.estimator_page import _calibration_figure
 from leaderboard.report.figures import line_style
 from leaderboard.report.notes import sanity_warnings
 from leaderboard.report.overview import ranking_chart
@@ -216,6 +217,24 @@ def test_calibration_counts_the_errors_inside_the_stated_intervals():
     assert "calibration" not in site()["estimators/reader.html"]
 
 
+def test_errors_without_a_deviation_are_inside_no_interval_unless_they_are_0():
+    """Left out, an entry without deviations where it errs would look calibrated on its page."""
+    (online,) = [r for r in results()["held_out"] if r.estimator == "online"]
+
+    def inside(share, **changes):
+        odd = np.arange(online.traces[0].s.size) % 2
+        traces = tuple(
+            dataclasses.replace(x, deviation=share * odd * x.deviation, **changes)
+            for x in online.traces
+        )
+        drawn = _calibration_figure(None, dataclasses.replace(online, traces=traces))
+        return drawn["data"][1]["y"][-1]
+
+    truth = online.traces[0].truth
+    assert 45.0 < inside(1) < 55.0 and inside(0) < 5.0
+    assert inside(0, truth=truth, estimate=truth) == 100.0
+
+
 def test_the_page_of_an_estimator_has_method_worst_drives_and_cost():
     text = text_of(site()["estimators/static_lm.html"])
     assert "Levenberg-Marquardt" in text and "estimators/networks/static_lm.py" in text
@@ -306,7 +325,7 @@ def test_a_flat_estimate_can_be_drawn():
     flat = {"flat": next(r for r in results()["paving"] if r.estimator == "flat")}
     (view,) = [v for v in board_views(board()) if v.board == "paper"]
     rows = {row.name: row for row in view.sections[0].rows}
-    made = task_charts(tasks()[1], view.definition, flat, rows)["density"]
+    made = task_charts(tasks()[1], view.definition, flat, rows, np.zeros((1, 1), bool))["density"]
     (figure,) = made["figures"].values()
     assert set(lines_by_name(figure)["flat"]["y"]) == {None}
 

@@ -114,6 +114,10 @@ ERRORS = {
         lambda: table(a_lr=None, v=None, s=None), CLASSIFY, "2 problems: (1) the column a_lr"),
     "the truth of another road": (
         another_road, (*ESTIMATE, "--truth", "t.csv"), "matches the truth at no lag within 50 m"),
+    "a truth that ends before the road of the record": (
+        lambda: (record(), surface(rows(count=1901))),
+        ("estimate", "wiener", "d.parquet", "--truth", "road.csv"),
+        "road.csv: the true profile is 19.00 m long; of the road of the record all 100.00 m are"),
     "a surface in mm": (lambda: surface(rows(1e3)), PLOT, "as of heights in millimetres"),
     "a surface with gaps": (
         lambda: surface(rows(gap="nan")), PLOT, "kind: measured, path: ... and bridge_gaps: true"),

@@ -3,11 +3,13 @@
 import json
 from dataclasses import replace
 from functools import cache
+from itertools import product
 
 import numpy as np
 import oracles
 import oracles_roads
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import integrate, stats
@@ -22,6 +24,7 @@ from road_envs.analysis.information_bound import (
     posterior,
     strut_rate_std,
 )
+from road_envs.core import config
 from road_envs.records.record import scored_band
 from road_envs.roads import load_road, with_length
 from road_envs.sensing.instruments import load_instruments
@@ -298,6 +301,25 @@ def test_the_command_prints_and_draws_the_bound(road_recon, tmp_path):
     assert code == 0
     assert "handling / ride" in out and "5 % mismatch" in out
     assert (tmp_path / "bound.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_noise_that_is_given_replaces_that_of_sensors_with_a_noise_of_their_own(
+    road_recon, tmp_path
+):
+    sheet = yaml.safe_load((config.folder() / "sensors/paper.yaml").read_text())
+    for k, sensor in enumerate(sheet["accelerometers"].values(), start=2):
+        sensor["noise_density"] = k / 100
+    (tmp_path / "own.yaml").write_text(yaml.safe_dump(sheet))
+    made = {}
+    for sensors, noise in product(("paper", "own.yaml"), ((), ("--noise", 0.5))):
+        words = ("observability", "--mode", "ride", "--speed-kmh", 54, "--sensors", sensors, *noise)
+        code, out, _ = road_recon(*words, "--json")
+        made[sensors, bool(noise)] = facts = json.loads(out)
+        assert code == 0 and facts["bounds"][0]["nrmse"] > 0.0
+    assert made["own.yaml", True]["bounds"] == made["paper", True]["bounds"]
+    assert made["own.yaml", True]["noise_density"] == 0.5
+    assert made["own.yaml", False]["bounds"] != made["paper", False]["bounds"]
+    assert made["own.yaml", False]["noise_density"] == [0.02, 0.04]
 
 
 @pytest.mark.parametrize(

@@ -34,7 +34,7 @@ from leaderboard.report.notes import (
 )
 from leaderboard.report.overview import ranking_chart
 from leaderboard.report.sentences import build_report, headline
-from leaderboard.report.site import _drive_counts, _table
+from leaderboard.report.site import _drive_counts, _table, _task
 from leaderboard.report.tables import Row, board_views, level_runs, train_seconds
 from leaderboard.report.terminal import print_tables
 from leaderboard.running.board import Board
@@ -65,7 +65,7 @@ def test_each_road_family_has_its_own_scores():
 
 
 def test_a_drive_over_a_level_road_takes_no_rank_from_anybody():
-    """Nobody has a score there; who has none where others have one is ranked last."""
+    """Nobody has a score there; who has none where others have one has no rank."""
     results = results_by_fakes()
 
     def on_level(result):
@@ -91,14 +91,15 @@ def test_a_drive_over_a_level_road_takes_no_rank_from_anybody():
     assert "nobody has a score" not in str(view.sections[0].notes)
 
 
-def test_who_is_exact_on_a_level_road_is_ranked_beside_who_is_not():
-    """A ratio of densities is undefined there for the exact one alone, the NRMSE for everybody."""
+def board_with_a_level_road(exact):
+    """A board ranked by a ratio of densities, undefined on a level road for those who are `exact`
+    there alone; the NRMSE is for everybody.
+    """
     results = results_by_fakes()
     (first, *_) = {run[:2] for run in runs_of(result_of("reader"))}
 
     def scored_by_distance(result):
-        exact = result.estimator in ("reader", "truth_plus_noise")
-        level = {"nrmse": None, "dsd_distance_db": None if exact else 60.0}
+        level = {"nrmse": None, "dsd_distance_db": None if result.estimator in exact else 60.0}
         runs = runs_of(result)
         return with_runs(
             result,
@@ -108,15 +109,29 @@ def test_who_is_exact_on_a_level_road_is_ranked_beside_who_is_not():
 
     level = [r if r.failure else scored_by_distance(r) for r in results]
     t = task(board={"title": "Mine", "ranks_by": "dsd_distance_db", "columns": ["interval"]})
-    (view,) = board_views(Board((t,), {"small": level}))
+    return Board((t,), {"small": level})
+
+
+def test_who_is_exact_on_a_level_road_is_ranked_beside_who_is_not():
+    made = board_with_a_level_road(exact=("reader", "truth_plus_noise"))
+    (view,) = board_views(made)
     rows = {row.name: row.values for row in view.sections[0].rows if row.state == "scored"}
     assert {name: row["rank"] for name, row in rows.items()} == {"reader": 1, "learner": 2}
     assert rows["learner"]["dsd_distance_db"] < 10.0
-    scored = [r for r in level if not r.failure]
+    scored = made.scored(made.tasks[0])
     on_level = level_runs(scored, view.definition)
     assert all(
         np.isnan(_counted_runs(r, "dsd_distance_db", on_level)[on_level]).all() for r in scored
     )
+
+
+def test_a_drive_that_the_table_counts_for_nobody_is_not_in_the_chart_of_runs():
+    """A baseline, which is not drawn, tells that its road is level."""
+    made = board_with_a_level_road(exact=("truth_plus_noise",))
+    (view,) = board_views(made)
+    chart = _task(made, view, view.sections[0])["charts"]["runs"]
+    lines = [line for line in chart["figures"][""]["data"] if "mode" in line]
+    assert {line["name"]: line["y"][-1] for line in lines} == {"reader": 100.0, "learner": 100.0}
 
 
 def test_who_lacks_the_ranking_score_on_some_drives_has_no_error_to_be_ordered_by():
@@ -126,11 +141,16 @@ def test_who_lacks_the_ranking_score_on_some_drives_has_no_error_to_be_ordered_b
     (first, *_) = runs
     some = with_runs(result_of("reader"), runs | {first: runs[first] | {"nrmse": None}})
     made = [some if r.estimator == "reader" else r for r in results]
-    (section,) = board_views(Board((task(),), {"small": made}))[0].sections
+    (view,) = board_views(Board((task(),), {"small": made}))
+    (section,) = view.sections
     names = [row.name for row in section.rows if row.state == "scored"]
     assert names == ["learner", "reader"] and section.rows[1].values["nrmse"] is None
+    groups = section.rows[1].groups.values()
     label = SCORES["nrmse"].label
     assert section.notes[1] == f"No {label} on some drives, and so no rank: reader."
+    assert not any("rank" in values for values in (section.rows[1].values, *groups))
+    ranks = {entry["name"]: entry.get("rank") for entry in as_json([view])[0]["entries"]}
+    assert (ranks["learner"], ranks["reader"]) == (1, None)
     assert not any("nobody has a score" in note for note in section.notes)
 
 
