@@ -54,11 +54,14 @@ def test_a_full_disk_is_that_of_the_file_that_is_written(tmp_path, monkeypatch):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), source)
 
     monkeypatch.setattr(shutil, "copyfile", full)
-    with pytest.raises(OSError, match="No space left on device: '.*target'$"):
+    with pytest.raises(OSError, match=r"No space left on device: '.*target'$"):
         copy_file(source, target)
-    with pytest.raises(OSError, match="No space left on device: '.*target'$"), atomic_write(target):
+    with (
+        pytest.raises(OSError, match=r"No space left on device: '.*target'$"),
+        atomic_write(target),
+    ):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-    with pytest.raises(FileNotFoundError, match="'.*absent'$"), atomic_write(target):
+    with pytest.raises(FileNotFoundError, match=r"'.*absent'$"), atomic_write(target):
         (tmp_path / "absent").read_text()
 
 
