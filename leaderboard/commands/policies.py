@@ -34,9 +34,9 @@ from road_envs.vehicle.suspension import MODES
 POLICY_OPTIONS = LimitOptions(time_limit=POLICY_LIMITS.seconds, memory_limit=POLICY_LIMITS.memory)
 _QUICK_DRIVES = 2  # public drives of `--quick`, each to both sides
 _PUBLIC = (
-    "These drives are public: {} can play back what was found for them beforehand, and a place "
-    "then says nothing. Compare policies of others on drives that a text seals which their authors "
-    "do not know (--seal)."
+    "These drives are public: {} may have been trained on them, or play back what was found for "
+    "them beforehand, and a place then says nothing. Compare policies of others on drives that a "
+    "text seals which their authors do not know (--seal)."
 )
 _WITHOUT_STATISTICS = (
     "{}: the file holds no statistics of VecNormalize; the network gets the features as they are."
