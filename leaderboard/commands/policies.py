@@ -181,7 +181,8 @@ def _row_name(reference: str, may_be_path: bool = True) -> str:
     if reference not in REGISTRY and (not NAME.fullmatch(name) or is_taken):
         raise ConfigError(
             f"the row of {reference!a} would have the name {name!a}: it must be a letter and at "
-            "most 39 letters, digits, - or _, and not look like that of a policy of this package; rename it"
+            "most 39 letters, digits, - or _, and not look like that of a policy of this package; "
+            "rename it"
         )
     return name
 

@@ -2,7 +2,6 @@
 
 import ast
 import hashlib
-import io
 import re
 import sys
 import zipfile
@@ -12,7 +11,6 @@ from functools import cache, partial
 from importlib import metadata
 from importlib.util import find_spec, resolve_name
 from pathlib import Path
-from typing import IO
 
 from leaderboard.entries.entry import EntryError
 from leaderboard.entries.entry_files import MAX_FILES, list_files, places_of, snapshot
@@ -30,9 +28,7 @@ _RECORDED = re.compile(
     r'(?!.*\.(?:so(?:\.\d+)*|pyd|dll|dylib|lib|a|h|pyx)"?,sha256=)(.+,sha256=[^,]+)',
     re.M | re.I,
 )
-"""File of a wheel that is alike wherever it is installed: no script, finder, bytecode, nothing that
-is compiled or is for compilers, whose files differ between systems.
-"""
+"""File of a wheel, alike on all machines: no script, finder, bytecode, nothing about compiling."""
 
 
 def imports_of(
@@ -41,8 +37,7 @@ def imports_of(
     """Yield what a module imports, with a name each of what it takes from a package; nothing of one
     of more than 1 MiB, or with so many braces that f-strings of them take seconds to parse.
 
-    With `in_any_case`, not what it imports only if it can (`try`, `suppress`), when a function is
-    called, or for types alone.
+    With `in_any_case`, not what only `try`, `suppress`, a function or a test for types imports.
     """
     if len(text) > _LARGEST_SOURCE or len(text) * text.count(b"{") > _MOST_WORK:
         return
@@ -119,12 +114,11 @@ def _owners(path: tuple[str, ...]) -> dict[str, list[str]]:
 def _imported(reference: str, prefix: str = "") -> set[str]:
     """Return the modules, without those inside, that code imports and that are not its own.
 
-    `prefix` is that of the names of its files, "package/" if the reference is of such a folder.
-    Raises EntryError.
+    `prefix` of its files' names: "package/" if it is the folder of a package. Raises EntryError.
     """
     own, found, size, work = set[str](), set[str](), 0, 0
     try:
-        for count, (name, n_bytes, opened) in enumerate(_files(reference)):
+        for count, (name, n_bytes, read) in enumerate(_files(reference)):
             if count == MAX_FILES:
                 raise EntryError(f"its code has more than {MAX_FILES} files, with those in wheels")
             name = prefix + name
@@ -134,8 +128,7 @@ def _imported(reference: str, prefix: str = "") -> set[str]:
             size += n_bytes
             if size > _MAX_SOURCE:
                 raise EntryError(f"its Python files have more than {_MAX_SOURCE >> 20} MiB")
-            with opened() as file:
-                text = file.read()
+            text = read()
             work += len(text) * text.count(b"{")
             if work > _MOST_WORK:
                 raise EntryError("its Python files have too many braces to be parsed in seconds")
@@ -148,12 +141,12 @@ def _imported(reference: str, prefix: str = "") -> set[str]:
     return found - own
 
 
-def _files(reference: str) -> Iterator[tuple[str, int, Callable[[], IO[bytes]]]]:
-    """Yield name, size [bytes] and opener of the files of an entry, in place of a wheel of its."""
+def _files(reference: str) -> Iterator[tuple[str, int, Callable[[], bytes]]]:
+    """Yield name, size [bytes] and reader of the files of an entry, in place of a wheel of its."""
     for path, name in list_files(reference):
         if path.suffix != ".whl":
-            yield name, path.stat().st_size, partial(io.FileIO, path)
+            yield name, path.stat().st_size, path.read_bytes
             continue
         with zipfile.ZipFile(path) as wheel:
             for one in wheel.infolist():
-                yield one.filename, one.file_size, partial(wheel.open, one)
+                yield one.filename, one.file_size, partial(wheel.read, one)
