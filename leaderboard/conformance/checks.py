@@ -4,7 +4,7 @@
     runs       trained and run in a separate process, it returns a valid estimate in metres
     gaps       2 % of the samples lost in bursts, as in records of the field board
     clipped    accelerometers clipped at half of the peak value
-    field      a drive of car S3: perturbed vehicle, faulty instruments
+    field      a drive of car S3: perturbed vehicle, faulty instruments; calibrated, if it can be
     short      5 m of road; the estimator may refuse it with an error message
     mode       strut modes that were not in its training; the estimator may refuse them too
     sign ... repeat   the probes of `probes.py`, `repeat` in two processes
@@ -22,8 +22,9 @@ from functools import cache, partial
 
 import numpy as np
 
+from estimators.api import CalibrationDrive
 from leaderboard.conformance.probes import CheckResult, evaluate_probes, perturbed_records
-from leaderboard.entries.entry import Entry, EntryError, TrainingRun
+from leaderboard.entries.entry import Calibrations, Entry, EntryError, TrainingRun
 from leaderboard.evaluation.evaluate import SEEDS
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.sandbox.client import SandboxClient
@@ -151,28 +152,34 @@ def probe_entry(entry: Entry, sandbox: SandboxClient) -> list[CheckResult]:
     return _evaluate_probes(entry, drives, single, probed)
 
 
-def _run(sandbox: SandboxClient, entry: Entry, records: Sequence[Record]) -> TrainingRun:
+def _run(
+    sandbox: SandboxClient, entry: Entry, records: Sequence[Record], known: Calibrations = ()
+) -> TrainingRun:
     drives = check_drives()
-    (training_run,) = sandbox.reconstruct(entry, drives.training, records, drives.car, [_SEED])
+    (training_run,) = sandbox.reconstruct(
+        entry, drives.training, records, drives.car, [_SEED], calibrations=known
+    )
     return training_run
 
 
 def _check_damaged_records(
     sandbox: SandboxClient, entry: Entry, drives: _CheckDrives
 ) -> list[CheckResult]:
-    """Run all damaged records at once, and one by one only if that fails."""
+    """Run all damaged records at once, and one by one only if that fails; calibrate for one."""
+    known = {"field": [[CalibrationDrive(*drives.training[0])]]}
     results = [CheckResult(name, True, f"{what}: estimated") for name, what in _DAMAGES.items()]
     try:
         _run(sandbox, entry, list(drives.damaged.values()))
+        _run(sandbox, entry, [drives.damaged["field"]], known["field"])
     except EntryError:
         for k, (name, record) in enumerate(drives.damaged.items()):
             try:
-                _run(sandbox, entry, [record])
+                _run(sandbox, entry, [record], known.get(name, ()))
             except EntryError as error:
                 reason = re.sub(r"^estimating test drive [^:]*: ", "", str(error))
-                found = re.match(r"(\w+): (.+)", reason) if reason != str(error) else None
+                found = re.match(r"(?:estimat|calibrat)ing [^:]*: (\w+): (.+)", str(error))
                 meant = found and found[1] not in UNINTENDED_ERRORS and found[2] != "no message"
-                refused = meant and name in _REFUSAL_ALLOWED
+                refused = meant and (name in _REFUSAL_ALLOWED or ": CalibrationError: " in reason)
                 message = f"{_DAMAGES[name]}: {'refused' if refused else 'failed'}: {reason}"
                 results[k] = CheckResult(name, None if refused else False, message)
     return results

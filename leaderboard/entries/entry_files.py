@@ -18,7 +18,7 @@ from leaderboard.entries.entry import EntryError
 from road_envs.core.code_digest import DIGITS
 
 WEIGHTS_SUFFIXES = (".npz", ".safetensors")
-_MAX_FILES, _MAX_SIZE, _MAX_DEPTH = 20_000, 2**31, 32
+MAX_FILES, _MAX_SIZE, _MAX_DEPTH = 20_000, 2**31, 32
 """Limits of a snapshot: number of files, their size [bytes] together, depth of folders."""
 
 CLASS_REFERENCE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
@@ -45,9 +45,9 @@ def snapshot(reference: str, folder: Path | None, copied: Path | None = None) ->
             if not name.isprintable():  # a line break would give two snapshots one digest
                 raise EntryError(f"the name of a file must be printable, got {name!r}"[:300])
             count, size = count + 1, size + source.stat().st_size
-            if count > _MAX_FILES or size > _MAX_SIZE:
+            if count > MAX_FILES or size > _MAX_SIZE:
                 raise EntryError(
-                    f"its code has more than {_MAX_FILES} files or {_MAX_SIZE >> 30} GiB"
+                    f"its code has more than {MAX_FILES} files or {_MAX_SIZE >> 30} GiB"
                 )
             content = source.read_bytes()
             if folder is not None:

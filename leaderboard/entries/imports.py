@@ -2,7 +2,6 @@
 
 import ast
 import hashlib
-import io
 import re
 import sys
 import zipfile
@@ -12,39 +11,35 @@ from functools import cache, partial
 from importlib import metadata
 from importlib.util import find_spec, resolve_name
 from pathlib import Path
-from typing import IO
 
 from leaderboard.entries.entry import EntryError
-from leaderboard.entries.entry_files import list_files, places_of, snapshot
+from leaderboard.entries.entry_files import MAX_FILES, list_files, places_of, snapshot
 from road_envs.core.code_digest import DIGITS, PACKAGES
 
 _LARGEST_SOURCE = 2**20  # size [bytes] of a module that is parsed: its tree takes a hundred times
-_MOST_WORK = 2**33  # size [bytes] of a text by its braces: f-strings are parsed in quadratic time
-_MAX_SOURCE = 2**24  # largest size [bytes] of the Python files of an entry together
+_MOST_WORK = 2**33  # most bytes by braces (f-strings take quadratic time) of all that are parsed
+_MAX_SOURCE = 2**24  # largest size [bytes] of all that are parsed
 _MAX_MODULES = 1000  # largest number of modules, without those inside, that it imports
 _OPTIONAL = (ast.Try, ast.TryStar, ast.FunctionDef, ast.AsyncFunctionDef)
 _OPTIONAL_IF = {"TYPE_CHECKING", "ImportError", "ModuleNotFoundError"}  # `suppress(ImportError)`
 _RECORDED = re.compile(
-    r'^(?!"?(?:/|\.\.|__editable__)|.*(?:/__config__|\.dist-info/)).*'
-    r'\.(?:py|np[yz]|pth?|pkl|joblib|safetensors|onnx|h5|hdf5|mat|parquet|csv|txt|json|toml|ya?ml)"?'
-    r",sha256=[^,]+",
+    r'^"?(?:\.\./)*(?!["/]|\.\./|(?:bin|Scripts|include)/|[^/,]*\.dist-info/|[^/,]*\.pth,)'
+    r"(?!_[^/,]*editable[^/,]*,|.*(?:__pycache__/|/__config__\.))"
+    r'(?!.*\.(?:so(?:\.\d+)*|pyd|dll|dylib|lib|a|h|pyx)"?,sha256=)(.+,sha256=[^,]+)',
     re.M | re.I,
 )
-"""Code, weights or tables of a wheel, alike on all machines: no script, finder, compiler's name."""
+"""File of a wheel, alike on all machines: no script, finder, bytecode, nothing about compiling."""
 
 
 def imports_of(
-    file: IO[bytes], module: str, is_package: bool, in_any_case: bool = False
+    text: bytes, module: str, is_package: bool, in_any_case: bool = False
 ) -> Iterator[str]:
     """Yield what a module imports, with a name each of what it takes from a package; nothing of one
-    of more than 1 MiB, or with so many braces that f-strings of them take minutes to parse.
+    of more than 1 MiB, or with so many braces that f-strings of them take seconds to parse.
 
-    With `in_any_case`, not what it imports only if it can (`try`, `suppress`), when a function is
-    called, or for types alone.
+    With `in_any_case`, not what only `try`, `suppress`, a function or a test for types imports.
     """
-    if len(text := file.read(_LARGEST_SOURCE + 1)) > _LARGEST_SOURCE:
-        return
-    if len(text) * text.count(b"{") > _MOST_WORK:
+    if len(text) > _LARGEST_SOURCE or len(text) * text.count(b"{") > _MOST_WORK:
         return
     try:
         left: list[ast.AST] = [ast.parse(text)]
@@ -74,8 +69,8 @@ def _is_optional(node: ast.AST) -> bool:
 def imported_versions(reference: str) -> tuple[str, ...]:
     """Return name and version of whatever the code of an entry imports that is none of Python, of
     this project or of its own: of a module that is installed, those of its distribution, with a
-    digest of the code, weights and tables that its wheel has listed, which may be built again under
-    the same version.
+    digest of what its wheel has listed but what is compiled, which may be built again under the
+    same version.
 
     Of a module that is installed editable or belongs to none, the digest of its files, and what
     these import counts too; "none" if there is no such module. What is imported by a name that is
@@ -119,22 +114,26 @@ def _owners(path: tuple[str, ...]) -> dict[str, list[str]]:
 def _imported(reference: str, prefix: str = "") -> set[str]:
     """Return the modules, without those inside, that code imports and that are not its own.
 
-    `prefix` is that of the names of its files, "package/" if the reference is of such a folder.
-    Raises EntryError.
+    `prefix` of its files' names: "package/" if it is the folder of a package. Raises EntryError.
     """
-    own, found, size = set[str](), set[str](), 0
+    own, found, size, work = set[str](), set[str](), 0, 0
     try:
-        for name, n_bytes, opened in _files(reference):
+        for count, (name, n_bytes, read) in enumerate(_files(reference)):
+            if count == MAX_FILES:
+                raise EntryError(f"its code has more than {MAX_FILES} files, with those in wheels")
             name = prefix + name
             own.add(name.partition("/")[0].partition(".")[0])
-            if not name.endswith(".py"):
+            if not name.endswith(".py") or n_bytes > _LARGEST_SOURCE:
                 continue
             size += n_bytes
             if size > _MAX_SOURCE:
                 raise EntryError(f"its Python files have more than {_MAX_SOURCE >> 20} MiB")
-            with opened() as file:
-                names = imports_of(file, name.removesuffix(".py").replace("/", "."), False)
-                found |= {x.partition(".")[0] for x in names}
+            text = read()
+            work += len(text) * text.count(b"{")
+            if work > _MOST_WORK:
+                raise EntryError("its Python files have too many braces to be parsed in seconds")
+            module = name.removesuffix(".py").replace("/", ".")
+            found |= {x.partition(".")[0] for x in imports_of(text, module, False)}
     except EntryError:
         raise
     except Exception as error:  # whatever a damaged wheel raises
@@ -142,12 +141,12 @@ def _imported(reference: str, prefix: str = "") -> set[str]:
     return found - own
 
 
-def _files(reference: str) -> Iterator[tuple[str, int, Callable[[], IO[bytes]]]]:
-    """Yield name, size [bytes] and opener of the files of an entry, in place of a wheel of its."""
+def _files(reference: str) -> Iterator[tuple[str, int, Callable[[], bytes]]]:
+    """Yield name, size [bytes] and reader of the files of an entry, in place of a wheel of its."""
     for path, name in list_files(reference):
         if path.suffix != ".whl":
-            yield name, path.stat().st_size, partial(io.FileIO, path)
+            yield name, path.stat().st_size, path.read_bytes
             continue
         with zipfile.ZipFile(path) as wheel:
             for one in wheel.infolist():
-                yield one.filename, one.file_size, partial(wheel.open, one)
+                yield one.filename, one.file_size, partial(wheel.read, one)

@@ -42,8 +42,8 @@ def missing_packages(code: Path) -> list[str]:
                     "folder that has it, too (pip install --target FOLDER), or do without it"
                 )
             continue
-        with path.open("rb") as file:
-            imports = [*imports_of(file, name, path.name == "__init__.py", in_any_case=True)]
+        is_package = path.name == "__init__.py"
+        imports = [*imports_of(path.read_bytes(), name, is_package, in_any_case=True)]
         for other in imports:
             # a name of a package is a module only if there is such a file
             parts = accumulate(other.split("."), "{}.{}".format)

@@ -1,6 +1,7 @@
 """Conformance checks: a valid estimator passes, each defect fails its own check."""
 
 import json
+import re
 import shutil
 
 import bad_estimators
@@ -85,6 +86,20 @@ def test_a_deliberate_refusal_is_accepted_and_an_unintended_error_fails(sandbox)
     )
     assert "failed: IndexError: index" in results["short"].message
     assert results["gaps"].passed  # the records are then run one by one
+
+
+@pytest.mark.costly
+@pytest.mark.parametrize(
+    ("name", "passed", "sentence"),
+    [
+        ("BreaksWhenCalibrated", False, "failed: calibrating to the vehicle of .*: KeyError: 'd"),
+        ("RefusesCalibration", None, "refused: calibrating .*Error: 60 m of road are too .*True"),
+    ],
+)
+def test_what_can_be_calibrated_is_calibrated_once(sandbox, name, passed, sentence):
+    results = check_results(sandbox, name)
+    assert results["field"].passed is passed and re.search(sentence, results["field"].message)
+    assert failed(results) == ({"field"} if passed is False else set())
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from estimators.api import CalibrationError
 from road_envs.records.record import Estimate, profile_stations
 
 
@@ -54,6 +55,23 @@ class RefusesSome(Valid):
         if record.length < 10.0:
             return np.zeros(3)[int(record.t.size)]
         return super().estimate(record, car)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BreaksWhenCalibrated(Valid):
+    """Cannot be calibrated, by an unintended error."""
+
+    def calibrate(self, drives, car):
+        return {}["drives"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RefusesCalibration(Valid):
+    """Refuses short drives of calibration on purpose, by the error that is meant for it."""
+
+    def calibrate(self, drives, car):
+        ((length, road),) = ((drive.record.length, drive.profile) for drive in drives)
+        raise CalibrationError(f"{length:g} m of road are too short, {road is not None}")
 
 
 @dataclass(frozen=True, kw_only=True)

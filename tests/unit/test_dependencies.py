@@ -11,7 +11,7 @@ from wheels import write_wheel
 from leaderboard.commands import check
 from leaderboard.commands.options import LimitOptions
 from leaderboard.conformance.probes import CheckResult
-from leaderboard.entries import entry_files
+from leaderboard.entries import entry_files, imports
 from leaderboard.entries.entry import EntryError
 from leaderboard.entries.entry_files import CLASS_FOLDER
 from leaderboard.entries.imports import imported_versions
@@ -82,6 +82,25 @@ def test_packages_that_come_along_and_modules_that_are_not_run_are_not_missing(t
     assert missing_packages(write(tmp_path, "import pytest", **along)) == []
 
 
+def test_the_files_of_an_entry_have_one_budget_for_the_reading_of_their_imports(
+    tmp_path, monkeypatch
+):
+    files = [(f"mine/m{k}.py", "import zz_gone\nx = f'{k}{k}'") for k in range(3)]
+    wheel = write_wheel(tmp_path, "mine", "", "mine = mine.entry:Mine", files)
+    assert "zz_gone none" in imported_versions(str(wheel))
+    monkeypatch.setattr(imports, "_MOST_WORK", 2 * 2 * len(files[0][1]))
+    with pytest.raises(EntryError, match="its Python files have too many braces to be parsed in s"):
+        imported_versions(str(wheel))
+    monkeypatch.undo()
+    monkeypatch.setattr(imports, "MAX_FILES", 6)
+    with pytest.raises(EntryError, match="its code has more than 6 files, with those in wheels"):
+        imported_versions(str(wheel))
+    long = [("mine/long.py", "import zz_unseen\n" + "{}" * (1 << 20)), *files]
+    monkeypatch.undo()
+    long_wheel = write_wheel(tmp_path, "long", "", "mine = mine.entry:Mine", long)
+    assert imported_versions(str(long_wheel)) == ("zz_gone none",)
+
+
 @pytest.mark.parametrize("as_wheel", [False, True])
 def test_what_is_installed_beside_an_entry_is_told_by_version_or_by_content(
     tmp_path, monkeypatch, as_wheel
@@ -140,6 +159,20 @@ def test_what_is_installed_beside_an_entry_is_told_by_version_or_by_content(
     assert [x for x in imported_versions(str(code)) if x.startswith("zz_wheel 1.1 ")]
 
 
+FILES_OF_A_WHEEL = (
+    '"zz_gain/a,b.NPZ"', "zz_gain/w.bin", "zz_gain/w.pickle", "zz_gain/w.h5", "zz_gain/w.pth",
+    "zz_gain/weights", "zz_gain/editable_.gz", "zz_gain/bin/w.pb", "../../../share/zz_gain/w.dat",
+)  # fmt: skip
+FILES_OF_A_MACHINE = (
+    "../../../bin/zz", '"../../Scripts/z,z.exe"', "/usr/share/zz", "../../../include/zz/zz.h",
+    "__editable___zz_finder.py", "_zz_editable_loader.py", "_editable_impl_zz.pth",
+    "zz_gain-1.0.dist-info/direct_url.json", "zz_gain-1.0.dist-info/INSTALLER",
+    "__pycache__/zz_gain.pyc", "zz_gain/__pycache__/w.pyc", "zz_gain/__config__.py",
+    "zz_gain/core.cpython-311-darwin.so", "zz_gain.libs/libm-0a.so.5.0", "zz_gain/core.pyd",
+    "zz_gain/core.h",
+)  # fmt: skip
+
+
 def test_a_wheel_that_is_built_again_under_its_version_is_another_one_on_every_machine(
     tmp_path, monkeypatch
 ):
@@ -156,15 +189,13 @@ def test_a_wheel_that_is_built_again_under_its_version_is_another_one_on_every_m
         (found,) = (x for x in imported_versions(str(code)) if x.startswith("zz_gain"))
         return found
 
-    mine = ("zz_gain.py,sha256=a", '"zz_gain/a,b.NPZ",sha256=a')
-    of_machine = (
-        "../../bin/zz.py", "/bin/zz.py", "__editable___zz_finder.py", "zz_gain/__config__.py",
-        "__pycache__/zz_gain.pyc", "zz_gain-1.0.dist-info/direct_url.json",
-    )  # fmt: skip
+    mine = ("zz_gain.py,sha256=a", *(f"{name},sha256=a" for name in FILES_OF_A_WHEEL))
     known = told(*mine)
-    assert known == told(*reversed(mine), *(f"{name},sha256=b" for name in of_machine))
-    for rebuilt in (mine[:1], [mine[0], mine[1].replace("=a", "=b")]):
-        assert told(*rebuilt) != known and told(*rebuilt).startswith("zz_gain 1.0 ")
+    assert known == told(*reversed(mine), *(f"{name},sha256=b" for name in FILES_OF_A_MACHINE))
+    assert known == told(*(line.replace("../../../share", "../../share") for line in mine))
+    for k in range(len(mine)):
+        for rebuilt in (mine[:k] + mine[k + 1 :], [*mine, mine[k].replace("=a", "=b")]):
+            assert told(*rebuilt) != known and told(*rebuilt).startswith("zz_gain 1.0 ")
 
 
 def test_a_module_in_the_working_folder_is_not_taken_for_what_is_imported(tmp_path, monkeypatch):
