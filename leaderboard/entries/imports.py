@@ -25,7 +25,7 @@ _OPTIONAL_IF = {"TYPE_CHECKING", "ImportError", "ModuleNotFoundError"}  # `suppr
 _RECORDED = re.compile(
     r'^"?(?:\.\./)*(?!["/]|\.\./|(?:bin|Scripts|include)/|[^/,]*\.dist-info/|[^/,]*\.pth,)'
     r"(?!_[^/,]*editable[^/,]*,|.*(?:__pycache__/|/__config__\.))"
-    r'(?!.*\.(?:so(?:\.\d+)*|pyd|dll|dylib|lib|a|h|pyx)"?,sha256=)(.+,sha256=[^,]+)',
+    r'(?!.*\.(?:so(?:\.\d+)*|pyd|dll|dylib|lib|a|h|pyx)"?,sha\d+=)(.+,sha\d+=[^,]+)',
     re.M | re.I,
 )
 """File of a wheel, alike on all machines: no script, finder, bytecode, nothing about compiling."""
@@ -82,7 +82,7 @@ def imported_versions(reference: str) -> tuple[str, ...]:
             raise EntryError(f"its code imports more than {_MAX_MODULES} modules")
         top = min(left)
         seen.add(top)
-        owners = [metadata.distribution(x) for x in _owners(tuple(sys.path)).get(top, ())]
+        owners = [metadata.distribution(x) for x in module_owners(tuple(sys.path)).get(top, ())]
         found |= {f"{x.metadata['Name']} {x.version}{_digest_of(x)}" for x in owners}
         sites = {Path(str(x.locate_file(""))).resolve() for x in owners if x.read_text("RECORD")}
         places = list[Path]()
@@ -106,7 +106,7 @@ def _digest_of(distribution: metadata.Distribution) -> str:
 
 
 @cache
-def _owners(path: tuple[str, ...]) -> dict[str, list[str]]:
+def module_owners(path: tuple[str, ...]) -> dict[str, list[str]]:
     """Names of the distributions of each module that `sys.path` has."""
     return {x: sorted(set(names)) for x, names in metadata.packages_distributions().items()}
 

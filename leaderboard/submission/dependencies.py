@@ -8,7 +8,7 @@ from itertools import accumulate
 from pathlib import Path
 
 from leaderboard.entries.entry_files import entry_points
-from leaderboard.entries.imports import imports_of
+from leaderboard.entries.imports import imports_of, module_owners
 
 PROJECT, EXTRAS = "road-envs", ("all", "sign")  # what boards install
 _REQUIREMENT = re.compile(r"\s*([\w.-]+)\s*(?:\[([^]]*)\])?[^;]*(?:;(.*))?")
@@ -29,7 +29,7 @@ def missing_packages(code: Path) -> list[str]:
     if not left:  # weights of an entry of this package, or what the judge refuses
         return found
     files = code if wheel is None else zipfile.Path(wheel)
-    boards, places = _installed_by_boards(), metadata.packages_distributions()
+    boards, places = _installed_by_boards(), module_owners(tuple(sys.path))
     seen = set(left)
     while left:
         name = left.pop()

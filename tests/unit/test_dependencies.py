@@ -189,7 +189,11 @@ def test_a_wheel_that_is_built_again_under_its_version_is_another_one_on_every_m
         (found,) = (x for x in imported_versions(str(code)) if x.startswith("zz_gain"))
         return found
 
-    mine = ("zz_gain.py,sha256=a", *(f"{name},sha256=a" for name in FILES_OF_A_WHEEL))
+    mine = (
+        "zz_gain.py,sha256=a",
+        "zz_gain.dat,sha512=a",
+        *(f"{name},sha256=a" for name in FILES_OF_A_WHEEL),
+    )
     known = told(*mine)
     assert known == told(*reversed(mine), *(f"{name},sha256=b" for name in FILES_OF_A_MACHINE))
     assert known == told(*(line.replace("../../../share", "../../share") for line in mine))
