@@ -28,8 +28,8 @@ def atomic_write(path: str | Path, *, durable: bool = False) -> Iterator[Path]:
     """Yield a temporary path beside `path`, which replaces `path` when the block ends.
 
     If the block raises, the temporary file is removed and `path` is unchanged. A `durable` file is
-    flushed to disk before the replacement, so that it survives a power failure. An OSError without
-    a file names `path`, and so does one of a full disk, of which a copy names its source.
+    flushed to disk before the replacement, so that it survives a power failure. The error of a full
+    disk names `path`: that of a copy names its source.
     """
     path = Path(path)
     host = "".join(c for c in platform.node() if c.isalnum()) or "localhost"
@@ -43,7 +43,7 @@ def atomic_write(path: str | Path, *, durable: bool = False) -> Iterator[Path]:
         if durable:
             _fsync(path.parent)
     except OSError as error:
-        if error.filename is None or error.errno in (errno.ENOSPC, errno.EDQUOT):
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
             error.filename = str(path)
         raise
     finally:
