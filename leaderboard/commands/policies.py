@@ -9,7 +9,6 @@ from typing import Annotated, Any
 
 from leaderboard import commands
 from leaderboard.commands.options import Json, LimitOptions, option
-from leaderboard.entries.entries import fold
 from leaderboard.entries.entry import NAME
 from leaderboard.policies import best_found, comparison
 from leaderboard.policies import page as policy_page
@@ -82,7 +81,7 @@ def policies(
         pairs = {f"{f}/{r}": FixedPair(front=f, rear=r) for r in MODES for f in MODES}  # type: ignore[arg-type]
         entries |= pairs
         if base not in entries:
-            entries |= _entries([reference], limits.parse(), entries)
+            entries |= _entries([reference], limits.parse())
     if out:
         write_pending(out / POLICY_PAGE, "Switching policies", f"policies --out {out}")
     with contextlib.ExitStack() as processes, commands.progress_bar() as progress:
@@ -133,13 +132,8 @@ def policy_isolation(reference: str, isolation: str) -> Isolation:
     return "bubblewrap"
 
 
-def _entries(
-    references: list[str] | None, limits: Limits, beside: Iterable[str] = ()
-) -> dict[str, Any]:
-    """Return the policies by name, those of other packages in processes.
-
-    Raises ConfigError, also for a name that looks like another one, or like one of those `beside`.
-    """
+def _entries(references: list[str] | None, limits: Limits) -> dict[str, Any]:
+    """Return the policies by name, those of other packages in processes. Raises ConfigError."""
     are_chosen = references is not None
     if references is None:
         may_be_foreign = limits.isolation == "process" or bubblewrap.is_used(limits.isolation)
@@ -150,17 +144,14 @@ def _entries(
     for reference in references:
         try:
             name = _row_name(reference, are_chosen)
-            if fold(name) in map(fold, (*beside, *entries)):
-                raise ConfigError(
-                    f"another policy has the name {name!r}, or one that looks like it: give each "
-                    "of them once, or rename one"
-                )
         except ConfigError as error:
             if are_chosen:
                 raise
             commands.notices.print(f"left out: {error}", soft_wrap=True)  # others have their rows
             continue
         own = dataclasses.replace(limits, isolation=policy_isolation(reference, limits.isolation))
+        if name in entries:
+            raise ConfigError(f"two policies have the name {name!r}: give each of them once")
         is_foreign = runs_foreign_code(reference)
         entries[name] = (
             PolicyProcess(reference, limits=own) if is_foreign else make_policy(reference)
@@ -177,12 +168,11 @@ def _row_name(reference: str, may_be_path: bool = True) -> str:
     if may_be_path:
         is_file = reference.endswith(FILE_SUFFIXES)
         name = Path(reference).stem if is_file else reference.rpartition(":")[2].rpartition(".")[2]
-    is_taken = fold(name) in map(fold, (*REGISTRY, "best_found"))
+    is_taken = name.lower().replace("-", "_") in (*REGISTRY, "best_found")
     if reference not in REGISTRY and (not NAME.fullmatch(name) or is_taken):
         raise ConfigError(
             f"the row of {reference!a} would have the name {name!a}: it must be a letter and at "
-            "most 39 letters, digits, - or _, and not look like that of a policy of this package; "
-            "rename it"
+            "most 39 letters, digits, - or _, and not that of a policy of this package; rename it"
         )
     return name
 
