@@ -16,7 +16,7 @@ from leaderboard.entries.entry import EntryError
 from leaderboard.entries.entry_files import MAX_FILES, list_files, places_of, snapshot
 from road_envs.core.code_digest import DIGITS, PACKAGES
 
-_LARGEST_SOURCE = 2**20  # size [bytes] of a module that is parsed: its tree takes a hundred times
+LARGEST_SOURCE = 2**20  # size [bytes] of a module that is parsed: its tree takes a hundred times
 _MOST_WORK = 2**33  # most bytes by braces (f-strings take quadratic time) of all that are parsed
 _MAX_SOURCE = 2**24  # largest size [bytes] of all that are parsed
 _MAX_MODULES = 1000  # largest number of modules, without those inside, that it imports
@@ -39,7 +39,7 @@ def imports_of(
 
     With `in_any_case`, not what only `try`, `suppress`, a function or a test for types imports.
     """
-    if len(text) > _LARGEST_SOURCE or len(text) * text.count(b"{") > _MOST_WORK:
+    if len(text) > LARGEST_SOURCE or len(text) * text.count(b"{") > _MOST_WORK:
         return
     try:
         left: list[ast.AST] = [ast.parse(text)]
@@ -123,7 +123,7 @@ def _imported(reference: str, prefix: str = "") -> set[str]:
                 raise EntryError(f"its code has more than {MAX_FILES} files, with those in wheels")
             name = prefix + name
             own.add(name.partition("/")[0].partition(".")[0])
-            if not name.endswith(".py") or n_bytes > _LARGEST_SOURCE:
+            if not name.endswith(".py") or n_bytes > LARGEST_SOURCE:
                 continue
             size += n_bytes
             if size > _MAX_SOURCE:

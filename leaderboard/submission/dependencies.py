@@ -8,7 +8,7 @@ from itertools import accumulate
 from pathlib import Path
 
 from leaderboard.entries.entry_files import entry_points
-from leaderboard.entries.imports import imports_of, module_owners
+from leaderboard.entries.imports import LARGEST_SOURCE, imports_of, module_owners
 
 PROJECT, EXTRAS = "road-envs", ("all", "sign")  # what boards install
 _REQUIREMENT = re.compile(r"\s*([\w.-]+)\s*(?:\[([^]]*)\])?[^;]*(?:;(.*))?")
@@ -42,8 +42,9 @@ def missing_packages(code: Path) -> list[str]:
                     "folder that has it, too (pip install --target FOLDER), or do without it"
                 )
             continue
-        is_package = path.name == "__init__.py"
-        imports = [*imports_of(path.read_bytes(), name, is_package, in_any_case=True)]
+        with path.open("rb") as file:
+            text = file.read(LARGEST_SOURCE + 1)  # a wheel may hold more than the memory
+        imports = [*imports_of(text, name, path.name == "__init__.py", in_any_case=True)]
         for other in imports:
             # a name of a package is a module only if there is such a file
             parts = accumulate(other.split("."), "{}.{}".format)
