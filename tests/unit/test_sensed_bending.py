@@ -10,8 +10,10 @@ from vehicle_fixtures import DEFENDER, smooth_road
 from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.preconditioner import linear_responses
 from estimators.map_smoother.windows import whole_objective
+from leaderboard.metrics.heights import nrmse
 from road_envs.analysis.information_bound import RoadPrior
 from road_envs.drives.recording import simulate_record
+from road_envs.records.record import scored_band
 from road_envs.sensing.instruments import load_instruments
 from road_envs.vehicle import body_bending
 from road_envs.vehicle.parameters import BendingMode, TorsionalFrame, VehicleVariation
@@ -63,11 +65,14 @@ def test_the_linear_response_has_the_bending_of_the_sensors():
 
 
 def test_a_bending_vehicle_that_is_known_leaves_no_more_noise_than_a_stiff_one():
-    road = smooth_road(length=30.0, height=0.02)
+    road, speed = smooth_road(length=30.0, height=0.02), 36.0
     car = replace(DEFENDER, variation=VARIATIONS[0])
-    record, truth = simulate_record(road, vehicle=car, speed_kmh=36.0, seed=1)
+    record, truth = simulate_record(road, vehicle=car, speed_kmh=speed, seed=1)
+    band = scored_band(speed / 3.6)  # longer waves are hardly told, by any model
     error = {
-        name: np.std(MapSmoother(draws=0, adapt=False).estimate(record, told).z - truth.z)
+        name: nrmse(
+            truth.z, MapSmoother(draws=0, adapt=False).estimate(record, told).z, truth.ds, band
+        ).pooled
         for name, told in (("stiff", DEFENDER), ("bending", car))
     }
-    assert error["bending"] < 0.65 * error["stiff"]
+    assert error["bending"] < 0.4 * error["stiff"]
