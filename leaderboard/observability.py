@@ -62,6 +62,11 @@ def bounds_by_state(
             instruments = dataclasses.replace(instruments.noiseless, noise_density=noise_density)
         except ValueError as error:
             raise ConfigError(str(error)) from None
+    elif attainable and len(set(instruments.noise_densities)) > 1:
+        raise ConfigError(
+            f"sensors of {sensors} have noise of their own; what is attainable is computed for one "
+            "noise of all: give it in (m/s²)/sqrt(Hz) (--noise), or leave out --attainable"
+        )
     # fails before anything is computed
     chosen = [_damping_by_strut(dampers, mode, car) for mode in modes]
     rows: list[dict[str, Any]] = []

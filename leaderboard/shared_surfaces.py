@@ -4,8 +4,10 @@ A road is compared by what it is made of: a piece of a surface, one between apro
 altered is of that surface, too. Names and settings count for nothing, the heights alone.
 """
 
-from collections.abc import Iterable
+from collections.abc import Hashable, Iterable
 from dataclasses import dataclass
+from functools import cache
+from typing import Any, cast
 
 import numpy as np
 import scipy
@@ -42,7 +44,7 @@ class _FixedSurface:
         return _largest_correlation(self.rises, other.rises) >= _LEAST_CORRELATION
 
 
-def fixed_surfaces(roads: Iterable[Road]) -> list[_FixedSurface]:
+def _fixed_surfaces(roads: Iterable[Road]) -> list[_FixedSurface]:
     """Return the uneven surfaces of `roads` that no seed varies, each once."""
     found: list[_FixedSurface] = []
     for part in (part for road in roads for part in _parts(road)):
@@ -59,13 +61,13 @@ def fixed_surfaces(roads: Iterable[Road]) -> list[_FixedSurface]:
 
 def share_a_surface(some: Iterable[Road], others: Iterable[Road]) -> bool:
     """Return whether some roads are made of surfaces of which others are."""
-    found = fixed_surfaces(some)
-    return bool(found) and any(surface in found for surface in fixed_surfaces(others))
+    found = _fixed_surfaces(some)
+    return bool(found) and any(surface in found for surface in _fixed_surfaces(others))
 
 
 def shared_seeds(one: DriveSet, other: DriveSet) -> list[int]:
     """Return the seeds by which roads of both sets are drawn, those of fixed pieces of one alone as
-    well: those of both are their `fixed_surfaces`.
+    well: those of both are their `_fixed_surfaces`.
     """
     fixed_there, fixed_here = (
         {part.seed for road in drives.roads for part in _parts(road) if isinstance(part, FixedSeed)}
@@ -81,7 +83,7 @@ def repeated_road(drives: DriveSet) -> str | None:
     """
     found: list[list[_FixedSurface]] = []
     for road in drives.roads:
-        surfaces = fixed_surfaces([road])
+        surfaces = _fixed_surfaces([road])
         if surfaces and not _is_random(road):
             same = (x for x in found if len(x) == len(surfaces) and all(y in x for y in surfaces))
             if len(drives.seeds) > 1 or any(same):
@@ -107,6 +109,11 @@ def _parts(road: Road) -> list[Road]:
 
 def _is_random(road: Road) -> bool:
     """Return whether a road's surface depends on the seed."""
+    return _varies(cast(Hashable, road))  # as it is frozen
+
+
+@cache  # one of 100 km takes seconds, and is asked for several times
+def _varies(road: Any) -> bool:
     first, second = (road.realise(np.random.default_rng(seed)).z for seed in (0, 1))
     return not np.array_equal(first, second)
 

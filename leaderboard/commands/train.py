@@ -20,7 +20,7 @@ from road_envs.core.config import ConfigError
 from road_envs.drives.reading import DEFAULT_VEHICLE
 from road_envs.drives.recording import simulate_record
 from road_envs.drives.training_corpus import Corpus
-from road_envs.records.record import Profile, Record
+from road_envs.records.record import PROFILE_SPACING, Profile, Record
 from road_envs.vehicle.parameters import VehicleParameters, load_vehicle
 
 _SIMULATED = ("vehicle", "sensors", "mode", "speed_kmh")
@@ -67,6 +67,9 @@ def train(
         files = read_passes(records, options)
         known = cast(list[Profile], read_profiles(profile, [f.measured for f in files]))
         pairs = [(file.measured.record, z) for file, z in zip(files, known, strict=True)]
+        if not isinstance(chosen, CalibratedFir):  # which uses what lies on the profile
+            for path, (record, z) in zip(records, pairs, strict=True):
+                _check_whole(path, record, z)
         facts["drives"] = [str(path) for path in records]
         facts |= _fit(chosen, pairs, files[0].car, seed, out)
         facts["notes"] = list(dict.fromkeys(n for file in files for n in file.measured.notes))
@@ -105,6 +108,19 @@ def _refuse(material: str, options: dict[str, Any]) -> None:
     """Raise ConfigError if an option is given that training on this material does not use."""
     if given := [f"--{key.replace('_', '-')}" for key, x in options.items() if x is not None]:
         raise ConfigError(f"training on {material} takes no {', '.join(given)}: leave it out")
+
+
+def _check_whole(path: Path, record: Record, profile: Profile) -> None:
+    """Raise ConfigError if a profile does not reach over the road of its record: it would be level
+    beyond its ends.
+    """
+    start, end = profile.s[0], profile.s[-1]
+    if start > 2.0 * PROFILE_SPACING or end < record.length - 2.0 * PROFILE_SPACING:
+        raise ConfigError(
+            f"{path}: its --profile is known from {start:.2f} to {end:.2f} m of the drive; all of "
+            f"0 to {record.length:.2f} m are needed to train, or an estimator such as "
+            "calibrated_fir, which uses what is known"
+        )
 
 
 def _fit(

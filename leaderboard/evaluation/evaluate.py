@@ -28,10 +28,9 @@ from leaderboard.evaluation.results import (
     Trace,
     make_table,
     merge_parts,
-    quantize_heights,
     unscored_result,
 )
-from leaderboard.evaluation.tasks import Condition, Task, training_delays
+from leaderboard.evaluation.tasks import Condition, Task
 from leaderboard.evaluation.test_data import (
     DriveSimulation,
     RecordedDrive,
@@ -167,7 +166,7 @@ def _training_runs(
     if entry.reference != BUILTIN:
         return run(entry, data, seeds)
     if entry.name == MEMORY:
-        truths, delays = [d.truth for d in data.training], training_delays(data.task)
+        truths, delays = [d.truth for d in data.training], data.task.training_delays
         estimates = [memory(truths, delays, test.truth.s) for test in data.tests]
     else:
         band = heights.scored_band(data.v)
@@ -226,6 +225,6 @@ def _trace(data: ConditionData, estimate: Estimate, scores: dict[str, float], se
     return Trace(
         condition=data.condition.label, speed_kmh=data.condition.speed_kmh, road=test.road,
         road_seed=test.seed, seed=seed, scores=scores, ds=truth.ds,
-        truth=quantize_heights(truth.z[:, kept]), estimate=quantize_heights(estimate.z[:, kept]),
-        deviation=None if estimate.z_std is None else quantize_heights(estimate.z_std[:, kept]),
+        truth=Trace.quantized(truth.z[:, kept]), estimate=Trace.quantized(estimate.z[:, kept]),
+        deviation=None if estimate.z_std is None else Trace.quantized(estimate.z_std[:, kept]),
     )  # fmt: skip

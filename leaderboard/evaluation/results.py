@@ -95,6 +95,11 @@ class Trace(Settings):
         if any(x.shape != self.truth.shape for x in given):
             raise ValueError("truth, estimate and deviation must have one number of heights")
 
+    @staticmethod
+    def quantized(z: np.ndarray) -> np.ndarray:
+        """Return heights (2, M) [m] as integers of _Z_UNIT, clipped to 1 km."""
+        return np.rint(np.clip(z, -1e3, 1e3) / _Z_UNIT).astype(np.int32)
+
     @property
     def z_std(self) -> np.ndarray | None:
         """Standard deviation (2, M) [m] of the estimate; None if it has none."""
@@ -294,11 +299,6 @@ def merge_parts(parts: Sequence[Result], identity: str) -> Result:
             for name in names
         },
     )
-
-
-def quantize_heights(z: np.ndarray) -> np.ndarray:
-    """Return heights (2, M) [m] as integers of _Z_UNIT, clipped to 1 km."""
-    return np.rint(np.clip(z, -1e3, 1e3) / _Z_UNIT).astype(np.int32)
 
 
 def _mean(values: Iterable[float | None]) -> float | None:

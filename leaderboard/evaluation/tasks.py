@@ -171,6 +171,12 @@ class Task(Settings):
         return f"{self.title}; evaluated on the field car {grades.pop()}, trained on S0"
 
     @property
+    def training_delays(self) -> list[float]:
+        """Delay [m] of the road of each training drive, 0 if it is no delayed copy."""
+        roads = [road for road, _ in self.training.roads_and_seeds]
+        return [road.delay if isinstance(road, NoisyCopy) else 0.0 for road in roads]
+
+    @property
     def board_name(self) -> str:
         """Name of the board of this task."""
         return self.board if isinstance(self.board, str) else self.name
@@ -320,9 +326,3 @@ def shipped_tasks(board: str | None = None) -> list[Task]:
     """Return all shipped tasks, or those of one board, ordered by name."""
     tasks = [load_task(name) for name in config.names("tasks")]
     return [task for task in tasks if board in (None, task.board_name)]
-
-
-def training_delays(task: Task) -> list[float]:
-    """Return the delay [m] of the road of each training drive, 0 if it is no delayed copy."""
-    roads = [road for road, _ in task.training.roads_and_seeds]
-    return [road.delay if isinstance(road, NoisyCopy) else 0.0 for road in roads]

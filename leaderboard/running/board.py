@@ -163,6 +163,9 @@ def run_board(
     plan = Plan(rows, out, request.limits, request.resume, request.replace)
     for task in request.sized_tasks():
         save_definition(task, out)
+    if request.probes:
+        entries = [row.entry for row in rows]
+        probe_entries(entries, out, request.limits, lambda text: progress(text, 0.0))
     for _ in range(ATTEMPTS):
         jobs = make_jobs(plan.missing(), executor.workers, request.limits)
         total = sum(len(job.entries) for job in jobs)
@@ -170,9 +173,6 @@ def run_board(
         for k, done in enumerate(executor.run(jobs, out), start=1):
             plan.record_part(done)
             progress(f"{done.task}: {done.entry}, {done.condition}", k / total)
-        if request.probes:
-            entries = [row.entry for row in rows]
-            probe_entries(entries, out, request.limits, lambda text: progress(text, 1.0))
         if plan.assemble_rows():
             board = load_board(request.sized_tasks(), out, rows)
             stored = {result.identity for own in board.results.values() for result in own}

@@ -19,7 +19,7 @@ import numpy as np
 import estimators
 from estimators.api import Estimator
 from leaderboard.entries.entry import LocalSession, reconstruct_all
-from leaderboard.evaluation.tasks import Condition, Task, load_task, shipped_tasks, training_delays
+from leaderboard.evaluation.tasks import Condition, Task, load_task, shipped_tasks
 from leaderboard.evaluation.test_data import DriveSimulation, RecordedDrive, simulate_drives
 from leaderboard.metrics.api import ScoredEstimate
 from leaderboard.metrics.baselines import memory
@@ -222,7 +222,7 @@ def _run_scenario(
     }
     baselines["constant"] = (_scores(task, test, constant),)
     truths = [truth for _, truth in training]
-    remembered = memory(truths, training_delays(task), test.truth.s)
+    remembered = memory(truths, task.training_delays, test.truth.s)
     baselines["memory"] = (_scores(task, test, remembered),)
     trainings = tuple(trained(network, seed) for seed in seeds)
     return PaperScenario(task, test.truth, trainings, baselines, drive_seconds)

@@ -17,8 +17,11 @@ from leaderboard.evaluation.tasks import load_task
 from leaderboard.evaluation.test_data import simulate_drives
 from leaderboard.metrics.heights import band_pass, nrmse, scored_band
 from road_envs.drives import training_corpus
+from road_envs.drives.recording import simulate_record, write_record
 from road_envs.drives.training_corpus import Corpus, _perturb_parameters
 from road_envs.roads import Iso8608
+from road_envs.roads.formats.write import write
+from road_envs.roads.surface import Surface
 from road_envs.sensing.perturbed_vehicle import load_plant_mismatch
 from road_envs.simulation.drive import SimulationError
 
@@ -204,6 +207,21 @@ def test_options_that_a_training_does_not_use_are_refused(road_recon, tmp_path, 
     code, out, err = road_recon("train", "fir_ridge", *words, "--out", "f.safetensors")
     assert code == 2 and err.startswith(f"error: {sentence}") and out == ""
     assert list(tmp_path.iterdir()) == []
+
+
+def test_own_drives_have_whole_profiles_unless_the_estimator_takes_parts(road_recon, tmp_path):
+    record, truth = simulate_record("iso_d", length=80.0, speed_kmh=36.0)
+    write_record(tmp_path / "d.parquet", record, {})
+    for name, start, stop in (("end", 0, 2000), ("start", 1000, None)):
+        part = Surface(truth.z[:, start:stop], truth.ds, truth.s[start], name=name)
+        write(part, tmp_path / f"{name}.csv")
+        words = ("d.parquet", "--profile", f"{name}.csv", "--out", "f.npz")
+        code, _, err = road_recon("train", "static_lm", *words)
+        assert code == 2 and "all of 0 to 80.00 m are needed to train" in err
+        words = (*words[:-1], "f.safetensors", "--set", "wheelbase=2.794")
+        code, _, err = road_recon("train", "calibrated_fir", *words)
+        assert "are needed to train" not in err
+    assert not (tmp_path / "f.npz").exists()
 
 
 SHIPPED_CORPUS = "0ad25ee03bd7"

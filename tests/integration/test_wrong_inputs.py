@@ -118,6 +118,10 @@ ERRORS = {
         lambda: (record(), surface(rows(count=1901))),
         ("estimate", "wiener", "d.parquet", "--truth", "road.csv"),
         "road.csv: the true profile is 19.00 m long; of the road of the record all 100.00 m are"),
+    "a known road that ends before that of the drive": (
+        lambda: (record(), surface(rows(count=1901))),
+        ("train", "static_lm", "d.parquet", "--profile", "road.csv", "--out", "f.npz"),
+        "d.parquet: its --profile is known from 0.00 to 19.00 m of the drive; all of 0 to 100.00"),
     "a surface in mm": (lambda: surface(rows(1e3)), PLOT, "as of heights in millimetres"),
     "a surface with gaps": (
         lambda: surface(rows(gap="nan")), PLOT, "kind: measured, path: ... and bridge_gaps: true"),

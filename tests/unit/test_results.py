@@ -87,7 +87,7 @@ def test_undefined_scores_stay_undefined(tmp_path):
 
 def test_heights_of_a_trace_are_stored_to_a_hundredth_of_a_millimetre():
     z = np.random.default_rng(0).standard_normal((2, 50))
-    stored = results.quantize_heights(z)
+    stored = results.Trace.quantized(z)
     trace = dataclasses.replace(result_of("reader").traces[0], truth=stored, estimate=stored)
     np.testing.assert_allclose(trace.z_true, z, atol=0.51e-5)
     assert trace.s.shape == (50,) and trace.s[1] == trace.ds

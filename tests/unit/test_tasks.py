@@ -13,7 +13,7 @@ from scipy import signal
 from leaderboard.evaluation import test_data
 from leaderboard.evaluation.tasks import load_task, shipped_tasks
 from leaderboard.evaluation.test_data import simulate_drives
-from leaderboard.shared_surfaces import fixed_surfaces
+from leaderboard.shared_surfaces import _fixed_surfaces
 from leaderboard.surface_tasks import _surface_class
 from road_envs.core import config
 from road_envs.core.config import ConfigError, names
@@ -311,7 +311,7 @@ WAVES = {"kind": "sine_sweep", "length": 40.0, "n_start": 1.0, "n_end": 1.0, "am
 )
 def test_a_surface_is_the_same_at_another_length_between_aprons_scaled_or_altered(training, shares):
     test = {"kind": "concatenated", "roads": [WAVES, {"kind": "flat"}, "iso_c"]}
-    assert len(fixed_surfaces([load_road(test)])) == 1
+    assert len(_fixed_surfaces([load_road(test)])) == 1
     roads = {
         "training": {"roads": [training], "seeds": [1]},
         "test": {"roads": [test], "seeds": [2]},
@@ -329,9 +329,9 @@ def test_a_file_is_the_same_surface_under_another_name_and_a_seed_draws_another(
     for name in "ab":
         (tmp_path / f"{name}.csv").write_text(f"station,left,right\n{table}")
     a, b = ([load_road(tmp_path / f"{name}.csv")] for name in "ab")
-    assert fixed_surfaces(a) == fixed_surfaces(b)
+    assert _fixed_surfaces(a) == _fixed_surfaces(b)
     drawn = [load_road({"kind": "fixed_seed", "road": "iso_c", "seed": k}) for k in (1, 1, 2)]
-    assert len(fixed_surfaces(drawn)) == 2
+    assert len(_fixed_surfaces(drawn)) == 2
 
 
 def defects(*made, **settings):
@@ -362,7 +362,7 @@ def defects(*made, **settings):
     ],
 )  # fmt: skip
 def test_a_surface_is_told_from_another_by_its_heights_whatever_its_settings(one, other, is_same):
-    first, second = (fixed_surfaces([load_road(road)]) for road in (one, other))
+    first, second = (_fixed_surfaces([load_road(road)]) for road in (one, other))
     assert (first == second) is is_same
     test = {"roads": [one], "seeds": [1001]}
     calibration = [{**CALIBRATION[0], "road": other, "length": None}]
@@ -386,7 +386,7 @@ def test_measured_roads_are_one_in_another_unit_or_cut_and_two_on_one_hill(tmp_p
         rows = "".join(f"{0.1 * k:.1f},{a:.7f},{b:.7f}\n" for k, (a, b) in enumerate(factor * z))
         unit = {1.0: "m", 1e3: "mm"}[factor]
         (tmp_path / name).write_text(f"distance [m],left [{unit}],right [{unit}]\n{rows}")
-        return fixed_surfaces([load_road(tmp_path / name)])
+        return _fixed_surfaces([load_road(tmp_path / name)])
 
     hill = 0.1 * 0.1 * np.arange(400)[:, None]
     z, other = (hill + 0.001 * rng.standard_normal((400, 2)) for _ in range(2))
