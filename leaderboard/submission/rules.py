@@ -6,6 +6,7 @@ seeds: 3        training seeds
 """
 
 import dataclasses
+import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -51,7 +52,7 @@ def load_rules(path: Path | None) -> tuple[Rules, list[Task]]:
     words = _BETWEEN_PATHS.split(re.sub("#.*", "", path.read_bytes().decode()))
     for name in rules.tasks:
         file = path.parent / name
-        if not file.is_file():
+        if not os.path.isfile(file):  # a name may be too long for a path
             public.append(load_task(name))
             continue
         # git knows its age by this path alone

@@ -332,7 +332,9 @@ def test_a_site_begins_with_the_season_and_says_which_roads_of_its_own_are_publi
 
 def test_rules_name_some_tasks_and_each_once(tmp_path):
     rules = tmp_path / "rules.yaml"
-    for text, why in (("[]", "must have at least 1"), ("[class, class]", "two tasks are named")):
+    wrong = {"[]": "must have at least 1", "[class, class]": "two tasks are named"}
+    wrong[f"[{'a' * 300}]"] = "unknown task"  # the system takes no path of that length
+    for text, why in wrong.items():
         rules.write_text(f"tasks: {text}\n")
         with pytest.raises(ConfigError, match=why):
             make_run_request(*load_rules(rules), [], Limits()).sized_tasks()
