@@ -1,6 +1,8 @@
 """Notes for the reader of a board: doubts about its rows, and how they were made."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from operator import attrgetter
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from estimators import REGISTRY
@@ -13,6 +15,7 @@ from leaderboard.metrics.registry import SCORES
 from leaderboard.report.board_definitions import BELOW_BOUND, BOUND_NAME, BOUND_ROW
 from leaderboard.running.board import Board
 from leaderboard.running.verification import Verified, kernels_of
+from road_envs.sensing.instruments import load_instruments
 from road_envs.sensing.perturbed_vehicle import load_plant_mismatch
 from road_envs.vehicle.parameters import load_vehicle
 
@@ -31,6 +34,9 @@ FOUND_SEEDS = (
     "draw road and noise again. Where its author may have done so, a rank counts only in a sealed "
     "season."
 )
+
+_SENSORS = "paper"  # of shipped weights, and those that a model of the sensors has by default
+_SHEET = attrgetter("fs", "f_alias", "noise_density", "speed_error")
 
 _SEARCHED = 2**40
 """Seeds below are found by trial, 100 000 in a second, in 130 days of a core; of 62 bits in none.
@@ -102,6 +108,19 @@ def sanity_warnings(rows: Sequence["Row"], ranks_by: str, is_public: bool = Fals
     return warnings
 
 
+def _sensor_notes(task: Task, results: Sequence[Result], pretrained: str) -> list[str]:
+    """Return notes on who was made for other sensors than the task has."""
+    there, here = load_instruments(_SENSORS), task.sensors
+    own, notes = f"{_SENSORS}, not of {Path(task.instruments).stem}", []
+    is_other_sheet = _SHEET(there) != _SHEET(here)
+    if pretrained and (is_other_sheet or there.accelerometers != here.accelerometers):
+        notes.append(f"{pretrained}: trained with the sensors of {own}.")
+    models = ", ".join(r.estimator for r in results if r.settings.get("instruments") == _SENSORS)
+    if models and is_other_sheet:  # where they are, a record says
+        notes.append(f"{models}: with noise and filter of the sensors of {own}.")
+    return notes
+
+
 def _protocol_notes(task: Task, results: Sequence[Result]) -> list[str]:
     notes, pretrained = [], ", ".join(r.estimator for r in results if r.settings.get("shipped"))
     if task.trains_on_test_road:
@@ -112,6 +131,7 @@ def _protocol_notes(task: Task, results: Sequence[Result]) -> list[str]:
     if pretrained and others:
         known = f"{TRAINING_VEHICLE}, not of {', '.join(others)}"
         notes.append(f"{pretrained}: trained on drives of {known}.")
+    notes += _sensor_notes(task, results, pretrained)
     if task.position_noise:
         receiver = load_plant_mismatch().instruments
         low, high = receiver.position_noise

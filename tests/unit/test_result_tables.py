@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+import yaml
 from fake_estimators import Learner, Picky, Reader
 from fake_results import (
     ENTRIES,
@@ -38,6 +39,7 @@ from leaderboard.report.site import _drive_counts, _table, _task
 from leaderboard.report.tables import Row, board_views, level_runs, train_seconds
 from leaderboard.report.terminal import print_tables
 from leaderboard.running.board import Board
+from road_envs.core import config
 
 
 def test_every_condition_has_its_own_score_interval_and_rank():
@@ -429,6 +431,23 @@ def test_shipped_weights_are_noted_on_every_car_that_they_do_not_know():
         text = f"reader: trained on drives of land_rover_defender_110, not of {others}."
         notes = _protocol_notes(task(conditions=conditions), [shipped])
         assert notes == ([text] if others else [])
+
+
+def test_who_was_made_for_other_sensors_than_those_of_the_task_is_noted(tmp_path):
+    rows = {"reader": {"shipped": True}, "wiener": {"instruments": "paper"}, "own": {}}
+    results = [
+        dataclasses.replace(result_of("reader"), estimator=name, settings=settings)
+        for name, settings in rows.items()
+    ]
+    sheet = yaml.safe_load((config.folder() / "sensors/paper.yaml").read_text())
+    places = sheet["accelerometers"] | {"RF": {"axle": "front", "ahead": 0.0, "y": -0.55}}
+    changes = {"same": {}, "moved": {"accelerometers": places}, "slow": {"f_alias": 40.0}}
+    for name, change in changes.items():
+        (tmp_path / f"{name}.yaml").write_text(yaml.safe_dump({**sheet, **change, "name": name}))
+        notes = _protocol_notes(task(instruments=str(tmp_path / f"{name}.yaml")), results)
+        weights = [f"reader: trained with the sensors of paper, not of {name}."]
+        models = [f"wiener: with noise and filter of the sensors of paper, not of {name}."]
+        assert notes == {"same": [], "moved": weights, "slow": weights + models}[name]
 
 
 def test_rows_made_with_another_version_of_a_library_are_noted():

@@ -67,6 +67,20 @@ def test_a_surface_on_which_wheels_fly_at_every_speed_has_no_bound_and_says_so(t
         assert re.search(r"a wheel is still in the air for \d\d\.\d% of the time", t.note)
 
 
+def test_the_noise_of_a_copy_does_not_grow_with_the_grade_of_the_road(tmp_path):
+    surface = load_road("iso_c").realise(np.random.default_rng(2))
+    found = {}
+    for grade in (0.0, 0.02, 0.05):
+        hill = dataclasses.replace(surface, z=surface.z + grade * surface.s)
+        write_csv(hill, tmp_path / "hill.csv")
+        (copy, _), *_ = surface_tasks(tmp_path / "hill.csv")[0].training.roads_and_seeds
+        altered = copy.realise(np.random.default_rng(0))
+        apart = altered.height(surface.s[200:-200] + copy.delay) - hill.z[:, 200:-200]
+        found[grade] = (apart - apart.mean(axis=1, keepdims=True)).std()
+        assert found[grade] == pytest.approx(found[0.0], rel=0.05)
+    assert 0.0 < found[0.0] < 0.1 * surface.z.std()
+
+
 def test_a_level_surface_is_refused_by_the_name_of_its_file(tmp_path):
     write_csv(load_road("flat").realise(np.random.default_rng(0)), tmp_path / "level.csv")
     with pytest.raises(ConfigError, match=r"level\.csv: a level surface, on which no estimate"):
