@@ -300,7 +300,8 @@ class _RemoteSession:
         return estimate, seconds
 
     def _timed(self, request: bytes, *size: Callable) -> tuple[dict[str, Any], bytes, float]:
-        """Return a reply and its time [s]: the reported one unless more has passed or was used.
+        """Return a reply and its time [s]: the reported one unless more has passed or was used, at
+        most that.
 
         Work in a process that was not waited for shows in the clock of the host alone.
         """
@@ -309,7 +310,7 @@ class _RemoteSession:
         passed = time.perf_counter() - start
         used = max(passed, self._guest.cpu_seconds() - before)
         reported = messages.number(head, "seconds", UNLIMITED.seconds)
-        return head, data, reported if used < reported + UNSEEN_TIME else used
+        return head, data, min(reported, used) if used < reported + UNSEEN_TIME else used
 
 
 def _copy_error(error: Exception, otherwise: EntryError) -> EntryError:

@@ -26,6 +26,7 @@ from leaderboard.evaluation.drive_set import SEED_STRIDE
 from leaderboard.evaluation.provenance import package_version
 from leaderboard.evaluation.tasks import Task, load_task
 from leaderboard.evaluation.test_data import check_plants
+from leaderboard.shared_surfaces import share_a_surface
 from road_envs.core.atomic_io import atomic_write, write_text
 from road_envs.core.config import ConfigError, Settings, build, find, read_yaml
 from road_envs.core.reading import parsing, regular
@@ -40,6 +41,11 @@ scrypt takes a longer one for its digest, which would be a second salt with othe
 SEEDS_ALONE = (
     "Only the seeds are known to be those of before the entries: roads, cars and speeds are of a "
     "task that this package does not have."
+)
+
+KNOWN_ROADS = (
+    "No seed varies the surfaces of its roads: an entry can draw them instead of estimating them, "
+    "and its rank then says nothing."
 )
 
 
@@ -109,11 +115,12 @@ def reveal(salt: str, folder: Path) -> list[Path]:
 
 
 def check_revealed(path: Path, root: Path) -> str:
-    """Return a note on the task `path` if only its seeds are fixed by the commitment beside it.
+    """Return a note on the task `path` if only its seeds are fixed by the commitment beside it, or
+    if they vary no surface.
 
-    That is so if the public task was another one in the package of the commitment, by its word.
-    Raises ConfigError if it is not the commitment of its roads, or if the one that its name has
-    stands in a folder above, up to `root`.
+    The first is so if the public task was another one in the package of the commitment, by its
+    word. Raises ConfigError if it is not the commitment of its roads, or if the one that its name
+    has stands in a folder above, up to `root`.
     """
     folder = path.parent
     for above in (x for x in folder.parents if x.is_relative_to(root)):
@@ -131,7 +138,9 @@ def check_revealed(path: Path, root: Path) -> str:
     public = None if name is None else load_task(name)
     if public is None or not _is_drawn(path, salt, hidden, public):
         raise ConfigError(f"{path}: it is no task of the commitment in {folder / COMMITMENT}")
-    return "" if public.digest == hidden.tasks[public.name] else SEEDS_ALONE
+    roads = public.test.roads
+    is_known, is_other = share_a_surface(roads, roads), public.digest != hidden.tasks[public.name]
+    return " ".join(filter(None, (SEEDS_ALONE * is_other, KNOWN_ROADS * is_known)))
 
 
 def _is_drawn(path: Path, salt: str, hidden: _HiddenSeeds, public: Task) -> bool:

@@ -237,12 +237,12 @@ def test_time_in_which_the_host_was_stopped_is_not_that_of_an_entry(tmp_path, mo
         guest.close()
 
 
-def test_the_time_that_a_guest_reports_may_have_been_one_of_a_stopped_machine(tmp_path):
-    """Its own clock goes on: that time costs an entry, and is no invalid reply."""
-    data = head(json.dumps({"seconds": 30.0, "std": False})) + HEIGHTS
+def test_the_time_that_a_guest_reports_is_at_most_that_of_the_host(tmp_path):
+    """It is no invalid reply, as the machine may have been stopped, and no row has a false time."""
+    data = head(json.dumps({"seconds": 9e8, "std": False})) + HEIGHTS
     guest = guest_that_sends(data, tmp_path)
     guest.start_run(Limits(seconds=20.0))
-    assert _RemoteSession(guest, False, False).estimate(a_record())[1] == 30.0
+    assert 0.0 < _RemoteSession(guest, False, False).estimate(a_record())[1] < 20.0
     guest.close()
 
 

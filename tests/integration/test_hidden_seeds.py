@@ -330,6 +330,16 @@ def test_a_site_begins_with_the_season_and_says_which_roads_of_its_own_are_publi
     assert season.note == load_task("class").note
 
 
+def test_a_season_whose_roads_no_seed_varies_says_that_they_are_known(tmp_path):
+    tasks = [load_task(name) for name in ("class", "paper_1")]
+    hidden_seeds.save(hidden_seeds.commit(SALT, tasks), tmp_path)
+    paths = hidden_seeds.reveal(SALT, tmp_path)
+    (tmp_path / "rules.yaml").write_text(f"tasks: [{', '.join(path.name for path in paths)}]\n")
+    drawn, fixed = load_rules(tmp_path / "rules.yaml")[1]
+    assert drawn.note == tasks[0].note
+    assert fixed.note.endswith(hidden_seeds.KNOWN_ROADS) and tasks[1].note in fixed.note
+
+
 def test_rules_name_some_tasks_and_each_once(tmp_path):
     rules = tmp_path / "rules.yaml"
     wrong = {"[]": "must have at least 1", "[class, class]": "two tasks are named"}
