@@ -39,7 +39,8 @@ _PUBLIC = (
     "text seals which their authors do not know (--seal)."
 )
 _WITHOUT_STATISTICS = (
-    "{}: the file holds no statistics of VecNormalize; the network gets the features as they are."
+    "{}: the file holds no statistics of VecNormalize; the network gets the features as they are, "
+    "and is asked for an action in each control interval, whatever its action_repeat in training."
 )
 RIVALS = ("rrms", "rrms_lateral", "lateral", "mpc")
 """Laws beside which a newly trained policy is shown."""

@@ -83,7 +83,10 @@ def verify(
     with SandboxClient(limits.parse()) as sandbox, commands.progress_bar() as progress:
         entries = resolve_entries(estimator or (), sandbox.describe)
         run = jobs.in_sandbox(sandbox)
-        found = verify_folder(folder, run, entries, share=share, seed=seed, report=progress)
+        own = sandbox.limits.seconds, sandbox.limits.memory
+        found = verify_folder(
+            folder, run, entries, share=share, seed=seed, limits=own, report=progress
+        )
     return verified_output(save_verified(found, folder))
 
 

@@ -16,9 +16,11 @@ from leaderboard.entries.entry import EntryError
 from leaderboard.entries.entry_files import MAX_FILES, list_files, places_of, snapshot
 from road_envs.core.code_digest import DIGITS, PACKAGES
 
-LARGEST_SOURCE = 2**20  # size [bytes] of a module that is parsed: its tree takes a hundred times
+LARGEST_SOURCE = 2**20  # size [bytes] of a module that is parsed: its tree may take 1500 times
 _MOST_WORK = 2**33  # most bytes by braces (f-strings take quadratic time) of all that are parsed
 _MAX_SOURCE = 2**24  # largest size [bytes] of all that are parsed
+_DOTTED = re.compile(rb"(?:\.[\s\\]*[a-zA-Z_\x80-\xff][\w\x80-\xff]*[\s\\]*){1,100}")
+_LONGEST_NAME = 250  # most letters of a dotted name that are read
 _MAX_MODULES = 1000  # largest number of modules, without those inside, that it imports
 _OPTIONAL = (ast.Try, ast.TryStar, ast.FunctionDef, ast.AsyncFunctionDef)
 _OPTIONAL_IF = {"TYPE_CHECKING", "ImportError", "ModuleNotFoundError"}  # `suppress(ImportError)`
@@ -34,15 +36,17 @@ _RECORDED = re.compile(
 def imports_of(
     text: bytes, module: str, is_package: bool, in_any_case: bool = False
 ) -> Iterator[str]:
-    """Yield what a module imports, with a name each of what it takes from a package; nothing of one
-    of more than 1 MiB, or with so many braces that f-strings of them take seconds to parse.
-
-    With `in_any_case`, not what only `try`, `suppress`, a function or a test for types imports.
+    """Yield what a module imports, with what it takes from a package, 250 letters at most; nothing
+    of one of more than 1 MiB, or with so many braces that f-strings of them take seconds to parse;
+    `in_any_case`, not what only `try`, `suppress`, a function or a test for types imports. Raises
+    EntryError for a name of over 100 parts: Python's parser keeps each beginning of it.
     """
     if len(text) > LARGEST_SOURCE or len(text) * text.count(b"{") > _MOST_WORK:
         return
-    try:
-        left: list[ast.AST] = [ast.parse(text)]
+    if any(x.group().count(b".") == 100 for x in _DOTTED.finditer(text)):
+        raise EntryError(f"{module[:100]} has a name of over 100 parts, which takes GiB to parse")
+    try:  # as UTF-8, whatever coding it names: "punycode" takes time by the square of the size
+        left: list[ast.AST] = [ast.parse(text.decode("utf-8-sig", "replace"))]
     except (SyntaxError, ValueError, RecursionError, MemoryError):  # it fails where it is run
         return
     while left:
@@ -51,12 +55,12 @@ def imports_of(
             continue
         left += ast.iter_child_nodes(node)
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            yield from (alias.name[:_LONGEST_NAME] for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             package = module if is_package else module.rpartition(".")[0]
             with suppress(ImportError):  # from above all packages: it fails where it is run
-                name = resolve_name("." * node.level + (node.module or ""), package)
-                yield from (name, *(f"{name}.{alias.name}" for alias in node.names))
+                name = resolve_name("." * node.level + (node.module or ""), package)[:_LONGEST_NAME]
+                yield from (f"{name}.{alias.name}"[:_LONGEST_NAME] for alias in node.names)
 
 
 def _is_optional(node: ast.AST) -> bool:
@@ -78,7 +82,7 @@ def imported_versions(reference: str) -> tuple[str, ...]:
     """
     front, seen, found = _imported(reference), set[str](), set[str]()
     while left := front - seen - sys.stdlib_module_names - {*PACKAGES}:
-        if len(seen) == _MAX_MODULES:
+        if len(seen) + len(left) > _MAX_MODULES:
             raise EntryError(f"its code imports more than {_MAX_MODULES} modules")
         top = min(left)
         seen.add(top)
@@ -125,8 +129,7 @@ def _imported(reference: str, prefix: str = "") -> set[str]:
             own.add(name.partition("/")[0].partition(".")[0])
             if not name.endswith(".py") or n_bytes > LARGEST_SOURCE:
                 continue
-            size += n_bytes
-            if size > _MAX_SOURCE:
+            if (size := size + n_bytes) > _MAX_SOURCE:
                 raise EntryError(f"its Python files have more than {_MAX_SOURCE >> 20} MiB")
             text = read()
             work += len(text) * text.count(b"{")

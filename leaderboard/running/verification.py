@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from leaderboard.entries.entries import is_by_others, registered_entry
-from leaderboard.entries.entry import Entry, TrainingRun
+from leaderboard.entries.entry import Entry, EntryError, TrainingRun
 from leaderboard.evaluation import comparison, evaluate, store
 from leaderboard.evaluation.provenance import describe_environment
 from leaderboard.evaluation.results import RUN, Result, content_digest
@@ -200,12 +200,14 @@ def verify_folder(
     tasks: Sequence[Task] | None = None,
     share: float = SHARE,
     seed: int | None = None,
+    limits: tuple[float, float] = (math.inf, math.inf),
     simulate: Callable[..., Iterator[RecordedDrive]] = simulate_drives,
     report: Callable[[str, float], None] = lambda text, share: None,
 ) -> list[Verified]:
     """Run a random `share` of the drives of each of `tasks` again, with all its rows under `out`.
 
     The tasks are by default those that `out` defines. `entries` are those of other packages;
+    `limits` [s], [GiB] those of `run`, within which a row of wider ones is not false if it fails;
     `report` is called with each step as it begins and the share of the rows that are done. Raises
     ConfigError if there is nothing to be verified.
     """
@@ -214,12 +216,10 @@ def verify_folder(
     rows = [(task, row) for task, row in stored if row.task_digest == task.digest]
     given = {entry.name: entry for entry in entries}
     if not rows:
-        none = ConfigError(f"{out}: no results with the task that they were made with")
-        raise [*unread, none][0]
+        raise [*unread, ConfigError(f"{out}: no results with the task that they were made with")][0]
     known, current = {task.name for task in tasks}, {row.identity for _, row in rows}
     others = {row.identity: (task, row) for task, row in stored if row.identity not in current}
-    why = "it is of another task than is defined here"
-    found = [_without_runs(*x, why) for x in others.values()]
+    found = [_without_runs(*x, "it is of another task than defined here") for x in others.values()]
     why = f"its task is not defined here{''.join(f', and {error}' for error in unread[:1])}"
     for file in sorted((out / "results").glob("*/[!.]*.json")):
         if file.parent.name not in known:
@@ -245,7 +245,9 @@ def verify_folder(
             elif reason := entry.failure or row.stale_reason(task, entry):
                 found.append(_without_runs(task, row, reason))
             else:
-                how = run if row.failure else partial(_run_twice, run)
+                wider = "; its row was made within {:g} s, {:g} GiB".format(*row.limits)
+                wider = wider if any(np.less(limits, row.limits)) else ""
+                how = run if row.failure else partial(_run_twice, run, wider)
                 again = (
                     evaluate.evaluate_entry(task, *x, entry, row.seeds, how) for x in data.items()
                 )
@@ -260,12 +262,13 @@ def verify_folder(
     return found
 
 
-def _run_twice(run: evaluate.EntryRunner, *asked: Any) -> list[TrainingRun]:
-    """Run an entry, once more if it fails. Raises EntryError; ConfigError if this machine did."""
+def _run_twice(run: evaluate.EntryRunner, wider: str, *asked: Any) -> list[TrainingRun]:
+    """Run an entry once or twice. Raises EntryError; ConfigError if machine or limits excuse it."""
+    excused = EntryError if wider else MachineError
     try:
         return twice(lambda: [*run(*asked)])
-    except MachineError as error:
-        raise ConfigError(str(error)) from None
+    except excused as error:
+        raise ConfigError(f"{error}{wider}") from None
 
 
 def _verify_row(task: Task, row: Result, entry: Entry, again: Iterable[Result]) -> Verified:
@@ -281,9 +284,8 @@ def _verify_row(task: Task, row: Result, entry: Entry, again: Iterable[Result]) 
     ranked: list[tuple[float, float]] = []
     notes, busy = {*_not_retested(row), *(f"{row.estimator}: {x}" for x in _BY_CHANCE)}, ""
     for made in again:
-        if made.failure is not None:
-            others = is_by_others(entry)  # ours may lack a library here
-            return dataclasses.replace(found, reason=made.failure, is_false=others)
+        if made.failure is not None:  # ours may lack a library here
+            return dataclasses.replace(found, reason=made.failure, is_false=is_by_others(entry))
         busy = busy or "".join(_not_retested(made)[: not _not_retested(row)])
         if reason := _other_claim(row, made):
             return dataclasses.replace(found, reason=reason, is_false=True)

@@ -3,6 +3,7 @@
 import re
 import sys
 import zipfile
+from contextlib import suppress
 from importlib import metadata
 from itertools import accumulate
 from pathlib import Path
@@ -21,7 +22,7 @@ def missing_packages(code: Path) -> list[str]:
 
     `code` is a wheel, or a folder with one or with installed packages. What is imported only if it
     can be (`try`, `suppress`), by a function, for types alone, or by a module whose source is
-    longer than 1 MiB, does not count.
+    longer than 1 MiB, does not count. Raises EntryError as `imports_of`.
     """
     wheel = code if code.is_file() else next(code.glob("*.whl"), None)
     found, modules = list[str](), [x.module for x in entry_points(wheel or code)]
@@ -44,13 +45,11 @@ def missing_packages(code: Path) -> list[str]:
             continue
         with path.open("rb") as file:
             text = file.read(LARGEST_SOURCE + 1)  # a wheel may hold more than the memory
-        imports = [*imports_of(text, name, path.name == "__init__.py", in_any_case=True)]
-        for other in imports:
-            # a name of a package is a module only if there is such a file
-            parts = accumulate(other.split("."), "{}.{}".format)
-            new = {x for x in parts if "." not in x or _file_of(x, files)} - seen
-            seen |= new
-            left += sorted(new)
+        # a name of a package is a module only if there is such a file
+        imports = imports_of(text, name, path.name == "__init__.py", in_any_case=True)
+        parts = {x for other in imports for x in accumulate(other.split("."), "{}.{}".format)}
+        left += sorted(x for x in parts - seen if "." not in x or _file_of(x, files))
+        seen |= parts
     return found
 
 
@@ -58,7 +57,9 @@ def _file_of(module: str, files: Path | zipfile.Path) -> Path | zipfile.Path | N
     """File of a module in a folder or wheel; None if it is not there."""
     path = module.replace(".", "/")
     found = (files / place for place in (f"{path}.py", f"{path}/__init__.py"))
-    return next((file for file in found if file.is_file()), None)
+    with suppress(OSError):  # a name that is too long for a file
+        return next((file for file in found if file.is_file()), None)
+    return None
 
 
 def _installed_by_boards() -> set[str]:

@@ -182,7 +182,8 @@ def verify_submission(
         _verify_probes(entry, folder, tasks[0], limits)
         found = verify_folder(
             folder, in_sandbox(sandbox), [entry],
-            tasks=tasks, share=share, seed=seed, report=progress,
+            tasks=tasks, share=share, seed=seed, limits=(limits.seconds, limits.memory),
+            report=progress,
         )  # fmt: skip
     for x in (x for x in found if x.reason):
         raise ConfigError(f"{folder}: its row of {x.estimator} on {x.task}: {x.reason}")

@@ -22,8 +22,8 @@ EXTREMES = ("load_transfer", "roll")
 VIOLATION_PRICE = 50.0
 """Price [m²/s⁴] of a violation in the score, per second of `cost` for each second of the drive.
 
-It ranks policies that violate behind all that do not: a drive on two wheels for a tenth of its time
-costs 5 m²/s⁴, four times what handling costs in comfort [assumed].
+A drive on two wheels for a tenth of its time costs 5 m²/s⁴, four times what handling costs in
+comfort [assumed]; a policy that violates for an instant may still be before one that never does.
 """
 
 KEPT_FLEETS = 2  # fleets that `Drives` keeps to start them again

@@ -511,6 +511,32 @@ def test_a_scored_row_is_false_only_if_its_entry_fails_twice_by_itself(
     assert reader.is_false == is_false and not left
 
 
+@pytest.mark.parametrize(
+    ("limits", "is_false"),
+    [((1.0, 4.0), False), ((1800.0, 1.0), False), ((1800.0, 4.0), True), ((3600.0, 8.0), True)],
+)
+def test_a_row_is_not_false_that_fails_within_narrower_limits_than_its_own(
+    tmp_path, limits, is_false
+):
+    copy_of_run(tmp_path)
+    alter(tmp_path, "reader", limits=(1800.0, 4.0))
+
+    def fails(entry, data, seeds):
+        if entry.name == "reader":
+            raise EntryError("stopped after 1 s, the time limit")
+        return run_here(entry, data, seeds)
+
+    made = {name: make_entry(name, estimator) for name, estimator in ESTIMATORS.items()}
+    made["reader"] = dataclasses.replace(made["reader"], reference="elsewhere:Reader")
+    options = {"simulate": chosen_fakes, "seed": 1, "limits": limits}
+    found = verify_folder(tmp_path, fails, made.values(), **options)
+    (reader,) = (row for row in found if row.estimator == "reader")
+    assert reader.is_false == is_false and not reader.agrees and not reader.runs
+    its = "" if is_false else "; its row was made within 1800 s, 4 GiB"
+    assert reader.reason.endswith(f"stopped after 1 s, the time limit{its}")
+    assert verified_output(found).status == is_false
+
+
 def test_rows_of_a_task_that_a_folder_does_not_define_are_named(tmp_path):
     copy_of_run(tmp_path)
     path = store.row_path(tmp_path, "small", "reader")
@@ -627,6 +653,16 @@ def test_what_was_found_false_is_not_forgotten_with_a_file_that_cannot_be_read(t
     with pytest.raises(ConfigError, match=r"verified\.json"):
         verify_command(tmp_path, limits=LimitOptions())
     assert path.read_text() == text
+
+
+def test_the_command_tells_the_limits_within_which_it_runs_rows_again(tmp_path, monkeypatch):
+    told = {}
+    monkeypatch.setattr(
+        "leaderboard.commands.results.verify_folder",
+        lambda *_, **known: told.update(known) or [FALSE],
+    )
+    verify_command(tmp_path, limits=LimitOptions(time_limit=7.0, memory_limit=2.0))
+    assert told["limits"] == (7.0, 2.0)
 
 
 def test_what_two_commands_find_at_once_is_all_kept(tmp_path, monkeypatch):

@@ -1,7 +1,9 @@
 """What an entry imports and boards lack is told before it is submitted."""
 
 import sys
+import tracemalloc
 from contextlib import nullcontext
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -77,6 +79,45 @@ def test_code_that_is_too_deep_or_too_long_to_be_parsed_is_not_read(tmp_path, he
     assert missing_packages(write(tmp_path, "import pytest\n" + "#" * 100_000)) != []
 
 
+@pytest.mark.parametrize(
+    ("text", "is_refused"),
+    [
+        (b"import " + b".".join([b"a"] * 101), True),
+        (b"import " + b".".join([b"a"] * 10_000), True),
+        (b"from " + b"\t.\\\n ".join([b"a"] * 5000) + b" import b", True),
+        (b"import " + ".".join(["\u00e9"] * 5000).encode(), True),
+        (b"import " + b".".join([b"a"] * 100), False),
+        (b"from " + b"a" * 50_000 + b" import " + b"b," * 2000 + b"b", False),
+        (b"from . import " + b"b," * 2000 + b"b" * 50_000, False),
+        (b"import " + b"a" * 50_000, False),
+        (b"from " + b"." * 50_000 + b" import a", False),
+    ],
+)
+def test_the_reading_of_imports_takes_no_memory_by_the_square_of_their_length(
+    tmp_path, text, is_refused
+):
+    code = write(tmp_path, "import pytest")
+    assert imported_versions(str(code)) and missing_packages(code)  # what is kept is read before
+    (code / "mine/helper.py").write_bytes(text)
+    tracemalloc.start()
+    try:
+        for read in (imported_versions, lambda folder: missing_packages(Path(folder))):
+            why = pytest.raises(EntryError, match=r"mine\.helper has a name of over 100 parts, ")
+            with why if is_refused else nullcontext():
+                assert all(len(x) < 300 for x in read(str(code)))
+        assert tracemalloc.get_traced_memory()[1] < 10_000_000
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("coding", ["utf-8", "latin-1", "punycode", "idna", "unicode_escape"])
+def test_the_coding_that_a_file_names_does_not_decide_how_long_it_is_read(tmp_path, coding):
+    code = write(tmp_path, "")
+    text = f"# coding: {coding}\nimport zz_gone\n# \xe9" + "\\x7b" * 10
+    (code / "mine/helper.py").write_bytes(text.encode("latin-1"))
+    assert "zz_gone none" in imported_versions(str(code))
+
+
 def test_packages_that_come_along_and_modules_that_are_not_run_are_not_missing(tmp_path):
     along = {"pytest/__init__.py": "", "mine/test_helper.py": "import xdist"}
     assert missing_packages(write(tmp_path, "import pytest", **along)) == []
@@ -91,6 +132,11 @@ def test_the_files_of_an_entry_have_one_budget_for_the_reading_of_their_imports(
     monkeypatch.setattr(imports, "_MOST_WORK", 2 * 2 * len(files[0][1]))
     with pytest.raises(EntryError, match="its Python files have too many braces to be parsed in s"):
         imported_versions(str(wheel))
+    monkeypatch.undo()
+    monkeypatch.setattr(imports, "_MAX_MODULES", 2)
+    monkeypatch.setattr(imports, "find_spec", pytest.fail)  # none is looked up before
+    with pytest.raises(EntryError, match="its code imports more than 2 modules"):
+        imported_versions(str(write(tmp_path / "code", "import zz_1, zz_2, zz_3")))
     monkeypatch.undo()
     monkeypatch.setattr(imports, "MAX_FILES", 6)
     with pytest.raises(EntryError, match="its code has more than 6 files, with those in wheels"):
