@@ -42,11 +42,8 @@ _TRAINING_SEEDS, _TEST_SEED = (101, 102), 1
 _SEED = 1  # training seed
 
 SHORT_LENGTH = 5.0  # length [m] of a road that an estimator may refuse
-_UNTRAINED_MODES = {"front": "soft_high", "rear": "stiff_low"}
-"""Strut modes that do not occur in the training drives."""
-
-_DROPOUT_RATE, _DROPOUT_LENGTH = 0.02, 20
-"""Share of lost samples, and number of consecutive lost samples."""
+_UNTRAINED_MODES = {"front": "soft_high", "rear": "stiff_low"}  # of no training drive
+_DROPOUT_RATE, _DROPOUT_LENGTH = 0.02, 20  # share and number of consecutive lost samples
 
 _DAMAGES = {
     "gaps": f"{_DROPOUT_RATE:.0%} of the samples lost, in bursts",

@@ -36,12 +36,8 @@ from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import WHEELS
 
 PROBES = ("sign", "scale", "shuffle", "swap", "future", "repeat")
-MIN_CORRELATION = 0.5
-"""Least r between shapes that count as equal."""
-
-SCALE_FACTOR = 0.5
-"""Factor on the accelerations in `scale`."""
-
+MIN_CORRELATION = 0.5  # least r between shapes that count as equal
+SCALE_FACTOR = 0.5  # on the accelerations in `scale`
 LOOKAHEAD_THRESHOLD = 0.1
 """Least change that counts as use of later samples, relative to the estimate's deviation."""
 

@@ -11,6 +11,7 @@ from functools import cache, partial
 from importlib import metadata
 from importlib.util import find_spec, resolve_name
 from pathlib import Path
+from typing import IO, Any
 
 from leaderboard.entries.entry import EntryError
 from leaderboard.entries.entry_files import MAX_FILES, list_files, places_of, snapshot
@@ -122,7 +123,7 @@ def _imported(reference: str, prefix: str = "") -> set[str]:
     """
     own, found, size, work = set[str](), set[str](), 0, 0
     try:
-        for count, (name, n_bytes, read) in enumerate(_files(reference)):
+        for count, (name, n_bytes, start) in enumerate(_files(reference)):
             if count == MAX_FILES:
                 raise EntryError(f"its code has more than {MAX_FILES} files, with those in wheels")
             name = prefix + name
@@ -131,7 +132,8 @@ def _imported(reference: str, prefix: str = "") -> set[str]:
                 continue
             if (size := size + n_bytes) > _MAX_SOURCE:
                 raise EntryError(f"its Python files have more than {_MAX_SOURCE >> 20} MiB")
-            text = read()
+            with start() as file:
+                text = file.read(LARGEST_SOURCE)  # a wheel may hold more than it states
             work += len(text) * text.count(b"{")
             if work > _MOST_WORK:
                 raise EntryError("its Python files have too many braces to be parsed in seconds")
@@ -144,12 +146,14 @@ def _imported(reference: str, prefix: str = "") -> set[str]:
     return found - own
 
 
-def _files(reference: str) -> Iterator[tuple[str, int, Callable[[], bytes]]]:
-    """Yield name, size [bytes] and reader of the files of an entry, in place of a wheel of its."""
+def _files(reference: str) -> Iterator[tuple[str, int, Callable[[], IO[Any]]]]:
+    """Yield name, size [bytes] and opener of the files of an entry, in place of a wheel of its."""
     for path, name in list_files(reference):
         if path.suffix != ".whl":
-            yield name, path.stat().st_size, path.read_bytes
+            yield name, path.stat().st_size, partial(path.open, "rb")
             continue
         with zipfile.ZipFile(path) as wheel:
             for one in wheel.infolist():
-                yield one.filename, one.file_size, partial(wheel.read, one)
+                if one.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                    raise EntryError(f"{one.filename} is compressed by another method than deflate")
+                yield one.filename, one.file_size, partial(wheel.open, one)

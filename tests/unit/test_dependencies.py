@@ -1,7 +1,11 @@
 """What an entry imports and boards lack is told before it is submitted."""
 
+import re
+import struct
 import sys
 import tracemalloc
+import zipfile
+import zlib
 from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
@@ -308,6 +312,36 @@ def test_a_wheel_whose_imports_cannot_be_read_is_one_sentence(tmp_path):
     (tmp_path / "cut.whl").write_bytes(b"PK")
     with pytest.raises(EntryError, match="its imports cannot be read: File is not a zip file"):
         imported_versions(str(tmp_path / "cut.whl"))
+
+
+def test_a_member_of_a_wheel_that_holds_more_than_it_states_takes_no_more_memory(tmp_path):
+    wheel, stated = tmp_path / "x-1.0-py3-none-any.whl", b"x = 1\n"
+    packer = zlib.compressobj(9, zlib.DEFLATED, -15)
+    content = packer.compress(stated + bytes(2**28)) + packer.flush()
+    with zipfile.ZipFile(wheel, "w") as archive:
+        archive.writestr("x.py", content)
+    sizes = zlib.crc32(content), len(content), len(content)
+    false = zlib.crc32(stated), len(content), len(stated)
+    data = re.sub(
+        rb"\x00\x00(....)" + re.escape(struct.pack("<III", *sizes)),
+        lambda found: b"\x08\x00" + found[1] + struct.pack("<III", *false),
+        wheel.read_bytes(), flags=re.DOTALL,
+    )  # fmt: skip
+    wheel.write_bytes(data)
+    tracemalloc.start()
+    try:
+        assert imported_versions(str(wheel)) == ()
+        assert tracemalloc.get_traced_memory()[1] < 2**24
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_a_member_of_a_wheel_that_is_unpacked_without_a_limit_is_refused(tmp_path, method):
+    with zipfile.ZipFile(tmp_path / "x.whl", "w", method) as wheel:
+        wheel.writestr("x.py", "x = 1\n" * 100)
+    with pytest.raises(EntryError, match=r"x\.py is compressed by another method than deflate"):
+        imported_versions(str(tmp_path / "x.whl"))
 
 
 def test_what_is_no_wheel_and_broken_entry_points_are_left_to_others(tmp_path):
