@@ -9,6 +9,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from road_envs.core.config import ConfigError
+from road_envs.core.reading import parsing
 from road_envs.drives.logger_tables.table import Table, numeric_values, parse_text
 from road_envs.drives.recordings.recording import Series, make_track
 from road_envs.records import units
@@ -104,12 +105,8 @@ def _check_total(size: int) -> None:
 
 def parse_member(name: str, data: bytes) -> Table:
     """Return the table in the bytes of a member. Raises ConfigError naming the member."""
-    try:
+    with parsing(name, ConfigError, "no readable table"):
         return parse_text(data)
-    except ConfigError as error:
-        raise ConfigError(f"{name}: {error}") from None
-    except ValueError as error:
-        raise ConfigError(f"{name}: no readable table: {error}") from None
 
 
 def number_column(table: Table, wanted: str, kind: str, member: str) -> np.ndarray | None:
