@@ -62,7 +62,7 @@ def bounds_by_state(
             instruments = dataclasses.replace(instruments.noiseless, noise_density=noise_density)
         except ValueError as error:
             raise ConfigError(str(error)) from None
-    elif attainable and len(set(instruments.noise_densities)) > 1:
+    elif attainable and (instruments.noise_densities != instruments.noise_density).any():
         raise ConfigError(
             f"sensors of {sensors} have noise of their own; what is attainable is computed for one "
             "noise of all: give it in (m/s²)/sqrt(Hz) (--noise), or leave out --attainable"

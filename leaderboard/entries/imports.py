@@ -38,9 +38,10 @@ def imports_of(
     text: bytes, module: str, is_package: bool, in_any_case: bool = False
 ) -> Iterator[str]:
     """Yield what a module imports, with what it takes from a package, 250 letters at most; nothing
-    of one of more than 1 MiB, or with so many braces that f-strings of them take seconds to parse;
-    `in_any_case`, not what only `try`, `suppress`, a function or a test for types imports. Raises
-    EntryError for a name of over 100 parts: Python's parser keeps each beginning of it.
+    of one of more than 1 MiB, or with so many braces that f-strings of them take seconds to parse.
+
+    With `in_any_case`, not what only `try`, `suppress`, a function or a test for types imports.
+    Raises EntryError for a name of over 100 parts: Python's parser keeps each beginning of it.
     """
     if len(text) > LARGEST_SOURCE or len(text) * text.count(b"{") > _MOST_WORK:
         return

@@ -320,8 +320,11 @@ def test_noise_that_is_given_replaces_that_of_sensors_with_a_noise_of_their_own(
     assert made["own.yaml", True]["noise_density"] == 0.5
     assert made["own.yaml", False]["bounds"] != made["paper", False]["bounds"]
     assert made["own.yaml", False]["noise_density"] == [0.02, 0.04]
-    code, _, err = road_recon("observability", "--sensors", "own.yaml", "--attainable")
-    assert code == 2 and "have noise of their own" in err and err.count("\n") == 1
+    alike = {name: x | {"noise_density": 0.02} for name, x in sheet["accelerometers"].items()}
+    (tmp_path / "alike.yaml").write_text(yaml.safe_dump(sheet | {"accelerometers": alike}))
+    for sensors in ("own.yaml", "alike.yaml"):
+        code, _, err = road_recon("observability", "--sensors", sensors, "--attainable")
+        assert code == 2 and "have noise of their own" in err and err.count("\n") == 1
 
 
 @pytest.mark.parametrize(
