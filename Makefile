@@ -7,8 +7,8 @@ export PYTHONDONTWRITEBYTECODE :=
 # in the order of tests/conftest.py
 WORKERS := -n logical --no-loadscope-reorder
 
-.PHONY: leaderboard policies test suite test-more test-long test-lowest test-versions package lint bench mutants kills docs \
-	results results-check clean
+.PHONY: leaderboard policies test suite test-more test-long test-lowest test-versions package lint bench mutants fuzz kills \
+	docs results results-check clean
 
 # the run of the README's table, with its arithmetic; the comparison of policies, which uses one core, runs beside it
 leaderboard: BOARD := out/leaderboard

@@ -21,13 +21,15 @@ from studies import results
 ROOT = Path(__file__).parents[1]
 
 
-QUOTE = re.compile(r"<!-- (?:from|output:|rows:)\s+([^>]+?) -->")
+QUOTE = re.compile(r"<!-- (?:from|output:|rows:|scores:)\s+([^>]+?) -->")
+LINK = re.compile(r"\]\((?:\.\./)*(?:docs/)?(runs/[^)]+)\)")
 PICTURE = re.compile(r"!\[[^\]]*\]\((?:\.\./)*(?:docs/)?(images/[^)]+)\)")
 
 
 def on_page_markdown(markdown: str, **kwargs: Any) -> str:
     """Replace the markers of a page, and mark figures that are not of today's program."""
     markdown = QUOTE.sub(_with_mark, markdown)
+    markdown = LINK.sub(lambda found: found[0] + _mark([f"docs/{found[1]}"]), markdown)
     markdown = PICTURE.sub(lambda found: found[0] + _mark([f"docs/{found[1]}"]), markdown)
     for marker, content in (("<!-- commands -->", _commands), ("<!-- scores -->", _scores)):
         if marker in markdown:

@@ -1,7 +1,8 @@
 """Training on a simulated corpus: pretrained estimators, and the regression on RMS.
 
 An interrupted run continues from the checkpoint beside the output file if corpus, settings, seed
-and version are the same. The drives are simulated again, which is the smaller part of the time.
+and the code of simulator and estimator are the same. The drives are simulated again, which is the
+smaller part of the time.
 """
 
 import hashlib
@@ -19,6 +20,7 @@ from estimators.roughness.rms_regression import RmsRoughness, RoughnessEstimate
 from estimators.wiener.segments import dominant_modes
 from leaderboard.evaluation.evaluate import get_settings
 from leaderboard.evaluation.provenance import package_version
+from road_envs.core.artifacts import Kind
 from road_envs.core.config import ConfigError
 from road_envs.drives.training_corpus import Corpus, drives_in_mode
 from road_envs.records.record import Record
@@ -57,6 +59,11 @@ def _run_digest(estimator: Pretrained, name: str, corpus: Corpus, seed: int) -> 
     return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()[:12]
 
 
+def _checkpoint(estimator: Pretrained, out: Path, digest: str) -> _FileCheckpoint:
+    kind = Kind("checkpoint", 1, (__name__, type(estimator).__module__))
+    return _FileCheckpoint(out.with_name(f".{out.name}.unfinished"), kind.identity(digest))
+
+
 def train(
     estimator: Trainable,
     name: str,
@@ -78,7 +85,7 @@ def train(
     if out.suffix != ".safetensors":
         raise ConfigError(f"{out}: the name must end in .safetensors for weights from the corpus")
     digest = _run_digest(estimator, name, corpus, seed)
-    checkpoint = _FileCheckpoint(out.with_name(f".{out.name}.unfinished"), digest)
+    checkpoint = _checkpoint(estimator, out, digest)
     drives = []
     for k in range(corpus.number):
         if k % 10 == 0:

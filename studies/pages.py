@@ -12,7 +12,8 @@ part, of those that blank lines separate, and a regular expression in slashes li
 
     | ... |
 
-The table becomes these columns of an output that is a list of rows as JSON.
+The table becomes these columns of an output that is a list of rows as JSON, with three digits of
+each number that is none of a text, and the first and last of a list.
 
     <!-- scores: docs/runs/new_road.csv nrmse .3f; nrmse .2f Belgian; coverage_90 .0% -->
 
@@ -69,7 +70,7 @@ def with_outputs(text: str, read: Callable[[str], str]) -> str:
     def table(found: re.Match[str]) -> str:
         head, path, names, _ = found.groups()
         columns = names.split()
-        cells = [[str(row.get(name, "")) for name in columns] for row in json.loads(read(path))]
+        cells = [[_cell(row.get(name, "")) for name in columns] for row in json.loads(read(path))]
         cells = [[WORDS.get(cell, cell) for cell in row] for row in cells]
         lines = [columns, ["---"] * len(columns), *cells]
         return head + "".join(f"| {' | '.join(line)} |\n" for line in lines)
@@ -94,6 +95,14 @@ def with_outputs(text: str, read: Callable[[str], str]) -> str:
         return head + "".join(lines).replace("%", " %")
 
     return SCORES.sub(scores, ROWS.sub(table, COPY.sub(copy, text)))
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, list):
+        return f"{_cell(value[0])} to {_cell(value[-1])}"
+    if isinstance(value, float) and not value.is_integer():
+        return f"{value:.3g}"
+    return f"{value:.0f}" if isinstance(value, float) else str(value)
 
 
 def write_pages(root: Path = ROOT) -> list[Path]:

@@ -16,6 +16,7 @@ from leaderboard.entries.entry import needs_training
 from leaderboard.evaluation.tasks import load_task
 from leaderboard.evaluation.test_data import simulate_drives
 from leaderboard.metrics.heights import band_pass, nrmse, scored_band
+from road_envs.core import artifacts
 from road_envs.drives import training_corpus
 from road_envs.drives.recording import simulate_record, write_record
 from road_envs.drives.training_corpus import Corpus, _perturb_parameters
@@ -174,6 +175,16 @@ def test_an_unfinished_state_of_another_purpose_is_ignored(tmp_path):
     assert pretraining._FileCheckpoint(path, "that").load() is None
     path.write_bytes(b"cut short")
     assert pretraining._FileCheckpoint(path, "this").load() is None
+
+
+def test_an_unfinished_state_of_other_code_is_ignored(tmp_path, monkeypatch):
+    tcn, out = create("tcn"), tmp_path / "tcn.safetensors"
+    checkpoint = pretraining._checkpoint(tcn, out, "run")
+    checkpoint.save({"about": np.zeros(3)})
+    assert pretraining._checkpoint(tcn, out, "run").load() is not None
+    code = {"leaderboard.pretraining": "older", type(tcn).__module__: "today"}
+    monkeypatch.setattr(artifacts, "code_version", lambda *modules: [code[m] for m in modules])
+    assert pretraining._checkpoint(tcn, out, "run").load() is None
 
 
 def test_the_command_trains_from_the_corpus_and_its_file_estimates(road_recon, tmp_path):

@@ -2,8 +2,10 @@
 
 A comment such as `<!-- from docs/runs/field.txt -->` names the outputs of the block in which it
 stands, or of the next one if it stands alone; a block is a paragraph, a table or an item of a list.
-Every number of the block must be in one of them, at the digits that are quoted, as it is or in per
-cent. Numbers in code, links and file names do not count.
+A table behind a paragraph whose last line is such a comment belongs to it. A row of a table names
+the outputs to which it links, for what it says behind its first cell, the aim. Every number of the
+block must be in one of them, at the digits that are quoted, as it is or in per cent. Numbers in
+code, links and file names do not count.
 """
 
 import re
@@ -16,6 +18,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("**/*.md"))]
 COMMENT = re.compile(r"<!-- from\s+([^>]+?) -->")
+LINK = re.compile(r"\]\((?:\.\./)*(?:docs/)?(runs/[^)]+)\)")
 NOT_QUOTED = re.compile(r"`[^`]*`|\]\([^)]*\)|<!--.*?-->|https?://\S+", re.S)
 NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?![\w.]*[A-Za-z_])(\s?%)?")
 
@@ -23,13 +26,19 @@ NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?![\w.]*[A-Za-z_])(\s?%)?")
 def blocks(text: str) -> Iterator[tuple[list[str], str]]:
     """Yield the outputs that each block names, and its text."""
     waiting: list[str] = []
+    above: list[str] = []
     for block in re.split(r"\n\s*\n|\n(?=- )", text):
         named = [name for found in COMMENT.findall(block) for name in found.split(", ")]
         if named and not COMMENT.sub("", block).strip():
             waiting = named
             continue
-        yield named or waiting, block
+        is_table = block.startswith("|")
+        yield named or waiting or (above if is_table else []), block
         waiting = []
+        above = named if COMMENT.fullmatch(block.rsplit("\n", 1)[-1].strip()) else []
+        for row in block.splitlines() if is_table else []:
+            if outputs := [f"docs/{path}" for path in LINK.findall(row)]:
+                yield outputs, row.split("|", 2)[2]
 
 
 @cache
@@ -82,3 +91,14 @@ def test_a_wrong_number_is_found(tmp_path, monkeypatch):
     kept_numbers.cache_clear()
     assert missing(first[1], first[0]) == [] and missing(second[1], second[0]) == ["0.38"]
     kept_numbers.cache_clear()
+
+
+def test_tables_name_their_outputs_by_links_and_by_the_paragraph_before():
+    text = (
+        "Ours: <!-- from a.txt -->\n\n| 0.5 |\n\nTheirs 0.1\n<!-- from b.txt -->\n\n| 0.2 |\n\n"
+        "| below 0.3 | 0.4 | [output](runs/c.txt) |\n"
+    )
+    paragraph, table, theirs, below, linked, row = blocks(text)
+    assert paragraph[0] == ["a.txt"] and table[0] == []  # a sentence ends in it
+    assert theirs[0] == below[0] == ["b.txt"]
+    assert linked[0] == [] and row == (["docs/runs/c.txt"], " 0.4 | [output](runs/c.txt) |")
