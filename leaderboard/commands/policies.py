@@ -39,8 +39,9 @@ _PUBLIC = (
     "text seals which their authors do not know (--seal)."
 )
 _WITHOUT_STATISTICS = (
-    "{}: the file holds no statistics of VecNormalize; the network gets the features as they are, "
-    "and is asked for an action in each control interval, whatever its action_repeat in training."
+    "{}: the file holds no statistics of VecNormalize and no masks of actions; the network gets "
+    "the features as they are, may choose each action, and is asked for one in each control "
+    "interval, whatever its action_repeat in training."
 )
 RIVALS = ("rrms", "rrms_lateral", "lateral", "mpc")
 """Laws beside which a newly trained policy is shown."""

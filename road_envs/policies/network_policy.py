@@ -11,6 +11,7 @@ as they are. Both are read without pickle, so an untrusted file cannot execute c
 
 import io
 import json
+import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -45,6 +46,7 @@ SB3_DEFAULTS = {
 
 SB3_ACTIVATIONS = {f"torch.nn.modules.activation.{x}": x.lower() for x in ("Tanh", "ReLU")}
 SB3_FLATTEN = "stable_baselines3.common.torch_layers.FlattenExtractor"  # changes no observation
+SB3_BOX = "gymnasium.spaces.box.Box"  # values of a Dict are put in the order of their names
 
 FORMAT = "roadrecon policy 3"
 ACTIVATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
@@ -117,6 +119,11 @@ def _read_sb3(path: Path) -> PolicyNetwork:
             activation = SB3_ACTIVATIONS[validate_choice("activation", name, SB3_ACTIVATIONS)]
         extractor = _class_name(given.get("features_extractor_class", SB3_FLATTEN))
         validate_choice("features extractor", extractor, [SB3_FLATTEN])
+        space = _class_name(about["observation_space"][":type:"])
+        validate_choice("observation space", space, [SB3_BOX])
+        with zipfile.ZipFile(io.BytesIO(files["policy.pth"])) as records:
+            if any(x.compress_type != zipfile.ZIP_STORED for x in records.infolist()):
+                raise ValueError("its weights are compressed, which Stable-Baselines3 does not do")
         parameters = torch.load(io.BytesIO(files["policy.pth"]), weights_only=True)
         actions = int(about["action_space"]["n"])
         control = {len(table): name for name, table in ACTIONS.items()}[actions]

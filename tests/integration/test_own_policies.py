@@ -187,7 +187,10 @@ def test_a_reader_is_told_what_policies_of_others_may_know_and_what_a_file_lacks
     assert notes(["rrms", "mine"], ["rrms", "a/mine.npz"], "a text of 16 letters") == []
     (note,) = notes(["mine"], ["a/mine.zip"], "a text of 16 letters")
     assert note.startswith("mine: the file holds no statistics of VecNormalize")
-    assert "an action in each control interval, whatever its action_repeat in training" in note
+    assert "no masks of actions; the network gets the features as they are, may choose each" in note
+    assert (
+        "action, and is asked for one in each control interval, whatever its action_repeat" in note
+    )
 
 
 def test_a_reference_of_another_file_is_not_taken_for_a_policy_of_its_name(road_recon, tmp_path):

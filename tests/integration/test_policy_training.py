@@ -1,8 +1,10 @@
 """Training of policies: environments as features, policy iteration, stored networks."""
 
+import io
 import json
 import re
 import time
+import zipfile
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,6 +14,7 @@ import pytest
 from leaderboard.commands import policies as policies_command
 from leaderboard.policies import comparison
 from road_envs.core.config import ConfigError
+from road_envs.core.reading import read_zip
 from road_envs.envs.safe4s4 import Safe4S4Setup, Safe4S4VectorEnv
 from road_envs.envs.sb3 import RoadReconVecEnv
 from road_envs.envs.vector import RoadReconVectorEnv
@@ -342,6 +345,39 @@ def test_a_zip_that_is_no_saved_model_is_refused(tmp_path):
     with path.open("wb") as file:
         np.savez(file, data=np.zeros(3))
     with pytest.raises(ConfigError, match=r"other\.zip: not a saved model of Stable-Baselines3"):
+        make_policy(str(path))
+
+
+@pytest.mark.parametrize("algorithm", ["PPO", "DQN"])
+def test_a_model_of_named_observations_is_refused(algorithm, tmp_path):
+    """Stable-Baselines3 puts them in the order of their names, which the file does not hold."""
+    import gymnasium as gym
+
+    class Named(gym.Env):
+        observation_space = gym.spaces.Dict(
+            {name: gym.spaces.Box(-1.0, 1.0, (1,)) for name in NAMES}
+        )
+        action_space = gym.spaces.Discrete(16)
+
+    learner = getattr(sb3_library(algorithm), algorithm)
+    learner("MultiInputPolicy", Named(), device="cpu").save(tmp_path / "model")
+    with pytest.raises(ConfigError, match=r"model\.zip: unknown observation space .*dict\.Dict"):
+        make_policy(str(tmp_path / "model.zip"))
+
+
+def test_weights_that_were_compressed_are_refused_before_they_are_unpacked(tmp_path):
+    envs, path = RoadReconVecEnv(1, vector_class=Safe4S4VectorEnv), tmp_path / "model.zip"
+    sb3_library("PPO").PPO("MlpPolicy", envs, device="cpu").save(path)
+    files = read_zip(path)
+    with zipfile.ZipFile(io.BytesIO(files["policy.pth"])) as records:
+        members = {x.filename: records.read(x) for x in records.infolist()}
+    with zipfile.ZipFile(packed := io.BytesIO(), "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in (files | {"policy.pth": packed.getvalue()}).items():
+            archive.writestr(name, content)
+    with pytest.raises(ConfigError, match=r"model\.zip: .*its weights are compressed"):
         make_policy(str(path))
 
 
