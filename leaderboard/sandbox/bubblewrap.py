@@ -52,7 +52,7 @@ COUNTERS = tuple(Path("/proc", name) for name in (
     "buddyinfo", "slabinfo", "pagetypeinfo", "timer_list", "locks", "vmallocinfo", "uptime",
     "sys/fs/dentry-state", "sys/fs/inode-nr", "sys/fs/inode-state", "sys/fs/file-nr",
     "sys/fs/aio-nr", "sys/fs/quota", "sys/kernel/pty/nr", "crypto", "kallsyms", "modules",
-    "acpi", "bus", "driver", "fs", "irq", "pressure", "scsi", "tty", "/dev/zero",
+    "meminfo", "acpi", "bus", "driver", "fs", "irq", "pressure", "scsi", "tty", "/dev/zero",
 ))  # fmt: skip
 """Files and folders with counts of the machine, such as the look-ups of a file system, by which one
 guest could tell another a number: empty. A shared mapping of /dev/zero is memory of no process."""

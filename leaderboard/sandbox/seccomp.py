@@ -20,6 +20,12 @@ NEW_NAMESPACES, PIDFD = 0x7E020000, 0x1000
 COOKIE, PASSPIDFD, PEERPIDFD = 57, 76, 77
 """Options of sockets: its number among all of the machine, handles of processes."""
 
+ATTACHED_FILTERS = (26, 50, 51, 52)
+"""Options of sockets that attach filters, which are memory of the kernel: SO_ATTACH_FILTER, ..."""
+
+SET_SECCOMP = 22
+"""Request of `prctl` that adds a filter of system calls."""
+
 TERMINAL = 0x5400  # requests of `ioctl` to terminals and pipes (FIONREAD, FIONBIO), to 0x54FF
 
 SHARED_ANONYMOUS = 0x21
@@ -90,6 +96,13 @@ RULES = (
     Rule("shmget", (29, 194), errno.ENOSYS),
     Rule("semget", (64, 190), errno.ENOSYS),
     Rule("msgget", (68, 186), errno.ENOSYS),
+    # pages for compiled filters split others of the kernel, which are never joined again
+    Rule("seccomp", (317, 277), errno.ENOSYS),
+    Rule("prctl", (157, 167), errno.EINVAL, _When(0, 0xFFFFFFFF, SET_SECCOMP, equal=True)),
+    *(
+        Rule("setsockopt", (54, 208), errno.ENOPROTOOPT, _When(2, 0xFFFFFFFF, option, equal=True))
+        for option in ATTACHED_FILTERS
+    ),
     Rule("mmap", (9, 222), when=_When(3, SHARED_ANONYMOUS, SHARED_ANONYMOUS, equal=True)),
     # namespaces, without which nothing can be mounted; clone3 hides its flags in memory, and
     # libraries fall back to clone

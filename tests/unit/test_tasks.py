@@ -13,13 +13,13 @@ from scipy import signal
 from leaderboard.evaluation import test_data
 from leaderboard.evaluation.tasks import load_task, shipped_tasks
 from leaderboard.evaluation.test_data import simulate_drives
-from leaderboard.shared_surfaces import _fixed_surfaces
+from leaderboard.shared_surfaces import _fixed_surfaces, share_a_surface
 from leaderboard.surface_tasks import _surface_class
 from road_envs.core import config
 from road_envs.core.config import ConfigError, names
 from road_envs.drives.recording import simulate_record
 from road_envs.records.record import profile_stations
-from road_envs.roads import load_road
+from road_envs.roads import load_road, realise_road
 from road_envs.sensing.data_logger import load_instruments
 from road_envs.vehicle.parameters import load_vehicle
 
@@ -394,6 +394,30 @@ def test_measured_roads_are_one_in_another_unit_or_cut_and_two_on_one_hill(tmp_p
     assert len(road) == 1 and road == measured("mm.csv", z, 1e3) == measured("cut.csv", z[50:300])
     assert road != measured("other.csv", other)
     assert measured("plane.csv", np.zeros((400, 2))) == []
+
+
+@pytest.mark.parametrize("road_class", ["A", "C"])
+def test_two_surveys_of_one_road_are_one_surface(tmp_path, road_class):
+    """Each has noise of its own, of 0.3 mm in each height, and both may be on crests alike."""
+    rng = np.random.default_rng(0)
+    s = np.arange(0.0, 80.0, 0.025)
+
+    def survey(name, seed):
+        z = realise_road({"kind": "iso8608", "road_class": road_class, "length": 80.0}, seed)
+        heights = z.height(s).T + 0.3e-3 * rng.standard_normal((s.size, 2))
+        heights -= 1e-4 * (s[:, None] - 40.0) ** 2
+        rows = "".join(f"{x:.3f},{a:.7f},{b:.7f}\n" for x, (a, b) in zip(s, heights, strict=True))
+        (tmp_path / name).write_text(f"distance [m],left [m],right [m]\n{rows}")
+        return [load_road(tmp_path / name)]
+
+    first = survey("first.csv", 1)
+    assert share_a_surface(first, survey("again.csv", 1))
+    assert not share_a_surface(first, survey("other.csv", 2))
+
+
+def test_bumps_of_slightly_other_lengths_are_no_surface_in_common():
+    one, other = ([load_road(defects({"length": length}))] for length in (2.0, 2.1))
+    assert not share_a_surface(one, other)
 
 
 @pytest.mark.parametrize(
