@@ -17,14 +17,11 @@ AUDIT_ARCH = {"x86_64": 0xC000003E, "aarch64": 0xC00000B7}
 NEW_NAMESPACES, PIDFD = 0x7E020000, 0x1000
 """Flags of `clone` that make namespaces, CLONE_NEWNS to CLONE_NEWNET, and a handle of a process."""
 
-COOKIE, PASSPIDFD, PEERPIDFD = 57, 76, 77
-"""Options of sockets: its number among all of the machine, handles of processes."""
+READ_OPTIONS = (57, 77)
+"""Options of sockets that are read: its number among all of the machine, a handle of a process."""
 
-ATTACHED_FILTERS = (26, 50, 51, 52)
-"""Options of sockets that attach filters, which are memory of the kernel: SO_ATTACH_FILTER, ..."""
-
-SET_SECCOMP = 22
-"""Request of `prctl` that adds a filter of system calls."""
+SET_OPTIONS = (26, 50, 51, 52, 76)
+"""Options that are set: filters, which are memory of the kernel, and handles of processes."""
 
 TERMINAL = 0x5400  # requests of `ioctl` to terminals and pipes (FIONREAD, FIONBIO), to 0x54FF
 
@@ -36,9 +33,9 @@ class _When(NamedTuple):
     """A call is refused if `argument & mask == value`, or if it differs where not `equal`."""
 
     argument: int
-    mask: int
     value: int
-    equal: bool
+    mask: int = 0xFFFFFFFF
+    equal: bool = True
 
 
 class Rule(NamedTuple):
@@ -53,41 +50,36 @@ class Rule(NamedTuple):
     when: _When | None = None
 
 
-FLAGS_SET = _When(5, 0xFFFFFFFF, 0, equal=False)
-
 RULES = (
     # keyrings belong to a user, not to a process
     Rule("add_key", (248, 217)),
     Rule("request_key", (249, 218)),
     Rule("keyctl", (250, 219)),
     # which pages of a read-only file are in memory: asked with RWF_NOWAIT, changed by advice
-    Rule("preadv2", (327, 286), errno.EOPNOTSUPP, FLAGS_SET),
-    Rule("pwritev2", (328, 287), errno.EOPNOTSUPP, FLAGS_SET),
+    Rule("preadv2", (327, 286), errno.EOPNOTSUPP, _When(5, 0, equal=False)),
+    Rule("pwritev2", (328, 287), errno.EOPNOTSUPP, _When(5, 0, equal=False)),
     Rule("mincore", (27, 232), errno.ENOSYS),
     Rule("cachestat", (451, 451), errno.ENOSYS),
     Rule("fadvise64", (221, 223), 0),
     Rule("readahead", (187, 213), 0),
-    Rule("madvise", (28, 233), 0, _When(2, 0xFFFFFFFE, 20, equal=True)),  # COLD, PAGEOUT
+    Rule("madvise", (28, 233), 0, _When(2, 20, 0xFFFFFFFE)),  # COLD, PAGEOUT
     # numbers of the whole machine, of sockets that were asked for it and of processes
-    Rule("getsockopt", (55, 209), errno.ENOPROTOOPT, _When(2, 0xFFFFFFFF, COOKIE, equal=True)),
-    Rule("getsockopt", (55, 209), errno.ENOPROTOOPT, _When(2, 0xFFFFFFFF, PEERPIDFD, equal=True)),
-    Rule("setsockopt", (54, 208), errno.ENOPROTOOPT, _When(2, 0xFFFFFFFF, PASSPIDFD, equal=True)),
+    *(Rule("getsockopt", (55, 209), errno.ENOPROTOOPT, _When(2, x)) for x in READ_OPTIONS),
+    *(Rule("setsockopt", (54, 208), errno.ENOPROTOOPT, _When(2, x)) for x in SET_OPTIONS),
     Rule("pidfd_open", (434, 434), errno.ENOSYS),
     # of files: which of their parts, or the file itself, anybody has used; keys of file systems
-    Rule("ioctl", (16, 29), errno.EOPNOTSUPP, _When(1, 0xFFFFFF00, TERMINAL, equal=False)),
+    Rule("ioctl", (16, 29), errno.EOPNOTSUPP, _When(1, TERMINAL, 0xFFFFFF00, equal=False)),
     Rule("name_to_handle_at", (303, 264), errno.EOPNOTSUPP),
     Rule("open_by_handle_at", (304, 265)),  # of a process, by its number (Linux 6.17)
     Rule("sync", (162, 81)),  # the kernel counts how often file systems were written out
     Rule("syncfs", (306, 267)),
     Rule("setsid", (112, 157), 0),  # sessions are counted in /proc/self/autogroup
     # all but AF_UNIX: others have memory that is counted in one number, AF_VSOCK leads out
-    Rule("socket", (41, 198), errno.EAFNOSUPPORT, _When(0, 0xFFFFFFFF, 1, equal=False)),
+    Rule("socket", (41, 198), errno.EAFNOSUPPORT, _When(0, 1, equal=False)),
     # what another guest does with a file that both see: locks, leases and watches
     Rule("flock", (73, 32), 0),
-    *(
-        Rule("fcntl", (72, 25), errno.EINVAL, _When(1, 0xFFFFFFFF, command, equal=True))
-        for command in (5, 36, 1024, 1026)  # GETLK, OFD_GETLK, SETLEASE, NOTIFY
-    ),
+    # GETLK, OFD_GETLK, SETLEASE, NOTIFY
+    *(Rule("fcntl", (72, 25), errno.EINVAL, _When(1, x)) for x in (5, 36, 1024, 1026)),
     Rule("inotify_add_watch", (254, 27)),
     Rule("fanotify_init", (300, 262), errno.ENOSYS),
     # memory that is part of no process
@@ -98,15 +90,11 @@ RULES = (
     Rule("msgget", (68, 186), errno.ENOSYS),
     # pages for compiled filters split others of the kernel, which are never joined again
     Rule("seccomp", (317, 277), errno.ENOSYS),
-    Rule("prctl", (157, 167), errno.EINVAL, _When(0, 0xFFFFFFFF, SET_SECCOMP, equal=True)),
-    *(
-        Rule("setsockopt", (54, 208), errno.ENOPROTOOPT, _When(2, 0xFFFFFFFF, option, equal=True))
-        for option in ATTACHED_FILTERS
-    ),
-    Rule("mmap", (9, 222), when=_When(3, SHARED_ANONYMOUS, SHARED_ANONYMOUS, equal=True)),
+    Rule("prctl", (157, 167), errno.EINVAL, _When(0, 22)),  # SET_SECCOMP
+    Rule("mmap", (9, 222), when=_When(3, SHARED_ANONYMOUS, SHARED_ANONYMOUS)),
     # namespaces, without which nothing can be mounted; clone3 hides its flags in memory, and
     # libraries fall back to clone
-    Rule("clone", (56, 220), when=_When(0, NEW_NAMESPACES | PIDFD, 0, equal=False)),
+    Rule("clone", (56, 220), when=_When(0, 0, NEW_NAMESPACES | PIDFD, equal=False)),
     Rule("clone3", (435, 435), errno.ENOSYS),
     Rule("unshare", (272, 97)),
     Rule("setns", (308, 268)),
