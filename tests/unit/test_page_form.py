@@ -14,7 +14,7 @@ SOURCES = [
 ]
 MAX_WORDS, MAX_README_LINES, MAX_CHANGELOG_LINES = 1500, 120, 150
 OUTDATED = re.compile(
-    r"\b(of before|all rows are of|printed before|earlier program|stood here before|until lately)\b",
+    r"\b(of before|all rows are of|printed before|earlier program|stood here|until lately)\b",
     re.I,
 )
 """Of a figure that another program made: it is made again, and the build marks it until then."""
