@@ -14,7 +14,8 @@ SOURCES = [
 ]
 MAX_WORDS, MAX_README_LINES, MAX_CHANGELOG_LINES = 1500, 120, 150
 OUTDATED = re.compile(
-    r"\b(of before|all rows are of|printed before|earlier program|stood here before)\b", re.I
+    r"\b(of before|all rows are of|printed before|earlier program|stood here|until lately)\b",
+    re.I,
 )
 """Of a figure that another program made: it is made again, and the build marks it until then."""
 
@@ -33,7 +34,7 @@ def broken_tables(text: str) -> list[str]:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_a_page_is_short_and_its_tables_render(page):
     text = page.read_text(encoding="utf-8")
-    assert len(re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL).split()) <= MAX_WORDS
+    assert len(re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL).split()) < MAX_WORDS
     assert OUTDATED.findall(text) == []
     assert broken_tables(text) == []
 
@@ -41,7 +42,7 @@ def test_a_page_is_short_and_its_tables_render(page):
 def test_the_readme_and_the_changelog_are_short():
     assert len(README.read_text(encoding="utf-8").splitlines()) <= MAX_README_LINES
     changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
-    assert len(changes.splitlines()) <= MAX_CHANGELOG_LINES
+    assert len(changes.splitlines()) < MAX_CHANGELOG_LINES
 
 
 def test_the_tables_of_docstrings_render():
