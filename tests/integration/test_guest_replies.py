@@ -18,9 +18,9 @@ from estimators import REGISTRY
 from estimators.api import EstimateError
 from estimators.baselines.flat import FlatEstimator
 from leaderboard.entries.entry import EntryError
-from leaderboard.sandbox import estimator_handler, messages
+from leaderboard.sandbox import client, estimator_handler, messages
 from leaderboard.sandbox import guest as guest_module
-from leaderboard.sandbox.client import UNSEEN_TIME, _RemoteSession, call
+from leaderboard.sandbox.client import _RemoteSession, call
 from leaderboard.sandbox.guest import Guest
 from leaderboard.sandbox.limits import Limits
 from leaderboard.sandbox.worker import _reply
@@ -134,17 +134,16 @@ def test_random_replies_never_raise_anything_else(tmp_path):
     assert outcomes == {True, "refused"}
 
 
-def test_a_valid_reply_is_taken_as_it_is(tmp_path):
+def test_a_valid_reply_is_taken_as_it_is(tmp_path, monkeypatch):
+    monkeypatch.setattr(client, "UNSEEN_TIME", 60.0)  # also on a machine that does much else
     z = np.random.default_rng(0).standard_normal((2, SIZE))
     guest = guest_that_sends(head(WITH_STD) + z.tobytes() + (z * z).tobytes(), tmp_path)
     guest.start_run(Limits(seconds=20.0))
-    start = time.perf_counter()
     estimate, seconds = _RemoteSession(guest, False, False).estimate(a_record())
-    passed = time.perf_counter() - start
     guest.close()
     np.testing.assert_array_equal(estimate.z, z)
     np.testing.assert_array_equal(estimate.z_std, z * z)
-    assert seconds == 0.0 or UNSEEN_TIME <= seconds <= passed  # as on a machine that does more
+    assert seconds == 0.0
 
 
 def test_no_seed_tells_an_entry_that_is_not_trained_which_guest_it_is_in():
