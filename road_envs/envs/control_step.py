@@ -18,25 +18,11 @@ from road_envs.kernels.filters import filter_sample
 from road_envs.kernels.normal_numbers import fill_normal
 from road_envs.kernels.simd import LANES, extract_lane, maximum, minimum
 from road_envs.kernels.simd_arrays import add, get, put, stack_rows
+from road_envs.simulation import fleet, rosenbrock
 from road_envs.simulation.drive import DriveInputs
-from road_envs.simulation.fleet import (
-    NO_MANOEUVRE,
-    LaneScratch,
-    RoadBuffers,
-    delay_commands,
-    front_axle_stations,
-    take_step,
-)
+from road_envs.simulation.fleet import delay_commands, front_axle_stations, take_step
 from road_envs.simulation.lanes import LaneBuffers
-from road_envs.simulation.rosenbrock import (
-    ACCELERATION,
-    EXTENSION,
-    LOAD,
-    N_SIDE_SIGNALS,
-    N_SIGNALS,
-    WORKSPACE_ROWS,
-    step_workspace,
-)
+from road_envs.simulation.rosenbrock import N_SIDE_SIGNALS, WORKSPACE_ROWS, step_workspace
 from road_envs.vehicle.equations import N_DOF, PHI, THETA, Z_B, extension
 from road_envs.vehicle.parameters import GRAVITY
 
@@ -58,13 +44,14 @@ def _read_profiles(profiles, counts, s, v, a_xy):
 def _measure(parameters, mounting, antialias_state, signals, i, workspace, safety):
     """Write the filtered accelerations of step `i` to the samples, if it is one of a sample."""
     for j in range(parameters.range.size):
-        columns, limit = parameters.sensor_columns[j], parameters.range[j]
-        z, phi = get(signals, ACCELERATION + columns[0]), get(signals, ACCELERATION + columns[1])
+        first, columns = rosenbrock.ACCELERATION, parameters.sensor_columns[j]
+        z, phi = get(signals, first + columns[0]), get(signals, first + columns[1])
         heave, roll, pitch = get(mounting, j, 0), get(mounting, j, 1), get(mounting, j, 2)
-        true = heave * z + roll * phi + pitch * get(signals, ACCELERATION + columns[2])
+        true = heave * z + roll * phi + pitch * get(signals, first + columns[2])
         if safety is not None:
             true = true * get(mounting, j, 3) + get(mounting, j, 4)
         x = true + parameters.noise_std[j] * get(workspace.noise, j, i)
+        limit = parameters.range[j]
         x = minimum(maximum(x, -limit), limit)
         x = filter_sample(parameters.antialias_sos, antialias_state, j, x)
         if i % parameters.decimation == 0:
@@ -75,13 +62,13 @@ def _measure(parameters, mounting, antialias_state, signals, i, workspace, safet
 @kernel
 def _add_costs(parameters, wk_state, signals, sums):
     """Add the squares of one step to the `sums` (6, LANES)."""
-    heave = get(signals, ACCELERATION + Z_B)
+    heave = get(signals, rosenbrock.ACCELERATION + Z_B)
     heave = filter_sample(parameters.wk_sos, wk_state, 0, heave)
     add(sums, fa.SUM_COMFORT, heave * heave)
     for w in range(4):
-        e = get(signals, EXTENSION + w)
+        e = get(signals, rosenbrock.EXTENSION + w)
         add(sums, fa.SUM_RATTLE, e * e)
-        variation = get(signals, LOAD + w) * parameters.per_static_load[w] - 1.0
+        variation = get(signals, rosenbrock.LOAD + w) * parameters.per_static_load[w] - 1.0
         add(sums, fa.SUM_TYRE_LOAD, variation * variation)
 
 
@@ -108,21 +95,20 @@ def _write_observation(parameters, gain, v, samples, commands, observation):
             for i in range(samples.shape[1]):
                 observation[k, at] = samples[j, i, k]
                 at += 1
-        measured = gain[k] * v[k]
-        observation[k, at] = min(max(measured, 0.0), parameters.top_speed)
+        observation[k, at] = min(max(gain[k] * v[k], 0.0), parameters.top_speed)
         for wheel in (0, 2):
             observation[k, at + 1 + wheel] = (byte >> wheel) & 1
             observation[k, at + 2 + wheel] = (byte >> (4 + wheel)) & 1
 
 
 @kernel(inline=False)
-def _write_optional_groups(parameters, p, n, sums, signals, k_0, observation):
-    """Write the optional groups to the observations (lanes in use, ...), from column `k_0` on.
+def _write_optional_groups(parameters, p, n, sums, signals, at, observation):
+    """Write the optional groups to the observations (lanes in use, ...), from column `at` on.
 
     Horizontal specific forces on the inclined body are averaged over the interval. Strut extensions
     and rates are those of the last step, with its `signals`; `p` are the constants of the lanes.
     """
-    at, lanes = k_0, observation.shape[0]
+    lanes = observation.shape[0]
     if parameters.planar > 0:
         for k in range(lanes):
             for j in range(fa.N_PLANAR):
@@ -133,7 +119,7 @@ def _write_optional_groups(parameters, p, n, sums, signals, k_0, observation):
         for w in range(4):
             rate = extension(p, signals[N_DOF : 2 * N_DOF], w)
             for k in range(lanes):
-                e, e_dot = signals[EXTENSION + w, k], extract_lane(rate, k)
+                e, e_dot = signals[rosenbrock.EXTENSION + w, k], extract_lane(rate, k)
                 observation[k, at + w] = min(max(e, -fa.MAX_EXTENSION), fa.MAX_EXTENSION)
                 observation[k, at + 4 + w] = min(
                     max(e_dot, -fa.MAX_EXTENSION_RATE), fa.MAX_EXTENSION_RATE
@@ -148,7 +134,7 @@ def _write_truth(s, heights, signals, at, truth):
         for side in range(2):
             truth[k, fa.TRUE_PROFILE + side, at] = heights[side, k]
         for w in range(4):
-            truth[k, fa.TRUE_LOADS + w, at] = signals[LOAD + w, k]
+            truth[k, fa.TRUE_LOADS + w, at] = signals[rosenbrock.LOAD + w, k]
 
 
 @kernel(inline=False, count_references=False)
@@ -158,16 +144,16 @@ def advance_blocks(
     """Advance the `blocks` (indices) by one control interval under IntervalInputs.
 
     The rows of `output` are the vehicles; the last block may have lanes without one. `safety`, if
-    given: the constants of a fleet whose costs are those of `safety_step`; `side`, if given: the
-    vehicles have side motion.
+    given: constants of costs as in `safety_step`; `side`, if given: vehicles have side motion.
     """
     delayed = workspace.delayed
     n, h = delayed.shape[0], parameters.h
-    scratch = LaneScratch(
-        step_workspace(stack_rows(WORKSPACE_ROWS)), stack_rows(16), stack_rows(2), stack_rows(2),
-        stack_rows(40), stack_rows(N_SIDE_SIGNALS),
-    )  # fmt: skip
-    signals, sums, safe = stack_rows(N_SIDE_SIGNALS), stack_rows(N_SUMS), stack_rows(N_SAFETY)
+    work = step_workspace(stack_rows(WORKSPACE_ROWS))
+    signals, unused = stack_rows(N_SIDE_SIGNALS), stack_rows(N_SIDE_SIGNALS)
+    scratch = fleet.LaneScratch(
+        work, stack_rows(16), stack_rows(2), stack_rows(2), stack_rows(40), unused
+    )
+    sums, safe = stack_rows(N_SUMS), stack_rows(N_SAFETY)
     for b in blocks:
         rows = slice(b * LANES, min((b + 1) * LANES, output.values.shape[0]))
         lanes, own = rows.stop - rows.start, b % cars.lane_constants.shape[0]
@@ -175,7 +161,7 @@ def advance_blocks(
         kinematics, counts = state.kinematics[b], state.counts[b]
         values, events, truth = output.values[rows], output.events[rows], output.truth[rows]
         offset, size = layout[fa.ROAD_OFFSET : fa.ROAD_SIZE], layout[fa.ROAD_SIZE]
-        roads = RoadBuffers(
+        roads = fleet.RoadBuffers(
             inputs.road_heights, offset, size, layout[fa.ROAD_START], layout[fa.ROAD_PER_DS]
         )
         if inputs.profiles.shape[0] > 0:
@@ -190,7 +176,7 @@ def advance_blocks(
             cars.lane_constants[own : own + 1], cars.constants[own], cars.alpha[own], cars.velocity,
             cars.displacement, state.strut_state[b], state.valves[b], q, v,
         )  # fmt: skip
-        manoeuvre = a_xy.shape[0] > NO_MANOEUVRE.shape[0]
+        manoeuvre = a_xy.shape[0] > fleet.NO_MANOEUVRE.shape[0]
         drive_inputs = DriveInputs(workspace.s, workspace.v, a_xy, delayed, h)
         if parameters.noisy > 0:
             fill_normal(state.noise_state[b], lanes, workspace.noise)
@@ -222,7 +208,7 @@ def advance_blocks(
                 at = i // parameters.decimation
                 _write_truth(workspace.s[2 * i], scratch.front, signals, at, truth)
             if workspace.signals.shape[0] > 0:
-                for j in range(N_SIGNALS):
+                for j in range(rosenbrock.N_SIGNALS):
                     put(workspace.signals[i], j, get(signals, j))
         for k in range(lanes):
             total = 0.0
@@ -240,10 +226,9 @@ def advance_blocks(
         else:
             write_safety(safe, values)
         observation, end = output.observation[rows], workspace.v[2 * n]
-        gain = kinematics[fa.SPEED_GAIN]
+        gain, p = kinematics[fa.SPEED_GAIN], cars.lane_constants[own]
         _write_observation(parameters, gain, end, workspace.samples, commands, observation)
         k_0 = workspace.samples.shape[0] * workspace.samples.shape[1] + 5
-        p = cars.lane_constants[own]
         _write_optional_groups(parameters, p, n, sums, signals, k_0, observation)
         for k in range(lanes):
             counts[fa.STEPS_DONE, k] += n

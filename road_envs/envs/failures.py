@@ -9,8 +9,7 @@ from road_envs.simulation.rosenbrock import ACCELERATION, N_SIGNALS
 from road_envs.vehicle.equations import DOF, N_DOF
 
 ANGLES = tuple(DOF.index(name) for name in ("phi", "theta", "phi_af", "phi_ar"))
-MAX_ANGLE = float(np.radians(45.0))
-"""Limit [rad] of each of ANGLES, beyond which the small-angle model is invalid."""
+MAX_ANGLE = float(np.radians(45.0))  # of each of ANGLES: beyond it the small-angle model is invalid
 
 END_OF_ROAD, ROLLOVER, NONFINITE_STEP = range(3)
 """Columns of `control_step.StepOutput.events`: whether the vehicle has left its road; 4 i + column
@@ -43,10 +42,8 @@ def _mark_rollover(signals, i, events):
 
 @kernel
 def find_failures(signals, i, events):
-    """Note lanes of which the motion of step `i` is not finite, or an angle is beyond MAX_ANGLE.
-
-    What is not finite reaches an acceleration in the same step.
-    """
+    """Note lanes of which the motion of step `i` is not finite, or an angle is beyond MAX_ANGLE."""
+    # what is not finite reaches an acceleration in the same step
     total, angle = get(signals, ACCELERATION), 0.0 * get(signals, ACCELERATION)
     for j in range(1, N_DOF):
         total = total + get(signals, ACCELERATION + j)

@@ -20,92 +20,65 @@ OUT_T, OUT_STATION, OUT_SPEED_KMH, OUT_COMFORT = range(4)
 OUT_RATTLE, OUT_TYRE_LOAD, OUT_REWARD, OUT_UNRESOLVED = range(4, 8)
 """Columns of `StepOutput.values`: time since the start [s], station of the front axle [m], speed
 [km/h], the three costs and the reward of the interval, and the share of the road's variance that
-the strut states leave unresolved. The last one is a fourth cost that `InstrumentedFleet` adds."""
+the strut states leave unresolved, a fourth cost that `InstrumentedFleet` adds."""
 
 N_PLANAR, N_STRUT_SIGNALS = 2, 8
 """Sizes of the optional observation groups: horizontal accelerations; extensions and rates."""
 MAX_PLANAR, MAX_EXTENSION, MAX_EXTENSION_RATE = 20.0, 0.5, 10.0
 """Limits of the observed values of these groups [m/s², m, m/s]."""
 
-STEPS_DONE, STEPS_TOTAL, PROFILE = range(3)
-DRIVE_START, SPEED, SPEED_KMH, SPEED_GAIN = range(4)
-ROAD_OFFSET, ROAD_SIZE, ROAD_START, ROAD_PER_DS = 0, 2, 3, 4
-"""Rows of `FleetState.counts`, `FleetState.kinematics` and `FleetState.road_layout`."""
-
-TRUE_S, TRUE_PROFILE, TRUE_LOADS, N_TRUE = 0, 1, 3, 7
-"""Rows of `StepOutput.truth`, and their number."""
-
-SUM_COMFORT, SUM_RATTLE, SUM_TYRE_LOAD, SUM_A_X, SUM_A_Y, N_SUMS = range(6)
-"""Rows of the sums over an interval."""
+STEPS_DONE, STEPS_TOTAL, PROFILE = range(3)  # rows of `FleetState.counts`
+DRIVE_START, SPEED, SPEED_KMH, SPEED_GAIN = range(4)  # rows of `FleetState.kinematics`
+ROAD_OFFSET, ROAD_SIZE, ROAD_START, ROAD_PER_DS = 0, 2, 3, 4  # rows of `FleetState.road_layout`
+TRUE_S, TRUE_PROFILE, TRUE_LOADS, N_TRUE = 0, 1, 3, 7  # rows of `StepOutput.truth`, their number
+SUM_COMFORT, SUM_RATTLE, SUM_TYRE_LOAD, SUM_A_X, SUM_A_Y, N_SUMS = range(6)  # rows of the sums
 
 
 class FleetState(NamedTuple):
-    """State that every vehicle keeps between control intervals; blocks first, lanes last.
+    """State that every vehicle keeps between control intervals; blocks first, lanes last."""
 
-    Coordinates `q` and rates `v` (B, 7), `strut_state` (B, 4, 3) and `valves` (B, 2) as in
-    `lanes.LaneBuffers`, command `delay_line` (B, D),
-    filter states `antialias_state` (B, n, k, 2), `wk_state` (B, m, 1, 2) and `high_pass_state`
-    (B, j, 4, 2) of the tyre loads, times `off` (B, 2) [s] for which the sides have been off the
-    ground, `mounting` (B, k, 5) of k sensors: factors of their three `sensor_columns`, gain and
-    offset; `noise_state` (B, 4) as `normal_numbers.generator_state`.
-    `counts` (B, 3): steps done, steps in total, row of the profiles. `kinematics` (B, 4): station
-    at the start [m], speed [m/s], speed [km/h], gain of the speed signal. `road_layout` (B, 5): the
-    fields of `fleet.RoadBuffers` other than the heights. With `safety`, `wk_state` is (B, m, 2, 2);
-    else `high_pass_state` and `off` are empty.
-    """
-
-    q: np.ndarray
-    v: np.ndarray
-    strut_state: np.ndarray
-    valves: np.ndarray
-    delay_line: np.ndarray
-    antialias_state: np.ndarray
-    wk_state: np.ndarray
-    high_pass_state: np.ndarray
-    off: np.ndarray
-    mounting: np.ndarray
-    noise_state: np.ndarray
-    counts: np.ndarray
-    kinematics: np.ndarray
-    road_layout: np.ndarray
+    q: np.ndarray  # (B, 7), these four as in `lanes.LaneBuffers`
+    v: np.ndarray  # (B, 7)
+    strut_state: np.ndarray  # (B, 4, 3)
+    valves: np.ndarray  # (B, 2)
+    delay_line: np.ndarray  # (B, D): commands on their way
+    antialias_state: np.ndarray  # (B, n, k, 2) of the filters of k sensors
+    wk_state: np.ndarray  # (B, m, 1, 2); with `safety` (B, m, 2, 2)
+    high_pass_state: np.ndarray  # (B, j, 4, 2) of the tyre loads; empty without `safety`
+    off: np.ndarray  # (B, 2) [s] for which a side is off the ground; empty without `safety`
+    mounting: np.ndarray  # (B, k, 5): factors of the three `sensor_columns`, gain, offset
+    noise_state: np.ndarray  # (B, 4) as `normal_numbers.generator_state`
+    counts: np.ndarray  # (B, 3): steps done, steps in total, row of the profiles
+    kinematics: np.ndarray  # (B, 4): start [m], speed [m/s], speed [km/h], gain of its signal
+    road_layout: np.ndarray  # (B, 5): fields of `fleet.RoadBuffers` other than the heights
 
 
 class FleetParameters(NamedTuple):
-    """Parameters common to all vehicles.
+    """Parameters common to all vehicles, which have k accelerometers."""
 
-    Command `delay` in steps, `per_static_load` (4,) [1/N], cost `weights` (3,), filters, noise and
-    range (k,) [m/s²] of the accelerometers, whether they are `noisy`, and the coordinates
-    `sensor_columns` (k, 3) that they measure, `top_speed` [m/s], step `h` [s], steps per sample
-    (`decimation`), and flags of the optional observation groups.
-    """
-
-    delay: np.ndarray
-    per_static_load: np.ndarray
-    weights: np.ndarray
+    delay: np.ndarray  # of commands, in steps
+    per_static_load: np.ndarray  # (4,) [1/N]
+    weights: np.ndarray  # (3,) of the costs
     antialias_sos: np.ndarray
     wk_sos: np.ndarray
-    noise_std: np.ndarray
-    range: np.ndarray
-    noisy: int
-    sensor_columns: np.ndarray
-    top_speed: float
-    h: float
-    decimation: int
-    planar: int
+    noise_std: np.ndarray  # (k,) [m/s²]
+    range: np.ndarray  # (k,) [m/s²]
+    noisy: int  # whether any sensor is
+    sensor_columns: np.ndarray  # (k, 3): coordinates that the sensors measure
+    top_speed: float  # [m/s]
+    h: float  # step [s]
+    decimation: int  # steps per sample
+    planar: int  # flags of the optional observation groups
     struts: int
 
 
 class _CarBuffers(NamedTuple):
-    """Vehicles of B blocks, or of one block whose vehicles all blocks have.
+    """Vehicles of B blocks, or of one block whose vehicles all blocks have; see LaneBuffers."""
 
-    Fields as of `lanes.LaneBuffers`: `lane_constants` (B,), `constants` (B, LANES), `alpha`
-    (B, LANES), and the force tables of all vehicles.
-    """
-
-    lane_constants: np.ndarray
-    constants: np.ndarray
-    alpha: np.ndarray
-    velocity: np.ndarray
+    lane_constants: np.ndarray  # (B,)
+    constants: np.ndarray  # (B, LANES)
+    alpha: np.ndarray  # (B, LANES)
+    velocity: np.ndarray  # force tables of all vehicles, as is `displacement`
     displacement: np.ndarray
 
 
@@ -118,7 +91,7 @@ class LaneCars:
     """Cars of the lanes of `blocks` blocks as the kernels read them, in `buffers`.
 
     All lanes have `plant` and `car` at first, in one block that every block reads unless they are
-    `individual`. Behind its tables there is then room for those of every lane.
+    `individual`; then there is room for the tables of every lane behind its own.
     """
 
     def __init__(
@@ -132,10 +105,8 @@ class LaneCars:
         lane_constants[:] = one[0]
         alpha = aligned_zeros(size)
         alpha[:] = 1.0 - np.exp(-step / car.valve.lag)
-        tables = []
-        for name, most in TABLES.values():
-            table = getattr(plant, name)
-            tables.append(np.concatenate([table, np.zeros((most * lanes, *table.shape[1:]))]))
+        room = [(getattr(plant, name), most * lanes) for name, most in TABLES.values()]
+        tables = (np.pad(table, ((0, more), (0, 0), (0, 0))) for table, more in room)
         constants = np.repeat(common[None], size, axis=0)
         self.buffers = _CarBuffers(lane_constants, constants, alpha, *tables)
 
@@ -163,16 +134,14 @@ class LaneCars:
 class IntervalInputs(NamedTuple):
     """Inputs of B blocks in one control interval.
 
-    `road_heights` of all vehicles, from which the offsets of `FleetState.road_layout` count;
-    `commands` (B, LANES); `a_xy` (B, 4 n + 2), a_x and a_y [m/s²] of a manoeuvre in turn at every
-    half step, or (1, ...) of `fleet.NO_MANOEUVRE`. `profiles` (R, 4, M), if not empty: station,
-    speed, a_x and a_y of R drives at every half step, in place of a constant speed and `a_xy`.
+    `profiles`, if not empty, replace a constant speed and `a_xy`: station, speed, a_x and a_y
+    [m/s²] of R drives at every half step.
     """
 
-    road_heights: np.ndarray
-    commands: np.ndarray
-    a_xy: np.ndarray
-    profiles: np.ndarray
+    road_heights: np.ndarray  # of all vehicles; offsets of `FleetState.road_layout` count in it
+    commands: np.ndarray  # (B, LANES)
+    a_xy: np.ndarray  # (B, 4 n + 2): a_x, a_y in turn at every half step; (1, ...): NO_MANOEUVRE
+    profiles: np.ndarray  # (R, 4, M)
 
 
 class ControlStepWorkspace(NamedTuple):
@@ -188,17 +157,12 @@ class ControlStepWorkspace(NamedTuple):
 
 
 class StepOutput(NamedTuple):
-    """Output of one control interval with k samples, of N vehicles with S accelerometers.
+    """Output of one control interval with k samples, of N vehicles with S accelerometers."""
 
-    `observation` (N, S k + 5 or more) float32, see `RoadReconEnv`; `values` (N, 8), see
-    OUTPUT_COLUMNS; `events` (N, 3), columns as in `failures`; ground truth `truth` (N, 7, k), the
-    rows below, or (N, 0, k) unless requested.
-    """
-
-    observation: np.ndarray
-    values: np.ndarray
-    events: np.ndarray
-    truth: np.ndarray
+    observation: np.ndarray  # (N, S k + 5 or more) float32, see `RoadReconEnv`
+    values: np.ndarray  # (N, 8), see OUTPUT_COLUMNS
+    events: np.ndarray  # (N, 3), columns as in `failures`
+    truth: np.ndarray  # (N, 7, k), rows as of TRUE_S ..., or (N, 0, k) unless requested
 
     @property
     def failed(self) -> np.ndarray:
@@ -212,8 +176,8 @@ class StepOutput(NamedTuple):
 
     @property
     def truths(self) -> dict[str, np.ndarray]:
-        """Stations (N, k) [m] of the front axles at the samples, heights (N, 2, k) [m] under their
-        wheels, and tyre loads (N, 4, k) [N].
+        """At the samples: stations (N, k) [m] of the front axles, heights (N, 2, k) [m] under their
+        wheels, tyre loads (N, 4, k) [N].
         """
         s, profile = self.truth[:, TRUE_S], self.truth[:, TRUE_PROFILE:TRUE_LOADS]
         return {"s": s, "profile": profile, "loads": self.truth[:, TRUE_LOADS:]}

@@ -38,13 +38,11 @@ class FleetSettings(NamedTuple):
     `instruments`. `top_speed` [m/s] is the highest speed observed; `planar` and `struts` add these
     groups to the observation. With `truth`, `StepOutput` holds the road and the tyre loads.
 
-    `weights` are those of the three costs in the reward. `unresolved_variance` returns, for a speed
-    [m/s], the share (256,) [-] of the road's variance that each command byte leaves unresolved, a
-    fourth cost with the weight `unresolved_variance_weight`. All drive at constant speed in the
-    same `manoeuvre`.
-
-    With `individual`, every drive has its own car, speed profile, manoeuvre and sensor faults, and
-    the output has SAFETY_COLUMNS; weights and `manoeuvre` have no effect.
+    All drive at constant speed in the same `manoeuvre`; `weights` are those of the three costs in
+    the reward. `unresolved_variance` returns, for a speed [m/s], the share (256,) [-] of the road's
+    variance that each command byte leaves unresolved, a fourth cost of its own weight. With
+    `individual`, every drive has its own car, speed profile, manoeuvre and sensor faults, and the
+    output has SAFETY_COLUMNS; weights and `manoeuvre` have no effect.
     """
 
     instruments: Instruments
@@ -66,9 +64,9 @@ class InstrumentedFleet:
 
     `plant` and `car` are the described vehicle. At most `distinct` vehicles, by default all, are
     started by `start`, and others by `share`. With `keep_signals` `last_interval` returns the
-    motion. Blocks are spread over `threads`. The state is plain NumPy, so copies and pickles work.
-    Raises ConfigError if the instruments cannot sample at these steps, on a flexible frame, and
-    when two threads advance one fleet at once.
+    motion. Blocks are spread over `threads`. Copies and pickles work. Raises ConfigError if the
+    instruments cannot sample at these steps, on a flexible frame, and when two threads advance one
+    fleet at once.
     """
 
     def __init__(
@@ -120,8 +118,7 @@ class InstrumentedFleet:
         k = logger.range.size
         optional = settings.planar * fa.N_PLANAR + settings.struts * fa.N_STRUT_SIGNALS
         self.observation_size = k * self.samples + 5 + optional
-        per_command = 256 if settings.unresolved_variance else 0
-        self.unresolved = np.zeros((n_vehicles, per_command))
+        self.unresolved = np.zeros((n_vehicles, 256 if settings.unresolved_variance else 0))
         self.state = self._initial_state(blocks, delay, k)
         rows = n_vehicles if distinct is None else distinct
         self._rows: dict[int, int] = {}  # of roads and profiles, by vehicle
@@ -201,9 +198,8 @@ class InstrumentedFleet:
         try:
             self._idle.pop()
         except IndexError:
-            raise ConfigError(
-                "an environment is stepped by two threads at once; make one for each thread"
-            ) from None
+            text = "an environment is stepped by two threads at once; make one for each thread"
+            raise ConfigError(text) from None
         try:
             return self._advance(commands, mask)
         finally:
@@ -214,8 +210,8 @@ class InstrumentedFleet:
         moving, size = self._moving, self.n_vehicles
         if mask is not None:  # blocks advance as a whole: lanes outside it are restored afterwards
             moving = np.unique(np.flatnonzero(mask) // LANES)
-            lanes = LANES * moving[:, None] + np.arange(LANES)
-            b, k = np.divmod(np.setdiff1d(lanes, np.flatnonzero(mask)), LANES)
+            of_blocks = LANES * moving[:, None] + np.arange(LANES)
+            b, k = np.divmod(np.setdiff1d(of_blocks, np.flatnonzero(mask)), LANES)
             saved = [field[b, ..., k] for field in self.state]
         output = fa.StepOutput(
             np.empty((size, self.observation_size), dtype=np.float32),
@@ -223,27 +219,20 @@ class InstrumentedFleet:
             np.empty((size, 3), dtype=np.int64),
             np.empty((size, fa.N_TRUE * self.settings.truth, self.samples)),
         )
-        a_xy = self._manoeuvre_inputs()
-        inputs = fa.IntervalInputs(
-            self.road_heights.ravel(), self._commands.reshape(-1, LANES), a_xy, self._profiles
-        )
-        flags = self.safety, *self.plant.kernel_flags[1:]
-        cars = self.cars.buffers
-
-        def run(job: np.ndarray, workspace: fa.ControlStepWorkspace) -> None:
-            advance_blocks(
-                job, self.state, self.parameters, cars, inputs, workspace, output, *flags
-            )
-
+        heights, lanes = self.road_heights.ravel(), self._commands.reshape(-1, LANES)
+        inputs = fa.IntervalInputs(heights, lanes, self._manoeuvre_inputs(), self._profiles)
+        common = self.state, self.parameters, self.cars.buffers, inputs
+        rest = output, self.safety, *self.plant.kernel_flags[1:]
         n = len(self._workspaces)
         jobs = [moving] if n == 1 else np.array_split(moving, n)
-        run_in_threads(run, list(zip(jobs, self._workspaces, strict=True)))
+        shares = zip(jobs, self._workspaces, strict=True)
+        run_in_threads(advance_blocks, [(job, *common, own, *rest) for job, own in shares])
         if mask is not None:
             for field, before in zip(self.state, saved, strict=True):
                 field[b, ..., k] = before
         if self.settings.unresolved_variance is not None:  # the fourth cost
             values, weight = output.values, self.settings.unresolved_variance_weight
-            values[:, fa.OUT_UNRESOLVED] = self.unresolved[np.arange(self.n_vehicles), commands]
+            values[:, fa.OUT_UNRESOLVED] = self.unresolved[np.arange(size), commands]
             interval = self.steps * self.step
             values[:, fa.OUT_REWARD] -= interval * weight * values[:, fa.OUT_UNRESOLVED]
         return output
@@ -275,8 +264,7 @@ class InstrumentedFleet:
                 f"{self.n_vehicles}, and only with keep_signals; make such a fleet"
             )
         first = int(self.state.counts[0, fa.STEPS_DONE, i]) - self.steps
-        t = self.step * (first + np.arange(self.steps))
-        commands = np.full(self.steps, byte, dtype=np.uint8)
+        t, commands = self.step * (first + np.arange(self.steps)), np.full(self.steps, byte, "u1")
         s, v = last.s[:-1:2, i].copy(), last.v[:-1:2, i].copy()
         return Trajectory(t, s, v, commands, last.signals[:, :, i].copy())
 
@@ -293,11 +281,9 @@ class InstrumentedFleet:
         layout = self.state.road_layout[b, :, k]
         for side in range(2):
             path = self.road_heights[2 * row + side]
-            path[:PAD], path[PAD : size - PAD] = z[side, 0], z[side]
-            path[size - PAD : size] = z[side, -1]
+            path[:size] = np.pad(z[side], PAD, mode="edge")
             layout[fa.ROAD_OFFSET + side] = path.size * (2 * row + side)
-        layout[fa.ROAD_SIZE] = size
-        layout[fa.ROAD_START], layout[fa.ROAD_PER_DS] = drive.surface.start, 1.0 / drive.surface.ds
+        layout[fa.ROAD_SIZE :] = size, drive.surface.start, 1.0 / drive.surface.ds
 
     def _manoeuvre_inputs(self) -> np.ndarray:
         """Return alternating a_x, a_y (B or 1, ..., LANES) for the next interval."""

@@ -10,15 +10,8 @@ import numpy as np
 from pydantic import Field
 
 from road_envs.analysis.information_bound import BoundTable, RoadPrior
-from road_envs.core.config import (
-    ConfigError,
-    NonNegative,
-    Positive,
-    Settings,
-    SmallestFirst,
-    UnknownKeyError,
-    build,
-)
+from road_envs.core import config
+from road_envs.core.config import ConfigError, NonNegative, Positive, Settings, UnknownKeyError
 from road_envs.envs import fleet_arrays as fa
 from road_envs.envs.failures import ANGLES, MAX_ANGLE, NONFINITE_STEP, ROLLOVER
 from road_envs.envs.instrumented_fleet import FleetSettings, InstrumentedFleet
@@ -35,7 +28,6 @@ from road_envs.vehicle.suspension import MODES, encode_command
 T = TypeVar("T")
 
 RIDE_OR_HANDLING = ("ride", "handling")
-
 ACTIONS: dict[str, tuple[dict[str, str], ...]] = {
     "vehicle": tuple({"front": mode, "rear": mode} for mode in RIDE_OR_HANDLING),
     "axle": tuple({"front": f, "rear": r} for r in RIDE_OR_HANDLING for f in RIDE_OR_HANDLING),
@@ -51,16 +43,11 @@ Speed = Annotated[float, Field(gt=0, le=MAX_SPEED_KMH)]
 RESERVED_NAMES = {"speed", "front", "rear", "planar", "extension", "extension_rate"}
 """Parts of an observation that are no accelerometers."""
 
-MAX_STEPS = 1_000_000
-"""Largest number of integrator steps in a control interval: 240 MB of signals are kept."""
-
+MAX_STEPS = 1_000_000  # most integrator steps in a control interval: 240 MB of signals are kept
 MAX_OBSERVED_SPEED = 100.0  # upper limit of the observed speed [m/s]
+MAX_DRAWS = 20  # most roads that an episode draws until one has no step too high for a wheel
 
-MAX_DRAWS = 20
-"""Most roads that an episode draws until one has no step too high for a wheel."""
-
-_bound_tables: dict[tuple[str, str, tuple[float, ...], tuple[str, ...]], BoundTable] = {}
-"""Tables that were computed, by all that they depend on."""
+_bound_tables: dict[tuple[object, ...], BoundTable] = {}  # by all that they depend on
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +68,7 @@ class EnvOptions(Settings):
 
     road: str | dict[str, Any] = "belgian"
     speed_kmh: Annotated[
-        Speed | Annotated[tuple[Speed, Speed], SmallestFirst], "km/h", "speed, or its range"
+        Speed | Annotated[tuple[Speed, Speed], config.SmallestFirst], "km/h", "speed, or its range"
     ] = 14.5
     mode: str | dict[str, str] | None = None
     control: Literal["vehicle", "axle", "states"] = "vehicle"
@@ -135,7 +122,7 @@ def build_options(cls: type[T], options: Mapping[str, Any], where: str) -> T:
     An unknown one is named in Python's words, by which TorchRL knows what to leave out.
     """
     try:
-        return build(cls, options, where)
+        return config.build(cls, options, where)
     except UnknownKeyError as error:
         text = str(error)
         for name in options:
@@ -186,9 +173,8 @@ class EnvSetup:
         road = load_road(o.road)
         self.road = road if o.length is None else with_length(road, o.length)
         self.interval = 1.0 / o.control_rate
-        self.command_bytes = np.array(
-            [encode_command(action, self.car) for action in self.actions], dtype=np.uint8
-        )
+        commands = [encode_command(action, self.car) for action in self.actions]
+        self.command_bytes = np.array(commands, dtype=np.uint8)
         samples = self.instruments.fs * self.interval
         self.samples_per_interval = round(samples)
         if self.samples_per_interval < 1 or abs(self.samples_per_interval - samples) > 1e-6:
@@ -245,18 +231,16 @@ class EnvSetup:
         return _bound_tables[key]
 
     def unresolved_variance_by_command(self, v: float) -> np.ndarray:
-        """Return the unresolved share (256,) [-] of the road's variance at `v` [m/s].
-
-        It is indexed by the command byte, and 1 for bytes that no action commands.
+        """Return the unresolved share (256,) [-] of the road's variance at `v` [m/s], by command
+        byte; it is 1 for bytes that no action commands.
         """
         share = np.ones(256)
-        for action in self.actions:
-            error = self.bound_table.interpolate(**action, v=v)
-            share[encode_command(action)] = error**2
+        for action, byte in zip(self.actions, self.command_bytes, strict=True):
+            share[byte] = self.bound_table.interpolate(**action, v=v) ** 2
         return share
 
     def fleet_settings(self) -> FleetSettings:
-        """Return what the vehicles of all environments have in common."""
+        """Settings that the vehicles of all environments have in common."""
         o, by_command = self.options, self.unresolved_variance_by_command
         return FleetSettings(
             self.instruments,
@@ -283,15 +267,7 @@ class EnvSetup:
             raise UnknownKeyError(
                 f"unknown reset options {sorted(extra)}; known: {', '.join(known)}"
             )
-        return build(EnvOptions, known | options, "reset options")
-
-    def start_episode(
-        self, fleet: InstrumentedFleet, i: int, random: np.random.Generator, o: Any
-    ) -> EpisodeStart:
-        """Put vehicle `i` at the start of an episode drawn from `random`."""
-        start = self.prepare(random, o)
-        fleet.start(i, start.drive, start.logger, start.speed_kmh)
-        return start
+        return config.build(EnvOptions, known | options, "reset options")
 
     def prepare(self, random: np.random.Generator, o: Any) -> EpisodeStart:
         """Draw the start of an episode from `random`, with the options `o` of a reset."""

@@ -24,14 +24,12 @@ class RoadReconEnv(gymnasium.Env):
     with low damping (*ride*) or stiff with high damping (*handling*); a command takes effect after
     a delay of 20 ms and a lag of 10 ms. The agent observes the vehicle's own instruments: vertical
     accelerations, of the body at the right front (RF), left rear (LR) and right rear (RR) unless
-    other `sensors` are chosen, the speed, and the commanded states. It does not observe the road.
-    The model is that of Ngwangwa, Heyns, Breytenbach & Els; see `road_envs.vehicle.equations` and
-    `road_envs.vehicle.suspension`.
+    other `sensors` are chosen, the speed, and the commanded states, but not the road. The model
+    (`road_envs.vehicle.equations`, `suspension`) is that of Ngwangwa, Heyns, Breytenbach & Els.
 
     ## Action Space
     `control="vehicle"`: `Discrete(2)`, 0 ride, 1 handling, for all struts.
-    `control="axle"`: `Discrete(4)`, front + 2 * rear with 0 ride and 1 handling: 0 ride/ride,
-    1 front handling, 2 rear handling, 3 handling/handling.
+    `control="axle"`: `Discrete(4)`, front + 2 * rear with 0 ride and 1 handling.
     `control="states"`: `Discrete(16)`, front + 4 * rear with 0 ride, 1 handling, 2 soft spring and
     high damping, 3 stiff spring and low damping.
     A `vehicle` with passive struts has nothing to switch: `Discrete(1)`, and no other `control`.
@@ -43,12 +41,9 @@ class RoadReconEnv(gymnasium.Env):
 
     | index | quantity | unit | low | high |
     |---|---|---|---|---|
-    | 0 ... k-1 | RF acceleration, oldest first | m/s² | -range | range |
-    | k ... 2k-1 | LR acceleration | m/s² | -range | range |
-    | 2k ... 3k-1 | RR acceleration | m/s² | -range | range |
+    | 0 ... 3k-1 | RF, LR and RR acceleration, k each, oldest first | m/s² | -range | range |
     | 3k | measured speed | m/s | 0 | 100 |
-    | 3k+1, 3k+2 | front: stiff spring, high damping (commanded) | - | 0 | 1 |
-    | 3k+3, 3k+4 | rear: stiff spring, high damping (commanded) | - | 0 | 1 |
+    | 3k+1 ... 3k+4 | stiff spring, high damping (commanded), front, then rear | - | 0 | 1 |
 
     `observe` appends groups of further instruments, which have no noise [assumed]:
 
@@ -71,23 +66,22 @@ class RoadReconEnv(gymnasium.Env):
     | `tyre_load` | RMS of tyre load over static load, less 1 | - | 1 |
     | `unresolved_variance` | share of the road's variance that stays unresolved | - | 0 |
 
-    `info` holds the last one only where its weight is not 0. It is the error variance of the best
-    linear estimate of a class-D road within the scored band (`information_bound.BoundTable`), for
-    a vehicle that stays in the commanded states; a vehicle that keeps switching is charged the
-    same.
+    The last one, in `info` only where its weight is not 0, is the error variance of the best linear
+    estimate of a class-D road within the scored band (`information_bound.BoundTable`) by a vehicle
+    that stays in the commanded states; one that keeps switching is charged the same.
 
     ## Starting State
-    The vehicle starts in equilibrium on a level apron, front axle 5 m before the road, in the mode
-    `mode`. Reset drives one control interval, so that the first observation holds samples. Each
-    reset draws a road (unless it is a fixed one), a speed (if a range is given) and the sensor
-    noise, each from its own random stream. A random road with a step that no wheel climbs, more
-    than 0.2 m within 0.05 m as on some of class H, is drawn again; a fixed one raises ConfigError.
+    The vehicle starts in equilibrium on a level apron, front axle 5 m before the road, in `mode`.
+    Reset drives one control interval, so that the first observation holds samples. It draws a road
+    (unless fixed), a speed (if a range is given) and the sensor noise, each from its own random
+    stream. A random road with a step that no wheel climbs, more than 0.2 m within 0.05 m as on some
+    of class H, is drawn again; a fixed one raises ConfigError.
 
     ## Episode End
-    The episode is truncated when the rear axle has left the road and the apron after it. It is
-    terminated when the body or an axle has rolled or pitched by more than 45 degrees, beyond the
-    model's small angles, or when the motion is no longer finite: `info["reason"]` is then 1 or
-    2, else 0, and the attribute `failure` says it in words.
+    Truncated when the rear axle has left the road and the apron after it. Terminated when the body
+    or an axle has rolled or pitched by more than 45 degrees, beyond the model's small angles, or
+    the motion is no longer finite: `info["reason"]` is then 1 or 2, else 0, and the attribute
+    `failure` says it in words.
 
     ## Arguments
     ```python
@@ -146,7 +140,7 @@ class RoadReconEnv(gymnasium.Env):
         self.action_space = self.setup.action_space
         self.fleet = self.setup.make_fleet(keep_signals=render_mode is not None)
         self._start: EpisodeStart | None = None
-        self._failed: tuple[StepOutput, str] | None = None
+        self._failed: tuple[StepOutput, int, str] | None = None
         self._command_byte = 0
         self._reward_column = self.setup.output_columns.index("reward")
         self._history: deque[np.ndarray] = deque(maxlen=ceil(RENDERED_HISTORY * rate))
@@ -155,10 +149,11 @@ class RoadReconEnv(gymnasium.Env):
         """Start an episode; the class documents `options`. Raises ConfigError on unknown ones."""
         super().reset(seed=seed)
         episode_options = self.setup.episode_options(options or {})
-        self._start = self.setup.start_episode(self.fleet, 0, self.np_random, episode_options)
+        self._start = start = self.setup.prepare(self.np_random, episode_options)
+        self.fleet.start(0, start.drive, start.logger, start.speed_kmh)
         self._history.clear()
-        output = self._advance(self._start.command_byte)
-        return output.observation[0], self._info(output, self._start)[1]
+        output = self._advance(start.command_byte)
+        return output.observation[0], self._info(output, start)[1]
 
     def step(self, action: int):
         """Drive one control interval under `action`."""
@@ -202,16 +197,11 @@ class RoadReconEnv(gymnasium.Env):
     @property
     def failure(self) -> str:
         """Reason why the episode was terminated, in words; empty if it was not."""
-        if self._failed is None:
-            return ""
-        output, road = self._failed
-        return self.setup.failure_text(output, 0, road)
+        return "" if self._failed is None else self.setup.failure_text(*self._failed)
 
     def split(self, observation: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the parts of an observation by name.
-
-        They are RF, LR, RR (k,), speed (1,), front (2,), rear (2,) and, where they are observed,
-        planar (2,), extension (4,), extension_rate (4,).
+        """Return the parts of an observation by name: RF, LR, RR (k,), speed (1,), front (2,), rear
+        (2,) and, where they are observed, planar (2,), extension (4,), extension_rate (4,).
         """
         return {name: observation[part] for name, part in self.setup.observation_slices.items()}
 
@@ -219,17 +209,15 @@ class RoadReconEnv(gymnasium.Env):
         output = self.fleet.advance(byte)
         self._command_byte = byte
         if self.render_mode is not None:
-            k = self.setup.samples_per_interval
-            S = len(self.setup.instruments.accelerometers)
+            k, S = self.setup.samples_per_interval, len(self.setup.instruments.accelerometers)
             self._history.append(output.observation[0, : S * k].reshape(S, k).copy())
         return output
 
     def _info(self, output: StepOutput, start: EpisodeStart) -> tuple[float, dict[str, Any]]:
         row = output.values[0].tolist()
         info: dict[str, Any] = {name: row[j] for name, j in self.setup.info_columns.items()}
-        reward = row[self._reward_column]
         info["reason"] = self.setup.failure_code(output, 0)
-        self._failed = (output, start.drive.surface.name) if info["reason"] else None
+        self._failed = (output, 0, start.drive.surface.name) if info["reason"] else None
         if self.setup.options.truth:
             info |= {name: rows[0] for name, rows in output.truths.items()}
-        return reward, info
+        return row[self._reward_column], info

@@ -38,10 +38,8 @@ class SafeOptions(Settings):
 
 
 def _split_key(split: str, seal: str | None) -> int:
-    """Return the part of the random entropy that keeps the splits apart.
-
-    That of the sealed test follows from a secret text. Raises ConfigError without one, and on one
-    for another split.
+    """Return the part of the random entropy that keeps the splits apart, by the secret text of the
+    sealed test. Raises ConfigError without one, and on one for another split.
     """
     if (split == "sealed") != (seal is not None):
         raise ConfigError(
@@ -70,7 +68,6 @@ class Safe4S4Setup(EnvSetup):
         )
 
     def fleet_settings(self) -> FleetSettings:
-        """Return what the vehicles have in common: each has its own car, speed and manoeuvre."""
         return super().fleet_settings()._replace(individual=True)
 
     def rewards(self, values: np.ndarray) -> np.ndarray:
@@ -102,10 +99,8 @@ class Safe4S4Setup(EnvSetup):
         surface = description.realise_surface(np.random.default_rng(road_seed), self.car)
         k, step = len(self.instruments.accelerometers), self.options.step
         car, faults = description.individual_car(self.car, car_seed, k)
-        drive = DriveSimulator(
-            build_plant(car, manoeuvres=True), car, surface, description.speed_profile, None, step,
-            description.manoeuvre,
-        )  # fmt: skip
+        plant, speed = build_plant(car, manoeuvres=True), description.speed_profile
+        drive = DriveSimulator(plant, car, surface, speed, None, step, description.manoeuvre)
         drive.limit_duration(description.duration)
         logger = DataLogger(self.instruments, car, step, np.random.default_rng(sensor_seed), faults)
         byte = encode_command(None, car)
@@ -118,29 +113,26 @@ class Safe4S4Env(RoadReconEnv):
     ## Description
     A vehicle with the 4S4 suspension of `RoadReconEnv` drives for 20 to 30 s over a rough track
     whose ISO class changes on the way, with bumps, a severe manoeuvre (double lane change of
-    ISO 3888-1, J-turn or fishhook) and a gentle one (steady turn, slalom, or braking with falling
-    speed). Environment, distribution of the drives and reward are frozen: a change of any is
-    another version.
+    ISO 3888-1 with its 3.5 m, J-turn or fishhook) and a gentle one (steady turn, slalom, or braking
+    with falling speed). Environment, distribution of the drives and reward are frozen: a change of
+    any is another version.
 
-    ## Action Space
-    `Discrete(16)`: front + 4 * rear with 0 ride, 1 handling, 2 soft spring and high damping,
-    3 stiff spring and low damping.
-
-    ## Observation Space
-    That of `RoadReconEnv` with `observe=["accelerations", "planar", "struts"]`.
+    ## Spaces
+    Those of `RoadReconEnv` with `control="states"`, `Discrete(16)`, and
+    `observe=["accelerations", "planar", "struts"]`.
 
     ## Rewards
-    Minus `comfort`: the time integral [m²/s³] of the squared W_k-weighted vertical acceleration at
-    the front seats, which holds heave, pitch and roll (ISO 2631-1); the mean over both seats, so
-    that left and right are equal. Integrals of squares add up, whatever the control rate.
-    Safety is a constraint: `info["cost"]` is the time [s] within the interval for which both wheels
-    of a side have been off the ground for more than 20 ms, or a strut is at its bump stop. With
-    `vector_reward` the reward is minus (`comfort`, `tyre_load`, `cost`), `reward_space` its space.
+    Minus `comfort`: the time integral [m²/s³] of the squared W_k-weighted vertical acceleration
+    (ISO 2631-1) at the front seats, the mean over both, so that left and right are equal. Integrals
+    of squares add up, whatever the control rate. Safety is a constraint: `info["cost"]` is
+    the time [s] within the interval for which both wheels of a side have been off the ground for
+    more than 20 ms, or a strut is at its bump stop. With `vector_reward` the reward is minus
+    (`comfort`, `tyre_load`, `cost`), `reward_space` its space.
 
     `info` also holds `t` [s], `station` [m], `speed_kmh`, `tyre_load` [s] (integral of the squared
     load over static load, above 0.4 Hz, so without its quasi-static share), `stop` [s] at a bump
-    stop, `lift_off` [s] with a side off the ground, the largest `load_transfer` ratio,
-    the difference of left and right over their sum, and `roll` [rad] of the interval, and `reason`.
+    stop, `lift_off` [s] with a side off the ground, the largest `load_transfer` ratio, the
+    difference of left and right over their sum, and `roll` [rad], and `reason`.
 
     ## Starting State
     Each reset draws from its seed a `SafeDrive`, the road, the individual car with its payload and
@@ -169,13 +161,13 @@ class Safe4S4Env(RoadReconEnv):
 
     def __init__(self, render_mode: str | None = None, **options: Any):
         super().__init__(render_mode, **options)
-        self._is_vector = self.setup.safe.vector_reward
-        if self._is_vector:
+        if self.setup.safe.vector_reward:
             self.reward_space = gymnasium.spaces.Box(-np.inf, 0.0, (3,), dtype=np.float64)
 
     def _info(self, output, start):
         reward, info = super()._info(output, start)
-        return (self.setup.rewards(output.values)[0] if self._is_vector else reward), info
+        vector = self.setup.safe.vector_reward
+        return (self.setup.rewards(output.values)[0] if vector else reward), info
 
     @property
     def description(self) -> SafeDrive:

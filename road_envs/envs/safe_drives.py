@@ -1,10 +1,8 @@
 """Drives of the benchmark `RoadRecon/Safe4S4-v1`: what a seed draws, and what a reset may fix.
 
-A drive is a rough track whose ISO class changes on the way, with bumps, and two manoeuvres: a
-severe one (double lane change of ISO 3888-1 with its 3.5 m, J-turn or fishhook) and a gentle one
-(steady turn, slalom, or braking with falling speed). The ranges are in
-`configs/benchmarks/safe4s4_v1.yaml`: those of the group "unseen" share no value with "known", and
-training draws "known" only.
+A drive is a rough track whose ISO class changes on the way, with bumps, and two manoeuvres, a
+severe and a gentle one. The ranges are in `configs/benchmarks/safe4s4_v1.yaml`: those of the group
+"unseen" share no value with "known", and training draws "known" only.
 """
 
 from dataclasses import dataclass, field, fields, replace
@@ -14,29 +12,14 @@ import numpy as np
 from pydantic import Field
 
 from road_envs.core import config
-from road_envs.core.config import (
-    NonNegative,
-    Positive,
-    Settings,
-    SmallestFirst,
-    UnknownKeyError,
-    build,
-)
+from road_envs.core.config import NonNegative, Positive, Settings, UnknownKeyError
 from road_envs.roads import Concatenated, Defects, Iso8608, Road, Superposed
 from road_envs.roads.iso8608 import RoadClass
 from road_envs.roads.obstacles import Defect
 from road_envs.roads.surface import Surface
 from road_envs.sensing.perturbed_vehicle import load_plant_mismatch, perturb_vehicle
 from road_envs.sensing.sensor_faults import NO_FAULTS, SensorFaults
-from road_envs.simulation.manoeuvres import (
-    Braking,
-    Fishhook,
-    LaneChange,
-    Manoeuvre,
-    Slalom,
-    SteadyTurn,
-    Successive,
-)
+from road_envs.simulation import manoeuvres
 from road_envs.simulation.speed import SpeedProfile
 from road_envs.vehicle.parameters import VehicleParameters
 
@@ -45,11 +28,9 @@ Severe = Literal["lane_change", "j_turn", "fishhook"]
 Gentle = Literal["steady_turn", "slalom", "braking"]
 Grade = Literal["S0", "S1", "S2", "S3"]
 Group = Literal["known", "unseen"]
-Range = Annotated[tuple[NonNegative, NonNegative], SmallestFirst]
+Range = Annotated[tuple[NonNegative, NonNegative], config.SmallestFirst]
 
-TIME_QUANTUM = 0.1
-"""Drives last a multiple of this time [s], so that they end alike at every control rate."""
-
+TIME_QUANTUM = 0.1  # drives last a multiple of it [s], so that they end alike at every control rate
 BUMP_LENGTH = 3.7  # length of a bump [m]: the 12 feet of a Watts profile, the common speed hump
 
 
@@ -99,14 +80,14 @@ class SafeDrive(Settings):
         return SpeedProfile(t=(0.0, stop, stop + duration), v=(self.v, self.v, end))
 
     @property
-    def manoeuvre(self) -> Manoeuvre:
+    def manoeuvre(self) -> manoeuvres.Manoeuvre:
         """Lateral acceleration of both manoeuvres; braking acts by the speed profile."""
         parts = [self._severe]
         if self.gentle != "braking":
             sign = self.gentle_severity * (1.0 if self.gentle_side == "left" else -1.0)
             shape = GENTLE[self.gentle]
             parts.append(replace(shape, a_y=sign * shape.a_y, begin=self._gentle_begin))
-        return Successive(tuple(parts))
+        return manoeuvres.Successive(tuple(parts))
 
     def realise_surface(self, rng: np.random.Generator, car: VehicleParameters) -> Surface:
         """Return the road: two ISO classes one after the other, and bumps on them."""
@@ -115,9 +96,9 @@ class SafeDrive(Settings):
         length = float(np.ceil(distance[0] + car.wheelbase))
         first = round(self.change * length, 2)
         places = np.sort(rng.uniform(0.15, 0.95, self.bumps)) * length
-        classes = (self.road, first), (self.road_after, length - first)
-        rough = (Iso8608(road_class=road_class, length=part) for road_class, part in classes)
-        roads: list[Road] = [Concatenated(roads=tuple(rough))]
+        before = Iso8608(road_class=self.road, length=first)
+        after = Iso8608(road_class=self.road_after, length=length - first)
+        roads: list[Road] = [Concatenated(roads=(before, after))]
         if self.bumps:
             shape: Any = {"shape": "half_sine", "length": BUMP_LENGTH, "height": self.bump_height}
             bumps = tuple(Defect(at=float(at), **shape) for at in places)
@@ -136,16 +117,16 @@ class SafeDrive(Settings):
         """
         mismatch = load_plant_mismatch()
         rigid = replace(mismatch, structure=replace(mismatch.structure, frame=None, bending=None))
-        individual = perturb_vehicle(car, self.grade, seed, rigid, k)
-        faults = individual.faults if self.faults else NO_FAULTS
-        faults = replace(faults, jitter=0.0, dropout_rate=0.0)
-        return _loaded(individual.car, self.payload), faults
+        own = perturb_vehicle(car, self.grade, seed, rigid, k)
+        faults = replace(own.faults if self.faults else NO_FAULTS, jitter=0.0, dropout_rate=0.0)
+        return _loaded(own.car, self.payload), faults
 
     @property
     def _severe(self) -> Any:
         sign = self.severity * (1.0 if self.side == "left" else -1.0)
         if self.severe == "lane_change":  # of the standard's offset: the speed makes it severe
-            return LaneChange(v=self.v, begin=self.begin, offset=np.copysign(OFFSET, sign))
+            offset = np.copysign(OFFSET, sign)
+            return manoeuvres.LaneChange(v=self.v, begin=self.begin, offset=offset)
         shape, _ = SEVERE[self.severe]
         return replace(shape, a_y=sign * shape.a_y, begin=self.begin)
 
@@ -158,20 +139,17 @@ class SafeDrive(Settings):
 
 
 OFFSET = 3.5  # offset of the double lane change [m], ISO 3888-1:2018, table 1
-
 SEVERE: dict[str, tuple[Any, float]] = {
-    "j_turn": (SteadyTurn(a_y=4.6, build_up=0.4, hold=2.5), 3.3),
-    "fishhook": (Fishhook(a_y=4.2, build_up=0.4, dwell=0.25, hold=2.0), 3.7),
+    "j_turn": (manoeuvres.SteadyTurn(a_y=4.6, build_up=0.4, hold=2.5), 3.3),
+    "fishhook": (manoeuvres.Fishhook(a_y=4.2, build_up=0.4, dwell=0.25, hold=2.0), 3.7),
 }
 """Shapes of the severe manoeuvres, and how long they last [s]."""
-
 GENTLE: dict[str, Any] = {
-    "steady_turn": SteadyTurn(a_y=2.0, build_up=1.0, hold=3.0),
-    "slalom": Slalom(a_y=2.0, period=3.0, periods=2.0),
+    "steady_turn": manoeuvres.SteadyTurn(a_y=2.0, build_up=1.0, hold=3.0),
+    "slalom": manoeuvres.Slalom(a_y=2.0, period=3.0, periods=2.0),
 }
-BRAKING = Braking(a_x=3.0, build_up=0.3, hold=1.5)
+BRAKING = manoeuvres.Braking(a_x=3.0, build_up=0.3, hold=1.5)
 """Shapes of the gentle manoeuvres; amplitudes are assumed."""
-
 REST = 1.0  # time [s] before a gentle manoeuvre
 
 
@@ -238,7 +216,7 @@ def draw_drive(
         "payload": rng.uniform(*ranges.payload),
     }
     drawn["faults"] = fixed.get("grade", drawn["grade"]) == "S3"
-    return build(SafeDrive, drawn | fixed, "reset options")
+    return config.build(SafeDrive, drawn | fixed, "reset options")
 
 
 def _choice(rng: np.random.Generator, choices: tuple[str, ...]) -> str:

@@ -30,23 +30,17 @@ COMFORT_COLUMN = SAFETY_COLUMNS.index("comfort")
 COMFORT, TYRE_LOAD, COST, STOP, LIFT_OFF, LOAD_TRANSFER, ROLL, N_SAFETY = range(8)
 """Rows of the sums over an interval, in the order of the columns from COMFORT_COLUMN on."""
 
-SEAT = (0.30, 0.38)
-"""Front seats: ahead of the centre of mass, and to either side of the middle [m, assumed]."""
-
-HIGH_PASS_CORNER = 0.4
-"""Corner [Hz] below which a tyre load is quasi-static: the lower band limit of W_k, ISO 2631-1."""
-
+SEAT = (0.30, 0.38)  # front seats: ahead of the centre of mass, either side of it [m, assumed]
+HIGH_PASS_CORNER = 0.4  # [Hz] below it a tyre load is quasi-static: lower limit of W_k, ISO 2631-1
 GRACE = 0.02  # time [s] for which both wheels of a side may be off the ground before it counts
 
 
 class _SafetyParameters(NamedTuple):
-    """Constants of all vehicles: filter of the tyre loads, `seat` (2,): x and |y| [m], and `stops`
-    (4, 2) [m]: extensions at which the bump stops begin.
-    """
+    """Constants of all vehicles."""
 
-    high_pass_sos: np.ndarray
-    seat: np.ndarray
-    stops: np.ndarray
+    high_pass_sos: np.ndarray  # of the tyre loads
+    seat: np.ndarray  # (2,): x and |y| [m]
+    stops: np.ndarray  # (4, 2) [m]: extensions at which the bump stops begin
 
 
 def safety_parameters(car: VehicleParameters, step: float) -> _SafetyParameters:

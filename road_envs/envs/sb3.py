@@ -19,10 +19,9 @@ class RoadReconVecEnv(VecEnv):
 
     An environment that has ended restarts within the same step; its last observation is
     `info["terminal_observation"]`, and `info["TimeLimit.truncated"]` is true if only the road
-    ended. `info_keys` are the entries of `info` returned in every step; none by default, because
-    building a dictionary for each environment dominates the cost of a step. `vector_class` may be
-    `Safe4S4VectorEnv`; `cost_price` is then subtracted from the reward for each second of
-    `info["cost"]`. Raises ConfigError.
+    ended. `info_keys` are the entries of `info` in every step; none by default, because their
+    dictionaries dominate the cost of a step. `vector_class` may be `Safe4S4VectorEnv`; `cost_price`
+    is then subtracted from the reward per second of `info["cost"]`. Raises ConfigError.
     """
 
     def __init__(
@@ -100,6 +99,4 @@ class RoadReconVecEnv(VecEnv):
         return [False for _ in self._get_indices(indices)]
 
     def _rows(self, infos: dict[str, Any]) -> list[dict[str, Any]]:
-        if not self.info_keys:
-            return [{} for _ in range(self.num_envs)]
         return [{name: infos[name][i] for name in self.info_keys} for i in range(self.num_envs)]

@@ -14,9 +14,7 @@ from road_envs.core.config import ConfigError, shown, validate_choice
 from road_envs.envs.fleet_arrays import StepOutput
 from road_envs.envs.options import EnvOptions, EnvSetup, validate_actions
 
-MAX_ENVS = 100_000
-"""Most vehicles of one vector environment: with the shortest roads they need some gigabytes."""
-
+MAX_ENVS = 100_000  # most vehicles: with the shortest roads they need some gigabytes
 KEPT = "_generators _seeds _roads failures _elapsed _done _observations fleet".split()
 """Attributes that change from step to step."""
 
@@ -44,9 +42,8 @@ class RoadReconVectorEnv(VectorEnv):
     `reset(seed=..., options=...)` takes one seed or a seed for each environment, and the options
     of `RoadReconEnv.reset`; with `DISABLED` also `reset_mask` (num_envs,) bool, the environments to
     reset. `info` has the keys of the scalar environment, with a row for each environment, and for
-    each key a mask `_key` (num_envs,) of the valid rows; `failures` says why episodes were
-    terminated. `SAME_STEP` adds `final_obs` and
-    `final_info` of the ended episodes. Only the scalar environment renders.
+    each key a mask `_key` (num_envs,) of the valid rows; `failures` says why episodes ended.
+    `SAME_STEP` adds `final_obs` and `final_info` of the ended episodes. It does not render.
     """
 
     setup_class: type[EnvSetup] = EnvSetup
@@ -192,11 +189,9 @@ class RoadReconVectorEnv(VectorEnv):
             infos[name][ended] = rows[ended]
         observations = np.where(ended[:, None], started.observation, output.observation)
         final = {"final_obs": final_obs, "final_info": final_info}
-        masks = {f"_{name}": ended.copy() for name in final}
-        return observations, infos | final | masks
+        return observations, infos | final | {f"_{name}": ended.copy() for name in final}
 
     def _start_and_advance(self, mask: np.ndarray, episode_options: EnvOptions) -> StepOutput:
-        """Start episodes in `mask` and drive their first control interval."""
         commands = self._start_episodes(mask, episode_options)
         return self.fleet.advance(commands, None if mask.all() else mask)
 
@@ -204,9 +199,8 @@ class RoadReconVectorEnv(VectorEnv):
         """Start episodes in `mask`, and return their command bytes (num_envs,)."""
         commands = np.zeros(self.num_envs, dtype=np.uint8)
         for i in np.flatnonzero(mask):
-            start = self.setup.start_episode(
-                self.fleet, int(i), self._generators[i], episode_options
-            )
+            start = self.setup.prepare(self._generators[i], episode_options)
+            self.fleet.start(int(i), start.drive, start.logger, start.speed_kmh)
             commands[i], self._roads[i] = start.command_byte, start.drive.surface.name
         self._elapsed[mask] = 0
         return commands
@@ -250,10 +244,8 @@ class RoadReconVectorEnv(VectorEnv):
             seeds: list[int | None] = [int(seed) + i for i in range(self.num_envs)]
         else:
             seeds = [None] * self.num_envs if seed is None else list(seed)
-        if len(seeds) != self.num_envs:
-            raise ConfigError(
-                f"seed must be one number or {self.num_envs} numbers, got {len(seeds)}"
-            )
+        if len(seeds) != (n := self.num_envs):
+            raise ConfigError(f"seed must be one number or {n} numbers, got {len(seeds)}")
         if not self._generators:
             drawn = [seeding.np_random(s) for s in seeds]
             self._generators, self._seeds = [r for r, _ in drawn], [s for _, s in drawn]

@@ -35,11 +35,10 @@ class Axle(_UnsprungPair):
 class IndependentWheels(_UnsprungPair):
     """Two independently suspended wheels with their struts and tyres.
 
-    Two masses m / 2 at y = ±y_t have the motion of an axle of mass m and roll inertia m y_t² whose
-    struts are at the wheels (y_s = y_t): heave and roll of the axle are the mean of the wheels'
-    heights and their difference over 2 y_t. Forces of the struts and rates of their extension are
-    those at the wheels. The anti-roll bar pushes each wheel by k_roll / (2 y_t)² times the
-    difference of the two wheels' travel.
+    Two masses m / 2 at y = ±y_t move as an axle of mass m and roll inertia m y_t² with struts at
+    the wheels (y_s = y_t): its heave is the mean of their heights, its roll the difference over
+    2 y_t. Forces and rates of the struts are those at the wheels; the anti-roll bar pushes each by
+    k_roll / (2 y_t)² times the difference of their travel.
     """
 
     kind: Literal["independent"]
@@ -70,31 +69,24 @@ _Damping = Annotated[float, Field(ge=0, le=1e6)]
 
 @dataclass(frozen=True, kw_only=True)
 class SideMotion(Settings):
-    """Parts that hold the body sideways: the tyres' side forces, through the axles' roll centres.
+    """Parts that hold the body sideways (`side_motion`); pairs are front and rear.
 
-    Pairs are front and rear. Without it a body rolls about its centre of mass, as if the tyres
-    could slide sideways. Values beyond the ranges are those of no road vehicle.
+    Values beyond the ranges are those of no road vehicle.
     """
 
     I_zz: Annotated[float, Field(ge=100, le=1e6), "kg m²", "yaw inertia of the body"]
     wheel_radius: Annotated[float, Field(ge=0.15, le=0.8), "m", "height of the wheels' centres"]
     roll_centre: Annotated[
-        tuple[_RollCentre, _RollCentre],
-        "m",
-        "height of each axle's roll centre, where it holds the body sideways",
+        tuple[_RollCentre, _RollCentre], "m", "heights at which the axles hold the body sideways"
     ]
     C_alpha: Annotated[tuple[_Cornering, _Cornering], "N/rad", "cornering stiffness of one tyre"]
     relaxation: Annotated[tuple[_Relaxation, _Relaxation], "m", "relaxation length of the tyres"]
     swing_arm: Annotated[
-        tuple[_SwingArm, _SwingArm],
-        "m",
-        "of independent wheels: swing arm seen from the front, wheel to instantaneous centre",
+        tuple[_SwingArm, _SwingArm], "m", "of independent wheels: to the centre they swing about"
     ] = (1.5, 1.5)
     fore_and_aft: Annotated[bool, "", "if the wheels go fore and aft as the body pitches"] = True
     joint_stiffness: Annotated[
-        tuple[_Stiffness, _Stiffness],
-        "N/m",
-        "of the joints that hold each axle sideways; 0 at both: rigid",
+        tuple[_Stiffness, _Stiffness], "N/m", "of the axles' sideways joints; 0 at both: rigid"
     ] = (0.0, 0.0)
     joint_damping: Annotated[tuple[_Damping, _Damping], "N s/m", "of these joints"] = (0.0, 0.0)
 

@@ -45,16 +45,12 @@ def response(mode: BendingMode, f: np.ndarray) -> np.ndarray:
     return -(r**2) / (1.0 - r**2 + 2j * mode.zeta * r)
 
 
+@lru_cache(maxsize=64)
 def section(mode: BendingMode, step: float) -> np.ndarray:
     """Return the digital filter (1, 6) of `response`, for samples every `step` [s].
 
-    It is the bilinear transform, exact at the mode's frequency.
+    It is the bilinear transform, exact at the mode's frequency; nobody may write into it.
     """
-    return _section(mode, step).copy()
-
-
-@lru_cache(maxsize=64)
-def _section(mode: BendingMode, step: float) -> np.ndarray:
     w = 2.0 / step * np.tan(np.pi * mode.f * step)
     poles = w * (-mode.zeta + 1j * np.sqrt(1.0 - mode.zeta**2) * np.array([1.0, -1.0]))
     return scipy.signal.zpk2sos(*scipy.signal.bilinear_zpk(np.zeros(2), poles, 1.0, fs=1.0 / step))

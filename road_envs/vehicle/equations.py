@@ -12,22 +12,21 @@ is the force of a strut on the body and T >= 0 the load of a tyre, both positive
     I_xx phi''   =  sum ± y_s F               I_a phi_a'' =  sum ± y_t T - sum ± y_s F
     I_yy theta'' = -sum x_a F
 
-In a manoeuvre the centre of mass, at a height l above the roll or pitch axis, has accelerations
-a_x, a_y [m/s²]. Inertia force and displaced weight then add the moments
+In a manoeuvre of accelerations a_x, a_y [m/s²] inertia force and displaced weight add, with the
+height l of the centre of mass above the roll or pitch axis,
 
-    m_b l_roll (a_y + g phi)  to roll,      m_b l_pitch (g theta - a_x)  to pitch.
+    m_b l_roll (a_y + g phi)  to roll,      m_b l_pitch (g theta - a_x)  to pitch,
 
-They are left out on a straight drive at constant speed, as in the paper, but for what `side_motion`
-says of pitch.
+but on a straight drive at constant speed only what `side_motion` says of pitch, as in the paper.
 
 State (14,): z_b [m], phi, theta [rad], z_af [m], phi_af [rad], z_ar, phi_ar, then their rates. At
 the origin every strut has its static length and every tyre its static deflection. Small angles.
 
 An anti-roll bar, and bushings of a `parameters.VehicleVariation`, with a roll stiffness k_r exert
 the moment k_r (phi - phi_a) between body and axle. A variation can also make the frame flexible:
-the body then consists of two halves with half the roll inertia each, which roll by phi ± psi / 2
-(front and rear): phi is their mean and the twist psi [rad] is an eighth coordinate, after the other
-seven; its rate is the last rate. With M the roll moment of struts, bars and bushings on each half,
+two halves with half the roll inertia each roll by phi ± psi / 2 (front and rear). The twist psi
+[rad] is an eighth coordinate; its rate is the last rate. With M the roll moment of struts, bars and
+bushings on each half,
 
     I_xx / 4 psi'' = (M_front - M_rear) / 2 - k_f psi - c_f psi'
 
@@ -109,7 +108,7 @@ class Plant:
 
     @property
     def n_dof(self) -> int:
-        """Half the number of states: 7, 8 with a flexible frame, and those of `n_side`."""
+        """Half the number of states: 7, 8 if flexible, and those of `n_side`."""
         return N_DOF + self.flexible + n_side(self.constants[0])
 
     @property
@@ -203,7 +202,7 @@ def relative_roll(q, i):
 
 @kernel
 def twist_extension(p, psi, w):
-    """Return the contribution of a frame twist `psi` [rad] to the extension of strut `w` [m]."""
+    """Return what a frame twist `psi` [rad] adds to the extension of strut `w` [m]."""
     return get(p.y_s, w) * (get(p.twist_share, w // 2) * psi)
 
 
@@ -217,15 +216,15 @@ def _axle_roll_moment(p, F, i, roll):
 def sensor_row(x: float, y: float, axle: int | None = None) -> np.ndarray:
     """Return the height of a point at (x, y) [m] per unit of each coordinate and of psi (8,).
 
-    The point belongs to the body, or to the front (0) or rear (1) `axle`. The two halves of a
-    flexible frame meet at the centre of mass, x = 0.
+    The point belongs to the body, whose halves meet at x = 0, or to the front (0) or rear (1)
+    `axle`.
     """
     row = np.zeros(N_DOF + 1)
     if axle is not None:
         row[[AXLE + 2 * axle, AXLE + 2 * axle + 1]] = 1.0, y
-        return row
-    row[[Z_B, PHI, THETA]] = 1.0, y, -x
-    row[N_DOF] = 0.5 * np.sign(x) * y
+    else:
+        row[[Z_B, PHI, THETA]] = 1.0, y, -x
+        row[N_DOF] = 0.5 * np.sign(x) * y
     return row
 
 
@@ -287,8 +286,7 @@ def add_manoeuvre_moments(p, phi, theta, a_x, a_y, out):
 def accelerations(vehicle, motion, z_r, w_r, out, a_x=0.0, a_y=0.0):
     """Write the accelerations (7,) of a `motion` to `out`; (8,) with a flexible frame.
 
-    `z_r`, `w_r` (4,): road height [m] and its rate [m/s] under each wheel; `a_x`, `a_y` [m/s²]:
-    accelerations of a manoeuvre.
+    `z_r`, `w_r` (4,): road height [m] and its rate [m/s] under each wheel; `a_x`, `a_y` [m/s²].
     """
     p, F, T = vehicle.constants[0], stack_array(4), stack_array(4)
     q, v = motion
@@ -317,10 +315,7 @@ def accelerations(vehicle, motion, z_r, w_r, out, a_x=0.0, a_y=0.0):
 
 @kernel(count_references=False)
 def stiffness_and_damping(vehicle, motion, z_r, w_r, K, C):
-    """Write -df/dq to `K` and -df/dv to `C` (7, 7), with f the generalised forces.
-
-    With a flexible frame both matrices are (8, 8). Arguments as for `accelerations`.
-    """
+    """Write -df/dq to `K` and -df/dv to `C` (7, 7), (8, 8) if flexible; f: generalised forces."""
     p, struts, tyres = vehicle.constants[0], stack_rows(2), stack_rows(2)
     q, v = motion
     flexible = q.size > N_DOF

@@ -26,7 +26,7 @@ def test_planar_and_strut_observations_follow_from_the_motion():
     env = RoadReconEnv(**EVERYTHING)
     observation, _ = env.reset(seed=4)
     setup = env.setup
-    drive = setup.start_episode(setup.make_fleet(), 0, seeding.np_random(4)[0], setup.options).drive
+    drive = setup.prepare(seeding.np_random(4)[0], setup.options).drive
     drive.manoeuvre = setup.manoeuvre
     byte, car = encode_command("ride"), setup.car
     for action in (6, 6, 9, 15, 0):

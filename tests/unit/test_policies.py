@@ -273,7 +273,7 @@ def test_estimated_heights_under_the_front_axle_follow_the_road(name):
     sos = butter(2, [0.2, 1.8], "bandpass", fs=1.0 / (v * setup.interval), output="sos")
     for k, seed in enumerate((21, 22)):
         rng = seeding.np_random(seed)[0]
-        surface = setup.start_episode(setup.make_fleet(), 0, rng, setup.options).drive.surface
+        surface = setup.prepare(rng, setup.options).drive.surface
         inside = (station > 0.0) & (station < 60.0)
         truth = sosfiltfilt(sos, surface.height(station[inside]), axis=1)
         estimate = sosfiltfilt(sos, np.array(heights)[inside, k].T, axis=1)
