@@ -25,7 +25,8 @@ from road_envs.policies.api import PolicyContext
 from road_envs.policies.feature_env import RIDE, FeatureVecEnv
 from road_envs.policies.features import FeatureExtractor
 from road_envs.policies.network_policy import NetworkPolicy, PolicyNetwork, sb3_layers
-from road_envs.policies.rollout import VIOLATION_PRICE, drive_all, training_drives
+from road_envs.policies.rollout import VIOLATION_PRICE, drive_all
+from studies.tuned_policies import training_drives
 
 with optional_import("training a policy"):
     import torch

@@ -15,8 +15,12 @@ from typing import Any, NamedTuple
 import yaml
 
 from road_envs.core.atomic_io import write_text
+from road_envs.envs.safe4s4 import Safe4S4Setup
 from road_envs.policies import create
-from road_envs.policies.rollout import TRAINING_DRIVES, Drives, drive_all, training_drives
+from road_envs.policies.rollout import Drives, drive_all
+
+TUNING_SEED, TRAINING_DRIVES = 1_000_000, 12
+"""First seed of the drives of tuning, and their number; each is driven to both sides."""
 
 FIRM = ("handling", "soft_high", "stiff_low")
 TWO_STATE: dict[str, tuple[Any, ...]] = {
@@ -54,6 +58,12 @@ class Trial(NamedTuple):
 
     settings: dict[str, Any]
     cost: float
+
+
+def training_drives(number: int = TRAINING_DRIVES) -> Drives:
+    """Return drives of the split "train", each followed by its mirror image."""
+    setup = Safe4S4Setup({"split": "train"})
+    return Drives.mirrored(setup, range(TUNING_SEED, TUNING_SEED + number))
 
 
 def tune(name: str, drives: Drives) -> list[Trial]:

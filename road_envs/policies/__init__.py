@@ -1,8 +1,8 @@
-"""Policies that switch the suspension, one file each: observations in, actions out.
+"""Policies that switch the suspension: observations in, actions out.
 
 To add a policy to this package, write a file beside this one and add a line to REGISTRY; tuned
-settings go into configs/policies/<name>.yaml. To add a policy of another package, declare it there
-as an entry point, and it is available as `my_policy`:
+settings go into configs/policies/<name>.yaml. One of another package is declared there as an entry
+point, and available as `my_policy`:
 
     [project.entry-points."road_envs.policies"]
     my_policy = "my_package.my_module:MyPolicy"
@@ -38,8 +38,7 @@ __all__ = [
     "make_policy",
 ]
 
-ENTRY_POINT_GROUP = "road_envs.policies"
-"""Entry-point group under which other packages offer policies."""
+ENTRY_POINT_GROUP = "road_envs.policies"  # under which other packages offer policies
 
 REGISTRY: dict[str, type[Policy]] = {
     "fixed": FixedPair,
@@ -74,10 +73,8 @@ def create(name: str, **settings: Any) -> Policy:
 
 
 def make_policy(reference: str | Path, **settings: Any) -> Policy:
-    """Return a policy by registered name, by "module:Class", or from a file of a network.
-
-    A name or a class takes `settings`. Raises ConfigError, and whatever the code of another package
-    raises.
+    """Return a policy by registered name or "module:Class", which take `settings`, or from a file
+    of a network. Raises ConfigError, and whatever the code of another package raises.
     """
     name = str(reference)
     if name.endswith(FILE_SUFFIXES):

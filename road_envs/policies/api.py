@@ -84,11 +84,9 @@ class Policy(Protocol):
 
     def reset(self, context: PolicyContext) -> None:
         """Start an episode of all vehicles of the `context`."""
-        ...
 
     def act(self, observations: np.ndarray) -> np.ndarray:
         """Return actions (N,) for the next control interval, from observations (N, d)."""
-        ...
 
 
 def validate_actions(actions: object, context: PolicyContext) -> np.ndarray:

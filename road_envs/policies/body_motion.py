@@ -11,18 +11,12 @@ import numpy as np
 from road_envs.core.config import ConfigError
 from road_envs.policies.api import PolicyContext
 
-MIN_LEVER = 0.1
-"""Least singular value of the sensors' lever arms [m]: with less, noise hides the rotations."""
-
-SIDE_SIGNS = np.array([1.0, -1.0, 1.0, -1.0])
-"""Sign of the lateral position of the struts FL, FR, RL, RR."""
+MIN_LEVER = 0.1  # least singular value of the sensors' levers [m]: with less, noise hides rotations
 
 
 class BodyMotionEstimator:
-    """Estimator of the body's motion by leaky integration with corner `leak` [Hz].
-
-    `a` (N, 3) [m/s², rad/s²] and `v` (N, 3) [m/s, rad/s] are the accelerations and rates of heave,
-    roll and pitch.
+    """Estimator of the body's motion by leaky integration with corner `leak` [Hz]: accelerations
+    `a` (N, 3) [m/s², rad/s²] and rates `v` (N, 3) [m/s, rad/s] of heave, roll and pitch.
     """
 
     def __init__(self, context: PolicyContext, leak: float):
@@ -36,10 +30,8 @@ class BodyMotionEstimator:
                 f"resolve heave, roll and pitch; there are {', '.join(places)}"
             )
         self.sensors_to_motion = np.linalg.inv(rows) if len(rows) == 3 else np.linalg.pinv(rows)
-        axles = [axle for axle in context.car.axles for _ in range(2)]
-        self.motion_to_mounts = np.array(
-            [[1.0, side * a.y_s, -a.x] for a, side in zip(axles, SIDE_SIGNS, strict=True)]
-        )
+        mounts = [[1.0, y, -a.x] for a in context.car.axles for y in (a.y_s, -a.y_s)]
+        self.motion_to_mounts = np.array(mounts)
         self.a, self.v = np.zeros((2, context.n_vehicles, 3))
 
     def update(self, observations: np.ndarray) -> None:

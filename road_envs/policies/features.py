@@ -44,20 +44,13 @@ FEATURES = {
 
 NAMES = tuple(FEATURES)
 N_FEATURES, SCALES = len(NAMES), np.array(list(FEATURES.values()))
-
 FAST, SLOW = 0.05, 0.5  # time constants [s] of the low-passed lateral forces
-
-LOOK_AHEAD = 0.05
-"""Time [s] over which a strut's rate is extrapolated: the stroke that it will have used."""
-
+LOOK_AHEAD = 0.05  # time [s] ahead at which strokes are taken, by the rates of the struts
 MAX_FEATURE = 5.0  # features are clipped to this magnitude
 
 
 class FeatureExtractor:
-    """Map from observations (N, d) to features (N, N_FEATURES).
-
-    Needs the observation groups "planar" and "struts".
-    """
+    """Map from observations (N, d), with "planar" and "struts", to features (N, N_FEATURES)."""
 
     def __init__(self, context: PolicyContext):
         self.context, self.body = context, BodyMotionEstimator(context, leak=0.2)
@@ -90,7 +83,6 @@ class FeatureExtractor:
         odd = [a[1], v[1], a_y, e[0] - e[1], e[2] - e[3], rate[0] - rate[1], rate[2] - rate[3]]
         running = self.vertical.add(a[0]), self.lateral.add(a_y)
         states = [signal(name, observations).T for name in ("speed", "front", "rear")]
-        mirrored = side * np.stack(odd)
-        rows = [even, mirrored, side * self.low_passed, stroke, running, *states]
-        features = np.concatenate([np.asarray(row) for row in rows]).T * SCALES
+        rows = [even, side * np.stack(odd), side * self.low_passed, stroke, running, *states]
+        features = np.concatenate(rows).T * SCALES
         return np.clip(features, -MAX_FEATURE, MAX_FEATURE).astype(np.float32)

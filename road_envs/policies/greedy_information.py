@@ -17,15 +17,13 @@ from road_envs.policies.api import PolicyContext
 from road_envs.vehicle.linear_model import frequency_response, linearise
 from road_envs.vehicle.parameters import VehicleParameters
 
-FREQUENCIES = np.geomspace(0.2, 50.0, 400)
-"""Frequencies [Hz] over which the weighted acceleration is integrated."""
+FREQUENCIES = np.geomspace(0.2, 50.0, 400)  # [Hz] over which the acceleration is integrated
 
 
 @dataclass(kw_only=True)
 class GreedyInformation(Settings):
-    """Policy that minimises expected comfort [m/s²] + `weight` x unresolved share of variance.
-
-    The costs are those of a class-D road at the first measured speed.
+    """Policy that minimises expected comfort [m/s²] + `weight` x unresolved share of variance, on a
+    class-D road at the first measured speed.
     """
 
     weight: Annotated[NonNegative, "m/s²", "of the unresolved share of variance"] = 100.0
@@ -33,8 +31,7 @@ class GreedyInformation(Settings):
 
     def reset(self, context: PolicyContext) -> None:
         """Discard the choice; the next observation determines a new one."""
-        self.context = context
-        self.actions = np.zeros(0, dtype=int)
+        self.context, self.actions = context, np.zeros(0, dtype=int)
 
     def act(self, observations: np.ndarray) -> np.ndarray:
         if self.actions.size == 0:

@@ -35,20 +35,15 @@ from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.suspension import MODES
 
 PREDICTION_STEP = 0.01  # longest step of a prediction [s]
-
+# standard deviation of the struts' rates of extension [m/s] for the equivalent dampers: that of a
+# class-D road at 54 km/h in ride [assumed]
 EXTENSION_RATE = 0.15
-"""Standard deviation of the struts' rates of extension [m/s] for the equivalent dampers: that of a
-class-D road at 54 km/h in ride [assumed]."""
-
 SMALL_EXTENSION = 0.01  # extension [m] over which the rate of a strut's spring is taken
 
 
 @dataclass(kw_only=True)
 class ModelPredictive(Settings):
-    """Policy that predicts the cost of every pair of states and takes the best one.
-
-    Needs the observation groups "planar" and "struts".
-    """
+    """Policy of the pair of states with the least predicted cost; observes "planar", "struts"."""
 
     pairs: tuple[tuple[Mode, Mode], ...] = (
         ("ride", "ride"), ("ride", "handling"), ("stiff_low", "handling"), ("handling", "handling"),
@@ -86,8 +81,7 @@ class ModelPredictive(Settings):
         self._update_weighting(observations)
         e, e_dot = (signal(x, observations).astype(float) for x in ("extension", "extension_rate"))
         planar = signal("planar", observations).astype(float)
-        rate = (planar - self.planar) / self.context.interval
-        self.planar = planar
+        rate, self.planar = (planar - self.planar) / self.context.interval, planar
         x = [road.body_position, road.axles, road.body.v, road.axle_rates]
         state = np.concatenate([*x, self.weighted.reshape(n, -1)], axis=1)
         heights, rates = self._road_ahead()
@@ -113,20 +107,17 @@ class ModelPredictive(Settings):
         beyond = np.maximum(self.stops[:, 0] - e, e - self.stops[:, 1]).max(axis=3)
         used = np.maximum(1.0 + beyond / self.margin, 0.0)
         cost = (np.square(weighted).sum(axis=3) + VIOLATION_PRICE * used).sum(axis=1)
-        cars = np.arange(n)
-        best = cost.argmin(axis=0)
+        cars, best = np.arange(n), cost.argmin(axis=0)
         better = cost[best, cars] < (1.0 - self.advantage) * cost[self.current, cars]
-        self.current = np.where(better, best, self.current)
-        self.held = held
+        self.current, self.held = np.where(better, best, self.current), held
         return self.actions[self.current]
 
     def _update_weighting(self, observations: np.ndarray) -> None:
         """Advance the states of W_k by the accelerations that were measured at the seats."""
         body, substeps = self.road.body, round(self.context.interval / self.dt)
         samples = self.context.accelerations(observations)[:, body.on_body]
-        parts = np.array_split(samples, substeps, axis=2)
         F, G, _, _ = self.filter
-        for part in parts:
+        for part in np.array_split(samples, substeps, axis=2):
             motion = part.mean(axis=2) @ body.sensors_to_motion.T
             seats = motion @ np.array([[1.0, 0.0], [0.0, SEAT[1]], [-SEAT[0], 0.0]])
             self.weighted = self.weighted @ F.T + seats[:, :, None] * G

@@ -28,22 +28,18 @@ from road_envs.policies.features import N_FEATURES, FeatureExtractor
 
 SB3_SUFFIX = ".zip"
 FILE_SUFFIXES = (".npz", SB3_SUFFIX)  # suffixes of the files that hold a network
-
 SB3_ACTORS = (
     "mlp_extractor.policy_net.", "action_net.weight", "action_net.bias",
     "q_net.q_net.", "quantile_net.quantile_net.",
 )  # fmt: skip
 """Beginnings of the names of the parameters of a Stable-Baselines3 policy that choose actions."""
-
 SB3_CRITICS = ("mlp_extractor.value_net.", "value_net.", "q_net_target.", "quantile_net_target.")
 """Beginnings of the names of those that only learning needs."""
-
 SB3_DEFAULTS = {
     "stable_baselines3.common.policies": "tanh", "sb3_contrib.common.maskable.policies": "tanh",
     "stable_baselines3.dqn.policies": "relu", "sb3_contrib.qrdqn.policies": "relu",
 }  # fmt: skip
 """Activation by default, by the module of the policy class: `activation_fn` of its arguments."""
-
 SB3_ACTIVATIONS = {f"torch.nn.modules.activation.{x}": x.lower() for x in ("Tanh", "ReLU")}
 SB3_FLATTEN = "stable_baselines3.common.torch_layers.FlattenExtractor"  # changes no observation
 SB3_BOX = "gymnasium.spaces.box.Box"  # values of a Dict are put in the order of their names
@@ -55,20 +51,23 @@ ACTIVATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 }
 
 
+Layers = tuple[tuple[np.ndarray, np.ndarray], ...]  # weights (out, in), biases (out,) of each
+
+
 @dataclass(frozen=True)
 class PolicyNetwork:
-    """Weights (out, in) and biases (out,) of each layer, and the metadata of the file."""
+    """A network's layers, and the metadata of its file."""
 
-    layers: tuple[tuple[np.ndarray, np.ndarray], ...]
+    layers: Layers
     metadata: dict[str, Any]
 
     def forward(self, features: np.ndarray) -> np.ndarray:
         """Return the output (N, actions) of the last layer for features (N, K)."""
         activation, h = ACTIVATIONS[self.metadata["activation"]], features
-        for i, (W, b) in enumerate(self.layers):
-            h = h @ W.T + b
-            h = activation(h) if i < len(self.layers) - 1 else h
-        return h
+        for W, b in self.layers[:-1]:
+            h = activation(h @ W.T + b)
+        W, b = self.layers[-1]
+        return h @ W.T + b
 
     def to_bytes(self) -> bytes:
         arrays = {f"W_{i}": W for i, (W, _) in enumerate(self.layers)}
@@ -79,9 +78,7 @@ class PolicyNetwork:
         return buffer.getvalue()
 
 
-def sb3_layers(
-    parameters: Mapping[str, Any], actions: int
-) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+def sb3_layers(parameters: Mapping[str, Any], actions: int) -> Layers:
     """Return the layers that choose one of the `actions`, from a `state_dict` of a policy of
     Stable-Baselines3. Raises ValueError if it has none, or others that may change its actions.
     """
@@ -98,9 +95,8 @@ def sb3_layers(
     layers = list(zip(arrays[::2], arrays[1::2], strict=True))
     if names[-1].startswith("quantile_net"):
         # rows are quantiles of the actions in turn; the value of an action is their mean
-        W, b = layers.pop()
-        mean = W.reshape(-1, actions, W.shape[1]).mean(axis=0), b.reshape(-1, actions).mean(axis=0)
-        layers.append(mean)
+        W, b = (x.reshape(-1, actions, *x.shape[1:]).mean(axis=0) for x in layers[-1])
+        layers[-1] = W, b
     return tuple(layers)
 
 
@@ -128,8 +124,7 @@ def _read_sb3(path: Path) -> PolicyNetwork:
         actions = int(about["action_space"]["n"])
         control = {len(table): name for name, table in ACTIONS.items()}[actions]
         layers = sb3_layers(parameters, actions)
-        size = layers[0][0].shape[1]
-        _validate_layers(layers, size, actions)
+        _validate_layers(layers, layers[0][0].shape[1], actions)
         return PolicyNetwork(layers, {"activation": activation, "control": control, "held": 1})
 
 
@@ -147,8 +142,8 @@ def _read_network(path: Path) -> PolicyNetwork:
         metadata = json.loads(str(arrays.pop("about")))
         if metadata["format"] != FORMAT:
             raise ValueError(f"format must be {FORMAT!r}, got {metadata['format']!r}")
-        for key, known in (("activation", ACTIVATIONS), ("control", ACTIONS)):
-            validate_choice(key, metadata[key], known)
+        validate_choice("activation", metadata["activation"], ACTIVATIONS)
+        validate_choice("control", metadata["control"], ACTIONS)
         if not (isinstance(metadata["held"], int) and metadata["held"] >= 1):
             raise ValueError(f"held must be a positive whole number, got {metadata['held']!r}")
         layers = tuple((arrays[f"W_{i}"], arrays[f"b_{i}"]) for i in range(len(arrays) // 2))
@@ -156,9 +151,7 @@ def _read_network(path: Path) -> PolicyNetwork:
         return PolicyNetwork(layers, metadata)
 
 
-def _validate_layers(
-    layers: tuple[tuple[np.ndarray, np.ndarray], ...], features: int, actions: int
-) -> None:
+def _validate_layers(layers: Layers, features: int, actions: int) -> None:
     """Raise ValueError unless the layers map features to actions and are finite."""
     size, message = features, f"layers must map {features} features to {actions} actions"
     for W, b in layers:

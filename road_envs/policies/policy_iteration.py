@@ -33,15 +33,12 @@ from road_envs.policies.network_policy import NetworkPolicy, PolicyNetwork
 from road_envs.policies.rollout import POLICY_SEED, Drives, drive_all
 
 FIRST_ROUNDS = 2  # rounds whose drives are those of `mpc`
-
-TRAINING_SEEDS, DEVELOPMENT_SEED = 6_000_000, 3_000_000
-"""First seeds of the drives: those of training seed 1, a million for each; those of comparison."""
-
+TRAINING_SEEDS = 6_000_000  # first seed of the drives of training seed 1; a million for each
+DEVELOPMENT_SEED = 3_000_000  # first seed of the drives of comparison
 CONSTRAINT = "rrms"  # policy whose violations a network should not exceed
 FAILED = 0.05  # comfort [m²/s³] and time in violation [s] of each interval after a failure
-
-MAX_COST, ENTROPY, BATCH = 10.0, 0.002, 512
-"""Most that a pair may cost above the best [m²/s³]; weight of the entropy; instants of a step."""
+MAX_COST = 10.0  # most that a pair may cost above the best [m²/s³]
+ENTROPY, BATCH = 0.002, 512  # weight of the entropy; instants of a step
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,9 +15,8 @@ from road_envs.envs.safe4s4 import Safe4S4Setup
 from road_envs.policies.api import Policy, PolicyContext, validate_actions
 
 POLICY_SEED = 0  # seed of random policies
-
-EXTREMES = ("load_transfer", "roll")
-"""Columns of which a drive has the largest value; of the others it has the sum."""
+EXTREMES = ("load_transfer", "roll")  # columns of which a drive has the largest value, not the sum
+KEPT_FLEETS = 2  # fleets that `Drives` keeps to start them again
 
 VIOLATION_PRICE = 50.0
 """Price [m²/s⁴] of a violation in the score, per second of `cost` for each second of the drive.
@@ -26,26 +25,18 @@ A drive on two wheels for a tenth of its time costs 5 m²/s⁴, four times what 
 comfort [assumed]; a policy that violates for an instant may still be before one that never does.
 """
 
-KEPT_FLEETS = 2  # fleets that `Drives` keeps to start them again
-
 
 @dataclass(frozen=True)
 class Rollout:
-    """N drives of at most T control intervals under a policy.
+    """N drives of at most T control intervals under a policy."""
 
-    `actions` and `rewards` (T, N), of which those after the end of a drive mean nothing;
-    `observations` (T + 1, N, d), the first one of the interval that reset drives; `intervals` (N,),
-    the number of intervals until the end; `totals` by the names of the fleet's columns (N,): sums,
-    of EXTREMES the largest value; `reasons` (N,), why a drive failed, else empty; `interval` [s].
-    """
-
-    actions: np.ndarray
-    rewards: np.ndarray
-    observations: np.ndarray
-    intervals: np.ndarray
-    totals: Mapping[str, np.ndarray]
-    reasons: tuple[str, ...]
-    interval: float
+    actions: np.ndarray  # (T, N); those after the end of a drive mean nothing
+    rewards: np.ndarray  # (T, N), likewise
+    observations: np.ndarray  # (T + 1, N, d), the first one of the interval that reset drives
+    intervals: np.ndarray  # (N,): number of them until the end
+    totals: Mapping[str, np.ndarray]  # (N,) by the fleet's columns: sums, of EXTREMES the largest
+    reasons: tuple[str, ...]  # (N,): why a drive failed, else empty
+    interval: float  # [s]
 
     @property
     def returns(self) -> np.ndarray:
@@ -74,19 +65,15 @@ class Rollout:
 
     @cached_property
     def score(self) -> np.ndarray:
-        """Minus comfort and the price of violations (N,) [m²/s⁴], of `Safe4S4-v1`.
-
-        A failed drive violates at all times.
-        """
+        """Minus comfort and the price of violations (N,) [m²/s⁴], of `Safe4S4-v1`."""
+        # a failed drive violates at all times
         share = np.where(self.failed, 1.0, self.totals["cost"] / self.duration)
         return -self.comfort - VIOLATION_PRICE * share
 
 
 class Drives:
-    """Drives of an environment, drawn once and driven by many policies.
-
-    Each of `seeds` draws one, with its own options of a reset in `options`, by default none. Raises
-    ConfigError.
+    """Drives of an environment, drawn once and driven by many policies: one by each of `seeds`,
+    with its own options of a reset in `options`, by default none. Raises ConfigError.
     """
 
     def __init__(self, setup: EnvSetup, seeds: Sequence[int], options: Sequence[Any] = ()):
@@ -127,8 +114,8 @@ class Drives:
         if (copies, numbers) not in self._fleets:
             if len(self._fleets) >= KEPT_FLEETS:
                 self._fleets.pop(next(iter(self._fleets)))
-            size, options = len(numbers), {"threads": self.threads}
-            fleet = self.setup.make_fleet(copies * size, distinct=size, **options)
+            size = len(numbers)
+            fleet = self.setup.make_fleet(copies * size, distinct=size, threads=self.threads)
             for i, number in enumerate(numbers):
                 start = self.starts[number]
                 fleet.start(copies * i, start.drive, start.logger, start.speed_kmh)
@@ -143,16 +130,6 @@ class Drives:
         return np.repeat([start.command_byte for start in self.starts], copies).astype(np.uint8)
 
 
-TUNING_SEED, TRAINING_DRIVES = 1_000_000, 12
-"""First seed of the drives of tuning, and their number; each is driven to both sides."""
-
-
-def training_drives(number: int = TRAINING_DRIVES) -> Drives:
-    """Return drives of the split "train", each followed by its mirror image."""
-    setup = Safe4S4Setup({"split": "train"})
-    return Drives.mirrored(setup, range(TUNING_SEED, TUNING_SEED + number))
-
-
 def roll_out(
     policy: Policy,
     options: dict[str, Any],
@@ -165,16 +142,9 @@ def roll_out(
     return drive_all(policy, drives, store_observations=store_observations)
 
 
-def drive_all(
-    policy: Policy,
-    drives: Drives,
-    *,
-    store_observations: bool = False,
-) -> Rollout:
-    """Run a policy on all drives to their ends.
-
-    Without `store_observations` only the first observations are stored. Raises PolicyError for
-    invalid actions, and what the policy raises.
+def drive_all(policy: Policy, drives: Drives, *, store_observations: bool = False) -> Rollout:
+    """Run a policy on all drives to their ends; without `store_observations` only the first ones
+    are stored. Raises PolicyError for invalid actions, and what the policy raises.
     """
     setup, fleet = drives.setup, drives.start()
     size, columns = fleet.n_vehicles, fleet.columns
@@ -183,8 +153,7 @@ def drive_all(
     output, totals = fleet.advance(drives.first_bytes()), np.zeros((len(columns), size))
     extremes = [columns.index(name) for name in EXTREMES if name in columns]
     running, intervals = np.ones(size, dtype=bool), np.zeros(size, dtype=int)
-    reasons, actions, rewards = [""] * size, [], []
-    observations = [output.observation]
+    reasons, actions, rewards, observations = [""] * size, [], [], [output.observation]
     while running.any():
         chosen = validate_actions(policy.act(output.observation), context)
         output = fleet.advance(setup.command_bytes[chosen])
@@ -193,15 +162,14 @@ def drive_all(
         totals += now
         totals[extremes] = largest
         intervals += running
-        for i in np.flatnonzero(running & output.failed):
-            road = drives.starts[i].drive.surface.name
-            reasons[i] = setup.failure_text(output, int(i), road)
+        for i in np.flatnonzero(running & output.failed).tolist():
+            reasons[i] = setup.failure_text(output, i, drives.starts[i].drive.surface.name)
         running &= ~(output.failed | output.end_of_road)
         actions.append(chosen.copy())
         rewards.append(setup.rewards(output.values))
         if store_observations:
             observations.append(output.observation)
-    arrays = np.array(actions), np.array(rewards), np.array(observations)
+    arrays = map(np.array, (actions, rewards, observations))
     named = dict(zip(columns, totals, strict=True))
     return Rollout(*arrays, intervals, named, tuple(reasons), setup.interval)
 

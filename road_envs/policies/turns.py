@@ -19,10 +19,7 @@ from road_envs.policies.fixed import Mode
 
 @dataclass(kw_only=True)
 class _FirmInTurns(Settings, abc.ABC):
-    """Policy with the state `firm` on both axles in a turn, else ride.
-
-    Needs the observation group "planar".
-    """
+    """Policy with the state `firm` on both axles in a turn, else ride; it observes "planar"."""
 
     firm: Annotated[Mode, "", "state of both axles in a turn"] = "handling"
     context: PolicyContext = field(init=False, repr=False, compare=False)

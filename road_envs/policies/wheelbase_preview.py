@@ -22,9 +22,7 @@ from road_envs.policies.body_motion import BodyMotionEstimator
 from road_envs.vehicle.linear_model import linearise
 
 LEAK = 0.2  # corner of both leaky integrators [Hz]
-
-MIN_SPEED = 1.0
-"""The history covers the wheelbase at this speed [m/s] and above, and less of it below."""
+MIN_SPEED = 1.0  # [m/s] from which on the history covers the wheelbase
 
 
 class WheelbasePreview:
@@ -32,9 +30,7 @@ class WheelbasePreview:
 
     `wheel_heights` (N, 4) [m] are the heights under the wheels FL, FR, RL, RR at the end of the
     last interval; `body_position` (N, 3), `axles` and `axle_rates` (N, 4) heave, roll and pitch of
-    the body, and heave and roll of both axles and their rates.
-
-    Needs the observation group "struts".
+    the body, and heave and roll of both axles and their rates. Needs the group "struts".
     """
 
     def __init__(self, context: PolicyContext):
@@ -62,10 +58,9 @@ class WheelbasePreview:
         mean_rate = 0.5 * (before + self.body.v)
         self.body_position = self.body.decay * (self.body_position + dt * mean_rate)
         S_b, S_a = self.strut_rows
-        self.axles, rates = (
-            (context.signal(name, observations) - motion @ S_b.T) @ self.struts_to_axles.T
-            for name, motion in (("extension", self.body_position), ("extension_rate", self.body.v))
-        )
+        e, e_dot = (context.signal(x, observations) for x in ("extension", "extension_rate"))
+        self.axles = (e - self.body_position @ S_b.T) @ self.struts_to_axles.T
+        rates = (e_dot - self.body.v @ S_b.T) @ self.struts_to_axles.T
         accelerations, self.axle_rates = (rates - self.axle_rates) / dt, rates
         body_inertia, axle_inertia = self.inertias
         f = (body_inertia * self.body.a) @ self.body_to_struts.T
@@ -76,16 +71,12 @@ class WheelbasePreview:
         self.history[self.newest] = self.wheel_heights[:, :2]
 
     def heights_at(self, distances: np.ndarray) -> np.ndarray:
-        """Return heights (N, K, 2) [m] of the left and the right wheel path.
-
-        They are at `distances` (K,) or (N, K) [m] ahead of the rear axle, up to the wheelbase, for
-        vehicles at constant speed.
+        """Return heights (N, K, 2) [m] of both wheel paths at `distances` (K,) or (N, K) [m] ahead
+        of the rear axle, up to the wheelbase, for vehicles at constant speed.
         """
         step = np.maximum(self.speed, 1e-3)[:, None] * self.context.interval
         ago = np.clip((self.wheelbase - distances) / step, 0.0, len(self.history) - 2.0)
         whole = ago.astype(int)
         share, cars = (ago - whole)[:, :, None], np.arange(len(ago))[:, None]
-        newer, older = (
-            self.history[(self.newest - whole - k) % len(self.history), cars] for k in (0, 1)
-        )
-        return (1.0 - share) * newer + share * older
+        at = (self.newest - whole) % len(self.history)  # of what follows, k intervals earlier
+        return (1.0 - share) * self.history[at, cars] + share * self.history[at - 1, cars]

@@ -215,10 +215,7 @@ def gaussian_damping(
 
 
 def strut_forces(
-    car: Plant | VehicleParameters,
-    mode: str | Mapping[str, str],
-    e: np.ndarray,
-    e_dot: np.ndarray,
+    car: Plant | VehicleParameters, mode: str | Mapping[str, str], e: np.ndarray, e_dot: np.ndarray
 ) -> np.ndarray:
     """Return the upward forces (4, K) [N] of struts with settled valves on the body, at extensions
     `e` [m] and their rates `e_dot` [m/s], both (4, K).

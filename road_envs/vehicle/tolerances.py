@@ -23,12 +23,7 @@ import numpy as np
 
 from road_envs.core.config import ConfigError
 from road_envs.vehicle.force_curves import Curve
-from road_envs.vehicle.parameters import (
-    BendingMode,
-    Tolerance,
-    TorsionalFrame,
-    VehicleParameters,
-)
+from road_envs.vehicle.parameters import BendingMode, Tolerance, TorsionalFrame, VehicleParameters
 from road_envs.vehicle.suspension import WHEELS
 from road_envs.vehicle.tyres import tyre_constants
 

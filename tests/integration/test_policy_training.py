@@ -30,8 +30,9 @@ from road_envs.policies.policy_iteration import (
     _pair_costs,
     iterate,
 )
-from road_envs.policies.rollout import VIOLATION_PRICE, Drives, drive_all, training_drives
+from road_envs.policies.rollout import VIOLATION_PRICE, Drives, drive_all
 from studies.trained_networks import TrainingConfig, train
+from studies.tuned_policies import training_drives
 
 CASE = {
     "road": "iso_d",

@@ -22,7 +22,7 @@ from leaderboard.policies.page import _render_page, _score_chart, timelines
 from leaderboard.policies.timeline import MODE_NAMES, Timeline, drive_chart
 from road_envs.envs.safe4s4 import Safe4S4Env, Safe4S4Setup
 from road_envs.policies import create
-from road_envs.policies.rollout import Drives, drive_all, replay, training_drives
+from road_envs.policies.rollout import Drives, drive_all, replay
 from studies import tuned_policies
 
 LAWS = ("fixed_ride", "fixed_handling", "lateral", "rrms")
@@ -249,7 +249,7 @@ def test_the_page_shows_every_row_and_the_best_found_as_a_line(searched):
 
 def test_tuning_takes_the_best_of_its_grid_on_training_drives(monkeypatch):
     monkeypatch.setitem(tuned_policies.GRIDS, "lateral", {"threshold": (0.8, 9.0)})
-    drives = training_drives(1)
+    drives = tuned_policies.training_drives(1)
     assert drives.setup.safe.split == "train"
     trials = tuned_policies.tune("lateral", drives)
     assert [trial.settings for trial in trials] == [{"threshold": 0.8}, {"threshold": 9.0}]
