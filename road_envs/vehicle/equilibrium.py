@@ -17,11 +17,9 @@ def _pose_on_ground(plant: Plant, z_r: np.ndarray) -> np.ndarray:
 
 
 def equilibrium(plant: Plant, strut_state: np.ndarray, z_r: np.ndarray) -> np.ndarray:
-    """Return the static equilibrium (14,) on road heights `z_r` (4,) [m], by Newton's method.
-
-    With a flexible frame it is (16,); with side motion it has four zeros more, as if the road did
-    not lean. Raises ArithmeticError if the iteration does not converge, for example because a wheel
-    is off the ground.
+    """Return the static equilibrium (14,), (16,) if flexible, on road heights `z_r` (4,) [m], by
+    Newton's method; side motion adds zeros, as if the road did not lean. Raises ArithmeticError if
+    the iteration does not converge, for example because a wheel is off the ground.
     """
     M, n = plant.inertias, plant.inertias.size
     q, rest, no_rates = _pose_on_ground(plant, z_r), np.zeros(n), np.zeros(4)

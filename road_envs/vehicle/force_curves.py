@@ -29,10 +29,8 @@ class Curve(Settings):
     def __post_init__(self):
         super().__post_init__()
         if len(self.x) != len(self.F) or len(self.x) < 2:
-            raise ValueError(
-                f"x and F must have the same length, at least 2, "
-                f"got {len(self.x)} and {len(self.F)}"
-            )
+            sizes = f"got {len(self.x)} and {len(self.F)}"
+            raise ValueError(f"x and F must have the same length, at least 2, {sizes}")
         if not (np.diff(self.x) > 0).all():
             raise ValueError(f"x must increase from each breakpoint to the next, got {self.x}")
 

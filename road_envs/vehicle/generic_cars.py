@@ -13,14 +13,11 @@ from road_envs.core.config import ConfigError
 from road_envs.vehicle.parameters import Tolerance, VehicleParameters, check_plausible, load_vehicle
 from road_envs.vehicle.tolerances import scale_parameters, stated_values
 
-CLASSES = ("compact", "saloon", "suv", "van")
-"""Names of the generic cars, vehicle files as all others."""
-
+CLASSES = ("compact", "saloon", "suv", "van")  # generic cars, vehicle files as all others
 SCALES = {"mass": (0.6, 1.7, "kg"), "wheelbase": (0.75, 1.35, "m"), "track": (0.85, 1.15, "m")}
 """Least and greatest ratio of a car's value to that of its class, and the unit of the value."""
 
-KNOWN_MASS = Tolerance(relative=0.07, source="assumed; passengers and load")
-"""Tolerance of the mass of a car whose mass is stated."""
+KNOWN_MASS = Tolerance(relative=0.07, source="assumed; passengers and load")  # of a stated mass
 
 
 def fitted_vehicle(
@@ -45,27 +42,24 @@ def fitted_vehicle(
             )
     q, length, width = (own[key] / usual[key] for key in SCALES)
     factors = {"m_b": q, "I_xx": q * width**2, "I_yy": q * length**2, "side.I_zz": q * length**2}
-    factors |= {"side.C_alpha": q}
+    factors["side.C_alpha"] = q
     for axle in ("front", "rear"):
         each = {"x": length, "y_t": width, "m": q, "k_t": q, "c_t": q, "k_roll": q * width**2}
         factors |= {f"{axle}.{key}": value for key, value in each.items()}
         for part in ("spring.k", "damper", "friction", "bump_stop"):
             factors[f"strut.{axle}.{part}"] = q
     source = f"computed from {car_class} for {mass:g} kg, {wheelbase:g} m and {track:g} m"
-    car = replace(
-        scale_parameters(base, factors),
-        name=name,
-        sources={path: f"{source}; {text}" for path, text in base.sources.items()},
-        tolerances=base.tolerances | {"m_b": KNOWN_MASS},
-    )
+    sources = {path: f"{source}; {text}" for path, text in base.sources.items()}
+    tolerances = base.tolerances | {"m_b": KNOWN_MASS}
+    scaled = scale_parameters(base, factors)
+    car = replace(scaled, name=name, sources=sources, tolerances=tolerances)
     check_plausible(car, name)
     return car
 
 
 def with_class_tolerances(car: VehicleParameters) -> VehicleParameters:
-    """Return a passive car that states no tolerances with those of its class; any other as it is.
-
-    The class is that of the nearest mass, wheelbase and track; `tolerances_of` names it.
+    """Return a passive car that states no tolerances with those of the class of nearest mass,
+    wheelbase and track, which `tolerances_of` names; any other as it is.
     """
     if car.tolerances or not car.is_passive:
         return car

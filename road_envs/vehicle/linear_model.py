@@ -50,25 +50,22 @@ from road_envs.vehicle.tyres import tyre_force
 class LinearModel:
     """State-space model x' = A x + B u, a = C x + D u with S sensors, and names.
 
-    A (14, 14), B (14, 8), C (S, 14), D (S, 8), of heights [m], angles [rad], their rates [1/s] and
-    accelerations [m/s²]. `M` (7,): masses [kg] and inertias [kg m²] of the coordinates.
-    `strut_rows` (4, 7), `sensor_rows` (S, 7): strut extensions and sensor heights as linear
-    functions of the coordinates. `wheelbase` [m]. A flexible frame adds an eighth coordinate, so
-    that there are 16 states; side motion adds two deflections and two rates or twice these, and
-    the model is that at `speed` [m/s], which is None without it.
+    Of heights [m], angles [rad], their rates [1/s] and accelerations [m/s²]. A flexible frame adds
+    an eighth coordinate, so that there are 16 states; side motion two deflections and two rates or
+    twice these.
     """
 
-    A: np.ndarray
-    B: np.ndarray
-    C: np.ndarray
-    D: np.ndarray
-    M: np.ndarray
-    strut_rows: np.ndarray
-    sensor_rows: np.ndarray
-    wheelbase: float
+    A: np.ndarray  # (14, 14)
+    B: np.ndarray  # (14, 8)
+    C: np.ndarray  # (S, 14)
+    D: np.ndarray  # (S, 8)
+    M: np.ndarray  # (7,): masses [kg] and inertias [kg m²] of the coordinates
+    strut_rows: np.ndarray  # (4, 7): extensions of the struts by the coordinates
+    sensor_rows: np.ndarray  # (S, 7): heights of the sensors by the coordinates
+    wheelbase: float  # [m]
     sensors: tuple[str, ...]
     inverse_inertia: np.ndarray | None = None
-    speed: float | None = None
+    speed: float | None = None  # [m/s] of the model; None without side motion
     states: tuple[str, ...] = (*DOF, *(f"{name}_dot" for name in DOF))
     inputs: tuple[str, ...] = (*(f"z_{w}" for w in WHEELS), *(f"w_{w}" for w in WHEELS))
 
@@ -100,13 +97,8 @@ def linearise(
     z, w = (np.zeros(4) if v is None else np.array(v, dtype=float) for v in (z_r, w_r))
     y = equilibrium(plant, strut_state, z) if state is None else np.array(state, dtype=float)
     n = plant.n_dof
-    shapes = [
-        ("state", y, (2 * n,)),
-        ("z_r", z, (4,)),
-        ("w_r", w, (4,)),
-        ("strut state", strut_state, (4, 3)),
-    ]
-    for name, value, shape in shapes:
+    given = {"state": y, "z_r": z, "w_r": w, "strut state": strut_state}
+    for (name, value), shape in zip(given.items(), [(2 * n,), (4,), (4,), (4, 3)], strict=True):
         if value.shape != shape:
             raise ValueError(f"{name} must be of shape {shape}, got {value.shape}")
     A, B = jacobian(plant, strut_state, y, z, w, speed), _road_input_matrix(plant, y, z, w)
@@ -241,16 +233,16 @@ def _strut_forces(vehicle, e, e_dot, out):
 
 def _wheel_response(model: LinearModel, f: np.ndarray) -> np.ndarray:
     """Return the complex responses (F, S, 4) [m/s² per m] to the road height under each wheel."""
-    s, q = _road_response(model, f)
-    return s**2 * (model.sensor_rows @ q)
+    s, states = _road_response(model, f)
+    return s**2 * (model.sensor_rows @ states[:, : len(model.A) // 2])
 
 
 def strut_rate_response(model: LinearModel, f: np.ndarray) -> np.ndarray:
     """Return the responses (F, 4, 4) [m/s per m] of the rates of extension to the road height under
     each wheel, complex, at `f` (F,) [Hz].
     """
-    s, q = _road_response(model, f)
-    return s * (model.strut_rows @ q)
+    s, states = _road_response(model, f)
+    return s * (model.strut_rows @ states[:, : len(model.A) // 2])
 
 
 def force_response(model: LinearModel, f: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -259,22 +251,17 @@ def force_response(model: LinearModel, f: np.ndarray) -> tuple[np.ndarray, np.nd
     A positive force pushes the body up and the axle down. Responses of the sensors (F, S, 4)
     [m/s² per N] and of the struts' rates of extension (F, 4, 4) [m/s per N].
     """
-    s, forces = _laplace_variable(f), model.strut_rows.T
-    inverse = model.inverse_inertia
-    q = _coordinates(model, s, forces / model.M[:, None] if inverse is None else inverse @ forces)
+    s, forces, inverse = _laplace_variable(f), model.strut_rows.T, model.inverse_inertia
+    push = forces / model.M[:, None] if inverse is None else inverse @ forces
+    q = _states(model, s, push)[:, : len(model.A) // 2]
     return s**2 * (model.sensor_rows @ q), s * (model.strut_rows @ q)
 
 
 def _road_response(model: LinearModel, f: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return s (F, 1, 1), and the coordinates (F, 7, 4) by the road height under each wheel."""
+    """Return s (F, 1, 1), and the states (F, 2 n, 4) by the road height under each wheel."""
     s = _laplace_variable(f)
-    return s, _coordinates(model, s, _road_push(model, s))
-
-
-def _road_push(model: LinearModel, s: np.ndarray) -> np.ndarray:
-    """Return the accelerations (F, n, 4) of the rates by the road height under each wheel."""
     of_height, of_rate = np.split(model.B[len(model.A) // 2 :], 2, axis=1)
-    return of_height + s * of_rate
+    return s, _states(model, s, of_height + s * of_rate)
 
 
 def _laplace_variable(f: np.ndarray) -> np.ndarray:
@@ -282,38 +269,27 @@ def _laplace_variable(f: np.ndarray) -> np.ndarray:
     return 2j * np.pi * np.atleast_1d(np.asarray(f, dtype=float))[:, None, None]
 
 
-def _coordinates(model: LinearModel, s: np.ndarray, accelerations: np.ndarray) -> np.ndarray:
-    """Return the coordinates (F, 7, I) under added `accelerations` (7, I) or (F, 7, I) at `s`."""
-    n = len(model.A) // 2
-    if model.speed is not None:
-        return _states(model, s, accelerations)[:, :n]
-    of_coordinates, of_rates = np.split(model.A[n:], 2, axis=1)
-    stiffness = s * -of_rates - of_coordinates
-    stiffness[:, range(n), range(n)] += s[:, 0] ** 2
-    return np.linalg.solve(stiffness, accelerations)
-
-
 def _states(
-    model: LinearModel,
-    s: np.ndarray,
-    of_rates: np.ndarray,
-    of_coordinates: np.ndarray | None = None,
+    model: LinearModel, s: np.ndarray, rates: np.ndarray, coordinates: np.ndarray | None = None
 ) -> np.ndarray:
-    """Return the states (F, 2 n, I) under additional rates of change of the rates, and of the
-    coordinates, (n, I) or (F, n, I), at `s` (F, 1, 1).
-
-    The coordinates follow the rates by a diagonal block: 0, or the tyres' relaxation.
+    """Return the states (F, 2 n, I) under additional rates of change of the rates, and with side
+    motion of the coordinates, (n, I) or (F, n, I), at `s` (F, 1, 1).
     """
     n = len(model.A) // 2
-    (relaxing, moving), (stiffness, damping) = (
-        np.split(b, 2, axis=1) for b in np.split(model.A, 2)
-    )
+    upper, lower = np.split(model.A, 2)
+    (relaxing, moving), (stiffness, damping) = np.hsplit(upper, 2), np.hsplit(lower, 2)
+    if model.speed is None:
+        system = s * -damping - stiffness
+        system[:, range(n), range(n)] += s[:, 0] ** 2
+        q = np.linalg.solve(system, rates)
+        return np.concatenate([q, s * q], axis=1)
+    # the coordinates follow the rates by a diagonal block: 0, or the tyres' relaxation
     follow = 1.0 / (s - np.diag(relaxing)[:, None])  # (F, n, 1)
-    right = of_rates
-    if of_coordinates is not None:
-        right = right + stiffness @ (follow * of_coordinates)
+    right = rates
+    if coordinates is not None:
+        right = right + stiffness @ (follow * coordinates)
     v = np.linalg.solve(s * np.eye(n) - damping - stiffness @ (follow * moving), right)
-    q = moving @ v if of_coordinates is None else moving @ v + of_coordinates
+    q = moving @ v if coordinates is None else moving @ v + coordinates
     return np.concatenate([follow * q, v], axis=1)
 
 
@@ -346,32 +322,18 @@ def response_changes(
     With x = (s - A)^-1 B u the change of the accelerations of the coordinates by dA and dB is that
     by additional accelerations dA x + dB u. `v` [m/s], `f` (F,) [Hz] as in `frequency_response`.
     """
-    if model.speed is not None:
-        return _side_response_changes(model, others, v, f)
-    n, (s, q) = len(model.A) // 2, _road_response(model, f)
-    u = np.broadcast_to(np.eye(4), (s.size, 4, 4))
+    n, (s, states) = len(model.A) // 2, _road_response(model, f)
+    u, unit = np.broadcast_to(np.eye(4), (s.size, 4, 4)), np.eye(2 * n)
     # states, heights and their rates
-    paths = combine_wheel_paths(model, v, f, np.concatenate([q, s * q, u, s * u], axis=1))
-    sensors = s**2 * (model.sensor_rows @ _coordinates(model, s, np.eye(n)))
-    change = np.array([np.hstack([one.A - model.A, one.B - model.B])[n:] for one in others])
-    accelerations = (change.reshape(-1, change.shape[2]) @ paths).reshape(s.size, -1, n, 2)
-    return np.moveaxis(sensors[:, None] @ accelerations, 1, 0)
-
-
-def _side_response_changes(
-    model: LinearModel, others: Sequence[LinearModel], v: float, f: np.ndarray
-) -> np.ndarray:
-    """Return `response_changes` with side motion, where the rates of the deflections change too."""
-    n, s = len(model.A) // 2, _laplace_variable(f)
-    states, u = _states(model, s, _road_push(model, s)), np.broadcast_to(np.eye(4), (s.size, 4, 4))
     paths = combine_wheel_paths(model, v, f, np.concatenate([states, u, s * u], axis=1))
     change = np.array([np.hstack([one.A - model.A, one.B - model.B]) for one in others])
-    rates = np.moveaxis(
-        (change.reshape(-1, change.shape[2]) @ paths).reshape(s.size, -1, 2 * n, 2), 1, 0
-    )
-    unit = np.eye(2 * n)
-    sensed = s * (model.sensor_rows @ _states(model, s, unit[n:], unit[:n])[:, n:])
-    return sensed @ rates
+    if model.speed is None:
+        change = change[:, n:]
+        sensed = s**2 * (model.sensor_rows @ _states(model, s, unit[:n, :n])[:, :n])
+    else:  # the rates of the deflections change too
+        sensed = s * (model.sensor_rows @ _states(model, s, unit[n:], unit[:n])[:, n:])
+    rates = (change.reshape(-1, change.shape[2]) @ paths).reshape(s.size, -1, change.shape[1], 2)
+    return np.moveaxis(sensed[:, None] @ rates, 1, 0)
 
 
 def combine_wheel_paths(

@@ -16,17 +16,15 @@ NATURAL_MODE_NAMES = (
 
 @dataclass(frozen=True, eq=False)
 class _NaturalModes:
-    """The seven natural modes in ascending frequency.
-
-    `f` (7,): undamped natural frequencies [Hz]. `zeta` (7,): damping ratios from the diagonal of
-    the modal damping matrix, a good approximation for light damping. `shapes` (7, 7): one column
-    per mode over `equations.DOF`, with unit modal mass (phi' M phi = 1) and positive in the
-    coordinate that names the mode.
+    """The seven natural modes in ascending frequency; damping ratios are from the diagonal of the
+    modal damping matrix, a good approximation for light damping.
     """
 
     names: tuple[str, ...]
-    f: np.ndarray
-    zeta: np.ndarray
+    f: np.ndarray  # (7,) [Hz], undamped
+    zeta: np.ndarray  # (7,)
+    # (7, 7): a column per mode over `equations.DOF`, with unit modal mass (phi' M phi = 1) and
+    # positive in the coordinate that names the mode
     shapes: np.ndarray
 
 

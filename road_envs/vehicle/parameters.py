@@ -20,33 +20,23 @@ from pydantic import Field
 from road_envs.core import config
 from road_envs.core.atomic_io import write_text
 from road_envs.core.config import Finite, Fraction, NonNegative, Positive, Settings
+from road_envs.vehicle import struts
 from road_envs.vehicle.axles import AnyAxle, Axle, IndependentWheels, SideMotion
 from road_envs.vehicle.force_curves import Curve
-from road_envs.vehicle.struts import (
-    MODES,
-    NO_VALVE,
-    PASSIVE_MODES,
-    AnyStruts,
-    Modes,
-    PassiveStruts,
-    Strut,
-    Valve,
-)
+from road_envs.vehicle.struts import NO_VALVE, AnyStruts, PassiveStruts, Strut, Valve
 
 GRAVITY = 9.81  # gravitational acceleration used throughout [m/s²]
 DEFAULT_STEP, STEP_LIMIT = 0.001, 0.01  # default and longest step [s] of the fixed-step integrator
 
 Step = Annotated[float, Field(gt=0, le=STEP_LIMIT), "s", "step of the integrator"]
-
 PerWheel = tuple[Positive, Positive, Positive, Positive]
 UNIT_FACTORS: PerWheel = (1.0, 1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class TorsionalFrame(Settings):
-    """A torsionally flexible body: two halves of equal roll inertia, joined by spring and damper.
-
-    Points ahead of the centre of mass belong to the front half, all others to the rear half.
+    """A torsionally flexible body: two halves of equal roll inertia, which meet at the centre of
+    mass, joined by spring and damper.
     """
 
     f: Annotated[Positive, "Hz", "frequency of the free body's torsion mode"]
@@ -64,9 +54,8 @@ class BendingMode(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class VehicleVariation(Settings):
-    """Deviation of one manufactured vehicle from its parameters; by default there is none.
-
-    Tuples of four are factors per wheel (FL, FR, RL, RR).
+    """Deviation of one manufactured vehicle from its parameters; tuples of four are factors per
+    wheel (FL, FR, RL, RR).
     """
 
     gas: Annotated[PerWheel, "", "of the struts' gas pressure or spring force"] = UNIT_FACTORS
@@ -93,9 +82,8 @@ NOMINAL = VehicleVariation()  # no deviation from the parameters
 
 @dataclass(frozen=True, kw_only=True)
 class Tolerance(Settings):
-    """Standard deviation of a parameter among vehicles of one description.
-
-    `about` is the median of a parameter that the description leaves out (a frame) or sets to 0.
+    """Standard deviation of a parameter among vehicles of one description; `about` is for one that
+    the description leaves out (a frame) or sets to 0.
     """
 
     relative: Annotated[float, Field(gt=0, le=1), "", "standard deviation of the logarithm"]
@@ -151,9 +139,9 @@ class VehicleParameters(Settings):
         return isinstance(self.strut, PassiveStruts)
 
     @property
-    def modes(self) -> Modes:
+    def modes(self) -> struts.Modes:
         """Modes of the struts; the first is the default."""
-        return PASSIVE_MODES if self.is_passive else MODES
+        return struts.PASSIVE_MODES if self.is_passive else struts.MODES
 
     @property
     def bump_stops(self) -> tuple[Curve, Curve]:
@@ -277,9 +265,8 @@ def check_plausible(car: VehicleParameters, where: str) -> None:
 
 def write_vehicle(path: Path, car: VehicleParameters, comment: str = "") -> None:
     """Write a vehicle as YAML, with a `comment` of one or more lines at the head."""
-    absent = {"valve": car.is_passive, "side": car.side is None}
-    absent["tolerances_of"] = not car.tolerances_of
-    data = {k: v for k, v in json.loads(json.dumps(asdict(car))).items() if not absent.get(k)}
+    has = {"valve": not car.is_passive, "side": car.side, "tolerances_of": car.tolerances_of}
+    data = {k: v for k, v in json.loads(json.dumps(asdict(car))).items() if has.get(k, True)}
     head = "".join(f"# {line}\n" for line in comment.splitlines())
     text = yaml.safe_dump(data, sort_keys=False, allow_unicode=True, default_flow_style=None)
     write_text(path, head + text)

@@ -38,8 +38,8 @@ struts and of the tyres, which a body held at its roll centres leans over, add t
 
 The joints that hold an axle in the body may give way: then it is at y_a beside its place, with the
 rate w_a, which adds to u_a and to the speed of its wheels' centres, and is a sixth and a seventh
-rate in M. The joints' force on it is -K_a y_a - c_a w_a (`joint_stiffness`, `joint_damping`). That
-the weight then stands beside the axle is neglected.
+rate in M. The joints' force on it is -K_a y_a - c_a w_a; that the weight then stands beside the
+axle is neglected.
 
 Links keep the wheels below the body, so that they go fore and aft as it pitches (`fore_and_aft`).
 Their masses add m_a (h_cg - R)² each to its pitch inertia, and its weight, which they stand under
@@ -63,7 +63,7 @@ from road_envs.vehicle.axles import IndependentWheels
 from road_envs.vehicle.parameters import GRAVITY, VehicleParameters
 
 ROLLS = (1, 4, 6)  # coordinates of the roll of the body, of the front and of the rear axle
-
+RIGID_COORDINATES = 7  # coordinates of `equations`, without the twist of a frame
 SIDE_FIELDS = [
     *((name, "f8", (2,)) for name in ("side_lever", "side_height", "side_rate", "relaxation")),
     ("load_share", "f8", (2,)),
@@ -74,8 +74,6 @@ SIDE_FIELDS = [
 """Constants: h_cg - h_a, h_a, 2 C_alpha / sigma, sigma (0 without side motion), 1 over the static
 load of an axle's tyres, the moments of the static loads per angle, M^-1 with zeros for joints that
 are rigid, K_a and c_a."""
-
-RIGID_COORDINATES = 7  # coordinates of `equations`, without the twist of a frame
 
 
 def side_constants(car: VehicleParameters) -> dict[str, object]:
@@ -95,8 +93,7 @@ def side_constants(car: VehicleParameters) -> dict[str, object]:
         centre[1 + a] = height[a] - side.wheel_radius * k[a]
         centre[5 + a] = 1.0
         M += m[a] * np.outer(centre, centre)
-    moving = 7 if side.has_joints else 5
-    inverse = np.zeros((7, 7))
+    moving, inverse = 7 if side.has_joints else 5, np.zeros((7, 7))
     inverse[:moving, :moving] = np.linalg.inv(M[:moving, :moving])
     load = 2.0 * np.array(car.strut_loads)
     leaning = load * height + m * GRAVITY * side.wheel_radius * k**2

@@ -12,32 +12,25 @@ from road_envs.vehicle.force_curves import Curve
 
 ATMOSPHERE = 101325.0  # standard atmospheric pressure [Pa]
 
+Modes = Mapping[str, tuple[bool, bool]]  # settings of struts by name: (stiff spring, high damping)
 MODES = {
     "ride": (False, False),
     "handling": (True, True),
     "soft_high": (False, True),
     "stiff_low": (True, False),
 }
-"""The four settings of a 4S4 strut: (stiff spring, high damping)."""
-
+"""The four settings of a 4S4 strut."""
 PASSIVE_MODES = {"passive": (False, False)}  # the only setting of a passive strut
-
-Modes = Mapping[str, tuple[bool, bool]]
-"""Settings of the struts by name: (stiff spring, high damping)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class _ModeCurves(Settings):
-    """One curve for each setting of the strut's damper valve."""
-
     ride: Annotated[Curve, "N over m/s", "low damping"]
     handling: Annotated[Curve, "N over m/s", "high damping"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class _AxleCurves(Settings):
-    """One curve for the struts of each axle."""
-
     front: Annotated[Curve, "N over m", "both front struts"]
     rear: Annotated[Curve, "N over m", "both rear struts"]
 
@@ -111,9 +104,8 @@ AnySpring = Annotated[
 class PassiveStrut(Settings):
     """Spring, damper, friction and stops of one wheel, none of which can be switched.
 
-    The spring carries the static load of the body at static length. Curves are those of the strut
-    itself; with r its `motion_ratio`, a force F(e) of the strut is r F(r e) at y_s of a solid axle,
-    or at an independent wheel.
+    Curves are those of the strut itself; with r its `motion_ratio`, a force F(e) of the strut is
+    r F(r e) at y_s of a solid axle, or at an independent wheel.
     """
 
     spring: AnySpring

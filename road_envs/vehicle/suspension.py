@@ -48,9 +48,7 @@ from road_envs.vehicle.parameters import UNIT_FACTORS, VehicleParameters
 from road_envs.vehicle.struts import MODES, PASSIVE_MODES, PassiveStrut, Strut
 
 WHEELS = ("FL", "FR", "RL", "RR")
-
 ALL_MODES = MODES | PASSIVE_MODES
-
 ENDLESS = 1e12  # gas column [m] that no extension changes: a spring's constant static load
 
 V_0, V_STEP, V_CELLS = -3.0, 0.01, 600
@@ -64,17 +62,12 @@ is open and equals e_2 once it is closed."""
 
 
 class VehicleBuffers(NamedTuple):
-    """One vehicle, or LANES of them, as kernels read it: its constants and laws of the struts.
+    """One vehicle, or LANES of them, as kernels read it: its constants and laws of the struts."""
 
-    `constants` (1,) of `equations.PLANT_DTYPE`, or with a last axis of lanes in each field;
-    `velocity` and `displacement`: the tables of an `equations.Plant`; `strut_state` (4, 3) selects
-    among them and may be advanced in place.
-    """
-
-    constants: np.ndarray
-    velocity: np.ndarray
+    constants: np.ndarray  # (1,) of `equations.PLANT_DTYPE`; lanes: a last axis in each field
+    velocity: np.ndarray  # tables of an `equations.Plant`, as is `displacement`
     displacement: np.ndarray
-    strut_state: np.ndarray
+    strut_state: np.ndarray  # (4, 3), selects among the tables, may be advanced in place
 
 
 def encode_command(
@@ -87,20 +80,17 @@ def encode_command(
     its first. Raises ConfigError.
     """
     modes = ALL_MODES if car is None else car.modes
-    if mode is None:
-        mode = next(iter(modes))
-    if isinstance(mode, Mapping):
-        if set(mode) == {"front", "rear"}:
-            wheels = [mode["front"], mode["front"], mode["rear"], mode["rear"]]
-        elif set(mode) == set(WHEELS):
-            wheels = [mode[w] for w in WHEELS]
-        else:
-            raise ConfigError(
-                f"a suspension mode needs the keys front and rear, or {', '.join(WHEELS)}, "
-                f"got {list(mode)}"
-            )
+    if not isinstance(mode, Mapping):
+        wheels = [next(iter(modes)) if mode is None else mode] * 4
+    elif set(mode) == {"front", "rear"}:
+        wheels = [mode["front"], mode["front"], mode["rear"], mode["rear"]]
+    elif set(mode) == set(WHEELS):
+        wheels = [mode[w] for w in WHEELS]
     else:
-        wheels = [mode] * 4
+        raise ConfigError(
+            f"a suspension mode needs the keys front and rear, or {', '.join(WHEELS)}, "
+            f"got {list(mode)}"
+        )
     foreign = [m for m in wheels if isinstance(m, str) and m in ALL_MODES and m not in modes]
     if car is not None and foreign:
         kind, own = "passive" if car.is_passive else "4S4", ", ".join(modes)
@@ -146,9 +136,8 @@ def gas_constants(car: VehicleParameters) -> dict[str, object]:
 
 
 def velocity_tables(car: VehicleParameters) -> tuple[np.ndarray, list[int]]:
-    """Tabulate damper plus friction: tables (K, V_CELLS, 4), index of each strut's ride table.
-
-    The handling table follows the ride table. Equal struts share their tables.
+    """Tabulate damper plus friction: tables (K, V_CELLS, 4), index of each strut's ride table,
+    which its handling table follows. Equal struts share their tables.
     """
     factors = zip(car.variation.damper, car.variation.friction, strict=True)
     keys = [(w // 2 if car.is_passive else 0, *pair) for w, pair in enumerate(factors)]
@@ -163,7 +152,6 @@ def velocity_tables(car: VehicleParameters) -> tuple[np.ndarray, list[int]]:
 
 @lru_cache(maxsize=128)  # varied vehicles share most struts
 def _table(curves: tuple[tuple[Curve, float], ...], x_0: float, dx: float, cells: int):
-    """Tabulate the sum of curves, each scaled by its factor."""
     return tabulate([curve.scaled(factor) for curve, factor in curves], x_0, dx, cells)
 
 
@@ -186,9 +174,8 @@ def _velocity_curves(car: VehicleParameters, axle: int) -> list[tuple[Curve, Cur
 
 
 def displacement_tables(car: VehicleParameters) -> tuple[np.ndarray, list[int]]:
-    """Tabulate bushing plus bump stop: tables (K, E_CELLS, 4), index of each strut's table.
-
-    In the table of a passive strut is also the force that its spring lacks to its static load.
+    """Tabulate bushing plus bump stop: tables (K, E_CELLS, 4), index of each strut's table, which
+    of a passive strut also holds the force that its spring lacks to its static load.
     """
 
     def tabulated(key: tuple[int, float, float]) -> np.ndarray:
@@ -211,8 +198,7 @@ def displacement_tables(car: VehicleParameters) -> tuple[np.ndarray, list[int]]:
 
 
 def _spring_deficit(strut: PassiveStrut, load: float, factor: float) -> Law:
-    """Return the static load of a spring less its force, both times `factor`, over extension."""
-
+    # the static load of a spring less its force, both times `factor`, over extension
     def deficit(e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         F, slope = strut.spring_force(e, load)
         return factor * (load - F), -factor * slope

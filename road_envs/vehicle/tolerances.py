@@ -34,13 +34,11 @@ MODES = {"frame": TorsionalFrame, "bending": BendingMode}
 
 @dataclass(frozen=True, eq=False)
 class ParameterSpace:
-    """The parameters of `car` that have a tolerance: P `names`, and their `std` (P,), the standard
-    deviations of the logarithms. The vector 0 is `car` itself.
-    """
+    """The P parameters of `car` that have a tolerance; the vector 0 is `car` itself."""
 
     car: VehicleParameters
     names: tuple[str, ...]
-    std: np.ndarray
+    std: np.ndarray  # (P,): standard deviations of the logarithms
 
     @property
     def size(self) -> int:
@@ -127,7 +125,6 @@ def log_values(car: VehicleParameters, names: tuple[str, ...]) -> np.ndarray:
 
 
 def _index(part: str, size: int) -> int:
-    """Return the index of a wheel or axle among the `size` values of a tuple."""
     return (WHEELS if size == len(WHEELS) else AXLES).index(part)
 
 
