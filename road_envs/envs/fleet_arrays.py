@@ -1,6 +1,5 @@
-"""Arrays of an instrumented fleet: state, cars, parameters, inputs and output of an interval.
-
-Arrays have the blocks as first axis and LANES as last axis, which the shapes below omit.
+"""Arrays of an instrumented fleet: state, cars, parameters, inputs and output of an interval; LANES
+are their last axis, which the shapes below omit, blocks B their first.
 """
 
 from typing import NamedTuple
@@ -88,10 +87,9 @@ one for each strut and, by velocity, damper valve."""
 
 
 class LaneCars:
-    """Cars of the lanes of `blocks` blocks as the kernels read them, in `buffers`.
-
-    All lanes have `plant` and `car` at first, in one block that every block reads unless they are
-    `individual`; then there is room for the tables of every lane behind its own.
+    """Cars of the lanes of `blocks` blocks as the kernels read them, in `buffers`. All lanes have
+    `plant` and `car` at first, in one block that every block reads unless they are `individual`;
+    then there is room for the tables of every lane behind its own.
     """
 
     def __init__(
@@ -132,16 +130,14 @@ class LaneCars:
 
 
 class IntervalInputs(NamedTuple):
-    """Inputs of B blocks in one control interval.
-
-    `profiles`, if not empty, replace a constant speed and `a_xy`: station, speed, a_x and a_y
-    [m/s²] of R drives at every half step.
-    """
+    """Inputs of B blocks in one control interval."""
 
     road_heights: np.ndarray  # of all vehicles; offsets of `FleetState.road_layout` count in it
     commands: np.ndarray  # (B, LANES)
     a_xy: np.ndarray  # (B, 4 n + 2): a_x, a_y in turn at every half step; (1, ...): NO_MANOEUVRE
-    profiles: np.ndarray  # (R, 4, M)
+    # (R, 4, M): station, speed, a_x and a_y [m/s²] of R drives at every half step; if not empty,
+    # in place of a constant speed and `a_xy`
+    profiles: np.ndarray
 
 
 class ControlStepWorkspace(NamedTuple):

@@ -88,10 +88,8 @@ class InstrumentedFleet:
         step, steps, instruments = settings.step, settings.steps, settings.instruments
         logger = DataLogger(instruments, car, step, np.random.default_rng(0))
         if steps % logger.decimation:
-            raise ConfigError(
-                f"an interval of {steps} steps of {step} s must hold a whole number of samples at "
-                f"{instruments.fs} Hz"
-            )
+            text = f"an interval of {steps} steps of {step} s must hold a whole number of samples"
+            raise ConfigError(f"{text} at {instruments.fs} Hz")
         self.plant, self.car, self.settings = plant, car, settings
         self.step, self.steps, self.n_vehicles = step, steps, n_vehicles
         self.threads, self.samples = threads, steps // logger.decimation
@@ -191,9 +189,8 @@ class InstrumentedFleet:
             field[...] = old
 
     def advance(self, commands: np.ndarray | int, mask: np.ndarray | None = None) -> fa.StepOutput:
-        """Advance by one interval under `commands` (N,) uint8 or one for all vehicles.
-
-        With a `mask` (N,) only the vehicles in it advance; output rows outside it are undefined.
+        """Advance by one interval under `commands` (N,) uint8 or one for all vehicles. With a
+        `mask` (N,) only the vehicles in it advance; output rows outside it are undefined.
         """
         try:
             self._idle.pop()
@@ -252,10 +249,8 @@ class InstrumentedFleet:
         drive.delay_line = self.state.delay_line[b, :, k].copy()
 
     def last_interval(self, i: int, byte: int) -> Trajectory:
-        """Return the motion of vehicle `i` in the last interval, under the command `byte`.
-
-        The fleet must keep its signals and be of one block, since a thread keeps only its last
-        block. Raises ValueError.
+        """Return the motion of vehicle `i` in the last interval, under the command `byte`. Raises
+        ValueError unless the fleet keeps its signals and has one block: a thread keeps its last.
         """
         last = self._workspaces[0]
         if len(self._moving) > 1 or not last.signals.size:

@@ -40,9 +40,8 @@ PASSIVE_ACTIONS = ({"front": "passive", "rear": "passive"},)
 
 Speed = Annotated[float, Field(gt=0, le=MAX_SPEED_KMH)]
 
+# parts of an observation that are no accelerometers
 RESERVED_NAMES = {"speed", "front", "rear", "planar", "extension", "extension_rate"}
-"""Parts of an observation that are no accelerometers."""
-
 MAX_STEPS = 1_000_000  # most integrator steps in a control interval: 240 MB of signals are kept
 MAX_OBSERVED_SPEED = 100.0  # upper limit of the observed speed [m/s]
 MAX_DRAWS = 20  # most roads that an episode draws until one has no step too high for a wheel
@@ -88,10 +87,9 @@ class EnvOptions(Settings):
         encode_command(self.mode)
         if self.manoeuvre is not None:
             load_manoeuvre(self.manoeuvre)
-        if "accelerations" not in self.observe or len(set(self.observe)) < len(self.observe):
-            raise ValueError(
-                f"observe needs 'accelerations' and no duplicates, got {list(self.observe)}"
-            )
+        groups = list(self.observe)
+        if "accelerations" not in groups or len(set(groups)) < len(groups):
+            raise ValueError(f"observe needs 'accelerations' and no duplicates, got {groups}")
         per_interval = 1.0 / (self.control_rate * self.step)
         if per_interval > MAX_STEPS:
             raise ValueError(
@@ -117,9 +115,8 @@ class EpisodeStart(NamedTuple):
 
 
 def build_options(cls: type[T], options: Mapping[str, Any], where: str) -> T:
-    """Build `cls` from an environment's keyword arguments. Raises ConfigError.
-
-    An unknown one is named in Python's words, by which TorchRL knows what to leave out.
+    """Build `cls` from an environment's keyword arguments. Raises ConfigError. An unknown one is
+    named in Python's words, by which TorchRL knows what to leave out.
     """
     try:
         return config.build(cls, options, where)
@@ -264,19 +261,17 @@ class EnvSetup:
         """Return the options with those of one episode. Raises ConfigError on unknown ones."""
         known = {"speed_kmh": self.options.speed_kmh, "mode": self.options.mode}
         if extra := options.keys() - known.keys():
-            raise UnknownKeyError(
-                f"unknown reset options {sorted(extra)}; known: {', '.join(known)}"
-            )
+            names = ", ".join(known)
+            raise UnknownKeyError(f"unknown reset options {sorted(extra)}; known: {names}")
         return config.build(EnvOptions, known | options, "reset options")
 
     def prepare(self, random: np.random.Generator, o: Any) -> EpisodeStart:
         """Draw the start of an episode from `random`, with the options `o` of a reset."""
         # one stream per cause; new streams go to the end, so that old seeds keep their roads
         road_rng, speed_rng, sensor_rng = random.spawn(3)
-        v = o.speed_kmh
+        v, step = o.speed_kmh, self.options.step
         speed_kmh = float(v if isinstance(v, int | float) else speed_rng.uniform(*v))
         surface = self._draw_climbable(road_rng)
-        step = self.options.step
         drive = DriveSimulator(self.plant, self.car, surface, speed_kmh / 3.6, o.mode, step)
         logger = DataLogger(self.instruments, self.car, step, sensor_rng)
         return EpisodeStart(speed_kmh, encode_command(o.mode, self.car), drive, logger)
@@ -304,21 +299,18 @@ class EnvSetup:
         """Return the rewards (N,) in the values (N, columns) of an interval."""
         return values[:, self.output_columns.index("reward")]
 
-    @staticmethod
-    def failure_code(output: fa.StepOutput, i: int) -> int:
-        """Return 0 if the episode of environment `i` goes on, else ROLLOVER or NONFINITE_STEP."""
-        _, rollover, nonfinite_step = output.events[i].tolist()
-        return NONFINITE_STEP if nonfinite_step >= 0 else ROLLOVER if rollover >= 0 else 0
-
-    def failure_text(self, output: fa.StepOutput, i: int, road: str) -> str:
-        """Return why the episode of environment `i` on `road` has failed; empty if it has not."""
+    def failure(self, output: fa.StepOutput, i: int, road: str) -> tuple[int, str]:
+        """Return why the episode of environment `i` on `road` has failed: ROLLOVER or
+        NONFINITE_STEP, and in words; 0 and no words if it has not.
+        """
         _, rollover, nonfinite_step = output.events[i].tolist()
         if nonfinite_step < 0 and rollover < 0:
-            return ""
+            return 0, ""
         begin = round((output.values[i, 0] - self.interval) / self.options.step)
         if nonfinite_step >= 0:
             t = self.options.step * (begin + nonfinite_step)
-            return f"{road}: the motion is no longer finite at t = {t:.3f} s"
+            return NONFINITE_STEP, f"{road}: the motion is no longer finite at t = {t:.3f} s"
         row, column = divmod(rollover, len(ANGLES))
         t, degrees = self.options.step * (begin + row), np.degrees(MAX_ANGLE)
-        return f"{DOF[ANGLES[column]]} passed {degrees:.0f} degrees at t = {t:.3f} s"
+        text = f"{DOF[ANGLES[column]]} passed {degrees:.0f} degrees at t = {t:.3f} s"
+        return ROLLOVER, text

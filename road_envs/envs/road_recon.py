@@ -140,7 +140,7 @@ class RoadReconEnv(gymnasium.Env):
         self.action_space = self.setup.action_space
         self.fleet = self.setup.make_fleet(keep_signals=render_mode is not None)
         self._start: EpisodeStart | None = None
-        self._failed: tuple[StepOutput, int, str] | None = None
+        self.failure = ""  # why the episode was terminated, in words; empty if it was not
         self._command_byte = 0
         self._reward_column = self.setup.output_columns.index("reward")
         self._history: deque[np.ndarray] = deque(maxlen=ceil(RENDERED_HISTORY * rate))
@@ -194,11 +194,6 @@ class RoadReconEnv(gymnasium.Env):
         self.fleet.write_back(0, self._start.drive)
         return self._start.drive
 
-    @property
-    def failure(self) -> str:
-        """Reason why the episode was terminated, in words; empty if it was not."""
-        return "" if self._failed is None else self.setup.failure_text(*self._failed)
-
     def split(self, observation: np.ndarray) -> dict[str, np.ndarray]:
         """Return the parts of an observation by name: RF, LR, RR (k,), speed (1,), front (2,), rear
         (2,) and, where they are observed, planar (2,), extension (4,), extension_rate (4,).
@@ -216,8 +211,8 @@ class RoadReconEnv(gymnasium.Env):
     def _info(self, output: StepOutput, start: EpisodeStart) -> tuple[float, dict[str, Any]]:
         row = output.values[0].tolist()
         info: dict[str, Any] = {name: row[j] for name, j in self.setup.info_columns.items()}
-        info["reason"] = self.setup.failure_code(output, 0)
-        self._failed = (output, 0, start.drive.surface.name) if info["reason"] else None
+        road = start.drive.surface.name
+        info["reason"], self.failure = self.setup.failure(output, 0, road)
         if self.setup.options.truth:
             info |= {name: rows[0] for name, rows in output.truths.items()}
         return row[self._reward_column], info

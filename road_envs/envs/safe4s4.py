@@ -19,8 +19,7 @@ from road_envs.simulation.drive import DriveSimulator
 from road_envs.vehicle.equations import build_plant
 from road_envs.vehicle.suspension import encode_command
 
-REWARD_TERMS = ("comfort", "tyre_load", "cost")
-"""Terms of the vector reward, each with a minus sign."""
+REWARD_TERMS = ("comfort", "tyre_load", "cost")  # of the vector reward, each with a minus sign
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,15 +56,9 @@ class Safe4S4Setup(EnvSetup):
     def __init__(self, options: dict[str, Any]):
         self.safe = build_options(SafeOptions, options, "RoadRecon/Safe4S4-v1")
         self.benchmark = load_benchmark()
-        super().__init__(
-            {
-                "road": "flat",
-                "control": "states",
-                "control_rate": self.safe.control_rate,
-                "observe": ["accelerations", "planar", "struts"],
-                "truth": False,
-            }
-        )
+        rate, groups = self.safe.control_rate, ["accelerations", "planar", "struts"]
+        fixed = {"road": "flat", "control": "states", "observe": groups, "truth": False}
+        super().__init__(fixed | {"control_rate": rate})
 
     def fleet_settings(self) -> FleetSettings:
         return super().fleet_settings()._replace(individual=True)

@@ -110,10 +110,8 @@ class SafeDrive(Settings):
     def individual_car(
         self, car: VehicleParameters, seed: Any, k: int
     ) -> tuple[VehicleParameters, SensorFaults]:
-        """Return the manufactured car with its load, and faults of `k` accelerometers.
-
-        Its frame is rigid, and its instruments have neither jitter nor lost samples: an interval of
-        the environment holds whole samples.
+        """Return the manufactured car, rigid, with its load, and faults of `k` accelerometers, with
+        neither jitter nor lost samples: an interval of the environment holds whole samples.
         """
         mismatch = load_plant_mismatch()
         rigid = replace(mismatch, structure=replace(mismatch.structure, frame=None, bending=None))

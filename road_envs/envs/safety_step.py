@@ -51,9 +51,8 @@ def safety_parameters(car: VehicleParameters, step: float) -> _SafetyParameters:
 
 @kernel
 def add_safety(common, p, wk_state, high_pass_state, off, row, sums):
-    """Add one step with the signals `row` to the `sums` (N_SAFETY,) of a block.
-
-    `common` are the FleetParameters; the states are those of `FleetState`.
+    """Add one step with the signals `row` to the `sums` (N_SAFETY,) of a block. `common` are the
+    FleetParameters; the states are those of `FleetState`.
     """
     # the mean over both front seats, (a + b)² and (a - b)², is a² + b²: no side is preferred
     centre = get(row, ACCELERATION + Z_B) - p.seat[0] * get(row, ACCELERATION + THETA)

@@ -68,9 +68,8 @@ class RoadReconVectorEnv(VectorEnv):
                 f"gym.make('RoadRecon-v0', render_mode='rgb_array')"
             )
         steps = 1 if max_episode_steps is None else max_episode_steps
-        for name, value in (
-            ("num_envs", num_envs), ("threads", threads), ("max_episode_steps", steps),
-        ):  # fmt: skip
+        counts = {"num_envs": num_envs, "threads": threads, "max_episode_steps": steps}
+        for name, value in counts.items():
             if isinstance(value, bool) or not (isinstance(value, int) and value >= 1):
                 raise ConfigError(f"{name} must be a whole number of at least 1, got {value!r}")
             if value > MAX_ENVS and name != "max_episode_steps":
@@ -78,9 +77,8 @@ class RoadReconVectorEnv(VectorEnv):
         if not isinstance(autoreset_mode, AutoresetMode):
             known = {mode.value: mode for mode in AutoresetMode}
             autoreset_mode = known[validate_choice("autoreset mode", autoreset_mode, known)]
-        self.setup = self.setup_class(options)
+        self.setup, self.autoreset_mode = self.setup_class(options), autoreset_mode
         self.num_envs, self.max_episode_steps = num_envs, max_episode_steps
-        self.autoreset_mode = autoreset_mode
         self.metadata = self.metadata | {"autoreset_mode": autoreset_mode}
         self.render_mode = None
         self.single_observation_space = self.setup.observation_space
@@ -209,10 +207,9 @@ class RoadReconVectorEnv(VectorEnv):
         """Return the infos of the environments in `mask`; other rows are zero."""
         values = output.values if mask.all() else np.where(mask[:, None], output.values, 0.0)
         infos: dict[str, Any] = {name: values[:, j] for name, j in self.setup.info_columns.items()}
-        infos["reason"] = np.zeros(self.num_envs, dtype=np.int64)
-        for i in np.flatnonzero(mask & output.failed):
-            infos["reason"][i] = self.setup.failure_code(output, int(i))
-            self.failures[i] = self.setup.failure_text(output, int(i), self._roads[i])
+        codes = infos["reason"] = np.zeros(self.num_envs, dtype=np.int64)
+        for i in np.flatnonzero(mask & output.failed).tolist():
+            codes[i], self.failures[i] = self.setup.failure(output, i, self._roads[i])
         if self.setup.options.truth:
             for name, array in output.truths.items():
                 inside = mask.reshape(-1, *[1] * (array.ndim - 1))

@@ -157,10 +157,9 @@ def _state_space(sos: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, f
 def _pair_model(
     car: VehicleParameters, pair: tuple[str, str], wk: tuple, dt: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return the discrete model of a pair of states with the filters of both seat accelerations.
-
-    A (S, S), B (S, 14); outputs y = x C + u D: both weighted accelerations, whose squares sum to
-    the mean square over the seats, and the four extensions.
+    """Return the discrete model of a pair of states with the filters of both seat accelerations: A
+    (S, S), B (S, 14); outputs y = x C + u D: both weighted accelerations, whose squares sum to the
+    mean square over the seats, and the four extensions.
     """
     mode = dict(zip(("front", "rear"), pair, strict=True))
     seats = {"left": SEAT, "right": (SEAT[0], -SEAT[1])}

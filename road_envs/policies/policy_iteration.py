@@ -61,7 +61,6 @@ def iterate(
     config: IterationConfig, seed: int, progress: Callable[[str, float], None]
 ) -> tuple[PolicyNetwork, tuple[tuple[int, float], ...]]:
     """Return the network of the best round, and each round's score on other training drives.
-
     `progress` is called with a description and the share done.
     """
     with optional_import("training a policy"):

@@ -106,9 +106,8 @@ class Drives:
         return other
 
     def start(self, copies: int = 1, chosen: Sequence[int] | None = None) -> InstrumentedFleet:
-        """Return a fleet at the start of the drives, each in `copies` vehicles in a row.
-
-        It has driven the interval of a reset. The same call returns the same fleet, started again.
+        """Return a fleet at the start of the drives, each in `copies` vehicles in a row. It has
+        driven the interval of a reset. The same call returns the same fleet, started again.
         """
         numbers = tuple(range(len(self)) if chosen is None else chosen)
         if (copies, numbers) not in self._fleets:
@@ -163,13 +162,13 @@ def drive_all(policy: Policy, drives: Drives, *, store_observations: bool = Fals
         totals[extremes] = largest
         intervals += running
         for i in np.flatnonzero(running & output.failed).tolist():
-            reasons[i] = setup.failure_text(output, i, drives.starts[i].drive.surface.name)
+            _, reasons[i] = setup.failure(output, i, drives.starts[i].drive.surface.name)
         running &= ~(output.failed | output.end_of_road)
         actions.append(chosen.copy())
         rewards.append(setup.rewards(output.values))
         if store_observations:
             observations.append(output.observation)
-    arrays = map(np.array, (actions, rewards, observations))
+    arrays = np.array(actions), np.array(rewards), np.array(observations)
     named = dict(zip(columns, totals, strict=True))
     return Rollout(*arrays, intervals, named, tuple(reasons), setup.interval)
 

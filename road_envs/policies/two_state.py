@@ -1,9 +1,8 @@
 """Policies with two damper states, chosen axle by axle from an on-off control law.
 
-The law gives a value for each strut from the velocity v and the acceleration a of the body above
-it and from its rate of extension e' (v and a positive upwards, extension positive). An axle is in
-the high state while the sum over its two struts is positive. v is integrated from the
-accelerometers, e' is measured at the struts.
+The law gives a value for each strut from the velocity v of the body above it, integrated from the
+accelerometers, its acceleration a (positive upwards) and the measured rate of extension e'. An axle
+is in the high state while the sum over its two struts is positive.
 """
 
 import abc
@@ -19,10 +18,9 @@ from road_envs.policies.body_motion import BodyMotionEstimator
 
 @dataclass(kw_only=True)
 class _TwoStateDamper(Settings, abc.ABC):
-    """Policy with state `high` where the law is positive, else ride.
-
-    `bias` shifts the threshold by a share of the running mean magnitude of the sum; a positive one
-    makes `high` more frequent. Needs the observation group "struts".
+    """Policy with state `high` where the law is positive, else ride; it observes "struts". `bias`
+    shifts the threshold by a share of the running mean magnitude of the sum; a positive one makes
+    `high` more frequent.
     """
 
     high: Literal["handling", "soft_high"] = "soft_high"
@@ -52,7 +50,6 @@ class _TwoStateDamper(Settings, abc.ABC):
 @dataclass(kw_only=True)
 class Skyhook(_TwoStateDamper):
     """Policy with high damping where v e' > 0: an extending strut pulls down a rising body.
-
     Karnopp, Crosby & Harwood, J. Eng. Ind. 96, 1974.
     """
 
@@ -63,7 +60,6 @@ class Skyhook(_TwoStateDamper):
 @dataclass(kw_only=True)
 class Groundhook(_TwoStateDamper):
     """Policy with high damping where (v - e') e' < 0: an extending strut lifts a falling wheel.
-
     Valasek, Novak, Sika & Vaculin, Vehicle Syst. Dyn. 28, 1997.
     """
 
@@ -73,9 +69,8 @@ class Groundhook(_TwoStateDamper):
 
 @dataclass(kw_only=True)
 class AccelerationDriven(_TwoStateDamper):
-    """Policy with high damping where a e' > 0: the damper force opposes the acceleration.
-
-    Savaresi, Silani & Bittanti, J. Dyn. Syst. Meas. Control 127, 2005.
+    """Policy with high damping where a e' > 0: the damper force opposes the acceleration. Savaresi,
+    Silani & Bittanti, J. Dyn. Syst. Meas. Control 127, 2005.
     """
 
     def law(self, v: np.ndarray, a: np.ndarray, e_dot: np.ndarray) -> np.ndarray:

@@ -69,9 +69,8 @@ _Damping = Annotated[float, Field(ge=0, le=1e6)]
 
 @dataclass(frozen=True, kw_only=True)
 class SideMotion(Settings):
-    """Parts that hold the body sideways (`side_motion`); pairs are front and rear.
-
-    Values beyond the ranges are those of no road vehicle.
+    """Parts that hold the body sideways (`side_motion`); pairs are front and rear. Values beyond
+    the ranges are those of no road vehicle.
     """
 
     I_zz: Annotated[float, Field(ge=100, le=1e6), "kg m²", "yaw inertia of the body"]

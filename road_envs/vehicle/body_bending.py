@@ -47,9 +47,8 @@ def response(mode: BendingMode, f: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=64)
 def section(mode: BendingMode, step: float) -> np.ndarray:
-    """Return the digital filter (1, 6) of `response`, for samples every `step` [s].
-
-    It is the bilinear transform, exact at the mode's frequency; nobody may write into it.
+    """Return the digital filter (1, 6) of `response`, for samples every `step` [s]. It is the
+    bilinear transform, exact at the mode's frequency; nobody may write into it.
     """
     w = 2.0 / step * np.tan(np.pi * mode.f * step)
     poles = w * (-mode.zeta + 1j * np.sqrt(1.0 - mode.zeta**2) * np.array([1.0, -1.0]))

@@ -82,15 +82,11 @@ with an offset where several vehicles share one array of tables; those of `side_
 
 @dataclass(frozen=True, eq=False)
 class Plant:
-    """One vehicle as kernels read it: `constants` (1,) of PLANT_DTYPE and tables of its force laws.
+    """One vehicle as kernels read it: its constants and the tables of its force laws."""
 
-    `velocity` (K, V_CELLS, 4): damper and friction; `displacement` (K, E_CELLS, 4): bushing and
-    bump stop; see `suspension.velocity_tables` and `displacement_tables`.
-    """
-
-    constants: np.ndarray
-    velocity: np.ndarray
-    displacement: np.ndarray
+    constants: np.ndarray  # (1,) of PLANT_DTYPE
+    velocity: np.ndarray  # (K, V_CELLS, 4): damper and friction; `suspension.velocity_tables`
+    displacement: np.ndarray  # (K, E_CELLS, 4): bushing and bump stop; `displacement_tables`
 
     def buffers(self, strut_state: np.ndarray) -> VehicleBuffers:
         """Return what kernels take, with the strut state (4, 3), which they may advance."""
@@ -134,10 +130,9 @@ class Motion(NamedTuple):
 
 
 def build_plant(car: VehicleParameters, manoeuvres: bool = False) -> Plant:
-    """Build the plant of a vehicle, with its variation.
-
-    With `manoeuvres` the body rolls in turns and pitches when braking. Raises ValueError if the
-    progression of the tyres would make their stiffness negative at first contact.
+    """Build the plant of a vehicle, with its variation; with `manoeuvres` the body rolls in turns
+    and pitches when braking. Raises ValueError if the progression of the tyres would make their
+    stiffness negative at first contact.
     """
     axles, sides = car.axles, (1.0, -1.0)
     quasi_static = manoeuvres and car.side is None  # else the side forces make the moment
@@ -214,10 +209,8 @@ def _axle_roll_moment(p, F, i, roll):
 
 
 def sensor_row(x: float, y: float, axle: int | None = None) -> np.ndarray:
-    """Return the height of a point at (x, y) [m] per unit of each coordinate and of psi (8,).
-
-    The point belongs to the body, whose halves meet at x = 0, or to the front (0) or rear (1)
-    `axle`.
+    """Return the height of a point at (x, y) [m], of the body, whose halves meet at x = 0, or of
+    the front (0) or rear (1) `axle`, per unit of each coordinate and of psi (8,).
     """
     row = np.zeros(N_DOF + 1)
     if axle is not None:
@@ -230,9 +223,8 @@ def sensor_row(x: float, y: float, axle: int | None = None) -> np.ndarray:
 
 @kernel
 def add_struts(p, F, front, rear, out):
-    """Add the generalised forces (7,) of strut forces `F` (4,) and bushings to `out`.
-
-    `front`, `rear` [rad]: roll of the body relative to each axle.
+    """Add the generalised forces (7,) of strut forces `F` (4,) and bushings to `out`. `front`,
+    `rear` [rad]: roll of the body relative to each axle.
     """
     for i in range(2):
         push = get(F, 2 * i) + get(F, 2 * i + 1)
@@ -284,9 +276,8 @@ def add_manoeuvre_moments(p, phi, theta, a_x, a_y, out):
 
 @kernel(count_references=False)
 def accelerations(vehicle, motion, z_r, w_r, out, a_x=0.0, a_y=0.0):
-    """Write the accelerations (7,) of a `motion` to `out`; (8,) with a flexible frame.
-
-    `z_r`, `w_r` (4,): road height [m] and its rate [m/s] under each wheel; `a_x`, `a_y` [m/s²].
+    """Write the accelerations (7,) of a `motion` to `out`; (8,) with a flexible frame. `z_r`, `w_r`
+    (4,): road height [m] and its rate [m/s] under each wheel; `a_x`, `a_y` [m/s²].
     """
     p, F, T = vehicle.constants[0], stack_array(4), stack_array(4)
     q, v = motion

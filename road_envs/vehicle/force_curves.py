@@ -87,9 +87,8 @@ Law = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 def tabulate(curves: Sequence[Law], x_0: float, dx: float, cells: int) -> np.ndarray:
-    """Tabulate the sum of `curves`: coefficients (cells + 2, 4) in powers of the cell fraction.
-
-    The grid starts at `x_0` and has the spacing `dx`; a cell at each end continues it linearly.
+    """Tabulate the sum of `curves`: coefficients (cells + 2, 4) in powers of the cell fraction. The
+    grid starts at `x_0` and has the spacing `dx`; a cell at each end continues it linearly.
     """
     x = x_0 + dx * np.arange(cells + 1)
     values, slopes = np.sum([curve(x) for curve in curves], axis=0)
@@ -121,7 +120,6 @@ def gaussian_smoothed(tables: np.ndarray, x_0: float, dx: float, width: float) -
 @kernel
 def _locate(tables, k, x_0, dx, x):
     """Return the cubic's coefficients (4 numbers) of table `k` in the cell of `x`, and where in it.
-
     The fraction of the cell is below 0 or above 1 beyond the ends, where the cubic is a line.
     """
     cells = float(tables.shape[1])

@@ -24,11 +24,11 @@ def fitted_vehicle(
     name: str, car_class: str, mass: float, wheelbase: float, track: float
 ) -> VehicleParameters:
     """Return the generic car of a class with the `mass` [kg] of the whole car ready to drive, its
-    `wheelbase` and its `track` [m].
+    `wheelbase` and its `track` [m]. Raises ConfigError, also of a value that no such car has.
 
     Natural frequencies, damping ratios and the share of the load in front are those of the class:
     masses, stiffnesses and forces grow with the mass, lengths with lengths, moments of inertia with
-    mass and lengths squared. Raises ConfigError, also of a value that no car of the class has.
+    mass and lengths squared.
     """
     base = load_vehicle(config.validate_choice("class of vehicle", car_class, list(CLASSES)))
     own = {"mass": mass, "wheelbase": wheelbase, "track": track}

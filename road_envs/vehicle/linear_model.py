@@ -127,9 +127,8 @@ def jacobian(
     w_r: np.ndarray,
     speed: float = 0.0,
 ):
-    """Return the Jacobian (14, 14) of the state's rate by the state; (16, 16) if flexible.
-
-    With side motion there are four more states or eight, and it depends on the `speed` [m/s].
+    """Return the Jacobian (14, 14) of the state's rate by the state; (16, 16) if flexible. With
+    side motion there are four more states or eight, and it depends on the `speed` [m/s].
     """
     M, n = plant.inertias[:, None], plant.inertias.size
     K, C = np.empty((n, n)), np.empty((n, n))
@@ -340,7 +339,6 @@ def combine_wheel_paths(
     model: LinearModel, v: float, f: np.ndarray, wheels: np.ndarray
 ) -> np.ndarray:
     """Combine responses (F, K, 4) to the four wheels into responses (F, K, 2) to the wheel paths.
-
     `f` (F,) [Hz]; `v` [m/s]: speed, which sets the delay between the axles.
     """
     delay = np.exp(-2j * np.pi * f * model.wheelbase / v)[:, None, None]

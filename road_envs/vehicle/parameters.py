@@ -54,9 +54,7 @@ class BendingMode(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class VehicleVariation(Settings):
-    """Deviation of one manufactured vehicle from its parameters; tuples of four are factors per
-    wheel (FL, FR, RL, RR).
-    """
+    """Deviation of one manufactured vehicle; tuples are factors per wheel (FL, FR, RL, RR)."""
 
     gas: Annotated[PerWheel, "", "of the struts' gas pressure or spring force"] = UNIT_FACTORS
     damper: Annotated[PerWheel, "", "of the dampers' forces"] = UNIT_FACTORS
@@ -218,9 +216,8 @@ class VehicleParameters(Settings):
 
 
 def load_vehicle(name: str | Path) -> VehicleParameters:
-    """Load a vehicle by shipped name or YAML path. Raises ConfigError.
-
-    A passive car whose file states no tolerances has those of its class (`generic_cars`).
+    """Load a vehicle by shipped name or YAML path. Raises ConfigError. A passive car whose file
+    states no tolerances has those of its class (`generic_cars`).
     """
     from road_envs.vehicle.generic_cars import with_class_tolerances  # which loads its classes
 

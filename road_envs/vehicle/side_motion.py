@@ -268,9 +268,8 @@ def _contact_rows(p, n: int) -> np.ndarray:
 
 
 def inverse_inertia(p, M: np.ndarray) -> np.ndarray:
-    """Return the accelerations (N, N) of coordinates and side motion by generalised forces.
-
-    `M` (n,): masses and inertias of the coordinates.
+    """Return the accelerations (N, N) of coordinates and side motion by generalised forces. `M`
+    (n,): masses and inertias of the coordinates.
     """
     n, m = M.size, n_side(p)
     inverse, at = np.diag(np.append(1.0 / M, np.zeros(m))), [*ROLLS, *range(n, n + m)]
@@ -279,9 +278,8 @@ def inverse_inertia(p, M: np.ndarray) -> np.ndarray:
 
 
 def side_jacobian(p, M: np.ndarray, K: np.ndarray, C: np.ndarray, v: float) -> np.ndarray:
-    """Return the Jacobian (2 N, 2 N) of the state's rate by the state, at speed `v` [m/s].
-
-    `K`, `C` (n, n): stiffness and damping of the coordinates.
+    """Return the Jacobian (2 N, 2 N) of the state's rate by the state, at speed `v` [m/s]. `K`, `C`
+    (n, n): stiffness and damping of the coordinates.
     """
     n, N, rows = M.size, M.size + n_side(p), _contact_rows(p, M.size)
     stiffness, damping = np.zeros((N, N)), np.zeros((N, N))

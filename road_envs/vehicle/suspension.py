@@ -208,9 +208,8 @@ def _spring_deficit(strut: PassiveStrut, load: float, factor: float) -> Law:
 
 @kernel
 def _gas_spring(p, w, column):
-    """Return the gas force [N] of strut `w` and its derivative by the gas column [N/m].
-
-    Below the shortest column the force continues linearly.
+    """Return the gas force [N] of strut `w` and its derivative by the gas column [N/m]. Below the
+    shortest column the force continues linearly.
     """
     n_p = get(p.n_p)
     inside = maximum(column, get(p.column_min))
@@ -232,10 +231,9 @@ def _gas_column(vehicle, w, e):
 
 @kernel
 def advance_valve(p, strut_state, w, e, setting, alpha, h):
-    """Advance the state of strut `w` by one step `h` [s] of its valves at extension `e`.
-
-    `setting` is the commanded pair (stiff spring, high damping); `alpha` is the fraction of the way
-    to its target that a valve moves in one step.
+    """Advance the state of strut `w` by one step `h` [s] of its valves at extension `e`. `setting`
+    is the commanded pair (stiff spring, high damping); `alpha` is the fraction of the way to its
+    target that a valve moves in one step.
     """
     stiff, high = setting
     u = strut_state[w, VALVE_OPEN]
