@@ -104,7 +104,6 @@ def _write_observation(parameters, gain, v, samples, commands, observation):
 @kernel(inline=False)
 def _write_optional_groups(parameters, p, n, sums, signals, at, observation):
     """Write the optional groups to the observations (lanes in use, ...), from column `at` on.
-
     Horizontal specific forces on the inclined body are averaged over the interval. Strut extensions
     and rates are those of the last step, with its `signals`; `p` are the constants of the lanes.
     """
@@ -141,10 +140,9 @@ def _write_truth(s, heights, signals, at, truth):
 def advance_blocks(
     blocks, state, parameters, cars, inputs, workspace, output, safety=None, side=None
 ):
-    """Advance the `blocks` (indices) by one control interval under IntervalInputs.
-
-    The rows of `output` are the vehicles; the last block may have lanes without one. `safety`, if
-    given: constants of costs as in `safety_step`; `side`, if given: vehicles have side motion.
+    """Advance the `blocks` (indices) by one control interval under IntervalInputs. The rows of
+    `output` are the vehicles; the last block may have lanes without one. `safety`, if given:
+    constants of costs as in `safety_step`; `side`, if given: vehicles have side motion.
     """
     delayed = workspace.delayed
     n, h = delayed.shape[0], parameters.h

@@ -79,10 +79,9 @@ class AccelerationDriven(_TwoStateDamper):
 
 @dataclass(kw_only=True)
 class SkyhookAdd(_TwoStateDamper):
-    """Policy of skyhook at low frequencies and acceleration-driven damping at high ones.
-
-    They cross over at `crossover` [Hz], alpha = 2 pi crossover: Savaresi & Spelta, J. Dyn. Syst.
-    Meas. Control 129, 2007.
+    """Policy of skyhook at low frequencies and acceleration-driven damping at high ones. They cross
+    over at `crossover` [Hz], alpha = 2 pi crossover: Savaresi & Spelta, J. Dyn. Syst. Meas. Control
+    129, 2007.
     """
 
     crossover: float = 1.9

@@ -45,15 +45,10 @@ import numpy as np
 
 from road_envs.kernels._numba import kernel
 from road_envs.kernels.simd_arrays import add, get, stack_array, stack_rows
+from road_envs.vehicle import suspension
 from road_envs.vehicle.parameters import GRAVITY, VehicleParameters
 from road_envs.vehicle.side_motion import SIDE_FIELDS, n_side, side_constants
-from road_envs.vehicle.suspension import (
-    VehicleBuffers,
-    displacement_tables,
-    gas_constants,
-    strut_force,
-    velocity_tables,
-)
+from road_envs.vehicle.suspension import VehicleBuffers, strut_force
 from road_envs.vehicle.tyres import tyre_constants, tyre_force
 
 DOF = ("z_b", "phi", "theta", "z_af", "phi_af", "z_ar", "phi_ar")
@@ -136,8 +131,8 @@ def build_plant(car: VehicleParameters, manoeuvres: bool = False) -> Plant:
     """
     axles, sides = car.axles, (1.0, -1.0)
     quasi_static = manoeuvres and car.side is None  # else the side forces make the moment
-    velocity, velocity_indices = velocity_tables(car)
-    displacement, displacement_indices = displacement_tables(car)
+    velocity, velocity_indices = suspension.velocity_tables(car)
+    displacement, displacement_indices = suspension.displacement_tables(car)
     values = {
         "M": [car.m_b, car.I_xx, car.pitch_inertia, *(v for a in axles for v in (a.m, a.I_xx))],
         "roll_moment": car.m_b * (car.h_cg - car.roll_centre) * quasi_static,
@@ -151,7 +146,7 @@ def build_plant(car: VehicleParameters, manoeuvres: bool = False) -> Plant:
         "c_t": [a.c_t for a in axles for _ in sides],
         "velocity_table": velocity_indices,
         "displacement_table": displacement_indices,
-        **gas_constants(car),
+        **suspension.gas_constants(car),
         **tyre_constants(car),
         **_frame_constants(car),
         **side_constants(car),

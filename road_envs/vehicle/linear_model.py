@@ -27,18 +27,8 @@ from typing import Any
 import numpy as np
 
 from road_envs.kernels._numba import kernel
-from road_envs.vehicle.equations import (
-    DOF,
-    N_DOF,
-    Motion,
-    Plant,
-    build_plant,
-    extension,
-    sensor_row,
-    stiffness_and_damping,
-    twist_extension,
-    wheel_height,
-)
+from road_envs.vehicle import equations
+from road_envs.vehicle.equations import DOF, N_DOF, Motion, Plant, build_plant, extension
 from road_envs.vehicle.equilibrium import equilibrium
 from road_envs.vehicle.parameters import VehicleParameters
 from road_envs.vehicle.side_motion import inverse_inertia, side_jacobian
@@ -133,7 +123,7 @@ def jacobian(
     M, n = plant.inertias[:, None], plant.inertias.size
     K, C = np.empty((n, n)), np.empty((n, n))
     motion = Motion(state[:n].copy(), state[plant.n_dof : plant.n_dof + n].copy())
-    stiffness_and_damping(plant.buffers(strut_state), motion, z_r, w_r, K, C)
+    equations.stiffness_and_damping(plant.buffers(strut_state), motion, z_r, w_r, K, C)
     if plant.sideways:
         return side_jacobian(plant.constants[0], plant.inertias, K, C, speed)
     return np.block([[np.zeros((n, n)), np.eye(n)], [-K / M, -C / M]])
@@ -142,7 +132,7 @@ def jacobian(
 def point_rows(plant: Plant, places: Iterable[tuple[Any, ...]]) -> np.ndarray:
     """Return the heights (S, n) of points by the coordinates; `places` as of `sensor_row`."""
     own = plant.inertias.size
-    rows = np.array([sensor_row(*place)[:own] for place in places]).reshape(-1, own)
+    rows = np.array([equations.sensor_row(*place)[:own] for place in places]).reshape(-1, own)
     return np.pad(rows, ((0, 0), (0, plant.n_dof - own)))
 
 
@@ -151,8 +141,8 @@ def _as_matrix(law, plant: Plant) -> np.ndarray:
     p, unit = plant.constants[0], np.eye(N_DOF)
     rows = np.array([[law(p, unit[j], w) for j in range(N_DOF)] for w in range(4)])
     if plant.flexible:
-        twist = [twist_extension(p, 1.0, w) if law is extension else 0.0 for w in range(4)]
-        rows = np.column_stack([rows, twist])
+        twist = [equations.twist_extension(p, 1.0, w) for w in range(4)]
+        rows = np.column_stack([rows, twist if law is extension else np.zeros(4)])
     return np.pad(rows, ((0, 0), (0, plant.n_dof - rows.shape[1])))
 
 
@@ -165,7 +155,7 @@ def _accelerations(plant: Plant, forces: np.ndarray) -> np.ndarray:
 
 def _road_input_matrix(plant: Plant, y: np.ndarray, z: np.ndarray, w: np.ndarray) -> np.ndarray:
     """Return B (14, 8) at the state `y`; a tyre without ground contact transmits nothing."""
-    rows = _as_matrix(wheel_height, plant)
+    rows = _as_matrix(equations.wheel_height, plant)
     n = rows.shape[1]
     u, u_dot = z - rows @ y[:n], w - rows @ y[n:]
     slopes = [tyre_force(plant.constants[0], i, u[i], u_dot[i])[1:] for i in range(4)]
@@ -187,10 +177,9 @@ def _damping_correction(plant: Plant, strut_state, y: np.ndarray, target: np.nda
 def gaussian_damping(
     car: Plant | VehicleParameters, mode: str | Mapping[str, str], rate: float | np.ndarray
 ) -> np.ndarray:
-    """Return the equivalent dampers (4,) [N s/m] of the struts in Gaussian motion.
-
-    `rate` [m/s], scalar or (4,): standard deviation of the rate of extension. The damper has the
-    least mean-square force error: c = E[F(e_dot) e_dot] / E[e_dot²]. Raises ValueError.
+    """Return the equivalent dampers (4,) [N s/m] of the struts in Gaussian motion. `rate` [m/s],
+    scalar or (4,): standard deviation of the rate of extension. The damper has the least
+    mean-square force error: c = E[F(e_dot) e_dot] / E[e_dot²]. Raises ValueError.
     """
     plant = car if isinstance(car, Plant) else build_plant(car)
     rate = np.broadcast_to(np.asarray(rate, dtype=float), (4,))
@@ -245,10 +234,9 @@ def strut_rate_response(model: LinearModel, f: np.ndarray) -> np.ndarray:
 
 
 def force_response(model: LinearModel, f: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the complex responses at `f` (F,) [Hz] to an additional force in each strut.
-
-    A positive force pushes the body up and the axle down. Responses of the sensors (F, S, 4)
-    [m/s² per N] and of the struts' rates of extension (F, 4, 4) [m/s per N].
+    """Return the complex responses at `f` (F,) [Hz] to an additional force in each strut. A
+    positive force pushes the body up and the axle down. Responses of the sensors (F, S, 4) [m/s²
+    per N] and of the struts' rates of extension (F, 4, 4) [m/s per N].
     """
     s, forces, inverse = _laplace_variable(f), model.strut_rows.T, model.inverse_inertia
     push = forces / model.M[:, None] if inverse is None else inverse @ forces
@@ -295,10 +283,9 @@ def _states(
 def frequency_response(
     model: LinearModel, v: float, *, f: np.ndarray | None = None, n: np.ndarray | None = None
 ) -> np.ndarray:
-    """Return the complex responses (F, S, 2) [m/s² per m] to the left and right wheel path.
-
-    `v`: speed [m/s]. Give either frequencies `f` (F,) [Hz] or spatial frequencies `n` (F,)
-    [cycles/m]. Phases refer to the road under the front axle. Raises ValueError.
+    """Return the complex responses (F, S, 2) [m/s² per m] to the left and right wheel path. `v`:
+    speed [m/s]. Give either frequencies `f` (F,) [Hz] or spatial frequencies `n` (F,) [cycles/m].
+    Phases refer to the road under the front axle. Raises ValueError.
     """
     if not (np.isfinite(v) and v > 0):
         raise ValueError(f"the speed must be positive, got {v} m/s")

@@ -161,7 +161,6 @@ def contact_speeds(p, angle_rates, state):
 @kernel
 def side_rates(p, angles, moments, state, slip, v, a_y):
     """Return what the side motion adds to the roll `moments` (3), and the rates of its `state`.
-
     `angles` [rad] are `rolls`, `slip` (2) [m/s] is l_a u_a. The added moments give the diagonal
     masses of `equations` the accelerations that M gives all forces. Linear in all but `v`.
     """

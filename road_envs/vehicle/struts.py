@@ -102,10 +102,9 @@ AnySpring = Annotated[
 
 @dataclass(frozen=True, kw_only=True)
 class PassiveStrut(Settings):
-    """Spring, damper, friction and stops of one wheel, none of which can be switched.
-
-    Curves are those of the strut itself; with r its `motion_ratio`, a force F(e) of the strut is
-    r F(r e) at y_s of a solid axle, or at an independent wheel.
+    """Spring, damper, friction and stops of one wheel, none of which can be switched. Curves are
+    those of the strut itself; with r its `motion_ratio`, a force F(e) of the strut is r F(r e) at
+    y_s of a solid axle, or at an independent wheel.
     """
 
     spring: AnySpring

@@ -37,13 +37,8 @@ from road_envs.kernels._numba import kernel
 from road_envs.kernels.simd import equals_one, if_positive, is_zero_or_one, maximum, power
 from road_envs.kernels.simd_arrays import get
 from road_envs.records.record import Record
-from road_envs.vehicle.force_curves import (
-    Curve,
-    Law,
-    interpolate_table,
-    second_derivative,
-    tabulate,
-)
+from road_envs.vehicle import force_curves
+from road_envs.vehicle.force_curves import Curve, Law, interpolate_table, second_derivative
 from road_envs.vehicle.parameters import UNIT_FACTORS, VehicleParameters
 from road_envs.vehicle.struts import MODES, PASSIVE_MODES, PassiveStrut, Strut
 
@@ -152,7 +147,7 @@ def velocity_tables(car: VehicleParameters) -> tuple[np.ndarray, list[int]]:
 
 @lru_cache(maxsize=128)  # varied vehicles share most struts
 def _table(curves: tuple[tuple[Curve, float], ...], x_0: float, dx: float, cells: int):
-    return tabulate([curve.scaled(factor) for curve, factor in curves], x_0, dx, cells)
+    return force_curves.tabulate([curve.scaled(factor) for curve, factor in curves], x_0, dx, cells)
 
 
 def friction_peaks(car: VehicleParameters) -> np.ndarray:
@@ -188,7 +183,7 @@ def displacement_tables(car: VehicleParameters) -> tuple[np.ndarray, list[int]]:
         laws: list[Law] = [bump_stop, _spring_deficit(strut, car.strut_loads[axle], gas)]
         if strut.bushing is not None:
             laws.append(strut.at_wheel(strut.bushing).scaled(factor))
-        return tabulate(laws, E_0, E_STEP, E_CELLS)
+        return force_curves.tabulate(laws, E_0, E_STEP, E_CELLS)
 
     gas = car.variation.gas if car.is_passive else UNIT_FACTORS
     factors = zip(gas, car.variation.bushing, strict=True)
