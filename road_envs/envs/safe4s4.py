@@ -116,11 +116,11 @@ class Safe4S4Env(RoadReconEnv):
 
     ## Rewards
     Minus `comfort`: the time integral [m²/s³] of the squared W_k-weighted vertical acceleration
-    (ISO 2631-1) at the front seats, the mean over both, so that left and right are equal. Integrals
-    of squares add up, whatever the control rate. Safety is a constraint: `info["cost"]` is
-    the time [s] within the interval for which both wheels of a side have been off the ground for
-    more than 20 ms, or a strut is at its bump stop. With `vector_reward` the reward is minus
-    (`comfort`, `tyre_load`, `cost`), `reward_space` its space.
+    (ISO 2631-1) at the front seats, of heave, pitch and roll; the mean over both, so that left and
+    right are equal. Integrals of squares add up, whatever the control rate. Safety is a constraint:
+    `info["cost"]` is the time [s] within the interval for which both wheels of a side have been off
+    the ground for more than 20 ms, or a strut is at its bump stop. With `vector_reward` the reward
+    is minus (`comfort`, `tyre_load`, `cost`), `reward_space` its space.
 
     `info` also holds `t` [s], `station` [m], `speed_kmh`, `tyre_load` [s] (integral of the squared
     load over static load, above 0.4 Hz, so without its quasi-static share), `stop` [s] at a bump

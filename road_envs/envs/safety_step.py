@@ -30,7 +30,7 @@ COMFORT_COLUMN = SAFETY_COLUMNS.index("comfort")
 COMFORT, TYRE_LOAD, COST, STOP, LIFT_OFF, LOAD_TRANSFER, ROLL, N_SAFETY = range(8)
 """Rows of the sums over an interval, in the order of the columns from COMFORT_COLUMN on."""
 
-SEAT = (0.30, 0.38)  # front seats: ahead of the centre of mass, either side of it [m, assumed]
+SEAT = (0.30, 0.38)  # front seats: ahead of the centre of mass, beside the middle [m, assumed]
 HIGH_PASS_CORNER = 0.4  # [Hz] below it a tyre load is quasi-static: lower limit of W_k, ISO 2631-1
 GRACE = 0.02  # time [s] for which both wheels of a side may be off the ground before it counts
 

@@ -87,15 +87,12 @@ class RoadReconVecEnv(VecEnv):
         return [getattr(self.env, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Raise ConfigError: the environments have no attributes of their own."""
         raise ConfigError(f"{attr_name} cannot be set: all environments share their options")
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any):
-        """Raise ConfigError: the environments are rows of arrays and have no methods."""
         raise ConfigError(f"{method_name} cannot be called: the environments are rows of arrays")
 
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
-        """Return False for each environment: none can be wrapped individually."""
         return [False for _ in self._get_indices(indices)]
 
     def _rows(self, infos: dict[str, Any]) -> list[dict[str, Any]]:

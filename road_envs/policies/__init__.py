@@ -94,9 +94,7 @@ def make_policy(reference: str | Path, **settings: Any) -> Policy:
 
 
 def runs_foreign_code(reference: str) -> bool:
-    """Return whether `make_policy` would run code that is not part of this package. Files of
-    networks hold numbers only, and are read without pickle.
-    """
+    """Return whether `make_policy` would run code of another package; networks are only numbers."""
     return reference not in REGISTRY and not reference.endswith(FILE_SUFFIXES)
 
 
