@@ -78,5 +78,5 @@ class WheelbasePreview:
         ago = np.clip((self.wheelbase - distances) / step, 0.0, len(self.history) - 2.0)
         whole = ago.astype(int)
         share, cars = (ago - whole)[:, :, None], np.arange(len(ago))[:, None]
-        at = (self.newest - whole) % len(self.history)  # of what follows, k intervals earlier
+        at = (self.newest - whole) % len(self.history)  # row of the ring; one earlier is the older
         return (1.0 - share) * self.history[at, cars] + share * self.history[at - 1, cars]

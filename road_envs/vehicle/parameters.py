@@ -54,7 +54,7 @@ class BendingMode(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class VehicleVariation(Settings):
-    """Deviation of one manufactured vehicle; tuples are factors per wheel (FL, FR, RL, RR)."""
+    """Deviation of one manufactured vehicle; tuples of four are factors per wheel (FL ... RR)."""
 
     gas: Annotated[PerWheel, "", "of the struts' gas pressure or spring force"] = UNIT_FACTORS
     damper: Annotated[PerWheel, "", "of the dampers' forces"] = UNIT_FACTORS
