@@ -122,10 +122,7 @@ def reading_sensitivities(lin: LinearizedPass, base: Pass, errors: np.ndarray) -
 
 
 def known_road_terms(
-    solution: MapSolution,
-    original: Pass,
-    cars: Sequence[VehicleParameters],
-    errors: np.ndarray,
+    solution: MapSolution, original: Pass, cars: Sequence[VehicleParameters], errors: np.ndarray
 ) -> LikelihoodTerms:
     """Return the terms of a drive over a measured road; arguments as of `perturbed_passes`.
 

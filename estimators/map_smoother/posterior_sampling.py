@@ -20,11 +20,7 @@ from estimators.map_smoother.gauss_newton import MapSolution
 from estimators.map_smoother.road_prior import RoadTransform
 from estimators.map_smoother.tuning import TUNING
 from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
-from estimators.map_smoother.wheel_liftoff import (
-    LiftoffError,
-    lower_road,
-    road_below_light_wheels,
-)
+from estimators.map_smoother.wheel_liftoff import LiftoffError, lower_road, road_below_light_wheels
 
 
 class RoadPosterior(NamedTuple):

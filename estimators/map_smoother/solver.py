@@ -27,12 +27,7 @@ from estimators.map_smoother.car_fit import (
     noise_left,
     resolve,
 )
-from estimators.map_smoother.gauss_newton import (
-    GaussNewton,
-    MapSolution,
-    minimize,
-    misfit_power,
-)
+from estimators.map_smoother.gauss_newton import GaussNewton, MapSolution, minimize, misfit_power
 from estimators.map_smoother.objective import Objective
 from estimators.map_smoother.one_pass import MeasurementModel
 from estimators.map_smoother.posterior_sampling import RoadPosterior, posterior_mean_and_std
@@ -40,12 +35,7 @@ from estimators.map_smoother.preparation import SolverSettings
 from estimators.map_smoother.tuning import TUNING
 from estimators.map_smoother.vehicle_uncertainty import VehicleUncertainty
 from estimators.map_smoother.wheel_liftoff import distance_in_air
-from estimators.map_smoother.windows import (
-    PreparedDrive,
-    RoadSoFar,
-    common_windows,
-    reconstruct,
-)
+from estimators.map_smoother.windows import PreparedDrive, RoadSoFar, common_windows, reconstruct
 from road_envs.records.record import DistanceScale, Profile, scored_band
 
 

@@ -51,9 +51,7 @@ from road_envs.vehicle.parameters import VehicleParameters
 
 
 def tangent_terms(
-    solution: MapSolution,
-    cars: Sequence[VehicleParameters],
-    known: LikelihoodTerms | None = None,
+    solution: MapSolution, cars: Sequence[VehicleParameters], known: LikelihoodTerms | None = None
 ) -> LikelihoodTerms:
     """Return the terms of a drive over an unmeasured road; `cars` as of `perturbed_cars`.
 

@@ -18,10 +18,7 @@ from scipy.linalg import block_diag
 
 from estimators.map_smoother.car_fit import CarFit
 from estimators.map_smoother.instrument_errors import InstrumentErrors
-from estimators.map_smoother.marginal_likelihood import (
-    reading_sensitivities,
-    varied_residuals,
-)
+from estimators.map_smoother.marginal_likelihood import reading_sensitivities, varied_residuals
 from estimators.map_smoother.one_pass import LinearizedPass
 from estimators.map_smoother.tuning import TUNING
 from road_envs.vehicle.parameters import VehicleParameters

@@ -34,12 +34,7 @@ from estimators.common.pretrained import (
     SpatialEstimator,
     TrainingExample,
 )
-from estimators.common.spatial_signals import (
-    SPACING,
-    SpatialSignals,
-    keep_short_waves,
-    wheel_paths,
-)
+from estimators.common.spatial_signals import SPACING, SpatialSignals, keep_short_waves, wheel_paths
 from estimators.linear.fir_bank import FirBank
 from estimators.networks import trainer
 from estimators.networks.inputs import MIRROR_SIGNS, NetworkInputs, network_inputs
