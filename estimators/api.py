@@ -29,7 +29,6 @@ LAG = 4.79
 Records: TypeAlias = Sequence[Record]
 Profiles: TypeAlias = Sequence[Profile]
 
-
 # Arguments of the methods, as which they are called
 _ARGUMENTS: dict[str, list[str]] = {
     "estimate": ["record", "car"],
@@ -58,7 +57,6 @@ class Estimator(Protocol):
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Return both wheel paths on `profile_stations(record.length)`; the record is unchanged."""
-        ...
 
 
 @runtime_checkable
@@ -74,15 +72,12 @@ class Trainable(Estimator, Protocol):
 
     def fit(self, records: Records, truths: Profiles, car: VehicleParameters, seed: int) -> Self:
         """Return a fitted copy; equal arguments and `seed` give an equal copy."""
-        ...
 
     def weights(self) -> dict[str, np.ndarray]:
         """Return everything learned, as numeric arrays by name. Raises NotFittedError."""
-        ...
 
     def with_weights(self, weights: Mapping[str, np.ndarray]) -> Self:
         """Return a copy with `weights` as `weights()` returned them. Raises ValueError."""
-        ...
 
 
 @runtime_checkable
@@ -103,11 +98,9 @@ class Pretrained(Trainable, Protocol):
     """Result of a fit; None if the shipped weights are used."""
 
     def training_example(self, record: Record, truth: Profile, rigid: bool = True) -> Any:
-        """Return the part of a drive needed for training; raw records would not fit in memory.
-
-        `rigid`: whether the vehicle's body neither twists nor bends.
+        """Return the part of a drive needed for training, as raw records would not fit in memory;
+        `rigid`: the vehicle's body neither twists nor bends.
         """
-        ...
 
     def pretrain(
         self,
@@ -117,12 +110,10 @@ class Pretrained(Trainable, Protocol):
         progress: Callable[[str, float], None] = ...,
         checkpoint: Any = None,
     ) -> Self:
-        """Return a copy trained on examples from `training_example`.
-
-        `progress` is called with a description and the fraction done (0 to 1). `checkpoint` has
-        `save`, which stores an unfinished state (arrays by name), and `load`, which returns it.
+        """Return a copy trained on examples from `training_example`. `progress` is called with a
+        description and the fraction done (0 to 1). `checkpoint` has `save`, which stores an
+        unfinished state (arrays by name), and `load`, which returns it.
         """
-        ...
 
 
 @runtime_checkable
@@ -133,7 +124,6 @@ class DeviationCalibratable(Pretrained, Protocol):
         """Return a copy calibrated on these examples: drives of the nominal vehicle on roads that
         were not used for training.
         """
-        ...
 
 
 class CalibrationError(ValueError):
@@ -142,10 +132,9 @@ class CalibrationError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class CalibrationDrive:
-    """A drive of the vehicle that is to be known better, before the drives that matter.
-
-    `profile` is the road if it was measured, with independent survey errors of the standard
-    deviation `survey_std` [m]; None over a road that nobody measured.
+    """A drive of the vehicle that is to be known better, before the drives that matter. `profile`:
+    the road if it was measured, with independent survey errors of the standard deviation
+    `survey_std` [m].
     """
 
     record: Record
@@ -163,12 +152,10 @@ class Calibratable(Estimator, Protocol):
     """
 
     def calibrate(self, drives: Sequence[CalibrationDrive], car: VehicleParameters) -> Self:
-        """Return a copy for the vehicle of these `drives`, of which `car` is the description.
-
-        Drives over measured and unmeasured roads may be mixed. A second calibration replaces the
-        first. Raises CalibrationError, ArithmeticError.
+        """Return a copy for the vehicle of these `drives`, of which `car` is the description; in
+        place of an earlier calibration. Drives over measured and unmeasured roads may be mixed.
+        Raises CalibrationError, ArithmeticError.
         """
-        ...
 
 
 def declared_lag(estimator: object) -> float:

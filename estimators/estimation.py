@@ -59,8 +59,7 @@ def estimate(
     check_modes(record, car)
     found = estimator.estimate(record, car)
     check_estimate(found, record)
-    notes = (*found.notes, *training_notes(estimator, record, car))
-    notes = (*friction_note(record, car), *notes)
+    notes = *friction_note(record, car), *found.notes, *training_notes(estimator, record, car)
     if car.is_passive and car.side is None:
         notes += (
             f"{car.name} has no side motion in its file: on cars of other simulators a model "
@@ -83,11 +82,9 @@ def estimate(
 
 
 def friction_note(record: Record, car: VehicleParameters) -> tuple[str, ...]:
-    """Return a note where the accelerations are below _HELD times what dry friction passes on.
-
-    A strut slides once the force on it exceeds the peak of its friction. Four struts that hold pass
-    on accelerations of the body up to the sum of these peaks over its mass; below it the body
-    follows the road on its tyres, and what a strut would have taken out of a wave does not show.
+    """Return a note where the accelerations are below _HELD times what dry friction passes on: four
+    struts that hold do so up to the sum of their friction peaks over the mass of the body. Below,
+    it follows the road on its tyres, and what a strut would have taken out of a wave does not show.
     """
     low, high = friction_peaks(car)
     peaks = np.where(record.damper_high.mean(axis=0) > 0.5, high, low)

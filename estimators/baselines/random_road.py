@@ -39,7 +39,6 @@ class UnrelatedRoad(Settings):
     """Baseline: a random road as rough as the training roads, independent of the record."""
 
     causal: ClassVar[bool] = True
-
     fitted_state: _FittedRoad | None = field(default=None, init=False, repr=False, compare=False)
 
     def fit(self, records: Records, truths: Profiles, car: VehicleParameters, seed: int) -> Self:

@@ -37,34 +37,28 @@ from road_envs.vehicle.parameters import VehicleParameters
 
 @dataclass(frozen=True, eq=False)
 class _ExpectedInformation:
-    """Linearizations `at` several roads, whose information on the unknowns is averaged.
-
-    It has the interface of one linearization as far as samples need it.
+    """Linearizations of one objective `at` several roads, with the interface of a single one as far
+    as samples need it: the information on the unknowns is their mean, I + E[J' R^-1 J].
     """
 
     at: Sequence[Linearization]
 
     @property
     def objective(self) -> Objective:
-        """The objective, which all have in common."""
         return self.at[0].objective
 
     def hessian_product(self, dx: np.ndarray) -> np.ndarray:
-        """Return I + E[J' R^-1 J] times `dx`."""
         return np.mean([one.hessian_product(dx) for one in self.at], axis=0)
 
     def offset_scale(self, *noise: Any) -> np.ndarray:
-        """Return that of the first, as of `Linearization.offset_scale`."""
+        """The scale at the first road stands for all."""
         return self.at[0].offset_scale(*noise)
 
     def draw_noise(self, rng: np.random.Generator) -> list[list[np.ndarray]]:
-        """Return R^-1/2 times white noise for each road."""
         return [one.draw_noise(rng) for one in self.at]
 
     def adjoint(self, means: Sequence[Means]) -> np.ndarray:
-        """Return `x` from block means of each road, of covariance E[J' R^-1 J] if these are
-        drawn noise.
-        """
+        """The root of the number of roads makes the covariance of what is drawn E[J' R^-1 J]."""
         pairs = zip(self.at, means, strict=True)
         return np.sum([one.adjoint(part) for one, part in pairs], axis=0) / np.sqrt(len(self.at))
 
@@ -80,7 +74,6 @@ def attainable_error(
     noise_density: float | None = None,
 ) -> float:
     """Return the attainable in-band NRMSE [-], both wheel paths pooled, on the road of `truth`.
-
     `record` gives stations, speed and strut states. The prior's density and, on uneven roads, its
     local roughness are fitted to the truth as `map_smoother` fits them to its estimate.
     Accelerations are used up to `bandwidth` [Hz], with the noise of the `instruments` or of
@@ -105,9 +98,8 @@ def van_trees_error(
     roads: int = 16,
 ) -> float:
     """Return the least in-band NRMSE [-] of any estimator, both wheel paths pooled, over the roads
-    of a Gaussian `prior`.
-
-    The information is averaged over that many `roads`; other arguments as in `attainable_error`.
+    of a Gaussian `prior`. The information is averaged over that many `roads`; other arguments as in
+    `attainable_error`.
     """
     objective = _whole_drive(record, car, prior, bandwidth, instruments, noise_density)
     rng = np.random.default_rng(0)
@@ -120,8 +112,7 @@ def _relative_error(lin: Any, stationary: StationaryHessian, points: Sequence[np
     """Return the root of the mean power in the scored band of samples of the posterior of `lin`, a
     linearization or several, over that of the roads of `points`.
     """
-    objective = lin.objective
-    road = objective.road
+    objective, road = lin.objective, lin.objective.road
     low, high = scored_band(float(objective.passes[0].inputs.v.mean()))
     inside = (road.n >= low) & (road.n <= high)
     middle, rng = interior(road.free, round(1.0 / (low * road.ds))), np.random.default_rng(0)

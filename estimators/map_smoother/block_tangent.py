@@ -58,11 +58,9 @@ class _Track(NamedTuple):
 
 @kernel
 def _road_derivatives(track: _Track, n, m, road):
-    """Write the derivative of heights and rates under the wheels to `road` (G, 16, LANES).
-
-    For the step `n` of the chunk `m`. Rows 0 to 7 are heights and rates at the first half step,
-    rows 8 to 15 at the second; lanes are unit changes of the states, then of the nodes. Returns the
-    number of changes that have begun in this step.
+    """Write the derivative of heights and rates under the wheels in the step `n` of the chunk `m`
+    to `road` (G, 16, LANES): rows 0 to 7 at the first half step, rows 8 to 15 at the second; lanes
+    are unit changes of the states, then of the nodes. Return the number of changes begun by then.
     """
     road[:] = 0.0
     begun = 0
@@ -85,16 +83,12 @@ def _road_derivatives(track: _Track, n, m, road):
 @kernel
 def _fill_chunk_matrices(constants, rows, h, track: _Track, P, flexible=None, side=None):
     """Write the matrices of all chunks to `P` (M, C, N_ROWS), transposed: a column in each row,
-    those of the nodes before those of the states.
-
-    `rows` of the tape; `flexible`, `side` as of `sensitivity.tangent_step`.
+    those of the nodes before those of the states. `rows` of the tape; `flexible`, `side` as of
+    `sensitivity.tangent_step`.
     """
     n_states, n_dof = track.n_states, track.n_states // 2
-    decimation, sample_weight, sensor_rows = (
-        track.decimation,
-        track.sample_weight,
-        track.sensor_rows,
-    )
+    decimation, sensor_rows = track.decimation, track.sensor_rows
+    sample_weight = track.sample_weight
     p, changes = constants[0], P.shape[1]
     groups = -(-changes // LANES)
     work = step_workspace(stack_rows(WORKSPACE_ROWS))
@@ -137,9 +131,8 @@ def _fill_chunk_matrices(constants, rows, h, track: _Track, P, flexible=None, si
 
 @kernel
 def _apply_chunks(P, first, width, c, y, means):
-    """Propagate a change `y` (14,) of the first state and `c` (2, K) of the road to `means` (S, J).
-
-    `P` (M, C, N_ROWS // LANES, LANES); `y` ends as the change of the last state.
+    """Propagate a change `y` (14,) of the first state and `c` (2, K) of the road by `P`, as of
+    `BlockTangent`, to `means` (S, J); `y` ends as the change of the last state.
     """
     n_states = y.size
     x, out = np.empty(P.shape[1]), np.empty((P.shape[2], LANES))
@@ -209,9 +202,7 @@ class BlockTangent:
     shape: tuple[int, int]
 
     def apply(self, start: np.ndarray, c: np.ndarray) -> np.ndarray:
-        """Return the change (S, J) of the block means by one of the first state (14,) and of `c`
-        (2, K).
-        """
+        """Return the change (S, J) of the means by one of the first state (14,) and `c` (2, K)."""
         means, y = np.empty(self.shape), start.copy()
         _apply_chunks(self.P, self.first, self.width, c, y, means)
         return means
@@ -234,8 +225,7 @@ def build_block_tangent(
     """Return the tangent of a taped motion in the means over blocks of `sample_weight` (S, J, b),
     of sensors of `sensor_rows` (S, 7).
     """
-    sensors, blocks, block = sample_weight.shape
-    n_states = tape.end.size
+    (sensors, blocks, block), n_states = sample_weight.shape, tape.end.size
     blocks_per_chunk = (N_ROWS - n_states) // sensors
     steps_per_block = block * inputs.decimation
     x, wheelbase_nodes = (inputs.s - nodes.origin) / nodes.ds, wheelbase / nodes.ds

@@ -50,15 +50,13 @@ from road_envs.vehicle.tolerances import has_absent_elements
 
 @dataclass(frozen=True, kw_only=True)
 class MapSmoother(CalibratedByIdentification, SolverSettings):
-    """Estimator of the maximum a posteriori road, with the settings of the solver and
-
-    - `draws`: posterior samples for the standard deviation, 0 for none.
-    - `adapt`: where the unexplained noise says that the vehicle differs, and its file gives
-      tolerances, the parameters are fitted to the drive (`car_fit.py`).
+    """Estimator of the maximum a posteriori road. Beside the settings of the solver, `draws` are the
+    posterior samples for the standard deviation, 0 for none; `adapt`: where the unexplained noise
+    says that the vehicle differs, and its file gives tolerances, it is fitted to the drive
+    (`car_fit.py`).
     """
 
     causal: ClassVar[bool] = False
-
     draws: int = 2
     adapt: bool = True
 
@@ -136,17 +134,15 @@ class MapSmoother(CalibratedByIdentification, SolverSettings):
     def _solve(
         self, solver: RoadSolver, length: float, names: Sequence[str], remarks: Sequence[str]
     ) -> Estimate:
-        """Estimate a road of `length` [m], with `remarks` on the records and notes on what was
-        found, which name the drive if there are several.
+        """Estimate a road of `length` [m], with `remarks` on the records and notes on the findings,
+        which name the drive if there are several.
         """
         road, drives, s = solver.solve(), solver.drives, profile_stations(length)
         z, std, drawn = road.at_stations(drives[0].nodes, s)
         z_std, draws = (std, drawn) if self.draws else (None, None)
-        notes = [*remarks, *_findings_notes(solver, names)]
-        share = 0.0
-        for drive, in_air, scale in zip(
-            drives, solver.in_air, solver.noise_scale.tolist(), strict=True
-        ):
+        notes, share = [*remarks, *_findings_notes(solver, names)], 0.0
+        rows = zip(drives, solver.in_air, solver.noise_scale.tolist(), strict=True)
+        for drive, in_air, scale in rows:
             most = TUNING.lost_noise_scale  # above it the minimization has lost the vehicle
             if in_air < TUNING.lost_air_share * length:
                 power = float(drive.a.var()) / drive.model.noise_variance
@@ -160,14 +156,12 @@ class MapSmoother(CalibratedByIdentification, SolverSettings):
             notes.append(
                 f"the heights are reduced to {share:.0%}: their motion is not the measured one"
             )
-        residual = float(np.sqrt(solver.noise_scale.max()))
-        return Estimate(
-            s, z, z_std, tuple(notes), distance=distance, draws=draws, residual=residual
-        )
+        left = float(np.sqrt(solver.noise_scale.max()))
+        return Estimate(s, z, z_std, tuple(notes), distance=distance, draws=draws, residual=left)
 
 
 def _findings_notes(solver: RoadSolver, names: Sequence[str]) -> list[str]:
-    """Notes on what was found of the drives of these `names`; a single one is not named."""
+    """Notes on the findings in drives of these `names`; a single one is not named."""
     several = len(names) > 1
     labels = [f"{name}: " if several else "" for name in names]
     notes = [

@@ -26,8 +26,8 @@ class Unexplained:
 
 @dataclass(frozen=True, eq=False)
 class IdentificationResult:
-    """Result: the `fit`, the identified `car`, what is not known of it, and what the described and
-    the identified vehicle leave `unexplained` in the held-out part of each drive.
+    """The `fit`, the identified `car` and its `uncertainty`, and what the described and the
+    identified vehicle leave `unexplained` in the held-out part of each drive.
     """
 
     fit: CarFit
@@ -48,8 +48,7 @@ class IdentificationResult:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters (P,), errors of the instruments last."""
-        space = self.fit.space
-        return (*space.names, *self.fit.instrument_errors.names)[: self.fit.x.size]
+        return (*self.fit.space.names, *self.fit.instrument_errors.names)[: self.fit.x.size]
 
     @property
     def sensor_gains(self) -> tuple[float, ...]:

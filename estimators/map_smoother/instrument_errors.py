@@ -10,16 +10,15 @@ from road_envs.vehicle.linear_model import point_rows
 
 @dataclass(frozen=True)
 class InstrumentErrors:
-    """Errors of the instruments as parameters: gains of the accelerometers `sensors`, their places
-    [m] ahead and to the left, displacement of the odometer [m], relative error of the speed, each
-    in units of its standard deviation `std`.
+    """Gains of the accelerometers `sensors`, their places [m] ahead and to the left, displacement
+    of the odometer [m] and relative error of the speed, each in units of its deviation `std`.
     """
 
     sensors: tuple[str, ...]
 
     @classmethod
     def of(cls, one: Pass) -> "InstrumentErrors":
-        """Those of the sensors of a pass."""
+        """The errors of the sensors of a pass."""
         return cls(tuple(one.model.locations))
 
     @property
@@ -48,8 +47,7 @@ class InstrumentErrors:
         model, inputs = one.model, one.inputs
         factor, places = np.exp(gain), zip(model.locations.values(), ahead, left, strict=True)
         moved = [place._replace(x=place.x + dx, y=place.y + dy) for place, dx, dy in places]
-        rows = point_rows(model.plant, moved)
-        rows, bending = factor[:, None] * rows, model.bending
+        rows, bending = factor[:, None] * point_rows(model.plant, moved), model.bending
         if bending is not None:
             bending = replace(bending, shape=factor * bending.shape)
         s = inputs.s + displacement + speed * (inputs.s - inputs.s[0])

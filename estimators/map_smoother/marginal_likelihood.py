@@ -36,9 +36,8 @@ NO_ERRORS = np.zeros(0)
 class LikelihoodTerms(NamedTuple):
     """Terms of the marginal likelihood of one drive: `gradient` (P,), `information` (P, P), and the
     covariance of the gradient `score_covariance` (P, P), which is the information if the model is
-    right. Empty where the road was measured: the derivatives `log_det_gradient` (P,) of
-    1/2 log det A, and the change of the solution's unknowns `to_optimum` (n,) and `by_parameter`
-    (P, n).
+    right. Empty where the road was measured: the derivatives `log_det_gradient` (P,) of 1/2 log det
+    A, and the change of the solution's unknowns `to_optimum` (n,) and `by_parameter` (P, n).
     """
 
     gradient: np.ndarray
@@ -49,8 +48,8 @@ class LikelihoodTerms(NamedTuple):
     by_parameter: np.ndarray = np.zeros(0)
 
     def change(self, step: np.ndarray) -> np.ndarray | None:
-        """Return the expected change (n,) of the unknowns with a `step` (P,) of the parameters;
-        None where the road was measured.
+        """The expected change (n,) of the unknowns with a `step` (P,) of the parameters; None where
+        the road was measured.
         """
         return self.to_optimum + step @ self.by_parameter if self.by_parameter.size else None
 
@@ -65,16 +64,15 @@ def perturbed_cars(space: ParameterSpace, x: np.ndarray) -> list[VehicleParamete
 def perturbed_passes(
     original: Pass, cars: Sequence[VehicleParameters], errors: np.ndarray = NO_ERRORS
 ) -> list[Pass]:
-    """The pass of each of the `cars`, as of `perturbed_cars`, with instruments that have these
-    `errors` (0 or R,); those of the `original` have none.
+    """The `original` pass, whose instruments have no errors, of each of the `cars`, as of
+    `perturbed_cars`, with these `errors` (0 or R,).
     """
     instruments = InstrumentErrors.of(original)
     return [instruments.apply(original.with_car(car), errors) for car in cars]
 
 
 def sensitivities(lin: LinearizedPass, varied: Sequence[Pass]) -> np.ndarray:
-    """Return the derivatives (P, S, J) of the block means by the parameters, at a fixed road.
-
+    """Return the derivatives (P, S, J) of the block means by the parameters, at a fixed road;
     `varied` as of `perturbed_passes`. Raises ArithmeticError if a motion is not finite.
     """
     left = varied_residuals(lin, varied)
@@ -82,17 +80,14 @@ def sensitivities(lin: LinearizedPass, varied: Sequence[Pass]) -> np.ndarray:
 
 
 def varied_residuals(lin: LinearizedPass, varied: Sequence[Pass]) -> np.ndarray:
-    """Return the residuals (V, S, J) of other vehicles on the road of `lin`.
-
-    Raises ArithmeticError if a motion is not finite.
+    """Return the residuals (V, S, J) of other vehicles on the road of `lin`. Raises ArithmeticError
+    if a motion is not finite.
     """
     source = lin.source
     start, bias = source.split(lin.own)
     road = source.road_under_wheels(lin.c, source.wheelbase(lin.own))
-    inputs, strut_state = source.inputs, source.strut_state
-    shared = SharedInputs(
-        road, inputs.commands, strut_state, source.model.valve_lag, inputs.h, inputs.v[1::2]
-    )
+    inputs, state, lag = source.inputs, source.strut_state, source.model.valve_lag
+    shared = SharedInputs(road, inputs.commands, state, lag, inputs.h, inputs.v[1::2])
     starts = [one.initial_state + start for one in varied]
     motions = drive_variants([one.model.plant for one in varied], starts, shared)
     left = np.array([one.residual(a, bias) for one, a in zip(varied, motions, strict=True)])
@@ -105,8 +100,7 @@ def varied_residuals(lin: LinearizedPass, varied: Sequence[Pass]) -> np.ndarray:
 
 
 def reading_sensitivities(lin: LinearizedPass, base: Pass, errors: np.ndarray) -> np.ndarray:
-    """Return the derivatives (R, S, J) by errors of the instruments, at `errors` (R,) of them.
-
+    """Return the derivatives (R, S, J) by errors of the instruments, at `errors` (R,) of them;
     `base` is the pass of the vehicle of `lin` with instruments without errors.
     """
     instruments = InstrumentErrors.of(base)
@@ -124,9 +118,8 @@ def reading_sensitivities(lin: LinearizedPass, base: Pass, errors: np.ndarray) -
 def known_road_terms(
     solution: MapSolution, original: Pass, cars: Sequence[VehicleParameters], errors: np.ndarray
 ) -> LikelihoodTerms:
-    """Return the terms of a drive over a measured road; arguments as of `perturbed_passes`.
-
-    Raises ArithmeticError if a motion is not finite.
+    """Return the terms of a drive over a measured road; arguments as of `perturbed_passes`. Raises
+    ArithmeticError if a motion is not finite.
     """
     (lin,), road = solution.linearization.passes, solution.linearization.objective.road
     G = sensitivities(lin, perturbed_passes(original, cars, errors))

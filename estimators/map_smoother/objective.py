@@ -61,9 +61,7 @@ class Objective:
 
     @property
     def is_underdetermined(self) -> bool:
-        """True if there are no more sensors than the two wheel paths: a road explains all
-        measurements.
-        """
+        """True if a road explains all measurements, as of no more sensors than wheel paths."""
         return sum(len(one.model.sensor_rows) for one in self.passes) <= 2
 
     @property
@@ -98,9 +96,9 @@ class Objective:
         instruments' noise. Raises ArithmeticError.
         """
         u, own, shifts = self.split(x)
-        c, none = self.road.coefficients(u), [None] * len(self.passes)
+        c, plants = self.road.coefficients(u), plants or [None] * len(self.passes)
         linearized = []
-        for one, shift, values, plant in zip(self.passes, shifts, own, plants or none, strict=True):
+        for one, shift, values, plant in zip(self.passes, shifts, own, plants, strict=True):
             moved = replace(one, inputs=shift_inputs(one.inputs, self.knots, shift))
             linearized.append(moved.linearize(c, values, plant))
         return Linearization(self, x, tuple(linearized))
@@ -117,9 +115,10 @@ class Linearization:
     @property
     def cost(self) -> float:
         """The cost at `x`."""
-        pairs = zip(self.residual, self.apply_inverse_covariance(self.residual), strict=True)
-        misfit = sum(0.5 * float(np.sum(residual * weighted)) for residual, weighted in pairs)
-        return misfit + 0.5 * float(self.x @ self.x)
+        weighted = (
+            one.residual * one.apply_inverse_covariance(one.residual) for one in self.passes
+        )
+        return sum(0.5 * float(np.sum(x)) for x in weighted) + 0.5 * float(self.x @ self.x)
 
     def cost_under(self, noise_scale: np.ndarray) -> float:
         """The cost at `x` under `noise_scale` (P,) times the noise of the instruments."""
@@ -128,16 +127,12 @@ class Linearization:
 
     def gradient(self) -> np.ndarray:
         """Gradient of the cost with respect to `x`."""
-        return self.x - self.adjoint(self.apply_inverse_covariance(self.residual))
+        residuals = [one.residual for one in self.passes]
+        return self.x - self.adjoint(self.apply_inverse_covariance(residuals))
 
     def hessian_product(self, dx: np.ndarray) -> np.ndarray:
         """The Gauss-Newton Hessian times `dx`."""
         return dx + self.adjoint(self.apply_inverse_covariance(self.tangent(dx)))
-
-    @property
-    def residual(self) -> list[np.ndarray]:
-        """Residual (S, J) [m/s²] of the measurements of each pass."""
-        return [one.residual for one in self.passes]
 
     @property
     def inverse_variance(self) -> list[np.ndarray]:
@@ -162,12 +157,8 @@ class Linearization:
         """Apply the transpose of `tangent`: from block means to `x`."""
         pairs = [one.adjoint(part) for one, part in zip(self.passes, means, strict=True)]
         u = self.objective.road.apply_transpose(np.sum([c for c, _ in pairs], axis=0))
-        shifts = []
-        if self.objective.n_shifts:
-            shifts = [
-                TUNING.shift_std * self._hats @ np.sum(self._slope * c, axis=0)
-                for c, _ in pairs[1:]
-            ]
+        moved = [np.sum(self._slope * c, axis=0) for c, _ in pairs[1:] if self.objective.n_shifts]
+        shifts = (TUNING.shift_std * self._hats @ one for one in moved)
         return np.concatenate([u.ravel(), *(own for _, own in pairs), *shifts])
 
     @cached_property
@@ -222,7 +213,7 @@ class Linearization:
         self, inverse_variance: Means, weights: Sequence[np.ndarray | None] | None = None
     ) -> "Linearization":
         """The same point under other inverse variances (S, J) of the noise of each pass and, if
-        given, other `weights` (J // 2 + 1,) of its frequencies.
+        given, `weights` (J // 2 + 1,) of its frequencies.
         """
         weights = weights or [one.frequency_weights for one in self.passes]
         rows = zip(self.passes, inverse_variance, weights, strict=True)

@@ -25,7 +25,7 @@ pages of trainlm, initnw, mapminmax, dividerand, divideblock and mse.
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -38,7 +38,7 @@ _MU_FLOOR = 1e-20  # lower limit of mu, so that a failing step needs few increas
 _ACTIVE_RANGE = 2.0  # active range of tanh, net inputs of -2 to 2, as MATLAB's tansig('active')
 
 _StopReason = Literal["epochs", "goal", "gradient", "mu", "validation"]
-_STOP_REASONS: tuple[_StopReason, ...] = ("epochs", "goal", "gradient", "mu", "validation")
+_STOP_REASONS: tuple[_StopReason, ...] = get_args(_StopReason)
 CURVES = ("train", "validation", "test", "mu", "gradient")
 # Shapes of the arrays of `LmResult.to_arrays`
 HISTORY_SHAPES: dict[str, tuple[int | None, ...]] = {"curves": (len(CURVES), None), "stop": (2,)}
@@ -57,11 +57,9 @@ class TwoLayerNetwork:
 
     def add_step(self, step: np.ndarray) -> "TwoLayerNetwork":
         """Return the network with a `step` (P,) added to its weights, hidden layer first."""
-        hidden, output = np.split(step, [self.hidden.size])
-        return TwoLayerNetwork(
-            self.hidden + hidden.reshape(self.hidden.shape),
-            self.output + output.reshape(self.output.shape),
-        )
+        parts, layers = np.split(step, [self.hidden.size]), (self.hidden, self.output)
+        moved = (x + part.reshape(x.shape) for x, part in zip(layers, parts, strict=True))
+        return TwoLayerNetwork(*moved)
 
 
 @dataclass(frozen=True)
@@ -104,9 +102,8 @@ class Split(NamedTuple):
     def divide(
         cls, size: int, method: Literal["random", "block"], rng: np.random.Generator
     ) -> "Split":
-        """Split `size` samples into 70, 15 and 15 %, at random (`dividerand`) or in consecutive
-        blocks (`divideblock`). On a time series a random division leaks, since neighbours are
-        alike.
+        """Split `size` samples into 70, 15 and 15 %, at random (`dividerand`, which leaks on a time
+        series, since neighbours are alike) or in consecutive blocks (`divideblock`).
         """
         held_out = round(0.15 * size)
         train = size - 2 * held_out
@@ -130,10 +127,9 @@ class TrainlmOptions:
 
 @dataclass(frozen=True)
 class LmResult:
-    """A trained `network`, the stop reason, and the history: one value per epoch from 0.
-
-    `train`, `validation`, `test` are mean squared errors in mapped units, NaN for an empty set. An
-    epoch starts with `mu`; `gradient` is the norm of the training error's gradient.
+    """A trained `network`, the stop reason, and the history, one value per epoch from 0: mean
+    squared errors `train`, `validation`, `test` in mapped units, NaN for an empty set; `mu` with
+    which the epoch starts; norm `gradient` of the training error's gradient.
     """
 
     network: TwoLayerNetwork
@@ -156,10 +152,8 @@ class LmResult:
         """
         curves = np.array([getattr(self, name) for name in CURVES])
         curves[np.isnan(curves)] = -1.0
-        return {
-            "curves": curves,
-            "stop": np.array([_STOP_REASONS.index(self.stop), self.best_epoch]),
-        }
+        stop = np.array([_STOP_REASONS.index(self.stop), self.best_epoch])
+        return {"curves": curves, "stop": stop}
 
     @classmethod
     def from_arrays(
@@ -170,9 +164,8 @@ class LmResult:
         if not 0 <= reason < len(_STOP_REASONS):
             last = len(_STOP_REASONS) - 1
             raise ValueError(f"stop: the reason must be an index from 0 to {last}, got {reason}")
-        return cls(
-            network, _STOP_REASONS[reason], best_epoch, *np.where(curves < 0.0, np.nan, curves)
-        )
+        history = np.where(curves < 0.0, np.nan, curves)
+        return cls(network, _STOP_REASONS[reason], best_epoch, *history)
 
 
 class _Evaluation(NamedTuple):
@@ -194,10 +187,9 @@ class _Evaluation(NamedTuple):
 def nguyen_widrow(
     inputs: int, hidden: int, outputs: int, rng: np.random.Generator
 ) -> TwoLayerNetwork:
-    """Draw initial weights whose active regions cover inputs in [-1, 1], as `initnw`.
-
-    Each hidden neuron's weight vector has a random direction and the length 2 x 0.7 S^(1/R), where
-    the 2 extends Nguyen and Widrow's unit range to the active range of tanh; the biases are evenly
+    """Draw initial weights whose active regions cover inputs in [-1, 1], as `initnw`. Each hidden
+    neuron's weight vector has a random direction and the length 2 x 0.7 S^(1/R), where the 2
+    extends Nguyen and Widrow's unit range to the active range of tanh; the biases are evenly
     spaced. The output layer is uniform in [-1, 1], as a linear layer has no active region.
     """
     magnitude = _ACTIVE_RANGE * 0.7 * hidden ** (1.0 / inputs)
@@ -216,10 +208,9 @@ def train(
     split: Split,
     options: TrainlmOptions | None = None,
 ) -> LmResult:
-    """Train from `network` on mapped inputs `x` (R, N) and targets `t` (K, N).
-
-    Uses one thread: products of this size do not gain from more, slow down tenfold when another job
-    occupies the other core, and are summed in the same order on every machine.
+    """Train from `network` on mapped inputs `x` (R, N) and targets `t` (K, N), on one thread:
+    products of this size do not gain from more, slow down tenfold when another job occupies the
+    other core, and are summed in the same order on every machine.
     """
     options = options or TrainlmOptions()
     training, validation, test = ((_append_ones(x[:, part]), t[:, part]) for part in split)
@@ -258,7 +249,6 @@ def _take_step(
     """Return the network after the first step that lowers the error, and the next mu; the same
     network if mu exceeds its limit first.
     """
-    error = at.mse
     while mu <= options.mu_max:
         damped = JJ.copy(order="F")  # as LAPACK takes it
         damped[np.diag_indices_from(damped)] += mu
@@ -266,7 +256,7 @@ def _take_step(
             factor = cho_factor(damped, lower=True, overwrite_a=True, check_finite=False)
             step = cho_solve(factor, Je, check_finite=False)
             trial = _evaluate(at.network.add_step(step), at.inputs, t)
-            if trial.mse < error:
+            if trial.mse < at.mse:
                 return trial, max(mu * options.mu_decrease, _MU_FLOOR)
         mu *= options.mu_increase
     return at, mu
@@ -315,10 +305,9 @@ def _normal_equations(at: _Evaluation) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _chunks(size: int) -> Iterator[slice]:
-    """Yield slices of at most CHUNK of `size` samples."""
     return (slice(start, start + CHUNK) for start in range(0, size, CHUNK))
 
 
 def _append_ones(x: np.ndarray) -> np.ndarray:
-    """Return `x` (R, N) with a row of ones, the input of the biases."""
+    """`x` (R, N) above a row of ones, the input of the biases."""
     return np.vstack([x, np.ones(x.shape[1])])

@@ -33,7 +33,6 @@ class LmEstimator(Settings):
     """Name of the mapped range of the heights among the weights."""
 
     n_errors: ClassVar[int] = 0
-
     hidden: Annotated[Count, "", "hidden units"]
     max_epochs: Annotated[Count, "", "most epochs"]
     max_fail: Annotated[Count, "", "epochs without a smaller validation error"] = 6

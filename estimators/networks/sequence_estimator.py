@@ -44,10 +44,8 @@ from road_envs.core.config import Count
 from road_envs.vehicle.parameters import VehicleParameters
 
 _NETWORK_PREFIX = "network."  # prefix of the names of the network's weights
-# Accelerations in the window of a correction are divided by this many levels per s²
-_MOTION_UNIT = 500.0
-# Relative deviation from the trained wheelbase above which a note is added
-_WHEELBASE_TOLERANCE = 0.02
+_MOTION_UNIT = 500.0  # levels per s² by which accelerations in a correction's window are divided
+_WHEELBASE_TOLERANCE = 0.02  # relative deviation from the trained one above which a note is added
 _WARM_UP_STATIONS = 60  # stations of warm-up of `gru`
 _EDGE_LENGTH = 5.0  # length [m] of each end of a drive on which deviations are not calibrated
 
@@ -82,7 +80,6 @@ class _SequenceEstimator(SpatialEstimator):
     """Distance [m] from a station to the front axle when its height is known; None if offline."""
     libraries: ClassVar[tuple[str, ...]] = ("torch",)
     """What is slow to import."""
-
     shipped: bool = True
     steps: Annotated[Count, "", "training steps"] = 2500
     channels: Annotated[Count, "", "channels of each layer"] = 48
@@ -103,12 +100,11 @@ class _SequenceEstimator(SpatialEstimator):
         car: VehicleParameters,
         seed: int,
         progress: Callable[[str, float], None] = lambda text, share: None,
-        checkpoint: trainer.Checkpoint | None = None,
+        checkpoint: Any = None,
     ) -> Self:
-        """Return a copy trained on these drives; `seed` draws initial weights and batches.
-
-        The FIR bank is fitted to the rigid bodies among them. One that serves all is worse on
-        these by a fifth, and the network does not make up for it; it learns to correct the others.
+        """Return a copy trained on these drives; `seed` draws initial weights and batches. The FIR
+        bank is fitted to the rigid bodies among them. One that serves all is worse on these by a
+        fifth, and the network does not make up for it; it learns to correct the others.
         """
         torch = require_torch()
         progress("fitting the FIR bank", 0.0)
@@ -123,8 +119,8 @@ class _SequenceEstimator(SpatialEstimator):
         for drive in drives:
             inputs = network_inputs(drive.signals, bank, car.wheelbase, network, self.causal)
             residual = keep_short_waves(drive.target.astype(float) - inputs.first) / inputs.level
-            whole = residual.astype(np.float32), 0, residual.shape[1]
-            sequences.append(trainer.TrainingSequence(inputs, *whole))
+            size, residual = residual.shape[1], residual.astype(np.float32)
+            sequences.append(trainer.TrainingSequence(inputs, residual, 0, size))
         config = trainer.TrainerConfig(self.steps)
         _, parts = trainer.train_network(network, sequences, config, seed, progress, checkpoint)
         # calibrated as stored, in half precision
@@ -195,10 +191,8 @@ class _SequenceEstimator(SpatialEstimator):
         }
         torch = require_torch()
         with torch.device("meta"):  # shapes only: the settings of a file may ask for any size
-            own = {
-                _NETWORK_PREFIX + name: tuple(x.shape)
-                for name, x in self.network().state_dict().items()
-            }
+            layers = self.network().state_dict().items()
+            own = {_NETWORK_PREFIX + name: tuple(x.shape) for name, x in layers}
         taps, coefficients, wheelbase, *rest = validate_weights(weights, shapes | own)
         names = (name.removeprefix(_NETWORK_PREFIX) for name in own)
         network = {name: x.astype(np.float16) for name, x in zip(names, rest, strict=True)}
@@ -248,7 +242,6 @@ class Tcn(_SequenceEstimator):
 
     name: ClassVar[str] = "tcn"
     causal: ClassVar[bool] = False
-
     dilations: _Dilations = (1, 2, 4, 8, 16)
 
     def network(self) -> Any:
@@ -273,7 +266,6 @@ class Gru(_SequenceEstimator):
 
     name: ClassVar[str] = "gru"
     causal: ClassVar[bool] = False
-
     steps: Annotated[Count, "", "training steps"] = 1200
     kernel: _KernelSize = 9
 

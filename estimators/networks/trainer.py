@@ -11,7 +11,7 @@ With one thread and one seed the result is reproducible to the bit, interrupted 
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -60,23 +60,17 @@ class TrainerConfig(NamedTuple):
     weight_decay: float = 1e-3
 
 
-class Checkpoint(Protocol):
-    """Storage of an unfinished training."""
-
-    def load(self) -> Mapping[str, np.ndarray] | None: ...
-
-    def save(self, state: Mapping[str, np.ndarray]) -> None: ...
-
-
 def train_network(
     network: Any,
     sequences: Sequence[TrainingSequence],
     config: TrainerConfig,
     seed: int,
     progress: Callable[[str, float], None] = lambda text, share: None,
-    checkpoint: Checkpoint | None = None,
+    checkpoint: Any = None,
 ) -> tuple[float, list[TrainingSequence]]:
-    """Train a torch `network` in place; return its validation error and the validation parts."""
+    """Train a torch `network` in place; return its validation error and the validation parts.
+    `checkpoint` as of `estimators.api.Pretrained.pretrain`.
+    """
     torch = require_torch()
     training, validation = _split_validation(sequences)
     size = min(config.crop_length, *(part.stop - part.start for part in [*training, *validation]))
@@ -153,8 +147,7 @@ class _TrainerState:
         arrays |= {f"best.{k}": x for k, x in self.best.items()}
         for k, moments in self.optimiser.state_dict()["state"].items():
             arrays |= {f"moments.{k}.{name}": x.numpy().copy() for name, x in moments.items()}
-        progress = np.array([step, self.best_step, self.best_error])
-        return arrays | {"about": progress}
+        return arrays | {"about": np.array([step, self.best_step, self.best_error])}
 
     def restore(self, arrays: Mapping[str, np.ndarray] | None) -> int:
         """Load the result of `to_arrays`; return the step to continue with."""

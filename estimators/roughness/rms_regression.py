@@ -13,11 +13,10 @@ scale per input, e is noise (Rasmussen & Williams, "Gaussian Processes for Machi
 sections 2.2, 2.7 and 5.4.1). Amplitudes and length scales maximise the marginal likelihood. The
 posterior of y is normal, so classes have probabilities as in `spectral.py`.
 
-Errors beside those of `spectral`: `studies/roughness_alone.py`. Single obstacles mislead it more,
-and drives of the described vehicle alone would teach an interval that no other vehicle keeps to.
-
 Limitations: strut states and speeds outside the training data; roads of another waviness, since
-one RMS per sensor does not resolve frequency.
+one RMS per sensor does not resolve frequency; single obstacles, more than `spectral`
+(`studies/roughness_alone.py`). Drives of the described vehicle alone would teach an interval that
+no other vehicle keeps to.
 """
 
 from collections.abc import Sequence
