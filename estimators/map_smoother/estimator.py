@@ -50,10 +50,9 @@ from road_envs.vehicle.tolerances import has_absent_elements
 
 @dataclass(frozen=True, kw_only=True)
 class MapSmoother(CalibratedByIdentification, SolverSettings):
-    """Estimator of the maximum a posteriori road. Beside the settings of the solver, `draws` are the
-    posterior samples for the standard deviation, 0 for none; `adapt`: where the unexplained noise
-    says that the vehicle differs, and its file gives tolerances, it is fitted to the drive
-    (`car_fit.py`).
+    """Estimator of the maximum a posteriori road, with the settings of the solver; `draws`: samples
+    of the posterior for the standard deviation, 0 for none; `adapt`: where the unexplained noise
+    says that the vehicle differs, and its file gives tolerances, it is fitted (`car_fit.py`).
     """
 
     causal: ClassVar[bool] = False

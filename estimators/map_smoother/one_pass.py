@@ -76,8 +76,7 @@ class Pass:
     @property
     def size(self) -> int:
         """Number of the pass's own unknowns."""
-        sensors = self.model.sensor_rows.shape[0]
-        return self.initial_std.size + sensors + self.is_speed_unknown
+        return self.initial_std.size + len(self.model.sensor_rows) + self.is_speed_unknown
 
     @property
     def is_speed_unknown(self) -> bool:
@@ -85,10 +84,9 @@ class Pass:
         return self.model.speed_std > 0.0
 
     def offset_scale(self, noise_variance: float, start_information: np.ndarray) -> np.ndarray:
-        """Root of the Hessian's diagonal at the own unknowns, about.
-
-        `start_information` (14,) is that of measurements of unit variance on the initial state. It
-        counts for a drive that begins in motion; at rest the state is known.
+        """Root of the Hessian's diagonal at the own unknowns, about. `start_information` (14,) of
+        measurements of unit variance on the initial state counts for a drive that begins in motion;
+        at rest the state is known.
         """
         count = self.measurements.sample_count.sum(axis=1)
         bias = np.sqrt(1.0 + self.model.bias_std**2 * count / noise_variance)
@@ -106,12 +104,12 @@ class Pass:
     @property
     def block_duration(self) -> float:
         """Duration [s] of the samples of one block mean."""
-        inputs, samples = self.inputs, self.measurements.sample_weight.shape[2]
-        return inputs.h * inputs.decimation * samples
+        samples = self.measurements.sample_weight.shape[2]
+        return self.inputs.h * self.inputs.decimation * samples
 
     def split(self, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Split the own unknowns into initial deviation (14,) and biases (S,), in SI units."""
-        sizes = self.initial_std.size, self.model.sensor_rows.shape[0]
+        sizes = self.initial_std.size, len(self.model.sensor_rows)
         start, bias, _ = np.split(own, np.cumsum(sizes))
         return self.initial_std * start, self.model.bias_std * bias
 
@@ -203,8 +201,8 @@ class Pass:
         return self.measurements.sample_count > 0
 
     def residual(self, acceleration: np.ndarray, bias: np.ndarray) -> np.ndarray:
-        """Return measured less predicted block means (S, J) [m/s²] of the sensors, from the
-        accelerations (N, 7) of the coordinates.
+        """Measured less predicted block means (S, J) [m/s²], by accelerations (N, 7) of the
+        coordinates.
         """
         return self.in_band(self.measurements.residual(self.sense(acceleration) + bias[:, None]))
 
@@ -221,8 +219,8 @@ class Pass:
         return _apply_frequency_weights(f <= self.model.bandwidth, means)
 
     def sense(self, acceleration: np.ndarray, follows: bool = True) -> np.ndarray:
-        """Return the samples (S, T) [m/s²] of sensors without bias from the accelerations (N, 7) of
-        the coordinates, which follow those before the window, or zeros.
+        """Samples (S, T) [m/s²] of sensors without bias from the accelerations (N, 7) of the
+        coordinates, which follow those before the window, or zeros.
         """
         inputs, sampled = self.inputs, self.sampled_filter
         if sampled is None:
@@ -248,9 +246,8 @@ class Pass:
 @dataclass(frozen=True, eq=False)
 class LinearizedPass:
     """A pass `source` linearized at the coefficients `c` (2, K) of the road and at its `own`
-    unknowns: the `tape` of the motion, the `residual` (S, J) [m/s²] of the measurements, the
-    `inverse_variance` (S, J) of their noise and, if given, the `frequency_weights` (J // 2 + 1,) on
-    it.
+    unknowns: the `tape` of the motion, the `residual` (S, J) [m/s²] of the measurements, and the
+    `inverse_variance` (S, J) and `frequency_weights` (J // 2 + 1,), if given, of their noise.
     """
 
     source: Pass

@@ -43,10 +43,9 @@ def posterior_mean_and_std(
     draws: int,
     uncertainty: VehicleUncertainty | None = None,
 ) -> RoadPosterior:
-    """Return the posterior of the road, with its error inside `band` [cycles/m].
-
-    `uncertainty` is that of the vehicle, of one pass. That of a vehicle as described is the part of
-    the tolerances which the misfit of this drive leaves possible.
+    """Return the posterior of the road, with its error inside `band` [cycles/m]. `uncertainty` is
+    that of the vehicle, of one pass; of a vehicle as described the part of the tolerances counts
+    which the misfit of this drive leaves possible.
 
     The course of the deviation along the road is that of the local roughness, by the stationary
     approximation; its level, from the samples, is the same for all nodes that were passed in the
@@ -61,7 +60,7 @@ def posterior_mean_and_std(
     middle = interior(road.free, round(1.0 / (band[0] * road.ds))) & ~unread
 
     def mean_square(roads: Sequence[np.ndarray]) -> np.ndarray:
-        """Return the mean square (2, K) [m²] of roads in the band."""
+        """The mean square (2, K) [m²] of roads in the band."""
         total = np.zeros((2, road.size))
         for c in roads:
             part = band_pass(c, inside)
@@ -98,9 +97,8 @@ def posterior_mean_and_std(
     deviations = np.zeros((0, 2, road.size))
     if draws:  # they have the level of the exact samples in each strut state, too
         deviations = _draw_roads(solution, drawn, errors_of_vehicle)
-        ratio = _average_by_strut_state(
-            variance, mean_square(list(deviations)), middle, states, road.ds
-        )
+        ours = mean_square(list(deviations))
+        ratio = _average_by_strut_state(variance, ours, middle, states, road.ds)
         steps = np.sqrt(np.where(unread, 1.0, ratio)) * np.diff(deviations, axis=2, prepend=0.0)
         deviations = np.cumsum(steps, axis=2)
         # heights that are wrong by their vehicle have the power of these errors once already
@@ -158,11 +156,9 @@ def _draw_roads(
 def _add_liftoff_errors(
     variance: np.ndarray, errors: Sequence[LiftoffError], lines: np.ndarray
 ) -> np.ndarray:
-    """Return the `variance` (2, K) [m²] of the error in the band of the spectral `lines`, with that
-    of the road below light wheels.
-
-    Where an edge is, is not known to a fraction of a wave in the band, so each error counts by its
-    envelope.
+    """Return the `variance` (2, K) [m²] of the error in the band of the spectral `lines` with the
+    `errors` below light wheels. Where an edge is, is not known to a fraction of a wave in the band,
+    so each counts by its envelope.
     """
     total = variance.copy()
     for path, height in errors:
@@ -173,16 +169,11 @@ def _add_liftoff_errors(
 def draw_deviations(
     lin: Any, solve: Operator, rng: np.random.Generator, draws: int
 ) -> list[np.ndarray]:
-    """Return samples of the deviation of `x` from its posterior mean; `solve` as of
-    `MapSolution.inverse_hessian`.
-
-    `lin` is a linearization, or the expectation of some over roads
-    (`attainable._ExpectedInformation`).
+    """Return samples of the deviation of `x` from its posterior mean at `lin`, a linearization or
+    an `attainable._ExpectedInformation`; `solve` as of `MapSolution.inverse_hessian`.
     """
-    size = lin.objective.size
-    return [
-        solve(lin.adjoint(lin.draw_noise(rng)) + rng.standard_normal(size)) for _ in range(draws)
-    ]
+    size, times = lin.objective.size, range(draws)
+    return [solve(lin.adjoint(lin.draw_noise(rng)) + rng.standard_normal(size)) for _ in times]
 
 
 class _VehicleErrors(NamedTuple):
@@ -221,10 +212,8 @@ def _draw_vehicle_errors(
     if not uncertainty.is_prior:
         return _VehicleErrors(moved, uncertainty.inflation**2)
     root = np.sqrt(one.source.information)
-    left = [
-        (root * (change - lin.tangent(dx)[0])).ravel()
-        for change, dx in zip(changes, moved, strict=True)
-    ]
+    pairs = zip(changes, moved, strict=True)
+    left = [(root * (change - lin.tangent(dx)[0])).ravel() for change, dx in pairs]
     gram, along = np.inner(left, left), np.inner(left, (root * one.residual).ravel())
     evidence = float(along @ np.linalg.lstsq(gram, along)[0])
     typical = TUNING.shown_share * float(np.trace(gram)) / draws

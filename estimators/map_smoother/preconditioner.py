@@ -77,7 +77,7 @@ class StationaryHessian:
         return StationaryHessian(tuple(passes))
 
     def of_pass(self, k: int) -> "StationaryHessian":
-        """That of the pass `k` alone."""
+        """The Hessian of the pass `k` alone."""
         return StationaryHessian((self.passes[k]._replace(covered=1.0),))
 
     def excess(self, road: RoadTransform, noise_variance: np.ndarray) -> np.ndarray:
@@ -116,20 +116,16 @@ class StationaryHessian:
         return apply
 
     def effective_dof(self, road: RoadTransform, noise_variance: np.ndarray) -> np.ndarray:
-        """Number (P,) of the road's unknowns that each pass determines; they add to all.
-
-        What all determine is shared out by the traces of posterior covariance times information.
+        """Number (P,) of the road's unknowns that each pass determines, in all those that the
+        passes do together, shared out by the traces of posterior covariance times information.
         """
         covariance = _inverse(np.eye(2) + self.excess(road, noise_variance))
         left = np.real(np.trace(covariance, axis1=1, axis2=2))
         T = road.transfer_function().T
         product = T.conj()[:, :, None] * T[:, None, :]
-        traces = np.array(
-            [
-                np.einsum("fij,fji->f", covariance, one.on_road / variance * product).real.mean()
-                for one, variance in zip(self.passes, noise_variance, strict=True)
-            ]
-        )
+        pairs = zip(self.passes, noise_variance, strict=True)
+        each = (one.on_road / variance * product for one, variance in pairs)
+        traces = np.array([np.einsum("fij,fji->f", covariance, x).real.mean() for x in each])
         covered = np.array([one.covered for one in self.passes])
         known = np.sum(road.free * self.read)
         return known * np.mean(2.0 - left) * covered * (traces / max(traces.sum(), 1e-300))
@@ -137,9 +133,8 @@ class StationaryHessian:
     def density_of(
         self, road: RoadTransform, noise_variance: np.ndarray, u: np.ndarray
     ) -> np.ndarray:
-        """Return the density (F,) over the prior's that the road of `u` (2, K) suggests.
-
-        In each octave the power of `u` over the number of its unknowns that the measurements
+        """Return the density (F,) over the prior's that the road of `u` (2, K) suggests: in each
+        octave the power of `u` over the number of its unknowns that the measurements
         determine (MacKay 1992, doi:10.1162/neco.1992.4.3.415); where these are too few, the ratio
         of the nearest octave.
         """
@@ -195,9 +190,8 @@ class StationaryHessian:
     def error_variance(
         self, road: RoadTransform, noise_variance: np.ndarray, lines: np.ndarray
     ) -> np.ndarray:
-        """Return the variance (2, K) of the heights' error, up to a factor, at the local roughness.
-
-        Only the spatial frequencies `lines` (F,) count.
+        """Return the variance (2, K) of the heights' error, up to a factor, at the local roughness
+        and the spatial frequencies `lines` (F,).
         """
         density = 0.5 * np.abs(road.transfer_function().T) ** 2
         excess = self.excess(road, noise_variance)
@@ -209,18 +203,12 @@ class StationaryHessian:
 def stationary_hessian(objective: Objective) -> StationaryHessian:
     """The Hessian of `objective`, each pass at its mean speed, strut states by their duration."""
     road, station = objective.road, objective.road.stations
-    passed = np.array(
-        [
-            (station >= one.inputs.s[0] - one.model.wheelbase) & (station <= one.inputs.s[-1])
-            for one in objective.passes
-        ]
-    )
+    spans = [(one.inputs.s[0] - one.model.wheelbase, one.inputs.s[-1]) for one in objective.passes]
+    passed = np.array([(station >= first) & (station <= last) for first, last in spans])
     ahead, free = ~passed.any(axis=0), passed[:, road.free > 0]
-    count = max(np.any(free, axis=0).sum(), 1)
+    shares = np.sum(free, axis=1) / max(np.any(free, axis=0).sum(), 1)
     parts = []
-    for one, there, share in zip(
-        objective.passes, passed, np.sum(free, axis=1) / count, strict=True
-    ):
+    for one, there, share in zip(objective.passes, passed, shares, strict=True):
         blocks = one.measurements
         size = blocks.sample_weight.shape[2]
         middle = one.inputs.decimation * size * (2 * np.arange(blocks.y.shape[1]) + 1)
@@ -228,9 +216,8 @@ def stationary_hessian(objective: Objective) -> StationaryHessian:
         # what one sensor at least has read
         part = blocks.sample_count.max(axis=0) / size
         read = np.where(there, read_share(station, s, part, one.model.wheelbase), ahead)
-        parts.append(
-            _PassInformation(_road_information(one, road), _start_information(one), share, read)
-        )
+        information = _road_information(one, road), _start_information(one)
+        parts.append(_PassInformation(*information, share, read))
     return StationaryHessian(tuple(parts))
 
 
@@ -247,8 +234,8 @@ def _road_information(one: Pass, road: RoadTransform) -> np.ndarray:
 
 
 def _posteriors(excess: np.ndarray, local: np.ndarray) -> np.ndarray:
-    """Return posterior over prior variance (D, F, 2) of `u` at the local roughness `local` (D,),
-    by what P(n) `excess` (F, 2, 2) has over the prior.
+    """Posterior over prior variance (D, F, 2) of `u` at the local roughness `local` (D,), by the
+    `excess` (F, 2, 2) of P(n) over the prior.
     """
     matrices = (_inverse(np.eye(2) + d**2 * excess) for d in local)
     return np.array([np.real(M[:, [0, 1], [0, 1]]) for M in matrices])
@@ -270,7 +257,7 @@ def linear_responses(one: Pass, f: np.ndarray) -> Iterator[tuple[float, np.ndarr
 
 
 def _linear_model(one: Pass, command: int) -> LinearModel:
-    """Return the linear vehicle in the strut states of a `command` byte, with the points whose
+    """The linear vehicle in the strut states of a `command` byte, with the points whose
     accelerations the sensors need.
     """
     model = one.model
@@ -285,8 +272,8 @@ def _linear_model(one: Pass, command: int) -> LinearModel:
 
 def _start_information(one: Pass) -> np.ndarray:
     """Information (14,) on the initial vehicle state: the diagonal of the observability Gramian,
-    the integral over time of the squared accelerations that all sensors have after a unit deviation
-    of a coordinate, times the sampling rate.
+    the integral over time of the squared accelerations of all sensors after a unit deviation of a
+    coordinate, times the sampling rate.
     """
     linear = _linear_model(one, one.inputs.commands[0])
     C = linear.C[: len(one.model.locations)]

@@ -68,7 +68,6 @@ class SolverSettings(Settings):
 
     @property
     def road_prior(self) -> RoadPrior:
-        """The road's prior."""
         return RoadPrior(G_d0=self.G_d0, w=self.w)
 
     def prepare(
@@ -79,8 +78,8 @@ class SolverSettings(Settings):
         speed_std: float | None = None,
     ) -> tuple[PreparedDrive, tuple[str, ...]]:
         """Prepare a drive of `car`; with notes on the record. The relative error of the speed has
-        the prior standard deviation `speed_std`, or that of the instruments, whichever is greater;
-        of None it has no error. Raises ConfigError, RecordError.
+        the prior standard deviation `speed_std`, or that of the instruments if greater; with None
+        it has no error. Raises ConfigError, RecordError.
         """
         instruments = instruments_of(record, self.instruments)
         masked = mask_record(record, instruments)
@@ -131,7 +130,6 @@ class SolverSettings(Settings):
     def _measurement_model(
         self, record: Record, car: VehicleParameters, instruments: Instruments
     ) -> MeasurementModel:
-        """Return the model of the vehicle and its instruments."""
         one, locations = build_plant(car), instruments.locations(car)
         sensor_rows = linearise(one, "ride", locations).sensor_rows
         density = self.noise_density or max(instruments.noise_density, MIN_NOISE_DENSITY)

@@ -34,13 +34,12 @@ class RoadNodes(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RoadTransform:
-    """Linear map from `u` to the coefficients of both wheel paths.
+    """Linear map from `u` to the coefficients of both wheel paths, of nodes as in `RoadNodes`.
 
-    Nodes are `ds` [m] apart from the station `origin` [m] on. `background` (2, K) [m] are the
-    coefficients for u = 0; `free` (K,) is 1 where the road may rise or fall, else 0;
-    `prior_amplitude` (2, K // 2 + 1) [m] and `density` (K // 2 + 1,), by which a drive scaled its
-    square, make A(n); `local` (2, K) is the local roughness of each wheel path relative to it, 1
-    where the road may not be uneven.
+    `background` (2, K) [m] are the coefficients for u = 0; `free` (K,) is 1 where the road may rise
+    or fall, else 0; `prior_amplitude` (2, K // 2 + 1) [m] and `density` (K // 2 + 1,), by which a
+    drive scaled its square, make A(n); `local` (2, K) is the local roughness of each wheel path
+    relative to it, 1 where the road may not be uneven.
     """
 
     origin: float
@@ -71,11 +70,6 @@ class RoadTransform:
     def stations(self) -> np.ndarray:
         """Stations (K,) [m] of the nodes."""
         return self.origin + self.ds * np.arange(self.size)
-
-    @property
-    def nodes(self) -> RoadNodes:
-        """The nodes."""
-        return RoadNodes(self.origin, self.ds, self.size)
 
     @property
     def n(self) -> np.ndarray:

@@ -97,11 +97,9 @@ class RoadSolver:
         settings, start, self.doubted = self.settings, self.start, None
         # vehicles that were fitted in a window are those of the whole drives
         fits = [self.fit_of(number) for number in members]
-        passes = tuple(
-            replace(one, model=one.with_car(fit.car).model) if fit else one
-            for one, fit in zip(objective.passes, fits, strict=True)
-        )
-        objective = replace(objective, passes=passes)
+        pairs = zip(objective.passes, fits, strict=True)
+        passes = (replace(one, model=one.with_car(x.car).model) if x else one for one, x in pairs)
+        objective = replace(objective, passes=tuple(passes))
         solver = GaussNewton(
             settings.huber, adapt_prior=settings.adapt_prior, prior_updates=settings.prior_updates
         )
@@ -151,7 +149,7 @@ class RoadSolver:
         return posterior
 
     def _adapt(self, members: list[int], solution: MapSolution, solver: GaussNewton) -> MapSolution:
-        """Return the solution with each vehicle fitted to all its passes, where that is due."""
+        """The solution with each vehicle fitted to all its passes, where that is due."""
         cars = [self.drives[number].car for number in members]
         for first, car in enumerate(cars):
             if car in cars[:first]:
@@ -177,9 +175,8 @@ class RoadSolver:
 
 
 def _explains_more(fitted: MapSolution, described: MapSolution) -> bool:
-    """Return whether a fitted vehicle leaves no more than the described one, or than the noise.
-
-    Noise scales do not tell, as they never rise in a minimization.
+    """Return whether a fitted vehicle leaves no more than the described one, or than the noise. The
+    noise scales do not tell, as they never rise in a minimization.
     """
     left = [misfit_power(one.linearization).max() for one in (fitted, described)]
     return bool(left[0] <= max(1.0, left[1]))
@@ -188,8 +185,8 @@ def _explains_more(fitted: MapSolution, described: MapSolution) -> bool:
 def _estimate_speed_error(solution: MapSolution) -> tuple[float, float]:
     """The relative error of the speed of a single pass, an unknown, and its variance."""
     (one,) = solution.linearization.passes
-    size = solution.linearization.x.size
-    unit = (np.arange(size) == size - 1).astype(float)
+    unit = np.zeros(solution.linearization.x.size)
+    unit[-1] = 1.0
     column = solution.inverse_hessian(*TUNING.speed_cg)(unit)
     variance = one.source.model.speed_std**2 * float(column[-1])
     return one.source.speed_error(one.own), variance
@@ -199,8 +196,7 @@ def distance_scale(
     errors: Sequence[tuple[float, float]], model: MeasurementModel
 ) -> tuple[DistanceScale | None, tuple[str, ...]]:
     """Return the scale of the odometer by the `errors` of the speed in the windows of a drive, with
-    their variances: None if they tell hardly more than the speed itself, or doubt it; then with a
-    note.
+    their variances: None if they tell hardly more than the speed itself, or, with a note, doubt it.
     """
     if not errors:
         return None, ()

@@ -53,10 +53,9 @@ from road_envs.vehicle.parameters import VehicleParameters
 def tangent_terms(
     solution: MapSolution, cars: Sequence[VehicleParameters], known: LikelihoodTerms | None = None
 ) -> LikelihoodTerms:
-    """Return the terms of a drive over an unmeasured road; `cars` as of `perturbed_cars`.
-
-    With those of a vehicle nearby that are `known`, only gradient and optimum are computed.
-    Raises ArithmeticError if a motion is not finite.
+    """Return the terms of a drive over an unmeasured road; `cars` as of `perturbed_cars`. If the
+    terms of a vehicle nearby are `known`, only gradient and optimum are computed. Raises
+    ArithmeticError if a motion is not finite.
     """
     lin, solve = solution.linearization, solution.inverse_hessian(*TUNING.tangent_cg)
     (one,) = lin.passes
@@ -120,10 +119,8 @@ def _posterior_noise(lin: Linearization) -> Iterator[np.ndarray]:
     (one,), u = lin.passes, lin.objective.split(lin.x)[0]
     shapes = one.residual.shape, u.shape
     phases = [rng.uniform(0.0, 2.0 * np.pi, (rows, size // 2 + 1)) for rows, size in shapes]
-    turns = np.split(
-        2.0 * np.pi / TUNING.trace_draws * np.arange(sum(rows for rows, _ in shapes)),
-        [len(one.residual)],
-    )
+    rows = np.arange(sum(rows for rows, _ in shapes))
+    turns = np.split(2.0 * np.pi / TUNING.trace_draws * rows, [len(one.residual)])
     for k in range(TUNING.trace_draws):
         e_1, e_2 = (
             _flat_noise(phase + k * turn[:, None], size)

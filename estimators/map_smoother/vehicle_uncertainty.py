@@ -30,10 +30,10 @@ IDENTIFIED = "identified"
 
 @dataclass(frozen=True, eq=False)
 class VehicleUncertainty:
-    """Errors of an identified `car` and its instruments: `covariance` (P + R, P + R) of the
-    logarithms of the P parameters `names`, and behind them of the errors of the instruments in the
-    units of `InstrumentErrors`. `is_prior`: no drive has been compared with the car yet. Errors of
-    the road count `inflation` times.
+    """Errors of a `car` and its instruments: `covariance` (P + R, P + R) of the logarithms of the P
+    parameters `names`, and behind them of the R errors of the instruments in the units of
+    `InstrumentErrors`. `is_prior`: no drive has been compared with the car yet. Errors of the road
+    count `inflation` times.
     """
 
     car: VehicleParameters
@@ -46,10 +46,9 @@ class VehicleUncertainty:
     def of_tolerances(
         cls, car: VehicleParameters, sensors: tuple[str, ...]
     ) -> "VehicleUncertainty":
-        """Return that of a vehicle as described, by the tolerances that its file states, and of
-        accelerometers `sensors` as by their data sheet. Raises ConfigError.
-
-        What an identification left open is what drives do not show: no other one tells it, either.
+        """Errors of a `car` by the tolerances that its file states, and of its accelerometers
+        `sensors` by their data sheet. Tolerances that an identification left are no prior: what its
+        drives did not show, no other drive shows, either. Raises ConfigError.
         """
         space, errors = parameter_space(car), InstrumentErrors(sensors)
         variance = np.concatenate([space.std**2, _unfitted_variance(errors)])
@@ -58,10 +57,8 @@ class VehicleUncertainty:
 
     @classmethod
     def of_fit(cls, fit: CarFit) -> "VehicleUncertainty":
-        """Return that of a fit to drives.
-
-        Instruments that were not fitted err as their prior says, but for the odometer, of which
-        nothing is known.
+        """Errors that a fit to drives leaves; of instruments that were not fitted with it as of
+        `_unfitted_variance`.
         """
         space, errors = fit.space, fit.instrument_errors
         unit = np.ones(fit.x.size)
@@ -72,10 +69,8 @@ class VehicleUncertainty:
         return cls(fit.car, space.names, covariance)
 
     def draw_changes(self, lin: LinearizedPass, white: np.ndarray) -> np.ndarray:
-        """Return samples of G dp (N, S, J) [m/s²]: by how much the block means of a drive are
-        mispredicted at `lin`, which is a linearization with `car`.
-
-        `white` (N, P + R) is standard normal. Raises ArithmeticError.
+        """Samples of G dp (N, S, J) [m/s²], the errors of the block means that `car` predicts at
+        `lin`; `white` (N, P + R) is standard normal. Raises ArithmeticError.
         """
         values, vectors = np.linalg.eigh(self.covariance)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -84,14 +79,13 @@ class VehicleUncertainty:
         cars = [varied_car(self.car, dict(zip(self.names, x, strict=True))) for x in factors]
         left = varied_residuals(lin, [lin.source.with_car(car) for car in cars])
         read = reading_sensitivities(lin, lin.source, np.zeros(of_instruments.shape[1]))
-        return (lin.residual - left) / TUNING.difference + np.tensordot(
-            of_instruments, read, axes=1
-        )
+        by_car = (lin.residual - left) / TUNING.difference
+        return by_car + np.tensordot(of_instruments, read, axes=1)
 
 
 def _unfitted_variance(errors: InstrumentErrors) -> np.ndarray:
-    """Return the variances (R,) of errors of the instruments that were not fitted: as by their
-    prior, but for the odometer, of which nothing is known.
+    """Variances (R,) of errors of instruments that were not fitted: of gains by their data sheet,
+    of places by their prior; odometer and speed, of which nothing is known, have none.
     """
     variance = (np.arange(len(errors.names)) < errors.n_fixed).astype(float)
     gains = slice(len(errors.sensors))

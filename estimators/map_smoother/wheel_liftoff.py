@@ -43,8 +43,8 @@ from road_envs.simulation.rosenbrock import LOAD
 
 
 def unloaded_nodes(lin: Linearization, share: float = TUNING.liftoff_load_share) -> np.ndarray:
-    """Return which free nodes (2, K) were passed but never pressed on by this `share` of the mean
-    wheel load, in any of the passes.
+    """Which free nodes (2, K) were passed but never pressed on by this `share` of the mean wheel
+    load, in any of the passes.
     """
     light = np.all([_greatest_loads(one) < share for one in lin.passes], axis=0)
     return np.asarray(light & (lin.objective.road.free > 0))
@@ -57,9 +57,7 @@ def passed_nodes(lin: Linearization) -> np.ndarray:
 
 
 def _greatest_loads(one: LinearizedPass) -> np.ndarray:
-    """Return the greatest load (2, K) on each node over the mean wheel load; inf where no wheel has
-    passed.
-    """
+    """Greatest load (2, K) on each node over the mean wheel load; inf where no wheel has passed."""
     nodes, s = one.source.nodes, one.source.inputs.s[::2]
     loads = one.tape.signals[:, LOAD : LOAD + 4]
     passed, greatest = np.zeros(nodes.size, dtype=bool), np.zeros((2, nodes.size))
@@ -84,9 +82,8 @@ def relax_unloaded(lin: Linearization) -> np.ndarray | None:
     before = lin.objective.coefficients(lin.x)
     lower = _level if road.is_level_between_obstacles else _straight
     pairs = zip(before, unloaded, strict=True)
-    c = np.array(
-        [np.where(mask, np.minimum(path, lower(path, mask)), path) for path, mask in pairs]
-    )
+    lowered = [np.where(mask, np.minimum(x, lower(x, mask)), x) for x, mask in pairs]
+    c = np.array(lowered)
     if not (before - c).max() > TUNING.min_drop:
         return None
     u = road.whiten(np.diff(c - road.background, axis=1, prepend=0.0))
@@ -94,15 +91,13 @@ def relax_unloaded(lin: Linearization) -> np.ndarray | None:
 
 
 def _straight(path: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Return the `path` (K,) straight across the nodes in the `mask` (K,)."""
+    """The `path` (K,) straight across the nodes in the `mask` (K,)."""
     node = np.arange(path.size)
     return np.interp(node, node[~mask], path[~mask])
 
 
 def _level(path: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Return the `path` (K,) level in each run of nodes in the `mask` (K,), at the lowest height of
-    the run and its neighbours.
-    """
+    """The `path` (K,) level in each run of the `mask` (K,), at the lowest of run and neighbours."""
     c = path.copy()
     for (run,) in find_objects(label(mask)[0]):
         c[run] = path[max(run.start - 1, 0) : run.stop + 1].min()
@@ -110,8 +105,8 @@ def _level(path: np.ndarray, mask: np.ndarray) -> np.ndarray:
 
 
 class LiftoffError(NamedTuple):
-    """Error of the road below a light wheel: of the wheel `path`, with the standard deviation
-    `height` (K,) [m], the same error for all nodes but for this factor.
+    """Error of the road below a light wheel, of the wheel `path`: a standard normal number, the
+    same for all nodes, times `height` (K,) [m].
     """
 
     path: int
@@ -134,8 +129,7 @@ def road_below_light_wheels(lin: Linearization) -> tuple[np.ndarray, list[Liftof
     """Return by how much (2, K) [m] the road is lower than that of `lin` in the mean, and its
     errors below light wheels, which are independent of one another.
     """
-    road = lin.objective.road
-    c = lin.objective.coefficients(lin.x)
+    road, c = lin.objective.road, lin.objective.coefficients(lin.x)
     is_level = road.is_level_between_obstacles
     light = unloaded_nodes(lin, TUNING.light_on_level if is_level else TUNING.light_elsewhere)
     step_variance = road.local**2 * irfft(road.amplitude**2, road.size, axis=1)[:, 0].sum()
@@ -170,7 +164,7 @@ def road_below_light_wheels(lin: Linearization) -> tuple[np.ndarray, list[Liftof
 
 
 def lower_road(lin: Linearization, lower: np.ndarray) -> Linearization:
-    """Return the linearization on a road that is by `lower` (2, K) [m] below that of `lin`; the
+    """Return the linearization on a road that is by `lower` (2, K) [m] below the one of `lin`; the
     same one if the motion is not finite there.
     """
     if not lower.max() > 0.0:
