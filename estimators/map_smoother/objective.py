@@ -115,10 +115,9 @@ class Linearization:
     @property
     def cost(self) -> float:
         """The cost at `x`."""
-        weighted = (
-            one.residual * one.apply_inverse_covariance(one.residual) for one in self.passes
-        )
-        return sum(0.5 * float(np.sum(x)) for x in weighted) + 0.5 * float(self.x @ self.x)
+        pairs = zip(self.residual, self.apply_inverse_covariance(self.residual), strict=True)
+        misfit = sum(0.5 * float(np.sum(residual * weighted)) for residual, weighted in pairs)
+        return misfit + 0.5 * float(self.x @ self.x)
 
     def cost_under(self, noise_scale: np.ndarray) -> float:
         """The cost at `x` under `noise_scale` (P,) times the noise of the instruments."""
@@ -127,12 +126,16 @@ class Linearization:
 
     def gradient(self) -> np.ndarray:
         """Gradient of the cost with respect to `x`."""
-        residuals = [one.residual for one in self.passes]
-        return self.x - self.adjoint(self.apply_inverse_covariance(residuals))
+        return self.x - self.adjoint(self.apply_inverse_covariance(self.residual))
 
     def hessian_product(self, dx: np.ndarray) -> np.ndarray:
         """The Gauss-Newton Hessian times `dx`."""
         return dx + self.adjoint(self.apply_inverse_covariance(self.tangent(dx)))
+
+    @property
+    def residual(self) -> list[np.ndarray]:
+        """Residual (S, J) [m/s²] of the measurements of each pass."""
+        return [one.residual for one in self.passes]
 
     @property
     def inverse_variance(self) -> list[np.ndarray]:
