@@ -137,9 +137,7 @@ def _load_vehicles(vehicles: _Vehicle | Sequence[_Vehicle], count: int) -> list[
 def align_passes(
     records: Sequence[Record], estimates: Sequence[Estimate], names: Sequence[str]
 ) -> tuple[list[AlignedPass], list[str]]:
-    """Return the passes on the stations of the first, and notes on what was found. Raises
-    ConfigError if a pass does not match.
-    """
+    """Return the passes on the stations of the first, and notes. Raises ConfigError."""
     reference, first = records[0], estimates[0]
     aligned = [AlignedPass(names[0], reference, first, identity_map(reference.length))]
     notes = []

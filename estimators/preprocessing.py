@@ -182,7 +182,6 @@ def sample_profile(truth: Profile, stations: np.ndarray) -> np.ndarray:
 
 
 def _check_shapes(record: Record, names: tuple[str, ...]) -> None:
-    """Raise RecordError unless shapes, length, clock and strut states are valid."""
     size = np.size(record.t)
     expected = {
         "t": (size,), "a": (len(names), size), "v": (size,), "s": (size,),
@@ -241,7 +240,7 @@ def _fill_odometer(record: Record) -> tuple[Record, list[str]]:
 
 
 def _check_drive(record: Record) -> tuple[Record, list[str]]:
-    """Return the record with non-negative speed and non-decreasing odometer, and notes."""
+    """The record with non-negative speed and non-decreasing odometer, and notes."""
     notes = []
     forward = np.maximum.accumulate(record.s)
     back, slowest = float((forward - record.s).max()), float(record.v.min())

@@ -135,7 +135,6 @@ def _whole_drive(
     instruments: str,
     noise_density: float | None = None,
 ) -> Objective:
-    """Return the objective of a drive as one window, with block means up to `bandwidth` [Hz]."""
     settings = SolverSettings(
         instruments=instruments, noise_density=noise_density, data_rate=2.0 * bandwidth
     )

@@ -162,9 +162,7 @@ def _apply_chunks(P, first, width, c, y, means):
 
 @kernel
 def _apply_chunks_transpose(P, first, width, means, y, c):
-    """Apply the transpose of `_apply_chunks`: from `means` (S, J) and the adjoint `y` (14,) of the
-    last state to that of the first and to coefficients `c` (2, K).
-    """
+    """Apply the transpose of `_apply_chunks`: from `means` and `y` to the first `y` and `c`."""
     n_states = y.size
     inside, out = np.zeros((P.shape[2], LANES)), np.empty(P.shape[1])
     flat, blocks_per_chunk = inside.ravel(), (N_ROWS - n_states) // means.shape[0]
@@ -222,9 +220,7 @@ def build_block_tangent(
     sensor_rows: np.ndarray,
     wheelbase: float,
 ) -> BlockTangent:
-    """Return the tangent of a taped motion in the means over blocks of `sample_weight` (S, J, b),
-    of sensors of `sensor_rows` (S, 7).
-    """
+    """Return the tangent of a taped motion, by weights (S, J, b) and rows (S, 7) of sensors."""
     (sensors, blocks, block), n_states = sample_weight.shape, tape.end.size
     blocks_per_chunk = (N_ROWS - n_states) // sensors
     steps_per_block = block * inputs.decimation

@@ -47,7 +47,6 @@ class CarFit:
 
     @property
     def car(self) -> VehicleParameters:
-        """The fitted vehicle."""
         return self.space.from_vector(self.x[: self.space.size])
 
     @property
@@ -118,7 +117,6 @@ def fit_car(
 
 
 def _contradiction(terms: Sequence[LikelihoodTerms], step: np.ndarray) -> float:
-    """Return `CarFit.contradiction` after a `step` (P,) from the vehicle of the `terms`."""
     powers = []
     for one in terms:
         if one.change(step) is not None:

@@ -96,7 +96,6 @@ class MapSmoother(CalibratedByIdentification, SolverSettings):
     def _estimate_adapting(
         self, record: Record, car: VehicleParameters, speed_std: float
     ) -> Estimate:
-        """Estimate both wheel paths, also with elements that the description leaves out."""
         known = None if self.identified is None else self.identified.uncertainty
         first, solver = self._estimate(record, car, known, speed_std)
         left = solver.left_by_fit
@@ -133,9 +132,7 @@ class MapSmoother(CalibratedByIdentification, SolverSettings):
     def _solve(
         self, solver: RoadSolver, length: float, names: Sequence[str], remarks: Sequence[str]
     ) -> Estimate:
-        """Estimate a road of `length` [m], with `remarks` on the records and notes on the findings,
-        which name the drive if there are several.
-        """
+        """Estimate a road of `length` [m]; notes name the drive if there are several `names`."""
         road, drives, s = solver.solve(), solver.drives, profile_stations(length)
         z, std, drawn = road.at_stations(drives[0].nodes, s)
         z_std, draws = (std, drawn) if self.draws else (None, None)

@@ -48,7 +48,6 @@ class MapSolution:
         return self.stationary.effective_dof(road, self.noise_variance)
 
     def of_pass(self, k: int) -> "MapSolution":
-        """Return the solution of the pass `k` alone, on the same road."""
         lin, stationary = self.linearization.of_pass(k), self.stationary.of_pass(k)
         return MapSolution(lin, stationary, self.noise_scale[k : k + 1])
 
@@ -160,9 +159,7 @@ class GaussNewton:
 
 
 def _retry_after_liftoff(found: MapSolution, solver: GaussNewton) -> MapSolution:
-    """Return the optimum from the road lowered where no wheel pressed on it, as often as it then
-    costs less. A road with obstacles has been lowered before.
-    """
+    """Return the optimum from the road lowered where no wheel pressed on it, if it costs less."""
     for _ in range(TUNING.max_liftoff_retries):
         lin = found.linearization
         if lin.objective.road.is_level_between_obstacles or (x := relax_unloaded(lin)) is None:
@@ -185,7 +182,6 @@ def _descend(
     solver: GaussNewton,
     start: np.ndarray | None,
 ) -> MapSolution:
-    """Return the end of the steps of `minimize`."""
     noise_scale = np.full(len(objective.passes), np.inf)
     point: MapSolution | None = None
     best: Linearization | None = None  # where a road can explain all readings
@@ -231,9 +227,7 @@ def _descend(
 def _line_search(
     lin: Linearization, dx: np.ndarray, slope: float, plants: Sequence[Plant] | None
 ) -> Linearization:
-    """Return a point along `dx`, along which the cost has the `slope`, by backtracking: the step is
-    halved until the cost has fallen.
-    """
+    """Return a point along `dx`: the step is halved until the cost, of that `slope`, falls."""
     length = 1.0
     for _ in range(TUNING.max_halvings):
         try:
@@ -274,9 +268,7 @@ def _noise_scale(one: LinearizedPass, dof: float) -> float:
 
 
 def _estimate_frequency_weights(point: MapSolution) -> list[np.ndarray]:
-    """Weight (J // 2 + 1,) of each frequency in each pass: noise as large as the residual is there,
-    but never less than that of the instruments.
-    """
+    """Weights (J // 2 + 1,) of each pass, by which the noise is as large as the residual."""
     weights, lin = [], point.linearization
     for one, dof, scale in zip(lin.passes, point.effective_dof, point.noise_scale, strict=True):
         r = np.sqrt(one.source.information) * one.residual

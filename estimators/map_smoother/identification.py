@@ -98,7 +98,6 @@ def _identify(
     settings: SolverSettings,
     structure: bool,
 ) -> IdentificationResult:
-    """Identify a vehicle from the first part of each drive, and validate it on the second."""
     fit = _fit([first for first, _ in parts], car, settings, structure)
     found = fit.x[fit.space.size :]
     unexplained = tuple(
@@ -111,9 +110,8 @@ def _identify(
 def identify_structure(
     record: Record, car: VehicleParameters, settings: SolverSettings
 ) -> tuple[VehicleParameters, VehicleUncertainty]:
-    """Return `car` with the elements that its description leaves out, found on one drive, and its
-    uncertainty; without validation. Raises CalibrationError on a drive that is too short, too slow
-    or too smooth.
+    """Return `car` with the elements that its description leaves out, found on one drive without
+    validation, and its uncertainty. Raises CalibrationError if that is too short, slow or smooth.
     """
     is_short = TUNING.fit_share * record.t.size < TUNING.min_duration * record.fs
     first, _ = _parts(CalibrationDrive(record), settings, 1.0 if is_short else TUNING.fit_share)
@@ -193,7 +191,6 @@ def _parts(
 def _objective(
     drive: CalibrationDrive, car: VehicleParameters, settings: SolverSettings
 ) -> Objective:
-    """Return the objective of a drive as one window."""
     readings, is_measured = TUNING.readings_per_unknown, drive.profile is not None
     if is_measured:  # slow readings tell of waves that a survey measures well
         rate, readings = TUNING.known_data_rate, 0.0
@@ -285,9 +282,7 @@ def _solve(
     quick: bool = False,
     errors: np.ndarray = NO_ERRORS,
 ) -> MapSolution:
-    """Return the most probable road of a drive with the vehicle `car`, `quick`: roughly, and with
-    instruments of these `errors`.
-    """
+    """The most probable road of a drive, `quick`: roughly, of instruments with `errors`."""
     objective = _objective(drive, car, settings)
     objective = objective.with_passes(lambda one: InstrumentErrors.of(one).apply(one, errors))
     solver = GaussNewton(settings.huber)
@@ -318,7 +313,6 @@ def _unexplained(
     settings: SolverSettings,
     errors: np.ndarray = NO_ERRORS,
 ) -> Unexplained:
-    """Return the residual that `car` leaves in a drive, with instruments of these `errors`."""
     (lin,) = _solve(drive, car, settings, errors=errors).linearization.passes
     source, used = lin.source, lin.source.is_used
     r = np.where(used, np.sqrt(source.information) * lin.residual, 0.0)

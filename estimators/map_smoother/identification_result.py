@@ -37,7 +37,6 @@ class IdentificationResult:
 
     @property
     def std(self) -> np.ndarray:
-        """Standard deviations (P,) of the parameters in units of their tolerances."""
         return self.fit.std
 
     @property
@@ -106,7 +105,6 @@ class IdentificationResult:
 
 
 def _is_another_kind(fit: CarFit) -> bool:
-    """Return whether the drives are those of a vehicle of another kind than the described one."""
     return bool(fit.contradiction > TUNING.contradiction and (np.abs(fit.x) > TUNING.far).any())
 
 

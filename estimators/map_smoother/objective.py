@@ -28,9 +28,7 @@ Means = Sequence[np.ndarray]
 
 
 def shift_inputs(inputs: ModelInputs, knots: np.ndarray, shift: np.ndarray) -> ModelInputs:
-    """Inputs whose stations are moved by `shift` (M,) [m] at the stations `knots` (M,) [m], by the
-    nearest one beyond the ends.
-    """
+    """Inputs with stations moved by `shift` (M,) [m] at `knots` (M,), constant beyond the ends."""
     if not shift.any():
         return inputs
     slope = np.concatenate([[0.0], np.diff(shift) / np.diff(knots), [0.0]])
@@ -51,12 +49,10 @@ class Objective:
 
     @property
     def size(self) -> int:
-        """Number of unknowns."""
         return 2 * self.road.size + sum(one.size for one in self.passes) + self.n_shifts
 
     @property
     def n_shifts(self) -> int:
-        """Number of unknown shifts of all passes."""
         return (len(self.passes) - 1) * self.knots.size
 
     @property
@@ -70,7 +66,6 @@ class Objective:
         return np.array([one.model.noise_variance for one in self.passes])
 
     def with_passes(self, change: Callable[[Pass], Pass]) -> "Objective":
-        """Apply a `change` to each pass."""
         return replace(self, passes=tuple(map(change, self.passes)))
 
     def split(self, x: np.ndarray) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
@@ -114,7 +109,6 @@ class Linearization:
 
     @property
     def cost(self) -> float:
-        """The cost at `x`."""
         pairs = zip(self.residual, self.apply_inverse_covariance(self.residual), strict=True)
         misfit = sum(0.5 * float(np.sum(residual * weighted)) for residual, weighted in pairs)
         return misfit + 0.5 * float(self.x @ self.x)
@@ -125,7 +119,6 @@ class Linearization:
         return self.with_noise([one.source.information / k for one, k in pairs]).cost
 
     def gradient(self) -> np.ndarray:
-        """Gradient of the cost with respect to `x`."""
         return self.x - self.adjoint(self.apply_inverse_covariance(self.residual))
 
     def hessian_product(self, dx: np.ndarray) -> np.ndarray:
@@ -143,7 +136,6 @@ class Linearization:
         return [one.inverse_variance for one in self.passes]
 
     def apply_inverse_covariance(self, means: Means) -> list[np.ndarray]:
-        """R^-1 times block means."""
         pairs = zip(self.passes, means, strict=True)
         return [one.apply_inverse_covariance(part) for one, part in pairs]
 

@@ -75,7 +75,6 @@ class Pass:
 
     @property
     def size(self) -> int:
-        """Number of the pass's own unknowns."""
         return self.initial_std.size + len(self.model.sensor_rows) + self.is_speed_unknown
 
     @property
@@ -152,9 +151,7 @@ class Pass:
         return equilibrium(self.model.plant, strut_state, np.zeros(4))
 
     def simulate(self, c: np.ndarray, own: np.ndarray, plant: Plant | None = None) -> Tape:
-        """Drive over the road of the coefficients `c` (2, K), taped, with the plant of the model or
-        another. Raises ArithmeticError if the motion is not finite.
-        """
+        """Tape of a drive over `c` (2, K) by the model or another plant. Raises ArithmeticError."""
         start, _ = self.split(own)
         return linearize_drive(
             plant or self.model.plant,
@@ -180,9 +177,7 @@ class Pass:
     def state_after(
         self, c: np.ndarray, own: np.ndarray, steps: int
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Vehicle state (14,), strut state (4, 3) and that of the anti-alias filter after `steps`
-        on the road of `c` (2, K).
-        """
+        """Vehicle state (14,), strut state (4, 3) and filter state after `steps` on `c` (2, K)."""
         part = replace(self, inputs=self.inputs.slice_steps(0, steps))
         tape, filter_state = part.simulate(c, own), self.filter_state
         if self.model.filter is not None:
@@ -201,9 +196,7 @@ class Pass:
         return self.measurements.sample_count > 0
 
     def residual(self, acceleration: np.ndarray, bias: np.ndarray) -> np.ndarray:
-        """Measured less predicted block means (S, J) [m/s²], by accelerations (N, 7) of the
-        coordinates.
-        """
+        """Measured less predicted block means (S, J) [m/s²], of accelerations (N, 7)."""
         return self.in_band(self.measurements.residual(self.sense(acceleration) + bias[:, None]))
 
     @property
@@ -267,7 +260,6 @@ class LinearizedPass:
 
     @cached_property
     def block_tangent(self) -> BlockTangent:
-        """The tangent at this point, as matrices."""
         o, model = self.source, self.source.model
         inputs, rows, weight = o.inputs, model.sensor_rows, o.measurements.sample_weight
         if o.sampled_filter is not None:  # means of groups of steps, which the filter then samples
@@ -289,9 +281,7 @@ class LinearizedPass:
         return change / (2.0 * TUNING.speed_difference)
 
     def tangent(self, dc: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Change (S, J) of the predicted block means by small changes `dc` (2, K) of the road's
-        coefficients and of the `own` unknowns.
-        """
+        """Change (S, J) of the predicted block means by small changes `dc` (2, K) and `own`."""
         o = self.source
         start, bias = o.split(own)
         means = self.read_road(start, dc)
@@ -300,9 +290,7 @@ class LinearizedPass:
         return o.in_band(means + bias[:, None])
 
     def adjoint(self, means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Apply the transpose of `tangent`: from block means (S, J) to coefficients (2, K) and own
-        unknowns.
-        """
+        """Apply the transpose of `tangent`: from block means (S, J) to `dc` (2, K) and `own`."""
         o = self.source
         means = o.in_band(means)
         rest = o.model.bias_std * means.sum(axis=1)

@@ -250,9 +250,7 @@ def _strut_states(road: RoadTransform, drives: Sequence[ModelInputs]) -> np.ndar
 def _average_by_strut_state(
     square: np.ndarray, shape: np.ndarray, free: np.ndarray, state: np.ndarray, ds: float
 ) -> np.ndarray:
-    """Return the mean of `square` (2, K) over that of `shape` (2, K), over `free` nodes (K,) passed
-    in the same `state` (K,).
-    """
+    """Mean of `square` (2, K) over that of `shape`, in each `state` (K,), over `free` nodes."""
     nodes = free if free.any() else np.ones(free.size, dtype=bool)
     ratio = np.full(free.size, square[:, nodes].mean() / shape[:, nodes].mean())
     for number in np.unique(state):

@@ -77,7 +77,6 @@ class StationaryHessian:
         return StationaryHessian(tuple(passes))
 
     def of_pass(self, k: int) -> "StationaryHessian":
-        """The Hessian of the pass `k` alone."""
         return StationaryHessian((self.passes[k]._replace(covered=1.0),))
 
     def excess(self, road: RoadTransform, noise_variance: np.ndarray) -> np.ndarray:
@@ -190,9 +189,7 @@ class StationaryHessian:
     def error_variance(
         self, road: RoadTransform, noise_variance: np.ndarray, lines: np.ndarray
     ) -> np.ndarray:
-        """Return the variance (2, K) of the heights' error, up to a factor, at the local roughness
-        and the spatial frequencies `lines` (F,).
-        """
+        """Variance (2, K) of the heights' error in the `lines` (F,), up to a factor."""
         density = 0.5 * np.abs(road.transfer_function().T) ** 2
         excess = self.excess(road, noise_variance)
         posteriors = _posteriors(excess, ROUGHNESS_STEPS)
@@ -257,9 +254,7 @@ def linear_responses(one: Pass, f: np.ndarray) -> Iterator[tuple[float, np.ndarr
 
 
 def _linear_model(one: Pass, command: int) -> LinearModel:
-    """The linear vehicle in the strut states of a `command` byte, with the points whose
-    accelerations the sensors need.
-    """
+    """The linear vehicle in the strut states of a `command`, with the points that sensors need."""
     model = one.model
     stiff, high = (flags[0].tolist() for flags in decode_commands(np.array([command])))
     names = {flags: name for name, flags in MODES.items()}

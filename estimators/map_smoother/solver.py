@@ -74,7 +74,6 @@ class RoadSolver:
         self.noise_scale, self.in_air = np.ones(len(self.drives)), np.zeros(len(self.drives))
 
     def fit_of(self, number: int) -> CarFit | None:
-        """Return the fit of the vehicle of this pass."""
         return next((fit for fit, members in self.fits if number in members), None)
 
     def doubt(self, fit: CarFit) -> None:
@@ -120,9 +119,7 @@ class RoadSolver:
         return posterior
 
     def _with_vehicle(self, solution: MapSolution, solver: GaussNewton) -> RoadPosterior:
-        """Return the posterior of a single drive with errors of its vehicle, which is fitted to the
-        drive if they show.
-        """
+        """The posterior of a single drive and its vehicle, which is fitted if its errors show."""
         drive, fit, uncertain = self.drives[0], self.fit_of(0), self.uncertainty
         sensors = tuple(drive.model.locations)
         if drive.model.speed_std > 0.0:
@@ -149,7 +146,6 @@ class RoadSolver:
         return posterior
 
     def _adapt(self, members: list[int], solution: MapSolution, solver: GaussNewton) -> MapSolution:
-        """The solution with each vehicle fitted to all its passes, where that is due."""
         cars = [self.drives[number].car for number in members]
         for first, car in enumerate(cars):
             if car in cars[:first]:

@@ -57,9 +57,7 @@ class VehicleUncertainty:
 
     @classmethod
     def of_fit(cls, fit: CarFit) -> "VehicleUncertainty":
-        """Errors that a fit to drives leaves; of instruments that were not fitted with it as of
-        `_unfitted_variance`.
-        """
+        """Errors that a fit leaves; of unfitted instruments as of `_unfitted_variance`."""
         space, errors = fit.space, fit.instrument_errors
         unit = np.ones(fit.x.size)
         unit[: space.size] = space.std

@@ -43,9 +43,7 @@ from road_envs.simulation.rosenbrock import LOAD
 
 
 def unloaded_nodes(lin: Linearization, share: float = TUNING.liftoff_load_share) -> np.ndarray:
-    """Which free nodes (2, K) were passed but never pressed on by this `share` of the mean wheel
-    load, in any of the passes.
-    """
+    """Which free nodes (2, K) were passed, but never under this `share` of the mean wheel load."""
     light = np.all([_greatest_loads(one) < share for one in lin.passes], axis=0)
     return np.asarray(light & (lin.objective.road.free > 0))
 
@@ -164,9 +162,7 @@ def road_below_light_wheels(lin: Linearization) -> tuple[np.ndarray, list[Liftof
 
 
 def lower_road(lin: Linearization, lower: np.ndarray) -> Linearization:
-    """Return the linearization on a road that is by `lower` (2, K) [m] below the one of `lin`; the
-    same one if the motion is not finite there.
-    """
+    """Return `lin` on a road lower by `lower` (2, K) [m], itself if no motion is finite there."""
     if not lower.max() > 0.0:
         return lin
     u = lin.objective.road.whiten(-np.diff(lower, axis=1, prepend=0.0))

@@ -73,7 +73,7 @@ class PreparedDrive:
         return self.inputs.s[:: 2 * self.steps_per_block][: self.blocks]
 
     def node_at(self, s: float) -> int:
-        """Return the node at the station `s` [m] or just before it."""
+        """The node at the station `s` [m] or just before it."""
         return int((s - self.nodes.origin) / self.nodes.ds)
 
     def nodes_under(self, begin: int, end: int) -> tuple[int, int]:
@@ -107,9 +107,7 @@ class RoadSoFar:
     def at_stations(
         self, nodes: RoadNodes, s: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Heights, their standard deviations (2, M) [m] and samples (D, 2, M) [m] of the road at
-        the stations `s` (M,) [m].
-        """
+        """Heights, deviations (2, M) [m] and samples (D, 2, M) [m] at the stations `s` (M,) [m]."""
         x = np.clip((s - nodes.origin) / nodes.ds, 1.0, nodes.size - 3.0)
         std = np.array([np.interp(x, np.arange(nodes.size), path) for path in self.std])
         draws = np.empty((len(self.deviations), 2, s.size), dtype=np.float32)
@@ -168,9 +166,7 @@ def reconstruct(
     windows: Sequence[tuple[Window, ...]],
     solve: Callable[[Objective, list[int]], RoadPosterior],
 ) -> RoadSoFar:
-    """Return the road of all windows; `solve` gets the objective of one and the numbers of its
-    passes.
-    """
+    """Return the road of all windows; `solve` gets each objective and the numbers of its passes."""
     drives = list(drives)
     road = RoadSoFar.level(drives[0].nodes.size)
     for spans in windows:

@@ -143,13 +143,10 @@ class LmResult:
 
     @property
     def epochs(self) -> int:
-        """Number of steps taken."""
         return self.train.size - 1
 
     def to_arrays(self) -> dict[str, np.ndarray]:
-        """Return all but the network: `curves` (5, epochs + 1) with -1 for NaN, and `stop`, the
-        index of the reason in _STOP_REASONS and the best epoch.
-        """
+        """`curves` (5, epochs + 1), -1 for NaN, and `stop`: index of the reason, best epoch."""
         curves = np.array([getattr(self, name) for name in CURVES])
         curves[np.isnan(curves)] = -1.0
         stop = np.array([_STOP_REASONS.index(self.stop), self.best_epoch])
@@ -246,9 +243,7 @@ def _take_step(
     mu: float,
     options: TrainlmOptions,
 ) -> tuple[_Evaluation, float]:
-    """Return the network after the first step that lowers the error, and the next mu; the same
-    network if mu exceeds its limit first.
-    """
+    """Return the network after the first step that lowers the error, or `at`, and the next mu."""
     while mu <= options.mu_max:
         damped = JJ.copy(order="F")  # as LAPACK takes it
         damped[np.diag_indices_from(damped)] += mu

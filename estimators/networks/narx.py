@@ -46,7 +46,6 @@ class Narx(LmEstimator):
 
     @property
     def n_regressors(self) -> int:
-        """Number of inputs of the network."""
         return len(SENSORS) * (self.delays + 1) + PATHS * self.delays
 
     def fit(self, records: Records, truths: Profiles, car: VehicleParameters, seed: int) -> Self:
@@ -134,5 +133,4 @@ def _run_parallel(hidden, output, x, before):
 
 
 def _n_training(z: np.ndarray) -> int:
-    """Return the number of stations of a drive used for training."""
     return z.shape[1] - int(_HELD_OUT_SHARE * z.shape[1])

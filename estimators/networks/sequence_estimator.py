@@ -51,9 +51,7 @@ _EDGE_LENGTH = 5.0  # length [m] of each end of a drive on which deviations are 
 
 
 class _FittedSequence(NamedTuple):
-    """FIR bank, network weights (float16), the factor `std_scale` on the network's standard
-    deviations, and the vehicle's `wheelbase` [m].
-    """
+    """FIR bank, weights (float16), factor on the standard deviations, and `wheelbase` [m]."""
 
     bank: FirBank
     network: dict[str, np.ndarray]
@@ -73,8 +71,6 @@ _Dilations = Annotated[tuple[Count, ...], Field(min_length=1), "stations", "of t
 
 @dataclass(frozen=True, kw_only=True)
 class _SequenceEstimator(SpatialEstimator):
-    """A sequence network behind an FIR bank."""
-
     refit_per_case: ClassVar[bool] = False
     lag: ClassVar[float | None] = None
     """Distance [m] from a station to the front axle when its height is known; None if offline."""
@@ -154,7 +150,7 @@ class _SequenceEstimator(SpatialEstimator):
         return copy_with(self, fitted_state=state._replace(std_scale=scale))
 
     def predictor(self, car: VehicleParameters) -> Predictor:
-        """Return what estimates a drive by bank and network. Raises NotFittedError."""
+        """Return the function that estimates a drive by bank and network. Raises NotFittedError."""
         (bank, _, scale, wheelbase), network = self._loaded()
         notes: tuple[str, ...] = ()
         if abs(car.wheelbase - wheelbase) > _WHEELBASE_TOLERANCE * wheelbase:
@@ -245,7 +241,6 @@ class Tcn(_SequenceEstimator):
     dilations: _Dilations = (1, 2, 4, 8, 16)
 
     def network(self) -> Any:
-        """Return the torch network with its initial weights."""
         from estimators.networks.modules import TemporalConvNet
 
         return TemporalConvNet(self.channels, self.kernel, self.dilations, self.causal)
@@ -270,7 +265,6 @@ class Gru(_SequenceEstimator):
     kernel: _KernelSize = 9
 
     def network(self) -> Any:
-        """Return the torch network with its initial weights."""
         from estimators.networks.modules import GatedRecurrentNet
 
         return GatedRecurrentNet(self.channels, self.kernel, _WARM_UP_STATIONS, self.causal)

@@ -51,8 +51,6 @@ class TrainingSequence(NamedTuple):
 
 
 class TrainerConfig(NamedTuple):
-    """Hyperparameters of the training."""
-
     steps: int
     batch: int = 32
     crop_length: int = 160  # [stations]
@@ -68,9 +66,7 @@ def train_network(
     progress: Callable[[str, float], None] = lambda text, share: None,
     checkpoint: Any = None,
 ) -> tuple[float, list[TrainingSequence]]:
-    """Train a torch `network` in place; return its validation error and the validation parts.
-    `checkpoint` as of `estimators.api.Pretrained.pretrain`.
-    """
+    """Train a torch `network` in place; return its validation error and the validation parts."""
     torch = require_torch()
     training, validation = _split_validation(sequences)
     size = min(config.crop_length, *(part.stop - part.start for part in [*training, *validation]))
@@ -103,7 +99,6 @@ def train_network(
 def _split_validation(
     sequences: Sequence[TrainingSequence],
 ) -> tuple[list[TrainingSequence], list[TrainingSequence]]:
-    """Return the training parts and the validation parts."""
     whole = list(sequences)
     if len(whole) >= _VALIDATION_INTERVAL:
         validation = whole[_VALIDATION_INTERVAL - 1 :: _VALIDATION_INTERVAL]
@@ -142,7 +137,6 @@ class _TrainerState:
         self.best_error, self.best_step = float("inf"), 0
 
     def to_arrays(self, step: int) -> dict[str, np.ndarray]:
-        """Return everything needed to continue at `step`."""
         arrays = {f"now.{k}": x for k, x in get_weights(self.network).items()}
         arrays |= {f"best.{k}": x for k, x in self.best.items()}
         for k, moments in self.optimiser.state_dict()["state"].items():
@@ -169,12 +163,10 @@ class _TrainerState:
 
 
 def get_weights(network: Any) -> dict[str, np.ndarray]:
-    """Return copies of the weights of a torch network by name."""
     return {name: x.detach().numpy().copy() for name, x in network.state_dict().items()}
 
 
 def set_weights(network: Any, weights: Mapping[str, np.ndarray]) -> None:
-    """Load weights by name into a torch network."""
     torch = require_torch()
     network.load_state_dict(
         {name: torch.from_numpy(np.array(x, dtype=np.float32)) for name, x in weights.items()}

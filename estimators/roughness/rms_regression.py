@@ -52,7 +52,6 @@ class RoughnessEstimate(NamedTuple):
 
     @property
     def letter(self) -> str:
-        """The most probable class."""
         return max(self.probability, key=self.probability.__getitem__)
 
 
@@ -142,9 +141,7 @@ def _neg_log_marginal_likelihood(
 def _predict_gp(
     x: np.ndarray, y: np.ndarray, theta: np.ndarray, at: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return mean and standard deviation (M,), noise included, of the outputs at inputs `at` (M,
-    k). `y` (N,): the known outputs at `x` (N, k).
-    """
+    """Mean and standard deviation (M,), with noise, at `at` (M, k), by `y` (N,) at `x` (N, k)."""
     noise = np.exp(2.0 * theta[-1])
     K = np.add(*_covariance(x, x, theta)) + noise * np.eye(y.size)
     across, own = np.add(*_covariance(at, x, theta)), np.add(*_covariance(at, at, theta))

@@ -72,7 +72,6 @@ class ClassPosterior(NamedTuple):
 
     @property
     def letter(self) -> str:
-        """The most probable class."""
         return max(self.probability, key=self.probability.__getitem__)
 
 
@@ -105,9 +104,6 @@ def classify_record(
 def _models_of_drive(
     record: Record, segments: Sequence[Segment], car: VehicleParameters, sensors: Instruments
 ) -> tuple[list[SpectralModel], float, tuple[str, ...]]:
-    """Return the models of the segments, of the vehicle adapted to the drive, the standard
-    deviation of log levels by what is wrong with them, and notes.
-    """
     vehicle, middle = SensedVehicle.of(car, sensors), segments[len(segments) // 2]
     model, adapted = fit_hyperparameters(vehicle, middle), None
     unexplained, std, notes = float(np.mean(model.noise_scale)), _MODEL_ERROR, list[str]()
