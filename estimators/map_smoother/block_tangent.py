@@ -1,17 +1,16 @@
 """Tangent of a drive as one matrix for each short chunk of blocks.
 
-Conjugate gradients apply tangent and adjoint dozens of times about one motion. Most of that work is
-the same each time and is done once. Over a chunk of some hundredths of a second, the change of the
-vehicle state y and of the block means m is
+Conjugate gradients apply tangent and adjoint dozens of times about one motion, and most of that
+work is the same each time. Over a chunk of some hundredths of a second, the change of the vehicle
+state y and of the block means m is
 
     (y after, m) = P (c, y before)        c: the spline's coefficients under the four wheels
 
 The columns of P are unit changes, propagated through the chunk by `tangent_step`, LANES at a time,
-each from the step on at which it begins. A tangent is then one product with each P from the first
-chunk to the last, an adjoint one with each P' from the last to the first. Both are more than ten
-times as fast as the steps themselves, and take as long as P takes to be read. It is therefore kept
-in single precision: a tangent with a relative error of 1e-7 leads to the same road, and its adjoint
-is exactly its transpose.
+each from the step on at which it begins. A tangent is then one product with each P in turn, an
+adjoint one with each P' in reverse, more than ten times as fast as the steps themselves; both take
+as long as P takes to be read. It is therefore kept in single precision: a tangent with a relative
+error of 1e-7 leads to the same road, and its adjoint is exactly its transpose.
 """
 
 from dataclasses import dataclass

@@ -3,23 +3,20 @@
     minimize  1/2 sum over block means ((y - a(road)) / sigma)² + 1/2 |u|²
 
 a(road) is what the accelerometers measure when the vehicle, with its gas springs, dampers,
-friction, stops and tyres that lift off, is driven over the road. u is white noise that the prior
-shapes into an equally rough surface in all directions (`road_prior.py`); its density is
-re-estimated from the drive, octave by octave, and along the road where it is rough in places only
-(potholes, bumps). A clipped sample is a limit: the acceleration was at least that. Both axles roll
-over the same unknown road. Gauss-Newton steps with the exact tangent and adjoint of the simulator's
-step (`objective.py`) are solved by conjugate gradients, preconditioned by the stationary linear
-vehicle (`preconditioner.py`). Friction is smoothed and the noise inflated at first and less so in
-later steps (`gauss_newton.py`). Where a wheel has lifted off, the road is lowered, and at last it
-is the mean of what it may be there (`wheel_liftoff.py`). (Talagrand & Courtier 1987,
-doi:10.1002/qj.49711347812, for the adjoint method.)
+friction, stops and tyres that lift off, is driven over the road, both axles over the same one. u is
+white noise that the prior shapes into an equally rough surface in all directions (`road_prior.py`);
+its density is re-estimated from the drive, octave by octave, and along the road where it is rough
+in places only (potholes, bumps). A clipped sample is a limit: the acceleration was at least that.
+Gauss-Newton steps with the exact tangent and adjoint of the simulator's step (`objective.py`;
+Talagrand & Courtier 1987, doi:10.1002/qj.49711347812) are solved by conjugate gradients,
+preconditioned by the stationary linear vehicle (`preconditioner.py`). Friction is smoothed and the
+noise inflated at first and less so in later steps (`gauss_newton.py`). Where a wheel has lifted
+off, the road is lowered, and at last it is the mean of what it may be there (`wheel_liftoff.py`).
 
-Several drives over one road are estimated together (`estimate_jointly`): their misfits add, and a
-single drive is one pass of one.
-
-A vehicle that differs from the one given within its tolerances is fitted to the drive
-(`car_fit.py`), and one that stays unexplained with the elements that the description leaves out but
-whose tolerances say what they are about, such as a frame that twists (`identification.py`).
+Several drives over one road are estimated together: their misfits add. A vehicle that differs from
+the one given within its tolerances is fitted to the drive (`car_fit.py`), and one that stays
+unexplained with the elements that the description leaves out but whose tolerances say what they are
+about, such as a frame that twists (`identification.py`).
 
 Known to fail: under a lifted wheel, where the road is only known to lie below it, as over a hole
 whose floor the wheel does not reach; for waves longer than about 50 m, which are hardly observable

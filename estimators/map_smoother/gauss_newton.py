@@ -159,7 +159,9 @@ class GaussNewton:
 
 
 def _retry_after_liftoff(found: MapSolution, solver: GaussNewton) -> MapSolution:
-    """Return the optimum from the road lowered where no wheel pressed on it, if it costs less."""
+    """Return the optimum from the road lowered where no wheel pressed on it, as often as it then
+    costs less; a road with obstacles has been lowered before.
+    """
     for _ in range(TUNING.max_liftoff_retries):
         lin = found.linearization
         if lin.objective.road.is_level_between_obstacles or (x := relax_unloaded(lin)) is None:

@@ -1,9 +1,8 @@
 """Identification of a vehicle from calibration drives.
 
-Over a known road (a profile with a survey error) the readings tell the parameters directly; over
-roads that nobody measured by marginal likelihood (`car_fit.py`), and drives of both kinds can be
-combined. The last third of each drive is held out: there the described and the identified vehicle
-are compared.
+Over a known road (a profile with a survey error) the readings tell the parameters directly, over
+roads that nobody measured by marginal likelihood (`car_fit.py`); both kinds can be combined. In the
+last third of each drive, which is held out, the described and the identified vehicle are compared.
 """
 
 from collections.abc import Sequence

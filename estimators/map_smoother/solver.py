@@ -3,8 +3,7 @@
 The minimization of a single drive begins at a level road, that of several at the mean of their
 single estimates, so that few steps are needed. The noise of each pass has a scale of its own, so
 that a vehicle that differs from its description counts for less. Passes whose vehicles are
-described alike are taken for drives of one vehicle: if it has to be adapted, its parameters are
-fitted to all of them.
+described alike are those of one vehicle: if it is adapted, its parameters are fitted to all.
 
 The relative error of the speed of a single drive is found together with the road. Its posterior
 standard deviation is about 0.01 % after 100 m: the bound of the linear vehicle, whose parameters

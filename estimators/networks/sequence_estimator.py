@@ -3,8 +3,7 @@
 Each is one network for all speeds and modes. `tcn` is convolutional: five dilated layers span 9.7 m
 to either side offline and 19 m backwards in the causal variant, beyond the FIR windows. `gru` is a
 gated recurrent network, offline bidirectional; in training it warms up on the 9 m before a crop,
-offline also on the 9 m after it, and in use it runs over the whole drive. Network, inputs and
-training: `modules.py`, `inputs.py` and `trainer.py`.
+offline also on the 9 m after it, and in use it runs over the whole drive.
 
 `road-recon train NAME` produced the shipped weights from a corpus of simulated drives. `fit` trains
 from scratch on the given drives alone. An estimator with other settings than those of the shipped

@@ -3,10 +3,9 @@
 The loss of a crop is the mean squared residual in units of the drive's level, clamped at _LOSS_MAX
 so that a hopeless drive cannot dominate a step. The standard deviations are trained by the Gaussian
 likelihood of these residuals. The learning rate rises over 100 steps and falls as a cosine. Every
-tenth drive is used for validation (with fewer than ten drives, the last fifth of each); the weights
-of the smallest validation error are kept.
-
-With one thread and one seed the result is reproducible to the bit, interrupted or not.
+tenth drive is used for validation (with fewer than ten, the last fifth of each); the weights of the
+smallest validation error are kept. With one thread and one seed the result is reproducible to the
+bit, interrupted or not.
 """
 
 import contextlib
