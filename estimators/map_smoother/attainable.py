@@ -64,23 +64,15 @@ class _ExpectedInformation:
 
 
 def attainable_error(
-    record: Record,
-    truth: Profile,
-    car: VehicleParameters,
-    prior: RoadPrior,
-    *,
-    bandwidth: float = 100.0,
-    instruments: str = "paper",
-    noise_density: float | None = None,
+    record: Record, truth: Profile, car: VehicleParameters, prior: RoadPrior, **measured: Any
 ) -> float:
     """Return the attainable in-band NRMSE [-], both wheel paths pooled, on the road of `truth`.
-    `record` gives stations, speed and strut states. The prior's density and, on uneven roads, its
-    local roughness are fitted to the truth as `map_smoother` fits them to its estimate.
-    Accelerations are used up to `bandwidth` [Hz], with the noise of the `instruments` or of
-    `noise_density` [(m/s²)/sqrt(Hz)]. Raises RecordError, ArithmeticError, ValueError on a flexible
-    frame.
+    `record` gives stations, speed and strut states; what is `measured` as of `_whole_drive`. The
+    prior's density and, on uneven roads, its local roughness are fitted to the truth as
+    `map_smoother` fits them to its estimate. Raises RecordError, ArithmeticError, ValueError on a
+    flexible frame.
     """
-    objective = _whole_drive(record, car, prior, bandwidth, instruments, noise_density)
+    objective = _whole_drive(record, car, prior, **measured)
     lin = objective.linearize(objective.from_noise(objective.road.noise_of(truth)))
     stationary = stationary_hessian(objective)  # that of the measurements, for any prior
     lin = MapSolution(lin, stationary, np.ones(1)).with_prior().linearization
@@ -88,20 +80,13 @@ def attainable_error(
 
 
 def van_trees_error(
-    record: Record,
-    car: VehicleParameters,
-    prior: RoadPrior,
-    *,
-    bandwidth: float = 100.0,
-    instruments: str = "paper",
-    noise_density: float | None = None,
-    roads: int = 16,
+    record: Record, car: VehicleParameters, prior: RoadPrior, *, roads: int = 16, **measured: Any
 ) -> float:
     """Return the least in-band NRMSE [-] of any estimator, both wheel paths pooled, over the roads
     of a Gaussian `prior`. The information is averaged over that many `roads`; other arguments as in
     `attainable_error`.
     """
-    objective = _whole_drive(record, car, prior, bandwidth, instruments, noise_density)
+    objective = _whole_drive(record, car, prior, **measured)
     rng = np.random.default_rng(0)
     points = [rng.standard_normal(objective.size) for _ in range(roads)]
     at = [objective.linearize(x) for x in points]
@@ -131,10 +116,13 @@ def _whole_drive(
     record: Record,
     car: VehicleParameters,
     prior: RoadPrior,
-    bandwidth: float,
-    instruments: str,
+    bandwidth: float = 100.0,
+    instruments: str = "paper",
     noise_density: float | None = None,
 ) -> Objective:
+    """Return the objective of a drive as one window: of accelerations up to `bandwidth` [Hz], with
+    the noise of the `instruments` or of `noise_density` [(m/s²)/sqrt(Hz)].
+    """
     settings = SolverSettings(
         instruments=instruments, noise_density=noise_density, data_rate=2.0 * bandwidth
     )

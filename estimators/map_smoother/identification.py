@@ -282,9 +282,9 @@ def _solve(
     errors: np.ndarray = NO_ERRORS,
 ) -> MapSolution:
     """The most probable road of a drive, `quick`: roughly, of instruments with `errors`."""
-    objective = _objective(drive, car, settings)
-    objective = objective.with_passes(lambda one: InstrumentErrors.of(one).apply(one, errors))
-    solver = GaussNewton(settings.huber)
+    objective, solver = _objective(drive, car, settings), GaussNewton(settings.huber)
+    (one,) = objective.passes
+    objective = replace(objective, passes=(InstrumentErrors.of(one).apply(one, errors),))
     if drive.profile is not None:
         return _settle(objective, solver, 2 if quick else TUNING.settling_steps)
     if quick:

@@ -9,9 +9,6 @@ from estimators.map_smoother.tuning import TUNING
 from estimators.map_smoother.vehicle_uncertainty import IDENTIFIED, VehicleUncertainty
 from road_envs.vehicle.parameters import Tolerance, VehicleParameters
 
-AS_DESCRIBED = "as described, since the drives are those of another kind of vehicle"
-"""Source of the tolerances of a vehicle of another kind."""
-
 
 @dataclass(frozen=True, eq=False)
 class Unexplained:
@@ -116,7 +113,8 @@ def posterior_of(
     """
     space, source = fit.space, IDENTIFIED
     if _is_another_kind(fit):
-        fit, source = replace(fit, covariance=np.eye(fit.x.size)), AS_DESCRIBED
+        fit = replace(fit, covariance=np.eye(fit.x.size))
+        source = "as described, since the drives are those of another kind of vehicle"
     std = space.std * np.minimum(fit.std[: space.size], 1.0)
     found = {
         name: Tolerance(relative=relative, source=source)

@@ -11,7 +11,8 @@ from road_envs.vehicle.linear_model import point_rows
 @dataclass(frozen=True)
 class InstrumentErrors:
     """Gains of the accelerometers `sensors`, their places [m] ahead and to the left, displacement
-    of the odometer [m] and relative error of the speed, each in units of its deviation `std`.
+    of the odometer [m] and relative error of the speed, each in units of its deviation `std`. All
+    but the last two leave the vehicle's motion as it is.
     """
 
     sensors: tuple[str, ...]
@@ -32,11 +33,6 @@ class InstrumentErrors:
         """Prior standard deviations (R,)."""
         n = len(self.sensors)
         return np.array([*(0.02,) * n, *(0.012,) * (2 * n), 0.3, 0.01])
-
-    @property
-    def n_fixed(self) -> int:
-        """Number of the first parameters, which leave the vehicle's motion as it is."""
-        return 3 * len(self.sensors)
 
     def apply(self, one: Pass, x: np.ndarray) -> Pass:
         """The pass of instruments with the errors `x` (0 or R,)."""

@@ -10,7 +10,7 @@ gradient is that of the computed steps (`road_envs.simulation.tape`), the Hessia
 Newton, I + J' R^-1 J. A single drive is one pass without shifts.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -64,9 +64,6 @@ class Objective:
     def noise_variance(self) -> np.ndarray:
         """Variance (P,) [(m/s²)²] of a sample's noise in each pass."""
         return np.array([one.model.noise_variance for one in self.passes])
-
-    def with_passes(self, change: Callable[[Pass], Pass]) -> "Objective":
-        return replace(self, passes=tuple(map(change, self.passes)))
 
     def split(self, x: np.ndarray) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
         """Split the unknowns into `u` (2, K), those of each pass, and the shifts (P, M) [m] of the

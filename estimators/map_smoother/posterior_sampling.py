@@ -218,7 +218,8 @@ def _draw_vehicle_errors(
     evidence = float(along @ np.linalg.lstsq(gram, along)[0])
     typical = TUNING.shown_share * float(np.trace(gram)) / draws
     shown = max(evidence - draws, 0.0) / max(typical, 1e-12)
-    evidence /= max(1.0, lin.objective.road.length / TUNING.evidence_length)
+    length = float(lin.objective.road.ds * lin.objective.road.free.sum())
+    evidence /= max(1.0, length / TUNING.evidence_length)
     return _VehicleErrors(moved, TUNING.tolerance_inflation**2 * min(1.0, shown), evidence)
 
 

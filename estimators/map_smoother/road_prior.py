@@ -62,11 +62,6 @@ class RoadTransform:
         return self.free.size
 
     @property
-    def length(self) -> float:
-        """Length [m] that may rise or fall."""
-        return float(self.ds * self.free.sum())
-
-    @property
     def stations(self) -> np.ndarray:
         """Stations (K,) [m] of the nodes."""
         return self.origin + self.ds * np.arange(self.size)

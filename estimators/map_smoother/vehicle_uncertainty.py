@@ -85,7 +85,7 @@ def _unfitted_variance(errors: InstrumentErrors) -> np.ndarray:
     """Variances (R,) of errors of instruments that were not fitted: of gains by their data sheet,
     of places by their prior; odometer and speed, of which nothing is known, have none.
     """
-    variance = (np.arange(len(errors.names)) < errors.n_fixed).astype(float)
-    gains = slice(len(errors.sensors))
+    variance, gains = np.ones(len(errors.names)), slice(len(errors.sensors))
     variance[gains] = (TUNING.gain_std / errors.std[gains]) ** 2
+    variance[-2:] = 0.0
     return variance

@@ -109,18 +109,6 @@ class LiftoffError(NamedTuple):
     height: np.ndarray
 
 
-class _Gap(NamedTuple):
-    """Nodes `run` of a wheel `path` on which the wheel was light, the `level` [m] of landing, and
-    by how much the road falls to it before them, and rises from it within some way behind them.
-    """
-
-    path: int
-    run: slice
-    level: float
-    fall: float
-    rise: float
-
-
 def road_below_light_wheels(lin: Linearization) -> tuple[np.ndarray, list[LiftoffError]]:
     """Return by how much (2, K) [m] the road is lower than that of `lin` in the mean, and its
     errors below light wheels, which are independent of one another.
@@ -129,10 +117,11 @@ def road_below_light_wheels(lin: Linearization) -> tuple[np.ndarray, list[Liftof
     is_level = road.is_level_between_obstacles
     light = unloaded_nodes(lin, TUNING.light_on_level if is_level else TUNING.light_elsewhere)
     step_variance = road.local**2 * irfft(road.amplitude**2, road.size, axis=1)[:, 0].sum()
-    lower, errors, gaps = np.zeros_like(c), list[LiftoffError](), list[_Gap]()
+    lower, errors, gaps = np.zeros_like(c), list[LiftoffError](), list[tuple]()
     unloaded, reach = unloaded_nodes(lin), round(TUNING.edge_reach / road.ds)
     for path, mask in enumerate(light):
         for (run,) in find_objects(label(mask)[0]):
+            # the height of landing; the road falls to it before the run, and rises from it behind
             level = c[path, run.stop]
             fall = c[path, max(run.start - reach, 0) : run.start + 1].max() - level
             rise = c[path, run.stop : run.stop + reach + 1].max() - level
@@ -141,12 +130,12 @@ def road_below_light_wheels(lin: Linearization) -> tuple[np.ndarray, list[Liftof
             # an even road does not fall so far: the wheel flew off an obstacle
             is_drop = fall > TUNING.obstacle_fall * np.sqrt(steps.sum())
             if is_level or (in_air and is_drop and not road.may_be_uneven):
-                gaps.append(_Gap(path, run, level, fall, rise))
+                gaps.append((path, run, level, fall, rise))
                 continue
             height = np.zeros(road.size)
             height[run] = np.sqrt(steps.sum() / 12.0)
             errors.append(LiftoffError(path, height))
-    falls = [gap.fall for gap in gaps if gap.fall > TUNING.min_drop]
+    falls = [fall for *_, fall, _ in gaps if fall > TUNING.min_drop]
     for path, run, level, fall, rise in gaps:
         height, unseen = np.zeros((2, road.size))
         before = max(run.start - 1, 0)

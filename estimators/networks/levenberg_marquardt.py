@@ -40,7 +40,6 @@ _ACTIVE_RANGE = 2.0  # active range of tanh, net inputs of -2 to 2, as MATLAB's 
 _StopReason = Literal["epochs", "goal", "gradient", "mu", "validation"]
 _STOP_REASONS: tuple[_StopReason, ...] = get_args(_StopReason)
 CURVES = ("train", "validation", "test", "mu", "gradient")
-# Shapes of the arrays of `LmResult.to_arrays`
 HISTORY_SHAPES: dict[str, tuple[int | None, ...]] = {"curves": (len(CURVES), None), "stop": (2,)}
 
 

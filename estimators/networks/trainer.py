@@ -66,13 +66,9 @@ def train_network(
     checkpoint: Any = None,
 ) -> tuple[float, list[TrainingSequence]]:
     """Train a torch `network` in place; return its validation error and the validation parts."""
-    torch = require_torch()
     training, validation = _split_validation(sequences)
     size = min(config.crop_length, *(part.stop - part.start for part in [*training, *validation]))
-    optimiser = torch.optim.AdamW(
-        network.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
-    )
-    state = _TrainerState(network, optimiser)
+    state = _Training(network, config)
     begin = state.restore(checkpoint.load() if checkpoint else None)
     every = max(1, config.steps // _N_VALIDATIONS)
     with single_thread():
@@ -90,7 +86,7 @@ def train_network(
             if step < config.steps:
                 # a generator per step: a resumed training draws the same batches
                 rng = np.random.default_rng([seed, step])
-                _train_step(network, optimiser, training, config, size, rng, step)
+                state.take_step(training, size, rng, step)
     set_weights(network, state.best)
     return state.best_error, validation
 
@@ -127,13 +123,38 @@ def _to_batch(crops: Sequence[tuple[np.ndarray, ...]]) -> tuple[Any, ...]:
     return tuple(torch.from_numpy(np.stack(group)) for group in zip(*crops, strict=True))
 
 
-class _TrainerState:
+class _Training:
     """Network, optimiser and best weights so far, convertible to and from arrays."""
 
-    def __init__(self, network: Any, optimiser: Any):
-        self.network, self.optimiser = network, optimiser
+    def __init__(self, network: Any, config: TrainerConfig):
+        rates = {"lr": config.learning_rate, "weight_decay": config.weight_decay}
+        self.optimiser = require_torch().optim.AdamW(network.parameters(), **rates)
+        self.network, self.config = network, config
         self.best: dict[str, np.ndarray] = {}
         self.best_error, self.best_step = float("inf"), 0
+
+    def take_step(
+        self, training: Sequence[TrainingSequence], size: int, rng: np.random.Generator, step: int
+    ) -> None:
+        """Take one optimiser step on a batch of crops of `size`, drawn by `rng`."""
+        torch, config = require_torch(), self.config
+        crops = []
+        for k in rng.integers(len(training), size=config.batch):
+            part = training[k]
+            at = int(rng.integers(part.start, part.stop - size + 1))
+            crops.append(part.crop(at, size, self.network, bool(rng.integers(2))))
+        x, c, residual = _to_batch(crops)
+        output = self.network(x, c)
+        error, log_std = output[:, :2] - residual, output[:, 2:].clamp(*LOG_STD_RANGE)
+        likelihood = 0.5 * error.detach().square() * torch.exp(-2.0 * log_std) + log_std
+        squared_error = error.square().mean(dim=(1, 2)).clamp(max=_LOSS_MAX)
+        loss = squared_error.mean() + _LIKELIHOOD_WEIGHT * likelihood.mean()
+        for group in self.optimiser.param_groups:
+            group["lr"] = config.learning_rate * _learning_rate_factor(step, config.steps)
+        self.optimiser.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
+        self.optimiser.step()
 
     def to_arrays(self, step: int) -> dict[str, np.ndarray]:
         arrays = {f"now.{k}": x for k, x in get_weights(self.network).items()}
@@ -189,36 +210,6 @@ def single_thread() -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(before)
-
-
-def _train_step(
-    network: Any,
-    optimiser: Any,
-    training: Sequence[TrainingSequence],
-    config: TrainerConfig,
-    size: int,
-    rng: np.random.Generator,
-    step: int,
-) -> None:
-    """Take one optimiser step on a batch of crops drawn by `rng`."""
-    torch = require_torch()
-    crops = []
-    for k in rng.integers(len(training), size=config.batch):
-        part = training[k]
-        at = int(rng.integers(part.start, part.stop - size + 1))
-        crops.append(part.crop(at, size, network, bool(rng.integers(2))))
-    x, c, residual = _to_batch(crops)
-    output = network(x, c)
-    error, log_std = output[:, :2] - residual, output[:, 2:].clamp(*LOG_STD_RANGE)
-    likelihood = 0.5 * error.detach().square() * torch.exp(-2.0 * log_std) + log_std
-    squared_error = error.square().mean(dim=(1, 2)).clamp(max=_LOSS_MAX)
-    loss = squared_error.mean() + _LIKELIHOOD_WEIGHT * likelihood.mean()
-    for group in optimiser.param_groups:
-        group["lr"] = config.learning_rate * _learning_rate_factor(step, config.steps)
-    optimiser.zero_grad()
-    loss.backward()
-    torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
-    optimiser.step()
 
 
 def _learning_rate_factor(step: int, steps: int) -> float:
