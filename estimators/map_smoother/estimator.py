@@ -25,9 +25,10 @@ at a walking pace and left out.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
+from pydantic import Field
 
 from estimators.api import CalibrationError, copy_with
 from estimators.common.explained import reduce_unexplained
@@ -53,13 +54,8 @@ class MapSmoother(CalibratedByIdentification, SolverSettings):
     """
 
     causal: ClassVar[bool] = False
-    draws: int = 2
+    draws: Annotated[int, Field(ge=0), "", "samples of the posterior"] = 2
     adapt: bool = True
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.draws < 0:
-            raise ValueError(f"draws must not be negative, got {self.draws}")
 
     def estimate(self, record: Record, car: VehicleParameters) -> Estimate:
         """Estimate both wheel paths. Raises ConfigError, RecordError, ArithmeticError."""
@@ -118,12 +114,12 @@ class MapSmoother(CalibratedByIdentification, SolverSettings):
         self,
         record: Record,
         car: VehicleParameters,
-        uncertainty: VehicleUncertainty | None,
+        known: VehicleUncertainty | None,
         speed_std: float,
     ) -> tuple[Estimate, RoadSolver]:
-        """Estimate a single drive; `uncertainty` is that of a vehicle that was identified."""
+        """Estimate a single drive; `known`: the uncertainty of a vehicle that was identified."""
         drive, notes = self.prepare(record, car, speed_std=speed_std)
-        solver = RoadSolver(self, [drive], self.adapt, self.draws, uncertainty)
+        solver = RoadSolver(self, [drive], self.adapt, self.draws, known)
         return self._solve(solver, record.length, [""], notes), solver
 
     def _solve(

@@ -179,15 +179,12 @@ def _retry_after_liftoff(found: MapSolution, solver: GaussNewton) -> MapSolution
 
 
 def _descend(
-    objective: Objective,
-    stationary: StationaryHessian,
-    solver: GaussNewton,
-    start: np.ndarray | None,
+    objective: Objective, stationary: StationaryHessian, solver: GaussNewton, x: np.ndarray | None
 ) -> MapSolution:
     noise_scale = np.full(len(objective.passes), np.inf)
     point: MapSolution | None = None
     best: Linearization | None = None  # where a road can explain all readings
-    x = np.zeros(objective.size) if start is None else start
+    x = np.zeros(objective.size) if x is None else x
     for std, max_steps in solver.stages:
         if point is not None:
             point = point.with_prior() if solver.adapt_prior else point

@@ -88,9 +88,9 @@ class Objective:
         instruments' noise. Raises ArithmeticError.
         """
         u, own, shifts = self.split(x)
-        c, plants = self.road.coefficients(u), plants or [None] * len(self.passes)
+        c, none = self.road.coefficients(u), [None] * len(self.passes)
         linearized = []
-        for one, shift, values, plant in zip(self.passes, shifts, own, plants, strict=True):
+        for one, shift, values, plant in zip(self.passes, shifts, own, plants or none, strict=True):
             moved = replace(one, inputs=shift_inputs(one.inputs, self.knots, shift))
             linearized.append(moved.linearize(c, values, plant))
         return Linearization(self, x, tuple(linearized))

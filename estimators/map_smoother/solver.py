@@ -44,14 +44,12 @@ class RoadSolver:
 
     `adapt`: vehicles that stay unexplained are fitted; `draws`: posterior samples for the standard
     deviation in the `band` [cycles/m]; `uncertainty` is that of the vehicle of a single drive if it
-    was identified. What it has found in all windows so far, a field a line, in this order:
+    was identified. What it has found in all windows so far, in the order of the fields:
 
-    greatest noise scale of each pass (P,);
-    distance in the air of each pass (P,) [m];
-    fits of vehicles, with the numbers of their passes;
-    fit in the present window that is not believed, and the noise scale that such fits left;
-    greatest share of the vehicle in the variance of the heights;
-    relative error of the speed of a single drive in each window, with its variance.
+    greatest noise scale of each pass (P,); distance in the air of each pass (P,) [m]; fits of
+    vehicles, with the numbers of their passes; fit in the present window that is not believed, and
+    the noise scale that such fits left; greatest share of the vehicle in the variance of the
+    heights; relative error of the speed of a single drive in each window, with its variance.
     """
 
     settings: SolverSettings
