@@ -82,11 +82,10 @@ class Trainable(Estimator, Protocol):
 
 @runtime_checkable
 class Pretrained(Trainable, Protocol):
-    """A trainable estimator that ships with weights for all speeds and modes.
-
-    `weights()` succeeds without `fit`, so the leaderboard does not train it. For a protocol that
-    trains per speed and mode, a class with `refit_per_case` (a fit takes seconds) is created with
-    `shipped=False` and fitted; other classes keep their shipped weights.
+    """A trainable estimator that ships with weights for all speeds and modes. `weights()` succeeds
+    without `fit`, so the leaderboard does not train it. For a protocol that trains per speed and
+    mode, a class with `refit_per_case` (a fit takes seconds) is created with `shipped=False` and
+    fitted; other classes keep their shipped weights.
     """
 
     name: ClassVar[str]
@@ -145,10 +144,9 @@ class CalibrationDrive:
 
 @runtime_checkable
 class Calibratable(Estimator, Protocol):
-    """An estimator that can be calibrated to one vehicle by drives of it.
-
-    A trained estimator keeps its weights: only what belongs to the vehicle and its instruments is
-    new in the copy, and is not part of `weights`.
+    """An estimator that can be calibrated to one vehicle by drives of it. A trained estimator keeps
+    its weights: only what belongs to the vehicle and its instruments is new in the copy, and is not
+    part of `weights`.
     """
 
     def calibrate(self, drives: Sequence[CalibrationDrive], car: VehicleParameters) -> Self:

@@ -34,13 +34,12 @@ N_ROWS = 4 * LANES
 
 
 class _Track(NamedTuple):
-    """Nodes under the axles, and samples, in N steps and M chunks.
-
-    At each half step (2 N,): node number `front_node` of the front axle and `node_rate` [nodes/s].
-    `first` (M, 2): the first node that each axle passes in a chunk, of `size` in all. `n_states` of
-    the vehicle: 14, or 16 with a flexible frame, four more with side motion; `ds` [m]: distance of
-    the nodes. `sample_weight` (S, J, b) of the samples, one in `decimation` steps, in their block
-    means; `sensor_rows` (S, 7).
+    """Nodes under the axles, and samples, in N steps and M chunks. At each half step (2 N,): node
+    number `front_node` of the front axle and `node_rate` [nodes/s]. `first` (M, 2): the first node
+    that each axle passes in a chunk, of `size` in all. `n_states` of the vehicle: 14, or 16 with a
+    flexible frame, four more with side motion; `ds` [m]: distance of the nodes. Weights
+    `sample_weight` (S, J, b) of the samples, one in `decimation` steps, in their block means;
+    `sensor_rows` (S, 7).
     """
 
     front_node: np.ndarray

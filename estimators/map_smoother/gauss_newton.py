@@ -93,11 +93,10 @@ def minimize(
     adapt_car: "Callable[[MapSolution, GaussNewton], MapSolution] | None" = None,
 ) -> MapSolution:
     """Minimize the objective from a level road or `start` on. `adapt_car`, if given, returns the
-    solution with another vehicle where the descent has ended.
-
-    What a wrong vehicle leaves is taken for obstacles as well, and a prior that is rough there
-    confirms it. Where much is unexplained on a road that is rough in places, it is therefore sought
-    on one that is equally rough everywhere, too; always where a road can explain all readings.
+    solution with another vehicle where the descent has ended. What a wrong vehicle leaves is taken
+    for obstacles as well, and a prior that is rough there confirms it. Where much is unexplained on
+    a road that is rough in places, it is therefore sought on one that is equally rough everywhere,
+    too; always where a road can explain all readings.
     """
     stationary = stationary_hessian(objective)
     found = _descend(objective, stationary, solver, start)

@@ -134,12 +134,8 @@ class Pass:
 
     def with_car(self, car: VehicleParameters) -> "Pass":
         """The pass of another vehicle, which begins as far from its equilibrium."""
-        model = replace(
-            self.model,
-            plant=build_plant(car),
-            bending=sensed_bending(car, self.model.locations),
-            contact_length=car.variation.contact_length,
-        )
+        bending, length = sensed_bending(car, self.model.locations), car.variation.contact_length
+        model = replace(self.model, plant=build_plant(car), bending=bending, contact_length=length)
         new = replace(self, model=model)
         change = new._level_equilibrium - self._level_equilibrium
         return replace(new, initial_state=self.initial_state + change)
@@ -152,16 +148,11 @@ class Pass:
 
     def simulate(self, c: np.ndarray, own: np.ndarray, plant: Plant | None = None) -> Tape:
         """Tape of a drive over `c` (2, K) by the model or another plant. Raises ArithmeticError."""
-        start, _ = self.split(own)
+        (start, _), inputs, model = self.split(own), self.inputs, self.model
+        begin = plant or model.plant, self.strut_state, self.initial_state + start
+        road = self.road_under_wheels(c, self.wheelbase(own))
         return linearize_drive(
-            plant or self.model.plant,
-            self.strut_state,
-            self.initial_state + start,
-            self.road_under_wheels(c, self.wheelbase(own)),
-            self.inputs.h,
-            commands=self.inputs.commands,
-            lag=self.model.valve_lag,
-            v=self.inputs.v[1::2],
+            *begin, road, inputs.h, commands=inputs.commands, lag=model.valve_lag, v=inputs.v[1::2]
         )
 
     def linearize(

@@ -45,11 +45,10 @@ def posterior_mean_and_std(
 ) -> RoadPosterior:
     """Return the posterior of the road, with its error inside `band` [cycles/m]. `uncertainty` is
     that of the vehicle, of one pass; of a vehicle as described the part of the tolerances counts
-    which the misfit of this drive leaves possible.
-
-    The course of the deviation along the road is that of the local roughness, by the stationary
-    approximation; its level, from the samples, is the same for all nodes that were passed in the
-    same strut state. Of nodes that no sensor has read the prior is all that is known.
+    which the misfit of this drive leaves possible. The course of the deviation along the road is
+    that of the local roughness, by the stationary approximation; its level, from the samples, is
+    the same for all nodes that were passed in the same strut state. Of nodes that no sensor has
+    read the prior is all that is known.
     """
     lin, rng = solution.linearization, np.random.default_rng(0)
     objective, road = lin.objective, lin.objective.road
@@ -119,12 +118,11 @@ def posterior_mean_and_std(
 def _draw_roads(
     solution: MapSolution, exact: Sequence[np.ndarray], vehicle: "_VehicleErrors"
 ) -> np.ndarray:
-    """Samples (D, 2, K) [m] of the road's deviation from the posterior mean.
-
-    The preconditioner is the inverse root of the stationary Hessian, so that it makes white noise a
-    sample of the stationary posterior. In each octave this gets the power of the `exact` samples,
-    as far as they tell it. A linear combination of the samples of the vehicle's errors with random
-    weights of unit variance is another such sample.
+    """Samples (D, 2, K) [m] of the road's deviation from the posterior mean. The preconditioner is
+    the inverse root of the stationary Hessian, so that it makes white noise a sample of the
+    stationary posterior. In each octave this gets the power of the `exact` samples, as far as they
+    tell it. A linear combination of the samples of the vehicle's errors with random weights of unit
+    variance is another such sample.
     """
     lin, road = solution.linearization, solution.linearization.objective.road
     # another noise in each window of a drive
@@ -195,9 +193,8 @@ def _draw_vehicle_errors(
     draws: int = TUNING.vehicle_draws,
     cg: tuple[int, float] = TUNING.vehicle_cg,
 ) -> _VehicleErrors:
-    """Return samples of the road's error by that of the vehicle; `cg` as of `inverse_hessian`.
-
-    A road cannot follow all that an error of the vehicle changes, and what is left shows in the
+    """Return samples of the road's error by that of the vehicle; `cg` as of `inverse_hessian`. A
+    road cannot follow all that an error of the vehicle changes, and what is left shows in the
     residual. Where the residual of a vehicle as described holds less of it than vehicles within the
     tolerances would leave, the vehicle is nearer to its description, and its errors count less.
     """

@@ -41,7 +41,6 @@ from road_envs.vehicle.suspension import settled_strut_state
 @dataclass(frozen=True, kw_only=True)
 class SolverSettings(Settings):
     """Settings of the most probable road, beside the name or path of the `instruments`.
-
     `level_ends`: the road is level before station 0 and behind its length, where the drive begins
     at rest. `adapt_prior`: the prior's density is re-estimated from the drive.
     """

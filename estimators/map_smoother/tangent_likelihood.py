@@ -84,14 +84,8 @@ def _second_order_terms(
     log_det_gradient = at_road.mean(axis=0) - np.einsum("psj,sj->p", weighted, moved)
     weighted = np.array([one.apply_inverse_covariance(g) for g in left])
     information = np.einsum("psj,qsj->pq", left, weighted) + F @ F.T
-    return LikelihoodTerms(
-        gradient=-log_det_gradient,
-        information=information,
-        score_covariance=information + np.cov(at_road.T - F @ along.T) / len(samples),
-        log_det_gradient=log_det_gradient,
-        to_optimum=np.zeros_like(lin.x),
-        by_parameter=-F,
-    )
+    score = information + np.cov(at_road.T - F @ along.T) / len(samples)
+    return LikelihoodTerms(-log_det_gradient, information, score, log_det_gradient, by_parameter=-F)
 
 
 def _trace_sample(
@@ -109,11 +103,10 @@ def _trace_sample(
 
 
 def _posterior_noise(lin: Linearization) -> Iterator[np.ndarray]:
-    """Yield samples J' R^-1/2 e_1 + e_2 (n,), of covariance A; A^-1 times one is a sample w.
-
-    The rows of e_1 (S, J) and e_2 (2, K) are white, with flat spectra of random phases that are
-    turned against each other from sample to sample. Of a stationary vehicle, few samples would then
-    give the mean of a quadratic form without error.
+    """Yield samples J' R^-1/2 e_1 + e_2 (n,), of covariance A; A^-1 times one is a sample w. The
+    rows of e_1 (S, J) and e_2 (2, K) are white, with flat spectra of random phases that are turned
+    against each other from sample to sample. Of a stationary vehicle, few samples would then give
+    the mean of a quadratic form without error.
     """
     rng = np.random.default_rng(0)
     (one,), u = lin.passes, lin.objective.split(lin.x)[0]

@@ -56,11 +56,10 @@ MIRROR_SIGNS = np.array([1, 1, -1, 1, 1, -1, 1, -1, 1, -1], dtype=np.float32)[:,
 def network_inputs(
     signals: SpatialSignals, bank: FirBank, wheelbase: float, network: Any, causal: bool
 ) -> NetworkInputs:
-    """Return the inputs of a `network` that reads so many stations `behind` and `ahead`.
-
-    Rows of x: accelerations and velocities of front, rear and roll; m and q of the first estimate,
-    and the same a wheelbase behind. For a causal network the motions are those sensed
-    STATIONS_AHEAD beyond the estimated station; the first estimate is that of the station itself.
+    """Return the inputs of a `network` that reads so many stations `behind` and `ahead`. Rows of x:
+    accelerations and velocities of front, rear and roll; m and q of the first estimate, and the
+    same a wheelbase behind. For a causal network the motions are those sensed STATIONS_AHEAD beyond
+    the estimated station; the first estimate is that of the station itself.
     """
     lookahead, rear = STATIONS_AHEAD if causal else 0, round(wheelbase / SPACING)
     behind, ahead = network.behind, network.ahead
@@ -75,23 +74,17 @@ def network_inputs(
     l = level[extra + at]
     # inputs of about unit scale at every speed and level
     scale = np.exp(0.7 * (u - np.log(5.0))) * 100.0 * l
-    x = np.concatenate(
-        [
-            signals.motions[:N_MOTIONS, sensed] / scale,
-            signals.motions[N_MOTIONS:, sensed] * (8.0 / scale),
-            short_waves[:, extra + at] / l,
-            short_waves[:, extra + at - rear] / l,
-        ]
-    )
+    motions = signals.motions[:, sensed]
+    waves = short_waves[:, extra + at] / l, short_waves[:, extra + at - rear] / l
+    x = np.concatenate([motions[:N_MOTIONS] / scale, motions[N_MOTIONS:] * (8.0 / scale), *waves])
     states, speed_term = signals.states[sensed].T, (u - 2.0) / 0.8
     speed_terms, sizes = (speed_term, speed_term**2 - 1), (np.log(l) + 5.5, np.log(scale))
     conditions = np.array([*speed_terms, *(2 * states - 1), *sizes, *signals.spectrum[:, sensed]])
     if np.ptp(conditions, axis=1).max() == 0.0:
         conditions = conditions[:, :1]
     inner = slice(extra, extra + M)
-    return NetworkInputs(
-        x.astype(np.float32), conditions.astype(np.float32), level[inner], first[:, inner]
-    )
+    arrays = x.astype(np.float32), conditions.astype(np.float32)
+    return NetworkInputs(*arrays, level[inner], first[:, inner])
 
 
 def _level(short_waves: np.ndarray, extra: int, causal: bool) -> np.ndarray:

@@ -166,11 +166,12 @@ class LmResult:
 
 class _Evaluation(NamedTuple):
     """A network at N samples: its `inputs` (R + 1, N) and hidden `units` (S + 1, N), each with ones
-    behind, and its errors `e` (K, N).
+    behind, the targets `t` (K, N) and its errors `e` (K, N).
     """
 
     network: TwoLayerNetwork
     inputs: np.ndarray
+    t: np.ndarray
     units: np.ndarray
     e: np.ndarray
 
@@ -230,17 +231,12 @@ def train(
         }
         stop = next((name for name, holds in reasons.items() if holds), None)
         if stop is None:
-            at, mu = _take_step(at, JJ, Je, training[1], mu, options)
+            at, mu = _take_step(at, JJ, Je, mu, options)
     return LmResult(best, stop, best_epoch, *np.array(history).T)
 
 
 def _take_step(
-    at: _Evaluation,
-    JJ: np.ndarray,
-    Je: np.ndarray,
-    t: np.ndarray,
-    mu: float,
-    options: TrainlmOptions,
+    at: _Evaluation, JJ: np.ndarray, Je: np.ndarray, mu: float, options: TrainlmOptions
 ) -> tuple[_Evaluation, float]:
     """Return the network after the first step that lowers the error, or `at`, and the next mu."""
     while mu <= options.mu_max:
@@ -249,7 +245,7 @@ def _take_step(
         with suppress(np.linalg.LinAlgError):  # singular: a failed step
             factor = cho_factor(damped, lower=True, overwrite_a=True, check_finite=False)
             step = cho_solve(factor, Je, check_finite=False)
-            trial = _evaluate(at.network.add_step(step), at.inputs, t)
+            trial = _evaluate(at.network.add_step(step), at.inputs, at.t)
             if trial.mse < at.mse:
                 return trial, max(mu * options.mu_decrease, _MU_FLOOR)
         mu *= options.mu_increase
@@ -264,7 +260,7 @@ def _evaluate(network: TwoLayerNetwork, inputs: np.ndarray, t: np.ndarray) -> _E
     for part in _chunks(t.shape[1]):
         np.tanh(hidden.T @ inputs[:, part], out=units[:-1, part])
         np.subtract(t[:, part], output @ units[:, part], out=e[:, part])
-    return _Evaluation(network, inputs, units, e)
+    return _Evaluation(network, inputs, t, units, e)
 
 
 def _normal_equations(at: _Evaluation) -> tuple[np.ndarray, np.ndarray]:

@@ -52,10 +52,8 @@ class Narx(LmEstimator):
         """Train series-parallel; `seed` draws division and initial weights. Raises RecordError."""
         a, z, inputs, outputs = self._training_data(records, truths)
         drives = [(inputs.apply(x), outputs.apply(y)) for x, y in zip(a, z, strict=True)]
-        samples = [
-            _series_parallel(x[:, : _n_training(y)], y[:, : _n_training(y)], self.delays)
-            for x, y in drives
-        ]
+        parts = [(x[:, : _n_training(y)], y[:, : _n_training(y)]) for x, y in drives]
+        samples = [_series_parallel(*part, self.delays) for part in parts]
         x, t = (np.hstack(part) for part in zip(*samples, strict=True))
         training = self._train(x, t, "random", seed)
         errors = self._loop_errors(training.network, outputs, drives)
