@@ -131,9 +131,8 @@ class CalibrationError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class CalibrationDrive:
-    """A drive of the vehicle that is to be known better, before the drives that matter. `profile`:
-    the road if it was measured, with independent survey errors of the standard deviation
-    `survey_std` [m].
+    """A drive of the vehicle that is to be known better. `profile`: the road if it was measured,
+    with independent survey errors of the standard deviation `survey_std` [m].
     """
 
     record: Record
@@ -144,15 +143,13 @@ class CalibrationDrive:
 
 @runtime_checkable
 class Calibratable(Estimator, Protocol):
-    """An estimator that can be calibrated to one vehicle by drives of it. A trained estimator keeps
-    its weights: only what belongs to the vehicle and its instruments is new in the copy, and is not
-    part of `weights`.
+    """An estimator that can be calibrated to one vehicle by drives of it. A trained one keeps its
+    weights: only what belongs to vehicle and instruments is new, and not part of `weights`.
     """
 
     def calibrate(self, drives: Sequence[CalibrationDrive], car: VehicleParameters) -> Self:
-        """Return a copy for the vehicle of these `drives`, of which `car` is the description; in
-        place of an earlier calibration. Drives over measured and unmeasured roads may be mixed.
-        Raises CalibrationError, ArithmeticError.
+        """Return a copy for the vehicle of these `drives`, described by `car`, without an earlier
+        calibration. Roads may be measured or not. Raises CalibrationError, ArithmeticError.
         """
 
 
@@ -231,9 +228,7 @@ def check_class(cls: Any) -> Any:
 
 
 def check_estimate(estimate: object, record: Record) -> None:
-    """Raise EstimateError unless `estimate` is valid for `record`: finite heights of both wheel
-    paths at the stations `profile_stations(record.length)`, in this order.
-    """
+    """Raise EstimateError unless `estimate` has finite heights at the stations of `record`."""
     if not isinstance(estimate, Estimate):
         raise EstimateError(f"expected an Estimate, got {type(estimate).__name__}")
     stations = profile_stations(record.length)

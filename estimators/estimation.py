@@ -41,8 +41,8 @@ def estimate(
     object, or what `make_estimator` takes with its `settings`; `vehicle` is the described car, by
     name, YAML file or parameters. The estimate keeps the median speed of the record, which decides
     the band in which it can be scored, and the standard deviation of its stations where the
-    positions wander. Raises ConfigError, EstimateError, NotFittedError for an
-    estimator that must be trained first, and TypeError for arguments of another kind.
+    positions wander. Raises ConfigError, EstimateError, NotFittedError if the estimator must be
+    trained first, and TypeError for arguments of another kind.
     """
     given = [record] if isinstance(record, Record) else record
     if not isinstance(given, Sequence) or not all(isinstance(each, Record) for each in given):

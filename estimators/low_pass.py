@@ -46,8 +46,7 @@ def undo_low_pass(
 ) -> tuple[Record, np.ndarray, tuple[str, ...]]:
     """Return a record whose accelerations are as sampled up to its bandwidth, and its low-pass one
     without an order; which samples of them are `valid` (k, N), and notes. By the `noise_density`
-    [(m/s²)/sqrt(Hz)] of the accelerometers a filter that the record does not name is noticed; 0: it
-    is not.
+    [(m/s²)/sqrt(Hz)] of the accelerometers, if above 0, filters are noticed that no record names.
     """
     fs, low_pass, a = record.fs, record.low_pass, bridge(record.a)
     named = low_pass is not None

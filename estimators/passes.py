@@ -186,11 +186,10 @@ def _match(
 
 
 def _combine(passes: Sequence[AlignedPass]) -> Estimate:
-    """Return the mean of the single estimates on the stations of the first. Weights are inverse
-    variances where every estimate has standard deviations, else equal. Means are taken of the
-    increments, so that no step arises where a pass begins or a weight changes. The standard
-    deviation is that of independent errors, times the Birge ratio where the passes disagree by more
-    than that (Birge, Phys. Rev. 40, 1932, 207).
+    """Return the mean of the single estimates on the stations of the first, weighted by inverse
+    variances where all have standard deviations. Means are taken of the increments, so that no step
+    arises where a pass begins or a weight changes. The standard deviation is that of independent
+    errors, times the Birge ratio where passes disagree by more (Birge, Phys. Rev. 40, 1932, 207).
     """
     if len(passes) == 1:
         return passes[0].estimate

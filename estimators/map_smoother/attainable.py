@@ -67,10 +67,9 @@ def attainable_error(
     record: Record, truth: Profile, car: VehicleParameters, prior: RoadPrior, **measured: Any
 ) -> float:
     """Return the attainable in-band NRMSE [-], both wheel paths pooled, on the road of `truth`.
-    `record` gives stations, speed and strut states; what is `measured` as of `_whole_drive`. The
-    prior's density and, on uneven roads, its local roughness are fitted to the truth as
-    `map_smoother` fits them to its estimate. Raises RecordError, ArithmeticError, ValueError on a
-    flexible frame.
+    `record` gives stations, speed and strut states; `measured` as of `_whole_drive`. The prior's
+    density and, on uneven roads, local roughness are fitted to the truth as `map_smoother` fits
+    them to its estimate. Raises RecordError, ArithmeticError, ValueError on a flexible frame.
     """
     objective = _whole_drive(record, car, prior, **measured)
     lin = objective.linearize(objective.from_noise(objective.road.noise_of(truth)))
@@ -83,8 +82,7 @@ def van_trees_error(
     record: Record, car: VehicleParameters, prior: RoadPrior, *, roads: int = 16, **measured: Any
 ) -> float:
     """Return the least in-band NRMSE [-] of any estimator, both wheel paths pooled, over the roads
-    of a Gaussian `prior`. The information is averaged over that many `roads`; other arguments as in
-    `attainable_error`.
+    of a Gaussian `prior`, of which so many `roads` are drawn; `measured` as of `_whole_drive`.
     """
     objective = _whole_drive(record, car, prior, **measured)
     rng = np.random.default_rng(0)

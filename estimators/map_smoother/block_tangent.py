@@ -36,10 +36,9 @@ N_ROWS = 4 * LANES
 class _Track(NamedTuple):
     """Nodes under the axles, and samples, in N steps and M chunks. At each half step (2 N,): node
     number `front_node` of the front axle and `node_rate` [nodes/s]. `first` (M, 2): the first node
-    that each axle passes in a chunk, of `size` in all. `n_states` of the vehicle: 14, or 16 with a
-    flexible frame, four more with side motion; `ds` [m]: distance of the nodes. Weights
-    `sample_weight` (S, J, b) of the samples, one in `decimation` steps, in their block means;
-    `sensor_rows` (S, 7).
+    that each axle passes in a chunk, of `size` in all, `ds` [m] apart. `n_states`: 14, or 16 with a
+    flexible frame, four more with side motion. `sample_weight` (S, J, b) of samples, one in
+    `decimation` steps, in their block means; `sensor_rows` (S, 7).
     """
 
     front_node: np.ndarray
@@ -186,9 +185,8 @@ def _apply_chunks_transpose(P, first, width, means, y, c):
 
 @dataclass(frozen=True, eq=False)
 class BlockTangent:
-    """Tangent of one motion: matrices `P` (M, C, N_ROWS // LANES, LANES), each for `width` nodes
-    from `first` (M, 2) on under front and rear axle, of `n_nodes` in all; `shape` (S, J) of block
-    means.
+    """Tangent of one motion: matrices `P` (M, C, N_ROWS // LANES, LANES), each of `width` nodes
+    from `first` (M, 2) under front and rear axle, of `n_nodes`; `shape` (S, J) of the block means.
     """
 
     P: np.ndarray

@@ -150,9 +150,8 @@ def fit_if_due(
 
 
 def can_show_vehicle(solution: MapSolution) -> bool:
-    """Return whether what a solution leaves unexplained, if anything, may be the vehicle: not on
-    roads that are rough in places nor under wheels in the air, and sensors on an axle measure waves
-    that are too short for the nodes of the road.
+    """Return whether the vehicle may be unexplained: not where the road is rough in places or
+    wheels fly, nor by sensors on an axle, whose waves are too short for the nodes of the road.
     """
     lin = solution.linearization
     if any(on_axle(one.source.model.locations) for one in lin.passes):

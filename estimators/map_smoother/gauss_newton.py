@@ -92,11 +92,10 @@ def minimize(
     start: np.ndarray | None = None,
     adapt_car: "Callable[[MapSolution, GaussNewton], MapSolution] | None" = None,
 ) -> MapSolution:
-    """Minimize the objective from a level road or `start` on. `adapt_car`, if given, returns the
-    solution with another vehicle where the descent has ended. What a wrong vehicle leaves is taken
-    for obstacles as well, and a prior that is rough there confirms it. Where much is unexplained on
-    a road that is rough in places, it is therefore sought on one that is equally rough everywhere,
-    too; always where a road can explain all readings.
+    """Minimize the objective from a level road or `start` on; `adapt_car` returns the solution with
+    another vehicle where the descent has ended. A wrong vehicle looks like obstacles, and a prior
+    that is rough there confirms it. Where much is unexplained on a road rough in places, and always
+    where a road can explain all readings, one is sought that is equally rough everywhere, too.
     """
     stationary = stationary_hessian(objective)
     found = _descend(objective, stationary, solver, start)

@@ -60,8 +60,8 @@ class MeasurementModel:
 class Pass:
     """One pass in a window. The vehicle begins about the state `initial_state` (14,), with the
     prior standard deviation `initial_std` (14,), with `strut_state` (4, 3) and the `filter_state`
-    (n, S, 2) of the model's filter, if it has one. `nodes` are those of the road; each sensor has J
-    block means in the `measurements`.
+    (n, S, 2) of the model's filter, if any. `nodes` of the road; J block means `measurements` of
+    each sensor.
     """
 
     model: MeasurementModel

@@ -24,10 +24,10 @@ from estimators.map_smoother.wheel_liftoff import LiftoffError, lower_road, road
 
 
 class RoadPosterior(NamedTuple):
-    """The `solution` at the mean of the road below light wheels, the standard deviation `std`
-    (2, K) [m] of the error in the band at each node, the `vehicle_share` of its variance, the
-    `evidence` of `_VehicleErrors`, and samples `deviations` (D, 2, K) [m] of the road's deviation
-    from the mean in all waves.
+    """The `solution` at the mean of the road below light wheels, the standard deviation `std` (2,
+    K) [m] of the error in the band at each node, the `vehicle_share` of its variance, the
+    `evidence` of `_VehicleErrors`, and samples `deviations` (D, 2, K) [m] from the mean in all
+    waves.
     """
 
     solution: MapSolution
@@ -118,11 +118,10 @@ def posterior_mean_and_std(
 def _draw_roads(
     solution: MapSolution, exact: Sequence[np.ndarray], vehicle: "_VehicleErrors"
 ) -> np.ndarray:
-    """Samples (D, 2, K) [m] of the road's deviation from the posterior mean. The preconditioner is
-    the inverse root of the stationary Hessian, so that it makes white noise a sample of the
-    stationary posterior. In each octave this gets the power of the `exact` samples, as far as they
-    tell it. A linear combination of the samples of the vehicle's errors with random weights of unit
-    variance is another such sample.
+    """Samples (D, 2, K) [m] of the road's deviation from the posterior mean: of the stationary one,
+    by the preconditioner, which is the inverse root of the stationary Hessian, of white noise. Each
+    octave gets the power of the `exact` samples, as far as they tell it. Sums of samples of the
+    vehicle's errors with random weights of unit variance are such samples, too.
     """
     lin, road = solution.linearization, solution.linearization.objective.road
     # another noise in each window of a drive

@@ -133,9 +133,8 @@ class StationaryHessian:
         self, road: RoadTransform, noise_variance: np.ndarray, u: np.ndarray
     ) -> np.ndarray:
         """Return the density (F,) over the prior's that the road of `u` (2, K) suggests: in each
-        octave the power of `u` over the number of its unknowns that the measurements
-        determine (MacKay 1992, doi:10.1162/neco.1992.4.3.415); where these are too few, the ratio
-        of the nearest octave.
+        octave the power of `u` over the number of its unknowns that are determined (MacKay 1992,
+        doi:10.1162/neco.1992.4.3.415); where these are too few, the ratio of the nearest octave.
         """
         power = np.sum(np.abs(rfft(road.free * u, axis=1)) ** 2, axis=0) / max(road.free.sum(), 1.0)
         excess = self.excess(road, noise_variance)
@@ -156,13 +155,12 @@ class StationaryHessian:
         self, road: RoadTransform, noise_variance: np.ndarray, u: np.ndarray, passed: np.ndarray
     ) -> np.ndarray:
         """Return the local roughness (2, K) that `u` (2, K) suggests, relative to the spectrum, by
-        what is known of the nodes that wheels have `passed` (K,).
-
-        The power of the increments in a narrow window over the share of it that the measurements
-        resolve (MacKay 1992, doi:10.1162/neco.1992.4.3.415), but no less than a share of that in a
-        wide one. Some increments of a prior roughness are added, so the distribution of the
-        increments is Student's: a few large ones, the edges of an obstacle, are more probable than
-        many small ones.
+        what is known of the nodes that wheels have `passed` (K,): the power of the increments in a
+        narrow window over the share of it that the measurements resolve (MacKay 1992,
+        doi:10.1162/neco.1992.4.3.415), but no less than a share of that in a wide one. Some
+        increments of a prior roughness are added, so the distribution of the increments is
+        Student's: a few large ones, the edges of an obstacle, are more probable than many small
+        ones.
         """
         w = road.local * (TO_WHEEL_PATHS @ u) * np.sqrt(0.5) * road.free
         excess = self.excess(road, noise_variance)
@@ -266,9 +264,8 @@ def _linear_model(one: Pass, command: int) -> LinearModel:
 
 
 def _start_information(one: Pass) -> np.ndarray:
-    """Information (14,) on the initial vehicle state: the diagonal of the observability Gramian,
-    the integral over time of the squared accelerations of all sensors after a unit deviation of a
-    coordinate, times the sampling rate.
+    """Information (14,) on the initial vehicle state, the diagonal of the observability Gramian:
+    the integral of the squared accelerations after a unit deviation, times the sampling rate.
     """
     linear = _linear_model(one, one.inputs.commands[0])
     C = linear.C[: len(one.model.locations)]

@@ -35,10 +35,10 @@ class RoadNodes(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class RoadTransform:
     """Linear map from `u` to the coefficients of both wheel paths, of nodes as in `RoadNodes`.
-    `background` (2, K) [m] are the coefficients for u = 0; `free` (K,) is 1 where the road may rise
-    or fall, else 0; `prior_amplitude` (2, K // 2 + 1) [m] and `density` (K // 2 + 1,), by which a
-    drive scaled its square, make A(n); `local` (2, K) is the local roughness of each wheel path
-    relative to it, 1 where the road may not be uneven.
+    `background` (2, K) [m] are those for u = 0; `free` (K,) is 1 where the road may rise or fall,
+    else 0; `prior_amplitude` (2, K // 2 + 1) [m] and `density` (K // 2 + 1,), by which a drive
+    scaled its square, make A(n); `local` (2, K) is the local roughness, relative to it, 1 on an
+    even road.
     """
 
     origin: float

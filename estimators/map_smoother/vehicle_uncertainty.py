@@ -31,9 +31,8 @@ IDENTIFIED = "identified"
 @dataclass(frozen=True, eq=False)
 class VehicleUncertainty:
     """Errors of a `car` and its instruments: `covariance` (P + R, P + R) of the logarithms of the P
-    parameters `names`, and behind them of the R errors of the instruments in the units of
-    `InstrumentErrors`. `is_prior`: no drive has been compared with the car yet. Errors of the road
-    count `inflation` times.
+    parameters `names`, and behind them of the R errors of `InstrumentErrors`. `is_prior`: no drive
+    has been compared with the car yet. Errors of the road count `inflation` times.
     """
 
     car: VehicleParameters

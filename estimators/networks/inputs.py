@@ -38,9 +38,8 @@ N_INPUTS, N_CONDITIONS = 10, 8 + N_RATIOS
 
 
 class NetworkInputs(NamedTuple):
-    """Inputs `x` (N_INPUTS, behind + M + ahead) and `conditions` (N_CONDITIONS, 1 or as many) of a
-    network, and the `level` (M,) [m] and `first` estimate (2, M) [m] of m and q, which make heights
-    of its output.
+    """Inputs `x` (N_INPUTS, behind + M + ahead), `conditions` (N_CONDITIONS, 1 or as many), and the
+    `level` (M,) and `first` estimate (2, M) [m] of m and q, which make heights of the output.
     """
 
     x: np.ndarray

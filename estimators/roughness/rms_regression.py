@@ -57,9 +57,8 @@ class RoughnessEstimate(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RmsRoughness:
-    """A fitted regression: standardised inputs `x` (N, N_INPUTS) and outputs `y` (N,), mean and
-    standard deviation of inputs and output (2, N_INPUTS + 1) before it, and `theta`, logarithms as
-    in _THETA_BOUNDS.
+    """A fitted regression: standardised inputs `x` (N, N_INPUTS) and outputs `y` (N,), their mean
+    and standard deviation (2, N_INPUTS + 1) before, and logarithms `theta` as in _THETA_BOUNDS.
     """
 
     x: np.ndarray

@@ -54,10 +54,9 @@ _EM_ITERATIONS = 8  # expectation-maximisation iterations of an octave's level
 
 
 class ClassPosterior(NamedTuple):
-    """Posterior of a road's roughness. `G_d0` [m³] and the standard deviation `log_std` of its
-    natural logarithm, over the scored band; `octaves` (K,) [cycles/m] with their own `levels` (K,)
-    [m³], `level_stds` (K,) and most probable `octave_classes`; `probability` of each class by
-    letter; `notes` on the vehicle.
+    """Roughness of a road: `G_d0` [m³] over the scored band and the standard deviation `log_std` of
+    its natural logarithm; `octaves` (K,) [cycles/m] with their `levels` (K,) [m³], `level_stds` and
+    most probable `octave_classes`; `probability` of each class by letter; `notes` on the vehicle.
     """
 
     G_d0: float
