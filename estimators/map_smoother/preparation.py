@@ -100,10 +100,9 @@ class SolverSettings(Settings):
             rate = record.fs / block
             model = replace(model, filter=SensorFilter.of(instruments, inputs.h, rate))
         censored = clipped_signs(record, instruments)
+        a = np.where(valid | (censored != 0), record.a, 0.0)
         if np.isfinite(record.bandwidth):  # what is left of a gap lies between its ends
             a = bridge(record.a)
-        else:
-            a = np.where(valid | (censored != 0), record.a, 0.0)
         # the mean over the drive is mostly sensor bias
         mean = np.sum(a, axis=1, where=valid) / np.maximum(valid.sum(axis=1), 1)
         a -= mean[:, None]

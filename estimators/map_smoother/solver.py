@@ -144,17 +144,14 @@ class RoadSolver:
 
     def _adapt(self, members: list[int], solution: MapSolution, solver: GaussNewton) -> MapSolution:
         cars = [self.drives[number].car for number in members]
-        for first, car in enumerate(cars):
-            if car in cars[:first]:
-                continue
+        described = [car for k, car in enumerate(cars) if car not in cars[:k]]
+        for car in described:
             same = [k for k, other in enumerate(cars) if other == car]
             own = [solution.of_pass(k) for k in same]
             fit = fit_if_due(own, car, solver)
-            if fit is None:
-                continue
-            if is_believed(fit, own):
+            if fit and is_believed(fit, own):
                 self.fits.append((fit, [members[k] for k in same]))
-            else:
+            elif fit:
                 self.doubt(fit)
         if not self.fits:
             return solution

@@ -135,7 +135,7 @@ def class_probabilities(log_level: float, log_std: float) -> dict[str, float]:
     """Return the probability of each class for a normally distributed log level."""
     limits = np.log([2.0 * mean for mean in CLASSES.values()][:-1])
     below = np.concatenate([[0.0], ndtr((limits - log_level) / log_std), [1.0]])
-    return dict(zip(CLASSES, (float(p) for p in np.diff(below)), strict=True))
+    return dict(zip(CLASSES, np.diff(below).tolist(), strict=True))
 
 
 def scored_octaves(v: float) -> np.ndarray:
@@ -158,8 +158,7 @@ def _levels(
     """Return the levels (K,) [m³] of a segment's octaves and their independent lines (K,)."""
     lines, sensors = windowed_spectrum(model, segment), active_sensors(segment)
     noise = model.noise_psd()
-    levels = np.full(octaves.size, model.prior.G_d0)
-    counts = np.zeros(octaves.size)
+    levels, counts = np.full(octaves.size, model.prior.G_d0), np.zeros(octaves.size)
     span = segment.valid.any(axis=0).sum() * segment.spacing
     for k, centre in enumerate(octaves):
         inside = (model.n >= centre * 2.0**-0.5) & (model.n < centre * 2.0**0.5)
@@ -168,7 +167,6 @@ def _levels(
         n, y = model.n[inside], lines[inside][:, sensors]
         H, R = model.H[inside][:, sensors], noise[inside][:, sensors][:, :, sensors]
         unit = RoadPrior(G_d0=1.0, track=model.prior.track).spectrum(n)
-        known = 0.0
         for _ in range(_EM_ITERATIONS):
             road_posterior = posterior(n, H, unit * levels[k], R)
             z = road_posterior.gain @ y
