@@ -29,15 +29,6 @@ LAG = 4.79
 Records: TypeAlias = Sequence[Record]
 Profiles: TypeAlias = Sequence[Profile]
 
-# Arguments of the methods, as which they are called
-_ARGUMENTS: dict[str, list[str]] = {
-    "estimate": ["record", "car"],
-    "fit": ["records", "truths", "car", "seed"],
-    "weights": [],
-    "with_weights": ["weights"],
-    "calibrate": ["drives", "car"],
-}
-
 
 class EstimateError(ValueError):
     """An estimate that violates the interface; the message says how."""
@@ -153,6 +144,11 @@ class Calibratable(Estimator, Protocol):
         """
 
 
+_TRAINING: tuple[Any, ...] = (Trainable.fit, Trainable.weights, Trainable.with_weights)
+_METHODS = (Estimator.estimate, *_TRAINING, Calibratable.calibrate)
+"""Methods that must take the arguments that they have in the interface."""
+
+
 def declared_lag(estimator: object) -> float:
     """Return the `lag` [m] behind the front axle that an estimator declares, 0 if it has none."""
     return float(getattr(estimator, "lag", None) or 0.0)
@@ -213,7 +209,8 @@ def check_class(cls: Any) -> Any:
         raise TypeError(
             f"its lag must be a distance >= 0 in metres behind the front axle, got {lag!r}"
         )
-    for method, arguments in _ARGUMENTS.items():
+    for wanted in _METHODS:
+        method, (_, *arguments) = wanted.__name__, inspect.signature(wanted).parameters
         if (function := getattr(cls, method, None)) is None:
             continue
         try:

@@ -19,18 +19,15 @@ class InstrumentErrors:
 
     @classmethod
     def of(cls, one: Pass) -> "InstrumentErrors":
-        """The errors of the sensors of a pass."""
         return cls(tuple(one.model.locations))
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the parameters (R,)."""
         kinds = ("gain", "x", "y")
         return (*(f"{kind}.{name}" for kind in kinds for name in self.sensors), "odometer", "speed")
 
     @property
     def std(self) -> np.ndarray:
-        """Prior standard deviations (R,)."""
         n = len(self.sensors)
         return np.array([*(0.02,) * n, *(0.012,) * (2 * n), 0.3, 0.01])
 

@@ -57,7 +57,6 @@ class RoadTransform:
 
     @property
     def size(self) -> int:
-        """Nodes K of each wheel path."""
         return self.free.size
 
     @property

@@ -213,7 +213,6 @@ def single_thread() -> Iterator[None]:
 
 
 def _learning_rate_factor(step: int, steps: int) -> float:
-    """Return the learning rate at a step over the highest."""
     cosine = 0.5 * (1.0 + np.cos(np.pi * step / steps))
     falling = _FINAL_RATE_SHARE + (1.0 - _FINAL_RATE_SHARE) * cosine
     return float(min(1.0, (step + 1) / _WARM_UP_STEPS) * falling)

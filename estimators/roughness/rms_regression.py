@@ -52,6 +52,7 @@ class RoughnessEstimate(NamedTuple):
 
     @property
     def letter(self) -> str:
+        """The most probable class."""
         return max(self.probability, key=self.probability.__getitem__)
 
 

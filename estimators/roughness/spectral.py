@@ -70,6 +70,7 @@ class ClassPosterior(NamedTuple):
 
     @property
     def letter(self) -> str:
+        """The most probable class."""
         return max(self.probability, key=self.probability.__getitem__)
 
 
