@@ -28,6 +28,8 @@ m s² / 12. Where it had to be taken for even (`gauss_newton.minimize`), a wheel
 such road falls flew off an obstacle, and the straight line is as probable as the height of landing.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.fft import irfft
 from scipy.ndimage import find_objects, label
@@ -98,10 +100,13 @@ def _level(path: np.ndarray, mask: np.ndarray) -> np.ndarray:
     return c
 
 
-LiftoffError = tuple[int, np.ndarray]
-"""Error of the road below a light wheel: number of the wheel path, and the standard deviation
-`height` (K,) [m] of each node; the error is this times one number for all nodes.
-"""
+class LiftoffError(NamedTuple):
+    """Error of the road below a light wheel, of the wheel `path`: a standard normal number, the
+    same for all nodes, times `height` (K,) [m].
+    """
+
+    path: int
+    height: np.ndarray
 
 
 def road_below_light_wheels(lin: Linearization) -> tuple[np.ndarray, list[LiftoffError]]:
@@ -129,7 +134,7 @@ def road_below_light_wheels(lin: Linearization) -> tuple[np.ndarray, list[Liftof
                 continue
             height = np.zeros(road.size)
             height[run] = np.sqrt(steps.sum() / 12.0)
-            errors.append((path, height))
+            errors.append(LiftoffError(path, height))
     falls = [fall for *_, fall, _ in gaps if fall > TUNING.min_drop]
     for path, run, level, fall, rise in gaps:
         height, unseen = np.zeros((2, road.size))
@@ -138,8 +143,8 @@ def road_below_light_wheels(lin: Linearization) -> tuple[np.ndarray, list[Liftof
         if is_level and fall > TUNING.min_drop and rise > TUNING.edge_share * fall:
             unseen[before : run.stop + 1] = max(falls) * (1.0 + 1.0 / len(falls)) - fall
         lower[path, run] += (unloaded[path] * height + unseen)[run] / 2.0
-        errors.append((path, (TUNING.edge_std if is_level else 0.5) * height))
-        errors.append((path, unseen / np.sqrt(12.0)))
+        errors.append(LiftoffError(path, (TUNING.edge_std if is_level else 0.5) * height))
+        errors.append(LiftoffError(path, unseen / np.sqrt(12.0)))
     return lower, errors
 
 

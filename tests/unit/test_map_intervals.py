@@ -12,7 +12,7 @@ from estimators.map_smoother import wheel_liftoff
 from estimators.map_smoother.estimator import MapSmoother
 from estimators.map_smoother.posterior_sampling import _add_liftoff_errors, band_pass
 from estimators.map_smoother.tuning import TUNING
-from estimators.map_smoother.wheel_liftoff import road_below_light_wheels
+from estimators.map_smoother.wheel_liftoff import LiftoffError, road_below_light_wheels
 from leaderboard.metrics.heights import band_pass as in_band
 from leaderboard.metrics.heights import error_over_truth, uncertainty
 from road_envs.drives.recording import simulate_record
@@ -110,7 +110,7 @@ def test_an_error_below_a_wheel_counts_by_its_envelope_in_the_band():
     n = rfftfreq(SIZE, DS)
     lines, height, before = (n > 1.0) & (n < 1.6), np.zeros(SIZE), np.full((2, SIZE), 1e-8)
     height[400:406] = 0.01
-    variance = _add_liftoff_errors(before, [(0, height)], lines)
+    variance = _add_liftoff_errors(before, [LiftoffError(0, height)], lines)
     np.testing.assert_array_equal(variance[1], before[1])
     error = band_pass(height[None], lines)[0]
     tops = [k for k in range(390, 416) if abs(error[k]) >= abs(error[k - 3 : k + 4]).max()]
