@@ -71,7 +71,6 @@ def posterior_mean_and_std(
         return [road.apply(objective.split(dx)[0]) for dx in changes]
 
     drawn = draw_deviations(lin, solve, rng, draws)
-    square = mean_square(roads_of(drawn))
     errors_of_vehicle = _VehicleErrors()
     if draws and uncertainty:
         if uncertainty.is_prior:
@@ -80,7 +79,7 @@ def posterior_mean_and_std(
         if not uncertainty.is_prior or errors_of_vehicle.evidence > TUNING.quick_evidence:
             errors_of_vehicle = _draw_vehicle_errors(solution, rng, uncertainty)
     of_vehicle = errors_of_vehicle.weight * mean_square(roads_of(errors_of_vehicle.moved))
-    square = square + of_vehicle
+    square = mean_square(roads_of(drawn)) + of_vehicle
     vehicle_share = float(of_vehicle.mean() / max(square.mean(), 1e-300))
     shape = solution.stationary.error_variance(road, solution.noise_variance, inside)
     # a band-pass spreads errors along the road by the square of its impulse response

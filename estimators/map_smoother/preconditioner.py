@@ -14,7 +14,7 @@ the nodes are shared out among levels of local roughness, and the preconditioner
 of the levels.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -24,6 +24,7 @@ from scipy.linalg import solve_continuous_lyapunov
 from scipy.ndimage import gaussian_filter1d
 
 from estimators.common.bending import BODY
+from estimators.common.conjugate_gradients import Operator
 from estimators.common.gaps import read_share
 from estimators.map_smoother.objective import Linearization, Means, Objective
 from estimators.map_smoother.one_pass import Pass
@@ -86,9 +87,7 @@ class StationaryHessian:
         information = np.sum([one.on_road / variance for one, variance in pairs], axis=0)
         return information * T.conj()[:, :, None] * T[:, None, :]
 
-    def preconditioner(
-        self, lin: Linearization, noise_variance: np.ndarray
-    ) -> Callable[[np.ndarray], np.ndarray]:
+    def preconditioner(self, lin: Linearization, noise_variance: np.ndarray) -> Operator:
         """A function that maps a gradient at `lin` to a step, under noise variances (P,)."""
         road = lin.objective.road
         offset_scale = lin.offset_scale(noise_variance, [one.on_start for one in self.passes])
@@ -137,9 +136,9 @@ class StationaryHessian:
         doi:10.1162/neco.1992.4.3.415); where these are too few, the ratio of the nearest octave.
         """
         power = np.sum(np.abs(rfft(road.free * u, axis=1)) ** 2, axis=0) / max(road.free.sum(), 1.0)
-        excess = self.excess(road, noise_variance)
         read = np.sum(road.free * self.read) / max(road.free.sum(), 1.0)
-        told = read * np.sum(1.0 - _posteriors(excess, np.ones(1))[0], axis=1)
+        left = _posteriors(self.excess(road, noise_variance), np.ones(1))[0]
+        told = read * np.sum(1.0 - left, axis=1)
         octave = np.round(np.log2(np.maximum(road.n, road.n[1])))
         centre, group = np.unique(octave, return_inverse=True)
         lines = np.bincount(group)
@@ -189,8 +188,7 @@ class StationaryHessian:
     ) -> np.ndarray:
         """Variance (2, K) of the heights' error in the `lines` (F,), up to a factor."""
         density = 0.5 * np.abs(road.transfer_function().T) ** 2
-        excess = self.excess(road, noise_variance)
-        posteriors = _posteriors(excess, ROUGHNESS_STEPS)
+        posteriors = _posteriors(self.excess(road, noise_variance), ROUGHNESS_STEPS)
         variance = ROUGHNESS_STEPS**2 * np.sum((density * posteriors)[:, lines], axis=(1, 2))
         return np.interp(road.local, ROUGHNESS_STEPS, variance)
 
