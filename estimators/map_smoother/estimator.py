@@ -150,7 +150,6 @@ class MapSmoother(CalibratedByIdentification, SolverSettings):
 
 
 def _findings_notes(solver: RoadSolver, names: Sequence[str]) -> list[str]:
-    """Notes on the findings in drives of these `names`; a single one is not named."""
     several = len(names) > 1
     labels = [f"{name}: " if several else "" for name in names]
     notes = [

@@ -79,7 +79,6 @@ def identify(
 
 
 def _refuse_unexplained(result: IdentificationResult, drives: Sequence[CalibrationDrive]) -> None:
-    """Raise CalibrationError if the held-out parts are explained neither well nor much better."""
     described = float(np.mean([before.power for before, _ in result.unexplained]))
     if result.left < max(TUNING.structure_power, TUNING.refused_share * described):
         return
@@ -235,7 +234,6 @@ def _on_profile(objective: Objective, drive: CalibrationDrive) -> Objective:
 
 
 def _check_profile(objective: Objective, drive: CalibrationDrive) -> None:
-    """Raise CalibrationError if the readings do not belong to the profile, and say what would."""
     (one,), profile = objective.passes, drive.profile
     assert profile is not None
     y = one.measurements.y - one.measurements.y.mean(axis=1, keepdims=True)

@@ -129,7 +129,6 @@ class Pass:
 
     @property
     def footprint(self) -> Footprint:
-        """The enveloping of the road by the tyres."""
         return Footprint.of(self.model.contact_length, self.nodes.ds)
 
     def with_car(self, car: VehicleParameters) -> "Pass":
@@ -183,7 +182,6 @@ class Pass:
 
     @property
     def is_used(self) -> np.ndarray:
-        """Which block means (S, J) contain samples."""
         return self.measurements.sample_count > 0
 
     def residual(self, acceleration: np.ndarray, bias: np.ndarray) -> np.ndarray:

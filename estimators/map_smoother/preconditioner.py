@@ -215,7 +215,6 @@ def stationary_hessian(objective: Objective) -> StationaryHessian:
 
 
 def _road_information(one: Pass, road: RoadTransform) -> np.ndarray:
-    """Information (F, 2, 2) on the heights of mean and half difference."""
     inputs = one.inputs
     n, v = np.maximum(road.n, 1e-6), float(inputs.v.mean())
     parts = ((share * H.conj(), H) for share, H in linear_responses(one, n * v))

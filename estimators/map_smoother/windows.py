@@ -202,7 +202,6 @@ def reconstruct(
 def _extended(
     so_far: RoadSoFar, posterior: RoadPosterior, nodes: RoadNodes, last: int
 ) -> RoadSoFar:
-    """Return the road after another window, final before the node `last`."""
     lin = posterior.solution.linearization
     road, c = lin.objective.road, lin.objective.coefficients(lin.x)
     low = round((road.origin - nodes.origin) / nodes.ds)
@@ -228,7 +227,6 @@ def _extended(
 def _window_objective(
     parts: Sequence[tuple[PreparedDrive, int, int]], prior: RoadPrior, so_far: RoadSoFar
 ) -> Objective:
-    """The objective of drives on common nodes, each with its blocks `begin` to `end` (excluded)."""
     reach = [drive.nodes_under(begin, end) for drive, begin, end in parts]
     low = min(first for first, _ in reach) - TUNING.node_margin
     last = max(last for _, last in reach) + TUNING.node_margin
@@ -252,7 +250,6 @@ def _window_objective(
 
 
 def _window_pass(drive: PreparedDrive, begin: int, end: int, nodes: RoadNodes) -> Pass:
-    """Return the pass of blocks `begin` to `end` (excluded) on the nodes of the window."""
     inputs = drive.inputs.slice_steps(begin * drive.steps_per_block, end * drive.steps_per_block)
     samples = slice(begin * drive.block_size, end * drive.block_size)
     a, valid, censored = (x[:, samples] for x in (drive.a, drive.valid, drive.censored))

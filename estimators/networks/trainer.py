@@ -104,7 +104,6 @@ def _split_validation(
 
 
 def _validation_error(network: Any, parts: Sequence[TrainingSequence], size: int) -> float:
-    """Return the mean clamped loss over crops of `size` that cover the validation parts."""
     torch = require_torch()
     total, count = 0.0, 0
     with torch.no_grad():
@@ -118,7 +117,6 @@ def _validation_error(network: Any, parts: Sequence[TrainingSequence], size: int
 
 
 def _to_batch(crops: Sequence[tuple[np.ndarray, ...]]) -> tuple[Any, ...]:
-    """Return inputs, conditions and residuals of all `crops` as tensors."""
     torch = require_torch()
     return tuple(torch.from_numpy(np.stack(group)) for group in zip(*crops, strict=True))
 
@@ -136,7 +134,6 @@ class _Training:
     def take_step(
         self, training: Sequence[TrainingSequence], size: int, rng: np.random.Generator, step: int
     ) -> None:
-        """Take one optimiser step on a batch of crops of `size`, drawn by `rng`."""
         torch, config = require_torch(), self.config
         crops = []
         for k in rng.integers(len(training), size=config.batch):
