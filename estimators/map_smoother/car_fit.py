@@ -150,8 +150,8 @@ def fit_if_due(
 
 
 def can_show_vehicle(solution: MapSolution) -> bool:
-    """Return whether the vehicle may be unexplained: not where the road is rough in places or
-    wheels fly, nor by sensors on an axle, whose waves are too short for the nodes of the road.
+    """Return whether it may be the vehicle that is unexplained: not where the road is rough in
+    places or wheels fly, nor by sensors on an axle, whose waves are too short for the road's nodes.
     """
     lin = solution.linearization
     if any(on_axle(one.source.model.locations) for one in lin.passes):

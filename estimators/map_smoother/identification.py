@@ -279,7 +279,7 @@ def _solve(
     quick: bool = False,
     errors: np.ndarray = NO_ERRORS,
 ) -> MapSolution:
-    """The most probable road of a drive, `quick`: roughly, of instruments with `errors`."""
+    """The most probable road of a drive, roughly if `quick`, with instruments of these `errors`."""
     objective, solver = _objective(drive, car, settings), GaussNewton(settings.huber)
     (one,) = objective.passes
     objective = replace(objective, passes=(InstrumentErrors.of(one).apply(one, errors),))
