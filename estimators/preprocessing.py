@@ -282,15 +282,13 @@ def _check_drive(record: Record) -> tuple[Record, list[str]]:
     return record, notes
 
 
-def _clipping_notes(
-    names: tuple[str, ...], size: np.ndarray, out_of_range: np.ndarray
-) -> list[str]:
-    """Return a note for each sensor with samples `out_of_range` (k, N), or whose magnitude `size`
+def _clipping_notes(names: tuple[str, ...], size: np.ndarray, beyond: np.ndarray) -> list[str]:
+    """Return a note for each sensor with samples `beyond` its range (k, N), or whose magnitude `size`
     (k, N) [m/s²] stays at its peak. The peak of a whole drive makes no sample invalid, since that
     would let a causal estimate depend on later samples.
     """
     notes = []
-    for name, x, clipped in zip(names, size, out_of_range, strict=True):
+    for name, x, clipped in zip(names, size, beyond, strict=True):
         at_peak = x >= (1.0 - _CLIPPING_TOLERANCE) * x.max()
         in_a_row = np.lib.stride_tricks.sliding_window_view(at_peak, _CLIPPING_SAMPLES).all(axis=1)
         if x.any() and (clipped.any() or in_a_row.any()):

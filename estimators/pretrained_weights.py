@@ -32,11 +32,10 @@ def write_weights(
         from safetensors.numpy import save
 
     solid = {name: np.array(array, order="C") for name, array in arrays.items()}
+    # one entry only: safetensors writes several in an order that varies between files
+    about = {_METADATA_KEY: json.dumps(dict(metadata), sort_keys=True)}
     with atomic_write(path, durable=True) as partial:
-        # one entry only: safetensors writes several in an order that varies between files
-        partial.write_bytes(
-            save(solid, metadata={_METADATA_KEY: json.dumps(dict(metadata), sort_keys=True)})
-        )
+        partial.write_bytes(save(solid, metadata=about))
 
 
 def read_weights(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:

@@ -63,7 +63,7 @@ class MapSmoother(CalibratedByIdentification, SolverSettings):
         # where positions wander the road is level somewhere else
         settled = self if odometer.s_std is None else replace(self, level_ends=False)
         record, car = self.as_identified(odometer.record, car)
-        return odometer.describe(settled._estimate_adapting(record, car, odometer.speed_std))
+        return odometer.describe(settled._estimate_best(record, car, odometer.speed_std))
 
     def for_one_of_many(self) -> "MapSmoother":
         """The estimator of a single pass of several: fast, for alignment and as a start."""
@@ -86,9 +86,7 @@ class MapSmoother(CalibratedByIdentification, SolverSettings):
         solver = RoadSolver(self, on_common_nodes(drives), self.adapt, self.draws, start=start)
         return self._solve(solver, records[0].length, names, notes)
 
-    def _estimate_adapting(
-        self, record: Record, car: VehicleParameters, speed_std: float
-    ) -> Estimate:
+    def _estimate_best(self, record: Record, car: VehicleParameters, speed_std: float) -> Estimate:
         known = None if self.identified is None else self.identified.uncertainty
         first, solver = self._estimate(record, car, known, speed_std)
         left = solver.left_by_fit

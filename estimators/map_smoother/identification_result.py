@@ -75,8 +75,8 @@ class IdentificationResult:
         """Sentences on parameters that the drives do not determine, and on doubtful results."""
         size = self.fit.space.size
         x, std, names = self.fit.x[:size], self.std[:size], self.names
-        open_ = [names[i] for i in np.flatnonzero(std > TUNING.undetermined)]
-        far = [names[i] for i in np.flatnonzero(np.abs(x) > TUNING.far)]
+        open_ = ", ".join(names[i] for i in np.flatnonzero(std > TUNING.undetermined))
+        far = ", ".join(names[i] for i in np.flatnonzero(np.abs(x) > TUNING.far))
         notes = []
         if _is_another_kind(self.fit):
             notes.append(
@@ -85,11 +85,9 @@ class IdentificationResult:
                 "its tolerances are left as described, so heights and IRI stay as uncertain"
             )
         if open_:
-            notes.append(f"not determined by the drives, kept as described: {', '.join(open_)}")
+            notes.append(f"not determined by the drives, kept as described: {open_}")
         if far:
-            notes.append(
-                f"more than {TUNING.far:g} tolerances from the description: {', '.join(far)}"
-            )
+            notes.append(f"more than {TUNING.far:g} tolerances from the description: {far}")
         if self.fit.x.size > size:
             notes.append(
                 "errors of the instruments are not in the vehicle's file; calibrate of an "

@@ -130,15 +130,14 @@ class RoadSolver:
         if is_seen and posterior.vehicle_share > TUNING.vehicle_share_due:
             with suppress(ArithmeticError):  # a varied vehicle's motion was not finite
                 fit = self.doubted or adapt_car([solution], drive.car, solver)
+                (fitted,) = fit.solutions
                 if noise_left(fit.solutions) >= TUNING.structure_power:
                     self.doubt(fit)
-                elif _explains_more(fit.solutions[0], solution):
+                elif _explains_more(fitted, solution):
                     self.fits = [(fit, [0])]
                     uncertain = VehicleUncertainty.of_tolerances(fit.car, sensors)
                     uncertain = replace(uncertain, is_prior=False, inflation=TUNING.fit_inflation)
-                    posterior = posterior_mean_and_std(
-                        fit.solutions[0], self.band, self.draws, uncertain
-                    )
+                    posterior = posterior_mean_and_std(fitted, self.band, self.draws, uncertain)
         self.vehicle_share = max(self.vehicle_share, posterior.vehicle_share)
         return posterior
 

@@ -12,6 +12,7 @@ samples of the road under the joint posterior of road, vehicle and instruments
 """
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -42,9 +43,7 @@ class VehicleUncertainty:
     inflation: float = 1.0
 
     @classmethod
-    def of_tolerances(
-        cls, car: VehicleParameters, sensors: tuple[str, ...]
-    ) -> "VehicleUncertainty":
+    def of_tolerances(cls, car: VehicleParameters, sensors: tuple[str, ...]) -> Self:
         """Errors of a `car` by the tolerances that its file states, and of its accelerometers
         `sensors` by their data sheet. Tolerances that an identification left are no prior: what its
         drives did not show, no other drive shows, either. Raises ConfigError.
@@ -55,7 +54,7 @@ class VehicleUncertainty:
         return cls(car, space.names, np.diag(variance), is_prior=not identified)
 
     @classmethod
-    def of_fit(cls, fit: CarFit) -> "VehicleUncertainty":
+    def of_fit(cls, fit: CarFit) -> Self:
         """Errors that a fit leaves; of unfitted instruments as of `_unfitted_variance`."""
         space, errors = fit.space, fit.instrument_errors
         unit = np.ones(fit.x.size)

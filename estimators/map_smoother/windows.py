@@ -199,13 +199,11 @@ def reconstruct(
     return road
 
 
-def _extended(
-    so_far: RoadSoFar, posterior: RoadPosterior, nodes: RoadNodes, last: int
-) -> RoadSoFar:
+def _extended(so_far: RoadSoFar, posterior: RoadPosterior, grid: RoadNodes, last: int) -> RoadSoFar:
     lin = posterior.solution.linearization
     road, c = lin.objective.road, lin.objective.coefficients(lin.x)
-    low = round((road.origin - nodes.origin) / nodes.ds)
-    first, last = max(so_far.first_free_node, low), min(last, low + road.size, nodes.size)
+    low = round((road.origin - grid.origin) / grid.ds)
+    first, last = max(so_far.first_free_node, low), min(last, low + road.size, grid.size)
     here = slice(first - low, last - low)
 
     def joined(before: np.ndarray, now: np.ndarray) -> np.ndarray:
@@ -216,7 +214,7 @@ def _extended(
 
     # a sample goes on at the height at which it ended
     count = len(posterior.deviations)
-    before = so_far.deviations if len(so_far.deviations) else np.zeros((count, 2, nodes.size))
+    before = so_far.deviations if len(so_far.deviations) else np.zeros((count, 2, grid.size))
     end = before[..., max(first - 1, 0), None]
     deviations = joined(before, end + posterior.deviations)
     density = road.density * np.mean(road.local[:, road.free > 0] ** 2)

@@ -25,9 +25,10 @@ pages of trainlm, initnw, mapminmax, dividerand, divideblock and mse.
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, NamedTuple, Self, get_args
 
 import numpy as np
+from numpy.random import Generator
 from scipy.linalg import cho_factor, cho_solve
 from scipy.linalg.blas import dsyrk
 
@@ -69,7 +70,7 @@ class Scaling:
     high: np.ndarray
 
     @classmethod
-    def fit(cls, x: np.ndarray) -> "Scaling":
+    def fit(cls, x: np.ndarray) -> Self:
         """Return the scaling that maps the range of each row of `x` (k, N) onto [-1, 1]."""
         return cls(x.min(axis=1), x.max(axis=1))
 
@@ -98,9 +99,7 @@ class Split(NamedTuple):
     test: np.ndarray
 
     @classmethod
-    def divide(
-        cls, size: int, method: Literal["random", "block"], rng: np.random.Generator
-    ) -> "Split":
+    def divide(cls, size: int, method: Literal["random", "block"], rng: Generator) -> Self:
         """Split `size` samples into 70, 15 and 15 %, at random (`dividerand`, which leaks on a time
         series, since neighbours are alike) or in consecutive blocks (`divideblock`).
         """
@@ -152,9 +151,7 @@ class LmResult:
         return {"curves": curves, "stop": stop}
 
     @classmethod
-    def from_arrays(
-        cls, network: TwoLayerNetwork, curves: np.ndarray, stop: np.ndarray
-    ) -> "LmResult":
+    def from_arrays(cls, network: TwoLayerNetwork, curves: np.ndarray, stop: np.ndarray) -> Self:
         """Return the result of this `network` and the arrays of `to_arrays`. Raises ValueError."""
         reason, best_epoch = (int(x) for x in stop)
         if not 0 <= reason < len(_STOP_REASONS):
@@ -181,9 +178,7 @@ class _Evaluation(NamedTuple):
         return float(np.vdot(self.e, self.e)) / self.e.size if self.e.size else float("nan")
 
 
-def nguyen_widrow(
-    inputs: int, hidden: int, outputs: int, rng: np.random.Generator
-) -> TwoLayerNetwork:
+def nguyen_widrow(inputs: int, hidden: int, outputs: int, rng: Generator) -> TwoLayerNetwork:
     """Draw initial weights whose active regions cover inputs in [-1, 1], as `initnw`. Each hidden
     neuron's weight vector has a random direction and the length 2 x 0.7 S^(1/R), where the 2
     extends Nguyen and Widrow's unit range to the active range of tanh; the biases are evenly

@@ -109,12 +109,10 @@ def roughness_level(truth: Profile, v: float) -> float:
     return float(np.exp(np.mean(np.log(np.maximum(levels.mean(axis=0), 1e-12)))))
 
 
-def _covariance(
-    x: np.ndarray, other: np.ndarray, theta: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _covariance(x: np.ndarray, at: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the covariances (N, M) of linear part and process for inputs (N, k), (M, k)."""
-    scaled_difference = (x[:, None] - other[None]) * np.exp(-theta[1:-1])
-    line = SLOPE_STD**2 * (1.0 + x @ other.T)
+    scaled_difference = (x[:, None] - at[None]) * np.exp(-theta[1:-1])
+    line = SLOPE_STD**2 * (1.0 + x @ at.T)
     return line, np.exp(2.0 * theta[0] - 0.5 * np.sum(scaled_difference**2, axis=2))
 
 
