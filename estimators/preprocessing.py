@@ -283,9 +283,9 @@ def _check_drive(record: Record) -> tuple[Record, list[str]]:
 
 
 def _clipping_notes(names: tuple[str, ...], size: np.ndarray, beyond: np.ndarray) -> list[str]:
-    """Return a note for each sensor with samples `beyond` its range (k, N), or whose magnitude `size`
-    (k, N) [m/s²] stays at its peak. The peak of a whole drive makes no sample invalid, since that
-    would let a causal estimate depend on later samples.
+    """Return a note for each sensor with samples `beyond` its range (k, N), or whose magnitude
+    `size` (k, N) [m/s²] stays at its peak. The peak of a whole drive makes no sample invalid, since
+    that would let a causal estimate depend on later samples.
     """
     notes = []
     for name, x, clipped in zip(names, size, beyond, strict=True):
