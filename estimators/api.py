@@ -139,8 +139,8 @@ class Calibratable(Estimator, Protocol):
     """
 
     def calibrate(self, drives: Sequence[CalibrationDrive], car: VehicleParameters) -> Self:
-        """Return a copy for the vehicle of these `drives`, described by `car`, without an earlier
-        calibration. Roads may be measured or not. Raises CalibrationError, ArithmeticError.
+        """Return a copy for the vehicle of these `drives`, described by `car`; a second calibration
+        replaces the first. Roads may be measured or not. Raises CalibrationError, ArithmeticError.
         """
 
 

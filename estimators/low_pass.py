@@ -45,8 +45,8 @@ def undo_low_pass(
     record: Record, valid: np.ndarray, noise_density: float = 0.0
 ) -> tuple[Record, np.ndarray, tuple[str, ...]]:
     """Return a record whose accelerations are as sampled up to its bandwidth, and its low-pass one
-    without an order; which samples of them are `valid` (k, N), and notes. By the `noise_density`
-    [(m/s²)/sqrt(Hz)] of the accelerometers, if above 0, filters are noticed that no record names.
+    without an order; which samples of them are `valid` (k, N), and notes. By a `noise_density`
+    [(m/s²)/sqrt(Hz)] of the accelerometers above 0 filters that are not named are noticed.
     """
     fs, low_pass, a = record.fs, record.low_pass, bridge(record.a)
     named = low_pass is not None

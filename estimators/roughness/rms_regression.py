@@ -14,9 +14,9 @@ sections 2.2, 2.7 and 5.4.1). Amplitudes and length scales maximise the marginal
 posterior of y is normal, so classes have probabilities as in `spectral.py`.
 
 Limitations: strut states and speeds outside the training data; roads of another waviness, since
-one RMS per sensor does not resolve frequency; single obstacles, more than `spectral`
-(`studies/roughness_alone.py`). Drives of the described vehicle alone would teach an interval that
-no other vehicle keeps to.
+one RMS per sensor does not resolve frequency; single obstacles, which mislead it more than
+`spectral` (`studies/roughness_alone.py`). Drives of the described vehicle alone would teach an
+interval that no other vehicle keeps to.
 """
 
 from collections.abc import Sequence

@@ -103,6 +103,7 @@ def classify_record(
 def _models_of_drive(
     record: Record, segments: Sequence[Segment], car: VehicleParameters, sensors: Instruments
 ) -> tuple[list[SpectralModel], float, tuple[str, ...]]:
+    """Models of segments by the adapted vehicle, deviation of log levels by its errors, notes."""
     vehicle, middle = SensedVehicle.of(car, sensors), segments[len(segments) // 2]
     model, adapted = fit_hyperparameters(vehicle, middle), None
     unexplained, std, notes = float(np.mean(model.noise_scale)), _MODEL_ERROR, list[str]()
