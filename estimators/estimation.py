@@ -83,9 +83,8 @@ def estimate(
 
 def friction_note(record: Record, car: VehicleParameters) -> tuple[str, ...]:
     """Return a note where the accelerations are below _HELD times what dry friction passes on: four
-    struts that hold do so up to the sum of their friction peaks over the mass of the body. Below,
-    the body follows the road on its tyres, and what a strut would have taken out of a wave does not
-    show.
+    struts that hold do so up to the sum of their friction peaks over the body's mass. Below, the
+    body follows the road on its tyres, and what a strut takes out of a wave does not show.
     """
     low, high = friction_peaks(car)
     peaks = np.where(record.damper_high.mean(axis=0) > 0.5, high, low)
