@@ -28,6 +28,7 @@ LAG = 4.79
 
 Records: TypeAlias = Sequence[Record]
 Profiles: TypeAlias = Sequence[Profile]
+Cars: TypeAlias = Sequence[VehicleParameters]
 
 
 class EstimateError(ValueError):

@@ -17,7 +17,7 @@ from typing import NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
 
-from estimators.api import Estimator, check_estimate
+from estimators.api import Cars, Estimator, Records, check_estimate
 from estimators.common.alignment import MIN_OVERLAP, StationMap, identity_map, map_stations
 from estimators.common.explained import mark_impossible
 from estimators.common.odometer import calibrate_odometer
@@ -41,11 +41,7 @@ class JointEstimator(Estimator, Protocol):
         """Return the estimator of each single pass, whose estimates are aligned."""
 
     def estimate_jointly(
-        self,
-        records: Sequence[Record],
-        cars: Sequence[VehicleParameters],
-        start: Estimate,
-        names: Sequence[str],
+        self, records: Records, cars: Cars, start: Estimate, names: Sequence[str]
     ) -> Estimate:
         """Return both wheel paths on the stations of `start`, the mean of the single estimates.
         The `records` have stations of one odometer; the `length` of each is the station at which
@@ -112,9 +108,7 @@ def refuse_repetitions(records: Sequence[Record], names: Sequence[str]) -> None:
             raise ConfigError(f"{one} and {other} are the same drive: give each pass once")
 
 
-def join_passes(
-    estimator: Estimator, aligned: Sequence[AlignedPass], cars: Sequence[VehicleParameters]
-) -> Estimate:
+def join_passes(estimator: Estimator, aligned: Sequence[AlignedPass], cars: Cars) -> Estimate:
     """Return one road from aligned passes with the vehicles `cars`, one for each."""
     found = _combine(aligned)
     names, records = [each.name for each in aligned], [each.record for each in aligned]

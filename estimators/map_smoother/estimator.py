@@ -30,7 +30,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field
 
-from estimators.api import CalibrationError, copy_with
+from estimators.api import CalibrationError, Cars, Records, copy_with
 from estimators.common.explained import reduce_unexplained
 from estimators.common.misfit import NOISE_SCALE_WARNING, misfit_note
 from estimators.common.odometer import calibrate_odometer
@@ -70,11 +70,7 @@ class MapSmoother(CalibratedByIdentification, SolverSettings):
         return copy_with(self, draws=0, adapt=False, prior_updates=0)
 
     def estimate_jointly(
-        self,
-        records: Sequence[Record],
-        cars: Sequence[VehicleParameters],
-        start: Estimate,
-        names: Sequence[str],
+        self, records: Records, cars: Cars, start: Estimate, names: Sequence[str]
     ) -> Estimate:
         """Estimate one road from several passes (`estimators.passes.JointEstimator`)."""
         pairs = zip(records, cars, strict=True)
@@ -109,14 +105,10 @@ class MapSmoother(CalibratedByIdentification, SolverSettings):
         return replace(second, notes=(*second.notes, note))
 
     def _estimate(
-        self,
-        record: Record,
-        car: VehicleParameters,
-        known: VehicleUncertainty | None,
-        speed_std: float,
+        self, record: Record, car: VehicleParameters, known: VehicleUncertainty | None, v_std: float
     ) -> tuple[Estimate, RoadSolver]:
         """Estimate a single drive; `known`: the uncertainty of a vehicle that was identified."""
-        drive, notes = self.prepare(record, car, speed_std=speed_std)
+        drive, notes = self.prepare(record, car, speed_std=v_std)
         solver = RoadSolver(self, [drive], self.adapt, self.draws, known)
         return self._solve(solver, record.length, [""], notes), solver
 
